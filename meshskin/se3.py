@@ -1,0 +1,78 @@
+"""Rotations and rigid transforms: `T_a_b` is the pose of frame b in frame a.
+
+Source: Sola, Deray, Atchuthan, "A micro Lie theory for state estimation in robotics" (2018).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def hat(w: ArrayLike) -> Array:
+    """Cross-product matrices of vectors `w` (..., 3) -> (..., 3, 3)."""
+    w = np.asarray(w, dtype=float)
+    m = np.zeros((*w.shape[:-1], 3, 3))
+    m[..., 0, 1], m[..., 0, 2], m[..., 1, 2] = -w[..., 2], w[..., 1], -w[..., 0]
+    m[..., 1, 0], m[..., 2, 0], m[..., 2, 1] = w[..., 2], -w[..., 1], w[..., 0]
+    return m
+
+
+def exp_so3(w: ArrayLike) -> Array:
+    """Rotation matrices (..., 3, 3) of rotation vectors `w` (..., 3), in rad (Rodrigues)."""
+    w = np.asarray(w, dtype=float)
+    angle2 = np.sum(w * w, axis=-1)[..., None, None]
+    angle = np.sqrt(angle2)
+    small = angle2 < 1e-8
+    safe = np.where(small, 1.0, angle)
+    s = np.where(small, 1.0 - angle2 / 6.0, np.sin(safe) / safe)
+    c = np.where(small, 0.5 - angle2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    k = hat(w)
+    return np.eye(3) + s * k + c * (k @ k)
+
+
+def quaternion(rotation: ArrayLike) -> Array:
+    """Unit quaternions (..., 4), xyzw, w >= 0, of rotation matrices (..., 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    r = np.asarray(rotation, dtype=float)
+    q = Rotation.from_matrix(r.reshape(-1, 3, 3)).as_quat(canonical=True)
+    return np.asarray(q).reshape((*r.shape[:-2], 4))
+
+
+def log_so3(rotation: ArrayLike) -> Array:
+    """Rotation vectors (..., 3), in rad, of rotation matrices (..., 3, 3); finite up to pi."""
+    q = quaternion(rotation)
+    v, w = q[..., :3], q[..., 3:]
+    n = np.sqrt(np.sum(v * v, axis=-1, keepdims=True) + 1e-24)
+    return np.asarray(2.0 * np.arctan2(n, w) / n * v)
+
+
+def transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
+    """Homogeneous transforms (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3)."""
+    r, t = np.asarray(rotation, dtype=float), np.asarray(translation, dtype=float)
+    out = np.zeros((*np.broadcast_shapes(r.shape[:-2], t.shape[:-1]), 4, 4))
+    out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = r, t, 1.0
+    return out
+
+
+def inverse(pose: ArrayLike) -> Array:
+    """Inverse of rigid transforms (..., 4, 4)."""
+    pose = np.asarray(pose, dtype=float)
+    rt = np.swapaxes(pose[..., :3, :3], -1, -2)
+    return transform(rt, -(rt @ pose[..., :3, 3:])[..., 0])
+
+
+def align(source: ArrayLike, target: ArrayLike) -> Array:
+    """The rigid transform (4, 4) that best maps points `source` (n, 3) onto `target` (n, 3).
+
+    Source: Umeyama, IEEE PAMI 13 (1991), without the scale.
+    """
+    a, b = np.asarray(source, dtype=float), np.asarray(target, dtype=float)
+    ca, cb = a.mean(axis=0), b.mean(axis=0)
+    u, _, vt = np.linalg.svd((b - cb).T @ (a - ca))
+    d = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    r = u @ d @ vt
+    return transform(r, cb - r @ ca)
