@@ -36,9 +36,7 @@ class UnknownNameError(ConfigError):
     def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "") -> None:
         self.known = sorted(known)
         near = difflib.get_close_matches(name, self.known, n=3, cutoff=0.5)
-        remedy = (
-            f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(self.known)}"
-        )
+        remedy = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(self.known)}"
         super().__init__(f"unknown {kind} {name!r}{where}", remedy=remedy)
 
 

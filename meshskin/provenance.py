@@ -1,0 +1,52 @@
+"""Where a result comes from: seeds, input hashes, versions; written into every output."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from datetime import UTC, datetime
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+
+_PACKAGES = ("meshskin", "casadi", "numpy", "scipy", "trimesh", "embreex", "adam-robotics")
+
+
+def digest(*parts: bytes | str | np.ndarray) -> str:
+    """SHA-256 (first 16 hex digits) of the given parts, arrays by shape, type and content."""
+    h = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, np.ndarray):
+            h.update(f"{part.shape}{part.dtype}".encode())
+            h.update(np.ascontiguousarray(part).tobytes())
+        else:
+            h.update(part.encode() if isinstance(part, str) else part)
+    return h.hexdigest()[:16]
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that numbers depend on."""
+    found = {"python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def provenance(**inputs: Any) -> dict[str, Any]:
+    """A record of the inputs given by name, the versions, the platform and the time (UTC)."""
+    return {
+        **inputs,
+        "versions": versions(),
+        "platform": f"{platform.system()} {platform.machine()}",
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+def random_stream(seed: int, name: str) -> np.random.Generator:
+    """An independent random stream for one named consumer (an effect, a sampler) of one seed."""
+    key = [int.from_bytes(hashlib.sha256(name.encode()).digest()[k : k + 4]) for k in (0, 4, 8)]
+    return np.random.default_rng(np.random.SeedSequence(entropy=seed, spawn_key=key))

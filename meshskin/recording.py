@@ -1,0 +1,205 @@
+"""The recording: what a simulation or a robot writes, and what calibration reads.
+
+Three Parquet tables. `contacts`, one row a frame in contact: time (s), px py pz (contact point, body
+frame, m), nx ny nz (outward normal, body frame), force (N). `readings`, sparse: time (s), taxel (id),
+pressure (Pa), only pressures above the threshold. `motion`, from simulations only, one row a step.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from .atomic import atomic
+from .errors import RecordingError
+from .se3 import Array
+
+CONTACTS = pa.schema(
+    [(name, pa.float64()) for name in ("time", "px", "py", "pz", "nx", "ny", "nz", "force")]
+)
+READINGS = pa.schema([("time", pa.float64()), ("taxel", pa.int32()), ("pressure", pa.float64())])
+_KEY = b"meshskin"
+_PARTS = ("contacts", "readings", "motion")
+
+
+def _column(table: pa.Table, name: str) -> np.ndarray:
+    return np.asarray(table.column(name).to_numpy())
+
+
+def part_path(path: str | Path, part: str) -> Path:
+    """The file that holds one table of the recording at `path`: path.PART.parquet."""
+    path = Path(path)
+    return path.with_name(f"{path.name}.{part}.parquet")
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Contacts and readings of one exploration, with metadata.
+
+    metadata holds at least: taxel_ids (list of all taxels, read or not), disc_radius_m, threshold_pa.
+    """
+
+    contacts: pa.Table
+    readings: pa.Table
+    metadata: dict[str, Any]
+    motion: pa.Table | None = None
+
+    def __post_init__(self) -> None:
+        for name, table, schema in (
+            ("contacts", self.contacts, CONTACTS),
+            ("readings", self.readings, READINGS),
+        ):
+            missing = set(schema.names) - set(table.column_names)
+            if missing:
+                raise RecordingError(
+                    f"the {name} table lacks {', '.join(sorted(missing))}",
+                    remedy=f"it needs the columns {', '.join(schema.names)}",
+                )
+        if len(self.time) > 1 and not np.all(np.diff(self.time) > 0):
+            k = int(np.argmin(np.diff(self.time) > 0)) + 1
+            raise RecordingError(
+                "contact times must increase", value=f"{self.time[k]} s after {self.time[k - 1]} s"
+            )
+
+    @cached_property
+    def time(self) -> Array:
+        """Times of the contacts (m,), s."""
+        return _column(self.contacts, "time")
+
+    @cached_property
+    def points(self) -> Array:
+        """Contact points (m, 3) in the body frame, m."""
+        return np.stack([_column(self.contacts, c) for c in ("px", "py", "pz")], axis=1)
+
+    @cached_property
+    def normals(self) -> Array:
+        """Outward body normals (m, 3) at the contact points, body frame."""
+        return np.stack([_column(self.contacts, c) for c in ("nx", "ny", "nz")], axis=1)
+
+    @cached_property
+    def force(self) -> Array:
+        """Normal contact forces (m,), N."""
+        return _column(self.contacts, "force")
+
+    @cached_property
+    def reading_contact(self) -> np.ndarray:
+        """Row of `contacts` that each reading belongs to (k,)."""
+        times = _column(self.readings, "time")
+        row = np.searchsorted(self.time, times)
+        bad = (row >= len(self.time)) | (
+            self.time[np.minimum(row, len(self.time) - 1)] != times if len(self.time) else True
+        )
+        if np.any(bad):
+            raise RecordingError(
+                "a reading has no contact of its time",
+                value=f"{times[np.argmax(bad)]} s",
+                remedy="write one contact row for every frame of readings",
+            )
+        return row
+
+    @cached_property
+    def reading_taxel(self) -> np.ndarray:
+        """Taxel id of each reading (k,)."""
+        return _column(self.readings, "taxel")
+
+    @cached_property
+    def pressure(self) -> Array:
+        """Pressure of each reading (k,), Pa."""
+        return _column(self.readings, "pressure")
+
+    def save(self, path: str | Path) -> None:
+        """Write path.contacts.parquet, path.readings.parquet (and path.motion.parquet), each whole."""
+        with RecordingWriter(path, self.metadata) as writer:
+            writer.write(contacts=self.contacts, readings=self.readings, motion=self.motion)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Recording:
+        """Read the recording at `path` (the common part of its file names), memory-mapped.
+
+        Raises RecordingError if a table is missing, torn, or belongs to another recording.
+        """
+        tables: dict[str, pa.Table] = {}
+        for part in _PARTS:
+            file = part_path(path, part)
+            if not file.exists():
+                if part == "motion":
+                    continue
+                raise RecordingError(
+                    f"no recording at {path}",
+                    value=f"{file.name} is missing",
+                    remedy="check the path",
+                )
+            try:
+                tables[part] = pq.read_table(file, memory_map=True)
+            except (pa.ArrowInvalid, OSError) as error:
+                raise RecordingError(
+                    f"{file} cannot be read",
+                    value=str(error).splitlines()[0],
+                    remedy="record it again",
+                ) from error
+        headers = {
+            part: json.loads((table.schema.metadata or {}).get(_KEY, b"{}"))
+            for part, table in tables.items()
+        }
+        if len({h.get("recording_id") for h in headers.values()}) > 1:
+            raise RecordingError(
+                f"the tables at {path} come from different recordings",
+                remedy="delete them and record again",
+            )
+        header = headers["contacts"]
+        header.pop("recording_id", None)
+        return cls(tables["contacts"], tables["readings"], header, tables.get("motion"))
+
+
+class RecordingWriter:
+    """Streams tables to the files of a recording; they appear only when all is written.
+
+    Use as a context manager; an exception inside leaves nothing behind.
+    """
+
+    def __init__(self, path: str | Path, metadata: Mapping[str, Any]) -> None:
+        self.path = Path(path)
+        identity = np.random.default_rng().bytes(8).hex()
+        self._header = {_KEY: json.dumps({**metadata, "recording_id": identity}).encode()}
+        self._stack = ExitStack()
+        self._writers: dict[str, pq.ParquetWriter] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def _writer(self, part: str, schema: pa.Schema) -> pq.ParquetWriter:
+        if part not in self._writers:
+            temporary = self._stack.enter_context(atomic(part_path(self.path, part)))
+            self._writers[part] = self._stack.enter_context(
+                pq.ParquetWriter(temporary, schema.with_metadata(self._header))
+            )
+        return self._writers[part]
+
+    def write(
+        self, *, contacts: pa.Table, readings: pa.Table, motion: pa.Table | None = None
+    ) -> None:
+        """Append rows to the tables."""
+        for part, table in (("contacts", contacts), ("readings", readings), ("motion", motion)):
+            if table is not None:
+                writer = self._writer(part, table.schema)
+                writer.write_table(table.replace_schema_metadata(self._header))
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is None and "motion" not in self._writers:
+            part_path(self.path, "motion").unlink(missing_ok=True)
+        self._stack.__exit__(kind, error, trace)
