@@ -1,8 +1,9 @@
 """The recording: what a simulation or a robot writes, and what calibration reads.
 
-Three Parquet tables. `contacts`, one row a frame in contact: time (s), px py pz (contact point, body
-frame, m), nx ny nz (outward normal, body frame), force (N). `readings`, sparse: time (s), taxel (id),
-pressure (Pa), only pressures above the threshold. `motion`, from simulations only, one row a step.
+Three Parquet tables. `contacts`, one row a frame in contact: time (s), px py pz (contact point,
+body frame, m), nx ny nz (outward normal, body frame), force (N). `readings`, sparse: time (s), taxel
+(id), pressure (Pa), only pressures above the threshold. `motion`, from simulations only, one row a
+step.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ def part_path(path: str | Path, part: str) -> Path:
 class Recording:
     """Contacts and readings of one exploration, with metadata.
 
-    metadata holds at least: taxel_ids (list of all taxels, read or not), disc_radius_m, threshold_pa.
+    metadata holds at least: taxel_ids (all taxels, read or not), disc_radius_m, threshold_pa.
     """
 
     contacts: pa.Table
@@ -118,7 +119,7 @@ class Recording:
         return _column(self.readings, "pressure")
 
     def save(self, path: str | Path) -> None:
-        """Write path.contacts.parquet, path.readings.parquet (and path.motion.parquet), each whole."""
+        """Write path.contacts.parquet, path.readings.parquet, path.motion.parquet, each whole."""
         with RecordingWriter(path, self.metadata) as writer:
             writer.write(contacts=self.contacts, readings=self.readings, motion=self.motion)
 

@@ -1,0 +1,154 @@
+"""TOML <-> frozen dataclasses.
+
+A dataclass field made by `quantity` carries a unit and bounds. In TOML its key ends in the unit it is
+given in (`radius_mm = 100` for the field `radius` in m); an unknown key is refused with the nearest
+known name, a value out of bounds with its limit.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from .errors import ConfigError, UnknownNameError
+
+T = TypeVar("T")
+
+UNITS: dict[str, dict[str, float]] = {
+    "m": {"m": 1.0, "mm": 1e-3, "um": 1e-6},
+    "rad": {"rad": 1.0, "deg": math.pi / 180.0},
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
+    "1/s": {"per_s": 1.0},
+    "Hz": {"hz": 1.0},
+    "N": {"n": 1.0},
+    "Pa": {"pa": 1.0, "kpa": 1e3, "mpa": 1e6, "gpa": 1e9},
+    "kg": {"kg": 1.0, "g": 1e-3},
+    "m/s": {"m_per_s": 1.0, "mm_per_s": 1e-3},
+    "rad/s": {"rad_per_s": 1.0, "deg_per_s": math.pi / 180.0},
+    "": {"": 1.0},
+}
+
+
+def quantity(
+    unit: str,
+    default: Any = dataclasses.MISSING,
+    *,
+    above: float | None = None,
+    least: float | None = None,
+    most: float | None = None,
+) -> Any:
+    """A dataclass field in SI `unit`, with bounds (`above` excludes its end, the others include it)."""
+    bounds = {"unit": unit, "above": above, "least": least, "most": most}
+    return dataclasses.field(default=default, metadata=bounds)
+
+
+def check(config: Any) -> None:
+    """Check every bounded field of a dataclass; for use in `__post_init__`. Raises ConfigError."""
+    for field in dataclasses.fields(config):
+        m, value = field.metadata, getattr(config, field.name)
+        if "unit" not in m or value is None:
+            continue
+        for number in value if isinstance(value, tuple) else (value,):
+            _check_number(f"{type(config).__name__.lower()}.{field.name}", number, m)
+
+
+def _check_number(name: str, number: Any, m: Mapping[str, Any]) -> None:
+    unit = f" {m['unit']}" if m["unit"] else ""
+    if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
+        raise ConfigError(f"{name} must be a finite number", value=repr(number))
+    if m["above"] is not None and number <= m["above"]:
+        raise ConfigError(
+            f"{name} is out of range",
+            value=f"{number:g}{unit}",
+            limit=f"above {m['above']:g}{unit}",
+            remedy="correct the value or its unit",
+        )
+    if m["least"] is not None and number < m["least"]:
+        raise ConfigError(
+            f"{name} is out of range",
+            value=f"{number:g}{unit}",
+            limit=f"at least {m['least']:g}{unit}",
+            remedy="correct the value or its unit",
+        )
+    if m["most"] is not None and number > m["most"]:
+        raise ConfigError(
+            f"{name} is out of range",
+            value=f"{number:g}{unit}",
+            limit=f"at most {m['most']:g}{unit}",
+            remedy="correct the value or its unit",
+        )
+
+
+def _keys(field: dataclasses.Field[Any]) -> dict[str, float]:
+    """TOML keys of a field, each with its factor to SI."""
+    unit = field.metadata.get("unit", "")
+    return {f"{field.name}_{s}" if s else field.name: f for s, f in UNITS[unit].items()}
+
+
+def _scaled(value: Any, factor: float, where: str) -> Any:
+    if isinstance(value, list):
+        return tuple(_scaled(v, factor, where) for v in value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ConfigError(f"{where} must be a number", value=repr(value))
+    return value * factor
+
+
+def build(cls: type[T], table: Mapping[str, Any], where: str) -> T:
+    """Make the dataclass `cls` from a TOML table; `where` names the table in errors.
+
+    Raises UnknownNameError for an unknown key, ConfigError for a missing or wrong value.
+    """
+    fields = {f.name: f for f in dataclasses.fields(cls) if f.init}  # type: ignore[arg-type]
+    known = {key: (f, factor) for f in fields.values() for key, factor in _keys(f).items()}
+    values: dict[str, Any] = {}
+    for key, value in table.items():
+        if key in fields and key not in known:
+            units = ", ".join(_keys(fields[key]))
+            raise ConfigError(f"{where}.{key} needs a unit in its name", remedy=f"write {units}")
+        if key not in known:
+            raise UnknownNameError("key", key, known, f" in [{where}]")
+        field, factor = known[key]
+        if field.name in values:
+            raise ConfigError(f"{where}.{field.name} is given twice", remedy=f"keep one of {key}")
+        numeric = "unit" in field.metadata
+        values[field.name] = (
+            _scaled(value, factor, f"{where}.{key}")
+            if numeric
+            else tuple(value)
+            if isinstance(value, list)
+            else value
+        )
+    for field in fields.values():
+        required = (
+            field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+        )
+        if required and field.name not in values:
+            raise ConfigError(
+                f"[{where}] lacks {field.name}", remedy=f"add {' or '.join(_keys(field))}"
+            )
+    return cls(**values)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file. Raises ConfigError, naming the line, if it is not valid."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path.name} is no valid TOML: {error}") from error
+    except OSError as error:
+        raise ConfigError(f"cannot read {path}", value=error.strerror) from error
+
+
+def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """`base` with the values of `over`, table by table."""
+    out = dict(base)
+    for key, value in over.items():
+        if isinstance(value, Mapping) and isinstance(out.get(key), Mapping):
+            out[key] = merge(out[key], value)
+        else:
+            out[key] = value
+    return out

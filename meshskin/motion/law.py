@@ -1,0 +1,91 @@
+"""The compliance law: joint velocities and torques that hold the contact force.
+
+Source: Cannata, Denei, Mastrogiovanni, "Towards automated self-calibration of robot skin" (ICRA
+2010), eq. 2-11. For a contact with outward body normal n, penetration delta and distance d between
+the centres of body and indenter, a velocity v of the body's centre changes the contact force
+f_c = -K_c delta^(3/2) n by
+
+    d f_c / dt = -K_c zeta v,    zeta = -(delta^(3/2) / d) (I - n n^T) + (3/2) delta^(1/2) n n^T
+
+and the law asks for qdot_f = (gamma / K_c) (zeta J)^+ (f_c - f*), f* = -f_ref n. The printed eq. 10
+has delta in place of delta^(3/2) in its last form and a sign in its second line that the third
+takes back; both are put right here (tests compare zeta with automatic differentiation).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from ..config import check, quantity
+from ..errors import UnknownNameError
+
+TORQUES = ("compensated", "paper")
+SHAPES = ("inertia", "identity")
+
+
+@dataclass(frozen=True)
+class Law:
+    """Gains of the compliance law."""
+
+    force_reference: float = quantity("N", 3.0, above=0.0)
+    """Contact force to hold."""
+    gamma: float = quantity("1/s", 50.0, above=0.0)
+    """Rate at which the force error decays."""
+    rate: float = quantity("1/s", 200.0, above=0.0)
+    """Velocity gain: L = rate M(q) with shape "inertia"."""
+    shape: str = "inertia"
+    """Velocity gain matrix L: "inertia" (rate times the mass matrix) or "identity" (gain times I)."""
+    gain: float = quantity("", 100.0, above=0.0)
+    """Velocity gain with shape "identity": L = gain I, in N m s/rad."""
+    torque: str = "compensated"
+    """"paper": eq. 11 as printed, which leaves a steady force error; "compensated": with -J^T f_c."""
+    approach_speed: float = quantity("m/s", 0.1, above=0.0, most=1.0)
+    """Largest speed along the normal that the force part may ask for; the speed before touch."""
+    tracking: float = quantity("1/s", 20.0, least=0.0)
+    """Rate at which errors of the body's pose along the path decay."""
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.torque not in TORQUES:
+            raise UnknownNameError("torque law", self.torque, TORQUES)
+        if self.shape not in SHAPES:
+            raise UnknownNameError("shape of the velocity gain", self.shape, SHAPES)
+
+
+def zeta(delta: Any, d: Any, n: Any) -> Any:
+    """The matrix zeta (3, 3) of eq. 10; delta, d in m, n (3,) the outward body normal."""
+    nn = n @ n.T
+    return -(delta * ca.sqrt(delta) / d) * (ca.DM.eye(3) - nn) + 1.5 * ca.sqrt(delta) * nn
+
+
+def force_speed(law: Law, stiffness: Any, delta: Any, force: Any, delta_reference: Any) -> Any:
+    """Speed along n of the force part: zeta^-1 (gamma / K_c) (f_c - f*), limited.
+
+    f_c - f* = (f_ref - F) n lies in the normal eigenspace of zeta, so that zeta's inverse is a
+    division by (3/2) delta^(1/2). delta is floored at a quarter of its reference (zeta is singular
+    at delta = 0) and the speed limited to the approach speed, which makes approach and touch part
+    of the law.
+    """
+    root = ca.sqrt(ca.fmax(delta, 0.25 * delta_reference))
+    speed = law.gamma * (law.force_reference - force) / (1.5 * stiffness * root)
+    return ca.fmax(-law.approach_speed, ca.fmin(law.approach_speed, speed))
+
+
+def damped_inverse(jacobian: Any, rows: Any, twist: Any) -> Any:
+    """J^T (J J^T + diag(rows)^2)^-1 twist: joint velocities (n,), damped row by row near singularities.
+
+    jacobian (r, n), rows (r,) damping of each row, twist (r,).
+    """
+    gram = jacobian @ jacobian.T + ca.diag(rows**2)
+    upper = ca.chol(gram)
+    return jacobian.T @ ca.solve(upper, ca.solve(upper.T, twist))
+
+
+def velocity_gain(law: Law, mass_matrix: Any) -> Any:
+    """The matrix L (n, n) of eq. 11."""
+    if law.shape == "inertia":
+        return law.rate * mass_matrix
+    return law.gain * ca.DM.eye(mass_matrix.shape[0])
