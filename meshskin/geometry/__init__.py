@@ -1,0 +1,1 @@
+"""Bodies: checked meshes, the smooth surface on them, regions and skin layouts."""

@@ -1,0 +1,28 @@
+"""What a query against a surface answers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Closest:
+    """Points of a surface answering n queries, in the body frame, SI units."""
+
+    point: Array
+    """(n, 3) foot points on the surface, in m"""
+    distance: Array
+    """(n,) signed distance in m, negative inside (for rays: the way along the ray)"""
+    normal: Array
+    """(n, 3) outward unit normals"""
+    curvature: Array
+    """(n, 2) principal curvatures in 1/m, positive where convex, larger first"""
+    face: NDArray[np.intp]
+    """(n,) faces of the mesh; -1 where a ray missed (its other entries are NaN)"""
+    uv: Array
+    """(n, 2) barycentric weights of the face's second and third vertex"""

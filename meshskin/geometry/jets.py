@@ -1,0 +1,187 @@
+"""Vertex jets: polynomial height fields fitted to the vertices around each vertex.
+
+At vertex i, in a frame (t1, t2, n) at the vertex, the surface is n-height h_i(x, y), a polynomial
+without constant term (it passes through the vertex) fitted by least squares to the 2-ring.
+Source: Cazals and Pouget, "Estimating differential quantities using polynomial fitting of
+osculating jets", Computer Aided Geometric Design 22 (2005): a degree-d jet gives normals to order
+h^d and curvatures to order h^(d-1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshskin.geometry import patch
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+DEGREE = 4
+POWERS = tuple((d - j, j) for d in range(1, DEGREE + 1) for j in range(d + 1))  # 14, no constant
+INDEPENDENT = 1e-4
+"""smallest sine of the angle between a column of the fit and the columns before it"""
+
+
+@dataclass(frozen=True)
+class Jets:
+    """Height fields at n vertices."""
+
+    origin: Array
+    """(n, 3) vertices, in m"""
+    frame: Array
+    """(n, 3, 3) rows t1, t2, normal"""
+    scale: Array
+    """(n,) radius of the ring in m; the coefficients are of coordinates divided by it"""
+    coefficients: Array
+    """(n, 14) of x^i y^j in the order of POWERS; the height, too, is divided by the scale"""
+    degree: NDArray[np.int64]
+    """(n,) degree of each fit (0: flat, too few neighbours)"""
+
+
+def vertex_normals(vertices: Array, faces: Index) -> Array:
+    """Outward unit normals (n, 3) at the vertices, each face weighted by its area."""
+    a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
+    cross = np.cross(b - a, c - a)
+    weights = np.repeat(cross, 3, axis=0)
+    flat = faces.ravel()
+    total = np.stack(
+        [np.bincount(flat, weights[:, k], minlength=len(vertices)) for k in range(3)], axis=1
+    )
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return np.where(length > 0, total / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
+
+
+def tangent_frames(normals: Array) -> Array:
+    """Right-handed frames (n, 3, 3), rows t1, t2, normal, of unit normals (n, 3).
+
+    Source: Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6 (2017).
+    """
+    x, y, z = normals.T
+    sign = np.where(z >= 0, 1.0, -1.0)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    t1 = np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=1)
+    t2 = np.stack([b, sign + y * y * a, -y], axis=1)
+    return np.stack([t1, t2, normals], axis=1)
+
+
+def rings(faces: Index, count: int, order: int = 2) -> tuple[Index, Index]:
+    """Vertices within `order` edges of each of `count` vertices: CSR (start (n + 1,), index)."""
+    from scipy.sparse import csr_array, eye_array
+
+    i = faces[:, [0, 1, 2, 1, 2, 0]].ravel()
+    j = faces[:, [1, 2, 0, 0, 1, 2]].ravel()
+    ones = np.ones(len(i), dtype=np.float32)
+    step = csr_array((ones, (i, j)), shape=(count, count)) + eye_array(count, dtype=np.float32)
+    reach = step = csr_array(step)
+    for _ in range(order - 1):
+        reach = reach @ step
+    return reach.indptr.astype(np.intp), reach.indices.astype(np.intp)
+
+
+def fit(vertices: Array, faces: Index, degree: int = DEGREE, order: int = 2) -> Jets:
+    """Jets of the given degree (at most 4) on the `order`-ring of every vertex.
+
+    Where a ring is too small or too regular for the degree, the next lower one is fitted.
+    """
+    n = len(vertices)
+    start, index = rings(faces, n, order)
+    size = np.diff(start)
+    frame = tangent_frames(vertex_normals(vertices, faces))
+    scale = np.ones(n)
+    coefficients = np.zeros((n, len(POWERS)))
+    reached = np.zeros(n, dtype=np.int64)
+    for members in size_groups(size):
+        ring = index[start[members][:, None] + np.arange(size[members[0]])]
+        offset = vertices[ring] - vertices[members][:, None]
+        local = offset @ np.swapaxes(frame[members], 1, 2)
+        radius = np.sqrt(np.max(np.sum(local[..., :2] ** 2, axis=2), axis=1))
+        radius[radius == 0.0] = 1.0
+        local /= radius[:, None, None]
+        scale[members] = radius
+        pending = np.arange(len(members))
+        for trial in range(degree, 0, -1):
+            if not len(pending):
+                break
+            solved, values = _solve(local[pending], trial)
+            done = pending[solved]
+            coefficients[members[done], : values.shape[1]] = values[solved]
+            reached[members[done]] = trial
+            pending = pending[~solved]
+    return Jets(vertices, frame, scale, coefficients, reached)
+
+
+def size_groups(size: Index) -> list[Index]:
+    """Indices grouped by equal `size` (n,)."""
+    by_size = np.argsort(size, kind="stable")
+    cuts = np.flatnonzero(np.diff(size[by_size])) + 1
+    return [group for group in np.split(by_size, cuts) if len(group)]
+
+
+def _solve(local: Array, degree: int) -> tuple[NDArray[np.bool_], Array]:
+    """Least-squares heights of rings (g, k, 3): which are determined (g,), coefficients (g, c)."""
+    columns = _columns(local[..., 0], local[..., 1], degree)  # (g, c, k)
+    g, c, k = columns.shape
+    if k - 1 < c:  # the vertex itself, among the k, says nothing
+        return np.zeros(g, dtype=bool), np.zeros((g, c))
+    length = np.sqrt(np.einsum("gck,gck->gc", columns, columns))
+    length[length == 0.0] = 1.0
+    columns /= length[:, :, None]
+    normal = columns @ np.swapaxes(columns, 1, 2) + 1e-13 * np.eye(c)  # never exactly singular
+    diagonal = np.diagonal(np.linalg.cholesky(normal), axis1=1, axis2=2)
+    values = np.linalg.solve(normal, columns @ local[..., 2:])[..., 0]
+    return np.min(diagonal, axis=1) > INDEPENDENT, values / length
+
+
+def _columns(x: Array, y: Array, degree: int) -> Array:
+    """Monomials x^i y^j, 1 <= i + j <= degree, of x, y (g, k) -> (g, c, k)."""
+    out = np.empty((x.shape[0], (degree + 1) * (degree + 2) // 2 - 1, x.shape[1]))
+    out[:, 0], out[:, 1] = x, y
+    start = 0
+    for d in range(2, degree + 1):
+        here = start + d
+        out[:, here : here + d] = out[:, start:here] * x[:, None]
+        out[:, here + d] = out[:, here - 1] * y
+        start = here
+    return out
+
+
+def heights(coefficients: Array, x: Array, y: Array) -> Array:
+    """Heights h(x, y) of jets (m, 14) at x, y (m, k), all relative to their scales."""
+    c = {power: coefficients[:, k, None] for k, power in enumerate(POWERS)}
+    total = np.zeros_like(x)
+    for i in range(DEGREE, -1, -1):  # Horner in x, whose coefficients are Horner in y
+        row = np.zeros_like(x)
+        for j in range(DEGREE - i, -1, -1):
+            row *= y
+            if i or j:
+                row += c[i, j]
+        total *= x
+        total += row
+    return total
+
+
+def blend(jets: Jets, faces: Index) -> Array:
+    """Patches (m, 21, 3) of the faces: the barycentric blend of the three vertices' jets.
+
+    S = sum_i w_i P_i, where P_i lifts the flat point sum_j w_j V_j along jet i's normal to jet i.
+    Two faces share the jets of their common edge, so the patches meet exactly there.
+    """
+    nodes = np.array([(i, j) for i, j in patch.POWERS]) / patch.DEGREE  # (21, 2)
+    weights = np.column_stack([1.0 - nodes.sum(axis=1), nodes])  # (21, 3)
+    corners = jets.origin[faces]  # (m, 3, 3)
+    flat = weights @ corners
+    values = flat.copy()
+    for k in range(3):
+        vertex = faces[:, k]
+        frame, scale = jets.frame[vertex], jets.scale[vertex]
+        edges = (corners - corners[:, [k]]) @ np.swapaxes(frame, 1, 2) / scale[:, None, None]
+        local = weights @ edges  # (m, 21, 3): the flat points in jet k's frame
+        lift = heights(jets.coefficients[vertex], local[..., 0], local[..., 1]) - local[..., 2]
+        lift *= weights[:, k] * scale[:, None]
+        values += lift[..., None] * frame[:, None, 2]
+    inverse = np.linalg.inv(patch.monomials(nodes[:, 0], nodes[:, 1]))
+    return np.asarray(inverse @ values)

@@ -1,0 +1,134 @@
+"""Quintic triangular patches: S(u, v) = sum over i + j <= 5 of c_ij u^i v^j, c_ij in R^3.
+
+u and v are the barycentric weights of a face's second and third vertex; the first has 1 - u - v.
+The same formulas serve NumPy batches and, scalar by scalar, CasADi expressions.
+Source of the fundamental forms: do Carmo, "Differential Geometry of Curves and Surfaces", 3-3.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+DEGREE = 5
+POWERS = tuple((d - j, j) for d in range(DEGREE + 1) for j in range(d + 1))
+"""(i, j) of the 21 monomials u^i v^j, by total degree"""
+
+ORDERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
+"""derivatives (in u, in v) of S, Su, Sv, Suu, Suv, Svv"""
+
+UMBILIC = 1e-12
+"""(1/m)^2 under the root of the curvatures' difference: keeps its derivative finite on spheres"""
+
+
+def _derivative_table() -> tuple[NDArray[np.intp], Array]:
+    """Where and with which factor d^a/du^a d^b/dv^b of each monomial is found among them."""
+    index = {power: k for k, power in enumerate(POWERS)}
+    source = np.zeros((len(ORDERS), len(POWERS)), dtype=np.intp)
+    factor = np.zeros((len(ORDERS), len(POWERS)))
+    for row, (a, b) in enumerate(ORDERS):
+        for k, (i, j) in enumerate(POWERS):
+            if i >= a and j >= b:
+                source[row, k] = index[i - a, j - b]
+                factor[row, k] = np.prod(range(i - a + 1, i + 1)) * np.prod(range(j - b + 1, j + 1))
+    return source, factor
+
+
+_SOURCE, _FACTOR = _derivative_table()
+
+
+def monomials(u: ArrayLike, v: ArrayLike) -> Array:
+    """The 21 monomials (..., 21) at u, v (...)."""
+    u, v = np.asarray(u, dtype=float), np.asarray(v, dtype=float)
+    out = np.empty((*np.broadcast_shapes(u.shape, v.shape), len(POWERS)))
+    out[..., 0] = 1.0
+    start = 0
+    for degree in range(1, DEGREE + 1):  # each degree is the one before times u, and v times v^d-1
+        below, here = slice(start, start + degree), start + degree
+        out[..., here : here + degree] = out[..., below] * u[..., None]
+        out[..., here + degree] = out[..., here - 1] * v
+        start = here
+    return out
+
+
+def evaluate(coefficients: Array, u: ArrayLike, v: ArrayLike) -> tuple[Array, ...]:
+    """S, Su, Sv, Suu, Suv, Svv, each (..., 3), of patches (..., 21, 3) at u, v (...)."""
+    basis = np.take(monomials(u, v), _SOURCE, axis=-1) * _FACTOR  # (..., 6, 21)
+    out = basis @ coefficients
+    return tuple(out[..., k, :] for k in range(len(ORDERS)))
+
+
+def shape(first: tuple[Array, Array], second: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+    """Outward normals (n, 3) and principal curvatures (n, 2) of the derivatives (n, 3).
+
+    `first` is (Su, Sv), `second` (Suu, Suv, Svv); curvature is positive where the surface bends
+    away from the normal (convex), larger first.
+    """
+    (su, sv), (suu, suv, svv) = first, second
+    normal = np.cross(su, sv)
+    normal /= np.sqrt(np.einsum("ij,ij->i", normal, normal))[:, None]
+    e, f, g = (np.einsum("ij,ij->i", a, b) for a, b in ((su, su), (su, sv), (sv, sv)))
+    ll, m, n = (-np.einsum("ij,ij->i", a, normal) for a in (suu, suv, svv))
+    area2 = e * g - f * f
+    mean = (e * n - 2.0 * f * m + g * ll) / (2.0 * area2)
+    gauss = (ll * n - m * m) / area2
+    spread = np.sqrt(np.maximum(mean * mean - gauss, 0.0))
+    return normal, np.stack([mean + spread, mean - spread], axis=1)
+
+
+def _casadi_derivatives(coefficients: Any, u: Any, v: Any) -> list[Any]:
+    """S, Su, Sv, Suu, Suv, Svv as CasADi (3, 1) expressions that share their monomials."""
+    import casadi as ca
+
+    mono: dict[tuple[int, int], Any] = {(0, 0): 1.0}
+    for i, j in POWERS[1:]:
+        mono[i, j] = mono[i - 1, j] * u if i else mono[i, j - 1] * v
+    out = []
+    for row in range(len(ORDERS)):
+        terms = [k for k in range(len(POWERS)) if _FACTOR[row, k]]
+        weights = [float(_FACTOR[row, k]) * mono[POWERS[_SOURCE[row, k]]] for k in terms]
+        out.append(
+            ca.vertcat(
+                *(
+                    sum(w * coefficients[k, c] for w, k in zip(weights, terms, strict=True))
+                    for c in range(3)
+                )
+            )
+        )
+    return out
+
+
+def casadi_foot(
+    coefficients: Any, u: Any, v: Any, point: Any, iterations: int = 1
+) -> tuple[Any, Any, Any, Any, Any]:
+    """Foot of `point` on one patch by Newton steps from (u, v), without branches.
+
+    Solves (S - p) . Su = 0 = (S - p) . Sv with the exact second derivatives. Takes
+    `coefficients` (21, 3), scalars `u`, `v` and `point` (3, 1), all SX (or MX, DM), in the body
+    frame and m. Gives (u, v, S (3, 1), outward normal (3, 1), curvatures (2, 1), larger first).
+    """
+    import casadi as ca
+
+    for _ in range(iterations):
+        s, su, sv, suu, suv, svv = _casadi_derivatives(coefficients, u, v)
+        r = s - point
+        gu, gv = ca.dot(r, su), ca.dot(r, sv)
+        huu = ca.dot(su, su) + ca.dot(r, suu)
+        huv = ca.dot(su, sv) + ca.dot(r, suv)
+        hvv = ca.dot(sv, sv) + ca.dot(r, svv)
+        scale = 1.0 / (huu * hvv - huv * huv)
+        u, v = u - (hvv * gu - huv * gv) * scale, v - (huu * gv - huv * gu) * scale
+    s, su, sv, suu, suv, svv = _casadi_derivatives(coefficients, u, v)
+    cross = ca.cross(su, sv)
+    area2 = ca.dot(cross, cross)  # = E G - F^2
+    normal = cross / ca.sqrt(area2)
+    e, f, g = ca.dot(su, su), ca.dot(su, sv), ca.dot(sv, sv)
+    ll, m, n = -ca.dot(suu, normal), -ca.dot(suv, normal), -ca.dot(svv, normal)
+    mean = (e * n - 2.0 * f * m + g * ll) / (2.0 * area2)
+    gauss = (ll * n - m * m) / area2
+    spread = ca.sqrt(ca.fmax(mean * mean - gauss, 0.0) + UMBILIC)
+    return u, v, s, normal, ca.vertcat(mean + spread, mean - spread)

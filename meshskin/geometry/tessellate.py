@@ -1,0 +1,88 @@
+"""Triangle meshes of the primitives: vertices (n, 3) m on the exact surface, faces (m, 3)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+def sphere(faces: int) -> tuple[Array, Index]:
+    """Unit icosphere with the number of faces 20 * 4^k nearest (in ratio) to `faces`."""
+    from trimesh.creation import icosphere
+
+    level = max(0, round(float(np.log(max(faces, 20) / 20.0) / np.log(4.0))))
+    mesh = icosphere(subdivisions=level)
+    vertices = np.array(mesh.vertices)
+    return vertices / np.linalg.norm(vertices, axis=1, keepdims=True), np.array(mesh.faces)
+
+
+def capsule(radius: float, length: float, faces: int) -> tuple[Array, Index]:
+    """Capsule along z: rows of even triangles on the cylinder, half octahedra at its ends."""
+    area_sphere, area_side = 4.0 * np.pi * radius**2, 2.0 * np.pi * radius * length
+    n = max(2, round(float(np.sqrt(faces / 8.0 * area_sphere / (area_sphere + area_side)))))
+    step = 2.0 * np.pi * radius / (4 * n)
+    rows = max(1, round(length / (step * np.sqrt(3.0) / 2.0))) if length > 0 else 0
+    heights = [0.5 * length] * (n + 1)
+    latitude = list(np.linspace(0.5 * np.pi, 0.0, n + 1))
+    counts = [max(1, 4 * k) for k in range(n + 1)]
+    heights += list(np.linspace(0.5, -0.5, rows + 1)[1:] * length)
+    latitude += [0.0] * rows
+    counts += [4 * n] * rows
+    heights += [-0.5 * length] * n
+    latitude += list(np.linspace(0.0, -0.5 * np.pi, n + 1)[1:])
+    counts += counts[:n][::-1]
+    rings = []
+    for k, (z, angle, count) in enumerate(zip(heights, latitude, counts, strict=True)):
+        shift = 0.5 * ((k - n) % 2) if n < k <= n + rows else 0.0  # every other row of the side
+        a = (np.arange(count) + shift) * 2.0 * np.pi / count
+        flat = radius * np.cos(angle)
+        up = np.full(count, z + radius * np.sin(angle))
+        rings.append(np.column_stack([flat * np.cos(a), flat * np.sin(a), up]))
+    return _stitch(rings)
+
+
+def torus(major: float, minor: float, faces: int) -> tuple[Array, Index]:
+    """Torus about z as a regular grid with about `faces` triangles."""
+    around = max(6, round(float(np.sqrt(faces * major / (2.0 * minor)))))
+    across = max(6, round(faces / (2.0 * around)))
+    i, j = np.meshgrid(np.arange(around), np.arange(across), indexing="ij")
+    a, b = 2.0 * np.pi * i / around, 2.0 * np.pi * (j + 0.5 * (i % 2)) / across
+    if around % 2:
+        b = 2.0 * np.pi * j / across
+    reach = major + minor * np.cos(b)
+    vertices = np.stack([reach * np.cos(a), reach * np.sin(a), minor * np.sin(b)], axis=-1)
+    here, up = i * across + j, i * across + (j + 1) % across
+    east, east_up = ((i + 1) % around) * across + j, ((i + 1) % around) * across + (j + 1) % across
+    lean = (i % 2 == 1) & (around % 2 == 0)
+    first = np.where(
+        lean[..., None], np.stack([here, east, east_up], -1), np.stack([here, east, up], -1)
+    )
+    second = np.where(
+        lean[..., None], np.stack([here, east_up, up], -1), np.stack([east, east_up, up], -1)
+    )
+    return vertices.reshape(-1, 3), np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
+
+
+def _stitch(rings: list[Array]) -> tuple[Array, Index]:
+    """Join closed rings of points, top to bottom, by the shorter diagonal at each step."""
+    starts = np.concatenate([[0], np.cumsum([len(ring) for ring in rings])])
+    faces: list[tuple[int, int, int]] = []
+    for k in range(len(rings) - 1):
+        upper, lower = rings[k], rings[k + 1]
+        n, m = len(upper), len(lower)
+        a0, b0 = int(starts[k]), int(starts[k + 1])
+        i = j = 0
+        turn_a = (np.arctan2(upper[0, 1], upper[0, 0]) + np.arange(n + 1) * 2 * np.pi / n).tolist()
+        turn_b = (np.arctan2(lower[0, 1], lower[0, 0]) + np.arange(m + 1) * 2 * np.pi / m).tolist()
+        while (i < n and n > 1) or (j < m and m > 1):
+            down = m > 1 and j < m and (n == 1 or i >= n or turn_b[j + 1] <= turn_a[i + 1])
+            if down:
+                faces.append((a0 + i % n, b0 + j % m, b0 + (j + 1) % m))
+                j += 1
+            else:
+                faces.append((a0 + i % n, b0 + j % m, a0 + (i + 1) % n))
+                i += 1
+    return np.concatenate(rings), np.array(faces, dtype=np.intp)
