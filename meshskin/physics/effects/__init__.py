@@ -8,14 +8,13 @@ shifts another's noise.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Protocol
 
 import numpy as np
 
-from ... import config
 from ...errors import ConfigError, UnknownNameError
 from ...provenance import random_stream
 from ...se3 import Array
@@ -77,20 +76,12 @@ class Effect(Protocol):
         """What acts in the loop; for the stages pressure and transducer, a `Pressures`."""
 
 
-def kind(name: str) -> type[Effect]:
+def find(name: str) -> type[Effect]:
     """The effect class called `name`; its module is imported here. Raises UnknownNameError."""
     if name not in KINDS:
         raise UnknownNameError("effect", name, KINDS)
     found: type[Effect] = getattr(import_module(f".{name}", __name__), KINDS[name])
     return found
-
-
-def from_table(table: Mapping[str, Any], where: str = "effects") -> Effect:
-    """The effect of a TOML table: `kind` names it, the other keys are its fields."""
-    if "kind" not in table:
-        raise ConfigError(f"[{where}] lacks kind", remedy=f"add one of {', '.join(sorted(KINDS))}")
-    fields = {key: value for key, value in table.items() if key != "kind"}
-    return config.build(kind(str(table["kind"])), fields, where)
 
 
 def ordered(effects: Iterable[Effect]) -> tuple[Effect, ...]:

@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 
+from meshskin import config
 from meshskin.errors import ConfigError, UnknownNameError
 from meshskin.physics import effects
 from meshskin.physics.effects import Context
@@ -40,17 +41,17 @@ def test_bound_grows_with_the_noise():
     assert GaussianNoise(0.01).bound(CONTEXT) == pytest.approx(0.12e-3)
 
 
-def test_toml_table_names_the_effect():
-    found = effects.from_table({"kind": "gaussian_noise", "sigma_relative": 0.05})
-    assert found == GaussianNoise(0.05)
+def test_toml_table_makes_the_effect():
+    def build(kind, **table):
+        return config.build(effects.find(kind), table, "effects")
+
+    assert build("gaussian_noise", sigma_relative=0.05) == GaussianNoise(0.05)
     with pytest.raises(UnknownNameError, match="did you mean gaussian_noise"):
-        effects.from_table({"kind": "gausian_noise"})
+        build("gausian_noise")
     with pytest.raises(UnknownNameError, match="sigma_relative"):
-        effects.from_table({"kind": "gaussian_noise", "sigma": 0.05})
+        build("gaussian_noise", sigma=0.05)
     with pytest.raises(ConfigError, match="limit: above 0"):
-        effects.from_table({"kind": "gaussian_noise", "sigma_relative": -0.1})
-    with pytest.raises(ConfigError, match="lacks kind"):
-        effects.from_table({"sigma_relative": 0.1})
+        build("gaussian_noise", sigma_relative=-0.1)
 
 
 def test_only_the_stage_asked_for_is_built():
@@ -88,6 +89,6 @@ def test_modules_are_imported_only_when_named():
     code = (
         "import sys; from meshskin.physics import effects; "
         "name = 'meshskin.physics.effects.gaussian_noise'; assert name not in sys.modules; "
-        "effects.kind('gaussian_noise'); assert name in sys.modules"
+        "effects.find('gaussian_noise'); assert name in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
