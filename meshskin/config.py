@@ -1,8 +1,8 @@
 """TOML <-> frozen dataclasses.
 
-A dataclass field made by `quantity` carries a unit and bounds. In TOML its key ends in the unit it is
-given in (`radius_mm = 100` for the field `radius` in m); an unknown key is refused with the nearest
-known name, a value out of bounds with its limit.
+A dataclass field made by `quantity` carries a unit and bounds. In TOML its key ends in the unit it
+is given in (`radius_mm = 100` for the field `radius` in m); an unknown key is refused with the
+nearest known name, a value out of bounds with its limit.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def quantity(
     least: float | None = None,
     most: float | None = None,
 ) -> Any:
-    """A dataclass field in SI `unit`, with bounds (`above` excludes its end, the others include it)."""
+    """A dataclass field in SI `unit`, with bounds (`above` excludes its end, the others do not)."""
     bounds = {"unit": unit, "above": above, "least": least, "most": most}
     return dataclasses.field(default=default, metadata=bounds)
 

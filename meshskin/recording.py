@@ -1,7 +1,7 @@
 """The recording: what a simulation or a robot writes, and what calibration reads.
 
-Three Parquet tables. `contacts`, one row a frame in contact: time (s), px py pz (contact point,
-body frame, m), nx ny nz (outward normal, body frame), force (N). `readings`, sparse: time (s), taxel
+Three Parquet tables. `contacts`, one row a frame in contact: time (s), px py pz (contact point in
+the body frame, m), nx ny nz (outward normal there), force (N). `readings`, sparse: time (s), taxel
 (id), pressure (Pa), only pressures above the threshold. `motion`, from simulations only, one row a
 step.
 """
@@ -9,6 +9,7 @@ step.
 from __future__ import annotations
 
 import json
+import secrets
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -130,29 +131,29 @@ class Recording:
         Raises RecordingError if a table is missing, torn, or belongs to another recording.
         """
         tables: dict[str, pa.Table] = {}
+        headers: dict[str, dict[str, Any]] = {}
         for part in _PARTS:
             file = part_path(path, part)
             if not file.exists():
                 if part == "motion":
                     continue
                 raise RecordingError(
-                    f"no recording at {path}",
-                    value=f"{file.name} is missing",
-                    remedy="check the path",
+                    f"no recording at {path}: {file.name} is missing", remedy="check the path"
                 )
             try:
                 tables[part] = pq.read_table(file, memory_map=True)
+                headers[part] = json.loads((pq.read_metadata(file).metadata or {})[_KEY])
             except (pa.ArrowInvalid, OSError) as error:
                 raise RecordingError(
-                    f"{file} cannot be read",
-                    value=str(error).splitlines()[0],
+                    f"{file} cannot be read: {str(error).splitlines()[0]}",
                     remedy="record it again",
                 ) from error
-        headers = {
-            part: json.loads((table.schema.metadata or {}).get(_KEY, b"{}"))
-            for part, table in tables.items()
-        }
-        if len({h.get("recording_id") for h in headers.values()}) > 1:
+            except (KeyError, ValueError) as error:
+                raise RecordingError(
+                    f"{file} has no meshskin metadata",
+                    remedy="write it with Recording.save or RecordingWriter",
+                ) from error
+        if len({header.get("recording_id") for header in headers.values()}) > 1:
             raise RecordingError(
                 f"the tables at {path} come from different recordings",
                 remedy="delete them and record again",
@@ -165,13 +166,13 @@ class Recording:
 class RecordingWriter:
     """Streams tables to the files of a recording; they appear only when all is written.
 
-    Use as a context manager; an exception inside leaves nothing behind.
+    Use as a context manager; an exception inside leaves nothing behind. `metadata` is written last,
+    so it may be completed while the tables stream.
     """
 
     def __init__(self, path: str | Path, metadata: Mapping[str, Any]) -> None:
         self.path = Path(path)
-        identity = np.random.default_rng().bytes(8).hex()
-        self._header = {_KEY: json.dumps({**metadata, "recording_id": identity}).encode()}
+        self.metadata = dict(metadata)
         self._stack = ExitStack()
         self._writers: dict[str, pq.ParquetWriter] = {}
 
@@ -181,9 +182,7 @@ class RecordingWriter:
     def _writer(self, part: str, schema: pa.Schema) -> pq.ParquetWriter:
         if part not in self._writers:
             temporary = self._stack.enter_context(atomic(part_path(self.path, part)))
-            self._writers[part] = self._stack.enter_context(
-                pq.ParquetWriter(temporary, schema.with_metadata(self._header))
-            )
+            self._writers[part] = self._stack.enter_context(pq.ParquetWriter(temporary, schema))
         return self._writers[part]
 
     def write(
@@ -192,8 +191,7 @@ class RecordingWriter:
         """Append rows to the tables."""
         for part, table in (("contacts", contacts), ("readings", readings), ("motion", motion)):
             if table is not None:
-                writer = self._writer(part, table.schema)
-                writer.write_table(table.replace_schema_metadata(self._header))
+                self._writer(part, table.schema).write_table(table)
 
     def __exit__(
         self,
@@ -201,6 +199,10 @@ class RecordingWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if kind is None and "motion" not in self._writers:
-            part_path(self.path, "motion").unlink(missing_ok=True)
+        if kind is None:
+            header = json.dumps({**self.metadata, "recording_id": secrets.token_hex(8)})
+            for writer in self._writers.values():
+                writer.add_key_value_metadata({_KEY: header})
+            if "motion" not in self._writers:
+                part_path(self.path, "motion").unlink(missing_ok=True)
         self._stack.__exit__(kind, error, trace)

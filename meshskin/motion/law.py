@@ -37,11 +37,11 @@ class Law:
     rate: float = quantity("1/s", 200.0, above=0.0)
     """Velocity gain: L = rate M(q) with shape "inertia"."""
     shape: str = "inertia"
-    """Velocity gain matrix L: "inertia" (rate times the mass matrix) or "identity" (gain times I)."""
+    """Velocity gain matrix L: "inertia" (rate times mass matrix) or "identity" (gain times I)."""
     gain: float = quantity("", 100.0, above=0.0)
     """Velocity gain with shape "identity": L = gain I, in N m s/rad."""
     torque: str = "compensated"
-    """"paper": eq. 11 as printed, which leaves a steady force error; "compensated": with -J^T f_c."""
+    """"paper": eq. 11 as printed, with its steady force error; "compensated": with -J^T f_c."""
     approach_speed: float = quantity("m/s", 0.1, above=0.0, most=1.0)
     """Largest speed along the normal that the force part may ask for; the speed before touch."""
     tracking: float = quantity("1/s", 20.0, least=0.0)
@@ -75,7 +75,7 @@ def force_speed(law: Law, stiffness: Any, delta: Any, force: Any, delta_referenc
 
 
 def damped_inverse(jacobian: Any, rows: Any, twist: Any) -> Any:
-    """J^T (J J^T + diag(rows)^2)^-1 twist: joint velocities (n,), damped row by row near singularities.
+    """J^T (J J^T + diag(rows)^2)^-1 twist: joint velocities (n,), damped row by row.
 
     jacobian (r, n), rows (r,) damping of each row, twist (r,).
     """

@@ -1,0 +1,30 @@
+"""The scenes, bodies and arms that come with meshskin (the folder bodies/)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from .errors import UnknownNameError
+
+
+def folder() -> Path:
+    """The folder bodies/: inside the installed package, or at the top of a checkout."""
+    package = Path(__file__).parent
+    inside = package / "bodies"
+    return inside if inside.is_dir() else package.parent / "bodies"
+
+
+def scenes() -> dict[str, Path]:
+    """The shipped scenes by name."""
+    return {file.stem: file for file in sorted(folder().glob("*.toml"))}
+
+
+def find_scene(name: str | Path) -> Path:
+    """The TOML file of a scene, by shipped name or by path. Raises UnknownNameError."""
+    path = Path(name)
+    if path.suffix == ".toml" and path.is_file():
+        return path
+    known = scenes()
+    if str(name) not in known:
+        raise UnknownNameError("scene", str(name), known)
+    return known[str(name)]

@@ -1,0 +1,186 @@
+"""The exploration path: back-and-forth parallels that turn the body over the fixed indenter.
+
+The contact point runs along parallels of the surface normal about the skin's axis. The arm makes
+the polar angle, the spin about the skin's axis the azimuth, which runs from -180 to 180 degrees on
+one lane and back on the next, so that the last joint never winds up. At every sample the body's
+normal at the contact point faces the indenter (straight down on the indenter's tip).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..config import check, quantity
+from ..errors import SimulationError
+from ..geometry.body import Body
+from ..se3 import Array, exp_so3, log_so3, transform
+
+
+@dataclass(frozen=True)
+class Exploration:
+    """How the contact point covers the skin."""
+
+    lane_spacing: float = quantity("m", 3.5e-3, above=0.0)
+    """Distance between lanes along the surface."""
+    margin: float = quantity("m", 3e-3, least=0.0)
+    """How far the lanes go beyond the outermost taxel."""
+    speed: float = quantity("m/s", 0.05, above=0.0, most=0.5)
+    """Largest speed of the contact point."""
+    turn_rate: float = quantity("rad/s", 2.5, above=0.0)
+    """Largest rate of the body's rotation."""
+    ramp: float = quantity("s", 0.1, above=0.0)
+    """Time to speed up and to slow down, on each lane."""
+    standoff: float = quantity("m", 5e-3, above=0.0)
+    """Gap between body and indenter before the approach."""
+    settle: float = quantity("s", 0.3, least=0.0)
+    """Rest after the touch, before the contact point moves."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True)
+class Path:
+    """A path of the body over the indenter, sampled every `dt`."""
+
+    dt: float
+    points: Array
+    """Contact points (k, 3), body frame, m."""
+    normals: Array
+    """Outward normals there (k, 3), body frame."""
+    poses: Array
+    """T_w_b (k, 4, 4) at the reference depth."""
+    twists: Array
+    """Velocity of the body's origin and angular velocity (k, 6), world."""
+
+    @property
+    def references(self) -> Array:
+        """The rows (k, 18) that the step function follows."""
+        r = self.poses[:, :3, :3].transpose(0, 2, 1).reshape(-1, 9)
+        return np.concatenate([self.poses[:, :3, 3], r, self.twists], axis=1)
+
+
+def _profile(cruise: float, ramp: float, dt: float) -> Array:
+    """Fractions of a way (k,) that takes `cruise` seconds at full speed, with half-cosine ramps."""
+    total = max(cruise, 1e-9) + ramp
+    count = max(int(np.ceil(total / dt)), 2)
+    t = np.linspace(0.0, total, count + 1)[1:]
+    r = min(ramp, total / 2)
+
+    def started(x: Array) -> Array:
+        x = np.clip(x, 0.0, r)
+        return np.asarray(0.5 * (x - r / np.pi * np.sin(np.pi * x / r)))
+
+    way = started(t) + np.clip(t - r, 0.0, total - 2 * r) + r / 2 - started(total - t)
+    return np.asarray(way / way[-1])
+
+
+def lanes(extent: float, radius: float, exploration: Exploration) -> Array:
+    """Polar angles of the lanes, rad, for a skin that reaches to polar angle `extent`.
+
+    radius: mean radius of curvature along the meridian, m.
+    """
+    reach = extent + exploration.margin / radius
+    pitch = exploration.lane_spacing / radius
+    count = max(int(np.ceil(reach / pitch)), 2)
+    return (np.arange(count) + 0.5) * reach / (count - 0.5)
+
+
+def parallels(polar: Array, radius: float, exploration: Exploration, dt: float) -> Array:
+    """Polar angle and azimuth (k, 2) of the contact's normal at every step."""
+
+    def cruise(angle: float, arm: float) -> float:
+        return max(angle * arm / exploration.speed, angle / exploration.turn_rate)
+
+    way = [np.array([[polar[0], -np.pi]])]
+    for k, theta in enumerate(polar):
+        start = -np.pi if k % 2 == 0 else np.pi
+        s = _profile(cruise(2 * np.pi, radius * np.sin(theta)), exploration.ramp, dt)
+        way.append(np.stack([np.full_like(s, theta), start * (1 - 2 * s)], axis=1))
+        if k + 1 < len(polar):
+            hop = polar[k + 1] - theta
+            s = _profile(cruise(hop, radius), exploration.ramp, dt)
+            way.append(np.stack([theta + hop * s, np.full_like(s, -start)], axis=1))
+    return np.concatenate(way)
+
+
+def tangent_basis(axis: Array) -> tuple[Array, Array]:
+    """Two unit vectors that make a right-handed frame with `axis` (3,)."""
+    e1 = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
+    e1 /= np.linalg.norm(e1)
+    return e1, np.cross(axis, e1)
+
+
+def _rotation(axis: Array, angle: Array) -> Array:
+    """Rotations (k, 3, 3) by `angle` (k,) about a unit `axis` (3,)."""
+    return exp_so3(angle[:, None] * axis)
+
+
+def body_rotations(normals: Array, axis: Array, heading: float) -> Array:
+    """R_w_b (k, 3, 3) that turn the normals (k, 3) straight down.
+
+    First the spin about the skin's axis brings the normal into one meridian, then the tilt lowers
+    it; `heading` (rad) is the world direction of that meridian.
+    """
+    e1, e2 = tangent_basis(axis)
+    polar = np.arctan2(np.hypot(normals @ e1, normals @ e2), normals @ axis)
+    azimuth = np.unwrap(np.arctan2(normals @ e2, normals @ e1))
+    h = np.array([np.cos(heading), np.sin(heading), 0.0])
+    down = np.array([0.0, 0.0, -1.0])
+    side = np.cross(down, h)
+    # columns: where e1, e2, axis go in the world with no tilt
+    base = np.stack([h, side, down], axis=1) @ np.stack([e1, e2, axis])
+    tilt = _rotation(side, -polar)
+    return np.asarray(tilt @ base @ _rotation(axis, -azimuth))
+
+
+def plan(
+    body: Body,
+    axis: Array,
+    extent: float,
+    exploration: Exploration,
+    *,
+    indenter_position: Array,
+    gap: float,
+    heading: float,
+    dt: float,
+) -> Path:
+    """The path of the body over an indenter whose centre stays `gap` (m) from the surface.
+
+    axis (3,) is the skin's mean normal in the body frame, extent (rad) the largest angle of a
+    taxel's normal to it. Raises SimulationError if the surface is flat or concave there.
+    """
+    centre = body.mesh.bounds.mean(axis=0)
+    size = float(np.linalg.norm(np.ptp(body.mesh.bounds, axis=0)))
+    pole = body.closest((centre + size * axis)[None])
+    radius = 1.0 / max(float(pole.curvature.mean()), 1e-6)
+    if radius > size:
+        raise SimulationError(
+            "parallels need a convex skin", value=f"radius {radius:.3g} m at its centre",
+            limit=f"the body's size {size:.3g} m", remedy="give a convex skin region",
+        )  # fmt: skip
+    angles = parallels(lanes(extent, radius, exploration), radius, exploration, dt)
+    e1, e2 = tangent_basis(axis)
+    s = np.sin(angles[:, :1])
+    wanted = (
+        np.cos(angles[:, :1]) * axis
+        + s * np.cos(angles[:, 1:]) * e1
+        + s * np.sin(angles[:, 1:]) * e2
+    )
+    # seen from far away along a direction, the closest point of a convex body has about that normal
+    hit = body.closest(centre + 10 * size * wanted)
+    rotations = body_rotations(hit.normal, axis, heading)
+    reach = hit.point + gap * hit.normal
+    positions = indenter_position - np.einsum("kij,kj->ki", rotations, reach)
+    poses = transform(rotations, positions)
+    return Path(dt, hit.point, hit.normal, poses, _twists(poses, dt))
+
+
+def _twists(poses: Array, dt: float) -> Array:
+    """Twists (k, 6) that carry each pose to the next within dt, linear first; rest at the end."""
+    r, p = poses[:, :3, :3], poses[:, :3, 3]
+    turn = log_so3(r[1:] @ r[:-1].transpose(0, 2, 1))
+    twists = np.concatenate([np.diff(p, axis=0), turn], axis=1) / dt
+    return np.concatenate([twists, np.zeros((1, 6))])

@@ -1,0 +1,170 @@
+"""The scene: a skinned body, an arm that carries it, the indenter, and the effects that are on.
+
+A scene is the world that `simulate` gets. `Scene.belief` is what the robot's owner knows of it,
+which is what `calibrate` gets: no taxel's pose is in it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from . import library
+from .config import check, quantity
+from .geometry.body import Body
+from .geometry.skin import Skin
+from .motion.arm import Arm
+from .motion.law import Law
+from .motion.path import Exploration
+from .physics.contact import Patch, solve
+from .physics.effects import Context
+from .physics.indenter import Indenter
+from .physics.material import Material
+from .se3 import Array, transform
+
+if TYPE_CHECKING:
+    from .physics.effects import Effect
+
+ADAPTER = 0.02
+"""Length of the piece between flange and body when no mount is given, m."""
+
+
+@dataclass(frozen=True)
+class Readout:
+    """How the skin is read."""
+
+    rate: float = quantity("Hz", 100.0, above=0.0, most=1e5)
+    """Frames a second."""
+    threshold_relative: float = quantity("", 0.0, least=0.0, most=1.0)
+    """Pressures up to this part of the peak pressure at the reference force are not reported."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """How the closed loop is integrated."""
+
+    dt: float = quantity("s", 1e-3, above=0.0, most=0.01)
+    """Step of the semi-implicit Euler integration."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What the robot's owner knows: everything that calibration may use besides the recording."""
+
+    body: Body
+    indenter: Indenter
+    material: Material
+    """Nominal material; the joint estimator estimates E* with the taxels."""
+    contact: str
+    """Name of the contact model."""
+    taxel_ids: np.ndarray
+    """Ids (n,) of all taxels of the skin."""
+    disc_radius: float
+    """Radius of a taxel's disc, m."""
+    force_reference: float
+    """N."""
+    noise_sigma: float | None = None
+    """Standard deviation of a reading's noise, Pa; None: unknown, taken from the residuals."""
+    threshold: float = 0.0
+    """Pressures up to this are not reported, Pa."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A skinned body on an arm over a fixed indenter."""
+
+    body: Body
+    skin: Skin
+    indenter: Indenter = field(default_factory=Indenter)
+    arm: Arm = field(default_factory=lambda: Arm.from_urdf(library.folder() / "puma560.urdf"))
+    material: Material = field(default_factory=Material)
+    law: Law = field(default_factory=Law)
+    exploration: Exploration = field(default_factory=Exploration)
+    readout: Readout = field(default_factory=Readout)
+    loop: Loop = field(default_factory=Loop)
+    effects: tuple[Effect, ...] = ()
+    contact: str = "hertz"
+    payload: float = 1.0
+    """Mass of the body, kg, spread evenly over its volume."""
+    mount: Array | None = None
+    """T_tip_body (4, 4); None: the skin faces along the tip's z axis, behind a 20 mm adapter."""
+    name: str = "scene"
+    description: str = ""
+
+    @classmethod
+    def load(cls, name: str | Path) -> Scene:
+        """A shipped scene by name, or a scene from a TOML file. Raises ConfigError."""
+        from .scene_file import load
+
+        return load(name)
+
+    def with_(self, **changes: Any) -> Scene:
+        """This scene with other parts."""
+        return replace(self, **changes)
+
+    @cached_property
+    def axis(self) -> Array:
+        """Mean outward normal of the skin (3,), body frame."""
+        mean = self.skin.normals.mean(axis=0)
+        return np.asarray(mean / np.linalg.norm(mean))
+
+    @cached_property
+    def mount_pose(self) -> Array:
+        """T_tip_body (4, 4)."""
+        if self.mount is not None:
+            return np.asarray(self.mount, dtype=float)
+        e1 = np.cross(np.eye(3)[np.argmin(np.abs(self.axis))], self.axis)
+        e1 /= np.linalg.norm(e1)
+        rotation = np.stack([e1, np.cross(self.axis, e1), self.axis])
+        back = -float((self.body.mesh.vertices @ self.axis).min())
+        return transform(rotation, [0.0, 0.0, back + ADAPTER])
+
+    @cached_property
+    def patch(self) -> Patch:
+        """The contact patch at the skin's centre under the reference force."""
+        centre = self.body.closest(self.skin.positions.mean(axis=0)[None])
+        return solve(
+            self.contact,
+            force=self.law.force_reference,
+            curvature=tuple(centre.curvature[0]),
+            indenter_radius=self.indenter.radius,
+            modulus=self.material.young,
+            poisson=self.material.poisson,
+            thickness=self.material.thickness,
+        )
+
+    @property
+    def threshold(self) -> float:
+        """Pressure up to which a reading is not reported, Pa."""
+        return self.readout.threshold_relative * self.patch.peak
+
+    def context(self, seed: int) -> Context:
+        """What the effects may know when they are built."""
+        return Context(seed, self.patch.peak, float(self.patch.semi_axes[0]))
+
+    def belief(self, **changes: Any) -> Belief:
+        """What the owner of this scene knows; `changes` replace fields (a softer material, ...)."""
+        context = self.context(0)
+        sigma = [e.sigma(context) for e in self.effects if e.name == "gaussian_noise"]
+        known = Belief(
+            body=self.body,
+            indenter=self.indenter,
+            material=self.material,
+            contact=self.contact,
+            taxel_ids=np.array(self.skin.ids),
+            disc_radius=self.skin.disc_radius,
+            force_reference=self.law.force_reference,
+            noise_sigma=float(np.sqrt(np.sum(np.square(sigma)))) if sigma else None,
+            threshold=self.threshold,
+        )
+        return replace(known, **changes)

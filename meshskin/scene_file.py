@@ -1,0 +1,208 @@
+"""Scenes as TOML files.
+
+Tables: body, skin, material, indenter, arm, law, exploration, loop, readout, and effects (a list).
+`extends = "sphere"` starts from another scene. Relative paths are taken from the file's own folder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import library
+from .config import build, check, merge, quantity, read_toml
+from .errors import ConfigError, UnknownNameError
+from .geometry.body import Body
+from .geometry.region import Cap
+from .geometry.skin import Skin
+from .motion.arm import Arm
+from .motion.law import Law
+from .motion.path import Exploration
+from .physics import effects
+from .physics.indenter import Indenter
+from .physics.material import Material
+from .scene import Loop, Readout, Scene
+from .se3 import Array, exp_so3, transform
+
+_PLAIN: dict[str, type] = {
+    "material": Material,
+    "indenter": Indenter,
+    "law": Law,
+    "exploration": Exploration,
+    "loop": Loop,
+    "readout": Readout,
+}
+_TABLES = (*_PLAIN, "body", "skin", "arm", "effects", "extends", "description", "contact", "name")
+
+
+@dataclass(frozen=True)
+class _Sphere:
+    shape: str
+    radius: float = quantity("m", above=0.0)
+    faces: int | None = quantity("", None, above=0)
+
+    def make(self, folder: Path) -> Body:
+        check(self)
+        return Body.sphere(self.radius, **_given(faces=self.faces))
+
+
+@dataclass(frozen=True)
+class _Ellipsoid:
+    shape: str
+    radii: tuple[float, float, float] = quantity("m", above=0.0)
+    faces: int | None = quantity("", None, above=0)
+
+    def make(self, folder: Path) -> Body:
+        check(self)
+        return Body.ellipsoid(self.radii, **_given(faces=self.faces))
+
+
+@dataclass(frozen=True)
+class _Capsule:
+    shape: str
+    radius: float = quantity("m", above=0.0)
+    length: float = quantity("m", above=0.0)
+    faces: int | None = quantity("", None, above=0)
+
+    def make(self, folder: Path) -> Body:
+        check(self)
+        return Body.capsule(self.radius, self.length, **_given(faces=self.faces))
+
+
+@dataclass(frozen=True)
+class _Torus:
+    shape: str
+    major: float = quantity("m", above=0.0)
+    minor: float = quantity("m", above=0.0)
+    faces: int | None = quantity("", None, above=0)
+
+    def make(self, folder: Path) -> Body:
+        check(self)
+        return Body.torus(self.major, self.minor, **_given(faces=self.faces))
+
+
+@dataclass(frozen=True)
+class _Mesh:
+    mesh: str
+    units: str | None = None
+    open: bool = False
+
+    def make(self, folder: Path) -> Body:
+        return Body.load(folder / self.mesh, units=self.units, open=self.open)
+
+
+_SHAPES: dict[str, type] = {
+    "sphere": _Sphere,
+    "ellipsoid": _Ellipsoid,
+    "capsule": _Capsule,
+    "torus": _Torus,
+}
+
+
+@dataclass(frozen=True)
+class _SkinTable:
+    file: str | None = None
+    count: int | None = quantity("", None, above=0)
+    spacing: float | None = quantity("m", None, above=0.0)
+    disc_radius: float = quantity("m", 2e-3, above=0.0)
+    direction: tuple[float, ...] | None = quantity("", None)
+    angle: float | None = quantity("rad", None, above=0.0, most=np.pi)
+    seed: int = quantity("", 0)
+
+    def make(self, body: Body, folder: Path) -> Skin:
+        check(self)
+        if self.file is not None:
+            return Skin.load(folder / self.file)
+        region = None
+        if self.direction is not None:
+            if len(self.direction) != 3 or not np.any(self.direction):
+                raise ConfigError("skin.direction must be a vector of 3", value=self.direction)
+            region = Cap(direction=self.direction, **_given(angle=self.angle))
+        return Skin.cover(
+            body,
+            spacing=self.spacing,
+            count=self.count,
+            region=region,
+            seed=self.seed,
+            disc_radius=self.disc_radius,
+        )
+
+
+@dataclass(frozen=True)
+class _ArmTable:
+    urdf: str = "puma560.urdf"
+    tip: str = "tool0"
+    payload: float = quantity("kg", 1.0, least=0.0, most=1e3)
+    mount: tuple[float, ...] | None = quantity("m", None)
+    mount_angles: tuple[float, ...] = quantity("rad", (0.0, 0.0, 0.0))
+
+    def pose(self) -> Array | None:
+        """T_tip_body from a position and a rotation vector, or None."""
+        check(self)
+        if self.mount is None:
+            return None
+        return transform(exp_so3(self.mount_angles), self.mount)
+
+
+def _given(**options: Any) -> dict[str, Any]:
+    """The options that are given."""
+    return {key: value for key, value in options.items() if value is not None}
+
+
+def tables(name: str | Path) -> tuple[dict[str, Any], Path]:
+    """The merged TOML tables of a scene and the folder that its paths start from."""
+    path = library.find_scene(name)
+    data = read_toml(path)
+    seen = {path.resolve()}
+    while "extends" in data:
+        parent_name = data.pop("extends")
+        beside = path.parent / f"{parent_name}.toml"
+        parent = beside if beside.is_file() else library.find_scene(parent_name)
+        if parent.resolve() in seen:
+            raise ConfigError(f"{path.name} extends itself through {parent.name}")
+        seen.add(parent.resolve())
+        data = merge(read_toml(parent), data)
+    data.setdefault("name", path.stem)
+    return data, path.parent
+
+
+def load(name: str | Path) -> Scene:
+    """Load a scene by name or file; see Scene.load."""
+    data, folder = tables(name)
+    for key in data:
+        if key not in _TABLES:
+            raise UnknownNameError("key", key, _TABLES, f" in {name}")
+    for key in ("body", "skin"):
+        if not isinstance(data.get(key), Mapping):
+            raise ConfigError(f"{name} lacks the table [{key}]", remedy=f"add [{key}]")
+    body = _body(data["body"], folder)
+    skin = build(_SkinTable, data["skin"], "skin").make(body, folder)
+    table = build(_ArmTable, data.get("arm", {}), "arm")
+    urdf = folder / table.urdf
+    plain = {key: build(cls, data[key], key) for key, cls in _PLAIN.items() if key in data}
+    return Scene(
+        body=body,
+        skin=skin,
+        arm=Arm.from_urdf(urdf if urdf.is_file() else library.folder() / table.urdf, tip=table.tip),
+        effects=effects.ordered(effects.from_table(e) for e in data.get("effects", [])),
+        payload=table.payload,
+        mount=table.pose(),
+        **_given(**{key: data.get(key) for key in ("name", "description", "contact")}),
+        **plain,
+    )
+
+
+def _body(table: Mapping[str, Any], folder: Path) -> Body:
+    if "mesh" in table:
+        return build(_Mesh, table, "body").make(folder)
+    shape = table.get("shape")
+    if shape is None:
+        raise ConfigError("[body] lacks shape or mesh", remedy=f"shape: {', '.join(_SHAPES)}")
+    if shape not in _SHAPES:
+        raise UnknownNameError("shape", str(shape), _SHAPES, " in [body]")
+    made: Body = build(_SHAPES[shape], table, "body").make(folder)
+    return made
