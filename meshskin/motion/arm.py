@@ -2,7 +2,7 @@
 
 World = base: the root link is fixed at the world's origin, z up, gravity along -z. `T_w_tip` is the
 pose of the tip link. Jacobians stack the tip's linear velocity over its angular velocity, both in
-world axes (m or rad per unit of joint motion).
+world axes (m/rad, rad/rad).
 
 Source: Featherstone, "Rigid Body Dynamics Algorithms" (2008); the recursions are those of adam.
 """
@@ -26,9 +26,9 @@ Array = NDArray[np.float64]
 
 GRAVITY = 9.80665  # m/s^2, standard gravity
 TOLERANCE = 1e-10  # largest position (m) and rotation (rad) error of inverse kinematics
-LARGEST_STEP = 0.5  # rad or m, of one joint in one Newton step
+LARGEST_STEP = 0.5  # rad, of one joint in one Newton step
 TRACKING_STEPS = 2  # Newton steps per sample while following a path
-MOVING = ("revolute", "continuous", "prismatic")
+MOVING = ("revolute", "continuous")  # adam 0.5 fails on prismatic joints
 
 
 @dataclass(frozen=True)
@@ -44,13 +44,11 @@ class Joint:
     axis: Array  # (3,) unit vector in the joint's frame
     limits: dict[str, float]  # lower, upper, velocity, effort: those that the file gives
 
-    def motion(self, q: cs.SX) -> cs.SX:
-        """Pose (4, 4) of the child link in the parent link at joint position `q` (rad or m)."""
+    def motion(self, q: cs.SX | float) -> cs.SX:
+        """Pose (4, 4) of the child link in the parent link at joint angle `q` (rad)."""
         origin, move = np.eye(4), cs.SX.eye(4)
         origin[:3, :3], origin[:3, 3] = rotation(self.rpy), self.xyz
-        if self.kind == "prismatic":
-            move[:3, 3] = q * self.axis
-        elif self.kind in MOVING:
+        if self.kind != "fixed":
             x, y, z = self.axis
             along = np.outer(self.axis, self.axis)
             across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -76,18 +74,18 @@ def rotation(rpy: ArrayLike) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """A serial arm: the moving joints between the root link and the tip of a URDF file, in order."""
+    """A serial arm: the rotary joints from the root link to the tip of a URDF file, in order."""
 
     name: str
     joint_names: tuple[str, ...]
     lower: Array
-    """Lowest joint positions (n,), rad (m where prismatic); -inf where continuous."""
+    """Lowest joint angles (n,), rad; -inf where continuous."""
     upper: Array
-    """Highest joint positions (n,), rad or m; inf where continuous."""
+    """Highest joint angles (n,), rad; inf where continuous."""
     velocity_limit: Array
-    """Largest joint speeds (n,), rad/s or m/s; inf where the file gives none."""
+    """Largest joint speeds (n,), rad/s; inf where the file gives none."""
     effort_limit: Array
-    """Largest joint torques (n,), N m or N; inf where the file gives none."""
+    """Largest joint torques (n,), N m; inf where the file gives none."""
     reflected_inertia: Array
     """Motor inertia felt at the joint (n,), kg m^2: rotor inertia times gear ratio squared."""
     tip: str
@@ -114,7 +112,8 @@ class Arm:
     def from_text(cls, urdf: str, tip: str = "tool0", where: str = "") -> Arm:
         """The arm described by URDF text; `where` is added to error messages. As `from_urdf`."""
         robot = _parse(urdf, where)
-        joints = _chain(_joints(robot, where), _links(robot, where), tip, where)
+        _check_links(robot, where)
+        joints = _chain(_joints(robot, where), _links(robot), tip, where)
         moving = [j for j in joints if j.kind != "fixed"]
         if not moving:
             raise ArmError(f"no moving joint leads to the link {tip!r}{where}", remedy="set tip=")
@@ -184,34 +183,32 @@ class Arm:
         return Dynamics(self)
 
     def kinematics(self, q: cs.SX) -> tuple[cs.SX, cs.SX]:
-        """CasADi expressions of T_w_tip (4, 4) and the Jacobian (6, n) at joint positions (n,)."""
+        """CasADi expressions of T_w_tip (4, 4) and the Jacobian (6, n) at joint angles (n,)."""
         robot = _parse(self.urdf, "")
-        chain = _chain(_joints(robot, ""), _links(robot, ""), self.tip, "")
+        chain = _chain(_joints(robot, ""), _links(robot), self.tip, "")
         pose, axes, points = cs.SX.eye(4), [], []
         index = {name: k for k, name in enumerate(self.joint_names)}
         for joint in chain:
             pose = pose @ joint.motion(q[index[joint.name]] if joint.name in index else 0.0)
             if joint.name in index:  # the axis is the same before and after the joint's own motion
-                axes.append((joint.kind, pose[:3, :3] @ joint.axis))
+                axes.append(pose[:3, :3] @ joint.axis)
                 points.append(pose[:3, 3])
         columns = [
-            cs.vertcat(axis, cs.SX(3, 1))
-            if kind == "prismatic"
-            else cs.vertcat(cs.cross(axis, pose[:3, 3] - point), axis)
-            for (kind, axis), point in zip(axes, points, strict=True)
+            cs.vertcat(cs.cross(axis, pose[:3, 3] - point), axis)
+            for axis, point in zip(axes, points, strict=True)
         ]
         return cs.densify(pose), cs.densify(cs.horzcat(*columns))
 
     def pose(self, q: ArrayLike) -> Array:
-        """T_w_tip (..., 4, 4) at joint positions (..., n)."""
+        """T_w_tip (..., 4, 4) at joint angles (..., n)."""
         return self._evaluate(0, q)
 
     def jacobian(self, q: ArrayLike) -> Array:
-        """Jacobians (..., 6, n) at joint positions (..., n)."""
+        """Jacobians (..., 6, n) at joint angles (..., n)."""
         return self._evaluate(1, q)
 
     def _evaluate(self, output: int, q: ArrayLike) -> Array:
-        """Output (..., a, b) of the kinematics at joint positions (..., n)."""
+        """Output (..., a, b) of the kinematics at joint angles (..., n)."""
         q = np.asarray(q, dtype=float)
         f = self._kinematics_function
         a, b = f.size_out(output)
@@ -224,6 +221,115 @@ class Arm:
         q = cs.SX.sym("q", len(self.joint_names))
         return cs.Function("kinematics", [q], self.kinematics(q), {"cse": True})
 
+    def inverse_kinematics(self, poses: ArrayLike, seed: ArrayLike) -> Array:
+        """Joint angles (k, n) whose tip follows `poses` T_w_tip (k, 4, 4), in order.
+
+        The path starts from the solution that Newton's method reaches from `seed` (n,) and stays on
+        its branch: every sample starts from the one before it, so that joints may wind up but never
+        jump. Position (m) and rotation (rad) errors end below 1e-10. Raises ReachError for the
+        first pose that cannot be reached or that breaks a joint limit.
+        """
+        targets = _flat_poses(poses)
+        first, _ = self._converge(np.reshape(np.asarray(seed, dtype=float), (1, -1)), targets[:1])
+        track = self._newton.mapaccum("track", len(targets))
+        q = track(first.T, targets.T)[0].full().T
+        q, residual = self._converge(q, targets)
+        if not np.all(residual < TOLERANCE):
+            k = int(np.argmin(residual < TOLERANCE))
+            raise ReachError(
+                f"{self.name} cannot reach pose {k} of {len(q)}",
+                value=f"residual {residual[k]:.3g} (m, rad)",
+                limit=f"{TOLERANCE:g}",
+                remedy="move the path nearer, sample it finer, or start from another seed",
+            )
+        self._check_limits(q)
+        return q
+
+    def solve(self, pose: ArrayLike, seeds: ArrayLike | None = None) -> Array:
+        """Joint angles (n,) for one pose T_w_tip (4, 4): the solution farthest from all limits.
+
+        Newton's method starts from `seeds` (k, n), or from 200 fixed pseudo-random ones between the
+        limits; whole turns are taken off. Raises ReachError where none reaches the pose, or none
+        within the joint limits.
+        """
+        target = _flat_poses(pose)
+        low = np.where(np.isfinite(self.lower), self.lower, -math.pi)
+        high = np.where(np.isfinite(self.upper), self.upper, math.pi)
+        if seeds is None:
+            seeds = np.random.default_rng(0).uniform(low, high, (200, len(low)))
+        start = np.atleast_2d(np.asarray(seeds, dtype=float))
+        q, residual = self._converge(start, np.repeat(target, len(start), axis=0), rounds=100)
+        reached = residual < TOLERANCE
+        if not reached.any():
+            raise ReachError(
+                f"{self.name} cannot reach the pose at {target[0, 9:].round(4).tolist()} m",
+                value=f"residual {residual.min():.3g} (m, rad)",
+                limit=f"{TOLERANCE:g}",
+                remedy="move the pose nearer to the arm's base",
+            )
+        q = self._unwind(q[reached])
+        margin = np.minimum(q - self.lower, self.upper - q).min(axis=1)
+        best = q[np.argmax(margin)]
+        self._check_limits(best[None])
+        return np.asarray(best)
+
+    def _unwind(self, q: Array) -> Array:
+        """`q` (k, n) with whole turns removed, nearest the middle of the range."""
+        with np.errstate(invalid="ignore"):
+            middle = np.where(np.isfinite(self.lower), 0.5 * (self.lower + self.upper), 0.0)
+        turns = np.round((q - middle) / (2.0 * math.pi))
+        return np.asarray(q - 2.0 * math.pi * turns)
+
+    def _check_limits(self, q: Array) -> None:
+        """Raise ReachError for the first sample of `q` (k, n) outside the joint limits."""
+        outside = (q < self.lower - 1e-9) | (q > self.upper + 1e-9)
+        if outside.any():
+            k, j = np.argwhere(outside)[0]
+            raise ReachError(
+                f"pose {k} of {len(q)} takes {self.joint_names[j]} of {self.name} past its limit",
+                value=f"{q[k, j]:.4f} rad",
+                limit=f"[{self.lower[j]:.4f}, {self.upper[j]:.4f}] rad",
+                remedy="move the poses, or start from another configuration",
+            )
+
+    def _converge(self, q: Array, targets: Array, rounds: int = 30) -> tuple[Array, Array]:
+        """Newton from all `q` (k, n) at once to `targets` (k, 12): angles, residuals (k,)."""
+        q, residual, open_ = q.copy(), np.full(len(q), np.inf), np.arange(len(q))
+        for _ in range(rounds):
+            stepped, error = (o.full().T for o in self._newton_step(q[open_].T, targets[open_].T))
+            residual[open_] = error[:, 0]
+            unfinished = error[:, 0] >= TOLERANCE
+            open_ = open_[unfinished]
+            if not len(open_):
+                break
+            q[open_] = stepped[unfinished]
+        return q, residual
+
+    @cached_property
+    def _newton_step(self) -> cs.Function:
+        """(q (n,), target (12,)) -> (q after one step, residual before it).
+
+        Levenberg-Marquardt: dq = J^T (J J^T + mu I)^-1 e with mu of the order of |e|^2, so that it
+        is cautious far away and converges quadratically.
+        """
+        q, target = cs.SX.sym("q", len(self.joint_names)), cs.SX.sym("target", 12)
+        pose, jacobian = self.kinematics(q)
+        error = _pose_error(pose, cs.reshape(target[:9], 3, 3), target[9:])
+        size = cs.dot(error, error)
+        normal = jacobian @ jacobian.T + (0.01 * size + 1e-12) * cs.SX.eye(6)
+        step = jacobian.T @ cs.ldl_solve(error, *cs.ldl(normal))
+        step *= cs.fmin(1.0, LARGEST_STEP / (cs.norm_inf(step) + 1e-12))
+        return cs.Function("newton", [q, target], [q + step, cs.sqrt(size)], {"cse": True})
+
+    @cached_property
+    def _newton(self) -> cs.Function:
+        """Newton steps from the sample before to the next target: (q, target) -> q."""
+        q, target = cs.SX.sym("q", len(self.joint_names)), cs.SX.sym("target", 12)
+        following = q
+        for _ in range(TRACKING_STEPS):
+            following = self._newton_step(following, target)[0]
+        return cs.Function("follow", [q, target], [following, following])
+
 
 class Dynamics:
     """Expressions of an arm's equations of motion, M(q) qdd + bias(q, qd) = torque + J^T wrench."""
@@ -234,7 +340,7 @@ class Dynamics:
         from adam.model import Model
         from adam.model.std_factories.std_model import URDFModelFactory
 
-        class ExactMath(SpatialMath):  # type: ignore[misc]
+        class ExactMath(SpatialMath):
             """adam's mathematics with exact quarter turns: 40 % fewer instructions."""
 
             def R_from_RPY(self, rpy: Any) -> Any:
@@ -247,7 +353,7 @@ class Dynamics:
         self._arm, self._adam = arm, RBDAlgorithms(model, exact)
 
     def mass_matrix(self, q: cs.SX) -> cs.SX:
-        """Mass matrix (n, n), kg m^2, with the motors' reflected inertia, at positions `q` (n,)."""
+        """Mass matrix (n, n), kg m^2, with the motors' reflected inertia, at angles `q` (n,)."""
         m = self._adam.crba(cs.SX.eye(4), q)[0].array[6:, 6:]
         return cs.densify(m + cs.diag(cs.DM(self._arm.reflected_inertia)))
 
@@ -266,6 +372,21 @@ class Dynamics:
         return self._arm.kinematics(q)[1]
 
 
+def _flat_poses(poses: ArrayLike) -> Array:
+    """Poses (k, 4, 4) or (4, 4) as rows (k, 12): the rotation column by column, then the origin."""
+    t = np.asarray(poses, dtype=float).reshape(-1, 4, 4)
+    return np.concatenate([t[:, :3, :3].swapaxes(1, 2).reshape(-1, 9), t[:, :3, 3]], axis=1)
+
+
+def _pose_error(pose: cs.SX, rotation: cs.SX, origin: cs.SX) -> cs.SX:
+    """Displacement (6,) in world axes from `pose` to the target: m, then rotation vector."""
+    now = pose[:3, :3]
+    turn = 0.5 * sum((cs.cross(now[:, k], rotation[:, k]) for k in range(3)), cs.SX(3, 1))
+    sine = cs.sqrt(cs.dot(turn, turn) + 1e-40)
+    cosine = 0.5 * (cs.dot(now, rotation) - 1.0)
+    return cs.vertcat(origin - pose[:3, 3], turn * (cs.atan2(sine, cosine) / sine))
+
+
 def _parse(urdf: str, where: str) -> ET.Element:
     """Root element of URDF text."""
     try:
@@ -277,9 +398,29 @@ def _parse(urdf: str, where: str) -> ET.Element:
     return robot
 
 
-def _links(robot: ET.Element, where: str) -> list[str]:
+def _links(robot: ET.Element) -> list[str]:
     """Names of all links."""
     return [link.get("name", "") for link in robot.findall("link")]
+
+
+def _check_links(robot: ET.Element, where: str) -> None:
+    """Raise ArmError unless the links form one tree and every inertial is complete."""
+    links, joints = _links(robot), _joints(robot, where)
+    for j in joints:
+        for link in {j.parent, j.child} - set(links):
+            raise ArmError(
+                f"joint {j.name!r}{where} names a link that is missing", value=repr(link)
+            )
+    children = [j.child for j in joints]
+    roots = [link for link in links if link not in children]
+    if len(roots) != 1 or len(set(children)) != len(children):
+        raise ArmError(f"the links{where} form no tree", value=f"roots {roots}", limit="one root")
+    for element in robot.findall("link"):
+        if (inertial := element.find("inertial")) is not None:
+            here = f" of link {element.get('name')!r}{where}"
+            _vector(inertial.find("mass"), "value", "", 1, here)
+            for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"):
+                _vector(inertial.find("inertia"), key, "", 1, here)
 
 
 def _vector(element: ET.Element | None, key: str, default: str, size: int, where: str) -> Array:

@@ -1,0 +1,293 @@
+"""The arm against pinocchio, against the published Puma 560, and against itself."""
+
+import pickle
+from pathlib import Path
+
+import casadi as cs
+import numpy as np
+import pytest
+
+from meshskin.errors import ArmError, ReachError, UnknownNameError
+from meshskin.motion.arm import GRAVITY, Arm
+from meshskin.se3 import exp_so3, transform
+
+PUMA = Path(__file__).parents[2] / "bodies" / "puma560.urdf"
+COM, INERTIA = np.array([0.01, -0.02, 0.1]), np.diag([0.01, 0.02, 0.02]) + 0.001
+
+# A joint with limits, an endless joint, skew axes and a finger beside the chain.
+ODD = """<robot name="odd">
+  <link name="root"/>
+  <joint name="turn" type="revolute"><parent link="root"/><child link="a"/>
+    <origin xyz="0.1 0.2 0.3" rpy="0.3 -0.2 0.5"/><axis xyz="1 2 2"/>
+    <limit lower="-1" upper="1" effort="10" velocity="2"/></joint>
+  <link name="a"><inertial><mass value="2"/><origin xyz="0 0.1 0" rpy="0.1 0.2 0.3"/>
+    <inertia ixx="0.1" iyy="0.2" izz="0.25" ixy="0.01" ixz="0" iyz="0"/></inertial></link>
+  <joint name="mount" type="fixed"><parent link="a"/><child link="b"/>
+    <origin xyz="0 0 0.2" rpy="0 1 0"/></joint>
+  <link name="b"><inertial><mass value="0.5"/>
+    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="spin" type="continuous"><parent link="b"/><child link="c"/>
+    <origin xyz="0.2 0 0" rpy="0 0 0.4"/><axis xyz="0 1 1"/></joint>
+  <link name="c"><inertial><mass value="1"/><origin xyz="0.1 0 0" rpy="0 0 0"/>
+    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="finger" type="revolute"><parent link="c"/><child link="d"/>
+    <origin xyz="0 0.2 0"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <link name="d"><inertial><mass value="0.3"/><origin xyz="0.1 0 0" rpy="0 0 0"/>
+    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="flange" type="fixed"><parent link="c"/><child link="tip"/>
+    <origin xyz="0 0 0.1" rpy="0.2 0 0"/></joint>
+  <link name="tip"/>
+</robot>"""
+
+
+@pytest.fixture(scope="module")
+def puma():
+    return Arm.from_urdf(PUMA)
+
+
+def model(arm):
+    """M, bias, pose and Jacobian of the arm's expressions as one function."""
+    q, qd = (cs.SX.sym(name, len(arm.joint_names)) for name in ("q", "qd"))
+    d = arm.dynamics()
+    outputs = [d.mass_matrix(q), d.bias(q, qd), d.pose(q), d.jacobian(q)]
+    return cs.Function("model", [q, qd], outputs, {"cse": True})
+
+
+def oracle(arm, q, qd):
+    """The same from pinocchio; joints beside the chain locked at zero."""
+    pin = pytest.importorskip("pinocchio")
+    full = pin.buildModelFromXML(arm.urdf)
+    beside = [j for j in range(1, full.njoints) if full.names[j] not in arm.joint_names]
+    m = pin.buildReducedModel(full, beside, pin.neutral(full))
+    m.armature = arm.reflected_inertia
+    m.gravity.linear = np.array([0.0, 0.0, -GRAVITY])
+    x = []
+    for name, value in zip(arm.joint_names, q, strict=True):
+        endless = m.joints[m.getJointId(name)].nq == 2
+        x += [np.cos(value), np.sin(value)] if endless else [value]
+    data, x, frame = m.createData(), np.array(x), m.getFrameId(arm.tip)
+    mass = np.triu(pin.crba(m, data, x))
+    bias = pin.nonLinearEffects(m, data, x, qd).copy()
+    pin.forwardKinematics(m, data, x)
+    pin.updateFramePlacements(m, data)
+    jacobian = pin.computeFrameJacobian(m, data, x, frame, pin.LOCAL_WORLD_ALIGNED)
+    return mass + np.triu(mass, 1).T, bias[:, None], data.oMf[frame].homogeneous, jacobian
+
+
+@pytest.mark.parametrize("payloads", [0, 1, 2])
+def test_puma_agrees_with_pinocchio(puma, payloads):
+    arm = puma
+    for _ in range(payloads):
+        arm = arm.with_payload(1.5, COM, INERTIA)
+    f, rng = model(arm), np.random.default_rng(payloads)
+    for _ in range(20):
+        q, qd = rng.uniform(arm.lower, arm.upper), rng.uniform(-3.0, 3.0, 6)
+        for ours, theirs in zip(f(q, qd), oracle(arm, q, qd), strict=True):
+            np.testing.assert_allclose(ours.full(), theirs, rtol=0, atol=1e-10)
+
+
+def test_odd_arm_agrees_with_pinocchio():
+    arm = Arm.from_text(ODD, tip="tip").with_payload(0.7, COM, INERTIA)
+    assert arm.joint_names == ("turn", "spin")
+    np.testing.assert_array_equal(arm.lower, [-1.0, -np.inf])
+    np.testing.assert_array_equal(arm.velocity_limit, [2.0, np.inf])
+    f, rng = model(arm), np.random.default_rng(0)
+    for _ in range(10):
+        q, qd = rng.uniform(-1.0, 1.0, 2), rng.uniform(-3.0, 3.0, 2)
+        for ours, theirs in zip(f(q, qd), oracle(arm, q, qd), strict=True):
+            np.testing.assert_allclose(ours.full(), theirs, rtol=0, atol=1e-10)
+
+
+def test_expressions_are_light(puma):
+    assert model(puma).n_instructions() < 1600
+    assert model(puma.with_payload(1.0, COM, INERTIA)).n_instructions() < 1900
+
+
+def test_building_the_dynamics_prints_nothing(puma, capfd):
+    Arm.from_urdf(PUMA).dynamics()
+    assert capfd.readouterr() == ("", "")
+
+
+def test_published_puma(puma):
+    """Corke's p560: qz and qr, and the motors' inertia times the gear ratio squared."""
+    assert puma.joint_names == tuple(f"joint{i}" for i in range(1, 7))
+    pi = np.pi
+    qz, qr, qs = np.zeros(6), [0, pi / 2, -pi / 2, 0, 0, 0], [0, 0, -pi / 2, 0, 0, 0]
+    poses = puma.pose([qz, qr, qs])
+    np.testing.assert_allclose(poses[0], transform(np.eye(3), [0.4521, -0.15005, 0.4318]))
+    np.testing.assert_allclose(poses[1, :3, 3], [0.0203, -0.15005, 0.8636], atol=1e-12)
+    np.testing.assert_allclose(poses[2, :3, 3], [0.8636, -0.15005, -0.0203], atol=1e-12)
+    np.testing.assert_allclose(
+        puma.reflected_inertia, [0.784, 2.325, 0.577, 0.191, 0.171, 0.194], atol=5e-4
+    )
+    np.testing.assert_allclose(np.rad2deg(puma.upper), [160, 225, 45, 170, 100, 266])
+    np.testing.assert_allclose(np.rad2deg(puma.lower), [-160, -45, -225, -110, -100, -266])
+    np.testing.assert_allclose(puma.velocity_limit, [1.92, 1.51, 2.40, 5.34, 5.09, 5.74], atol=5e-3)
+
+
+def test_gravity_torque_of_the_stretched_puma(puma):
+    """In qs the arm lies along x: the shoulder carries every weight times its lever."""
+    q, qd = cs.SX.sym("q", 6), cs.SX(6, 1)
+    bias = cs.Function("bias", [q], [puma.dynamics().bias(q, qd)])
+    levers = {17.4: 0.068, 4.8: 0.4318 + 0.07, 0.82: 0.4318 + 0.4508}
+    levers |= {0.34: 0.8636, 0.09: 0.8636 + 0.032}
+    expected = GRAVITY * sum(mass * lever for mass, lever in levers.items())
+    assert float(bias([0, 0, -np.pi / 2, 0, 0, 0])[1]) == pytest.approx(expected, rel=1e-12)
+
+
+def test_payload_adds_its_inertia(puma):
+    """The kinetic energy gained is that of the body moving with the tip."""
+    mass, rng = 2.0, np.random.default_rng(1)
+    loaded = puma.with_payload(mass, COM, INERTIA)
+    before, after = model(puma), model(loaded)
+    q, qd = rng.uniform(puma.lower, puma.upper), rng.normal(size=6)
+    pose, twist = puma.pose(q), puma.jacobian(q) @ qd
+    speed = twist[:3] + np.cross(twist[3:], pose[:3, :3] @ COM)
+    spin = pose[:3, :3].T @ twist[3:]
+    gained = qd @ (after(q, qd)[0] - before(q, qd)[0]).full() @ qd
+    assert gained == pytest.approx(mass * speed @ speed + spin @ INERTIA @ spin, rel=1e-10)
+    np.testing.assert_array_equal(loaded.pose(q), pose)
+
+
+def test_jacobian_is_the_derivative_of_the_pose(puma):
+    q, h = np.random.default_rng(2).uniform(-1.0, 1.0, (5, 6)), 1e-6
+    jacobian, rotations = puma.jacobian(q), puma.pose(q)[:, :3, :3]
+    for k in range(6):
+        step = h * np.eye(6)[k]
+        rate = (puma.pose(q + step) - puma.pose(q - step)) / (2 * h)
+        spin = rate[:, :3, :3] @ rotations.swapaxes(1, 2)
+        np.testing.assert_allclose(jacobian[:, :3, k], rate[:, :3, 3], atol=1e-9)
+        expected = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=1)
+        np.testing.assert_allclose(jacobian[:, 3:, k], expected, atol=1e-9)
+
+
+def test_batches_keep_their_shape(puma):
+    q = np.random.default_rng(3).uniform(-1.0, 1.0, (2, 3, 6))
+    assert puma.pose(q).shape == (2, 3, 4, 4)
+    assert puma.jacobian(q).shape == (2, 3, 6, 6)
+    np.testing.assert_array_equal(puma.pose(q)[1, 2], puma.pose(q[1, 2]))
+    np.testing.assert_array_equal(puma.jacobian(q)[1, 2], puma.jacobian(q[1, 2]))
+
+
+def test_inverse_kinematics_follows_a_path(puma):
+    s = np.linspace(0.0, 2.0 * np.pi, 500)[:, None]
+    middle = np.array([0.3, 0.6, -2.6, 0.2, 0.7, 0.1])
+    q = middle + 0.3 * np.sin(s * np.arange(1, 7) + np.arange(6))
+    found = puma.inverse_kinematics(puma.pose(q), q[0] + 0.05)
+    np.testing.assert_allclose(found, q, atol=1e-9)
+    np.testing.assert_allclose(puma.pose(found), puma.pose(q), atol=2e-10)
+
+
+def test_inverse_kinematics_winds_up_without_jumping(puma):
+    """The last joint turns past half a turn: the angle goes on, as the joint would."""
+    q = np.tile([0.3, 0.6, -2.6, 0.2, 0.7, 0.0], (300, 1))
+    q[:, 5] = np.linspace(-4.0, 4.0, 300)
+    np.testing.assert_allclose(puma.inverse_kinematics(puma.pose(q), q[0]), q, atol=1e-9)
+
+
+def test_path_past_a_joint_limit_names_the_joint(puma):
+    q = np.tile([0.3, 0.6, -2.6, 0.2, 0.7, 0.0], (100, 1))
+    q[:, 4] = np.linspace(0.7, 2.0, 100)
+    first = int(np.argmax(q[:, 4] > puma.upper[4]))
+    with pytest.raises(ReachError, match=rf"pose {first} of 100 takes joint5 .*1\.7453\] rad"):
+        puma.inverse_kinematics(puma.pose(q), q[0])
+
+
+def test_path_out_of_reach_names_the_sample(puma):
+    poses = np.tile(puma.pose([0.0, 0.3, -1.8, 0.1, 0.4, 0.0]), (50, 1, 1))
+    poses[:, 0, 3] += np.linspace(0.0, 1.0, 50)
+    far = np.linalg.norm(poses[:, :3, 3], axis=1) > np.hypot(0.8641 + 1e-3, 0.15005)
+    with pytest.raises(ReachError, match=r"pose (\d+) of 50.*residual.*seed") as caught:
+        puma.inverse_kinematics(poses, [0.0, 0.3, -1.8, 0.1, 0.4, 0.0])
+    assert abs(int(str(caught.value).split("pose ")[1].split()[0]) - np.argmax(far)) <= 1
+
+
+def test_solve_finds_the_roomiest_configuration(puma):
+    rng = np.random.default_rng(4)
+
+    def room(q):
+        return np.minimum(q - puma.lower, puma.upper - q).min()
+
+    for q in rng.uniform(puma.lower, puma.upper, (20, 6)):
+        found = puma.solve(puma.pose(q))
+        np.testing.assert_allclose(puma.pose(found), puma.pose(q), atol=2e-10)
+        assert room(found) >= room(q) - 1e-6
+        np.testing.assert_array_equal(found, puma.solve(puma.pose(q)))
+
+
+def test_solve_keeps_to_the_given_seed(puma):
+    q = np.array([0.3, 0.6, -2.6, 0.2, 0.7, 0.1])
+    np.testing.assert_allclose(puma.solve(puma.pose(q), seeds=[q + 0.05]), q, atol=1e-9)
+    wound = q + 2 * np.pi * np.eye(6)[5]
+    np.testing.assert_allclose(puma.solve(puma.pose(q), seeds=wound), q, atol=1e-9)
+
+
+def test_solve_refuses_what_is_out_of_reach(puma):
+    with pytest.raises(ReachError, match=r"cannot reach the pose at \[3\.0, 0\.0, 0\.0\] m"):
+        puma.solve(transform(exp_so3([0.1, 0.2, 0.3]), [3.0, 0.0, 0.0]))
+
+
+def test_arm_survives_pickling(puma):
+    puma.dynamics()
+    again = pickle.loads(pickle.dumps(puma))
+    np.testing.assert_array_equal(again.pose(np.ones(6)), puma.pose(np.ones(6)))
+    assert again.urdf == puma.urdf
+
+
+def test_unknown_tip_suggests_near_names():
+    with pytest.raises(UnknownNameError, match=r"'tool1' in puma560\.urdf; did you mean tool0"):
+        Arm.from_urdf(PUMA, tip="tool1")
+
+
+def test_files_that_are_no_arm(tmp_path):
+    with pytest.raises(ArmError, match="cannot read"):
+        Arm.from_urdf(tmp_path / "none.urdf")
+    (tmp_path / "bad.urdf").write_text("<robot><link></robot>")
+    with pytest.raises(ArmError, match=r"bad XML in bad\.urdf"):
+        Arm.from_urdf(tmp_path / "bad.urdf")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("<robot ", "<sdf ", "root element is <sdf>"),
+        ('"revolute"', '"prismatic"', "'turn' is prismatic"),
+        ('lower="-1" upper="1" effort="10"', 'effort="10"', "'turn' has no <limit"),
+        ('xyz="0.1 0.2 0.3"', 'xyz="0.1 0.2"', r"bad xyz of joint 'turn'"),
+        ('effort="10"', 'effort="strong"', r"bad effort of joint 'turn', got 'strong'"),
+        ('xyz="1 2 2"', 'xyz="0 0 0"', "zero axis"),
+        ('<parent link="b"/>', "", "no parent or child"),
+        ('<parent link="b"/>', '<parent link="z"/>', "missing, got 'z'"),
+        ('<child link="d"/>', '<child link="c"/>', "form no tree"),
+        ('<parent link="root"/>', '<parent link="c"/>', "form no tree|form a loop"),
+        ('<mass value="2"/>', "", "bad value of link 'a'"),
+        ('<axis xyz="0 1 1"/>', '<mimic joint="turn"/>', "mimic"),
+    ],
+)
+def test_bad_descriptions(old, new, message):
+    text = ODD.replace(old, new, 1)
+    if new.startswith("<sdf"):
+        text = text.replace("</robot>", "</sdf>")
+    with pytest.raises(ArmError, match=message):
+        Arm.from_text(text, tip="tip")
+
+
+def test_no_moving_joint_before_the_tip():
+    with pytest.raises(ArmError, match="no moving joint leads to the link 'root'"):
+        Arm.from_text(ODD, tip="root")
+
+
+@pytest.mark.parametrize(
+    ("mass", "com", "inertia", "message"),
+    [
+        (-1.0, COM, INERTIA, "mass"),
+        (1.0, [0.0, 0.0, np.nan], INERTIA, "mass or com"),
+        (1.0, COM[:2], INERTIA, "shape"),
+        (1.0, COM, -INERTIA, "positive"),
+        (1.0, COM, INERTIA + np.eye(3, k=1), "symmetric"),
+    ],
+)
+def test_bad_payloads(puma, mass, com, inertia, message):
+    with pytest.raises(ArmError, match=message):
+        puma.with_payload(mass, com, inertia)
