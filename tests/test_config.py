@@ -1,0 +1,57 @@
+"""TOML tables become dataclasses, with units, bounds and nearest names."""
+
+import math
+from dataclasses import dataclass
+
+import pytest
+
+from meshskin import config
+from meshskin.errors import ConfigError, UnknownNameError
+
+
+@dataclass(frozen=True)
+class Ball:
+    radius: float = config.quantity("m", above=0.0)
+    place: tuple[float, ...] = config.quantity("m", (0.0, 0.0))
+    angle: float = config.quantity("rad", 0.0, most=math.pi)
+    colour: str = "red"
+
+    def __post_init__(self) -> None:
+        config.check(self)
+
+
+def test_units_are_converted():
+    ball = config.build(Ball, {"radius_mm": 100, "place_um": [1, 2e6], "angle_deg": 90}, "ball")
+    assert ball == Ball(0.1, (1e-6, 2.0), math.pi / 2)
+
+
+@pytest.mark.parametrize(
+    ("table", "error", "message"),
+    [
+        ({"radius": 1}, ConfigError, "needs a unit .* radius_m, radius_mm"),
+        ({"radus_mm": 1}, UnknownNameError, "did you mean radius_mm"),
+        ({"radius_mm": -1}, ConfigError, "got -0.001 m, limit: above 0 m"),
+        ({"radius_mm": math.nan}, ConfigError, "finite number, got nan"),
+        ({"radius_mm": "1"}, ConfigError, "must be a number, got '1'"),
+        ({"radius_mm": 1, "radius_m": 1}, ConfigError, "given twice"),
+        ({"radius_mm": 1, "angle_deg": 200}, ConfigError, "at most 3.14159 rad"),
+        ({}, ConfigError, "lacks radius; add radius_m or radius_mm"),
+    ],
+)
+def test_a_wrong_table_is_named(table, error, message):
+    with pytest.raises(error, match=message):
+        config.build(Ball, table, "ball")
+
+
+def test_bad_toml_names_the_line(tmp_path):
+    file = tmp_path / "x.toml"
+    file.write_text("[body]\nradius_mm = \n")
+    with pytest.raises(ConfigError, match=r"x.toml is no valid TOML.*line 2"):
+        config.read_toml(file)
+
+
+def test_merge_goes_table_by_table():
+    assert config.merge({"a": {"x": 1, "y": 2}, "b": 3}, {"a": {"y": 4}}) == {
+        "a": {"x": 1, "y": 4},
+        "b": 3,
+    }

@@ -1,0 +1,87 @@
+"""Recordings round-trip, are whole or absent, and say what is wrong with them."""
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from meshskin.errors import OutputError, RecordingError
+from meshskin.recording import CONTACTS, READINGS, Recording, RecordingWriter, part_path
+
+
+def tables(times=(0.0, 0.1, 0.2), read=(0.0, 0.2, 0.2)):
+    n = len(times)
+    contacts = pa.table([np.array(times), *np.arange(7.0 * n).reshape(7, n)], schema=CONTACTS)
+    readings = pa.table(
+        [np.array(read), np.arange(len(read), dtype=np.int32), np.ones(len(read))], schema=READINGS
+    )
+    return contacts, readings
+
+
+def test_round_trip(tmp_path):
+    contacts, readings = tables()
+    Recording(contacts, readings, {"scene": "x", "taxel_ids": [0, 1, 2]}).save(tmp_path / "r")
+    back = Recording.load(tmp_path / "r")
+    assert back.contacts.equals(contacts)
+    assert back.readings.equals(readings)
+    assert back.metadata == {"scene": "x", "taxel_ids": [0, 1, 2]}
+    np.testing.assert_array_equal(back.reading_contact, [0, 2, 2])
+    assert back.points.shape == (3, 3)
+
+
+def test_streaming_equals_saving_at_once(tmp_path):
+    contacts, readings = tables()
+    with RecordingWriter(tmp_path / "s", {"scene": "x"}) as writer:
+        writer.write(contacts=contacts.slice(0, 2), readings=readings.slice(0, 1))
+        writer.write(contacts=contacts.slice(2), readings=readings.slice(1))
+    assert Recording.load(tmp_path / "s").contacts.equals(contacts)
+    assert Recording.load(tmp_path / "s").readings.equals(readings)
+
+
+def test_an_interruption_leaves_nothing_and_keeps_what_was_there(tmp_path):
+    contacts, readings = tables()
+    Recording(contacts, readings, {"run": 1}).save(tmp_path / "r")
+    before = sorted(tmp_path.iterdir())
+    with (
+        pytest.raises(KeyboardInterrupt),
+        RecordingWriter(tmp_path / "r", {"run": 2}) as writer,
+    ):
+        writer.write(contacts=contacts, readings=readings)
+        raise KeyboardInterrupt
+    assert sorted(tmp_path.iterdir()) == before
+    assert Recording.load(tmp_path / "r").metadata == {"run": 1}
+
+
+def test_tables_of_two_recordings_do_not_mix(tmp_path):
+    contacts, readings = tables()
+    Recording(contacts, readings, {}).save(tmp_path / "a")
+    Recording(contacts, readings, {}).save(tmp_path / "b")
+    part_path(tmp_path / "b", "readings").replace(part_path(tmp_path / "a", "readings"))
+    with pytest.raises(RecordingError, match="different recordings"):
+        Recording.load(tmp_path / "a")
+
+
+def test_a_torn_table_is_named(tmp_path):
+    contacts, readings = tables()
+    Recording(contacts, readings, {}).save(tmp_path / "r")
+    file = part_path(tmp_path / "r", "contacts")
+    file.write_bytes(file.read_bytes()[:200])
+    with pytest.raises(RecordingError, match=r"r.contacts.parquet cannot be read"):
+        Recording.load(tmp_path / "r")
+
+
+def test_what_is_inconsistent_is_named(tmp_path):
+    with pytest.raises(RecordingError, match="readings.parquet|contacts.parquet is missing"):
+        Recording.load(tmp_path / "nothing")
+    contacts, readings = tables(read=(0.0, 0.15, 0.2))
+    with pytest.raises(RecordingError, match=r"no contact of its time, got 0.15 s"):
+        _ = Recording(contacts, readings, {}).reading_contact
+    with pytest.raises(RecordingError, match="must increase"):
+        Recording(*tables(times=(0.0, 0.2, 0.1)), {})
+    with pytest.raises(RecordingError, match="lacks force"):
+        Recording(contacts.drop_columns(["force"]), readings, {})
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="cannot write"):
+        Recording(*tables(), {}).save(tmp_path / "file" / "r")
