@@ -10,15 +10,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from meshskin.errors import MeshError
-from meshskin.geometry import primitives, tessellate
-from meshskin.geometry.closest import Closest
-from meshskin.geometry.surface import Surface
+from ..errors import MeshError
+from . import primitives, tessellate
+from .closest import Closest
+from .files import mesh as mesh_file
+from .surface import Surface
 
 Array = NDArray[np.float64]
 
-UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
-"""units of a mesh file, in m"""
 LARGEST, SMALLEST = 5.0, 5e-3
 """extents in m between which a body is believed"""
 FACES = 5120
@@ -119,10 +118,8 @@ class Body:
         With `open`, a mesh with borders is taken. What is safe to repair is repaired and listed in
         `.repairs`; the rest raises MeshError with the value at fault and the remedy.
         """
-        from meshskin.geometry.files import mesh
-
         path = Path(path)
-        loaded, repairs = mesh.load(path, mesh.unit(path, units), open)
+        loaded, repairs = mesh_file.load(path, mesh_file.unit(path, units), open)
         check_extent(loaded.vertices)
         return cls(path.stem, loaded, None, repairs)
 
@@ -178,10 +175,10 @@ def check_extent(vertices: Array) -> None:
     extent = float(np.max(np.ptp(vertices, axis=0)))
     if SMALLEST <= extent <= LARGEST:
         return
-    likely = [u for u in ("mm", "cm", "in") if SMALLEST <= extent * UNITS[u] <= LARGEST]
+    names = {"mm": "millimetres", "cm": "centimetres", "in": "inches"}
+    likely = [u for u in names if SMALLEST <= extent * mesh_file.UNITS[u] <= LARGEST]
     if extent > LARGEST and likely:
-        remedy = f"likely in {'millimetres' if likely[0] == 'mm' else likely[0]}: "
-        remedy += f"units='{likely[0]}'"
+        remedy = f"likely {names[likely[0]]}: units='{likely[0]}'"
     elif extent < SMALLEST:
         remedy = "likely scaled to m already, or given in m twice: units='m'"
     else:

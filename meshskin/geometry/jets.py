@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from meshskin.geometry import patch
+from . import patch
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

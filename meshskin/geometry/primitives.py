@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from meshskin.geometry.closest import Closest
+from .closest import Closest
 
 Array = NDArray[np.float64]
 

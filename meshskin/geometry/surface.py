@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from meshskin.errors import MeshError
-from meshskin.geometry import jets, patch
-from meshskin.geometry.closest import Closest
+from ..errors import MeshError
+from . import jets, patch
+from .closest import Closest
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -173,7 +173,7 @@ class _Corner:
     before = np.array([2, 0, 1])
 
 
-def neighbours(faces: Index) -> tuple[Index, NDArray[np.int8]]:
+def neighbours(faces: Index) -> tuple[Index, Index]:
     """Faces (m, 3) across the edge opposite each corner, and there the corner off that edge.
 
     -1 at a border, at an edge of more than two faces, and where the two faces' windings differ.
@@ -191,7 +191,7 @@ def neighbours(faces: Index) -> tuple[Index, NDArray[np.int8]]:
     many = unique[counts > 1]
     found &= ~(np.isin(key, many) | np.isin(twin, many))
     other = np.where(found, order[at], -1).reshape(m, 3)
-    return np.where(other >= 0, other // 3, -1), (other % 3).astype(np.int8)
+    return np.where(other >= 0, other // 3, -1), other % 3
 
 
 def sample_faces(vertices: Array, faces: Index, limit: int = 400_000) -> tuple[Array, Index]:

@@ -1,0 +1,1 @@
+"""File formats of bodies and skins, one a module."""

@@ -1,0 +1,230 @@
+"""Hexagonal lattices on a curved surface: grown along geodesics, relaxed where they do not close.
+
+A site carries a tangent frame; its six neighbours lie one spacing away along geodesics at 60
+degrees. Growth goes ring by ring; sites that several neighbours propose take the mean. Where
+curvature leaves no room for the perfect lattice, sites settle under springs of the spacing's
+length, gaps are filled and crowded sites removed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SkinError
+from . import region as regions
+from .body import Body
+from .closest import Closest
+
+Array = NDArray[np.float64]
+
+ROW = np.sqrt(3.0) / 2.0
+"""distance of the rows of a hexagonal lattice, in spacings"""
+CROWDED, GAP = 0.7, 0.85
+"""in spacings: nearer sites are the same or too many; a site this far from all others fits in"""
+REACH = 1.35
+"""in spacings: up to where a spring ties two sites"""
+MOST = 1_000_000
+"""most sites of one lattice"""
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Sites on a surface."""
+
+    at: Closest
+    """n surface points"""
+    tangent: Array
+    """(n, 3) unit tangents, transported from the first site"""
+    way: Array
+    """(n,) way over the surface from the first site in m"""
+
+    def __len__(self) -> int:
+        return len(self.way)
+
+    def take(self, rows: Any) -> Lattice:
+        """The sites of some rows."""
+        return Lattice(_rows(self.at, rows), self.tangent[rows], self.way[rows])
+
+    def spacing(self) -> tuple[float, float]:
+        """Mean distance of nearest neighbours in m, and its scatter relative to the mean."""
+        if len(self) < 2:
+            return float("nan"), 0.0
+        near = _tree(self.at.point).query(self.at.point, k=2)[0][:, 1]
+        return float(near.mean()), float(near.std() / near.mean())
+
+
+def grow(
+    body: Body,
+    region: regions.Region,
+    spacing: float,
+    start: Closest,
+    tangent: Array,
+    count: int | None = None,
+) -> Lattice:
+    """The lattice (spacing in m) in a region from a first site (one point, tangent (3,)).
+
+    With `count`, growth stops once the `count` sites nearest to the first are complete.
+    """
+    sites = Lattice(start, tangent.reshape(1, 3), np.zeros(1))
+    front = sites
+    ring = 0
+    while len(front):
+        ring += 1
+        fresh = _propose(body, front, sites.at.point, spacing, CROWDED * spacing)
+        fresh = fresh.take(region.contains(body, fresh.at))
+        way = np.maximum(regions.arc_length(start, fresh.at), ring * ROW * spacing * (1 - 1e-2))
+        front = replace(fresh, way=way)
+        sites = _join(sites, front)
+        if len(sites) > MOST:
+            raise SkinError("sites of a lattice", value=len(sites), limit=MOST)
+        if count is not None and len(sites) >= count:
+            kth = np.partition(sites.way, count - 1)[count - 1]
+            if kth < (ring + 1) * ROW * spacing * (1 - 1e-2):
+                break
+    return sites
+
+
+def relax(body: Body, region: regions.Region, sites: Lattice, spacing: float) -> Lattice:
+    """Let the sites settle at the spacing (m): fill gaps, thin crowds, relax the springs."""
+    for rounds in range(4):
+        for _ in range(12):
+            sites = _settle(body, region, sites, spacing)
+        if rounds == 3:
+            break
+        sites = sites.take(_uncrowded(sites.at.point, CROWDED * spacing))
+        extra = _propose(body, sites, sites.at.point, spacing, GAP * spacing)
+        extra = extra.take(region.contains(body, extra.at))
+        sites = _join(sites, extra)
+    return sites
+
+
+def march(
+    body: Body, at: Closest, heading: Array, carried: Array, length: float
+) -> tuple[Closest, Array]:
+    """Walk a length (m) from n points along geodesics with unit headings (n, 3).
+
+    Gives the ends, and the tangents `carried` (n, 3) transported there. Steps are straight, each
+    followed by the closest point: off by (kappa ds)^2 / 3 of the length.
+    """
+    steps = int(np.clip(np.ceil(length * np.max(np.abs(at.curvature), initial=0.0) / 0.05), 2, 10))
+    for _ in range(steps):
+        after = body.closest(at.point + length / steps * heading, face=at.face)
+        heading = _transport(heading, at.normal, after.normal)
+        carried = _transport(carried, at.normal, after.normal)
+        at = after
+    return at, carried
+
+
+def _propose(body: Body, sites: Lattice, taken: Array, spacing: float, clearance: float) -> Lattice:
+    """New sites around `sites` (way unset) farther than the clearance (m) from those taken."""
+    angle = np.arange(6) * np.pi / 3.0
+    side = np.cross(sites.at.normal, sites.tangent)
+    heading = np.cos(angle)[:, None] * sites.tangent[:, None]
+    heading = (heading + np.sin(angle)[:, None] * side[:, None]).reshape(-1, 3)
+    parent = np.repeat(np.arange(len(sites)), 6)
+    tree = _tree(taken)
+    flat = sites.at.point[parent] + spacing * heading
+    maybe = np.flatnonzero(tree.query(flat)[0] > 0.5 * clearance)
+    parent = parent[maybe]
+    at, tangent = march(
+        body, _rows(sites.at, parent), heading[maybe], sites.tangent[parent], spacing
+    )
+    free = np.flatnonzero(tree.query(at.point)[0] > clearance) if len(maybe) else maybe
+    at, tangent = _rows(at, free), tangent[free]
+    if not len(free):
+        return Lattice(at, tangent, np.zeros(0))
+    leader = _leaders(at.point, clearance)
+    chosen, group = np.unique(leader, return_inverse=True)
+    total = np.stack([np.bincount(group, at.point[:, k]) for k in range(3)], axis=1)
+    mean = total / np.bincount(group)[:, None]
+    merged = body.closest(mean, face=at.face[chosen])
+    new = Lattice(merged, _onto(tangent[chosen], merged.normal), np.zeros(len(chosen)))
+    apart = _tree(taken).query(merged.point)[0] > clearance
+    keep = np.flatnonzero(apart)
+    return new.take(keep[_uncrowded(merged.point[keep], clearance)])
+
+
+def _settle(body: Body, region: regions.Region, sites: Lattice, spacing: float) -> Lattice:
+    """One step under springs of the spacing's length between near sites; none leaves the region."""
+    point = sites.at.point
+    pairs = _tree(point).query_pairs(REACH * spacing, output_type="ndarray")
+    if not len(pairs):
+        return sites
+    between = point[pairs[:, 1]] - point[pairs[:, 0]]
+    length = np.linalg.norm(between, axis=1)
+    pull = ((length - spacing) / length)[:, None] * between
+    pull[length > spacing] *= 0.5  # pushing apart comes first
+    force = np.zeros_like(point)
+    for k in range(3):
+        force[:, k] = np.bincount(pairs[:, 0], pull[:, k], minlength=len(point))
+        force[:, k] -= np.bincount(pairs[:, 1], pull[:, k], minlength=len(point))
+    after = body.closest(point + 0.25 * force, face=sites.at.face)
+    stay = ~region.contains(body, after)
+    if stay.any():
+        back = body.closest(np.where(stay[:, None], point, after.point), face=after.face)
+        after = back
+    return Lattice(after, _onto(sites.tangent, after.normal), sites.way)
+
+
+def _leaders(points: Array, radius: float) -> NDArray[np.intp]:
+    """For each point (n, 3) the first point within the radius that has no leader but itself."""
+    leader = np.arange(len(points))
+    pairs = _tree(points).query_pairs(radius, output_type="ndarray")
+    for a, b in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))].tolist():
+        if leader[a] == a and leader[b] == b:
+            leader[b] = a
+    return leader
+
+
+def _uncrowded(points: Array, radius: float) -> NDArray[np.intp]:
+    """Rows, in order, of the points that keep the radius (m) from every point kept before."""
+    if not len(points):
+        return np.zeros(0, dtype=np.intp)
+    leader = _leaders(points, radius)
+    return np.flatnonzero(leader == np.arange(len(points)))
+
+
+def _transport(vectors: Array, before: Array, after: Array) -> Array:
+    """Tangents (n, 3) turned by the smallest rotation that takes normals `before` to `after`."""
+    along = np.sum(vectors * after, axis=1) / (1.0 + np.sum(before * after, axis=1))
+    return _onto(vectors - along[:, None] * (before + after), after)
+
+
+def _onto(vectors: Array, normals: Array) -> Array:
+    """Unit tangents (n, 3): the vectors' parts across the normals."""
+    flat = vectors - np.sum(vectors * normals, axis=1, keepdims=True) * normals
+    return flat / np.linalg.norm(flat, axis=1, keepdims=True)
+
+
+def _tree(points: Array) -> Any:
+    from scipy.spatial import KDTree
+
+    return KDTree(points)
+
+
+def _rows(at: Closest, rows: Any) -> Closest:
+    return Closest(
+        at.point[rows],
+        at.distance[rows],
+        at.normal[rows],
+        at.curvature[rows],
+        at.face[rows],
+        at.uv[rows],
+    )
+
+
+def _join(a: Lattice, b: Lattice) -> Lattice:
+    x, y = a.at, b.at
+    at = Closest(
+        np.concatenate([x.point, y.point]),
+        np.concatenate([x.distance, y.distance]),
+        np.concatenate([x.normal, y.normal]),
+        np.concatenate([x.curvature, y.curvature]),
+        np.concatenate([x.face, y.face]),
+        np.concatenate([x.uv, y.uv]),
+    )
+    return Lattice(at, np.concatenate([a.tangent, b.tangent]), np.concatenate([a.way, b.way]))

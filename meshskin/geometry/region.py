@@ -1,0 +1,172 @@
+"""Regions of a body's surface: where a skin is laid, and about which point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import SkinError
+from .body import Body
+from .closest import Closest
+
+Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
+
+
+class Region(Protocol):
+    """A part of a surface, with a centre on it."""
+
+    def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
+        """Which of the surface points (n,) belong to it."""
+        ...
+
+    def centre(self, body: Body) -> Closest:
+        """Its centre: one surface point."""
+        ...
+
+
+@dataclass(frozen=True)
+class Whole:
+    """The whole surface, about the point that the direction from the body's middle leaves by."""
+
+    direction: Vector = (0.0, 0.0, 1.0)
+    """body frame; need not be a unit vector"""
+
+    def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
+        """Every point."""
+        return np.ones(len(at.face), dtype=bool)
+
+    def centre(self, body: Body) -> Closest:
+        """The outermost point in the direction from the body's middle."""
+        return outermost(body, self.direction)
+
+
+@dataclass(frozen=True)
+class Cap:
+    """The points seen from the body's middle within an angle of a direction."""
+
+    direction: Vector
+    """body frame; need not be a unit vector"""
+    angle: float = np.pi
+    """half opening, in rad"""
+
+    def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
+        """The points within the angle."""
+        outward = at.point - middle(body)
+        away = np.linalg.norm(outward, axis=1) * np.cos(min(self.angle, np.pi))
+        return np.asarray(outward @ _unit(self.direction) >= away - 1e-15)
+
+    def centre(self, body: Body) -> Closest:
+        """The outermost point in the direction."""
+        return outermost(body, self.direction)
+
+
+@dataclass(frozen=True)
+class Disc:
+    """The points within a way over the surface of a point of it."""
+
+    point: Vector
+    """body frame, m; its closest surface point counts"""
+    radius: float
+    """geodesic radius, m"""
+
+    def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
+        """The points within the radius."""
+        return arc_length(self.centre(body), at) <= self.radius
+
+    def centre(self, body: Body) -> Closest:
+        """The surface point closest to `point`."""
+        return body.closest([self.point])
+
+
+@dataclass(frozen=True)
+class HalfSpace:
+    """The points x with normal . x >= offset."""
+
+    normal: Vector
+    """body frame; need not be a unit vector"""
+    offset: float
+    """m, along the unit normal from the frame's origin"""
+
+    def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
+        """The points on the far side of the plane."""
+        return np.asarray(at.point @ _unit(self.normal) >= self.offset)
+
+    def centre(self, body: Body) -> Closest:
+        """The vertex farthest beyond the plane."""
+        vertices = body.surface.vertices
+        return body.closest(vertices[[np.argmax(vertices @ _unit(self.normal))]])
+
+
+@dataclass(frozen=True)
+class Faces:
+    """The faces of a mesh by their numbers."""
+
+    faces: tuple[int, ...]
+
+    def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
+        """The points on one of the faces."""
+        return np.isin(at.face, self.faces)
+
+    def centre(self, body: Body) -> Closest:
+        """The face middle nearest to the mean of the faces' middles."""
+        count = len(body.surface.faces)
+        if not self.faces or min(self.faces) < 0 or max(self.faces) >= count:
+            raise SkinError("faces of a region", value=len(self.faces), limit=f"0 to {count - 1}")
+        middles = face_middles(body, np.asarray(self.faces))
+        off = np.linalg.norm(middles.point - middles.point.mean(axis=0), axis=1)
+        k = int(np.argmin(off))
+        return body.surface.at(middles.face[[k]], middles.uv[[k]])
+
+
+def middle(body: Body) -> Array:
+    """The middle (3,) of the bounding box, m."""
+    vertices = body.surface.vertices
+    return np.asarray(0.5 * (vertices.min(axis=0) + vertices.max(axis=0)))
+
+
+def outermost(body: Body, direction: ArrayLike) -> Closest:
+    """The surface point farthest out on the ray from the body's middle, or nearest to it."""
+    way, centre = _unit(direction), middle(body)
+    far = centre + 2.0 * body.surface.scale * way
+    hit = body.project([far], [-way])
+    if hit.face[0] >= 0:
+        return hit
+    return body.closest([far])
+
+
+def area(body: Body, region: Region) -> float:
+    """Area of a region in m^2: that of the flat faces whose middles belong to it."""
+    surface = body.surface
+    count = np.arange(len(surface.faces))
+    a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
+    areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return float(areas[region.contains(body, face_middles(body, count))].sum())
+
+
+def face_middles(body: Body, faces: NDArray[np.intp]) -> Closest:
+    """The smooth surface at the middles of faces (n,)."""
+    return body.surface.at(faces, np.full((len(faces), 2), 1.0 / 3.0))
+
+
+def arc_length(start: Closest, end: Closest) -> Array:
+    """Ways (n,) in m over the surface from one point to n others, taken as arcs of circles.
+
+    A chord c between normals that differ by theta spans an arc c (theta / 2) / sin(theta / 2):
+    exact on a sphere and a plane.
+    """
+    chord = np.linalg.norm(end.point - start.point, axis=1)
+    sine = np.linalg.norm(np.cross(start.normal, end.normal), axis=1)
+    half = 0.5 * np.arctan2(sine, np.sum(start.normal * end.normal, axis=1))
+    return np.asarray(chord / np.sinc(half / np.pi))
+
+
+def _unit(vector: ArrayLike) -> Array:
+    v = np.asarray(vector, dtype=float).reshape(3)
+    length = np.linalg.norm(v)
+    if not (np.isfinite(length) and length > 0):
+        raise SkinError("direction of a region", value=v.tolist(), limit="a vector, not zero")
+    return np.asarray(v / length)

@@ -1,0 +1,169 @@
+"""A skin: taxels (tactile elements) on a body, each with a frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import se3
+from ..errors import SkinError
+from ..provenance import random_stream
+from . import jets, lattice
+from . import region as regions
+from .body import Body
+
+Array = NDArray[np.float64]
+
+REGULAR = (0.01, 0.03)
+"""mean and scatter of the nearest neighbours' distance within which a lattice needs no relaxing"""
+TRIES = 3
+"""lattices grown again, each wider by what the last one missed"""
+
+
+@dataclass(frozen=True)
+class Skin:
+    """n taxels in the body frame, SI units."""
+
+    poses: Array
+    """(n, 4, 4) T_b_i: z the outward normal, x a tangent transported over the surface"""
+    ids: NDArray[np.int64]
+    """(n,) names of the taxels"""
+    disc_radius: float = 2e-3
+    """radius in m of the disc over which a taxel averages pressure"""
+
+    @property
+    def positions(self) -> Array:
+        """(n, 3) taxel centres, m."""
+        return self.poses[:, :3, 3]
+
+    @property
+    def normals(self) -> Array:
+        """(n, 3) outward unit normals."""
+        return self.poses[:, :3, 2]
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @classmethod
+    def cover(
+        cls,
+        body: Body,
+        spacing: float | None = None,
+        count: int | None = None,
+        region: regions.Region | None = None,
+        seed: int = 0,
+        disc_radius: float = 2e-3,
+    ) -> Skin:
+        """A hexagonal lattice of taxels on a body's smooth surface.
+
+        With `spacing` (m, mean distance of nearest neighbours) alone the region is filled; with
+        `count` alone the spacing follows from the region's area; with both, the `count` sites
+        nearest to the region's centre are kept. `seed` turns and shifts the lattice. Raises
+        SkinError where the discs would overlap or the region is too small.
+        """
+        if spacing is None and count is None:
+            raise SkinError("a layout without spacing and count", remedy="give one or both")
+        if count is not None and count < 1:
+            raise SkinError("number of taxels", value=count, limit=">= 1")
+        region = regions.Whole() if region is None else region
+        if spacing is None:
+            assert count is not None
+            sites = _sites_by_count(body, region, count, disc_radius, seed)
+        else:
+            _check_spacing(body, spacing, disc_radius)
+            sites = _sites(body, region, spacing, seed, count)
+        if count is not None:
+            if len(sites) < count:
+                remedy = "a smaller spacing or a larger region"
+                limit = f"the {len(sites)} that fit the region"
+                raise SkinError("number of taxels", value=count, limit=limit, remedy=remedy)
+            sites = sites.take(np.argsort(sites.way, kind="stable")[:count])
+        x, z = sites.tangent, sites.at.normal
+        rotation = np.stack([x, np.cross(z, x), z], axis=2)
+        return cls(se3.transform(rotation, sites.at.point), np.arange(len(sites)), disc_radius)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Skin:
+        """A skin from a file, recognised by its content. Raises SkinError."""
+        from .files import csv
+
+        return cls(*csv.load(Path(path)))
+
+    def save(self, path: str | Path, format: str | None = None) -> None:
+        """Write the skin to a file, by its suffix or as `format` ("csv"), in one stroke."""
+        from .files import csv
+
+        kind = (format or Path(path).suffix.lstrip(".")).lower()
+        if kind != "csv":
+            raise SkinError("format of a skin file", value=kind, remedy="formats: csv")
+        csv.save(Path(path), self.poses, self.ids, self.disc_radius)
+
+
+def _check_spacing(body: Body, spacing: float, disc_radius: float) -> None:
+    if not (np.isfinite(spacing) and 2.0 * disc_radius <= spacing):
+        raise SkinError(
+            "spacing of taxels",
+            value=f"{spacing * 1e3:g} mm",
+            limit=f">= {2e3 * disc_radius:g} mm, the discs' diameter",
+            remedy="a larger spacing or a smaller disc_radius",
+        )
+    if spacing > body.surface.scale:
+        raise SkinError(
+            "spacing of taxels",
+            value=f"{spacing * 1e3:g} mm",
+            limit=f"the body's {body.surface.scale * 1e3:g} mm",
+            remedy="lengths are in m",
+        )
+
+
+def _sites(
+    body: Body, region: regions.Region, spacing: float, seed: int, count: int | None
+) -> lattice.Lattice:
+    """Lattice sites at a spacing (m), relaxed until their mean distance is that spacing."""
+    rng = random_stream(seed, "skin layout")
+    centre = region.centre(body)
+    tangent = jets.tangent_frames(centre.normal)[0, 0]
+    side = np.cross(centre.normal[0], tangent)
+    a, b = rng.uniform(-0.5, 0.5, size=2)
+    shift = spacing * ((a + 0.5 * b) * tangent + lattice.ROW * b * side)
+    turn = rng.uniform(0.0, np.pi / 3.0)
+    first = body.closest(centre.point + shift, face=centre.face)
+    if not region.contains(body, first)[0]:
+        first = centre
+    heading = np.cos(turn) * tangent + np.sin(turn) * side
+    heading -= np.dot(heading, first.normal[0]) * first.normal[0]
+    heading /= np.linalg.norm(heading)
+    more = None if count is None else count + round(4.0 * np.sqrt(count))  # trimmed about centre
+    sites = lattice.grow(body, region, spacing, first, heading, more)
+    mean, scatter = sites.spacing()
+    aim = spacing
+    if len(sites) > 2 and (abs(mean / spacing - 1) > REGULAR[0] or scatter > REGULAR[1]):
+        for _ in range(TRIES):  # sites that cannot close up evenly come nearer than they should
+            sites = lattice.relax(body, region, sites, aim)
+            mean, _ = sites.spacing()
+            if abs(mean / spacing - 1) < REGULAR[0]:
+                break
+            aim *= spacing / mean
+            sites = lattice.grow(body, region, aim, first, heading, more)
+        else:
+            sites = lattice.relax(body, region, sites, aim)
+    way = np.maximum(regions.arc_length(centre, sites.at), sites.way - spacing)
+    return lattice.Lattice(sites.at, sites.tangent, way)
+
+
+def _sites_by_count(
+    body: Body, region: regions.Region, count: int, disc_radius: float, seed: int
+) -> lattice.Lattice:
+    """Sites of the widest spacing tried that gives at least `count` of them."""
+    spacing = float(np.sqrt(2.0 * regions.area(body, region) / (np.sqrt(3.0) * count)))
+    for _ in range(8):
+        spacing = min(spacing, body.surface.scale)
+        _check_spacing(body, spacing, disc_radius)
+        sites = _sites(body, region, spacing, seed, None)
+        if len(sites) >= count:
+            return sites
+        spacing *= 0.995 * float(np.sqrt(len(sites) / count))
+    return sites
