@@ -39,12 +39,18 @@ def effective_modulus(
 def relative_radius(curvature: Any, indenter_radius: Any) -> Any:
     """Radius R, m, of the equivalent sphere: 1/R = mean principal curvature + 1/indenter radius.
 
-    `curvature`, 1/m, positive where convex: NumPy (..., 2) or a CasADi column of two.
+    `curvature`, 1/m, positive where convex: NumPy (..., 2) or a CasADi column of two. Raises
+    ContactError for another shape.
     """
     if is_casadi(curvature):
         mean = (curvature[0] + curvature[1]) / 2
     else:
-        mean = np.asarray(curvature, dtype=float).mean(axis=-1)
+        pairs = np.asarray(curvature, dtype=float)
+        if not pairs.shape or pairs.shape[-1] != 2:
+            raise ContactError(
+                "both principal curvatures are needed", value=f"shape {pairs.shape}", limit="(..., 2)"
+            )
+        mean = pairs.mean(axis=-1)
     return 1 / (mean + 1 / indenter_radius)
 
 

@@ -55,6 +55,11 @@ def test_casadi_alike_and_finite_at_zero_depth():
         assert np.isfinite(slope)
 
 
+def test_relative_radius_wants_pairs():
+    with pytest.raises(ContactError, match=r"shape \(3,\)"):
+        hertz.relative_radius(np.full(3, 10.0), 0.01)
+
+
 def test_zero_force_is_an_empty_patch():
     patch = contact.solve(**CASE | {"force": 0.0})
     assert (patch.peak, patch.depth) == (0.0, 0.0)

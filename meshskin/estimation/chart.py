@@ -1,0 +1,104 @@
+"""Local coordinates on a body's surface: x(y) = x_0 + T y - n/2 y^T K y, with y (2,) in m.
+
+T holds two tangents, n is the outward normal, K the shape operator in T's basis (positive where
+convex). Estimators move in charts, and re-anchor them on the surface until they no longer move: so
+the result lies on the surface exactly, and K only speeds the way there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..se3 import Array, transform
+
+if TYPE_CHECKING:
+    from ..geometry.body import Body
+
+STEP = 1e-4
+"""Step over which the change of the normal gives the curvature, m."""
+
+
+@dataclass(frozen=True)
+class Charts:
+    """n charts, each about a point of the surface."""
+
+    points: Array
+    """x_0 (n, 3), m."""
+    normals: Array
+    """n (n, 3)."""
+    tangents: Array
+    """T (n, 3, 2), orthonormal."""
+    shape: Array
+    """K (n, 2, 2), 1/m, symmetric."""
+
+    def __getitem__(self, rows: ArrayLike) -> Charts:
+        """The charts of the given rows."""
+        i = np.asarray(rows)
+        return Charts(self.points[i], self.normals[i], self.tangents[i], self.shape[i])
+
+    def at(self, y: Array) -> Array:
+        """Points (n, 3) at the coordinates `y` (n, 2), m."""
+        sag = 0.5 * np.einsum("ni,nij,nj->n", y, self.shape, y)
+        return self.points + np.einsum("nij,nj->ni", self.tangents, y) - self.normals * sag[:, None]
+
+
+def about(body: Body, points: Array, reference: Array | None = None) -> Charts:
+    """Charts about the surface points closest to `points` (n, 3), body frame, m.
+
+    `reference` (n, 3, 3): rotations of frames nearby, whose x axes the tangents then continue.
+    """
+    hit = body.closest(points)
+    rotation = frames(hit.normal) if reference is None else carry(reference, hit.normal)
+    tangents = rotation[:, :, :2]
+    steps = STEP * np.concatenate([tangents, -tangents], axis=2).transpose(0, 2, 1)  # (n, 4, 3)
+    around = body.closest((hit.point[:, None] + steps).reshape(-1, 3)).normal.reshape(-1, 4, 3)
+    slope = (around[:, :2] - around[:, 2:]) / (2 * STEP)  # dn along each tangent
+    shape = np.einsum("nai,nib->nab", slope, tangents)
+    return Charts(hit.point, hit.normal, tangents, (shape + shape.transpose(0, 2, 1)) / 2)
+
+
+def turn(source: Array, target: Array) -> Array:
+    """The smallest rotations (n, 3, 3) that bring unit vectors `source` onto `target` (n, 3)."""
+    axis, cosine = np.cross(source, target), np.einsum("ni,ni->n", source, target)
+    opposite = cosine < -1 + 1e-12
+    k = np.zeros((len(axis), 3, 3))
+    k[:, 0, 1], k[:, 0, 2], k[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
+    k -= k.transpose(0, 2, 1)
+    out = np.eye(3) + k + k @ k / np.where(opposite, 1.0, 1 + cosine)[:, None, None]
+    if np.any(opposite):  # half a turn about any axis across
+        across = _across(source[opposite])
+        out[opposite] = 2 * across[:, :, None] * across[:, None, :] - np.eye(3)
+    return np.asarray(out)
+
+
+def carry(rotations: Array, normals: Array) -> Array:
+    """Frames (n, 3, 3) turned the least way so that their z axes are `normals` (n, 3)."""
+    broadcast = np.broadcast_to(rotations, (len(normals), 3, 3))
+    return turn(broadcast[:, :, 2], normals) @ broadcast
+
+
+def frames(normals: Array) -> Array:
+    """Frames (n, 3, 3) with z = normal, and x transported from one frame at the mean normal.
+
+    The rule has one seam, opposite to the mean normal. The spin it gives is a convention.
+    """
+    mean = normals.mean(axis=0)
+    length = np.linalg.norm(mean)
+    mean = mean / length if length > 1e-6 else normals[0]
+    x = _across(mean[None])[0]
+    return carry(np.stack([x, np.cross(mean, x), mean], axis=1), normals)
+
+
+def _across(vectors: Array) -> Array:
+    """Unit vectors (n, 3) at right angles to `vectors` (n, 3)."""
+    across = np.cross(np.eye(3)[np.argmin(np.abs(vectors), axis=1)], vectors)
+    return across / np.linalg.norm(across, axis=1)[:, None]
+
+
+def poses(points: Array, rotations: Array) -> Array:
+    """Poses (n, 4, 4); NaN where the point is NaN."""
+    return transform(np.where(np.isfinite(points)[:, :1, None], rotations, np.nan), points)

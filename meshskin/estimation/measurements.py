@@ -1,0 +1,164 @@
+"""Readings beside the contacts they belong to, in the numbers of the believed contact model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import CalibrationError, RecordingError
+from ..physics import contact
+from ..physics.contact import hertz
+from ..physics.contact.disc import disc_slope, invert_disc_mean
+from ..se3 import Array
+
+if TYPE_CHECKING:
+    from ..recording import Recording
+    from ..scene import Belief
+
+NOMINAL_NOISE = 0.01
+"""Standard deviation that weights the readings when none is known, relative to the median peak."""
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """m contacts and k readings of n taxels; everything that an estimator needs of a recording."""
+
+    ids: np.ndarray
+    """Taxel ids (n,), in the belief's order."""
+    points: Array
+    """Contact points (m, 3), body frame, m."""
+    normals: Array
+    """Outward normals (m, 3) of the believed body at the contact points."""
+    radii: Array
+    """Contact radii a (m,), m, at the nominal E*."""
+    peaks: Array
+    """Peak pressures p_0 (m,), Pa, at the nominal E*."""
+    modulus: float
+    """Nominal E*, Pa."""
+    disc: float
+    """Disc radius of a taxel, m."""
+    contact: np.ndarray
+    """Contact (k,) of each reading, a row of `points`."""
+    taxel: np.ndarray
+    """Taxel (k,) of each reading, a row of `ids`."""
+    pressure: Array
+    """Pressure (k,), Pa."""
+    noise: float | None
+    """Known standard deviation of a reading, Pa, or None."""
+    threshold: float
+    """Pressures up to this are silent, Pa."""
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation, Pa, that weights the readings."""
+        return self.noise or NOMINAL_NOISE * float(np.median(self.peaks))
+
+    @cached_property
+    def counts(self) -> np.ndarray:
+        """Readings (n,) of each taxel."""
+        return np.bincount(self.taxel, minlength=len(self.ids))
+
+    @cached_property
+    def distance(self) -> Array:
+        """Distance (k,), m, from contact to taxel that each reading says (paper, eq. 15)."""
+        a = self.radii[self.contact]
+        return a * invert_disc_mean(self.pressure / self.peaks[self.contact], self.disc / a)
+
+    @cached_property
+    def slope(self) -> Array:
+        """|dp/dr| (k,), Pa/m, at that distance; 0 at the patch's centre and at its edge."""
+        a = self.radii[self.contact]
+        slope = disc_slope(self.distance / a, self.disc / a)
+        return np.abs(slope) * self.peaks[self.contact] / a
+
+
+def gather(recording: Recording, belief: Belief) -> Measurements:
+    """The measurements of a recording under a belief.
+
+    Contacts without force (approach) have no patch and are left out, with their readings.
+    Raises RecordingError for values that are not finite, CalibrationError for no readings or taxel
+    ids that the belief does not know, ContactError where the contact model leaves its range.
+    """
+    _check_finite(recording)
+    index = _taxel_index(recording.reading_taxel, np.asarray(belief.taxel_ids))
+    hit = belief.body.closest(recording.points)
+    modulus = hertz.effective_modulus(belief.material.young, belief.material.poisson)
+    pressed = recording.force > 0
+    force, curvature = recording.force[pressed], hit.curvature[pressed]
+    heard = pressed[recording.reading_contact] & (recording.pressure > belief.threshold)
+    if not np.any(heard):
+        raise CalibrationError(
+            "the recording has no readings of a pressed contact",
+            value=f"{len(recording.pressure)} readings, {np.sum(pressed)} pressed contacts",
+            remedy="check the threshold and the skin's wiring",
+        )
+    _check_range(force, curvature, belief)
+    row = np.cumsum(pressed) - 1
+    relative = hertz.relative_radius(curvature, belief.indenter.radius)
+    radii = hertz.contact_radius(force, relative, modulus)
+    return Measurements(
+        ids=np.asarray(belief.taxel_ids),
+        points=recording.points[pressed],
+        normals=hit.normal[pressed],
+        radii=radii,
+        peaks=hertz.peak_pressure(force, radii),
+        modulus=float(modulus),
+        disc=belief.disc_radius,
+        contact=row[recording.reading_contact][heard],
+        taxel=index[heard],
+        pressure=recording.pressure[heard],
+        noise=belief.noise_sigma,
+        threshold=belief.threshold,
+    )
+
+
+def _check_finite(recording: Recording) -> None:
+    columns = {
+        "contact point": recording.points.sum(axis=1),
+        "force": recording.force,
+        "pressure": recording.pressure,
+    }
+    for what, values in columns.items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            table = "readings" if what == "pressure" else "contacts"
+            raise RecordingError(
+                f"a {what} is not finite",
+                value=f"{values[bad[0]]} in row {bad[0]} of {table}, {len(bad)} in all",
+                remedy="drop those rows or repair the log",
+            )
+
+
+def _taxel_index(taxels: np.ndarray, ids: np.ndarray) -> np.ndarray:
+    """Row in `ids` of each taxel id."""
+    order = np.argsort(ids, kind="stable")
+    place = np.minimum(np.searchsorted(ids[order], taxels), len(ids) - 1)
+    index = order[place]
+    unknown = np.unique(taxels[ids[index] != taxels])
+    if len(unknown):
+        raise CalibrationError(
+            "the recording has taxels that the belief does not know",
+            value=f"ids {', '.join(map(str, unknown[:5]))}{' ...' if len(unknown) > 5 else ''}",
+            limit=f"{len(ids)} ids from {ids.min()} to {ids.max()}",
+            remedy="use the skin that was recorded",
+        )
+    return index
+
+
+def _check_range(force: Array, curvature: Array, belief: Belief) -> None:
+    """Let the contact model judge the contacts nearest to its limits."""
+    relative = curvature + 1 / belief.indenter.radius
+    width = force / np.maximum(relative.mean(axis=1), 0.0) ** -2  # rises with a/R
+    for worst in {int(np.argmax(width)), int(np.argmax(relative[:, 0] / relative[:, 1]))}:
+        contact.solve(
+            belief.contact,
+            force=float(force[worst]),
+            curvature=tuple(curvature[worst]),
+            indenter_radius=belief.indenter.radius,
+            modulus=belief.material.young,
+            poisson=belief.material.poisson,
+            thickness=belief.material.thickness,
+        )

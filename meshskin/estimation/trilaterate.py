@@ -1,0 +1,294 @@
+"""Trilateration: a taxel lies where the circles of its contacts meet (paper, eq. 15).
+
+Each reading says how far its taxel is from a contact: a circle about the contact point in the
+tangent plane. The distance inverts the disc-averaged Hertz profile. Two estimators: the paper's
+three circles, and weighted least squares over all circles. A reading at or above the profile's
+maximum has the distance 0. Near there the slope of the profile vanishes and the distance is
+uncertain; so it is at the patch's edge: least squares weighs each circle by its slope, the
+three circles are chosen where it is steep.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..se3 import Array
+from . import chart
+from .chart import Charts
+from .measurements import Measurements
+
+if TYPE_CHECKING:
+    from ..geometry.body import Body
+
+FEW = "fewer than three readings"
+LINE = "contacts near a line"
+MISS = "circles that do not meet"
+NARROW = 0.05
+"""Least width of the contacts about their best line, relative to the contact radius."""
+FLAT = 0.05
+"""Slope, relative to p_0/a, below which a circle gains no more uncertainty."""
+STEEP = 0.3
+"""Slope, relative to p_0/a, that the paper's three circles should have."""
+
+
+@dataclass(frozen=True)
+class Circles:
+    """k circles, sorted by the one of n unknown points that each belongs to."""
+
+    owner: np.ndarray
+    """Unknown point (k,) of each circle, rising."""
+    centres: Array
+    """Contact points (k, 3), m."""
+    normals: Array
+    """Contact normals (k, 3): a distance is measured across them."""
+    radii: Array
+    """Distances (k,), m."""
+    weights: Array
+    """1 / standard deviation of the distance (k,), 1/m."""
+    steepness: Array
+    """Slope of the profile (k,) relative to p_0/a."""
+    patch: Array
+    """Contact radius (k,), m."""
+    count: int
+    """n."""
+
+    def sum(self, values: Array) -> Array:
+        """Sums (n, ...) over the circles of each point, of values (k, ...)."""
+        flat = values.reshape(len(values), -1)
+        columns = [np.bincount(self.owner, column, self.count) for column in flat.T]
+        return np.stack(columns, axis=1).reshape(self.count, *values.shape[1:])
+
+    def select(self, keep: np.ndarray) -> Circles:
+        """The circles where `keep` (k,) is true."""
+        fields = ("owner", "centres", "normals", "radii", "weights", "steepness", "patch")
+        return replace(self, **{name: getattr(self, name)[keep] for name in fields})
+
+
+@dataclass(frozen=True)
+class Fit:
+    """n points on the body, each with what is known of it."""
+
+    points: Array
+    """(n, 3), m; NaN where undetermined."""
+    rotations: Array
+    """Frames (n, 3, 3): z = outward normal, x by the rule of `chart.frames` or of the reference."""
+    covariance: Array
+    """(n, 2, 2) in the tangent plane, m^2; inf on the diagonal where undetermined."""
+    chi2: Array
+    """Weighted squared residuals per degree of freedom (n,); NaN with none left."""
+    why: np.ndarray
+    """Why a point is undetermined (n,): FEW, LINE or MISS; "" where it is determined."""
+
+    @property
+    def found(self) -> np.ndarray:
+        """Whether each point is determined (n,)."""
+        return np.asarray(self.why == "")
+
+
+def circles(data: Measurements, rows: np.ndarray | None = None, owner: object = None) -> Circles:
+    """The circles of the readings `rows` (all by default), owned by their taxels or by `owner`."""
+    rows = np.arange(len(data.pressure)) if rows is None else rows
+    owners = data.taxel[rows] if owner is None else np.asarray(owner)
+    order = np.argsort(owners, kind="stable")
+    rows, owners = rows[order], owners[order]
+    contact = data.contact[rows]
+    scale = data.peaks[contact] / data.radii[contact]
+    steepness = data.slope[rows] / scale
+    return Circles(
+        owner=owners,
+        centres=data.points[contact],
+        normals=data.normals[contact],
+        radii=data.distance[rows],
+        weights=scale * np.hypot(steepness, FLAT) / data.sigma,
+        steepness=steepness,
+        patch=data.radii[contact],
+        count=len(data.ids) if owner is None else int(owners.max(initial=-1)) + 1,
+    )
+
+
+def centroids(data: Measurements, body: Body) -> Array:
+    """Where each taxel roughly is (n, 3), m: the mean contact point, weighted by pressure squared.
+
+    Readings out of the patch's reach of a first mean (noise above a low threshold) are left out of
+    the second. NaN for a taxel without readings.
+    """
+    weight = data.pressure**2
+    reach = data.radii[data.contact] + data.disc
+
+    def mean(weight: Array) -> Array:
+        points = weight[:, None] * data.points[data.contact]
+        total = np.bincount(data.taxel, weight, len(data.ids))
+        columns = [np.bincount(data.taxel, column, len(data.ids)) for column in points.T]
+        with np.errstate(invalid="ignore"):
+            return np.stack(columns, axis=1) / total[:, None]
+
+    first = mean(weight)
+    off = np.linalg.norm(data.points[data.contact] - first[data.taxel], axis=1)
+    second = mean(np.where(off < 1.5 * reach, weight, 0.0))
+    start = np.where(np.isfinite(second), second, first)
+    seen = np.isfinite(start[:, 0])
+    start[seen] = body.closest(start[seen]).point
+    return start
+
+
+def least_squares(data: Measurements, body: Body) -> Fit:
+    """Each taxel from all its readings: (n,) points, by weighted Gauss-Newton on the distances."""
+    start = centroids(data, body)
+    seen = np.isfinite(start[:, 0])
+    start[~seen] = data.points[0]
+    found = circles(_within_reach(data, start))
+    charts = chart.about(body, start)
+    for _ in range(2):  # the second time about the estimate, to take out the chart's own error
+        y, information, chi2 = solve(found, charts)
+        charts = chart.about(body, charts.at(y), frames_of(charts))
+    return finish(found, charts, information, chi2)
+
+
+def three_circles(data: Measurements, body: Body) -> Fit:
+    """Each taxel from three well-separated contacts: the paper's method (eq. 15).
+
+    The circles are intersected in the tangent plane by their radical centre.
+    """
+    start = centroids(data, body)
+    seen = np.isfinite(start[:, 0])
+    start[~seen] = data.points[0]
+    every = circles(_within_reach(data, start))
+    # Few steep circles: take what there is.
+    steep = every.steepness > STEEP
+    enough = np.bincount(every.owner[steep], minlength=every.count) >= 3
+    found = _well_separated(every.select(steep | ~enough[every.owner]))
+    charts = chart.about(body, start)
+    for _ in range(3):
+        y, information = _linear(found, charts, equal=True)
+        far = np.linalg.norm(y, axis=1) > 2 * found.patch.max(initial=0.0)
+        y[far] = 0.0
+        charts = chart.about(body, charts.at(y), frames_of(charts))
+    residual, jacobian = _residuals(found, charts, np.zeros((found.count, 2)))
+    information = found.sum(jacobian[:, :, None] * jacobian[:, None, :])
+    fit = finish(found, charts, information, found.sum(residual**2))
+    why = np.where((fit.why == "") & far, MISS, fit.why)
+    return replace(fit, why=why, points=np.where((why == "")[:, None], fit.points, np.nan))
+
+
+def solve(found: Circles, charts: Charts, iterations: int = 8) -> tuple[Array, Array, Array]:
+    """Weighted least squares in the charts: coordinates (n, 2), information (n, 2, 2), chi2 (n,).
+
+    Starts from the linear solution; each step is limited to half a contact radius.
+    """
+    y, _ = _linear(found, charts)
+    y[np.linalg.norm(y, axis=1) > 3 * found.patch.max(initial=0.0)] = 0.0
+    limit = 0.5 * float(np.median(found.patch)) if len(found.patch) else 0.0
+    for _ in range(iterations):
+        residual, jacobian = _residuals(found, charts, y)
+        information = found.sum(jacobian[:, :, None] * jacobian[:, None, :])
+        step = -_solve2(information, found.sum(jacobian * residual[:, None]))
+        size = np.linalg.norm(step, axis=1, keepdims=True)
+        y = y + step * np.minimum(1.0, limit / np.maximum(size, 1e-300))
+        if np.max(size, initial=0.0) < 1e-9:
+            break
+    residual, jacobian = _residuals(found, charts, y)
+    information = found.sum(jacobian[:, :, None] * jacobian[:, None, :])
+    freedom = np.bincount(found.owner, minlength=found.count) - 2
+    chi2 = found.sum(residual**2) / np.where(freedom > 0, freedom, np.nan)
+    return y, information, chi2
+
+
+def finish(found: Circles, charts: Charts, information: Array, chi2: Array) -> Fit:
+    """The fit at the origin of the charts, with NaN and the reason where it is undetermined."""
+    number = np.bincount(found.owner, minlength=found.count)
+    why = np.where(number < 3, FEW, "").astype(object)
+    why[(number >= 3) & (_width(found, charts) < NARROW)] = LINE
+    bad = why != ""
+    points = np.where(bad[:, None], np.nan, charts.points)
+    safe = np.where(bad[:, None, None], np.eye(2), information)
+    covariance = np.linalg.inv(safe)
+    covariance[bad] = np.diag([np.inf, np.inf])
+    return Fit(points, frames_of(charts), covariance, np.where(bad, np.nan, chi2), why)
+
+
+def frames_of(charts: Charts) -> Array:
+    """Rotations (n, 3, 3) of the charts: tangents and normal."""
+    return np.concatenate([charts.tangents, charts.normals[:, :, None]], axis=2)
+
+
+def _within_reach(data: Measurements, start: Array) -> Measurements:
+    """The readings whose contact can reach its taxel's start (n, 3), with 1 mm to spare."""
+    off = np.linalg.norm(data.points[data.contact] - start[data.taxel], axis=1)
+    keep = off < 1.3 * (data.radii[data.contact] + data.disc) + 1e-3
+    part = {name: getattr(data, name)[keep] for name in ("contact", "taxel", "pressure")}
+    return replace(data, **part)
+
+
+def _residuals(found: Circles, charts: Charts, y: Array) -> tuple[Array, Array]:
+    """Weighted residuals (k,) and their derivatives (k, 2) by the owner's coordinates."""
+    own = found.owner
+    offset = charts.at(y)[own] - found.centres
+    across = offset - found.normals * np.einsum("ki,ki->k", offset, found.normals)[:, None]
+    distance = np.sqrt(np.einsum("ki,ki->k", across, across) + 1e-18)
+    sag = np.einsum("nij,nj->ni", charts.shape, y)
+    along = charts.tangents - charts.normals[:, :, None] * sag[:, None, :]  # dx/dy (n, 3, 2)
+    jacobian = np.einsum("ki,kij->kj", across / distance[:, None], along[own])
+    return found.weights * (distance - found.radii), found.weights[:, None] * jacobian
+
+
+def _linear(found: Circles, charts: Charts, equal: bool = False) -> tuple[Array, Array]:
+    """Intersection (n, 2) of the circles in the tangent planes by differences of their equations.
+
+    |y - c|^2 = r^2 is linear in y once the weighted mean equation is taken off each. Also the
+    normal matrix (n, 2, 2). `equal`: without the weights of the distances.
+    """
+    own = found.owner
+    offset = found.centres - charts.points[own]
+    c = np.einsum("kij,ki->kj", charts.tangents[own], offset)
+    # The equation is in r^2, whose standard deviation is 2 r / weight.
+    weight = found.weights / np.maximum(2 * found.radii, 0.2 * found.patch)
+    w = np.ones(len(own)) if equal else weight**2
+    total = np.maximum(np.bincount(own, w, found.count), 1e-300)
+    b = np.einsum("kj,kj->k", c, c) - found.radii**2
+    c = c - (found.sum(w[:, None] * c) / total[:, None])[own]
+    b = b - (np.bincount(own, w * b, found.count) / total)[own]
+    normal = found.sum(w[:, None, None] * c[:, :, None] * c[:, None, :])
+    return _solve2(normal, found.sum((w * b)[:, None] * c) / 2), normal
+
+
+def _solve2(matrix: Array, vector: Array) -> Array:
+    """Solutions (n, 2) of symmetric 2x2 systems, lightly damped; 0 where the matrix vanishes."""
+    trace = matrix[:, 0, 0] + matrix[:, 1, 1]
+    damped = matrix + (1e-12 * trace + (trace == 0))[:, None, None] * np.eye(2)
+    return np.asarray(np.linalg.solve(damped, vector[:, :, None])[:, :, 0])
+
+
+def _width(found: Circles, charts: Charts) -> Array:
+    """RMS width (n,) of the contacts about their best line, relative to the contact radius."""
+    own = found.owner
+    number = np.maximum(np.bincount(own, minlength=found.count), 1)
+    offset = (found.centres - charts.points[own]) / found.patch[:, None]
+    c = np.einsum("kij,ki->kj", charts.tangents[own], offset)
+    c = c - (found.sum(c) / number[:, None])[own]
+    scatter = found.sum(c[:, :, None] * c[:, None, :]) / number[:, None, None]
+    return np.sqrt(np.maximum(np.linalg.eigvalsh(scatter)[:, 0], 0.0))
+
+
+def _well_separated(found: Circles) -> Circles:
+    """Three circles of each point: far from the mean, far from the first, far from their line."""
+    number = np.maximum(np.bincount(found.owner, minlength=found.count), 1)
+    mean = (found.sum(found.centres) / number[:, None])[found.owner]
+    first = _farthest(found, np.linalg.norm(found.centres - mean, axis=1))
+    one = found.centres[first][found.owner]
+    second = _farthest(found, np.linalg.norm(found.centres - one, axis=1))
+    line = found.centres[second][found.owner] - one
+    off = np.linalg.norm(np.cross(found.centres - one, line), axis=1)
+    third = _farthest(found, off)
+    keep = np.zeros(len(found.owner), dtype=bool)
+    keep[first], keep[second], keep[third] = True, True, True
+    return found.select(keep)
+
+
+def _farthest(found: Circles, distance: Array) -> np.ndarray:
+    """Row (n,) of the circle of each point with the largest distance (k,); 0 for a point with none."""
+    order = np.lexsort((distance, found.owner))
+    last = np.searchsorted(found.owner[order], np.arange(found.count), side="right") - 1
+    return np.asarray(order[np.maximum(last, 0)])

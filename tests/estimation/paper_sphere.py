@@ -1,0 +1,94 @@
+"""A small exact world for the tests: the paper's sphere, contacts on lanes, Hertz disc readings."""
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import numpy as np
+import pyarrow as pa
+
+from meshskin.geometry.primitives import Sphere
+from meshskin.physics.contact import hertz
+from meshskin.physics.contact.disc import disc_mean
+from meshskin.recording import CONTACTS, READINGS, Recording
+
+RADIUS, INDENTER, DISC, YOUNG, POISSON, FORCE = 0.1, 0.01, 2e-3, 0.2e6, 0.49, 3.0
+
+
+@dataclass
+class World:
+    """Taxels on a hexagonal lattice at the bottom, contacts on parallel lanes over them."""
+
+    spacing: float = 5e-3
+    extent: float = 25e-3
+    lane: float = 3.5e-3
+    step: float = 0.5e-3
+    young: float = YOUNG
+    body: Sphere = field(default_factory=lambda: Sphere(RADIUS))
+
+    def __post_init__(self):
+        n = int(self.extent / self.spacing) + 2
+        i, j = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1))
+        flat = np.stack([i + j / 2, j * np.sqrt(3) / 2], -1).reshape(-1, 2) * self.spacing
+        flat = flat[np.linalg.norm(flat, axis=1) < self.extent]
+        self.truth = self.raise_(flat + 0.1e-3)
+        self.ids = 100 + np.arange(len(flat))
+        u = np.arange(-self.extent - 4e-3, self.extent + 4e-3, self.step)
+        v = np.arange(-self.extent - 4e-3, self.extent + 4e-3, self.lane)
+        self.points = self.raise_(np.stack(np.meshgrid(u, v), -1).reshape(-1, 2))
+        self.normals = self.points / RADIUS
+        self.force = FORCE * (1 + 0.01 * np.sin(np.arange(len(self.points))))
+        self.modulus = hertz.effective_modulus(self.young, POISSON)
+        radius = hertz.relative_radius((1 / RADIUS, 1 / RADIUS), INDENTER)
+        self.a = hertz.contact_radius(self.force, radius, self.modulus)
+        self.peak = hertz.peak_pressure(self.force, self.a)
+        self.peak_reference = float(
+            hertz.peak_pressure(FORCE, hertz.contact_radius(FORCE, radius, self.modulus))
+        )
+
+    @staticmethod
+    def raise_(flat):
+        """Points of the sphere's bottom over flat coordinates, by equal arc length."""
+        angle = np.linalg.norm(flat, axis=1) / RADIUS
+        ring = flat / np.maximum(np.linalg.norm(flat, axis=1), 1e-12)[:, None]
+        return RADIUS * np.column_stack([np.sin(angle)[:, None] * ring, -np.cos(angle)])
+
+    def pressures(self):
+        """Exact pressures (contacts, taxels)."""
+        offset = self.truth[None] - self.points[:, None]
+        along = np.einsum("mnk,mk->mn", offset, self.normals)
+        r = np.sqrt(np.maximum(np.sum(offset**2, -1) - along**2, 0))
+        out = np.zeros_like(r)
+        near = (r < 1.3 * (self.a[:, None] + DISC)) & (np.linalg.norm(offset, axis=2) < 0.02)
+        row = np.nonzero(near)[0]
+        out[near] = self.peak[row] * disc_mean(r[near] / self.a[row], DISC / self.a[row], nodes=24)
+        return out
+
+    def record(self, sigma=0.0, threshold=0.0, seed=0):
+        """A recording with noise and threshold relative to the peak; both may be zero."""
+        p = self.pressures()
+        if sigma:
+            p += sigma * self.peak_reference * np.random.default_rng(seed).normal(size=p.shape)
+        contact, taxel = np.nonzero(p > threshold * self.peak_reference)
+        time = 0.01 * np.arange(len(self.points))
+        columns = [time, *self.points.T, *self.normals.T, self.force]
+        readings = [time[contact], self.ids[taxel].astype(np.int32), p[contact, taxel]]
+        return Recording(
+            pa.table(columns, schema=CONTACTS),
+            pa.table(readings, schema=READINGS),
+            {"taxel_ids": self.ids.tolist(), "disc_radius_m": DISC},
+        )
+
+    def belief(self, sigma=None, threshold=0.0, young=YOUNG, **changes):
+        """What the owner of this world knows."""
+        fields = {
+            "body": self.body,
+            "indenter": SimpleNamespace(radius=INDENTER),
+            "material": SimpleNamespace(young=young, poisson=POISSON, thickness=None),
+            "contact": "hertz",
+            "taxel_ids": self.ids,
+            "disc_radius": DISC,
+            "force_reference": FORCE,
+            "noise_sigma": None if sigma is None else sigma * self.peak_reference,
+            "threshold": threshold * self.peak_reference,
+        }
+        return SimpleNamespace(**fields | changes)
