@@ -94,7 +94,7 @@ def _scaled(value: Any, factor: float, where: str) -> Any:
         return tuple(_scaled(v, factor, where) for v in value)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ConfigError(f"{where} must be a number", value=repr(value))
-    return value * factor
+    return value if factor == 1.0 else value * factor
 
 
 def build(cls: type[T], table: Mapping[str, Any], where: str) -> T:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -15,7 +13,8 @@ from . import recording as files
 from .errors import ReachError, SimulationError
 from .motion import path as paths
 from .motion.arm import Arm
-from .motion.step import Blocks, Loop
+from .motion.machine import BLOCK, Machine, Steps
+from .motion.step import Loop
 from .physics import effects
 from .physics.reading import disc_pressures
 from .provenance import provenance
@@ -23,10 +22,6 @@ from .recording import Recording, RecordingWriter
 from .scene import Scene
 from .se3 import Array, exp_so3, inverse, log_so3, transform
 
-BLOCK = 32
-"""Steps a call: long against the call's cost, short against a face's crossing."""
-SPARE = 0.25
-"""How far, in barycentric weight, the foot may leave its face before the block is cut short."""
 FRAME_CELLS = 2e6
 """Largest number of pressures (frames times taxels) held at once."""
 HEADINGS = 8
@@ -62,7 +57,7 @@ def simulate(
         dt=scene.loop.dt,
     )
     path, start = reachable_path(scene, arm)
-    machine = _Machine(scene, loop, start, path)
+    machine = Machine(scene.body, loop, start, path.points[0])
     batches = _tables(scene, seed, loop, _run(scene, machine, path, progress))
     header = _metadata(scene, seed)
     if out is not None:
@@ -161,18 +156,8 @@ def _bridge(start: Array, goal: Array) -> Array:
     return transform(rotation, start[:3, 3] + part[:, None] * shift)
 
 
-@dataclass(frozen=True)
-class Steps:
-    """A run of consecutive steps: times (k,), joint states (k, n), outputs (k, m), phase."""
-
-    time: Array
-    q: Array
-    outputs: Array
-    phase: int
-
-
 def _run(
-    scene: Scene, machine: _Machine, path: paths.Path, progress: Progress | None
+    scene: Scene, machine: Machine, path: paths.Path, progress: Progress | None
 ) -> Iterator[Steps]:
     """Run the closed loop: approach until touch, settle, explore. Yields the steps as they come."""
     loop, references = machine.loop, path.references
@@ -208,85 +193,6 @@ def _run(
         done += len(steps.time)
         if progress is not None:
             progress(done, total)
-
-
-class _Machine:
-    """State of the closed loop, and the face whose patch it runs on."""
-
-    def __init__(self, scene: Scene, loop: Loop, start: Array, path: paths.Path) -> None:
-        self.body, self.loop, n = scene.body, loop, loop.joints
-        self.blocks = Blocks(loop, BLOCK)
-        self.steps, self.seconds = 0, 0.0
-        self.blocks.state[:n] = start
-        hit = self.body.closest(path.points[:1])
-        self._anchor(int(hit.face[0]), hit.uv[0])
-
-    def _anchor(self, face: int, uv: Array) -> None:
-        self.face = face
-        self.blocks.patch[:] = self.body.surface.patches[face].T.ravel()
-        self.blocks.state[-2:] = uv
-
-    @property
-    def steps_per_second(self) -> float:
-        """Steps of the closed loop in a second of running it."""
-        return self.steps / self.seconds if self.seconds else 0.0
-
-    def advance(self, references: Array, phase: int) -> Steps:
-        """Run at most len(references) steps; fewer if the foot leaves its face's neighbourhood."""
-        started = perf_counter()
-        blocks, n = self.blocks, self.loop.joints
-        blocks.references[: len(references)] = references
-        blocks.references[len(references) :] = references[-1]
-        before = blocks.state.copy()
-        blocks.run()
-        count = len(references)
-        uv = blocks.states[:count, -2:]
-        spare = np.minimum(uv.min(axis=1), 1.0 - uv.sum(axis=1))
-        left = np.flatnonzero(~(spare >= -SPARE))
-        if len(left):
-            count = int(left[0]) + 1
-        states = blocks.states[:count]
-        outputs = blocks.outputs[:count].copy()
-        self._check(states, outputs)
-        q = np.concatenate([before[None, :n], states[:-1, :n]])
-        time = (self.steps + np.arange(count)) * self.loop.dt
-        self.steps += count
-        blocks.state[:] = states[-1]
-        if spare[count - 1] < 0:
-            self._hop(outputs[-1])
-        self.seconds += perf_counter() - started
-        return Steps(time, q, outputs, phase)
-
-    def _hop(self, output: Array) -> None:
-        """Anchor the patch at the foot of the indenter's centre, found on the mesh."""
-        rows = self.loop.outputs
-        gap = self.loop.indenter_radius - output[rows["depth"]]
-        centre = output[rows["point"]] + gap * output[rows["normal"]]
-        hit = self.body.closest(centre[None], face=np.array([self.face]))
-        self._anchor(int(hit.face[0]), hit.uv[0])
-
-    def _check(self, states: Array, outputs: Array) -> None:
-        """Raise SimulationError with time and state if a number is not finite or a joint is out."""
-        finite = np.isfinite(states).all(axis=1) & np.isfinite(outputs).all(axis=1)
-        q = states[:, : self.loop.joints]
-        arm = self.loop.arm
-        out = (q < arm.lower) | (q > arm.upper)
-        if finite.all() and not out.any():
-            return
-        k = int(np.argmax(~finite | out.any(axis=1)))
-        at = f"t = {(self.steps + k) * self.loop.dt:.4f} s, q = {np.round(q[k], 4).tolist()} rad"
-        if not finite[k]:
-            raise SimulationError(
-                f"the closed loop diverged at {at}", value=f"dt = {self.loop.dt} s",
-                remedy="take a smaller loop.dt_ms or lower gains",
-            )  # fmt: skip
-        j = int(np.argmax(out[k]))
-        raise ReachError(
-            f"joint {arm.joint_names[j]} left its range at {at}",
-            value=f"{q[k, j]:.4f} rad",
-            limit=f"{arm.lower[j]:.4f} to {arm.upper[j]:.4f} rad",
-            remedy="move indenter.position_m or change the mount",
-        )
 
 
 def _batches(runs: Iterator[Steps], size: int) -> Iterator[Sequence[Steps]]:
