@@ -288,7 +288,7 @@ def _well_separated(found: Circles) -> Circles:
 
 
 def _farthest(found: Circles, distance: Array) -> np.ndarray:
-    """Row (n,) of the circle of each point with the largest distance (k,); 0 for a point with none."""
+    """Row (n,) of the circle of each point with the largest distance (k,); any for no circle."""
     order = np.lexsort((distance, found.owner))
     last = np.searchsorted(found.owner[order], np.arange(found.count), side="right") - 1
     return np.asarray(order[np.maximum(last, 0)])

@@ -48,7 +48,9 @@ def relative_radius(curvature: Any, indenter_radius: Any) -> Any:
         pairs = np.asarray(curvature, dtype=float)
         if not pairs.shape or pairs.shape[-1] != 2:
             raise ContactError(
-                "both principal curvatures are needed", value=f"shape {pairs.shape}", limit="(..., 2)"
+                "both principal curvatures are needed",
+                value=f"shape {pairs.shape}",
+                limit="(..., 2)",
             )
         mean = pairs.mean(axis=-1)
     return 1 / (mean + 1 / indenter_radius)
