@@ -19,7 +19,7 @@ from ..errors import CalibrationError
 from ..se3 import Array
 from . import chart, trilaterate
 from .chart import Charts
-from .likelihood import Likelihood, Normal
+from .likelihood import Likelihood
 from .measurements import Measurements
 
 if TYPE_CHECKING:

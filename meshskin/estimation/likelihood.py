@@ -1,8 +1,8 @@
 """The likelihood of all readings as a CasADi NLP: built once, solved for any charts.
 
 Each reading's cost, gradient and Hessian come from the compiled pressure factor, mapped over the
-readings; unknowns are gathered with `.nz`, derivatives scattered by constant sparse products, so that
-CasADi differentiates nothing. The charts enter as parameters: anchoring anew needs no rebuild.
+readings; unknowns are gathered with `.nz`, derivatives scattered by constant sparse products, so
+that CasADi differentiates nothing. The charts are parameters: anchoring anew needs no rebuild.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Solution:
 
 @dataclass(frozen=True)
 class Normal:
-    """The normal equations at a point, per taxel: information in 1/m^2, and the shared unknown e."""
+    """The normal equations at a point: blocks of the taxels, and the shared unknown e."""
 
     position: Array
     """(n, 2, 2), 1/m^2."""

@@ -1,15 +1,15 @@
 """The pressure factor: what one reading says about its taxel's position and about E*.
 
 Unknowns of a reading are x = (y_1, y_2, e): the taxel's coordinates in its chart in units of a
-length L, and e = ln(E*/E*_nominal), shared. With u = u_0 + M y + g (y^T K y)/2 the taxel's offset in
-the contact's tangent plane in units of the contact radius a_0 at nominal E*, and a = a_0 exp(-e/3),
-p_0 ~ exp(2e/3),
+length L, and e = ln(E*/E*_nominal), shared. With u = u_0 + M y + g (y^T K y)/2 the taxel's offset
+in the contact's tangent plane, in units of the contact radius a_0 at nominal E*, and with
+a = a_0 exp(-e/3), p_0 ~ exp(2e/3),
 
     mu = p_0 exp(2e/3) disc_mean(|u| exp(e/3), s_0 exp(e/3)).
 
-A reading y above the threshold costs (mu - y)^2 / 2 in units of the noise; a silent one is censored
-(Tobit) and costs -log Phi(-(mu - threshold)). Hessians are Gauss-Newton: J^T J times the curvature of
-the cost in mu, which is positive for both.
+A reading y above the threshold costs (mu - y)^2 / 2 in units of the noise; a silent one is
+censored (Tobit) and costs -log Phi(-(mu - threshold)). Hessians are Gauss-Newton: J^T J times the
+curvature of the cost in mu, which is positive for both.
 """
 
 from __future__ import annotations
