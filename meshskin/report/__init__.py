@@ -1,0 +1,1 @@
+"""What a colleague reads after a run: figures and one self-contained HTML page."""

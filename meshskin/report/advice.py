@@ -1,0 +1,148 @@
+"""What the data determined, what they did not, and what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from .findings import Findings, has_gauge
+from .markup import Block, Table, Text
+from .plane import MM
+from .theme import number
+
+FREEDOMS = (
+    "position along the skin, taxel x",
+    "position along the skin, taxel y",
+    "position along the normal",
+    "tilt about taxel x",
+    "tilt about taxel y",
+    "heading: rotation about the normal",
+)
+FEW_READINGS = 12
+"""Fewer readings than this leave a taxel's position weak."""
+SUSPECT_CHI2 = 3.0
+"""Residuals this many times the typical taxel's are not noise."""
+
+
+def listed(ids: Iterable[object], most: int = 20) -> str:
+    """Ids as text: 3, 17, 41 and 5 more."""
+    names = [str(k) for k in ids]
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
+
+
+def bound_ratio(findings: Findings) -> float | None:
+    """Mean error over the Cramér-Rao expectation; None if one of them is not known."""
+    bound = (findings.metrics.get("crlb_mm") or {}).get("mean")
+    given = findings.metrics.get("position_error_mm") or {}
+    if findings.truth is None or bound is None or not np.isfinite(bound) or bound <= 0:
+        return None
+    mean = given.get("mean", findings.error_summary(findings.calibration.method)["mean"])
+    return float(mean / bound)
+
+
+def determined(findings: Findings) -> tuple[Block, ...]:
+    """Degrees of freedom, factors, anchor, and the taxels that are not there."""
+    c = findings.calibration
+    observed = np.asarray(c.observed, dtype=bool)
+    touched = int(findings.touched.sum())
+    counts = observed[findings.touched].sum(axis=0) if touched else np.zeros(6, dtype=int)
+    rows = tuple(
+        (name, f"{int(n)} of {touched}", _comment(k, int(n), touched))
+        for k, (name, n) in enumerate(zip(FREEDOMS, counts, strict=True))
+    )
+    lines = [
+        f"Factors used: {', '.join(c.factors) or 'none named'}.",
+        f"Anchor (what fixes the whole's pose): {c.anchor or 'none named'}.",
+    ]
+    if has_gauge(c):
+        lines.append(
+            "This method leaves the pose of the whole free: errors are given after the best "
+            "rigid alignment with the truth."
+        )
+    missing = np.asarray(c.ids)[~findings.touched]
+    if len(missing):
+        lines.append(
+            f"{len(missing)} of {findings.count} taxels were never touched and have no estimate: "
+            f"{listed(missing)}."
+        )
+    else:
+        lines.append("Every taxel was touched.")
+    header = ("degree of freedom", "touched taxels", "")
+    return (Table(header, rows, numeric=(1,)), Text(tuple(lines)))
+
+
+def _comment(freedom: int, count: int, touched: int) -> str:
+    if count == touched:
+        return "determined"
+    if freedom == 5 and count == 0:
+        return (
+            "not determined: a round taxel reads the same however it is turned about its normal; "
+            "the frame's heading is a convention"
+        )
+    if count == 0:
+        return "not determined by these data; no number is given"
+    return f"not determined for {touched - count} taxels"
+
+
+def next_steps(findings: Findings) -> Sequence[str]:
+    """Advice that follows from the numbers, most urgent first."""
+    c = findings.calibration
+    ids, readings = np.asarray(c.ids), np.asarray(c.readings)
+    steps = []
+    if not findings.touched.all():
+        steps.append(
+            f"Extend the contact path to taxels {listed(ids[~findings.touched])}, "
+            "or mark them as defective."
+        )
+    weak = findings.touched & ~np.asarray(c.observed, dtype=bool)[:, :2].all(axis=1)
+    if weak.any():
+        steps.append(
+            f"Pass taxels {listed(ids[weak])} on both sides: they were touched, but along a line, "
+            "and their place along the skin is not determined."
+        )
+    few = findings.touched & ~weak & (readings < FEW_READINGS)
+    if few.any():
+        steps.append(
+            f"Press taxels {listed(ids[few])} more often: fewer than {FEW_READINGS} readings each."
+        )
+    bad = suspects(findings)
+    if bad.any():
+        steps.append(
+            f"Check taxels {listed(ids[bad])}: their residuals are far above the others' "
+            "(a wrong gain, a neighbour's wiring, or an estimate caught in a wrong place)."
+        )
+    ratio = bound_ratio(findings)
+    if ratio is not None and ratio > 1.5:
+        steps.append(
+            f"The error is {number(ratio)} times the Cramér-Rao expectation: look for what the "
+            "model leaves out (contact model, indenter offset, gains) before recording more."
+        )
+    s = findings.sigma[np.isfinite(findings.sigma)] * MM
+    if len(s):
+        steps.append(
+            f"To halve the uncertainty of {number(float(np.median(s)))} mm, record four times as "
+            "many readings, or halve the sensor noise."
+        )
+    if not np.asarray(c.observed, dtype=bool)[:, 5].any():
+        steps.append(
+            "If the headings matter, take them from the known layout of the skin's modules: "
+            "no contact with a round taxel shows them."
+        )
+    if findings.truth is None:
+        steps.append(
+            "To see what error to expect, simulate this body, path and noise, and compare that "
+            "report's errors with the uncertainty stated here."
+        )
+    return tuple(steps)
+
+
+def suspects(findings: Findings) -> np.ndarray:
+    """Taxels (n,) whose chi-square lies far above the others'."""
+    chi2 = np.asarray(findings.calibration.chi2, dtype=float)
+    good = np.isfinite(chi2) & findings.touched
+    if not good.any():
+        return np.zeros(findings.count, dtype=bool)
+    typical = max(float(np.median(chi2[good])), 1.0)
+    return np.asarray(good & (np.where(good, chi2, 0.0) > SUSPECT_CHI2 * typical))

@@ -1,0 +1,259 @@
+"""Figures over time, of error distributions, and over seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from textwrap import fill
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..motion.response import BAND
+from ..se3 import Array
+from . import theme
+from .plane import MM
+from .theme import number
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A published improvement (fraction) for initial errors from `low` to `high` (m)."""
+
+    low: float
+    high: float
+    improvement: float
+    label: str
+
+
+PAPER_CLAIMS = (
+    Claim(0.5e-3, 3e-3, 0.2, "paper: 20 %"),
+    Claim(3e-3, 6e-3, 0.5, "paper: up to 50 %"),
+)
+"""Cannata, Denei, Mastrogiovanni, ICRA 2010, section V."""
+
+
+def settling_time(time: ArrayLike, force: ArrayLike, reference: float, touch: float) -> float:
+    """Seconds (s) from `touch` until the force stays within 2 % of `reference` for 0.2 s.
+
+    NaN if it never does.
+    """
+    t, f = np.asarray(time, dtype=float), np.asarray(force, dtype=float)
+    after = t >= touch
+    t, outside = t[after], np.abs(f[after] - reference) > BAND * abs(reference)
+    if not len(t):
+        return float("nan")
+    breaks = np.concatenate([[touch], t[outside], [t[-1]]])
+    quiet = np.flatnonzero(np.diff(breaks) >= min(0.2, t[-1] - touch))
+    return float(breaks[quiet[0]] - touch) if len(quiet) else float("nan")
+
+
+def envelope(time: Array, values: Array, bins: int = 700) -> tuple[Array, Array]:
+    """Least and greatest values of each of `bins` spans of time: what a plot that wide can show."""
+    if len(time) <= 2 * bins:
+        return time, values
+    edges = np.linspace(0, len(time), bins + 1).astype(int)[:-1]
+    low, high = np.minimum.reduceat(values, edges), np.maximum.reduceat(values, edges)
+    return np.repeat(time[edges], 2), np.stack([low, high], axis=1).ravel()
+
+
+@theme.styled
+def force(
+    time: ArrayLike,
+    force: ArrayLike,
+    reference: float | ArrayLike | None = None,
+    touch: float | None = None,
+    settling: float | None = None,
+) -> Figure:
+    """Fig. 4: contact force against its reference: whole run, touch and settling, force held.
+
+    time (m,), s; force (m,), N; reference: one value or (m,), N; touch: time of first contact, s;
+    settling: from touch, s (both found from the force where not given).
+    """
+    t, f = np.asarray(time, dtype=float), np.asarray(force, dtype=float)
+    ref = None if reference is None else np.broadcast_to(np.asarray(reference, float), t.shape)
+    goal = float(ref[-1]) if ref is not None and len(ref) else float("nan")
+    if touch is None:
+        touch = float(t[np.argmax(f > 0)]) if len(t) and np.any(f > 0) else 0.0
+    if settling is None:
+        settling = settling_time(t, f, goal, touch)
+    window = max(4 * settling, 0.05) if np.isfinite(settling) else 0.5
+    near = (t >= touch - 0.15 * window) & (t <= touch + window)
+    held = t >= touch + (window if np.isfinite(settling) else 0.0)
+    figure = theme.canvas(9.0, 3.2)
+    whole, zoom, close = (theme.place(figure, x, 0.55, 2.4, 2.1) for x in (0.6, 3.5, 6.45))
+    every = np.ones(len(t), dtype=bool)
+    for axes, x, chosen in ((whole, t, every), (zoom, (t - touch) * MM, near), (close, t, held)):
+        axes.plot(*envelope(x[chosen], f[chosen]), color=theme.ESTIMATE, lw=1.0)
+        if ref is not None and np.any(chosen):
+            axes.plot(*envelope(x[chosen], ref[chosen]), color=theme.WARNING, lw=0.9, ls="--")
+    for axes in (whole, zoom):
+        axes.axhspan(goal * (1 - BAND), goal * (1 + BAND), color=theme.FAINT, lw=0)
+        axes.set_ylim(0, 1.12 * max(np.max(f, initial=1e-9), np.nan_to_num(goal)))
+    whole.set(xlabel="time (s)", ylabel="normal force (N)", title="Whole run")
+    zoom.set(xlabel="time after touch (ms)", title="Touch and settling")
+    zoom.set_xlim(-0.15 * window * MM, window * MM)
+    _mark_settling(zoom, settling)
+    _hold(close, f[held], goal)
+    _force_legend(figure, with_reference=np.isfinite(goal))
+    return figure
+
+
+def _mark_settling(axes: Axes, settling: float) -> None:
+    if not np.isfinite(settling):
+        return
+    axes.axvline(settling * MM, color=theme.MUTED, lw=0.8, ls=":")
+    axes.annotate(
+        f"within {100 * BAND:g} %\nafter {number(settling * MM)} ms",
+        (settling * MM, 0.1),
+        (4, 0),
+        xycoords=("data", "axes fraction"),
+        textcoords="offset points",
+    )
+
+
+def _hold(axes: Axes, force: Array, goal: float) -> None:
+    """Limits and title of the panel that shows the held force alone."""
+    axes.set(xlabel="time (s)", title="Force held")
+    axes.ticklabel_format(axis="y", useOffset=False)
+    if np.isfinite(goal):
+        off = float(np.max(np.abs(force - goal), initial=0.0))
+        half = 1.3 * off or BAND * goal
+        axes.set_ylim(goal - half, goal + half)
+        axes.set_title(f"Force held, within {number(off, 2)} N")
+
+
+def _force_legend(figure: Figure, with_reference: bool) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list[object] = [Line2D([], [], color=theme.ESTIMATE, label="contact force")]
+    if with_reference:
+        handles.append(Line2D([], [], color=theme.WARNING, ls="--", label="reference"))
+        handles.append(Patch(color=theme.FAINT, label=f"± {100 * BAND:g} %"))
+    where = (0.5 / figure.get_size_inches()[0], 1.0)
+    figure.legend(handles=handles, loc="upper left", bbox_to_anchor=where, ncols=len(handles))
+
+
+@theme.styled
+def errors(distances: Mapping[str, ArrayLike], bound: float | None = None) -> Figure:
+    """Histograms of position errors, one row a method, on one logarithmic axis.
+
+    distances: method -> errors (n,), m, NaN where a method gives no estimate; bound: the mean
+    error that the Cramér-Rao bound lets one expect, m.
+    """
+    rows = {k: np.asarray(v, dtype=float).ravel() * MM for k, v in distances.items()}
+    rows = {k: v[np.isfinite(v)] for k, v in rows.items()}
+    low, high = _decades(np.concatenate([*rows.values(), [] if bound is None else [bound * MM]]))
+    bins = np.geomspace(low, high, 8 * max(round(np.log10(high / low)), 1) + 1)
+    figure = theme.canvas(9.0, 0.85 + 1.1 * max(len(rows), 1))
+    top = 0.0
+    for k, (name, values) in enumerate(rows.items()):
+        axes = theme.place(figure, 2.6, 0.55 + 1.1 * (len(rows) - 1 - k), 6.2, 0.95)
+        colour = theme.METHODS[k % len(theme.METHODS)]
+        counts, _, _ = axes.hist(np.clip(values, low, high), bins.tolist(), color=colour)
+        top = max(top, float(np.max(counts, initial=0)))
+        _decade_axis(axes, low, high, minor=k == len(rows) - 1)
+        mean = values.mean() if len(values) else float("nan")
+        axes.text(
+            -0.09,
+            0.5,
+            f"{fill(name, 26)}\nmean {number(mean)} mm",
+            transform=axes.transAxes,
+            ha="right",
+            va="center",
+            linespacing=1.5,
+        )
+        if bound is not None and np.isfinite(bound):
+            axes.axvline(bound * MM, color=theme.INK, lw=1.0, ls="--")
+        axes.tick_params(labelbottom=k == len(rows) - 1)
+        if k == len(rows) // 2:
+            axes.set_ylabel("taxels")
+        if k == len(rows) - 1:
+            axes.set_xlabel("position error (mm)")
+    for axes in figure.axes:
+        axes.set_ylim(0, 1.1 * top or 1.0)
+    if bound is not None and np.isfinite(bound) and figure.axes:
+        right = np.log10(bound * MM / low) > 0.6 * np.log10(high / low)
+        figure.axes[0].annotate(
+            f"Cramér-Rao expectation {number(bound * MM)} mm",
+            (bound * MM, 1.0),
+            (-4 if right else 4, 3),
+            xycoords=("data", "axes fraction"),
+            textcoords="offset points",
+            ha="right" if right else "left",
+        )
+    return figure
+
+
+def _decade_axis(axes: Axes, low: float, high: float, minor: bool) -> None:
+    """A logarithmic axis whose decades are written as plain numbers."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
+
+    axes.set_xscale("log")
+    axes.set_xlim(low, high)
+    axes.xaxis.set_major_locator(LogLocator(numticks=9))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: number(value)))
+    axes.xaxis.set_minor_locator(LogLocator(subs=range(2, 10)) if minor else NullLocator())
+    axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def _decades(values: Array) -> tuple[float, float]:
+    """Powers of ten around the positive values, at most eight decades below the largest."""
+    x = values[np.isfinite(values) & (values > 0)]
+    if not len(x):
+        return 1e-3, 1.0
+    high = 10.0 ** np.ceil(np.log10(x.max()) + 1e-9)
+    low = 10.0 ** np.floor(np.log10(max(x.min(), high * 1e-8)))
+    return float(low), float(max(high, 10 * low))
+
+
+@theme.styled
+def initial_error(
+    initial: ArrayLike, final: ArrayLike, claims: Sequence[Claim] = PAPER_CLAIMS
+) -> Figure:
+    """Fig. 9: initial mean error against maximum-likelihood mean error over seeds.
+
+    initial (k,): mean error of the start, m; final (k, seeds): mean error reached, m, NaN where a
+    run failed; claims: published improvements, drawn beside.
+    """
+    x = np.asarray(initial, dtype=float) * MM
+    y = np.asarray(final, dtype=float).reshape(len(x), -1) * MM
+    low, middle, high = np.nanpercentile(y, [10, 50, 90], axis=1)
+    order = np.argsort(x)
+    figure = theme.canvas(6.2, 4.4)
+    axes = theme.place(figure, 0.65, 0.6, 5.3, 3.45)
+    limit = 1.04 * float(x.max())
+    axes.plot([0, limit], [0, limit], color=theme.MUTED, lw=0.9, ls=":", label="no improvement")
+    for claim, style in zip(claims, ("-", "--", "-.") * len(claims), strict=False):
+        span = np.array([claim.low, claim.high]) * MM
+        axes.plot(
+            span,
+            (1 - claim.improvement) * span,
+            color=theme.WARNING,
+            lw=1.8,
+            ls=style,
+            label=claim.label,
+        )
+    axes.fill_between(
+        x[order],
+        low[order],
+        high[order],
+        color=theme.ESTIMATE,
+        alpha=0.2,
+        lw=0,
+        label=f"10–90 % of {y.shape[1]} seeds",
+    )
+    axes.plot(x[order], middle[order], "o-", color=theme.ESTIMATE, ms=4, lw=1.4, label="median")
+    axes.set(xlim=(0, limit), ylim=(0, 1.04 * max(limit, float(np.nanmax(high)))))
+    axes.set(
+        xlabel="mean error of the start (mm)",
+        ylabel="mean error of the maximum-likelihood estimate (mm)",
+    )
+    axes.legend(loc="upper left")
+    return figure

@@ -1,0 +1,286 @@
+"""Maps of the skin on its tangent plane: estimates, iterations, coverage, uncertainty."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..se3 import Array
+from . import theme
+from .plane import MM, Plane, exaggeration, spacing, tangent_plane
+from .theme import number
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MANY = 2000
+"""Beyond this many marks, a figure's dots are rasterised so that its SVG stays small."""
+
+
+def _map_axes(figure: Figure, xy: Array, left: float, bottom: float, size: float) -> Axes:
+    """Square axes of one scale around points (n, 2), mm."""
+    axes = theme.place(figure, left, bottom, size, size)
+    p = xy[np.isfinite(xy).all(axis=1)]
+    centre = (p.min(axis=0) + p.max(axis=0)) / 2 if len(p) else np.zeros(2)
+    half = 0.55 * float(np.max(np.ptp(p, axis=0), initial=0.0)) if len(p) else 0.0
+    half = half or 1.0
+    axes.set(xlim=centre[0] + np.array([-half, half]), ylim=centre[1] + np.array([-half, half]))
+    axes.set_aspect("equal", adjustable="box")
+    axes.set_xlabel("along the skin, first axis (mm)")
+    axes.set_ylabel("second axis (mm)")
+    return axes
+
+
+def _discs(axes: Axes, xy: Array, diameter: float, **style: Any) -> Any:
+    """Circles of one diameter (mm) at points (n, 2), mm."""
+    from matplotlib.collections import EllipseCollection
+
+    size = np.full(len(xy), diameter)
+    discs = EllipseCollection(
+        size,
+        size,
+        np.zeros(len(xy)),
+        units="xy",
+        offsets=xy,
+        offset_transform=axes.transData,
+        rasterized=len(xy) > MANY,
+        **style,
+    )
+    axes.add_collection(discs, autolim=False)
+    return discs
+
+
+def _segments(axes: Axes, start: Array, end: Array, **style: Any) -> None:
+    from matplotlib.collections import LineCollection
+
+    lines = LineCollection(
+        list(np.stack([start, end], axis=1)),
+        rasterized=len(start) > MANY,
+        capstyle="round",
+        **style,
+    )
+    axes.add_collection(lines, autolim=False)
+
+
+def _legend(axes: Axes, handles: list[Any]) -> None:
+    axes.legend(
+        handles=handles,
+        loc="lower left",
+        bbox_to_anchor=(-0.02, 1.0),
+        ncols=len(handles),
+        borderaxespad=0.3,
+        handletextpad=0.5,
+        columnspacing=1.4,
+        handlelength=1.4,
+    )
+
+
+def _dot(label: str, **style: Any) -> Any:
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], ls="", marker="o", label=label, **style)
+
+
+def _line(label: str, **style: Any) -> Any:
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], label=label, **style)
+
+
+@theme.styled
+def estimates(
+    truth: ArrayLike,
+    estimate: ArrayLike,
+    *,
+    disc_radius: float = 2e-3,
+    plane: Plane | None = None,
+) -> Figure:
+    """Fig. 5: true discs and estimated centres on the tangent plane, errors drawn enlarged.
+
+    truth, estimate (n, 3), m; NaN where a taxel has no estimate: its disc is crossed out.
+    """
+    t, e = np.asarray(truth, dtype=float), np.asarray(estimate, dtype=float)
+    plane = plane or tangent_plane(t)
+    a, b = plane.project(t), plane.project(e)
+    seen = np.isfinite(b).all(axis=1)
+    lengths = np.linalg.norm(b - a, axis=1)
+    factor = exaggeration(lengths[seen], 0.4 * spacing(t) * MM)
+    figure = theme.canvas(6.0, 6.1)
+    axes = _map_axes(figure, a, 0.65, 0.6, 5.0)
+    _discs(axes, a, 2 * disc_radius * MM, facecolors="none", edgecolors=theme.TRUTH, linewidths=0.8)
+    _segments(axes, a[seen], a[seen] + factor * (b - a)[seen], color=theme.WARNING, lw=1.3)
+    axes.plot(*b[seen].T, "o", ms=2.6, color=theme.ESTIMATE, rasterized=len(b) > MANY)
+    axes.plot(*a[~seen].T, "x", ms=7, color=theme.WARNING)
+    axes.set_xlabel("along the skin, first axis (mm)")
+    handles = [
+        _dot("true disc", mfc="none", mec=theme.TRUTH, ms=8),
+        _dot("estimate", color=theme.ESTIMATE, ms=3),
+        _line(f"error × {number(factor)}", color=theme.WARNING),
+    ]
+    if not seen.all():
+        handles.append(_line("no estimate", ls="", marker="x", color=theme.WARNING))
+    _legend(axes, handles)
+    return figure
+
+
+def _iteration_limits(truth: Array, estimates: Array) -> Array:
+    """Points (n, 2) that one view should hold: the truth, and estimates up to 3/4 span off."""
+    low, high = truth.min(axis=0), truth.max(axis=0)
+    span = max(float(np.max(high - low)), 1e-9)
+    return np.concatenate([truth, np.clip(estimates, low - 0.75 * span, high + 0.75 * span)])
+
+
+def _iteration_panel(axes: Axes, truth: Array, estimate: Array, title: str) -> None:
+    good = np.isfinite(estimate).all(axis=1) & np.isfinite(truth).all(axis=1)
+    a, b = truth[good], estimate[good]
+    _segments(axes, a, b, color=theme.FAINT, lw=0.7)
+    axes.plot(*a.T, "o", ms=4.5, mfc="none", mec=theme.TRUTH, mew=0.8)
+    axes.plot(*b.T, "o", ms=2.6, color=theme.ESTIMATE)
+    axes.set_title(title)
+
+
+def pick_iterations(count: int) -> tuple[int, int, int]:
+    """The first, the middle and the last of `count` iterates."""
+    return 0, (count - 1) // 2, count - 1
+
+
+@theme.styled
+def iterations(
+    truth: ArrayLike,
+    iterates: ArrayLike,
+    *,
+    plane: Plane | None = None,
+    only: int | None = None,
+    reference: str = "true taxel",
+) -> Figure:
+    """Fig. 6-8: pose-graph estimates at the first, middle and last iteration, over the truth.
+
+    truth (n, 3), m; iterates (k, n, 3), m. `only` (0, 1 or 2) draws one of the three panels;
+    `reference` names in the legend what `truth` holds.
+    """
+    t = np.asarray(truth, dtype=float)
+    all_iterates = np.asarray(iterates, dtype=float)
+    plane = plane or tangent_plane(t)
+    chosen = pick_iterations(len(all_iterates))
+    flat = [plane.project(all_iterates[k]) for k in chosen]
+    a = plane.project(t)
+    together = np.concatenate(flat)
+    view = _iteration_limits(
+        a[np.isfinite(a).all(axis=1)], together[np.isfinite(together).all(axis=1)]
+    )
+    panels = (0, 1, 2) if only is None else (only,)
+    size = 2.75 if only is None else 3.9
+    figure = theme.canvas(0.75 + (size + 0.25) * len(panels), size + 1.25)
+    for column, k in enumerate(panels):
+        axes = _map_axes(figure, view, 0.65 + (size + 0.25) * column, 0.55, size)
+        error = np.linalg.norm(all_iterates[chosen[k]] - t, axis=1)
+        mean = float(np.nanmean(error)) * MM if np.isfinite(error).any() else float("nan")
+        _iteration_panel(axes, a, flat[k], f"Iteration {chosen[k]}: mean {number(mean)} mm off")
+        axes.set_xlabel("first axis (mm)")
+        if column:
+            axes.set_ylabel("")
+            axes.tick_params(labelleft=False)
+    figure.legend(
+        handles=[
+            _dot(reference, mfc="none", mec=theme.TRUTH, ms=5),
+            _dot("estimate", color=theme.ESTIMATE, ms=3.5),
+            _line("from each to its estimate", color=theme.FAINT),
+        ],
+        loc="upper left",
+        bbox_to_anchor=(0.6 / figure.get_size_inches()[0], 1.0),
+        ncols=3,
+        borderaxespad=0.5,
+    )
+    return figure
+
+
+@theme.styled
+def coverage(
+    positions: ArrayLike,
+    readings: ArrayLike,
+    path: ArrayLike | None = None,
+    *,
+    disc_radius: float = 2e-3,
+    plane: Plane | None = None,
+) -> Figure:
+    """How many readings each taxel gave, over the path of the contact; untouched ones crossed.
+
+    positions (n, 3), m: the truth, or the estimates where there is none (NaN: cannot be drawn);
+    readings (n,): counts; path (m, 3): contact points, m.
+    """
+    p, counts = np.asarray(positions, dtype=float), np.asarray(readings, dtype=float)
+    plane = plane or tangent_plane(p)
+    xy = plane.project(p)
+    touched = (counts > 0) & np.isfinite(xy).all(axis=1)
+    figure = theme.canvas(6.6, 6.1)
+    axes = _map_axes(figure, xy, 0.65, 0.6, 5.0)
+    handles = []
+    route = np.zeros((0, 3)) if path is None else np.asarray(path, dtype=float)
+    if len(route):
+        step = max(len(route) // 4000, 1)
+        axes.plot(*plane.project(route[::step]).T, color=theme.MUTED, lw=0.5, alpha=0.7, zorder=3)
+        handles.append(_line("path of the contact", color=theme.MUTED, lw=0.8))
+    discs = _discs(axes, xy[touched], 2 * disc_radius * MM, cmap=theme.SEQUENTIAL, linewidths=0)
+    discs.set_array(counts[touched])
+    discs.set_clim(0, float(np.max(counts, initial=1.0)))
+    theme.colour_bar(figure, discs, axes, "readings of the taxel")
+    missed = ~touched & np.isfinite(xy).all(axis=1)
+    if missed.any():
+        radius = 2 * disc_radius * MM
+        _discs(axes, xy[missed], radius, facecolors="white", edgecolors=theme.WARNING)
+        axes.plot(*xy[missed].T, "x", ms=6, color=theme.WARNING)
+        handles.append(_line("never touched", ls="", marker="x", color=theme.WARNING))
+    _legend(axes, handles)
+    return figure
+
+
+def ellipse_axes(covariances: ArrayLike) -> tuple[Array, Array]:
+    """1-sigma semi-axes (n, 2), larger first, and heading (n,) in degrees of (n, 2, 2)."""
+    c = np.asarray(covariances, dtype=float)
+    good = np.isfinite(c).all(axis=(1, 2))
+    values, vectors = np.linalg.eigh(np.where(good[:, None, None], c, 0.0))
+    sigma = np.sqrt(np.maximum(values[:, ::-1], 0.0))
+    sigma[~good] = np.nan
+    return sigma, np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
+
+
+@theme.styled
+def uncertainty(
+    positions: ArrayLike, covariances: ArrayLike, *, plane: Plane | None = None
+) -> Figure:
+    """The stated 1-sigma ellipse of each taxel's position, enlarged and coloured by its size.
+
+    positions (n, 3), m; covariances (n, 3, 3) of the position, m^2, body frame; rows that are not
+    finite are not drawn.
+    """
+    from matplotlib.collections import EllipseCollection
+
+    p = np.asarray(positions, dtype=float)
+    plane = plane or tangent_plane(p)
+    xy = plane.project(p)
+    sigma, heading = ellipse_axes(plane.project_covariance(covariances))
+    good = np.isfinite(xy).all(axis=1) & np.isfinite(sigma).all(axis=1)
+    xy, sigma, heading = xy[good], sigma[good], heading[good]
+    factor = exaggeration(sigma[:, 0], 0.35 * spacing(p) * MM)
+    figure = theme.canvas(6.6, 6.1)
+    axes = _map_axes(figure, xy, 0.65, 0.6, 5.0)
+    ellipses = EllipseCollection(
+        2 * factor * sigma[:, 0],
+        2 * factor * sigma[:, 1],
+        heading,
+        units="xy",
+        offsets=xy,
+        offset_transform=axes.transData,
+        cmap=theme.SEQUENTIAL,
+        linewidths=0,
+        rasterized=len(xy) > MANY,
+    )
+    ellipses.set_array(sigma[:, 0])
+    ellipses.set_clim(0, float(np.max(sigma, initial=1e-12)))
+    axes.add_collection(ellipses, autolim=False)
+    theme.colour_bar(figure, ellipses, axes, "largest 1-sigma of the position (mm)")
+    _legend(axes, [_dot(f"1 sigma × {number(factor)}", color=theme.MUTED, ms=7)])
+    return figure

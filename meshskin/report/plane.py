@@ -1,0 +1,81 @@
+"""The tangent plane at the skin's centre, on which maps are drawn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..se3 import Array
+
+MM = 1e3
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A plane through `origin` (3,), m, spanned by the rows of `axes` (2, 3), body frame."""
+
+    origin: Array
+    axes: Array
+
+    def project(self, points: ArrayLike) -> Array:
+        """Coordinates (..., 2) in the plane, mm, of points (..., 3), m."""
+        return np.asarray((np.asarray(points, dtype=float) - self.origin) @ self.axes.T * MM)
+
+    def project_covariance(self, covariances: ArrayLike) -> Array:
+        """Covariances (n, 2, 2) in the plane, mm^2, of covariances (n, 3, 3), m^2, body frame.
+
+        A covariance that is not finite gives NaN.
+        """
+        c = np.asarray(covariances, dtype=float)
+        c = np.where(np.isfinite(c).all(axis=(-2, -1), keepdims=True), c, np.nan)
+        return np.asarray(self.axes @ c @ self.axes.T * MM**2)
+
+
+def tangent_plane(points: ArrayLike, normals: ArrayLike | None = None) -> Plane:
+    """The tangent plane of a skin at its centre.
+
+    points (n, 3), m; normals (n, 3), outward. Rows that are not finite are left out. Without
+    normals the plane is the points' best-fitting one. The second axis is the body's y as seen in
+    the plane (x where y is nearly the plane's normal), and one looks at the skin from outside.
+    """
+    p = np.asarray(points, dtype=float).reshape(-1, 3)
+    p = p[np.isfinite(p).all(axis=1)]
+    origin = p.mean(axis=0) if len(p) else np.zeros(3)
+    normal = np.zeros(3)
+    if normals is not None:
+        n = np.asarray(normals, dtype=float).reshape(-1, 3)
+        normal = n[np.isfinite(n).all(axis=1)].sum(axis=0)
+    if np.linalg.norm(normal) < 1e-9:
+        normal = np.linalg.svd(p - origin)[2][-1] if len(p) > 2 else np.array([0.0, 0.0, 1.0])
+    normal = normal / np.linalg.norm(normal)
+    up = np.eye(3)[1] if abs(normal[1]) < 0.9 else np.eye(3)[0]
+    up = up - (up @ normal) * normal
+    up /= np.linalg.norm(up)
+    return Plane(origin, np.stack([np.cross(up, normal), up]))
+
+
+def spacing(points: ArrayLike) -> float:
+    """Median distance (m) from each finite point (n, 3) to its nearest neighbour; 0 if alone."""
+    from scipy.spatial import cKDTree
+
+    p = np.asarray(points, dtype=float).reshape(-1, 3)
+    p = p[np.isfinite(p).all(axis=1)]
+    if len(p) < 2:
+        return 0.0
+    return float(np.median(cKDTree(p).query(p, k=2)[0][:, 1]))
+
+
+def exaggeration(lengths: ArrayLike, wanted: float) -> float:
+    """The factor out of 1, 2, 5, 10, ... that brings the median length near `wanted`.
+
+    Only enlarging: lengths that can be seen as they are keep the factor 1.
+    """
+    x = np.asarray(lengths, dtype=float).ravel()
+    x = x[np.isfinite(x) & (x > 0)]
+    if not len(x) or wanted <= 0:
+        return 1.0
+    ratio = max(wanted / float(np.median(x)), 1.0)
+    decade = 10.0 ** np.floor(np.log10(ratio))
+    return float(decade * max(s for s in (1, 2, 5) if s * decade <= ratio * (1 + 1e-9)))

@@ -1,0 +1,243 @@
+"""The 3D view: plotly's figure as plain JSON, written without plotly's (slow) Python objects.
+
+Every array is packed as base64 of single precision in mm; plotly.js unpacks it.
+"""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..se3 import Array
+from . import theme
+from .plane import MM, exaggeration, spacing, tangent_plane
+from .theme import number
+from .thin import thin
+
+FACES = 5000
+"""The most faces of the body that the page carries."""
+
+_AXES = (("x", "#d62728"), ("y", "#2ca02c"), ("z", "#1f77b4"))
+_MANY = 2000
+"""The most taxels that get a frame and an ellipsoid; larger skins show every k-th."""
+
+
+def _packed(values: ArrayLike, kind: str = "f4") -> dict[str, str]:
+    data = np.ascontiguousarray(np.asarray(values), dtype=f"<{kind}")
+    return {"dtype": kind, "bdata": base64.b64encode(data.tobytes()).decode()}
+
+
+def _xyz(points: Array) -> dict[str, Any]:
+    return {axis: _packed(points[:, k] * MM) for k, (axis, _) in enumerate(_AXES)}
+
+
+def _mesh(vertices: Array, faces: ArrayLike) -> dict[str, Any]:
+    f = np.asarray(faces)
+    return {"type": "mesh3d", **_xyz(vertices)} | {
+        k: _packed(f[:, c], "i4") for c, k in enumerate("ijk")
+    }
+
+
+def _broken(starts: Array, ends: Array) -> Array:
+    """One polyline (3 n, 3) of separate segments; NaN lifts the pen."""
+    return np.stack([starts, ends, np.full_like(starts, np.nan)], axis=1).reshape(-1, 3)
+
+
+def _markers(name: str, points: Array, texts: list[str], **marker: Any) -> dict[str, Any]:
+    return {
+        "type": "scatter3d",
+        "mode": "markers",
+        "name": name,
+        **_xyz(points),
+        "marker": marker,
+        "text": texts,
+        "hoverinfo": "text",
+    }
+
+
+def body(vertices: ArrayLike, faces: ArrayLike, focus: ArrayLike, inward: float) -> dict[str, Any]:
+    """The body, drawn `inward` (m) along its normals so that points on it stay visible."""
+    v, f = thin(vertices, faces, focus, FACES)
+    a, b, c = (v[f[:, k]] for k in range(3))
+    normals = np.zeros_like(v)
+    for k in range(3):
+        np.add.at(normals, f[:, k], np.cross(b - a, c - a))
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    return _mesh(v - inward * normals, f) | {
+        "name": f"body (drawn {number(inward * MM, 2)} mm inward)",
+        "color": "#d9dce1",
+        "lighting": {"ambient": 0.62, "diffuse": 0.5, "specular": 0.04, "roughness": 0.9},
+        "hoverinfo": "skip",
+        "showlegend": True,
+    }
+
+
+def frames(poses: Array, length: float, name: str, visible: bool = True) -> list[dict[str, Any]]:
+    """Short red, green and blue axes of poses (n, 4, 4), under one legend entry."""
+    good = poses[np.isfinite(poses).all(axis=(1, 2))]
+    good = good[:: max(len(good) // _MANY, 1)]
+    return [
+        {
+            "type": "scatter3d",
+            "mode": "lines",
+            "name": name,
+            "legendgroup": name,
+            "showlegend": k == 0,
+            "hoverinfo": "skip",
+            "visible": True if visible else "legendonly",
+            "line": {"color": colour, "width": 3},
+            **_xyz(_broken(good[:, :3, 3], good[:, :3, 3] + length * good[:, :3, k])),
+        }
+        for k, (_, colour) in enumerate(_AXES)
+    ]
+
+
+def _ball(rings: int, sectors: int) -> tuple[Array, Array]:
+    """A unit sphere of latitudes and longitudes: vertices, faces."""
+    u, w = np.meshgrid(np.linspace(0, np.pi, rings), np.arange(sectors) * 2 * np.pi / sectors)
+    v = np.stack([np.sin(u) * np.cos(w), np.sin(u) * np.sin(w), np.cos(u)], axis=-1)
+    index = np.arange(sectors * rings).reshape(sectors, rings)
+    a, b = index[:, :-1], np.roll(index, -1, axis=0)[:, :-1]
+    quads = np.stack([a, a + 1, b + 1, b], axis=-1).reshape(-1, 4)
+    return v.reshape(-1, 3), np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+
+
+def ellipsoids(positions: Array, covariances: Array, wanted: float) -> dict[str, Any] | None:
+    """1-sigma ellipsoids, enlarged until the median one's largest semi-axis is near `wanted` (m).
+
+    positions (n, 3), m; covariances (n, 3, 3), m^2, body frame; others than finite are left out.
+    """
+    good = np.isfinite(positions).all(axis=1) & np.isfinite(covariances).all(axis=(1, 2))
+    if not good.any():
+        return None
+    values, vectors = np.linalg.eigh(covariances[good])
+    sigma = np.sqrt(np.maximum(values, 0.0))
+    factor = exaggeration(sigma[:, 2], wanted)
+    every = max(int(good.sum()) // _MANY, 1)
+    ball, faces = _ball(*((7, 12) if good.sum() <= 300 else (4, 6)))
+    axes = (factor * sigma[:, None, :] * vectors)[::every]
+    points = positions[good][::every, None] + np.einsum("nij,vj->nvi", axes, ball)
+    shifted = faces[None] + len(ball) * np.arange(len(points))[:, None, None]
+    return _mesh(points.reshape(-1, 3), shifted.reshape(-1, 3)) | {
+        "name": f"1 sigma × {number(factor)}",
+        "color": theme.ESTIMATE,
+        "opacity": 0.35,
+        "flatshading": False,
+        "lighting": {"ambient": 0.9, "diffuse": 0.2, "specular": 0.0},
+        "hoverinfo": "skip",
+        "showlegend": True,
+    }
+
+
+def view(
+    *,
+    ids: ArrayLike,
+    poses: ArrayLike,
+    covariances: ArrayLike,
+    mesh: tuple[ArrayLike, ArrayLike] | None = None,
+    truth: ArrayLike | None = None,
+    path: ArrayLike | None = None,
+    heading_observed: bool = False,
+) -> dict[str, Any]:
+    """The figure {"data", "layout"} for plotly.js.
+
+    ids (n,); poses (n, 4, 4) of the estimates, NaN where there is none; covariances (n, 3, 3) of
+    the positions, m^2; mesh: vertices and faces of the body; truth (n, 4, 4): true poses; path
+    (m, 3): contact points; all in the body frame, m.
+    """
+    names, estimate = np.asarray(ids), np.asarray(poses, dtype=float)
+    cov = np.asarray(covariances, dtype=float)
+    positions = estimate[:, :3, 3]
+    true = None if truth is None else np.asarray(truth, dtype=float)
+    skin = positions if true is None else true[:, :3, 3]
+    pitch = spacing(skin) or 5e-3
+    data: list[dict[str, Any]] = []
+    if mesh is not None:
+        data.append(body(*mesh, focus=skin, inward=0.06 * pitch))
+    route = np.zeros((0, 3)) if path is None else np.asarray(path, dtype=float)
+    if len(route):
+        line = {"color": theme.MUTED, "width": 2}
+        data.append(
+            {"type": "scatter3d", "mode": "lines", "name": "path of the contact", "line": line}
+            | {"hoverinfo": "skip", **_xyz(route[:: max(len(route) // 4000, 1)])}
+        )
+    if true is not None:
+        texts = [f"true taxel {k}" for k in names]
+        style = {"symbol": "circle-open", "size": 7, "color": theme.TRUTH, "line": {"width": 2}}
+        data.append(_markers("true taxels", skin, texts, **style))
+        data += frames(true, 0.4 * pitch, "true frames", visible=False)
+    good = np.isfinite(positions).all(axis=1)
+    texts = _texts(names[good], positions[good], None if true is None else skin[good], cov[good])
+    data.append(
+        _markers("estimated taxels", positions[good], texts, size=3.2, color=theme.ESTIMATE)
+    )
+    label = "estimated frames" + ("" if heading_observed else " (heading: by convention)")
+    data += frames(estimate, 0.4 * pitch, label)
+    if (balls := ellipsoids(positions, cov, 0.3 * pitch)) is not None:
+        data.append(balls)
+    extent = skin if mesh is None else np.concatenate([skin, np.asarray(mesh[0], dtype=float)])
+    normals = estimate[:, :3, 2] if true is None else true[:, :3, 2]
+    layout = _layout(skin, normals, extent)
+    for trace in data:
+        if trace["type"] == "mesh3d":
+            trace["lightposition"] = layout["meta"]["light"]
+    return {"data": data, "layout": layout}
+
+
+def _texts(ids: Array, positions: Array, truth: Array | None, cov: Array) -> list[str]:
+    sigma = np.sqrt(np.maximum(np.trace(cov, axis1=1, axis2=2), 0.0)) * MM
+    texts = [f"taxel {k}<br>sigma {number(s)} mm" for k, s in zip(ids, sigma, strict=True)]
+    if truth is not None:
+        error = np.linalg.norm(positions - truth, axis=1) * MM
+        texts = [f"{t}<br>error {number(e)} mm" for t, e in zip(texts, error, strict=True)]
+    return texts
+
+
+def _layout(skin: Array, normals: Array, extent: Array) -> dict[str, Any]:
+    """Axes around everything, and a camera that looks at the skin from outside."""
+    extent = extent[np.isfinite(extent).all(axis=1)]
+    low, high = extent.min(axis=0), extent.max(axis=0)
+    pad = 0.03 * float(np.max(high - low))
+    low, high = low - pad, high + pad
+    size = float(np.max(high - low))
+    plane = tangent_plane(skin, normals)
+    good = skin[np.isfinite(skin).all(axis=1)]
+    radius = float(np.max(np.linalg.norm(good - plane.origin, axis=1), initial=0.05 * size))
+    outward = np.cross(*plane.axes)
+    across, up = plane.axes
+    direction = outward * 0.88 - up * 0.42 + across * 0.2
+    direction /= np.linalg.norm(direction)
+    centre = (plane.origin - (low + high) / 2) / size
+    eye = centre + direction * 3.3 * radius / size
+    axes = {
+        f"{axis}axis": {
+            "title": {"text": f"{axis} (mm)"},
+            "range": [low[k] * MM, high[k] * MM],
+            "gridcolor": "#e4e7eb",
+            "zeroline": False,
+            "showspikes": False,
+            "backgroundcolor": "#ffffff",
+            "nticks": 6,
+        }
+        for k, (axis, _) in enumerate(_AXES)
+    }
+
+    def vector(v: Array) -> dict[str, float]:
+        return dict(zip("xyz", np.round(v, 6).tolist(), strict=True))
+
+    return {
+        "scene": {
+            **axes,
+            "aspectmode": "manual",
+            "aspectratio": vector((high - low) / size),
+            "camera": {"center": vector(centre), "eye": vector(eye), "up": vector(up)},
+        },
+        "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
+        "legend": {"x": 0.01, "y": 0.99, "bgcolor": "rgba(255,255,255,0)"},
+        "font": {"family": "system-ui, sans-serif", "size": 12, "color": theme.INK},
+        "paper_bgcolor": "#ffffff",
+        "meta": {"light": vector((plane.origin + 8 * size * (direction + 0.5 * up)) * MM)},
+    }

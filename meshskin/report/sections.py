@@ -1,0 +1,236 @@
+"""What the page says: verdict, big numbers, sections."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from . import advice, scene3d
+from .findings import Findings, readable
+from .markup import Block, Content, Number, Picture, Section, Table, Text, View
+from .plane import MM
+from .theme import number
+
+if TYPE_CHECKING:
+    from ..geometry.body import Body
+
+ROWS = 1000
+"""The most taxels that the page lists one by one."""
+
+
+def content(findings: Findings, pictures: Sequence[Picture], body: Body | None) -> Content:
+    """The whole page."""
+    provenance = findings.provenance
+    scene = provenance.get("scene") or _metadata(findings).get("scene")
+    created = provenance.get("created", "")
+    kind = "simulation, compared with its truth" if findings.truth is not None else "recording"
+    return Content(
+        title=f"Skin calibration: {scene}" if isinstance(scene, str) else "Skin calibration",
+        subtitle=" · ".join(
+            part for part in (kind, readable(findings.calibration.method), str(created)) if part
+        ),
+        verdict=verdict(findings),
+        numbers=numbers(findings),
+        sections=(
+            Section("What was determined, and what was not", advice.determined(findings)),
+            Section("What to do next", (Text(("", *advice.next_steps(findings)), listed=True),)),
+            Section("The skin in space", (_view(findings, body),)),
+            Section("Figures", tuple(pictures)),
+            Section("Numbers", _numbers(findings)),
+            Section("Time", (_seconds(findings.seconds),)),
+            Section("Taxels", (_taxels(findings),)),
+            Section("Provenance", _provenance(findings)),
+        ),
+    )
+
+
+def _metadata(findings: Findings) -> Mapping[str, Any]:
+    return {} if findings.recording is None else findings.recording.metadata
+
+
+def main_errors(findings: Findings) -> dict[str, float] | None:
+    """Mean, rms and max error (mm) of the calibration: from the metrics, or else computed."""
+    if findings.truth is None:
+        return None
+    given = findings.metrics.get("position_error_mm")
+    return dict(given) if given else findings.error_summary(findings.calibration.method)
+
+
+def verdict(findings: Findings) -> str:
+    """One sentence that says how it went."""
+    touched = int(findings.touched.sum())
+    found = f"All {touched}" if touched == findings.count else f"{touched} of {findings.count}"
+    errors = main_errors(findings)
+    if errors is None:
+        typical = np.nanmedian(findings.sigma) * MM if np.isfinite(findings.sigma).any() else np.nan
+        return (
+            f"{found} taxels were touched and located; the stated uncertainty is "
+            f"{number(typical)} mm (median 1 sigma). There is no truth to compare with."
+        )
+    mean = number(errors["mean"])
+    text = f"{found} taxels were touched and located with a mean error of {mean} mm"
+    ratio = advice.bound_ratio(findings)
+    if ratio is not None:
+        text += f", {number(ratio)} times what the Cramér-Rao bound lets one expect"
+    return text + "."
+
+
+def numbers(findings: Findings) -> tuple[Number, ...]:
+    """The tiles: what a person reads in ten seconds."""
+    c = findings.calibration
+    touched = int(findings.touched.sum())
+    readings = int(np.sum(c.readings))
+    tiles = [
+        Number(
+            "Taxels touched",
+            f"{touched}",
+            f"of {findings.count}",
+            f"{number(readings, 1)} readings",
+        )
+    ]
+    errors = main_errors(findings)
+    if errors is not None:
+        note = f"rms {number(errors['rms'])}, max {number(errors['max'])} mm"
+        tiles.append(Number("Mean position error", number(errors["mean"]), "mm", note))
+        bound = findings.metrics.get("crlb_mm", {}).get("mean")
+        if bound is not None:
+            note = "mean error that the readings allow"
+            tiles.append(Number("Cramér-Rao expectation", number(bound), "mm", note))
+    s = findings.sigma[np.isfinite(findings.sigma)] * MM
+    if len(s):
+        note = f"1 sigma of a position, median; largest {number(s.max())} mm"
+        tiles.append(Number("Stated uncertainty", number(float(np.median(s))), "mm", note))
+    tiles += _force(findings)
+    if findings.seconds:
+        slowest = max(findings.seconds, key=lambda k: findings.seconds[k])
+        note = f"most of it: {slowest}"
+        tiles.append(Number("Time", number(sum(findings.seconds.values())), "s", note))
+    return tuple(tiles)
+
+
+def _force(findings: Findings) -> list[Number]:
+    force = findings.metrics.get("force") or {}
+    if not force and findings.recording is not None and len(findings.recording.force):
+        f = findings.recording.force
+        return [Number("Contact force", number(float(f.mean())), "N", f"± {number(f.std(), 2)} N")]
+    if not force:
+        return []
+    notes = [f"reference {number(force['reference_n'])} N"] if "reference_n" in force else []
+    if force.get("settling_s") is not None:
+        notes.append(f"settled in {number(force['settling_s'] * 1e3)} ms")
+    if force.get("overshoot") is not None:
+        notes.append(f"overshoot {number(100 * force['overshoot'], 2)} %")
+    return [Number("Mean contact force", number(force.get("mean_n"), 4), "N", ", ".join(notes))]
+
+
+def _view(findings: Findings, body: Body | None) -> View:
+    c = findings.calibration
+    figure = scene3d.view(
+        ids=c.ids,
+        poses=c.poses,
+        covariances=findings.covariances,
+        mesh=None if body is None else (body.mesh.vertices, body.mesh.faces),
+        truth=findings.truth,
+        path=None if findings.recording is None else findings.recording.points,
+        heading_observed=bool(np.any(np.asarray(c.observed)[:, 5])),
+    )
+    caption = (
+        "Drag to turn, scroll to come nearer, click a legend entry to hide or show it; point at a "
+        "taxel for its numbers. Frames: x red, y green, z (outward) blue. Ellipsoids are the "
+        "stated 1 sigma, enlarged as the legend says."
+    )
+    if body is not None and len(body.mesh.faces) > scene3d.FACES:
+        caption += " Away from the skin the body is drawn more coarsely than it was computed."
+    return View(figure, caption)
+
+
+def _numbers(findings: Findings) -> tuple[Block, ...]:
+    blocks: list[Block] = []
+    if findings.errors:
+        rows = []
+        for k, method in enumerate(findings.errors):
+            summary = findings.error_summary(method)
+            given = findings.metrics.get("position_error_mm" if k == 0 else method) or {}
+            summary |= {name: given[name] for name in summary if name in given}
+            rows.append((readable(method), *(number(summary[s]) for s in ("mean", "rms", "max"))))
+        header = ("position error of", "mean (mm)", "rms (mm)", "max (mm)")
+        blocks.append(Table(header, tuple(rows), numeric=(1, 2, 3)))
+    c = findings.calibration
+    if c.modulus is not None:
+        sigma = "" if c.modulus_sigma is None else f" ± {number(c.modulus_sigma / 1e3)} (1 sigma)"
+        value = f"{number(c.modulus / 1e3, 6)}{sigma} kPa"
+        blocks.append(Text((f"Effective modulus E*, estimated with the taxels: {value}.",)))
+    shown = {"position_error_mm", "seconds", *list(findings.errors)}
+    rest = flatten({k: v for k, v in findings.metrics.items() if k not in shown})
+    if rest:
+        blocks.append(Table(("metric", "value"), tuple(rest), numeric=(1,)))
+    return tuple(blocks) or (Text(("No metrics were given.",)),)
+
+
+def flatten(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    """Nested mappings as rows of dotted names and values."""
+    rows: list[tuple[str, str]] = []
+    for key, value in values.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            rows += flatten(value, f"{name}.")
+        elif isinstance(value, bool) or not isinstance(value, int | float | np.number):
+            rows.append((name, _plain(value)))
+        elif isinstance(value, int | np.integer):
+            rows.append((name, str(value)))
+        else:
+            rows.append((name, number(float(value), 4)))
+    return rows
+
+
+def _plain(value: object) -> str:
+    if isinstance(value, list | tuple):
+        return ", ".join(_plain(v) for v in value)
+    if isinstance(value, float):
+        return number(value, 4)
+    return "–" if value is None else str(value)
+
+
+def _seconds(seconds: Mapping[str, float]) -> Block:
+    if not seconds:
+        return Text(("No times were kept.",))
+    total = sum(seconds.values())
+    rows = [
+        (stage, f"{s:.3f}", f"{100 * s / total:.0f} %" if total else "")
+        for stage, s in seconds.items()
+    ]
+    rows.append(("all", f"{total:.3f}", ""))
+    return Table(("stage", "seconds", "share"), tuple(rows), numeric=(1, 2))
+
+
+def _taxels(findings: Findings) -> Block:
+    c, error = findings.calibration, findings.errors.get(findings.calibration.method)
+    header = ["taxel", "readings", "x (mm)", "y (mm)", "z (mm)", "1 sigma (mm)", "chi²"]
+    if error is not None:
+        header.append("error (mm)")
+    rows = []
+    for k in range(min(findings.count, ROWS)):
+        place = (f"{v * MM:.4f}" if np.isfinite(v) else "–" for v in c.positions[k])
+        row = [str(c.ids[k]), str(c.readings[k]), *place, number(findings.sigma[k] * MM)]
+        row.append(number(float(c.chi2[k])))
+        if error is not None:
+            row.append(number(error[k] * MM))
+        rows.append(tuple(row))
+    shown = "" if findings.count <= ROWS else f" (the first {ROWS} of {findings.count})"
+    return Table(
+        tuple(header),
+        tuple(rows),
+        numeric=tuple(range(len(header))),
+        folded=f"Every taxel in numbers{shown}",
+    )
+
+
+def _provenance(findings: Findings) -> tuple[Block, ...]:
+    rows = flatten(findings.provenance)
+    keep = ("seed", "disc_radius_m", "threshold_pa")
+    rows += [(f"recording.{k}", _plain(v)) for k, v in _metadata(findings).items() if k in keep]
+    if not rows:
+        return (Text(("No provenance was given.",)),)
+    return (Table(("input", "value"), tuple(rows)),)

@@ -1,0 +1,18 @@
+(function () {
+  const place = document.getElementById("view");
+  const figure = JSON.parse(document.getElementById("view-data").textContent);
+  const options = { responsive: true, displaylogo: false, scrollZoom: true,
+    // Only buttons that work on the page itself.
+    modeBarButtons: [["toImage", "zoom3d", "pan3d", "orbitRotation", "resetCameraDefault3d"]] };
+  Plotly.newPlot(place, figure.data, figure.layout, options)
+    .then(function () {
+      // Browsers print an empty canvas: keep a picture for paper.
+      return Plotly.toImage(place, { format: "png", width: 1000, height: 620 });
+    })
+    .then(function (picture) {
+      document.getElementById("view-print").src = picture;
+    })
+    .catch(function (error) {
+      place.textContent = "The 3D view needs WebGL: " + error.message;
+    });
+})();
