@@ -1,7 +1,8 @@
 """Vertex jets: polynomial height fields fitted to the vertices around each vertex.
 
 At vertex i, in a frame (t1, t2, n) at the vertex, the surface is n-height h_i(x, y), a polynomial
-without constant term (it passes through the vertex) fitted by least squares to the 2-ring.
+without constant term (it passes through the vertex) fitted by least squares to the 2-ring. Rings do
+not pass a crease; a vertex on a crease, or whose ring no polynomial fits, keeps its flat faces.
 Source: Cazals and Pouget, "Estimating differential quantities using polynomial fitting of
 osculating jets", Computer Aided Geometric Design 22 (2005): a degree-d jet gives normals to order
 h^d and curvatures to order h^(d-1).
@@ -9,7 +10,7 @@ h^d and curvatures to order h^(d-1).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,13 @@ DEGREE = 4
 POWERS = tuple((d - j, j) for d in range(1, DEGREE + 1) for j in range(d + 1))  # 14, no constant
 INDEPENDENT = 1e-4
 """smallest sine of the angle between a column of the fit and the columns before it"""
+CREASE = np.radians(40.0)
+"""angle between two faces' normals from which their edge is a crease"""
+STEEP, WAVY = 1.0, 0.3
+"""bounds of the sums of absolute coefficients, all and those above degree 2, of a believable fit:
+over a ring of a sphere they are half and an eighth cubed of ring radius over sphere radius"""
+BULGE = 3.0
+"""largest lift of a patch from its face, over what its normals account for"""
 
 
 @dataclass(frozen=True)
@@ -38,7 +46,7 @@ class Jets:
     coefficients: Array
     """(n, 14) of x^i y^j in the order of POWERS; the height, too, is divided by the scale"""
     degree: NDArray[np.int64]
-    """(n,) degree of each fit (0: flat, too few neighbours)"""
+    """(n,) degree of each fit; 0: the faces stay flat here"""
 
 
 def vertex_normals(vertices: Array, faces: Index) -> Array:
@@ -68,8 +76,24 @@ def tangent_frames(normals: Array) -> Array:
     return np.stack([t1, t2, normals], axis=1)
 
 
-def rings(faces: Index, count: int, order: int = 2) -> tuple[Index, Index]:
-    """Vertices within `order` edges of each of `count` vertices: CSR (start (n + 1,), index)."""
+def creases(vertices: Array, faces: Index, across: Index) -> NDArray[np.bool_]:
+    """Which vertices (n,) lie on a crease; `across` (m, 3) are the faces over the edges."""
+    a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
+    normal = np.cross(b - a, c - a)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+    bend = np.einsum("mc,mkc->mk", normal, normal[across])
+    sharp = (bend < np.cos(CREASE)) & (across >= 0)
+    out = np.zeros(len(vertices), dtype=bool)
+    for k in range(3):
+        out[faces[sharp[:, k]][:, [(k + 1) % 3, (k + 2) % 3]]] = True
+    return out
+
+
+def rings(faces: Index, count: int, order: int, stop: NDArray[np.bool_]) -> tuple[Index, Index]:
+    """Vertices within `order` edges of each of `count` vertices: CSR (start (n + 1,), index).
+
+    Ways do not lead through the vertices of `stop` (n,).
+    """
     from scipy.sparse import csr_array, eye_array
 
     i = faces[:, [0, 1, 2, 1, 2, 0]].ravel()
@@ -77,18 +101,21 @@ def rings(faces: Index, count: int, order: int = 2) -> tuple[Index, Index]:
     ones = np.ones(len(i), dtype=np.float32)
     step = csr_array((ones, (i, j)), shape=(count, count)) + eye_array(count, dtype=np.float32)
     reach = step = csr_array(step)
+    onward = step.multiply(~stop[:, None]).tocsr() if stop.any() else step
     for _ in range(order - 1):
-        reach = reach @ step
+        reach = reach @ onward + step
     return reach.indptr.astype(np.intp), reach.indices.astype(np.intp)
 
 
-def fit(vertices: Array, faces: Index, degree: int = DEGREE, order: int = 2) -> Jets:
-    """Jets of the given degree (at most 4) on the `order`-ring of every vertex.
+def fit(vertices: Array, faces: Index, across: Index, degree: int = DEGREE, order: int = 2) -> Jets:
+    """Jets of the given degree (2 to 4) on the `order`-ring of every vertex.
 
-    Where a ring is too small or too regular for the degree, the next lower one is fitted.
+    Where a ring is too small or too regular for the degree, or the fit is not believable, the next
+    lower one is fitted. `across` (m, 3): the faces over the faces' edges, -1 where there is none.
     """
     n = len(vertices)
-    start, index = rings(faces, n, order)
+    sharp = creases(vertices, faces, across)
+    start, index = rings(faces, n, order, sharp)
     size = np.diff(start)
     frame = tangent_frames(vertex_normals(vertices, faces))
     scale = np.ones(n)
@@ -102,8 +129,8 @@ def fit(vertices: Array, faces: Index, degree: int = DEGREE, order: int = 2) -> 
         radius[radius == 0.0] = 1.0
         local /= radius[:, None, None]
         scale[members] = radius
-        pending = np.arange(len(members))
-        for trial in range(degree, 0, -1):
+        pending = np.flatnonzero(~sharp[members])
+        for trial in range(degree, 1, -1):
             if not len(pending):
                 break
             solved, values = _solve(local[pending], trial)
@@ -122,7 +149,7 @@ def size_groups(size: Index) -> list[Index]:
 
 
 def _solve(local: Array, degree: int) -> tuple[NDArray[np.bool_], Array]:
-    """Least-squares heights of rings (g, k, 3): which are determined (g,), coefficients (g, c)."""
+    """Least-squares heights of rings (g, k, 3): which to believe (g,), coefficients (g, c)."""
     columns = _columns(local[..., 0], local[..., 1], degree)  # (g, c, k)
     g, c, k = columns.shape
     if k - 1 < c:  # the vertex itself, among the k, says nothing
@@ -132,8 +159,10 @@ def _solve(local: Array, degree: int) -> tuple[NDArray[np.bool_], Array]:
     columns /= length[:, :, None]
     normal = columns @ np.swapaxes(columns, 1, 2) + 1e-13 * np.eye(c)  # never exactly singular
     diagonal = np.diagonal(np.linalg.cholesky(normal), axis1=1, axis2=2)
-    values = np.linalg.solve(normal, columns @ local[..., 2:])[..., 0]
-    return np.min(diagonal, axis=1) > INDEPENDENT, values / length
+    values = np.linalg.solve(normal, columns @ local[..., 2:])[..., 0] / length
+    size = np.abs(values)
+    believable = (size.sum(axis=1) < STEEP) & (size[:, 5:].sum(axis=1) < WAVY)
+    return (np.min(diagonal, axis=1) > INDEPENDENT) & believable, values
 
 
 def _columns(x: Array, y: Array, degree: int) -> Array:
@@ -147,6 +176,28 @@ def _columns(x: Array, y: Array, degree: int) -> Array:
         out[:, here + d] = out[:, here - 1] * y
         start = here
     return out
+
+
+def flatten_bulges(jets: Jets, faces: Index) -> Jets:
+    """The jets, but flat at the vertices of faces whose patches bulge beyond belief.
+
+    Normals that turn by theta from the face's over its longest side L lift an arc by L theta / 4.
+    """
+    corners = jets.origin[faces]
+    side = np.linalg.norm(corners - corners[:, [1, 2, 0]], axis=2).max(axis=1)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+    turn = np.einsum("mkc,mc->mk", jets.frame[faces][:, :, 2], normal).min(axis=1)
+    theta = np.arccos(np.clip(turn, -1.0, 1.0))
+    nodes, flat = _nodes(corners)
+    basis = patch.monomials(nodes[:, 0], nodes[:, 1])
+    lift = np.linalg.norm(basis @ blend(jets, faces) - flat, axis=2).max(axis=1)
+    bulging = lift > BULGE * side * (0.25 * theta + 1e-3)
+    if not bulging.any():
+        return jets
+    degree = jets.degree.copy()
+    degree[faces[bulging]] = 0
+    return replace(jets, degree=degree)
 
 
 def heights(coefficients: Array, x: Array, y: Array) -> Array:
@@ -170,10 +221,9 @@ def blend(jets: Jets, faces: Index) -> Array:
     S = sum_i w_i P_i, where P_i lifts the flat point sum_j w_j V_j along jet i's normal to jet i.
     Two faces share the jets of their common edge, so the patches meet exactly there.
     """
-    nodes = np.array([(i, j) for i, j in patch.POWERS]) / patch.DEGREE  # (21, 2)
-    weights = np.column_stack([1.0 - nodes.sum(axis=1), nodes])  # (21, 3)
     corners = jets.origin[faces]  # (m, 3, 3)
-    flat = weights @ corners
+    nodes, flat = _nodes(corners)
+    weights = np.column_stack([1.0 - nodes.sum(axis=1), nodes])
     values = flat.copy()
     for k in range(3):
         vertex = faces[:, k]
@@ -181,7 +231,13 @@ def blend(jets: Jets, faces: Index) -> Array:
         edges = (corners - corners[:, [k]]) @ np.swapaxes(frame, 1, 2) / scale[:, None, None]
         local = weights @ edges  # (m, 21, 3): the flat points in jet k's frame
         lift = heights(jets.coefficients[vertex], local[..., 0], local[..., 1]) - local[..., 2]
-        lift *= weights[:, k] * scale[:, None]
+        lift *= weights[:, k] * (scale * (jets.degree[vertex] > 0))[:, None]
         values += lift[..., None] * frame[:, None, 2]
     inverse = np.linalg.inv(patch.monomials(nodes[:, 0], nodes[:, 1]))
     return np.asarray(inverse @ values)
+
+
+def _nodes(corners: Array) -> tuple[Array, Array]:
+    """(u, v) (21, 2) of the points that fix a quintic, and those points (m, 21, 3) on the faces."""
+    nodes = np.array(patch.POWERS) / patch.DEGREE
+    return nodes, np.column_stack([1.0 - nodes.sum(axis=1), nodes]) @ corners

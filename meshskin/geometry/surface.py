@@ -46,12 +46,18 @@ class Surface:
     @cached_property
     def jets(self) -> jets.Jets:
         """Height fields at the vertices."""
-        return jets.fit(self.vertices, self.faces)
+        fitted = jets.fit(self.vertices, self.faces, self.neighbours)
+        return jets.flatten_bulges(fitted, self.faces)
 
     @cached_property
     def patches(self) -> Array:
         """Patch coefficients (m, 21, 3), m, in the order of patch.POWERS."""
         return jets.blend(self.jets, self.faces)
+
+    @cached_property
+    def smooth(self) -> bool:
+        """Whether no vertex keeps its flat faces."""
+        return bool(np.all(self.jets.degree > 0))
 
     @cached_property
     def scale(self) -> float:
@@ -109,6 +115,8 @@ class Surface:
         return np.asarray(near[np.arange(len(near)), np.argmin(gap, axis=1)])
 
     def _start(self, points: Array) -> Index:
+        if not self.smooth:  # sheets may lie close, and edges end walks
+            return self.nearest_face(points, candidates=12)
         tree, owner = self._samples
         return np.asarray(owner[tree.query((points - self.vertices[0]) / self.scale)[1]])
 
@@ -119,9 +127,9 @@ class Surface:
     def _walk(self, target: Array, face: Index, step: Any) -> tuple[Index, Array, Index]:
         """Iterate `step` from the middles of `face` (n,) until every row is still.
 
-        Gives faces (n,), uv (n, 2), and the edges crossed (n,). A row that returns to the face it
-        came from (a crease, or the seam between two patches), that meets a border, or that has
-        crossed HOPS edges, is held on that edge, and ends there or at the edge's end.
+        Gives faces (n,), uv (n, 2), and the edges crossed (n,), at least FAR for a held row. A row
+        that returns to the face it came from (a crease, or the seam of two patches), that meets a
+        border, or that has crossed HOPS edges, is held on that edge: it ends there or at its end.
         """
         n = len(face)
         face, uv = face.copy(), np.full((n, 2), 1.0 / 3.0)
@@ -162,7 +170,7 @@ class Surface:
                 came[go], face[go] = face[go], beyond[~hold]
                 hops[go] += 1
             active = active[~(ended | (still & ~leaving))]
-        return face, uv, hops
+        return face, uv, np.where(held >= 0, np.maximum(hops, FAR), hops)
 
 
 @dataclass(frozen=True)
