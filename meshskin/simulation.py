@@ -30,7 +30,8 @@ CHECKS = 400
 """Samples of the path whose joint angles are solved for each heading."""
 PHASES = ("approach", "settle", "explore")
 
-Progress = Callable[[int, int], None]
+Progress = Callable[[str, int, int], None]
+"""progress(stage, done, total)"""
 
 
 def simulate(
@@ -43,7 +44,7 @@ def simulate(
     """Run the scene's exploration and record it.
 
     seed: of every random stream. out: stream the recording to these files and read it back from
-    there, instead of holding it in memory. progress(done, total) is called in steps.
+    there, instead of holding it in memory. progress(stage, done, total) is called as it goes.
     Raises ReachError if the arm cannot follow the path, SimulationError if the loop fails.
     """
     arm = _loaded_arm(scene)
@@ -192,7 +193,7 @@ def _run(
         yield steps
         done += len(steps.time)
         if progress is not None:
-            progress(done, total)
+            progress("simulate", done, total)
 
 
 def _batches(runs: Iterator[Steps], size: int) -> Iterator[Sequence[Steps]]:

@@ -29,7 +29,7 @@ def disc_pressures(
     principal, 1/m; positions (n, 3) of the taxels on the undeformed surface, all in the body frame.
     A taxel's distance from the contact is taken in the contact's tangent plane, as Hertz does.
     """
-    radius = hertz.relative_radius(curvature.mean(axis=1), indenter_radius)
+    radius = hertz.relative_radius(curvature, indenter_radius)
     a = hertz.contact_radius(force, radius, effective_modulus)
     peak = hertz.peak_pressure(force, a)
     out = np.zeros((len(points), len(positions)))

@@ -1,0 +1,131 @@
+"""The command line: `meshskin run SCENE --out DIR`, `meshskin scenes`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .errors import MeshskinError
+
+if TYPE_CHECKING:
+    from .job import Result
+    from .simulation import Progress
+
+INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command: 0 when it worked, 2 for bad input (one line on stderr), 130 on Ctrl-C."""
+    options = _parser().parse_args(arguments)
+    try:
+        return int(options.command(options))
+    except MeshskinError as error:
+        print(f"meshskin: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("meshskin: interrupted; no half-written file is left", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _parser() -> argparse.ArgumentParser:
+    from importlib.metadata import version
+
+    parser = argparse.ArgumentParser(
+        prog="meshskin", description="Self-calibration of robot skin on any body mesh."
+    )
+    parser.add_argument("--version", action="version", version=f"meshskin {version('meshskin')}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    run = commands.add_parser("run", help="simulate a scene, calibrate it, and write the report")
+    run.add_argument(
+        "scene", metavar="SCENE", help="a scene by name (see: meshskin scenes) or file"
+    )
+    run.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
+    )
+    run.add_argument("--seed", type=int, default=0, help="seed of every random stream (default 0)")
+    run.add_argument("--quiet", action="store_true", help="no progress bar and no summary")
+    run.set_defaults(command=_run)
+    scenes = commands.add_parser("scenes", help="list the scenes that come with meshskin")
+    scenes.set_defaults(command=_scenes)
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    from .job import run
+
+    with _bar(options.quiet) as progress:
+        result = run(options.scene, options.out, seed=options.seed, progress=progress)
+    if not options.quiet:
+        print(summary(result, options.out))
+    return 0
+
+
+def _scenes(options: argparse.Namespace) -> int:
+    from . import library
+    from .config import read_toml
+
+    for name, path in library.scenes().items():
+        print(f"{name:16} {read_toml(path).get('description', '')}")
+    return 0
+
+
+@contextmanager
+def _bar(quiet: bool) -> Iterator[Progress]:
+    """A progress bar on stderr, for long stages one after the other."""
+    from tqdm import tqdm
+
+    bars: dict[str, tqdm] = {}
+
+    def progress(stage: str, done: int, total: int) -> None:
+        if stage not in bars:
+            for bar in bars.values():
+                bar.close()
+            bars[stage] = tqdm(total=total, desc=f"{stage:10}", unit="", disable=quiet, leave=True)
+        bars[stage].update(done - bars[stage].n)
+
+    try:
+        yield progress
+    finally:
+        for bar in bars.values():
+            bar.close()
+
+
+def summary(result: Result, folder: Path) -> str:
+    """What a person wants to read after a run."""
+    m, calibration = result.metrics, result.calibration
+    error, bound, force = m["position_error_mm"], m["crlb_mm"], m["force"]
+    lines = [
+        f"{m['scene']}: {m['touched']} of {m['taxels']} taxels calibrated from "
+        f"{m['readings']} readings in {m['contacts']} contacts",
+        f"  position error     mean {error['mean']:.4g} mm, rms {error['rms']:.4g}, "
+        f"max {error['max']:.4g}" + (f"  (bound: mean {bound['mean']:.4g})" if bound else ""),
+        "  beside it          "
+        + ", ".join(
+            f"{label} {m[key]['mean']:.3g} mm"
+            for key, label in (
+                ("trilateration", "trilateration"),
+                ("three_circles", "three circles"),
+                ("posegraph", "pose graph"),
+                ("posegraph_isotropic", "isotropic"),
+            )
+        ),
+        f"  force              {force['mean_n']:.4f} N for {force['reference_n']:g} N, settled in "
+        f"{1e3 * force['settling_s']:.0f} ms, overshoot {100 * force['overshoot']:.1f} %",
+    ]
+    if calibration.modulus is not None:
+        lines.append(
+            f"  E*                 {calibration.modulus / 1e3:.3f} kPa "
+            f"+- {(calibration.modulus_sigma or 0.0) / 1e3:.2g}"
+        )
+    lines += [
+        "  not determined     " + m["undetermined"],
+        f"  closed loop        {m['steps_per_second']:,.0f} steps/s",
+        "  seconds            "
+        + ", ".join(f"{name} {value:.2f}" for name, value in m["seconds"].items()),
+        f"  report             {folder / 'report.html'}",
+    ]
+    return "\n".join(lines)
