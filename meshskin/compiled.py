@@ -1,6 +1,6 @@
 """CasADi functions through the C compiler, cached by content.
 
-A compiled function runs some ten times faster than CasADi's virtual machine. The shared object is
+A compiled function runs several times faster than CasADi's virtual machine. The shared object is
 kept under the user's cache folder (`MESHSKIN_CACHE` overrides it) and found again by the hash of
 its C source, the compiler, the flags and the platform. Its file name carries the hash of its own
 bytes, so that a torn file is never loaded. Without a C compiler (or with `MESHSKIN_COMPILER=none`)
@@ -38,7 +38,7 @@ def compiled(function: ca.Function, flags: tuple[str, ...] = FLAGS) -> ca.Functi
     """
     compiler = _compiler()
     if compiler is None:
-        _warn("no C compiler found: CasADi functions are interpreted, about ten times slower")
+        _warn("no C compiler found: CasADi functions are interpreted, several times slower")
         return function
     source = _source(function)
     key = _key(source, compiler, flags)
@@ -57,7 +57,7 @@ def compiled(function: ca.Function, flags: tuple[str, ...] = FLAGS) -> ca.Functi
             reason = str(error)
         _warn(f"{compiler} cannot compile {function.name()!r}, interpreted instead: {reason}")
         return function
-    _warn(f"no folder to compile in: {function.name()!r} is interpreted, about ten times slower")
+    _warn(f"no folder to compile in: {function.name()!r} is interpreted, several times slower")
     return function
 
 

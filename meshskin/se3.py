@@ -5,8 +5,13 @@ Source: Sola, Deray, Atchuthan, "A micro Lie theory for state estimation in robo
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    import casadi as ca
 
 Array = NDArray[np.float64]
 
@@ -76,3 +81,58 @@ def align(source: ArrayLike, target: ArrayLike) -> Array:
     d = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     r = u @ d @ vt
     return transform(r, cb - r @ ca)
+
+
+def casadi_quaternion_product(p: ca.SX, q: ca.SX) -> ca.SX:
+    """Hamilton product of CasADi quaternions (4,), xyzw: the rotation `p` after `q`."""
+    import casadi as ca
+
+    v = p[3] * q[:3] + q[3] * p[:3] + ca.cross(p[:3], q[:3])
+    return ca.vertcat(v, p[3] * q[3] - ca.dot(p[:3], q[:3]))
+
+
+def casadi_conjugate(q: ca.SX) -> ca.SX:
+    """Inverse of a CasADi unit quaternion (4,), xyzw."""
+    import casadi as ca
+
+    return ca.vertcat(-q[:3], q[3])
+
+
+def casadi_rotation(q: ca.SX) -> ca.SX:
+    """Rotation matrix (3, 3) of a CasADi unit quaternion (4,), xyzw."""
+    import casadi as ca
+
+    v, w = q[:3], q[3]
+    k = ca.skew(v)
+    return ca.SX.eye(3) + 2 * w * k + 2 * ca.mtimes(k, k)
+
+
+def casadi_cayley(a: ca.SX) -> ca.SX:
+    """Unit quaternion (4,), xyzw, of the increment `a` (3,): (a/2, 1) / sqrt(1 + |a|^2/4).
+
+    Equal to the exponential map to second order at 0 (the angle is 2 atan(|a|/2)), and cheaper.
+    """
+    import casadi as ca
+
+    return ca.vertcat(a / 2, 1) / ca.sqrt(1 + ca.dot(a, a) / 4)
+
+
+def casadi_log(q: ca.SX) -> ca.SX:
+    """Rotation vector (3,), in rad, of a CasADi unit quaternion (4,), xyzw.
+
+    Value, gradient and Hessian are finite everywhere, at the identity and at pi too.
+    """
+    import casadi as ca
+
+    v, w = q[:3], q[3]
+    sign = ca.if_else(w < 0, -1, 1)
+    n = ca.sqrt(ca.dot(v, v) + 1e-24)
+    return 2 * ca.atan2(n, sign * w) / n * sign * v
+
+
+def cayley(a: ArrayLike) -> Array:
+    """Rotation matrices (..., 3, 3) of Cayley increments `a` (..., 3); see `casadi_cayley`."""
+    a = np.asarray(a, dtype=float)
+    k = hat(a)
+    scale = 1.0 / (1.0 + np.sum(a * a, axis=-1)[..., None, None] / 4.0)
+    return np.eye(3) + scale * (k + k @ k / 2.0)

@@ -1,0 +1,1 @@
+"""From a recording to a calibration: what it says, and how certain it is."""

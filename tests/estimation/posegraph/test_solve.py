@@ -1,0 +1,227 @@
+"""Solving: the known optima, every start, what IPOPT's status does not say, disconnected graphs."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from meshskin import se3
+from meshskin.errors import GraphError, UnknownNameError
+from meshskin.estimation.posegraph import PoseGraph
+
+DATA = Path(__file__).parents[4] / "shared" / "data" / "g2o"
+OPTIMA = {  # file: certified optimum, cost of the chordal start (see the data's README)
+    "tinyGrid3D": (18.51936642, 28.6765),
+    "smallGrid3D": (1025.398056, 1561.38),
+    "sphere2500": (1687.005814, 1971.18),
+    "torus3D": (24227.04556, 24669.2),
+}
+
+
+def standard(name):
+    path = DATA / f"{name}.g2o"
+    if not path.exists():
+        pytest.skip(f"needs the g2o benchmark {name}.g2o, not found at {path}")
+    return PoseGraph.load(path)
+
+
+def cost(graph, poses, objective):
+    """The objective, from its definition."""
+    i, j = graph.edges.T
+    step = se3.inverse(poses[i]) @ poses[j]
+    shift = step[:, :3, 3] - graph.measurements[:, :3, 3]
+    if objective == "chordal":
+        tau = 3 / np.trace(np.linalg.inv(graph.information[:, :3, :3]), axis1=1, axis2=2)
+        kappa = 1.5 / np.trace(np.linalg.inv(graph.information[:, 3:, 3:]), axis1=1, axis2=2)
+        turn = np.sum((step[:, :3, :3] - graph.measurements[:, :3, :3]) ** 2, axis=(1, 2))
+        return float(kappa @ turn + tau @ np.sum(shift**2, axis=1))
+    missed = np.swapaxes(graph.measurements[:, :3, :3], 1, 2) @ step[:, :3, :3]
+    e = np.concatenate([shift, se3.log_so3(missed)], axis=1)
+    return 0.5 * float(np.einsum("ea,eab,eb->", e, graph.information, e))
+
+
+@pytest.mark.parametrize("name", OPTIMA)
+def test_certified_optima(name):
+    graph = standard(name)
+    solution = graph.solve(objective="chordal")
+    optimum, _ = OPTIMA[name]
+    assert solution.is_optimal
+    assert abs(solution.cost / optimum - 1) < 1e-6
+    assert np.isclose(solution.cost, cost(graph, solution.poses, "chordal"), rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", OPTIMA)
+def test_chordal_start_is_the_published_one(name):
+    from meshskin.estimation.posegraph.start import chordal
+
+    graph = standard(name)
+    assert abs(cost(graph, chordal(graph), "chordal") / OPTIMA[name][1] - 1) < 1e-5
+
+
+@pytest.mark.parametrize("objective", ["geodesic", "chordal"])
+@pytest.mark.parametrize("start", ["tree", "origin", "truth"])
+def test_every_start_finds_the_same_poses(skin_graph, objective, start):
+    graph, truth = skin_graph(80, seed=3)
+    reference = graph.solve(objective)
+    other = graph.solve(objective, truth if start == "truth" else start)
+    assert reference.is_optimal
+    assert other.is_optimal
+    assert np.isclose(reference.cost, cost(graph, reference.poses, objective), rtol=1e-9)
+    assert np.isclose(other.cost, reference.cost, rtol=1e-7)
+    assert np.allclose(other.poses, reference.poses, atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_origin_start_on_the_papers_task(skin_graph, seed):
+    graph, truth = skin_graph(80, seed=seed)
+    solution = graph.solve(start="origin", keep_iterates=True)
+    assert solution.is_optimal
+    assert np.isclose(solution.cost, graph.solve().cost, rtol=1e-7)
+    error = np.linalg.norm(solution.poses[:, :3, 3] - truth[:, :3, 3], axis=1)
+    assert error.mean() < 3e-3
+    assert np.allclose(solution.iterates[0], truth[0])
+    assert np.array_equal(solution.iterates[-1], solution.poses)
+    assert len(solution.iterates) == solution.iterations + 1
+
+
+def test_interpreted_equals_compiled(skin_graph, monkeypatch):
+    from meshskin.estimation.posegraph.kernel import kernel
+
+    graph, _ = skin_graph(40, seed=1)
+    fast = graph.solve()
+    kernel.cache_clear()
+    monkeypatch.setenv("MESHSKIN_COMPILER", "none")
+    with pytest.warns(RuntimeWarning) if _not_warned() else _nothing():
+        slow = graph.solve()
+    kernel.cache_clear()
+    assert slow.iterations == fast.iterations
+    assert np.allclose(slow.poses, fast.poses, atol=1e-12)
+
+
+def test_units_change_nothing(skin_graph):
+    metres, _ = skin_graph(60, seed=2)
+    millimetres = metres.measurements.copy(), metres.poses.copy(), metres.information.copy()
+    millimetres[0][:, :3, 3] *= 1e3
+    millimetres[1][:, :3, 3] *= 1e3
+    millimetres[2][:, :3, :3] *= 1e-6
+    a = metres.solve()
+    b = PoseGraph(millimetres[1], metres.edges, millimetres[0], millimetres[2]).solve()
+    c = PoseGraph(
+        metres.poses, metres.edges, metres.measurements, 1e-9 * metres.information
+    ).solve()
+    assert a.iterations == b.iterations == c.iterations
+    assert np.isclose(a.cost, b.cost, rtol=1e-8)
+    assert np.isclose(1e-9 * a.cost, c.cost, rtol=1e-8)
+    assert np.allclose(a.poses[:, :3, 3], 1e-3 * b.poses[:, :3, 3], atol=1e-9)
+
+
+def test_without_noise_the_truth_is_found(skin_graph, skin_poses):
+    truth = skin_poses(60, np.random.default_rng(5))
+    graph, _ = skin_graph(poses=truth, sigma=(1e-30, 1e-30))
+    graph = PoseGraph(graph.poses, graph.edges, graph.measurements, np.eye(6))
+    for start in ("chordal", "tree", "origin"):
+        solution = graph.solve(start=start)
+        assert solution.is_optimal
+        assert np.allclose(solution.poses, truth, atol=1e-9)
+
+
+def test_components_are_anchored_one_by_one(skin_graph):
+    a, _ = skin_graph(30, seed=1)
+    b, _ = skin_graph(20, seed=2)
+    lonely = np.eye(4)[None]
+    both = PoseGraph(
+        np.concatenate([a.poses, lonely, b.poses]),
+        np.concatenate([a.edges, b.edges + 31]),
+        np.concatenate([a.measurements, b.measurements]),
+        np.concatenate([a.information, b.information]),
+    )
+    assert both.anchors.tolist() == [0, 30, 31]
+    solution = both.solve()
+    assert solution.is_optimal
+    assert np.allclose(solution.poses[:30], a.solve().poses, atol=1e-6)
+    assert np.array_equal(solution.poses[30], lonely[0])
+    assert np.allclose(solution.poses[31:], b.solve().poses, atol=1e-6)
+    assert np.allclose(both.solve(start="tree").poses, solution.poses, atol=1e-6)
+
+
+def test_edges_both_ways_and_twice(skin_graph):
+    graph, _ = skin_graph(30, seed=4)
+    i, j = graph.edges.T
+    turned = PoseGraph(
+        graph.poses,
+        np.concatenate([graph.edges, np.stack([j, i], axis=1), graph.edges]),
+        np.concatenate([graph.measurements, se3.inverse(graph.measurements), graph.measurements]),
+        np.eye(6),
+    )
+    solution = turned.solve("chordal")
+    assert solution.is_optimal
+    assert np.isclose(solution.cost, cost(turned, solution.poses, "chordal"), rtol=1e-9)
+
+
+def test_singular_information_is_accepted(skin_graph):
+    graph, truth = skin_graph(60, seed=6, sigma=(1e-5, 1e-4))
+    information = graph.information.copy()
+    information[::2, 3:, :] = information[::2, :, 3:] = 0.0  # every second: position only
+    information[1::2, 0, :] = information[1::2, :, 0] = 0.0  # the others: blind along x
+    singular = PoseGraph(graph.poses, graph.edges, graph.measurements, information)
+    solution = singular.solve()
+    assert solution.is_optimal
+    assert np.isclose(solution.cost, cost(singular, solution.poses, "geodesic"), rtol=1e-8)
+    assert np.allclose(solution.poses[:, :3, 3], truth[:, :3, 3], atol=2e-4)
+
+
+def test_correlated_information_of_condition_1e12(skin_graph):
+    graph, _ = skin_graph(40, seed=7)
+    rng = np.random.default_rng(7)
+    vectors = np.linalg.qr(rng.normal(size=(len(graph.edges), 6, 6)))[0]
+    values = np.logspace(-4, 8, 6)
+    information = (vectors * values) @ np.swapaxes(vectors, 1, 2)
+    graph = PoseGraph(graph.poses, graph.edges, graph.measurements, information)
+    solution = graph.solve(start="tree")
+    assert solution.is_optimal
+    assert np.isclose(solution.cost, cost(graph, solution.poses, "geodesic"), rtol=1e-6)
+
+
+def test_rotations_at_pi(skin_graph):
+    """A ring whose displacements turn by pi: Log is at its edge in every pose."""
+    rng = np.random.default_rng(8)
+    axes = rng.normal(size=(12, 3))
+    axes *= np.pi / np.linalg.norm(axes, axis=1)[:, None]
+    truth = se3.transform(se3.exp_so3(axes), rng.normal(size=(12, 3)))
+    edges = np.array([(k, (k + s) % 12) for k in range(12) for s in (1, 2)])
+    graph, _ = skin_graph(poses=truth, edges=edges, sigma=(1e-3, 0.02))
+    for start in ("chordal", "tree"):
+        solution = graph.solve(start=start)
+        assert solution.is_optimal
+        assert np.allclose(solution.poses[:, :3, 3], truth[:, :3, 3], atol=0.2)
+
+
+def test_one_pose_and_no_edges():
+    graph = PoseGraph(np.eye(4)[None], np.empty((0, 2)), np.empty((0, 4, 4)), np.empty((0, 6, 6)))
+    for start in ("chordal", "tree", "origin"):
+        solution = graph.solve(start=start)
+        assert solution.is_optimal
+        assert solution.cost == 0.0
+        assert np.array_equal(solution.poses, graph.poses)
+
+
+def test_unknown_names(skin_graph):
+    graph, _ = skin_graph(10)
+    with pytest.raises(UnknownNameError, match="did you mean chordal"):
+        graph.solve(start="cordal")
+    with pytest.raises(UnknownNameError, match="did you mean geodesic"):
+        graph.solve("geodesics")
+    with pytest.raises(GraphError, match="start poses"):
+        graph.solve(start=graph.poses[:-1])
+
+
+def _not_warned():
+    from meshskin import compiled
+
+    return compiled._warn_once.cache_info().currsize == 0
+
+
+def _nothing():
+    from contextlib import nullcontext
+
+    return nullcontext()
