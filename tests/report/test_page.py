@@ -1,0 +1,306 @@
+"""The page: one file, nothing loaded from a network, the right numbers, every text escaped."""
+
+from __future__ import annotations
+
+import base64
+import json
+from html.parser import HTMLParser
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from meshskin.errors import OutputError
+from meshskin.geometry.body import Body
+from meshskin.report import markup, page
+from meshskin.report.advice import next_steps, suspects
+from meshskin.report.findings import Findings, position_errors
+
+
+class Page(HTMLParser):
+    """What a browser would load, and what it would show."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.loads: list[str] = []
+        self.alts: list[str] = []
+        self.tags: list[str] = []
+        self.shown: list[str] = []
+        self.data: dict[str, Any] = {}
+        self._inside: tuple[str, str | None] = ("", None)
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        self.tags.append(tag)
+        self._inside = (tag, given.get("id"))
+        for key in ("src", "srcset", "data", "poster", "action", "background"):
+            if given.get(key):
+                self.loads.append(str(given[key]))
+        if tag == "link" or (tag == "a" and not str(given.get("href")).startswith("#")):
+            self.loads.append(str(given.get("href")))
+        if tag == "img" and given.get("src"):
+            self.alts.append(given.get("alt") or "")
+
+    def handle_endtag(self, tag: str) -> None:
+        self._inside = ("", None)
+
+    def handle_data(self, data: str) -> None:
+        tag, name = self._inside
+        if name == "view-data":
+            self.data = json.loads(data)
+        elif tag == "style":
+            assert "url(" not in data
+            assert "@import" not in data
+        elif tag != "script":
+            self.shown.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.shown).split())
+
+
+Written = tuple[Page, list[Path]]
+
+
+@pytest.fixture(scope="module")
+def body(case: SimpleNamespace) -> Body:
+    return Body.sphere(radius=case.RADIUS)
+
+
+def write(case: SimpleNamespace, folder: Path, body: Body | None, **changes: Any) -> Written:
+    arguments: dict[str, Any] = {
+        "body": body,
+        "calibration": case.calibration(),
+        "recording": case.recording(),
+        "truth": case.skin(),
+        "comparisons": {
+            "trilateration": case.calibration(2e-4, "trilateration", 1),
+            "posegraph": case.calibration(7e-5, "posegraph", 2),
+        },
+        "metrics": case.METRICS,
+        "seconds": {"load": 0.5, "simulate": 2.25},
+        "provenance": {"scene": "sphere", "seed": 7, "versions": {"numpy": "2.1.0"}},
+    }
+    files = page.report(folder / "report.html", **(arguments | changes))
+    return Page(files[0]), files
+
+
+@pytest.fixture(scope="module")
+def full(case: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory, body: Body) -> Written:
+    return write(case, tmp_path_factory.mktemp("full"), body)
+
+
+def test_nothing_is_loaded_from_anywhere(full: Written) -> None:
+    loaded = full[0].loads
+    assert len(loaded) == 6
+    assert all(source.startswith("data:image/") for source in loaded)
+    assert "default-src 'none'" in full[1][0].read_text(encoding="utf-8")
+
+
+def test_the_page_stays_small(full: Written) -> None:
+    assert full[1][0].stat().st_size < 8e6
+
+
+def test_every_figure_is_there_as_png_and_svg(full: Written) -> None:
+    folder = full[1][0].parent
+    stems = {
+        "fig4_force", "fig5_estimates", "fig6-8_iterations", "fig6_iteration", "fig7_iteration",
+        "fig8_iteration", "errors", "coverage", "uncertainty",
+    }  # fmt: skip
+    for kind in ("png", "svg"):
+        assert {p.stem for p in (folder / "figures").glob(f"*.{kind}")} == stems
+    listed = [p.resolve() for p in full[1]]
+    assert sorted(listed) == sorted(p.resolve() for p in folder.rglob("*.*"))
+
+
+def test_the_page_says_the_numbers(full: Written) -> None:
+    text = full[0].text
+    for part in (
+        "78 of 80 taxels were touched and located with a mean error of 0.0123 mm, 1.02 times",
+        "rms 0.0141, max 0.0333 mm",
+        "Cramér-Rao expectation 0.0121 mm",
+        "3.001 N",
+        "settled in 44.9 ms",
+        "263.158 ± 0.12 (1 sigma) kPa",
+        "simulate 2.250",
+        "versions.numpy 2.1.0",
+        "trilateration 0.251 0.3 0.9",
+        "pose graph 0.0871",
+    ):
+        assert part in text, part
+
+
+def test_the_page_says_what_was_not_determined(full: Written) -> None:
+    text = full[0].text
+    assert "0 of 78 not determined: a round taxel reads the same" in text
+    assert "2 of 80 taxels were never touched and have no estimate: 3, 40." in text
+    assert "Factors used: pressure, surface." in text
+    assert "body surface" in text
+    assert "Extend the contact path to taxels 3, 40" in text
+
+
+def test_every_picture_has_an_alternative_text(full: Written) -> None:
+    assert len(full[0].alts) == 6
+    assert all(len(alt) > 20 for alt in full[0].alts)
+
+
+def test_the_view_holds_truth_estimates_frames_and_ellipsoids(
+    case: SimpleNamespace, full: Written, body: Body
+) -> None:
+    traces = full[0].data["data"]
+    names = [t["name"] for t in traces]
+    assert any(n.startswith("1 sigma × ") for n in names)
+    assert "path of the contact" in names
+    assert names.count("estimated frames (heading: by convention)") == 3
+
+    def points(name: str) -> np.ndarray:
+        trace = traces[names.index(name)]
+        columns = [np.frombuffer(base64.b64decode(trace[k]["bdata"]), "<f4") for k in "xyz"]
+        return np.stack(columns, axis=1)
+
+    assert np.allclose(points("true taxels"), 1e3 * case.skin().positions, atol=1e-4)
+    estimates = case.calibration().positions
+    seen = np.isfinite(estimates).all(axis=1)
+    assert np.allclose(points("estimated taxels"), 1e3 * estimates[seen], atol=1e-4)
+    mesh = next(t for t in traces if t["name"].startswith("body"))
+    assert len(base64.b64decode(mesh["i"]["bdata"])) // 4 <= 5000
+
+
+def test_without_truth_the_stated_uncertainty_stands_in(
+    case: SimpleNamespace, tmp_path: Path, body: Body
+) -> None:
+    shown, files = write(
+        case,
+        tmp_path,
+        body,
+        truth=None,
+        metrics=None,
+        comparisons={},
+        recording=case.recording(False),
+    )
+    assert "stated uncertainty is 0.0141 mm (median 1 sigma)" in shown.text
+    assert "There is no truth to compare with" in shown.text
+    assert "position error" not in shown.text.lower()
+    assert "true taxels" not in [t["name"] for t in shown.data["data"]]
+    names = {p.name for p in files}
+    assert {"uncertainty.svg", "coverage.png", "fig4_force.png"} <= names
+    assert not {"errors.svg", "fig5_estimates.svg"} & names
+
+
+def test_the_least_that_can_be_given(case: SimpleNamespace, tmp_path: Path) -> None:
+    c = case.calibration()
+    files = page.report(tmp_path / "report.html", body=None, calibration=c)
+    assert "78 of 80 taxels" in Page(files[0]).text
+    assert page.report(tmp_path / "b.html", body=None, calibration=c, truth=case.skin())
+
+
+def test_a_skin_that_was_never_touched_still_gets_its_page(
+    case: SimpleNamespace, tmp_path: Path, body: Body
+) -> None:
+    c = case.calibration()
+    for name in ("positions", "poses"):
+        getattr(c, name)[:] = np.nan
+    c.covariances[:], c.touched[:], c.observed[:], c.readings[:] = np.inf, False, False, 0
+    for truth in (None, case.skin()):
+        shown, _ = write(
+            case, tmp_path, body, calibration=c, truth=truth, metrics=None, comparisons={}
+        )
+        assert "80 of 80 taxels were never touched" in shown.text
+
+
+def test_text_from_outside_is_escaped(case: SimpleNamespace, tmp_path: Path, body: Body) -> None:
+    evil = "<script>alert(1)</script><img src=http://example.org/x>"
+    c = case.calibration()
+    c.anchor = evil
+    shown, files = write(
+        case,
+        tmp_path,
+        body,
+        calibration=c,
+        seconds={evil: 1.0},
+        provenance={"scene": evil, evil: evil},
+    )
+    assert shown.tags.count("script") == 3
+    assert all(source.startswith("data:") for source in shown.loads)
+    assert "<script>alert(1)" not in files[0].read_text(encoding="utf-8")
+    assert evil in shown.text
+
+
+def test_the_data_of_the_view_cannot_close_its_script() -> None:
+    html = markup.view(markup.View({"data": [{"name": "</script><b>"}]}, ""))
+    assert html.count("</script>") == 1
+
+
+def test_a_large_svg_is_inlined_as_png(tmp_path: Path) -> None:
+    png, svg = tmp_path / "a.png", tmp_path / "a.svg"
+    png.write_bytes(b"png")
+    svg.write_bytes(b"x" * (markup.SVG_LIMIT + 1))
+    assert "data:image/png" in markup.picture(markup.Picture(png, svg, "", "", ""))
+
+
+def test_a_place_that_cannot_be_written_is_named(case: SimpleNamespace, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(OutputError):
+        page.report(tmp_path / "file" / "r.html", body=None, calibration=case.calibration())
+
+
+def test_write_puts_down_any_content(tmp_path: Path) -> None:
+    table = markup.Table(("a & b", "n"), (("x < y", "1"),), numeric=(1,), folded="more")
+    content = markup.Content(
+        "T & t", "ok", (markup.Number("n", "1", "mm", "note"),), (markup.Section("S", (table,)),)
+    )
+    path = page.write(tmp_path / "p.html", content)
+    html = path.read_text(encoding="utf-8")
+    assert "plotly" not in html
+    assert "T & t" in Page(path).text
+    assert "x < y" in Page(path).text
+
+
+def findings(case: SimpleNamespace, **changes: Any) -> Findings:
+    c = case.calibration()
+    for name, value in changes.items():
+        setattr(c, name, value)
+    return Findings.collect(
+        c, recording=None, truth=case.skin(), comparisons={}, iterates=None, metrics={},
+        seconds={}, provenance={},
+    )  # fmt: skip
+
+
+def test_advice_follows_the_numbers(case: SimpleNamespace) -> None:
+    chi2 = np.ones(case.COUNT)
+    chi2[11] = 340.0
+    readings = np.full(case.COUNT, 50)
+    readings[12] = 5
+    observed = np.tile([True] * 5 + [False], (case.COUNT, 1))
+    observed[13, 0] = False
+    f = findings(case, chi2=chi2, readings=readings, observed=observed)
+    assert np.flatnonzero(suspects(f)).tolist() == [11]
+    text = " ".join(next_steps(f))
+    assert "Check taxels 11:" in text
+    assert "Press taxels 12 more often" in text
+    assert "Pass taxels 13 on both sides" in text
+
+
+def test_truth_is_matched_by_id_and_missing_taxels_have_no_error(case: SimpleNamespace) -> None:
+    c = case.calibration(sigma=0.0)
+    order = np.random.default_rng(0).permutation(case.COUNT)
+    truth = case.skin()
+    shuffled = type(truth)(truth.poses[order][5:], truth.ids[order][5:])
+    f = Findings.collect(
+        c, recording=None, truth=shuffled, comparisons={}, iterates=None, metrics={}, seconds={},
+        provenance={},
+    )  # fmt: skip
+    error = f.errors["joint"]
+    assert np.nanmax(error) < 1e-15
+    lost = set(order[:5]) | set(case.UNTOUCHED)
+    assert set(np.flatnonzero(np.isnan(error))) == lost
+
+
+def test_errors_up_to_gauge_forget_a_rigid_motion(case: SimpleNamespace) -> None:
+    truth = case.skin().positions
+    moved = truth @ np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]).T + [1.0, 2.0, 3.0]
+    assert position_errors(moved, truth, gauge=True).max() < 1e-12
+    assert position_errors(moved, truth, gauge=False).min() > 1.0
