@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import SkinError
 from .body import Body
 from .closest import Closest
+from .surface import part_middles
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -109,17 +110,24 @@ class Faces:
 
     def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
         """The points on one of the faces."""
+        self._check(body)
         return np.isin(at.face, self.faces)
 
     def centre(self, body: Body) -> Closest:
         """The face middle nearest to the mean of the faces' middles."""
-        count = len(body.surface.faces)
-        if not self.faces or min(self.faces) < 0 or max(self.faces) >= count:
-            raise SkinError("faces of a region", value=len(self.faces), limit=f"0 to {count - 1}")
-        middles = face_middles(body, np.asarray(self.faces))
+        self._check(body)
+        middles = _face_points(body, np.asarray(self.faces), 1)
         off = np.linalg.norm(middles.point - middles.point.mean(axis=0), axis=1)
         k = int(np.argmin(off))
         return body.surface.at(middles.face[[k]], middles.uv[[k]])
+
+    def _check(self, body: Body) -> None:
+        last = len(body.surface.faces) - 1
+        if not self.faces:
+            raise SkinError("faces of a region", value="none", limit="one or more")
+        if min(self.faces) < 0 or max(self.faces) > last:
+            worst = min(self.faces) if min(self.faces) < 0 else max(self.faces)
+            raise SkinError("face of a region", value=worst, limit=f"0 to {last}")
 
 
 def middle(body: Body) -> Array:
@@ -139,17 +147,18 @@ def outermost(body: Body, direction: ArrayLike) -> Closest:
 
 
 def area(body: Body, region: Region) -> float:
-    """Area of a region in m^2: that of the flat faces whose middles belong to it."""
+    """Area of a region in m^2: that of the flat faces, each by the share of its 9 parts within."""
     surface = body.surface
-    count = np.arange(len(surface.faces))
     a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
     areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    return float(areas[region.contains(body, face_middles(body, count))].sum())
+    within = region.contains(body, _face_points(body, np.arange(len(areas)), 3))
+    return float(areas @ within.reshape(len(areas), -1).mean(axis=1))
 
 
-def face_middles(body: Body, faces: NDArray[np.intp]) -> Closest:
-    """The smooth surface at the middles of faces (n,)."""
-    return body.surface.at(faces, np.full((len(faces), 2), 1.0 / 3.0))
+def _face_points(body: Body, faces: NDArray[np.intp], cuts: int) -> Closest:
+    """The smooth surface at the middles of the cuts^2 equal parts of each face (n,)."""
+    uv = part_middles(cuts)[:, 1:]
+    return body.surface.at(np.repeat(faces, len(uv)), np.tile(uv, (len(faces), 1)))
 
 
 def arc_length(start: Closest, end: Closest) -> Array:

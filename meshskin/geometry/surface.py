@@ -215,13 +215,13 @@ def sample_faces(vertices: Array, faces: Index, limit: int = 400_000) -> tuple[A
     points, owners = [], []
     for count in np.unique(parts):
         which = np.flatnonzero(parts == count)
-        weights = _part_middles(int(count))  # (count^2, 3)
+        weights = part_middles(int(count))  # (count^2, 3)
         points.append((weights @ corners[which]).reshape(-1, 3))
         owners.append(np.repeat(which, len(weights)))
     return np.concatenate(points), np.concatenate(owners)
 
 
-def _part_middles(count: int) -> Array:
+def part_middles(count: int) -> Array:
     """Barycentric middles (count^2, 3) of a triangle cut into count^2 equal triangles."""
     up = [(3 * i + 1, 3 * j + 1) for i in range(count) for j in range(count - i)]
     down = [(3 * i + 2, 3 * j + 2) for i in range(count - 1) for j in range(count - 1 - i)]

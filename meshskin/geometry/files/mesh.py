@@ -107,25 +107,59 @@ def clean(vertices: Array, faces: Index) -> tuple[Array, Index, list[str]]:
 
 
 def orient(vertices: Array, faces: Index, open: bool) -> tuple[Index, list[str]]:
-    """Wind all faces alike, and outward: by the enclosed volume of each connected part."""
-    import trimesh
-
+    """Wind all faces of a connected part like most of them, and the whole outward by its volume."""
     repairs = []
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    if not mesh.is_winding_consistent:
-        before = mesh.faces.copy()
-        trimesh.repair.fix_winding(mesh)
-        changed = int((before != mesh.faces).any(axis=1).sum())
-        if changed:
-            repairs.append(f"{min(changed, len(faces) - changed)} faces wound like the others")
-        faces = np.array(mesh.faces, dtype=np.intp)
+    flip = against(faces)
+    if flip.any():
+        repairs.append(f"{int(flip.sum())} faces wound like the others")
+        faces = np.where(flip[:, None], faces[:, ::-1], faces)
     centred = vertices - vertices.mean(axis=0)
     a, b, c = (centred[faces[:, k]] for k in range(3))
-    volume = float(np.sum(a * np.cross(b, c)) / 6.0)
-    if volume < 0.0 and not open:
+    if not open and float(np.sum(a * np.cross(b, c))) < 0.0:
         repairs.append("orientation inverted: normals pointed inward")
         faces = faces[:, ::-1]
     return np.ascontiguousarray(faces), repairs
+
+
+def against(faces: Index) -> NDArray[np.bool_]:
+    """Which faces (m,) are wound against the larger share of their connected part."""
+    tail, head = faces.ravel(), faces[:, [1, 2, 0]].ravel()
+    owner = np.repeat(np.arange(len(faces)), 3)
+    low, high = np.minimum(tail, head), np.maximum(tail, head)
+    order = np.lexsort((high, low))
+    key = np.column_stack([low, high])[order]
+    same = np.all(key[1:] == key[:-1], axis=1)
+    lone = np.concatenate([[False], same, [False]])
+    pair = np.flatnonzero(same & ~lone[:-2] & ~lone[2:])  # edges of just two faces
+    one, two = order[pair], order[pair + 1]
+    opposed = tail[one] == tail[two]  # both run along the edge the same way
+    link = np.concatenate([owner[one], owner[two]]), np.concatenate([owner[two], owner[one]])
+    return _minority(len(faces), link, np.concatenate([opposed, opposed]))
+
+
+def _minority(count: int, link: tuple[Index, Index], opposed: NDArray[np.bool_]) -> Any:
+    """Spread a side from one node of each part over links (from, to); True on the smaller side."""
+    by_start = np.argsort(link[0], kind="stable")
+    to, opposed = link[1][by_start], opposed[by_start]
+    first = np.searchsorted(link[0][by_start], np.arange(count + 1))
+    side, part = np.zeros(count, dtype=np.int8), np.full(count, -1)
+    for seed in range(count):
+        if part[seed] >= 0:
+            continue
+        part[seed], front = seed, np.array([seed])
+        while len(front):
+            sizes = first[front + 1] - first[front]
+            steps = np.repeat(first[front] - np.cumsum(sizes) + sizes, sizes)
+            steps += np.arange(sizes.sum())
+            source = np.repeat(front, sizes)
+            fresh = part[to[steps]] < 0
+            steps, source = steps[fresh], source[fresh]
+            front, at = np.unique(to[steps], return_index=True)
+            part[front] = seed
+            side[front] = side[source[at]] ^ opposed[steps[at]]
+    turned = np.bincount(part, side, minlength=count)
+    total = np.bincount(part, minlength=count)
+    return (side == 1) ^ (turned > 0.5 * total)[part]
 
 
 def check_closed(vertices: Array, faces: Index, open: bool) -> None:
@@ -136,11 +170,11 @@ def check_closed(vertices: Array, faces: Index, open: bool) -> None:
     edges = np.sort(faces[:, [1, 2, 2, 0, 0, 1]].reshape(-1, 2), axis=1)
     _, counts = np.unique(edges, axis=0, return_counts=True)
     border, many = int((counts == 1).sum()), int((counts > 2).sum())
-    against = int((across < 0).sum()) - border - int(counts[counts > 2].sum())
+    wound = int((across < 0).sum()) - border - int(counts[counts > 2].sum())
     raise MeshError(
         "the mesh is not watertight",
         value=f"{border} border edges, {many} edges of more than two faces, "
-        f"{against // 2} edges wound against each other",
+        f"{wound // 2} edges wound against each other",
         limit="0",
         remedy="close it in a mesh editor, or open=True",
     )

@@ -1,0 +1,224 @@
+"""Bodies: what is loaded, what is repaired, what is refused, and rays."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from meshskin.errors import MeshError
+from meshskin.geometry.body import FACES, Body
+
+DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
+
+
+@pytest.fixture
+def ball():
+    return trimesh.creation.icosphere(subdivisions=3, radius=100.0)  # in mm
+
+
+@pytest.mark.parametrize("suffix", ["stl", "obj", "ply", "off"])
+def test_formats_without_units_need_them(ball, tmp_path, suffix):
+    path = tmp_path / f"ball.{suffix}"
+    ball.export(path)
+    body = Body.load(path, units="mm")
+    assert body.name == "ball"
+    assert body.mesh.is_watertight
+    np.testing.assert_allclose(np.linalg.norm(body.surface.vertices, axis=1), 0.1, rtol=1e-6)
+    with pytest.raises(MeshError, match="units are not in the file"):
+        Body.load(path)
+
+
+def test_glb_is_in_metres(ball, tmp_path):
+    ball.apply_scale(1e-3)
+    ball.export(tmp_path / "ball.glb")
+    body = Body.load(tmp_path / "ball.glb")
+    np.testing.assert_allclose(body.surface.scale, 0.2, rtol=1e-3)
+
+
+@pytest.mark.parametrize(("units", "scale"), [("cm", 1.0), ("in", 2.54)])
+def test_units(ball, tmp_path, units, scale):
+    ball.apply_scale(0.1)  # 10 units of radius
+    ball.export(tmp_path / "ball.ply")
+    body = Body.load(tmp_path / "ball.ply", units=units)
+    np.testing.assert_allclose(body.surface.scale, 0.2 * scale, rtol=1e-3)
+
+
+def test_an_unknown_unit_is_refused(ball, tmp_path):
+    ball.export(tmp_path / "ball.stl")
+    with pytest.raises(MeshError, match="units of a mesh, got 'furlong'"):
+        Body.load(tmp_path / "ball.stl", units="furlong")
+
+
+def test_the_likely_unit_is_named(ball, tmp_path):
+    ball.export(tmp_path / "ball.stl")
+    with pytest.raises(MeshError, match=r"200 m, .*likely millimetres: units='mm'"):
+        Body.load(tmp_path / "ball.stl", units="m")
+    ball.apply_scale(1e-3)
+    ball.export(tmp_path / "small.stl")
+    with pytest.raises(MeshError, match=r"0.0002 m, .*units='m'"):
+        Body.load(tmp_path / "small.stl", units="mm")
+
+
+def test_a_faceless_or_missing_file_is_refused(tmp_path):
+    (tmp_path / "points.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
+        "property float z\nend_header\n0 0 0\n"
+    )
+    with pytest.raises(MeshError, match="no faces"):
+        Body.load(tmp_path / "points.ply", units="m")
+    with pytest.raises(MeshError, match="no such mesh file"):
+        Body.load(tmp_path / "nowhere.stl", units="m")
+    with pytest.raises(MeshError, match="format of a mesh"):
+        Body.load(tmp_path / "points.step", units="m")
+
+
+def write_off(path, vertices, faces):
+    lines = ["OFF", f"{len(vertices)} {len(faces)} 0"]
+    lines += [" ".join(str(x) for x in v) for v in vertices]
+    lines += ["3 " + " ".join(str(i) for i in f) for f in faces]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def test_a_vertex_that_is_not_finite_is_refused_if_used(ball, tmp_path):
+    vertices = ball.vertices.copy()
+    vertices[5, 1] = np.nan
+    write_off(tmp_path / "nan.off", vertices, ball.faces)
+    with pytest.raises(MeshError, match="not finite"):
+        Body.load(tmp_path / "nan.off", units="mm")
+
+
+def test_an_unused_vertex_is_dropped_even_if_not_finite(ball, tmp_path):
+    vertices = np.vstack([ball.vertices, [np.nan, 0.0, 0.0]])
+    write_off(tmp_path / "extra.off", vertices, ball.faces)
+    body = Body.load(tmp_path / "extra.off", units="mm")
+    assert body.repairs == ("1 unreferenced vertices dropped",)
+    assert body.project([[0.0, 0.0, 1.0]], [[0.0, 0.0, -1.0]]).face[0] >= 0
+
+
+def test_duplicate_vertices_are_merged_and_listed(ball, tmp_path):
+    ball.export(tmp_path / "ball.stl")  # STL writes every corner of every face
+    body = Body.load(tmp_path / "ball.stl", units="mm")
+    assert len(body.mesh.vertices) == len(ball.vertices)
+    assert body.repairs == (
+        f"{3 * len(ball.faces) - len(ball.vertices)} duplicate vertices merged",
+    )
+
+
+def test_an_inverted_mesh_is_turned_and_listed(ball, tmp_path):
+    write_off(tmp_path / "in.off", ball.vertices, ball.faces[:, ::-1])
+    body = Body.load(tmp_path / "in.off", units="mm")
+    assert body.repairs == ("orientation inverted: normals pointed inward",)
+    assert body.closest([[0.0, 0.0, 0.0]]).distance[0] < 0
+
+
+def test_flipped_faces_are_turned_and_listed(ball, tmp_path):
+    faces = ball.faces.copy()
+    faces[::10] = faces[::10, ::-1]
+    write_off(tmp_path / "flip.off", ball.vertices, faces)
+    body = Body.load(tmp_path / "flip.off", units="mm")
+    assert body.repairs == (f"{len(faces[::10])} faces wound like the others",)
+    assert body.mesh.volume > 0
+    hit = body.closest(0.11 * ball.vertices / 100.0)
+    np.testing.assert_allclose(hit.distance, 0.01, atol=1e-5)
+
+
+def test_a_hole_is_refused_unless_open(ball, tmp_path):
+    write_off(tmp_path / "hole.off", ball.vertices, ball.faces[1:])
+    with pytest.raises(MeshError, match="not watertight, got 3 border edges"):
+        Body.load(tmp_path / "hole.off", units="mm")
+    body = Body.load(tmp_path / "hole.off", units="mm", open=True)
+    assert len(body.mesh.faces) == len(ball.faces) - 1
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Body.sphere(-0.1),
+        lambda: Body.sphere(float("nan")),
+        lambda: Body.ellipsoid((0.1, 0.0, 0.1)),
+        lambda: Body.capsule(0.05, -1.0),
+        lambda: Body.torus(0.1, -0.02),
+        lambda: Body.torus(0.04, 0.05),
+    ],
+)
+def test_impossible_primitives_are_refused(make):
+    with pytest.raises(MeshError):
+        make()
+
+
+def test_a_sphere_of_100_metres_is_refused_with_the_likely_unit():
+    with pytest.raises(MeshError, match=r"200 m.*likely millimetres"):
+        Body.sphere(100.0)
+    with pytest.raises(MeshError, match="largest extent"):
+        Body.sphere(1e-4)
+
+
+def test_documented_default_of_faces():
+    assert len(Body.sphere().mesh.faces) == FACES == 5120
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        Body.sphere(),
+        Body.ellipsoid((0.1, 0.07, 0.05)),
+        Body.capsule(0.05, 0.2),
+        Body.capsule(0.05, 0.013, faces=900),
+        Body.torus(0.1, 0.04),
+        Body.torus(0.1, 0.04, faces=777),
+    ],
+)
+def test_primitives_are_closed_and_outward(body):
+    assert body.mesh.is_watertight
+    assert body.mesh.is_winding_consistent
+    assert body.mesh.volume > 0
+    np.testing.assert_allclose(body.exact.closest(body.surface.vertices).distance, 0, atol=1e-12)
+
+
+def test_rays_hit_the_smooth_surface():
+    body = Body.ellipsoid((0.1, 0.07, 0.05))
+    rng = np.random.default_rng(0)
+    on = body.exact.closest(rng.normal(size=(500, 3)))
+    oblique = -on.normal + 0.5 * rng.uniform(-1, 1, size=(500, 3))
+    oblique /= np.linalg.norm(oblique, axis=1, keepdims=True)
+    hit = body.project(on.point - 0.02 * oblique, 3.0 * oblique)
+    np.testing.assert_allclose(hit.point, on.point, atol=3e-7)
+    np.testing.assert_allclose(hit.distance, 0.02, atol=3e-7)
+
+
+def test_a_ray_that_misses_says_so():
+    hit = Body.sphere().project([[0, 0, 1.0], [0, 0, 1.0]], [[0, 0, -1.0], [1.0, 0, 0]])
+    assert hit.face[0] >= 0
+    assert hit.face[1] == -1
+    np.testing.assert_allclose(hit.point[0], [0, 0, 0.1], atol=1e-8)
+    assert np.isnan(hit.point[1]).all()
+    with pytest.raises(MeshError, match="ray"):
+        Body.sphere().project([[0, 0, 1.0]], [[0, 0, 0.0]])
+
+
+def test_a_body_far_from_its_origin_is_as_exact(tmp_path):
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
+    shift = np.array([3.0, -2.0, 1.0])
+    write_off(tmp_path / "far.off", (ball.vertices + shift).tolist(), ball.faces)
+    body = Body.load(tmp_path / "far.off", units="m")
+    hit = body.closest([shift + np.array([0.02, 0.05, 0.1])])
+    exact = np.linalg.norm([0.02, 0.05, 0.1]) - 0.1
+    np.testing.assert_allclose(hit.distance, exact, atol=0.1e-6)
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="../shared/data is absent")
+@pytest.mark.parametrize("name", ["forearm", "wrist3", "shoulder"])
+def test_a_real_link_answers_near_its_flat_mesh(name):
+    """Creased, coarse CAD meshes: finite answers, within the facets' sag of the flat answer."""
+    body = Body.load(DATA / "ur3e_meshes" / f"{name}.stl", units="m")
+    rng = np.random.default_rng(0)
+    points = body.mesh.triangles_center + 3e-3 * rng.normal(size=(len(body.mesh.faces), 3))
+    hit = body.closest(points)
+    for values in (hit.point, hit.distance, hit.normal, hit.curvature):
+        assert np.isfinite(values).all()
+    in_mm = body.mesh.copy()
+    in_mm.apply_scale(1e3)
+    flat = trimesh.proximity.closest_point(in_mm, 1e3 * points)[1] * 1e-3
+    assert np.abs(np.abs(hit.distance) - flat).max() < 5e-3
+    assert np.median(np.abs(np.abs(hit.distance) - flat)) < 0.1e-3

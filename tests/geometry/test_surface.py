@@ -1,0 +1,227 @@
+"""The smooth surface against exact ones: accuracy, order, hops, signs, creases and borders."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import trimesh
+
+from meshskin.errors import MeshError
+from meshskin.geometry import primitives
+from meshskin.geometry.body import Body
+from meshskin.geometry.surface import Surface, neighbours, triangle_distance2
+
+
+def rms(x):
+    return float(np.sqrt(np.mean(np.square(x))))
+
+
+def degrees(a, b):
+    return np.degrees(np.linalg.norm(np.cross(a, b), axis=1))
+
+
+def near(surface, count, height, seed=0):
+    """Points near the surface: on random faces, moved by a normal deviate of `height` (m)."""
+    rng = np.random.default_rng(seed)
+    corners = surface.vertices[surface.faces[rng.integers(len(surface.faces), size=count)]]
+    on = np.einsum("nk,nkc->nc", rng.dirichlet((1.0, 1.0, 1.0), count), corners)
+    return on + height * rng.normal(size=(count, 3))
+
+
+def errors(ours, exact):
+    scale = np.abs(exact.curvature).max(axis=1, keepdims=True)
+    return SimpleNamespace(
+        point=np.linalg.norm(ours.point - exact.point, axis=1),
+        distance=np.abs(ours.distance - exact.distance),
+        normal=degrees(ours.normal, exact.normal),
+        curvature=np.abs(ours.curvature - exact.curvature) / scale,
+    )
+
+
+def irregular(radii, subdivisions, jitter=0.25, seed=3):
+    """An ellipsoid of uneven triangles: vertices shaken by `jitter` edges, put back on it."""
+    mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
+    rng = np.random.default_rng(seed)
+    edge = mesh.edges_unique_length.mean()
+    v = mesh.vertices + jitter * edge * rng.uniform(-1, 1, size=mesh.vertices.shape)
+    v /= np.linalg.norm(v, axis=1, keepdims=True)
+    return SimpleNamespace(vertices=v * radii, faces=mesh.faces)
+
+
+def test_default_sphere_is_exact_to_a_tenth_of_a_micrometre():
+    body = Body.sphere()
+    points = near(body.surface, 5000, 3e-3)
+    e = errors(body.closest(points), body.exact.closest(points))
+    assert e.point.max() < 0.1e-6
+    assert e.distance.max() < 0.1e-6
+    assert e.normal.max() < 1e-3
+    assert e.curvature.max() < 1e-3
+
+
+def test_irregular_ellipsoid_of_20480_faces():
+    radii = (0.1, 0.07, 0.05)
+    surface = Surface(irregular(radii, 5))
+    points = near(surface, 5000, 1e-3)
+    e = errors(surface.closest(points), primitives.Ellipsoid(radii).closest(points))
+    assert rms(e.point) < 0.1e-6
+    assert rms(e.normal) < 1e-3
+    assert rms(e.curvature) < 1e-3
+
+
+def test_torus_of_20_thousand_faces():
+    body = Body.torus(0.1, 0.04, faces=20480)
+    points = near(body.surface, 5000, 1e-3)
+    e = errors(body.closest(points), body.exact.closest(points))
+    assert rms(e.point) < 0.1e-6
+    assert rms(e.normal) < 1e-3
+    assert rms(e.curvature) < 1e-3
+
+
+def test_capsule_is_smooth_but_for_its_seams():
+    body = Body.capsule(0.05, 0.2)
+    points = near(body.surface, 4000, 1e-3)
+    off_seam = np.abs(np.abs(points[:, 2]) - 0.1) > 0.015
+    e = errors(body.closest(points[off_seam]), body.exact.closest(points[off_seam]))
+    assert e.point.max() < 2e-6
+    assert e.normal.max() < 0.05
+    assert e.curvature.max() < 0.02
+
+
+def test_order_of_convergence():
+    """Quartic jets: distance at least h^5, normal h^4, curvature h^3 (Cazals and Pouget)."""
+    radii = (0.1, 0.08, 0.06)
+    exact, logs = primitives.Ellipsoid(radii), []
+    for level in (3, 4, 5):
+        surface = Surface(irregular(radii, level))
+        points = near(surface, 3000, 1e-4)
+        e = errors(surface.closest(points), exact.closest(points))
+        size = 2.0**-level
+        logs.append(np.log([size, rms(e.distance), rms(e.normal), rms(e.curvature)]))
+    h, *rest = np.array(logs).T
+    slopes = [np.polyfit(h, values, 1)[0] for values in rest]
+    assert slopes[0] > 4.5
+    assert slopes[1] > 3.5
+    assert slopes[2] > 2.5
+
+
+def test_patches_meet_at_shared_edges():
+    surface = Surface(irregular((0.1, 0.07, 0.05), 4))
+    across, slot = neighbours(surface.faces)
+    t = np.linspace(0.0, 1.0, 5)
+    rng = np.random.default_rng(0)
+    for f in rng.integers(len(surface.faces), size=50):
+        for k in range(3):
+            here, there = np.zeros((5, 3)), np.zeros((5, 3))
+            here[:, (k + 1) % 3], here[:, (k + 2) % 3] = t, 1 - t
+            q = slot[f, k]
+            there[:, (q + 2) % 3], there[:, (q + 1) % 3] = t, 1 - t
+            a = surface.at(np.full(5, f), here[:, 1:])
+            b = surface.at(np.full(5, across[f, k]), there[:, 1:])
+            np.testing.assert_allclose(a.point, b.point, atol=1e-14)
+            assert degrees(a.normal, b.normal).max() < 0.05
+
+
+def test_warm_start_from_any_face_gives_the_same_answer():
+    body = Body.ellipsoid((0.1, 0.07, 0.05))
+    points = near(body.surface, 500, 2e-3)
+    cold = body.closest(points)
+    far = np.random.default_rng(5).integers(len(body.surface.faces), size=500)
+    warm = body.closest(points, face=far)
+    np.testing.assert_allclose(warm.distance, cold.distance, atol=1e-9)
+    close = body.closest(points, face=cold.face)
+    np.testing.assert_allclose(close.point, cold.point, atol=1e-9)
+
+
+def test_the_foot_is_the_nearest_point_and_the_offset_is_along_the_normal():
+    body = Body.torus(0.1, 0.04)
+    points = near(body.surface, 1000, 10e-3)
+    hit = body.closest(points)
+    back = hit.point + hit.distance[:, None] * hit.normal
+    np.testing.assert_allclose(back, points, atol=3e-6)  # on a seam, its kink times the height
+    from_vertices = np.linalg.norm(points[:, None] - body.surface.vertices[None, ::7], axis=2)
+    assert np.all(np.abs(hit.distance) <= from_vertices.min(axis=1) + 1e-9)
+
+
+def test_distance_is_negative_inside():
+    body = Body.sphere()
+    hit = body.closest([[0.0, 0.0, 0.09], [0.0, 0.0, 0.11]])
+    np.testing.assert_allclose(hit.distance, [-0.01, 0.01], atol=1e-8)
+    assert np.all(hit.curvature > 9.9)
+    assert np.all(hit.curvature[:, 0] >= hit.curvature[:, 1])
+
+
+@pytest.mark.parametrize("point", [[0.0, 0.0, 0.0], [1e-9, 0.0, 0.0], [0.0, 0.0, 40.0]])
+def test_centre_and_far_points_have_finite_answers(point):
+    body = Body.sphere()
+    hit = body.closest([point])
+    for values in (hit.point, hit.distance, hit.normal, hit.curvature):
+        assert np.isfinite(values).all()
+    assert hit.distance[0] == pytest.approx(np.linalg.norm(point) - 0.1, abs=1e-6)
+
+
+def test_a_point_that_is_not_finite_is_refused():
+    with pytest.raises(MeshError, match="row 1"):
+        Body.sphere().closest([[0.0, 0.0, 0.1], [np.nan, 0.0, 0.0]])
+
+
+def test_no_points_no_answers():
+    hit = Body.sphere().closest(np.zeros((0, 3)))
+    assert hit.point.shape == (0, 3)
+    assert hit.curvature.shape == (0, 2)
+
+
+@pytest.mark.parametrize("cuts", [0, 3])
+def test_a_box_keeps_its_edges_and_corners(cuts):
+    """Faces and creases are exact: the answer is the box's, in closed form."""
+    mesh = trimesh.creation.box((0.2, 0.1, 0.06))
+    for _ in range(cuts):
+        mesh = mesh.subdivide()
+    surface = Surface(mesh)
+    rng = np.random.default_rng(2)
+    half = np.array([0.1, 0.05, 0.03])
+    points = rng.uniform(-1.5, 1.5, size=(2000, 3)) * half
+    outside = np.maximum(np.abs(points) - half, 0.0)
+    inside = np.minimum(np.max(np.abs(points) - half, axis=1), 0.0)
+    exact = np.linalg.norm(outside, axis=1) + inside
+    np.testing.assert_allclose(surface.closest(points).distance, exact, atol=1e-9)
+
+
+def test_a_border_ends_the_surface():
+    """Beyond the rim of a half sphere the closest point is on the rim."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
+    kept = ball.triangles_center[:, 2] > 0
+    surface = Surface(SimpleNamespace(vertices=ball.vertices, faces=ball.faces[kept]))
+    face, edge = np.nonzero(surface.neighbours < 0)
+    t = np.linspace(0.0, 1.0, 101)
+    weight = np.zeros((len(face), 101, 3))
+    weight[np.arange(len(face)), :, (edge + 1) % 3] = t
+    weight[np.arange(len(face)), :, (edge + 2) % 3] = 1.0 - t
+    uv = weight[..., 1:].reshape(-1, 2)
+    rim = surface.at(np.repeat(face, 101), uv).point
+    angle = np.linspace(0.0, 2.0 * np.pi, 40)
+    ring = np.column_stack([0.1 * np.cos(angle), 0.1 * np.sin(angle), np.full(40, -0.05)])
+    exact = np.array([np.linalg.norm(rim - p, axis=1).min() for p in ring])
+    hit = surface.closest(ring)
+    np.testing.assert_allclose(np.abs(hit.distance), exact, atol=1e-6)
+    above = near(surface, 1000, 1e-3)
+    above = above[above[:, 2] > 0.02]
+    hit = surface.closest(above)
+    np.testing.assert_allclose(hit.distance, np.linalg.norm(above, axis=1) - 0.1, atol=0.1e-6)
+
+
+def test_triangle_distances_against_trimesh():
+    rng = np.random.default_rng(4)
+    corners, points = rng.normal(size=(200, 3, 3)), rng.normal(size=(200, 3))
+    foot = trimesh.triangles.closest_point(corners, points)
+    ab, ac = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    ours = np.sqrt(triangle_distance2(points, corners[:, 0], ab, ac))
+    np.testing.assert_allclose(ours, np.linalg.norm(points - foot, axis=1), atol=1e-9)
+
+
+def test_an_edge_of_three_faces_has_no_neighbours():
+    faces = np.array([[0, 1, 2], [1, 0, 3], [1, 0, 4]])
+    across, _ = neighbours(faces)
+    assert np.all(across == -1)
+    across, _ = neighbours(faces[:2])
+    assert across[0, 2] == 1
+    assert across[1, 2] == 0
