@@ -201,7 +201,7 @@ class Likelihood:
                 for c in range(3):
                     h[:, r, c] += np.bincount(taxel, curvature[0] * jacobian[r] * jacobian[c], n)
             if kind == "active":
-                cost2 = np.bincount(taxel, residual[0] ** 2, n)
+                cost2 += np.bincount(taxel, residual[0] ** 2, n)
         unit = self.length
         return Normal(
             position=h[:, :2, :2] / unit**2,
@@ -214,7 +214,7 @@ class Likelihood:
         )
 
 
-class _Path(ca.Callback):  # type: ignore[misc]
+class _Path(ca.Callback):
     """Keeps the unknowns of every iteration."""
 
     def __init__(self, unknowns: int, parameters: int) -> None:
@@ -239,25 +239,30 @@ class _Path(ca.Callback):  # type: ignore[misc]
         return [0]
 
 
-def silent_readings(
-    data: Measurements, live: np.ndarray, points: Array
-) -> tuple[np.ndarray, np.ndarray]:
-    """Contacts and taxels (rows of `live`) of the readings that were near a contact and silent."""
+def near_pairs(data: Measurements, points: Array) -> tuple[np.ndarray, np.ndarray]:
+    """Contacts and taxels (rows of `points`) whose patch and disc may overlap, SPARE included."""
     from scipy.spatial import cKDTree
 
     reach = float(data.radii.max()) + data.disc + SPARE
-    tree = cKDTree(data.points)
     # The distance in space exceeds the one in the contact's plane: half as much again suffices.
-    near = tree.query_ball_point(points, 1.5 * reach, return_sorted=False)
-    taxel = np.repeat(np.arange(len(live)), [len(rows) for rows in near])
+    near = cKDTree(data.points).query_ball_point(points, 1.5 * reach, return_sorted=False)
+    taxel = np.repeat(np.arange(len(points)), [len(rows) for rows in near])
     contact = np.concatenate([np.asarray(rows, dtype=int) for rows in near])
     offset = points[taxel] - data.points[contact]
     height = np.einsum("ki,ki->k", offset, data.normals[contact])
     across = np.einsum("ki,ki->k", offset, offset) - height**2
-    pair = contact * len(data.ids) + live[taxel]
-    heard = np.isin(pair, data.contact * len(data.ids) + data.taxel)
-    keep = (across < (data.radii[contact] + data.disc + SPARE) ** 2) & ~heard
+    keep = across < (data.radii[contact] + data.disc + SPARE) ** 2
     return contact[keep], taxel[keep]
+
+
+def silent_readings(
+    data: Measurements, live: np.ndarray, points: Array
+) -> tuple[np.ndarray, np.ndarray]:
+    """Contacts and taxels (rows of `live`, at `points`) that were near each other and silent."""
+    contact, taxel = near_pairs(data, points)
+    pair = contact * len(data.ids) + live[taxel]
+    silent = ~np.isin(pair, data.contact * len(data.ids) + data.taxel)
+    return contact[silent], taxel[silent]
 
 
 def _none() -> tuple[np.ndarray, np.ndarray]:

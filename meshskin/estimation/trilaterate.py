@@ -59,7 +59,8 @@ class Circles:
         """Sums (n, ...) over the circles of each point, of values (k, ...)."""
         flat = values.reshape(len(values), -1)
         columns = [np.bincount(self.owner, column, self.count) for column in flat.T]
-        return np.stack(columns, axis=1).reshape(self.count, *values.shape[1:])
+        total: Array = np.stack(columns, axis=1, dtype=float)
+        return total.reshape(self.count, *values.shape[1:])
 
     def select(self, keep: np.ndarray) -> Circles:
         """The circles where `keep` (k,) is true."""
@@ -88,10 +89,12 @@ class Fit:
         return np.asarray(self.why == "")
 
 
-def circles(data: Measurements, rows: np.ndarray | None = None, owner: object = None) -> Circles:
+def circles(
+    data: Measurements, rows: np.ndarray | None = None, owner: np.ndarray | None = None
+) -> Circles:
     """The circles of the readings `rows` (all by default), owned by their taxels or by `owner`."""
     rows = np.arange(len(data.pressure)) if rows is None else rows
-    owners = data.taxel[rows] if owner is None else np.asarray(owner)
+    owners = data.taxel[rows] if owner is None else owner
     order = np.argsort(owners, kind="stable")
     rows, owners = rows[order], owners[order]
     contact = data.contact[rows]
@@ -200,7 +203,7 @@ def finish(found: Circles, charts: Charts, information: Array, chi2: Array) -> F
     """The fit at the origin of the charts, with NaN and the reason where it is undetermined."""
     number = np.bincount(found.owner, minlength=found.count)
     why = np.where(number < 3, FEW, "").astype(object)
-    why[(number >= 3) & (_width(found, charts) < NARROW)] = LINE
+    why[(number >= 3) & (width(found, charts) < NARROW)] = LINE
     bad = why != ""
     points = np.where(bad[:, None], np.nan, charts.points)
     safe = np.where(bad[:, None, None], np.eye(2), information)
@@ -261,7 +264,7 @@ def _solve2(matrix: Array, vector: Array) -> Array:
     return np.asarray(np.linalg.solve(damped, vector[:, :, None])[:, :, 0])
 
 
-def _width(found: Circles, charts: Charts) -> Array:
+def width(found: Circles, charts: Charts) -> Array:
     """RMS width (n,) of the contacts about their best line, relative to the contact radius."""
     own = found.owner
     number = np.maximum(np.bincount(own, minlength=found.count), 1)

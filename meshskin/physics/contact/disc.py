@@ -76,7 +76,8 @@ def _invert(m: Array, s: Array, nodes: int, tolerance: float) -> Array:
         new = np.where(inside, trial, (low + high) / 2)
         done = np.abs(new - rho) < tolerance
         out[row[done]] = new[done]
-        row, m, s, low, high, rho = (v[~done] for v in (row, m, s, low, high, new))
+        row = row[~done]
+        m, s, low, high, rho = (v[~done] for v in (m, s, low, high, new))
         if not len(row):
             break
     out[row] = rho

@@ -8,13 +8,14 @@ shifts another's noise.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Protocol
 
 import numpy as np
 
+from ... import config
 from ...errors import ConfigError, UnknownNameError
 from ...provenance import random_stream
 from ...se3 import Array
@@ -82,6 +83,14 @@ def find(name: str) -> type[Effect]:
         raise UnknownNameError("effect", name, KINDS)
     found: type[Effect] = getattr(import_module(f".{name}", __name__), KINDS[name])
     return found
+
+
+def from_table(table: Mapping[str, Any], where: str = "effects") -> Effect:
+    """The effect of a TOML table: `kind` names it, the other keys are its fields."""
+    if "kind" not in table:
+        raise ConfigError(f"[{where}] lacks kind", remedy=f"add one of {', '.join(sorted(KINDS))}")
+    fields = {key: value for key, value in table.items() if key != "kind"}
+    return config.build(find(str(table["kind"])), fields, where)
 
 
 def ordered(effects: Iterable[Effect]) -> tuple[Effect, ...]:

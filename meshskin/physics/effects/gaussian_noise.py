@@ -30,9 +30,9 @@ class GaussianNoise:
     def __post_init__(self) -> None:
         check(self)
 
-    def sigma(self, peak_pressure: float) -> float:
-        """Standard deviation, Pa, from the peak pressure at the reference force, Pa."""
-        return self.sigma_relative * peak_pressure
+    def sigma(self, context: Context) -> float:
+        """Standard deviation, Pa."""
+        return self.sigma_relative * context.peak_pressure
 
     def bound(self, context: Context) -> float:
         """3 sigma_relative a, m: the distance error of one reading at 3 sigma, where the profile
@@ -44,7 +44,7 @@ class GaussianNoise:
         """A function on dense pressures (frames, taxels), Pa; successive calls continue one
         stream, so that the noise does not depend on how frames are batched.
         """
-        stream, sigma = context.stream(self.name), self.sigma(context.peak_pressure)
+        stream, sigma = context.stream(self.name), self.sigma(context)
 
         def add(pressures: Array) -> Array:
             return pressures + sigma * stream.standard_normal(pressures.shape)

@@ -6,7 +6,6 @@ import sys
 import numpy as np
 import pytest
 
-from meshskin import config
 from meshskin.errors import ConfigError, UnknownNameError
 from meshskin.physics import effects
 from meshskin.physics.effects import Context
@@ -42,16 +41,16 @@ def test_bound_grows_with_the_noise():
 
 
 def test_toml_table_makes_the_effect():
-    def build(kind, **table):
-        return config.build(effects.find(kind), table, "effects")
-
-    assert build("gaussian_noise", sigma_relative=0.05) == GaussianNoise(0.05)
+    found = effects.from_table({"kind": "gaussian_noise", "sigma_relative": 0.05})
+    assert found == GaussianNoise(0.05)
     with pytest.raises(UnknownNameError, match="did you mean gaussian_noise"):
-        build("gausian_noise")
+        effects.from_table({"kind": "gausian_noise"})
     with pytest.raises(UnknownNameError, match="sigma_relative"):
-        build("gaussian_noise", sigma=0.05)
+        effects.from_table({"kind": "gaussian_noise", "sigma": 0.05})
     with pytest.raises(ConfigError, match="limit: above 0"):
-        build("gaussian_noise", sigma_relative=-0.1)
+        effects.from_table({"kind": "gaussian_noise", "sigma_relative": -0.1})
+    with pytest.raises(ConfigError, match="lacks kind"):
+        effects.from_table({"sigma_relative": 0.1})
 
 
 def test_only_the_stage_asked_for_is_built():

@@ -1,0 +1,243 @@
+"""From a recording and a belief to a calibration, by any of the estimators."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .. import se3
+from ..errors import CalibrationError, UnknownNameError
+from ..provenance import digest, provenance
+from ..se3 import Array
+from . import chart, displacements, joint, observe, trilaterate
+from .calibration import Calibration
+from .measurements import Measurements, gather
+
+if TYPE_CHECKING:
+    from ..recording import Recording
+    from ..scene import Belief
+    from .posegraph import PoseGraph
+
+UNTOUCHED = "never touched"
+ALONE = "shares too few contacts with other taxels"
+WEAK = "too weakly determined"
+SURFACE = "body surface: position along the normal and tilt"
+CONTACTS = "contact points in the body frame"
+
+
+def calibrate(recording: Recording, belief: Belief, method: str = "joint") -> Calibration:
+    """Where every taxel of `belief.taxel_ids` is, by the readings of `recording`.
+
+    method: "joint", maximum likelihood over all readings (the default); "posegraph", the paper's
+    graph of displacements; "posegraph_isotropic", with the paper's isotropic information;
+    "trilateration", least squares on all circles of a taxel; "three_circles", the paper's.
+    Raises UnknownNameError for another method, RecordingError for values that are not finite,
+    CalibrationError for no readings, unknown taxels or nothing determined, ContactError where the
+    believed contact model leaves its range.
+    """
+    if method not in METHODS:
+        raise UnknownNameError("method", method, METHODS)
+    begin = time.perf_counter()
+    data = gather(recording, belief)
+    gathered = time.perf_counter()
+    values = METHODS[method](data, belief)
+    seconds = {"gather": gathered - begin, **values.pop("seconds", {})}
+    return _assemble(
+        data,
+        belief,
+        method,
+        values,
+        seconds | {"total": time.perf_counter() - begin},
+        provenance(
+            method=method,
+            recording=digest(recording.points, recording.force, recording.pressure),
+            source=recording.metadata.get("provenance", {}),
+        ),
+    )
+
+
+def _assemble(
+    data: Measurements,
+    belief: Belief,
+    method: str,
+    values: dict[str, Any],
+    seconds: dict[str, float],
+    source: dict[str, Any],
+) -> Calibration:
+    """Fill in what all methods share, and take back what is too weak to be an estimate."""
+    points, rotations = values.pop("points"), values.pop("rotations")
+    covariance = values.pop("covariances", None)
+    if covariance is None:
+        shape = observe.shape_operators(belief.body, points, rotations)
+        covariance = observe.pose_covariance(values.pop("tangential"), shape)
+    observed = observe.degrees_of_freedom(covariance, float(np.median(data.radii)))
+    why = np.array(values.pop("why"), dtype=object)
+    why[data.counts == 0] = UNTOUCHED
+    lost = np.asarray(~observed.any(axis=1))
+    why[lost & (why == "")] = WEAK
+    covariance = np.where(lost[:, None, None], np.diag([np.inf] * 6), covariance)
+    return Calibration(
+        ids=data.ids,
+        poses=chart.poses(np.where(lost[:, None], np.nan, points), rotations),
+        covariances=covariance,
+        observed=observed,
+        touched=data.counts > 0,
+        readings=data.counts,
+        method=method,
+        why=why,
+        seconds=seconds,
+        provenance=source,
+        **values,
+    )
+
+
+def _joint(data: Measurements, belief: Belief) -> dict[str, Any]:
+    found = joint.estimate(data, belief.body)
+    silent = ("silent readings, censored at the threshold",) if data.noise else ()
+    return {
+        "points": found.points,
+        "rotations": found.rotations,
+        "tangential": found.covariance,
+        "why": found.why,
+        "chi2": found.chi2,
+        "modulus": found.modulus,
+        "modulus_sigma": found.modulus_sigma,
+        "iterates": np.stack(found.iterates),
+        "seconds": found.seconds,
+        "anchor": CONTACTS,
+        "factors": (
+            "pressure of each reading",
+            *silent,
+            SURFACE,
+            f"E* within a factor {np.exp(joint.MODULUS_PRIOR):.1f} of its nominal value (1 sigma)",
+        ),
+    }
+
+
+def _trilateration(estimator: Callable[..., trilaterate.Fit]) -> Callable[..., dict[str, Any]]:
+    def run(data: Measurements, belief: Belief) -> dict[str, Any]:
+        fit = estimator(data, belief.body)
+        _require(fit)
+        scale = 1.0 if data.noise else float(np.nanmedian(fit.chi2))
+        return {
+            "points": fit.points,
+            "rotations": fit.rotations,
+            "tangential": fit.covariance * (scale if np.isfinite(scale) else 1.0),
+            "why": fit.why,
+            "chi2": fit.chi2,
+            "anchor": CONTACTS,
+            "factors": ("distance of each reading, at the nominal E*", SURFACE),
+        }
+
+    return run
+
+
+def _require(fit: trilaterate.Fit) -> None:
+    if not fit.found.any():
+        raise CalibrationError(
+            "no taxel is determined by the recording",
+            value=", ".join(sorted(set(map(str, fit.why)))),
+            remedy="touch every taxel from at least three contacts that are not on a line",
+        )
+
+
+def _posegraph(isotropic: bool) -> Callable[..., dict[str, Any]]:
+    def run(data: Measurements, belief: Belief) -> dict[str, Any]:
+        begin = time.perf_counter()
+        fit = trilaterate.least_squares(data, belief.body)
+        _require(fit)
+        graph = displacements.displacements(data, belief.body, fit, isotropic)
+        solution = graph.solve(keep_iterates=True)
+        placed, linked = _anchored(graph, solution.poses)
+        row = np.flatnonzero(fit.found)
+        poses = np.full((len(fit.why), 4, 4), np.nan)
+        poses[row[linked]] = placed[linked]
+        why = fit.why.copy()
+        why[row[~linked]] = ALONE
+        covariances = np.tile(np.diag([np.inf] * 6), (len(why), 1, 1))
+        covariances[row[linked]] = _graph_covariance(graph, placed)[linked]
+        steps = solution.iterates if solution.iterates is not None else poses[None]
+        iterates = np.full((len(steps), len(why), 3), np.nan)
+        for k, step in enumerate(steps):
+            iterates[k, row[linked]] = _anchored(graph, step)[0][linked, :3, 3]
+        return {
+            "points": poses[:, :3, 3],
+            "rotations": poses[:, :3, :3],
+            "covariances": covariances,
+            "why": why,
+            "chi2": np.full(len(why), np.nan),
+            "iterates": iterates,
+            "seconds": {
+                "graph": time.perf_counter() - begin,
+                "build": solution.build_time,
+                "solve": solution.solve_time,
+            },
+            "anchor": "rigid alignment of each connected part with the trilaterated positions",
+            "factors": (
+                f"{len(graph.edges)} displacements of taxels active together, "
+                f"{'isotropic' if isotropic else 'full'} information, taken as independent",
+                "spin of each frame: a convention",
+            ),
+        }
+
+    return run
+
+
+def _anchored(graph: PoseGraph, poses: Array) -> tuple[Array, np.ndarray]:
+    """The poses (n, 4, 4), each component aligned with the graph's own; which could be aligned.
+
+    A component of fewer than three taxels has no alignment.
+    """
+    out, linked = poses.copy(), np.zeros(len(poses), dtype=bool)
+    for component in np.unique(graph.components):
+        rows = np.flatnonzero(graph.components == component)
+        if len(rows) < 3:
+            continue
+        source, target = poses[rows, :3, 3], graph.poses[rows, :3, 3]
+        if np.ptp(source, axis=0).max() < 1e-9:  # all at one point, as at the origin's start
+            out[rows, :3, 3] = target.mean(axis=0)
+        else:
+            out[rows] = se3.align(source, target) @ poses[rows]
+        linked[rows] = True
+    return out, linked
+
+
+def _graph_covariance(graph: PoseGraph, poses: Array) -> Array:
+    """Covariances (n, 6, 6) of the poses relative to the whole, by the pseudo-inverse.
+
+    Displacements are taken as independent, though pairs share readings: a lower bound. The gauge
+    (six directions for each component) is left out, since the alignment fixes it; so is the spin.
+    """
+    n = len(poses)
+    i, j = graph.edges.T
+    relative = se3.inverse(poses[i]) @ poses[j]
+    rotation = relative[:, :3, :3]
+    into_i, into_j = np.zeros((len(i), 6, 6)), np.zeros((len(i), 6, 6))
+    into_i[:, :3, :3] = -np.eye(3)
+    into_i[:, :3, 3:] = se3.hat(relative[:, :3, 3])
+    into_i[:, 3:, 3:] = -np.swapaxes(rotation, 1, 2)
+    into_j[:, :3, :3], into_j[:, 3:, 3:] = rotation, np.eye(3)
+    h = np.zeros((n, n, 6, 6))
+    for a, into_a in ((i, into_i), (j, into_j)):
+        for b, into_b in ((i, into_i), (j, into_j)):
+            np.add.at(h, (a, b), np.swapaxes(into_a, 1, 2) @ graph.information @ into_b)
+    scale = np.tile([1.0, 1.0, 1.0, 100.0, 100.0, 100.0], n)  # m against rad, to condition
+    dense = h.transpose(0, 2, 1, 3).reshape(6 * n, 6 * n) / scale[:, None] / scale
+    inverse = np.linalg.pinv(dense, rcond=1e-11, hermitian=True) / scale[:, None] / scale
+    blocks = inverse.reshape(n, 6, n, 6)[np.arange(n), :, np.arange(n)]
+    blocks[:, observe.SPIN, :] = blocks[:, :, observe.SPIN] = 0.0
+    blocks[:, observe.SPIN, observe.SPIN] = np.inf
+    return np.asarray(blocks)
+
+
+METHODS: dict[str, Callable[[Measurements, Belief], dict[str, Any]]] = {
+    "joint": _joint,
+    "posegraph": _posegraph(isotropic=False),
+    "posegraph_isotropic": _posegraph(isotropic=True),
+    "trilateration": _trilateration(trilaterate.least_squares),
+    "three_circles": _trilateration(trilaterate.three_circles),
+}
+"""The estimators by name."""

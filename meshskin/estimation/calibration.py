@@ -1,0 +1,164 @@
+"""The calibration: where every taxel is, how certain that is, and what was not determined."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ..atomic import atomic, write_text
+from ..errors import CalibrationError
+from ..se3 import Array
+
+_KEY = b"meshskin-calibration"
+_COLUMNS = ("ids", "poses", "covariances", "observed", "touched", "readings", "chi2", "why")
+_HEADER = (
+    "method",
+    "anchor",
+    "factors",
+    "modulus",
+    "modulus_sigma",
+    "seconds",
+    "provenance",
+)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Poses of n taxels in the body frame, with their covariances. SI units.
+
+    A taxel that the data did not determine has NaN poses, an infinite covariance and the reason in
+    `why`; nothing is invented for it.
+    """
+
+    ids: np.ndarray
+    """Taxel ids (n,)."""
+    poses: Array
+    """T_body_taxel (n, 4, 4); z = outward normal, the spin about it is a convention."""
+    covariances: Array
+    """(n, 6, 6) in the taxel's frame, translation first, then rotation; inf where unseen."""
+    observed: np.ndarray
+    """(n, 6) bool: the degrees of freedom that the data and the named factors determined."""
+    touched: np.ndarray
+    """(n,) bool: whether the taxel gave any reading of a pressed contact."""
+    readings: np.ndarray
+    """Number of such readings (n,)."""
+    method: str
+    """Name of the estimator."""
+    anchor: str
+    """What fixes the pose of the whole."""
+    factors: tuple[str, ...]
+    """What the estimate is made of, priors named."""
+    chi2: Array
+    """Squared residuals per degree of freedom of each taxel (n,); NaN with none left."""
+    why: np.ndarray
+    """Why a taxel is not determined (n,) str; "" where it is."""
+    modulus: float | None = None
+    """E*, Pa, where it was estimated."""
+    modulus_sigma: float | None = None
+    """Its standard deviation, Pa."""
+    iterates: Array | None = None
+    """Positions (k, n, 3), m, along the iterations, where they were kept."""
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    """Seconds of the stages."""
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    """Inputs, versions, time."""
+
+    @property
+    def positions(self) -> Array:
+        """Positions (n, 3), body frame, m; NaN where not determined."""
+        return np.asarray(self.poses[:, :3, 3])
+
+    @property
+    def position_sigma(self) -> Array:
+        """Standard deviation (n,), m, of the position along the surface (root of the trace)."""
+        variance = np.diagonal(self.covariances, axis1=1, axis2=2)
+        return np.asarray(np.sqrt(variance[:, :2].sum(axis=1)))
+
+    def save(self, path: str | Path) -> None:
+        """Write path.parquet, which `load` reads, and path.csv, a map for people (mm)."""
+        path = Path(path)
+        columns = {name: _column(getattr(self, name)) for name in _COLUMNS}
+        steps = 0 if self.iterates is None else len(self.iterates)
+        if self.iterates is not None:
+            columns["iterates"] = _column(np.swapaxes(self.iterates, 0, 1))
+        header = {name: getattr(self, name) for name in _HEADER} | {"steps": steps}
+        table = pa.table(columns).replace_schema_metadata({_KEY: json.dumps(header).encode()})
+        with atomic(_part(path, "parquet")) as temporary:
+            pq.write_table(table, temporary)
+        write_text(_part(path, "csv"), self.csv())
+
+    @classmethod
+    def load(cls, path: str | Path) -> Calibration:
+        """Read what `save` wrote at `path`. Raises CalibrationError if it is no calibration."""
+        file = _part(Path(path), "parquet")
+        if not file.exists():
+            raise CalibrationError(f"no calibration at {path}", remedy="check the path")
+        try:
+            table = pq.read_table(file)
+        except (pa.ArrowInvalid, OSError) as error:
+            raise CalibrationError(
+                f"{file} cannot be read", value=str(error).splitlines()[0], remedy="calibrate again"
+            ) from error
+        metadata = table.schema.metadata or {}
+        missing = set(_COLUMNS) - set(table.column_names)
+        if _KEY not in metadata or missing:
+            raise CalibrationError(f"{file} holds no calibration", remedy="check the path")
+        header = json.loads(metadata[_KEY])
+        n, steps = table.num_rows, header.pop("steps")
+        shapes = {"poses": (n, 4, 4), "covariances": (n, 6, 6), "observed": (n, 6)}
+        values: dict[str, Any] = {
+            name: _array(table, name).reshape(shapes.get(name, (n,))) for name in _COLUMNS
+        }
+        if steps:
+            values["iterates"] = np.swapaxes(_array(table, "iterates").reshape(n, steps, 3), 0, 1)
+        return cls(**values, **header | {"factors": tuple(header["factors"])})
+
+    def csv(self) -> str:
+        """The map as text: one row a taxel, lengths in mm, empty where not determined."""
+        rows = ["taxel,x_mm,y_mm,z_mm,nx,ny,nz,sigma_mm,readings,note"]
+        for k in range(len(self.ids)):
+            numbers = [
+                *1e3 * self.positions[k],
+                *self.poses[k, :3, 2],
+                1e3 * self.position_sigma[k],
+            ]
+            text = [f"{x:.6f}" if np.isfinite(x) else "" for x in numbers]
+            rows.append(",".join([str(self.ids[k]), *text, str(self.readings[k]), self.why[k]]))
+        return "\n".join(rows) + "\n"
+
+    def report(self, path: str | Path, **options: Any) -> list[Path]:
+        """Write the report page; options (truth=skin, body=, recording=, ...) as `report.page`."""
+        from ..report.page import report
+
+        return report(path, **{"body": None, "calibration": self, **options})
+
+
+def _part(path: Path, suffix: str) -> Path:
+    return path.with_name(f"{path.name.removesuffix('.parquet')}.{suffix}")
+
+
+def _column(values: np.ndarray) -> pa.Array:
+    """An Arrow column of the rows of `values` (n, ...), each row flat."""
+    values = np.asarray(values)
+    if values.ndim == 1:
+        return pa.array(values.tolist() if values.dtype == object else values)
+    flat = np.ascontiguousarray(values).reshape(len(values), -1)
+    return pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel()), flat.shape[1])
+
+
+def _array(table: pa.Table, name: str) -> np.ndarray:
+    column = table.column(name).combine_chunks()
+    if isinstance(column, pa.ChunkedArray):
+        column = column.chunk(0)
+    if isinstance(column, pa.FixedSizeListArray):
+        column = column.flatten()
+    if pa.types.is_string(column.type):
+        return np.array(column.to_pylist(), dtype=object)
+    return np.array(column.to_numpy(zero_copy_only=False))

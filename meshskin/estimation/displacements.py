@@ -1,0 +1,167 @@
+"""Displacements between taxels active together: the edges of the pose graph (paper, eq. 1).
+
+For each pair, both taxels are trilaterated from those contacts alone in which both read. The
+displacement is delta_t = R_i^T (p_j - p_i), delta_R = R_i^T R_j, with frames that continue one
+frame per taxel (z = surface normal, turned the least way): so the spin, which no reading shows, is
+the same convention in every edge. The information comes from both trilaterations' covariances,
+carried through the body's curvature to the rotations.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .. import se3
+from ..errors import CalibrationError
+from ..se3 import Array
+from . import chart, trilaterate
+from .chart import Charts
+from .measurements import Measurements
+from .posegraph import PoseGraph
+from .trilaterate import Fit
+
+if TYPE_CHECKING:
+    from ..geometry.body import Body
+
+SHARED = 4
+"""Fewest contacts that a pair must share."""
+NARROW = 0.15
+"""Least width of the shared contacts about their best line, relative to the contact radius."""
+NORMAL_FLOOR = 0.1
+"""Least standard deviation along the normal, relative to the one along the surface."""
+ROTATION_FLOOR = 3.0
+"""Least standard deviation of a rotation, rad for every m along the surface."""
+
+
+def displacements(
+    data: Measurements, body: Body, fit: Fit | None = None, isotropic: bool = False
+) -> PoseGraph:
+    """The pose graph of all taxels that `fit` determines, starting at the poses of `fit`.
+
+    Its ids are the taxels' ids. `isotropic`: one information for all edges, the same in every
+    direction, as in the paper, at the level of the median edge.
+    Raises CalibrationError if no two taxels share enough contacts.
+    """
+    fit = fit or trilaterate.least_squares(data, body)
+    pairs, rows, owner = _shared(data, fit.found)
+    if not len(pairs):
+        raise CalibrationError(
+            "no two taxels are active together often enough for a displacement",
+            limit=f"{SHARED} shared contacts",
+            remedy="use method='joint', a softer material, or a denser skin",
+        )
+    found = trilaterate.circles(data, rows, owner)
+    own = chart.about(body, np.where(fit.found[:, None], fit.points, data.points[0]), fit.rotations)
+    charts = own[pairs.ravel()]  # owner 2 g is the first taxel of pair g, 2 g + 1 the second
+    y, information, chi2 = trilaterate.solve(found, charts)
+    sane = (trilaterate.width(found, charts) > NARROW) & (np.linalg.norm(y, axis=1) < data.disc)
+    good = sane.reshape(-1, 2).all(axis=1)
+    if not good.any():
+        raise CalibrationError(
+            "no displacement can be trilaterated",
+            value=f"{len(good)} pairs, all with contacts near a line or circles that do not meet",
+            remedy="explore along lanes closer to each other",
+        )
+    covariance = np.full_like(information, np.nan)
+    covariance[np.repeat(good, 2)] = np.linalg.inv(information[np.repeat(good, 2)])
+    if data.noise is None:
+        covariance *= np.nanmedian(chi2)
+    return _graph(data, body, fit, charts, charts.at(y), pairs, good, covariance, isotropic)
+
+
+def _graph(
+    data: Measurements,
+    body: Body,
+    fit: Fit,
+    charts: Charts,
+    points: Array,
+    pairs: np.ndarray,
+    good: np.ndarray,
+    covariance: Array,
+    isotropic: bool,
+) -> PoseGraph:
+    hit = body.closest(points)
+    poses = se3.transform(chart.carry(trilaterate.frames_of(charts), hit.normal), hit.point)
+    both = [np.flatnonzero(np.repeat(good, 2))[k::2] for k in (0, 1)]
+    i, j = (poses[b] for b in both)
+    measured = se3.inverse(i) @ j
+    spread = error_covariance(
+        measured, *(charts.shape[b] for b in both), *(covariance[b] for b in both)
+    )
+    if isotropic:
+        level = [np.median(np.trace(spread[:, s, s], axis1=1, axis2=2)) / 3 for s in _BLOCKS]
+        spread = np.broadcast_to(np.diag(np.repeat(level, 3)), spread.shape)
+    live = np.flatnonzero(fit.found)
+    place = np.full(len(fit.found), -1)
+    place[live] = np.arange(len(live))
+    return PoseGraph(
+        poses=se3.transform(fit.rotations[live], fit.points[live]),
+        edges=place[pairs[good]],
+        measurements=measured,
+        information=np.asarray(np.linalg.inv(spread), dtype=float),
+        ids=np.asarray(data.ids)[live],
+    )
+
+
+_BLOCKS = (slice(0, 3), slice(3, 6))
+
+
+def error_covariance(
+    measured: Array, shape_i: Array, shape_j: Array, cov_i: Array, cov_j: Array
+) -> Array:
+    """Covariance (m, 6, 6) of the residual of displacements `measured` (m, 4, 4).
+
+    From the tangential covariances (m, 2, 2), m^2, of both taxels and the shape operators
+    (m, 2, 2), 1/m, there: a taxel that is off by y along the surface is tilted by K y. Floors keep
+    it well-conditioned where the trilaterations say nothing: along the normal and in spin.
+    """
+    into_i, into_j = lever(shape_i), lever(shape_j)
+    rotation, offset = measured[:, :3, :3], measured[:, :3, 3]
+    jacobian_i = -into_i
+    jacobian_i[:, :3] += se3.hat(offset) @ into_i[:, 3:]
+    jacobian_i[:, 3:] = -np.swapaxes(rotation, 1, 2) @ into_i[:, 3:]
+    jacobian_j = into_j.copy()
+    jacobian_j[:, :3] = rotation @ into_j[:, :3]
+    total = jacobian_i @ cov_i @ np.swapaxes(jacobian_i, 1, 2)
+    total = total + jacobian_j @ cov_j @ np.swapaxes(jacobian_j, 1, 2)
+    level = (np.trace(cov_i, axis1=1, axis2=2) + np.trace(cov_j, axis1=1, axis2=2)) / 2
+    floor = np.repeat([NORMAL_FLOOR**2, ROTATION_FLOOR**2], 3)
+    return np.asarray(total + level[:, None, None] * np.diag(floor))
+
+
+def lever(shape: Array) -> Array:
+    """Translation and rotation (m, 6, 2), in the taxel's frame, of a unit move along the surface.
+
+    The normal moves by K y = w x z, so that the rotation is w = (-(K y)_2, (K y)_1, 0).
+    """
+    out = np.zeros((len(shape), 6, 2))
+    out[:, 0, 0] = out[:, 1, 1] = 1.0
+    out[:, 3], out[:, 4] = -shape[:, 1], shape[:, 0]
+    return out
+
+
+def _shared(data: Measurements, found: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pairs of taxels (g, 2) with shared contacts; their readings and the owner of each.
+
+    Owner 2 g is the first taxel of pair g, 2 g + 1 the second.
+    """
+    use = np.flatnonzero(found[data.taxel])
+    use = use[np.argsort(data.contact[use], kind="stable")]
+    contact = data.contact[use]
+    first = np.searchsorted(contact, contact, side="left")
+    number = np.searchsorted(contact, contact, side="right") - first  # readings in its contact
+    one = np.repeat(np.arange(len(use)), number)
+    within = np.arange(len(one)) - np.repeat(np.cumsum(number) - number, number)
+    other = np.repeat(first, number) + within
+    ahead = data.taxel[use[one]] < data.taxel[use[other]]
+    a, b = use[one[ahead]], use[other[ahead]]
+    key = data.taxel[a] * len(data.ids) + data.taxel[b]
+    keys, group, counts = np.unique(key, return_inverse=True, return_counts=True)
+    enough = counts >= SHARED
+    number_of = np.cumsum(enough) - 1
+    keep = enough[group]
+    g = number_of[group[keep]]
+    pairs = np.stack([keys // len(data.ids), keys % len(data.ids)], axis=1)[enough]
+    return pairs, np.concatenate([a[keep], b[keep]]), np.concatenate([2 * g, 2 * g + 1])

@@ -1,0 +1,174 @@
+"""What the data can determine: degrees of freedom, covariances, and the Cramér-Rao bound.
+
+A round taxel's pressure depends on its two coordinates along the surface. The body's surface adds
+the position along the normal and both tilts, as far as it is trusted. Nothing shows the spin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import CalibrationError
+from ..se3 import Array
+from . import chart
+from .displacements import lever
+from .likelihood import near_pairs
+from .measurements import gather
+from .pressure import kernel, parameters
+
+if TYPE_CHECKING:
+    from ..geometry.body import Body
+    from ..geometry.skin import Skin
+    from ..recording import Recording
+    from ..scene import Belief
+
+SURFACE_SIGMA = 1e-6
+"""Standard deviation to which the believed surface is trusted along its normal, m."""
+TILT_SIGMA = 1e-5
+"""The same for the direction of its normal, rad."""
+SPIN = 5
+"""Column of the rotation about the taxel's own normal."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """The Cramér-Rao bound of n taxels, E* being unknown too."""
+
+    covariance: Array
+    """(n, 2, 2), m^2, in the taxels' tangent planes; inf on the diagonal where unbounded."""
+    modulus_sigma: float
+    """Least standard deviation of ln E*."""
+
+    @property
+    def expected(self) -> Array:
+        """Expected distance (n,), m, of an estimate that reaches the bound; inf where unbounded."""
+        return mean_distance(self.covariance)
+
+    @property
+    def mean(self) -> float:
+        """Mean of `expected` over the taxels that have a bound, m."""
+        return float(np.mean(self.expected[self.bounded]))
+
+    @property
+    def rms(self) -> float:
+        """Root of the mean squared error of such an estimate, m, over the same taxels."""
+        trace = np.trace(self.covariance[self.bounded], axis1=1, axis2=2)
+        return float(np.sqrt(np.mean(trace)))
+
+    @property
+    def bounded(self) -> np.ndarray:
+        """Whether the data of each taxel bound it (n,)."""
+        return np.asarray(np.isfinite(self.covariance).all(axis=(1, 2)))
+
+
+def cramer_rao(recording: Recording, belief: Belief, skin: Skin) -> Bound:
+    """The bound at the truth, from the contacts of `recording` and the noise of `belief`.
+
+    The expected Fisher information of a reading with mean mu, censored at the threshold, is
+    [1 - Phi(c) + c phi(c) + phi(c)^2 / Phi(c)] / sigma^2 with c = (threshold - mu) / sigma.
+    Raises CalibrationError if the belief knows no noise.
+    """
+    data = gather(recording, belief)
+    if not data.noise:
+        raise CalibrationError(
+            "the Cramér-Rao bound needs the noise of the readings",
+            value="belief.noise_sigma = None",
+            remedy="give the belief a noise_sigma",
+        )
+    order = {int(k): row for row, k in enumerate(skin.ids)}
+    missing = [int(k) for k in data.ids if int(k) not in order]
+    if missing:
+        raise CalibrationError("the true skin lacks taxels", value=f"ids {missing[:5]}")
+    points = skin.positions[[order[int(k)] for k in data.ids]]
+    n = len(points)
+    charts = chart.about(belief.body, points)
+    contact, taxel = near_pairs(data, points)
+    p = parameters(data, charts, contact, taxel, 0.0, 1.0)
+    mean, slope, _ = (
+        value.full() for value in kernel("active").residual.map(len(taxel))(np.zeros((3, 1)), p)
+    )
+    weight = censored_information(data.threshold / data.sigma - mean[0])
+    h = np.zeros((n, 3, 3))
+    for r in range(3):
+        for c in range(3):
+            h[:, r, c] = np.bincount(taxel, weight * slope[r] * slope[c], n)
+    return _bound(h)
+
+
+def _bound(h: Array) -> Bound:
+    """The bound of information blocks (n, 3, 3) on (y, ln E*), ln E* shared."""
+    size = np.trace(h[:, :2, :2], axis1=1, axis2=2)
+    least = np.linalg.eigvalsh(h[:, :2, :2])[:, 0]
+    seen = least > 1e-9 * max(float(size.max(initial=0.0)), 1e-300)
+    covariance = np.tile(np.diag([np.inf, np.inf]), (len(h), 1, 1))
+    inverse = np.linalg.inv(h[seen, :2, :2])
+    lift = np.einsum("nij,nj->ni", inverse, h[seen, :2, 2])
+    rest = h[seen, 2, 2].sum() - np.einsum("ni,ni->", lift, h[seen, :2, 2])
+    variance = 1.0 / rest if rest > 0 else np.inf
+    covariance[seen] = inverse + variance * lift[:, :, None] * lift[:, None, :]
+    return Bound(covariance, float(np.sqrt(variance)))
+
+
+def censored_information(c: Array) -> Array:
+    """Fisher information (k,) on the mean, in units of 1/sigma^2; c = (threshold - mean)/sigma."""
+    from scipy.special import log_ndtr, ndtr
+
+    log_density = -(c**2) / 2 - np.log(2 * np.pi) / 2
+    density = np.exp(log_density)
+    return np.asarray(ndtr(-c) + c * density + np.exp(2 * log_density - log_ndtr(c)))
+
+
+def mean_distance(covariance: Array) -> Array:
+    """Expected length (n,) of Gaussian vectors (n, 2) with zero mean: sqrt(2/pi) s_1 E(m).
+
+    E is the complete elliptic integral of the second kind at the parameter m = 1 - (s_2/s_1)^2,
+    s_1 >= s_2 the standard deviations along the principal axes; inf for an infinite covariance.
+    """
+    from scipy.special import ellipe
+
+    out = np.full(len(covariance), np.inf)
+    good = np.isfinite(covariance).all(axis=(1, 2))
+    small, large = np.linalg.eigvalsh(covariance[good]).T
+    ratio = np.maximum(small, 0.0) / np.where(large > 0, large, 1.0)
+    out[good] = np.sqrt(2 * large / np.pi) * ellipe(1 - ratio)
+    return out
+
+
+def pose_covariance(tangential: Array, shape: Array) -> Array:
+    """Covariances (n, 6, 6) in the taxels' frames from those along the surface (n, 2, 2), m^2.
+
+    `shape` (n, 2, 2), 1/m, is the shape operator: it carries a move along the surface into tilt.
+    The spin has an infinite variance, and so has all of a taxel with an infinite `tangential`.
+    """
+    out = np.zeros((len(tangential), 6, 6))
+    good = np.isfinite(tangential).all(axis=(1, 2))
+    into = lever(shape[good])
+    surface = np.diag(np.square([0.0, 0.0, SURFACE_SIGMA, TILT_SIGMA, TILT_SIGMA, 0.0]))
+    out[good] = into @ tangential[good] @ np.swapaxes(into, 1, 2) + surface
+    out[~good] = np.diag([np.inf] * 6)
+    out[:, SPIN, SPIN] = np.inf
+    return out
+
+
+def degrees_of_freedom(covariance: Array, limit: float) -> np.ndarray:
+    """Which degrees of freedom (n, 6) are determined: their variance is finite, and the standard
+    deviation along the surface is below `limit`, m (beyond it the estimate is only a start).
+    """
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
+    observed = np.isfinite(variance)
+    worst = np.full(len(covariance), np.inf)
+    good = observed[:, :2].all(axis=1)
+    worst[good] = np.sqrt(np.linalg.eigvalsh(covariance[good, :2, :2])[:, 1])
+    return np.asarray(observed & (worst < limit)[:, None])
+
+
+def shape_operators(body: Body, points: Array, rotations: Array) -> Array:
+    """Shape operators (n, 2, 2), 1/m, at `points` in the tangents of `rotations`; 0 where NaN."""
+    out = np.zeros((len(points), 2, 2))
+    good = np.isfinite(points).all(axis=1)
+    if good.any():
+        out[good] = chart.about(body, points[good], rotations[good]).shape
+    return out
