@@ -1,6 +1,7 @@
 """The arm against pinocchio, against the published Puma 560, and against itself."""
 
 import pickle
+import re
 from pathlib import Path
 
 import casadi as cs
@@ -12,6 +13,7 @@ from meshskin.motion.arm import GRAVITY, Arm
 from meshskin.se3 import exp_so3, transform
 
 PUMA = Path(__file__).parents[2] / "bodies" / "puma560.urdf"
+COLUMN = np.array([0.0, 0.0, 0.672])  # from the floor to the shoulder, m
 COM, INERTIA = np.array([0.01, -0.02, 0.1]), np.diag([0.01, 0.02, 0.02]) + 0.001
 
 # A joint with limits, an endless joint, skew axes and a finger beside the chain.
@@ -110,14 +112,16 @@ def test_building_the_dynamics_prints_nothing(puma, capfd):
 
 
 def test_published_puma(puma):
-    """Corke's p560: qz and qr, and the motors' inertia times the gear ratio squared."""
+    """Corke's p560 on its column: qz, qr, qs; the motors' inertia times the gear ratio squared."""
     assert puma.joint_names == tuple(f"joint{i}" for i in range(1, 7))
     pi = np.pi
     qz, qr, qs = np.zeros(6), [0, pi / 2, -pi / 2, 0, 0, 0], [0, 0, -pi / 2, 0, 0, 0]
     poses = puma.pose([qz, qr, qs])
-    np.testing.assert_allclose(poses[0], transform(np.eye(3), [0.4521, -0.15005, 0.4318]))
-    np.testing.assert_allclose(poses[1, :3, 3], [0.0203, -0.15005, 0.8636], atol=1e-12)
-    np.testing.assert_allclose(poses[2, :3, 3], [0.8636, -0.15005, -0.0203], atol=1e-12)
+    published = np.array(
+        [[0.4521, -0.15005, 0.4318], [0.0203, -0.15005, 0.8636], [0.8636, -0.15005, -0.0203]]
+    )  # from the shoulder
+    np.testing.assert_allclose(poses[:, :3, 3], published + COLUMN, atol=1e-12)
+    np.testing.assert_allclose(poses[0, :3, :3], np.eye(3), atol=1e-12)
     np.testing.assert_allclose(
         puma.reflected_inertia, [0.784, 2.325, 0.577, 0.191, 0.171, 0.194], atol=5e-4
     )
@@ -197,7 +201,7 @@ def test_path_past_a_joint_limit_names_the_joint(puma):
 def test_path_out_of_reach_names_the_sample(puma):
     poses = np.tile(puma.pose([0.0, 0.3, -1.8, 0.1, 0.4, 0.0]), (50, 1, 1))
     poses[:, 0, 3] += np.linspace(0.0, 1.0, 50)
-    far = np.linalg.norm(poses[:, :3, 3], axis=1) > np.hypot(0.8641 + 1e-3, 0.15005)
+    far = np.linalg.norm(poses[:, :3, 3] - COLUMN, axis=1) > np.hypot(0.8641 + 1e-3, 0.15005)
     with pytest.raises(ReachError, match=r"pose (\d+) of 50.*residual.*seed") as caught:
         puma.inverse_kinematics(poses, [0.0, 0.3, -1.8, 0.1, 0.4, 0.0])
     assert abs(int(str(caught.value).split("pose ")[1].split()[0]) - np.argmax(far)) <= 1
@@ -226,6 +230,46 @@ def test_solve_keeps_to_the_given_seed(puma):
 def test_solve_refuses_what_is_out_of_reach(puma):
     with pytest.raises(ReachError, match=r"cannot reach the pose at \[3\.0, 0\.0, 0\.0\] m"):
         puma.solve(transform(exp_so3([0.1, 0.2, 0.3]), [3.0, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize("shape", [(), (5,), (7,), (6, 1), (3, 5), (2, 2, 12), (0, 6)])
+def test_angles_of_wrong_shape(puma, shape):
+    for evaluate in (puma.pose, puma.jacobian):
+        with pytest.raises(
+            ArmError, match=re.escape(f"q of wrong shape, got {shape}, limit: (...")
+        ):
+            evaluate(np.zeros(shape))
+
+
+@pytest.mark.parametrize("shape", [(5, 1), (7, 1), (1, 6)])
+def test_symbols_of_wrong_shape(puma, shape):
+    with pytest.raises(ArmError, match=re.escape(f"q of wrong shape, got {shape}")):
+        puma.kinematics(cs.SX.sym("q", *shape))
+
+
+def test_poses_and_seeds_of_wrong_shape(puma):
+    pose, q = puma.pose(np.full(6, 0.3)), np.full(6, 0.3)
+    np.testing.assert_allclose(puma.inverse_kinematics(pose, q), [q], atol=1e-9)
+
+    def refused(name, shape, limit):
+        return pytest.raises(
+            ArmError, match=re.escape(f"{name} of wrong shape, got {shape}, limit: {limit}")
+        )
+
+    for shape in [(3, 4), (16,), (2, 16), (0, 4, 4), (1, 2, 4, 4)]:
+        with refused("poses", shape, "(k, 4, 4) or (4, 4)"):
+            puma.inverse_kinematics(np.zeros(shape), q)
+    for shape in [(), (5,), (1, 6), (12,)]:
+        with refused("seed", shape, "(6,)"):
+            puma.inverse_kinematics(pose, np.zeros(shape))
+    for shape in [(3, 4), (1, 4, 4), (2, 4, 4)]:
+        with refused("pose", shape, "(4, 4)"):
+            puma.solve(np.zeros(shape))
+    for shape in [(), (5,), (0, 6), (6, 1), (1, 2, 6)]:
+        with refused("seeds", shape, "(k, 6) or (6,)"):
+            puma.solve(pose, np.zeros(shape))
+    with pytest.raises(ArmError, match="seeds is no array of numbers"):
+        puma.solve(pose, [[0.0] * 6, [0.0] * 5])
 
 
 def test_arm_survives_pickling(puma):

@@ -1,0 +1,199 @@
+"""URDF text: its joints, links and motors, checked; and the bare text that adam reads."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import casadi as cs
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import ArmError, UnknownNameError
+from ..se3 import Array
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint of a URDF file: where it sits on its parent link, and how it moves."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    xyz: Array  # (3,) m, origin in the parent link's frame
+    rpy: Array  # (3,) rad, fixed-axis roll, pitch, yaw of the origin
+    axis: Array  # (3,) unit vector in the joint's frame
+    limits: dict[str, float]  # lower, upper, velocity, effort: those that the file gives
+
+    def motion(self, q: cs.SX | float) -> cs.SX:
+        """Pose (4, 4) of the child link in the parent link at joint angle `q` (rad)."""
+        origin, move = np.eye(4), cs.SX.eye(4)
+        origin[:3, :3], origin[:3, 3] = rotation(self.rpy), self.xyz
+        if self.kind != "fixed":
+            x, y, z = self.axis
+            along = np.outer(self.axis, self.axis)
+            across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+            move[:3, :3] = along + cs.cos(q) * (np.eye(3) - along) + cs.sin(q) * across
+        return cs.sparsify(cs.SX(origin)) @ cs.sparsify(move)
+
+
+def rotation(rpy: ArrayLike) -> Array:
+    """Rotation matrix (3, 3) of URDF angles (rad), Rz(yaw) Ry(pitch) Rx(roll).
+
+    Entries within rounding of -1, 0, 1 are made exact: quarter turns then cost no instructions.
+    """
+    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
+    r = np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+    return np.where(np.abs(r - np.round(r)) < 1e-15, np.round(r), r)
+
+
+def parse(urdf: str, where: str) -> ET.Element:
+    """Root element of URDF text; `where` is added to error messages, here and below."""
+    try:
+        robot = ET.fromstring(urdf)
+    except ET.ParseError as error:
+        raise ArmError(f"bad XML{where}: {error}") from error
+    if robot.tag != "robot":
+        raise ArmError(f"no URDF{where}: the root element is <{robot.tag}>", limit="<robot>")
+    return robot
+
+
+def _links(robot: ET.Element) -> list[str]:
+    """Names of all links."""
+    return [link.get("name", "") for link in robot.findall("link")]
+
+
+def check_links(robot: ET.Element, where: str) -> None:
+    """Raise ArmError unless the links form one tree and every inertial is complete."""
+    links, joints = _links(robot), _joints(robot, where)
+    for j in joints:
+        for link in {j.parent, j.child} - set(links):
+            raise ArmError(
+                f"joint {j.name!r}{where} names a link that is missing", value=repr(link)
+            )
+    children = [j.child for j in joints]
+    roots = [link for link in links if link not in children]
+    if len(roots) != 1 or len(set(children)) != len(children):
+        raise ArmError(f"the links{where} form no tree", value=f"roots {roots}", limit="one root")
+    for element in robot.findall("link"):
+        if (inertial := element.find("inertial")) is not None:
+            here = f" of link {element.get('name')!r}{where}"
+            _vector(inertial.find("mass"), "value", "", 1, here)
+            for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"):
+                _vector(inertial.find("inertia"), key, "", 1, here)
+
+
+def _vector(element: ET.Element | None, key: str, default: str, size: int, where: str) -> Array:
+    """Numbers (size,) of an attribute."""
+    text = default if element is None else element.get(key, default)
+    try:
+        values = np.array([float(part) for part in text.split()])
+    except ValueError:
+        values = np.array([math.nan])
+    if values.shape != (size,) or not np.isfinite(values).all():
+        raise ArmError(f"bad {key}{where}", value=repr(text), limit=f"{size} numbers")
+    return values
+
+
+def numbers(values: ArrayLike) -> str:
+    """Numbers as an attribute's text, exact to the last bit."""
+    return " ".join(repr(float(v)) for v in np.asarray(values))
+
+
+def _joints(robot: ET.Element, where: str) -> list[Joint]:
+    """All joints of the file."""
+    return [_joint(element, where) for element in robot.findall("joint")]
+
+
+def _joint(element: ET.Element, where: str) -> Joint:
+    """One joint of the file."""
+    name = element.get("name", "")
+    here = f" of joint {element.get('name')!r}{where}"
+    parent, child = _end(element, "parent"), _end(element, "child")
+    if not (parent and child):
+        raise ArmError(f"no parent or child{here}")
+    if element.find("mimic") is not None:
+        raise ArmError(f"<mimic>{here} is not supported", remedy="make the joint fixed")
+    origin, limit = element.find("origin"), element.find("limit")
+    axis = _vector(element.find("axis"), "xyz", "1 0 0", 3, here)
+    length = np.linalg.norm(axis)
+    if not length > 0.0:
+        raise ArmError(f"zero axis{here}")
+    given = {} if limit is None else limit.attrib
+    return Joint(
+        name=name,
+        kind=element.get("type", ""),
+        parent=parent,
+        child=child,
+        xyz=_vector(origin, "xyz", "0 0 0", 3, here),
+        rpy=_vector(origin, "rpy", "0 0 0", 3, here),
+        axis=axis / length,
+        limits={key: float(_vector(limit, key, "", 1, here)[0]) for key in given},
+    )
+
+
+def _end(joint: ET.Element, which: str) -> str:
+    """Name of a joint's `which` (parent or child) link; empty where the file gives none."""
+    element = joint.find(which)
+    return "" if element is None else element.get("link", "")
+
+
+def chain(robot: ET.Element, tip: str, where: str) -> list[Joint]:
+    """The joints from the root link to `tip`. Raises ArmError, UnknownNameError."""
+    joints, links = _joints(robot, where), _links(robot)
+    if tip not in links:
+        raise UnknownNameError("link", tip, links, where)
+    above = {j.child: j for j in joints}
+    found: list[Joint] = []
+    while tip in above:
+        found.insert(0, above[tip])
+        tip = above[tip].parent
+        if len(found) > len(joints):
+            raise ArmError(f"the links form a loop{where}")
+    return found
+
+
+def reflected_inertias(robot: ET.Element, where: str) -> dict[str, float]:
+    """Reflected inertia (kg m^2) of each joint that has a motor."""
+    motors: dict[str, float] = {}
+    for transmission in robot.findall("transmission"):
+        joint = transmission.find("joint")
+        if joint is None:
+            continue
+        name = joint.get("name", "")
+        found = {e.tag.rpartition("}")[2]: e for e in transmission.iter()}
+        here = f" of the motor of {name!r}{where}"
+        rotor = _vector(found.get("rotor_inertia"), "value", "0", 1, here)[0]
+        gear = _vector(found.get("gear_ratio"), "value", "1", 1, here)[0]
+        motors[name] = float(rotor * gear**2)
+    return motors
+
+
+def bare(urdf: str, name: str, moving: Iterable[str]) -> str:
+    """URDF text of links, inertials and joints only; joints not named in `moving` are fixed."""
+    source, free = parse(urdf, ""), set(moving)
+    robot = ET.Element("robot", name=name)
+    for link in source.findall("link"):
+        kept = ET.SubElement(robot, "link", name=link.get("name", ""))
+        if (inertial := link.find("inertial")) is not None:
+            if inertial.find("origin") is None:
+                ET.SubElement(inertial, "origin", xyz="0 0 0", rpy="0 0 0")
+            kept.append(inertial)
+    for j in _joints(source, ""):
+        kind = j.kind if j.name in free else "fixed"
+        joint = ET.SubElement(robot, "joint", name=j.name, type=kind)
+        ET.SubElement(joint, "parent", link=j.parent)
+        ET.SubElement(joint, "child", link=j.child)
+        ET.SubElement(joint, "origin", xyz=numbers(j.xyz), rpy=numbers(j.rpy))
+        ET.SubElement(joint, "axis", xyz=numbers(j.axis))
+        ET.SubElement(joint, "limit", lower="0", upper="0", effort="0", velocity="0")
+    return ET.tostring(robot, encoding="unicode")
