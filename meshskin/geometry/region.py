@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import SkinError
 from .body import Body
 from .closest import Closest
-from .surface import part_middles
+from .proximity import part_middles
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]

@@ -9,7 +9,9 @@ import trimesh
 from meshskin.errors import MeshError
 from meshskin.geometry import primitives
 from meshskin.geometry.body import Body
-from meshskin.geometry.surface import Surface, neighbours, triangle_distance2
+from meshskin.geometry.proximity import triangle_distance2
+from meshskin.geometry.surface import Surface
+from meshskin.geometry.walk import neighbours
 
 
 def rms(x):
@@ -184,6 +186,19 @@ def test_a_box_keeps_its_edges_and_corners(cuts):
     inside = np.minimum(np.max(np.abs(points) - half, axis=1), 0.0)
     exact = np.linalg.norm(outside, axis=1) + inside
     np.testing.assert_allclose(surface.closest(points).distance, exact, atol=1e-9)
+
+
+def test_signs_hold_at_sharp_edges_and_corners():
+    """A spike, whose faces' normals alone tell inside from outside wrongly near its edges."""
+    vertices = np.array([[0.1, 0, 0], [-0.05, 0.02, 0], [-0.05, -0.02, 0], [-0.05, 0, 0.01]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    surface = Surface(SimpleNamespace(vertices=vertices, faces=faces))
+    points = np.random.default_rng(6).uniform(-1, 1, size=(4000, 3)) * [0.15, 0.05, 0.05]
+    a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
+    normal = np.cross(b - a, c - a)
+    inside = np.all(np.einsum("nfc,fc->nf", points[:, None] - a, normal) < 0, axis=1)
+    assert inside.any()
+    np.testing.assert_array_equal(surface.closest(points).distance < 0, inside)
 
 
 def test_a_border_ends_the_surface():

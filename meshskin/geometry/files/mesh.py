@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import MeshError
-from ..surface import neighbours
+from ..walk import neighbours
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

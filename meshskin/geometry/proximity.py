@@ -1,0 +1,88 @@
+"""The face nearest to a point: a KD-tree over samples of a mesh, searched in a scale near one."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+class Proximity:
+    """Samples of a triangle mesh (vertices (n, 3) m, faces (m, 3)) in a KD-tree."""
+
+    def __init__(self, vertices: Array, faces: Index) -> None:
+        from scipy.spatial import KDTree
+
+        self.vertices, self.faces = vertices, faces
+        self.origin = vertices[faces[0, 0]]
+        self.scale = float(np.max(np.ptp(vertices, axis=0)))
+        points, self.owner = sample_faces(vertices, faces)
+        self.tree = KDTree((points - self.origin) / self.scale)
+
+    def near(self, points: Array) -> Index:
+        """The faces (n,) of the samples nearest to points (n, 3), m."""
+        return np.asarray(self.owner[self.tree.query((points - self.origin) / self.scale)[1]])
+
+    def exact(self, points: Array, candidates: int = 24) -> Index:
+        """The nearest flat faces (n,) among those of the `candidates` nearest samples."""
+        if not len(points):
+            return np.zeros(0, dtype=np.intp)
+        count = min(candidates, len(self.owner))
+        samples = self.tree.query((points - self.origin) / self.scale, k=count)[1]
+        faces = self.owner[samples.reshape(len(points), count)]
+        corners = self.vertices[self.faces[faces]]
+        a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
+        gap = triangle_distance2(points[:, None], a, b - a, c - a)
+        return np.asarray(faces[np.arange(len(points)), np.argmin(gap, axis=1)])
+
+
+def sample_faces(vertices: Array, faces: Index, limit: int = 400_000) -> tuple[Array, Index]:
+    """Points (k, 3) on the faces, and their faces (k,), dense enough for a nearest-face guess.
+
+    A face gets its centroid; one larger than twice the median also the middles of equal parts.
+    """
+    corners = vertices[faces]
+    radius = np.max(np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2), axis=1)
+    aim = max(2.0 * float(np.median(radius)), 1e-30)
+    aim = max(aim, float(np.sqrt(np.sum(radius**2) / limit)))
+    parts = np.clip(np.ceil(radius / aim), 1, 64).astype(np.intp)
+    points, owners = [], []
+    for count in np.unique(parts):
+        which = np.flatnonzero(parts == count)
+        weights = part_middles(int(count))  # (count^2, 3)
+        points.append((weights @ corners[which]).reshape(-1, 3))
+        owners.append(np.repeat(which, len(weights)))
+    return np.concatenate(points), np.concatenate(owners)
+
+
+def part_middles(count: int) -> Array:
+    """Barycentric middles (count^2, 3) of a triangle cut into count^2 equal triangles."""
+    up = [(3 * i + 1, 3 * j + 1) for i in range(count) for j in range(count - i)]
+    down = [(3 * i + 2, 3 * j + 2) for i in range(count - 1) for j in range(count - 1 - i)]
+    uv = np.array(up + down) / (3.0 * count)
+    return np.column_stack([1.0 - uv.sum(axis=1), uv])
+
+
+def triangle_distance2(p: Array, a: Array, ab: Array, ac: Array) -> Array:
+    """Squared distances from points p to triangles a, a + ab, a + ac (all (..., 3))."""
+    ap = p - a
+    inside = _barycentric(ap, ab, ac)
+    flat = ap - inside[..., :1] * ab - inside[..., 1:] * ac
+    best = np.where(
+        (inside.min(axis=-1) >= 0) & (inside.sum(axis=-1) <= 1), np.sum(flat**2, axis=-1), np.inf
+    )
+    for start, edge in ((ap, ab), (ap, ac), (ap - ab, ac - ab)):
+        length2 = np.maximum(np.sum(edge * edge, axis=-1), 1e-300)
+        t = np.clip(np.sum(start * edge, axis=-1) / length2, 0.0, 1.0)
+        best = np.minimum(best, np.sum((start - t[..., None] * edge) ** 2, axis=-1))
+    return best
+
+
+def _barycentric(offset: Array, ab: Array, ac: Array) -> Array:
+    """Weights (..., 2) of ab and ac in the projection of offsets on their planes."""
+    e, f, g = (np.sum(x * y, axis=-1) for x, y in ((ab, ab), (ab, ac), (ac, ac)))
+    x, y = np.sum(offset * ab, axis=-1), np.sum(offset * ac, axis=-1)
+    area2 = np.maximum(e * g - f * f, 1e-300)
+    return np.stack([(g * x - f * y) / area2, (e * y - f * x) / area2], axis=-1)
