@@ -56,21 +56,28 @@ def determined(findings: Findings) -> tuple[Block, ...]:
         f"Factors used: {', '.join(c.factors) or 'none named'}.",
         f"Anchor (what fixes the whole's pose): {c.anchor or 'none named'}.",
     ]
-    if has_gauge(c):
+    if has_gauge(c) and findings.truth is not None:
         lines.append(
             "This method leaves the pose of the whole free: errors are given after the best "
             "rigid alignment with the truth."
         )
-    missing = np.asarray(c.ids)[~findings.touched]
-    if len(missing):
-        lines.append(
-            f"{len(missing)} of {findings.count} taxels were never touched and have no estimate: "
-            f"{listed(missing)}."
-        )
-    else:
-        lines.append("Every taxel was touched.")
+    lines += missing(findings)
     header = ("degree of freedom", "touched taxels", "")
     return (Table(header, rows, numeric=(1,)), Text(tuple(lines)))
+
+
+def missing(findings: Findings) -> list[str]:
+    """Which taxels have no estimate, and why."""
+    c = findings.calibration
+    why = np.where(findings.located, "", np.asarray(c.why, dtype=str))
+    reasons = sorted(set(why[~findings.located].tolist()))
+    if not reasons:
+        return ["Every taxel was touched and located."]
+    return [
+        f"{int((why == reason).sum())} of {findings.count} taxels have no estimate "
+        f"({reason or 'no reason given'}): {listed(np.asarray(c.ids)[why == reason])}."
+        for reason in reasons
+    ]
 
 
 def _comment(freedom: int, count: int, touched: int) -> str:
@@ -99,8 +106,8 @@ def next_steps(findings: Findings) -> Sequence[str]:
     weak = findings.touched & ~np.asarray(c.observed, dtype=bool)[:, :2].all(axis=1)
     if weak.any():
         steps.append(
-            f"Pass taxels {listed(ids[weak])} on both sides: they were touched, but along a line, "
-            "and their place along the skin is not determined."
+            f"Pass taxels {listed(ids[weak])} on both sides: they were touched, but from too few "
+            "sides to determine their place along the skin."
         )
     few = findings.touched & ~weak & (readings < FEW_READINGS)
     if few.any():

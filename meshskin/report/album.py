@@ -157,28 +157,28 @@ def coverage(folder: Path, findings: Findings) -> Picture | None:
 
 def iterations(folder: Path, findings: Findings) -> Picture | None:
     """Fig. 6-8: the three panels for the page, and each as a file of its own."""
-    steps, over = findings.iterates, findings.iterates_over
-    if steps is None or over is None:
+    run = findings.iterations
+    if run is None:
         return None
-    reference = "end" if findings.truth is None else "true taxel"
-    singles = (
-        figures.save(
-            figures.iterations(over, steps, only=k, reference=reference, plane=findings.plane),
-            folder,
-            f"fig{6 + k}_iteration",
+
+    def draw(only: int | None) -> Figure:
+        reference = "true taxel" if run.known else "end"
+        return figures.iterations(
+            run.over, run.steps, plane=findings.plane, only=only, reference=reference
         )
-        for k in range(3)
-    )
+
+    singles = (figures.save(draw(k), folder, f"fig{6 + k}_iteration") for k in range(3))
     also = tuple(file for pair in singles for file in pair)
+    start = "True displacements of neighbours with noise added, every taxel started at one point. "
     picture = _keep(
         folder,
         "fig6-8_iterations",
-        figures.iterations(over, steps, reference=reference, plane=findings.plane),
+        draw(None),
         "Pose-graph estimates along the iterations (the paper's fig. 6 to 8)",
-        f"First, middle and last of {len(steps)} sets of estimates. The means above are "
-        f"distances in space from the {'truth' if findings.truth is not None else 'end'}; the map "
-        f"shows their part along the skin ({findings.count} taxels). Good: the last panel "
-        "has every estimate inside or beside its ring.",
+        (start if run.demonstration else "")
+        + f"First, middle and last of {len(run.steps)} sets of estimates. The means above are "
+        f"distances in space from the {'truth' if run.known else 'end'}; the map shows their part "
+        "along the skin. Good: in the last panel every estimate lies inside or beside its ring.",
         "Maps of the estimates at the first, middle and last iteration",
     )
     return replace(picture, also=also)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..se3 import Array, align
-from .plane import MM, Plane, tangent_plane
+from ..se3 import Array
+from .plane import Plane, tangent_plane
 
 if TYPE_CHECKING:
     from ..estimation.calibration import Calibration
+    from ..estimation.demonstration import Demonstration
     from ..geometry.skin import Skin
     from ..recording import Recording
 
@@ -23,6 +24,7 @@ NAMES = {
     "posegraph": "pose graph",
     "trilateration": "trilateration",
     "three_circles": "three circles",
+    "posegraph_isotropic": "pose graph, isotropic",
 }
 """Readable names of methods; others keep their own, with spaces for underscores."""
 
@@ -33,19 +35,48 @@ def readable(method: str) -> str:
 
 
 @dataclass(frozen=True)
+class Iterations:
+    """Estimates along the iterations of a pose graph."""
+
+    steps: Array
+    """Positions (k, j, 3), m."""
+    over: Array
+    """What they are drawn over (j, 3), m: the truth, or else their end."""
+    known: bool
+    """Whether `over` is the truth."""
+    demonstration: bool
+    """Whether they are the paper's demonstration: perturbed displacements, all at the origin."""
+
+    @classmethod
+    def find(
+        cls,
+        calibrations: Sequence[Calibration],
+        truth: Skin | None,
+        demonstration: Demonstration | None,
+    ) -> Iterations | None:
+        """Of the demonstration, or else of the first pose graph that kept its iterates."""
+        if demonstration is not None:
+            return cls(demonstration.iterates, demonstration.truth, True, True)
+        for c in calibrations:
+            if has_gauge(c) and c.iterates is not None and len(c.iterates) > 1:
+                steps = np.asarray(c.iterates, dtype=float)
+                over = None if truth is None else matched(truth.ids, truth.positions, c.ids)
+                return cls(steps, steps[-1] if over is None else over, over is not None, False)
+        return None
+
+
+@dataclass(frozen=True)
 class Findings:
     """A calibration and all that is known beside it. Arrays follow the order of calibration.ids."""
 
     calibration: Calibration
     recording: Recording | None
     truth: Array | None
-    """True poses (n, 4, 4), NaN for a taxel that the truth does not hold; None: no truth."""
+    """True poses (n, 4, 4); None: no truth."""
     errors: Mapping[str, Array]
     """Position errors (n,), m, of each method against the truth; the calibration's own first."""
-    iterates: Array | None
-    """Positions (k, j, 3), m, along the iterations of the pose graph."""
-    iterates_over: Array | None
-    """What the iterations are drawn over (j, 3), m: the truth, or else their end."""
+    iterations: Iterations | None
+    """None: no pose graph kept its iterates."""
     metrics: Mapping[str, Any]
     seconds: Mapping[str, float]
     provenance: Mapping[str, Any]
@@ -58,7 +89,7 @@ class Findings:
         recording: Recording | None,
         truth: Skin | None,
         comparisons: Mapping[str, Calibration],
-        iterates: ArrayLike | None,
+        demonstration: Demonstration | None,
         metrics: Mapping[str, Any],
         seconds: Mapping[str, float],
         provenance: Mapping[str, Any],
@@ -67,31 +98,16 @@ class Findings:
         true = None if truth is None else matched(truth.ids, truth.poses, calibration.ids)
         errors: dict[str, Array] = {}
         for name, other in {calibration.method: calibration, **comparisons}.items():
-            if true is not None:
-                found = matched(other.ids, other.positions, calibration.ids)
-                errors[name] = position_errors(found, true[:, :3, 3], has_gauge(other))
-        over = None
-        if iterates is not None:
-            over = None if truth is None else np.asarray(truth.positions, dtype=float)
-        else:
-            sources = (calibration, *comparisons.values())
-            source = next((c for c in sources if _has_iterates(c)), None)
-            if source is not None:
-                iterates = source.iterates
-                if truth is not None:
-                    over = matched(truth.ids, truth.positions, source.ids)
-        steps = None if iterates is None else np.asarray(iterates, dtype=float)
-        if steps is not None and not len(steps):
-            steps = None
+            if truth is not None:
+                errors[name] = _errors(other, truth, calibration.ids)
         return cls(
             calibration,
             recording,
             true,
             errors,
-            steps,
-            over if over is not None or steps is None else steps[-1],
+            Iterations.find((calibration, *comparisons.values()), truth, demonstration),
             metrics,
-            seconds or calibration.seconds,
+            seconds or {k: v for k, v in calibration.seconds.items() if k != "total"},
             provenance or calibration.provenance,
         )
 
@@ -120,9 +136,15 @@ class Findings:
         return out
 
     @cached_property
+    def located(self) -> NDArray[np.bool_]:
+        """Which taxels have an estimate (n,)."""
+        return np.asarray(np.isfinite(self.calibration.positions).all(axis=1))
+
+    @cached_property
     def sigma(self) -> Array:
-        """Stated uncertainty of each position (n,), m: the root of the covariance's trace."""
-        return np.asarray(np.sqrt(np.trace(self.covariances, axis1=1, axis2=2)))
+        """Stated standard deviation along the surface (n,), m; NaN where not determined."""
+        sigma = np.asarray(self.calibration.position_sigma, dtype=float)
+        return np.where(np.isfinite(sigma), sigma, np.nan)
 
     @cached_property
     def where(self) -> Array:
@@ -146,19 +168,9 @@ class Findings:
 
     def error_summary(self, method: str) -> dict[str, float]:
         """Mean, rms and max error (mm) of a method, over the taxels that it found."""
-        e = self.errors[method] * MM
-        e = e[np.isfinite(e)]
-        if not len(e):
-            return dict.fromkeys(("mean", "rms", "max"), float("nan"))
-        return {
-            "mean": float(e.mean()),
-            "rms": float(np.sqrt(np.mean(e**2))),
-            "max": float(e.max()),
-        }
+        from ..estimation.metrics import summary_mm
 
-
-def _has_iterates(calibration: Calibration) -> bool:
-    return calibration.iterates is not None and len(calibration.iterates) > 1
+        return summary_mm(self.errors[method])
 
 
 def matched(ids: ArrayLike, values: ArrayLike, wanted: ArrayLike) -> Array:
@@ -174,14 +186,14 @@ def matched(ids: ArrayLike, values: ArrayLike, wanted: ArrayLike) -> Array:
 
 
 def has_gauge(calibration: Calibration) -> bool:
-    """Whether the whole's pose is free, so that errors are meaningful only after alignment."""
-    return calibration.method == "posegraph"
+    """Whether the method leaves the whole's pose free, so that errors count after alignment."""
+    return calibration.method.startswith("posegraph")
 
 
-def position_errors(estimate: Array, truth: Array, gauge: bool) -> Array:
-    """Distances (n,), m, of estimates (n, 3) from the truth (n, 3), after alignment if `gauge`."""
-    good = np.isfinite(estimate).all(axis=1) & np.isfinite(truth).all(axis=1)
-    if gauge and good.sum() >= 3:
-        pose = align(estimate[good], truth[good])
-        estimate = estimate @ pose[:3, :3].T + pose[:3, 3]
-    return np.asarray(np.linalg.norm(estimate - truth, axis=1))
+def _errors(calibration: Calibration, truth: Skin, ids: np.ndarray) -> Array:
+    """Distances (n,), m, from the truth for the taxels `ids`; NaN where there is no estimate."""
+    from ..estimation.metrics import position_errors
+
+    found = np.isfinite(calibration.positions).all(axis=1).sum()
+    gauge = has_gauge(calibration) and found >= 3
+    return matched(calibration.ids, position_errors(calibration, truth, gauge), ids)

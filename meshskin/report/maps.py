@@ -137,8 +137,9 @@ def _iteration_panel(axes: Axes, truth: Array, estimate: Array, title: str) -> N
     good = np.isfinite(estimate).all(axis=1) & np.isfinite(truth).all(axis=1)
     a, b = truth[good], estimate[good]
     _segments(axes, a, b, color=theme.FAINT, lw=0.7)
-    axes.plot(*a.T, "o", ms=4.5, mfc="none", mec=theme.TRUTH, mew=0.8)
-    axes.plot(*b.T, "o", ms=2.6, color=theme.ESTIMATE)
+    many = len(a) > MANY
+    axes.plot(*a.T, "o", ms=4.5, mfc="none", mec=theme.TRUTH, mew=0.8, rasterized=many)
+    axes.plot(*b.T, "o", ms=2.6, color=theme.ESTIMATE, rasterized=many)
     axes.set_title(title)
 
 

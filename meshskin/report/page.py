@@ -11,14 +11,13 @@ from string import Template
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-from numpy.typing import ArrayLike
-
 from ..atomic import write_text
 from . import markup
 from .markup import Content, Section
 
 if TYPE_CHECKING:
     from ..estimation.calibration import Calibration
+    from ..estimation.demonstration import Demonstration
     from ..geometry.body import Body
     from ..geometry.skin import Skin
     from ..recording import Recording
@@ -71,7 +70,7 @@ def report(
     recording: Recording | None = None,
     truth: Skin | None = None,
     comparisons: Mapping[str, Calibration] | None = None,
-    iterates: ArrayLike | None = None,
+    demonstration: Demonstration | None = None,
     metrics: Mapping[str, Any] | None = None,
     seconds: Mapping[str, float] | None = None,
     provenance: Mapping[str, Any] | None = None,
@@ -79,9 +78,9 @@ def report(
     """Write the page and, in the folder figures/ beside it, every figure as PNG and SVG.
 
     truth: the true skin, of a simulation; without it the report gives the stated uncertainty in
-    the place of errors. comparisons: other methods on the same recording. iterates (k, n, 3), m:
-    estimates of the truth's taxels along the iterations of the pose graph from the origin
-    (the calibration's own where not given). metrics: as in metrics.json. seconds: of each stage.
+    the place of errors. comparisons: other methods on the same recording. demonstration: the
+    pose graph from the origin (without it: the first pose graph that kept its iterates).
+    metrics: as in metrics.json. seconds: of each stage.
 
     Returns the paths written, the page first. Raises OutputError if a place cannot be written.
     """
@@ -95,7 +94,7 @@ def report(
         recording=recording,
         truth=truth,
         comparisons=comparisons or {},
-        iterates=iterates,
+        demonstration=demonstration,
         metrics=metrics or {},
         seconds=seconds or {},
         provenance=provenance or {},

@@ -21,7 +21,7 @@ FACES = 5000
 """The most faces of the body that the page carries."""
 
 _AXES = (("x", "#d62728"), ("y", "#2ca02c"), ("z", "#1f77b4"))
-_MANY = 2000
+_MANY = 800
 """The most taxels that get a frame and an ellipsoid; larger skins show every k-th."""
 
 
@@ -78,7 +78,7 @@ def body(vertices: ArrayLike, faces: ArrayLike, focus: ArrayLike, inward: float)
 def frames(poses: Array, length: float, name: str, visible: bool = True) -> list[dict[str, Any]]:
     """Short red, green and blue axes of poses (n, 4, 4), under one legend entry."""
     good = poses[np.isfinite(poses).all(axis=(1, 2))]
-    good = good[:: max(len(good) // _MANY, 1)]
+    good = good[:: -(-len(good) // _MANY) or 1]
     return [
         {
             "type": "scatter3d",
@@ -116,7 +116,7 @@ def ellipsoids(positions: Array, covariances: Array, wanted: float) -> dict[str,
     values, vectors = np.linalg.eigh(covariances[good])
     sigma = np.sqrt(np.maximum(values, 0.0))
     factor = exaggeration(sigma[:, 2], wanted)
-    every = max(int(good.sum()) // _MANY, 1)
+    every = -(-int(good.sum()) // _MANY)
     ball, faces = _ball(*((7, 12) if good.sum() <= 300 else (4, 6)))
     axes = (factor * sigma[:, None, :] * vectors)[::every]
     points = positions[good][::every, None] + np.einsum("nij,vj->nvi", axes, ball)
@@ -199,8 +199,8 @@ def _texts(ids: Array, positions: Array, truth: Array | None, cov: Array) -> lis
 def _layout(skin: Array, normals: Array, extent: Array) -> dict[str, Any]:
     """Axes around everything, and a camera that looks at the skin from outside."""
     extent = extent[np.isfinite(extent).all(axis=1)]
-    low, high = extent.min(axis=0), extent.max(axis=0)
-    pad = 0.03 * float(np.max(high - low))
+    low, high = (extent.min(axis=0), extent.max(axis=0)) if len(extent) else np.zeros((2, 3))
+    pad = 0.03 * float(np.max(high - low)) or 0.01
     low, high = low - pad, high + pad
     size = float(np.max(high - low))
     plane = tangent_plane(skin, normals)

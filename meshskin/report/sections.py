@@ -60,17 +60,17 @@ def main_errors(findings: Findings) -> dict[str, float] | None:
 
 def verdict(findings: Findings) -> str:
     """One sentence that says how it went."""
-    touched = int(findings.touched.sum())
-    found = f"All {touched}" if touched == findings.count else f"{touched} of {findings.count}"
+    count = int(findings.located.sum())
+    found = f"All {count}" if count == findings.count else f"{count} of {findings.count}"
     errors = main_errors(findings)
     if errors is None:
         typical = np.nanmedian(findings.sigma) * MM if np.isfinite(findings.sigma).any() else np.nan
         return (
-            f"{found} taxels were touched and located; the stated uncertainty is "
-            f"{number(typical)} mm (median 1 sigma). There is no truth to compare with."
+            f"{found} taxels were located; the stated uncertainty is {number(typical)} mm (median "
+            "standard deviation). There is no truth to compare with."
         )
     mean = number(errors["mean"])
-    text = f"{found} taxels were touched and located with a mean error of {mean} mm"
+    text = f"{found} taxels were located with a mean error of {mean} mm"
     ratio = advice.bound_ratio(findings)
     if ratio is not None:
         text += f", {number(ratio)} times what the Cramér-Rao bound lets one expect"
@@ -100,7 +100,7 @@ def numbers(findings: Findings) -> tuple[Number, ...]:
             tiles.append(Number("Cramér-Rao expectation", number(bound), "mm", note))
     s = findings.sigma[np.isfinite(findings.sigma)] * MM
     if len(s):
-        note = f"1 sigma of a position, median; largest {number(s.max())} mm"
+        note = f"standard deviation, median; largest {number(s.max())} mm"
         tiles.append(Number("Stated uncertainty", number(float(np.median(s))), "mm", note))
     tiles += _force(findings)
     if findings.seconds:
@@ -207,9 +207,8 @@ def _seconds(seconds: Mapping[str, float]) -> Block:
 
 def _taxels(findings: Findings) -> Block:
     c, error = findings.calibration, findings.errors.get(findings.calibration.method)
-    header = ["taxel", "readings", "x (mm)", "y (mm)", "z (mm)", "1 sigma (mm)", "chi²"]
-    if error is not None:
-        header.append("error (mm)")
+    header = ["taxel", "readings", "x (mm)", "y (mm)", "z (mm)", "sigma (mm)", "chi²"]
+    header += ["note"] if error is None else ["error (mm)", "note"]
     rows = []
     for k in range(min(findings.count, ROWS)):
         place = (f"{v * MM:.4f}" if np.isfinite(v) else "–" for v in c.positions[k])
@@ -217,12 +216,12 @@ def _taxels(findings: Findings) -> Block:
         row.append(number(float(c.chi2[k])))
         if error is not None:
             row.append(number(error[k] * MM))
-        rows.append(tuple(row))
+        rows.append((*row, str(c.why[k])))
     shown = "" if findings.count <= ROWS else f" (the first {ROWS} of {findings.count})"
     return Table(
         tuple(header),
         tuple(rows),
-        numeric=tuple(range(len(header))),
+        numeric=tuple(range(len(header) - 1)),
         folded=f"Every taxel in numbers{shown}",
     )
 

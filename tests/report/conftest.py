@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pytest
 
+from meshskin.estimation.calibration import Calibration
 from meshskin.geometry.skin import Skin
 from meshskin.recording import Recording
 from meshskin.se3 import transform
@@ -35,7 +35,7 @@ def skin(count: int = COUNT) -> Skin:
     return Skin(poses(count), np.arange(count))
 
 
-def calibration(sigma: float = 1e-5, method: str = "joint", seed: int = 0) -> Any:
+def calibration(sigma: float = 1e-5, method: str = "joint", seed: int = 0) -> Calibration:
     """An estimate of `skin()`, N(0, sigma^2) off along the skin, with two taxels untouched."""
     rng = np.random.default_rng(seed)
     true = poses()
@@ -53,13 +53,13 @@ def calibration(sigma: float = 1e-5, method: str = "joint", seed: int = 0) -> An
     observed = np.tile([True] * 5 + [False], (COUNT, 1)) & touched[:, None]
     readings = np.where(touched, rng.integers(20, 400, COUNT), 0)
     steps = np.array([0.0, 0.5, 0.9, 1.0])[:, None, None] * estimate[None, :, :3, 3]
-    return SimpleNamespace(
-        ids=np.arange(COUNT), positions=estimate[:, :3, 3], poses=estimate,
+    return Calibration(
+        ids=np.arange(COUNT), poses=estimate,
         covariances=covariances, observed=observed, touched=touched, readings=readings,
         method=method, anchor="body surface", factors=("pressure", "surface"),
         modulus=263158.0, modulus_sigma=120.0, chi2=np.where(touched, 1.0, np.nan),
-        iterates=steps if method == "posegraph" else np.zeros((0, COUNT, 3)),
-        seconds={"build": 0.05, "solve": 0.07}, provenance={"seed": seed},
+        iterates=steps, why=np.where(touched, "", "never touched").astype(object),
+        seconds={"build": 0.05, "solve": 0.07, "total": 0.12}, provenance={"seed": seed},
     )  # fmt: skip
 
 

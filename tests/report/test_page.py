@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,10 +14,13 @@ import numpy as np
 import pytest
 
 from meshskin.errors import OutputError
+from meshskin.estimation.calibration import Calibration
+from meshskin.estimation.demonstration import Demonstration
 from meshskin.geometry.body import Body
+from meshskin.geometry.skin import Skin
 from meshskin.report import markup, page
 from meshskin.report.advice import next_steps, suspects
-from meshskin.report.findings import Findings, position_errors
+from meshskin.report.findings import Findings
 
 
 class Page(HTMLParser):
@@ -119,7 +123,7 @@ def test_every_figure_is_there_as_png_and_svg(full: Written) -> None:
 def test_the_page_says_the_numbers(full: Written) -> None:
     text = full[0].text
     for part in (
-        "78 of 80 taxels were touched and located with a mean error of 0.0123 mm, 1.02 times",
+        "78 of 80 taxels were located with a mean error of 0.0123 mm, 1.02 times",
         "rms 0.0141, max 0.0333 mm",
         "Cramér-Rao expectation 0.0121 mm",
         "3.001 N",
@@ -136,7 +140,7 @@ def test_the_page_says_the_numbers(full: Written) -> None:
 def test_the_page_says_what_was_not_determined(full: Written) -> None:
     text = full[0].text
     assert "0 of 78 not determined: a round taxel reads the same" in text
-    assert "2 of 80 taxels were never touched and have no estimate: 3, 40." in text
+    assert "2 of 80 taxels have no estimate (never touched): 3, 40." in text
     assert "Factors used: pressure, surface." in text
     assert "body surface" in text
     assert "Extend the contact path to taxels 3, 40" in text
@@ -181,7 +185,7 @@ def test_without_truth_the_stated_uncertainty_stands_in(
         comparisons={},
         recording=case.recording(False),
     )
-    assert "stated uncertainty is 0.0141 mm (median 1 sigma)" in shown.text
+    assert "stated uncertainty is 0.0141 mm (median standard deviation)" in shown.text
     assert "There is no truth to compare with" in shown.text
     assert "position error" not in shown.text.lower()
     assert "true taxels" not in [t["name"] for t in shown.data["data"]]
@@ -201,20 +205,19 @@ def test_a_skin_that_was_never_touched_still_gets_its_page(
     case: SimpleNamespace, tmp_path: Path, body: Body
 ) -> None:
     c = case.calibration()
-    for name in ("positions", "poses"):
-        getattr(c, name)[:] = np.nan
+    c.poses[:], c.why[:] = np.nan, "never touched"
     c.covariances[:], c.touched[:], c.observed[:], c.readings[:] = np.inf, False, False, 0
+    assert page.report(tmp_path / "least.html", body=None, calibration=c)
     for truth in (None, case.skin()):
         shown, _ = write(
             case, tmp_path, body, calibration=c, truth=truth, metrics=None, comparisons={}
         )
-        assert "80 of 80 taxels were never touched" in shown.text
+        assert "80 of 80 taxels have no estimate (never touched)" in shown.text
 
 
 def test_text_from_outside_is_escaped(case: SimpleNamespace, tmp_path: Path, body: Body) -> None:
     evil = "<script>alert(1)</script><img src=http://example.org/x>"
-    c = case.calibration()
-    c.anchor = evil
+    c = replace(case.calibration(), anchor=evil)
     shown, files = write(
         case,
         tmp_path,
@@ -259,12 +262,9 @@ def test_write_puts_down_any_content(tmp_path: Path) -> None:
     assert "x < y" in Page(path).text
 
 
-def findings(case: SimpleNamespace, **changes: Any) -> Findings:
-    c = case.calibration()
-    for name, value in changes.items():
-        setattr(c, name, value)
+def collect(c: Calibration, truth: Skin | None, shown: Demonstration | None = None) -> Findings:
     return Findings.collect(
-        c, recording=None, truth=case.skin(), comparisons={}, iterates=None, metrics={},
+        c, recording=None, truth=truth, comparisons={}, demonstration=shown, metrics={},
         seconds={}, provenance={},
     )  # fmt: skip
 
@@ -276,7 +276,8 @@ def test_advice_follows_the_numbers(case: SimpleNamespace) -> None:
     readings[12] = 5
     observed = np.tile([True] * 5 + [False], (case.COUNT, 1))
     observed[13, 0] = False
-    f = findings(case, chi2=chi2, readings=readings, observed=observed)
+    changes = {"chi2": chi2, "readings": readings, "observed": observed}
+    f = collect(replace(case.calibration(), **changes), case.skin())
     assert np.flatnonzero(suspects(f)).tolist() == [11]
     text = " ".join(next_steps(f))
     assert "Check taxels 11:" in text
@@ -284,23 +285,35 @@ def test_advice_follows_the_numbers(case: SimpleNamespace) -> None:
     assert "Pass taxels 13 on both sides" in text
 
 
-def test_truth_is_matched_by_id_and_missing_taxels_have_no_error(case: SimpleNamespace) -> None:
+def test_truth_is_matched_by_id(case: SimpleNamespace) -> None:
     c = case.calibration(sigma=0.0)
     order = np.random.default_rng(0).permutation(case.COUNT)
     truth = case.skin()
-    shuffled = type(truth)(truth.poses[order][5:], truth.ids[order][5:])
-    f = Findings.collect(
-        c, recording=None, truth=shuffled, comparisons={}, iterates=None, metrics={}, seconds={},
-        provenance={},
-    )  # fmt: skip
-    error = f.errors["joint"]
-    assert np.nanmax(error) < 1e-15
-    lost = set(order[:5]) | set(case.UNTOUCHED)
-    assert set(np.flatnonzero(np.isnan(error))) == lost
+    shuffled = type(truth)(truth.poses[order], truth.ids[order])
+    f = collect(c, shuffled)
+    assert np.nanmax(f.errors["joint"]) < 1e-15
+    assert tuple(np.flatnonzero(np.isnan(f.errors["joint"]))) == case.UNTOUCHED
+    assert f.truth is not None
+    assert np.array_equal(f.truth, truth.poses)
 
 
-def test_errors_up_to_gauge_forget_a_rigid_motion(case: SimpleNamespace) -> None:
-    truth = case.skin().positions
-    moved = truth @ np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]).T + [1.0, 2.0, 3.0]
-    assert position_errors(moved, truth, gauge=True).max() < 1e-12
-    assert position_errors(moved, truth, gauge=False).min() > 1.0
+def test_errors_of_a_pose_graph_forget_a_rigid_motion(case: SimpleNamespace) -> None:
+    turn = np.array([[0.0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
+    for method, expected in (("posegraph", 0.0), ("trilateration", 3.0)):
+        c = case.calibration(sigma=0.0, method=method)
+        moved = collect(replace(c, poses=turn @ c.poses), case.skin())
+        assert np.nanmin(moved.errors[method]) == pytest.approx(expected, abs=1.0)
+        assert (np.nanmax(moved.errors[method]) < 1e-12) == (method == "posegraph")
+
+
+def test_iterations_come_from_the_demonstration_or_a_pose_graph(case: SimpleNamespace) -> None:
+    joint, graph = case.calibration(), case.calibration(method="posegraph")
+    assert collect(joint, case.skin()).iterations is None
+    found = collect(graph, None).iterations
+    assert found is not None
+    assert not found.known
+    shown = Demonstration(np.zeros((3, 3)), np.ones((2, 3, 3)), np.arange(3), True)
+    found = collect(graph, None, shown).iterations
+    assert found is not None
+    assert found.demonstration
+    assert found.over is shown.truth
