@@ -32,12 +32,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    from importlib.metadata import version
+    from .provenance import versions
 
     parser = argparse.ArgumentParser(
         prog="meshskin", description="Self-calibration of robot skin on any body mesh."
     )
-    parser.add_argument("--version", action="version", version=f"meshskin {version('meshskin')}")
+    parser.add_argument("--version", action="version", version=f"meshskin {versions()['meshskin']}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     run = commands.add_parser("run", help="simulate a scene, calibrate it, and write the report")
     run.add_argument(

@@ -26,9 +26,9 @@ def arm():
     return Arm.from_urdf(library.folder() / "puma560.urdf")
 
 
-def pressed(arm, body, law, depth):
+def pressed(arm, body, law, depth, dt=1e-3):
     """A loop at rest, the sphere pressed straight down on the indenter to `depth`."""
-    loop = Loop(arm, MOUNT, PLACE, 0.01, E_STAR, law, 1e-3)
+    loop = Loop(arm, MOUNT, PLACE, 0.01, E_STAR, law, dt)
     pose = transform(np.eye(3), PLACE + [0, 0, 0.11 - depth])
     q = arm.solve(pose @ np.linalg.inv(MOUNT))
     blocks = Blocks(loop, 50)
@@ -49,14 +49,15 @@ def test_force_is_hertz_at_the_depth_of_the_pose(arm, body):
     radius = 1 / (1 / 0.1 + 1 / 0.01)
     expected = 4 / 3 * E_STAR * np.sqrt(radius) * 1.5e-3**1.5
     assert column(loop, blocks, "depth")[0, 0] == pytest.approx(1.5e-3, abs=1e-9)
-    assert column(loop, blocks, "force")[0, 0] == pytest.approx(expected, rel=1e-6)
+    # the patch lies within some nm of the sphere, of 1.5 mm depth
+    assert column(loop, blocks, "force")[0, 0] == pytest.approx(expected, rel=1e-5)
     np.testing.assert_allclose(column(loop, blocks, "point")[0], [0, 0, -0.1], atol=1e-8)
     np.testing.assert_allclose(column(loop, blocks, "normal")[0], [0, 0, -1], atol=1e-6)
 
 
-def settled(arm, body, law):
-    loop, blocks = pressed(arm, body, law, 1.5e-3)
-    for _ in range(100):
+def settled(arm, body, law, dt=1e-3):
+    loop, blocks = pressed(arm, body, law, 1.5e-3, dt)
+    for _ in range(round(5 / dt / 50)):
         blocks.run()
         blocks.state[:] = blocks.states[-1]
     return loop, blocks
@@ -70,7 +71,7 @@ def test_the_compensated_law_reaches_its_reference(arm, body):
 def test_the_printed_law_leaves_its_steady_error(arm, body):
     """e / F = k_t n^T J L^-1 J^T n / gamma, with k_t the tangent stiffness at the settled depth."""
     law = Law(torque="paper", shape="identity", gain=1000.0, gamma=20.0)
-    loop, blocks = settled(arm, body, law)
+    loop, blocks = settled(arm, body, law, dt=2e-4)
     force, depth = (column(loop, blocks, name)[-1, 0] for name in ("force", "depth"))
     q = blocks.state[:6]
     tip = arm.pose(q)

@@ -1,0 +1,189 @@
+"""The whole job: from a scene to a recording, a calibration, metrics, figures and a report."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from .atomic import atomic, write_text
+from .estimation import metrics as truth
+from .estimation.calibrate import calibrate
+from .estimation.calibration import Calibration
+from .estimation.demonstration import Demonstration, demonstrate
+from .motion.response import ForceResponse, force_response
+from .provenance import provenance
+from .recording import Recording
+from .scene import Scene
+from .simulation import Progress, simulate
+
+METHODS = ("trilateration", "three_circles", "posegraph", "posegraph_isotropic")
+"""Methods that run on the same recording beside the joint estimate."""
+
+
+@dataclass
+class Clock:
+    """Seconds of every stage."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Measure the time spent inside."""
+        start = perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + perf_counter() - start
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a run found."""
+
+    scene: Scene
+    recording: Recording
+    calibration: Calibration
+    comparisons: dict[str, Calibration]
+    demonstration: Demonstration
+    force: ForceResponse
+    metrics: dict[str, Any]
+
+
+def check_folder(folder: Path) -> None:
+    """Make the output folder and try it, before any work is done. Raises OutputError."""
+    with atomic(folder / "metrics.json.probe"):
+        pass
+    (folder / "metrics.json.probe").unlink()
+
+
+def run(
+    name: str | Path, folder: str | Path, seed: int = 0, progress: Progress | None = None
+) -> Result:
+    """Run a scene through the whole job and write everything into `folder`.
+
+    Raises MeshskinError kinds: what is wrong, the value, the limit, and what to do.
+    """
+    folder, clock = Path(folder), Clock()
+    with clock.stage("load"):
+        scene = Scene.load(name)
+        check_folder(folder)
+    with clock.stage("simulate"):
+        recording = simulate(scene, seed, out=folder / "recording", progress=progress)
+    with clock.stage("calibrate"):
+        belief = scene.belief()
+        calibration = calibrate(recording, belief)
+        calibration.save(folder / "calibration")
+    with clock.stage("compare"):
+        comparisons = {method: calibrate(recording, belief, method=method) for method in METHODS}
+        demonstration = demonstrate(scene.skin.poses, scene.skin.ids, recording, seed)
+    with clock.stage("metrics"):
+        result = _assess(scene, recording, calibration, comparisons, demonstration)
+    with clock.stage("report"):
+        _report(result, folder, seed, clock.seconds)
+    result.metrics["seconds"] = {k: round(v, 4) for k, v in clock.seconds.items()}
+    write_text(folder / "metrics.json", json.dumps(_finite(result.metrics), indent=2) + "\n")
+    return result
+
+
+def _assess(
+    scene: Scene,
+    recording: Recording,
+    calibration: Calibration,
+    comparisons: dict[str, Calibration],
+    demonstration: Demonstration,
+) -> Result:
+    """Compare the estimates with the truth, and the force with its reference."""
+    assert recording.motion is not None
+    force = force_response(
+        np.asarray(recording.motion.column("time")),
+        np.asarray(recording.motion.column("force")),
+        scene.law.force_reference,
+    )
+    belief, skin = scene.belief(), scene.skin
+    bound = {"mean": 0.0, "rms": 0.0}  # without noise nothing keeps an estimate from the truth
+    if belief.noise_sigma is not None:
+        limit = truth.cramer_rao(recording, belief, skin)
+        bound = {"mean": 1e3 * limit.mean, "rms": 1e3 * limit.rms}
+    metrics: dict[str, Any] = {
+        "scene": scene.name,
+        "taxels": len(calibration.ids),
+        "touched": int(calibration.touched.sum()),
+        "contacts": len(recording.time),
+        "readings": len(recording.pressure),
+        "position_error_mm": truth.summary_mm(truth.position_errors(calibration, skin)),
+        "crlb_mm": bound,
+        "nees": float(np.nanmean(truth.nees(calibration, skin))),
+        "nees_band": list(truth.nees_band(int(calibration.observed[:, :2].all(axis=1).sum()))),
+        "undetermined": undetermined(calibration),
+        "modulus_pa": calibration.modulus,
+        "modulus_sigma_pa": calibration.modulus_sigma,
+        "force": {
+            "reference_n": force.reference,
+            "mean_n": force.mean,
+            "std_n": force.std,
+            "overshoot": force.overshoot,
+            "settling_s": force.settling,
+            "lost_contact_steps": force.lost,
+        },
+        "demonstration_mm": 1e3 * demonstration.mean_error,
+        "steps": recording.motion.num_rows,
+        "steps_per_second": recording.metadata["steps_per_second"],
+    }
+    for method, other in comparisons.items():
+        # displacements say nothing about the pose of the whole
+        errors = truth.position_errors(other, skin, gauge=method.startswith("posegraph"))
+        metrics[method] = truth.summary_mm(errors)
+    return Result(scene, recording, calibration, comparisons, demonstration, force, metrics)
+
+
+def undetermined(calibration: Calibration) -> str:
+    """What the data did not determine, in words."""
+    missing = ~calibration.observed
+    whole = missing.all(axis=1)
+    parts = []
+    if whole.any():
+        ids = ", ".join(str(k) for k in calibration.ids[whole][:10])
+        parts.append(f"{int(whole.sum())} taxels ({ids}{', ...' if whole.sum() > 10 else ''})")
+    names = ("x", "y", "z", "tilt about x", "tilt about y", "rotation about the normal")
+    for k, name in enumerate(names):
+        count = int((missing[:, k] & ~whole).sum())
+        if count:
+            parts.append(f"{name} of {'every taxel' if count == (~whole).sum() else count}")
+    return "; ".join(parts) if parts else "nothing"
+
+
+def _report(result: Result, folder: Path, seed: int, seconds: dict[str, float]) -> None:
+    """Write the page and the figures."""
+    from .report.page import report
+
+    report(
+        folder / "report.html",
+        body=result.scene.body,
+        calibration=result.calibration,
+        recording=result.recording,
+        truth=result.scene.skin,
+        comparisons=result.comparisons,
+        demonstration=result.demonstration,
+        metrics=result.metrics,
+        seconds=seconds,
+        provenance=provenance(scene=result.scene.name, seed=seed),
+    )
+
+
+def _finite(value: Any) -> Any:
+    """The value with null in place of numbers that JSON does not know."""
+    if isinstance(value, dict):
+        return {key: _finite(v) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
