@@ -15,6 +15,7 @@ from meshskin.errors import GraphError
 from meshskin.se3 import Array
 
 if TYPE_CHECKING:
+    from meshskin.estimation.posegraph.problem import Problem
     from meshskin.estimation.posegraph.solve import Solution
 
 ROTATION_LIMIT = 1e-6
@@ -79,6 +80,19 @@ class PoseGraph:
             1.5 * _inverse_trace(self.information[:, 3:, 3:]),
         )
 
+    @cached_property
+    def _problems(self) -> dict[str, Problem]:
+        return {}
+
+    def problem(self, residual: str) -> Problem:
+        """The NLP of this topology with the `residual` "log" or "vec", built once."""
+        from meshskin.estimation.posegraph.problem import Problem
+
+        if residual not in self._problems:
+            built = Problem(len(self.poses), self.edges, self.anchors, residual)
+            self._problems[residual] = built
+        return self._problems[residual]
+
     @classmethod
     def load(cls, path: str | Path) -> PoseGraph:
         """The graph in a g2o file (VERTEX_SE3:QUAT, EDGE_SE3:QUAT); GraphError names bad lines."""
@@ -96,12 +110,13 @@ class PoseGraph:
         self,
         objective: str = "geodesic",
         start: str | ArrayLike = "chordal",
+        robust: str | None = None,
         keep_iterates: bool = False,
     ) -> Solution:
         """The poses that minimise the objective; arguments as in `posegraph.solve.solve`."""
         from meshskin.estimation.posegraph.solve import solve
 
-        return solve(self, objective, start, keep_iterates)
+        return solve(self, objective, start, robust, keep_iterates)
 
 
 def transforms(name: str, values: ArrayLike, count: int | None = None) -> Array:

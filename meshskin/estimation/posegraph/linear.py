@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from meshskin.se3 import Array
+
+Integers = NDArray[np.integer]
 
 SMALL = 1000
 """Unknowns up to which a factorisation is faster than iterating."""
@@ -35,6 +38,16 @@ def factorise(matrix: sparse.csr_array) -> splu:
         diag_pivot_thresh=0.0,
         options=options,
     )
+
+
+def block_matrix(blocks: Array, rows: Integers, columns: Integers, n: int) -> sparse.csr_array:
+    """Matrix (k n, k n) of `blocks` (m, k, k) at block `rows` and `columns`; repeats add up."""
+    size = blocks.shape[1] * n
+    order = np.argsort(rows, kind="stable")
+    start = np.searchsorted(rows[order], np.arange(n + 1))
+    matrix = sparse.bsr_array((blocks[order], columns[order], start), shape=(size, size)).tocsr()
+    matrix.sum_duplicates()
+    return matrix
 
 
 def conjugate_gradients(

@@ -13,13 +13,11 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from meshskin.estimation.posegraph.kernel import LOWER, RELATIVE, ROOT, Kernel, kernel
+from meshskin.estimation.posegraph.linear import Integers
 from meshskin.se3 import Array
-
-Integers = NDArray[np.int64]
 
 EDGE = 2 * RELATIVE + ROOT
 METIS = 5

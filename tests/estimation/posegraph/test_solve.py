@@ -47,6 +47,7 @@ def test_certified_optima(name):
     optimum, _ = OPTIMA[name]
     assert solution.is_optimal
     assert abs(solution.cost / optimum - 1) < 1e-6
+    assert solution.certificate.certified
     assert np.isclose(solution.cost, cost(graph, solution.poses, "chordal"), rtol=1e-9)
 
 

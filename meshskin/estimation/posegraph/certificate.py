@@ -1,0 +1,133 @@
+"""A certificate of global optimality: how much lower than ours the global optimum can be at most.
+
+With rows x = (t_i, r_i) of X = (t_1 R_1 ... t_n R_n), (3, 4 n), the chordal objective is
+f = tr(X M X^T). At a stationary point (X M)_{R_i} = R_i Lambda_i with symmetric Lambda_i; then for
+every feasible X, with S = M - diag(0, Lambda) and the translations at their best,
+
+    f(X) = tr(Lambda) + tr(X S X^T) >= tr(Lambda) - 3 n delta    if S + delta diag(0, I) >= 0,
+
+since |R|_F^2 = 3 n. Whether that matrix is positive is read off the pivots of a factorisation
+without exchanges: where all are positive, no entry can grow, and the factorisation is that of a
+matrix that differs by rounding, for which an allowance is made in delta.
+
+Source: Rosen, Carlone, Bandeira, Leonard, "SE-Sync", IJRR 38 (2019); Higham, "Accuracy and
+Stability of Numerical Algorithms", theorem 10.3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from meshskin.estimation.posegraph import linear
+from meshskin.estimation.posegraph.graph import PoseGraph
+from meshskin.estimation.posegraph.linear import Integers
+from meshskin.se3 import Array
+
+GAPS = 10.0 ** np.arange(-10, 0.5, 1.0)
+"""Relative gaps that are tried, the smallest first."""
+CERTIFIED = 1e-6
+"""Relative gap up to which a cost counts as the global optimum."""
+NOTHING = 1e-20
+"""Share of the cost of residuals as large as the displacements that rounding may leave."""
+ROUNDING = 1e-14
+"""Rounding of the factorisation, as a share of the largest diagonal entry."""
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What is proven about the global optimum of the chordal objective."""
+
+    cost: float
+    """Chordal objective of the poses that were examined."""
+    gap: float
+    """The global optimum is at least cost - gap; the whole cost if nothing could be proven."""
+    limit: float
+    """Gap up to which the poses count as globally optimal."""
+    poses: Array
+    """(n, 4, 4) the poses that were examined: a minimum of the chordal objective."""
+
+    @property
+    def relative_gap(self) -> float:
+        """`gap` as a share of the cost."""
+        return self.gap / self.cost if self.cost > 0 else 0.0
+
+    @property
+    def certified(self) -> bool:
+        """Whether the poses are proven to be globally optimal."""
+        return self.gap <= self.limit
+
+    def __str__(self) -> str:
+        verdict = "certified" if self.certified else "not certified"
+        return (
+            f"{verdict}: chordal cost {self.cost:.9g}, relative gap at most {self.relative_gap:.1e}"
+        )
+
+
+def certify(graph: PoseGraph, poses: Array) -> Certificate:
+    """A bound on how much better than `poses` (n, 4, 4) any others are, by the chordal objective.
+
+    It is tight only at a minimum: polish first.
+    """
+    n = len(poses)
+    if not len(graph.edges):
+        return Certificate(0.0, 0.0, 0.0, poses)
+    matrix = quadratic_form(graph)
+    x = np.swapaxes(poses[:, :3, [3, 0, 1, 2]], 1, 2).reshape(4 * n, 3)  # X^T
+    product = (matrix @ x).reshape(n, 4, 3)
+    cost = float(np.sum(product * x.reshape(n, 4, 3)))
+    multipliers = np.einsum("nba,ncb->nac", poses[:, :3, :3], product[:, 1:])
+    multipliers = (multipliers + np.swapaxes(multipliers, 1, 2)) / 2
+    bound = float(np.trace(multipliers, axis1=1, axis2=2).sum())
+    subtracted = np.zeros((n, 4, 4))
+    subtracted[:, 1:, 1:] = multipliers
+    nodes = np.arange(n)
+    slack = (matrix - linear.block_matrix(subtracted, nodes, nodes, n)).tocsr()
+    free = np.setdiff1d(np.arange(4 * n), 4 * graph.anchors)  # translations up to each component's
+    rotation = np.flatnonzero(free % 4)
+    slack = slack[free][:, free].tocsr()
+    rounding = ROUNDING * float(slack.diagonal()[rotation].max())
+    (tau, kappa), lengths = graph.chordal_weights, graph.measurements[:, :3, 3]
+    nothing = NOTHING * float(tau @ np.sum(lengths**2, axis=1) + 3 * kappa.sum())
+    limit = max(CERTIFIED * cost, nothing)
+    for share in GAPS:
+        delta = share * cost / (3 * n)
+        if delta > 2 * rounding and _is_positive(slack, rotation, delta - rounding):
+            gap = abs(cost - bound) + 3 * n * delta
+            return Certificate(cost, min(gap, cost), limit, poses)
+    return Certificate(cost, cost, limit, poses)  # the cost is a sum of squares
+
+
+def quadratic_form(graph: PoseGraph) -> sparse.csr_array:
+    """M (4 n, 4 n): f = tr(X M X^T)."""
+    (tau, kappa), m, (i, j) = graph.chordal_weights, len(graph.edges), graph.edges.T
+    weight = np.zeros((m, 4, 4))
+    weight[:, 0, 0] = tau
+    weight[:, (1, 2, 3), (1, 2, 3)] = kappa[:, None]
+    step = np.zeros((m, 4, 4))  # residual x_j - step x_i, x = (t, r) of one row
+    step[:, 0, 0] = 1.0
+    step[:, 0, 1:] = graph.measurements[:, :3, 3]
+    step[:, 1:, 1:] = np.swapaxes(graph.measurements[:, :3, :3], 1, 2)
+    across = -np.swapaxes(step, 1, 2) @ weight
+    blocks = np.concatenate([-across @ step, weight, across, np.swapaxes(across, 1, 2)])
+    rows, columns = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
+    return linear.block_matrix(blocks, rows, columns, len(graph.poses))
+
+
+def _is_positive(slack: sparse.csr_array, rotation: Integers, delta: float) -> bool:
+    """Whether `slack` + delta on the rotations' diagonal is positive definite."""
+    added = np.zeros(slack.shape[0])
+    added[rotation] = delta
+    shifted = (slack + sparse.diags_array(added)).tocsr()
+    diagonal = shifted.diagonal()
+    if (diagonal <= 0).any():
+        return False
+    scale = sparse.diags_array(diagonal**-0.5)
+    try:
+        factor = linear.factorise((scale @ shifted @ scale).tocsr())
+    except RuntimeError:  # SuperLU: a pivot of zero
+        return False
+    exchanged = not np.array_equal(factor.perm_r, factor.perm_c)
+    return not exchanged and bool((factor.U.diagonal() > 0).all())

@@ -1,0 +1,169 @@
+"""Runs of IPOPT, relinearised between, until the gradient and Hessian say that it is enough."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+from scipy import sparse
+
+from meshskin import se3
+from meshskin.estimation.posegraph import linear
+from meshskin.estimation.posegraph.graph import PoseGraph
+from meshskin.estimation.posegraph.kernel import ROOT
+from meshskin.estimation.posegraph.linear import Integers
+from meshskin.estimation.posegraph.problem import EDGE, Problem
+from meshskin.se3 import Array
+
+ACCURACY = 1e-9
+"""A solution is optimal if a Newton step would lower the cost by less than this share of it."""
+ROUNDING = 1e-13
+"""Relative error of a residual that rounding alone makes: no gain below its cost can be seen."""
+STAGES = ((0.0, 3), (1.0, 60), (1.0, 60), (1.0, 60))
+"""(blend, iterations) of the runs: Gauss-Newton, where it suffices, then the exact Hessian."""
+FAR_STAGES = ((1.0, 15),) * 20
+"""From the origin: exact Hessian throughout, relinearised often (a Cayley step cannot reach pi)."""
+UPPER = np.triu_indices(6)
+
+
+@dataclass
+class State:
+    """Poses under way, what is known about them, and the history that led to them."""
+
+    poses: Array
+    decrement: float = 0.0
+    """By how much a Newton step would lower the cost, as a share of it."""
+    cost: float = 0.0
+    iterations: int = 0
+    solver_status: str = "not run"
+    iterates: list[Array] = field(default_factory=list)
+
+    @property
+    def status(self) -> str:
+        """ "optimal", or what is wrong."""
+        if self.decrement < ACCURACY:
+            return "optimal"
+        if np.isinf(self.decrement):
+            return "saddle: the Hessian is not positive definite"
+        return f"not converged: a Newton step would lower the cost by {self.decrement:.1e} of it"
+
+
+def minimise(
+    problem: Problem,
+    graph: PoseGraph,
+    root: Array,
+    state: State,
+    stages: tuple[tuple[float, int], ...] = STAGES,
+    keep: bool = False,
+    accuracy: float = ACCURACY,
+) -> None:
+    """Bring `state` to a minimum of the `problem` weighted by `root` (m, 6, 6).
+
+    Every run starts from the poses of the last. Stops as soon as a Newton step promises less than
+    `accuracy`, a share of the cost: neither units nor the scale of the information matter.
+    """
+    weight = np.sum(root * root, axis=1)  # (m, 6): the diagonal of Omega
+    floor = ROUNDING**2 * _size(graph, weight)
+    tolerance = float(np.sqrt(accuracy / (6 * len(problem.free))))
+    for blend, limit in stages:
+        edge = edge_numbers(graph, state.poses, root)
+        cost = max(_cost(problem, edge), floor, 1e-300)
+        edge[-ROOT:] /= np.sqrt(cost)
+        scale = _scale(weight / cost, edge[:3], len(problem.free))
+        parameters = parameter_vector(edge, scale, blend)
+        run = problem.solve(parameters, tolerance, limit, keep)
+        state.iterations += run.iterations
+        state.solver_status = run.status
+        for x in run.path[1:]:
+            state.iterates.append(retract(state.poses, problem.free, x, scale))
+        state.poses = retract(state.poses, problem.free, run.x, scale)
+        share, drop = _newton(problem, run.x, parameters)
+        state.cost = share * cost
+        state.decrement = drop / max(share, floor / cost / accuracy)
+        if state.decrement < accuracy:
+            return
+
+
+def geodesic_roots(information: Array) -> Array:
+    """Upper-triangular W (m, 6, 6) with W^T W = `information`, which may be singular."""
+    try:
+        return np.swapaxes(np.linalg.cholesky(information), 1, 2)
+    except np.linalg.LinAlgError:  # singular: the QR factor of sqrt(Lambda) V^T
+        values, vectors = np.linalg.eigh(information)
+        half = np.sqrt(np.maximum(values, 0.0))[:, :, None] * np.swapaxes(vectors, 1, 2)
+        return np.asarray(np.linalg.qr(half, mode="r"))
+
+
+def chordal_roots(tau: Array, kappa: Array) -> Array:
+    """W (m, 6, 6) of the chordal objective: |R_j - R_i dR|_F^2 = 8 |vec(q_err)|^2."""
+    w = np.zeros((len(tau), 6, 6))
+    w[:, (0, 1, 2), (0, 1, 2)] = np.sqrt(2 * tau)[:, None]
+    w[:, (3, 4, 5), (3, 4, 5)] = np.sqrt(4 * kappa)[:, None]
+    return w
+
+
+def edge_numbers(graph: PoseGraph, poses: Array, root: Array) -> Array:
+    """The kernel's numbers (35, m): displacements now, displacements measured, W."""
+    i, j = graph.edges.T
+    now = se3.inverse(poses[i]) @ poses[j]
+    numbers = np.empty((EDGE, len(i)))
+    for at, pose in ((0, now), (7, graph.measurements)):
+        numbers[at : at + 3] = pose[:, :3, 3].T
+        numbers[at + 3 : at + 7] = se3.quaternion(pose[:, :3, :3]).T
+    numbers[-ROOT:] = root[:, UPPER[0], UPPER[1]].T
+    return numbers
+
+
+def parameter_vector(edge: Array, scale: Array, blend: float) -> ca.DM:
+    """The parameters of a `Problem`."""
+    return ca.DM(np.concatenate([edge.ravel(order="F"), scale, [blend]]))
+
+
+def weighted_errors(problem: Problem, edge: Array) -> Array:
+    """W e (m, 6) of the kernel's numbers `edge` (35, m)."""
+    w = np.zeros((edge.shape[1], 6, 6))
+    w[:, UPPER[0], UPPER[1]] = edge[-ROOT:].T
+    return np.asarray(np.einsum("eab,be->ea", w, problem.errors(edge)))
+
+
+def symmetric_hessian(problem: Problem, x: Array, parameters: ca.DM) -> sparse.csr_array:
+    """The whole Hessian (6 free, 6 free) at x."""
+    upper = problem.hessian(x, parameters).sparse()
+    return sparse.csr_array(upper + sparse.triu(upper, 1).T)
+
+
+def retract(poses: Array, free: Integers, increments: Array, scale: Array) -> Array:
+    """Poses (n, 4, 4) moved by scaled local increments (6 * free,) of the poses `free`."""
+    steps = increments.reshape(-1, 6)
+    moved = np.array(poses)
+    moved[free] = poses[free] @ se3.transform(
+        se3.cayley(scale[1] * steps[:, 3:]), scale[0] * steps[:, :3]
+    )
+    return moved
+
+
+def _size(graph: PoseGraph, weight: Array) -> float:
+    """What the cost would be if the residuals were as large as the displacements."""
+    length2 = np.sum(graph.measurements[:, :3, 3] ** 2, axis=1)
+    return float(np.sum(weight[:, :3].sum(axis=1) * length2 + weight[:, 3:].sum(axis=1)))
+
+
+def _cost(problem: Problem, edge: Array) -> float:
+    """Cost at x = 0."""
+    return 0.5 * float(np.sum(weighted_errors(problem, edge) ** 2))
+
+
+def _scale(weight: Array, displacement: Array, free: int) -> Array:
+    """Lengths (m, rad) at which the Hessian's diagonal is about 1."""
+    lever = np.sum(displacement**2, axis=0)
+    translation = 2 * weight[:, :3].sum() / (3 * free)
+    rotation = (2 * weight[:, 3:].sum() + weight[:, :3].sum(axis=1) @ lever) / (3 * free)
+    return np.array([v**-0.5 if v > 0 else 1.0 for v in (translation, rotation)])
+
+
+def _newton(problem: Problem, x: Array, parameters: ca.DM) -> tuple[float, float]:
+    """Cost at x, and by how much a Newton step would lower it; infinite at a saddle."""
+    cost, gradient = problem.gradient(x, parameters)
+    matrix = symmetric_hessian(problem, x, parameters)
+    return float(cost), 0.5 * linear.energy(matrix, gradient.full()[:, 0])

@@ -1,0 +1,84 @@
+"""Outlying displacements: graduated non-convexity, Huber, Cauchy, by reweighting.
+
+Each displacement's information is multiplied by a weight in (0, 1] that follows from its own
+chi-square e^T Omega e; the poses are solved again, and so on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.stats import chi2 as chi_square
+
+from meshskin.estimation.posegraph.descent import (
+    State,
+    edge_numbers,
+    minimise,
+    weighted_errors,
+)
+from meshskin.estimation.posegraph.graph import PoseGraph
+from meshskin.estimation.posegraph.problem import Problem
+from meshskin.se3 import Array
+
+QUANTILE = 0.99
+"""An inlier's chi-square is below its limit with this probability."""
+STEP = 1.4
+"""By how much graduated non-convexity approaches the full robust cost, a round."""
+ROUNDS = 100
+SETTLED = 1e-4
+"""Largest change of a weight at which reweighting ends."""
+
+Weight = Callable[[Array, Array, float], Array]
+
+
+def geman_mcclure(chi2: Array, limit: Array, looseness: float) -> Array:
+    """(mu c / (chi2 + mu c))^2: convex for a large `looseness` mu, the full cost at 1.
+
+    Source: Yang, Antonante, Tzoumas, Carlone, "Graduated non-convexity for robust spatial
+    perception", IEEE RA-L 5 (2020).
+    """
+    return np.asarray((looseness * limit / (chi2 + looseness * limit)) ** 2)
+
+
+def huber(chi2: Array, limit: Array, looseness: float) -> Array:
+    """1 within the limit, sqrt(limit / chi2) beyond."""
+    return np.asarray(np.sqrt(limit / np.maximum(chi2, limit)))
+
+
+def cauchy(chi2: Array, limit: Array, looseness: float) -> Array:
+    """1 / (1 + chi2 / limit)."""
+    return np.asarray(1.0 / (1.0 + chi2 / limit))
+
+
+ROBUST: dict[str, Weight] = {"gnc": geman_mcclure, "huber": huber, "cauchy": cauchy}
+
+
+def reweight(
+    problem: Problem, graph: PoseGraph, root: Array, state: State, kind: str, keep: bool
+) -> Array:
+    """Bring `state` to the minimum of the robust cost; the displacements' weights (m,).
+
+    The information must be right in scale: the limit on a chi-square is the `QUANTILE` of its
+    distribution, with as many degrees of freedom as the information has rank.
+    """
+    rank = np.linalg.matrix_rank(graph.information, hermitian=True)
+    limit = chi_square.ppf(QUANTILE, np.maximum(rank, 1))
+    weight, function = np.ones(len(graph.edges)), ROBUST[kind]
+    minimise(problem, graph, root, state, keep=keep)
+    chi2 = _chi_squares(problem, graph, state.poses, root)
+    looseness = max(2.0 * float((chi2 / limit).max()), 1.0) if kind == "gnc" else 1.0
+    for _ in range(ROUNDS):
+        before, weight = weight, function(chi2, limit, looseness)
+        if looseness == 1.0 and np.abs(weight - before).max() < SETTLED:
+            break
+        minimise(problem, graph, root * np.sqrt(weight)[:, None, None], state, keep=keep)
+        chi2 = _chi_squares(problem, graph, state.poses, root)
+        looseness = max(looseness / STEP, 1.0)
+    return weight
+
+
+def _chi_squares(problem: Problem, graph: PoseGraph, poses: Array, root: Array) -> Array:
+    """e^T Omega e (m,)."""
+    errors = weighted_errors(problem, edge_numbers(graph, poses, root))
+    return np.asarray(np.sum(errors**2, axis=1))

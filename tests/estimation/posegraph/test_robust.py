@@ -1,0 +1,55 @@
+"""Outlying displacements."""
+
+import numpy as np
+import pytest
+
+from meshskin import se3
+from meshskin.errors import UnknownNameError
+from meshskin.estimation.posegraph import PoseGraph
+
+
+def with_outliers(graph, share, seed=0):
+    """A `share` of the displacements replaced by random ones of the skin's size."""
+    rng, m = np.random.default_rng(seed), len(graph.edges)
+    bad = rng.choice(m, int(share * m), replace=False)
+    measured = np.array(graph.measurements)
+    measured[bad] = se3.transform(
+        se3.exp_so3(rng.normal(size=(len(bad), 3))), 0.02 * rng.normal(size=(len(bad), 3))
+    )
+    return PoseGraph(graph.poses, graph.edges, measured, graph.information), bad
+
+
+def error(solution, truth):
+    aligned = solution.poses[:, :3, 3] @ (t := se3.align(solution.poses[:, :3, 3], truth))[:3, :3].T
+    return np.linalg.norm(aligned + t[:3, 3] - truth, axis=1).mean()
+
+
+@pytest.mark.parametrize(
+    ("robust", "share", "limit"), [("gnc", 0.3, 1.25), ("huber", 0.1, 1.6), ("cauchy", 0.1, 1.3)]
+)
+def test_outliers_hardly_matter(skin_graph, robust, share, limit):
+    graph, truth = skin_graph(80, seed=1)
+    spoilt, bad = with_outliers(graph, share)
+    truth = truth[:, :3, 3]
+    clean = error(graph.solve(), truth)
+    solution = spoilt.solve(robust=robust)
+    assert solution.is_optimal
+    assert error(solution, truth) < limit * clean
+    assert error(spoilt.solve(), truth) > 2.0 * limit * clean
+    good = np.setdiff1d(np.arange(len(graph.edges)), bad)
+    assert np.median(solution.weights[bad]) < 0.3
+    assert np.median(solution.weights[good]) > 0.6
+
+
+def test_without_outliers_little_is_lost(skin_graph):
+    graph, truth = skin_graph(80, seed=2)
+    clean = error(graph.solve(), truth[:, :3, 3])
+    for robust in ("gnc", "huber", "cauchy"):
+        solution = graph.solve(robust=robust)
+        assert solution.is_optimal
+        assert error(solution, truth[:, :3, 3]) < 1.2 * clean
+
+
+def test_unknown_name(skin_graph):
+    with pytest.raises(UnknownNameError, match="did you mean huber"):
+        skin_graph(10)[0].solve(robust="hubert")
