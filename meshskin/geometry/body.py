@@ -32,7 +32,7 @@ class Exact(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Body:
     """A closed surface in the body frame, in m."""
 

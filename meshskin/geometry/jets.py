@@ -26,9 +26,11 @@ INDEPENDENT = 1e-4
 """smallest sine of the angle between a column of the fit and the columns before it"""
 CREASE = np.radians(40.0)
 """angle between two faces' normals from which their edge is a crease"""
-STEEP, WAVY = 1.0, 0.3
-"""bounds of the sums of absolute coefficients, all and those above degree 2, of a believable fit:
-over a ring of a sphere they are half and an eighth cubed of ring radius over sphere radius"""
+STEEP, WAVY = 2.0, 0.8
+"""bounds of the sums of absolute coefficients, all and those above degree 2, of a believable fit; on
+a sphere, with q = ring radius over sphere radius, they are q + q^3 / 2 and q^3 / 2"""
+MISS = 0.01
+"""bound of a believable fit's residual, RMS over the ring, relative to the ring's radius"""
 BULGE = 3.0
 """largest lift of a patch from its face, over what its normals account for"""
 
@@ -162,6 +164,8 @@ def _solve(local: Array, degree: int) -> tuple[NDArray[np.bool_], Array]:
     values = np.linalg.solve(normal, columns @ local[..., 2:])[..., 0] / length
     size = np.abs(values)
     believable = (size.sum(axis=1) < STEEP) & (size[:, 5:].sum(axis=1) < WAVY)
+    miss = np.einsum("gck,gc->gk", columns, values * length) - local[..., 2]
+    believable &= np.einsum("gk,gk->g", miss, miss) < MISS**2 * k
     return (np.min(diagonal, axis=1) > INDEPENDENT) & believable, values
 
 
