@@ -178,7 +178,8 @@ def _posegraph(isotropic: bool) -> Callable[..., dict[str, Any]]:
             "anchor": "rigid alignment of each connected part with the trilaterated positions",
             "factors": (
                 f"{len(graph.edges)} displacements of taxels active together, "
-                f"{'isotropic' if isotropic else 'full'} information, taken as independent",
+                f"{'isotropic' if isotropic else 'full'} information, taken as independent "
+                "(the covariance is a lower bound)",
                 "spin of each frame: a convention",
             ),
         }

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
 SHARED = 4
 """Fewest contacts that a pair must share."""
-NARROW = 0.15
-"""Least width of the shared contacts about their best line, relative to the contact radius."""
 NORMAL_FLOOR = 0.1
 """Least standard deviation along the normal, relative to the one along the surface."""
 ROTATION_FLOOR = 3.0
@@ -56,7 +54,9 @@ def displacements(
     own = chart.about(body, np.where(fit.found[:, None], fit.points, data.points[0]), fit.rotations)
     charts = own[pairs.ravel()]  # owner 2 g is the first taxel of pair g, 2 g + 1 the second
     y, information, chi2 = trilaterate.solve(found, charts)
-    sane = (trilaterate.width(found, charts) > NARROW) & (np.linalg.norm(y, axis=1) < data.disc)
+    sane = (trilaterate.width(found, charts) > trilaterate.NARROW) & (
+        np.linalg.norm(y, axis=1) < data.disc
+    )
     good = sane.reshape(-1, 2).all(axis=1)
     if not good.any():
         raise CalibrationError(

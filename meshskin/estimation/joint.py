@@ -113,7 +113,7 @@ class _Run:
 
     def converge(self, charts: Charts, e: float) -> tuple[Charts, float]:
         """Solve and anchor anew until the taxels stand still."""
-        self.likelihood = self._likelihood(charts)
+        self.likelihood = self._likelihood(charts, e)
         self.iterates.append(charts.points)
         for _ in range(PASSES):
             tick = time.perf_counter()
@@ -122,10 +122,11 @@ class _Run:
             self.iterates.extend(charts.at(y) for y in solution.path[1:])
             moved, e = solution.coordinates, solution.log_modulus
             charts = chart.about(self.body, charts.at(moved), trilaterate.frames_of(charts))
-            if np.abs(moved).max() < STILL:
+            still = np.abs(moved).max() < STILL
+            if still and self.likelihood.covers(charts, e):
                 return charts, e
-            if np.linalg.norm(charts.points - self.likelihood.about, axis=1).max() > 0.5e-3:
-                self.likelihood = self._likelihood(charts)  # other silent readings are near now
+            if not self.likelihood.covers(charts, e):
+                self.likelihood = self._likelihood(charts, e)
         raise CalibrationError(
             "the joint estimate does not come to rest",
             value=f"{np.abs(moved).max():.3g} m of move after {PASSES} anchorings",
@@ -133,9 +134,9 @@ class _Run:
             remedy="check the contact model and the units of force and pressure",
         )
 
-    def _likelihood(self, charts: Charts) -> Likelihood:
+    def _likelihood(self, charts: Charts, e: float) -> Likelihood:
         tick = time.perf_counter()
-        made = Likelihood(self.data, self.live, charts.points, MODULUS_PRIOR)
+        made = Likelihood(self.data, self.live, charts.points, e, MODULUS_PRIOR)
         self.seconds["build"] += time.perf_counter() - tick
         return made
 

@@ -21,6 +21,8 @@ from .pressure import LOWER, PARAMETERS, kernel, parameters
 
 SPARE = 1e-3
 """Reach beyond patch and disc within which silent readings are taken, m."""
+CLEAR = 5.0
+"""Pressure, relative to the noise, above which a reading out of reach is kept: it is a misfit."""
 DECREMENT = 1e-6
 """Largest Newton decrement, in units of the cost, at which a solution is believed."""
 IPOPT: dict[str, object] = {
@@ -96,21 +98,38 @@ class Normal:
 
 
 class Likelihood:
-    """The NLP over the taxels `live` (rows of data.ids) near the points `about` (n, 3)."""
+    """The NLP over the taxels `live` (rows of data.ids) near the points `about` (n, 3) and ln E*.
+
+    With known noise, silent readings in reach are censored; readings out of reach that are no more
+    than noise say nothing and are left out. What is in reach is judged at `about` and `e`.
+    """
 
     def __init__(
-        self, data: Measurements, live: np.ndarray, about: Array, modulus_prior: float
+        self, data: Measurements, live: np.ndarray, about: Array, e: float, modulus_prior: float
     ) -> None:
-        self.data, self.about = data, about
+        self.data, self.about, self.e = data, about, e
         self.length = float(np.median(data.radii))
         self.prior = modulus_prior**-2
         place = np.full(len(data.ids), -1)
         place[live] = np.arange(len(live))
         mine = place[data.taxel] >= 0
+        self.silent = _none()
+        if data.noise:
+            near = near_pairs(data, about, float(np.exp(-e / 3)))
+            reached = pair_numbers(data, near[0], live[near[1]])
+            heard = pair_numbers(data, data.contact, data.taxel)
+            quiet = ~np.isin(reached, heard)
+            self.silent = near[0][quiet], near[1][quiet]
+            mine &= np.isin(heard, reached) | (data.pressure > CLEAR * data.noise)
         self.active = data.contact[mine], place[data.taxel[mine]]
         self.pressure = data.pressure[mine]
-        self.silent = silent_readings(data, live, about) if data.noise else _none()
         self._build(len(live))
+
+    def covers(self, charts: Charts, e: float) -> bool:
+        """Whether what was judged to be in reach still is, with SPARE to spare."""
+        moved = float(np.linalg.norm(charts.points - self.about, axis=1).max())
+        grown = float(self.data.radii.max()) * abs(np.exp(-e / 3) - np.exp(-self.e / 3))
+        return moved + grown < SPARE / 2
 
     def _build(self, n: int) -> None:
         x = ca.MX.sym("x", 2 * n + 1)
@@ -239,30 +258,30 @@ class _Path(ca.Callback):
         return [0]
 
 
-def near_pairs(data: Measurements, points: Array) -> tuple[np.ndarray, np.ndarray]:
-    """Contacts and taxels (rows of `points`) whose patch and disc may overlap, SPARE included."""
+def near_pairs(
+    data: Measurements, points: Array, stretch: float = 1.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Contacts and taxels (rows of `points`) whose patch and disc may overlap, SPARE included.
+
+    `stretch`: contact radii relative to those at nominal E*.
+    """
     from scipy.spatial import cKDTree
 
-    reach = float(data.radii.max()) + data.disc + SPARE
+    radii = stretch * data.radii + data.disc + SPARE
     # The distance in space exceeds the one in the contact's plane: half as much again suffices.
-    near = cKDTree(data.points).query_ball_point(points, 1.5 * reach, return_sorted=False)
+    near = cKDTree(data.points).query_ball_point(points, 1.5 * radii.max(), return_sorted=False)
     taxel = np.repeat(np.arange(len(points)), [len(rows) for rows in near])
     contact = np.concatenate([np.asarray(rows, dtype=int) for rows in near])
     offset = points[taxel] - data.points[contact]
     height = np.einsum("ki,ki->k", offset, data.normals[contact])
     across = np.einsum("ki,ki->k", offset, offset) - height**2
-    keep = across < (data.radii[contact] + data.disc + SPARE) ** 2
+    keep = across < radii[contact] ** 2
     return contact[keep], taxel[keep]
 
 
-def silent_readings(
-    data: Measurements, live: np.ndarray, points: Array
-) -> tuple[np.ndarray, np.ndarray]:
-    """Contacts and taxels (rows of `live`, at `points`) that were near each other and silent."""
-    contact, taxel = near_pairs(data, points)
-    pair = contact * len(data.ids) + live[taxel]
-    silent = ~np.isin(pair, data.contact * len(data.ids) + data.taxel)
-    return contact[silent], taxel[silent]
+def pair_numbers(data: Measurements, contact: np.ndarray, taxel: np.ndarray) -> np.ndarray:
+    """One number for each pair of a contact and a taxel (row of data.ids)."""
+    return np.asarray(contact * len(data.ids) + taxel)
 
 
 def _none() -> tuple[np.ndarray, np.ndarray]:

@@ -218,9 +218,13 @@ def frames_of(charts: Charts) -> Array:
 
 
 def _within_reach(data: Measurements, start: Array) -> Measurements:
-    """The readings whose contact can reach its taxel's start (n, 3), with 1 mm to spare."""
+    """The readings whose contact can reach its taxel's start (n, 3), with 1 mm to spare.
+
+    Readings within 3 sigma of nothing are left out: their distance would be a guess at the edge.
+    """
     off = np.linalg.norm(data.points[data.contact] - start[data.taxel], axis=1)
     keep = off < 1.3 * (data.radii[data.contact] + data.disc) + 1e-3
+    keep &= data.pressure > 3 * (data.noise or 0.0)
     part = {name: getattr(data, name)[keep] for name in ("contact", "taxel", "pressure")}
     return replace(data, **part)
 
