@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -53,7 +53,7 @@ def determined(findings: Findings) -> tuple[Block, ...]:
         for k, (name, n) in enumerate(zip(FREEDOMS, counts, strict=True))
     )
     lines = [
-        f"Factors used: {', '.join(c.factors) or 'none named'}.",
+        f"Factors used: {'; '.join(c.factors) or 'none named'}.",
         f"Anchor (what fixes the whole's pose): {c.anchor or 'none named'}.",
     ]
     if has_gauge(c) and findings.truth is not None:
@@ -126,6 +126,7 @@ def next_steps(findings: Findings) -> Sequence[str]:
             f"The error is {number(ratio)} times the Cramér-Rao expectation: look for what the "
             "model leaves out (contact model, indenter offset, gains) before recording more."
         )
+    steps += _consistency(findings)
     s = findings.sigma[np.isfinite(findings.sigma)] * MM
     if len(s):
         steps.append(
@@ -143,6 +144,26 @@ def next_steps(findings: Findings) -> Sequence[str]:
             "report's errors with the uncertainty stated here."
         )
     return tuple(steps)
+
+
+def _consistency(findings: Findings) -> list[str]:
+    """What to do where the errors do not match the stated uncertainty."""
+    from ..estimation.metrics import nees_band
+
+    given = findings.metrics.get("nees")
+    mean = given.get("mean") if isinstance(given, Mapping) else given
+    count = int(findings.located.sum())
+    if findings.truth is None or mean is None or not count:
+        return []
+    low, high = nees_band(count)
+    if not np.isfinite(mean) or low <= mean <= high:
+        return []
+    side = "too small" if mean > high else "too large"
+    return [
+        f"The stated uncertainty is {side}: NEES {number(float(mean))} lies outside its 95 % band "
+        f"{number(low)} to {number(high)} (by chance in 1 run of 20). Check the noise that the "
+        "calibration was told, and what its model leaves out."
+    ]
 
 
 def suspects(findings: Findings) -> np.ndarray:

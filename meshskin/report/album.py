@@ -147,8 +147,9 @@ def coverage(folder: Path, findings: Findings) -> Picture | None:
         "coverage",
         figure,
         "Coverage of the exploration",
-        "How many readings each taxel gave, and the path of the contact over the skin. Good: no "
-        "cross, no dark disc, and passes that run on both sides of every taxel."
+        "How many readings each taxel gave (colours on a logarithmic scale), and the path of the "
+        "contact over the skin. Good: no cross, passes on both sides of every taxel, and no taxel "
+        "far darker than its neighbours."
         + (lost if missing and findings.truth is None else "")
         + _plane_note(findings),
         "Map of readings by taxel with the contact path",
@@ -176,7 +177,7 @@ def iterations(folder: Path, findings: Findings) -> Picture | None:
         draw(None),
         "Pose-graph estimates along the iterations (the paper's fig. 6 to 8)",
         (start if run.demonstration else "")
-        + f"First, middle and last of {len(run.steps)} sets of estimates. The means above are "
+        + f"First, half way and last of {len(run.steps)} sets of estimates. The means above are "
         f"distances in space from the {'truth' if run.known else 'end'}; the map shows their part "
         "along the skin. Good: in the last panel every estimate lies inside or beside its ring.",
         "Maps of the estimates at the first, middle and last iteration",

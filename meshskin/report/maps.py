@@ -126,11 +126,11 @@ def estimates(
     return figure
 
 
-def _iteration_limits(truth: Array, estimates: Array) -> Array:
-    """Points (n, 2) that one view should hold: the truth, and estimates up to 3/4 span off."""
-    low, high = truth.min(axis=0), truth.max(axis=0)
-    span = max(float(np.max(high - low)), 1e-9)
-    return np.concatenate([truth, np.clip(estimates, low - 0.75 * span, high + 0.75 * span)])
+def _view(skin: Array, more: Array, beyond: float) -> Array:
+    """Points (n, 2) that one view should hold: the skin, and more up to `beyond` spans off it."""
+    low, high = skin.min(axis=0), skin.max(axis=0)
+    reach = beyond * max(float(np.max(high - low)), 1e-9)
+    return np.concatenate([skin, np.clip(more, low - reach, high + reach)])
 
 
 def _iteration_panel(axes: Axes, truth: Array, estimate: Array, title: str) -> None:
@@ -143,9 +143,13 @@ def _iteration_panel(axes: Axes, truth: Array, estimate: Array, title: str) -> N
     axes.set_title(title)
 
 
-def pick_iterations(count: int) -> tuple[int, int, int]:
-    """The first, the middle and the last of `count` iterates."""
-    return 0, (count - 1) // 2, count - 1
+def pick_iterations(iterates: Array) -> tuple[int, int, int]:
+    """The first of iterates (k, n, 3), the one nearest to half way to the last, and the last."""
+    last = len(iterates) - 1
+    if last < 2:
+        return 0, 0, last
+    left = np.nanmean(np.linalg.norm(iterates - iterates[-1], axis=2), axis=1)
+    return 0, 1 + int(np.argmin(np.abs(left[1:last] - left[0] / 2))), last
 
 
 @theme.styled
@@ -157,21 +161,20 @@ def iterations(
     only: int | None = None,
     reference: str = "true taxel",
 ) -> Figure:
-    """Fig. 6-8: pose-graph estimates at the first, middle and last iteration, over the truth.
+    """Fig. 6-8: pose-graph estimates at the first, a middle and the last iteration.
 
-    truth (n, 3), m; iterates (k, n, 3), m. `only` (0, 1 or 2) draws one of the three panels;
-    `reference` names in the legend what `truth` holds.
+    truth (n, 3), m: what they are drawn over; iterates (k, n, 3), m; the middle one is the
+    iterate nearest to half way between the first and the last. `only` (0, 1 or 2) draws one of
+    the three panels; `reference` names in the legend what `truth` holds.
     """
     t = np.asarray(truth, dtype=float)
     all_iterates = np.asarray(iterates, dtype=float)
     plane = plane or tangent_plane(t)
-    chosen = pick_iterations(len(all_iterates))
+    chosen = pick_iterations(all_iterates)
     flat = [plane.project(all_iterates[k]) for k in chosen]
     a = plane.project(t)
     together = np.concatenate(flat)
-    view = _iteration_limits(
-        a[np.isfinite(a).all(axis=1)], together[np.isfinite(together).all(axis=1)]
-    )
+    view = _view(a[np.isfinite(a).all(axis=1)], together[np.isfinite(together).all(axis=1)], 0.75)
     panels = (0, 1, 2) if only is None else (only,)
     size = 2.75 if only is None else 3.9
     figure = theme.canvas(0.75 + (size + 0.25) * len(panels), size + 1.25)
@@ -212,22 +215,31 @@ def coverage(
     positions (n, 3), m: the truth, or the estimates where there is none (NaN: cannot be drawn);
     readings (n,): counts; path (m, 3): contact points, m.
     """
+    from matplotlib.colors import LogNorm
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
     p, counts = np.asarray(positions, dtype=float), np.asarray(readings, dtype=float)
     plane = plane or tangent_plane(p)
     xy = plane.project(p)
     touched = (counts > 0) & np.isfinite(xy).all(axis=1)
     figure = theme.canvas(6.6, 6.1)
-    axes = _map_axes(figure, xy, 0.65, 0.6, 5.0)
+    route = plane.project(np.zeros((0, 3)) if path is None else path)
+    drawn = np.isfinite(xy).all(axis=1)
+    view = _view(xy[drawn], route, 0.2) if drawn.any() else route
+    axes = _map_axes(figure, view, 0.65, 0.6, 5.0)
     handles = []
-    route = np.zeros((0, 3)) if path is None else np.asarray(path, dtype=float)
     if len(route):
-        step = max(len(route) // 4000, 1)
-        axes.plot(*plane.project(route[::step]).T, color=theme.MUTED, lw=0.5, alpha=0.7, zorder=3)
+        line = route[:: max(len(route) // 4000, 1)]
+        axes.plot(*line.T, color=theme.MUTED, lw=0.5, alpha=0.7, zorder=3)
         handles.append(_line("path of the contact", color=theme.MUTED, lw=0.8))
     discs = _discs(axes, xy[touched], 2 * disc_radius * MM, cmap=theme.SEQUENTIAL, linewidths=0)
     discs.set_array(counts[touched])
-    discs.set_clim(0, float(np.max(counts, initial=1.0)))
-    theme.colour_bar(figure, discs, axes, "readings of the taxel")
+    least, most = (counts[touched].min(), counts[touched].max()) if touched.any() else (1.0, 1.0)
+    discs.set_norm(LogNorm(least, max(most, 2 * least)))
+    bar = theme.colour_bar(figure, discs, axes, "readings of the taxel")
+    bar.ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: number(value)))
+    bar.ax.yaxis.set_minor_locator(NullLocator())
     missed = ~touched & np.isfinite(xy).all(axis=1)
     if missed.any():
         radius = 2 * disc_radius * MM

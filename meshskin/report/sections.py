@@ -18,6 +18,18 @@ if TYPE_CHECKING:
 
 ROWS = 1000
 """The most taxels that the page lists one by one."""
+EXPLAINED = {
+    "crlb_mm.mean": "least mean error to expect of any unbiased estimate (Cramér-Rao)",
+    "crlb_mm.rms": "the same, root mean square",
+    "nees": "squared error over stated variance: 2 where the stated uncertainty is right",
+    "nees.mean": "squared error over stated variance: 2 where the stated uncertainty is right",
+    "force.mean_n": "after settling",
+    "force.std_n": "after settling",
+    "force.overshoot": "largest force over the reference, less one",
+    "force.settling_s": "from touch until the force stays near the reference",
+    "steps_per_second": "closed loop with arm dynamics",
+}
+"""What well-known metrics mean."""
 
 
 def content(findings: Findings, pictures: Sequence[Picture], body: Body | None) -> Content:
@@ -96,8 +108,8 @@ def numbers(findings: Findings) -> tuple[Number, ...]:
         tiles.append(Number("Mean position error", number(errors["mean"]), "mm", note))
         bound = findings.metrics.get("crlb_mm", {}).get("mean")
         if bound is not None:
-            note = "mean error that the readings allow"
-            tiles.append(Number("Cramér-Rao expectation", number(bound), "mm", note))
+            note = "mean error that the readings allow at best"
+            tiles.append(Number("Cramér-Rao bound", number(bound), "mm", note))
     s = findings.sigma[np.isfinite(findings.sigma)] * MM
     if len(s):
         note = f"standard deviation, median; largest {number(s.max())} mm"
@@ -114,15 +126,19 @@ def _force(findings: Findings) -> list[Number]:
     force = findings.metrics.get("force") or {}
     if not force and findings.recording is not None and len(findings.recording.force):
         f = findings.recording.force
-        return [Number("Contact force", number(float(f.mean())), "N", f"± {number(f.std(), 2)} N")]
+        note = f"standard deviation {number(float(f.std()), 2)} N"
+        return [Number("Mean contact force", f"{f.mean():.3f}", "N", note)]
     if not force:
         return []
     notes = [f"reference {number(force['reference_n'])} N"] if "reference_n" in force else []
     if force.get("settling_s") is not None:
         notes.append(f"settled in {number(force['settling_s'] * 1e3)} ms")
     if force.get("overshoot") is not None:
-        notes.append(f"overshoot {number(100 * force['overshoot'], 2)} %")
-    return [Number("Mean contact force", number(force.get("mean_n"), 4), "N", ", ".join(notes))]
+        over = 100 * force["overshoot"]
+        notes.append(f"overshoot {over:.1f} %" if over >= 0.05 else "no overshoot")
+    mean = force.get("mean_n")
+    shown = "–" if mean is None else f"{mean:.3f}"
+    return [Number("Mean contact force", shown, "N", ", ".join(notes))]
 
 
 def _view(findings: Findings, body: Body | None) -> View:
@@ -165,7 +181,8 @@ def _numbers(findings: Findings) -> tuple[Block, ...]:
     shown = {"position_error_mm", "seconds", *list(findings.errors)}
     rest = flatten({k: v for k, v in findings.metrics.items() if k not in shown})
     if rest:
-        blocks.append(Table(("metric", "value"), tuple(rest), numeric=(1,)))
+        rows = [(name, value, EXPLAINED.get(name, "")) for name, value in rest]
+        blocks.append(Table(("metric", "value", ""), tuple(rows), numeric=(1,)))
     return tuple(blocks) or (Text(("No metrics were given.",)),)
 
 
@@ -181,7 +198,7 @@ def flatten(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]
         elif isinstance(value, int | np.integer):
             rows.append((name, str(value)))
         else:
-            rows.append((name, number(float(value), 4)))
+            rows.append((name, number(float(value), 5)))
     return rows
 
 

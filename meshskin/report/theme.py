@@ -89,13 +89,14 @@ def place(figure: Figure, left: float, bottom: float, width: float, height: floa
     return figure.add_axes((left / w, bottom / h, width / w, height / h))
 
 
-def colour_bar(figure: Figure, artist: Any, axes: Axes, label: str) -> None:
+def colour_bar(figure: Figure, artist: Any, axes: Axes, label: str) -> Any:
     """A thin colour bar to the right of `axes`."""
     box = axes.get_position()
     w = figure.get_size_inches()[0]
     bar = figure.add_axes((box.x1 + 0.12 / w, box.y0, 0.12 / w, box.height))
-    figure.colorbar(artist, cax=bar, label=label)
+    made = figure.colorbar(artist, cax=bar, label=label)
     bar.spines["outline"].set_visible(False)
+    return made
 
 
 @styled

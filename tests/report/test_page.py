@@ -125,7 +125,7 @@ def test_the_page_says_the_numbers(full: Written) -> None:
     for part in (
         "78 of 80 taxels were located with a mean error of 0.0123 mm, 1.02 times",
         "rms 0.0141, max 0.0333 mm",
-        "Cramér-Rao expectation 0.0121 mm",
+        "Cramér-Rao bound 0.0121 mm",
         "3.001 N",
         "settled in 44.9 ms",
         "263.158 ± 0.12 (1 sigma) kPa",
@@ -141,7 +141,7 @@ def test_the_page_says_what_was_not_determined(full: Written) -> None:
     text = full[0].text
     assert "0 of 78 not determined: a round taxel reads the same" in text
     assert "2 of 80 taxels have no estimate (never touched): 3, 40." in text
-    assert "Factors used: pressure, surface." in text
+    assert "Factors used: pressure; surface." in text
     assert "body surface" in text
     assert "Extend the contact path to taxels 3, 40" in text
 
