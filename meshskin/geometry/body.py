@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 LARGEST, SMALLEST = 5.0, 5e-3
 """extents in m between which a body is believed"""
+ON_RAY = 1e-7
+"""largest offset from its ray, relative to the body's extent, of a hit"""
 FACES = 5120
 """default number of faces of a primitive"""
 
@@ -61,8 +63,9 @@ class Body:
     def project(self, origins: ArrayLike, directions: ArrayLike) -> Closest:
         """First hits of rays with the smooth surface: `origins`, `directions` (n, 3), body frame.
 
-        The distance is the way along the ray in m. A ray that misses has face -1, and NaN in its
-        other entries. The face is found on the flat mesh (single precision), the hit on the patch.
+        The distance is the way along the ray in m. A ray that misses, or that meets the flat mesh
+        but passes the smooth surface, has face -1, and NaN in its other entries. The face is found
+        on the flat mesh (embree, single precision), the hit on the patch. Raises MeshError.
         """
         o = np.array(origins, dtype=float).reshape(-1, 3)
         d = np.array(directions, dtype=float).reshape(-1, 3)
@@ -70,25 +73,28 @@ class Body:
         if not (np.isfinite(o).all() and np.isfinite(d).all() and np.all(length > 0)):
             raise MeshError("a ray is not finite or has no direction")
         d /= length[:, None]
-        face = self._first_hit(o, d)
-        hit = np.flatnonzero(face >= 0)
-        found, uv = self.surface.trace(o[hit], d[hit], face[hit])
-        answer = self.surface.at(found, uv)
-        way = np.sum((answer.point - o[hit]) * d[hit], axis=1)
-        face[hit] = found
+        first = self._first_hit(o, d)
+        rows = np.flatnonzero(first >= 0)
+        answer = self.surface.at(*self.surface.trace(o[rows], d[rows], first[rows]))
+        way = np.sum((answer.point - o[rows]) * d[rows], axis=1)
+        beside = np.linalg.norm(o[rows] + way[:, None] * d[rows] - answer.point, axis=1)
+        met = beside < ON_RAY * self.surface.scale
+        hit = rows[met]
 
         def spread(values: Array) -> Array:
             out = np.full((len(o), *values.shape[1:]), np.nan)
-            out[hit] = values
+            out[hit] = values[met]
             return out
 
+        face = np.full(len(o), -1, dtype=np.intp)
+        face[hit] = answer.face[met]
         return Closest(
             spread(answer.point),
             spread(way),
             spread(answer.normal),
             spread(answer.curvature),
             face,
-            spread(uv),
+            spread(answer.uv),
         )
 
     def _first_hit(self, origins: Array, directions: Array) -> NDArray[np.intp]:

@@ -27,8 +27,8 @@ INDEPENDENT = 1e-4
 CREASE = np.radians(40.0)
 """angle between two faces' normals from which their edge is a crease"""
 STEEP, WAVY = 2.0, 0.8
-"""bounds of the sums of absolute coefficients, all and those above degree 2, of a believable fit; on
-a sphere, with q = ring radius over sphere radius, they are q + q^3 / 2 and q^3 / 2"""
+"""bounds of the sums of absolute coefficients, all and those above degree 2, of a believable fit;
+on a sphere, with q = ring radius over sphere radius, they are q + q^3 / 2 and q^3 / 2"""
 MISS = 0.01
 """bound of a believable fit's residual, RMS over the ring, relative to the ring's radius"""
 BULGE = 3.0

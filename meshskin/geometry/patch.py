@@ -23,6 +23,8 @@ ORDERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 
 UMBILIC = 1e-12
 """(1/m)^2 under the root of the curvatures' difference: keeps its derivative finite on spheres"""
+THIN = 1e-9
+"""sine of the angle between Su and Sv below which a face has no area"""
 
 
 def _derivative_table() -> tuple[NDArray[np.intp], Array]:
@@ -66,14 +68,17 @@ def shape(first: tuple[Array, Array], second: tuple[Array, Array, Array]) -> tup
     """Outward normals (n, 3) and principal curvatures (n, 2) of the derivatives (n, 3).
 
     `first` is (Su, Sv), `second` (Suu, Suv, Svv); curvature is positive where the surface bends
-    away from the normal (convex), larger first.
+    away from the normal (convex), larger first. Where Su and Sv are parallel (a face without area)
+    both are zero.
     """
     (su, sv), (suu, suv, svv) = first, second
     normal = np.cross(su, sv)
-    normal /= np.sqrt(np.einsum("ij,ij->i", normal, normal))[:, None]
     e, f, g = (np.einsum("ij,ij->i", a, b) for a, b in ((su, su), (su, sv), (sv, sv)))
+    area2 = np.einsum("ij,ij->i", normal, normal)  # = E G - F^2
+    thin = area2 <= THIN**2 * e * g
+    area2[thin] = np.inf
+    normal /= np.sqrt(area2)[:, None]
     ll, m, n = (-np.einsum("ij,ij->i", a, normal) for a in (suu, suv, svv))
-    area2 = e * g - f * f
     mean = (e * n - 2.0 * f * m + g * ll) / (2.0 * area2)
     gauss = (ll * n - m * m) / area2
     spread = np.sqrt(np.maximum(mean * mean - gauss, 0.0))

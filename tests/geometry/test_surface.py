@@ -188,6 +188,28 @@ def test_a_box_keeps_its_edges_and_corners(cuts):
     np.testing.assert_allclose(surface.closest(points).distance, exact, atol=1e-9)
 
 
+def test_a_face_without_area_does_no_harm():
+    """An edge of a box split on one side only, closed by a sliver of no area."""
+    mesh = trimesh.creation.box((0.2, 0.1, 0.06))
+    faces, vertices = mesh.faces.tolist(), mesh.vertices.tolist()
+    a, b, c = faces.pop(0)
+    m = len(vertices)
+    vertices.append(np.mean([vertices[a], vertices[b]], axis=0).tolist())
+    faces += [[a, m, c], [m, b, c], [a, b, m]]
+    surface = Surface(SimpleNamespace(vertices=vertices, faces=faces))
+    assert np.all(surface.neighbours >= 0)
+    sliver = surface.at([len(faces) - 1], [[0.3, 0.3]])
+    assert np.linalg.norm(sliver.normal) == pytest.approx(1.0)
+    np.testing.assert_array_equal(sliver.curvature, 0.0)
+    half = np.array([0.1, 0.05, 0.03])
+    points = np.random.default_rng(2).uniform(-1.5, 1.5, size=(2000, 3)) * half
+    hit = surface.closest(points)
+    outside = np.linalg.norm(np.maximum(np.abs(points) - half, 0.0), axis=1)
+    inside = np.minimum(np.max(np.abs(points) - half, axis=1), 0.0)
+    np.testing.assert_allclose(hit.distance, outside + inside, atol=1e-9)
+    assert np.isfinite(hit.normal).all()
+
+
 def test_signs_hold_at_sharp_edges_and_corners():
     """A spike, whose faces' normals alone tell inside from outside wrongly near its edges."""
     vertices = np.array([[0.1, 0, 0], [-0.05, 0.02, 0], [-0.05, -0.02, 0], [-0.05, 0, 0.01]])
