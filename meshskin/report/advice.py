@@ -21,6 +21,8 @@ FREEDOMS = (
 )
 FEW_READINGS = 12
 """Fewer readings than this leave a taxel's position weak."""
+NO_NOISE = 1e-4
+"""Stated uncertainties (mm) below this come from ideal data."""
 SUSPECT_CHI2 = 3.0
 """Residuals this many times the typical taxel's are not noise."""
 
@@ -128,7 +130,12 @@ def next_steps(findings: Findings) -> Sequence[str]:
         )
     steps += _consistency(findings)
     s = findings.sigma[np.isfinite(findings.sigma)] * MM
-    if len(s):
+    if len(s) and np.median(s) < NO_NOISE:
+        steps.append(
+            "These data are all but free of noise: simulate with the noise of the sensor, to see "
+            "what error to expect."
+        )
+    elif len(s):
         steps.append(
             f"To halve the uncertainty of {number(float(np.median(s)))} mm, record four times as "
             "many readings, or halve the sensor noise."

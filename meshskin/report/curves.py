@@ -198,9 +198,15 @@ def _decade_axis(axes: Axes, low: float, high: float, minor: bool) -> None:
     axes.set_xscale("log")
     axes.set_xlim(low, high)
     axes.xaxis.set_major_locator(LogLocator(numticks=9))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: number(value)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: _decade(value)))
     axes.xaxis.set_minor_locator(LogLocator(subs=range(2, 10)) if minor else NullLocator())
     axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def _decade(value: float) -> str:
+    """A power of ten: 0.01, 1, 100; beyond that 10⁻⁶."""
+    text = number(value)
+    return text if 1e-3 <= value <= 1e3 else text.removeprefix("1 × ")
 
 
 def _decades(values: Array) -> tuple[float, float]:

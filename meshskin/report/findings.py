@@ -123,16 +123,16 @@ class Findings:
 
     @cached_property
     def covariances(self) -> Array:
-        """Position covariances (n, 3, 3), m^2, body frame.
+        """Covariances (n, 3, 3), m^2, body frame, of the positions along the skin.
 
-        A direction that the data did not determine (infinite variance) makes the row NaN.
+        The part along the normal is left out: it says how far the body's surface is trusted, not
+        what the readings told. A place that the data did not determine makes the row NaN.
         """
-        pose = np.asarray(self.calibration.poses, dtype=float)[:, :3, :3]
-        cov = np.asarray(self.calibration.covariances, dtype=float)[:, :3, :3]
-        good = np.isfinite(cov).all(axis=(1, 2)) & np.isfinite(pose).all(axis=(1, 2))
-        r, c = pose[good], cov[good]
+        along = np.asarray(self.calibration.poses, dtype=float)[:, :3, :2]
+        cov = np.asarray(self.calibration.covariances, dtype=float)[:, :2, :2]
+        good = np.isfinite(cov).all(axis=(1, 2)) & self.located
         out = np.full((self.count, 3, 3), np.nan)
-        out[good] = r @ c @ np.swapaxes(r, 1, 2)
+        out[good] = along[good] @ cov[good] @ np.swapaxes(along[good], 1, 2)
         return out
 
     @cached_property

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MANY = 2000
+MANY = 500
 """Beyond this many marks, a figure's dots are rasterised so that its SVG stays small."""
 
 
@@ -294,6 +294,7 @@ def uncertainty(
     ellipses.set_array(sigma[:, 0])
     ellipses.set_clim(0, float(np.max(sigma, initial=1e-12)))
     axes.add_collection(ellipses, autolim=False)
-    theme.colour_bar(figure, ellipses, axes, "largest 1-sigma of the position (mm)")
-    _legend(axes, [_dot(f"1 sigma × {number(factor)}", color=theme.MUTED, ms=7)])
+    bar = theme.colour_bar(figure, ellipses, axes, "largest 1-sigma along the skin (mm)")
+    bar.formatter.set_powerlimits((-3, 4))
+    _legend(axes, [_dot(f"1 sigma along the skin × {number(factor)}", color=theme.MUTED, ms=7)])
     return figure

@@ -10,8 +10,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-SVG_LIMIT = 400_000
-"""Bytes of SVG beyond which a figure is inlined as PNG."""
+SVG_LIMIT = 150_000
+"""Bytes of SVG beyond which a figure is inlined as PNG, if that is smaller."""
 
 
 @dataclass(frozen=True)
@@ -137,9 +137,9 @@ def table(item: Table) -> str:
 
 
 def picture(item: Picture) -> str:
-    """A figure inlined as SVG, as PNG where the SVG is large."""
+    """A figure inlined as SVG, as PNG where the SVG is large and the PNG smaller."""
     kind, data = "svg+xml", item.svg.read_bytes()
-    if len(data) > SVG_LIMIT:
+    if len(data) > max(SVG_LIMIT, item.png.stat().st_size):
         kind, data = "png", item.png.read_bytes()
     source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
     return (

@@ -21,7 +21,7 @@ FACES = 5000
 """The most faces of the body that the page carries."""
 
 _AXES = (("x", "#d62728"), ("y", "#2ca02c"), ("z", "#1f77b4"))
-_MANY = 800
+_MANY = 400
 """The most taxels that get a frame and an ellipsoid; larger skins show every k-th."""
 
 
@@ -122,7 +122,7 @@ def ellipsoids(positions: Array, covariances: Array, wanted: float) -> dict[str,
     points = positions[good][::every, None] + np.einsum("nij,vj->nvi", axes, ball)
     shifted = faces[None] + len(ball) * np.arange(len(points))[:, None, None]
     return _mesh(points.reshape(-1, 3), shifted.reshape(-1, 3)) | {
-        "name": f"1 sigma × {number(factor)}",
+        "name": f"1 sigma along the skin × {number(factor)}",
         "color": theme.ESTIMATE,
         "opacity": 0.35,
         "flatshading": False,

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 ROWS = 1000
 """The most taxels that the page lists one by one."""
+SAID = ("position_error_mm", "seconds", "scene", "undetermined", "modulus_pa", "modulus_sigma_pa")
+"""Metrics that the page says elsewhere."""
 EXPLAINED = {
     "crlb_mm.mean": "least mean error to expect of any unbiased estimate (Cramér-Rao)",
     "crlb_mm.rms": "the same, root mean square",
@@ -107,7 +109,7 @@ def numbers(findings: Findings) -> tuple[Number, ...]:
         note = f"rms {number(errors['rms'])}, max {number(errors['max'])} mm"
         tiles.append(Number("Mean position error", number(errors["mean"]), "mm", note))
         bound = findings.metrics.get("crlb_mm", {}).get("mean")
-        if bound is not None:
+        if bound:
             note = "mean error that the readings allow at best"
             tiles.append(Number("Cramér-Rao bound", number(bound), "mm", note))
     s = findings.sigma[np.isfinite(findings.sigma)] * MM
@@ -155,7 +157,7 @@ def _view(findings: Findings, body: Body | None) -> View:
     caption = (
         "Drag to turn, scroll to come nearer, click a legend entry to hide or show it; point at a "
         "taxel for its numbers. Frames: x red, y green, z (outward) blue. Ellipsoids are the "
-        "stated 1 sigma, enlarged as the legend says."
+        "stated 1 sigma along the skin, enlarged as the legend says."
     )
     if body is not None and len(body.mesh.faces) > scene3d.FACES:
         caption += " Away from the skin the body is drawn more coarsely than it was computed."
@@ -178,7 +180,7 @@ def _numbers(findings: Findings) -> tuple[Block, ...]:
         sigma = "" if c.modulus_sigma is None else f" ± {number(c.modulus_sigma / 1e3)} (1 sigma)"
         value = f"{number(c.modulus / 1e3, 6)}{sigma} kPa"
         blocks.append(Text((f"Effective modulus E*, estimated with the taxels: {value}.",)))
-    shown = {"position_error_mm", "seconds", *list(findings.errors)}
+    shown = {*SAID, *findings.errors}
     rest = flatten({k: v for k, v in findings.metrics.items() if k not in shown})
     if rest:
         rows = [(name, value, EXPLAINED.get(name, "")) for name, value in rest]

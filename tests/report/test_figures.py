@@ -144,7 +144,7 @@ def test_ellipses_have_the_axes_of_their_covariances() -> None:
 def test_uncertainty_survives_taxels_without_estimate(case: SimpleNamespace) -> None:
     c = case.calibration(sigma=2e-5)
     shown = texts(figures.uncertainty(c.positions, c.covariances[:, :3, :3]))
-    assert "1 sigma × 50" in shown
+    assert "1 sigma along the skin × 50" in shown
     figures.uncertainty(np.full((3, 3), np.nan), np.full((3, 3, 3), np.inf))
 
 
@@ -162,8 +162,8 @@ def test_initial_error_draws_the_claims_beside() -> None:
     ("value", "text"),
     [
         (0.01234, "0.0123"), (3.0012, "3"), (18288, "18\u00a0288"), (0.0, "0"), (-0.5, "−0.5"),
-        (1.5e-9, "1.50 × 10⁻⁹"), (float("nan"), "–"), (float("inf"), "∞"), (None, "–"),
-        (2e11, "2.00 × 10¹¹"),
+        (1.5e-9, "1.5 × 10⁻⁹"), (float("nan"), "–"), (float("inf"), "∞"), (None, "–"),
+        (2e11, "2 × 10¹¹"),
     ],
 )  # fmt: skip
 def test_numbers_read_well(value: float | None, text: str) -> None:

@@ -156,7 +156,7 @@ def test_the_view_holds_truth_estimates_frames_and_ellipsoids(
 ) -> None:
     traces = full[0].data["data"]
     names = [t["name"] for t in traces]
-    assert any(n.startswith("1 sigma × ") for n in names)
+    assert any(n.startswith("1 sigma along the skin × ") for n in names)
     assert "path of the contact" in names
     assert names.count("estimated frames (heading: by convention)") == 3
 
