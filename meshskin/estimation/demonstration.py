@@ -6,7 +6,6 @@ are the true ones of taxels that were active together, perturbed by white noise;
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,23 +109,42 @@ def aligned(estimate: Array, truth: Array) -> Array:
     return np.asarray(estimate @ pose[:3, :3].T + pose[:3, 3])
 
 
-def sweep(
-    poses: Array, pairs: NDArray[np.int64], sigmas: Array, seeds: int, turn: float = 0.02
-) -> Iterator[tuple[float, float, float]]:
-    """Figure 9: (sigma, initial mean error, maximum-likelihood mean error), m, case by case.
+@dataclass(frozen=True)
+class Sweep:
+    """Figure 9: initial against maximum-likelihood mean position errors, after rigid alignment."""
 
-    The initial estimate chains the displacements along a breadth-first tree from the first taxel;
-    both errors are taken after rigid alignment.
+    sigmas: Array
+    """Noise of the displacements (k,), m."""
+    initial: Array
+    """Mean error (k, seeds) of the start, m: displacements chained from the first taxel."""
+    final: Array
+    """Mean error (k, seeds) of the maximum-likelihood estimate, m; NaN where it is no minimum."""
+
+
+def sweep(
+    poses: Array, pairs: NDArray[np.int64], initial_errors: Array, seeds: int, turn: float = 20.0
+) -> Sweep:
+    """Solve graphs whose starts are off by `initial_errors` (k,), m, on average over the seeds.
+
+    The initial estimate chains the displacements along a breadth-first tree from the first taxel.
+    turn, rad/m: rotation noise that goes with a displacement's noise. A seed's noise is the same
+    at every level, scaled.
     """
     truth = poses[:, :3, 3]
-    for sigma in sigmas:
-        for seed in range(seeds):
-            rng = random_stream(seed, f"figure 9 {sigma:.6g}")
-            graph = perturbed_graph(poses, pairs, float(sigma), turn, rng)
-            solution = graph.solve(start="tree", keep_iterates=True)
-            assert solution.iterates is not None
-            first, last = (solution.iterates[k][:, :3, 3] for k in (0, -1))
-            errors = [
-                np.linalg.norm(aligned(p, truth) - truth, axis=1).mean() for p in (first, last)
-            ]
-            yield float(sigma), float(errors[0]), float(errors[1])
+
+    def case(sigma: float, seed: int) -> tuple[float, float]:
+        rng = random_stream(seed, "figure 9")
+        graph = perturbed_graph(poses, pairs, sigma, turn * sigma, rng)
+        solution = graph.solve(start="tree", keep_iterates=True)
+        assert solution.iterates is not None
+        first, last = (
+            float(np.linalg.norm(aligned(p[:, :3, 3], truth) - truth, axis=1).mean())
+            for p in (solution.iterates[0], solution.poses)
+        )
+        return first, last if solution.is_optimal else float("nan")
+
+    unit = 1e-4
+    gain = np.mean([case(unit, seed)[0] for seed in range(seeds)]) / unit
+    sigmas = np.asarray(initial_errors, dtype=float) / gain
+    errors = np.array([[case(float(s), seed) for seed in range(seeds)] for s in sigmas])
+    return Sweep(sigmas, errors[..., 0], errors[..., 1])
