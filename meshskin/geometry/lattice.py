@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SkinError
+from . import jets
 from . import region as regions
 from .body import Body
 from .closest import Closest
@@ -57,33 +58,74 @@ class Lattice:
         return float(near.mean()), float(near.std() / near.mean())
 
 
+def first_site(
+    body: Body, region: regions.Region, spacing: float, rng: np.random.Generator
+) -> Lattice:
+    """The site to grow from: at the region's centre, shifted within a cell, with a random turn.
+
+    Raises SkinError where the region does not hold its own centre.
+    """
+    centre = region.centre(body)
+    if not region.contains(body, centre)[0]:
+        raise SkinError("a region without surface", value=region, remedy="move or widen it")
+    tangent = jets.tangent_frames(centre.normal)[:, 0]
+    side = np.cross(centre.normal, tangent)
+    a, b = rng.uniform(-0.5, 0.5, size=2)
+    turn = rng.uniform(0.0, np.pi / 3.0)
+    shift = spacing * ((a + 0.5 * b) * tangent + ROW * b * side)
+    at = body.closest(centre.point + shift, face=centre.face)
+    if not region.contains(body, at)[0]:
+        at = centre
+    heading = _onto(np.cos(turn) * tangent + np.sin(turn) * side, at.normal)
+    return Lattice(at, heading, np.zeros(1))
+
+
+def fill(body: Body, region: regions.Region, spacing: float, first: Lattice) -> Lattice:
+    """The lattice (spacing in m) all over a region, grown anew in each part that is apart."""
+    sites = grow(body, region, spacing, first)
+    faces = regions.face_points(body, np.arange(len(body.surface.faces)), 1)
+    faces = _rows(faces, region.contains(body, faces))
+    while len(faces.face):
+        gap = _tree(sites.at.point).query(faces.point)[0]
+        bare = gap > 1.5 * spacing
+        if not bare.any():
+            break
+        at = _rows(faces, [int(np.argmax(gap))])
+        island = Lattice(at, jets.tangent_frames(at.normal)[:, 0], np.zeros(1))
+        sites = _join(sites, grow(body, region, spacing, island, taken=sites.at.point))
+        faces = _rows(faces, bare)
+    return sites
+
+
 def grow(
     body: Body,
     region: regions.Region,
     spacing: float,
-    start: Closest,
-    tangent: Array,
+    first: Lattice,
     count: int | None = None,
+    taken: Array | None = None,
 ) -> Lattice:
-    """The lattice (spacing in m) in a region from a first site (one point, tangent (3,)).
+    """The lattice (spacing in m) around a first site, as far as the region is connected.
 
-    With `count`, growth stops once the `count` sites nearest to the first are complete.
+    With `count`, growth stops once the `count` sites nearest to the first are complete. Sites keep
+    clear of the points `taken` (k, 3).
     """
-    sites = Lattice(start, tangent.reshape(1, 3), np.zeros(1))
-    front = sites
+    others = np.zeros((0, 3)) if taken is None else taken
+    sites = front = first
     ring = 0
     while len(front):
         ring += 1
-        fresh = _propose(body, front, sites.at.point, spacing, CROWDED * spacing)
+        full = np.concatenate([others, sites.at.point])
+        fresh = _propose(body, front, full, spacing, CROWDED * spacing)
         fresh = fresh.take(region.contains(body, fresh.at))
-        way = np.maximum(regions.arc_length(start, fresh.at), ring * ROW * spacing * (1 - 1e-2))
-        front = replace(fresh, way=way)
+        least = (ring - 0.01) * ROW * spacing  # a ring of hexagons is at least so far out
+        front = replace(fresh, way=np.maximum(regions.arc_length(first.at, fresh.at), least))
         sites = _join(sites, front)
         if len(sites) > MOST:
             raise SkinError("sites of a lattice", value=len(sites), limit=MOST)
         if count is not None and len(sites) >= count:
             kth = np.partition(sites.way, count - 1)[count - 1]
-            if kth < (ring + 1) * ROW * spacing * (1 - 1e-2):
+            if kth < least + ROW * spacing:
                 break
     return sites
 
@@ -163,10 +205,9 @@ def _settle(body: Body, region: regions.Region, sites: Lattice, spacing: float) 
         force[:, k] = np.bincount(pairs[:, 0], pull[:, k], minlength=len(point))
         force[:, k] -= np.bincount(pairs[:, 1], pull[:, k], minlength=len(point))
     after = body.closest(point + 0.25 * force, face=sites.at.face)
-    stay = ~region.contains(body, after)
-    if stay.any():
-        back = body.closest(np.where(stay[:, None], point, after.point), face=after.face)
-        after = back
+    left = ~region.contains(body, after)
+    if left.any():
+        after = body.closest(np.where(left[:, None], point, after.point), face=sites.at.face)
     return Lattice(after, _onto(sites.tangent, after.normal), sites.way)
 
 

@@ -116,7 +116,7 @@ class Faces:
     def centre(self, body: Body) -> Closest:
         """The face middle nearest to the mean of the faces' middles."""
         self._check(body)
-        middles = _face_points(body, np.asarray(self.faces), 1)
+        middles = face_points(body, np.asarray(self.faces), 1)
         off = np.linalg.norm(middles.point - middles.point.mean(axis=0), axis=1)
         k = int(np.argmin(off))
         return body.surface.at(middles.face[[k]], middles.uv[[k]])
@@ -151,11 +151,11 @@ def area(body: Body, region: Region) -> float:
     surface = body.surface
     a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
     areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    within = region.contains(body, _face_points(body, np.arange(len(areas)), 3))
+    within = region.contains(body, face_points(body, np.arange(len(areas)), 3))
     return float(areas @ within.reshape(len(areas), -1).mean(axis=1))
 
 
-def _face_points(body: Body, faces: NDArray[np.intp], cuts: int) -> Closest:
+def face_points(body: Body, faces: NDArray[np.intp], cuts: int) -> Closest:
     """The smooth surface at the middles of the cuts^2 equal parts of each face (n,)."""
     uv = part_middles(cuts)[:, 1:]
     return body.surface.at(np.repeat(faces, len(uv)), np.tile(uv, (len(faces), 1)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from .. import se3
 from ..errors import SkinError
 from ..provenance import random_stream
-from . import jets, lattice
+from . import lattice
 from . import region as regions
 from .body import Body
 
@@ -122,24 +122,20 @@ def _check_spacing(body: Body, spacing: float, disc_radius: float) -> None:
 def _sites(
     body: Body, region: regions.Region, spacing: float, seed: int, count: int | None
 ) -> lattice.Lattice:
-    """Lattice sites at a spacing (m), relaxed until their mean distance is that spacing."""
-    rng = random_stream(seed, "skin layout")
-    centre = region.centre(body)
-    tangent = jets.tangent_frames(centre.normal)[0, 0]
-    side = np.cross(centre.normal[0], tangent)
-    a, b = rng.uniform(-0.5, 0.5, size=2)
-    shift = spacing * ((a + 0.5 * b) * tangent + lattice.ROW * b * side)
-    turn = rng.uniform(0.0, np.pi / 3.0)
-    first = body.closest(centre.point + shift, face=centre.face)
-    if not region.contains(body, first)[0]:
-        first = centre
-    heading = np.cos(turn) * tangent + np.sin(turn) * side
-    heading -= np.dot(heading, first.normal[0]) * first.normal[0]
-    heading /= np.linalg.norm(heading)
-    more = None if count is None else count + round(4.0 * np.sqrt(count))  # trimmed about centre
-    sites = lattice.grow(body, region, spacing, first, heading, more)
+    """Lattice sites at a spacing (m), relaxed until their mean distance is that spacing.
+
+    Their way is from the region's centre.
+    """
+    first = lattice.first_site(body, region, spacing, random_stream(seed, "skin layout"))
+
+    def lay(aim: float) -> lattice.Lattice:
+        if count is None:
+            return lattice.fill(body, region, aim, first)
+        margin = round(4.0 * np.sqrt(count))  # two rings more than needed, trimmed later
+        return lattice.grow(body, region, aim, first, count + margin)
+
+    sites, aim = lay(spacing), spacing
     mean, scatter = sites.spacing()
-    aim = spacing
     if len(sites) > 2 and (abs(mean / spacing - 1) > REGULAR[0] or scatter > REGULAR[1]):
         for _ in range(TRIES):  # sites that cannot close up evenly come nearer than they should
             sites = lattice.relax(body, region, sites, aim)
@@ -147,11 +143,11 @@ def _sites(
             if abs(mean / spacing - 1) < REGULAR[0]:
                 break
             aim *= spacing / mean
-            sites = lattice.grow(body, region, aim, first, heading, more)
+            sites = lay(aim)
         else:
             sites = lattice.relax(body, region, sites, aim)
-    way = np.maximum(regions.arc_length(centre, sites.at), sites.way - spacing)
-    return lattice.Lattice(sites.at, sites.tangent, way)
+    way = regions.arc_length(region.centre(body), sites.at)
+    return replace(sites, way=np.maximum(way, sites.way - spacing))
 
 
 def _sites_by_count(

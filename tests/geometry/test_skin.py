@@ -109,6 +109,15 @@ def test_regions_bound_the_taxels(ball):
     assert np.isin(ball.closest(faces.positions).face, mask).mean() > 0.99
 
 
+def test_every_part_of_a_region_is_covered(ball):
+    """Two caps at opposite sides, as one set of faces."""
+    z = ball.mesh.triangles_center[:, 2]
+    skin = Skin.cover(ball, spacing=6e-3, region=Faces(tuple(np.flatnonzero(np.abs(z) > 0.08))))
+    assert_even(skin, 6e-3)
+    up = skin.positions[:, 2] > 0
+    assert up.sum() == pytest.approx((~up).sum(), rel=0.1)
+
+
 def test_area_of_a_cap(ball):
     exact = 2.0 * np.pi * 0.01 * (1.0 - np.cos(0.5))
     assert area(ball, Cap((0.0, 1.0, 0.0), 0.5)) == pytest.approx(exact, rel=0.01)
@@ -132,6 +141,8 @@ def test_outermost_point_of_a_direction():
         ({"spacing": 20e-3, "count": 1000}, "number of taxels, got 1000, limit: the"),
         ({"count": 5, "region": Cap((0, 0, 0))}, "direction of a region"),
         ({"count": 5, "region": Faces(())}, "faces of a region"),
+        ({"spacing": 5e-3, "region": Faces((0, 6000))}, "face of a region, got 6000, limit: 0 to"),
+        ({"spacing": 5e-3, "region": HalfSpace((0, 0, 1), 0.2)}, "a region without surface"),
     ],
 )
 def test_impossible_layouts_are_refused(ball, wrong, match):
