@@ -143,9 +143,16 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"cannot read {path}", value=error.strerror) from error
 
 
+def _stem(key: str) -> str:
+    """A key without its unit."""
+    units = sorted((u for table in UNITS.values() for u in table if u), key=len, reverse=True)
+    return next((key.removesuffix(f"_{u}") for u in units if key.endswith(f"_{u}")), key)
+
+
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """`base` with the values of `over`, table by table."""
-    out = dict(base)
+    """`base` with the values of `over`, table by table; a quantity may come in another unit."""
+    taken = {_stem(key) for key in over}
+    out = {key: value for key, value in base.items() if key in over or _stem(key) not in taken}
     for key, value in over.items():
         if isinstance(value, Mapping) and isinstance(out.get(key), Mapping):
             out[key] = merge(out[key], value)

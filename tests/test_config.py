@@ -55,3 +55,10 @@ def test_merge_goes_table_by_table():
         "a": {"x": 1, "y": 4},
         "b": 3,
     }
+
+
+def test_merge_lets_another_unit_replace_a_quantity():
+    assert config.merge({"radius_mm": 1, "rate_hz": 2}, {"radius_m": 3}) == {
+        "radius_m": 3,
+        "rate_hz": 2,
+    }

@@ -1,0 +1,144 @@
+"""The command line as a user meets it: results, one-line errors, exit codes, interruption."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from meshskin import cli
+
+
+def toml(tmp_path, text):
+    file = tmp_path / "mine.toml"
+    file.write_text(text)
+    return str(file)
+
+
+def fails(capsys, *arguments):
+    """Run a command that must fail with exit code 2 and one line; return the line."""
+    assert cli.main([*arguments]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("meshskin: ")
+    return lines[0]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """One run of the noisy sphere."""
+    folder = tmp_path_factory.mktemp("run") / "out"
+    assert cli.main(["run", "sphere_noisy", "--out", str(folder), "--seed", "3"]) == 0
+    return folder
+
+
+def test_a_run_leaves_everything(run):
+    names = {file.name for file in run.iterdir()}
+    assert {
+        "recording.contacts.parquet",
+        "recording.readings.parquet",
+        "calibration.parquet",
+        "calibration.csv",
+        "metrics.json",
+        "report.html",
+        "figures",
+    } <= names
+    assert not [name for name in names if name.endswith((".part", ".probe"))]
+    for figure in ("fig4_force", "fig5_estimates", "fig6_iteration", "errors", "coverage"):
+        for suffix in (".png", ".svg"):
+            assert (run / "figures" / (figure + suffix)).stat().st_size > 1000
+
+
+def test_metrics_hold_the_contract_and_the_paper_is_beaten(run):
+    m = json.loads((run / "metrics.json").read_text())
+    assert m["taxels"] == m["touched"] == 80
+    for key in ("position_error_mm", "trilateration", "posegraph"):
+        assert 0 < m[key]["mean"] <= m[key]["rms"] <= m[key]["max"]
+    assert m["position_error_mm"]["mean"] == pytest.approx(m["crlb_mm"]["mean"], rel=0.25)
+    assert m["nees_band"][0] * 0.9 < m["nees"] < m["nees_band"][1] * 1.1
+    assert m["three_circles"]["mean"] > 8 * m["position_error_mm"]["mean"]
+    assert m["posegraph_isotropic"]["mean"] > 2 * m["position_error_mm"]["mean"]
+    force = m["force"]
+    assert force["mean_n"] == pytest.approx(force["reference_n"], rel=0.01)
+    assert force["settling_s"] < 0.1
+    assert force["lost_contact_steps"] == 0
+    assert {"load", "simulate", "calibrate", "report"} <= set(m["seconds"])
+    assert m["steps_per_second"] > 0
+
+
+def test_scenes_are_listed(capsys):
+    assert cli.main(["scenes"]) == 0
+    assert "sphere_noisy" in capsys.readouterr().out
+
+
+def test_unknown_scene(capsys, tmp_path):
+    line = fails(capsys, "run", "sfere", "--out", str(tmp_path))
+    assert "unknown scene 'sfere'" in line
+    assert "did you mean sphere" in line
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('extends = "sphere"\n[body]\nradus_mm = 3', ["radus_mm", "did you mean radius_mm"]),
+        ('extends = "sphere"\n[boddy]\nx = 3', ["boddy", "did you mean body"]),
+        ('extends = "sphere"\n[body]\nradius_mm = -100', ["-0.1 m", "above 0 m"]),
+        ('extends = "sphere"\n[body]\nradius_m = 100', ["200 m", "mm"]),
+        (
+            'extends = "sphere"\n[indenter]\nposition_m = [4, 0, 0.7]',
+            ["(4.0, 0.0, 0.7)", "indenter"],
+        ),
+        (
+            'extends = "sphere"\n[[effects]]\nkind = "gausian_noise"',
+            ["did you mean gaussian_noise"],
+        ),
+        ('extends = "sphere"\n[body]\nshape = "cube"', ["unknown shape 'cube'"]),
+        ("[body]\nradius_mm = \n[skin]", ["no valid TOML", "line 2"]),
+    ],
+)
+def test_a_wrong_scene_file_is_one_clear_line(capsys, tmp_path, text, words):
+    out = tmp_path / "out"
+    line = fails(capsys, "run", toml(tmp_path, text), "--out", str(out))
+    for word in words:
+        assert word in line
+    assert not out.exists() or not list(out.iterdir())
+
+
+def test_a_mesh_without_faces(capsys, tmp_path):
+    (tmp_path / "empty.stl").write_text("solid nothing\nendsolid nothing\n")
+    text = '[body]\nmesh = "empty.stl"\nunits = "mm"\n[skin]\ncount = 10'
+    line = fails(capsys, "run", toml(tmp_path, text), "--out", str(tmp_path / "out"))
+    assert "no faces" in line
+
+
+def test_a_folder_that_cannot_be_written(capsys, tmp_path):
+    (tmp_path / "file").write_text("")
+    line = fails(capsys, "run", "sphere", "--out", str(tmp_path / "file" / "out"))
+    assert "cannot write" in line
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are POSIX")
+def test_ctrl_c_leaves_no_half_written_file(tmp_path):
+    """Interrupt at several moments of a run: whatever is there is whole, nothing is a part."""
+    for wait in (0.6, 1.2, 2.0, 3.0):
+        out = tmp_path / f"out{wait}"
+        process = subprocess.Popen(
+            [sys.executable, "-m", "meshskin", "run", "sphere", "--out", str(out), "--quiet"],
+            stderr=subprocess.PIPE,
+            env=os.environ,
+        )
+        time.sleep(wait)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+        if process.returncode == 0:
+            continue  # it was quicker than the interruption
+        assert process.returncode in (130, -signal.SIGINT)
+        if process.returncode == 130:
+            assert err.decode().strip().splitlines()[-1].startswith("meshskin: interrupted")
+        left = [f.name for f in out.rglob("*")] if out.exists() else []
+        assert not [name for name in left if name.endswith((".part", ".probe"))]
+        parts = [name for name in left if name.startswith("recording.")]
+        assert len(parts) in (0, 3)
