@@ -31,6 +31,8 @@ STEEP, WAVY = 2.0, 0.8
 on a sphere, with q = ring radius over sphere radius, they are q + q^3 / 2 and q^3 / 2"""
 MISS = 0.01
 """bound of a believable fit's residual, RMS over the ring, relative to the ring's radius"""
+CHUNK = 2048
+"""vertices fitted at once: bounds the memory"""
 BULGE = 3.0
 """largest lift of a patch from its face, over what its normals account for"""
 
@@ -144,10 +146,11 @@ def fit(vertices: Array, faces: Index, across: Index, degree: int = DEGREE, orde
 
 
 def size_groups(size: Index) -> list[Index]:
-    """Indices grouped by equal `size` (n,)."""
+    """Indices grouped by equal `size` (n,), in groups of at most CHUNK."""
     by_size = np.argsort(size, kind="stable")
     cuts = np.flatnonzero(np.diff(size[by_size])) + 1
-    return [group for group in np.split(by_size, cuts) if len(group)]
+    groups = np.split(by_size, cuts)
+    return [g[k : k + CHUNK] for g in groups for k in range(0, len(g), CHUNK)]
 
 
 def _solve(local: Array, degree: int) -> tuple[NDArray[np.bool_], Array]:
