@@ -25,6 +25,8 @@ from .measurements import Measurements
 if TYPE_CHECKING:
     from ..geometry.body import Body
 
+RESTLESS = "no place where it comes to rest"
+"""Why a taxel is not determined though its trilateration is."""
 PASSES = 8
 """Most anchorings of the charts; two or three are usual."""
 STILL = 1e-9
@@ -77,23 +79,33 @@ def estimate(data: Measurements, body: Body, start: trilaterate.Fit | None = Non
             value=", ".join(sorted(set(map(str, start.why)))),
             remedy="touch every taxel from at least three contacts that are not on a line",
         )
-    run = _Run(data, body, live, clock)
+    run = _Run(data, body, live)
     charts = chart.about(body, start.points[live], start.rotations[live])
     charts, e = run.converge(charts, 0.0)
     charts, e, again = _restart(run, charts, e)
+    if run.restless.all():
+        raise CalibrationError(
+            "the joint estimate does not come to rest",
+            value=f"{len(live)} taxels still move after {PASSES} anchorings",
+            remedy="check the contact model and the units of force and pressure",
+        )
     normal = run.likelihood.normal(charts, e)
     covariance, variance_e = normal.covariance()
+    covariance[run.restless] = np.diag([np.inf, np.inf])
+    why = start.why.copy()
+    why[live[run.restless]] = RESTLESS
+    points = np.where(run.restless[:, None], np.nan, charts.points)
     chi2 = normal.chi2
     scale = 1.0 if data.noise else float(np.sum(normal.cost2)) / max(normal.freedom, 1)
     modulus = data.modulus * float(np.exp(e))
     return Joint(
-        points=_spread(charts.points, live, data, np.nan),
+        points=_spread(points, live, data, np.nan),
         rotations=_spread(trilaterate.frames_of(charts), live, data, np.nan),
         covariance=_spread(scale * covariance, live, data, np.diag([np.inf, np.inf])),
         modulus=modulus,
         modulus_sigma=modulus * float(np.sqrt(scale * variance_e)),
         chi2=_spread(chi2 / scale, live, data, np.nan),
-        why=start.why,
+        why=why,
         iterates=tuple(_spread(p, live, data, np.nan) for p in run.iterates),
         restarted=live[again],
         seconds=run.seconds | {"joint": time.perf_counter() - clock},
@@ -107,12 +119,12 @@ class _Run:
     data: Measurements
     body: Body
     live: np.ndarray
-    clock: float
     iterates: list[Array] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=lambda: {"build": 0.0, "solve": 0.0})
+    restless: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=bool))
 
     def converge(self, charts: Charts, e: float) -> tuple[Charts, float]:
-        """Solve and anchor anew until the taxels stand still."""
+        """Solve and anchor anew until the taxels stand still; `restless` are those that do not."""
         self.likelihood = self._likelihood(charts, e)
         self.iterates.append(charts.points)
         for _ in range(PASSES):
@@ -122,17 +134,13 @@ class _Run:
             self.iterates.extend(charts.at(y) for y in solution.path[1:])
             moved, e = solution.coordinates, solution.log_modulus
             charts = chart.about(self.body, charts.at(moved), trilaterate.frames_of(charts))
-            still = np.abs(moved).max() < STILL
-            if still and self.likelihood.covers(charts, e):
-                return charts, e
-            if not self.likelihood.covers(charts, e):
+            self.restless = np.abs(moved).max(axis=1) >= STILL
+            if self.likelihood.covers(charts, e):
+                if not self.restless.any():
+                    break
+            else:
                 self.likelihood = self._likelihood(charts, e)
-        raise CalibrationError(
-            "the joint estimate does not come to rest",
-            value=f"{np.abs(moved).max():.3g} m of move after {PASSES} anchorings",
-            limit=f"{STILL:g} m",
-            remedy="check the contact model and the units of force and pressure",
-        )
+        return charts, e
 
     def _likelihood(self, charts: Charts, e: float) -> Likelihood:
         tick = time.perf_counter()
@@ -142,17 +150,22 @@ class _Run:
 
 
 def _restart(run: _Run, charts: Charts, e: float) -> tuple[Charts, float, np.ndarray]:
-    """Start misfitting taxels again from the centroid of their contacts; keep what fits better."""
+    """Start misfitting taxels again from the centroid of their contacts; keep what fits better.
+
+    Returns charts and e at rest, and the rows of the taxels that were moved.
+    """
     before = run.likelihood.normal(charts, e).chi2
     limit = max(MISFIT if run.data.noise else MISFIT_NOMINAL, MISFIT * float(np.nanmedian(before)))
-    bad = np.flatnonzero(before > limit)
+    bad = np.flatnonzero((before > limit) | run.restless)
     if not len(bad):
         return charts, e, bad
     points = charts.points.copy()
     points[bad] = trilaterate.centroids(run.data, run.body)[run.live[bad]]
+    restless = run.restless
     other, e_other = run.converge(chart.about(run.body, points), e)
+    settled = restless & ~run.restless
     after = run.likelihood.normal(other, e_other).chi2
-    better = bad[after[bad] < before[bad]]
+    better = bad[(after[bad] < before[bad]) | settled[bad]]
     points = charts.points.copy()
     points[better] = other.points[better]
     charts, e = run.converge(

@@ -23,6 +23,9 @@ SPARE = 1e-3
 """Reach beyond patch and disc within which silent readings are taken, m."""
 CLEAR = 5.0
 """Pressure, relative to the noise, above which a reading out of reach is kept: it is a misfit."""
+PROXIMITY = 0.1
+"""Scale, m, of a quadratic cost of leaving the chart's origin. It keeps a taxel that no reading
+holds from a singular system, and vanishes as the charts are anchored anew."""
 DECREMENT = 1e-6
 """Largest Newton decrement, in units of the cost, at which a solution is believed."""
 IPOPT: dict[str, object] = {
@@ -135,10 +138,12 @@ class Likelihood:
         x = ca.MX.sym("x", 2 * n + 1)
         kinds = [("active", self.active), ("silent", self.silent)]
         p = ca.MX.sym("p", PARAMETERS * sum(len(taxel) for _, (_, taxel) in kinds))
-        value = self.prior * x[2 * n] ** 2 / 2
-        gradient = ca.vertcat(ca.MX.zeros(2 * n), self.prior * x[2 * n])
+        weights = np.full(2 * n + 1, (self.length / PROXIMITY) ** 2)
+        weights[-1] = self.prior
+        gradient = ca.DM(weights) * x
+        value = ca.dot(x, gradient) / 2
         sparsity, place = _pattern(n)
-        entries = ca.vertcat(ca.MX.zeros(sparsity.nnz() - 1), self.prior)
+        entries = ca.MX(ca.project(ca.diag(ca.DM(weights)), sparsity).nz[:])
         cost, begin = value, 0
         for kind, (_, taxel) in kinds:
             k = len(taxel)
@@ -223,10 +228,10 @@ class Likelihood:
                 cost2 += np.bincount(taxel, residual[0] ** 2, n)
         unit = self.length
         return Normal(
-            position=h[:, :2, :2] / unit**2,
+            position=h[:, :2, :2] / unit**2 + np.eye(2) / PROXIMITY**2,
             coupling=h[:, :2, 2] / unit,
             modulus=float(h[:, 2, 2].sum()) + self.prior,
-            gradient=g[:, :2] / unit,
+            gradient=g[:, :2] / unit + y / PROXIMITY**2,
             gradient_e=float(g[:, 2].sum()) + self.prior * e,
             cost2=cost2,
             counts=np.bincount(self.active[1], minlength=n),

@@ -1,0 +1,138 @@
+"""The door `calibrate`, and the calibration as a file."""
+
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from meshskin.errors import CalibrationError, ContactError, RecordingError, UnknownNameError
+from meshskin.estimation.calibrate import METHODS, UNTOUCHED, calibrate
+from meshskin.estimation.calibration import Calibration
+from meshskin.estimation.metrics import position_errors
+
+
+@pytest.fixture(scope="module")
+def noisy(world):
+    return world.record(0.01, 0.05), world.belief(0.01, 0.05)
+
+
+def mean_error(world, calibration):
+    return np.nanmean(position_errors(calibration, world.skin))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_on_ideal_data(world, method):
+    found = calibrate(world.record(), world.belief(), method=method)
+    assert found.method == method
+    assert mean_error(world, found) < 1e-6
+    assert found.observed[:, :5].all()
+    assert not found.observed[:, 5].any()
+    assert np.isinf(found.covariances[:, 5, 5]).all()
+    assert np.allclose(found.poses[:, :3, 2], world.truth / 0.1, atol=1e-5)
+    assert found.anchor
+    assert found.factors
+    assert found.provenance["method"] == method
+
+
+def test_methods_rank_as_they_should(world, noisy):
+    error = {m: mean_error(world, calibrate(*noisy, method=m)) for m in METHODS}
+    assert error["joint"] <= 1.1 * error["trilateration"]
+    assert error["joint"] < 0.8 * error["posegraph"] < 0.8 * error["posegraph_isotropic"]
+    assert error["joint"] < error["three_circles"] / 5
+
+
+def test_save_and_load(world, noisy, tmp_path):
+    found = calibrate(*noisy)
+    found.save(tmp_path / "calibration")
+    again = Calibration.load(tmp_path / "calibration")
+    for name in ("ids", "poses", "covariances", "observed", "touched", "readings", "iterates"):
+        assert np.array_equal(getattr(again, name), getattr(found, name)), name
+    for name in ("method", "anchor", "factors", "modulus", "modulus_sigma", "seconds"):
+        assert getattr(again, name) == getattr(found, name), name
+    assert again.provenance["versions"] == found.provenance["versions"]
+    rows = (tmp_path / "calibration.csv").read_text().splitlines()
+    assert len(rows) == 1 + len(world.ids)
+    first = rows[1].split(",")
+    assert int(first[0]) == world.ids[0]
+    assert [float(x) for x in first[1:4]] == pytest.approx(1e3 * found.positions[0], abs=1e-6)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["calibration.csv", "calibration.parquet"]
+
+
+def test_files_that_are_no_calibration(tmp_path):
+    with pytest.raises(CalibrationError, match="no calibration at"):
+        Calibration.load(tmp_path / "none")
+    (tmp_path / "torn.parquet").write_bytes(b"PAR1 and no more")
+    with pytest.raises(CalibrationError, match="cannot be read"):
+        Calibration.load(tmp_path / "torn")
+    pq.write_table(pa.table({"a": [1]}), tmp_path / "other.parquet")
+    with pytest.raises(CalibrationError, match="holds no calibration"):
+        Calibration.load(tmp_path / "other")
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_untouched_taxels_are_named_and_not_invented(world, method, tmp_path):
+    recording, belief = world.record(), world.belief()
+    keep = ~np.isin(recording.reading_taxel, world.ids[[4, 9]])
+    cut = replace(recording, readings=recording.readings.filter(pa.array(keep)))
+    found = calibrate(cut, belief, method=method)
+    lost = np.isin(world.ids, world.ids[[4, 9]])
+    assert np.array_equal(found.touched, ~lost)
+    assert (found.why[lost] == UNTOUCHED).all()
+    assert np.isnan(found.poses[lost, :3]).all()
+    assert not found.observed[lost].any()
+    assert np.isinf(np.diagonal(found.covariances[lost], axis1=1, axis2=2)).all()
+    assert mean_error(world, found) < 1e-6
+    found.save(tmp_path / "c")
+    assert np.array_equal(Calibration.load(tmp_path / "c").poses, found.poses, equal_nan=True)
+    assert f"{world.ids[4]},,,,,,,,0,never touched" in (tmp_path / "c.csv").read_text()
+
+
+def changed(recording, table, name, value):
+    """The recording with the first entry of a column set to `value`."""
+    rows = getattr(recording, table)
+    column = rows.column(name).to_numpy().copy()
+    column[0] = value
+    index = rows.column_names.index(name)
+    return replace(recording, **{table: rows.set_column(index, name, pa.array(column))})
+
+
+@pytest.mark.parametrize(
+    ("table", "name", "value", "words"),
+    [
+        ("readings", "pressure", np.nan, "pressure is not finite.*row 0 of readings, 1 in all"),
+        ("contacts", "force", np.inf, "force is not finite"),
+        ("contacts", "py", np.nan, "contact point is not finite"),
+    ],
+)
+def test_values_that_are_not_finite(world, table, name, value, words):
+    bad = changed(world.record(), table, name, value)
+    with pytest.raises(RecordingError, match=words):
+        calibrate(bad, world.belief())
+
+
+def test_other_bad_input_is_named(world):
+    recording, belief = world.record(), world.belief()
+    with pytest.raises(UnknownNameError, match="did you mean joint"):
+        calibrate(recording, belief, method="joynt")
+    with pytest.raises(CalibrationError, match=r"ids 7, limit.*use the skin that was recorded"):
+        calibrate(changed(recording, "readings", "taxel", 7), belief)
+    empty = replace(recording, readings=recording.readings.slice(0, 0))
+    with pytest.raises(CalibrationError, match=r"no readings.*0 readings"):
+        calibrate(empty, belief)
+    with pytest.raises(CalibrationError, match="no readings"):
+        calibrate(recording, world.belief(threshold=10.0))
+    with pytest.raises(ContactError, match="a/R"):
+        calibrate(recording, world.belief(young=0.02e6))
+    with pytest.raises(UnknownNameError, match="contact model"):
+        calibrate(recording, world.belief(contact="winkler"))
+
+
+def test_approach_without_force_is_left_out(world):
+    recording = world.record()
+    untouched = changed(recording, "contacts", "force", 0.0)
+    heard = recording.reading_contact != 0
+    found = calibrate(untouched, world.belief())
+    assert found.readings.sum() == heard.sum()
+    assert mean_error(world, found) < 1e-6

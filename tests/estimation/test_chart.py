@@ -1,0 +1,45 @@
+"""Charts: on the surface to third order, frames without seams."""
+
+import numpy as np
+import pytest
+
+from meshskin.estimation import chart
+from meshskin.geometry.primitives import Ellipsoid, Sphere, Torus
+
+
+@pytest.fixture
+def directions():
+    d = np.random.default_rng(1).normal(size=(50, 3))
+    return d / np.linalg.norm(d, axis=1)[:, None]
+
+
+@pytest.mark.parametrize("body", [Sphere(0.1), Ellipsoid((0.1, 0.08, 0.12)), Torus(0.1, 0.03)])
+def test_chart_leaves_the_surface_with_the_third_power(body, directions):
+    charts = chart.about(body, 0.11 * directions)
+    curvature = np.sort(np.linalg.eigvalsh(charts.shape))[:, ::-1]
+    assert np.allclose(curvature, body.closest(charts.points).curvature, rtol=2e-4, atol=2e-3)
+    y = np.random.default_rng(2).normal(size=(50, 2))
+    y *= 1e-3 / np.linalg.norm(y, axis=1)[:, None]
+    gap = [np.abs(body.closest(charts.at(h * y)).distance).max() for h in (1.0, 0.5)]
+    flat = 0.5 * 1e-6 * np.abs(curvature).max()
+    assert gap[0] < 0.1 * flat
+    assert gap[0] > 6 * gap[1]
+
+
+def test_frames_are_frames_and_continue(directions):
+    rotation = chart.frames(directions)
+    assert np.allclose(rotation @ np.swapaxes(rotation, 1, 2), np.eye(3), atol=1e-12)
+    assert np.allclose(np.linalg.det(rotation), 1)
+    assert np.allclose(rotation[:, :, 2], directions)
+    near = directions + 1e-4 * np.roll(directions, 1, axis=1)
+    near /= np.linalg.norm(near, axis=1)[:, None]
+    assert np.abs(chart.carry(rotation, near) - rotation).max() < 3e-4
+
+
+def test_turn_is_the_smallest_even_for_opposite_vectors(directions):
+    target = np.roll(directions, 1, axis=0)
+    target[:3] = -directions[:3]
+    rotation = chart.turn(directions, target)
+    assert np.allclose(np.einsum("nij,nj->ni", rotation, directions), target)
+    cosine = np.einsum("ni,ni->n", directions, target)
+    assert np.allclose(np.trace(rotation, axis1=1, axis2=2), 1 + 2 * cosine, atol=1e-9)

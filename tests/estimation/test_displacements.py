@@ -1,0 +1,96 @@
+"""Displacements: their values, their covariance, and the graph that they make."""
+
+import numpy as np
+import pytest
+
+from meshskin import se3
+from meshskin.errors import CalibrationError
+from meshskin.estimation import chart, trilaterate
+from meshskin.estimation.displacements import displacements, error_covariance
+from meshskin.estimation.measurements import gather
+from meshskin.geometry.primitives import Ellipsoid
+
+
+def residuals(graph, poses):
+    """e (m, 6) of the true poses against the measurements."""
+    i, j = graph.edges.T
+    true = se3.inverse(poses[i]) @ poses[j]
+    turned = np.swapaxes(graph.measurements[:, :3, :3], 1, 2) @ true[:, :3, :3]
+    shift = true[:, :3, 3] - graph.measurements[:, :3, 3]
+    return np.concatenate([shift, se3.log_so3(turned)], axis=1)
+
+
+def true_poses(world, graph):
+    """True positions, with the graph's own headings."""
+    normal = world.body.closest(world.truth).normal
+    return se3.transform(chart.carry(graph.poses[:, :3, :3], normal), world.truth)
+
+
+def test_ideal_data_give_the_true_displacements(world):
+    graph = displacements(gather(world.record(), world.belief()), world.body)
+    assert len(graph.edges) > 2 * len(world.truth)
+    assert np.array_equal(graph.ids, world.ids)
+    assert len(np.unique(graph.components)) == 1
+    assert np.abs(residuals(graph, true_poses(world, graph))).max() < 1e-6
+    apart = np.linalg.norm(world.truth[graph.edges[:, 0]] - world.truth[graph.edges[:, 1]], axis=1)
+    assert apart.max() < 2 * (world.a.max() + 2e-3)
+
+
+def test_information_fits_the_errors(world):
+    ratio = []
+    for seed in range(4):
+        data = gather(world.record(0.01, 0.05, seed), world.belief(0.01, 0.05))
+        graph = displacements(data, world.body)
+        e = residuals(graph, true_poses(world, graph))
+        ratio.append(np.einsum("mi,mij,mj->m", e, graph.information, e).mean())
+    # Four directions carry noise, the floors add some variance of their own.
+    assert 1.2 < np.mean(ratio) < 4.5
+
+
+def test_isotropic_information_is_one_for_all(world):
+    data = gather(world.record(0.01, 0.05), world.belief(0.01, 0.05))
+    graph = displacements(data, world.body, isotropic=True)
+    full = displacements(data, world.body)
+    assert np.array_equal(graph.edges, full.edges)
+    assert np.ptp(graph.information, axis=0).max() == 0
+    diagonal = np.diag(graph.information[0])
+    assert np.allclose(graph.information[0], np.diag(diagonal))
+    assert np.ptp(diagonal[:3]) == np.ptp(diagonal[3:]) == 0
+    assert diagonal[0] == pytest.approx(np.median(full.information[:, 0, 0]), rel=0.9)
+
+
+def test_covariance_against_moved_taxels():
+    body = Ellipsoid((0.1, 0.08, 0.12))
+    points = np.array([[0.02, 0.03, 0.1], [0.024, 0.033, 0.1]])
+    charts = chart.about(body, points)
+    rng = np.random.default_rng(5)
+    root = np.array([[[3e-5, 0], [1e-5, 2e-5]], [[1e-5, 0], [-2e-5, 4e-5]]])
+    cov = root @ np.swapaxes(root, 1, 2)
+    n = 4000
+    y = np.einsum("tij,ntj->nti", root, rng.normal(size=(n, 2, 2)))
+    frames = np.concatenate([charts.tangents, charts.normals[:, :, None]], axis=2)
+    poses = []
+    for t in range(2):
+        at = charts[np.full(n, t)].at(y[:, t])
+        hit = body.closest(at)
+        poses.append(se3.transform(chart.carry(frames[t], hit.normal), hit.point))
+    true = se3.inverse(se3.transform(frames[:1], charts.points[:1])) @ se3.transform(
+        frames[1:], charts.points[1:]
+    )
+    moved = se3.inverse(poses[0]) @ poses[1]
+    turned = np.swapaxes(true[:, :3, :3], 1, 2) @ moved[:, :3, :3]
+    e = np.concatenate([moved[:, :3, 3] - true[:, :3, 3], se3.log_so3(turned)], axis=1)
+    told = error_covariance(true, charts.shape[:1], charts.shape[1:], cov[:1], cov[1:])[0]
+    level = (np.trace(cov[0]) + np.trace(cov[1])) / 2
+    floors = level * np.repeat([0.01, 9.0], 3)
+    sampled = np.cov(e.T)
+    size = np.sqrt(np.outer(np.diag(told), np.diag(told)))
+    assert (np.abs(sampled - (told - np.diag(floors))) < 0.1 * size).all()
+
+
+def test_no_neighbours_is_refused(world):
+    lonely = type(world)(spacing=15e-3, extent=20e-3)
+    data = gather(lonely.record(), lonely.belief())
+    assert trilaterate.least_squares(data, lonely.body).found.all()
+    with pytest.raises(CalibrationError, match=r"no two taxels.*denser skin"):
+        displacements(data, lonely.body)
