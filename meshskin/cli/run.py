@@ -1,80 +1,43 @@
-"""The command line: `meshskin run SCENE --out DIR`, `meshskin scenes`."""
+"""`meshskin run SCENE --out DIR`: the whole job, with progress bars and a summary."""
 
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-from .errors import MeshskinError
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .job import Result
-    from .simulation import Progress
-
-INTERRUPTED = 130
+    from ..job import Result
+    from ..simulation import Progress
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command: 0 when it worked, 2 for bad input (one line on stderr), 130 on Ctrl-C."""
-    options = _parser().parse_args(arguments)
-    try:
-        return int(options.command(options))
-    except MeshskinError as error:
-        print(f"meshskin: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("meshskin: interrupted; no half-written file is left", file=sys.stderr)
-        return INTERRUPTED
-
-
-def _parser() -> argparse.ArgumentParser:
-    from .provenance import versions
-
-    parser = argparse.ArgumentParser(
-        prog="meshskin", description="Self-calibration of robot skin on any body mesh."
-    )
-    parser.add_argument("--version", action="version", version=f"meshskin {versions()['meshskin']}")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    run = commands.add_parser("run", help="simulate a scene, calibrate it, and write the report")
-    run.add_argument(
-        "scene", metavar="SCENE", help="a scene by name (see: meshskin scenes) or file"
-    )
-    run.add_argument(
+def add(commands: Any) -> None:
+    """Add the command to the parser's commands."""
+    parser = commands.add_parser("run", help="simulate a scene, calibrate it, write the report")
+    parser.add_argument("scene", metavar="SCENE", help="a scene's name (meshskin scenes) or file")
+    parser.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
     )
-    run.add_argument("--seed", type=int, default=0, help="seed of every random stream (default 0)")
-    run.add_argument("--quiet", action="store_true", help="no progress bar and no summary")
-    run.set_defaults(command=_run)
-    scenes = commands.add_parser("scenes", help="list the scenes that come with meshskin")
-    scenes.set_defaults(command=_scenes)
-    return parser
+    parser.add_argument("--seed", type=int, default=0, help="of every random stream (default 0)")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar and no summary")
+    parser.set_defaults(command=command)
 
 
-def _run(options: argparse.Namespace) -> int:
-    from .job import run
+def command(options: argparse.Namespace) -> int:
+    """Run the scene and print the summary."""
+    from ..job import run
 
-    with _bar(options.quiet) as progress:
+    with bar(options.quiet) as progress:
         result = run(options.scene, options.out, seed=options.seed, progress=progress)
     if not options.quiet:
         print(summary(result, options.out))
     return 0
 
 
-def _scenes(options: argparse.Namespace) -> int:
-    from . import library
-    from .config import read_toml
-
-    for name, path in library.scenes().items():
-        print(f"{name:16} {read_toml(path).get('description', '')}")
-    return 0
-
-
 @contextmanager
-def _bar(quiet: bool) -> Iterator[Progress]:
+def bar(quiet: bool) -> Iterator[Progress]:
     """A progress bar on stderr, for long stages one after the other."""
     from tqdm import tqdm
 

@@ -1,0 +1,22 @@
+"""`meshskin scenes`: the scenes that come along."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser's commands."""
+    parser = commands.add_parser("scenes", help="list the scenes that come with meshskin")
+    parser.set_defaults(command=command)
+
+
+def command(options: argparse.Namespace) -> int:
+    """Print every scene's name and description."""
+    from .. import library
+    from ..config import read_toml
+
+    for name, path in library.scenes().items():
+        print(f"{name:16} {read_toml(path).get('description', '')}")
+    return 0
