@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import casadi as ca
 import numpy as np
-from scipy import sparse
 
 from meshskin import se3
 from meshskin.estimation.posegraph import linear
 from meshskin.estimation.posegraph.graph import PoseGraph
-from meshskin.estimation.posegraph.kernel import ROOT
+from meshskin.estimation.posegraph.kernel import RELATIVE, ROOT
 from meshskin.estimation.posegraph.linear import Integers
 from meshskin.estimation.posegraph.problem import EDGE, Problem
 from meshskin.se3 import Array
@@ -68,7 +66,7 @@ def minimise(
     tolerance = float(np.sqrt(accuracy / (6 * len(problem.free))))
     for blend, limit in stages:
         edge = edge_numbers(graph, state.poses, root)
-        cost = max(_cost(problem, edge), floor, 1e-300)
+        cost = max(_cost(edge, problem.residual), floor, 1e-300)
         edge[-ROOT:] /= np.sqrt(cost)
         scale = _scale(weight / cost, edge[:3], len(problem.free))
         parameters = parameter_vector(edge, scale, blend)
@@ -115,22 +113,29 @@ def edge_numbers(graph: PoseGraph, poses: Array, root: Array) -> Array:
     return numbers
 
 
-def parameter_vector(edge: Array, scale: Array, blend: float) -> ca.DM:
+def parameter_vector(edge: Array, scale: Array, blend: float) -> Array:
     """The parameters of a `Problem`."""
-    return ca.DM(np.concatenate([edge.ravel(order="F"), scale, [blend]]))
+    return np.concatenate([edge.ravel(order="F"), scale, [blend]])
 
 
-def weighted_errors(problem: Problem, edge: Array) -> Array:
-    """W e (m, 6) of the kernel's numbers `edge` (35, m)."""
-    w = np.zeros((edge.shape[1], 6, 6))
-    w[:, UPPER[0], UPPER[1]] = edge[-ROOT:].T
-    return np.asarray(np.einsum("eab,be->ea", w, problem.errors(edge)))
-
-
-def symmetric_hessian(problem: Problem, x: Array, parameters: ca.DM) -> sparse.csr_array:
-    """The whole Hessian (6 free, 6 free) at x."""
-    upper = problem.hessian(x, parameters).sparse()
-    return sparse.csr_array(upper + sparse.triu(upper, 1).T)
+def weighted_errors(edge: Array, residual: str) -> Array:
+    """W e (6, m) of the kernel's numbers `edge` (35, m), the kernel's "log" or "vec" residual."""
+    now, measured = edge[:RELATIVE], edge[RELATIVE : 2 * RELATIVE]
+    (v, w), (mv, mw) = (now[3:], now[6]), (measured[3:], measured[6])
+    v, mv = v[:3], mv[:3]
+    missed = mw * v - w * mv - np.cross(mv, v, axis=0)
+    cosine = mw * w + np.sum(mv * v, axis=0)
+    e = np.empty((6, edge.shape[1]))
+    e[:3] = now[:3] - measured[:3]
+    e[3:] = 2 * missed
+    if residual == "log":
+        sine = np.sqrt(np.sum(missed**2, axis=0) + 1e-24)
+        sign = np.where(cosine < 0, -1.0, 1.0)
+        e[3:] = 2 * np.arctan2(sine, sign * cosine) / sine * sign * missed
+    weighted = np.zeros_like(e)
+    for entry, row, column in zip(edge[-ROOT:], *UPPER, strict=True):
+        weighted[row] += entry * e[column]
+    return weighted
 
 
 def retract(poses: Array, free: Integers, increments: Array, scale: Array) -> Array:
@@ -149,9 +154,9 @@ def _size(graph: PoseGraph, weight: Array) -> float:
     return float(np.sum(weight[:, :3].sum(axis=1) * length2 + weight[:, 3:].sum(axis=1)))
 
 
-def _cost(problem: Problem, edge: Array) -> float:
+def _cost(edge: Array, residual: str) -> float:
     """Cost at x = 0."""
-    return 0.5 * float(np.sum(weighted_errors(problem, edge) ** 2))
+    return 0.5 * float(np.sum(weighted_errors(edge, residual) ** 2))
 
 
 def _scale(weight: Array, displacement: Array, free: int) -> Array:
@@ -162,8 +167,7 @@ def _scale(weight: Array, displacement: Array, free: int) -> Array:
     return np.array([v**-0.5 if v > 0 else 1.0 for v in (translation, rotation)])
 
 
-def _newton(problem: Problem, x: Array, parameters: ca.DM) -> tuple[float, float]:
+def _newton(problem: Problem, x: Array, parameters: Array) -> tuple[float, float]:
     """Cost at x, and by how much a Newton step would lower it; infinite at a saddle."""
     cost, gradient = problem.gradient(x, parameters)
-    matrix = symmetric_hessian(problem, x, parameters)
-    return float(cost), 0.5 * linear.energy(matrix, gradient.full()[:, 0])
+    return cost, 0.5 * linear.energy(problem.hessian(x, parameters), gradient)

@@ -32,7 +32,7 @@ LOWER = [(r, c) for r in range(6) for c in range(r + 1)]  # lower triangle of a 
 
 @dataclass(frozen=True)
 class Kernel:
-    """Three functions of one edge: (x (12,), edge (35,), scale (2,)[, blend]) -> their value."""
+    """Functions of one edge: (x (12,), edge (35,), scale (2,)[, blend]) -> their value."""
 
     value: ca.Function
     """|W e|^2 / 2."""
@@ -41,8 +41,6 @@ class Kernel:
     hessian: ca.Function
     """78 entries of the Hessian in three outputs: of pose i (21,) and of pose j (21,) the lower
     triangle, row by row; between them the block (6, 6) with the rows of i, row by row (36,)."""
-    error: ca.Function
-    """e (6,), not weighted."""
 
 
 @functools.cache
@@ -72,7 +70,6 @@ def kernel(residual: str) -> Kernel:
         value=function("value", inputs, [cost]),
         gradient=function("gradient", inputs, [cost, ca.gradient(cost, x)]),
         hessian=function("hessian", [*inputs, blend], blocks),
-        error=function("error", inputs, [e]),
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
@@ -11,22 +13,19 @@ from meshskin.se3 import Array
 
 Integers = NDArray[np.integer]
 
-SMALL = 1000
-"""Unknowns up to which a factorisation is faster than iterating."""
+Operator = Callable[[Array], Array]
 
 
-def solve(matrix: sparse.csr_array, right: Array, tolerance: float = 1e-8) -> Array:
+def solve(
+    matrix: sparse.csr_array, right: Array, preconditioner: Operator, tolerance: float = 1e-7
+) -> Array:
     """x (n, k) with `matrix` x = `right` (n, k); `matrix` symmetric positive definite.
 
-    Conjugate gradients first: on graphs of displacements they reach the accuracy that a start needs
-    long before a factorisation is done. Where they do not (long chains, whose factors are cheap),
-    the factorisation.
+    Conjugate gradients, to the relative residual `tolerance`; where they do not get there, a
+    factorisation.
     """
-    if len(right) > SMALL:
-        x, converged = conjugate_gradients(matrix, right, tolerance)
-        if converged:
-            return x
-    return factorise(matrix).solve(right)
+    x, converged = conjugate_gradients(matrix, right, preconditioner, tolerance)
+    return x if converged else np.asarray(factorise(matrix).solve(right))
 
 
 def factorise(matrix: sparse.csr_array) -> splu:
@@ -51,16 +50,18 @@ def block_matrix(blocks: Array, rows: Integers, columns: Integers, n: int) -> sp
 
 
 def conjugate_gradients(
-    matrix: sparse.csr_array, right: Array, tolerance: float, limit: int = 400
+    matrix: sparse.csr_array,
+    right: Array,
+    preconditioner: Operator,
+    tolerance: float,
+    limit: int = 100,
 ) -> tuple[Array, bool]:
     """x (n, k), and whether every column's residual fell below `tolerance` times `right`'s.
 
-    Source: Saad, "Iterative Methods for Sparse Linear Systems", algorithm 9.1, with the diagonal
-    as preconditioner.
+    Source: Saad, "Iterative Methods for Sparse Linear Systems", algorithm 9.1.
     """
-    inverse = 1.0 / _positive(matrix.diagonal())[:, None]
     x, r = np.zeros_like(right), right.copy()
-    z = inverse * r
+    z = preconditioner(r)
     d, rz = z, np.sum(r * z, axis=0)
     goal = tolerance * np.linalg.norm(right, axis=0)
     for _ in range(limit):
@@ -69,26 +70,27 @@ def conjugate_gradients(
         product = matrix @ d
         step = rz / _positive(np.sum(d * product, axis=0))
         x, r = x + step * d, r - step * product
-        z = inverse * r
+        z = preconditioner(r)
         rz, before = np.sum(r * z, axis=0), rz
         d = z + rz / _positive(before) * d
     return x, False
 
 
-def energy(matrix: sparse.csr_array, right: Array, limit: int = 200) -> float:
-    """b^T A^-1 b for the symmetric A = `matrix` and b = `right` (n,), to about one digit.
+def energy(upper: sparse.csc_array, right: Array, limit: int = 200) -> float:
+    """b^T A^-1 b for the symmetric A with triangle `upper` and b = `right` (n,), to about a digit.
 
     Conjugate gradients add up b^T A^-1 b in positive terms (Hestenes and Stiefel, 1952); the sum is
     good once the last terms add nothing. Infinite where A turns out not to be positive definite.
     """
-    inverse = 1.0 / _positive(matrix.diagonal())
+    diagonal, lower = upper.diagonal(), upper.T
+    inverse = 1.0 / _positive(diagonal)
     r = right.copy()
     z = inverse * r
-    d, rz, total, terms = z, float(r @ z), 0.0, []
+    d, rz, total, terms = z, float(r @ z), 0.0, list[float]()
     for _ in range(limit):
         if rz == 0.0:
             break
-        product = matrix @ d
+        product = upper @ d + lower @ d - diagonal * d
         curvature = float(d @ product)
         if curvature <= 0.0:
             return np.inf

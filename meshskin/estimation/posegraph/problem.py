@@ -65,7 +65,7 @@ class Problem:
         self._build(kernel(residual))
         self._solvers: dict[tuple[tuple[str, object], ...], ca.Function] = {}
 
-    def solve(self, parameters: ca.DM, tolerance: float, limit: int, record: bool = False) -> Run:
+    def solve(self, parameters: Array, tolerance: float, limit: int, record: bool = False) -> Run:
         """Minimise from x = 0 until the gradient is below `tolerance`, `limit` iterations at most.
 
         `tolerance` is for the parameters' own scale. With `record`, the path is kept.
@@ -78,20 +78,26 @@ class Problem:
             key = tuple(options.items())
             solver = self._solvers.get(key) or self._solver(options)
             self._solvers[key] = solver
-        x = solver(x0=0, p=parameters)["x"].full()[:, 0]
-        stats = solver.stats()
+        size = 6 * len(self.free)
+        free = np.full(size, np.inf)
+        (x, *_), stats = _call(solver, np.zeros(size), parameters, -free, free)
         path = tuple(recorder.path) if recorder else ()
         return Run(x, stats["iter_count"], stats["return_status"], path)
 
-    def errors(self, edge: Array) -> Array:
-        """Residuals e (6, m) at x = 0 of the kernel's numbers `edge` (35, m)."""
-        m = edge.shape[1]
-        none, unit = ca.DM.zeros(12, m), ca.DM.ones(2, m)
-        return np.asarray(kernel(self.residual).error.map(m).call([none, edge, unit])[0].full())
+    def gradient(self, x: Array, parameters: Array) -> tuple[float, Array]:
+        """Cost, and its gradient (6 free,)."""
+        (cost, gradient), _ = _call(self._grad_f, x, parameters)
+        return float(cost[0]), gradient
+
+    def hessian(self, x: Array, parameters: Array) -> sparse.csc_array:
+        """Upper triangle of the Hessian (6 free, 6 free)."""
+        (values,), _ = _call(self._hess_lag, x, parameters, np.ones(1))
+        size = 6 * len(self.free)
+        return sparse.csc_array((values, *self._pattern), shape=(size, size))
 
     def _solver(self, ipopt: dict[str, object], **options: object) -> ca.Function:
         all_options: dict[str, Any] = {
-            "grad_f": self.gradient,
+            "grad_f": self._grad_f,
             "hess_lag": self._hess_lag,
             "no_nlp_grad": True,
             "calc_f": False,
@@ -120,10 +126,7 @@ class Problem:
         gradient = ca.vec(self._sum_poses(gradients[:6, :], gradients[6:, :]))
         hessian = self._hessian(*one.hessian.map(m).call([local, edge, scale, blend]))
         factor, none = ca.MX.sym("factor"), ca.MX.sym("none", 0)
-        self.gradient = ca.Function("gradient", [x, p], [ca.sum2(costs), gradient])
-        """(x, parameters) -> cost, gradient."""
-        self.hessian = ca.Function("hessian", [x, p], [hessian])
-        """(x, parameters) -> upper triangle of the Hessian."""
+        self._grad_f = ca.Function("grad_f", [x, p], [ca.sum2(costs), gradient])
         self._hess_lag = ca.Function("hess_lag", [x, p, factor, none], [factor * hessian])
         self._nlp: dict[str, Any] = {"x": x, "p": p, "f": value}
 
@@ -149,7 +152,9 @@ class Problem:
         turned = np.arange(36).reshape(6, 6).T.ravel().tolist()
         blocks = ca.horzcat(between[:, forward.tolist()], between[turned, backward.tolist()])
         blocks = ca.mtimes(blocks, _incidence(np.arange(len(kept)), pair, len(kept), len(pairs)))
-        sparsity, order = _upper_pattern(free, pairs // free, pairs % free)
+        self._pattern, order = _upper_pattern(free, pairs // free, pairs % free)
+        rows, ends = (part.tolist() for part in self._pattern)
+        sparsity = ca.Sparsity(6 * free, 6 * free, ends, rows)
         entries = ca.vertcat(ca.vec(diagonal), ca.vec(blocks))
         return ca.MX(sparsity, entries.nz[order])
 
@@ -187,8 +192,27 @@ def _incidence(rows: Integers, columns: Integers, height: int, width: int) -> ca
     return ca.DM(ca.Sparsity.triplet(height, width, rows.tolist(), columns.tolist()), 1.0)
 
 
-def _upper_pattern(free: int, first: Integers, second: Integers) -> tuple[ca.Sparsity, list[int]]:
-    """Pattern of the upper triangle, and where each of its nonzeros is found.
+def _call(function: ca.Function, *inputs: Array) -> tuple[list[Array], dict[str, Any]]:
+    """Nonzeros of every output, and statistics; the last inputs may be left out: zero.
+
+    From Python's arrays to CasADi's matrices and back would cost more than most evaluations.
+    """
+    view: Any = memoryview
+    buffer: Any
+    buffer, evaluate = function.buffer()
+    for k, value in enumerate(inputs):
+        buffer.set_arg(k, view(value))
+    outputs = [np.zeros(function.nnz_out(k)) for k in range(function.n_out())]
+    for k, value in enumerate(outputs):
+        buffer.set_res(k, view(value))
+    evaluate()
+    return outputs, buffer.stats()
+
+
+def _upper_pattern(
+    free: int, first: Integers, second: Integers
+) -> tuple[tuple[Integers, Integers], list[int]]:
+    """Pattern (rows, column ends) of the upper triangle, and where each of its nonzeros is found.
 
     `first` < `second`: the pairs of poses, sorted. Nonzeros come from the diagonal blocks (21 each,
     lower triangles row by row), then from the pairs' blocks (36 each, rows of the first pose).
@@ -209,5 +233,4 @@ def _upper_pattern(free: int, first: Integers, second: Integers) -> tuple[ca.Spa
     column = np.repeat(np.arange(6 * free), np.diff(matrix.indptr))
     keep = matrix.indices <= column
     ends = np.concatenate([[0], np.cumsum(keep)])[matrix.indptr]
-    sparsity = ca.Sparsity(6 * free, 6 * free, ends.tolist(), matrix.indices[keep].tolist())
-    return sparsity, matrix.data[keep].tolist()
+    return (matrix.indices[keep], ends), matrix.data[keep].tolist()

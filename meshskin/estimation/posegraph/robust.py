@@ -66,19 +66,19 @@ def reweight(
     limit = chi_square.ppf(QUANTILE, np.maximum(rank, 1))
     weight, function = np.ones(len(graph.edges)), ROBUST[kind]
     minimise(problem, graph, root, state, keep=keep)
-    chi2 = _chi_squares(problem, graph, state.poses, root)
+    chi2 = _chi_squares(graph, state.poses, root, problem.residual)
     looseness = max(2.0 * float((chi2 / limit).max()), 1.0) if kind == "gnc" else 1.0
     for _ in range(ROUNDS):
         before, weight = weight, function(chi2, limit, looseness)
         if looseness == 1.0 and np.abs(weight - before).max() < SETTLED:
             break
         minimise(problem, graph, root * np.sqrt(weight)[:, None, None], state, keep=keep)
-        chi2 = _chi_squares(problem, graph, state.poses, root)
+        chi2 = _chi_squares(graph, state.poses, root, problem.residual)
         looseness = max(looseness / STEP, 1.0)
     return weight
 
 
-def _chi_squares(problem: Problem, graph: PoseGraph, poses: Array, root: Array) -> Array:
+def _chi_squares(graph: PoseGraph, poses: Array, root: Array, residual: str) -> Array:
     """e^T Omega e (m,)."""
-    errors = weighted_errors(problem, edge_numbers(graph, poses, root))
-    return np.asarray(np.sum(errors**2, axis=1))
+    errors = weighted_errors(edge_numbers(graph, poses, root), residual)
+    return np.asarray(np.sum(errors**2, axis=0))

@@ -8,6 +8,7 @@ from time import perf_counter
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import sparse
 
 from meshskin.errors import UnknownNameError
 from meshskin.estimation.posegraph import certificate as certificates
@@ -22,7 +23,6 @@ from meshskin.estimation.posegraph.descent import (
     geodesic_roots,
     minimise,
     parameter_vector,
-    symmetric_hessian,
 )
 from meshskin.estimation.posegraph.graph import PoseGraph
 from meshskin.estimation.posegraph.problem import Problem
@@ -99,7 +99,8 @@ class Solution:
         root = _roots(self.graph, self.objective) * np.sqrt(self.weights)[:, None, None]
         edge = edge_numbers(self.graph, self.poses, root)
         parameters = parameter_vector(edge, np.ones(2), 0.0)
-        information = symmetric_hessian(problem, np.zeros(6 * len(problem.free)), parameters)
+        upper = problem.hessian(np.zeros(6 * len(problem.free)), parameters)
+        information = (upper + sparse.triu(upper, 1).T).tocsr()
         covariances[problem.free] = marginals.marginals(information)
         return covariances
 

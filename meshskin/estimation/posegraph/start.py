@@ -11,6 +11,7 @@ from meshskin import se3
 from meshskin.errors import UnknownNameError
 from meshskin.estimation.posegraph import linear
 from meshskin.estimation.posegraph.graph import PoseGraph, transforms
+from meshskin.estimation.posegraph.linear import Integers
 from meshskin.se3 import Array
 
 
@@ -37,22 +38,19 @@ def chordal(graph: PoseGraph) -> Array:
 
 def tree(graph: PoseGraph) -> Array:
     """Measurements composed along a spanning tree, breadth first from each anchor."""
-    n, (i, j) = len(graph.poses), graph.edges.T
-    edge = np.arange(1, len(i) + 1)
-    both = (np.concatenate([i, j]), np.concatenate([j, i]))
-    # Repeated edges: the first counts.
-    _, first = np.unique(both[0] * n + both[1], return_index=True)
-    number = np.concatenate([edge, -edge])[first]
-    keys = (both[0][first], both[1][first])
-    lookup = dict(zip(zip(*(k.tolist() for k in keys), strict=True), number.tolist(), strict=True))
-    links = sparse.csr_array((np.ones(len(number)), keys), shape=(n, n))
+    n, m, (i, j) = len(graph.poses), len(graph.edges), graph.edges.T
     poses = np.array(graph.poses)
+    # Both directions of every displacement, named by (from, to); of repeated ones the first counts.
+    names, first = np.unique(np.concatenate([i * n + j, j * n + i]), return_index=True)
+    links = sparse.csr_array((np.ones(len(names)), (names // n, names % n)), shape=(n, n))
     for anchor in graph.anchors:
         order, parents = csgraph.breadth_first_order(links, anchor, directed=True)
-        for child in order[1:]:
-            signed = lookup[int(parents[child]), int(child)]
-            step = graph.measurements[abs(signed) - 1]
-            poses[child] = poses[parents[child]] @ (step if signed > 0 else se3.inverse(step))
+        for poses_of_level in _levels(order, parents):
+            above = parents[poses_of_level]
+            step = first[np.searchsorted(names, above * np.int64(n) + poses_of_level)]
+            moves = graph.measurements[step % m]
+            moves[step >= m] = se3.inverse(moves[step >= m])
+            poses[poses_of_level] = poses[above] @ moves
     return poses
 
 
@@ -72,53 +70,78 @@ def weights(graph: PoseGraph) -> tuple[Array, Array]:
     return np.where(tau > 0, tau, mean), np.where(kappa > 0, kappa, mean_r)
 
 
+def _levels(order: Integers, parents: Integers) -> list[Integers]:
+    """Poses in breadth-first `order`, level by level, without the root."""
+    depth = {int(order[0]): 0}
+    for pose, parent in zip(order[1:].tolist(), parents[order[1:]].tolist(), strict=True):
+        depth[pose] = depth[parent] + 1
+    depths = np.fromiter(depth.values(), dtype=np.int64, count=len(depth))
+    return np.split(order, np.flatnonzero(np.diff(depths)) + 1)[1:]
+
+
 def _relaxed_rotations(graph: PoseGraph, kappa: Array) -> Array:
-    """R (n, 3, 3): the unknown blocks are X_i = R_i^T, and X_j - dR^T X_i the residual."""
+    """R (n, 3, 3). The unknowns are Y_i = (R_i G_i^T)^T with G the rotations along a tree.
+
+    With e.g. no noise all Y are equal: in these unknowns the normal matrix is near the graph's
+    Laplacian, whose factor is cheap and makes conjugate gradients converge in a few iterations.
+    """
     n, (i, j) = len(graph.poses), graph.edges.T
-    turns = kappa[:, None, None] * graph.measurements[:, :3, :3]
-    degree = np.bincount(i, kappa, n) + np.bincount(j, kappa, n)
-    blocks = np.concatenate([-turns, -np.swapaxes(turns, 1, 2), degree[:, None, None] * np.eye(3)])
-    rows = np.concatenate([i, j, np.arange(n)])
-    columns = np.concatenate([j, i, np.arange(n)])
+    guess = tree(graph)[:, :3, :3]
+    # Residual R_j - R_i dR with R = Y^T G: Y_j - D^T Y_i, D = G_i dR G_j^T.
+    turns = guess[i] @ graph.measurements[:, :3, :3] @ np.swapaxes(guess[j], 1, 2)
+    turns *= kappa[:, None, None]
+    laplacian = _laplacian(graph, kappa)
+    nodes = np.arange(n)
+    blocks = np.concatenate(
+        [-turns, -np.swapaxes(turns, 1, 2), laplacian.diagonal()[:, None, None] * np.eye(3)]
+    )
+    rows, columns = np.concatenate([i, j, nodes]), np.concatenate([j, i, nodes])
     matrix = linear.block_matrix(blocks, rows, columns, n)
-    fixed = np.swapaxes(graph.poses[:, :3, :3], 1, 2)
-    matrix = matrix.tocsr()
-    matrix.sum_duplicates()
-    solved = _with_anchors(graph, matrix, fixed, 0.0)
-    u, _, vt = np.linalg.svd(np.swapaxes(solved, 1, 2))
+    free = np.setdiff1d(nodes, graph.anchors)
+    solved = np.tile(np.eye(3), (n, 1, 1))  # of the anchors
+    if len(free):
+        scalars = (3 * free[:, None] + np.arange(3)).ravel()
+        fixed = (3 * graph.anchors[:, None] + np.arange(3)).ravel()
+        flat = solved.reshape(-1, 3)
+        part = matrix[scalars]
+        right = -part[:, fixed] @ flat[fixed]
+        factor = linear.factorise(laplacian[free][:, free])
+
+        def near(r: Array) -> Array:
+            return factor.solve(r.reshape(len(free), 9)).reshape(r.shape)
+
+        flat[scalars] = linear.solve(part[:, scalars].tocsr(), right, near)
+    u, _, vt = np.linalg.svd(np.swapaxes(solved, 1, 2) @ guess)
     u[:, :, 2] *= np.linalg.det(u @ vt)[:, None]
     return np.asarray(u @ vt)
 
 
 def _translations(graph: PoseGraph, tau: Array, arrows: Array) -> Array:
     """t (n, 3) that minimises sum of tau |t_j - t_i - arrow|^2."""
-    n, m, (i, j) = len(graph.poses), len(graph.edges), graph.edges.T
-    edge = np.arange(m)
-    incidence = sparse.csr_array(
-        (np.repeat([1.0, -1.0], m), (np.tile(edge, 2), np.concatenate([j, i]))), shape=(m, n)
+    n, (i, j) = len(graph.poses), graph.edges.T
+    weighted = tau[:, None] * arrows
+    right = np.stack(
+        [np.bincount(j, w, n) - np.bincount(i, w, n) for w in weighted.T],
+        axis=1,
     )
-    weighted = incidence.multiply(tau[:, None]).tocsr()
-    right = weighted.T @ arrows
-    matrix = (incidence.T @ weighted).tocsr()
-    return _with_anchors(graph, matrix, graph.poses[:, None, :3, 3], right[:, None, :])[:, 0]
-
-
-def _with_anchors(
-    graph: PoseGraph, matrix: sparse.csr_array, fixed: Array, right: Array | float
-) -> Array:
-    """Unknown blocks (n, k, 3) of `matrix` x = `right`, the anchors' set to those of `fixed`."""
-    n, k, _ = fixed.shape
-    solved = np.array(fixed, order="C")
-    at_anchor = np.zeros((n, k), dtype=bool)
-    at_anchor[graph.anchors] = True
-    anchor, free = np.flatnonzero(at_anchor), np.flatnonzero(~at_anchor)
-    if not len(free):
-        return solved
-    known = matrix[free][:, anchor] @ solved.reshape(-1, 3)[anchor]
-    goal = np.broadcast_to(right, solved.shape).reshape(-1, 3)[free] - known
-    system = matrix[free][:, free].tocsr()
-    # Poses that no displacement determines stay solvable: a little weight on zero.
-    little = 1e-12 * system.diagonal().max() or 1.0
-    system += sparse.diags_array(np.full(len(free), little))
-    solved.reshape(-1, 3)[free] = linear.solve(system.tocsr(), goal)
+    laplacian = _laplacian(graph, tau)
+    solved = np.array(graph.poses[:, :3, 3])
+    free = np.setdiff1d(np.arange(n), graph.anchors)
+    if len(free):
+        right -= laplacian[:, graph.anchors] @ solved[graph.anchors]
+        solved[free] = linear.factorise(laplacian[free][:, free]).solve(right[free])
     return solved
+
+
+def _laplacian(graph: PoseGraph, weight: Array) -> sparse.csr_array:
+    """The graph's Laplacian (n, n), and a little on the diagonal.
+
+    So poses that no displacement determines stay solvable.
+    """
+    n, (i, j) = len(graph.poses), graph.edges.T
+    degree = np.bincount(i, weight, n) + np.bincount(j, weight, n)
+    nodes = np.arange(n)
+    little = 1e-12 * degree.max() or 1.0
+    values = np.concatenate([-weight, -weight, degree + little])
+    places = (np.concatenate([i, j, nodes]), np.concatenate([j, i, nodes]))
+    return sparse.csr_array((values, places), shape=(n, n))

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from meshskin import se3
-from meshskin.estimation.posegraph.kernel import LOWER, RESIDUALS, kernel
+from meshskin.estimation.posegraph.descent import weighted_errors
+from meshskin.estimation.posegraph.kernel import LOWER, RESIDUALS, _error, kernel
 
 SCALE = np.array([1e-2, 0.3])
 
@@ -68,22 +69,31 @@ def test_gauss_newton_at_blend_zero(residual):
     root[np.triu_indices(6)] = edge[14:]
 
     def error(at):
-        return root @ one.error.call([at, edge, SCALE])[0].full()[:, 0]
+        return root @ error_of(residual)(at, edge, SCALE).full()[:, 0]
 
     jacobian = np.array([(error(x + s) - error(x - s)) / 2e-5 for s in 1e-5 * np.eye(12)]).T
     hessian = whole_hessian(one, x, edge, 0.0)
     assert np.allclose(hessian, jacobian.T @ jacobian, atol=1e-7 * np.abs(hessian).max())
 
 
+def error_of(residual):
+    """The kernel's residual e (6,) as a function of its inputs."""
+    x, edge, scale = ca.SX.sym("x", 12), ca.SX.sym("edge", 35), ca.SX.sym("scale", 2)
+    return ca.Function("e", [x, edge, scale], [_error(residual, x, edge[:7], edge[7:14], scale)])
+
+
 def test_errors_are_those_of_the_definition():
     rng = np.random.default_rng(3)
     for angle in (1e-9, 0.5, 3.0):
         edge = random_edge(rng, angle)
-        log = kernel("log").error.call([np.zeros(12), edge, SCALE])[0].full()[:, 0]
-        vec = kernel("vec").error.call([np.zeros(12), edge, SCALE])[0].full()[:, 0]
+        log, vec = (error_of(r)(np.zeros(12), edge, SCALE).full()[:, 0] for r in RESIDUALS)
         assert np.allclose(log[:3], edge[:3] - edge[7:10])
         assert np.isclose(np.linalg.norm(log[3:]), angle, rtol=1e-6)
         assert np.isclose(np.linalg.norm(vec[3:]), 2 * np.sin(angle / 2), rtol=1e-6)
+        for residual in RESIDUALS:  # NumPy's, of many edges, is the kernel's
+            weighted = weighted_errors(edge[:, None], residual)
+            cost = kernel(residual).value.call([np.zeros(12), edge, SCALE])[0]
+            assert np.isclose(0.5 * np.sum(weighted**2), float(cost), rtol=1e-12)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, np.pi - 1e-9, np.pi - 1e-12, np.pi])
@@ -94,7 +104,7 @@ def test_finite_at_zero_and_near_pi(angle):
     assert np.isfinite(float(cost))
     assert np.isfinite(gradient.full()).all()
     assert np.isfinite(whole_hessian(one, np.zeros(12), edge, 1.0)).all()
-    error = one.error.call([np.zeros(12), edge, SCALE])[0].full()[3:]
+    error = error_of("log")(np.zeros(12), edge, SCALE).full()[3:]
     assert np.isclose(np.linalg.norm(error), angle, atol=1e-7)
 
 

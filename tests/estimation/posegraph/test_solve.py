@@ -93,7 +93,7 @@ def test_interpreted_equals_compiled(skin_graph, monkeypatch):
     kernel.cache_clear()
     monkeypatch.setenv("MESHSKIN_COMPILER", "none")
     with pytest.warns(RuntimeWarning) if _not_warned() else _nothing():
-        slow = graph.solve()
+        slow = skin_graph(40, seed=1)[0].solve()
     kernel.cache_clear()
     assert slow.iterations == fast.iterations
     assert np.allclose(slow.poses, fast.poses, atol=1e-12)
