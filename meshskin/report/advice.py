@@ -114,7 +114,8 @@ def next_steps(findings: Findings) -> Sequence[str]:
     few = findings.touched & ~weak & (readings < FEW_READINGS)
     if few.any():
         steps.append(
-            f"Press taxels {listed(ids[few])} more often: fewer than {FEW_READINGS} readings each."
+            f"Press these taxels more often (fewer than {FEW_READINGS} readings each): "
+            f"{listed(ids[few])}."
         )
     bad = suspects(findings)
     if bad.any():
@@ -128,7 +129,6 @@ def next_steps(findings: Findings) -> Sequence[str]:
             f"The error is {number(ratio)} times the Cramér-Rao expectation: look for what the "
             "model leaves out (contact model, indenter offset, gains) before recording more."
         )
-    steps += _consistency(findings)
     s = findings.sigma[np.isfinite(findings.sigma)] * MM
     if len(s) and np.median(s) < NO_NOISE:
         steps.append(
@@ -136,6 +136,7 @@ def next_steps(findings: Findings) -> Sequence[str]:
             "what error to expect."
         )
     elif len(s):
+        steps += _consistency(findings)
         steps.append(
             f"To halve the uncertainty of {number(float(np.median(s)))} mm, record four times as "
             "many readings, or halve the sensor noise."

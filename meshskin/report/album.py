@@ -36,7 +36,10 @@ def _plane_note(findings: Findings) -> str:
     normals = np.asarray(pose)[:, :3, 2]
     normals = normals[np.isfinite(normals).all(axis=1)]
     outward = np.cross(*findings.plane.axes)
-    if len(normals) and float(np.min(normals @ outward)) < 0.5:
+    least = float(np.min(normals @ outward, initial=1.0))
+    if least < 0:
+        return " The skin reaches around the body: its far side is drawn over the near one."
+    if least < 0.5:
         return " The skin bends by more than 60 degrees: towards the rim this projection squeezes."
     return ""
 
@@ -168,6 +171,7 @@ def iterations(folder: Path, findings: Findings) -> Picture | None:
             run.over, run.steps, plane=findings.plane, only=only, reference=reference
         )
 
+    goal = "truth" if run.known else "end"
     singles = (figures.save(draw(k), folder, f"fig{6 + k}_iteration") for k in range(3))
     also = tuple(file for pair in singles for file in pair)
     start = "True displacements of neighbours with noise added, every taxel started at one point. "
@@ -177,8 +181,8 @@ def iterations(folder: Path, findings: Findings) -> Picture | None:
         draw(None),
         "Pose-graph estimates along the iterations (the paper's fig. 6 to 8)",
         (start if run.demonstration else "")
-        + f"First, half way and last of {len(run.steps)} sets of estimates. The means above are "
-        f"distances in space from the {'truth' if run.known else 'end'}; the map shows their part "
+        + f"Of {len(run.steps)} sets of estimates the first, the one nearest to half way and the "
+        f"last. The means above are distances in space from the {goal}; the map shows their part "
         "along the skin. Good: in the last panel every estimate lies inside or beside its ring.",
         "Maps of the estimates at the first, middle and last iteration",
     )

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from ..se3 import Array
 from . import theme
 from .plane import MM, Plane, exaggeration, spacing, tangent_plane
-from .theme import number
+from .theme import count, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -118,7 +118,7 @@ def estimates(
     handles = [
         _dot("true disc", mfc="none", mec=theme.TRUTH, ms=8),
         _dot("estimate", color=theme.ESTIMATE, ms=3),
-        _line(f"error × {number(factor)}", color=theme.WARNING),
+        _line(f"error × {count(factor)}", color=theme.WARNING),
     ]
     if not seen.all():
         handles.append(_line("no estimate", ls="", marker="x", color=theme.WARNING))
@@ -296,5 +296,5 @@ def uncertainty(
     axes.add_collection(ellipses, autolim=False)
     bar = theme.colour_bar(figure, ellipses, axes, "largest 1-sigma along the skin (mm)")
     bar.formatter.set_powerlimits((-3, 4))
-    _legend(axes, [_dot(f"1 sigma along the skin × {number(factor)}", color=theme.MUTED, ms=7)])
+    _legend(axes, [_dot(f"1 sigma along the skin × {count(factor)}", color=theme.MUTED, ms=7)])
     return figure

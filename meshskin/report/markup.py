@@ -10,6 +10,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from .theme import DPI
+
 SVG_LIMIT = 150_000
 """Bytes of SVG beyond which a figure is inlined as PNG, if that is smaller."""
 
@@ -141,13 +143,19 @@ def picture(item: Picture) -> str:
     kind, data = "svg+xml", item.svg.read_bytes()
     if len(data) > max(SVG_LIMIT, item.png.stat().st_size):
         kind, data = "png", item.png.read_bytes()
+    size = f' width="{_width(data)}"' if kind == "png" else ""
     source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
     return (
         f'<figure class="card"><figcaption class="above">{escape(item.title)}</figcaption>'
-        f'<img src="{source}" alt="{escape(item.alt)}">'
+        f'<img src="{source}"{size} alt="{escape(item.alt)}">'
         f"<figcaption>{escape(item.caption)} <span class=files>File: {escape(item.png.stem)}"
         "</span></figcaption></figure>"
     )
+
+
+def _width(png: bytes) -> int:
+    """Width at which a PNG has the size of its SVG, in CSS pixels (96 an inch)."""
+    return round(int.from_bytes(png[16:20]) * 96 / DPI)
 
 
 def view(item: View) -> str:

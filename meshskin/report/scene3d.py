@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ..se3 import Array
 from . import theme
 from .plane import MM, exaggeration, spacing, tangent_plane
-from .theme import number
+from .theme import count, number
 from .thin import thin
 
 FACES = 5000
@@ -117,12 +117,12 @@ def ellipsoids(positions: Array, covariances: Array, wanted: float) -> dict[str,
     sigma = np.sqrt(np.maximum(values, 0.0))
     factor = exaggeration(sigma[:, 2], wanted)
     every = -(-int(good.sum()) // _MANY)
-    ball, faces = _ball(*((7, 12) if good.sum() <= 300 else (4, 6)))
+    ball, faces = _ball(*((7, 12) if good.sum() <= 150 else (4, 8)))
     axes = (factor * sigma[:, None, :] * vectors)[::every]
     points = positions[good][::every, None] + np.einsum("nij,vj->nvi", axes, ball)
     shifted = faces[None] + len(ball) * np.arange(len(points))[:, None, None]
     return _mesh(points.reshape(-1, 3), shifted.reshape(-1, 3)) | {
-        "name": f"1 sigma along the skin × {number(factor)}",
+        "name": f"1 sigma along the skin × {count(factor)}",
         "color": theme.ESTIMATE,
         "opacity": 0.35,
         "flatshading": False,

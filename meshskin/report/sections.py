@@ -11,7 +11,7 @@ from . import advice, scene3d
 from .findings import Findings, readable
 from .markup import Block, Content, Number, Picture, Section, Table, Text, View
 from .plane import MM
-from .theme import number
+from .theme import count, number
 
 if TYPE_CHECKING:
     from ..geometry.body import Body
@@ -74,8 +74,9 @@ def main_errors(findings: Findings) -> dict[str, float] | None:
 
 def verdict(findings: Findings) -> str:
     """One sentence that says how it went."""
-    count = int(findings.located.sum())
-    found = f"All {count}" if count == findings.count else f"{count} of {findings.count}"
+    located = int(findings.located.sum())
+    whole = located == findings.count
+    found = f"All {located}" if whole else f"{located} of {findings.count}"
     errors = main_errors(findings)
     if errors is None:
         typical = np.nanmedian(findings.sigma) * MM if np.isfinite(findings.sigma).any() else np.nan
@@ -101,7 +102,7 @@ def numbers(findings: Findings) -> tuple[Number, ...]:
             "Taxels touched",
             f"{touched}",
             f"of {findings.count}",
-            f"{number(readings, 1)} readings",
+            f"{count(readings)} readings",
         )
     ]
     errors = main_errors(findings)
@@ -198,7 +199,7 @@ def flatten(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]
         elif isinstance(value, bool) or not isinstance(value, int | float | np.number):
             rows.append((name, _plain(value)))
         elif isinstance(value, int | np.integer):
-            rows.append((name, str(value)))
+            rows.append((name, count(int(value))))
         else:
             rows.append((name, number(float(value), 5)))
     return rows

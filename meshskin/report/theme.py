@@ -113,6 +113,11 @@ def save(figure: Figure, folder: str | Path, name: str) -> tuple[Path, Path]:
     return png, svg
 
 
+def count(value: float) -> str:
+    """A whole number, thousands apart by a space that does not break."""
+    return f"{value:,.0f}".replace(",", "\u00a0").replace("-", "−")
+
+
 def number(value: float | None, digits: int = 3) -> str:
     """A number with `digits` significant digits, in decimal notation where that stays readable."""
     import math
@@ -129,7 +134,7 @@ def number(value: float | None, digits: int = 3) -> str:
         sign = "⁻" if exponent[0] == "-" else ""
         power = exponent[1:].lstrip("0").translate(str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹"))
         return f"{mantissa} × 10{sign}{power}".replace("-", "−")
-    if abs(value) >= 10**digits:  # thousands apart, by a space that does not break
-        return f"{value:,.0f}".replace(",", "\u00a0").replace("-", "−")
+    if abs(value) >= 10**digits:
+        return count(value)
     text = np.format_float_positional(value, precision=digits, fractional=False, trim="-")
     return text.replace("-", "−")

@@ -281,7 +281,7 @@ def test_advice_follows_the_numbers(case: SimpleNamespace) -> None:
     assert np.flatnonzero(suspects(f)).tolist() == [11]
     text = " ".join(next_steps(f))
     assert "Check taxels 11:" in text
-    assert "Press taxels 12 more often" in text
+    assert "more often (fewer than 12 readings each): 12." in text
     assert "Pass taxels 13 on both sides" in text
 
 
@@ -317,3 +317,18 @@ def test_iterations_come_from_the_demonstration_or_a_pose_graph(case: SimpleName
     assert found is not None
     assert found.demonstration
     assert found.over is shown.truth
+
+
+@pytest.mark.parametrize(("nees", "said"), [(2.0, ""), (3.5, "too small"), (0.5, "too large")])
+def test_a_wrong_uncertainty_is_named(case: SimpleNamespace, nees: float, said: str) -> None:
+    c, truth = case.calibration(), case.skin()
+    found = replace(collect(c, truth), metrics={"nees": nees})
+    text = " ".join(next_steps(found))
+    assert ("outside its 95 % band" in text) == bool(said)
+    assert said in text
+
+
+def test_ideal_data_get_no_advice_about_noise(case: SimpleNamespace) -> None:
+    text = " ".join(next_steps(collect(case.calibration(sigma=1e-10), case.skin())))
+    assert "all but free of noise" in text
+    assert "To halve" not in text
