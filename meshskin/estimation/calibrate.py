@@ -8,18 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .. import se3
 from ..errors import CalibrationError, UnknownNameError
 from ..provenance import digest, provenance
-from ..se3 import Array
-from . import chart, displacements, joint, observe, trilaterate
+from . import chart, displacements, gauge, joint, observe, trilaterate
 from .calibration import Calibration
 from .measurements import Measurements, gather
 
 if TYPE_CHECKING:
     from ..recording import Recording
     from ..scene import Belief
-    from .posegraph import PoseGraph
 
 UNTOUCHED = "never touched"
 ALONE = "shares too few contacts with other taxels"
@@ -151,18 +148,20 @@ def _posegraph(isotropic: bool) -> Callable[..., dict[str, Any]]:
         _require(fit)
         graph = displacements.displacements(data, belief.body, fit, isotropic)
         solution = graph.solve(keep_iterates=True)
-        placed, linked = _anchored(graph, solution.poses)
+        placed, linked = gauge.aligned(graph, solution.poses)
         row = np.flatnonzero(fit.found)
         poses = np.full((len(fit.why), 4, 4), np.nan)
         poses[row[linked]] = placed[linked]
         why = fit.why.copy()
         why[row[~linked]] = ALONE
         covariances = np.tile(np.diag([np.inf] * 6), (len(why), 1, 1))
-        covariances[row[linked]] = _graph_covariance(graph, placed)[linked]
+        covariances[row[linked]] = gauge.covariances(graph, placed)[linked]
+        covariances[:, observe.SPIN, :] = covariances[:, :, observe.SPIN] = 0.0
+        covariances[:, observe.SPIN, observe.SPIN] = np.inf
         steps = solution.iterates if solution.iterates is not None else poses[None]
         iterates = np.full((len(steps), len(why), 3), np.nan)
         for k, step in enumerate(steps):
-            iterates[k, row[linked]] = _anchored(graph, step)[0][linked, :3, 3]
+            iterates[k, row[linked]] = gauge.aligned(graph, step)[0][linked, :3, 3]
         return {
             "points": poses[:, :3, 3],
             "rotations": poses[:, :3, :3],
@@ -185,53 +184,6 @@ def _posegraph(isotropic: bool) -> Callable[..., dict[str, Any]]:
         }
 
     return run
-
-
-def _anchored(graph: PoseGraph, poses: Array) -> tuple[Array, np.ndarray]:
-    """The poses (n, 4, 4), each component aligned with the graph's own; which could be aligned.
-
-    A component of fewer than three taxels has no alignment.
-    """
-    out, linked = poses.copy(), np.zeros(len(poses), dtype=bool)
-    for component in np.unique(graph.components):
-        rows = np.flatnonzero(graph.components == component)
-        if len(rows) < 3:
-            continue
-        source, target = poses[rows, :3, 3], graph.poses[rows, :3, 3]
-        if np.ptp(source, axis=0).max() < 1e-9:  # all at one point, as at the origin's start
-            out[rows, :3, 3] = target.mean(axis=0)
-        else:
-            out[rows] = se3.align(source, target) @ poses[rows]
-        linked[rows] = True
-    return out, linked
-
-
-def _graph_covariance(graph: PoseGraph, poses: Array) -> Array:
-    """Covariances (n, 6, 6) of the poses relative to the whole, by the pseudo-inverse.
-
-    Displacements are taken as independent, though pairs share readings: a lower bound. The gauge
-    (six directions for each component) is left out, since the alignment fixes it; so is the spin.
-    """
-    n = len(poses)
-    i, j = graph.edges.T
-    relative = se3.inverse(poses[i]) @ poses[j]
-    rotation = relative[:, :3, :3]
-    into_i, into_j = np.zeros((len(i), 6, 6)), np.zeros((len(i), 6, 6))
-    into_i[:, :3, :3] = -np.eye(3)
-    into_i[:, :3, 3:] = se3.hat(relative[:, :3, 3])
-    into_i[:, 3:, 3:] = -np.swapaxes(rotation, 1, 2)
-    into_j[:, :3, :3], into_j[:, 3:, 3:] = rotation, np.eye(3)
-    h = np.zeros((n, n, 6, 6))
-    for a, into_a in ((i, into_i), (j, into_j)):
-        for b, into_b in ((i, into_i), (j, into_j)):
-            np.add.at(h, (a, b), np.swapaxes(into_a, 1, 2) @ graph.information @ into_b)
-    scale = np.tile([1.0, 1.0, 1.0, 100.0, 100.0, 100.0], n)  # m against rad, to condition
-    dense = h.transpose(0, 2, 1, 3).reshape(6 * n, 6 * n) / scale[:, None] / scale
-    inverse = np.linalg.pinv(dense, rcond=1e-11, hermitian=True) / scale[:, None] / scale
-    blocks = inverse.reshape(n, 6, n, 6)[np.arange(n), :, np.arange(n)]
-    blocks[:, observe.SPIN, :] = blocks[:, :, observe.SPIN] = 0.0
-    blocks[:, observe.SPIN, observe.SPIN] = np.inf
-    return np.asarray(blocks)
 
 
 METHODS: dict[str, Callable[[Measurements, Belief], dict[str, Any]]] = {

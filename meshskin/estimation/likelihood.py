@@ -28,8 +28,10 @@ PROXIMITY = 0.1
 holds from a singular system, and vanishes as the charts are anchored anew."""
 DECREMENT = 1e-6
 """Largest Newton decrement, in units of the cost, at which a solution is believed."""
+# The gradient is in units of the noise: 1e-3 is a step of some 1e-11 m, and below it the cost, of
+# the order of the number of readings, no longer shows a decrease.
 IPOPT: dict[str, object] = {
-    "tol": 1e-7,
+    "tol": 1e-3,
     "max_iter": 60,
     "nlp_scaling_method": "none",
     "mumps_pivtol": 0.0,
