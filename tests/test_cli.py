@@ -135,7 +135,7 @@ def test_ctrl_c_leaves_no_half_written_file(tmp_path):
         _, err = process.communicate(timeout=60)
         if process.returncode == 0:
             continue  # it was quicker than the interruption
-        assert process.returncode in (130, -signal.SIGINT)
+        assert process.returncode in (130, -signal.SIGINT), err.decode()
         if process.returncode == 130:
             assert err.decode().strip().splitlines()[-1].startswith("meshskin: interrupted")
         left = [f.name for f in out.rglob("*")] if out.exists() else []

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
 
 from ..errors import MeshskinError
 from . import run, scenes
@@ -16,14 +20,40 @@ INTERRUPTED = 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command: 0 when it worked, 2 for bad input (one line on stderr), 130 on Ctrl-C."""
     options = _parser().parse_args(arguments)
+    with _interruptions() as interrupted:
+        try:
+            return int(options.command(options))
+        except MeshskinError as error:
+            if not interrupted:
+                print(f"meshskin: {error}", file=sys.stderr)
+                return 2
+        except KeyboardInterrupt:
+            pass
+        except Exception:
+            # compiled libraries turn an interruption into errors of their own
+            if not interrupted:
+                raise
+    print("meshskin: interrupted; no half-written file is left", file=sys.stderr)
+    return INTERRUPTED
+
+
+@contextmanager
+def _interruptions() -> Iterator[list[int]]:
+    """The interrupt signals received inside; each raises KeyboardInterrupt, too."""
+    received: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield received
+        return
+    before = signal.signal(signal.SIGINT, note)
     try:
-        return int(options.command(options))
-    except MeshskinError as error:
-        print(f"meshskin: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("meshskin: interrupted; no half-written file is left", file=sys.stderr)
-        return INTERRUPTED
+        yield received
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _parser() -> argparse.ArgumentParser:
