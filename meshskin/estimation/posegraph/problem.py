@@ -63,7 +63,7 @@ class Problem:
         slot[self.free] = np.arange(len(self.free))
         self._slots: Integers = slot[edges]  # (m, 2)
         self._build(kernel(residual))
-        self._solvers: dict[tuple[tuple[str, object], ...], ca.Function] = {}
+        self._solvers: dict[tuple[tuple[str, object], ...], _Call] = {}
 
     def solve(self, parameters: Array, tolerance: float, limit: int, record: bool = False) -> Run:
         """Minimise from x = 0 until the gradient is below `tolerance`, `limit` iterations at most.
@@ -73,25 +73,27 @@ class Problem:
         recorder = _Recorder(len(self.free) * 6) if record else None
         options: dict[str, object] = {"max_iter": limit, "tol": tolerance}
         if recorder is not None:
-            solver = self._solver(options, iteration_callback=recorder)
+            solver = _Call(self._solver(options, iteration_callback=recorder))
         else:
             key = tuple(options.items())
-            solver = self._solvers.get(key) or self._solver(options)
-            self._solvers[key] = solver
+            if key not in self._solvers:
+                self._solvers[key] = _Call(self._solver(options))
+            solver = self._solvers[key]
         size = 6 * len(self.free)
         free = np.full(size, np.inf)
-        (x, *_), stats = _call(solver, np.zeros(size), parameters, -free, free)
+        x = solver(np.zeros(size), parameters, -free, free)[0]
+        stats = solver.stats()
         path = tuple(recorder.path) if recorder else ()
         return Run(x, stats["iter_count"], stats["return_status"], path)
 
     def gradient(self, x: Array, parameters: Array) -> tuple[float, Array]:
         """Cost, and its gradient (6 free,)."""
-        (cost, gradient), _ = _call(self._grad_f, x, parameters)
+        cost, gradient = self._call_gradient(x, parameters)
         return float(cost[0]), gradient
 
     def hessian(self, x: Array, parameters: Array) -> sparse.csc_array:
         """Upper triangle of the Hessian (6 free, 6 free)."""
-        (values,), _ = _call(self._hess_lag, x, parameters, np.ones(1))
+        (values,) = self._call_hessian(x, parameters, np.ones(1))
         size = 6 * len(self.free)
         return sparse.csc_array((values, *self._pattern), shape=(size, size))
 
@@ -128,6 +130,7 @@ class Problem:
         factor, none = ca.MX.sym("factor"), ca.MX.sym("none", 0)
         self._grad_f = ca.Function("grad_f", [x, p], [ca.sum2(costs), gradient])
         self._hess_lag = ca.Function("hess_lag", [x, p, factor, none], [factor * hessian])
+        self._call_gradient, self._call_hessian = _Call(self._grad_f), _Call(self._hess_lag)
         self._nlp: dict[str, Any] = {"x": x, "p": p, "f": value}
 
     def _sum_poses(self, of_i: ca.MX, of_j: ca.MX) -> ca.MX:
@@ -157,6 +160,34 @@ class Problem:
         sparsity = ca.Sparsity(6 * free, 6 * free, ends, rows)
         entries = ca.vertcat(ca.vec(diagonal), ca.vec(blocks))
         return ca.MX(sparsity, entries.nz[order])
+
+
+class _Call:
+    """A CasADi function of arrays that are handed over as they are, with its memory kept.
+
+    From Python's arrays to CasADi's matrices and back would cost more than most evaluations.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self._function = function
+        self._buffer: Any
+        self._buffer, self._evaluate = function.buffer()
+
+    def __call__(self, *inputs: Array) -> list[Array]:
+        """Nonzeros of every output; the last inputs may be left out: zero."""
+        view: Any = memoryview
+        for k, value in enumerate(inputs):
+            self._buffer.set_arg(k, view(value))
+        sizes = [self._function.nnz_out(k) for k in range(self._function.n_out())]
+        outputs = [np.zeros(size) for size in sizes]
+        for k, value in enumerate(outputs):
+            self._buffer.set_res(k, view(value))
+        self._evaluate()
+        return outputs
+
+    def stats(self) -> dict[str, Any]:
+        """Statistics of the last call."""
+        return dict(self._buffer.stats())
 
 
 class _Recorder(ca.Callback):
@@ -190,23 +221,6 @@ class _Recorder(ca.Callback):
 def _incidence(rows: Integers, columns: Integers, height: int, width: int) -> ca.DM:
     """Constant 0/1 matrix (height, width): right factor that adds up columns of a matrix."""
     return ca.DM(ca.Sparsity.triplet(height, width, rows.tolist(), columns.tolist()), 1.0)
-
-
-def _call(function: ca.Function, *inputs: Array) -> tuple[list[Array], dict[str, Any]]:
-    """Nonzeros of every output, and statistics; the last inputs may be left out: zero.
-
-    From Python's arrays to CasADi's matrices and back would cost more than most evaluations.
-    """
-    view: Any = memoryview
-    buffer: Any
-    buffer, evaluate = function.buffer()
-    for k, value in enumerate(inputs):
-        buffer.set_arg(k, view(value))
-    outputs = [np.zeros(function.nnz_out(k)) for k in range(function.n_out())]
-    for k, value in enumerate(outputs):
-        buffer.set_res(k, view(value))
-    evaluate()
-    return outputs, buffer.stats()
 
 
 def _upper_pattern(
