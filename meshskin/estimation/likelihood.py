@@ -16,11 +16,9 @@ import numpy as np
 from ..errors import CalibrationError
 from ..se3 import Array
 from .chart import Charts
-from .measurements import Measurements
+from .measurements import SPARE, Measurements, near_pairs, pair_numbers
 from .pressure import LOWER, PARAMETERS, kernel, parameters
 
-SPARE = 1e-3
-"""Reach beyond patch and disc within which silent readings are taken, m."""
 CLEAR = 5.0
 """Pressure, relative to the noise, above which a reading out of reach is kept: it is a misfit."""
 PROXIMITY = 0.1
@@ -263,32 +261,6 @@ class _Path(ca.Callback):
     def eval(self, arg: Any) -> list[int]:
         self.points.append(arg[0].full().ravel())
         return [0]
-
-
-def near_pairs(
-    data: Measurements, points: Array, stretch: float = 1.0
-) -> tuple[np.ndarray, np.ndarray]:
-    """Contacts and taxels (rows of `points`) whose patch and disc may overlap, SPARE included.
-
-    `stretch`: contact radii relative to those at nominal E*.
-    """
-    from scipy.spatial import cKDTree
-
-    radii = stretch * data.radii + data.disc + SPARE
-    # The distance in space exceeds the one in the contact's plane: half as much again suffices.
-    near = cKDTree(data.points).query_ball_point(points, 1.5 * radii.max(), return_sorted=False)
-    taxel = np.repeat(np.arange(len(points)), [len(rows) for rows in near])
-    contact = np.concatenate([np.asarray(rows, dtype=int) for rows in near])
-    offset = points[taxel] - data.points[contact]
-    height = np.einsum("ki,ki->k", offset, data.normals[contact])
-    across = np.einsum("ki,ki->k", offset, offset) - height**2
-    keep = across < radii[contact] ** 2
-    return contact[keep], taxel[keep]
-
-
-def pair_numbers(data: Measurements, contact: np.ndarray, taxel: np.ndarray) -> np.ndarray:
-    """One number for each pair of a contact and a taxel (row of data.ids)."""
-    return np.asarray(contact * len(data.ids) + taxel)
 
 
 def _none() -> tuple[np.ndarray, np.ndarray]:

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 NOMINAL_NOISE = 0.01
 """Standard deviation that weights the readings when none is known, relative to the median peak."""
 
+SPARE = 1e-3
+"""Reach beyond patch and disc within which a taxel may be read, m."""
+
 
 @dataclass(frozen=True)
 class Measurements:
@@ -162,3 +165,29 @@ def _check_range(force: Array, curvature: Array, belief: Belief) -> None:
             poisson=belief.material.poisson,
             thickness=belief.material.thickness,
         )
+
+
+def near_pairs(
+    data: Measurements, points: Array, stretch: float = 1.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Contacts and taxels (rows of `points`) whose patch and disc may overlap, SPARE included.
+
+    `stretch`: contact radii relative to those at nominal E*.
+    """
+    from scipy.spatial import cKDTree
+
+    radii = stretch * data.radii + data.disc + SPARE
+    # The distance in space exceeds the one in the contact's plane: half as much again suffices.
+    near = cKDTree(data.points).query_ball_point(points, 1.5 * radii.max(), return_sorted=False)
+    taxel = np.repeat(np.arange(len(points)), [len(rows) for rows in near])
+    contact = np.concatenate([np.asarray(rows, dtype=int) for rows in near])
+    offset = points[taxel] - data.points[contact]
+    height = np.einsum("ki,ki->k", offset, data.normals[contact])
+    across = np.einsum("ki,ki->k", offset, offset) - height**2
+    keep = across < radii[contact] ** 2
+    return contact[keep], taxel[keep]
+
+
+def pair_numbers(data: Measurements, contact: np.ndarray, taxel: np.ndarray) -> np.ndarray:
+    """One number for each pair of a contact and a taxel (row of data.ids)."""
+    return np.asarray(contact * len(data.ids) + taxel)

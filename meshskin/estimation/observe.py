@@ -15,8 +15,7 @@ from ..errors import CalibrationError
 from ..se3 import Array
 from . import chart
 from .displacements import lever
-from .likelihood import near_pairs
-from .measurements import gather
+from .measurements import gather, near_pairs
 from .pressure import kernel, parameters
 
 if TYPE_CHECKING:

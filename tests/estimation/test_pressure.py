@@ -6,8 +6,7 @@ import pytest
 from scipy.special import log_ndtr
 
 from meshskin.estimation import chart
-from meshskin.estimation.likelihood import near_pairs
-from meshskin.estimation.measurements import gather
+from meshskin.estimation.measurements import gather, near_pairs
 from meshskin.estimation.pressure import LOWER, _censored, kernel, parameters
 
 
