@@ -21,7 +21,7 @@ from .motion.arm import Arm
 from .motion.law import Law
 from .motion.path import Exploration
 from .physics.contact import Patch, solve
-from .physics.effects import Context
+from .physics.effects import Context, Noise
 from .physics.indenter import Indenter
 from .physics.material import Material
 from .se3 import Array, transform
@@ -155,7 +155,7 @@ class Scene:
     def belief(self, **changes: Any) -> Belief:
         """What the owner of this scene knows; `changes` replace fields (a softer material, ...)."""
         context = self.context(0)
-        sigma = [e.sigma(context) for e in self.effects if e.name == "gaussian_noise"]
+        sigma = [e.sigma(context) for e in self.effects if isinstance(e, Noise)]
         known = Belief(
             body=self.body,
             indenter=self.indenter,

@@ -183,7 +183,9 @@ def load(name: str | Path) -> Scene:
     skin = build(_SkinTable, data["skin"], "skin").make(body, folder)
     table = build(_ArmTable, data.get("arm", {}), "arm")
     urdf = folder / table.urdf
-    plain = {key: build(cls, data[key], key) for key, cls in _PLAIN.items() if key in data}
+    plain: dict[str, Any] = {
+        key: build(cls, data[key], key) for key, cls in _PLAIN.items() if key in data
+    }
     return Scene(
         body=body,
         skin=skin,

@@ -6,9 +6,11 @@ import argparse
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
+from typing import TextIO
 
 from ..errors import MeshskinError
 from . import run, scenes
@@ -20,7 +22,8 @@ INTERRUPTED = 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command: 0 when it worked, 2 for bad input (one line on stderr), 130 on Ctrl-C."""
     options = _parser().parse_args(arguments)
-    with _interruptions() as interrupted:
+    with _interruptions() as interrupted, warnings.catch_warnings():
+        warnings.showwarning = _note
         try:
             return int(options.command(options))
         except MeshskinError as error:
@@ -35,6 +38,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 raise
     print("meshskin: interrupted; no half-written file is left", file=sys.stderr)
     return INTERRUPTED
+
+
+def _note(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Show a warning as one line, without the source that raised it."""
+    print(f"meshskin: {message}", file=sys.stderr)
 
 
 @contextmanager

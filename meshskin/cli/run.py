@@ -49,6 +49,8 @@ def bar(quiet: bool) -> Iterator[Progress]:
                 bar.close()
             bars[stage] = tqdm(total=total, desc=f"{stage:10}", unit="", disable=quiet, leave=True)
         bars[stage].update(done - bars[stage].n)
+        if done >= total:
+            bars[stage].close()
 
     try:
         yield progress

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -75,6 +75,14 @@ class Effect(Protocol):
 
     def build(self, context: Context) -> Any:
         """What acts in the loop; for the stages pressure and transducer, a `Pressures`."""
+
+
+@runtime_checkable
+class Noise(Protocol):
+    """An effect that is white Gaussian noise on every reading: a belief may know its sigma."""
+
+    def sigma(self, context: Context) -> float:
+        """Standard deviation, Pa."""
 
 
 def find(name: str) -> type[Effect]:
