@@ -17,12 +17,12 @@ Operator = Callable[[Array], Array]
 
 
 def solve(
-    matrix: sparse.csr_array, right: Array, preconditioner: Operator, tolerance: float = 1e-7
+    matrix: sparse.csr_array, right: Array, preconditioner: Operator, tolerance: float
 ) -> Array:
     """x (n, k) with `matrix` x = `right` (n, k); `matrix` symmetric positive definite.
 
-    Conjugate gradients, to the relative residual `tolerance`; where they do not get there, a
-    factorisation.
+    Conjugate gradients, until the error has fallen to `tolerance` in the norm of the matrix, as the
+    preconditioner sees it; where they do not get there, a factorisation.
     """
     x, converged = conjugate_gradients(matrix, right, preconditioner, tolerance)
     return x if converged else np.asarray(factorise(matrix).solve(right))
@@ -56,16 +56,16 @@ def conjugate_gradients(
     tolerance: float,
     limit: int = 100,
 ) -> tuple[Array, bool]:
-    """x (n, k), and whether every column's residual fell below `tolerance` times `right`'s.
+    """x (n, k), and whether every column's error fell to `tolerance`.
 
     Source: Saad, "Iterative Methods for Sparse Linear Systems", algorithm 9.1.
     """
     x, r = np.zeros_like(right), right.copy()
     z = preconditioner(r)
     d, rz = z, np.sum(r * z, axis=0)
-    goal = tolerance * np.linalg.norm(right, axis=0)
+    goal = tolerance**2 * rz
     for _ in range(limit):
-        if np.all(np.linalg.norm(r, axis=0) <= goal):
+        if np.all(rz <= goal):
             return x, True
         product = matrix @ d
         step = rz / _positive(np.sum(d * product, axis=0))
