@@ -16,7 +16,7 @@ from meshskin.se3 import Array
 
 TOLERANCE = 1e-5
 """Of the chordal start's rotations: its cost is then within 2e-4 of the exact start's on the
-standard sets; at 1e-3 it is up to a hundred times larger, and the solve takes 45 iterations instead of 3."""
+standard sets; at 1e-3 it is up to a hundred times larger, and 45 iterations follow instead of 3."""
 
 
 def start(graph: PoseGraph, kind: str | ArrayLike) -> Array:
