@@ -24,7 +24,7 @@ from .recording import Recording
 from .scene import Scene
 from .simulation import Progress, simulate
 
-METHODS = ("trilateration", "three_circles", "posegraph", "posegraph_isotropic")
+METHODS = ("trilateration", "three_circles", "posegraph", "posegraph_isotropic", "posegraph_paper")
 """Methods that run on the same recording beside the joint estimate."""
 
 

@@ -75,7 +75,7 @@ def summary(result: Result, folder: Path) -> str:
                 ("trilateration", "trilateration"),
                 ("three_circles", "three circles"),
                 ("posegraph", "pose graph"),
-                ("posegraph_isotropic", "isotropic"),
+                ("posegraph_paper", "the paper's"),
             )
         ),
         f"  force              {force['mean_n']:.4f} N for {force['reference_n']:g} N, settled in "

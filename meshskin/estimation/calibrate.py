@@ -30,6 +30,7 @@ def calibrate(recording: Recording, belief: Belief, method: str = "joint") -> Ca
 
     method: "joint", maximum likelihood over all readings (the default); "posegraph", the paper's
     graph of displacements; "posegraph_isotropic", with the paper's isotropic information;
+    "posegraph_paper", with displacements from three circles, too, as in the paper;
     "trilateration", least squares on all circles of a taxel; "three_circles", the paper's.
     Raises UnknownNameError for another method, RecordingError for values that are not finite,
     CalibrationError for no readings, unknown taxels or nothing determined, ContactError where the
@@ -141,12 +142,14 @@ def _require(fit: trilaterate.Fit) -> None:
         )
 
 
-def _posegraph(isotropic: bool) -> Callable[..., dict[str, Any]]:
+def _posegraph(
+    isotropic: bool, trilateration: displacements.Trilateration = trilaterate.solve
+) -> Callable[..., dict[str, Any]]:
     def run(data: Measurements, belief: Belief) -> dict[str, Any]:
         begin = time.perf_counter()
         fit = trilaterate.least_squares(data, belief.body)
         _require(fit)
-        graph = displacements.displacements(data, belief.body, fit, isotropic)
+        graph = displacements.displacements(data, belief.body, fit, isotropic, trilateration)
         solution = graph.solve(keep_iterates=True)
         placed, linked = gauge.aligned(graph, solution.poses)
         row = np.flatnonzero(fit.found)
@@ -190,6 +193,7 @@ METHODS: dict[str, Callable[[Measurements, Belief], dict[str, Any]]] = {
     "joint": _joint,
     "posegraph": _posegraph(isotropic=False),
     "posegraph_isotropic": _posegraph(isotropic=True),
+    "posegraph_paper": _posegraph(isotropic=True, trilateration=trilaterate.intersect),
     "trilateration": _trilateration(trilaterate.least_squares),
     "three_circles": _trilateration(trilaterate.three_circles),
 }

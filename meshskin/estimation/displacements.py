@@ -9,6 +9,7 @@ carried through the body's curvature to the rotations.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,10 +21,13 @@ from . import chart, trilaterate
 from .chart import Charts
 from .measurements import Measurements
 from .posegraph import PoseGraph
-from .trilaterate import Fit
+from .trilaterate import Circles, Fit
 
 if TYPE_CHECKING:
     from ..geometry.body import Body
+
+Trilateration = Callable[[Circles, Charts], tuple[Array, Array, Array]]
+"""Circles and charts -> coordinates (n, 2), m, information (n, 2, 2), chi2 (n,)."""
 
 SHARED = 4
 """Fewest contacts that a pair must share."""
@@ -34,12 +38,18 @@ ROTATION_FLOOR = 3.0
 
 
 def displacements(
-    data: Measurements, body: Body, fit: Fit | None = None, isotropic: bool = False
+    data: Measurements,
+    body: Body,
+    fit: Fit | None = None,
+    isotropic: bool = False,
+    trilateration: Trilateration = trilaterate.solve,
 ) -> PoseGraph:
     """The pose graph of all taxels that `fit` determines, starting at the poses of `fit`.
 
     Its ids are the taxels' ids. `isotropic`: one information for all edges, the same in every
-    direction, as in the paper, at the level of the median edge.
+    direction, as in the paper, at the level of the median edge. `trilateration`: of both taxels
+    from their shared contacts; `trilaterate.solve` takes all circles, `trilaterate.intersect` the
+    paper's three.
     Raises CalibrationError if no two taxels share enough contacts.
     """
     fit = fit or trilaterate.least_squares(data, body)
@@ -53,7 +63,7 @@ def displacements(
     found = trilaterate.circles(data, rows, owner)
     own = chart.about(body, np.where(fit.found[:, None], fit.points, data.points[0]), fit.rotations)
     charts = own[pairs.ravel()]  # owner 2 g is the first taxel of pair g, 2 g + 1 the second
-    y, information, chi2 = trilaterate.solve(found, charts)
+    y, information, chi2 = trilateration(found, charts)
     sane = (trilaterate.width(found, charts) > trilaterate.NARROW) & (
         np.linalg.norm(y, axis=1) < data.disc
     )
@@ -67,7 +77,7 @@ def displacements(
     covariance = np.full_like(information, np.nan)
     covariance[np.repeat(good, 2)] = np.linalg.inv(information[np.repeat(good, 2)])
     if data.noise is None:
-        covariance *= np.nanmedian(chi2)
+        covariance *= max(float(np.nanmedian(chi2)), 1e-12)  # three exact circles leave nothing
     return _graph(data, body, fit, charts, charts.at(y), pairs, good, covariance, isotropic)
 
 

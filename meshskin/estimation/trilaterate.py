@@ -158,11 +158,7 @@ def three_circles(data: Measurements, body: Body) -> Fit:
     start = centroids(data, body)
     seen = np.isfinite(start[:, 0])
     start[~seen] = data.points[0]
-    every = circles(_within_reach(data, start))
-    # Few steep circles: take what there is.
-    steep = every.steepness > STEEP
-    enough = np.bincount(every.owner[steep], minlength=every.count) >= 3
-    found = _well_separated(every.select(steep | ~enough[every.owner]))
+    found = _three(circles(_within_reach(data, start)))
     charts = chart.about(body, start)
     for _ in range(3):
         y, information = _linear(found, charts, equal=True)
@@ -174,6 +170,15 @@ def three_circles(data: Measurements, body: Body) -> Fit:
     fit = finish(found, charts, information, found.sum(residual**2))
     why = np.where((fit.why == "") & far, MISS, fit.why)
     return replace(fit, why=why, points=np.where((why == "")[:, None], fit.points, np.nan))
+
+
+def intersect(found: Circles, charts: Charts) -> tuple[Array, Array, Array]:
+    """The radical centre of three well-separated circles of each point, as `solve` gives it."""
+    three = _three(found)
+    y, _ = _linear(three, charts, equal=True)
+    residual, jacobian = _residuals(three, charts, y)
+    information = three.sum(jacobian[:, :, None] * jacobian[:, None, :])
+    return y, information, three.sum(residual**2)
 
 
 def solve(found: Circles, charts: Charts, iterations: int = 8) -> tuple[Array, Array, Array]:
@@ -277,6 +282,13 @@ def width(found: Circles, charts: Charts) -> Array:
     c = c - (found.sum(c) / number[:, None])[own]
     scatter = found.sum(c[:, :, None] * c[:, None, :]) / number[:, None, None]
     return np.sqrt(np.maximum(np.linalg.eigvalsh(scatter)[:, 0], 0.0))
+
+
+def _three(found: Circles) -> Circles:
+    """Three well-separated circles of each point, steep ones where there are enough of them."""
+    steep = found.steepness > STEEP
+    enough = np.bincount(found.owner[steep], minlength=found.count) >= 3
+    return _well_separated(found.select(steep | ~enough[found.owner]))
 
 
 def _well_separated(found: Circles) -> Circles:

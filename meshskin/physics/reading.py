@@ -9,7 +9,7 @@ from .contact import hertz
 from .contact.disc import disc_mean
 
 NODES = 32
-"""Quadrature nodes of the disc mean: finer than the estimators', so that theirs is put to the test."""
+"""Nodes of the disc mean: finer than the estimators', so that theirs is put to the test."""
 
 
 def disc_pressures(

@@ -1,0 +1,40 @@
+"""Every study runs at a small size and is pinned to the numbers that it is for."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+import pytest
+
+STUDIES = Path(__file__).parents[2] / "studies"
+
+
+def study(name):
+    """The main function of a study's script."""
+    spec = importlib.util.spec_from_file_location(name, STUDIES / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.main
+
+
+def test_paper_figures(tmp_path, capsys):
+    found = study("paper_figures")(["--out", str(tmp_path), "--seeds", "2"])
+    assert {f"fig{k}.{kind}" for k in range(4, 10) for kind in ("png", "svg")} == {
+        file.name for file in tmp_path.iterdir()
+    }
+    assert found["force_n"] == pytest.approx(3.0, rel=1e-3)
+    assert found["ideal_mm"] < 1e-3
+    assert found["minima"] == 1.0
+    # 14 displacements a taxel leave about a fifth of a chained start's error
+    assert 0.7 < found["least_improvement"] < 0.9
+    assert "fig. 9" in capsys.readouterr().out
+
+
+def test_estimators(tmp_path, capsys):
+    found = study("estimators")(["--seeds", "2", "--json", str(tmp_path / "x.json")])
+    assert json.loads((tmp_path / "x.json").read_text()) == found
+    assert found["joint"] == pytest.approx(found["bound"], rel=0.1)
+    assert found["three_circles"] > 8 * found["joint"]
+    assert found["posegraph_isotropic"] > 2 * found["joint"]
+    assert found["posegraph_paper"] > found["posegraph_isotropic"]
+    assert "NEES" in capsys.readouterr().out
