@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.stats import chi2 as chi_square
+from scipy.special import gammaincinv
 
 from meshskin.estimation.posegraph.descent import (
     State,
@@ -63,7 +63,7 @@ def reweight(
     distribution, with as many degrees of freedom as the information has rank.
     """
     rank = np.linalg.matrix_rank(graph.information, hermitian=True)
-    limit = chi_square.ppf(QUANTILE, np.maximum(rank, 1))
+    limit = 2.0 * gammaincinv(np.maximum(rank, 1) / 2.0, QUANTILE)  # of a chi-square
     weight, function = np.ones(len(graph.edges)), ROBUST[kind]
     minimise(problem, graph, root, state, keep=keep)
     chi2 = _chi_squares(graph, state.poses, root, problem.residual)
