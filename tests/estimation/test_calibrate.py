@@ -22,8 +22,8 @@ def mean_error(world, calibration):
     return np.nanmean(position_errors(calibration, world.skin))
 
 
-# three circles of two neighbours' shared contacts meet at a shallow angle: the quadrature's error of
-# 1e-6 of the peak pressure, some 10 nm of distance, is enlarged a hundredfold
+# three circles of two neighbours' shared contacts meet at a shallow angle: the quadrature's error
+# of 1e-6 of the peak pressure, some 10 nm of distance, is enlarged a hundredfold
 EXACT = {"posegraph_paper": 5e-6}
 
 
@@ -35,7 +35,8 @@ def test_every_method_on_ideal_data(world, method):
     assert found.observed[:, :5].all()
     assert not found.observed[:, 5].any()
     assert np.isinf(found.covariances[:, 5, 5]).all()
-    assert np.allclose(found.poses[:, :3, 2], world.truth / 0.1, atol=1e-5)
+    tilt = 10 * EXACT.get(method, 1e-7) / 0.1  # the largest error is some times the mean
+    assert np.allclose(found.poses[:, :3, 2], world.truth / 0.1, atol=tilt)
     assert found.anchor
     assert found.factors
     assert found.provenance["method"] == method
