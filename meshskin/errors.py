@@ -76,5 +76,9 @@ class GraphError(MeshskinError):
     """A pose graph that cannot be read or solved."""
 
 
+class StudyError(MeshskinError):
+    """A study that cannot be run, or that had to stop."""
+
+
 class OutputError(MeshskinError):
     """A place that cannot be written."""

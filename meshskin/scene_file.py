@@ -172,39 +172,63 @@ def tables(name: str | Path) -> tuple[dict[str, Any], Path]:
 
 def load(name: str | Path) -> Scene:
     """Load a scene by name or file; see Scene.load."""
-    data, folder = tables(name)
-    for key in data:
-        if key not in _TABLES:
-            raise UnknownNameError("key", key, _TABLES, f" in {name}")
-    for key in ("body", "skin"):
-        if not isinstance(data.get(key), Mapping):
-            raise ConfigError(f"{name} lacks the table [{key}]", remedy=f"add [{key}]")
-    body = _body(data["body"], folder)
+    return from_tables(*tables(name))
+
+
+def from_tables(data: Mapping[str, Any], folder: Path) -> Scene:
+    """The scene of merged tables; relative paths start from `folder`. Raises ConfigError."""
+    check_keys(data)
+    body = _body(data["body"]).make(folder)
     skin = build(_SkinTable, data["skin"], "skin").make(body, folder)
     table = build(_ArmTable, data.get("arm", {}), "arm")
     urdf = folder / table.urdf
-    plain: dict[str, Any] = {
-        key: build(cls, data[key], key) for key, cls in _PLAIN.items() if key in data
-    }
     return Scene(
         body=body,
         skin=skin,
         arm=Arm.from_urdf(urdf if urdf.is_file() else library.folder() / table.urdf, tip=table.tip),
-        effects=effects.ordered(effects.from_table(e) for e in data.get("effects", [])),
         payload=table.payload,
         mount=table.pose(),
-        **_given(**{key: data.get(key) for key in ("name", "description", "contact")}),
-        **plain,
+        **parts(data),
     )
 
 
-def _body(table: Mapping[str, Any], folder: Path) -> Body:
+def check_keys(data: Mapping[str, Any]) -> None:
+    """Check that all tables are there and none is unknown. Raises ConfigError."""
+    where = f" in {data.get('name', 'the scene')}"
+    for key in data:
+        if key not in _TABLES:
+            raise UnknownNameError("key", key, _TABLES, where)
+    for key in ("body", "skin"):
+        if not isinstance(data.get(key), Mapping):
+            raise ConfigError(f"the table [{key}] is missing{where}", remedy=f"add [{key}]")
+
+
+def check_tables(data: Mapping[str, Any]) -> None:
+    """Check every key and bound of merged tables without making the scene. Raises ConfigError."""
+    check_keys(data)
+    check(_body(data["body"]))
+    check(build(_SkinTable, data["skin"], "skin"))
+    build(_ArmTable, data.get("arm", {}), "arm").pose()
+    parts(data)
+
+
+def parts(data: Mapping[str, Any]) -> dict[str, Any]:
+    """The scene's parts beside body, skin and arm, by field name."""
+    plain: dict[str, Any] = {
+        key: build(cls, data[key], key) for key, cls in _PLAIN.items() if key in data
+    }
+    listed = effects.ordered(effects.from_table(e) for e in data.get("effects", []))
+    named = _given(**{key: data.get(key) for key in ("name", "description", "contact")})
+    return plain | named | {"effects": listed}
+
+
+def _body(table: Mapping[str, Any]) -> Any:
+    """The checked table of a body; its `make(folder)` makes it."""
     if "mesh" in table:
-        return build(_Mesh, table, "body").make(folder)
+        return build(_Mesh, table, "body")
     shape = table.get("shape")
     if shape is None:
         raise ConfigError("[body] lacks shape or mesh", remedy=f"shape: {', '.join(_SHAPES)}")
     if shape not in _SHAPES:
         raise UnknownNameError("shape", str(shape), _SHAPES, " in [body]")
-    made: Body = build(_SHAPES[shape], table, "body").make(folder)
-    return made
+    return build(_SHAPES[shape], table, "body")
