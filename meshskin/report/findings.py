@@ -25,6 +25,7 @@ NAMES = {
     "trilateration": "trilateration",
     "three_circles": "three circles",
     "posegraph_isotropic": "pose graph, isotropic",
+    "posegraph_paper": "the paper's pose graph",
 }
 """Readable names of methods; others keep their own, with spaces for underscores."""
 
