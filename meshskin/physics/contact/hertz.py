@@ -19,13 +19,10 @@ import numpy as np
 from ...errors import ContactError
 from ..both import functions, is_casadi
 from .patch import Patch
+from .setting import Setting
 
-MAX_RADIUS_RATIO = 0.6
-"""Largest a/R: there, true spheres are 3.6 % off in a and 2.5 % in p_0 (boundary elements)."""
 MAX_CURVATURE_RATIO = 1.05
 """Largest ratio of relative curvatures taken for a circle."""
-MAX_LAYER_RATIO = 0.1
-"""Largest a/thickness taken for a half-space: there, a bonded layer is 7.6 % less deep."""
 
 
 def effective_modulus(
@@ -92,53 +89,17 @@ def solve(
 
     Raises ContactError for what leaves the model's range.
     """
-    k1, k2 = np.broadcast_to(np.asarray(curvature, dtype=float), 2)
-    for what, value, unit in (
-        ("indenter radius", indenter_radius, "m"),
-        ("modulus", modulus, "Pa"),
-        ("thickness", thickness, "m"),
-    ):
-        if value is not None and not value > 0:
-            raise ContactError(f"{what} must be positive", value=f"{value} {unit}", limit="> 0")
-    if not (math.isfinite(force) and force >= 0):
-        raise ContactError(
-            "the indenter can only push", value=f"force {force} N", limit=">= 0 N, finite"
-        )
-    if not -1 < poisson <= 0.5:
-        raise ContactError("Poisson's ratio is outside its range", value=poisson, limit="(-1, 0.5]")
-    relative = np.sort([k1 + 1 / indenter_radius, k2 + 1 / indenter_radius])
-    if not relative[0] > 0:
-        raise ContactError(
-            "the body is more hollow than the indenter is round: no single contact point",
-            value=f"curvature {min(k1, k2):.4g} 1/m",
-            limit=f"> {-1 / indenter_radius:.4g} 1/m",
-            remedy="use a smaller indenter",
-        )
-    if relative[1] > MAX_CURVATURE_RATIO * relative[0]:
+    setting = Setting(force, curvature, indenter_radius, modulus, poisson, thickness)
+    if setting.ratio > MAX_CURVATURE_RATIO:
         raise ContactError(
             "hertz is for circular patches, and the relative curvatures are unequal",
-            value=f"ratio {relative[1] / relative[0]:.3f}",
+            value=f"ratio {setting.ratio:.3f}",
             limit=f"{MAX_CURVATURE_RATIO}",
-            remedy="use a smaller indenter",
+            remedy="use elliptic, or a smaller indenter",
         )
-    e_star = effective_modulus(modulus, poisson)
-    radius = relative_radius((k1, k2), indenter_radius)
-    a = contact_radius(force, radius, e_star)
-    if a > MAX_RADIUS_RATIO * radius:
-        raise ContactError(
-            "the contact is too wide for the parabolic gap of hertz",
-            value=f"a/R = {a / radius:.2f}",
-            limit=MAX_RADIUS_RATIO,
-            remedy="lower the force, or raise the modulus or the radii",
-        )
-    if thickness is not None and a > MAX_LAYER_RATIO * thickness:
-        raise ContactError(
-            "the layer is too thin for the half-space of hertz",
-            value=f"a/thickness = {a / thickness:.2f}",
-            limit=MAX_LAYER_RATIO,
-            remedy="lower the force, or leave thickness out to accept the half-space",
-        )
+    a = contact_radius(force, setting.radius, setting.e_star)
+    axes = np.array([a, a])
+    setting.refuse_wide(axes, "hertz")
+    setting.refuse_layer(axes, "hertz")
     peak = peak_pressure(force, a) if a > 0 else 0.0
-    return Patch(
-        semi_axes=np.array([a, a]), peak=float(peak), depth=float(depth(a, radius)), model="hertz"
-    )
+    return Patch(axes, float(peak), float(depth(a, setting.radius)), "hertz")

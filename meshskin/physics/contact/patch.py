@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ...se3 import Array
+from .ellipse import ellipse_mean
 
 
 @dataclass(frozen=True)
 class Patch:
-    """An elliptic contact patch with the pressure p = peak sqrt(1 - x^2/a^2 - y^2/b^2)."""
+    """An elliptic contact patch with the pressure p = peak (1 - x^2/a^2 - y^2/b^2)^exponent.
+
+    Its x axis lies along the body's principal direction of smaller curvature.
+    """
 
     semi_axes: Array
     """Semi-axes (a, b), a >= b, m."""
@@ -22,6 +27,8 @@ class Patch:
     """Approach of the two bodies, m."""
     model: str
     """Name of the contact model that gave it."""
+    exponent: float = 0.5
+    """Exponent of the pressure profile; 1/2 for Hertz."""
 
     def pressure(self, xy: ArrayLike) -> Array:
         """Pressure (...), Pa, at points `xy` (..., 2), m, in the patch's principal frame."""
@@ -29,4 +36,29 @@ class Patch:
         if not self.semi_axes.all():
             return np.zeros(xy.shape[:-1])
         inside = 1.0 - np.sum((xy / self.semi_axes) ** 2, axis=-1)
-        return np.asarray(self.peak * np.sqrt(np.maximum(inside, 0.0)))
+        return np.asarray(self.peak * np.maximum(inside, 0.0) ** self.exponent)
+
+    def reading(self, xy: ArrayLike, disc_radius: float) -> Array:
+        """Mean pressure (...), Pa, over discs of `disc_radius`, m, centred at `xy` (..., 2), m."""
+        xy = np.asarray(xy, dtype=float)
+        if not self.semi_axes.all():
+            return np.zeros(xy.shape[:-1])
+        x, y = xy[..., 0], xy[..., 1]
+        a, b = self.semi_axes
+        mean = ellipse_mean(x, y, a, b, disc_radius, self.exponent)
+        return np.asarray(self.peak * np.maximum(mean, 0.0))
+
+
+class Patches(NamedTuple):
+    """Patches of many contacts: NumPy arrays (...), or CasADi expressions."""
+
+    first: Any
+    """Semi-axis along the body's first principal direction, m."""
+    second: Any
+    """Semi-axis along the body's second principal direction, m."""
+    peak: Any
+    """Pressure at the centre, Pa."""
+    depth: Any
+    """Approach of the two bodies, m."""
+    exponent: Any = 0.5
+    """Exponent of the pressure profile."""

@@ -1,0 +1,131 @@
+"""What is pressed on what, checked, and the limits that the contact models share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ...errors import ContactError
+from ...se3 import Array
+from ..both import is_casadi
+
+MAX_RADIUS_RATIO = 0.6
+"""Largest a/R of a parabolic gap: true spheres are there 3.6 % off in a and 2.5 % in p_0."""
+MAX_LAYER_RATIO = 0.1
+"""Largest a/thickness taken for a half-space: there, a bonded layer is 7.6 % less deep."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A rigid spherical indenter on a body: the arguments of `contact.solve`, checked.
+
+    Raises ContactError for values that are no contact at all, whatever the model.
+    """
+
+    force: float
+    curvature: float | Sequence[float]
+    indenter_radius: float
+    modulus: float
+    poisson: float
+    thickness: float | None = None
+
+    def __post_init__(self) -> None:
+        for what, value, unit in (
+            ("indenter radius", self.indenter_radius, "m"),
+            ("modulus", self.modulus, "Pa"),
+            ("thickness", self.thickness, "m"),
+        ):
+            if value is not None and not value > 0:
+                raise ContactError(f"{what} must be positive", value=f"{value} {unit}", limit="> 0")
+        if not (math.isfinite(self.force) and self.force >= 0):
+            raise ContactError(
+                "the indenter can only push", value=f"force {self.force} N", limit=">= 0 N, finite"
+            )
+        if not -1 < self.poisson <= 0.5:
+            raise ContactError(
+                "Poisson's ratio is outside its range", value=self.poisson, limit="(-1, 0.5]"
+            )
+        if not np.isfinite(self.pair).all():
+            raise ContactError("a curvature is not finite", value=self.curvature)
+        if not self.relative[0] > 0:
+            raise ContactError(
+                "the body is more hollow than the indenter is round: no single contact point",
+                value=f"curvature {self.pair.min():.4g} 1/m",
+                limit=f"> {-1 / self.indenter_radius:.4g} 1/m",
+                remedy="use a smaller indenter",
+            )
+
+    @cached_property
+    def pair(self) -> Array:
+        """Both principal curvatures (2,) of the body, 1/m."""
+        return np.array(np.broadcast_to(np.asarray(self.curvature, dtype=float), 2))
+
+    @cached_property
+    def relative(self) -> Array:
+        """Relative principal curvatures (2,), 1/m, smaller first."""
+        return np.sort(self.pair + 1 / self.indenter_radius)
+
+    @property
+    def ratio(self) -> float:
+        """Ratio B/A >= 1 of the relative curvatures."""
+        return float(self.relative[1] / self.relative[0])
+
+    @property
+    def e_star(self) -> float:
+        """Contact modulus E*, Pa, of the body against the rigid indenter."""
+        return self.modulus / (1 - self.poisson**2)
+
+    @property
+    def radius(self) -> float:
+        """Relative radius R, m: one over the mean relative curvature."""
+        return float(2 / self.relative.sum())
+
+    def refuse_wide(self, axes: Array, model: str) -> None:
+        """Raise ContactError where semi-axes (2,), larger first, leave the parabolic gap."""
+        widest = float(np.max(axes * self.relative))
+        if widest > MAX_RADIUS_RATIO:
+            raise ContactError(
+                f"the contact is too wide for the parabolic gap of {model}",
+                value=f"a/R = {widest:.2f}",
+                limit=MAX_RADIUS_RATIO,
+                remedy="lower the force, raise the modulus or the radii, or use field",
+            )
+
+    def refuse_layer(self, axes: Array, model: str) -> None:
+        """Raise ContactError where the layer is too thin for a half-space under the patch."""
+        if self.thickness is not None and axes[0] > MAX_LAYER_RATIO * self.thickness:
+            raise ContactError(
+                f"the layer is too thin for the half-space of {model}",
+                value=f"a/thickness = {axes[0] / self.thickness:.2f}",
+                limit=MAX_LAYER_RATIO,
+                remedy="use layered, or leave thickness out to accept the half-space",
+            )
+
+
+def relative_curvatures(curvature: Any, indenter_radius: Any) -> tuple[Any, Any]:
+    """Relative curvatures, 1/m, along the two principal directions, in the order of `curvature`.
+
+    `curvature`, 1/m, positive where convex: NumPy (..., 2) or a CasADi column of two. Raises
+    ContactError for another shape, and where the body is more hollow than the indenter is round.
+    """
+    if is_casadi(curvature):
+        return curvature[0] + 1 / indenter_radius, curvature[1] + 1 / indenter_radius
+    pairs = np.asarray(curvature, dtype=float)
+    if not pairs.shape or pairs.shape[-1] != 2:
+        raise ContactError(
+            "both principal curvatures are needed", value=f"shape {pairs.shape}", limit="(..., 2)"
+        )
+    first, second = pairs[..., 0] + 1 / indenter_radius, pairs[..., 1] + 1 / indenter_radius
+    if not (np.all(first > 0) and np.all(second > 0)):
+        raise ContactError(
+            "the body is more hollow than the indenter is round: no single contact point",
+            value=f"curvature {np.min(pairs):.4g} 1/m",
+            limit="> -1/indenter radius",
+            remedy="use a smaller indenter",
+        )
+    return first, second
