@@ -61,6 +61,18 @@ def compiled(function: ca.Function, flags: tuple[str, ...] = FLAGS) -> ca.Functi
     return function
 
 
+def cached(function: ca.Function, flags: tuple[str, ...] = FLAGS) -> ca.Function | None:
+    """`function` as machine code if `compiled` left it in the cache before; else None."""
+    compiler = _compiler()
+    if compiler is None:
+        return None
+    folder = cache_folder() / _key(_source(function), compiler, flags)
+    try:
+        return _cached(function.name(), folder)
+    except OSError:  # an unreadable cache is no cache
+        return None
+
+
 def cache_folder() -> Path:
     """The user's cache folder for compiled functions, by the rule of the platform."""
     if chosen := os.environ.get("MESHSKIN_CACHE"):

@@ -6,6 +6,7 @@ which is what `calibrate` gets: no taxel's pose is in it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,6 +20,7 @@ from .geometry.body import Body
 from .geometry.skin import Skin
 from .motion.arm import Arm
 from .motion.law import Law
+from .motion.loop import COMPILE, INTEGRATORS, MODES, known
 from .motion.path import Exploration
 from .physics.contact import Patch, solve
 from .physics.effects import Context, Noise
@@ -51,10 +53,21 @@ class Loop:
     """How the closed loop is integrated."""
 
     dt: float = quantity("s", 1e-3, above=0.0, most=0.01)
-    """Step of the semi-implicit Euler integration."""
+    """Step of the integration."""
+    integrator: str = "semi_implicit"
+    """"semi_implicit", "linearly_implicit" (stiff contact, high gains), "rk4" (accurate where the
+    contact is soft) or "cvodes" (the slow reference)."""
+    mode: str = "arm"
+    """"arm": with the arm's dynamics; "quasi_static": the body moves as the law asks."""
+    compile: str = "auto"
+    """The step through the C compiler: "always", "never", or "auto", where a long run pays for it
+    or the machine code is in the cache."""
 
     def __post_init__(self) -> None:
         check(self)
+        known("integrator", self.integrator, INTEGRATORS)
+        known("mode of the closed loop", self.mode, MODES)
+        known("choice of loop.compile", self.compile, COMPILE)
 
 
 @dataclass(frozen=True)
@@ -77,6 +90,19 @@ class Belief:
     """Standard deviation of a reading's noise, Pa; None: unknown, taken from the residuals."""
     threshold: float = 0.0
     """Pressures up to this are not reported, Pa."""
+    saturation: float | None = None
+    """Readings of this and more are at the end of the sensor's range, Pa."""
+    unknown: tuple[str, ...] = ("modulus",)
+    """What is estimated beside the taxels: any of "modulus" (E*), "gain" and "offset" (of each
+    taxel), "force_scale", "force_offset", "indenter_offset" (3), "body_offset" (6)."""
+    priors: Mapping[str, float] = field(default_factory=dict)
+    """Standard deviations of unknowns before any data, where they are not the defaults."""
+    headings: Array | None = None
+    """Rotations (m, 3, 3), world from body, of the recording's contacts: an unknown indenter offset
+    needs them."""
+    module_slots: Array | None = None
+    """Places (slots, 3) of a rigid module's taxels in the module's frame, m (z = outward normal);
+    taxel ids are then slots * module + slot. None: every taxel by itself."""
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,10 @@ from . import recording as files
 from .errors import ReachError, SimulationError
 from .motion import path as paths
 from .motion.arm import Arm
-from .motion.machine import BLOCK, Machine, Steps
-from .motion.step import Loop
+from .motion.loop import Loop
+from .motion.machine import LENGTHS, Machine, Steps
+from .motion.quasi_static import start as body_state
+from .motion.track import Track
 from .physics import effects
 from .physics.reading import disc_pressures
 from .provenance import provenance
@@ -28,6 +30,8 @@ HEADINGS = 8
 """World directions tried for the skin's first meridian."""
 CHECKS = 400
 """Samples of the path whose joint angles are solved for each heading."""
+BODY = ("x", "y", "z", "qw", "qx", "qy", "qz")
+"""Columns of the body's pose, where there is no arm."""
 PHASES = ("approach", "settle", "explore")
 
 Progress = Callable[[str, int, int], None]
@@ -47,6 +51,26 @@ def simulate(
     there, instead of holding it in memory. progress(stage, done, total) is called as it goes.
     Raises ReachError if the arm cannot follow the path, SimulationError if the loop fails.
     """
+    machine, path = prepare(scene)
+    batches = _tables(scene, seed, machine.loop, _run(scene, machine, path, progress))
+    header = _metadata(scene, seed)
+    if out is not None:
+        with RecordingWriter(out, header) as writer:
+            for contacts, readings, motion in batches:
+                writer.write(contacts=contacts, readings=readings, motion=motion)
+            writer.metadata |= _performance(machine)
+        return Recording.load(out)
+    tables = [pa.concat_tables(part) for part in zip(*batches, strict=True)]
+    header |= _performance(machine)
+    return Recording(tables[0], tables[1], header, tables[2])
+
+
+def prepare(scene: Scene, taxels: Array | None = None) -> tuple[Machine, paths.Path]:
+    """The machine at the start of the scene's exploration, and the path that it will follow.
+
+    taxels (n, 3): read these at every step. Raises ReachError if the arm cannot follow the path.
+    """
+    quasi_static = scene.loop.mode == "quasi_static"
     arm = _loaded_arm(scene)
     loop = Loop(
         arm=arm,
@@ -56,20 +80,40 @@ def simulate(
         effective_modulus=scene.material.effective_modulus,
         law=scene.law,
         dt=scene.loop.dt,
+        integrator=scene.loop.integrator,
+        mode=scene.loop.mode,
     )
-    path, start = reachable_path(scene, arm)
-    machine = Machine(scene.body, loop, start, path.points[0])
-    batches = _tables(scene, seed, loop, _run(scene, machine, path, progress))
-    header = _metadata(scene, seed)
-    if out is not None:
-        with RecordingWriter(out, header) as writer:
-            for contacts, readings, motion in batches:
-                writer.write(contacts=contacts, readings=readings, motion=motion)
-            writer.metadata["steps_per_second"] = machine.steps_per_second
-        return Recording.load(out)
-    tables = [pa.concat_tables(part) for part in zip(*batches, strict=True)]
-    header["steps_per_second"] = machine.steps_per_second
-    return Recording(tables[0], tables[1], header, tables[2])
+    if quasi_static:
+        path = _plan(scene, 0.0, scene.loop.dt)
+        start = body_state(_above(scene, path.poses[0]))
+    else:
+        path, start = reachable_path(scene, arm)
+    machine = Machine(
+        scene.body,
+        loop,
+        start,
+        path.points[0],
+        compile_=scene.loop.compile,
+        steps=len(path.points),
+        taxels=taxels,
+    )
+    return machine, path
+
+
+def _performance(machine: Machine) -> dict[str, Any]:
+    """How the loop ran: its rate, and how often each joint's torque was at its limit."""
+    names = machine.loop.arm.joint_names[: machine.loop.joints]
+    return {
+        "steps_per_second": machine.steps_per_second,
+        "torque_limited_steps": dict(zip(names, machine.saturated.tolist(), strict=True)),
+    }
+
+
+def _above(scene: Scene, pose: Array) -> Array:
+    """A pose at the reference depth, lifted to the standoff."""
+    above = pose.copy()
+    above[2, 3] += scene.exploration.standoff + scene.patch.depth
+    return above
 
 
 def _metadata(scene: Scene, seed: int) -> dict[str, Any]:
@@ -104,20 +148,19 @@ def reachable_path(scene: Scene, arm: Arm) -> tuple[paths.Path, Array]:
     Of the headings about the vertical, the one that stays farthest from the joint limits is taken.
     Raises ReachError with the best heading's reason if none works.
     """
-    cosine = np.clip(scene.skin.normals @ scene.axis, -1.0, 1.0)
     best: tuple[float, paths.Path, Array] | None = None
     reason: ReachError | None = None
     tip_body = inverse(scene.mount_pose)
     for heading in np.arange(HEADINGS) * 2 * np.pi / HEADINGS:
-        coarse = _plan(scene, cosine, heading, scene.loop.dt * 50)
+        coarse = _plan(scene, heading, scene.loop.dt * 50)
         poses = coarse.poses[:: max(len(coarse.poses) // CHECKS, 1)] @ tip_body
         try:
             seed = arm.solve(poses[len(poses) // 2])
             first = arm.inverse_kinematics(_bridge(poses[len(poses) // 2], poses[0]), seed)[-1]
             q = arm.inverse_kinematics(poses, first)
-            above = poses[0].copy()
-            above[2, 3] += scene.exploration.standoff + scene.patch.depth
-            start = arm.inverse_kinematics(above[None], first)[0]
+            start = arm.inverse_kinematics(
+                _above(scene, poses[0] @ inverse(tip_body))[None] @ tip_body, first
+            )[0]
         except ReachError as error:
             reason = reason or error
             continue
@@ -131,10 +174,11 @@ def reachable_path(scene: Scene, arm: Arm) -> tuple[paths.Path, Array]:
             f"{tuple(round(float(x), 3) for x in scene.indenter.position)} m: {reason}",
             remedy="move indenter.position_m or change the mount",
         ) from reason
-    return _plan(scene, cosine, best_heading, scene.loop.dt), best[2]
+    return _plan(scene, best_heading, scene.loop.dt), best[2]
 
 
-def _plan(scene: Scene, cosine: Array, heading: float, dt: float) -> paths.Path:
+def _plan(scene: Scene, heading: float, dt: float) -> paths.Path:
+    cosine = np.clip(scene.skin.normals @ scene.axis, -1.0, 1.0)
     return paths.plan(
         scene.body,
         scene.axis,
@@ -161,39 +205,33 @@ def _run(
     scene: Scene, machine: Machine, path: paths.Path, progress: Progress | None
 ) -> Iterator[Steps]:
     """Run the closed loop: approach until touch, settle, explore. Yields the steps as they come."""
-    loop, references = machine.loop, path.references
-    hold = np.concatenate([references[0, :12], np.zeros(6)])
+    loop, track = machine.loop, Track.of(path, scene.body.surface)
     settle = max(round(scene.exploration.settle / loop.dt), 1)
     patience = int(
         np.ceil((1.0 + 5 * scene.exploration.standoff / loop.law.approach_speed) / loop.dt)
     )
-    total = settle + len(references)
-    done = 0
-    while True:
-        steps = machine.advance(np.tile(hold, (BLOCK, 1)), phase=0)
-        touch = np.flatnonzero(steps.outputs[:, loop.outputs["force"]] > 0)
-        yield steps
-        if len(touch):
-            break
-        done += len(steps.time)
-        if done > patience:
+    rest = track.hold(0, max(settle, LENGTHS[0]))
+    force = 0.0
+    while not force > 0:
+        if machine.steps > patience:
             raise SimulationError(
-                "the arm did not touch the indenter", value=f"{done * loop.dt:.2f} s of approach",
+                "the arm did not touch the indenter",
+                value=f"{machine.steps * loop.dt:.2f} s of approach",
                 remedy="check indenter.position_m and exploration.standoff_m",
-            )  # fmt: skip
-    done = 0
-    while done < total:
-        phase = 1 if done < settle else 2
-        end = min(done + BLOCK, settle if phase == 1 else total)
-        if phase == 1:
-            wanted = np.tile(hold, (end - done, 1))
-        else:
-            wanted = references[done - settle : end - settle]
-        steps = machine.advance(wanted, phase)
+            )
+        steps = machine.advance(rest, phase=0, until_touch=True)
         yield steps
-        done += len(steps.time)
-        if progress is not None:
-            progress("simulate", done, total)
+        force = steps.outputs[-1, loop.outputs["force"].start]
+    total = settle + len(track)
+    done = 0
+    for phase, way in ((1, rest[:settle]), (2, track)):
+        while len(way):
+            steps = machine.advance(way, phase)
+            yield steps
+            way = way[len(steps.time) :]
+            done += len(steps.time)
+            if progress is not None:
+                progress("simulate", done, total)
 
 
 def _batches(runs: Iterator[Steps], size: int) -> Iterator[Sequence[Steps]]:
@@ -219,7 +257,7 @@ def _tables(
         for act in effects.build(scene.effects, context, stage)
     ]
     stride = max(round(1.0 / (scene.readout.rate * loop.dt)), 1)
-    size = int(np.clip(FRAME_CELLS / max(len(scene.skin.ids), 1) * stride, BLOCK, 8192))
+    size = int(np.clip(FRAME_CELLS / max(len(scene.skin.ids), 1) * stride, LENGTHS[0], 8192))
     rows = loop.outputs
     count = 0
     for batch in _batches(runs, size):
@@ -280,6 +318,9 @@ def _motion_table(
         "reference": np.full(len(time), scene.law.force_reference),
         "depth": outputs[:, rows["depth"].start],
     }
-    columns |= {f"q{k + 1}": c for k, c in enumerate(q.T)}
+    names = [f"q{k + 1}" for k in range(q.shape[1])]
+    if not rows["torque"].stop > rows["torque"].start:
+        names = list(BODY)
+    columns |= dict(zip(names, q.T, strict=True))
     columns |= {f"tau{k + 1}": c for k, c in enumerate(outputs[:, rows["torque"]].T)}
     return pa.table(columns)

@@ -1,5 +1,7 @@
 """The simulated exploration: force, coverage, noise, streaming, and named failures."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -97,6 +99,8 @@ def test_an_arm_that_cannot_reach_says_so(sphere):
 
 
 def test_a_loop_that_diverges_says_when_and_with_which_step(sphere):
-    stiff = sphere.with_(material=ms.Material(young=1e9), law=ms.Law(shape="identity", gain=5000.0))
+    arm = replace(sphere.arm, effort_limit=np.full(6, np.inf))
+    law = ms.Law(shape="identity", gain=5000.0)
+    stiff = sphere.with_(material=ms.Material(young=1e9), law=law, arm=arm)
     with pytest.raises((SimulationError, ReachError), match=r"t = [\d.]+ s"):
         ms.simulate(stiff)

@@ -21,8 +21,9 @@ import casadi as ca
 
 from ..config import check, quantity
 from ..errors import UnknownNameError
+from ..physics.contact import hertz
 
-TORQUES = ("compensated", "paper")
+TORQUES = ("compensated", "paper", "off")
 SHAPES = ("inertia", "identity")
 
 
@@ -41,7 +42,8 @@ class Law:
     gain: float = quantity("", 100.0, above=0.0)
     """Velocity gain with shape "identity": L = gain I, in N m s/rad."""
     torque: str = "compensated"
-    """"paper": eq. 11 as printed, with its steady force error; "compensated": with -J^T f_c."""
+    """"paper": eq. 11 as printed, with its steady force error; "compensated": with -J^T f_c;
+    "off": none, the arm falls."""
     approach_speed: float = quantity("m/s", 0.1, above=0.0, most=1.0)
     """Largest speed along the normal that the force part may ask for; the speed before touch."""
     tracking: float = quantity("1/s", 20.0, least=0.0)
@@ -61,17 +63,60 @@ def zeta(delta: Any, d: Any, n: Any) -> Any:
     return -(delta * ca.sqrt(delta) / d) * (ca.DM.eye(3) - nn) + 1.5 * ca.sqrt(delta) * nn
 
 
-def force_speed(law: Law, stiffness: Any, delta: Any, force: Any, delta_reference: Any) -> Any:
+def force_speed(gains: Any, stiffness: Any, delta: Any, force: Any, delta_reference: Any) -> Any:
     """Speed along n of the force part: zeta^-1 (gamma / K_c) (f_c - f*), limited.
 
-    f_c - f* = (f_ref - F) n lies in the normal eigenspace of zeta, so that zeta's inverse is a
-    division by (3/2) delta^(1/2). delta is floored at a quarter of its reference (zeta is singular
-    at delta = 0) and the speed limited to the approach speed, which makes approach and touch part
-    of the law.
+    gains: a Law, or anything with its gamma, force_reference and approach_speed. f_c - f* =
+    (f_ref - F) n lies in the normal eigenspace of zeta, so that zeta's inverse is a division by
+    (3/2) delta^(1/2). delta is floored at a quarter of its reference (zeta is singular at
+    delta = 0) and the speed limited to the approach speed, which makes approach and touch part of
+    the law.
     """
     root = ca.sqrt(ca.fmax(delta, 0.25 * delta_reference))
-    speed = law.gamma * (law.force_reference - force) / (1.5 * stiffness * root)
-    return ca.fmax(-law.approach_speed, ca.fmin(law.approach_speed, speed))
+    speed = gains.gamma * (gains.force_reference - force) / (1.5 * stiffness * root)
+    return ca.fmax(-gains.approach_speed, ca.fmin(gains.approach_speed, speed))
+
+
+def speed_slope(gains: Any, touch: Any, delta_reference: Any) -> Any:
+    """Derivative of `force_speed` by the depth at the contact `touch`, 1/s: at most zero."""
+    delta = ca.SX.sym("delta")
+    force = hertz.force(delta, touch.radius, gains.effective_modulus)
+    speed = force_speed(gains, touch.stiffness, delta, force, delta_reference)
+    return ca.substitute(ca.gradient(speed, delta), delta, touch.depth)
+
+
+def along(
+    reference: Any,
+    tracking: Any,
+    position: Any,
+    rotation: Any,
+    lever: Any,
+    normal: Any,
+    ahead: Any = 0.0,
+) -> tuple[Any, Any]:
+    """Angular velocity and velocity (3,) of the contact point that follow the path.
+
+    reference (18,), see loop.REFERENCE, taken `ahead` s on; position, rotation: of the body;
+    lever: from the body's origin to the contact, normal: there; all in world axes. The velocity is
+    kept out of the normal, the force's direction.
+    """
+    goal = ca.reshape(reference[3:12], 3, 3)
+    turn = 0.5 * sum(ca.cross(rotation[:, k], goal[:, k]) for k in range(3))
+    omega = reference[15:18] + tracking * (turn + ahead * reference[15:18])
+    velocity = reference[12:15] + tracking * (reference[:3] + ahead * reference[12:15] - position)
+    velocity += ca.cross(omega, lever)
+    return omega, velocity - normal * ca.dot(normal, velocity)
+
+
+def torque(kind: str, bias: Any, gain: Any, excess: Any, lift: Any) -> Any:
+    """Joint torques (n,) of the law, eq. 11.
+
+    kind: of TORQUES; gain: L (n, n); excess: qdot - qdot_f - qdot_r (n,); lift: -J^T f_c (n,).
+    """
+    if kind == "off":
+        return 0.0 * bias
+    asked = bias - gain @ excess
+    return asked + lift if kind == "compensated" else asked
 
 
 def damped_inverse(jacobian: Any, rows: Any, twist: Any) -> Any:
@@ -84,8 +129,6 @@ def damped_inverse(jacobian: Any, rows: Any, twist: Any) -> Any:
     return jacobian.T @ ca.solve(upper, ca.solve(upper.T, twist))
 
 
-def velocity_gain(law: Law, mass_matrix: Any) -> Any:
-    """The matrix L (n, n) of eq. 11."""
-    if law.shape == "inertia":
-        return law.rate * mass_matrix
-    return law.gain * ca.DM.eye(mass_matrix.shape[0])
+def velocity_gain(shape: str, rate: Any, mass_matrix: Any) -> Any:
+    """The matrix L (n, n) of eq. 11: rate M(q) with shape "inertia", rate I with "identity"."""
+    return rate * (mass_matrix if shape == "inertia" else ca.DM.eye(mass_matrix.shape[0]))

@@ -1,4 +1,4 @@
-"""The closed loop as a machine: its state, the face it runs on, and the hop to the next face."""
+"""The closed loop as a machine: its state, the faces it runs over, and what must not happen."""
 
 from __future__ import annotations
 
@@ -6,96 +6,183 @@ from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import ReachError, SimulationError
 from ..geometry.body import Body
 from ..se3 import Array
-from .step import Blocks, Loop
+from .loop import Loop
+from .readings import PointReadings
+from .step import Blocks, ready, step
+from .track import STAY, Track, crossings
 
-BLOCK = 32
-"""Steps a call: long against the call's cost, short against a face's crossing."""
+LENGTHS = (32, 256)
+"""Steps a call: short where the run may be cut, long along the path."""
 SPARE = 0.25
-"""How far, in barycentric weight, the foot may leave its face before the block is cut short."""
+"""How far, in barycentric weight, the foot may leave its face."""
+FULL = 1.0 - 1e-9
+"""Part of the torque limit that counts as being at it."""
 
 
 @dataclass(frozen=True)
 class Steps:
-    """A run of consecutive steps: times (k,), joint states (k, n), outputs (k, m), phase."""
+    """A run of consecutive steps."""
 
     time: Array
+    """(k,), s."""
     q: Array
+    """Configuration (k, n): joint angles, or position and quaternion of the body."""
     outputs: Array
+    """(k, m), see Loop.outputs."""
     phase: int
+    readings: Array | None = None
+    """Point pressures (k, taxels), Pa, where they were asked for."""
 
 
 class Machine:
     """State of the closed loop, and the face whose patch it runs on.
 
-    Starts at rest at joint angles `start` (n,) with the foot near `point` (3,), body frame.
+    Starts at rest in the configuration `start` (joint angles, or position and quaternion of the
+    body) with the foot near `point` (3,), body frame. `compile_` and `steps`: see step.ready.
+    `taxels` (n, 3): read them all at every step.
     """
 
-    def __init__(self, body: Body, loop: Loop, start: Array, point: Array) -> None:
-        self.body, self.loop, n = body, loop, loop.joints
-        self.blocks = Blocks(loop, BLOCK)
+    def __init__(
+        self,
+        body: Body,
+        loop: Loop,
+        start: Array,
+        point: Array,
+        *,
+        compile_: str = "never",
+        steps: float = 0.0,
+        taxels: Array | None = None,
+    ) -> None:
+        self.body, self.loop = body, loop
+        one = ready(step(loop), compile_, steps)
+        self.blocks = [Blocks(loop, length, one) for length in LENGTHS]
+        self.readings = None if taxels is None else PointReadings(loop, taxels)
         self.steps, self.seconds = 0, 0.0
-        self.blocks.state[:n] = start
-        hit = self.body.closest(point[None])
-        self._anchor(int(hit.face[0]), hit.uv[0])
-
-    def _anchor(self, face: int, uv: Array) -> None:
-        self.face = face
-        self.blocks.patch[:] = self.body.surface.patches[face].T.ravel()
-        self.blocks.state[-2:] = uv
+        self.saturated = np.zeros(loop.joints, dtype=int)
+        """Steps (n,) at which each joint's torque was at its limit."""
+        self.hops = 0
+        """How often the foot left the path's faces."""
+        self.size = len(start)
+        hit = body.closest(point[None])
+        self.state = np.zeros_like(self.blocks[0].state)
+        self.state[: self.size] = start
+        self.state[-2:] = hit.uv[0]
+        self.face = int(hit.face[0])
+        self._astray = False
+        self._rows: dict[int, Array] = {}
 
     @property
     def steps_per_second(self) -> float:
         """Steps of the closed loop in a second of running it."""
         return self.steps / self.seconds if self.seconds else 0.0
 
-    def advance(self, references: Array, phase: int) -> Steps:
-        """Run at most len(references) steps; fewer if the foot leaves its face's neighbourhood."""
+    def advance(self, track: Track, phase: int, until_touch: bool = False) -> Steps:
+        """Run the first rows of a track: as many as fit a block and as the foot stays on its faces.
+
+        until_touch: end with the first step in contact. Raises SimulationError where a number is
+        not finite, ReachError where a joint leaves its range.
+        """
         started = perf_counter()
-        blocks, n = self.blocks, self.loop.joints
-        blocks.references[: len(references)] = references
-        blocks.references[len(references) :] = references[-1]
-        before = blocks.state.copy()
+        short = until_touch or self._astray or len(track) <= LENGTHS[0]
+        blocks = self.blocks[0 if short else 1]
+        track = track[: blocks.length]
+        count = len(track)
+        faces = self._fill(blocks, track)
         blocks.run()
-        count = len(references)
         uv = blocks.states[:count, -2:]
         spare = np.minimum(uv.min(axis=1), 1.0 - uv.sum(axis=1))
-        left = np.flatnonzero(~(spare >= -SPARE))
-        if len(left):
-            count = int(left[0]) + 1
-        states = blocks.states[:count]
-        outputs = blocks.outputs[:count].copy()
+        if not spare.min() >= -SPARE:
+            count = int(np.argmax(~(spare >= -SPARE))) + 1
+        if until_touch:
+            touching = blocks.outputs[:count, self.loop.outputs["force"].start] > 0
+            count = int(np.argmax(touching)) + 1 if touching.any() else count
+        states, outputs = blocks.states[:count], blocks.outputs[:count].copy()
         self._check(states, outputs)
-        q = np.concatenate([before[None, :n], states[:-1, :n]])
-        time = (self.steps + np.arange(count)) * self.loop.dt
+        q = np.concatenate([self.state[None, : self.size], states[:-1, : self.size]])
+        time = np.asarray((self.steps + np.arange(count)) * self.loop.dt, dtype=float)
         self.steps += count
-        blocks.state[:] = states[-1]
-        if spare[count - 1] < 0:
+        self.state[:] = states[-1]
+        self.face = int(faces[count - 1])
+        if not spare[count - 1] >= -SPARE:
             self._hop(outputs[-1])
+        elif self._astray:
+            self._rejoin(int(track.faces[count - 1]))
+        readings = None if self.readings is None else self.readings(outputs)
         self.seconds += perf_counter() - started
-        return Steps(time, q, outputs, phase)
+        return Steps(time, q, outputs, phase, readings)
+
+    def _fill(self, blocks: Blocks, track: Track) -> NDArray[np.intp]:
+        """Set a block's inputs; returns the face of each row (k,)."""
+        count = len(track)
+        blocks.state[:] = self.state
+        blocks.references[:count] = track.references
+        faces, maps = track.faces, blocks.anchors[:, -len(STAY) :]
+        if self._astray:
+            faces = np.full(count, self.face)
+            maps[:count] = STAY
+        else:
+            maps[:count] = track.maps
+            same = faces[0] == self.face
+            maps[0] = STAY if same else self._crossing(self.face, int(faces[0]))
+        first = 0
+        for end in [*(np.flatnonzero(np.diff(faces)) + 1).tolist(), count]:
+            blocks.anchors[first:end, : -len(STAY)] = self._row(int(faces[first]))
+            first = end
+        return faces
+
+    def _row(self, face: int) -> Array:
+        """Patch of a face (63,), column-major."""
+        if face not in self._rows:
+            self._rows[face] = self.body.surface.patches[face].T.ravel()
+        return self._rows[face]
+
+    def _crossing(self, before: int, after: int) -> Array:
+        one = crossings(self.body.surface, np.array([before]), np.array([after]))
+        return np.asarray(one[0])
 
     def _hop(self, output: Array) -> None:
-        """Anchor the patch at the foot of the indenter's centre, found on the mesh."""
+        """Go on from the foot of the indenter's centre, found on the mesh."""
         rows = self.loop.outputs
         gap = self.loop.indenter_radius - output[rows["depth"]]
         centre = output[rows["point"]] + gap * output[rows["normal"]]
         hit = self.body.closest(centre[None], face=np.array([self.face]))
-        self._anchor(int(hit.face[0]), hit.uv[0])
+        self.face, self.state[-2:] = int(hit.face[0]), hit.uv[0]
+        self._astray = True
+        self.hops += 1
+
+    def _rejoin(self, face: int) -> None:
+        """Run over the path's faces again once the foot lies well on the one under the path."""
+        change = self._crossing(self.face, face).reshape(3, 2).T
+        u, v = change @ [*self.state[-2:], 1.0]
+        self._astray = min(u, v, 1.0 - u - v) < -SPARE / 2
 
     def _check(self, states: Array, outputs: Array) -> None:
-        """Raise SimulationError with time and state if a number is not finite or a joint is out."""
-        finite = np.isfinite(states).all(axis=1) & np.isfinite(outputs).all(axis=1)
-        q = states[:, : self.loop.joints]
-        arm = self.loop.arm
-        out = (q < arm.lower) | (q > arm.upper)
-        if finite.all() and not out.any():
+        """Count torques at their limits; raise if a number is not finite or a joint is out."""
+        n, arm = self.loop.joints, self.loop.arm
+        torque = np.abs(outputs[:, self.loop.outputs["torque"]])
+        if n and (torque.max(axis=0) >= FULL * arm.effort_limit).any():
+            self.saturated += (torque >= FULL * arm.effort_limit).sum(axis=0)
+        q = states[:, :n]
+        whole = np.isfinite(states.sum() + outputs.sum())
+        if (
+            whole
+            and (q.min(axis=0) >= arm.lower[:n]).all()
+            and (q.max(axis=0) <= arm.upper[:n]).all()
+        ):
             return
+        finite = np.atleast_1d(np.isfinite(np.hstack([states, outputs])).all(axis=1))
+        out = (q < arm.lower[:n]) | (q > arm.upper[:n])
         k = int(np.argmax(~finite | out.any(axis=1)))
-        at = f"t = {(self.steps + k) * self.loop.dt:.4f} s, q = {np.round(q[k], 4).tolist()} rad"
+        what = "q" if n else "body position and quaternion"
+        at = (
+            f"t = {(self.steps + k) * self.loop.dt:.4f} s, "
+            f"{what} = {np.round(states[k, : self.size], 4).tolist()}"
+        )
         if not finite[k]:
             raise SimulationError(
                 f"the closed loop diverged at {at}", value=f"dt = {self.loop.dt} s",

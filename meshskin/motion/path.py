@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..config import check, quantity
 from ..errors import SimulationError
@@ -54,6 +55,8 @@ class Path:
     """T_w_b (k, 4, 4) at the reference depth."""
     twists: Array
     """Velocity of the body's origin and angular velocity (k, 6), world."""
+    faces: NDArray[np.intp]
+    """The mesh's face at each contact point (k,)."""
 
     @property
     def references(self) -> Array:
@@ -85,7 +88,7 @@ def lanes(extent: float, radius: float, exploration: Exploration) -> Array:
     reach = extent + exploration.margin / radius
     pitch = exploration.lane_spacing / radius
     count = max(int(np.ceil(reach / pitch)), 2)
-    return (np.arange(count) + 0.5) * reach / (count - 0.5)
+    return np.asarray((np.arange(count) + 0.5) * reach / (count - 0.5), dtype=float)
 
 
 def parallels(polar: Array, radius: float, exploration: Exploration, dt: float) -> Array:
@@ -175,7 +178,7 @@ def plan(
     reach = hit.point + gap * hit.normal
     positions = indenter_position - np.einsum("kij,kj->ki", rotations, reach)
     poses = transform(rotations, positions)
-    return Path(dt, hit.point, hit.normal, poses, _twists(poses, dt))
+    return Path(dt, hit.point, hit.normal, poses, _twists(poses, dt), hit.face)
 
 
 def _twists(poses: Array, dt: float) -> Array:

@@ -28,7 +28,7 @@ class ForceResponse:
     overshoot: float
     """Largest force over the reference, less one; 0 if never above."""
     settling: float
-    """Time from touch until the force stays within 2 % of the reference, s; inf if it never does."""
+    """Time from touch until the force stays within 2 % of the reference, s; inf if never."""
     lost: int
     """Steps without contact after the touch."""
 

@@ -8,7 +8,8 @@ from meshskin import library
 from meshskin.geometry.body import Body
 from meshskin.motion.arm import Arm
 from meshskin.motion.law import Law
-from meshskin.motion.step import Blocks, Loop, step
+from meshskin.motion.loop import Loop, flat_anchor
+from meshskin.motion.step import Blocks, step
 from meshskin.se3 import exp_so3, transform
 
 E_STAR = 0.2e6 / (1 - 0.49**2)
@@ -29,11 +30,11 @@ def arm():
 def pressed(arm, body, law, depth, dt=1e-3):
     """A loop at rest, the sphere pressed straight down on the indenter to `depth`."""
     loop = Loop(arm, MOUNT, PLACE, 0.01, E_STAR, law, dt)
-    pose = transform(np.eye(3), PLACE + [0, 0, 0.11 - depth])
+    pose = transform(np.eye(3), PLACE + np.array([0, 0, 0.11 - depth]))
     q = arm.solve(pose @ np.linalg.inv(MOUNT))
     blocks = Blocks(loop, 50)
     hit = body.closest(np.array([[0, 0, -0.11]]))
-    blocks.patch[:] = body.surface.patches[hit.face[0]].T.ravel()
+    blocks.anchors[:] = flat_anchor(body.surface.patches[hit.face[0]])
     blocks.state[:] = [*q, *np.zeros(6), *hit.uv[0]]
     blocks.references[:, :12] = [*pose[:3, 3], *pose[:3, :3].T.ravel()]
     return loop, blocks
@@ -97,6 +98,7 @@ def test_one_step_has_no_branch_and_is_finite_at_first_touch(arm, body):
     blocks.run()
     assert np.isfinite(blocks.states).all()
     one = step(loop)
-    x, r, p = (ca.MX.sym(n, one.size1_in(k)) for k, n in enumerate("xrp"))
-    slope = ca.Function("slope", [x, r, p], [ca.jacobian(one(x, r, p)[0], x)])
-    assert np.isfinite(slope(blocks.states[0], blocks.references[0], blocks.patch).full()).all()
+    x, r, a, p = (ca.MX.sym(n, one.size1_in(k)) for k, n in enumerate("xrap"))
+    slope = ca.Function("slope", [x, r, a, p], [ca.jacobian(one(x, r, a, p)[0], x)])
+    here = (blocks.states[0], blocks.references[0], blocks.anchors[0], blocks.parameters)
+    assert np.isfinite(slope(*here).full()).all()

@@ -1,0 +1,142 @@
+"""The closed loop in continuous time: arm dynamics, contact, law and torque at one instant.
+
+    M(q) qdd = tau + J^T f_c - bias(q, qdot)
+
+tau is held within the arm's torque limits. The integrators make a step of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from . import law as compliance
+from .loop import ANCHOR, PARAMETERS, REFERENCE, Loop, Parameters
+from .touch import Touch, reference_depth, touch
+
+ROTATION_DAMPING = 0.02
+FORCE_DAMPING = 1e-6
+"""Row dampings of the inverses, in m; damping costs path accuracy, hence the rotation rows only."""
+FLATTEST = 1.0
+"""Curvature below which the body counts as a sphere of 1 m in the force part, 1/m."""
+
+
+@dataclass(frozen=True)
+class Instant:
+    """Expressions of the closed loop at one state."""
+
+    touch: Touch
+    mass: ca.SX
+    """M (n, n)."""
+    root: ca.SX
+    """Its upper Cholesky factor."""
+    effort: ca.SX
+    """tau + J^T f_c - bias (n,), N m."""
+    row: ca.SX
+    """d(depth)/dq (n,), m/rad."""
+    pull: ca.SX
+    """d(effort)/d(depth) with opposite sign (n,): contact stiffness and law slope, N/rad."""
+    free: ca.SX
+    """1 where a joint's torque is within its limit, 0 where it is held there (n,)."""
+    output: ca.SX
+    """The row that Loop.outputs describes."""
+
+    @property
+    def foot(self) -> ca.SX:
+        """(u, v) of the contact."""
+        return ca.vertcat(self.touch.u, self.touch.v)
+
+    @property
+    def acceleration(self) -> ca.SX:
+        """qdd (n,), rad/s^2."""
+        return solve(self.root, self.effort)
+
+
+class Field:
+    """The closed loop's equations for one scene.
+
+    The inputs of a step are symbols: reference (18,), anchor (69,), parameters (8,). `newton` steps
+    find the foot of the indenter's centre, from that of the last step.
+    """
+
+    def __init__(self, loop: Loop, newton: int = 1) -> None:
+        self.loop, self.newton = loop, newton
+        self.reference = ca.SX.sym("reference", REFERENCE)
+        self.anchor = ca.SX.sym("anchor", ANCHOR)
+        self.parameters = ca.SX.sym("parameters", PARAMETERS)
+        self.p = Parameters.split(self.parameters)
+        self.model = loop.arm.dynamics()
+        limit = np.asarray(loop.arm.effort_limit, dtype=float)
+        self.limit = ca.DM(np.where(np.isfinite(limit), limit, 1e30))
+
+    def at(self, q: ca.SX, qdot: ca.SX, uv: ca.SX, ahead: ca.SX | float = 0.0) -> Instant:
+        """The closed loop at (q, qdot), `ahead` s after the reference; uv: the last foot."""
+        loop, p = self.loop, self.p
+        mass, bias = self.model.mass_matrix(q), self.model.bias(q, qdot)
+        tip = self.model.pose(q)
+        pose = tip @ ca.DM(loop.mount)
+        rotation, position = pose[:3, :3], pose[:3, 3]
+        jacobian = moved(self.model.jacobian(q), position - tip[:3, 3])
+
+        centre = rotation.T @ (ca.DM(loop.indenter_position) - position)
+        t = touch(self.anchor, uv, centre, p, self.newton)
+        normal, lever = rotation @ t.normal, rotation @ t.point
+        row = moved(jacobian, lever)[:3, :].T @ normal
+
+        wanted = reference_depth(p, t.radius)
+        speed = compliance.force_speed(p, t.stiffness, t.depth, t.force, wanted)
+        slope = compliance.speed_slope(p, t, wanted)
+        # the paper's sphere: the Jacobian of the (osculating) sphere's centre
+        hub = lever - normal / ca.fmax(t.curvature, FLATTEST)
+        push_away = compliance.damped_inverse(
+            moved(jacobian, hub)[:3, :], ca.DM([FORCE_DAMPING] * 3), normal
+        )
+        omega, velocity = compliance.along(
+            self.reference, p.tracking, position, rotation, lever, normal, ahead
+        )
+        twist = ca.vertcat(velocity, omega)
+        damping = ca.DM([FORCE_DAMPING] * 3 + [ROTATION_DAMPING] * 3)
+        wish = speed * push_away + compliance.damped_inverse(moved(jacobian, lever), damping, twist)
+
+        gain = compliance.velocity_gain(loop.law.shape, p.rate, mass)
+        asked = compliance.torque(loop.law.torque, bias, gain, qdot - wish, row * t.force)
+        torque = ca.fmin(ca.fmax(asked, -self.limit), self.limit)
+        free = (ca.fabs(asked) < self.limit) * (loop.law.torque != "off")
+        lifted = free if loop.law.torque == "compensated" else 0.0
+        pull = row * t.slope * (1.0 - lifted) - free * (gain @ push_away) * slope
+        return Instant(
+            touch=t,
+            mass=mass,
+            root=ca.chol(mass),
+            effort=torque - row * t.force - bias,
+            row=row,
+            pull=pull,
+            free=free,
+            output=ca.vertcat(t.point, t.normal, t.force, t.depth, t.radius, torque),
+        )
+
+    def rate(self) -> ca.Function:
+        """(q, qdot, uv, ahead, reference, anchor, parameters) -> (qdd, foot, output)."""
+        n = self.loop.joints
+        q, qdot, uv, ahead = (
+            ca.SX.sym(name, k) for name, k in (("q", n), ("qdot", n), ("uv", 2), ("ahead", 1))
+        )
+        now = self.at(q, qdot, uv, ahead)
+        return ca.Function(
+            "rate",
+            [q, qdot, uv, ahead, self.reference, self.anchor, self.parameters],
+            [now.acceleration, now.foot, now.output],
+            {"cse": True},
+        )
+
+
+def moved(jacobian: ca.SX, lever: ca.SX) -> ca.SX:
+    """Jacobian (6, n), linear first, of the point displaced by `lever` (world axes)."""
+    return ca.vertcat(jacobian[:3, :] - ca.skew(lever) @ jacobian[3:, :], jacobian[3:, :])
+
+
+def solve(root: ca.SX, right: ca.SX) -> ca.SX:
+    """A^-1 right for A = root^T root, root upper triangular."""
+    return ca.solve(root, ca.solve(root.T, right))

@@ -1,0 +1,22 @@
+"""Integrators of the closed loop, one a file: each makes one step of a Field.
+
+`step(field) -> Function` takes (state, reference, anchor, parameters) to (next state, output). The
+state (2 n + 2) is q, qdot and the foot (u, v); the output belongs to the start of the step.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+import casadi as ca
+
+from ..loop import INTEGRATORS, Loop, known
+
+NAMES = ["state", "reference", "anchor", "parameters"], ["next", "output"]
+
+
+def step(loop: Loop) -> ca.Function:
+    """The step of the loop's integrator. Raises UnknownNameError."""
+    known("integrator", loop.integrator, INTEGRATORS)
+    made: ca.Function = import_module(f".{loop.integrator}", __name__).step(loop)
+    return made

@@ -1,0 +1,49 @@
+"""Linearly implicit Euler: stiff contact and high gains at one solve a step, without iterations.
+
+With effort e(q, qdot) = M qdd, and its slopes by the stiff parts, contact and force law along the
+contact normal and the velocity gain L, the step solves
+
+    (M + h L + h^2 a b^T) dv = h (e - h a (b . qdot)),    qdot' = qdot + dv,  q' = q + h qdot',
+
+b = d(depth)/dq, a = -d(e)/d(depth). L and the law's part of a stop where a torque is at its limit.
+Order 1. Source: Hairer, Wanner, "Solving Ordinary Differential Equations II" (1996), IV.7, with an
+approximate Jacobian.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from ..field import Field, Instant, solve
+from ..loop import Loop
+from . import NAMES
+
+
+def step(loop: Loop) -> ca.Function:
+    """See the package."""
+    field, n = Field(loop), loop.joints
+    state = ca.SX.sym("state", 2 * n + 2)
+    q, qdot, uv = state[:n], state[n : 2 * n], state[2 * n :]
+    now, h = field.at(q, qdot, uv), field.p.dt
+    right = h * (now.effort - h * now.pull * ca.dot(now.row, qdot))
+    flat = _damped_solve(loop, now, h * field.p.rate, ca.horzcat(right, h * h * now.pull))
+    # Sherman-Morrison for the part of rank one
+    change = flat[:, 0] - flat[:, 1] * (
+        ca.dot(now.row, flat[:, 0]) / (1.0 + ca.dot(now.row, flat[:, 1]))
+    )
+    after = qdot + change
+    return ca.Function(
+        "step",
+        [state, field.reference, field.anchor, field.parameters],
+        [ca.vertcat(q + h * after, after, now.foot), now.output],
+        *NAMES,
+        {"cse": True},
+    )
+
+
+def _damped_solve(loop: Loop, now: Instant, gain: ca.SX, right: ca.SX) -> ca.SX:
+    """(M + diag(free) gain L_1)^-1 right, with L_1 = M or I: symmetric in either case."""
+    if loop.law.shape == "inertia":  # (I + gain diag(free)) M
+        damping = 1.0 + gain * now.free
+        return solve(now.root, ca.horzcat(right[:, 0] / damping, right[:, 1] / damping))
+    return solve(ca.chol(now.mass + gain * ca.diag(now.free)), right)

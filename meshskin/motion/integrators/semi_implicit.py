@@ -1,0 +1,30 @@
+"""Semi-implicit (symplectic) Euler: qdot' = qdot + h qdd(q, qdot), q' = q + h qdot'.
+
+Order 1. With constant mass matrix and no control it is symplectic: the energy of a contact
+oscillates but does not drift. Source: Hairer, Lubich, Wanner, "Geometric Numerical Integration"
+(2006), I.1.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from ..field import Field
+from ..loop import Loop
+from . import NAMES
+
+
+def step(loop: Loop) -> ca.Function:
+    """See the package."""
+    field, n = Field(loop), loop.joints
+    state = ca.SX.sym("state", 2 * n + 2)
+    q, qdot, uv = state[:n], state[n : 2 * n], state[2 * n :]
+    now = field.at(q, qdot, uv)
+    after = qdot + field.p.dt * now.acceleration
+    return ca.Function(
+        "step",
+        [state, field.reference, field.anchor, field.parameters],
+        [ca.vertcat(q + field.p.dt * after, after, now.foot), now.output],
+        *NAMES,
+        {"cse": True},
+    )
