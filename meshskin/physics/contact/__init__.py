@@ -8,7 +8,7 @@ from importlib import import_module
 from ...errors import UnknownNameError
 from .patch import Patch
 
-MODELS = ("hertz", "elliptic")
+MODELS = ("hertz", "elliptic", "layered", "field")
 """Names of the contact models, each a module of this folder."""
 
 __all__ = ["MODELS", "Patch", "solve"]

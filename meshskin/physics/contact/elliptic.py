@@ -62,6 +62,11 @@ def force(depth: Any, curvature: Any, indenter_radius: Any, modulus: Any) -> Any
     return hertz.force(depth / sink, radius, modulus)
 
 
+def stretch(curvature: Any, indenter_radius: Any) -> Any:
+    """sqrt(a/b), with a along the first principal direction; arguments as `patches`."""
+    return _geometry(curvature, indenter_radius)[1]
+
+
 def solve(
     *,
     force: float,
