@@ -10,6 +10,7 @@ everything still works, interpreted.
 from __future__ import annotations
 
 import atexit
+import ctypes
 import functools
 import hashlib
 import os
@@ -19,11 +20,14 @@ import subprocess
 import sys
 import tempfile
 import warnings
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     import casadi as ca
+
+T = TypeVar("T")
 
 FLAGS = ("-O3", "-fno-math-errno", "-shared", "-fPIC")
 # No -march=native: a cache folder may be shared by machines with different processors.
@@ -36,29 +40,16 @@ def compiled(function: ca.Function, flags: tuple[str, ...] = FLAGS) -> ca.Functi
     Where there is no C compiler, or it refuses the source, `function` itself is returned and one
     warning is given per process.
     """
-    compiler = _compiler()
-    if compiler is None:
-        _warn("no C compiler found: CasADi functions are interpreted, several times slower")
-        return function
-    source = _source(function)
-    key = _key(source, compiler, flags)
-    for folder in (cache_folder() / key, _temporary_folder() / key):
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            found = _cached(function.name(), folder)
-            return found or _built(function.name(), source, folder, compiler, flags)
-        except OSError:  # an unwritable or full cache: build in a folder of this process
-            continue
-        except subprocess.CalledProcessError as error:
-            reason = (
-                error.stderr.decode(errors="replace").strip() or f"exit code {error.returncode}"
-            )
-        except RuntimeError as error:  # casadi.external: built, but cannot be loaded
-            reason = str(error)
-        _warn(f"{compiler} cannot compile {function.name()!r}, interpreted instead: {reason}")
-        return function
-    _warn(f"no folder to compile in: {function.name()!r} is interpreted, several times slower")
-    return function
+    name = function.name()
+    return _machine_code(name, lambda: source(function), _external(name), flags) or function
+
+
+def library(name: str, text: str, flags: tuple[str, ...] = FLAGS) -> ctypes.CDLL | None:
+    """The shared library of C source `text`, in the same cache; None, and one warning, without.
+
+    `name` is for the warning. CasADi functions that the source calls come from `source`.
+    """
+    return _machine_code(name, lambda: text, _loaded, flags)
 
 
 def cached(function: ca.Function, flags: tuple[str, ...] = FLAGS) -> ca.Function | None:
@@ -66,11 +57,21 @@ def cached(function: ca.Function, flags: tuple[str, ...] = FLAGS) -> ca.Function
     compiler = _compiler()
     if compiler is None:
         return None
-    folder = cache_folder() / _key(_source(function), compiler, flags)
+    folder = cache_folder() / _key(source(function), compiler, flags)
     try:
-        return _cached(function.name(), folder)
+        return _cached(_external(function.name()), folder)
     except OSError:  # an unreadable cache is no cache
         return None
+
+
+def source(*functions: ca.Function) -> str:
+    """C source of `functions`: the code that CasADi generates."""
+    import casadi as ca
+
+    generator = ca.CodeGenerator(f"{functions[0].name()}.c")
+    for function in functions:
+        generator.add(function)
+    return str(generator.dump())
 
 
 def cache_folder() -> Path:
@@ -95,12 +96,46 @@ def _compiler() -> str | None:
     return next(filter(None, map(shutil.which, names)), None)
 
 
-def _source(function: ca.Function) -> str:
+def _machine_code(
+    name: str, text: Callable[[], str], load: Callable[[str], T], flags: tuple[str, ...]
+) -> T | None:
+    """What `load` makes of the shared library of C source `text`; None where there is none."""
+    compiler = _compiler()
+    if compiler is None:
+        _warn("no C compiler found: CasADi functions are interpreted, several times slower")
+        return None
+    written = text()
+    key = _key(written, compiler, flags)
+    for folder in (cache_folder() / key, _temporary_folder() / key):
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            found = _cached(load, folder)
+            return found or load(str(_built(written, folder, compiler, flags)))
+        except OSError:  # an unwritable or full cache: build in a folder of this process
+            continue
+        except subprocess.CalledProcessError as error:
+            reason = (
+                error.stderr.decode(errors="replace").strip() or f"exit code {error.returncode}"
+            )
+        except RuntimeError as error:  # built, but cannot be loaded
+            reason = str(error)
+        _warn(f"{compiler} cannot compile {name!r}, interpreted instead: {reason}")
+        return None
+    _warn(f"no folder to compile in: {name!r} is interpreted, several times slower")
+    return None
+
+
+def _external(name: str) -> Callable[[str], ca.Function]:
     import casadi as ca
 
-    generator = ca.CodeGenerator(f"{function.name()}.c")
-    generator.add(function)
-    return str(generator.dump())
+    return lambda path: ca.external(name, path)
+
+
+def _loaded(path: str) -> ctypes.CDLL:
+    try:
+        return ctypes.CDLL(path)
+    except OSError as error:
+        raise RuntimeError(str(error)) from error
 
 
 def _key(source: str, compiler: str, flags: tuple[str, ...]) -> str:
@@ -125,34 +160,28 @@ def _hash(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()[:32]
 
 
-def _cached(name: str, folder: Path) -> ca.Function | None:
-    """The function from the first whole library in `folder`; torn ones are removed."""
-    import casadi as ca
-
-    for library in sorted(folder.glob("*.so")):
-        if _hash(library.read_bytes()) == library.stem:
+def _cached(load: Callable[[str], T], folder: Path) -> T | None:
+    """What `load` makes of the first whole library in `folder`; torn ones are removed."""
+    for file in sorted(folder.glob("*.so")):
+        if _hash(file.read_bytes()) == file.stem:
             try:
-                return ca.external(name, str(library))
+                return load(str(file))
             except RuntimeError:  # whole, but not loadable here: build it again
                 pass
-        library.unlink(missing_ok=True)
+        file.unlink(missing_ok=True)
     return None
 
 
-def _built(
-    name: str, source: str, folder: Path, compiler: str, flags: tuple[str, ...]
-) -> ca.Function:
+def _built(source: str, folder: Path, compiler: str, flags: tuple[str, ...]) -> Path:
     """Compile in a scratch folder beside the goal, then move the library into place at once."""
-    import casadi as ca
-
     with tempfile.TemporaryDirectory(dir=folder, ignore_cleanup_errors=True) as scratch:
-        code, library = Path(scratch) / "code.c", Path(scratch) / "code.so"
-        code.write_text(source)
-        command = [compiler, *flags, str(code), "-o", str(library), "-lm"]
+        code, made = Path(scratch) / "code.c", Path(scratch) / "code.so"
+        code.write_text(source, encoding="utf-8")
+        command = [compiler, *flags, str(code), "-o", str(made), "-lm"]
         subprocess.run(command, check=True, capture_output=True)
-        goal = folder / f"{_hash(library.read_bytes())}.so"
-        os.replace(library, goal)
-    return ca.external(name, str(goal))
+        goal = folder / f"{_hash(made.read_bytes())}.so"
+        os.replace(made, goal)
+    return goal
 
 
 @functools.cache
