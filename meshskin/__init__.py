@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from .recording import Recording, RecordingWriter
     from .scene import Belief, Readout, Scene
     from .simulation import simulate
+    from .study.sweep import Study
 
 _HOMES = {
     "Arm": "motion.arm",
@@ -40,6 +41,7 @@ _HOMES = {
     "RecordingWriter": "recording",
     "Scene": "scene",
     "Skin": "geometry.skin",
+    "Study": "study.sweep",
     "calibrate": "estimation.calibrate",
     "simulate": "simulation",
 }
@@ -59,6 +61,7 @@ __all__ = [
     "RecordingWriter",
     "Scene",
     "Skin",
+    "Study",
     "calibrate",
     "contact",
     "simulate",

@@ -8,6 +8,7 @@ nearest known name, a value out of bounds with its limit.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import tomllib
 from collections.abc import Mapping
@@ -143,6 +144,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"cannot read {path}", value=error.strerror) from error
 
 
+@functools.cache
 def _stem(key: str) -> str:
     """A key without its unit."""
     units = sorted((u for table in UNITS.values() for u in table if u), key=len, reverse=True)

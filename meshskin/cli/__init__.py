@@ -13,9 +13,9 @@ from types import FrameType
 from typing import TextIO
 
 from ..errors import MeshskinError
-from . import run, scenes
+from . import run, scenes, study
 
-COMMANDS = (run, scenes)
+COMMANDS = (run, scenes, study)
 INTERRUPTED = 130
 
 

@@ -1,0 +1,1 @@
+"""Parameter studies: many cases, on one machine or a cluster, that survive interruptions."""
