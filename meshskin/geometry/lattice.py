@@ -1,8 +1,9 @@
 """Hexagonal lattices on a curved surface: grown along geodesics, relaxed where they do not close.
 
 A site carries a tangent frame; its six neighbours lie one spacing away along geodesics at 60
-degrees. Growth goes ring by ring; sites that several neighbours propose take the mean. Where
-curvature leaves no room for the perfect lattice, sites settle under springs of the spacing's
+degrees. Growth goes ring by ring; sites that several neighbours propose take the mean. Large
+lattices are grown coarse, and then halved: every tie of two neighbours gets a site in its middle.
+Where curvature leaves no room for the perfect lattice, sites settle under springs of the spacing's
 length, gaps are filled and crowded sites removed.
 """
 
@@ -28,6 +29,9 @@ CROWDED, GAP = 0.7, 0.85
 """in spacings: nearer sites are the same or too many; a site this far from all others fits in"""
 REACH = 1.35
 """in spacings: up to where a spring ties two sites"""
+ROUNDS, SETTLINGS, MOVES = 4, 4, 12
+"""of relaxing: rounds of settling, between which gaps are filled; settlings a round, each with so
+many moves under the same springs before the sites are put back on the surface"""
 MOST = 1_000_000
 """most sites of one lattice"""
 
@@ -80,8 +84,17 @@ def first_site(
     return Lattice(at, heading, np.zeros(1))
 
 
-def fill(body: Body, region: regions.Region, spacing: float, first: Lattice) -> Lattice:
-    """The lattice (spacing in m) all over a region, grown anew in each part that is apart."""
+def fill(
+    body: Body, region: regions.Region, spacing: float, first: Lattice, halvings: int = 0
+) -> Lattice:
+    """The lattice (spacing in m) all over a region, grown anew in each part that is apart.
+
+    With `halvings`, it is grown at 2^halvings times the spacing, and relaxed and halved as often.
+    """
+    if halvings:
+        coarse = fill(body, region, 2.0 * spacing, first, halvings - 1)
+        coarse = relax(body, region, coarse, 2.0 * spacing)
+        return _halve(body, region, coarse, spacing)
     sites = grow(body, region, spacing, first)
     faces = regions.face_points(body, np.arange(len(body.surface.faces)), 1)
     faces = _rows(faces, region.contains(body, faces))
@@ -132,16 +145,62 @@ def grow(
 
 def relax(body: Body, region: regions.Region, sites: Lattice, spacing: float) -> Lattice:
     """Let the sites settle at the spacing (m): fill gaps, thin crowds, relax the springs."""
-    for rounds in range(4):
-        for _ in range(12):
+    for rounds in range(ROUNDS):
+        for _ in range(SETTLINGS):
             sites = _settle(body, region, sites, spacing)
-        if rounds == 3:
-            break
-        sites = sites.take(_uncrowded(sites.at.point, CROWDED * spacing))
-        extra = _propose(body, sites, sites.at.point, spacing, GAP * spacing)
-        extra = extra.take(region.contains(body, extra.at))
-        sites = _join(sites, extra)
+        if rounds < ROUNDS - 1:
+            sites = sites.take(_uncrowded(sites.at.point, CROWDED * spacing))
+            sites = _fill_gaps(body, region, sites, spacing)
     return sites
+
+
+def thin(body: Body, region: regions.Region, sites: Lattice, count: int) -> Lattice:
+    """`count` of the sites: the most crowded ones go, far apart, and the others close up."""
+    spacing = sites.spacing()[0] * float(np.sqrt(len(sites) / count))
+    while len(sites) > count:
+        tree = _tree(sites.at.point)
+        crowd = tree.query(sites.at.point, k=3)[0][:, 1:].sum(axis=1)
+        gone: list[int] = []
+        near_gone = np.zeros(len(sites), dtype=bool)
+        for k in np.argsort(crowd, kind="stable").tolist():
+            if len(gone) == len(sites) - count:
+                break
+            if not near_gone[k]:
+                gone.append(k)
+                near_gone[tree.query_ball_point(sites.at.point[k], 2.5 * spacing)] = True
+        sites = sites.take(np.delete(np.arange(len(sites)), gone))
+        for _ in range(SETTLINGS):
+            sites = _settle(body, region, sites, spacing)
+    return sites
+
+
+def _halve(body: Body, region: regions.Region, coarse: Lattice, spacing: float) -> Lattice:
+    """The lattice of a spacing (m) from that of twice the spacing."""
+    one, two = _ties(coarse, 2.0 * REACH * spacing)
+    at = body.closest(0.5 * (coarse.at.point[one] + coarse.at.point[two]), face=coarse.at.face[one])
+    tangent = _onto(coarse.tangent[one], at.normal)
+    way = 0.5 * (coarse.way[one] + coarse.way[two])
+    inside = region.contains(body, at)
+    sites = _join(coarse, Lattice(at, tangent, way).take(inside))
+    if len(sites) > MOST:
+        raise SkinError("sites of a lattice", value=len(sites), limit=MOST)
+    sites = sites.take(_uncrowded(sites.at.point, CROWDED * spacing))
+    return _fill_gaps(body, region, sites, spacing)
+
+
+def _fill_gaps(body: Body, region: regions.Region, sites: Lattice, spacing: float) -> Lattice:
+    """Sites added wherever one fits beside a site that has fewer than six neighbours."""
+    ends = np.concatenate(_ties(sites, REACH * spacing))
+    lacking = np.flatnonzero(np.bincount(ends, minlength=len(sites)) < 6)
+    extra = _propose(body, sites.take(lacking), sites.at.point, spacing, GAP * spacing)
+    return _join(sites, extra.take(region.contains(body, extra.at)))
+
+
+def _ties(sites: Lattice, reach: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Pairs of sites within reach (m) of each other and on the same side of the body."""
+    one, two = _tree(sites.at.point).query_pairs(reach, output_type="ndarray").T
+    facing = np.einsum("ij,ij->i", sites.at.normal[one], sites.at.normal[two]) > 0.0
+    return one[facing], two[facing]
 
 
 def march(
@@ -191,20 +250,24 @@ def _propose(body: Body, sites: Lattice, taken: Array, spacing: float, clearance
 
 
 def _settle(body: Body, region: regions.Region, sites: Lattice, spacing: float) -> Lattice:
-    """One step under springs of the spacing's length between near sites; none leaves the region."""
-    point = sites.at.point
-    pairs = _tree(point).query_pairs(REACH * spacing, output_type="ndarray")
-    if not len(pairs):
+    """Moves under springs of the spacing's length between near sites; none leaves the region."""
+    point, normal = sites.at.point, sites.at.normal
+    one, two = _ties(sites, REACH * spacing)
+    if not len(one):
         return sites
-    between = point[pairs[:, 1]] - point[pairs[:, 0]]
-    length = np.linalg.norm(between, axis=1)
-    pull = ((length - spacing) / length)[:, None] * between
-    pull[length > spacing] *= 0.5  # pushing apart comes first
-    force = np.zeros_like(point)
-    for k in range(3):
-        force[:, k] = np.bincount(pairs[:, 0], pull[:, k], minlength=len(point))
-        force[:, k] -= np.bincount(pairs[:, 1], pull[:, k], minlength=len(point))
-    after = body.closest(point + 0.25 * force, face=sites.at.face)
+    ends = np.concatenate([one, two])
+    moved = point
+    for _ in range(MOVES):
+        between = moved[two] - moved[one]
+        length = np.sqrt(np.einsum("ij,ij->i", between, between))
+        stretch = 1.0 - spacing / length
+        stretch[stretch > 0] *= 0.5  # pushing apart comes first
+        pull = stretch[:, None] * between
+        pull = np.concatenate([pull, -pull])
+        force = np.stack([np.bincount(ends, p, minlength=len(point)) for p in pull.T], axis=1)
+        force -= np.einsum("ij,ij->i", force, normal)[:, None] * normal
+        moved = moved + 0.25 * force
+    after = body.closest(moved, face=sites.at.face)
     left = ~region.contains(body, after)
     if left.any():
         after = body.closest(np.where(left[:, None], point, after.point), face=sites.at.face)

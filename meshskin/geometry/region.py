@@ -147,12 +147,22 @@ def outermost(body: Body, direction: ArrayLike) -> Closest:
 
 
 def area(body: Body, region: Region) -> float:
-    """Area of a region in m^2: that of the flat faces, each by the share of its 9 parts within."""
+    """Area of a region in m^2: that of the flat faces, each by the share of its parts within.
+
+    Faces at the region's border count by their 9 parts, the others by their middle.
+    """
     surface = body.surface
     a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
     areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    within = region.contains(body, face_points(body, np.arange(len(areas)), 3))
-    return float(areas @ within.reshape(len(areas), -1).mean(axis=1))
+    if isinstance(region, Whole):
+        return float(areas.sum())
+    share = region.contains(body, face_points(body, np.arange(len(areas)), 1)).astype(float)
+    around = share[surface.neighbours]
+    border = np.flatnonzero(np.any((around != share[:, None]) & (surface.neighbours >= 0), axis=1))
+    if len(border):
+        within = region.contains(body, face_points(body, border, 3))
+        share[border] = within.reshape(len(border), -1).mean(axis=1)
+    return float(areas @ share)
 
 
 def face_points(body: Body, faces: NDArray[np.intp], cuts: int) -> Closest:

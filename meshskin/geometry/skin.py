@@ -19,6 +19,10 @@ Array = NDArray[np.float64]
 
 REGULAR = (0.01, 0.03)
 """mean and scatter of the nearest neighbours' distance within which a lattice needs no relaxing"""
+CLOSER = 0.96
+"""spacing of a large relaxed lattice, relative to the perfect one of as many sites on a plane"""
+GROWN = 1500
+"""sites that are grown one by one; a lattice of more is grown coarse, and halved"""
 TRIES = 3
 """lattices grown again, each wider by what the last one missed"""
 
@@ -127,10 +131,11 @@ def _sites(
     Their way is from the region's centre.
     """
     first = lattice.first_site(body, region, spacing, random_stream(seed, "skin layout"))
+    halvings = 0 if count is not None else _halvings(regions.area(body, region), spacing)
 
     def lay(aim: float) -> lattice.Lattice:
         if count is None:
-            return lattice.fill(body, region, aim, first)
+            return lattice.fill(body, region, aim, first, halvings)
         margin = round(4.0 * np.sqrt(count))  # two rings more than needed, trimmed later
         return lattice.grow(body, region, aim, first, count + margin)
 
@@ -146,20 +151,41 @@ def _sites(
             sites = lay(aim)
         else:
             sites = lattice.relax(body, region, sites, aim)
-    way = regions.arc_length(region.centre(body), sites.at)
-    return replace(sites, way=np.maximum(way, sites.way - spacing))
+    return _from_centre(body, region, sites, spacing)
 
 
 def _sites_by_count(
     body: Body, region: regions.Region, count: int, disc_radius: float, seed: int
 ) -> lattice.Lattice:
-    """Sites of the widest spacing tried that gives at least `count` of them."""
-    spacing = float(np.sqrt(2.0 * regions.area(body, region) / (np.sqrt(3.0) * count)))
+    """At least `count` sites: of a lattice too irregular to be trimmed at its end, just so many."""
+    area = regions.area(body, region)
+    spacing = float(np.sqrt(area / (lattice.ROW * count)))
+    if count > GROWN:
+        spacing *= CLOSER
     for _ in range(8):
         spacing = min(spacing, body.surface.scale)
         _check_spacing(body, spacing, disc_radius)
-        sites = _sites(body, region, spacing, seed, None)
+        first = lattice.first_site(body, region, spacing, random_stream(seed, "skin layout"))
+        sites = lattice.fill(body, region, spacing, first, _halvings(area, spacing))
+        if sites.spacing()[1] > REGULAR[1]:
+            sites = lattice.relax(body, region, sites, spacing)
+            if len(sites) > count > 2:
+                sites = lattice.thin(body, region, sites, count)
         if len(sites) >= count:
-            return sites
+            break
         spacing *= 0.995 * float(np.sqrt(len(sites) / count))
-    return sites
+    return _from_centre(body, region, sites, spacing)
+
+
+def _halvings(area: float, spacing: float) -> int:
+    """How often a lattice on an area (m^2) is halved to reach a spacing (m)."""
+    sites = area / (lattice.ROW * spacing**2)
+    return max(0, int(np.ceil(np.log(max(sites, 1.0) / GROWN) / np.log(4.0))))
+
+
+def _from_centre(
+    body: Body, region: regions.Region, sites: lattice.Lattice, spacing: float
+) -> lattice.Lattice:
+    """The same sites, their way from the region's centre."""
+    way = regions.arc_length(region.centre(body), sites.at)
+    return replace(sites, way=np.maximum(way, sites.way - spacing))
