@@ -110,7 +110,7 @@ def _joint(data: Measurements, belief: Belief) -> dict[str, Any]:
             "pressure of each reading",
             *silent,
             SURFACE,
-            f"E* within a factor {np.exp(joint.MODULUS_PRIOR):.1f} of its nominal value (1 sigma)",
+            *found.data.shared.prior_words(),
         ),
     }
 

@@ -45,6 +45,11 @@ class Charts:
         sag = 0.5 * np.einsum("ni,nij,nj->n", y, self.shape, y)
         return self.points + np.einsum("nij,nj->ni", self.tangents, y) - self.normals * sag[:, None]
 
+    def slope(self, y: Array) -> Array:
+        """dx/dy (n, 3, 2) at the coordinates `y` (n, 2), m."""
+        sag = np.einsum("nij,nj->ni", self.shape, y)
+        return np.asarray(self.tangents - self.normals[:, :, None] * sag[:, None, :])
+
 
 def about(body: Body, points: Array, reference: Array | None = None) -> Charts:
     """Charts about the surface points closest to `points` (n, 3), body frame, m.
@@ -59,6 +64,16 @@ def about(body: Body, points: Array, reference: Array | None = None) -> Charts:
     slope = (around[:, :2] - around[:, 2:]) / (2 * STEP)  # dn along each tangent
     shape = np.einsum("nai,nib->nab", slope, tangents)
     return Charts(hit.point, hit.normal, tangents, (shape + shape.transpose(0, 2, 1)) / 2)
+
+
+def carried(body: Body, points: Array, reference: Array, old: Charts) -> Charts:
+    """Charts about the surface points closest to `points` (n, 3), m, near charts `old`.
+
+    The tangents continue the frames `reference` (n, 3, 3); the shape operators are the old ones.
+    """
+    hit = body.closest(points)
+    rotation = carry(reference, hit.normal)
+    return Charts(hit.point, hit.normal, rotation[:, :, :2], old.shape)
 
 
 def turn(source: Array, target: Array) -> Array:

@@ -1,283 +1,225 @@
-"""The likelihood of all readings as a CasADi NLP: built once, solved for any charts.
+"""The likelihood of all readings: its value, gradient and Gauss-Newton Hessian, taxel by taxel.
 
-Each reading's cost, gradient and Hessian come from the compiled pressure factor, mapped over the
-readings; unknowns are gathered with `.nz`, derivatives scattered by constant sparse products, so
-that CasADi differentiates nothing. The charts are parameters: anchoring anew needs no rebuild.
+Each taxel's unknowns are here its position x (3), in the body frame, its declared gain and offset;
+then come the shared unknowns. How x depends on coordinates in a chart or on a module's pose is not
+known here (places.py). Readings are sorted by taxel and taken in blocks that stay in the cache.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from ..errors import CalibrationError
 from ..se3 import Array
-from .chart import Charts
-from .measurements import SPARE, Measurements, near_pairs, pair_numbers
-from .pressure import LOWER, PARAMETERS, kernel, parameters
+from .factors.pressure import HEARD, SATURATED, SILENT, costs, mean_pressure
+from .factors.shared import Contacts, Shared
+from .measurements import SPARE, Measurements, reach, silent_pairs
 
 CLEAR = 5.0
 """Pressure, relative to the noise, above which a reading out of reach is kept: it is a misfit."""
-PROXIMITY = 0.1
-"""Scale, m, of a quadratic cost of leaving the chart's origin. It keeps a taxel that no reading
-holds from a singular system, and vanishes as the charts are anchored anew."""
-DECREMENT = 1e-6
-"""Largest Newton decrement, in units of the cost, at which a solution is believed."""
-# The gradient is in units of the noise: 1e-3 is a step of some 1e-11 m, and below it the cost, of
-# the order of the number of readings, no longer shows a decrease.
-IPOPT: dict[str, object] = {
-    "tol": 1e-3,
-    "max_iter": 60,
-    "nlp_scaling_method": "none",
-    "mumps_pivtol": 0.0,
-    "mumps_permuting_scaling": 0,
-    "mumps_scaling": 0,
-    "min_refinement_steps": 0,
-    "max_refinement_steps": 0,
-    "print_level": 0,
-    "sb": "yes",
-}
+BLOCK = 8192
+"""Readings of a block."""
 
 
 @dataclass(frozen=True)
-class Solution:
-    """What one solve returned, after the check of its Newton decrement."""
+class Readings:
+    """k readings of n taxels, sorted by taxel."""
 
-    coordinates: Array
-    """(n, 2) in the charts, m."""
-    log_modulus: float
-    """ln(E* / nominal E*)."""
-    path: tuple[Array, ...]
-    """Coordinates (n, 2), m, after each iteration, the start first."""
+    contact: np.ndarray
+    """Row (k,) of the contact."""
+    taxel: np.ndarray
+    """Row (k,) of the taxel, rising."""
+    level: Array
+    """Pressure, threshold or end of the range (k,), Pa."""
+    kind: np.ndarray
+    """HEARD, SILENT or SATURATED (k,)."""
+    source: np.ndarray
+    """Row (k,) of the measurement; -1 for a silent reading."""
+    weight: Array
+    """Weight (k,); 0 takes a reading out."""
+    starts: np.ndarray
+    """First reading (n + 1,) of each taxel, and k."""
 
+    @classmethod
+    def none(cls) -> Readings:
+        """No readings of no taxels."""
+        empty = np.empty(0, dtype=int)
+        return cls(empty, empty, np.empty(0), empty, empty, np.empty(0), np.zeros(1, dtype=int))
 
-@dataclass(frozen=True)
-class Normal:
-    """The normal equations at a point: blocks of the taxels, and the shared unknown e."""
-
-    position: Array
-    """(n, 2, 2), 1/m^2."""
-    coupling: Array
-    """(n, 2), 1/m."""
-    modulus: float
-    """Information on e, the prior's included."""
-    gradient: Array
-    """Of the cost (n, 2), 1/m."""
-    gradient_e: float
-    """Of the cost by e."""
-    cost2: Array
-    """Sum of squared residuals of each taxel's readings (n,)."""
-    counts: np.ndarray
-    """Readings of each taxel (n,)."""
-
-    @property
-    def chi2(self) -> Array:
-        """Squared residuals per degree of freedom (n,); NaN with none left."""
-        freedom = self.counts - 2
-        return self.cost2 / np.where(freedom > 0, freedom, np.nan)
-
-    @property
-    def freedom(self) -> int:
-        """Readings less unknowns."""
-        return int(self.counts.sum()) - 2 * len(self.counts) - 1
-
-    def covariance(self) -> tuple[Array, float]:
-        """Covariances (n, 2, 2), m^2, and variance of e, by the Schur complement of e."""
-        inverse = np.linalg.inv(self.position)
-        lever = np.einsum("nij,nj->ni", inverse, self.coupling)
-        variance = 1.0 / (self.modulus - np.einsum("ni,ni->", lever, self.coupling))
-        return inverse + variance * lever[:, :, None] * lever[:, None, :], float(variance)
-
-    def decrement(self) -> float:
-        """Newton decrement g^T H^-1 g / 2: the cost still to be gained."""
-        solved = np.linalg.solve(self.position, self.gradient[:, :, None])[:, :, 0]
-        _, variance = self.covariance()
-        rest = self.gradient_e - np.einsum("ni,ni->", solved, self.coupling)
-        total = np.einsum("ni,ni->", solved, self.gradient) + variance * rest**2
-        return float(total) / 2
+    def of(self, taxels: np.ndarray) -> np.ndarray:
+        """Rows of the readings of some taxels, in their order."""
+        count = self.starts[taxels + 1] - self.starts[taxels]
+        shift = np.repeat(self.starts[taxels] - np.cumsum(count) + count, count)
+        return np.asarray(shift + np.arange(count.sum()))
 
 
-class Likelihood:
-    """The NLP over the taxels `live` (rows of data.ids) near the points `about` (n, 3) and ln E*.
+def select(
+    data: Measurements, live: np.ndarray, points: Array, log_radius: float, weight: Array
+) -> Readings:
+    """The readings that say something of the taxels `live` (rows of data.ids), near `points`.
 
-    With known noise, silent readings in reach are censored; readings out of reach that are no more
-    than noise say nothing and are left out. What is in reach is judged at `about` and `e`.
+    With known noise, silent readings in reach are censored, and readings out of reach that are no
+    more than noise are left out. `log_radius`: that of the patches over the nominal; `weight` (k,)
+    of the measurements.
     """
+    place = np.full(len(data.ids), -1)
+    place[live] = np.arange(len(live))
+    mine = np.flatnonzero(place[data.taxel] >= 0)
+    silent_contact = silent_taxel = np.empty(0, dtype=int)
+    stretch = float(np.exp(log_radius))
+    if data.noise:
+        contact, taxel = data.contact[mine], place[data.taxel[mine]]
+        offset = points[taxel] - data.points[contact]
+        height = np.einsum("ki,ki->k", offset, data.normals[contact])
+        across2 = np.einsum("ki,ki->k", offset, offset) - height**2
+        inside = across2 < (reach(data, stretch)[contact] + SPARE) ** 2
+        mine = mine[inside | (data.pressure[mine] > CLEAR * data.noise)]
+        silent_contact, silent_taxel = silent_pairs(data, live, points, stretch)
+    none = np.full(len(silent_contact), -1)
+    contact = np.concatenate([data.contact[mine], silent_contact])
+    taxel = np.concatenate([place[data.taxel[mine]], silent_taxel])
+    heard = np.where(data.pressure[mine] < data.saturation, HEARD, SATURATED)
+    level = np.concatenate(
+        [np.minimum(data.pressure[mine], data.saturation), np.full(len(none), data.threshold)]
+    )
+    order = np.argsort(taxel, kind="stable")
+    return Readings(
+        contact=contact[order],
+        taxel=taxel[order],
+        level=level[order],
+        kind=np.concatenate([heard, np.full(len(none), SILENT)]).astype(np.int8)[order],
+        source=np.concatenate([mine, none])[order],
+        weight=np.concatenate([weight[mine], np.ones(len(none))])[order],
+        starts=np.searchsorted(taxel[order], np.arange(len(live) + 1)),
+    )
 
-    def __init__(
-        self, data: Measurements, live: np.ndarray, about: Array, e: float, modulus_prior: float
+
+@dataclass
+class Moments:
+    """Cost and derivatives of n taxels in their C unknowns: x (3), gain, offset, then shared."""
+
+    cost: Array
+    """(n,)."""
+    gradient: Array
+    """(n, C)."""
+    hessian: Array
+    """(n, C, C)."""
+    square: Array
+    """Sum of the squared residuals (n,) of heard readings, weighted."""
+
+    @classmethod
+    def zeros(cls, n: int, size: int) -> Moments:
+        """All zero."""
+        return cls(np.zeros(n), np.zeros((n, size)), np.zeros((n, size, size)), np.zeros(n))
+
+    def put(self, rows: np.ndarray, other: Moments) -> None:
+        """Take over `other` for the taxels `rows`."""
+        self.cost[rows], self.gradient[rows] = other.cost, other.gradient
+        self.hessian[rows], self.square[rows] = other.hessian, other.square
+
+    def take(self, rows: np.ndarray) -> Moments:
+        """Those of the taxels `rows`."""
+        return Moments(self.cost[rows], self.gradient[rows], self.hessian[rows], self.square[rows])
+
+
+@dataclass(frozen=True)
+class Likelihood:
+    """The readings under the contact model; positions and contacts are given at each evaluation."""
+
+    data: Measurements
+    readings: Readings
+    shared: Shared
+
+    def moments(
+        self, rows: np.ndarray, points: Array, extras: Array, contacts: Contacts
+    ) -> Moments:
+        """Of the taxels `rows`, at their points (r, 3), m, and gain and offset (r, extras)."""
+        size = 3 + extras.shape[1] + len(self.shared.sigma)
+        out = Moments.zeros(len(rows), size)
+        count = self.readings.starts[rows + 1] - self.readings.starts[rows]
+        ends = np.cumsum(count)
+        begin = 0
+        while begin < len(rows):
+            before = ends[begin] - count[begin]
+            end = max(int(np.searchsorted(ends, before + BLOCK, side="right")), begin + 1)
+            part = slice(begin, end)
+            self._block(out, part, self.readings.of(rows[part]), count[part], points, extras,
+                        contacts)  # fmt: skip
+            begin = end
+        for k, sigma in enumerate(self.local_sigma):
+            out.cost += (extras[:, k] / sigma) ** 2 / 2
+            out.gradient[:, 3 + k] += extras[:, k] / sigma**2
+            out.hessian[:, 3 + k, 3 + k] += sigma**-2
+        return out
+
+    @property
+    def local_sigma(self) -> tuple[float, ...]:
+        """Priors of ln gain, and of the offset in units of the noise."""
+        unit = {"gain": 1.0, "offset": self.data.sigma}
+        names = self.shared.local_names
+        return tuple(s / unit[name] for name, s in zip(names, self.shared.local_sigma, strict=True))
+
+    def _block(
+        self,
+        out: Moments,
+        part: slice,
+        k: np.ndarray,
+        count: np.ndarray,
+        points: Array,
+        extras: Array,
+        contacts: Contacts,
     ) -> None:
-        self.data, self.about, self.e = data, about, e
-        self.length = float(np.median(data.radii))
-        self.prior = modulus_prior**-2
-        place = np.full(len(data.ids), -1)
-        place[live] = np.arange(len(live))
-        mine = place[data.taxel] >= 0
-        self.silent = _none()
-        if data.noise:
-            near = near_pairs(data, about, float(np.exp(-e / 3)))
-            reached = pair_numbers(data, near[0], live[near[1]])
-            heard = pair_numbers(data, data.contact, data.taxel)
-            quiet = ~np.isin(reached, heard)
-            self.silent = near[0][quiet], near[1][quiet]
-            mine &= np.isin(heard, reached) | (data.pressure > CLEAR * data.noise)
-        self.active = data.contact[mine], place[data.taxel[mine]]
-        self.pressure = data.pressure[mine]
-        self._build(len(live))
+        """Add the readings `k` of the taxels `part` of `out`."""
+        some = np.flatnonzero(count)
+        if not len(some):
+            return
+        owner = np.repeat(np.arange(len(count)), count)
+        read = self.readings
+        mu, jacobian = self.predict(read.contact[k], points[part][owner], extras[part][owner],
+                                    contacts)  # fmt: skip
+        level = read.level[k] / self.data.sigma
+        cost, rate, curvature = costs(mu, level, read.kind[k])
+        weight = read.weight[k]
+        starts = (np.cumsum(count) - count)[some]
+        square = np.where(read.kind[k] == HEARD, (mu - level) ** 2, 0.0)
+        rows = np.arange(part.start, part.stop)[some]
+        out.cost[rows] += np.add.reduceat(weight * cost, starts)
+        out.square[rows] += np.add.reduceat(weight * square, starts)
+        out.gradient[rows] += np.add.reduceat(jacobian * (weight * rate), starts, axis=1).T
+        scaled = jacobian * (weight * curvature)
+        for r in range(len(jacobian)):
+            lower = np.add.reduceat(scaled[: r + 1] * jacobian[r], starts, axis=1).T
+            out.hessian[rows, r, : r + 1] += lower
+            out.hessian[rows, :r, r] += lower[:, :r]
 
-    def covers(self, charts: Charts, e: float) -> bool:
-        """Whether what was judged to be in reach still is, with SPARE to spare."""
-        moved = float(np.linalg.norm(charts.points - self.about, axis=1).max())
-        grown = float(self.data.radii.max()) * abs(np.exp(-e / 3) - np.exp(-self.e / 3))
-        return moved + grown < SPARE / 2
-
-    def _build(self, n: int) -> None:
-        x = ca.MX.sym("x", 2 * n + 1)
-        kinds = [("active", self.active), ("silent", self.silent)]
-        p = ca.MX.sym("p", PARAMETERS * sum(len(taxel) for _, (_, taxel) in kinds))
-        weights = np.full(2 * n + 1, (self.length / PROXIMITY) ** 2)
-        weights[-1] = self.prior
-        gradient = ca.DM(weights) * x
-        value = ca.dot(x, gradient) / 2
-        sparsity, place = _pattern(n)
-        entries = ca.MX(ca.project(ca.diag(ca.DM(weights)), sparsity).nz[:])
-        cost, begin = value, 0
-        for kind, (_, taxel) in kinds:
-            k = len(taxel)
-            if not k:
-                continue
-            own = np.stack([2 * taxel, 2 * taxel + 1, np.full(k, 2 * n)], axis=1)
-            local = ca.reshape(x.nz[own.ravel().tolist()], 3, k)
-            q = ca.reshape(p[begin : begin + PARAMETERS * k], PARAMETERS, k)
-            begin += PARAMETERS * k
-            one = kernel(kind)
-            value += ca.sum2(one.value.map(k)(local, q))
-            costs, slopes = one.gradient.map(k)(local, q)
-            cost += ca.sum2(costs)
-            gradient += _scatter(own.ravel(), 2 * n + 1) @ ca.vec(slopes)
-            entries += _scatter(place[taxel].ravel(), sparsity.nnz()) @ ca.vec(
-                one.hessian.map(k)(local, q)
+    def predict(
+        self, contact: np.ndarray, points: Array, extras: Array, contacts: Contacts
+    ) -> tuple[Array, Array]:
+        """mu (k,) in units of the noise, and its derivatives (C, k) in all unknowns."""
+        offset = points - contacts.points[contact]
+        mean, by_point, by_radius = mean_pressure(
+            offset, contacts.normals[contact], contacts.radii[contact], self.data.disc
+        )
+        names = self.shared.local_names
+        peak = contacts.peaks[contact] / self.data.sigma
+        if "gain" in names:
+            peak = peak * np.exp(extras[:, names.index("gain")])
+        mu = peak * mean
+        jacobian = np.empty((3 + extras.shape[1] + len(self.shared.sigma), len(mu)))
+        jacobian[:3] = peak * by_point.T
+        for row, name in enumerate(names, 3):
+            jacobian[row] = mu if name == "gain" else 1.0
+        first = 3 + len(names)
+        by_log_radius = peak * by_radius
+        for row in range(len(self.shared.sigma)):
+            jacobian[first + row] = (
+                by_log_radius * contacts.log_radius[contact, row]
+                + mu * contacts.log_peak[contact, row]
             )
-        factor, none = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
-        hessian = factor * ca.MX(sparsity, entries)
-        self._nlp = {"x": x, "p": p, "f": value}
-        self._options: dict[str, Any] = {
-            "grad_f": ca.Function("gradient", [x, p], [cost, gradient]),
-            "hess_lag": ca.Function("hessian", [x, p, factor, none], [hessian.T]),
-            "no_nlp_grad": True,
-            "calc_f": False,
-            "calc_g": False,
-            "calc_lam_x": False,
-            "calc_lam_p": False,
-            "print_time": False,
-            "ipopt": IPOPT,
-        }
-        self._path = _Path(2 * n + 1, p.shape[0])
-        self._solver = ca.nlpsol(
-            "joint", "ipopt", self._nlp, {**self._options, "iteration_callback": self._path}
-        )
-
-    def _parameters(self, charts: Charts) -> tuple[Array, Array]:
-        data, length = self.data, self.length
-        return (
-            parameters(data, charts, *self.active, self.pressure, length),
-            parameters(data, charts, *self.silent, data.threshold, length),
-        )
-
-    def solve(self, charts: Charts, e: float) -> Solution:
-        """Minimise from the charts' origins. Raises CalibrationError without convergence."""
-        n = len(charts.points)
-        p = np.concatenate([part.ravel(order="F") for part in self._parameters(charts)])
-        self._path.points.clear()
-        found = self._solver(x0=np.append(np.zeros(2 * n), e), p=p)["x"].full().ravel()
-        y, e = self.length * found[:-1].reshape(n, 2), float(found[-1])
-        left = self.normal(charts, e, y).decrement()
-        if not left < max(DECREMENT, 1e-9 * len(self.pressure)):
-            raise CalibrationError(
-                "the joint estimate did not converge",
-                value=f"Newton decrement {left:.3g}, {self._solver.stats()['return_status']}",
-                limit=DECREMENT,
-                remedy="check the contact model, the noise and the units of force and pressure",
-            )
-        path = (self.length * q[:-1].reshape(n, 2) for q in self._path.points)
-        return Solution(y, e, tuple(path))
-
-    def normal(self, charts: Charts, e: float, y: Array | None = None) -> Normal:
-        """The normal equations at coordinates `y` (n, 2), m, by default the charts' origins."""
-        n = len(charts.points)
-        y = np.zeros((n, 2)) if y is None else y
-        h, g = np.zeros((n, 3, 3)), np.zeros((n, 3))
-        cost2 = np.zeros(n)
-        kinds = (("active", self.active), ("silent", self.silent))
-        for (kind, (_, taxel)), p in zip(kinds, self._parameters(charts), strict=True):
-            k = len(taxel)
-            if not k:
-                continue
-            local = np.vstack([y[taxel].T / self.length, np.full(k, e)])
-            one = kernel(kind)
-            residual, jacobian, curvature = (v.full() for v in one.residual.map(k)(local, p))
-            slope = one.gradient.map(k)(local, p)[1].full()
-            for r in range(3):
-                g[:, r] += np.bincount(taxel, slope[r], n)
-                for c in range(3):
-                    h[:, r, c] += np.bincount(taxel, curvature[0] * jacobian[r] * jacobian[c], n)
-            if kind == "active":
-                cost2 += np.bincount(taxel, residual[0] ** 2, n)
-        unit = self.length
-        return Normal(
-            position=h[:, :2, :2] / unit**2 + np.eye(2) / PROXIMITY**2,
-            coupling=h[:, :2, 2] / unit,
-            modulus=float(h[:, 2, 2].sum()) + self.prior,
-            gradient=g[:, :2] / unit + y / PROXIMITY**2,
-            gradient_e=float(g[:, 2].sum()) + self.prior * e,
-            cost2=cost2,
-            counts=np.bincount(self.active[1], minlength=n),
-        )
-
-
-class _Path(ca.Callback):
-    """Keeps the unknowns of every iteration."""
-
-    def __init__(self, unknowns: int, parameters: int) -> None:
-        ca.Callback.__init__(self)
-        self.unknowns, self.parameters = unknowns, parameters
-        self.points: list[Array] = []
-        self.construct("path", {})
-
-    def get_n_in(self) -> int:
-        return int(ca.nlpsol_n_out())
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_sparsity_in(self, i: int) -> Any:
-        name = ca.nlpsol_out(i)
-        size = {"f": 1, "x": self.unknowns, "lam_x": self.unknowns, "lam_p": self.parameters}
-        return ca.Sparsity.dense(size.get(name, 0))
-
-    def eval(self, arg: Any) -> list[int]:
-        self.points.append(arg[0].full().ravel())
-        return [0]
-
-
-def _none() -> tuple[np.ndarray, np.ndarray]:
-    return np.empty(0, dtype=int), np.empty(0, dtype=int)
-
-
-def _scatter(rows: np.ndarray, height: int) -> ca.DM:
-    """Constant 0/1 matrix that adds each entry of a vector to its row."""
-    columns = np.arange(len(rows))
-    return ca.DM(ca.Sparsity.triplet(height, len(rows), rows.tolist(), columns.tolist()), 1.0)
-
-
-def _pattern(n: int) -> tuple[ca.Sparsity, np.ndarray]:
-    """Sparsity of the Hessian's lower triangle; each taxel's places (n, 6) in its nonzeros."""
-    own = np.stack([2 * np.arange(n), 2 * np.arange(n) + 1, np.full(n, 2 * n)], axis=1)
-    rows, columns = (own[:, [pair[i] for pair in LOWER]] for i in (0, 1))
-    keys, place = np.unique(columns * (2 * n + 1) + rows, return_inverse=True)
-    starts = np.searchsorted(keys, (2 * n + 1) * np.arange(2 * n + 2))
-    sparsity = ca.Sparsity(2 * n + 1, 2 * n + 1, starts.tolist(), (keys % (2 * n + 1)).tolist())
-    return sparsity, place.reshape(n, 6)
+            if contacts.moves is not None:
+                moved = contacts.moves[contact, :, row]
+                jacobian[first + row] -= np.einsum("ik,ki->k", jacobian[:3], moved)
+        if "offset" in names:
+            mu = mu + extras[:, names.index("offset")]
+        return mu, jacobian

@@ -13,6 +13,7 @@ from ..physics import contact
 from ..physics.contact import hertz
 from ..physics.contact.disc import disc_slope, invert_disc_mean
 from ..se3 import Array
+from .factors.shared import MODULUS, Shared, declared
 
 if TYPE_CHECKING:
     from ..recording import Recording
@@ -21,8 +22,12 @@ if TYPE_CHECKING:
 NOMINAL_NOISE = 0.01
 """Standard deviation that weights the readings when none is known, relative to the median peak."""
 
-SPARE = 1e-3
+SPARE = 0.4e-3
 """Reach beyond patch and disc within which a taxel may be read, m."""
+QUIET = 4.0
+"""Sigmas below the threshold beyond which a silent reading says nothing: 1e-3 of a heard one."""
+CHUNK = 8192
+"""Taxels whose contacts are looked for at once."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,18 @@ class Measurements:
     """Known standard deviation of a reading, Pa, or None."""
     threshold: float
     """Pressures up to this are silent, Pa."""
+    force: Array
+    """Measured forces (m,), N."""
+    height: Array
+    """Height (m,) of the indenter's centre over the contact point, m."""
+    saturation: float = np.inf
+    """Readings of this and more are at the end of the sensor's range, Pa."""
+    shared: Shared = MODULUS
+    """What is unknown beside the taxels."""
+    headings: Array | None = None
+    """World from body rotations (m, 3, 3), where known."""
+    slots: Array | None = None
+    """Places (slots, 3), m, of the taxels of rigid modules, in the module's frame."""
 
     @property
     def sigma(self) -> float:
@@ -102,12 +119,13 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     row = np.cumsum(pressed) - 1
     relative = hertz.relative_radius(curvature, belief.indenter.radius)
     radii = hertz.contact_radius(force, relative, modulus)
+    peaks = hertz.peak_pressure(force, radii)
     return Measurements(
         ids=np.asarray(belief.taxel_ids),
         points=recording.points[pressed],
         normals=hit.normal[pressed],
         radii=radii,
-        peaks=hertz.peak_pressure(force, radii),
+        peaks=peaks,
         modulus=float(modulus),
         disc=belief.disc_radius,
         contact=row[recording.reading_contact][heard],
@@ -115,6 +133,14 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         pressure=recording.pressure[heard],
         noise=belief.noise_sigma,
         threshold=belief.threshold,
+        force=force,
+        height=belief.indenter.radius - radii**2 / relative,
+        saturation=belief.saturation or np.inf,
+        shared=declared(
+            belief.unknown, belief.priors, belief.force_reference, float(np.median(peaks))
+        ),
+        slots=belief.module_slots,
+        headings=None if belief.headings is None else np.asarray(belief.headings)[pressed],
     )
 
 
@@ -167,27 +193,49 @@ def _check_range(force: Array, curvature: Array, belief: Belief) -> None:
         )
 
 
-def near_pairs(
-    data: Measurements, points: Array, stretch: float = 1.0
-) -> tuple[np.ndarray, np.ndarray]:
-    """Contacts and taxels (rows of `points`) whose patch and disc may overlap, SPARE included.
+def reach(data: Measurements, stretch: float = 1.0) -> Array:
+    """Distance (m,), m, across the contact at which patch and disc part.
 
     `stretch`: contact radii relative to those at nominal E*.
     """
+    return stretch * data.radii + data.disc
+
+
+def near_pairs(data: Measurements, points: Array, radius: Array) -> tuple[np.ndarray, np.ndarray]:
+    """Contacts and taxels (rows of `points`) less than `radius` (m,) apart across the normal, m."""
     from scipy.spatial import cKDTree
 
-    radii = stretch * data.radii + data.disc + SPARE
-    # The distance in space exceeds the one in the contact's plane: half as much again suffices.
-    near = cKDTree(data.points).query_ball_point(points, 1.5 * radii.max(), return_sorted=False)
-    taxel = np.repeat(np.arange(len(points)), [len(rows) for rows in near])
-    contact = np.concatenate([np.asarray(rows, dtype=int) for rows in near])
-    offset = points[taxel] - data.points[contact]
-    height = np.einsum("ki,ki->k", offset, data.normals[contact])
-    across = np.einsum("ki,ki->k", offset, offset) - height**2
-    keep = across < radii[contact] ** 2
-    return contact[keep], taxel[keep]
+    # The distance in space exceeds the one across: a quarter as much again suffices.
+    furthest = 1.25 * float(radius.max())
+    tree = cKDTree(data.points)
+    found: list[tuple[np.ndarray, np.ndarray]] = []
+    for begin in range(0, len(points), CHUNK):
+        part = cKDTree(points[begin : begin + CHUNK])
+        pairs = part.sparse_distance_matrix(tree, furthest, output_type="ndarray")
+        taxel, contact = pairs["i"] + begin, pairs["j"]
+        offset = points[taxel] - data.points[contact]
+        height = np.einsum("ki,ki->k", offset, data.normals[contact])
+        keep = pairs["v"] ** 2 - height**2 < radius[contact] ** 2
+        found.append((contact[keep], taxel[keep]))
+    contacts, taxels = zip(*found, strict=True)
+    return np.concatenate(contacts), np.concatenate(taxels)
 
 
-def pair_numbers(data: Measurements, contact: np.ndarray, taxel: np.ndarray) -> np.ndarray:
-    """One number for each pair of a contact and a taxel (row of data.ids)."""
-    return np.asarray(contact * len(data.ids) + taxel)
+def silent_pairs(
+    data: Measurements, live: np.ndarray, points: Array, stretch: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Contacts and taxels (rows of `live`, at `points`) whose silence says something.
+
+    Where the pressure to expect is more than `QUIET` sigma below the threshold, it says nothing.
+    """
+    level = np.maximum(data.threshold - QUIET * data.sigma, 0.0) / (data.peaks * stretch**-2)
+    a = stretch * data.radii
+    radius = a * invert_disc_mean(level, data.disc / a, tolerance=1e-3) + SPARE
+    contact, taxel = near_pairs(data, points, radius)
+    number = live[taxel] * len(data.points) + contact
+    heard = np.sort(data.taxel * len(data.points) + data.contact)
+    if len(heard):
+        found = heard[np.minimum(np.searchsorted(heard, number), len(heard) - 1)]
+        quiet = found != number
+        contact, taxel = contact[quiet], taxel[quiet]
+    return contact, taxel

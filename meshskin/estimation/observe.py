@@ -15,8 +15,9 @@ from ..errors import CalibrationError
 from ..se3 import Array
 from . import chart
 from .displacements import lever
-from .measurements import gather, near_pairs
-from .pressure import kernel, parameters
+from .factors.shared import Shared, anchored
+from .likelihood import Likelihood, Readings
+from .measurements import SPARE, Measurements, gather, near_pairs, reach
 
 if TYPE_CHECKING:
     from ..geometry.body import Body
@@ -34,12 +35,20 @@ SPIN = 5
 
 @dataclass(frozen=True)
 class Bound:
-    """The Cramér-Rao bound of n taxels, E* being unknown too."""
+    """The Cramér-Rao bound of n taxels, all that the belief declares being unknown too."""
 
     covariance: Array
     """(n, 2, 2), m^2, in the taxels' tangent planes; inf on the diagonal where unbounded."""
-    modulus_sigma: float
-    """Least standard deviation of ln E*."""
+    shared_sigma: Array
+    """Least standard deviations (ks,) of the shared unknowns, their priors included."""
+    shared: Shared
+    """Which these are."""
+
+    @property
+    def modulus_sigma(self) -> float:
+        """Least standard deviation of ln E*; 0 where E* is known."""
+        at = self.shared.columns
+        return float(self.shared_sigma[at["modulus"]][0]) if "modulus" in at else 0.0
 
     @property
     def expected(self) -> Array:
@@ -82,33 +91,53 @@ def cramer_rao(recording: Recording, belief: Belief, skin: Skin) -> Bound:
     if missing:
         raise CalibrationError("the true skin lacks taxels", value=f"ids {missing[:5]}")
     points = skin.positions[[order[int(k)] for k in data.ids]]
-    n = len(points)
-    charts = chart.about(belief.body, points)
-    contact, taxel = near_pairs(data, points)
-    p = parameters(data, charts, contact, taxel, 0.0, 1.0)
-    mean, slope, _ = (
-        value.full() for value in kernel("active").residual.map(len(taxel))(np.zeros((3, 1)), p)
-    )
-    weight = censored_information(data.threshold / data.sigma - mean[0])
-    h = np.zeros((n, 3, 3))
-    for r in range(3):
-        for c in range(3):
-            h[:, r, c] = np.bincount(taxel, weight * slope[r] * slope[c], n)
-    return _bound(h)
+    contact, taxel = near_pairs(data, points, reach(data) + SPARE)
+    h = _information(data, belief.body, points, contact, taxel)
+    return _bound(h, data.shared)
 
 
-def _bound(h: Array) -> Bound:
-    """The bound of information blocks (n, 3, 3) on (y, ln E*), ln E* shared."""
+def _information(
+    data: Measurements, body: Body, points: Array, contact: np.ndarray, taxel: np.ndarray
+) -> Array:
+    """Expected information (n, c, c) on the two coordinates, the taxel's and the shared unknowns of
+    the pairs, at their nominal values.
+    """
+    charts = chart.about(body, points)
+    shared = data.shared
+    contacts = anchored(shared, data, body, np.zeros(len(shared.sigma)))
+    order = np.argsort(taxel, kind="stable")
+    contact, taxel = contact[order], taxel[order]
+    model = Likelihood(data, Readings.none(), shared)
+    extras = np.zeros((len(taxel), len(shared.local_names)))
+    mu, slope = model.predict(contact, points[taxel], extras, contacts.at(contacts.about))
+    weight = censored_information(data.threshold / data.sigma - mu)
+    slope = np.concatenate([np.einsum("kia,ik->ak", charts.tangents[taxel], slope[:3]), slope[3:]])
+    size = len(slope)
+    h = np.zeros((len(points), size, size))
+    for r in range(size):
+        for c in range(r + 1):
+            h[:, r, c] = h[:, c, r] = np.bincount(taxel, weight * slope[r] * slope[c], len(points))
+    for k, sigma in enumerate(model.local_sigma, 2):
+        h[:, k, k] += sigma**-2
+    return h
+
+
+def _bound(h: Array, shared: Shared) -> Bound:
+    """The bound of information blocks (n, c, c), whose last rows are the shared unknowns'."""
+    local = h.shape[1] - len(shared.sigma)
     size = np.trace(h[:, :2, :2], axis1=1, axis2=2)
     least = np.linalg.eigvalsh(h[:, :2, :2])[:, 0]
     seen = least > 1e-9 * max(float(size.max(initial=0.0)), 1e-300)
     covariance = np.tile(np.diag([np.inf, np.inf]), (len(h), 1, 1))
-    inverse = np.linalg.inv(h[seen, :2, :2])
-    lift = np.einsum("nij,nj->ni", inverse, h[seen, :2, 2])
-    rest = h[seen, 2, 2].sum() - np.einsum("ni,ni->", lift, h[seen, :2, 2])
-    variance = 1.0 / rest if rest > 0 else np.inf
-    covariance[seen] = inverse + variance * lift[:, :, None] * lift[:, None, :]
-    return Bound(covariance, float(np.sqrt(variance)))
+    inverse = np.linalg.inv(h[seen, :local, :local])
+    lift = inverse @ h[seen, :local, local:]
+    rest = h[seen, local:, local:].sum(axis=0) - np.einsum(
+        "nik,nil->kl", h[seen, :local, local:], lift
+    )
+    common = np.linalg.inv(rest + np.diag(shared.sigma**-2))
+    full = inverse + lift @ common @ np.swapaxes(lift, 1, 2)
+    covariance[seen] = full[:, :2, :2]
+    return Bound(covariance, np.sqrt(np.diag(common)), shared)
 
 
 def censored_information(c: Array) -> Array:

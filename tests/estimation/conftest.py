@@ -97,6 +97,11 @@ class World:
             "force_reference": FORCE,
             "noise_sigma": None if sigma is None else sigma * self.peak_reference,
             "threshold": threshold * self.peak_reference,
+            "saturation": None,
+            "unknown": ("modulus",),
+            "priors": {},
+            "headings": None,
+            "module_slots": None,
         }
         return SimpleNamespace(**fields | changes)
 

@@ -1,76 +1,137 @@
 """The pressure factor against the world's readings, finite differences and scipy."""
 
-import casadi as ca
 import numpy as np
 import pytest
 from scipy.special import log_ndtr
 
-from meshskin.estimation import chart
-from meshskin.estimation.measurements import gather, near_pairs
-from meshskin.estimation.pressure import LOWER, _censored, kernel, parameters
+from meshskin.errors import CalibrationError, UnknownNameError
+from meshskin.estimation.factors.pressure import censored, costs, mean_pressure
+from meshskin.estimation.factors.shared import PRIORS, Contacts, anchored, declared
+from meshskin.estimation.likelihood import Likelihood, Readings
+from meshskin.estimation.measurements import gather, near_pairs, reach
+from meshskin.physics.contact.disc import disc_mean
+
+EVERY = ("modulus", "gain", "offset", "force_scale", "force_offset", "indenter_offset")
 
 
 @pytest.fixture(scope="module")
 def case(world):
-    """Pairs near each other, their true pressures, and the kernel's parameters at the truth."""
-    data = gather(world.record(), world.belief())
-    contact, taxel = (v[::23] for v in near_pairs(data, world.truth))
+    """Measurements with every unknown, and pairs of contacts and taxels near each other."""
+    headings = np.broadcast_to(np.eye(3), (len(world.points), 3, 3))
+    unknown = (*EVERY, "body_offset")
+    data = gather(world.record(), world.belief(unknown=unknown, headings=headings))
+    contact, taxel = (v[::23] for v in near_pairs(data, world.truth, reach(data) + 1e-3))
+    return data, contact, taxel
+
+
+def test_mean_is_that_of_the_disc():
+    rng = np.random.default_rng(0)
+    d, a = rng.normal(scale=3e-3, size=(300, 3)), rng.uniform(3e-3, 5e-3, 300)
+    n = rng.normal(size=(300, 3))
+    n /= np.linalg.norm(n, axis=1)[:, None]
+    mean, slope, by_log_radius = mean_pressure(d, n, a, 2e-3)
+    rho = np.linalg.norm(np.cross(d, n), axis=1) / a
+    assert np.allclose(mean, disc_mean(rho, 2e-3 / a), atol=1e-9)
+    h = 1e-7
+    for k, axis in enumerate(np.eye(3)):
+        ahead, behind = (mean_pressure(d + s * h * axis, n, a, 2e-3)[0] for s in (1, -1))
+        assert np.allclose((ahead - behind) / (2 * h), slope[:, k], atol=1.0)
+    wider, narrower = (mean_pressure(d, n, a * np.exp(s * 1e-5), 2e-3)[0] for s in (1, -1))
+    assert np.allclose((wider - narrower) / 2e-5, by_log_radius, atol=1e-3)
+
+
+def test_prediction_is_the_world_s_reading(world, case):
+    data, contact, taxel = case
+    model = Likelihood(data, Readings.none(), data.shared)
+    s = np.zeros(len(data.shared.sigma))
+    contacts = anchored(data.shared, data, world.body, s).at(s)
+    mu, _ = model.predict(contact, world.truth[taxel], np.zeros((len(taxel), 2)), contacts)
     level = world.pressures()[contact, taxel]
-    charts = chart.about(world.body, world.truth)
-    return data, level, parameters(data, charts, contact, taxel, level, 1e-3)
-
-
-def test_mean_is_the_world_s_reading(case):
-    data, level, p = case
-    residual = kernel("active").residual.map(p.shape[1])(np.zeros((3, 1)), p)[0].full()[0]
     assert (level > 0).sum() > 100
-    assert np.abs(residual).max() * data.sigma < 5e-6 * data.peaks.max()
+    assert np.abs(mu * data.sigma - level).max() < 5e-6 * data.peaks.max()
 
 
-def test_modulus_acts_as_in_hertz(world, case):
-    data, _, p = case
-    softer = gather(world.record(), world.belief(young=0.8 * 0.2e6))
-    contact, taxel = (v[::23] for v in near_pairs(data, world.truth))
-    q = parameters(softer, chart.about(world.body, world.truth), contact, taxel, 0.0, 1e-3)
-    p = p.copy()
-    p[13] = 0
-    x = np.zeros((3, p.shape[1]))
-    x[2] = np.log(0.8)
-    moved = kernel("active").residual.map(p.shape[1])(x, p)[0].full() * data.sigma
-    direct = kernel("active").residual.map(p.shape[1])(np.zeros((3, 1)), q)[0].full()
-    assert np.allclose(moved, direct * softer.sigma, atol=1e-6 * data.peaks.max())
+@pytest.mark.parametrize("column", range(16))
+def test_every_derivative(world, case, column):
+    data, contact, taxel = case
+    model = Likelihood(data, Readings.none(), data.shared)
+    scale = np.concatenate([np.full(3, 1e-3), [0.1, 1.0], 0.1 * data.shared.sigma])
+    rng = np.random.default_rng(column)
+    about = 0.3 * scale * rng.normal(size=len(scale))
+    fixed = anchored(data.shared, data, world.body, about[5:])
+
+    def predict(x):
+        points = world.truth[taxel] + x[:3]
+        extras = np.broadcast_to(x[3:5], (len(taxel), 2))
+        return model.predict(contact, points, extras, fixed.at(x[5:]))
+
+    step = 1e-4 * scale[column] * np.eye(len(scale))[column]
+    jacobian = predict(about)[1][column]
+    numeric = (predict(about + step)[0] - predict(about - step)[0]) / (2 * step[column])
+    assert np.abs(jacobian).max() > 0
+    assert np.allclose(jacobian, numeric, atol=5e-3 * np.abs(numeric).max())
 
 
-@pytest.mark.parametrize("kind", ["active", "silent"])
-def test_derivatives(case, kind):
-    _, _, p = case
-    p = p.copy()
-    p[13] = 0.3 * p[12] if kind == "silent" else p[13] + 1.0
-    k, one = p.shape[1], kernel(kind)
-    x = np.random.default_rng(3).normal(scale=0.3, size=(3, k))
-    cost, gradient = (v.full() for v in one.gradient.map(k)(x, p))
-    assert np.array_equal(one.value.map(k)(x, p).full(), cost)
-    assert np.isfinite(gradient).all()
-    h = 1e-6
-    for r in range(3):
-        step = h * np.eye(3)[:, r : r + 1]
-        ahead, behind = (one.value.map(k)(x + s, p).full()[0] for s in (step, -step))
-        scale = np.abs(gradient[r]).max()
-        assert np.allclose((ahead - behind) / (2 * h), gradient[r], atol=2e-3 * scale)
-    lower = one.hessian.map(k)(x, p).full()
-    _, slope, curvature = (v.full() for v in one.residual.map(k)(x, p))
-    for row, (r, c) in enumerate(LOWER):
-        assert np.allclose(lower[row], curvature[0] * slope[r] * slope[c])
-    assert (curvature >= 0).all()
+def test_modulus_force_and_gain_have_one_null_direction(world, case):
+    data, contact, taxel = case
+    model = Likelihood(data, Readings.none(), data.shared)
+    s = np.zeros(len(data.shared.sigma))
+    contacts = anchored(data.shared, data, world.body, s).at(s)
+    _, jacobian = model.predict(contact, world.truth[taxel], np.zeros((len(taxel), 2)), contacts)
+    at = {name: 5 + where.start for name, where in data.shared.columns.items()}
+    null = jacobian[at["modulus"]] + jacobian[at["force_scale"]] - jacobian[3]
+    assert np.abs(null).max() < 1e-9 * np.abs(jacobian[3]).max()
+
+
+def test_contacts_move_with_the_indenter_and_the_body(world, case):
+    data, _, _ = case
+    shared = data.shared
+    s = np.zeros(len(shared.sigma))
+    fixed = anchored(shared, data, world.body, s.copy())
+    s[shared.columns["indenter_offset"]] = [2e-4, -1e-4, 1e-4]
+    s[shared.columns["body_offset"]] = [1e-4, 2e-4, 0.0, 1e-3, 0.0, 2e-3]
+    there = anchored(shared, data, world.body, s).at(s)
+    assert np.linalg.norm(there.points - data.points, axis=1).mean() > 1e-4
+    assert np.abs(fixed.at(s).points - there.points).max() < 3e-6
+    assert np.allclose(world.body.closest(there.points).distance, 0, atol=1e-12)
+
+
+def test_what_cannot_be_declared(world):
+    with pytest.raises(UnknownNameError, match="did you mean gain"):
+        declared(("gian",), {}, 3.0, 1e5)
+    assert len(declared(tuple(PRIORS), {"gain": 0.1}, 3.0, 1e5).sigma) == 12
+    data = gather(world.record(), world.belief(unknown=("indenter_offset",)))
+    with pytest.raises(CalibrationError, match="headings"):
+        anchored(data.shared, data, world.body, np.zeros(3))
 
 
 def test_censored_cost_against_scipy():
-    x = ca.SX.sym("x")
-    f = ca.Function("f", [x], list(_censored(x))).map(200)
-    points = np.linspace(-30, 40, 200)
-    cost, rate, curvature = (v.full()[0] for v in f(points[None]))
-    log_density = -(points**2) / 2 - np.log(2 * np.pi) / 2
-    mills = np.exp(log_density - log_ndtr(-points))
-    assert np.allclose(cost, -log_ndtr(-points), rtol=1e-10, atol=1e-16)
-    assert np.allclose(rate, mills, rtol=1e-10, atol=1e-300)
-    assert np.allclose(curvature, mills * (mills - points), rtol=1e-6, atol=1e-9)
+    u = np.linspace(-30, 40, 200)
+    cost, rate, curvature = censored(u)
+    log_density = -(u**2) / 2 - np.log(2 * np.pi) / 2
+    mills = np.exp(log_density - log_ndtr(-u))
+    assert np.allclose(cost, -log_ndtr(-u), rtol=1e-12)
+    assert np.allclose(rate, mills, rtol=1e-10, atol=1e-130)
+    assert np.allclose(curvature, mills * (mills - u), rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", [0, 1, -1])
+def test_costs_and_their_derivatives(kind):
+    mu, h = np.linspace(-6, 6, 50), 1e-5
+    kinds = np.full(50, kind, dtype=np.int8)
+    level = np.zeros(50)
+    cost, rate, curvature = costs(mu, level, kinds)
+    ahead, behind = (costs(mu + s * h, level, kinds) for s in (1, -1))
+    assert np.allclose((ahead[0] - behind[0]) / (2 * h), rate, atol=1e-6)
+    assert np.allclose((ahead[1] - behind[1]) / (2 * h), curvature, atol=1e-6)
+    far = cost[0] if kind == 1 else cost[-1]
+    assert (far < 1e-8) == (kind != 0)
+
+
+def test_contacts_are_plain_without_moves(world, case):
+    data = gather(world.record(), world.belief())
+    contacts = anchored(data.shared, data, world.body, np.zeros(1)).at(np.log([0.8]))
+    assert isinstance(contacts, Contacts)
+    softer = gather(world.record(), world.belief(young=0.8 * 0.2e6))
+    assert np.allclose(contacts.radii, softer.radii)
+    assert np.allclose(contacts.peaks, softer.peaks)

@@ -1,0 +1,1 @@
+"""What the joint estimate is made of, one kind of knowledge a file."""

@@ -1,0 +1,158 @@
+"""How the joint estimate grows with the skin: seconds to build and to solve, and peak memory.
+
+    python studies/speed/joint.py [--sizes 80 1000 10000] [--large] [--json FILE]
+
+Taxels lie at random distances of some 5 mm on a sphere that grows with their number, so that the
+contact is the same at every size; 50 readings a taxel at 80 taxels, 40 beyond. Every size runs in a
+process of its own, on one thread. "build" is everything before the optimiser: gathering the
+recording, trilateration, choosing the readings; "solve" is the rest. Exits 1 where a size falls
+short of its limit. `--large` adds 100,000 taxels with 4 million readings.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+LIMITS = {80: (0.2, 2.0), 10_000: (15.0, 2.0), 100_000: (240.0, 16.0)}
+"""Seconds (build and solve) and GB at each size."""
+YOUNG, POISSON, INDENTER, DISC, FORCE, SPACING = 0.2e6, 0.49, 0.01, 2e-3, 3.0, 5e-3
+NOISE, THRESHOLD = 0.01, 0.05
+
+
+def world(taxels: int, seed: int = 0):
+    """A recording of a skin of so many taxels, its belief, and the true positions (n, 3), m."""
+    import pyarrow as pa
+    from scipy.spatial import cKDTree
+
+    from meshskin.geometry.body import Body
+    from meshskin.physics.contact import hertz
+    from meshskin.physics.indenter import Indenter
+    from meshskin.physics.material import Material
+    from meshskin.physics.reading import disc_pressures
+    from meshskin.recording import CONTACTS, READINGS, Recording
+    from meshskin.scene import Belief
+
+    rng = np.random.default_rng(seed)
+    radius = max(0.1, SPACING * np.sqrt(taxels / np.pi))
+    body = Body.sphere(radius)
+    truth = _spiral(taxels, radius)
+    contacts = _spiral(round(taxels * (14.5 if taxels <= 80 else 11.2)), radius, taxels)
+    contacts = body.closest(contacts + rng.normal(scale=0.5e-3, size=contacts.shape)).point
+    hit = body.closest(contacts)
+    force = FORCE * (1 + 0.01 * rng.normal(size=len(contacts)))
+    modulus = hertz.effective_modulus(YOUNG, POISSON)
+    relative = hertz.relative_radius(hit.curvature, INDENTER)
+    radii = hertz.contact_radius(force, relative, modulus)
+    peak = float(np.median(hertz.peak_pressure(force, radii)))
+    tree, pairs = cKDTree(truth), []
+    for begin in range(0, len(contacts), 500):
+        rows = slice(begin, begin + 500)
+        near = np.unique(np.concatenate(tree.query_ball_point(contacts[rows], 0.01)).astype(int))
+        p = disc_pressures(
+            hit.point[rows], hit.normal[rows], force[rows], hit.curvature[rows],
+            positions=truth[near], disc_radius=DISC, indenter_radius=INDENTER,
+            effective_modulus=modulus,
+        )  # fmt: skip
+        row, column = np.nonzero(p)
+        value = p[row, column] + NOISE * peak * rng.normal(size=len(row))
+        heard = value > THRESHOLD * peak
+        pairs.append((begin + row[heard], near[column[heard]], value[heard]))
+    contact, taxel, value = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    time = 0.01 * np.arange(len(contacts))
+    recording = Recording(
+        pa.table([time, *hit.point.T, *hit.normal.T, force], schema=CONTACTS),
+        pa.table([time[contact], taxel.astype(np.int32), value], schema=READINGS),
+        {"taxel_ids": list(range(taxels)), "disc_radius_m": DISC},
+    )
+    belief = Belief(
+        body=body, indenter=Indenter(INDENTER), material=Material(YOUNG, POISSON),
+        contact="hertz", taxel_ids=np.arange(taxels), disc_radius=DISC, force_reference=FORCE,
+        noise_sigma=NOISE * peak, threshold=THRESHOLD * peak,
+    )  # fmt: skip
+    return recording, belief, truth
+
+
+def _spiral(n: int, radius: float, taxels: int | None = None) -> np.ndarray:
+    """n points, evenly over the cap of `taxels` (n by default) at the bottom of a sphere."""
+    k = np.arange(n) + 0.5
+    height = 1 - (taxels or n) * SPACING**2 / (2 * np.pi * radius**2) * k / n
+    angle = np.pi * (3 - np.sqrt(5)) * k
+    ring = np.sqrt(1 - height**2)
+    return radius * np.column_stack([ring * np.cos(angle), ring * np.sin(angle), -height])
+
+
+def measure(taxels: int) -> dict[str, float]:
+    """Numbers of one size, in this process."""
+    import resource
+
+    from meshskin.estimation import trilaterate
+    from meshskin.estimation.joint import estimate
+    from meshskin.estimation.measurements import gather
+
+    if taxels <= 1000:  # the small sizes as in a running program: kernel loaded, libraries imported
+        small, belief, _ = world(60, seed=1)
+        estimate(gather(small, belief), belief.body)
+    recording, belief, truth = world(taxels)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    clock = perf_counter()
+    data = gather(recording, belief)
+    start = trilaterate.least_squares(data, belief.body)
+    started = perf_counter() - clock
+    found = estimate(data, belief.body, start)
+    total = perf_counter() - clock
+    build = started + found.seconds["readings"]
+    error = np.linalg.norm(found.points - truth, axis=1)
+    return {
+        "taxels": taxels,
+        "readings": len(data.pressure),
+        "build_s": build,
+        "solve_s": total - build,
+        "total_s": total,
+        "gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+        "gb_before": before / 2**20,
+        "lost": int(np.isnan(error).sum()),
+        "error_mm": 1e3 * float(np.nanmean(error)),
+    }
+
+
+def main() -> int:
+    """Measure every size, print, compare with the limits."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sizes", type=int, nargs="+", default=[80, 1000, 10_000])
+    parser.add_argument("--large", action="store_true")
+    parser.add_argument("--one", type=int, default=None, help=argparse.SUPPRESS)
+    parser.add_argument("--json", type=Path, default=None)
+    options = parser.parse_args()
+    if options.one:
+        print(json.dumps(measure(options.one)))
+        return 0
+    print("   taxels   readings   build s   solve s   total s    GB   (before)  error mm  lost")
+    rows, short = [], []
+    for size in options.sizes + [100_000] * options.large:
+        command = [sys.executable, __file__, "--one", str(size)]
+        environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        out = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+        row = json.loads(out.stdout)
+        rows.append(row)
+        print(f"{size:9,} {row['readings']:10,} {row['build_s']:9.3f} {row['solve_s']:9.3f} "
+              f"{row['total_s']:9.3f} {row['gb']:5.2f}   ({row['gb_before']:.2f})   "
+              f"{row['error_mm']:9.4f} {row['lost']:5}", flush=True)  # fmt: skip
+        seconds, memory = LIMITS.get(size, (np.inf, np.inf))
+        if row["total_s"] > seconds or row["gb"] > memory:
+            short.append(f"{size:,} taxels: limits are {seconds} s and {memory} GB")
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=2))
+    print(*short, sep="\n")
+    return 1 if short else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
