@@ -26,7 +26,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from meshskin import PoseGraph, se3
-from meshskin.estimation.posegraph.kernel import kernel
+from meshskin.estimation.posegraph.sweep import library
 from meshskin.estimation.posegraph.start import chordal
 
 SPACING = 5e-3
@@ -118,7 +118,7 @@ def main() -> None:
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     for residual in ("log", "vec"):
-        kernel(residual)  # compiled once per machine, loaded once per process
+        library(residual)  # compiled once per machine, loaded once per process
     print(
         " taxels   edges    solve    gtsam  ratio      all  ratio    again  ratio"
         " marginals   proof     gap  MB peak iterations cost"

@@ -9,9 +9,9 @@ import numpy as np
 from meshskin import se3
 from meshskin.estimation.posegraph import linear
 from meshskin.estimation.posegraph.graph import PoseGraph
-from meshskin.estimation.posegraph.kernel import RELATIVE, ROOT
+from meshskin.estimation.posegraph.kernel import EDGE, RELATIVE, ROOT
 from meshskin.estimation.posegraph.linear import Integers
-from meshskin.estimation.posegraph.problem import EDGE, Problem
+from meshskin.estimation.posegraph.problem import Problem
 from meshskin.se3 import Array
 
 ACCURACY = 1e-9
@@ -67,8 +67,8 @@ def minimise(
     for blend, limit in stages:
         edge = edge_numbers(graph, state.poses, root)
         cost = max(_cost(edge, problem.residual), floor, 1e-300)
-        edge[-ROOT:] /= np.sqrt(cost)
-        scale = _scale(weight / cost, edge[:3], len(problem.free))
+        edge[:, -ROOT:] /= np.sqrt(cost)
+        scale = _scale(weight / cost, edge[:, :3], len(problem.free))
         parameters = parameter_vector(edge, scale, blend)
         run = problem.solve(parameters, tolerance, limit, keep)
         state.iterations += run.iterations
@@ -102,24 +102,25 @@ def chordal_roots(tau: Array, kappa: Array) -> Array:
 
 
 def edge_numbers(graph: PoseGraph, poses: Array, root: Array) -> Array:
-    """The kernel's numbers (35, m): displacements now, displacements measured, W."""
+    """The kernel's numbers (m, 35): displacements now, displacements measured, W."""
     i, j = graph.edges.T
     now = se3.inverse(poses[i]) @ poses[j]
-    numbers = np.empty((EDGE, len(i)))
+    numbers = np.empty((len(i), EDGE))
     for at, pose in ((0, now), (7, graph.measurements)):
-        numbers[at : at + 3] = pose[:, :3, 3].T
-        numbers[at + 3 : at + 7] = se3.quaternion(pose[:, :3, :3]).T
-    numbers[-ROOT:] = root[:, UPPER[0], UPPER[1]].T
+        numbers[:, at : at + 3] = pose[:, :3, 3]
+        numbers[:, at + 3 : at + 7] = se3.quaternion(pose[:, :3, :3])
+    numbers[:, -ROOT:] = root[:, UPPER[0], UPPER[1]]
     return numbers
 
 
 def parameter_vector(edge: Array, scale: Array, blend: float) -> Array:
     """The parameters of a `Problem`."""
-    return np.concatenate([edge.ravel(order="F"), scale, [blend]])
+    return np.concatenate([edge.ravel(), scale, [blend]])
 
 
 def weighted_errors(edge: Array, residual: str) -> Array:
-    """W e (6, m) of the kernel's numbers `edge` (35, m), the kernel's "log" or "vec" residual."""
+    """W e (6, m) of the kernel's numbers `edge` (m, 35), the kernel's "log" or "vec" residual."""
+    edge = edge.T
     now, measured = edge[:RELATIVE], edge[RELATIVE : 2 * RELATIVE]
     (v, w), (mv, mw) = (now[3:], now[6]), (measured[3:], measured[6])
     v, mv = v[:3], mv[:3]
@@ -161,7 +162,7 @@ def _cost(edge: Array, residual: str) -> float:
 
 def _scale(weight: Array, displacement: Array, free: int) -> Array:
     """Lengths (m, rad) at which the Hessian's diagonal is about 1."""
-    lever = np.sum(displacement**2, axis=0)
+    lever = np.sum(displacement**2, axis=1)
     translation = 2 * weight[:, :3].sum() / (3 * free)
     rotation = (2 * weight[:, 3:].sum() + weight[:, :3].sum(axis=1) @ lever) / (3 * free)
     return np.array([v**-0.5 if v > 0 else 1.0 for v in (translation, rotation)])

@@ -80,18 +80,11 @@ class PoseGraph:
             1.5 * _inverse_trace(self.information[:, 3:, 3:]),
         )
 
-    @cached_property
-    def _problems(self) -> dict[str, Problem]:
-        return {}
-
     def problem(self, residual: str) -> Problem:
         """The NLP of this topology with the `residual` "log" or "vec", built once."""
-        from meshskin.estimation.posegraph.problem import Problem
+        from meshskin.estimation.posegraph.problem import problem
 
-        if residual not in self._problems:
-            built = Problem(len(self.poses), self.edges, self.anchors, residual)
-            self._problems[residual] = built
-        return self._problems[residual]
+        return problem(len(self.poses), self.edges, self.anchors, residual)
 
     @classmethod
     def load(cls, path: str | Path) -> PoseGraph:

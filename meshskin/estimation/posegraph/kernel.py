@@ -1,4 +1,4 @@
-"""The edge kernel: cost, gradient and Hessian of one displacement, compiled once for all graphs.
+"""The edge kernel: cost, gradient and Hessian of one displacement, the same for all graphs.
 
 Unknowns of an edge (i, j) are local increments x = (p, a) of its two poses, six numbers each, with
 the Cayley retraction R <- R C(l_r a), t <- t + R l_t p and the scales (l_t, l_r) in m and rad. The
@@ -22,11 +22,11 @@ import casadi as ca
 import numpy as np
 
 from meshskin import se3
-from meshskin.compiled import compiled
 
 RESIDUALS = ("log", "vec")
 RELATIVE = 7  # numbers of a displacement: translation (3) in m, quaternion (4) xyzw
 ROOT = 21  # entries of the upper triangle of W, row by row
+EDGE = 2 * RELATIVE + ROOT  # numbers of an edge: displacement now, displacement measured, W
 LOWER = [(r, c) for r in range(6) for c in range(r + 1)]  # lower triangle of a block, row by row
 
 
@@ -34,8 +34,6 @@ LOWER = [(r, c) for r in range(6) for c in range(r + 1)]  # lower triangle of a 
 class Kernel:
     """Functions of one edge: (x (12,), edge (35,), scale (2,)[, blend]) -> their value."""
 
-    value: ca.Function
-    """|W e|^2 / 2."""
     gradient: ca.Function
     """Cost, gradient (12,)."""
     hessian: ca.Function
@@ -45,8 +43,8 @@ class Kernel:
 
 @functools.cache
 def kernel(residual: str) -> Kernel:
-    """The compiled kernel of a `residual`, "log" or "vec"."""
-    x, edge, scale = ca.SX.sym("x", 12), ca.SX.sym("edge", 2 * RELATIVE + ROOT), ca.SX.sym("s", 2)
+    """The kernel of a `residual`, "log" or "vec"."""
+    x, edge, scale = ca.SX.sym("x", 12), ca.SX.sym("edge", EDGE), ca.SX.sym("s", 2)
     blend, fixed = ca.SX.sym("blend"), ca.SX.sym("fixed", 6)
     e = _error(residual, x, edge[:RELATIVE], edge[RELATIVE : 2 * RELATIVE], scale)
     root = _upper(edge[2 * RELATIVE :])
@@ -64,10 +62,9 @@ def kernel(residual: str) -> Kernel:
     inputs = [x, edge, scale]
 
     def function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:
-        return compiled(ca.Function(f"{residual}_{name}", inputs, outputs, {"cse": True}))
+        return ca.Function(f"{residual}_{name}", inputs, outputs, {"cse": True})
 
     return Kernel(
-        value=function("value", inputs, [cost]),
         gradient=function("gradient", inputs, [cost, ca.gradient(cost, x)]),
         hessian=function("hessian", [*inputs, blend], blocks),
     )

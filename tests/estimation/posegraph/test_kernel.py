@@ -50,7 +50,7 @@ def test_gradient_and_hessian_are_the_derivatives(residual):
             return one.gradient.call([at, edge, SCALE])[1].full()[:, 0]
 
         def cost(at, edge=edge):
-            return float(one.value.call([at, edge, SCALE])[0])
+            return float(one.gradient.call([at, edge, SCALE])[0])
 
         h = 1e-5
         steps = h * np.eye(12)
@@ -91,8 +91,8 @@ def test_errors_are_those_of_the_definition():
         assert np.isclose(np.linalg.norm(log[3:]), angle, rtol=1e-6)
         assert np.isclose(np.linalg.norm(vec[3:]), 2 * np.sin(angle / 2), rtol=1e-6)
         for residual in RESIDUALS:  # NumPy's, of many edges, is the kernel's
-            weighted = weighted_errors(edge[:, None], residual)
-            cost = kernel(residual).value.call([np.zeros(12), edge, SCALE])[0]
+            weighted = weighted_errors(edge[None], residual)
+            cost = kernel(residual).gradient.call([np.zeros(12), edge, SCALE])[0]
             assert np.isclose(0.5 * np.sum(weighted**2), float(cost), rtol=1e-12)
 
 

@@ -88,17 +88,36 @@ def test_origin_start_on_the_papers_task(skin_graph, seed):
 
 
 def test_interpreted_equals_compiled(skin_graph, monkeypatch):
-    from meshskin.estimation.posegraph.kernel import kernel
+    from meshskin import compiled
+    from meshskin.estimation.posegraph import problem, sweep
 
-    graph, _ = skin_graph(40, seed=1)
-    fast = graph.solve()
-    kernel.cache_clear()
+    fast = skin_graph(40, seed=1)[0].solve()
+    sweep.library.cache_clear()
+    compiled._warn_once.cache_clear()
+    monkeypatch.setattr(problem, "problem", problem.Kept(1).get)
     monkeypatch.setenv("MESHSKIN_COMPILER", "none")
-    with pytest.warns(RuntimeWarning) if _not_warned() else _nothing():
+    with pytest.warns(RuntimeWarning, match="interpreted"):
         slow = skin_graph(40, seed=1)[0].solve()
-    kernel.cache_clear()
+    sweep.library.cache_clear()
     assert slow.iterations == fast.iterations
     assert np.allclose(slow.poses, fast.poses, atol=1e-12)
+
+
+def test_a_topology_is_built_once(skin_graph, monkeypatch):
+    from meshskin.estimation.posegraph import problem
+
+    kept = problem.Kept(edges=1000)
+    monkeypatch.setattr(problem, "problem", kept.get)
+    graphs = [skin_graph(40, seed=s)[0] for s in range(2)]
+    other = skin_graph(50)[0]
+    assert graphs[0].problem("log") is graphs[1].problem("log")
+    assert graphs[0].problem("log") is not graphs[0].problem("vec")
+    assert graphs[0].problem("log") is not other.problem("log")
+    first = graphs[0].problem("log")
+    assert [g.solve().is_optimal for g in graphs] == [True, True]
+    for count in range(60, 80):  # forgotten once newer ones fill the room
+        skin_graph(count)[0].problem("log")
+    assert graphs[0].problem("log") is not first
 
 
 def test_units_change_nothing(skin_graph):
@@ -216,15 +235,3 @@ def test_unknown_names(skin_graph):
         graph.solve("geodesics")
     with pytest.raises(GraphError, match="start poses"):
         graph.solve(start=graph.poses[:-1])
-
-
-def _not_warned():
-    from meshskin import compiled
-
-    return compiled._warn_once.cache_info().currsize == 0
-
-
-def _nothing():
-    from contextlib import nullcontext
-
-    return nullcontext()

@@ -1,0 +1,146 @@
+"""Cost, gradient and Hessian of a whole graph: the edge kernel over all edges, summed.
+
+The loop is C, compiled once whatever the graph; which edge belongs to which poses is data. Without
+a C compiler the kernel is mapped over the edges by CasADi and summed by NumPy.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from meshskin import compiled
+from meshskin.estimation.posegraph.kernel import EDGE, LOWER, Kernel, kernel
+from meshskin.estimation.posegraph.linear import Integers
+from meshskin.se3 import Array
+
+Long = NDArray[np.int64]
+
+
+class Sweep:
+    """Sums over the edges (m, 2), given as rows of x, or `free` where a pose is held."""
+
+    def __init__(self, slots: Integers, free: int, residual: str) -> None:
+        self.slots: Long = np.ascontiguousarray(slots, dtype=np.int64)
+        self.free = free
+        self._kernel, self._library = kernel(residual), library(residual)
+        both = (self.slots < free).all(axis=1)
+        lower, upper = np.sort(self.slots, axis=1).T
+        names = upper[both] * np.int64(free) + lower[both]  # sorted by column, then by row
+        pairs, place = np.unique(names, return_inverse=True)
+        self.columns, self.rows = pairs // free, pairs % free
+        """(pairs,) block columns and rows above the diagonal, sorted by column, then by row."""
+        self.heights: Long = np.bincount(self.columns, minlength=free).astype(np.int64)
+        first = np.cumsum(self.heights) - self.heights
+        self.above: Long = np.zeros(len(slots), dtype=np.int64)
+        self.above[both] = place - first[upper[both]]
+        sizes = 36 * self.heights + 21
+        self.starts: Long = np.cumsum(sizes) - sizes
+        self.size = int(sizes.sum())
+        """Nonzeros of the upper triangle."""
+
+    def pattern(self) -> ca.Sparsity:
+        """The Hessian's upper triangle (6 free, 6 free)."""
+        n = self.free
+        rows = np.concatenate([self.rows, np.arange(n)])
+        columns = np.concatenate([self.columns, np.arange(n)])
+        rows = rows[np.lexsort((rows, columns))]
+        ends = np.concatenate([[0], np.cumsum(self.heights + 1)])
+        blocks = ca.Sparsity(n, n, ends.tolist(), rows.tolist())
+        return ca.triu(ca.kron(blocks, ca.Sparsity.dense(6, 6)))
+
+    def gradient(self, edges: Array, scale: Array, x: Array, out: Array) -> float:
+        """Cost; its gradient (6 free,) is written to `out`."""
+        if self._library is None:
+            return self._interpreted_gradient(edges, scale, x, out)
+        count = (len(self.slots), self.free, self.slots.ctypes.data)
+        addresses = [a.ctypes.data for a in (edges, scale, x, out)]
+        return float(self._library.sum_gradient(*count, *addresses))
+
+    def hessian(self, edges: Array, scale: Array, blend: Array, x: Array, out: Array) -> None:
+        """Nonzeros (size,) of the Hessian's upper triangle, column by column, into `out`."""
+        if self._library is None:
+            return self._interpreted_hessian(edges, scale, blend, x, out)
+        count = (len(self.slots), self.free, self.slots.ctypes.data)
+        inputs = [a.ctypes.data for a in (edges, scale, x, blend)]
+        layout = [a.ctypes.data for a in (self.starts, self.heights, self.above)]
+        self._library.sum_hessian(*count, *inputs, *layout, self.size, out.ctypes.data)
+        return None
+
+    def _interpreted_gradient(self, edges: Array, scale: Array, x: Array, out: Array) -> float:
+        one = self._kernel.gradient.map(len(edges))
+        costs, gradients = one.call([self._local(x), edges.T, _repeated(scale, len(edges))])
+        padded = np.zeros((self.free + 1, 6))
+        for end in range(2):
+            np.add.at(padded, self.slots[:, end], gradients.full()[6 * end : 6 * end + 6].T)
+        out[:] = padded[:-1].ravel()
+        return float(costs.full().sum())
+
+    def _interpreted_hessian(
+        self, edges: Array, scale: Array, blend: Array, x: Array, out: Array
+    ) -> None:
+        m = len(edges)
+        inputs = [self._local(x), edges.T, _repeated(scale, m), _repeated(blend, m)]
+        of_i, of_j, between = (b.full().T for b in self._kernel.hessian.map(m).call(inputs))
+        out[:] = 0.0
+        for end, blocks in enumerate((of_i, of_j)):
+            own = self.slots[:, end] < self.free
+            pose = self.slots[own, end]
+            for k, (c, r) in enumerate(LOWER):  # the transposed lower triangle is the upper
+                at = self._entry(pose, self.heights[pose], r, c)
+                np.add.at(out, at, blocks[own, k])
+        both = (self.slots < self.free).all(axis=1)
+        i, j = self.slots[both].T
+        for k in range(36):
+            row, column = np.where(i < j, k // 6, k % 6), np.where(i < j, k % 6, k // 6)
+            at = self._entry(np.maximum(i, j), self.above[both], row, column)
+            np.add.at(out, at, between[both, k])
+
+    def _entry(
+        self, column: Integers, block: Integers, r: Integers | int, c: Integers | int
+    ) -> Integers:
+        """Where entry (r, c) of a block is among the nonzeros."""
+        return np.asarray(
+            self.starts[column]
+            + c * 6 * self.heights[column]
+            + np.asarray(c) * (np.asarray(c) + 1) // 2
+            + 6 * block
+            + r
+        )
+
+    def _local(self, x: Array) -> Array:
+        padded = np.concatenate([x.reshape(-1, 6), np.zeros((1, 6))])
+        return np.asarray(padded[self.slots].reshape(-1, 12).T)
+
+
+def _repeated(values: Array, count: int) -> Array:
+    return np.tile(np.reshape(values, (-1, 1)), (1, count))
+
+
+@functools.cache
+def library(residual: str) -> ctypes.CDLL | None:
+    """The compiled sums of a `residual`, or None."""
+    one: Kernel = kernel(residual)
+    text = "\n".join(
+        [
+            compiled.source(one.gradient, one.hessian),
+            f"#define EDGE {EDGE}",
+            f"#define RESIDUAL_gradient {residual}_gradient",
+            f"#define RESIDUAL_hessian {residual}_hessian",
+            "#define DECLARE CASADI_SYMBOL_EXPORT",
+            Path(__file__).with_name("sweep.c").read_text(encoding="utf-8"),
+        ]
+    )
+    found = compiled.library(f"posegraph_{residual}", text)
+    if found is not None:
+        integer, pointer = ctypes.c_longlong, ctypes.c_void_p
+        found.sum_gradient.restype = ctypes.c_double
+        found.sum_gradient.argtypes = [integer] * 2 + [pointer] * 5
+        found.sum_hessian.restype = None
+        found.sum_hessian.argtypes = [integer] * 2 + [pointer] * 8 + [integer, pointer]
+    return found
