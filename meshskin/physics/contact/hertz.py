@@ -18,7 +18,7 @@ import numpy as np
 
 from ...errors import ContactError
 from ..both import functions, is_casadi
-from .patch import Patch
+from .patch import Patch, Patches
 from .setting import Setting
 
 MAX_CURVATURE_RATIO = 1.05
@@ -74,6 +74,16 @@ def force(depth: Any, radius: Any, modulus: Any) -> Any:
     positive = f.fmax(depth, 0.0)
     # sqrt(fmax(delta, 0)) alone has an infinite derivative at 0.
     return 4 / 3 * modulus * f.sqrt(radius) * positive * f.sqrt(f.fmax(depth, 1e-12))
+
+
+def patches(force: Any, curvature: Any, indenter_radius: Any, modulus: Any) -> Patches:
+    """Patches of many contacts: `force` (...), N, `curvature` (..., 2), 1/m, E* `modulus`, Pa.
+
+    Circles of the mean curvature. NumPy arrays or CasADi expressions, as `relative_radius`.
+    """
+    radius = relative_radius(curvature, indenter_radius)
+    a = contact_radius(force, radius, modulus)
+    return Patches(a, a, 2 / math.pi * modulus * a / radius, depth(a, radius))
 
 
 def solve(

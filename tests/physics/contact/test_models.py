@@ -1,0 +1,115 @@
+"""The doors of the contact models: the next model up, many contacts at once, CasADi."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from meshskin.errors import ContactError, UnknownNameError
+from meshskin.physics import contact
+
+CASE = {
+    "force": 1.0,
+    "curvature": 10.0,
+    "indenter_radius": 0.01,
+    "modulus": 0.5e6,
+    "poisson": 0.45,
+}
+
+
+@pytest.mark.parametrize(
+    ("change", "model"),
+    [
+        ({}, "hertz"),
+        ({"thickness": 0.1}, "hertz"),
+        ({"curvature": (30.0, 0.0)}, "elliptic"),
+        ({"thickness": 4e-3}, "layered"),
+        ({"thickness": 4e-3, "curvature": (30.0, 0.0)}, "layered"),
+        ({"thickness": 4e-3, "poisson": -0.2}, "field"),
+        ({"thickness": 4e-3, "curvature": (300.0, 0.0)}, "field"),
+        ({"modulus": 0.02e6}, "field"),
+    ],
+)
+def test_the_next_model_up_takes_it(change, model):
+    case = CASE | change
+    patch = contact.solve("hertz", upgrade=True, **case)
+    assert patch.model == model
+    assert patch.peak == contact.solve(model, **case).peak
+    if model != "hertz":
+        with pytest.raises(ContactError, match="limit"):
+            contact.solve("hertz", **case)
+
+
+def test_upgrade_starts_at_the_model_asked_for():
+    assert contact.solve("layered", upgrade=True, **CASE).model == "layered"
+
+
+@pytest.mark.parametrize(
+    ("change", "names"),
+    [
+        ({"force": -1.0}, "push"),
+        ({"curvature": -120.0}, "hollow"),
+        ({"modulus": 2e2}, "indenter radius"),
+        ({"thickness": 1e-5}, "thickness/cell"),
+    ],
+)
+def test_upgrade_ends_in_a_named_error(change, names):
+    with pytest.raises(ContactError, match=names):
+        contact.solve("hertz", upgrade=True, **CASE | change)
+
+
+@pytest.mark.parametrize("model", contact.BATCHED)
+@pytest.mark.parametrize("thickness", [None, 3e-3])
+def test_many_contacts_are_each_contact(model, thickness):
+    rng = np.random.default_rng(0)
+    push = rng.uniform(0.1, 0.4, 6)
+    curvature = np.repeat(rng.uniform(-20, 20, (6, 1)), 2, axis=1)
+    if model != "hertz":
+        curvature[:, 0] += 30.0
+    given = {"poisson": 0.45, "thickness": thickness, "indenter_radius": 0.01}
+    many = contact.patches(
+        model, force=push, curvature=curvature, effective_modulus=0.5e6 / (1 - 0.45**2), **given
+    )
+    alone = given if model == "layered" else given | {"thickness": None}
+    for k in range(6):
+        one = contact.solve(
+            model, **CASE | alone | {"force": push[k], "curvature": tuple(curvature[k])}
+        )
+        assert sorted([many.first[k], many.second[k]]) == pytest.approx(one.semi_axes[::-1])
+        assert [many.peak[k], many.depth[k]] == pytest.approx([one.peak, one.depth])
+        assert np.broadcast_to(many.exponent, 6)[k] == pytest.approx(one.exponent)
+    back = contact.force(
+        model,
+        depth=many.depth,
+        curvature=curvature,
+        effective_modulus=0.5e6 / (1 - 0.45**2),
+        **given,
+    )
+    assert back == pytest.approx(push, rel=1e-8)
+
+
+@pytest.mark.parametrize("model", contact.BATCHED)
+def test_as_casadi_expressions(model):
+    given = {"poisson": 0.45, "thickness": 3e-3, "indenter_radius": 0.01}
+    d, k, e = ca.SX.sym("d"), ca.SX.sym("k", 2), ca.SX.sym("e")
+    y = contact.force(model, depth=d, curvature=k, effective_modulus=e, **given)
+    patch = contact.patches(model, force=y, curvature=k, effective_modulus=e, **given)
+    x = ca.vertcat(d, k, e)
+    f = ca.Function("f", [d, k, e], [y, ca.vertcat(*patch), ca.jacobian(ca.vertcat(*patch), x)])
+    value, whole, jacobian = f(2e-4, [12.0, 8.0], 0.6e6)
+    push = contact.force(
+        model, depth=2e-4, curvature=np.array([12.0, 8.0]), effective_modulus=0.6e6, **given
+    )
+    plain = contact.patches(
+        model, force=push, curvature=np.array([12.0, 8.0]), effective_modulus=0.6e6, **given
+    )
+    assert float(value) == pytest.approx(push)
+    assert whole.full()[:, 0] == pytest.approx(np.array(plain, dtype=float))
+    assert whole.full()[3, 0] == pytest.approx(2e-4)  # the depth comes back
+    assert np.isfinite(jacobian.full()).all()
+
+
+def test_batch_of_an_unknown_model_names_the_nearest():
+    with pytest.raises(UnknownNameError, match="did you mean layered"):
+        contact.force(
+            "layred", depth=0.0, curvature=0.0, indenter_radius=1, effective_modulus=1, poisson=0
+        )
