@@ -176,7 +176,38 @@ class Scene:
 
     def context(self, seed: int) -> Context:
         """What the effects may know when they are built."""
-        return Context(seed, self.patch.peak, float(self.patch.semi_axes[0]))
+        return Context(
+            seed=seed,
+            peak_pressure=self.patch.peak,
+            contact_radius=float(self.patch.semi_axes[0]),
+            force=self.law.force_reference,
+            indenter_radius=self.indenter.radius,
+            indenter_position=np.array(self.indenter.position),
+            shear_modulus=self.material.young / (2.0 * (1.0 + self.material.poisson)),
+            poisson=self.material.poisson,
+            period=self.frame_steps * self.loop.dt,
+            speed=self.exploration.speed,
+            skin=self.skin,
+            body=self.body,
+            pose=self.body_pose,
+            joints=len(self.arm.joint_names) if self.loop.mode == "arm" else 0,
+        )
+
+    @property
+    def frame_steps(self) -> int:
+        """Steps of the closed loop from frame to frame."""
+        return max(round(1.0 / (self.readout.rate * self.loop.dt)), 1)
+
+    def body_pose(self, q: Array) -> Array:
+        """T_w_body (k, 4, 4) in configurations (k, n): joint angles, or, without an arm, position
+        and quaternion.
+        """
+        if self.loop.mode == "arm":
+            return np.asarray(self.arm.pose(q) @ self.mount_pose)
+        from scipy.spatial.transform import Rotation
+
+        turn = Rotation.from_quat(q[:, [4, 5, 6, 3]]).as_matrix()
+        return transform(turn, q[:, :3])
 
     def belief(self, **changes: Any) -> Belief:
         """What the owner of this scene knows; `changes` replace fields (a softer material, ...)."""

@@ -18,6 +18,7 @@ from .motion.machine import LENGTHS, Machine, Steps
 from .motion.quasi_static import start as body_state
 from .motion.track import Track
 from .physics import effects
+from .physics.effects.frames import Field, Frames
 from .physics.reading import disc_pressures
 from .provenance import provenance
 from .recording import Recording, RecordingWriter
@@ -202,7 +203,7 @@ def _bridge(start: Array, goal: Array) -> Array:
 
 
 def _run(
-    scene: Scene, machine: Machine, path: paths.Path, progress: Progress | None
+    scene: Scene, machine: Machine, path: paths.Path, progress: Progress | None = None
 ) -> Iterator[Steps]:
     """Run the closed loop: approach until touch, settle, explore. Yields the steps as they come."""
     loop, track = machine.loop, Track.of(path, scene.body.surface)
@@ -250,13 +251,8 @@ def _tables(
     scene: Scene, seed: int, loop: Loop, runs: Iterator[Steps]
 ) -> Iterator[tuple[pa.Table, pa.Table, pa.Table]]:
     """Tables of contacts, readings and motion, in batches, from the steps."""
-    context = scene.context(seed)
-    acting = [
-        act
-        for stage in ("pressure", "transducer")
-        for act in effects.build(scene.effects, context, stage)
-    ]
-    stride = max(round(1.0 / (scene.readout.rate * loop.dt)), 1)
+    chain = effects.Chain.of(scene.effects, scene.context(seed), _field(scene))
+    stride = scene.frame_steps
     size = int(np.clip(FRAME_CELLS / max(len(scene.skin.ids), 1) * stride, LENGTHS[0], 8192))
     rows = loop.outputs
     count = 0
@@ -266,41 +262,63 @@ def _tables(
         frame = (count + np.arange(len(time))) % stride == 0
         count += len(time)
         frame &= outputs[:, rows["force"].start] > 0
-        contacts, readings = _sensor_tables(scene, time[frame], outputs[frame], rows, acting)
+        configuration = np.concatenate([s.q for s in batch])
+        seen = _frames(scene, time[frame], outputs[frame], rows, configuration[frame])
+        contacts, readings = _sensor_tables(scene, seen, chain)
         yield contacts, readings, _motion_table(scene, batch, time, outputs, rows)
 
 
-def _sensor_tables(
-    scene: Scene,
-    time: Array,
-    outputs: Array,
-    rows: dict[str, slice],
-    acting: Sequence[effects.Pressures],
-) -> tuple[pa.Table, pa.Table]:
-    """Contacts and readings of the frames at `time` (m,)."""
-    points, normals = outputs[:, rows["point"]], outputs[:, rows["normal"]]
-    force = outputs[:, rows["force"].start]
-    contacts = pa.Table.from_arrays(
-        [pa.array(c) for c in (time, *points.T, *normals.T, force)], schema=files.CONTACTS
+def _field(scene: Scene) -> Field:
+    """The ideal relation of contacts and pressures."""
+
+    def field(frames: Frames, poses: Array) -> Array:
+        return disc_pressures(
+            frames.points,
+            frames.normals,
+            frames.force,
+            frames.curvature,
+            positions=poses[:, :3, 3],
+            disc_radius=scene.skin.disc_radius,
+            indenter_radius=scene.indenter.radius,
+            effective_modulus=scene.material.effective_modulus,
+        )
+
+    return field
+
+
+def _frames(scene: Scene, time: Array, outputs: Array, rows: dict[str, slice], q: Array) -> Frames:
+    """The frames at `time` (m,) from the loop's outputs and configurations."""
+    points = outputs[:, rows["point"]]
+
+    def foot(centres: Array) -> tuple[Array, Array, Array]:
+        hit = scene.body.closest(centres)
+        return hit.point, hit.normal, hit.distance
+
+    return Frames(
+        time=time,
+        points=points,
+        normals=outputs[:, rows["normal"]],
+        force=outputs[:, rows["force"].start],
+        gap=scene.indenter.radius - outputs[:, rows["depth"].start],
+        curvature=scene.body.closest(points).curvature if len(time) else np.zeros((0, 2)),
+        q=q,
+        foot=foot,
     )
-    if not len(time):
+
+
+def _sensor_tables(scene: Scene, frames: Frames, chain: effects.Chain) -> tuple[pa.Table, pa.Table]:
+    """Contacts and readings as they are recorded."""
+    recorded = chain.record(frames)
+    columns = (recorded.time, *recorded.points.T, *recorded.normals.T, recorded.force)
+    contacts = pa.Table.from_arrays([pa.array(c) for c in columns], schema=files.CONTACTS)
+    if not len(frames):
         return contacts, files.READINGS.empty_table()
-    pressures = disc_pressures(
-        points,
-        normals,
-        force,
-        scene.body.closest(points).curvature,
-        positions=scene.skin.positions,
-        disc_radius=scene.skin.disc_radius,
-        indenter_radius=scene.indenter.radius,
-        effective_modulus=scene.material.effective_modulus,
-    )
-    for act in acting:
-        pressures = act(pressures)
+    pressures = chain.read(frames, scene.skin.poses)
     row, col = np.nonzero(pressures > scene.threshold)
     ids = np.asarray(scene.skin.ids, dtype=np.int32)[col]
     readings = pa.Table.from_arrays(
-        [pa.array(time[row]), pa.array(ids), pa.array(pressures[row, col])], schema=files.READINGS
+        [pa.array(frames.time[row]), pa.array(ids), pa.array(pressures[row, col])],
+        schema=files.READINGS,
     )
     return contacts, readings
 

@@ -2,16 +2,17 @@
 
 An effect that is off is absent: no branch in the loop, no random number drawn. Each draws from its
 own random stream, derived from the scene's seed and the effect's name, so that toggling one never
-shifts another's noise.
+shifts another's noise. A new effect is one new file here and one line in KINDS, or, from another
+package, one entry point in the group "meshskin.effects": `name = "module:Class"`.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -19,16 +20,57 @@ from ... import config
 from ...errors import ConfigError, UnknownNameError
 from ...provenance import random_stream
 from ...se3 import Array
+from .frames import Field, Frames
 
-STAGES = ("geometry", "contact", "pressure", "transducer", "robot")
-"""Where an effect acts, in the order of the flow."""
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
-KINDS = {"gaussian_noise": "GaussianNoise"}
-"""Name of each effect (and of its module in this folder) -> its class."""
+    from ...geometry.body import Body
+    from ...geometry.skin import Skin
 
-Pressures = Callable[[Array], Array]
-"""What effects of the stages pressure and transducer build: dense pressures (frames, taxels), Pa,
-of the next frames in time -> pressures of the same shape."""
+STAGES = ("contact", "field", "pressure", "transducer", "geometry", "robot")
+"""Where an effect acts, in the order of the flow, and what it builds:
+
+contact     Frames -> Frames: what presses the skin
+field       Field -> Field: how contacts become pressures at any place of the skin
+pressure    Pressures: the pressures on the taxels
+transducer  Pressures: what the taxels say
+geometry    Frames -> Frames: what is recorded of a contact's place
+robot       Frames -> Frames: what is recorded of the robot's pose and force
+"""
+
+KINDS = {
+    "friction": "Friction",
+    "cover_fabric": "CoverFabric",
+    "scan_order": "ScanOrder",
+    "relaxation": "Relaxation",
+    "crosstalk": "Crosstalk",
+    "hysteresis": "Hysteresis",
+    "capacitive": "Capacitive",
+    "gain_offset": "GainOffset",
+    "temperature_drift": "TemperatureDrift",
+    "gaussian_noise": "GaussianNoise",
+    "sensing_range": "SensingRange",
+    "quantisation": "Quantisation",
+    "broken_taxels": "BrokenTaxels",
+    "mesh_facets": "MeshFacets",
+    "body_pose": "BodyPose",
+    "indenter_offset": "IndenterOffset",
+    "sampling": "Sampling",
+    "encoder": "Encoder",
+    "gravity_error": "GravityError",
+    "force_sensor": "ForceSensor",
+}
+"""Name of each effect (and of its module in this folder) -> its class, in the signal's order:
+effects of one stage act in this order, those of other packages after them."""
+
+GROUP = "meshskin.effects"
+"""Group of entry points through which other packages add effects."""
+
+Pressures = Callable[[Array, Frames], Array]
+"""(pressures (m, n), Pa, the next m frames in time) -> pressures (m, n)."""
+Motion = Callable[[Frames], Frames]
+"""The next frames in time -> the frames as the effect changes them."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +83,43 @@ class Context:
     """Peak contact pressure p_0 at the reference force, Pa."""
     contact_radius: float
     """Contact radius a at the reference force, m."""
+    force: float
+    """Reference force, N."""
+    indenter_radius: float
+    """m."""
+    indenter_position: Array
+    """Centre (3,), world, m."""
+    shear_modulus: float
+    """Of the skin, G = E / (2 (1 + nu)), Pa."""
+    poisson: float
+    """Poisson's ratio of the skin."""
+    period: float
+    """Time between frames, s."""
+    speed: float
+    """Speed of the contact over the skin, m/s."""
+    skin: Skin = field(repr=False)
+    body: Body = field(repr=False)
+    pose: Callable[[Array], Array] = field(repr=False)
+    """Configurations (k, n) -> T_w_body (k, 4, 4)."""
+    joints: int = 0
+    """Number of joints; 0 where the body moves without an arm."""
 
     def stream(self, name: str) -> np.random.Generator:
         """The random stream of the effect `name`."""
         return random_stream(self.seed, f"effect/{name}")
+
+    def misread(self, relative: float) -> float:
+        """How far, m, a taxel may be misplaced by readings that are off by `relative` p_0 at most.
+
+        Least squares shift it by sum(s e) / sum(s^2) <= max|e| sum|s| / sum(s^2), s the slopes of
+        the readings. The last ratio is about a / p_0 where contacts lie all over the patch; at a
+        border of the exploration it is more, and twice that is taken.
+        """
+        return 2.0 * relative * self.contact_radius
+
+    def misjudged(self, force: float) -> float:
+        """How far, m, by a force off by `force`, N: p_0 and a go with its cube root (Hertz)."""
+        return 2.0 / 3.0 * force / self.force * self.contact_radius
 
 
 class Effect(Protocol):
@@ -68,13 +143,23 @@ class Effect(Protocol):
 
     @property
     def cost(self) -> float:
-        """Seconds it adds for each taxel and frame (measured on one core)."""
+        """Seconds it adds for each taxel and frame (measured on one core, 80 taxels)."""
 
     def bound(self, context: Context) -> float:
         """Bound on the taxel error, m, that leaving it out can cause."""
 
     def build(self, context: Context) -> Any:
-        """What acts in the loop; for the stages pressure and transducer, a `Pressures`."""
+        """What acts in the loop, see STAGES."""
+
+
+class Plain:
+    """What most effects have in common: no company needed, none refused, fields checked."""
+
+    requires: ClassVar[tuple[str, ...]] = ()
+    excludes: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self) -> None:
+        config.check(self)
 
 
 @runtime_checkable
@@ -87,10 +172,21 @@ class Noise(Protocol):
 
 def find(name: str) -> type[Effect]:
     """The effect class called `name`; its module is imported here. Raises UnknownNameError."""
-    if name not in KINDS:
-        raise UnknownNameError("effect", name, KINDS)
-    found: type[Effect] = getattr(import_module(f".{name}", __name__), KINDS[name])
+    if name in KINDS:
+        found: type[Effect] = getattr(import_module(f".{name}", __name__), KINDS[name])
+        return found
+    outside = _outside()
+    if name not in outside:
+        raise UnknownNameError("effect", name, {*KINDS, *outside})
+    found = outside[name].load()
     return found
+
+
+def _outside() -> dict[str, EntryPoint]:
+    """Effects of other packages, by name."""
+    from importlib.metadata import entry_points
+
+    return {point.name: point for point in entry_points(group=GROUP)}
 
 
 def from_table(table: Mapping[str, Any], where: str = "effects") -> Effect:
@@ -102,7 +198,7 @@ def from_table(table: Mapping[str, Any], where: str = "effects") -> Effect:
 
 
 def ordered(effects: Iterable[Effect]) -> tuple[Effect, ...]:
-    """The effects in the order of their stages, checked against one another.
+    """The effects in the order in which they act, checked against one another.
 
     Raises ConfigError for an effect given twice, one that lacks what it requires, and two that
     exclude each other.
@@ -123,9 +219,55 @@ def ordered(effects: Iterable[Effect]) -> tuple[Effect, ...]:
         for other in effect.excludes:
             if other in counts:
                 raise ConfigError(f"effect {effect.name} excludes {other}", remedy="remove one")
-    return tuple(sorted(effects, key=lambda effect: STAGES.index(effect.stage)))
+    names = list(KINDS)
+
+    def place(effect: Effect) -> tuple[int, int]:
+        last = names.index(effect.name) if effect.name in KINDS else len(names)
+        return STAGES.index(effect.stage), last
+
+    return tuple(sorted(effects, key=place))
 
 
 def build(effects: Iterable[Effect], context: Context, stage: str) -> tuple[Any, ...]:
     """What the effects of one stage build, in order: empty where none is on."""
     return tuple(e.build(context) for e in ordered(effects) if e.stage == stage)
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A scene's effects, compiled: what acts on its frames, batch after batch, in order."""
+
+    contact: tuple[Motion, ...]
+    field: Field
+    readings: tuple[Pressures, ...]
+    recorded: tuple[Motion, ...]
+
+    @classmethod
+    def of(cls, effects: Iterable[Effect], context: Context, field: Field) -> Chain:
+        """The effects that are on; `field` is the ideal relation of contacts and pressures."""
+        effects = ordered(effects)
+        for wrap in build(effects, context, "field"):
+            field = wrap(field)
+        return cls(
+            build(effects, context, "contact"),
+            field,
+            build(effects, context, "pressure") + build(effects, context, "transducer"),
+            build(effects, context, "geometry") + build(effects, context, "robot"),
+        )
+
+    def read(self, frames: Frames, poses: Array) -> Array:
+        """What taxels at `poses` (n, 4, 4) say, (m, n), Pa, in the next frames in time."""
+        for act in self.contact:
+            frames = act(frames)
+        pressures = self.field(frames, poses)
+        for say in self.readings:
+            pressures = say(pressures, frames)
+        return pressures
+
+    def record(self, frames: Frames) -> Frames:
+        """The next frames in time as they are written into the recording."""
+        if not len(frames):
+            return frames
+        for act in self.recorded:
+            frames = act(frames)
+        return frames

@@ -9,13 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from ...config import check, quantity
+from ...config import quantity
 from ...se3 import Array
-from . import Context, Pressures
+from . import Context, Plain, Pressures
+from .frames import Frames
 
 
 @dataclass(frozen=True)
-class GaussianNoise:
+class GaussianNoise(Plain):
     """White noise added to every taxel's pressure in every frame."""
 
     sigma_relative: float = quantity("", 0.01, above=0.0, most=1.0)
@@ -23,12 +24,7 @@ class GaussianNoise:
 
     name: ClassVar[str] = "gaussian_noise"
     stage: ClassVar[str] = "transducer"
-    requires: ClassVar[tuple[str, ...]] = ()
-    excludes: ClassVar[tuple[str, ...]] = ()
     cost: ClassVar[float] = 1.5e-8
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def sigma(self, context: Context) -> float:
         """Standard deviation, Pa."""
@@ -46,7 +42,7 @@ class GaussianNoise:
         """
         stream, sigma = context.stream(self.name), self.sigma(context)
 
-        def add(pressures: Array) -> Array:
+        def add(pressures: Array, frames: Frames) -> Array:
             return pressures + sigma * stream.standard_normal(pressures.shape)
 
         return add

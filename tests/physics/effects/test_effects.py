@@ -2,42 +2,35 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import meshskin as ms
 from meshskin.errors import ConfigError, UnknownNameError
 from meshskin.physics import effects
-from meshskin.physics.effects import Context
 from meshskin.physics.effects.gaussian_noise import GaussianNoise
 
-CONTEXT = Context(seed=3, peak_pressure=8e4, contact_radius=4e-3)
 
-
-def test_noise_has_its_standard_deviation_and_no_mean():
-    noise = GaussianNoise(0.02).build(CONTEXT)(np.full((500, 80), 1e4)) - 1e4
-    assert noise.std() == pytest.approx(1600, rel=0.02)
-    assert abs(noise.mean()) < 4 * 1600 / np.sqrt(noise.size)
+def test_noise_has_its_standard_deviation_and_no_mean(context, glide):
+    frames, sigma = glide(np.zeros(500)), 0.02 * context.peak_pressure
+    noise = GaussianNoise(0.02).build(context)(np.full((500, 80), 1e4), frames) - 1e4
+    assert noise.std() == pytest.approx(sigma, rel=0.02)
+    assert abs(noise.mean()) < 4 * sigma / np.sqrt(noise.size)
     neighbours = np.corrcoef(noise[:-1].ravel(), noise[1:].ravel())[0, 1]
     assert abs(neighbours) < 0.02
 
 
-def test_noise_does_not_depend_on_the_batches():
-    frames = np.zeros((10, 4))
-    whole = GaussianNoise().build(CONTEXT)(frames)
-    act = GaussianNoise().build(CONTEXT)
-    assert np.array_equal(whole, np.vstack([act(frames[:3]), act(frames[3:])]))
-
-
-def test_streams_differ_by_seed_and_by_name():
-    first, again = CONTEXT.stream("gaussian_noise"), CONTEXT.stream("gaussian_noise")
+def test_streams_differ_by_seed_and_by_name(context):
+    first, again = context.stream("gaussian_noise"), context.stream("gaussian_noise")
     assert first.random() == again.random()
-    others = [CONTEXT.stream("hysteresis"), Context(4, 8e4, 4e-3).stream("gaussian_noise")]
-    assert len({g.random() for g in (CONTEXT.stream("gaussian_noise"), *others)}) == 3
+    others = [context.stream("hysteresis"), replace(context, seed=4).stream("gaussian_noise")]
+    assert len({g.random() for g in (context.stream("gaussian_noise"), *others)}) == 3
 
 
-def test_bound_grows_with_the_noise():
-    assert GaussianNoise(0.01).bound(CONTEXT) == pytest.approx(0.12e-3)
+def test_bound_grows_with_the_noise(context):
+    assert GaussianNoise(0.01).bound(context) == pytest.approx(0.03 * context.contact_radius)
 
 
 def test_toml_table_makes_the_effect():
@@ -53,10 +46,10 @@ def test_toml_table_makes_the_effect():
         effects.from_table({"sigma_relative": 0.1})
 
 
-def test_only_the_stage_asked_for_is_built():
-    assert effects.build((), CONTEXT, "transducer") == ()
-    assert effects.build((GaussianNoise(),), CONTEXT, "pressure") == ()
-    assert len(effects.build((GaussianNoise(),), CONTEXT, "transducer")) == 1
+def test_only_the_stage_asked_for_is_built(context):
+    assert effects.build((), context, "transducer") == ()
+    assert effects.build((GaussianNoise(),), context, "pressure") == ()
+    assert len(effects.build((GaussianNoise(),), context, "transducer")) == 1
 
 
 def test_conflicts_are_refused():
@@ -74,14 +67,96 @@ def test_conflicts_are_refused():
         effects.ordered((GaussianNoise(), Quiet()))
 
 
-def test_effects_are_ordered_by_stage():
+def test_effects_act_in_the_order_of_the_signal_whatever_the_list():
     class Late(GaussianNoise):
         name, stage = "late", "robot"
 
-    assert [e.name for e in effects.ordered((Late(), GaussianNoise()))] == [
+    class Foreign(GaussianNoise):
+        name = "foreign"
+
+    inside = [
+        effects.find(name)()
+        for name in ("quantisation", "gaussian_noise", "hysteresis", "cover_fabric", "friction")
+    ]
+    assert [e.name for e in effects.ordered((Late(), Foreign(), *inside))] == [
+        "friction",
+        "cover_fabric",
+        "hysteresis",
         "gaussian_noise",
+        "quantisation",
+        "foreign",
         "late",
     ]
+
+
+@pytest.mark.parametrize("name", effects.KINDS)
+def test_every_effect_keeps_the_form(name, context):
+    effect = effects.find(name)()
+    assert effect.name == name
+    assert effect.stage in effects.STAGES
+    assert effect.requires == effect.excludes == ()
+    assert 0 < effect.bound(context) < 0.1
+    assert 0 < effect.cost < 1e-3
+    assert len(effects.build((effect,), context, effect.stage)) == 1
+    assert effects.from_table({"kind": name}) == effect
+    assert effect == effects.find(name)()
+    assert not [
+        e for e in effects.STAGES if e != effect.stage and effects.build((effect,), context, e)
+    ]
+
+
+def test_the_order_of_the_stages_is_the_order_of_the_registry():
+    stages = [effects.STAGES.index(effects.find(name).stage) for name in effects.KINDS]
+    assert stages == sorted(stages)
+
+
+TOY = """
+from dataclasses import dataclass
+from typing import ClassVar
+
+
+@dataclass(frozen=True)
+class Toy:
+    factor: float = 2.0
+    name: ClassVar[str] = "toy"
+    stage: ClassVar[str] = "transducer"
+    requires: ClassVar[tuple[str, ...]] = ()
+    excludes: ClassVar[tuple[str, ...]] = ()
+    cost: ClassVar[float] = 1e-9
+
+    def bound(self, context):
+        return context.misread(abs(self.factor - 1.0))
+
+    def build(self, context):
+        return lambda pressures, frames: self.factor * pressures
+"""
+
+
+@pytest.fixture
+def toy(tmp_path, monkeypatch):
+    """A package outside of meshskin that brings an effect along."""
+    (tmp_path / "toy_effects.py").write_text(TOY)
+    info = tmp_path / "toy_effects-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: toy-effects\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[meshskin.effects]\ntoy = toy_effects:Toy\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield
+    sys.modules.pop("toy_effects", None)
+
+
+def test_another_package_adds_an_effect(toy, sphere, recording):
+    twice = effects.from_table({"kind": "toy", "factor": 3.0})
+    assert "toy" not in effects.KINDS
+    found = ms.simulate(sphere.with_(effects=(twice,)), seed=1)
+    np.testing.assert_array_equal(found.pressure, 3.0 * recording.pressure)
+    with pytest.raises(UnknownNameError, match="did you mean toy"):
+        effects.find("toyy")
+
+
+def test_without_that_package_there_is_no_such_effect():
+    with pytest.raises(UnknownNameError, match="unknown effect 'toy'"):
+        effects.find("toy")
 
 
 def test_modules_are_imported_only_when_named():

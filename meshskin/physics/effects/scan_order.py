@@ -1,0 +1,62 @@
+"""Scan order: the taxels of a module are read one after another, and a frame bears one time.
+
+The taxel in slot s of S is read (S - 1 - s)/S of the scan before the frame's time; slots go by the
+taxels' order, all modules being scanned at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ...config import quantity
+from ...se3 import Array
+from . import Context, Plain
+from .frames import Field, Frames, Memory
+
+
+@dataclass(frozen=True)
+class ScanOrder(Plain):
+    """Each slot reads the contact of its own time, interpolated between frames."""
+
+    slots: int = quantity("", 12, least=1)
+    """Taxels of a module that are read one after another."""
+    scan_relative: float = quantity("", 1.0, above=0.0, most=1.0)
+    """Length of a scan, relative to the time between frames."""
+    latency: float = quantity("s", 0.0, least=0.0, most=10.0)
+    """Time from the last slot's reading to the time that the frame bears."""
+
+    name: ClassVar[str] = "scan_order"
+    stage: ClassVar[str] = "field"
+    cost: ClassVar[float] = 4e-7
+
+    def lags(self, context: Context) -> Array:
+        """How long before the frame's time each slot is read (slots,), s."""
+        late = np.arange(self.slots)[::-1] / self.slots
+        return np.asarray(self.latency + self.scan_relative * context.period * late)
+
+    def bound(self, context: Context) -> float:
+        """The way of the contact in the largest lag, m."""
+        return context.speed * float(self.lags(context).max())
+
+    def build(self, context: Context) -> Callable[[Field], Field]:
+        """A field that looks back, over the seams of batches too."""
+        lags = self.lags(context)
+        memory = Memory(float(lags.max()), context.period)
+
+        def wrap(field: Field) -> Field:
+            def scan(frames: Frames, poses: Array) -> Array:
+                memory.extend(frames)
+                out = np.empty((len(frames), len(poses)))
+                for slot, lag in enumerate(lags):
+                    out[:, slot :: self.slots] = field(
+                        memory.at(frames.time - lag), poses[slot :: self.slots]
+                    )
+                return out
+
+            return scan
+
+        return wrap
