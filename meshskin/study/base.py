@@ -13,15 +13,19 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from .. import config, library
 from ..errors import ConfigError, StudyError, UnknownNameError
 from ..provenance import digest
-from ..scene import Scene
-from ..scene_file import check_tables, from_tables, parts, tables
+
+if TYPE_CHECKING:
+    from ..scene import Scene
+
+# A worker that needs no scene starts three times as fast without the modules of one, so these are
+# imported where they are used.
 
 Tables = Mapping[str, Any]
 
@@ -66,11 +70,15 @@ class SceneTables:
     @classmethod
     def load(cls, name: str | Path) -> SceneTables:
         """The tables of a shipped scene or a TOML file."""
+        from ..scene_file import tables
+
         found, folder = tables(name)
         return cls(found, folder.resolve())
 
     def check(self, parameters: Tables) -> None:
         """Check every key and value. Raises ConfigError."""
+        from ..scene_file import check_tables
+
         check_tables(changed(self.tables, parameters))
 
     def identity(self, parameters: Tables) -> str:
@@ -95,6 +103,8 @@ class SceneTables:
 
     def scene(self, parameters: Tables) -> Scene:
         """The scene with these parameters. Raises MeshskinError kinds."""
+        from ..scene_file import from_tables
+
         return from_tables(changed(self.tables, parameters), self.folder)
 
 
@@ -145,6 +155,8 @@ class SceneObject:
         return dataclasses.replace(self._scene, **self._parts(parameters))
 
     def _parts(self, parameters: Tables) -> dict[str, Any]:
+        from ..scene_file import parts
+
         data = changed(self._tables, parameters)
         for key in data:
             if key not in self._tables:
@@ -159,6 +171,7 @@ def _unpacked(
 
     from ..geometry.body import Body
     from ..motion.arm import Arm
+    from ..scene import Scene
 
     body = Body(mesh=trimesh.Trimesh(*mesh, process=False), **facts)
     return SceneObject(Scene(body=body, arm=Arm(**joints), **parts))
@@ -168,7 +181,7 @@ def find(base: str | Path | Scene | None) -> Base:
     """The base of a study: a scene's name or file, a Scene, or nothing."""
     if base is None:
         return Nothing()
-    return SceneObject(base) if isinstance(base, Scene) else SceneTables.load(base)
+    return SceneTables.load(base) if isinstance(base, str | Path) else SceneObject(base)
 
 
 def changed(data: Tables, parameters: Tables) -> dict[str, Any]:

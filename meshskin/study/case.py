@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from ..errors import ConfigError, StudyError, UnknownNameError
-from ..estimation.calibrate import METHODS
 from ..provenance import digest, versions
 from .base import Base, canonical
 
@@ -100,6 +99,8 @@ def check(base: Base, grid: Grid | Sequence[Grid], method: str) -> None:
 
 def _check_value(base: Base, key: str, value: Any) -> None:
     if key == "method":
+        from ..estimation.calibrate import METHODS
+
         if value not in METHODS:
             raise UnknownNameError("method", str(value), METHODS)
     else:

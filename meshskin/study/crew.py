@@ -25,7 +25,7 @@ from .worker import Ready, Setup, Task, main, receive, send
 ATTEMPTS = 3
 """How often a case is tried whose worker dies."""
 GRACE = 5.0
-"""Time for a killed process to go, s."""
+"""Time for an ended process to go, s."""
 _ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
 )
@@ -72,8 +72,13 @@ class Worker:
         task, self.task, self.deadline = self.task, None, float("inf")
         return task
 
-    def kill(self) -> int:
-        """End it, and what it started, at once; the exit code, negative for a signal."""
+    def kill(self, gone: bool = False) -> int:
+        """End it, and what it started, at once; the exit code, negative for a signal.
+
+        gone: it is ending by itself; its own exit code is wanted.
+        """
+        if gone:
+            self._let_go()
         with contextlib.suppress(ProcessLookupError, PermissionError):
             if os.name == "posix":
                 os.killpg(self.pid, signal.SIGKILL)
@@ -87,6 +92,13 @@ class Worker:
         with contextlib.suppress(OSError):
             self._process.stdin.close()
         return code
+
+    def _let_go(self) -> None:
+        """Wait until it has ended by itself, but leave its id in use: its children have it too."""
+        end = time.monotonic() + GRACE
+        look = os.WEXITED | os.WNOWAIT | os.WNOHANG if os.name == "posix" else 0
+        while look and os.waitid(os.P_PID, self.pid, look) is None and time.monotonic() < end:
+            time.sleep(0.002)
 
     def _send(self, message: object) -> None:
         assert self._process.stdin is not None
@@ -197,7 +209,7 @@ class Crew:
             assert task is not None
             worker.start(task, limits.seconds)
             return None
-        code = self._dismiss(worker)
+        code = self._dismiss(worker, gone=isinstance(message, _Gone))
         if isinstance(message, _Late):
             assert task is not None
             return late(task, limits)
@@ -217,12 +229,12 @@ class Crew:
             return None
         return died(task, limits, code)
 
-    def _dismiss(self, worker: Worker) -> int:
+    def _dismiss(self, worker: Worker, gone: bool = False) -> int:
         """End a worker; its exit code."""
         self._workers.discard(worker)
         if worker in self._idle:
             self._idle.remove(worker)
-        return worker.kill()
+        return worker.kill(gone)
 
 
 def late(task: Task, limits: Limits) -> Outcome:

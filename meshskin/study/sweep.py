@@ -16,7 +16,6 @@ from ..provenance import versions
 from . import base as bases
 from . import table as tabling
 from .case import Case, Grid, Run, check, expand, runner_identity
-from .evaluate import evaluate
 from .outcome import Limits, Outcome
 from .reference import SCRIPT, Reference
 from .store import Store
@@ -76,9 +75,9 @@ class Study:
     """Seeds of each combination, or how many (from 0)."""
     method: str = "joint"
     """Estimator, where the grid has none."""
-    run: Run = evaluate
+    run: Run | None = None
     """What computes a case: a function, at the top of a module, from a Case to values by name. It
-    must depend on nothing but the case."""
+    must depend on nothing but the case. None: simulate, calibrate, assess (evaluate.py)."""
     version: str = ""
     """Part of what identifies a case: change it when something that `run` calls has changed (its
     own source text is part already)."""
@@ -117,13 +116,21 @@ class Study:
         return self.seeds
 
     @cached_property
+    def _run(self) -> Run:
+        if self.run is not None:
+            return self.run
+        from .evaluate import evaluate
+
+        return evaluate
+
+    @cached_property
     def _base(self) -> bases.Base:
         return bases.find(self.base)
 
     def cases(self) -> list[Case]:
         """All cases, in order. Raises ConfigError for a grid that does not fit the scene."""
         check(self._base, self.grid, self.method)
-        runner = runner_identity(self.run, self.version)
+        runner = runner_identity(self._run, self.version)
         found = list(expand(self._base, self.grid, self._seeds, self.method, runner))
         if not found:
             raise ConfigError(f"the study {self.name} has no cases", remedy="give it seeds")
@@ -159,7 +166,7 @@ class Study:
             )
         if workers is not None and workers < 1:
             raise ConfigError("workers is out of range", value=workers, limit="at least 1")
-        setup = Setup(Reference.to(self.run), self._base, self.limits)
+        setup = Setup(Reference.to(self._run), self._base, self.limits)
         cases, store = self.cases(), Store(out)
         with store.lock():
             store.describe(self._manifest(len(cases)))
@@ -214,7 +221,7 @@ class Study:
             "grid": self.grid if isinstance(self.grid, Mapping) else list(self.grid),
             "seeds": list(self._seeds),
             "method": self.method,
-            "run": f"{self.run.__module__}:{self.run.__qualname__}",
+            "run": f"{self._run.__module__}:{self._run.__qualname__}",
             "version": self.version,
             "time_limit_s": self.time_limit,
             "memory_limit_bytes": self.memory_limit,

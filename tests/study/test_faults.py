@@ -1,0 +1,330 @@
+"""What goes wrong in a sweep, for real: after it, the table equals the undisturbed one."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+import study_runs
+
+import meshskin as ms
+from meshskin.errors import OutputError, StudyError
+from meshskin.study import crew
+
+HERE = Path(__file__).parent
+POSIX = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="memory limits of Linux")
+
+SCRIPT = """
+import sys
+import meshskin as ms
+import study_runs
+
+def study(marks, sleep):
+    grid = {"run.marks": [marks], "run.sleep": [float(sleep)]}
+    return ms.Study("s", grid=grid, seeds=12, run=study_runs.slow)
+
+if __name__ == "__main__":
+    out, marks, sleep = sys.argv[1:]
+    study(marks, sleep).sweep(out, workers=2)
+"""
+
+
+def slow_study(marks, sleep=0.05, seeds=12):
+    marks.mkdir(exist_ok=True)
+    grid = {"run.marks": [str(marks)], "run.sleep": [sleep]}
+    return ms.Study("s", grid=grid, seeds=seeds, run=study_runs.slow)
+
+
+def start(out, marks, sleep=0.05, **options):
+    """The same study in a process of its own."""
+    marks.mkdir(exist_ok=True)
+    script = out.parent / "script.py"
+    script.write_text(SCRIPT)
+    path = os.pathsep.join([str(HERE), *sys.path])
+    return subprocess.Popen(
+        [sys.executable, str(script), str(out), str(marks), str(sleep)],
+        env={**os.environ, "PYTHONPATH": path},
+        stderr=subprocess.PIPE,
+        text=True,
+        **options,
+    )
+
+
+def until(condition, seconds=30.0):
+    """Wait until the condition holds."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not come to that"
+        time.sleep(0.01)
+
+
+def alive(pid):
+    """Whether a process is there and no zombie."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def pids(marks):
+    return {int(mark.name.split(".")[1]) for mark in marks.iterdir()}
+
+
+def results(out):
+    return list(out.glob("results/*/*.json"))
+
+
+def rows(table):
+    return {row["seed"]: row for row in table.to_pylist()}
+
+
+@POSIX
+def test_a_worker_killed_from_outside_costs_nothing_but_time(tmp_path):
+    marks = tmp_path / "marks"
+    study = slow_study(marks)
+    killed = []
+
+    def killer(state):
+        if state.done in (2, 6):
+            victim = max(pids(marks) - set(killed))
+            killed.append(victim)
+            os.kill(victim, signal.SIGKILL)
+
+    table = study.sweep(tmp_path / "a", workers=2, progress=killer)
+    assert len(killed) == 2
+    assert set(table.column("status").to_pylist()) == {"done"}
+    study.sweep(tmp_path / "b", workers=1)
+    assert (tmp_path / "a/table.parquet").read_bytes() == (
+        tmp_path / "b/table.parquet"
+    ).read_bytes()
+
+
+@LINUX
+def test_kill_9_of_the_parent_takes_the_workers_along_and_a_second_run_goes_on(tmp_path):
+    out, marks = tmp_path / "a", tmp_path / "marks"
+    parent = start(out, marks, sleep=0.2)
+    until(lambda: len(results(out)) >= 3)
+    parent.kill()
+    parent.communicate()
+    workers = pids(marks)
+    until(lambda: not any(map(alive, workers)), seconds=5)
+    assert not (out / "table.parquet").exists()
+    before = {file: file.read_bytes() for file in results(out)}
+    assert 3 <= len(before) < 12
+    study = slow_study(marks, sleep=0.2)
+    study.sweep(out)
+    assert all(file.read_bytes() == text for file, text in before.items()), "none is run twice"
+    study.sweep(tmp_path / "b", workers=1)
+    assert (out / "table.parquet").read_bytes() == (tmp_path / "b/table.parquet").read_bytes()
+    assert not list(out.rglob("*.part"))
+
+
+@LINUX
+def test_no_worker_hangs_on_when_its_parent_is_killed(tmp_path):
+    code = (
+        "import meshskin as ms, study_runs\n"
+        "ms.Study('s', grid={'run.trouble': [TROUBLE]}, seeds=[2], run=study_runs.troubled)"
+        f".sweep({str(tmp_path / 'out')!r}, workers=1)"
+    )
+    path = os.pathsep.join([str(HERE), *sys.path])
+    for trouble in ("hang", "hang in C"):
+        parent = subprocess.Popen(
+            [sys.executable, "-c", code.replace("TROUBLE", repr(trouble))],
+            env={**os.environ, "PYTHONPATH": path},
+        )
+        children = Path(f"/proc/{parent.pid}/task/{parent.pid}/children")
+        until(lambda file=children: len(file.read_text().split()) == 1)
+        (child,) = children.read_text().split()
+        time.sleep(0.7)  # into the case
+        parent.kill()
+        parent.wait()
+        until(lambda pid=child: not alive(pid), seconds=5)
+
+
+@POSIX
+def test_an_interrupted_run_leaves_no_worker_and_no_half_file(tmp_path):
+    out, marks = tmp_path / "a", tmp_path / "marks"
+    parent = start(out, marks, sleep=0.2)
+    until(lambda: len(results(out)) >= 2)
+    parent.send_signal(signal.SIGINT)
+    _, words = parent.communicate(timeout=20)
+    assert "KeyboardInterrupt" in words
+    until(lambda: not any(map(alive, pids(marks))), seconds=5)
+    assert not list(out.rglob("*.part"))
+
+
+@pytest.mark.parametrize(
+    ("trouble", "limits", "error"),
+    [
+        ("raise", {}, "ValueError: no such luck"),
+        ("type", {}, "StudyError: the result 'y' is no number, got object"),
+        ("hang", {"time_limit": 0.5}, "out of time, limit: 0.5 s"),
+        ("hang in C", {"time_limit": 0.5}, "out of time, limit: 0.5 s"),
+        ("child", {"time_limit": 0.5}, "out of time, limit: 0.5 s"),
+        pytest.param("memory", {"memory_limit": 6e8}, "out of memory, limit: 600 MB", marks=LINUX),
+        pytest.param("kill", {}, "its worker died 3 times, signal 9", marks=POSIX),
+        ("exit", {}, "its worker died 3 times, exit code 7"),
+    ],
+)
+def test_a_case_in_trouble_is_a_row_that_says_so_and_the_others_are_done(
+    out, trouble, limits, error
+):
+    study = ms.Study(
+        "s", grid={"run.trouble": [trouble]}, seeds=5, run=study_runs.troubled, **limits
+    )
+    table = study.sweep(out, workers=2)
+    found = rows(table)
+    assert found[2]["status"] == "failed"
+    assert found[2]["error"] == error
+    assert found[2]["y"] is None
+    assert [found[k]["status"] for k in (0, 1, 3, 4)] == ["done"] * 4
+    assert study.sweep(out).equals(table)
+
+
+def test_the_traceback_is_kept(out):
+    study = ms.Study("s", grid={"run.trouble": ["raise"]}, seeds=[2], run=study_runs.troubled)
+    (key,) = study.sweep(out).column("key").to_pylist()
+    assert "study_runs.py" in (out / "results" / key[:2] / f"{key}.json").read_text()
+
+
+def test_failed_cases_are_run_again_on_demand_or_with_more_time(out):
+    states = []
+
+    def sweep(limit, **options):
+        grid = {"run.trouble": ["hang"]}
+        study = ms.Study("s", grid=grid, seeds=3, run=study_runs.troubled, time_limit=limit)
+        states.clear()
+        study.sweep(out, progress=states.append, **options)
+        return len(states) - 1
+
+    assert [sweep(0.2), sweep(0.2), sweep(0.1), sweep(0.3), sweep(0.3, retry=True)] == [
+        3,
+        0,
+        0,
+        1,
+        1,
+    ]
+
+
+@POSIX
+def test_a_case_whose_worker_dies_once_is_tried_again(out, tmp_path):
+    (tmp_path / "marks").mkdir()
+    grid = {"run.marks": [str(tmp_path / "marks")]}
+    table = ms.Study("s", grid=grid, seeds=4, run=study_runs.killed_once).sweep(out, workers=2)
+    assert table.column("status").to_pylist() == ["done"] * 4
+
+
+@POSIX
+def test_a_full_disk_is_one_line_and_what_is_done_is_kept(tmp_path):
+    """The limit on file sizes fails a write as a full disk does, with another number."""
+    import resource
+
+    study, out = slow_study(tmp_path / "marks", sleep=0.0), tmp_path / "a"
+
+    def limit(state):
+        if state.done == 4:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (60, before[1]))
+
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        with pytest.raises(OutputError, match="free space"):
+            study.sweep(out, workers=2, progress=limit)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert len(results(out)) == 4
+    assert not list(out.rglob("*.part"))
+    table = study.sweep(out)
+    assert table.equals(study.sweep(tmp_path / "b"))
+
+
+@LINUX
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="mounting needs root")
+def test_a_disk_that_is_really_full(tmp_path):
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(disk)]
+    if subprocess.run(mount, capture_output=True).returncode:
+        pytest.skip("mounting is not allowed here")
+    try:
+        study = slow_study(tmp_path / "marks", sleep=0.0, seeds=30)
+        with pytest.raises(OutputError, match="No space left"):
+            study.sweep(disk / "out", workers=2)
+        kept = len(results(disk / "out"))
+        assert 0 < kept < 30
+        subprocess.run(["mount", "-o", "remount,size=8m", str(disk)], check=True)
+        states = []
+        table = study.sweep(disk / "out", progress=states.append)
+        assert states[0].kept == kept
+        assert table.equals(study.sweep(tmp_path / "b"))
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_a_second_run_on_the_same_folder_is_refused_and_the_first_goes_on(tmp_path):
+    out, marks = tmp_path / "a", tmp_path / "marks"
+    first = start(out, marks, sleep=0.2)
+    until(lambda: len(results(out)) >= 1)
+    with pytest.raises(StudyError, match=f"another run is working .* process {first.pid} on"):
+        slow_study(marks, sleep=0.2).sweep(out)
+    assert first.communicate(timeout=30)[1] == ""
+    assert first.returncode == 0
+    assert len(results(out)) == 12
+
+
+def test_a_torn_result_is_run_again(tmp_path):
+    study, out = slow_study(tmp_path / "marks", sleep=0.0), tmp_path / "a"
+    study.sweep(out)
+    whole = (out / "table.parquet").read_bytes()
+    first, second, third, *_ = results(out)
+    first.write_bytes(first.read_bytes()[:-20])
+    second.write_bytes(b"")
+    third.write_bytes(b"\xff" * 300)
+    states = []
+    study.sweep(out, progress=states.append)
+    assert states[0].kept == 9
+    assert (out / "table.parquet").read_bytes() == whole
+
+
+def test_workers_that_cannot_start_end_the_sweep(out, tmp_path, monkeypatch):
+    (tmp_path / "broken_runs.py").write_text("def run(case):\n    return {}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    import broken_runs
+
+    (tmp_path / "broken_runs.py").write_text("raise SystemExit(3)\n")
+    with pytest.raises(StudyError, match=r"workers cannot start, got exit code 3"):
+        ms.Study("s", run=broken_runs.run).sweep(out)
+    (tmp_path / "broken_runs.py").unlink()
+    with pytest.raises(StudyError, match="cannot import the run function"):
+        ms.Study("s", run=broken_runs.run).sweep(out)
+
+
+def test_a_script_needs_its_guard_and_is_told_so(tmp_path):
+    script = tmp_path / "script.py"
+    text = "import meshskin as ms\ndef mine(case):\n    return {'y': case.seed}\n"
+    study = "ms.Study('s', seeds=2, run=mine)"
+    sweep = f"print(*{study}.sweep({str(tmp_path / 'out')!r})['y'].to_pylist())\n"
+    outputs = []
+    for guard in ("if True:\n", 'if __name__ == "__main__":\n'):
+        script.write_text(text + guard + "    " + sweep)
+        command = [sys.executable, str(script)]
+        env = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+        outputs.append(subprocess.run(command, capture_output=True, text=True, env=env))
+    assert outputs[0].returncode == 1
+    assert 'under if __name__ == "__main__"' in outputs[0].stderr.splitlines()[-1]
+    assert outputs[1].returncode == 0
+    assert outputs[1].stdout.split() == ["0", "1"]
+
+
+def test_no_thread_and_no_process_is_left(out):
+    before = threading.active_count()
+    ms.Study("s", seeds=3, run=study_runs.plain).sweep(out, workers=3)
+    until(lambda: threading.active_count() == before, seconds=5)
+    if sys.platform == "linux":
+        children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
+        commands = [Path(f"/proc/{pid}/cmdline").read_text() for pid in children]
+        assert not [c for c in commands if crew.main.__module__ in c]

@@ -1,0 +1,161 @@
+"""Sweeps: the same table whatever the workers, and only what is new is run."""
+
+import json
+import os
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+import study_runs
+
+import meshskin as ms
+from meshskin.errors import ConfigError, StudyError
+from meshskin.study.evaluate import evaluate
+
+X = {"run.x": [0.5, 1.5]}
+
+
+def marked(study_folder):
+    """How often each case was run, by the marks that `study_runs.slow` leaves."""
+    return len(list(study_folder.iterdir()))
+
+
+def test_the_table_does_not_depend_on_the_workers_bit_for_bit(tmp_path):
+    study = ms.Study("s", grid=X, seeds=10, run=study_runs.plain)
+    files = []
+    for workers in (1, 3):
+        table = study.sweep(tmp_path / str(workers), workers=workers)
+        files.append((tmp_path / str(workers) / "table.parquet").read_bytes())
+    assert files[0] == files[1]
+    assert table.column("status").to_pylist() == ["done"] * 20
+    expected = [np.sin(x * (1 + seed)) for x in X["run.x"] for seed in range(10)]
+    assert table.column("y").to_pylist() == pytest.approx(expected, rel=1e-15)
+    assert table.column("seed").to_pylist() == [*range(10)] * 2
+
+
+def test_scenes_give_the_same_numbers_in_any_process(out):
+    grid = {"material.young_kpa": [200, 300], "skin.count": [12], "method": ["joint", "posegraph"]}
+    study = ms.Study("s", base="sphere_noisy", grid=grid)
+    table = study.sweep(out, workers=2)
+    here = evaluate(study.cases()[0])
+    row = table.to_pylist()[0]
+    assert {name: row[name] for name in here} == here
+    assert row["status"] == "done"
+    assert row["determined"] == 12
+    errors = table.column("position_error_mm.mean").to_pylist()
+    assert 0 < errors[0] < errors[1] < 2, "the joint estimate is better than the pose graph"
+    assert row["crlb_mm.mean"] / 2 < errors[0] < 2 * row["crlb_mm.mean"]
+
+
+def test_a_second_run_runs_nothing_and_a_change_what_it_touches(out, tmp_path):
+    (tmp_path / "marks").mkdir()
+    own = {"run.marks": [str(tmp_path / "marks")], "run.sleep": [0.0]}
+
+    def sweep(seeds=3, **grid):
+        return ms.Study("s", grid=own | grid, seeds=seeds, run=study_runs.slow).sweep(out)
+
+    first = sweep(**{"run.x": [1, 2]})
+    assert marked(tmp_path / "marks") == 6
+    assert sweep(**{"run.x": [1, 2]}).equals(first)
+    assert marked(tmp_path / "marks") == 6
+    sweep(**{"run.x": [1, 2, 3]})
+    assert marked(tmp_path / "marks") == 9
+    sweep(seeds=4, **{"run.x": [1, 2, 3]})
+    assert marked(tmp_path / "marks") == 12
+    assert sweep(**{"run.x": [1, 2]}).equals(first), "the others' results are kept, not shown"
+
+
+def test_tables_are_read_by_pandas_polars_and_duckdb(out):
+    table = ms.Study("s", grid=X, seeds=3, run=study_runs.plain).sweep(out)
+    path = out / "table.parquet"
+    expected = table.column("y").to_pylist()
+    assert pd.read_parquet(path)["y"].tolist() == expected
+    assert pq.read_table(path).equals(table)
+    assert len(pq.read_table(out / "times.parquet").column("seconds")) == 6
+    polars = pytest.importorskip("polars")
+    assert polars.read_parquet(path)["y"].to_list() == expected
+    duckdb = pytest.importorskip("duckdb")
+    rows = duckdb.sql(f"select y from '{path}' where seed = 1").fetchall()
+    assert [y for (y,) in rows] == [expected[1], expected[4]]
+
+
+def test_progress_counts_and_the_manifest_says_what_it_is(out):
+    states = []
+    study = ms.Study("s", grid=X, seeds=2, run=study_runs.plain)
+    study.sweep(out, progress=states.append)
+    assert [state.done for state in states] == [0, 1, 2, 3, 4]
+    study.sweep(out, progress=states.append)
+    assert (states[-1].kept, states[-1].done, states[-1].failed) == (4, 4, 0)
+    manifest = json.loads((out / "study.json").read_text())
+    assert manifest["cases"] == 4
+    assert manifest["grid"] == X
+    assert manifest["run"] == "study_runs:plain"
+
+
+def test_the_table_of_an_unfinished_study_says_what_is_missing(out):
+    small = ms.Study("s", grid=X, seeds=1, run=study_runs.plain)
+    small.sweep(out)
+    large = ms.Study("s", grid=X, seeds=2, run=study_runs.plain)
+    assert large.table(out).column("status").to_pylist() == ["done", "missing", "done", "missing"]
+
+
+def test_prints_of_a_case_do_not_disturb(out, capfd):
+    table = ms.Study("s", seeds=3, run=study_runs.chatty).sweep(out, workers=1)
+    assert table.column("status").to_pylist() == ["done"] * 3
+    assert "child" in capfd.readouterr().err
+
+
+def test_workers_have_one_thread_and_one_order_of_sets(out):
+    table = ms.Study("s", seeds=6, run=study_runs.surroundings).sweep(out, workers=3)
+    assert set(table.column("threads").to_pylist()) == {"1"}
+    assert len(set(table.column("hashes").to_pylist())) == 1
+    assert set(table.column("parent").to_pylist()) == {os.getpid()}
+
+
+def test_a_function_that_workers_cannot_import_is_refused(out):
+    def inner(case):
+        return {}
+
+    for run in (inner, lambda case: {}):
+        with pytest.raises(StudyError, match="cannot import the run function"):
+            ms.Study("s", run=run).sweep(out)
+    with pytest.raises(ConfigError, match="at least 1"):
+        ms.Study("s", run=study_runs.plain).sweep(out, workers=0)
+
+
+def test_a_study_is_a_toml_file(tmp_path):
+    (tmp_path / "mine.toml").write_text('extends = "sphere"\n[material]\nyoung_kpa = 150\n')
+    (tmp_path / "study.toml").write_text(
+        'base = "mine.toml"\nseeds = [4, 5]\ntime_limit_s = 60\nmemory_limit_mb = 900\n'
+        "[grid]\nskin.count = [10, 20]\n"
+        '"effects.gaussian_noise.sigma_relative" = [0.01]\nmethod = ["joint", "trilateration"]\n'
+    )
+    study = ms.Study.load(tmp_path / "study.toml")
+    cases = study.cases()
+    assert (study.name, study.time_limit, study.memory_limit) == ("study", 60.0, 9e8)
+    assert len(cases) == 8
+    assert cases[0].scene.material.young == pytest.approx(150e3)
+    assert [*cases[0].parameters] == ["skin.count", "effects.gaussian_noise.sigma_relative"]
+    (tmp_path / "study.toml").write_text('run = "study_runs:plain"\n[[grid]]\nrun.x = [1]\n')
+    assert ms.Study.load(tmp_path / "study.toml").run is study_runs.plain
+    for text, line in [
+        ("[gird]\n", "did you mean grid"),
+        ("seeds = 3\n", "lacks grid"),
+        ('seeds = "many"\n[grid]\n', "number or a list"),
+        ("grid = 3\n", "no table"),
+        ('run = "plain"\n[grid]\n', "package.module:function"),
+        ('run = "no_such:plain"\n[grid]\n', "cannot import"),
+        ('run = "study_runs:no"\n[grid]\n', "no function no"),
+        ("time_limit_s = -1\n[grid]\n", "above 0"),
+    ]:
+        (tmp_path / "study.toml").write_text(text)
+        with pytest.raises((ConfigError, StudyError), match=line):
+            ms.Study.load(tmp_path / "study.toml")
+
+
+def test_the_shipped_study_has_its_cases():
+    from pathlib import Path
+
+    study = ms.Study.load(Path(__file__).parents[2] / "studies" / "noise.toml")
+    assert len(study.cases()) == 45
