@@ -53,7 +53,7 @@ def simulate(
     Raises ReachError if the arm cannot follow the path, SimulationError if the loop fails.
     """
     machine, path = prepare(scene)
-    batches = _tables(scene, seed, machine.loop, _run(scene, machine, path, progress))
+    batches = _tables(scene, seed, machine.loop, run(scene, machine, path, progress))
     header = _metadata(scene, seed)
     if out is not None:
         with RecordingWriter(out, header) as writer:
@@ -202,7 +202,7 @@ def _bridge(start: Array, goal: Array) -> Array:
     return transform(rotation, start[:3, 3] + part[:, None] * shift)
 
 
-def _run(
+def run(
     scene: Scene, machine: Machine, path: paths.Path, progress: Progress | None = None
 ) -> Iterator[Steps]:
     """Run the closed loop: approach until touch, settle, explore. Yields the steps as they come."""

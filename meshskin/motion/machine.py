@@ -62,19 +62,23 @@ class Machine:
         one = ready(step(loop), compile_, steps)
         self.blocks = [Blocks(loop, length, one) for length in LENGTHS]
         self.readings = None if taxels is None else PointReadings(loop, taxels)
+        self.size = len(start)
+        self.state = np.zeros_like(self.blocks[0].state)
+        self._start, self._foot = np.array(start), body.closest(point[None])
+        self._rows: dict[int, Array] = {}
+        self.rewind()
+
+    def rewind(self) -> None:
+        """Back to the start, at rest."""
         self.steps, self.seconds = 0, 0.0
-        self.saturated = np.zeros(loop.joints, dtype=int)
+        self.saturated = np.zeros(self.loop.joints, dtype=int)
         """Steps (n,) at which each joint's torque was at its limit."""
         self.hops = 0
         """How often the foot left the path's faces."""
-        self.size = len(start)
-        hit = body.closest(point[None])
-        self.state = np.zeros_like(self.blocks[0].state)
-        self.state[: self.size] = start
-        self.state[-2:] = hit.uv[0]
-        self.face = int(hit.face[0])
+        self.state[:] = 0.0
+        self.state[: self.size], self.state[-2:] = self._start, self._foot.uv[0]
+        self.face = int(self._foot.face[0])
         self._astray = False
-        self._rows: dict[int, Array] = {}
 
     @property
     def steps_per_second(self) -> float:

@@ -8,6 +8,8 @@ cheaper.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ..se3 import Array
@@ -18,34 +20,54 @@ TINY = 1e-24
 
 
 class PointReadings:
-    """Hertz pressures of taxels at `positions` (n, 3), body frame, m, from a step's outputs."""
+    """Hertz pressures of taxels at `positions` (n, 3), body frame, m, from a step's outputs.
 
-    def __init__(self, loop: Loop, positions: Array) -> None:
-        x = np.asarray(positions, dtype=float)
-        self.rows = loop.outputs
+    With dtype float32, twice as fast, a reading is off by some 1e-6 (L / a)^2 p_0^2 / p, L the
+    skin's half extent: 0.1 % of the peak near the patch's rim for a skin of 50 mm.
+    """
+
+    def __init__(self, loop: Loop, positions: Array, dtype: Any = np.float64) -> None:
+        self.rows, self.dtype = loop.outputs, dtype
+        self.origin = np.mean(positions, axis=0)
+        x = np.asarray(positions, dtype=float) - self.origin
         ones = np.ones(len(x))
-        self._spread = np.stack([*x.T, np.sum(x * x, axis=1), ones])  # (5, n)
-        self._height = np.stack([*x.T, ones])  # (4, n)
+        self._spread = np.stack([*x.T, np.sum(x * x, axis=1), ones]).astype(dtype)  # (5, n)
+        self._height = np.stack([*x.T, ones]).astype(dtype)  # (4, n)
+        self._scratch = np.empty((0, len(x)), dtype)
 
-    def __call__(self, outputs: Array) -> Array:
-        """Pressures (k, n), Pa, of outputs (k, m)."""
-        rows = self.rows
-        c, normal = outputs[:, rows["point"]], outputs[:, rows["normal"]]
-        depth, radius = outputs[:, rows["depth"].start], outputs[:, rows["radius"].start]
-        area = np.maximum(depth * radius, TINY)  # a^2
-        peak = 1.5 / np.pi * outputs[:, rows["force"].start] / area
-        root = np.sqrt(area)[:, None]
-        # 1 - |x - c|^2 / a^2 and (x - c) . n / a, each as one matrix product
-        left = np.concatenate(
-            [2.0 * c, -np.ones((len(c), 1)), (area - np.einsum("ij,ij->i", c, c))[:, None]], axis=1
-        )
-        inside = (left / area[:, None]) @ self._spread
-        along = np.einsum("ij,ij->i", c, normal)[:, None]
-        height = (np.concatenate([normal, -along], axis=1) / root) @ self._height
-        height *= height
-        np.minimum(height, 1.0, out=height)  # the far side of the body does not read
-        inside += height
+    def __call__(self, outputs: Array, out: Any = None) -> Array:
+        """Pressures (k, n), Pa, of outputs (k, m); `out`: an array to put them in."""
+        spread, height = self._factors(outputs)
+        if len(self._scratch) < len(outputs):
+            self._scratch = np.empty((len(outputs), self._scratch.shape[1]), self.dtype)
+        # p_0^2 ((x - c) . n)^2 / a^2 and p_0^2 (1 - |x - c|^2 / a^2), each as one matrix product
+        across = np.matmul(height, self._height, out=self._scratch[: len(outputs)])
+        across *= across
+        # the far side of the body is no part of the patch
+        peak = (outputs[:, self.rows["force"]] > 0) * self._peak(outputs) ** 2
+        np.minimum(across, peak.astype(self.dtype), out=across)
+        inside: Array = np.matmul(spread, self._spread, out=out)
+        inside += across
         np.maximum(inside, 0.0, out=inside)
-        np.sqrt(inside, out=inside)
-        inside *= peak[:, None]
-        return np.asarray(inside)
+        return np.sqrt(inside, out=inside)
+
+    def _area(self, outputs: Array) -> Array:
+        rows = self.rows
+        return np.maximum(outputs[:, rows["depth"]] * outputs[:, rows["radius"]], TINY)
+
+    def _peak(self, outputs: Array) -> Array:
+        """p_0 (k, 1)."""
+        return np.asarray(1.5 / np.pi * outputs[:, self.rows["force"]] / self._area(outputs))
+
+    def _factors(self, outputs: Array) -> tuple[Array, Array]:
+        """Left factors (k, 5) and (k, 4) of the two products."""
+        c = outputs[:, self.rows["point"]] - self.origin
+        normal = outputs[:, self.rows["normal"]]
+        area, peak = self._area(outputs), self._peak(outputs)
+        scale = peak * peak / area
+        inner = np.einsum("ij,ij->i", c, c)[:, None]
+        spread = np.concatenate([2.0 * scale * c, -scale, scale * (area - inner)], axis=1)
+        root = np.sqrt(scale)
+        along = np.einsum("ij,ij->i", c, normal)[:, None]
+        height = np.concatenate([root * normal, -root * along], axis=1)
+        return spread.astype(self.dtype), height.astype(self.dtype)

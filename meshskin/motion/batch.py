@@ -1,0 +1,166 @@
+"""Many episodes of one loop at once, in step: for parameter studies and for sampling a path.
+
+The episodes share the body and the path. Each starts at a row of the path of its own and may have
+parameters of its own (modulus, gains, ...).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SimulationError
+from ..geometry.body import Body
+from ..se3 import Array
+from .loop import REFERENCE, Loop, flat_anchor
+from .machine import SPARE
+from .quasi_static import start as body_state
+from .readings import PointReadings
+from .step import ready, step
+from .track import STAY, Track, crossings
+
+
+class Batch:
+    """State of `count` episodes.
+
+    rows (count,): where each starts on the track; starts (count, n): joint angles there, not needed
+    without an arm; parameters (count, 8): rows of loop.Parameters, by default the loop's own;
+    `compile_` and `steps`: see step.ready; taxels (n, 3): read them all at every step.
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        loop: Loop,
+        track: Track,
+        rows: NDArray[np.intp],
+        starts: Array | None = None,
+        *,
+        parameters: Array | None = None,
+        compile_: str = "auto",
+        steps: float = 0.0,
+        taxels: Array | None = None,
+    ) -> None:
+        self.body, self.loop, self.track = body, loop, track
+        self.rows = np.array(rows, dtype=np.intp)
+        count = len(self.rows)
+        one = ready(step(loop), compile_, steps * count)
+        references = track.references[self.rows]
+        if starts is None:
+            starts = np.array([body_state(_pose(row)) for row in references])
+        own = np.tile(loop.parameters.values, (count, 1)) if parameters is None else parameters
+        self.state = np.zeros((count, one.size1_in(0)))
+        self.references = np.array(references)
+        self.anchors = np.tile(flat_anchor(np.zeros((21, 3))), (count, 1))
+        self.parameters = np.array(own, dtype=float)
+        self.next = np.zeros_like(self.state)
+        self.outputs = np.zeros((count, one.size1_out(1)))
+        function = one.map(count)
+        buffer: Any = function.buffer()
+        self._buffer, self._run = buffer
+        inputs: tuple[Any, ...] = (self.state, self.references, self.anchors, self.parameters)
+        results: tuple[Any, ...] = (self.next, self.outputs)
+        for k, array in enumerate(inputs):
+            self._buffer.set_arg(k, memoryview(array))
+        for k, array in enumerate(results):
+            self._buffer.set_res(k, memoryview(array))
+        self._reader = None if taxels is None else PointReadings(loop, taxels, np.float32)
+        self.readings = None if taxels is None else np.zeros((count, len(taxels)), np.float32)
+        """Point pressures (count, taxels) of the last step, Pa, where they were asked for."""
+        self.faces = np.array(track.faces[self.rows])
+        self._astray = np.zeros(count, dtype=bool)
+        self.steps = 0
+        self.state[:, : starts.shape[1]] = starts
+        self._locate(np.arange(count), self._centres(starts))
+        self._astray[:] = self.faces != track.faces[self.rows]
+
+    def advance(self) -> Array:
+        """One step of every episode; returns the outputs (count, m), valid until the next.
+
+        An episode at the end of the track rests there. Raises SimulationError where a number is not
+        finite.
+        """
+        track, last = self.track, len(self.track) - 1
+        np.minimum(self.rows, last, out=self.rows)
+        np.take(track.references, self.rows, axis=0, out=self.references, mode="clip")
+        if self.rows.max() == last:
+            self.references[self.rows == last, -6:] = 0.0
+        faces = track.faces[self.rows]
+        maps = self.anchors[:, -len(STAY) :]
+        maps[:] = STAY
+        new = np.flatnonzero((faces != self.faces) & ~self._astray)
+        if len(new):
+            maps[new] = crossings(self.body.surface, self.faces[new], faces[new])
+            self._put(new, faces[new])
+        self._run()
+        if not np.isfinite(self.next.sum() + self.outputs.sum()):
+            self._refuse()
+        self.state[:] = self.next
+        u, v = self.next[:, -2], self.next[:, -1]
+        spare = np.minimum(np.minimum(u, v), 1.0 - u - v)
+        if spare.min() < -SPARE:
+            out = np.flatnonzero(spare < -SPARE)
+            self._astray[out] = True
+            self._locate(out, self._last_centres(out))
+        if self._astray.any():
+            self._rejoin(faces)
+        if self._reader is not None:
+            self._reader(self.outputs, self.readings)
+        self.steps += 1
+        self.rows += 1
+        return self.outputs
+
+    def _put(self, which: NDArray[np.intp], faces: NDArray[np.intp]) -> None:
+        """Anchor some episodes on faces."""
+        self.faces[which] = faces
+        patches = self.body.surface.patches[faces]
+        self.anchors[which, : -len(STAY)] = patches.swapaxes(1, 2).reshape(len(which), -1)
+
+    def _locate(self, which: NDArray[np.intp], centres: Array) -> None:
+        """Anchor some episodes at the foot of the indenter's centre (k, 3), body frame."""
+        hit = self.body.closest(centres, face=self.faces[which])
+        self.state[which, -2:] = hit.uv
+        self._put(which, hit.face)
+
+    def _rejoin(self, faces: NDArray[np.intp]) -> None:
+        """Episodes whose foot lies well on the path's face run over the path's faces again."""
+        out = np.flatnonzero(self._astray)
+        change = crossings(self.body.surface, self.faces[out], faces[out]).reshape(-1, 3, 2)
+        foot = np.concatenate([self.state[out, -2:], np.ones((len(out), 1))], axis=1)
+        uv = np.einsum("kij,ki->kj", change, foot)
+        spare = np.minimum(uv.min(axis=1), 1.0 - uv.sum(axis=1))
+        self._astray[out] = spare < -SPARE / 2
+
+    def _centres(self, starts: Array) -> Array:
+        """The indenter's centre (count, 3) in the body frames of the start."""
+        if self.loop.mode == "arm":
+            poses = self.loop.arm.pose(starts) @ self.loop.mount
+        else:
+            poses = np.array([_pose(row) for row in self.track.references[self.rows]])
+        reach = self.loop.indenter_position - poses[:, :3, 3]
+        return np.einsum("kji,kj->ki", poses[:, :3, :3], reach)
+
+    def _last_centres(self, which: NDArray[np.intp]) -> Array:
+        rows, out = self.loop.outputs, self.outputs[which]
+        gap = self.loop.indenter_radius - out[:, rows["depth"]]
+        return out[:, rows["point"]] + gap * out[:, rows["normal"]]
+
+    def _refuse(self) -> None:
+        whole = np.isfinite(np.hstack([self.next, self.outputs])).all(axis=1)
+        k = int(np.argmin(whole))
+        raise SimulationError(
+            f"episode {k} diverged at t = {self.steps * self.loop.dt:.4f} s, "
+            f"state = {np.round(self.state[k], 4).tolist()}",
+            value=f"dt = {self.parameters[k, 0]} s",
+            remedy="take a smaller loop.dt_ms or lower gains",
+        )
+
+
+def _pose(reference: Array) -> Array:
+    """T_w_b (4, 4) of a reference row (REFERENCE,)."""
+    assert len(reference) == REFERENCE
+    pose = np.eye(4)
+    pose[:3, 3], pose[:3, :3] = reference[:3], reference[3:12].reshape(3, 3).T
+    return pose

@@ -1,0 +1,34 @@
+"""The paper's scene ready to move: an arm, a body, a loop, and places on the path."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from meshskin.simulation import prepare
+
+
+@pytest.fixture(scope="session")
+def prepared(sphere):
+    """Machine and path of the paper's scene, by mode."""
+    made = {}
+
+    def get(mode="arm", **loop):
+        key = (mode, *sorted(loop.items()))
+        if key not in made:
+            scene = sphere.with_(loop=replace(sphere.loop, mode=mode, compile="never", **loop))
+            made[key] = prepare(scene)
+        machine, path = made[key]
+        machine.rewind()
+        return machine, path
+
+    return get
+
+
+@pytest.fixture(scope="session")
+def along(prepared, sphere):
+    """Joint angles (k, 6) along the path of the paper's scene."""
+    machine, path = prepared()
+    machine.rewind()
+    poses = path.poses @ np.linalg.inv(sphere.mount_pose)
+    return machine.loop.arm.inverse_kinematics(poses, machine.state[:6])
