@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from .. import se3
 from ..errors import SkinError
 from ..provenance import random_stream
-from . import lattice
+from . import jets, lattice
 from . import region as regions
 from .body import Body
 
@@ -90,20 +90,36 @@ class Skin:
         return cls(se3.transform(rotation, sites.at.point), np.arange(len(sites)), disc_radius)
 
     @classmethod
-    def load(cls, path: str | Path) -> Skin:
-        """A skin from a file, recognised by its content. Raises SkinError."""
-        from .files import csv
+    def load(cls, path: str | Path, part: str | None = None) -> Skin:
+        """A skin from a file, recognised by its content; `part` chooses one of a URDF's skins.
 
-        return cls(*csv.load(Path(path)))
+        Formats: CSV, iCub position files and layouts, iDynTree transforms, URDF, and PLY and GLB as
+        saved. Rows that the file itself says are no taxels are left out. A taxel without a normal
+        in the file has a rotation of NaN: see `onto`. Raises SkinError.
+        """
+        from . import files
+
+        table = files.read(Path(path), part)
+        table = table.take(table.is_taxel())
+        return cls(table.poses(Path(path).name), table.ids, table.disc_radius)
 
     def save(self, path: str | Path, format: str | None = None) -> None:
-        """Write the skin to a file, by its suffix or as `format` ("csv"), in one stroke."""
-        from .files import csv
+        """Write the skin to a file in one stroke, by its suffix or as `format`.
+
+        "csv", "txt" or "icub" (position file), "urdf", "ply" and "glb" (to look at). Raises
+        SkinError, OutputError.
+        """
+        from . import files
 
         kind = (format or Path(path).suffix.lstrip(".")).lower()
-        if kind != "csv":
-            raise SkinError("format of a skin file", value=kind, remedy="formats: csv")
-        csv.save(Path(path), self.poses, self.ids, self.disc_radius)
+        files.write(Path(path), kind, self.poses, self.ids, self.disc_radius)
+
+    def onto(self, body: Body) -> Skin:
+        """The skin moved to the closest points of a body's surface, with the normals there."""
+        at = body.closest(self.positions)
+        x = jets.tangent_frames(at.normal)[:, 0]
+        rotation = np.stack([x, np.cross(at.normal, x), at.normal], axis=2)
+        return replace(self, poses=se3.transform(rotation, at.point))
 
 
 def _check_spacing(body: Body, spacing: float, disc_radius: float) -> None:
