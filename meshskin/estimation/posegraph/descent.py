@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from meshskin import se3
-from meshskin.estimation.posegraph import linear
 from meshskin.estimation.posegraph.graph import PoseGraph
 from meshskin.estimation.posegraph.kernel import EDGE, RELATIVE, ROOT
 from meshskin.estimation.posegraph.linear import Integers
 from meshskin.estimation.posegraph.problem import Problem
+from meshskin.estimation.posegraph.sweep import displacements
 from meshskin.se3 import Array
 
 ACCURACY = 1e-9
@@ -66,7 +66,7 @@ def minimise(
     tolerance = float(np.sqrt(accuracy / (6 * len(problem.free))))
     for blend, limit in stages:
         edge = edge_numbers(graph, state.poses, root)
-        cost = max(_cost(edge, problem.residual), floor, 1e-300)
+        cost = max(problem.cost(parameter_vector(edge, np.ones(2), blend)), floor, 1e-300)
         edge[:, -ROOT:] /= np.sqrt(cost)
         scale = _scale(weight / cost, edge[:, :3], len(problem.free))
         parameters = parameter_vector(edge, scale, blend)
@@ -76,9 +76,8 @@ def minimise(
         for x in run.path[1:]:
             state.iterates.append(retract(state.poses, problem.free, x, scale))
         state.poses = retract(state.poses, problem.free, run.x, scale)
-        share, drop = _newton(problem, run.x, parameters)
-        state.cost = share * cost
-        state.decrement = drop / max(share, floor / cost / accuracy)
+        state.cost = run.cost * cost
+        state.decrement = run.gain / max(run.cost, floor / cost / accuracy)
         if state.decrement < accuracy:
             return
 
@@ -103,12 +102,9 @@ def chordal_roots(tau: Array, kappa: Array) -> Array:
 
 def edge_numbers(graph: PoseGraph, poses: Array, root: Array) -> Array:
     """The kernel's numbers (m, 35): displacements now, displacements measured, W."""
-    i, j = graph.edges.T
-    now = se3.inverse(poses[i]) @ poses[j]
-    numbers = np.empty((len(i), EDGE))
-    for at, pose in ((0, now), (7, graph.measurements)):
-        numbers[:, at : at + 3] = pose[:, :3, 3]
-        numbers[:, at + 3 : at + 7] = se3.quaternion(pose[:, :3, :3])
+    numbers = np.empty((len(graph.edges), EDGE))
+    displacements(poses, graph.edges, numbers[:, :RELATIVE])
+    displacements(graph.measurements, None, numbers[:, RELATIVE : 2 * RELATIVE])
     numbers[:, -ROOT:] = root[:, UPPER[0], UPPER[1]]
     return numbers
 
@@ -155,20 +151,9 @@ def _size(graph: PoseGraph, weight: Array) -> float:
     return float(np.sum(weight[:, :3].sum(axis=1) * length2 + weight[:, 3:].sum(axis=1)))
 
 
-def _cost(edge: Array, residual: str) -> float:
-    """Cost at x = 0."""
-    return 0.5 * float(np.sum(weighted_errors(edge, residual) ** 2))
-
-
 def _scale(weight: Array, displacement: Array, free: int) -> Array:
     """Lengths (m, rad) at which the Hessian's diagonal is about 1."""
     lever = np.sum(displacement**2, axis=1)
     translation = 2 * weight[:, :3].sum() / (3 * free)
     rotation = (2 * weight[:, 3:].sum() + weight[:, :3].sum(axis=1) @ lever) / (3 * free)
     return np.array([v**-0.5 if v > 0 else 1.0 for v in (translation, rotation)])
-
-
-def _newton(problem: Problem, x: Array, parameters: Array) -> tuple[float, float]:
-    """Cost at x, and by how much a Newton step would lower it; infinite at a saddle."""
-    cost, gradient = problem.gradient(x, parameters)
-    return cost, 0.5 * linear.energy(problem.hessian(x, parameters), gradient)

@@ -76,13 +76,13 @@ def conjugate_gradients(
     return x, False
 
 
-def energy(upper: sparse.csc_array, right: Array, limit: int = 200) -> float:
-    """b^T A^-1 b for the symmetric A with triangle `upper` and b = `right` (n,), to about a digit.
+def energy(multiply: Operator, diagonal: Array, right: Array, limit: int = 200) -> float:
+    """b^T A^-1 b for the symmetric A with this `diagonal` and b = `right` (n,), to about a digit.
 
-    Conjugate gradients add up b^T A^-1 b in positive terms (Hestenes and Stiefel, 1952); the sum is
-    good once the last terms add nothing. Infinite where A turns out not to be positive definite.
+    `multiply`: x -> A x. Conjugate gradients add up b^T A^-1 b in positive terms (Hestenes and
+    Stiefel, 1952); the sum is good once the last terms add nothing. Infinite where A turns out not
+    to be positive definite.
     """
-    diagonal, lower = upper.diagonal(), upper.T
     inverse = 1.0 / _positive(diagonal)
     r = right.copy()
     z = inverse * r
@@ -90,7 +90,7 @@ def energy(upper: sparse.csc_array, right: Array, limit: int = 200) -> float:
     for _ in range(limit):
         if rz == 0.0:
             break
-        product = upper @ d + lower @ d - diagonal * d
+        product = multiply(d)
         curvature = float(d @ product)
         if curvature <= 0.0:
             return np.inf

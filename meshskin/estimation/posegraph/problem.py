@@ -11,12 +11,14 @@ import hashlib
 import threading
 from collections import OrderedDict
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from scipy import sparse
 
+from meshskin.estimation.posegraph import linear
 from meshskin.estimation.posegraph.functions import Call, Function, Recorder
 from meshskin.estimation.posegraph.kernel import EDGE
 from meshskin.estimation.posegraph.linear import Integers
@@ -45,6 +47,10 @@ class Run:
 
     x: Array
     """(6 * free poses,) increments."""
+    cost: float
+    """At x."""
+    gain: float
+    """By how much a Newton step from x would lower the cost; infinite at a saddle."""
     iterations: int
     status: str
     path: tuple[Array, ...]
@@ -64,8 +70,8 @@ class Problem:
         """Poses that move, in the order of x."""
         slot = np.full(poses, len(self.free))  # an anchored pose reads the zeros after x
         slot[self.free] = np.arange(len(self.free))
-        sweep = Sweep(slot[edges], len(self.free), residual)
-        self._evaluator, self._pattern = _Evaluator(sweep), sweep.pattern()
+        self._sweep = Sweep(slot[edges], len(self.free), residual)
+        self._evaluator, self._pattern = _Evaluator(self._sweep), self._sweep.pattern()
         self._build(6 * len(self.free), EDGE * len(edges) + 3)
         self._solvers: dict[tuple[tuple[str, object], ...], Call] = {}
         self._lock = threading.Lock()  # graphs of the same topology share a problem
@@ -94,21 +100,25 @@ class Problem:
         x = solver(np.zeros(size), parameters, -free, free)[0]
         stats = solver.stats()
         path = tuple(recorder.path) if recorder else ()
-        return Run(x, stats["iter_count"], stats["return_status"], path)
-
-    def gradient(self, x: Array, parameters: Array) -> tuple[float, Array]:
-        """Cost, and its gradient (6 free,)."""
-        edges, scale, _ = _split(parameters)
-        gradient = np.empty(len(x))
-        return self._evaluator.sweep.gradient(edges, scale, x, gradient), gradient
-
-    def hessian(self, x: Array, parameters: Array) -> sparse.csc_array:
-        """Upper triangle of the Hessian (6 free, 6 free)."""
-        values = np.empty(self._evaluator.sweep.size)
+        cost, gradient = self._evaluator.gradient(x, parameters)
+        values = np.empty(self._sweep.size)
         self._evaluator.hessian(x, parameters, values)
-        rows, ends = (np.array(part()) for part in (self._pattern.row, self._pattern.colind))
-        size = 6 * len(self.free)
-        return sparse.csc_array((values, rows, ends), shape=(size, size))
+        product, diagonal = partial(self._sweep.multiply, values), self._sweep.diagonal(values)
+        gain = 0.5 * linear.energy(product, diagonal, gradient)
+        return Run(x, cost, gain, stats["iter_count"], stats["return_status"], path)
+
+    def cost(self, parameters: Array) -> float:
+        """Cost at x = 0."""
+        edges, scale, _ = _split(parameters)
+        zero = np.zeros(6 * len(self.free))
+        return self._sweep.gradient(edges, scale, zero, np.empty_like(zero))
+
+    def hessian(self, parameters: Array) -> sparse.csc_array:
+        """Upper triangle of the Hessian (6 free, 6 free) at x = 0."""
+        values = np.empty(self._sweep.size)
+        edges, scale, blend = _split(parameters)
+        self._sweep.hessian(edges, scale, blend, np.zeros(6 * len(self.free)), values)
+        return self._sweep.matrix(values)
 
     def _build(self, size: int, parameters: int) -> None:
         evaluator, one, dense = self._evaluator, ca.Sparsity.dense(1), ca.Sparsity.dense(size)

@@ -99,7 +99,7 @@ class Solution:
         root = _roots(self.graph, self.objective) * np.sqrt(self.weights)[:, None, None]
         edge = edge_numbers(self.graph, self.poses, root)
         parameters = parameter_vector(edge, np.ones(2), 0.0)
-        upper = problem.hessian(np.zeros(6 * len(problem.free)), parameters)
+        upper = problem.hessian(parameters)
         information = (upper + sparse.triu(upper, 1).T).tocsr()
         covariances[problem.free] = marginals.marginals(information)
         return covariances

@@ -13,8 +13,9 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
-from meshskin import compiled
+from meshskin import compiled, se3
 from meshskin.estimation.posegraph.kernel import EDGE, LOWER, Kernel, kernel
 from meshskin.estimation.posegraph.linear import Integers
 from meshskin.se3 import Array
@@ -72,6 +73,27 @@ class Sweep:
         self._library.sum_hessian(*count, *inputs, *layout, self.size, out.ctypes.data)
         return None
 
+    def multiply(self, values: Array, x: Array) -> Array:
+        """The Hessian with upper triangle `values` (size,) times x (6 free,)."""
+        if self._library is None:
+            upper = self.matrix(values)
+            return np.asarray(upper @ x + upper.T @ x - upper.diagonal() * x)
+        out = np.empty(len(x))
+        inputs = (self.starts, self.heights, self.rows, values, x, out)
+        self._library.multiply(self.free, *(a.ctypes.data for a in inputs))
+        return out
+
+    def diagonal(self, values: Array) -> Array:
+        """(6 free,) of the Hessian."""
+        pose, k = np.arange(self.free)[:, None], np.arange(6)
+        return np.asarray(values[self._entry(pose, self.heights[pose], k, k)].ravel())
+
+    def matrix(self, values: Array) -> sparse.csc_array:
+        """The upper triangle (6 free, 6 free) with nonzeros `values`."""
+        pattern = self.pattern()
+        rows, ends = (np.array(part()) for part in (pattern.row, pattern.colind))
+        return sparse.csc_array((values, rows, ends), shape=(6 * self.free, 6 * self.free))
+
     def _interpreted_gradient(self, edges: Array, scale: Array, x: Array, out: Array) -> float:
         one = self._kernel.gradient.map(len(edges))
         costs, gradients = one.call([self._local(x), edges.T, _repeated(scale, len(edges))])
@@ -118,6 +140,22 @@ class Sweep:
         return np.asarray(padded[self.slots].reshape(-1, 12).T)
 
 
+def displacements(poses: Array, edges: Long | None, out: Array) -> None:
+    """Translation (m) and quaternion, xyzw, of T_i^-1 T_j, written to the rows of `out` (m, 7).
+
+    `out` is the view of rows of `EDGE` numbers. Without `edges` (m, 2): of `poses` (m, 4, 4).
+    """
+    fast = library("log")
+    if fast is not None:
+        poses = np.ascontiguousarray(poses)
+        pairs = None if edges is None else edges.ctypes.data
+        fast.displacements(len(out), pairs, poses.ctypes.data, out.ctypes.data)
+        return
+    if edges is not None:
+        poses = se3.inverse(poses[edges[:, 0]]) @ poses[edges[:, 1]]
+    out[:, :3], out[:, 3:] = poses[:, :3, 3], se3.quaternion(poses[:, :3, :3])
+
+
 def _repeated(values: Array, count: int) -> Array:
     return np.tile(np.reshape(values, (-1, 1)), (1, count))
 
@@ -128,9 +166,10 @@ def library(residual: str) -> ctypes.CDLL | None:
     one: Kernel = kernel(residual)
     text = "\n".join(
         [
-            compiled.source(one.gradient, one.hessian),
+            compiled.source(one.gradient, one.gauss_newton, one.hessian),
             f"#define EDGE {EDGE}",
             f"#define RESIDUAL_gradient {residual}_gradient",
+            f"#define RESIDUAL_gauss_newton {residual}_gauss_newton",
             f"#define RESIDUAL_hessian {residual}_hessian",
             "#define DECLARE CASADI_SYMBOL_EXPORT",
             Path(__file__).with_name("sweep.c").read_text(encoding="utf-8"),
@@ -139,6 +178,9 @@ def library(residual: str) -> ctypes.CDLL | None:
     found = compiled.library(f"posegraph_{residual}", text)
     if found is not None:
         integer, pointer = ctypes.c_longlong, ctypes.c_void_p
+        found.multiply.restype = found.displacements.restype = None
+        found.multiply.argtypes = [integer] + [pointer] * 6
+        found.displacements.argtypes = [integer] + [pointer] * 3
         found.sum_gradient.restype = ctypes.c_double
         found.sum_gradient.argtypes = [integer] * 2 + [pointer] * 5
         found.sum_hessian.restype = None

@@ -74,6 +74,9 @@ def test_gauss_newton_at_blend_zero(residual):
     jacobian = np.array([(error(x + s) - error(x - s)) / 2e-5 for s in 1e-5 * np.eye(12)]).T
     hessian = whole_hessian(one, x, edge, 0.0)
     assert np.allclose(hessian, jacobian.T @ jacobian, atol=1e-7 * np.abs(hessian).max())
+    cheaper = one.gauss_newton.call([x, edge, SCALE])
+    for block, same in zip(cheaper, one.hessian.call([x, edge, SCALE, 0.0]), strict=True):
+        assert np.allclose(block.full(), same.full(), atol=1e-12 * np.abs(hessian).max())
 
 
 def error_of(residual):
