@@ -19,6 +19,7 @@ import numpy as np
 from scipy import sparse
 
 from meshskin.estimation.posegraph import linear
+from meshskin.estimation.posegraph.blas import use_scipys_blas
 from meshskin.estimation.posegraph.functions import Call, Function, Recorder
 from meshskin.estimation.posegraph.kernel import EDGE
 from meshskin.estimation.posegraph.linear import Integers
@@ -145,6 +146,7 @@ class Problem:
         self._nlp: dict[str, Any] = {"x": x, "p": p, "f": self._f(x, p)}
 
     def _solver(self, ipopt: dict[str, object], **options: object) -> ca.Function:
+        use_scipys_blas()
         all_options: dict[str, Any] = {
             "grad_f": self._grad_f,
             "hess_lag": self._hess_lag,
