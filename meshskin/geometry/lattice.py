@@ -80,7 +80,7 @@ def first_site(
     at = body.closest(centre.point + shift, face=centre.face)
     if not region.contains(body, at)[0]:
         at = centre
-    heading = _onto(np.cos(turn) * tangent + np.sin(turn) * side, at.normal)
+    heading = onto(np.cos(turn) * tangent + np.sin(turn) * side, at.normal)
     return Lattice(at, heading, np.zeros(1))
 
 
@@ -178,7 +178,7 @@ def _halve(body: Body, region: regions.Region, coarse: Lattice, spacing: float) 
     """The lattice of a spacing (m) from that of twice the spacing."""
     one, two = _ties(coarse, 2.0 * REACH * spacing)
     at = body.closest(0.5 * (coarse.at.point[one] + coarse.at.point[two]), face=coarse.at.face[one])
-    tangent = _onto(coarse.tangent[one], at.normal)
+    tangent = onto(coarse.tangent[one], at.normal)
     way = 0.5 * (coarse.way[one] + coarse.way[two])
     inside = region.contains(body, at)
     sites = _join(coarse, Lattice(at, tangent, way).take(inside))
@@ -243,7 +243,7 @@ def _propose(body: Body, sites: Lattice, taken: Array, spacing: float, clearance
     total = np.stack([np.bincount(group, at.point[:, k]) for k in range(3)], axis=1)
     mean = total / np.bincount(group)[:, None]
     merged = body.closest(mean, face=at.face[chosen])
-    new = Lattice(merged, _onto(tangent[chosen], merged.normal), np.zeros(len(chosen)))
+    new = Lattice(merged, onto(tangent[chosen], merged.normal), np.zeros(len(chosen)))
     apart = _tree(taken).query(merged.point)[0] > clearance
     keep = np.flatnonzero(apart)
     return new.take(keep[_uncrowded(merged.point[keep], clearance)])
@@ -271,7 +271,7 @@ def _settle(body: Body, region: regions.Region, sites: Lattice, spacing: float) 
     left = ~region.contains(body, after)
     if left.any():
         after = body.closest(np.where(left[:, None], point, after.point), face=sites.at.face)
-    return Lattice(after, _onto(sites.tangent, after.normal), sites.way)
+    return Lattice(after, onto(sites.tangent, after.normal), sites.way)
 
 
 def _leaders(points: Array, radius: float) -> NDArray[np.intp]:
@@ -295,10 +295,10 @@ def _uncrowded(points: Array, radius: float) -> NDArray[np.intp]:
 def _transport(vectors: Array, before: Array, after: Array) -> Array:
     """Tangents (n, 3) turned by the smallest rotation that takes normals `before` to `after`."""
     along = np.sum(vectors * after, axis=1) / (1.0 + np.sum(before * after, axis=1))
-    return _onto(vectors - along[:, None] * (before + after), after)
+    return onto(vectors - along[:, None] * (before + after), after)
 
 
-def _onto(vectors: Array, normals: Array) -> Array:
+def onto(vectors: Array, normals: Array) -> Array:
     """Unit tangents (n, 3): the vectors' parts across the normals."""
     flat = vectors - np.sum(vectors * normals, axis=1, keepdims=True) * normals
     return flat / np.linalg.norm(flat, axis=1, keepdims=True)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from .. import se3
 from ..errors import SkinError
 from ..provenance import random_stream
-from . import jets, lattice
+from . import jets, lattice, modules
 from . import region as regions
 from .body import Body
 
@@ -88,6 +88,18 @@ class Skin:
         x, z = sites.tangent, sites.at.normal
         rotation = np.stack([x, np.cross(z, x), z], axis=2)
         return cls(se3.transform(rotation, sites.at.point), np.arange(len(sites)), disc_radius)
+
+    @staticmethod
+    def modules(
+        body: Body,
+        count: int | None = None,
+        spacing: float = modules.SPACING,
+        region: regions.Region | None = None,
+        seed: int = 0,
+        disc_radius: float = 2e-3,
+    ) -> modules.Modules:
+        """Rigid triangular modules on a body, and by `.skin` their taxels: see `modules.lay`."""
+        return modules.lay(body, count, spacing, region, seed, disc_radius)
 
     @classmethod
     def load(cls, path: str | Path, part: str | None = None) -> Skin:
