@@ -4,7 +4,7 @@ A rigid paraboloid is pressed on an elastic layer bonded to a rigid base, for a 
 y = chi / (1 + chi), chi = a_Hertz / thickness, and Poisson's ratios, both at Chebyshev points. Each
 row gives the contact radius, the peak pressure and the approach in parts of Hertz's on a half-space
 of the same E*, and by how much ln(a/b) is smaller than Hertz's for relative curvatures 2 : 1. At
-chi = 0 all are 1. Deterministic; about a minute.
+chi = 0 all are 1. Deterministic; two minutes.
 
     OMP_NUM_THREADS=1 python studies/layer_table.py [--cells 192] [--out FILE]
 """

@@ -96,7 +96,7 @@ def table_errors() -> np.ndarray:
 
 def tamaas_error(n: int = 256) -> float:
     """Relative difference of the elliptic peak from tamaas' at the same places."""
-    import tamaas
+    import tamaas  # type: ignore[import-untyped]
 
     tamaas.set_log_level(tamaas.LogLevel.error)
     exact = contact.solve("elliptic", curvature=(60.0, -20.0), **CASE)

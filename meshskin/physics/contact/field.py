@@ -58,8 +58,9 @@ class GridPatch(Patch):
         grid = np.zeros((1, 1)) if self.grid is None else self.grid
         xy = np.asarray(xy, dtype=float)
         middle = (np.array(grid.shape) - 1) / 2
-        index = np.moveaxis(xy / self.spacing + middle, -1, 0)
-        return np.asarray(map_coordinates(grid, index, order=1, mode="constant"))
+        index = (xy / self.spacing + middle).reshape(-1, 2).T
+        values = map_coordinates(grid, index, order=1, mode="constant")
+        return np.asarray(values.reshape(xy.shape[:-1]))
 
     def reading(self, xy: ArrayLike, disc_radius: float) -> Array:
         """Mean pressure (...), Pa, over discs at `xy` (..., 2), m: 12 rings of 32 points."""
@@ -161,6 +162,7 @@ def solve(
             remedy="lower the force, or raise the modulus or the indenter's radius",
         )
     peak = float(found.pressure.max())
+    axes = np.array([axes[0], min(axes)])  # equal but for rounding on a circle
     return GridPatch(
         axes, peak, found.approach, "field", grid=found.pressure, spacing=(spacing[0], spacing[1])
     )

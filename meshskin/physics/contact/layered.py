@@ -10,6 +10,10 @@ The profile is p_0 (1 - x^2/a^2 - y^2/b^2)^m, m = pi a b p_0 / F - 1, which carr
 exactly. An elliptic patch takes the factors of chi = sqrt(a b)_Hertz / t, and its ln(a/b) is
 Hertz's times a fourth factor, tabulated for relative curvatures 2 : 1 (on a thin compressible layer
 a/b tends to (B/A)^(1/2), near the circle of a half-space to (B/A)^(2/3)).
+
+On circles, a, p_0 and depth are within 0.2 % of an axisymmetric finite-element contact (chi 0.1 to
+5, Poisson's ratio 0.3 to 0.49). The profile is the weaker part: means over discs of half the
+patch's radius are off by up to 2 % of p_0 on circles, 3.5 % at B/A = 3.
 """
 
 from __future__ import annotations

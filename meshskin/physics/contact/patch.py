@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...se3 import Array
-from .ellipse import ellipse_mean
+from .ellipse import NODES, ellipse_mean
 
 
 @dataclass(frozen=True)
@@ -62,3 +62,12 @@ class Patches(NamedTuple):
     """Approach of the two bodies, m."""
     exponent: Any = 0.5
     """Exponent of the pressure profile."""
+
+    def reading(self, x: Any, y: Any, disc_radius: Any, nodes: int = NODES) -> Any:
+        """Mean pressure, Pa, over discs of `disc_radius`, m, centred at (x, y), m.
+
+        x, y: along the first and second principal direction, in the contact's tangent plane, from
+        the contact point. NumPy (broadcast) or CasADi; the error is given at `ellipse.NODES`.
+        """
+        mean = ellipse_mean(x, y, self.first, self.second, disc_radius, self.exponent, nodes)
+        return self.peak * mean

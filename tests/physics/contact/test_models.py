@@ -77,6 +77,9 @@ def test_many_contacts_are_each_contact(model, thickness):
         assert sorted([many.first[k], many.second[k]]) == pytest.approx(one.semi_axes[::-1])
         assert [many.peak[k], many.depth[k]] == pytest.approx([one.peak, one.depth])
         assert np.broadcast_to(many.exponent, 6)[k] == pytest.approx(one.exponent)
+        at = rng.uniform(-3e-3, 3e-3, 2)  # the first curvature is the larger: its axis is the minor
+        reading = many.reading(*at, 2e-3)[k]
+        assert reading == pytest.approx(float(one.reading(at[::-1], 2e-3)), abs=1e-9 * one.peak)
     back = contact.force(
         model,
         depth=many.depth,
@@ -113,3 +116,45 @@ def test_batch_of_an_unknown_model_names_the_nearest():
         contact.force(
             "layred", depth=0.0, curvature=0.0, indenter_radius=1, effective_modulus=1, poisson=0
         )
+
+
+@pytest.mark.parametrize("curvature", [100.0, 10.0, 0.0, -50.0, -90.0])
+def test_parabolic_gaps_end_where_true_arcs_differ(curvature):
+    """At the limit of width the true arcs are about 4 % narrower, whatever the body's curvature."""
+    tip, radius = 100.0, 1 / (100.0 + curvature)
+    a = 0.519 / np.sqrt(tip**2 - tip * curvature + curvature**2)
+    case = CASE | {"curvature": curvature, "modulus": 1e6, "poisson": 0.0}
+    case["force"] = 4e6 / 3 * a**3 / radius
+    patch, true = contact.solve("hertz", **case), contact.solve("field", **case)
+    assert patch.semi_axes[0] / true.semi_axes[0] - 1 == pytest.approx(0.036, abs=0.006)
+    assert patch.peak / true.peak - 1 == pytest.approx(-0.024, abs=0.004)
+    with pytest.raises(ContactError, match="wide"):
+        contact.solve("hertz", **case | {"force": 1.02 * case["force"]})
+
+
+def test_any_scene_has_a_patch_or_a_named_error():
+    rng = np.random.default_rng(5)
+    solved = 0
+    for _ in range(150):
+        radius = 10 ** rng.uniform(-3, -1)
+        thickness = None if rng.random() < 0.3 else 10 ** rng.uniform(-4.5, -1)
+        try:
+            patch = contact.solve(
+                "hertz",
+                force=10 ** rng.uniform(-4, 2.5),
+                curvature=tuple(rng.uniform(-1.3, 3, 2) / radius),
+                indenter_radius=radius,
+                modulus=10 ** rng.uniform(3.5, 9),
+                poisson=rng.uniform(-0.9, 0.5),
+                thickness=thickness,
+                upgrade=True,
+            )
+        except ContactError:
+            continue
+        solved += 1
+        assert patch.semi_axes[0] >= patch.semi_axes[1] > 0
+        assert 0 < patch.depth < np.inf
+        assert 0 < patch.peak < np.inf
+        assert patch.pressure([0.0, 0.0]) == pytest.approx(patch.peak, rel=1e-2)
+        assert patch.reading([0.0, 0.0], patch.semi_axes[1] / 2) < patch.peak
+    assert solved > 50
