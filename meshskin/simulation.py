@@ -288,18 +288,19 @@ def _field(scene: Scene) -> Field:
 
 def _frames(scene: Scene, time: Array, outputs: Array, rows: dict[str, slice], q: Array) -> Frames:
     """The frames at `time` (m,) from the loop's outputs and configurations."""
-    points = outputs[:, rows["point"]]
+    points, normals = outputs[:, rows["point"]], outputs[:, rows["normal"]]
+    gap = scene.indenter.radius - outputs[:, rows["depth"]]
 
-    def foot(centres: Array) -> tuple[Array, Array, Array]:
+    def foot(centres: Array) -> tuple[Array, Array]:
         hit = scene.body.closest(centres)
-        return hit.point, hit.normal, hit.distance
+        return hit.point, hit.normal
 
     return Frames(
         time=time,
         points=points,
-        normals=outputs[:, rows["normal"]],
+        normals=normals,
         force=outputs[:, rows["force"].start],
-        gap=scene.indenter.radius - outputs[:, rows["depth"].start],
+        centres=points + gap * normals,
         curvature=scene.body.closest(points).curvature if len(time) else np.zeros((0, 2)),
         q=q,
         foot=foot,

@@ -27,7 +27,7 @@ class BodyPose(Plain):
 
     name: ClassVar[str] = "body_pose"
     stage: ClassVar[str] = "geometry"
-    cost: ClassVar[float] = 3e-7
+    cost: ClassVar[float] = 3e-8
 
     def bound(self, context: Context) -> float:
         """|t|, and |w| times the farthest taxel's distance, m."""

@@ -27,7 +27,7 @@ class BrokenTaxels(Plain):
 
     name: ClassVar[str] = "broken_taxels"
     stage: ClassVar[str] = "transducer"
-    cost: ClassVar[float] = 2e-9
+    cost: ClassVar[float] = 2e-10
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -32,7 +32,7 @@ class Capacitive(Plain):
 
     name: ClassVar[str] = "capacitive"
     stage: ClassVar[str] = "transducer"
-    cost: ClassVar[float] = 5e-9
+    cost: ClassVar[float] = 5e-10
 
     def bound(self, context: Context) -> float:
         """From the readings that p_0 lacks, m."""

@@ -31,7 +31,7 @@ class CoverFabric(Plain):
 
     name: ClassVar[str] = "cover_fabric"
     stage: ClassVar[str] = "field"
-    cost: ClassVar[float] = 1e-5
+    cost: ClassVar[float] = 2.5e-6
 
     def bound(self, context: Context) -> float:
         """From the rim, where p goes like the root of the distance: sqrt(w / a) of p_0, m."""

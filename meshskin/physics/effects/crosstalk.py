@@ -32,7 +32,7 @@ class Crosstalk(Plain):
 
     name: ClassVar[str] = "crosstalk"
     stage: ClassVar[str] = "transducer"
-    cost: ClassVar[float] = 1e-8
+    cost: ClassVar[float] = 2e-9
 
     def bound(self, context: Context) -> float:
         """Where one taxel reads p_0 and its neighbours nothing, m."""

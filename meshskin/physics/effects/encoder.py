@@ -29,7 +29,7 @@ class Encoder(Plain):
 
     name: ClassVar[str] = "encoder"
     stage: ClassVar[str] = "robot"
-    cost: ClassVar[float] = 4e-7
+    cost: ClassVar[float] = 7e-8
 
     def bound(self, context: Context) -> float:
         """At 3 standard deviations, m, with a lever to every joint of twice the distance from the

@@ -21,7 +21,7 @@ class ForceSensor(Plain):
 
     name: ClassVar[str] = "force_sensor"
     stage: ClassVar[str] = "robot"
-    cost: ClassVar[float] = 1e-9
+    cost: ClassVar[float] = 1.1e-10
 
     def bound(self, context: Context) -> float:
         """At 3 standard deviations, m."""

@@ -10,9 +10,9 @@ import numpy as np
 
 from ...se3 import Array
 
-Foot = Callable[[Array], tuple[Array, Array, Array]]
+Foot = Callable[[Array], tuple[Array, Array]]
 """Centres of the indenter (k, 3), body frame -> foot points on the body (k, 3), outward normals
-(k, 3), distances (k,)."""
+(k, 3)."""
 
 Field = Callable[["Frames", Array], Array]
 """(frames (m), taxel poses (n, 4, 4) in the body frame) -> pressures (m, n), Pa."""
@@ -30,8 +30,8 @@ class Frames:
     """Outward normals (m, 3)."""
     force: Array
     """Normal forces (m,)."""
-    gap: Array
-    """Distances (m,) of the indenter's centre from the contact points."""
+    centres: Array
+    """The indenter's centre (m, 3)."""
     curvature: Array
     """Principal curvatures (m, 2), positive where convex."""
     q: Array
@@ -42,15 +42,10 @@ class Frames:
     def __len__(self) -> int:
         return len(self.time)
 
-    @property
-    def centres(self) -> Array:
-        """The indenter's centre (m, 3), body frame."""
-        return np.asarray(self.points + self.gap[:, None] * self.normals)
-
     def moved(self, centres: Array) -> Frames:
         """The contacts that one infers from other centres (m, 3) of the indenter."""
-        points, normals, gap = self.foot(centres)
-        return replace(self, points=points, normals=normals, gap=gap)
+        points, normals = self.foot(centres)
+        return replace(self, points=points, normals=normals, centres=centres)
 
     def rows(self, rows: Any) -> Frames:
         """Some of the frames: a slice, a mask or indices."""

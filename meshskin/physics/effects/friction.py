@@ -33,7 +33,7 @@ class Friction(Plain):
 
     name: ClassVar[str] = "friction"
     stage: ClassVar[str] = "contact"
-    cost: ClassVar[float] = 2e-7
+    cost: ClassVar[float] = 9e-8
 
     def slip(self, context: Context) -> float:
         """Shear at which the contact slides, m, at the reference force."""

@@ -24,7 +24,7 @@ class GainOffset(Plain):
 
     name: ClassVar[str] = "gain_offset"
     stage: ClassVar[str] = "transducer"
-    cost: ClassVar[float] = 2e-9
+    cost: ClassVar[float] = 6e-10
 
     def bound(self, context: Context) -> float:
         """At 3 standard deviations, m."""

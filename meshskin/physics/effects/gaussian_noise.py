@@ -24,7 +24,7 @@ class GaussianNoise(Plain):
 
     name: ClassVar[str] = "gaussian_noise"
     stage: ClassVar[str] = "transducer"
-    cost: ClassVar[float] = 1.5e-8
+    cost: ClassVar[float] = 8e-9
 
     def sigma(self, context: Context) -> float:
         """Standard deviation, Pa."""

@@ -28,7 +28,7 @@ class GravityError(Plain):
 
     name: ClassVar[str] = "gravity_error"
     stage: ClassVar[str] = "robot"
-    cost: ClassVar[float] = 1e-7
+    cost: ClassVar[float] = 1.7e-8
 
     def bound(self, context: Context) -> float:
         """With the whole weight along the normal, m."""

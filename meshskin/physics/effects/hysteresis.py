@@ -33,7 +33,7 @@ class Hysteresis(Plain):
 
     name: ClassVar[str] = "hysteresis"
     stage: ClassVar[str] = "transducer"
-    cost: ClassVar[float] = 1.5e-7
+    cost: ClassVar[float] = 7e-8
 
     @property
     def mean_width(self) -> float:

@@ -24,7 +24,7 @@ class IndenterOffset(Plain):
 
     name: ClassVar[str] = "indenter_offset"
     stage: ClassVar[str] = "geometry"
-    cost: ClassVar[float] = 3e-7
+    cost: ClassVar[float] = 5e-8
 
     def bound(self, context: Context) -> float:
         """|d|, m: on a convex body the foot moves less than the centre."""

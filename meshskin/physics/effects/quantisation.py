@@ -24,7 +24,7 @@ class Quantisation(Plain):
 
     name: ClassVar[str] = "quantisation"
     stage: ClassVar[str] = "transducer"
-    cost: ClassVar[float] = 8e-9
+    cost: ClassVar[float] = 7e-10
 
     def step(self, context: Context) -> float:
         """Pressure of one level, Pa."""

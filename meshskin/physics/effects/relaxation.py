@@ -37,7 +37,7 @@ class Relaxation(Plain):
 
     name: ClassVar[str] = "relaxation"
     stage: ClassVar[str] = "pressure"
-    cost: ClassVar[float] = 1e-7
+    cost: ClassVar[float] = 4e-8
 
     def bound(self, context: Context) -> float:
         """Between a place that is quite relaxed and one that is not at all, m."""

@@ -27,7 +27,7 @@ class Sampling(Plain):
 
     name: ClassVar[str] = "sampling"
     stage: ClassVar[str] = "robot"
-    cost: ClassVar[float] = 2e-8
+    cost: ClassVar[float] = 2.5e-9
 
     def bound(self, context: Context) -> float:
         """The way of the contact in a period and the delay, m."""

@@ -31,7 +31,7 @@ class ScanOrder(Plain):
 
     name: ClassVar[str] = "scan_order"
     stage: ClassVar[str] = "field"
-    cost: ClassVar[float] = 4e-7
+    cost: ClassVar[float] = 1.5e-7
 
     def lags(self, context: Context) -> Array:
         """How long before the frame's time each slot is read (slots,), s."""

@@ -25,7 +25,7 @@ class SensingRange(Plain):
 
     name: ClassVar[str] = "sensing_range"
     stage: ClassVar[str] = "transducer"
-    cost: ClassVar[float] = 6e-9
+    cost: ClassVar[float] = 9e-10
 
     def __post_init__(self) -> None:
         super().__post_init__()

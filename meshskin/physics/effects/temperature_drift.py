@@ -26,7 +26,7 @@ class TemperatureDrift(Plain):
 
     name: ClassVar[str] = "temperature_drift"
     stage: ClassVar[str] = "transducer"
-    cost: ClassVar[float] = 3e-9
+    cost: ClassVar[float] = 7e-10
 
     def bound(self, context: Context) -> float:
         """When all is warm, m."""

@@ -26,15 +26,15 @@ def glide(sphere):
         m = len(way)
 
         def foot(centres):
-            hit = sphere.body.closest(centres)
-            return hit.point, hit.normal, hit.distance
+            hit = sphere.body.exact.closest(centres)
+            return hit.point, hit.normal
 
         return Frames(
             time=period * np.arange(m),
             points=0.1 * normals,
             normals=normals,
             force=np.broadcast_to(force, m).astype(float),
-            gap=np.full(m, sphere.indenter.radius - sphere.patch.depth),
+            centres=(0.1 + sphere.indenter.radius - sphere.patch.depth) * normals,
             curvature=np.full((m, 2), 10.0),
             q=np.zeros((m, 6)) if q is None else q,
             foot=foot,

@@ -1,0 +1,178 @@
+"""What is recorded of a contact: facets, poses, offsets, joint angles, forces, sampling."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from meshskin.errors import ConfigError
+from meshskin.geometry.body import Body
+from meshskin.physics.effects.body_pose import BodyPose
+from meshskin.physics.effects.encoder import Encoder
+from meshskin.physics.effects.force_sensor import ForceSensor
+from meshskin.physics.effects.gravity_error import GravityError
+from meshskin.physics.effects.indenter_offset import IndenterOffset
+from meshskin.physics.effects.mesh_facets import MeshFacets, closest_on_triangle
+from meshskin.physics.effects.sampling import Sampling
+from meshskin.se3 import exp_so3
+
+STEP = 5e-4
+
+
+@pytest.fixture
+def frames(glide):
+    """40 contacts along 20 mm."""
+    return glide(STEP * np.arange(40))
+
+
+def test_the_closest_point_of_a_triangle_agrees_with_trimesh():
+    rng = np.random.default_rng(0)
+    corners, points = rng.random((500, 3, 3)), 2 * rng.random((500, 3)) - 0.5
+    want = trimesh.triangles.closest_point(corners, points)
+    np.testing.assert_allclose(closest_on_triangle(points, corners), want, atol=1e-12)
+
+
+def test_facets_lie_inside_the_sphere_and_improve_with_the_mesh(context, frames):
+    errors = []
+    for faces in (320, 1280, 5120, 20480):
+        body = Body.sphere(0.1, faces=faces)
+        got = MeshFacets().build(replace(context, body=body))(frames)
+        radius = np.linalg.norm(got.points, axis=1)
+        assert np.all(radius <= 0.1 * (1 + 1e-12))
+        flat = body.mesh.face_normals @ got.normals.T
+        np.testing.assert_allclose(flat.max(axis=0), 1.0)
+        errors.append(np.linalg.norm(got.points - frames.points, axis=1).max())
+    slope = np.polyfit(np.log2([320, 1280, 5120, 20480]) / 2, np.log2(errors), 1)[0]
+    assert slope == pytest.approx(-1.0, abs=0.25)  # the normal's error times the indenter's radius
+    assert errors[2] <= MeshFacets().bound(context)
+
+
+def test_facets_also_take_what_another_effect_moves(context, frames):
+    turn = BodyPose(translation=(0.0, 0.0, 0.0), rotation=(0.0, 0.01, 0.0)).build(context)
+    flat = MeshFacets().build(context)
+    one, other = turn(flat(frames)), flat(turn(frames))
+    np.testing.assert_allclose(one.points, other.points, atol=1e-9)
+
+
+def test_a_turned_body_turns_all_contacts(context, frames):
+    w = (0.002, -0.003, 0.001)
+    got = BodyPose(translation=(0.0, 0.0, 0.0), rotation=w).build(context)(frames)
+    np.testing.assert_allclose(got.points, frames.points @ exp_so3(w).T, atol=1e-8)
+    still = BodyPose(translation=(0.0, 0.0, 0.0)).build(context)(frames)
+    np.testing.assert_allclose(still.points, frames.points, atol=1e-8)
+
+
+def test_a_displaced_body_shows_only_across_the_normal(context, glide):
+    frames = glide(np.zeros(3))
+    got = BodyPose(translation=(2e-4, 0.0, 0.0)).build(context)(frames)
+    shrink = 0.1 / np.linalg.norm(frames.centres[0])
+    np.testing.assert_allclose(got.points[:, 0], 2e-4 * shrink, rtol=1e-3)
+    deep = BodyPose(translation=(0.0, 0.0, -2e-4)).build(context)(frames)
+    np.testing.assert_allclose(deep.points, frames.points, atol=1e-9)
+    np.testing.assert_allclose(deep.centres[:, 2], frames.centres[:, 2] - 2e-4)
+
+
+def test_an_indenter_offset_is_fixed_in_the_world(context, glide):
+    rng = np.random.default_rng(2)
+    frames = glide(np.zeros(20), q=rng.uniform(-1, 1, (20, 6)))
+    d = np.array([1e-4, -2e-4, 3e-4])
+    got = IndenterOffset(offset=tuple(d)).build(context)(frames)
+    body = context.pose(frames.q)[:, :3, :3].swapaxes(1, 2) @ d
+    shrink = 0.1 / np.linalg.norm(frames.centres[0])
+    shift = (got.points - frames.points)[:, :2]
+    np.testing.assert_allclose(shift, shrink * body[:, :2], atol=1e-6)
+    assert np.linalg.norm(got.points - frames.points, axis=1).max() <= np.linalg.norm(d)
+    none = IndenterOffset(offset=(0.0, 0.0, 0.0)).build(context)(frames)
+    np.testing.assert_allclose(none.points, frames.points, atol=1e-9)
+
+
+def test_encoder_offsets_act_through_the_jacobian(sphere, context, recording):
+    columns = [recording.motion.column(f"q{k + 1}").to_numpy() for k in range(6)]
+    times = recording.motion.column("time").to_numpy()
+    q = np.stack(columns, axis=1)[np.searchsorted(times, recording.time[::40])]
+    centres = recording.points[::40] + 0.008 * recording.normals[::40]
+    effect = Encoder(offset_spread=1e-5, noise_spread=0.0)
+    hit = sphere.body.closest(centres)
+
+    def foot(x):
+        found = sphere.body.closest(x)
+        return found.point, found.normal
+
+    frames = _frames(recording.time[::40], centres, hit, q, foot)
+    got = effect.build(context)(frames)
+    offset = 1e-5 * context.stream("encoder").standard_normal(6)
+    pose, jacobian = sphere.arm.pose(q), sphere.arm.jacobian(q)
+    lever = context.indenter_position - pose[:, :3, 3]
+    twist = jacobian @ offset
+    speed = -(twist[:, :3] + np.cross(twist[:, 3:], lever))  # of the indenter as the tip sees it
+    want = np.einsum("kji,kj->ki", context.pose(q)[:, :3, :3], speed)
+    across = want - np.einsum("ki,ki->k", want, hit.normal)[:, None] * hit.normal
+    shift = got.points - frames.points
+    np.testing.assert_allclose(shift, across * 0.1 / 0.108, atol=2e-8)
+    assert np.abs(shift).max() > 1e-6
+    still = Encoder(offset_spread=0.0, noise_spread=0.0).build(context)(frames)
+    np.testing.assert_allclose(still.points, frames.points, atol=1e-9)
+
+
+def _frames(time, centres, hit, q, foot):
+    from meshskin.physics.effects.frames import Frames
+
+    force = np.full(len(time), 3.0)
+    return Frames(time, hit.point, hit.normal, force, centres, hit.curvature, q, foot)
+
+
+def test_encoder_noise_is_one_stream_over_the_batches(context, frames, split):
+    whole = Encoder().build(context)(frames).points
+    parts = split(Encoder().build(context), frames)
+    np.testing.assert_allclose(np.vstack([p.points for p in parts]), whole, atol=1e-12)
+    with pytest.raises(ConfigError, match="needs the joints of an arm"):
+        Encoder().build(replace(context, joints=0))
+
+
+def test_an_unknown_weight_reads_less_where_the_skin_faces_down(context, frames):
+    effect = GravityError(mass=0.1)
+
+    def facing(rotation):
+        poses = np.tile(np.eye(4), (len(frames), 1, 1))
+        poses[:, :3, :3] = rotation
+        return effect.build(replace(context, pose=lambda q: poses))(frames).force - frames.force
+
+    down = facing(np.eye(3))  # the frames' normals point to -z at first
+    assert down[0] == pytest.approx(-0.981)
+    assert facing(exp_so3([np.pi, 0.0, 0.0]))[0] == pytest.approx(0.981)
+    assert facing(exp_so3([np.pi / 2, 0.0, 0.0]))[0] == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(down, 0.981 * frames.normals[:, 2])
+
+
+def test_a_force_sensor_has_its_bias_and_noise(context, glide, split):
+    frames, effect = glide(np.zeros(4000)), ForceSensor(noise=0.1, bias=0.3)
+    got = effect.build(context)(frames)
+    error = got.force - frames.force
+    assert error.mean() == pytest.approx(0.3, abs=4 * 0.1 / np.sqrt(4000))
+    assert error.std() == pytest.approx(0.1, rel=4 / np.sqrt(8000))
+    np.testing.assert_array_equal(got.points, frames.points)
+    parts = split(effect.build(context), frames)
+    np.testing.assert_array_equal(np.concatenate([p.force for p in parts]), got.force)
+
+
+def test_slow_sampling_holds_the_robots_last_sample(context, frames):
+    got = Sampling(rate=25.0).build(context)(frames)
+    np.testing.assert_array_equal(got.time, frames.time)
+    np.testing.assert_array_equal(got.points, frames.points[4 * (np.arange(40) // 4)])
+    same = Sampling(rate=100.0).build(context)(frames)
+    np.testing.assert_allclose(same.points, frames.points, atol=1e-12)
+
+
+def test_a_late_sample_is_the_delay_behind(context, frames):
+    got = Sampling(rate=100.0, delay=0.025).build(context)(frames)
+    behind = np.linalg.norm(got.points - frames.points, axis=1)[5:]
+    np.testing.assert_allclose(behind, 0.05 * 0.03, rtol=1e-3)  # 2.5 periods, the third whole
+    assert behind.max() <= Sampling(rate=100.0, delay=0.025).bound(context)
+
+
+def test_sampling_does_not_depend_on_the_batches(context, frames, split):
+    effect = Sampling(rate=30.0, delay=0.05)
+    whole = effect.build(context)(frames).points
+    parts = split(effect.build(context), frames)
+    np.testing.assert_allclose(np.vstack([p.points for p in parts]), whole, atol=1e-15)
