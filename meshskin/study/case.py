@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ..errors import ConfigError, StudyError, UnknownNameError
 from ..provenance import digest, versions
 from .base import Base, canonical
@@ -75,23 +77,30 @@ def _scene_part(parameters: Mapping[str, Any]) -> dict[str, Any]:
     return {k: v for k, v in parameters.items() if not k.startswith((OWN, BELIEF))}
 
 
-def points(grid: Grid | Sequence[Grid]) -> Iterator[dict[str, Any]]:
-    """Every combination of a grid's values, the last key fastest; of several grids, one by one."""
+def lists(grid: Grid | Sequence[Grid]) -> list[dict[str, list[Any]]]:
+    """A grid, or several, with plain lists of plain values. Raises ConfigError."""
+    out = []
     for one in [grid] if isinstance(grid, Mapping) else grid:
-        for values in itertools.product(*one.values()):
-            yield dict(zip(one, values, strict=True))
+        out.append(plain := {key: _list(key, values) for key, values in one.items()})
+        for key in RESERVED:
+            if key in plain and key != "method":
+                raise ConfigError(f"{key} cannot be in the grid", remedy="seeds has its own place")
+    return out
+
+
+def _list(key: str, values: Any) -> list[Any]:
+    values = values.tolist() if isinstance(values, np.ndarray) else values
+    if isinstance(values, str | Mapping) or not isinstance(values, Sequence):
+        raise ConfigError(f"grid {key} must be a list", value=repr(values))
+    if not values:
+        raise ConfigError(f"grid {key} has no values", remedy="remove it or fill it")
+    return [v.item() if isinstance(v, np.generic) else v for v in values]
 
 
 def check(base: Base, grid: Grid | Sequence[Grid], method: str) -> None:
     """Check every value of every key, on its own. Raises ConfigError."""
-    for one in [grid] if isinstance(grid, Mapping) else grid:
+    for one in lists(grid):
         for key, values in one.items():
-            if isinstance(values, str | Mapping) or not isinstance(values, Sequence):
-                raise ConfigError(f"grid {key} must be a list", value=repr(values))
-            if not values:
-                raise ConfigError(f"grid {key} has no values", remedy="remove it or fill it")
-            if key in RESERVED and key != "method":
-                raise ConfigError(f"{key} cannot be in the grid", remedy="seeds has its own place")
             for value in values:
                 _check_value(base, key, value)
     _check_value(base, "method", method)
@@ -107,6 +116,13 @@ def _check_value(base: Base, key: str, value: Any) -> None:
         parameters = {key: value}
         base.check(_scene_part(parameters))
         base.check(_belief_part(parameters))
+
+
+def points(grid: Grid | Sequence[Grid]) -> Iterator[dict[str, Any]]:
+    """Every combination of a grid's values, the last key fastest; of several grids, one by one."""
+    for one in lists(grid):
+        for values in itertools.product(*one.values()):
+            yield dict(zip(one, values, strict=True))
 
 
 def expand(

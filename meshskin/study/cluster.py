@@ -27,13 +27,15 @@ try:
     import distributed
 except ImportError as error:
     raise StudyError(
-        "a scheduler needs dask.distributed", remedy='pip install "dask[distributed]"'
+        "a scheduler needs dask.distributed", remedy='pip install "meshskin[cluster]"'
     ) from error
 
 AHEAD = 3
 """Cases on their way to each thread of the cluster, the one at work included."""
 LEAST = 8
 """Cases on their way while the cluster is small, or has no workers yet."""
+CONNECT = 10.0
+"""Time for the scheduler to answer at first, s."""
 PATIENCE = 15.0
 """Time that the scheduler may be out of reach, s."""
 LOOK = 1.0
@@ -97,7 +99,7 @@ class Cluster:
         self._done: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._last_seen = time.monotonic()
         try:
-            self._client = distributed.Client(address, timeout=10, set_as_default=False)
+            self._client = distributed.Client(address, timeout=CONNECT, set_as_default=False)
         except (OSError, ValueError) as error:
             raise StudyError(
                 "no Dask scheduler answers", value=address, remedy="check --scheduler"

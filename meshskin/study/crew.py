@@ -95,9 +95,12 @@ class Worker:
 
     def _let_go(self) -> None:
         """Wait until it has ended by itself, but leave its id in use: its children have it too."""
-        end = time.monotonic() + GRACE
-        look = os.WEXITED | os.WNOWAIT | os.WNOHANG if os.name == "posix" else 0
-        while look and os.waitid(os.P_PID, self.pid, look) is None and time.monotonic() < end:
+        if not hasattr(os, "waitid"):
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(GRACE)
+            return
+        end, look = time.monotonic() + GRACE, os.WEXITED | os.WNOWAIT | os.WNOHANG
+        while os.waitid(os.P_PID, self.pid, look) is None and time.monotonic() < end:
             time.sleep(0.002)
 
     def _send(self, message: object) -> None:

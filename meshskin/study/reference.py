@@ -32,6 +32,8 @@ class Reference:
         home = sys.modules.get(str(module))
         if name is None or home is None or getattr(home, str(name), None) is not run:
             raise StudyError("workers cannot import the run function", value=run, remedy=_REMEDY)
+        if module == SCRIPT:
+            return cls(name, script=home.__file__)
         if module != "__main__":
             return cls(name, module=module)
         spec, file = getattr(home, "__spec__", None), getattr(home, "__file__", None)
@@ -42,13 +44,18 @@ class Reference:
         return cls(name, script=str(Path(file).resolve()))
 
     @classmethod
-    def parse(cls, text: str) -> Reference:
-        """From `package.module:function`. Raises StudyError."""
+    def parse(cls, text: str, folder: Path) -> Reference:
+        """From `package.module:function` or `file.py:function`, a file in `folder`.
+
+        Raises StudyError.
+        """
         module, _, name = text.partition(":")
         if not module or not name:
             raise StudyError(
                 "run is not understood", value=repr(text), remedy="write package.module:function"
             )
+        if module.endswith(".py"):
+            return cls(name, script=str((folder / module).resolve()))
         return cls(name, module=module)
 
     def load(self) -> Run:

@@ -2,7 +2,7 @@
 
 Keys: name, base, seeds, method, run, version, time_limit_s, memory_limit_mb, and the table [grid]
 (or several, [[grid]]), whose keys are those of a scene's file. `base` is a scene's name, or a file
-beside the study's; `run` is `package.module:function`.
+beside the study's; `run` is `package.module:function`, or `file.py:function` beside it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def load(path: Path) -> Study:
     if not isinstance(table.seeds, int | tuple):
         raise ConfigError("seeds is a number or a list", value=repr(table.seeds))
     beside = None if table.base is None else path.parent / table.base
-    run = {} if table.run is None else {"run": Reference.parse(table.run).load()}
+    run = {} if table.run is None else {"run": Reference.parse(table.run, path.parent).load()}
     return Study(
         name=table.name or path.stem,
         base=beside if beside is not None and beside.is_file() else table.base,

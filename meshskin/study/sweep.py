@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+import numpy as np
+
 from ..errors import ConfigError, StudyError
 from ..provenance import versions
 from . import base as bases
 from . import table as tabling
-from .case import Case, Grid, Run, check, expand, runner_identity
+from .case import Case, Grid, Run, check, expand, lists, runner_identity
 from .outcome import Limits, Outcome
 from .reference import SCRIPT, Reference
 from .store import Store
@@ -113,7 +115,7 @@ class Study:
     def _seeds(self) -> Sequence[int]:
         if isinstance(self.seeds, int):
             return range(self.seeds)
-        return self.seeds
+        return [s.item() if isinstance(s, np.integer) else s for s in self.seeds]
 
     @cached_property
     def _run(self) -> Run:
@@ -218,7 +220,7 @@ class Study:
             "name": self.name,
             "cases": count,
             "base": str(self.base) if isinstance(self.base, str | Path) else tables.get("name"),
-            "grid": self.grid if isinstance(self.grid, Mapping) else list(self.grid),
+            "grid": lists(self.grid),
             "seeds": list(self._seeds),
             "method": self.method,
             "run": f"{self._run.__module__}:{self._run.__qualname__}",

@@ -48,6 +48,16 @@ def test_scenes_give_the_same_numbers_in_any_process(out):
     assert row["crlb_mm.mean"] / 2 < errors[0] < 2 * row["crlb_mm.mean"]
 
 
+def test_a_scene_made_in_python_gives_the_numbers_of_its_file(tmp_path, noisy):
+    grid = {"material.young_kpa": [250], "exploration.lane_spacing_mm": [7]}
+    rows = []
+    for k, base in enumerate(("sphere_noisy", noisy)):
+        (row,) = ms.Study("s", base=base, grid=grid).sweep(tmp_path / str(k)).to_pylist()
+        rows.append({name: value for name, value in row.items() if name != "key"})
+    assert rows[0] == rows[1]
+    assert rows[0]["status"] == "done"
+
+
 def test_a_second_run_runs_nothing_and_a_change_what_it_touches(out, tmp_path):
     (tmp_path / "marks").mkdir()
     own = {"run.marks": [str(tmp_path / "marks")], "run.sleep": [0.0]}
@@ -89,7 +99,7 @@ def test_progress_counts_and_the_manifest_says_what_it_is(out):
     assert (states[-1].kept, states[-1].done, states[-1].failed) == (4, 4, 0)
     manifest = json.loads((out / "study.json").read_text())
     assert manifest["cases"] == 4
-    assert manifest["grid"] == X
+    assert manifest["grid"] == [X]
     assert manifest["run"] == "study_runs:plain"
 
 
@@ -152,6 +162,31 @@ def test_a_study_is_a_toml_file(tmp_path):
         (tmp_path / "study.toml").write_text(text)
         with pytest.raises((ConfigError, StudyError), match=line):
             ms.Study.load(tmp_path / "study.toml")
+
+
+def test_a_run_function_stands_in_a_file_beside_the_study(tmp_path, out):
+    (tmp_path / "mine.py").write_text("def run(case):\n    return {'y': 2 * case.own['x']}\n")
+    file = tmp_path / "study.toml"
+    file.write_text('run = "mine.py:run"\n[grid]\nrun.x = [1, 2]\n')
+    before = ms.Study.load(file)
+    table = before.sweep(out)
+    assert table.column("y").to_pylist() == [2, 4]
+    (tmp_path / "mine.py").write_text("def run(case):\n    return {'y': 30 * case.own['x']}\n")
+    after = ms.Study.load(file)
+    assert after.cases()[0].key != table.column("key").to_pylist()[0]
+    assert after.sweep(out).column("y").to_pylist() == [30, 60]
+    file.write_text('run = "none.py:run"\n[grid]\n')
+    with pytest.raises(StudyError, match="cannot read the script"):
+        ms.Study.load(file)
+
+
+def test_numpy_arrays_are_lists(out):
+    study = ms.Study(
+        "s", grid={"run.x": np.linspace(0, 1, 3)}, seeds=np.arange(2), run=study_runs.plain
+    )
+    plain = ms.Study("s", grid={"run.x": [0.0, 0.5, 1.0]}, seeds=2, run=study_runs.plain)
+    assert [c.key for c in study.cases()] == [c.key for c in plain.cases()]
+    assert study.sweep(out).column("run.x").to_pylist() == [0.0, 0.0, 0.5, 0.5, 1.0, 1.0]
 
 
 def test_the_shipped_study_has_its_cases():

@@ -1,0 +1,136 @@
+"""Sweeps on a Dask cluster, with faults for real."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import study_runs
+
+import meshskin as ms
+from meshskin.errors import StudyError
+
+HERE = Path(__file__).parent
+
+
+@pytest.fixture
+def dask():
+    """Starts processes of a Dask cluster; ends them after the test."""
+    pytest.importorskip("distributed", reason="needs dask[distributed]")
+    started = []
+    path = os.pathsep.join([str(HERE), *sys.path])
+
+    def start(*arguments):
+        command = [sys.executable, "-m", "distributed.cli." + arguments[0], *arguments[1:]]
+        process = subprocess.Popen(
+            command,
+            env={**os.environ, "PYTHONPATH": path},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+def scheduler(dask, tmp_path):
+    """A scheduler's process and address."""
+    import json
+
+    file = tmp_path / "scheduler.json"
+    process = dask(
+        "dask_scheduler",
+        "--scheduler-file", str(file), "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
+    )  # fmt: skip
+    until(file.exists)
+    return process, json.loads(file.read_text())["address"]
+
+
+def worker(dask, address):
+    """A Dask worker with one thread and no nanny."""
+    return dask("dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard")
+
+
+def until(condition, seconds=30.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not come to that"
+        time.sleep(0.02)
+
+
+def slow_study(marks):
+    marks.mkdir(exist_ok=True)
+    grid = {"run.marks": [str(marks)], "run.sleep": [0.1]}
+    return ms.Study("s", grid=grid, seeds=16, run=study_runs.slow)
+
+
+def test_a_cluster_gives_the_same_table(dask, tmp_path):
+    _, address = scheduler(dask, tmp_path)
+    for _ in range(2):
+        worker(dask, address)
+    for grid, limits in (({"run.x": [0.5]}, {}), ({"run.trouble": ["hang"]}, {"time_limit": 0.5})):
+        run = study_runs.troubled if limits else study_runs.plain
+        study = ms.Study("s", grid=grid, seeds=6, run=run, **limits)
+        there = study.sweep(tmp_path / f"a{limits}", scheduler=address)
+        assert there.equals(study.sweep(tmp_path / f"b{limits}", workers=2))
+    assert there.column("status").to_pylist().count("failed") == 1
+
+
+def test_kill_9_of_a_worker_of_the_cluster_costs_nothing_but_time(dask, tmp_path):
+    _, address = scheduler(dask, tmp_path)
+    workers = [worker(dask, address) for _ in range(2)]
+    study = slow_study(tmp_path / "marks")
+
+    def killer(state):
+        if state.done == 5:
+            workers[0].send_signal(signal.SIGKILL)
+
+    table = study.sweep(tmp_path / "a", scheduler=address, progress=killer)
+    assert table.column("status").to_pylist() == ["done"] * 16
+    study.sweep(tmp_path / "b", workers=2)
+    assert (tmp_path / "a/table.parquet").read_bytes() == (
+        tmp_path / "b/table.parquet"
+    ).read_bytes()
+
+
+def test_kill_9_of_the_scheduler_is_one_line_and_a_second_run_goes_on(dask, tmp_path):
+    process, address = scheduler(dask, tmp_path)
+    worker(dask, address)
+    study = slow_study(tmp_path / "marks")
+
+    def killer(state):
+        if state.done == 5:
+            process.send_signal(signal.SIGKILL)
+
+    with pytest.raises(StudyError, match="scheduler is gone"):
+        study.sweep(tmp_path / "a", scheduler=address, progress=killer)
+    states = []
+    study.sweep(tmp_path / "a", workers=2, progress=states.append)
+    assert states[0].kept >= 5
+    study.sweep(tmp_path / "b", workers=2)
+    assert (tmp_path / "a/table.parquet").read_bytes() == (
+        tmp_path / "b/table.parquet"
+    ).read_bytes()
+
+
+def test_where_no_scheduler_is_is_one_line(tmp_path, monkeypatch):
+    pytest.importorskip("distributed", reason="needs dask[distributed]")
+    monkeypatch.setattr("meshskin.study.cluster.CONNECT", 1.0)
+    study = ms.Study("s", run=study_runs.plain)
+    for address in ("nonsense://x", "tcp://127.0.0.1:1"):
+        with pytest.raises(StudyError, match="no Dask scheduler answers"):
+            study.sweep(tmp_path / "out", scheduler=address)
+
+
+def test_without_dask_the_pip_line_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    monkeypatch.delitem(sys.modules, "meshskin.study.cluster", raising=False)
+    with pytest.raises(StudyError, match=r'pip install "meshskin\[cluster\]"'):
+        ms.Study("s", run=study_runs.plain).sweep(tmp_path / "out", scheduler="tcp://x:1")

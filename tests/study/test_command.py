@@ -1,0 +1,61 @@
+"""`meshskin study`, as a user meets it."""
+
+import pyarrow.parquet as pq
+import pytest
+
+from meshskin import cli
+
+
+@pytest.fixture
+def study(tmp_path):
+    """Writes a study's file; returns its path."""
+
+    def write(grid, head=""):
+        file = tmp_path / "mine.toml"
+        file.write_text(f"{head}\n[grid]\n{grid}\n")
+        return str(file)
+
+    return write
+
+
+def test_a_study_is_run_and_run_again(study, tmp_path, capsys):
+    file = study("run.x = [1, 2]", 'run = "study_runs:plain"\nseeds = 3')
+    for _ in range(2):
+        assert cli.main(["study", file, "--out", str(tmp_path / "out"), "--workers", "1"]) == 0
+        printed = capsys.readouterr()
+        assert "mine: 6 cases, 0 failed" in printed.out
+        assert "100%" in printed.err
+    assert pq.read_table(tmp_path / "out" / "table.parquet").num_rows == 6
+
+
+def test_failed_cases_are_listed_and_the_exit_code_says_so(study, tmp_path, capsys):
+    file = study('run.trouble = ["raise"]', 'run = "study_runs:troubled"\nseeds = 3')
+    out = str(tmp_path / "out")
+    assert cli.main(["study", file, "--out", out]) == 1
+    printed = capsys.readouterr()
+    assert "3 cases, 1 failed" in printed.out
+    assert "ValueError: no such luck" in printed.out
+    assert cli.main(["study", file, "--out", out, "--quiet", "--retry"]) == 1
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    ("grid", "head", "line"),
+    [
+        ("material.yung_kpa = [1]", 'base = "sphere"', "did you mean young_kpa"),
+        ("", 'base = "sfere"', "did you mean sphere"),
+        ("", 'bse = "sphere"', "did you mean base"),
+        ("run.x = [", 'run = "study_runs:plain"', "no valid TOML"),
+    ],
+)
+def test_a_mistake_is_one_line(study, tmp_path, capsys, grid, head, line):
+    assert cli.main(["study", study(grid, head), "--out", str(tmp_path / "out")]) == 2
+    words = capsys.readouterr().err.strip().splitlines()
+    assert len(words) == 1
+    assert words[0].startswith("meshskin: ")
+    assert line in words[0]
+
+
+def test_a_missing_file_is_one_line(tmp_path, capsys):
+    assert cli.main(["study", str(tmp_path / "no.toml"), "--out", str(tmp_path)]) == 2
+    assert "cannot read" in capsys.readouterr().err
