@@ -101,8 +101,16 @@ def _joint(data: Measurements, belief: Belief) -> dict[str, Any]:
         "tangential": found.covariance,
         "why": found.why,
         "chi2": found.chi2,
+        "faults": found.faults,
         "modulus": found.modulus,
         "modulus_sigma": found.modulus_sigma,
+        "unknowns": found.unknowns,
+        "undetermined": found.undetermined,
+        "taxel_unknowns": {
+            name: np.stack([found.extras[:, k], found.extras_sigma[:, k]], axis=1)
+            for k, name in enumerate(found.data.shared.local_names)
+        },
+        "fit": found.fit,
         "iterates": np.stack(found.iterates),
         "seconds": found.seconds,
         "anchor": CONTACTS,

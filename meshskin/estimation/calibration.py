@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +15,20 @@ import pyarrow.parquet as pq
 from ..atomic import atomic, write_text
 from ..errors import CalibrationError
 from ..se3 import Array
+from .fit import Fit
 
 _KEY = b"meshskin-calibration"
 _COLUMNS = ("ids", "poses", "covariances", "observed", "touched", "readings", "chi2", "why")
+_LOCAL = "taxel_"
+"""Prefix of the columns of what each taxel has unknown beside its pose."""
 _HEADER = (
     "method",
     "anchor",
     "factors",
     "modulus",
     "modulus_sigma",
+    "unknowns",
+    "undetermined",
     "seconds",
     "provenance",
 )
@@ -63,6 +68,17 @@ class Calibration:
     """E*, Pa, where it was estimated."""
     modulus_sigma: float | None = None
     """Its standard deviation, Pa."""
+    unknowns: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Shared unknowns that were estimated: value and standard deviation, SI units; of modulus and
+    force scale the natural logarithm of the factor to the nominal one."""
+    undetermined: tuple[str, ...] = ()
+    """What of them the readings do not tell, in words: it rests on the priors."""
+    taxel_unknowns: Mapping[str, Array] = field(default_factory=dict)
+    """"gain" (ln) and "offset" (Pa) where estimated: value and standard deviation (n, 2)."""
+    faults: np.ndarray | None = None
+    """What is wrong with a taxel (n,) str, "" where nothing was found; None: not looked for."""
+    fit: Fit | None = None
+    """Whether the model explains the readings."""
     iterates: Array | None = None
     """Positions (k, n, 3), m, along the iterations, where they were kept."""
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -88,7 +104,11 @@ class Calibration:
         steps = 0 if self.iterates is None else len(self.iterates)
         if self.iterates is not None:
             columns["iterates"] = _column(np.swapaxes(self.iterates, 0, 1))
+        if self.faults is not None:
+            columns["faults"] = _column(self.faults)
+        columns |= {_LOCAL + name: _column(values) for name, values in self.taxel_unknowns.items()}
         header = {name: getattr(self, name) for name in _HEADER} | {"steps": steps}
+        header["fit"] = None if self.fit is None else asdict(self.fit)
         table = pa.table(columns).replace_schema_metadata({_KEY: json.dumps(header).encode()})
         with atomic(_part(path, "parquet")) as temporary:
             pq.write_table(table, temporary)
@@ -118,7 +138,19 @@ class Calibration:
         }
         if steps:
             values["iterates"] = np.swapaxes(_array(table, "iterates").reshape(n, steps, 3), 0, 1)
-        return cls(**values, **header | {"factors": tuple(header["factors"])})
+        if "faults" in table.column_names:
+            values["faults"] = _array(table, "faults")
+        values["taxel_unknowns"] = {
+            name.removeprefix(_LOCAL): _array(table, name).reshape(n, 2)
+            for name in table.column_names
+            if name.startswith(_LOCAL)
+        }
+        fit = header.pop("fit", None)
+        header["fit"] = None if fit is None else Fit(**fit)
+        header["unknowns"] = {k: tuple(v) for k, v in header.get("unknowns", {}).items()}
+        for name in ("factors", "undetermined"):
+            header[name] = tuple(header.get(name, ()))
+        return cls(**values, **header)
 
     def csv(self) -> str:
         """The map as text: one row a taxel, lengths in mm, empty where not determined."""
@@ -130,7 +162,9 @@ class Calibration:
                 1e3 * self.position_sigma[k],
             ]
             text = [f"{x:.6f}" if np.isfinite(x) else "" for x in numbers]
-            rows.append(",".join([str(self.ids[k]), *text, str(self.readings[k]), self.why[k]]))
+            note = [self.why[k], "" if self.faults is None else self.faults[k].replace(",", ";")]
+            words = "; ".join(filter(None, note))
+            rows.append(",".join([str(self.ids[k]), *text, str(self.readings[k]), words]))
         return "\n".join(rows) + "\n"
 
     def report(self, path: str | Path, **options: Any) -> list[Path]:

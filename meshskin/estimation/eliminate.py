@@ -71,6 +71,11 @@ class Blocks:
     coupling: Array
     """(G, D, ks)."""
 
+    @property
+    def decrement(self) -> Array:
+        """Newton decrement (G,) of each group."""
+        return np.asarray(-np.einsum("gi,gi->g", self.steps(), self.gradient) / 2)
+
     def steps(self, damping: Array | float = 0.0) -> Array:
         """Steps (G, D) to the minimum of the quadratic, damped in proportion to the diagonal."""
         h = self.hessian.copy()
@@ -114,8 +119,7 @@ class Problem:
         for _ in range(STEPS):
             blocks = self.blocks(state, groups)
             step = blocks.steps(damping)
-            newton = step if not damping.any() else blocks.steps()
-            state.decrement[groups] = -np.einsum("gi,gi->g", newton, blocks.gradient) / 2
+            state.decrement[groups] = blocks.decrement
             open_ = state.decrement[groups] > SETTLED
             groups, step, damping = groups[open_], step[open_], damping[open_]
             if not len(groups):
@@ -131,8 +135,9 @@ class Problem:
             damping = np.where(better, np.where(damping > 1e-3, damping / 10, 0.0),
                                np.maximum(10 * damping, 1e-2))  # fmt: skip
 
-    def blocks(self, state: State, groups: np.ndarray) -> Blocks:
-        """The normal equations of `groups` at the state."""
+    def blocks(self, state: State, groups: np.ndarray | None = None) -> Blocks:
+        """The normal equations of `groups` (all by default) at the state."""
+        groups = np.arange(self.places.count) if groups is None else groups
         rows, owner = self._taxels(groups)
         local, count = 3 + self.extra, len(groups)
         lift = self._lift(state.z[groups], groups)
@@ -150,8 +155,7 @@ class Problem:
 
     def reduce(self, state: State) -> Reduced:
         """The problem left in s, at a settled state."""
-        groups = np.arange(self.places.count)
-        blocks = self.blocks(state, groups)
+        blocks = self.blocks(state)
         local = 3 + self.extra
         lever = np.linalg.solve(blocks.hessian, blocks.coupling)
         moments = state.moments
@@ -166,22 +170,26 @@ class Problem:
             hessian=data + np.diag(weight),
         )
 
-    def information(self, state: State) -> Array:
-        """What the readings alone say of s (ks, ks): no prior on s, gains or offsets."""
-        blocks = self.blocks(state, np.arange(self.places.count))
+    def information(self, state: State) -> tuple[Array, Array | None]:
+        """What the readings alone say of s (ks, ks), without priors on s, gains and offsets; and
+        how the mean ln gain follows s (ks,), where gains are declared.
+        """
+        blocks, names = self.blocks(state), self.likelihood.shared.local_names
         local = 3 + self.extra
-        bare = blocks.hessian.copy()
-        group = self.places.group
+        bare, group = blocks.hessian.copy(), self.places.group
+        column = self.places.size + self.extra * self.slot
         for k, sigma in enumerate(self.likelihood.local_sigma):
-            column = self.places.size + self.extra * self.slot + k
-            bare[group, column, column] -= sigma**-2
+            bare[group, column + k, column + k] -= sigma**-2
         lever = np.linalg.pinv(bare, rcond=1e-12, hermitian=True) @ blocks.coupling
         total = state.moments.hessian[:, local:, local:].sum(axis=0)
-        return np.asarray(total - np.einsum("gik,gil->kl", blocks.coupling, lever))
+        gains = None
+        if "gain" in names:
+            gains = -lever[group, column + names.index("gain")].mean(axis=0)
+        return total - np.einsum("gik,gil->kl", blocks.coupling, lever), gains
 
     def moved(self, state: State, s: Array) -> State:
         """The state settled at other s (ks,), from where the groups are expected there."""
-        blocks = self.blocks(state, np.arange(self.places.count))
+        blocks = self.blocks(state)
         shift = -np.linalg.solve(blocks.hessian, blocks.coupling) @ (s - state.s)
         there = self.start(s, state.z + self.places.limited(shift))
         self.settle(there)
@@ -189,7 +197,7 @@ class Problem:
 
     def covariances(self, state: State, reduced: Reduced) -> tuple[Array, Array]:
         """Of the groups' unknowns (G, D, D), s being unknown too, and of s (ks, ks)."""
-        blocks = self.blocks(state, np.arange(self.places.count))
+        blocks = self.blocks(state)
         inverse = np.linalg.inv(blocks.hessian)
         lever = inverse @ blocks.coupling
         shared = np.asarray(np.linalg.inv(reduced.hessian))

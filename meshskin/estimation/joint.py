@@ -19,29 +19,23 @@ import numpy as np
 
 from ..errors import CalibrationError
 from ..se3 import Array
-from . import chart, trilaterate
-from .eliminate import SETTLED, Problem, Reduced, State
-from .factors.shared import Anchored, anchored
-from .likelihood import Likelihood, select
-from .measurements import SPARE, Measurements
-from .places import Free, Places
-from .solve import ITERATIONS, minimise
+from . import chart, faults, trilaterate
+from .doubt import doubt
+from .factors.pressure import SILENT
+from .fit import Fit, goodness
+from .measurements import Measurements
+from .nulls import undetermined
+from .places import Free
+from .run import PASSES, Run
+from .solve import ITERATIONS
 
 if TYPE_CHECKING:
     from ..geometry.body import Body
 
 RESTLESS = "no place where it comes to rest"
 """Why a taxel is not determined though its trilateration is."""
-PASSES = 8
-"""Most anchorings; two are usual."""
-STILL = 1e-9
-"""Move of the taxels at which the anchoring ends, m."""
-DECREMENT = 1e-6
-"""Largest Newton decrement, in units of the cost, at which a solution is believed."""
-MISFIT = 4.0
-"""Chi-square per degree of freedom, relative to the median's, that starts a taxel again."""
-MISFIT_NOMINAL = 25.0
-"""The same where the noise is not known: residuals of 5 % of the peak pressure."""
+BROKEN = "most of its readings are outlying"
+"""Why a taxel is not believed; what they show is in its fault."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +52,8 @@ class Joint:
     """The shared unknowns (ks,), as `data.shared` orders them."""
     shared_covariance: Array
     """(ks, ks)."""
-    information: Array
-    """What the readings alone say of the shared unknowns (ks, ks)."""
+    undetermined: tuple[str, ...]
+    """Directions of the shared unknowns that the readings leave to the priors, in words."""
     extras: Array
     """ln gain and offset (Pa) of each taxel (n, extras), as far as they are declared."""
     extras_sigma: Array
@@ -68,6 +62,10 @@ class Joint:
     """Of the readings of each taxel, per degree of freedom (n,)."""
     why: np.ndarray
     """Why a taxel is not determined (n,); "" where it is."""
+    faults: np.ndarray
+    """What is wrong with a taxel (n,); "" where nothing was found."""
+    fit: Fit
+    """Whether model and readings agree."""
     iterates: tuple[Array, ...]
     """Points (n, 3) along the way, the start first."""
     restarted: np.ndarray
@@ -76,6 +74,13 @@ class Joint:
     """What was estimated from."""
     seconds: dict[str, float] = field(default_factory=dict)
     """Seconds of choosing the readings, of settling and solving, and of all."""
+
+    @property
+    def unknowns(self) -> dict[str, tuple[float, float]]:
+        """Value and standard deviation of each shared unknown, as `data.shared` labels them."""
+        sigma = np.sqrt(np.diag(self.shared_covariance))
+        values = zip(self.data.shared.labels, self.shared, sigma, strict=True)
+        return {label: (float(value), float(deviation)) for label, value, deviation in values}
 
     @property
     def modulus(self) -> float:
@@ -105,7 +110,8 @@ def estimate(
     """
     clock = time.perf_counter()
     start = start or trilaterate.least_squares(data, body)
-    live = np.flatnonzero(start.found)
+    stuck = faults.stuck(data)
+    live = np.setdiff1d(np.flatnonzero(start.found), stuck.rows)
     if not len(live):
         raise CalibrationError(
             "no taxel is determined by the recording",
@@ -116,172 +122,76 @@ def estimate(
     run = Run(data, body, live, Free(charts, step=float(np.median(data.radii)) / 2), iterations)
     run.converge()
     again = run.restart(trilaterate.centroids(data, body)[live])
+    doubt(run)
+    for row, level in zip(stuck.rows, stuck.level, strict=True):
+        run.faults[row] = f"stuck at {level / 1e3:.3g} kPa"
     if run.restless.all():
         raise CalibrationError(
             "the joint estimate does not come to rest",
             value=f"{len(live)} taxels still move after {PASSES} anchorings",
             remedy="check the contact model and the units of force and pressure",
         )
-    return run.result(start.why, again, clock)
+    return _result(run, start.why, again, clock)
 
 
-class Run:
-    """One estimation under way."""
+def _fit(run: Run) -> Fit:
+    """The chi-square test on readings that the model puts well inside the sensor's range.
 
-    def __init__(
-        self, data: Measurements, body: Body, live: np.ndarray, places: Places, iterations: int
-    ) -> None:
-        self.data, self.body, self.live, self.iterations = data, body, live, iterations
-        self.weight = np.ones(len(data.pressure))
-        self.seconds = {"readings": 0.0, "solve": 0.0}
-        self.iterates = [places.points()]
-        self.anchor(places, np.zeros(len(data.shared.sigma)), select_anew=True)
+    The choice is the model's, not the reading's, so that the residuals are not censored.
+    """
+    read, data = run.likelihood.readings, run.data
+    r = run.residuals()
+    mu = r + np.where(read.kind == SILENT, data.threshold, read.level) / data.sigma
+    clear = (mu > data.threshold / data.sigma + 3) & (mu < data.saturation / data.sigma - 3)
+    clear &= (read.weight > 0) & ~run.broken[read.taxel]
+    unknowns = run.state.z.size + len(run.state.s)
+    share = clear.sum() / max(int(np.sum(read.kind != SILENT)), 1)
+    return goodness(
+        float(r[clear] @ r[clear]), int(clear.sum()) - unknowns * min(share, 1.0),
+        bool(data.noise), int(np.sum(read.weight == 0)),
+    )  # fmt: skip
 
-    def anchor(
-        self, places: Places, s: Array, z: Array | None = None, select_anew: bool = False
-    ) -> None:
-        """Take up places and contacts anchored at s, with gains and offsets from z (G, D)."""
-        contacts = anchored(self.data.shared, self.data, self.body, s)
-        stretch = float(np.median(np.log(contacts.at(s).radii / self.data.radii)))
-        if select_anew or not self._covers(places, contacts, stretch):
-            clock = time.perf_counter()
-            points = places.points()
-            readings = select(contacts.data, self.live, points, stretch, self.weight)
-            self.likelihood = Likelihood(self.data, readings, self.data.shared)
-            self.about = points, contacts.data.points, stretch
-            self.seconds["readings"] += time.perf_counter() - clock
-        self.problem = Problem(self.likelihood, places, contacts)
-        self.state = self.problem.start(s, z)
 
-    def _covers(self, places: Places, contacts: Anchored, stretch: float) -> bool:
-        """Whether what was judged to be in reach still is, with SPARE to spare."""
-        points, centres, before = self.about
-        moved = (
-            np.abs(places.points() - points).max() + np.abs(contacts.data.points - centres).max()
-        )
-        grown = float(self.data.radii.max()) * abs(np.exp(stretch) - np.exp(before))
-        return bool(moved + grown < SPARE / 2)
+def _result(run: Run, why: np.ndarray, again: np.ndarray, clock: float) -> Joint:
+    """What was found, of all taxels."""
+    data, problem, state = run.data, run.problem, run.state
+    reduced = problem.reduce(state)
+    covariance, shared = problem.covariances(state, reduced)
+    lost = run.restless | run.broken
+    covariance[lost] = np.diag([np.inf] * problem.width)
+    why = why.copy()
+    why[run.live[run.restless]] = RESTLESS
+    why[run.live[run.broken]] = BROKEN
+    points = np.where(lost[:, None], np.nan, problem.places.points())
+    chi2, heard = run.chi2, int(np.sum(run.likelihood.readings.kind == 0))
+    freedom = heard - state.z.size - len(state.s)
+    scale = 1.0 if data.noise else float(state.moments.square.sum()) / max(freedom, 1)
+    information, gains = problem.information(state)
+    groups = np.arange(problem.places.count)
+    sigma = np.sqrt(scale * np.diagonal(covariance, axis1=1, axis2=2))
+    unit = [data.sigma if name == "offset" else 1.0 for name in data.shared.local_names]
 
-    def converge(self) -> None:
-        """Settle, solve and anchor anew until all stands still; `restless` are taxels that do not.
+    def spread(values: Array, missing: object) -> Array:
+        out = np.empty((len(data.ids), *values.shape[1:]))
+        out[:] = missing
+        out[run.live] = values
+        return out
 
-        Raises CalibrationError without convergence.
-        """
-        status = ""
-        clock = time.perf_counter()
-        for turn in range(PASSES):
-            problem = self.problem
-            problem.settle(self.state)
-            left = problem.reduce(self.state)
-            self._watch(self.state)
-            if left.decrement > DECREMENT * 1e-2:
-                self.state, status = minimise(problem, self.state, self.iterations, self._watch)
-                left = problem.reduce(self.state)
-            self._check(left, status)
-            still = self._still()
-            if still and turn:
-                break
-            z, size = self.state.z.copy(), problem.places.size
-            places = problem.places.anchored(self.body, z[:, :size])
-            z[:, :size] = 0.0
-            self.anchor(places, self.state.s, z)
-        self.seconds["solve"] += time.perf_counter() - clock
-
-    def _check(self, left: Reduced, status: str) -> None:
-        if not left.decrement < max(DECREMENT, 1e-9 * len(self.data.pressure)):
-            raise CalibrationError(
-                "the joint estimate did not converge",
-                value=f"Newton decrement {left.decrement:.3g}, {status}",
-                limit=DECREMENT,
-                remedy="raise the iteration limit; check the contact model, the noise and the "
-                "units of force and pressure",
-            )
-
-    def _still(self) -> bool:
-        """Note which taxels still move; whether none does."""
-        size = self.problem.places.size
-        moved = np.abs(self.state.z[:, :size]).max(axis=1)
-        unsettled = self.state.decrement > 1e3 * SETTLED
-        self.restless = ((moved >= STILL) | unsettled)[self.problem.places.group]
-        return not self.restless.any()
-
-    def _watch(self, state: State) -> None:
-        self.iterates.append(self.problem.points(state))
-
-    @property
-    def chi2(self) -> Array:
-        """Squared residuals per degree of freedom (n,); NaN with none left."""
-        readings = self.likelihood.readings
-        heard = np.bincount(readings.taxel, readings.weight * (readings.kind == 0), len(self.live))
-        places = self.problem.places
-        sizes = np.bincount(places.group, minlength=places.count)
-        freedom = heard - places.size / sizes[places.group] - self.problem.extra
-        return self.state.moments.square / np.where(freedom > 0, freedom, np.nan)
-
-    def restart(self, centroids: Array) -> np.ndarray:
-        """Start misfitting taxels again from `centroids` (n, 3); keep what fits better.
-
-        Returns the rows of the taxels that were moved.
-        """
-        places, before = self.problem.places, self.chi2
-        limit = max(
-            MISFIT if self.data.noise else MISFIT_NOMINAL, MISFIT * float(np.nanmedian(before))
-        )
-        bad = np.flatnonzero((before > limit) | self.restless)
-        if not len(bad) or not isinstance(places, Free):
-            return bad[:0]
-        kept, restless = self.state, self.restless
-        points = places.points().copy()
-        points[bad] = centroids[bad]
-        z = kept.z.copy()
-        z[:, : places.size] = 0.0
-        moved = places.about(self.body, points)
-        self.anchor(moved, kept.s, z, select_anew=True)
-        self.problem.settle(self.state, bad)
-        settled = self.state.decrement[bad] <= SETTLED
-        # The cost counts silent readings, too; readings of other places are other readings.
-        better = bad[(self.chi2[bad] < before[bad]) | (settled & restless[bad])]
-        points = places.points().copy()
-        points[better] = self.problem.points(self.state)[better]
-        self.anchor(places.about(self.body, points), kept.s, z, select_anew=True)
-        self.converge()
-        return better
-
-    def result(self, why: np.ndarray, again: np.ndarray, clock: float) -> Joint:
-        """What was found, of all taxels."""
-        data, problem, state = self.data, self.problem, self.state
-        reduced = problem.reduce(state)
-        covariance, shared = problem.covariances(state, reduced)
-        covariance[self.restless] = np.diag([np.inf] * problem.width)
-        why = why.copy()
-        why[self.live[self.restless]] = RESTLESS
-        points = np.where(self.restless[:, None], np.nan, problem.places.points())
-        chi2, heard = self.chi2, int(np.sum(self.likelihood.readings.kind == 0))
-        freedom = heard - state.z.size - len(state.s)
-        scale = 1.0 if data.noise else float(state.moments.square.sum()) / max(freedom, 1)
-        groups = np.arange(problem.places.count)
-        sigma = np.sqrt(scale * np.diagonal(covariance, axis1=1, axis2=2))
-        unit = [data.sigma if name == "offset" else 1.0 for name in data.shared.local_names]
-
-        def spread(values: Array, missing: object) -> Array:
-            out = np.empty((len(data.ids), *values.shape[1:]))
-            out[:] = missing
-            out[self.live] = values
-            return out
-
-        return Joint(
-            points=spread(points, np.nan),
-            rotations=spread(problem.places.rotations(), np.nan),
-            covariance=spread(scale * covariance[:, :2, :2], np.diag([np.inf, np.inf])),
-            shared=state.s,
-            shared_covariance=scale * shared,
-            information=problem.information(state) / scale,
-            extras=spread(problem.extras(state.z, groups) * unit, np.nan),
-            extras_sigma=spread(problem.extras(sigma, groups) * unit, np.inf),
-            chi2=spread(chi2 / scale, np.nan),
-            why=why,
-            iterates=tuple(spread(p, np.nan) for p in self.iterates),
-            restarted=self.live[again],
-            data=data,
-            seconds=self.seconds | {"joint": time.perf_counter() - clock},
-        )
+    return Joint(
+        points=spread(points, np.nan),
+        rotations=spread(problem.places.rotations(), np.nan),
+        covariance=spread(scale * covariance[:, :2, :2], np.diag([np.inf, np.inf])),
+        shared=state.s,
+        shared_covariance=scale * shared,
+        undetermined=undetermined(data.shared, information / scale, gains),
+        extras=spread(problem.extras(state.z, groups) * unit, np.nan),
+        extras_sigma=spread(problem.extras(sigma, groups) * unit, np.inf),
+        chi2=spread(chi2 / scale, np.nan),
+        why=why,
+        faults=run.faults,
+        fit=_fit(run),
+        iterates=tuple(spread(p, np.nan) for p in run.iterates),
+        restarted=run.live[again],
+        data=data,
+        seconds=run.seconds | {"joint": time.perf_counter() - clock},
+    )

@@ -55,13 +55,18 @@ class Readings:
 
 
 def select(
-    data: Measurements, live: np.ndarray, points: Array, log_radius: float, weight: Array
+    data: Measurements,
+    live: np.ndarray,
+    points: Array,
+    log_radius: float,
+    weight: Array,
+    silent_weight: Array,
 ) -> Readings:
     """The readings that say something of the taxels `live` (rows of data.ids), near `points`.
 
     With known noise, silent readings in reach are censored, and readings out of reach that are no
     more than noise are left out. `log_radius`: that of the patches over the nominal; `weight` (k,)
-    of the measurements.
+    of the measurements, `silent_weight` (n,) of each taxel's silent readings.
     """
     place = np.full(len(data.ids), -1)
     place[live] = np.arange(len(live))
@@ -74,7 +79,9 @@ def select(
         height = np.einsum("ki,ki->k", offset, data.normals[contact])
         across2 = np.einsum("ki,ki->k", offset, offset) - height**2
         inside = across2 < (reach(data, stretch)[contact] + SPARE) ** 2
-        mine = mine[inside | (data.pressure[mine] > CLEAR * data.noise)]
+        if "offset" not in data.shared.local_names:
+            inside |= data.pressure[mine] > CLEAR * data.noise
+        mine = mine[inside]
         silent_contact, silent_taxel = silent_pairs(data, live, points, stretch)
     none = np.full(len(silent_contact), -1)
     contact = np.concatenate([data.contact[mine], silent_contact])
@@ -90,7 +97,7 @@ def select(
         level=level[order],
         kind=np.concatenate([heard, np.full(len(none), SILENT)]).astype(np.int8)[order],
         source=np.concatenate([mine, none])[order],
-        weight=np.concatenate([weight[mine], np.ones(len(none))])[order],
+        weight=np.concatenate([weight[mine], silent_weight[silent_taxel]])[order],
         starts=np.searchsorted(taxel[order], np.arange(len(live) + 1)),
     )
 
@@ -159,6 +166,16 @@ class Likelihood:
         unit = {"gain": 1.0, "offset": self.data.sigma}
         names = self.shared.local_names
         return tuple(s / unit[name] for name, s in zip(names, self.shared.local_sigma, strict=True))
+
+    def means(self, points: Array, extras: Array, contacts: Contacts) -> Array:
+        """mu (k,), in units of the noise, of all readings; points (n, 3), extras (n, .)."""
+        read = self.readings
+        parts = [np.empty(0)]
+        for begin in range(0, len(read.taxel), BLOCK):
+            part = slice(begin, begin + BLOCK)
+            own = read.taxel[part]
+            parts.append(self.predict(read.contact[part], points[own], extras[own], contacts)[0])
+        return np.concatenate(parts)
 
     def _block(
         self,

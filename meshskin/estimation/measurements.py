@@ -229,6 +229,8 @@ def silent_pairs(
     Where the pressure to expect is more than `QUIET` sigma below the threshold, it says nothing.
     """
     level = np.maximum(data.threshold - QUIET * data.sigma, 0.0) / (data.peaks * stretch**-2)
+    if "offset" in data.shared.local_names:  # where a taxel falls silent is not known, then
+        level = np.zeros_like(level)
     a = stretch * data.radii
     radius = a * invert_disc_mean(level, data.disc / a, tolerance=1e-3) + SPARE
     contact, taxel = near_pairs(data, points, radius)

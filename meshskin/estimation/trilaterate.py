@@ -137,6 +137,24 @@ def centroids(data: Measurements, body: Body) -> Array:
     return start
 
 
+def medians(data: Measurements, body: Body, rows: np.ndarray) -> Array:
+    """Where most readings of the taxels `rows` are (r, 3), m: the geometric median of the contact
+    points, weighted by pressure (Weiszfeld's iteration), which a minority elsewhere does not move.
+    """
+    place = np.full(len(data.ids), -1)
+    place[rows] = np.arange(len(rows))
+    mine = np.flatnonzero(place[data.taxel] >= 0)
+    owner, points = place[data.taxel[mine]], data.points[data.contact[mine]]
+    weight = power = np.maximum(data.pressure[mine], 0.0)
+    for _ in range(30):
+        total = np.maximum(np.bincount(owner, weight, len(rows)), 1e-300)
+        sums = [np.bincount(owner, weight * x, len(rows)) for x in points.T]
+        centre = np.stack(sums, axis=1) / total[:, None]
+        gap = np.linalg.norm(points - centre[owner], axis=1)
+        weight = power / np.maximum(gap, 0.1 * data.disc)
+    return np.asarray(body.closest(centre).point)
+
+
 def least_squares(data: Measurements, body: Body) -> Fit:
     """Each taxel from all its readings: (n,) points, by weighted Gauss-Newton on the distances."""
     start = centroids(data, body)

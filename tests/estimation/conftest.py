@@ -110,3 +110,21 @@ class World:
 def world():
     """Some 40 taxels on the paper's sphere, and lanes of contacts over them."""
     return World(extent=17e-3)
+
+
+def changed(recording, **columns):
+    """The recording with other columns of readings, or only those rows where `keep` is true."""
+    table = recording.readings
+    for name, values in columns.items():
+        if name == "keep":
+            table = table.filter(pa.array(values))
+        else:
+            column = pa.array(np.asarray(values, dtype=table.column(name).to_numpy().dtype))
+            table = table.set_column(table.column_names.index(name), name, column)
+    return Recording(recording.contacts, table, recording.metadata)
+
+
+@pytest.fixture(scope="session")
+def change():
+    """`changed`, for the tests."""
+    return changed

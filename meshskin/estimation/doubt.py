@@ -1,0 +1,86 @@
+"""The estimate doubted: outlying readings weighed down, taken out and named."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from . import faults, trilaterate
+from .factors.pressure import SILENT
+from .places import Free
+from .run import Run
+
+
+def doubt(run: Run) -> None:
+    """Take out outlying readings, where taxels cannot be right, and name what they show.
+
+    First by the known noise; where that does not leave a fit, the model is off, and what is
+    outlying is judged by how far off it is for most.
+    """
+    known = bool(run.data.noise)
+    typical = faults.typical(run.likelihood.readings, run.residuals())
+    plain = run.problem, run.state, run.weight.copy(), run.restless
+    for scale in (1.0, typical) if known else (max(typical, faults.LEAST),):
+        suspects = faults.suspects(run.likelihood.readings, run.residuals(), scale)
+        if not len(suspects):
+            return
+        left = _sift(run, suspects, scale, known)
+        if left <= faults.TAKEN * scale:
+            _name(run)
+            return
+        run.problem, run.state, _, run.restless = plain
+        run.weight, run.silent_weight[:] = plain[2].copy(), 1.0
+        run.likelihood = run.problem.likelihood
+
+
+def _sift(run: Run, suspects: np.ndarray, scale: float, fixed: bool) -> float:
+    """Weigh the readings of suspects until none changes sides; the scale of what is left.
+
+    Infinite where too much is left out. The scale of the noise is `scale`, if `fixed`.
+    """
+    places = run.problem.places
+    if isinstance(places, Free):  # from where most of their readings are
+        points = places.points().copy()
+        points[suspects] = trilaterate.medians(run.data, run.body, run.live[suspects])
+        z = run.state.z.copy()
+        z[:, : places.size] = 0.0
+        run.anchor(places.about(run.body, points), run.state.s, z)
+    for stage in (*faults.STAGES, *[0.0] * faults.CUTS):
+        r, readings = run.residuals(), run.likelihood.readings
+        if not fixed:
+            scale = max(faults.typical(readings, r), faults.LEAST)
+        if not stage:
+            suspects = np.union1d(suspects, faults.suspects(readings, r, scale))
+        weight = faults.weights(r, scale, stage)
+        run.silent_weight[:] = 1.0
+        if stage:  # what was heard says where a taxel is; then what was not is judged by it
+            weight[readings.kind == SILENT] = run.silent_weight[suspects] = 0.0
+        weight[~np.isin(readings.taxel, suspects)] = 1.0
+        if np.array_equal(weight, readings.weight):
+            break
+        run.weigh(weight)
+        run.converge()
+    readings = run.likelihood.readings
+    lost = np.mean(readings.weight[readings.kind != SILENT] == 0)
+    return faults.typical(readings, run.residuals()) if lost < faults.MOST else np.inf
+
+
+def _name(run: Run) -> None:
+    """Say of each taxel what is wrong; one that is mostly outlying is `broken`."""
+    readings, n = run.likelihood.readings, len(run.live)
+    out, silent = readings.weight == 0, readings.kind == SILENT
+
+    def count(which: np.ndarray) -> np.ndarray:
+        return np.bincount(readings.taxel[which], minlength=n)
+
+    heard, wild, mute = count(~silent), count(out & ~silent), count(out & silent)
+    guilty = np.flatnonzero(wild + mute)
+    points = run.problem.points(run.state)
+    pairs = faults.exchanged(run.data, readings, points, guilty)
+    for k in guilty:
+        words = [f"{wild[k]} of {heard[k]} readings outlying"] if wild[k] else []
+        if mute[k]:
+            words.append(f"silent in {mute[k]} contacts that press it")
+        if int(k) in pairs:
+            words.insert(0, f"swapped with {run.data.ids[run.live[pairs[int(k)]]]}")
+        run.faults[run.live[k]] = ", ".join(words)
+    run.broken[guilty] = (wild > faults.BROKEN * heard)[guilty] | (mute > heard)[guilty]

@@ -1,0 +1,127 @@
+"""Readings and taxels that do not tell what they should: found, named, and kept from the rest.
+
+Outlying readings are found by graduated non-convexity: Geman-McClure weights
+w = (m c^2 / (m c^2 + r^2))^2, with m falling to 1, then a plain cut. Only taxels whose chi-square
+cannot be chance are weighed, so that sound recordings are estimated as if nothing could be wrong.
+Source: Yang, Antonante, Tzoumas, Carlone, "Graduated Non-Convexity for Robust Spatial Perception",
+IEEE Robotics and Automation Letters 5 (2020).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..se3 import Array
+from .factors.pressure import HEARD, SATURATED, SILENT
+from .likelihood import Readings
+from .measurements import Measurements, reach
+
+STAGES = (64.0, 16.0, 4.0, 1.0)
+"""m along the way."""
+CUT = 4.5
+"""Residual, in standard deviations, beyond which a reading is outlying; c is two thirds of it."""
+CHANCE = 1e-9
+"""Probability below which a taxel's chi-square is no chance."""
+GROSS = 1.5
+"""Chi-square per degree of freedom, relative to the median's, below which no taxel is suspected."""
+BROKEN = 0.5
+"""Share of outlying readings from which a taxel is not believed at all."""
+CUTS = 6
+"""Most plain cuts after the weighing."""
+LEAST = 0.1
+"""Least scale of residuals where the noise is not known, in nominal noises."""
+TAKEN = 1.25
+"""Scale of what is left, relative to the noise, up to which the outlying readings are the cause."""
+MOST = 0.35
+"""Share of all readings from which it is the model that is wrong, not they."""
+SCATTER = 2.0
+"""Spread of a stuck taxel's contacts, relative to the reach of one."""
+
+
+@dataclass(frozen=True)
+class Stuck:
+    """Taxels that read the same whatever touches them."""
+
+    rows: np.ndarray
+    """Rows of the taxels."""
+    level: Array
+    """What they read, Pa."""
+
+
+def stuck(data: Measurements) -> Stuck:
+    """Taxels with one constant reading over contacts further apart than one taxel reaches."""
+    count = np.maximum(data.counts, 1)
+    mean = np.bincount(data.taxel, data.pressure, len(data.ids)) / count
+    off = data.pressure - mean[data.taxel]
+    deviation = np.sqrt(np.bincount(data.taxel, off**2, len(data.ids)) / count)
+    points = data.points[data.contact]
+    centre = np.stack([np.bincount(data.taxel, x, len(count)) / count for x in points.T], axis=1)
+    gap = np.sum((points - centre[data.taxel]) ** 2, axis=1)
+    spread = np.sqrt(np.bincount(data.taxel, gap, len(count)) / count)
+    far = spread > SCATTER * float(np.median(reach(data)))
+    rows = np.flatnonzero(far & (deviation < 3 * data.sigma) & (mean > 3 * deviation))
+    return Stuck(rows, mean[rows])
+
+
+def residuals(readings: Readings, mu: Array, sigma: float) -> Array:
+    """Residuals (k,) in units of the noise; of censored readings what exceeds their limit."""
+    r = mu - readings.level / sigma
+    r[readings.kind == SILENT] = np.maximum(r[readings.kind == SILENT], 0.0)
+    r[readings.kind == SATURATED] = np.minimum(r[readings.kind == SATURATED], 0.0)
+    return r
+
+
+def typical(readings: Readings, r: Array) -> float:
+    """Scale of the residuals, by the median, which few outlying ones do not move."""
+    r = r[(readings.kind == HEARD) & (readings.weight > 0.5)]
+    return float(np.median(np.abs(r))) / 0.6745 if len(r) else 1.0
+
+
+def suspects(readings: Readings, r: Array, scale: float) -> np.ndarray:
+    """Taxels whose residuals cannot be chance, with noise of `scale`."""
+    from scipy.stats import chi2
+
+    n = len(readings.starts) - 1
+    counted = (readings.weight > 0) & ((readings.kind == HEARD) | (r != 0))
+    count = np.bincount(readings.taxel, counted, n)
+    total = np.bincount(readings.taxel, np.where(counted, r**2, 0.0), n) / scale**2
+    chance = chi2.sf(total, np.maximum(count - 2, 1))
+    return np.flatnonzero((total > GROSS * count) & (chance < CHANCE))
+
+
+def weights(r: Array, scale: float, stage: float) -> Array:
+    """Geman-McClure weights (k,) at a stage m; at m = 0, whether a residual is no more than CUT."""
+    if not stage:
+        return (np.abs(r) < CUT * scale).astype(float)
+    c2 = stage * (2 / 3 * CUT * scale) ** 2
+    return np.asarray((c2 / (c2 + r**2)) ** 2)
+
+
+def exchanged(
+    data: Measurements, readings: Readings, points: Array, guilty: np.ndarray
+) -> dict[int, int]:
+    """Which of the taxels `guilty` (rows of `points`) read in one another's place.
+
+    Their outlying readings lie about the other's position, both ways.
+    """
+    out = (readings.weight == 0) & (readings.kind == HEARD)
+    power = np.where(out, readings.level**2, 0.0)
+    total = np.bincount(readings.taxel, power, len(points))
+    where = np.stack(
+        [np.bincount(readings.taxel, power * x, len(points))
+         for x in data.points[readings.contact].T], axis=1
+    )  # fmt: skip
+    found: dict[int, int] = {}
+    guilty = guilty[total[guilty] > 0]
+    if len(guilty) < 2:
+        return found
+    where = where[guilty] / total[guilty, None]
+    gap = np.linalg.norm(where[:, None] - points[guilty], axis=2)
+    nearest = gap.argmin(axis=1)
+    limit = 0.5 * float(np.median(reach(data)))
+    for a, b in enumerate(nearest):
+        if a != b and nearest[b] == a and gap[a, b] < limit and gap[b, a] < limit:
+            found[int(guilty[a])] = int(guilty[b])
+    return found

@@ -1,0 +1,174 @@
+"""One joint estimation under way: readings chosen, taxels settled, shared unknowns solved, anchors
+renewed until nothing moves, and misfits started again.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import CalibrationError
+from ..se3 import Array
+from . import faults
+from .eliminate import SETTLED, Problem, Reduced, State
+from .factors.pressure import HEARD
+from .factors.shared import Anchored, anchored
+from .likelihood import Likelihood, select
+from .measurements import SPARE, Measurements
+from .places import Free, Places
+from .solve import minimise
+
+if TYPE_CHECKING:
+    from ..geometry.body import Body
+
+PASSES = 8
+"""Most anchorings; two are usual."""
+AT_REST = 1e-8
+"""Newton decrement, in units of the cost, at which fresh anchors are at the optimum: a move of
+some 1e-4 standard deviations."""
+DECREMENT = 1e-6
+"""Largest Newton decrement of the shared unknowns at which a solution is believed."""
+MISFIT = 4.0
+"""Chi-square per degree of freedom, relative to the median's, that starts a taxel again."""
+MISFIT_NOMINAL = 25.0
+"""The same where the noise is not known: residuals of 5 % of the peak pressure."""
+
+
+class Run:
+    """One estimation under way."""
+
+    def __init__(
+        self, data: Measurements, body: Body, live: np.ndarray, places: Places, iterations: int
+    ) -> None:
+        self.data, self.body, self.live, self.iterations = data, body, live, iterations
+        self.weight = np.ones(len(data.pressure))
+        self.silent_weight = np.ones(len(live))
+        self.seconds = {"readings": 0.0, "solve": 0.0}
+        self.iterates = [places.points()]
+        self.faults = np.full(len(data.ids), "", dtype=object)
+        self.broken = np.zeros(len(live), dtype=bool)
+        self.anchor(places, np.zeros(len(data.shared.sigma)), select_anew=True)
+
+    def anchor(
+        self, places: Places, s: Array, z: Array | None = None, select_anew: bool = False
+    ) -> None:
+        """Take up places and contacts anchored at s, with gains and offsets from z (G, D)."""
+        contacts = anchored(self.data.shared, self.data, self.body, s)
+        stretch = float(np.median(np.log(contacts.at(s).radii / self.data.radii)))
+        if select_anew or not self._covers(places, contacts, stretch):
+            clock = time.perf_counter()
+            points = places.points()
+            readings = select(
+                contacts.data, self.live, points, stretch, self.weight, self.silent_weight
+            )
+            self.likelihood = Likelihood(self.data, readings, self.data.shared)
+            self.about = points, contacts.data.points, stretch
+            self.seconds["readings"] += time.perf_counter() - clock
+        self.problem = Problem(self.likelihood, places, contacts)
+        self.state = self.problem.start(s, z)
+
+    def _covers(self, places: Places, contacts: Anchored, stretch: float) -> bool:
+        """Whether what was judged to be in reach still is, with SPARE to spare."""
+        points, centres, before = self.about
+        moved = (
+            np.abs(places.points() - points).max() + np.abs(contacts.data.points - centres).max()
+        )
+        grown = float(self.data.radii.max()) * abs(np.exp(stretch) - np.exp(before))
+        return bool(moved + grown < SPARE / 2)
+
+    def converge(self) -> None:
+        """Settle, solve and anchor anew until all stands still; `restless` are taxels that do not.
+
+        Raises CalibrationError without convergence.
+        """
+        status, clock = "", time.perf_counter()
+        for turn in range(PASSES):
+            problem, fresh = self.problem, self.problem.blocks(self.state)
+            self.restless = (fresh.decrement > AT_REST)[problem.places.group]
+            if turn and not self.restless.any() and problem.reduce(self.state).decrement < AT_REST:
+                break
+            problem.settle(self.state)
+            left = problem.reduce(self.state)
+            self.watch(self.state)
+            if left.decrement > AT_REST:
+                self.state, status = minimise(problem, self.state, self.iterations, self.watch)
+                left = problem.reduce(self.state)
+            self._check(left, status)
+            z, size = self.state.z.copy(), problem.places.size
+            places = problem.places.anchored(self.body, z[:, :size])
+            z[:, :size] = 0.0
+            self.anchor(places, self.state.s, z)
+        self.seconds["solve"] += time.perf_counter() - clock
+
+    def _check(self, left: Reduced, status: str) -> None:
+        if not left.decrement < max(DECREMENT, 1e-9 * len(self.data.pressure)):
+            raise CalibrationError(
+                "the joint estimate did not converge",
+                value=f"Newton decrement {left.decrement:.3g}, {status}",
+                limit=DECREMENT,
+                remedy="raise the iteration limit; check the contact model, the noise and the "
+                "units of force and pressure",
+            )
+
+    def watch(self, state: State) -> None:
+        """Keep the points of a state under way."""
+        self.iterates.append(self.problem.points(state))
+
+    @property
+    def chi2(self) -> Array:
+        """Squared residuals per degree of freedom (n,), of outlying readings, too; NaN with none
+        left."""
+        readings, n = self.likelihood.readings, len(self.live)
+        heard = readings.kind == HEARD
+        square = np.bincount(readings.taxel[heard], self.residuals()[heard] ** 2, n)
+        places = self.problem.places
+        sizes = np.bincount(places.group, minlength=places.count)
+        freedom = np.bincount(readings.taxel[heard], minlength=n) - self.problem.extra
+        freedom = freedom - places.size / sizes[places.group]
+        return np.asarray(square / np.where(freedom > 0, freedom, np.nan))
+
+    def restart(self, centroids: Array) -> np.ndarray:
+        """Start misfitting taxels again from `centroids` (n, 3); keep what fits better.
+
+        Returns the rows of the taxels that were moved.
+        """
+        places, before = self.problem.places, self.chi2
+        limit = max(
+            MISFIT if self.data.noise else MISFIT_NOMINAL, MISFIT * float(np.nanmedian(before))
+        )
+        bad = np.flatnonzero((before > limit) | self.restless)
+        if not len(bad) or not isinstance(places, Free):
+            return bad[:0]
+        kept, restless = self.state, self.restless
+        points = places.points().copy()
+        points[bad] = centroids[bad]
+        z = kept.z.copy()
+        z[:, : places.size] = 0.0
+        moved = places.about(self.body, points)
+        self.anchor(moved, kept.s, z, select_anew=True)
+        self.problem.settle(self.state, bad)
+        settled = self.state.decrement[bad] <= SETTLED
+        # The cost counts silent readings, too; readings of other places are other readings.
+        better = bad[(self.chi2[bad] < before[bad]) | (settled & restless[bad])]
+        points = places.points().copy()
+        points[better] = self.problem.points(self.state)[better]
+        self.anchor(places.about(self.body, points), kept.s, z, select_anew=True)
+        self.converge()
+        return better
+
+    def residuals(self) -> Array:
+        problem, state = self.problem, self.state
+        extras = problem.extras(state.z, np.arange(problem.places.count))
+        mu = self.likelihood.means(problem.points(state), extras, problem.contacts.at(state.s))
+        return faults.residuals(self.likelihood.readings, mu, self.data.sigma)
+
+    def weigh(self, weight: Array) -> None:
+        """Give the readings other weights, and take up the state anew."""
+        readings = replace(self.likelihood.readings, weight=weight)
+        heard = readings.source >= 0
+        self.weight[readings.source[heard]] = weight[heard]
+        self.likelihood = replace(self.likelihood, readings=readings)
+        self.anchor(self.problem.places, self.state.s, self.state.z)

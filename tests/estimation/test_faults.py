@@ -1,0 +1,124 @@
+"""Outlying readings and broken taxels: found, named, and kept from the others."""
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from meshskin.estimation.calibrate import calibrate
+from meshskin.estimation.calibration import Calibration
+from meshskin.estimation.metrics import nees, position_errors
+from meshskin.recording import READINGS, Recording
+
+
+@pytest.fixture(scope="module")
+def clean(world):
+    recording, belief = world.record(0.01, 0.05), world.belief(0.01, 0.05)
+    found = calibrate(recording, belief)
+    return recording, belief, position_errors(found, world.skin), found
+
+
+def others(errors, bad, reference):
+    """Mean error of the taxels that are not `bad`, relative to the clean estimate's."""
+    keep = np.setdiff1d(np.arange(len(errors)), bad)
+    return errors[keep].mean() / reference[keep].mean()
+
+
+def test_a_sound_recording_has_no_faults_and_fits(clean):
+    found = clean[3]
+    assert not any(found.faults)
+    assert found.fit.good
+    assert 0.9 < found.fit.reduced < 1.15
+    assert "fits" in found.fit.words
+
+
+@pytest.mark.parametrize("noise", [0.01, None])
+@pytest.mark.parametrize("share", [0.02, 0.2])
+def test_outlying_readings(world, clean, change, share, noise):
+    recording, _, reference, _ = clean
+    rng = np.random.default_rng(5)
+    hit = rng.random(len(recording.pressure)) < share
+    wild = rng.uniform(0.05, 2, len(hit)) * world.peak_reference
+    bent = change(recording, pressure=np.where(hit, wild, recording.pressure))
+    found = calibrate(bent, world.belief(noise, 0.05))
+    error = position_errors(found, world.skin)
+    # the readings that are left allow no better than 1 / sqrt(1 - share)
+    assert error.mean() < 1.25 / np.sqrt(1 - share) * reference.mean()
+    named = sum(int(f.split()[0]) for f in found.faults if "outlying" in f)
+    assert 0.75 * hit.sum() < named < 1.15 * hit.sum()
+    if noise:
+        assert nees(found, world.skin).mean() < 3.0
+        assert f"{named} outlying" in found.fit.words
+
+
+def test_readings_that_were_lost_are_not_taken_for_silence(world, clean, change):
+    recording, belief, reference, _ = clean
+    keep = np.random.default_rng(5).random(len(recording.pressure)) > 0.2
+    found = calibrate(change(recording, keep=keep), belief)
+    assert position_errors(found, world.skin).mean() < 1.5 * reference.mean()
+    assert sum("silent in" in fault for fault in found.faults) > 30
+
+
+def test_a_stuck_taxel(world, clean):
+    recording, belief, reference, _ = clean
+    time = recording.time
+    constant = np.full(len(time), 0.4 * world.peak_reference)
+    ids = np.full(len(time), world.ids[7], dtype=np.int32)
+    kept = recording.readings.filter(pa.array(recording.reading_taxel != world.ids[7]))
+    table = pa.concat_tables([kept, pa.table([time, ids, constant], schema=READINGS)])
+    found = calibrate(Recording(recording.contacts, table, recording.metadata), belief)
+    assert found.faults[7].startswith("stuck at 31.")
+    assert not found.observed[7].any()
+    assert np.isnan(found.positions[7]).all()
+    assert others(position_errors(found, world.skin), [7], reference) < 1.05
+
+
+def test_a_taxel_that_dies_on_the_way(world, clean, change):
+    recording, belief, reference, _ = clean
+    late = recording.reading_contact > len(recording.time) / 2
+    keep = ~(late & (recording.reading_taxel == world.ids[9]))
+    found = calibrate(change(recording, keep=keep), belief)
+    assert "silent in" in found.faults[9]
+    assert others(position_errors(found, world.skin), [9], reference) < 1.05
+
+
+def test_two_taxels_that_exchange_their_ids(world, clean, change, tmp_path):
+    recording, belief, reference, _ = clean
+    taxel, sometimes = recording.reading_taxel.copy(), recording.reading_contact % 10 > 6
+    a, b = world.ids[[3, 20]]
+    taxel[(recording.reading_taxel == a) & sometimes] = b
+    taxel[(recording.reading_taxel == b) & sometimes] = a
+    found = calibrate(change(recording, taxel=taxel), belief)
+    assert f"swapped with {b}" in found.faults[3]
+    assert f"swapped with {a}" in found.faults[20]
+    error = position_errors(found, world.skin)
+    assert error[[3, 20]].max() < 60e-6
+    assert others(error, [3, 20], reference) < 1.05
+    found.save(tmp_path / "c")
+    again = Calibration.load(tmp_path / "c")
+    assert list(again.faults) == list(found.faults)
+    assert again.fit == found.fit
+    assert "swapped with" in (tmp_path / "c.csv").read_text()
+
+
+def test_a_taxel_that_drifts(world, clean, change):
+    recording, belief, reference, _ = clean
+    drift = 0.2 * world.peak_reference * recording.reading_contact / len(recording.time)
+    own = recording.reading_taxel == world.ids[11]
+    found = calibrate(change(recording, pressure=recording.pressure + own * drift), belief)
+    assert "outlying" in found.faults[11]
+    assert others(position_errors(found, world.skin), [11], reference) < 1.05
+
+
+def test_a_wrong_model_is_no_outlier(world, clean):
+    found = calibrate(clean[0], world.belief(0.01, 0.05, young=0.8 * world.young, unknown=()))
+    assert not found.fit.good
+    assert "does not fit" in found.fit.words
+    assert not any(found.faults)
+
+
+def test_the_test_of_fit_is_calibrated(world):
+    belief = world.belief(0.01, 0.05)
+    fits = [calibrate(world.record(0.01, 0.05, seed), belief).fit for seed in range(12)]
+    mean = np.mean([fit.reduced for fit in fits])
+    assert abs(mean - 1) < 4 * np.sqrt(2 / fits[0].freedom / len(fits))
+    assert calibrate(world.record(0.01, 0.05), world.belief(None, 0.05)).fit.good is None
