@@ -4,7 +4,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from meshskin import Body
 from meshskin.errors import ContactError, UnknownNameError
+from meshskin.geometry.patch import casadi_foot
 from meshskin.physics import contact
 
 CASE = {
@@ -158,3 +160,29 @@ def test_any_scene_has_a_patch_or_a_named_error():
         assert patch.pressure([0.0, 0.0]) == pytest.approx(patch.peak, rel=1e-2)
         assert patch.reading([0.0, 0.0], patch.semi_axes[1] / 2) < patch.peak
     assert solved > 50
+
+
+@pytest.mark.parametrize("model", contact.BATCHED)
+def test_in_a_closed_loop_on_a_sphere(model):
+    """At an umbilic, where the two curvatures meet, the force keeps its derivatives."""
+    body, centre = Body.sphere(0.1), np.array([0.0, 0.02, 0.107])
+    hit = body.closest(centre[None])
+    c, uv, x = ca.SX.sym("c", 21, 3), ca.SX.sym("uv", 2), ca.SX.sym("x", 3)
+    _, _, foot, normal, curvature = casadi_foot(c, uv[0], uv[1], x)
+    given = {"indenter_radius": 0.01, "poisson": 0.49, "thickness": 3e-3}
+    y = contact.force(
+        model,
+        depth=0.01 - ca.dot(x - foot, normal),
+        curvature=curvature,
+        effective_modulus=0.26e6,
+        **given,
+    )
+    f = ca.Function("f", [c, uv, x], [y, ca.gradient(y, x), ca.hessian(y, x)[0]])
+    value, gradient, hessian = f(body.surface.patches[hit.face[0]], hit.uv[0], centre)
+    depth = 0.01 - (np.linalg.norm(centre) - 0.1)
+    flat = {"curvature": np.array([10.0, 10.0]), "effective_modulus": 0.26e6, **given}
+    assert float(value) == pytest.approx(contact.force(model, depth=depth, **flat), rel=1e-3)
+    slope = [contact.force(model, depth=depth + d, **flat) for d in (1e-7, -1e-7)]
+    push = -(slope[0] - slope[1]) / 2e-7 * centre / np.linalg.norm(centre)
+    assert gradient.full()[:, 0] == pytest.approx(push, rel=1e-2, abs=1.0)
+    assert np.isfinite(hessian.full()).all()
