@@ -1,0 +1,191 @@
+"""What each effect does to the joint estimate on the paper's sphere, one at a time and in pairs.
+
+    python studies/effects.py --out figures/ [--scene sphere_noisy] [--seeds 2] [--full]
+
+Each effect is on at its defaults, and the estimator does not know of it. Runs with and without it
+share their noise, so that the shift of the taxels is the effect's alone. Prints, for each effect,
+the mean error, the mean and largest shift, the bound that the effect states, E* over its nominal
+value and the chi-square that would give it away; draws the shifts. --full takes 5 seeds, and, with
+the first of them, all pairs: how far the shift of two together is from the sum of their shifts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from itertools import combinations
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+import meshskin as ms
+from meshskin.physics import effects
+from meshskin.report import figures, theme
+
+EXTRA = {"quantisation_16": ("quantisation", {"bits": 16})}
+"""Rows beside those of the effects at their defaults."""
+
+
+class Found(NamedTuple):
+    """What the estimator made of one scene, over seeds."""
+
+    positions: np.ndarray
+    """(seeds, n, 3), m."""
+    modulus: float
+    """E* over its nominal value."""
+    chi2: float
+    """Median of the taxels' chi-square per degree of freedom."""
+
+
+def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
+    """Run the study; return its rows by name (a pair's: "one+other")."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("figures"))
+    parser.add_argument("--scene", default="sphere_noisy")
+    parser.add_argument("--seeds", type=int, default=None)
+    parser.add_argument("--effects", nargs="*", default=None, help="only these")
+    parser.add_argument("--pairs", action="store_true", help="all pairs too")
+    parser.add_argument("--full", action="store_true", help="5 seeds, and pairs")
+    parser.add_argument("--json", type=Path, default=None)
+    options = parser.parse_args(arguments)
+    seeds = range(options.seeds or (5 if options.full else 2))
+
+    scene = ms.Scene.load(options.scene)
+    known = {e.name for e in scene.effects}
+    chosen = {name: made(name) for name in options.effects or [*effects.KINDS, *EXTRA]}
+    chosen = {name: effect for name, effect in chosen.items() if effect.name not in known}
+    plain = find(scene, (), seeds)
+    single = {name: find(scene, (effect,), seeds) for name, effect in chosen.items()}
+    rows = {"(none)": row(scene, plain, plain)}
+    rows |= {name: row(scene, plain, found) for name, found in single.items()}
+    for name, effect in chosen.items():
+        rows[name]["bound_mm"] = 1e3 * effect.bound(scene.context(0))
+    report(rows, f"{options.scene}, {len(seeds)} seeds, lengths in mm")
+    figures.save(shifts(rows), options.out, "effects")
+    if options.full or options.pairs:
+        rows |= pairs(scene, chosen, plain, single, seeds[:1])
+        figures.save(excesses(rows, list(chosen)), options.out, "effect_pairs")
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=2))
+    return rows
+
+
+def made(name: str) -> effects.Effect:
+    """An effect at its defaults, or one of EXTRA."""
+    kind, fields = EXTRA.get(name, (name, {}))
+    return effects.from_table({"kind": kind, **fields})
+
+
+def find(scene: ms.Scene, more: Sequence[effects.Effect], seeds: range) -> Found:
+    """Simulate with more effects, and calibrate without knowing of them."""
+    belief = scene.belief()
+    world = scene.with_(effects=(*scene.effects, *more))
+    runs = [ms.calibrate(ms.simulate(world, seed), belief) for seed in seeds]
+    nominal = scene.material.effective_modulus
+    return Found(
+        np.stack([run.positions for run in runs]),
+        float(np.mean([run.modulus for run in runs])) / nominal,
+        float(np.mean([np.nanmedian(run.chi2) for run in runs])),
+    )
+
+
+def row(scene: ms.Scene, plain: Found, found: Found) -> dict[str, float]:
+    """The numbers of one scene beside those of the plain one."""
+    error = np.linalg.norm(found.positions - scene.skin.positions, axis=2)
+    shift = np.linalg.norm(found.positions - plain.positions, axis=2)
+    lost = np.isnan(error) & np.isfinite(plain.positions[..., 0])
+    return {
+        "error_mm": 1e3 * float(np.nanmean(error)),
+        "shift_mm": 1e3 * float(np.nanmean(shift)),
+        "median_mm": 1e3 * float(np.nanmedian(shift)),
+        "largest_mm": 1e3 * float(np.nanmax(shift)),
+        "lost": float(lost.sum(axis=1).mean()),
+        "modulus": found.modulus,
+        "chi2": found.chi2,
+    }
+
+
+def pairs(
+    scene: ms.Scene,
+    chosen: dict[str, effects.Effect],
+    plain: Found,
+    single: dict[str, Found],
+    seed: range,
+) -> dict[str, dict[str, float]]:
+    """Rows of all pairs; `excess_mm`: median distance of their shift from the sum of the two."""
+    first = plain._replace(positions=plain.positions[:1])
+    rows = {}
+    for one, other in combinations(chosen, 2):
+        if chosen[one].name == chosen[other].name:
+            continue
+        both = find(scene, (chosen[one], chosen[other]), seed)
+        added = single[one].positions[:1] + single[other].positions[:1] - first.positions
+        excess = np.linalg.norm(both.positions - added, axis=2)
+        name = f"{one}+{other}"
+        rows[name] = row(scene, first, both) | {"excess_mm": 1e3 * float(np.nanmedian(excess))}
+    if rows:
+        worst = sorted(rows, key=lambda name: -rows[name]["excess_mm"])[:10]
+        print("pairs that add up worst: median shift of both, median off the sum of the two (mm)")
+        for name in worst:
+            print(f"  {name:36} {rows[name]['median_mm']:9.4f} {rows[name]['excess_mm']:9.4f}")
+    return rows
+
+
+def report(rows: dict[str, dict[str, float]], title: str) -> None:
+    """Print the table, the largest shift first."""
+    print(title)
+    print(f"  {'effect':18}{'error':>9}{'shift':>9}{'median':>9}{'largest':>9}{'bound':>9}"
+          f"{'E*':>8}{'chi2':>9}{'lost':>6}")  # fmt: skip
+    for name in sorted(rows, key=lambda name: -rows[name]["shift_mm"]):
+        r = rows[name]
+        print(f"  {name:18}{r['error_mm']:9.4f}{r['shift_mm']:9.4f}{r['median_mm']:9.4f}"
+              f"{r['largest_mm']:9.4f}{r.get('bound_mm', 0.0):9.3f}{r['modulus']:8.4f}"
+              f"{r['chi2']:9.2f}{r['lost']:6.1f}")  # fmt: skip
+
+
+@theme.styled
+def shifts(rows: dict[str, dict[str, float]]) -> object:
+    """Bars of the mean shift, with the largest and the bound, on a logarithmic scale."""
+    names = sorted((n for n in rows if n != "(none)"), key=lambda name: rows[name]["shift_mm"])
+    figure = theme.canvas(6.4, 1.2 + 0.24 * len(names))
+    axes = figure.add_subplot()
+    place = np.arange(len(names))
+
+    def column(key: str) -> np.ndarray:
+        return np.array([rows[name][key] for name in names])
+
+    axes.barh(place, column("shift_mm"), color=theme.ESTIMATE, height=0.6, label="mean shift")
+    axes.plot(column("largest_mm"), place, "|", color=theme.INK, label="largest shift")
+    axes.plot(column("bound_mm"), place, ".", color=theme.BOUND, label="stated bound")
+    axes.axvline(rows["(none)"]["error_mm"], color=theme.MUTED, lw=0.8, label="mean error of noise")
+    axes.set(xscale="log", xlabel="shift of the taxels (mm)", title="Effects that one leaves out")
+    axes.set_yticks(place, [name.replace("_", " ") for name in names])
+    axes.legend(loc="upper center", bbox_to_anchor=(0.4, -0.5 / figure.get_figheight()), ncols=4)
+    figure.tight_layout()
+    return figure
+
+
+@theme.styled
+def excesses(rows: dict[str, dict[str, float]], names: list[str]) -> object:
+    """Map of how far pairs are from the sum of their shifts."""
+    grid = np.full((len(names), len(names)), np.nan)
+    for i, j in combinations(range(len(names)), 2):
+        pair = rows.get(f"{names[i]}+{names[j]}")
+        if pair:
+            grid[i, j] = grid[j, i] = pair["excess_mm"]
+    figure = theme.canvas(7.5, 6.8)
+    axes = figure.add_subplot()
+    image = axes.imshow(np.log10(np.maximum(grid, 1e-5)), cmap=theme.SEQUENTIAL)
+    labels = [name.replace("_", " ") for name in names]
+    axes.set_xticks(range(len(names)), labels, rotation=90)
+    axes.set_yticks(range(len(names)), labels)
+    axes.set_title("Pairs: median distance from the sum of the two shifts")
+    figure.colorbar(image, ax=axes, label="log10 of mm", shrink=0.8)
+    figure.tight_layout()
+    return figure
+
+
+if __name__ == "__main__":
+    main()

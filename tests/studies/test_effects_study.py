@@ -1,0 +1,33 @@
+"""The study of effects at a small size, pinned to what it is for."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).parents[2] / "studies" / "effects.py"
+
+
+def test_effects(tmp_path, capsys):
+    spec = importlib.util.spec_from_file_location("effects_study", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    names = ["body_pose", "friction", "quantisation", "quantisation_16"]
+    asked = ["--seeds", "1", "--pairs", "--effects", *names, "--json", str(tmp_path / "x.json")]
+    found = module.main([*asked, "--out", str(tmp_path)])
+    assert json.loads((tmp_path / "x.json").read_text()) == found
+    for name in ("effects", "effect_pairs"):
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+    assert found["(none)"]["error_mm"] == pytest.approx(0.0092, rel=0.2)
+    # the foot moves by R / (R + r) of the centre: 0.5 mm less an eighth, on the sphere
+    assert found["body_pose"]["shift_mm"] == pytest.approx(0.459, rel=0.02)
+    assert found["friction"]["shift_mm"] == pytest.approx(0.164, rel=0.1)
+    assert found["quantisation"]["shift_mm"] == pytest.approx(0.0016, rel=0.5)
+    assert found["quantisation_16"]["shift_mm"] < found["quantisation"]["shift_mm"] / 50
+    for name in names:
+        assert found[name]["largest_mm"] <= found[name]["bound_mm"]
+    assert found["friction"]["chi2"] > 20 > 2 > found["body_pose"]["chi2"]
+    assert found["body_pose+friction"]["excess_mm"] < 0.02
+    assert "quantisation+quantisation_16" not in found
+    assert "pairs that add up worst" in capsys.readouterr().out
