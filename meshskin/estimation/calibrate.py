@@ -22,6 +22,8 @@ UNTOUCHED = "never touched"
 ALONE = "shares too few contacts with other taxels"
 WEAK = "too weakly determined"
 SURFACE = "body surface: position along the normal and tilt"
+MODULES = "rigid modules: the known places of their taxels"
+MODULE_SURFACE = "body surface: modules lie on it to 0.1 mm a taxel"
 CONTACTS = "contact points in the body frame"
 
 
@@ -67,13 +69,13 @@ def _assemble(
 ) -> Calibration:
     """Fill in what all methods share, and take back what is too weak to be an estimate."""
     points, rotations = values.pop("points"), values.pop("rotations")
-    covariance = values.pop("covariances", None)
+    covariance, tangential = values.pop("covariances", None), values.pop("tangential", None)
     if covariance is None:
         shape = observe.shape_operators(belief.body, points, rotations)
-        covariance = observe.pose_covariance(values.pop("tangential"), shape)
+        covariance = observe.pose_covariance(tangential, shape)
     observed = observe.degrees_of_freedom(covariance, float(np.median(data.radii)))
     why = np.array(values.pop("why"), dtype=object)
-    why[data.counts == 0] = UNTOUCHED
+    why[(data.counts == 0) & (why != "")] = UNTOUCHED
     lost = np.asarray(~observed.any(axis=1))
     why[lost & (why == "")] = WEAK
     covariance = np.where(lost[:, None, None], np.diag([np.inf] * 6), covariance)
@@ -95,9 +97,13 @@ def _assemble(
 def _joint(data: Measurements, belief: Belief) -> dict[str, Any]:
     found = joint.estimate(data, belief.body)
     silent = ("silent readings, censored at the threshold",) if data.noise else ()
+    surface: tuple[str, ...] = (SURFACE,)
+    if found.covariances is not None:
+        surface = (MODULES, MODULE_SURFACE)
     return {
         "points": found.points,
         "rotations": found.rotations,
+        "covariances": found.covariances,
         "tangential": found.covariance,
         "why": found.why,
         "chi2": found.chi2,
@@ -117,7 +123,7 @@ def _joint(data: Measurements, belief: Belief) -> dict[str, Any]:
         "factors": (
             "pressure of each reading",
             *silent,
-            SURFACE,
+            *surface,
             *found.data.shared.prior_words(),
         ),
     }

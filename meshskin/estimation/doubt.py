@@ -83,4 +83,5 @@ def _name(run: Run) -> None:
         if int(k) in pairs:
             words.insert(0, f"swapped with {run.data.ids[run.live[pairs[int(k)]]]}")
         run.faults[run.live[k]] = ", ".join(words)
-    run.broken[guilty] = (wild > faults.BROKEN * heard)[guilty] | (mute > heard)[guilty]
+    if isinstance(run.problem.places, Free):  # else its module places a taxel, whatever it reads
+        run.broken = (wild > faults.BROKEN * heard) | (mute > np.maximum(heard, 1))

@@ -21,11 +21,12 @@ from ..errors import CalibrationError
 from ..se3 import Array
 from . import chart, faults, trilaterate
 from .doubt import doubt
+from .factors import module
 from .factors.pressure import SILENT
 from .fit import Fit, goodness
 from .measurements import Measurements
 from .nulls import undetermined
-from .places import Free
+from .places import Free, Places
 from .run import PASSES, Run
 from .solve import ITERATIONS
 
@@ -45,9 +46,12 @@ class Joint:
     points: Array
     """(n, 3) on the surface, body frame, m."""
     rotations: Array
-    """Frames (n, 3, 3), z the outward normal; the spin is a convention."""
+    """Frames (n, 3, 3), z the outward normal, or the module's z axis; of a taxel by itself the spin
+    is a convention."""
     covariance: Array
     """(n, 2, 2) in the tangent plane, m^2, all else being unknown too."""
+    covariances: Array | None
+    """(n, 6, 6) of the poses in the taxels' frames, where modules are rigid."""
     shared: Array
     """The shared unknowns (ks,), as `data.shared` orders them."""
     shared_covariance: Array
@@ -118,8 +122,15 @@ def estimate(
             value=", ".join(sorted(set(map(str, start.why)))),
             remedy="touch every taxel from at least three contacts that are not on a line",
         )
-    charts = chart.about(body, start.points[live], start.rotations[live])
-    run = Run(data, body, live, Free(charts, step=float(np.median(data.radii)) / 2), iterations)
+    step = float(np.median(data.radii)) / 2
+    places: Places
+    if data.slots is None:
+        places = Free(chart.about(body, start.points[live], start.rotations[live]), step)
+    else:
+        sound = np.isin(np.arange(len(data.ids)), live)
+        places, live = module.start(body, data.slots, data.ids, start.points, sound, step)
+    weight = np.where(np.isin(data.taxel, stuck.rows), 0.0, 1.0)
+    run = Run(data, body, live, places, weight, iterations)
     run.converge()
     again = run.restart(trilaterate.centroids(data, body)[live])
     doubt(run)
@@ -155,21 +166,6 @@ def _fit(run: Run) -> Fit:
 def _result(run: Run, why: np.ndarray, again: np.ndarray, clock: float) -> Joint:
     """What was found, of all taxels."""
     data, problem, state = run.data, run.problem, run.state
-    reduced = problem.reduce(state)
-    covariance, shared = problem.covariances(state, reduced)
-    lost = run.restless | run.broken
-    covariance[lost] = np.diag([np.inf] * problem.width)
-    why = why.copy()
-    why[run.live[run.restless]] = RESTLESS
-    why[run.live[run.broken]] = BROKEN
-    points = np.where(lost[:, None], np.nan, problem.places.points())
-    chi2, heard = run.chi2, int(np.sum(run.likelihood.readings.kind == 0))
-    freedom = heard - state.z.size - len(state.s)
-    scale = 1.0 if data.noise else float(state.moments.square.sum()) / max(freedom, 1)
-    information, gains = problem.information(state)
-    groups = np.arange(problem.places.count)
-    sigma = np.sqrt(scale * np.diagonal(covariance, axis1=1, axis2=2))
-    unit = [data.sigma if name == "offset" else 1.0 for name in data.shared.local_names]
 
     def spread(values: Array, missing: object) -> Array:
         out = np.empty((len(data.ids), *values.shape[1:]))
@@ -177,10 +173,35 @@ def _result(run: Run, why: np.ndarray, again: np.ndarray, clock: float) -> Joint
         out[run.live] = values
         return out
 
+    reduced = problem.reduce(state)
+    covariance, shared = problem.covariances(state, reduced)
+    places, why = problem.places, why.copy()
+    why[run.live] = ""
+    lost = run.restless | run.broken
+    why[run.live[run.broken]] = BROKEN
+    why[run.live[run.restless]] = RESTLESS
+    points = np.where(lost[:, None], np.nan, places.points())
+    chi2, heard = run.chi2, int(np.sum(run.likelihood.readings.kind == 0))
+    freedom = heard - state.z.size - len(state.s)
+    scale = 1.0 if data.noise else float(state.moments.square.sum()) / max(freedom, 1)
+    information, gains = problem.information(state)
+    groups = np.arange(places.count)
+    six, tangential = None, scale * covariance[:, :2, :2]
+    if isinstance(places, module.Rigid):
+        six = scale * places.covariances(covariance[:, :6, :6])
+        tangential = six[:, :2, :2]
+        six = spread(
+            np.where(lost[:, None, None], np.diag([np.inf] * 6), six), np.diag([np.inf] * 6)
+        )
+    tangential = np.where(lost[:, None, None], np.diag([np.inf] * 2), tangential)
+    sigma = np.sqrt(scale * np.diagonal(covariance, axis1=1, axis2=2))
+    unit = [data.sigma if name == "offset" else 1.0 for name in data.shared.local_names]
+
     return Joint(
         points=spread(points, np.nan),
-        rotations=spread(problem.places.rotations(), np.nan),
-        covariance=spread(scale * covariance[:, :2, :2], np.diag([np.inf, np.inf])),
+        rotations=spread(places.rotations(), np.nan),
+        covariance=spread(tangential, np.diag([np.inf, np.inf])),
+        covariances=six,
         shared=state.s,
         shared_covariance=scale * shared,
         undetermined=undetermined(data.shared, information / scale, gains),

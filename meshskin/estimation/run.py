@@ -41,10 +41,16 @@ class Run:
     """One estimation under way."""
 
     def __init__(
-        self, data: Measurements, body: Body, live: np.ndarray, places: Places, iterations: int
+        self,
+        data: Measurements,
+        body: Body,
+        live: np.ndarray,
+        places: Places,
+        weight: Array,
+        iterations: int,
     ) -> None:
         self.data, self.body, self.live, self.iterations = data, body, live, iterations
-        self.weight = np.ones(len(data.pressure))
+        self.weight = weight
         self.silent_weight = np.ones(len(live))
         self.seconds = {"readings": 0.0, "solve": 0.0}
         self.iterates = [places.points()]
