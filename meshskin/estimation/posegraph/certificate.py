@@ -26,7 +26,7 @@ from meshskin.estimation.posegraph.graph import PoseGraph
 from meshskin.estimation.posegraph.linear import Integers
 from meshskin.se3 import Array
 
-GAPS = 10.0 ** np.arange(-10, 0.5, 1.0)
+GAPS = 0.5 * 10.0 ** np.arange(-10, 0.5, 1.0)
 """Relative gaps that are tried, the smallest first."""
 CERTIFIED = 1e-6
 """Relative gap up to which a cost counts as the global optimum."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from meshskin import se3
+from meshskin.errors import GraphError
 from meshskin.estimation.posegraph.graph import PoseGraph
 from meshskin.estimation.posegraph.kernel import EDGE, RELATIVE, ROOT
 from meshskin.estimation.posegraph.linear import Integers
@@ -18,6 +19,9 @@ ACCURACY = 1e-9
 """A solution is optimal if a Newton step would lower the cost by less than this share of it."""
 ROUNDING = 1e-13
 """Relative error of a residual that rounding alone makes: no gain below its cost can be seen."""
+SUCCEEDED = "Solve_Succeeded"
+TIGHTER = 0.03
+"""The gradient's tolerance after a run that stopped too early, as a share of what it was."""
 STAGES = ((0.0, 3), (1.0, 60), (1.0, 60), (1.0, 60))
 """(blend, iterations) of the runs: Gauss-Newton, where it suffices, then the exact Hessian."""
 FAR_STAGES = ((1.0, 15),) * 20
@@ -43,8 +47,11 @@ class State:
         if self.decrement < ACCURACY:
             return "optimal"
         if np.isinf(self.decrement):
-            return "saddle: the Hessian is not positive definite"
-        return f"not converged: a Newton step would lower the cost by {self.decrement:.1e} of it"
+            return "saddle: the Hessian is not positive definite; start from 'chordal'"
+        return (
+            f"not converged (IPOPT: {self.solver_status}): a Newton step would lower the cost by "
+            f"{self.decrement:.1e} of it; allow more iterations, or start from 'chordal'"
+        )
 
 
 def minimise(
@@ -55,21 +62,31 @@ def minimise(
     stages: tuple[tuple[float, int], ...] = STAGES,
     keep: bool = False,
     accuracy: float = ACCURACY,
+    most: int | None = None,
 ) -> None:
     """Bring `state` to a minimum of the `problem` weighted by `root` (m, 6, 6).
 
     Every run starts from the poses of the last. Stops as soon as a Newton step promises less than
-    `accuracy`, a share of the cost: neither units nor the scale of the information matter.
+    `accuracy`, a share of the cost: neither units nor the scale of the information matter; or once
+    `state` has seen `most` iterations. Raises GraphError where the cost is no number.
     """
     weight = np.sum(root * root, axis=1)  # (m, 6): the diagonal of Omega
     floor = ROUNDING**2 * _size(graph, weight)
     tolerance = float(np.sqrt(accuracy / (6 * len(problem.free))))
     for blend, limit in stages:
+        if most is not None:
+            limit = min(limit, most - state.iterations)
         edge = edge_numbers(graph, state.poses, root)
         cost = max(problem.cost(parameter_vector(edge, np.ones(2), blend)), floor, 1e-300)
         edge[:, -ROOT:] /= np.sqrt(cost)
         scale = _scale(weight / cost, edge[:, :3], len(problem.free))
         parameters = parameter_vector(edge, scale, blend)
+        if not (np.isfinite(cost) and np.isfinite(parameters).all()):
+            raise GraphError(
+                "the cost is no number",
+                value=f"{cost:.3g}",
+                remedy="scale the information matrices: the cost must stay below 1e300",
+            )
         run = problem.solve(parameters, tolerance, limit, keep)
         state.iterations += run.iterations
         state.solver_status = run.status
@@ -78,8 +95,10 @@ def minimise(
         state.poses = retract(state.poses, problem.free, run.x, scale)
         state.cost = run.cost * cost
         state.decrement = run.gain / max(run.cost, floor / cost / accuracy)
-        if state.decrement < accuracy:
+        if state.decrement < accuracy or (most is not None and state.iterations >= most):
             return
+        if run.status == SUCCEEDED:  # the gradient is small, along weak directions not enough
+            tolerance *= TIGHTER
 
 
 def geodesic_roots(information: Array) -> Array:
@@ -147,8 +166,9 @@ def retract(poses: Array, free: Integers, increments: Array, scale: Array) -> Ar
 
 def _size(graph: PoseGraph, weight: Array) -> float:
     """What the cost would be if the residuals were as large as the displacements."""
-    length2 = np.sum(graph.measurements[:, :3, 3] ** 2, axis=1)
-    return float(np.sum(weight[:, :3].sum(axis=1) * length2 + weight[:, 3:].sum(axis=1)))
+    with np.errstate(over="ignore"):  # infinity is found, and named, where it counts
+        length2 = np.sum(graph.measurements[:, :3, 3] ** 2, axis=1)
+        return float(np.sum(weight[:, :3].sum(axis=1) * length2 + weight[:, 3:].sum(axis=1)))
 
 
 def _scale(weight: Array, displacement: Array, free: int) -> Array:

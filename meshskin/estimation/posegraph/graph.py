@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 ROTATION_LIMIT = 1e-6
 NEGATIVE_LIMIT = 1e-9
+LARGEST = 1e100
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,11 +106,13 @@ class PoseGraph:
         start: str | ArrayLike = "chordal",
         robust: str | None = None,
         keep_iterates: bool = False,
+        certify: bool = False,
+        limit: int | None = None,
     ) -> Solution:
         """The poses that minimise the objective; arguments as in `posegraph.solve.solve`."""
         from meshskin.estimation.posegraph.solve import solve
 
-        return solve(self, objective, start, robust, keep_iterates)
+        return solve(self, objective, start, robust, keep_iterates, certify, limit)
 
 
 def transforms(name: str, values: ArrayLike, count: int | None = None) -> Array:
@@ -179,6 +182,14 @@ def _information(values: ArrayLike, count: int) -> Array:
     if len(bad):
         raise GraphError("information is not finite", value=f"edge {bad[0]}")
     size = np.abs(array).max(axis=(1, 2))
+    if (size > LARGEST).any():
+        row = int(np.argmax(size > LARGEST))
+        raise GraphError(
+            "information is too large to compute with",
+            value=f"edge {row}: {size[row]:.3g}",
+            limit=f"{LARGEST:g}",
+            remedy="scale all of it down: the poses stay the same",
+        )
     skew = np.abs(array - np.swapaxes(array, 1, 2)).max(axis=(1, 2))
     array = (array + np.swapaxes(array, 1, 2)) / 2
     lowest = np.linalg.eigvalsh(array)[:, 0]

@@ -55,7 +55,13 @@ ROBUST: dict[str, Weight] = {"gnc": geman_mcclure, "huber": huber, "cauchy": cau
 
 
 def reweight(
-    problem: Problem, graph: PoseGraph, root: Array, state: State, kind: str, keep: bool
+    problem: Problem,
+    graph: PoseGraph,
+    root: Array,
+    state: State,
+    kind: str,
+    keep: bool,
+    most: int | None = None,
 ) -> Array:
     """Bring `state` to the minimum of the robust cost; the displacements' weights (m,).
 
@@ -65,14 +71,16 @@ def reweight(
     rank = np.linalg.matrix_rank(graph.information, hermitian=True)
     limit = 2.0 * gammaincinv(np.maximum(rank, 1) / 2.0, QUANTILE)  # of a chi-square
     weight, function = np.ones(len(graph.edges)), ROBUST[kind]
-    minimise(problem, graph, root, state, keep=keep)
+    minimise(problem, graph, root, state, keep=keep, most=most)
     chi2 = _chi_squares(graph, state.poses, root, problem.residual)
     looseness = max(2.0 * float((chi2 / limit).max()), 1.0) if kind == "gnc" else 1.0
     for _ in range(ROUNDS):
         before, weight = weight, function(chi2, limit, looseness)
         if looseness == 1.0 and np.abs(weight - before).max() < SETTLED:
             break
-        minimise(problem, graph, root * np.sqrt(weight)[:, None, None], state, keep=keep)
+        if most is not None and state.iterations >= most:
+            break
+        minimise(problem, graph, root * np.sqrt(weight)[:, None, None], state, keep=keep, most=most)
         chi2 = _chi_squares(graph, state.poses, root, problem.residual)
         looseness = max(looseness / STEP, 1.0)
     return weight

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from meshskin.errors import UnknownNameError
+from meshskin.errors import GraphError, UnknownNameError
 from meshskin.estimation.posegraph import certificate as certificates
 from meshskin.estimation.posegraph import marginals
 from meshskin.estimation.posegraph import start as starts
@@ -32,6 +32,9 @@ from meshskin.se3 import Array
 OBJECTIVES = {"geodesic": "log", "chordal": "vec"}
 POLISH = 1e-18
 """Accuracy of the minimum that a certificate examines: its gap grows with the gradient."""
+
+
+FREEDOMS = ("x", "y", "z", "rx", "ry", "rz")
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,12 +76,21 @@ class Solution:
         return self.status == "optimal"
 
     @cached_property
+    def _weighted(self) -> PoseGraph:
+        """The graph, its information times the weights."""
+        if (self.weights == 1.0).all():
+            return self.graph
+        information = self.graph.information * self.weights[:, None, None]
+        return replace(self.graph, information=information)
+
+    @cached_property
     def certificate(self) -> certificates.Certificate:
         """Proof of global optimality, computed when first asked for.
 
-        It concerns the chordal objective: its minimum next to `poses` is examined.
+        It concerns the chordal objective with the `weights`: its minimum next to `poses` is
+        examined.
         """
-        graph = self.graph
+        graph = self._weighted
         state = State(self.poses)
         if len(graph.edges):
             problem = _problem(graph, "chordal")
@@ -86,12 +98,26 @@ class Solution:
             minimise(problem, graph, root, state, STAGES[1:], accuracy=POLISH)
         return certificates.certify(graph, state.poses)
 
+    @property
+    def undetermined(self) -> tuple[tuple[int, str], ...]:
+        """What the displacements say nothing about: (id of the pose, degree of freedom).
+
+        Translations "x", "y", "z" and rotations "rx", "ry", "rz", along and about the pose's axes.
+        """
+        variances = np.diagonal(self._covariances, axis1=1, axis2=2)
+        found = np.argwhere(np.isinf(variances)).tolist()
+        return tuple((int(self.graph.ids[pose]), FREEDOMS[k]) for pose, k in found)
+
     def covariances(self) -> Array:
         """Marginal covariances (n, 6, 6) of the poses: local frame, translation (m) first, (rad).
 
         The inverse of the Gauss-Newton information at `poses`, given the anchors: theirs are zero.
         A degree of freedom that the displacements do not determine has an infinite variance.
         """
+        return self._covariances.copy()
+
+    @cached_property
+    def _covariances(self) -> Array:
         covariances = np.zeros((len(self.poses), 6, 6))
         if not len(self.graph.edges):
             return covariances
@@ -111,6 +137,8 @@ def solve(
     start: str | ArrayLike = "chordal",
     robust: str | None = None,
     keep_iterates: bool = False,
+    certify: bool = False,
+    limit: int | None = None,
 ) -> Solution:
     """The poses that minimise the `objective` of `graph`.
 
@@ -119,12 +147,34 @@ def solve(
     published optima. `start`: "chordal", "tree", "origin" (every pose at its anchor) or poses
     (n, 4, 4). From "origin" the chordal objective is minimised first: Log has no basin there.
     `robust`: "gnc", "huber" or "cauchy" weigh outlying displacements down. The first pose of every
-    component is held. Raises UnknownNameError, GraphError.
+    component is held. `certify`: where another start's result is no certified optimum, solve again
+    from the chordal start; the cheaper result is returned, and its `certificate` says what is
+    proven. `limit`: IPOPT's iterations at most; what they did not suffice for is in the `status`.
+    Raises UnknownNameError, GraphError.
     """
     if objective not in OBJECTIVES:
         raise UnknownNameError("objective", objective, OBJECTIVES)
     if robust is not None and robust not in ROBUST:
         raise UnknownNameError("robust cost", robust, ROBUST)
+    if limit is not None and limit < 1:
+        raise GraphError("no iteration is allowed", value=limit, limit="at least 1")
+    solution = _solve(graph, objective, start, robust, keep_iterates, limit)
+    chordal = isinstance(start, str) and start == "chordal"
+    if not certify or chordal or (solution.is_optimal and solution.certificate.certified):
+        return solution
+    other = _solve(graph, objective, "chordal", robust, keep_iterates, limit)
+    better = other.is_optimal and (other.cost < solution.cost or not solution.is_optimal)
+    return other if better else solution
+
+
+def _solve(
+    graph: PoseGraph,
+    objective: str,
+    start: str | ArrayLike,
+    robust: str | None,
+    keep: bool,
+    limit: int | None,
+) -> Solution:
     began = perf_counter()
     state = State(starts.start(graph, start))
     state.iterates = [state.poses]
@@ -138,12 +188,12 @@ def solve(
             far = problem if objective == "chordal" else _problem(graph, "chordal")
             build += perf_counter() - again
             root = chordal_roots(*starts.weights(graph))
-            minimise(far, graph, root, state, FAR_STAGES, keep_iterates)
+            minimise(far, graph, root, state, FAR_STAGES, keep, most=limit)
         root = _roots(graph, objective)
         if robust is None:
-            minimise(problem, graph, root, state, STAGES, keep_iterates)
+            minimise(problem, graph, root, state, STAGES, keep, most=limit)
         else:
-            weights = reweight(problem, graph, root, state, robust, keep_iterates)
+            weights = reweight(problem, graph, root, state, robust, keep, limit)
     return Solution(
         graph=graph,
         poses=state.poses,
@@ -157,7 +207,7 @@ def solve(
         start_time=started - began,
         solve_time=perf_counter() - started - build,
         weights=weights,
-        iterates=np.array(state.iterates) if keep_iterates else None,
+        iterates=np.array(state.iterates) if keep else None,
     )
 
 

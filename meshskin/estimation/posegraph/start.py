@@ -24,7 +24,9 @@ def start(graph: PoseGraph, kind: str | ArrayLike) -> Array:
     if isinstance(kind, str):
         if kind not in STARTS:
             raise UnknownNameError("start", kind, STARTS)
-        return STARTS[kind](graph)
+        poses = STARTS[kind](graph)
+        poses[graph.anchors] = graph.poses[graph.anchors]  # to the last digit
+        return poses
     return transforms("start poses", kind, len(graph.poses))
 
 
