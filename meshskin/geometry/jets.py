@@ -1,8 +1,9 @@
 """Vertex jets: polynomial height fields fitted to the vertices around each vertex.
 
-At vertex i, in a frame (t1, t2, n) at the vertex, the surface is n-height h_i(x, y), a polynomial
-without constant term (it passes through the vertex) fitted by least squares to the 2-ring. Rings do
-not pass a crease; a vertex on a crease, or whose ring no polynomial fits, keeps its flat faces.
+At a fan (fans.py: a vertex, on one side of the creases that meet there), in a frame (t1, t2, n),
+the surface is the height h(x, y), a polynomial fitted by least squares to the vertices within some
+edges. The degree is the lowest whose residual is no larger than chance makes it; where the vertices
+are so noisy that this is a quadric, wider rings are taken as long as the residual stays the same.
 Source: Cazals and Pouget, "Estimating differential quantities using polynomial fitting of
 osculating jets", Computer Aided Geometric Design 22 (2005): a degree-d jet gives normals to order
 h^d and curvatures to order h^(d-1).
@@ -10,47 +11,60 @@ h^d and curvatures to order h^(d-1).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from . import patch
+from .fans import Fans
+from .heights import DEGREE, MISS, POWERS, TERMS, believable, in_order, least_squares, powers
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-DEGREE = 4
-POWERS = tuple((d - j, j) for d in range(1, DEGREE + 1) for j in range(d + 1))  # 14, no constant
-INDEPENDENT = 1e-4
-"""smallest sine of the angle between a column of the fit and the columns before it"""
-CREASE = np.radians(40.0)
-"""angle between two faces' normals from which their edge is a crease"""
-STEEP, WAVY = 2.0, 0.8
-"""bounds of the sums of absolute coefficients, all and those above degree 2, of a believable fit;
-on a sphere, with q = ring radius over sphere radius, they are q + q^3 / 2 and q^3 / 2"""
-MISS = 0.01
-"""bound of a believable fit's residual, RMS over the ring, relative to the ring's radius"""
+PLANE = 1e-5
+"""bound of the residual of a ring that is taken as flat, relative to the ring's radius"""
+EXPLAINED = 0.02
+"""share of the heights' squares that a fit without spare points may leave"""
+DECAY = 0.2
+"""largest terms above degree 2, over those of degree 2, of a fit without spare points"""
+CHANCE = 2.0
+"""ratio of the variances of two fits' residuals that noise alone explains"""
+EXACT = 1e-14
+"""square of a residual over that of the heights from which rounding explains it"""
+WIDEST = 4
+"""edges within which noisy vertices are averaged, at most"""
 CHUNK = 2048
 """vertices fitted at once: bounds the memory"""
-BULGE = 3.0
-"""largest lift of a patch from its face, over what its normals account for"""
 
 
 @dataclass(frozen=True)
 class Jets:
-    """Height fields at n vertices."""
+    """Height fields at j fans."""
 
     origin: Array
-    """(n, 3) vertices, in m"""
+    """(j, 3) where the height is zero, in m: the vertex, or its mean place among noisy ones"""
     frame: Array
-    """(n, 3, 3) rows t1, t2, normal"""
+    """(j, 3, 3) rows t1, t2, normal; t1 along the crease, beside one"""
     scale: Array
-    """(n,) radius of the ring in m; the coefficients are of coordinates divided by it"""
+    """(j, 2) extents of the ring in m, which x and y are divided by"""
     coefficients: Array
-    """(n, 14) of x^i y^j in the order of POWERS; the height, too, is divided by the scale"""
+    """(j, 14) of x^i y^j in the order of POWERS, in m"""
     degree: NDArray[np.int64]
-    """(n,) degree of each fit; 0: the faces stay flat here"""
+    """(j,) degree of each fit; 0: the faces stay flat here"""
+    miss: Array
+    """(j,) residual of the fit over its heights, RMS; 1 where the ring had no points to spare"""
+
+
+@dataclass
+class _Fit:
+    """The fits in progress, and their residuals."""
+
+    jets: Jets
+    rss: Array  # (j, 5) sum of squares of the residual by degree; row's NaN: not fitted
+    dof: Array  # (j, 5) its degrees of freedom
+    floor: Array  # (j,) sum of squares that rounding explains
 
 
 def vertex_normals(vertices: Array, faces: Index) -> Array:
@@ -80,171 +94,208 @@ def tangent_frames(normals: Array) -> Array:
     return np.stack([t1, t2, normals], axis=1)
 
 
-def creases(vertices: Array, faces: Index, across: Index) -> NDArray[np.bool_]:
-    """Which vertices (n,) lie on a crease; `across` (m, 3) are the faces over the edges."""
-    a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
-    normal = np.cross(b - a, c - a)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
-    bend = np.einsum("mc,mkc->mk", normal, normal[across])
-    sharp = (bend < np.cos(CREASE)) & (across >= 0)
-    out = np.zeros(len(vertices), dtype=bool)
-    for k in range(3):
-        out[faces[sharp[:, k]][:, [(k + 1) % 3, (k + 2) % 3]]] = True
-    return out
+def _frames(points: Array, fans: Fans) -> Array:
+    """Frames (j, 3, 3) of the fans, with t1 along the creases where there are some."""
+    frame = tangent_frames(vertex_normals(points, fans.corner))
+    face, k = np.nonzero(fans.sharp)
+    tail, head = fans.corner[face, (k + 1) % 3], fans.corner[face, (k + 2) % 3]
+    way = points[head] - points[tail]
+    way /= np.maximum(np.linalg.norm(way, axis=1), 1e-300)[:, None]
+    along = np.zeros_like(points)
+    np.add.at(along, np.concatenate([tail, head]), np.concatenate([way, way]))
+    normal = frame[:, 2]
+    along -= np.einsum("ji,ji->j", along, normal)[:, None] * normal
+    length = np.linalg.norm(along, axis=1)
+    rows = np.flatnonzero(length > 0.1)
+    frame[rows, 0] = along[rows] / length[rows, None]
+    frame[rows, 1] = np.cross(normal[rows], frame[rows, 0])
+    return frame
 
 
-def rings(faces: Index, count: int, order: int, stop: NDArray[np.bool_]) -> tuple[Index, Index]:
-    """Vertices within `order` edges of each of `count` vertices: CSR (start (n + 1,), index).
-
-    Ways do not lead through the vertices of `stop` (n,).
-    """
+def steps(faces: Index, count: int) -> Any:
+    """Which of `count` nodes share an edge, and each with itself: CSR (count, count) of ones."""
     from scipy.sparse import csr_array, eye_array
 
     i = faces[:, [0, 1, 2, 1, 2, 0]].ravel()
     j = faces[:, [1, 2, 0, 0, 1, 2]].ravel()
     ones = np.ones(len(i), dtype=np.float32)
-    step = csr_array((ones, (i, j)), shape=(count, count)) + eye_array(count, dtype=np.float32)
-    reach = step = csr_array(step)
-    onward = step.multiply(~stop[:, None]).tocsr() if stop.any() else step
-    for _ in range(order - 1):
-        reach = reach @ onward + step
-    return reach.indptr.astype(np.intp), reach.indices.astype(np.intp)
+    step = csr_array((ones, (i, j)), shape=(count, count))
+    return csr_array(step + eye_array(count, dtype=np.float32))
 
 
-def fit(vertices: Array, faces: Index, across: Index, degree: int = DEGREE, order: int = 2) -> Jets:
-    """Jets of the given degree (2 to 4) on the `order`-ring of every vertex.
+def fit(vertices: Array, fans: Fans, degree: int = DEGREE, order: int = 2) -> Jets:
+    """Jets of at most the given degree (2 to 4) on the `order`-ring of every fan.
 
     Where a ring is too small or too regular for the degree, or the fit is not believable, the next
-    lower one is fitted. `across` (m, 3): the faces over the faces' edges, -1 where there is none.
+    lower one is fitted, on the 1-ring at last; a fan that nothing fits keeps its flat faces.
     """
-    n = len(vertices)
-    sharp = creases(vertices, faces, across)
-    start, index = rings(faces, n, order, sharp)
+    points, count = vertices[fans.vertex], len(fans.vertex)
+    step = steps(fans.corner, count)
+    frame = _frames(points, fans)
+    jets = Jets(
+        points.copy(), frame, np.ones((count, 2)), np.zeros((count, len(POWERS))),
+        np.zeros(count, dtype=np.int64), np.ones(count),
+    )  # fmt: skip
+    work = _Fit(jets, np.full((count, 5), np.nan), np.zeros((count, 5)), np.zeros(count))
+    reach = step
+    for _ in range(order - 1):
+        reach = reach @ step
+    _fit_rings(work, np.arange(count), reach, degree)
+    _smooth_noise(work, step, reach, fans.split)
+    poor = np.flatnonzero(jets.degree == 0)
+    if len(poor):
+        for near in (reach, step):
+            _fit_sparse(work, poor, near[poor], degree)
+            poor = poor[jets.degree[poor] == 0]
+    return jets
+
+
+def _fit_rings(work: _Fit, rows: Index, reach: Any, degree: int) -> None:
+    """Fit the fans `rows` (r,) to their rings, the rows of `reach` (r, n), in place."""
+    jets = work.jets
+    start, index = reach.indptr.astype(np.intp), reach.indices
     size = np.diff(start)
-    frame = tangent_frames(vertex_normals(vertices, faces))
-    scale = np.ones(n)
-    coefficients = np.zeros((n, len(POWERS)))
-    reached = np.zeros(n, dtype=np.int64)
-    for members in size_groups(size):
-        ring = index[start[members][:, None] + np.arange(size[members[0]])]
-        offset = vertices[ring] - vertices[members][:, None]
-        local = offset @ np.swapaxes(frame[members], 1, 2)
-        radius = np.sqrt(np.max(np.sum(local[..., :2] ** 2, axis=2), axis=1))
-        radius[radius == 0.0] = 1.0
-        local /= radius[:, None, None]
-        scale[members] = radius
-        pending = np.flatnonzero(~sharp[members])
-        for trial in range(degree, 1, -1):
-            if not len(pending):
-                break
-            solved, values = _solve(local[pending], trial)
-            done = pending[solved]
-            coefficients[members[done], : values.shape[1]] = values[solved]
-            reached[members[done]] = trial
-            pending = pending[~solved]
-    return Jets(vertices, frame, scale, coefficients, reached)
+    for group in size_groups(size):
+        members = rows[group]
+        ring = index[start[group][:, None] + np.arange(size[group[0]])]
+        local = _local(jets, members, ring)
+        solved, values, rss = least_squares(local, jets.scale[members], degree)
+        done = members[solved]
+        work.rss[done, 2 : degree + 1] = rss[solved]
+        work.dof[done, 2:] = [max(len(ring[0]) - 1 - TERMS[d], 0) for d in (2, 3, 4)]
+        work.floor[done] = EXACT * np.sum(local[solved, :, 2] ** 2, axis=1)
+        jets.coefficients[done] = 0.0
+        jets.coefficients[done, : values.shape[1]] = values[solved]
+        jets.degree[done] = degree
+        if len(ring[0]) - 1 > TERMS[degree]:
+            squares = np.sum(local[solved, :, 2] ** 2, axis=1)
+            jets.miss[done] = np.sqrt(rss[solved, -1] / np.maximum(squares, 1e-300))
+
+
+def _local(jets: Jets, members: Index, ring: Index) -> Array:
+    """Rings (g, k) in the fans' frames: x and y relative to the scales, the height in m (g, k, 3).
+
+    Sets the scales.
+    """
+    frame = jets.frame[members]
+    local = (jets.origin[ring] - jets.origin[members][:, None]) @ np.swapaxes(frame, 1, 2)
+    scale = np.max(np.abs(local[..., :2]), axis=1)
+    longest = np.max(scale, axis=1, keepdims=True)
+    scale = np.maximum(scale, np.where(longest > 0, 1e-6 * longest, 1.0))
+    jets.scale[members] = scale
+    local[..., :2] /= scale[:, None]
+    return np.asarray(local)
+
+
+def _smooth_noise(work: _Fit, step: Any, reach: Any, split: NDArray[np.bool_]) -> None:
+    """Lower the degree, and then widen the rings, of fans whose residual is no more than noise.
+
+    Only where most of the mesh is noisy: a scan, not a few bad vertices. Residuals are pooled over
+    the fans next to each other. Fans inside the surface move to the fitted height.
+    """
+    full = ~np.isnan(work.rss[:, 4])
+    if not full.any():
+        return
+    rss, dof = np.where(full[:, None], work.rss, 0.0), np.where(full[:, None], work.dof, 0.0)
+    total, freedom = step @ rss[:, 2:], np.maximum(step @ dof[:, 2:], 1e-9)
+    variance = total / freedom
+    chance = CHANCE * variance[:, 2]
+    noisy = full & (variance[:, 1] <= chance) & (freedom[:, 2] >= 6)
+    noisy &= total[:, 2] > step @ np.where(full, work.floor, 0.0)
+    if noisy.sum() <= 0.5 * len(full):
+        return
+    quadric = noisy & (variance[:, 0] <= chance)
+    cubic = np.flatnonzero(noisy & ~quadric)
+    _fit_rings(work, cubic, reach[cubic], 3)
+    rows = np.flatnonzero(quadric)
+    limit = CHANCE * variance[rows, 0]
+    _fit_rings(work, rows, reach[rows], 2)
+    ring = reach[rows]
+    for _ in range(WIDEST - 2):
+        ring = ring @ step
+        accepted = _average(work.jets, rows, ring, limit, ~split[rows])
+        rows, limit, ring = rows[accepted], limit[accepted], ring[accepted]
+
+
+def _average(
+    jets: Jets, rows: Index, reach: Any, limit: Array, moving: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Quadrics on wide rings where the residual's variance keeps to the limit (r,): which rows.
+
+    A `moving` fan takes the fitted height as its origin.
+    """
+    start, index = reach.indptr.astype(np.intp), reach.indices
+    size = np.diff(start)
+    accepted = np.zeros(len(rows), dtype=bool)
+    for group in size_groups(size):
+        members = rows[group]
+        keep = jets.frame[members], jets.scale[members]
+        local = _local(jets, members, index[start[group][:, None] + np.arange(size[group[0]])])
+        columns = powers(local[..., 0], local[..., 1], 2)
+        constant = np.broadcast_to(moving[group][:, None, None], (*columns.shape[:1], 1, 1))
+        columns = np.concatenate([columns, constant * np.ones((1, 1, columns.shape[2]))], axis=1)
+        normal = columns @ np.swapaxes(columns, 1, 2)
+        normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(6)
+        values = np.linalg.solve(normal, columns @ local[..., 2:])[..., 0]
+        miss = np.einsum("gck,gc->gk", columns, values) - local[..., 2]
+        freedom = size[group[0]] - 6
+        good = np.einsum("gk,gk->g", miss, miss) <= limit[group] * max(freedom, 0)
+        good &= believable(np.asarray(values[:, :5], dtype=float), jets.scale[members])
+        accepted[group] = good
+        jets.frame[members[~good]], jets.scale[members[~good]] = keep[0][~good], keep[1][~good]
+        done = members[good]
+        jets.coefficients[done, :5] = values[good, :5]
+        jets.coefficients[done, 5:] = 0.0
+        jets.degree[done] = 2
+        shift = np.where(moving[group][good], values[good, 5], 0.0)
+        jets.origin[done] += shift[:, None] * jets.frame[done, 2]
+    return accepted
+
+
+def _fit_sparse(work: _Fit, rows: Index, reach: Any, degree: int) -> None:
+    """Fit fans whose rings do not determine a polynomial: of all that fit, the least one.
+
+    A coarse cylinder's side is of this kind: its vertices lie on two circles.
+    """
+    jets = work.jets
+    start, index = reach.indptr.astype(np.intp), reach.indices
+    size = np.diff(start)
+    for group in size_groups(size):
+        members = rows[group]
+        local = _local(jets, members, index[start[group][:, None] + np.arange(size[group[0]])])
+        height, scale = local[..., 2], jets.scale[members]
+        extent = scale.min(axis=1)
+        best = np.full(len(members), np.inf)
+        length, half, triangle, kept = in_order(
+            powers(local[..., 0], local[..., 1], degree), height
+        )
+        for trial in range(degree, 0, -1):
+            c = TERMS[trial]
+            values = np.linalg.solve(triangle[:, :c, :c], half[:, :c, None])[..., 0] / length[:, :c]
+            rss = np.sum(height**2, axis=1) - np.sum(half[:, :c] ** 2, axis=1)
+            rss, rank = np.maximum(rss, 0.0), kept[:, :c].sum(axis=1)
+            freedom = size[group[0]] - 1 - rank
+            good = believable(values, scale) & (rss < (MISS * extent) ** 2 * size[group[0]])
+            good &= rss < EXPLAINED * np.sum(height**2, axis=1) + 1e-300
+            if trial == 1:
+                good &= rss < (PLANE * extent) ** 2 * size[group[0]]
+            elif trial > 2:
+                wave, bend = (np.abs(v).sum(axis=1) for v in (values[:, 5:], values[:, 2:5]))
+                good &= (freedom > 0) | (wave < DECAY * bend)
+            variance = rss / np.maximum(freedom, 1)
+            best = np.minimum(best, np.where(good, variance, np.inf))
+            chosen = good & ((jets.degree[members] == 0) | (variance <= CHANCE * best))
+            done = members[chosen]
+            jets.coefficients[done] = 0.0
+            jets.coefficients[done, : values.shape[1]] = values[chosen]
+            jets.degree[done] = trial
 
 
 def size_groups(size: Index) -> list[Index]:
     """Indices grouped by equal `size` (n,), in groups of at most CHUNK."""
+    if not len(size):
+        return []
     by_size = np.argsort(size, kind="stable")
     cuts = np.flatnonzero(np.diff(size[by_size])) + 1
     groups = np.split(by_size, cuts)
     return [g[k : k + CHUNK] for g in groups for k in range(0, len(g), CHUNK)]
-
-
-def _solve(local: Array, degree: int) -> tuple[NDArray[np.bool_], Array]:
-    """Least-squares heights of rings (g, k, 3): which to believe (g,), coefficients (g, c)."""
-    columns = _columns(local[..., 0], local[..., 1], degree)  # (g, c, k)
-    g, c, k = columns.shape
-    if k - 1 < c:  # the vertex itself, among the k, says nothing
-        return np.zeros(g, dtype=bool), np.zeros((g, c))
-    length = np.sqrt(np.einsum("gck,gck->gc", columns, columns))
-    length[length == 0.0] = 1.0
-    columns /= length[:, :, None]
-    normal = columns @ np.swapaxes(columns, 1, 2) + 1e-13 * np.eye(c)  # never exactly singular
-    diagonal = np.diagonal(np.linalg.cholesky(normal), axis1=1, axis2=2)
-    values = np.linalg.solve(normal, columns @ local[..., 2:])[..., 0] / length
-    size = np.abs(values)
-    believable = (size.sum(axis=1) < STEEP) & (size[:, 5:].sum(axis=1) < WAVY)
-    miss = np.einsum("gck,gc->gk", columns, values * length) - local[..., 2]
-    believable &= np.einsum("gk,gk->g", miss, miss) < MISS**2 * k
-    return (np.min(diagonal, axis=1) > INDEPENDENT) & believable, values
-
-
-def _columns(x: Array, y: Array, degree: int) -> Array:
-    """Monomials x^i y^j, 1 <= i + j <= degree, of x, y (g, k) -> (g, c, k)."""
-    out = np.empty((x.shape[0], (degree + 1) * (degree + 2) // 2 - 1, x.shape[1]))
-    out[:, 0], out[:, 1] = x, y
-    start = 0
-    for d in range(2, degree + 1):
-        here = start + d
-        out[:, here : here + d] = out[:, start:here] * x[:, None]
-        out[:, here + d] = out[:, here - 1] * y
-        start = here
-    return out
-
-
-def flatten_bulges(jets: Jets, faces: Index) -> Jets:
-    """The jets, but flat at the vertices of faces whose patches bulge beyond belief.
-
-    Normals that turn by theta from the face's over its longest side L lift an arc by L theta / 4.
-    """
-    corners = jets.origin[faces]
-    side = np.linalg.norm(corners - corners[:, [1, 2, 0]], axis=2).max(axis=1)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
-    turn = np.einsum("mkc,mc->mk", jets.frame[faces][:, :, 2], normal).min(axis=1)
-    theta = np.arccos(np.clip(turn, -1.0, 1.0))
-    nodes, flat = _nodes(corners)
-    basis = patch.monomials(nodes[:, 0], nodes[:, 1])
-    lift = np.linalg.norm(basis @ blend(jets, faces) - flat, axis=2).max(axis=1)
-    bulging = lift > BULGE * side * (0.25 * theta + 1e-3)
-    if not bulging.any():
-        return jets
-    degree = jets.degree.copy()
-    degree[faces[bulging]] = 0
-    return replace(jets, degree=degree)
-
-
-def heights(coefficients: Array, x: Array, y: Array) -> Array:
-    """Heights h(x, y) of jets (m, 14) at x, y (m, k), all relative to their scales."""
-    c = {power: coefficients[:, k, None] for k, power in enumerate(POWERS)}
-    total = np.zeros_like(x)
-    for i in range(DEGREE, -1, -1):  # Horner in x, whose coefficients are Horner in y
-        row = np.zeros_like(x)
-        for j in range(DEGREE - i, -1, -1):
-            row *= y
-            if i or j:
-                row += c[i, j]
-        total *= x
-        total += row
-    return total
-
-
-def blend(jets: Jets, faces: Index) -> Array:
-    """Patches (m, 21, 3) of the faces: the barycentric blend of the three vertices' jets.
-
-    S = sum_i w_i P_i, where P_i lifts the flat point sum_j w_j V_j along jet i's normal to jet i.
-    Two faces share the jets of their common edge, so the patches meet exactly there.
-    """
-    corners = jets.origin[faces]  # (m, 3, 3)
-    nodes, flat = _nodes(corners)
-    weights = np.column_stack([1.0 - nodes.sum(axis=1), nodes])
-    values = flat.copy()
-    for k in range(3):
-        vertex = faces[:, k]
-        frame, scale = jets.frame[vertex], jets.scale[vertex]
-        edges = (corners - corners[:, [k]]) @ np.swapaxes(frame, 1, 2) / scale[:, None, None]
-        local = weights @ edges  # (m, 21, 3): the flat points in jet k's frame
-        lift = heights(jets.coefficients[vertex], local[..., 0], local[..., 1]) - local[..., 2]
-        lift *= weights[:, k] * (scale * (jets.degree[vertex] > 0))[:, None]
-        values += lift[..., None] * frame[:, None, 2]
-    inverse = np.linalg.inv(patch.monomials(nodes[:, 0], nodes[:, 1]))
-    return np.asarray(inverse @ values)
-
-
-def _nodes(corners: Array) -> tuple[Array, Array]:
-    """(u, v) (21, 2) of the points that fix a quintic, and those points (m, 21, 3) on the faces."""
-    nodes = np.array(patch.POWERS) / patch.DEGREE
-    return nodes, np.column_stack([1.0 - nodes.sum(axis=1), nodes]) @ corners

@@ -8,17 +8,20 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
+LIMIT = 400_000
+"""samples that long faces are cut into, at most"""
+
 
 class Proximity:
     """Samples of a triangle mesh (vertices (n, 3) m, faces (m, 3)) in a KD-tree."""
 
-    def __init__(self, vertices: Array, faces: Index) -> None:
+    def __init__(self, vertices: Array, faces: Index, least: int = 0) -> None:
         from scipy.spatial import KDTree
 
         self.vertices, self.faces = vertices, faces
         self.origin = vertices[faces[0, 0]]
         self.scale = float(np.max(np.ptp(vertices, axis=0)))
-        points, self.owner = sample_faces(vertices, faces)
+        points, self.owner = sample_faces(vertices, faces, least)
         self.tree = KDTree((points - self.origin) / self.scale)
 
     def near(self, points: Array) -> Index:
@@ -27,34 +30,54 @@ class Proximity:
 
     def exact(self, points: Array, candidates: int = 24) -> Index:
         """The nearest flat faces (n,) among those of the `candidates` nearest samples."""
-        if not len(points):
-            return np.zeros(0, dtype=np.intp)
+        faces, gap = self.nearby(points, candidates)
+        return np.asarray(faces[np.arange(len(points)), np.argmin(gap, axis=1)])
+
+    def nearby(self, points: Array, candidates: int) -> tuple[Index, Array]:
+        """The flat faces (n, k) of the `candidates` nearest samples, and their distances in m."""
         count = min(candidates, len(self.owner))
+        if not len(points):
+            return np.zeros((0, count), dtype=np.intp), np.zeros((0, count))
         samples = self.tree.query((points - self.origin) / self.scale, k=count)[1]
         faces = self.owner[samples.reshape(len(points), count)]
         corners = self.vertices[self.faces[faces]]
         a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
-        gap = triangle_distance2(points[:, None], a, b - a, c - a)
-        return np.asarray(faces[np.arange(len(points)), np.argmin(gap, axis=1)])
+        return faces, np.sqrt(triangle_distance2(points[:, None], a, b - a, c - a))
 
 
-def sample_faces(vertices: Array, faces: Index, limit: int = 400_000) -> tuple[Array, Index]:
+def sample_faces(vertices: Array, faces: Index, least: int = 0) -> tuple[Array, Index]:
     """Points (k, 3) on the faces, and their faces (k,), dense enough for a nearest-face guess.
 
-    A face gets its centroid; one larger than twice the median also the middles of equal parts.
+    A face gets its middle; one far longer than the median, and any where there would be fewer than
+    about `least` points, is halved across its longest side until the parts are short.
     """
-    corners = vertices[faces]
-    radius = np.max(np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2), axis=1)
-    aim = max(2.0 * float(np.median(radius)), 1e-30)
-    aim = max(aim, float(np.sqrt(np.sum(radius**2) / limit)))
-    parts = np.clip(np.ceil(radius / aim), 1, 64).astype(np.intp)
-    points, owners = [], []
-    for count in np.unique(parts):
-        which = np.flatnonzero(parts == count)
-        weights = part_middles(int(count))  # (count^2, 3)
-        points.append((weights @ corners[which]).reshape(-1, 3))
-        owners.append(np.repeat(which, len(weights)))
-    return np.concatenate(points), np.concatenate(owners)
+    corners, owner = vertices[faces], np.arange(len(faces))
+    side = _longest(corners)[0]
+    aim = 4.0 * float(np.median(side))
+    if least:
+        a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        area = 0.5 * float(np.linalg.norm(np.cross(a, b), axis=1).sum())
+        aim = min(aim, 2.0 * float(np.sqrt(area / least)))
+    aim = max(aim, float(side.sum()) / LIMIT, 1e-30)
+    done: list[tuple[Array, Index]] = []
+    while len(corners):
+        side, k = _longest(corners)
+        short = side <= aim
+        done.append((corners[short].mean(axis=1), owner[short]))
+        corners, owner, k = corners[~short], owner[~short], k[~short]
+        rows = np.arange(len(corners))
+        tip, start, end = corners[rows, k], corners[rows, (k + 1) % 3], corners[rows, (k + 2) % 3]
+        half = 0.5 * (start + end)
+        corners = np.concatenate([np.stack([tip, start, half], 1), np.stack([tip, half, end], 1)])
+        owner = np.concatenate([owner, owner])
+    return np.concatenate([p for p, _ in done]), np.concatenate([o for _, o in done])
+
+
+def _longest(corners: Array) -> tuple[Array, Index]:
+    """Lengths (m,) of the longest sides of triangles (m, 3, 3), and the corners opposite."""
+    side = np.linalg.norm(corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]], axis=2)
+    k = np.argmax(side, axis=1)
+    return side[np.arange(len(corners)), k], k
 
 
 def part_middles(count: int) -> Array:

@@ -1,8 +1,9 @@
 """The smooth surface of a mesh: closest points by Newton's method on patches, hopping over edges.
 
-Each face carries a quintic patch (jets.py, patch.py); neighbouring patches meet exactly. A query
-starts at the nearest of a set of samples of the mesh, then walks: a Newton step on the patch, and
-where the step leaves the face, on through the edge into the next face.
+Each face carries a quintic patch (blend.py); neighbouring patches meet exactly, at creases too. A
+query starts at the nearest of a set of samples of the mesh, then walks: a Newton step on the patch,
+and where the step leaves the face, on through the edge into the next face. Where creases, borders
+or other sheets leave the end in doubt, it walks again from every face that may be nearer.
 """
 
 from __future__ import annotations
@@ -15,13 +16,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import MeshError
-from . import jets, patch, walk
+from . import blend, fans, jets, patch, walk
 from .closest import Closest
 from .proximity import Proximity
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
+SAMPLES = 20_000
+"""samples, at least, of a mesh with creases, whose faces may be long"""
+NEAR, WIDE = 12, 32
+"""nearest samples whose faces are looked at for a start, and where a walk's end is in doubt"""
+ANOTHER = 0.8
+"""cosine of the angle between two faces from which they belong to different sheets"""
+SLACK = 1.3
+"""a patch's height over its face, over that at its nodes"""
 ON_EDGE = 1e-9
 """barycentric weight below which a foot lies on an edge"""
 
@@ -32,26 +41,32 @@ class Surface:
     Faces are counter-clockwise seen from outside. Vertices are in the body frame.
     """
 
-    def __init__(self, mesh: Any) -> None:
+    def __init__(self, mesh: Any, seams: ArrayLike | None = None) -> None:
+        """`seams` (k, 2): pairs of vertices over whose edges the curvature jumps, where known."""
         self.vertices: Array = np.array(mesh.vertices, dtype=float)
         self.faces: Index = np.array(mesh.faces, dtype=np.intp)
         self.neighbours, self._slot = walk.neighbours(self.faces)
+        self._seams = None if seams is None else np.asarray(seams, dtype=np.intp)
+
+    @cached_property
+    def fans(self) -> fans.Fans:
+        """The vertices split at creases."""
+        return fans.split(self.vertices, self.faces, (self.neighbours, self._slot), self._seams)
 
     @cached_property
     def jets(self) -> jets.Jets:
-        """Height fields at the vertices."""
-        fitted = jets.fit(self.vertices, self.faces, self.neighbours)
-        return jets.flatten_bulges(fitted, self.faces)
+        """Height fields at the fans."""
+        return blend.flatten_bulges(jets.fit(self.vertices, self.fans), self.fans)
 
     @cached_property
     def patches(self) -> Array:
         """Patch coefficients (m, 21, 3), m, in the order of patch.POWERS."""
-        return jets.blend(self.jets, self.faces)
+        return blend.blend(self.jets, self.fans, self.neighbours, self._slot)
 
     @cached_property
     def smooth(self) -> bool:
-        """Whether no vertex keeps its flat faces."""
-        return bool(np.all(self.jets.degree > 0))
+        """Whether there is no crease, border, or vertex that keeps its flat faces."""
+        return bool(np.all(self.jets.degree > 0)) and not self.fans.creased
 
     @cached_property
     def scale(self) -> float:
@@ -60,7 +75,7 @@ class Surface:
 
     @cached_property
     def _proximity(self) -> Proximity:
-        return Proximity(self.vertices, self.faces)
+        return Proximity(self.vertices, self.faces, least=0 if self.smooth else SAMPLES)
 
     def closest(self, points: ArrayLike, face: ArrayLike | None = None) -> Closest:
         """Closest points of the smooth surface to `points` (n, 3), body frame, m.
@@ -69,17 +84,65 @@ class Surface:
         is not finite.
         """
         p = _finite(points)
-        start = self._start(p) if face is None else np.array(face, dtype=np.intp)
+        if self.smooth:
+            start = self._proximity.near(p) if face is None else np.array(face, dtype=np.intp)
+            foot, uv, hops = self._walk(p, start, walk.closest_step)
+            far = np.flatnonzero(hops >= walk.FAR)
+            if len(far):
+                self._try(p, foot, uv, far, self._proximity.exact(p[far]))
+            return self.at(foot, uv, p)
+        most, flat = np.full(len(p), np.inf), self._flat_normals
+        if face is None:  # sheets lie close, edges end walks
+            near, gap = self._proximity.nearby(p, NEAR)
+            start = near[np.arange(len(p)), np.argmin(gap, axis=1)]
+            most = np.min(gap + self._height[near], axis=1)
+        else:
+            start = np.array(face, dtype=np.intp)
         foot, uv, hops = self._walk(p, start, walk.closest_step)
-        far = np.flatnonzero(hops >= walk.FAR)
-        if len(far):
-            start = self._proximity.exact(p[far])
-            again, again_uv, _ = self._walk(p[far], start, walk.closest_step)
-            before = self._gap(p[far], foot[far], uv[far])
-            better = self._gap(p[far], again, again_uv) < before
-            foot[far[better]], uv[far[better]] = again[better], again_uv[better]
+        found = self._gap(p, foot, uv)
+        doubtful = (hops >= walk.FAR) | (found > 1.0001 * most)
+        if face is None:  # another sheet may be as near
+            turned = np.einsum("nkc,nc->nk", flat[near], flat[foot]) < ANOTHER
+            doubtful |= np.any(
+                turned & (gap - self._height[near] < 0.9999 * found[:, None]), axis=1
+            )
+        self._search(p, foot, uv, np.flatnonzero(doubtful))
         hit = self.at(foot, uv, p)
-        return hit if self.smooth else replace(hit, distance=self._signed(hit, p))
+        return replace(hit, distance=self._signed(hit, p))
+
+    def _search(self, points: Array, foot: Index, uv: Array, rows: Index) -> None:
+        """Walk again, in place, from every face whose patch may be nearer than what was found."""
+        if not len(rows):
+            return
+        near, gap = self._proximity.nearby(points[rows], WIDE)
+        near, order = np.sort(near, axis=1), np.argsort(near, axis=1)
+        gap = np.take_along_axis(gap, order, axis=1) - self._height[near]
+        found = self._gap(points[rows], foot[rows], uv[rows])
+        wanted = gap < 0.9999 * found[:, None]
+        wanted[:, 1:] &= near[:, 1:] != near[:, :-1]
+        row, k = np.nonzero(wanted)
+        self._try(points, foot, uv, rows[row], near[row, k])
+
+    def _try(self, points: Array, foot: Index, uv: Array, rows: Index, start: Index) -> None:
+        """Walk from the faces `start` for points `rows` (k,), which may repeat; keep the best."""
+        again, again_uv, _ = self._walk(points[rows], start, walk.closest_step)
+        gap = self._gap(points[rows], again, again_uv)
+        best = np.lexsort((gap, rows))
+        best = best[np.unique(rows[best], return_index=True)[1]]
+        here = rows[best]
+        better = gap[best] < self._gap(points[here], foot[here], uv[here])
+        foot[here[better]], uv[here[better]] = again[best[better]], again_uv[best[better]]
+
+    @cached_property
+    def _height(self) -> Array:
+        """Bounds (m,) of the distances in m between the patches and the flat faces."""
+        out = np.empty(len(self.faces))
+        for start in range(0, len(out), blend.CHUNK):
+            rows = slice(start, start + blend.CHUNK)
+            nodes = blend.BASIS @ self.patches[rows]
+            flat = blend.WEIGHTS @ self.vertices[self.faces[rows]]
+            out[rows] = SLACK * np.linalg.norm(nodes - flat, axis=2).max(axis=1)
+        return out
 
     def at(self, face: ArrayLike, uv: ArrayLike, points: ArrayLike | None = None) -> Closest:
         """The surface at `face` (n,), `uv` (n, 2); distances are those of `points` (n, 3), m."""
@@ -88,7 +151,7 @@ class Surface:
         normal, curvature = patch.shape((su, sv), (second[0], second[1], second[2]))
         thin = np.flatnonzero(~normal.any(axis=1))
         if len(thin):  # a face without area takes its normal from its corners
-            total = self.jets.frame[self.faces[face[thin]], 2].sum(axis=1)
+            total = self.jets.frame[self.fans.corner[face[thin]], 2].sum(axis=1)
             normal[thin] = total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None]
         offset = np.zeros_like(s) if points is None else np.asarray(points, dtype=float) - s
         height = np.einsum("ij,ij->i", offset, normal)
@@ -100,11 +163,6 @@ class Surface:
         e1, e2 = np.swapaxes(jets.tangent_frames(directions)[:, :2], 0, 1)
         target = np.stack([origins, e1, e2], axis=1)
         return self._walk(target, face, walk.ray_step)[:2]
-
-    def _start(self, points: Array) -> Index:
-        if self.smooth:
-            return self._proximity.near(points)
-        return self._proximity.exact(points, candidates=12)  # sheets lie close, edges end walks
 
     def _walk(self, target: Array, face: Index, step: Any) -> tuple[Index, Array, Index]:
         return walk.walk(self.patches, (self.neighbours, self._slot), target, face, step)
@@ -133,9 +191,7 @@ class Surface:
 
     @cached_property
     def _flat_normals(self) -> Array:
-        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
-        cross = np.cross(b - a, c - a)
-        return np.asarray(cross / np.maximum(np.linalg.norm(cross, axis=1), 1e-300)[:, None])
+        return fans.face_normals(self.vertices, self.faces)
 
     @cached_property
     def _corner_normals(self) -> Array:
@@ -151,8 +207,9 @@ class Surface:
         return total
 
     def _gap(self, points: Array, face: Index, uv: Array) -> Array:
+        """Distances (n,) in m from points to the surface at `face`, `uv`."""
         s = np.einsum("nk,nkc->nc", patch.monomials(uv[:, 0], uv[:, 1]), self.patches[face])
-        return np.asarray(np.sum((s - points) ** 2, axis=1))
+        return np.asarray(np.sqrt(np.sum((s - points) ** 2, axis=1)))
 
 
 def _finite(points: ArrayLike) -> Array:

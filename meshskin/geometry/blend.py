@@ -1,0 +1,212 @@
+"""Patches of a mesh from its jets: the barycentric blend of the jets at a face's corners.
+
+S = sum_i w_i P_i, where P_i lifts the base point of the face along jet i's normal to jet i. The
+base is the flat face; beside a crease it is moved within the surface, so that the patches of both
+sides end on one curve, where the two sides' surfaces meet.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import comb
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import patch
+from .fans import Fans, face_normals
+from .heights import heights
+from .jets import Jets
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+BULGE = 3e-3
+"""lift of a patch from its face, over the shortest side, beyond what its tangents account for"""
+LEAN, SHARE = np.radians(1.5), 0.4
+"""angle of a jet's normal from its face's, beyond the next face's or this share of the largest turn
+at the vertex"""
+FAITHFUL = 0.01
+"""miss of a jet from which it is not held to that share"""
+BOW = 0.2
+"""largest distance of a crease's curve from its chord, relative to the chord"""
+CHUNK = 8192
+"""faces blended at once: bounds the memory"""
+NODES = np.array(patch.POWERS) / patch.DEGREE
+"""(21, 2) u, v of the points that fix a quintic"""
+WEIGHTS = np.column_stack([1.0 - NODES.sum(axis=1), NODES])
+"""(21, 3) their barycentric weights"""
+BASIS = patch.monomials(NODES[:, 0], NODES[:, 1])
+"""(21, 21) from coefficients to values at the nodes"""
+INVERSE = np.linalg.inv(BASIS)
+"""(21, 21) from values at the nodes to coefficients"""
+INNER = np.arange(1, patch.DEGREE) / patch.DEGREE
+"""(4,) weights of an edge's head at its inner nodes"""
+
+
+def _edge_tables() -> tuple[Index, Array]:
+    """The inner nodes (3, 4) of the edges opposite the corners, and how they move all (3, 21, 4).
+
+    A move of an edge's curve, as a quintic in Bernstein form, extends to the face by the Bernstein
+    polynomials of the same control points.
+    """
+    d = patch.DEGREE
+    bernstein = [[comb(d, j) * t**j * (1 - t) ** (d - j) for j in range(1, d)] for t in INNER]
+    control = np.linalg.inv(np.array(bernstein))
+    nodes, spread = np.zeros((3, d - 1), dtype=np.intp), np.zeros((3, len(NODES), d - 1))
+    for k in range(3):
+        tail, head = WEIGHTS[:, (k + 1) % 3], WEIGHTS[:, (k + 2) % 3]
+        powers = [comb(d, j) * head**j * tail ** (d - j) for j in range(1, d)]
+        spread[k] = np.stack(powers, axis=1) @ control
+        on = np.flatnonzero(np.abs(WEIGHTS[:, k]) < 1e-12)
+        on = on[np.argsort(head[on])]
+        nodes[k] = on[1:-1]
+    return nodes, spread
+
+
+EDGE_NODES, SPREAD = _edge_tables()
+
+
+def blend(jets: Jets, fans: Fans, beyond: Index, slot: Index) -> Array:
+    """Patches (m, 21, 3) of the faces; `beyond`, `slot` (m, 3): faces over the edges and corners.
+
+    Two faces share the jets of a smooth edge and the curve of a crease: their patches meet exactly.
+    """
+    m = len(fans.corner)
+    edges, curves = crease_curves(jets, fans, beyond, slot)
+    of_face, corner = np.divmod(edges, 3)
+    order = np.argsort(of_face, kind="stable")
+    of_face, corner, curves = of_face[order], corner[order], curves[order]
+    out = np.empty((m, len(NODES), 3))
+    for start in range(0, m, CHUNK):
+        rows = slice(start, start + CHUNK)
+        cut = slice(*np.searchsorted(of_face, [start, start + CHUNK]))
+        values, _ = node_values(
+            jets, fans.corner[rows], (of_face[cut] - start, corner[cut], curves[cut])
+        )
+        out[rows] = INVERSE @ values
+    return out
+
+
+def node_values(
+    jets: Jets, corner: Index, curved: tuple[Index, Index, Array] | None = None
+) -> tuple[Array, Array]:
+    """The surface (m, 21, 3) at the nodes of faces with the fans `corner` (m, 3), and its base.
+
+    `curved`: faces, the corners opposite their creases, and the creases' inner points (e, 4, 3).
+    """
+    places = jets.origin[corner]  # (m, 3, 3)
+    base = WEIGHTS @ places
+    if curved is not None and len(curved[0]):
+        face, k, curve = curved
+        nodes = EDGE_NODES[k]
+        move = curve - base[face[:, None], nodes]
+        np.add.at(base, face, SPREAD[k] @ move)
+    values = base.copy()
+    for j in range(3):
+        fan = corner[:, j]
+        frame, scale = jets.frame[fan], jets.scale[fan]
+        local = (base - places[:, [j]]) @ np.swapaxes(frame, 1, 2)
+        x, y = local[..., 0] / scale[:, :1], local[..., 1] / scale[:, 1:]
+        lift = heights(jets.coefficients[fan], x, y) - local[..., 2]
+        lift *= WEIGHTS[:, j] * (jets.degree[fan] > 0)[:, None]
+        values += lift[..., None] * frame[:, None, 2]
+    if curved is not None and len(curved[0]):
+        values[face[:, None], nodes] = curve
+    return values, base
+
+
+def crease_curves(jets: Jets, fans: Fans, beyond: Index, slot: Index) -> tuple[Index, Array]:
+    """Creases as 3 face + corner (e,), and their inner points (e, 4, 3), m, from tail to head.
+
+    The points lie where the surfaces of both sides meet; where those do not meet near the chord,
+    and at edges of several faces, on the chord.
+    """
+    edge = np.flatnonzero(fans.sharp.ravel())
+    face, k = np.divmod(edge, 3)
+    there, s = beyond[face, k], slot[face, k]
+    first = edge < 3 * there + s  # each edge once
+    a, ka, b, kb = face[first], k[first], there[first], s[first]
+    tail, head = fans.corner[a, (ka + 1) % 3], fans.corner[a, (ka + 2) % 3]
+    p, q = jets.origin[tail], jets.origin[head]
+    chord = p[:, None] + INNER[:, None] * (q - p)[:, None]
+    flat = face_normals(jets.origin, fans.corner[np.concatenate([a, b])])
+    sides = (
+        (tail, head, flat[: len(a)]),
+        (fans.corner[b, (kb + 2) % 3], fans.corner[b, (kb + 1) % 3], flat[len(a) :]),
+    )
+    along = (q - p) / np.maximum(np.linalg.norm(q - p, axis=1), 1e-300)[:, None]
+    length = np.linalg.norm(q - p, axis=1)
+    most = (BOW * length)[:, None, None]
+    curve = chord.copy()
+    for _ in range(8):
+        curve = chord + np.clip(curve + _towards(jets, sides, curve, along) - chord, -most, most)
+    bow = np.linalg.norm(curve - chord, axis=2).max(axis=1)
+    left = np.abs(_towards(jets, sides, curve, along)).max(axis=(1, 2))
+    straight = ~((bow < BOW * length) & (left < 1e-3 * length))
+    curve[straight] = chord[straight]
+    both = np.concatenate([3 * a + ka, 3 * b + kb])
+    return both, np.concatenate([curve, curve[:, ::-1]])
+
+
+def _towards(
+    jets: Jets, sides: tuple[tuple[Index, Index, Array], ...], points: Array, along: Array
+) -> Array:
+    """Moves (e, 4, 3), across the edges, of points towards the surfaces of both sides.
+
+    Sides that are nearly tangent are met halfway (damped least squares).
+    """
+    normals, misses = [], []
+    for tail, head, flat in sides:
+        normal, miss = np.zeros_like(points), np.zeros(points.shape[:2])
+        for fan, weight in ((tail, 1.0 - INNER), (head, INNER)):
+            frame, scale = jets.frame[fan], jets.scale[fan]
+            up = np.where((jets.degree[fan] > 0)[:, None], frame[:, 2], flat)
+            offset = points - jets.origin[fan][:, None]
+            local = offset @ np.swapaxes(frame, 1, 2)
+            x, y = local[..., 0] / scale[:, :1], local[..., 1] / scale[:, 1:]
+            height = heights(jets.coefficients[fan], x, y) * (jets.degree[fan] > 0)[:, None]
+            miss += weight * (np.einsum("etc,ec->et", offset, up) - height)
+            normal += weight[:, None] * up[:, None]
+        normal -= np.einsum("etc,ec->et", normal, along)[..., None] * along[:, None]
+        normals.append(normal)
+        misses.append(miss)
+    (one, two), (r1, r2) = normals, misses
+    aa, ab, bb = (np.einsum("etc,etc->et", f, g) for f, g in ((one, one), (one, two), (two, two)))
+    aa, bb = aa + 1e-3, bb + 1e-3
+    det = aa * bb - ab * ab
+    u, v = (ab * r2 - bb * r1) / det, (ab * r1 - aa * r2) / det
+    return np.asarray(u[..., None] * one + v[..., None] * two)
+
+
+def flatten_bulges(jets: Jets, fans: Fans) -> Jets:
+    """The jets, but flat at the fans of faces whose patches bulge beyond belief.
+
+    Between two points of an arc, the arc is half as high over the chord as its tangents are; no
+    patch may be higher than the highest of the tangent planes at its corners, and no tangent plane
+    lean more than the next faces do.
+    """
+    degree = jets.degree.copy()
+    turn = np.zeros(len(degree))
+    for k in range(3):
+        np.maximum.at(turn, fans.corner[:, k], fans.turn)
+    slope = jets.coefficients[:, :2] / jets.scale
+    normals = jets.frame[:, 2] - np.einsum("jk,jkc->jc", slope, jets.frame[:, :2])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    for start in range(0, len(fans.corner), CHUNK):
+        corner = fans.corner[start : start + CHUNK]
+        places = jets.origin[corner]
+        side = np.linalg.norm(places - places[:, [1, 2, 0]], axis=2).min(axis=1)
+        values, base = node_values(jets, corner)
+        flat = face_normals(jets.origin, corner)
+        lean = np.arccos(np.clip(np.einsum("mkc,mc->mk", normals[corner], flat), -1.0, 1.0))
+        own = fans.turn[start : start + CHUNK, None]
+        share = np.where(jets.miss[corner] < FAITHFUL, 1.0, SHARE)
+        leaning = lean > np.maximum(own, share * turn[corner]) + LEAN
+        degree[corner[leaning]] = 0
+        lift = np.linalg.norm(values - base, axis=2)
+        offset = base[:, None] - places[:, :, None]
+        tangent = np.abs(np.einsum("mknc,mkc->mkn", offset, normals[corner])).max(axis=1)
+        bulging = np.any(lift > tangent + BULGE * side[:, None], axis=1)
+        degree[corner[bulging]] = 0
+    return replace(jets, degree=degree)
