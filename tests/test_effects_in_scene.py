@@ -131,7 +131,6 @@ def test_the_frames_of_a_scene_are_contacts_with_the_indenter(small):
 
             return look
 
-    Spy.__post_init__ = lambda self: None
     arm = small.with_(effects=(Spy(),))
     floating = arm.with_(loop=ms.scene.Loop(mode="quasi_static"))
     for scene in (arm, floating):

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, is_dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, cast, runtime_checkable
 
 import numpy as np
 
@@ -171,15 +171,26 @@ class Noise(Protocol):
 
 
 def find(name: str) -> type[Effect]:
-    """The effect class called `name`; its module is imported here. Raises UnknownNameError."""
+    """The effect class called `name`; its module is imported here.
+
+    Raises UnknownNameError, and ConfigError where another package's entry point leads nowhere.
+    """
     if name in KINDS:
-        found: type[Effect] = getattr(import_module(f".{name}", __name__), KINDS[name])
-        return found
+        return cast(type[Effect], getattr(import_module(f".{name}", __name__), KINDS[name]))
     outside = _outside()
     if name not in outside:
         raise UnknownNameError("effect", name, {*KINDS, *outside})
-    found = outside[name].load()
-    return found
+    try:
+        found = outside[name].load()
+    except (ImportError, AttributeError) as error:
+        raise ConfigError(
+            f"the effect {name} of another package cannot be loaded: {error}",
+            value=outside[name].value,
+            remedy="install that package again, or take the effect out",
+        ) from error
+    if not is_dataclass(found):
+        raise ConfigError(f"the effect {name} is no dataclass", value=outside[name].value)
+    return cast(type[Effect], found)
 
 
 def _outside() -> dict[str, EntryPoint]:
@@ -200,8 +211,8 @@ def from_table(table: Mapping[str, Any], where: str = "effects") -> Effect:
 def ordered(effects: Iterable[Effect]) -> tuple[Effect, ...]:
     """The effects in the order in which they act, checked against one another.
 
-    Raises ConfigError for an effect given twice, one that lacks what it requires, and two that
-    exclude each other.
+    Raises ConfigError for an effect given twice, one that lacks what it requires, two that exclude
+    each other, and an unknown stage.
     """
     effects = tuple(effects)
     counts = Counter(effect.name for effect in effects)
@@ -213,6 +224,8 @@ def ordered(effects: Iterable[Effect]) -> tuple[Effect, ...]:
                 remedy="keep one",
             )
     for effect in effects:
+        if effect.stage not in STAGES:
+            raise UnknownNameError("stage", effect.stage, STAGES, f" of the effect {effect.name}")
         for other in effect.requires:
             if other not in counts:
                 raise ConfigError(f"effect {effect.name} requires {other}", remedy=f"add {other}")

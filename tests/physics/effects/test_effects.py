@@ -59,6 +59,11 @@ def test_conflicts_are_refused():
     class Quiet(GaussianNoise):
         name, stage, excludes = "quiet", "geometry", ("gaussian_noise",)
 
+    class Nowhere(GaussianNoise):
+        name, stage = "nowhere", "robt"
+
+    with pytest.raises(UnknownNameError, match=r"'robt' of the effect nowhere.*did you mean robot"):
+        effects.ordered((Nowhere(),))
     with pytest.raises(ConfigError, match="2 times"):
         effects.ordered((GaussianNoise(), GaussianNoise(0.1)))
     with pytest.raises(ConfigError, match="requires thermometer"):
@@ -139,7 +144,10 @@ def toy(tmp_path, monkeypatch):
     info = tmp_path / "toy_effects-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: toy-effects\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[meshskin.effects]\ntoy = toy_effects:Toy\n")
+    (info / "entry_points.txt").write_text(
+        "[meshskin.effects]\ntoy = toy_effects:Toy\n"
+        "gone = toy_effects:Gone\nlost = no_such_module:Lost\nnumber = math:pi\n"
+    )
     monkeypatch.syspath_prepend(str(tmp_path))
     yield
     sys.modules.pop("toy_effects", None)
@@ -152,6 +160,15 @@ def test_another_package_adds_an_effect(toy, sphere, recording):
     np.testing.assert_array_equal(found.pressure, 3.0 * recording.pressure)
     with pytest.raises(UnknownNameError, match="did you mean toy"):
         effects.find("toyy")
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [("gone", "cannot be loaded"), ("lost", "no_such_module"), ("number", "no dataclass")],
+)
+def test_a_broken_entry_point_is_one_line(toy, name, why):
+    with pytest.raises(ConfigError, match=why):
+        effects.find(name)
 
 
 def test_without_that_package_there_is_no_such_effect():
