@@ -12,6 +12,7 @@ import pyarrow as pa
 from . import recording as files
 from .errors import ReachError, SimulationError
 from .motion import path as paths
+from .motion import stability
 from .motion.arm import Arm
 from .motion.loop import Loop
 from .motion.machine import LENGTHS, Machine, Steps
@@ -86,9 +87,10 @@ def prepare(scene: Scene, taxels: Array | None = None) -> tuple[Machine, paths.P
     )
     if quasi_static:
         path = _plan(scene, 0.0, scene.loop.dt)
-        start = body_state(_above(scene, path.poses[0]))
+        start, rest = body_state(_above(scene, path.poses[0])), body_state(path.poses[0])
     else:
         path, start = reachable_path(scene, arm)
+        rest = arm.inverse_kinematics(path.poses[:1] @ inverse(scene.mount_pose), start)[0]
     machine = Machine(
         scene.body,
         loop,
@@ -98,6 +100,7 @@ def prepare(scene: Scene, taxels: Array | None = None) -> tuple[Machine, paths.P
         steps=len(path.points),
         taxels=taxels,
     )
+    stability.check(machine, rest, path.references[0] * ([1.0] * 12 + [0.0] * 6))
     return machine, path
 
 

@@ -1,7 +1,5 @@
 """The simulated exploration: force, coverage, noise, streaming, and named failures."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -98,9 +96,7 @@ def test_an_arm_that_cannot_reach_says_so(sphere):
         ms.simulate(far)
 
 
-def test_a_loop_that_diverges_says_when_and_with_which_step(sphere):
-    arm = replace(sphere.arm, effort_limit=np.full(6, np.inf))
-    law = ms.Law(shape="identity", gain=5000.0)
-    stiff = sphere.with_(material=ms.Material(young=1e9), law=law, arm=arm)
-    with pytest.raises((SimulationError, ReachError), match=r"t = [\d.]+ s"):
+def test_a_step_that_would_diverge_is_refused_with_one_that_works(sphere):
+    stiff = sphere.with_(material=ms.Material(young=1e9), law=ms.Law(shape="identity", gain=5000.0))
+    with pytest.raises(SimulationError, match=r"too long to be stable, .* set loop\.dt_ms = 0\.0"):
         ms.simulate(stiff)

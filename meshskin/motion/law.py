@@ -70,11 +70,18 @@ def force_speed(gains: Any, stiffness: Any, delta: Any, force: Any, delta_refere
     (f_ref - F) n lies in the normal eigenspace of zeta, so that zeta's inverse is a division by
     (3/2) delta^(1/2). delta is floored at a quarter of its reference (zeta is singular at
     delta = 0) and the speed limited to the approach speed, which makes approach and touch part of
-    the law.
+    the law. Across a gap the speed grows with the gap at the rate gamma: stiff contact, where the
+    force part alone crawls, is approached fast and touched slowly (`touch_speed`).
     """
     root = ca.sqrt(ca.fmax(delta, 0.25 * delta_reference))
     speed = gains.gamma * (gains.force_reference - force) / (1.5 * stiffness * root)
+    speed += gains.gamma * ca.fmax(-delta, 0.0)
     return ca.fmax(-gains.approach_speed, ca.fmin(gains.approach_speed, speed))
+
+
+def touch_speed(gains: Any, delta_reference: float) -> float:
+    """`force_speed` at the touch, m/s: 4/3 gamma delta_reference, or the approach speed."""
+    return float(min(gains.approach_speed, 4.0 / 3.0 * gains.gamma * delta_reference))
 
 
 def speed_slope(gains: Any, touch: Any, delta_reference: Any) -> Any:

@@ -11,15 +11,18 @@ from numpy.typing import NDArray
 from ..errors import ReachError, SimulationError
 from ..geometry.body import Body
 from ..se3 import Array
-from .loop import Loop
+from .loop import Loop, flat_anchor
 from .readings import PointReadings
 from .step import Blocks, ready, step
 from .track import STAY, Track, crossings
 
 LENGTHS = (32, 256)
 """Steps a call: short where the run may be cut, long along the path."""
+CVODES_LENGTHS = (1, 8)
 SPARE = 0.25
 """How far, in barycentric weight, the foot may leave its face."""
+SMOOTH = np.cos(np.deg2rad(5.0))
+"""Cosine between the surface's normal and the way to the indenter's centre; less is an edge."""
 FULL = 1.0 - 1e-9
 """Part of the torque limit that counts as being at it."""
 
@@ -59,14 +62,26 @@ class Machine:
         taxels: Array | None = None,
     ) -> None:
         self.body, self.loop = body, loop
-        one = ready(step(loop), compile_, steps)
-        self.blocks = [Blocks(loop, length, one) for length in LENGTHS]
+        self.function = ready(step(loop), compile_, steps)
+        lengths = CVODES_LENGTHS if loop.integrator == "cvodes" else LENGTHS
+        self.blocks = [Blocks(loop, length, self.function) for length in lengths]
         self.readings = None if taxels is None else PointReadings(loop, taxels)
         self.size = len(start)
         self.state = np.zeros_like(self.blocks[0].state)
         self._start, self._foot = np.array(start), body.closest(point[None])
         self._rows: dict[int, Array] = {}
         self.rewind()
+
+    @property
+    def curvature(self) -> float:
+        """Mean curvature of the body at the first contact, 1/m."""
+        return float(self._foot.curvature.mean())
+
+    def at_start(self, q: Array) -> tuple[Array, Array]:
+        """State and anchor of the step at rest in configuration `q` at the first contact."""
+        state = np.zeros_like(self.state)
+        state[: self.size], state[-2:] = q, self._foot.uv[0]
+        return state, flat_anchor(self.body.surface.patches[int(self._foot.face[0])])
 
     def rewind(self) -> None:
         """Back to the start, at rest."""
@@ -92,12 +107,15 @@ class Machine:
         not finite, ReachError where a joint leaves its range.
         """
         started = perf_counter()
-        short = until_touch or self._astray or len(track) <= LENGTHS[0]
+        short = until_touch or self._astray or len(track) <= self.blocks[0].length
         blocks = self.blocks[0 if short else 1]
         track = track[: blocks.length]
         count = len(track)
         faces = self._fill(blocks, track)
-        blocks.run()
+        try:
+            blocks.run()
+        except RuntimeError as error:
+            raise self._diverged(self.state, str(error).strip().splitlines()[-1]) from error
         uv = blocks.states[:count, -2:]
         spare = np.minimum(uv.min(axis=1), 1.0 - uv.sum(axis=1))
         if not spare.min() >= -SPARE:
@@ -137,6 +155,10 @@ class Machine:
         for end in [*(np.flatnonzero(np.diff(faces)) + 1).tolist(), count]:
             blocks.anchors[first:end, : -len(STAY)] = self._row(int(faces[first]))
             first = end
+        if count < blocks.length:  # the rest runs too, for nothing: let it run where it can
+            blocks.references[count:] = blocks.references[count - 1]
+            blocks.anchors[count:, : -len(STAY)] = self._row(int(faces[-1]))
+            maps[count:] = STAY
         return faces
 
     def _row(self, face: int) -> Array:
@@ -155,6 +177,13 @@ class Machine:
         gap = self.loop.indenter_radius - output[rows["depth"]]
         centre = output[rows["point"]] + gap * output[rows["normal"]]
         hit = self.body.closest(centre[None], face=np.array([self.face]))
+        offset = centre - hit.point[0]
+        if hit.normal[0] @ offset < SMOOTH * np.linalg.norm(offset):
+            raise SimulationError(
+                f"the contact ran over an edge of the body at {self._at(self.state)}",
+                value=f"contact point {np.round(hit.point[0], 4).tolist()} m",
+                remedy="keep the exploration off the edge, or round the edge in the mesh",
+            )
         self.face, self.state[-2:] = int(hit.face[0]), hit.uv[0]
         self._astray = True
         self.hops += 1
@@ -182,20 +211,24 @@ class Machine:
         finite = np.atleast_1d(np.isfinite(np.hstack([states, outputs])).all(axis=1))
         out = (q < arm.lower[:n]) | (q > arm.upper[:n])
         k = int(np.argmax(~finite | out.any(axis=1)))
-        what = "q" if n else "body position and quaternion"
-        at = (
-            f"t = {(self.steps + k) * self.loop.dt:.4f} s, "
-            f"{what} = {np.round(states[k, : self.size], 4).tolist()}"
-        )
         if not finite[k]:
-            raise SimulationError(
-                f"the closed loop diverged at {at}", value=f"dt = {self.loop.dt} s",
-                remedy="take a smaller loop.dt_ms or lower gains",
-            )  # fmt: skip
+            raise self._diverged(states[k], "a number is not finite", k)
         j = int(np.argmax(out[k]))
         raise ReachError(
-            f"joint {arm.joint_names[j]} left its range at {at}",
+            f"joint {arm.joint_names[j]} left its range at {self._at(states[k], k)}",
             value=f"{q[k, j]:.4f} rad",
             limit=f"{arm.lower[j]:.4f} to {arm.upper[j]:.4f} rad",
             remedy="move indenter.position_m or change the mount",
+        )
+
+    def _at(self, state: Array, ahead: int = 0) -> str:
+        what = "q" if self.loop.joints else "position and quaternion"
+        angles = np.round(state[: self.size], 4).tolist()
+        return f"t = {(self.steps + ahead) * self.loop.dt:.4f} s, {what} = {angles}"
+
+    def _diverged(self, state: Array, why: str, ahead: int = 0) -> SimulationError:
+        return SimulationError(
+            f"the closed loop diverged at {self._at(state, ahead)} ({why})",
+            value=f"dt = {self.loop.dt} s",
+            remedy="take a smaller loop.dt_ms or lower gains",
         )
