@@ -13,9 +13,9 @@ from types import FrameType
 from typing import TextIO
 
 from ..errors import MeshskinError
-from . import run, scenes, study
+from . import diff, lint, run, scenes, study
 
-COMMANDS = (run, scenes, study)
+COMMANDS = (run, scenes, study, lint, diff)
 INTERRUPTED = 130
 
 

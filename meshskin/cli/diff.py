@@ -1,0 +1,93 @@
+"""`meshskin diff A B`: how far two skins are apart, and whether exchanged ids explain it."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from ..geometry.compare import Difference
+
+SAME = 1e-6
+"""m, within which two skins are the same"""
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser's commands."""
+    parser = commands.add_parser(
+        "diff",
+        help="compare two skin files",
+        description="Compare two skin files. Exit code 0: the same taxels within 1 um; 1: they "
+        "differ; 2: one cannot be read.",
+    )
+    parser.add_argument("a", type=Path, metavar="A", help="a skin file")
+    parser.add_argument("b", type=Path, metavar="B", help="another one")
+    parser.add_argument("--part", help="of URDFs with several skins")
+    parser.add_argument("--worst", type=int, default=10, metavar="N", help="taxels to list (10)")
+    parser.set_defaults(command=command)
+
+
+def command(options: argparse.Namespace) -> int:
+    """Print the comparison."""
+    from ..geometry.compare import compare
+    from ..geometry.skin import Skin
+
+    a, b = (Skin.load(path, options.part) for path in (options.a, options.b))
+    difference = compare(a, b)
+    print(f"A: {options.a.name}, {len(a)} taxels\nB: {options.b.name}, {len(b)} taxels")
+    for line in lines(difference, options.worst):
+        print(line)
+    return 0 if same(difference) else 1
+
+
+def same(difference: Difference) -> bool:
+    """Whether both skins hold the same taxels at the same places."""
+    alone = len(difference.only_a) + len(difference.only_b)
+    return not alone and float(difference.as_they_are.max(initial=0.0)) <= SAME
+
+
+def lines(difference: Difference, worst: int) -> Iterator[str]:
+    """The comparison in lines of text."""
+    from .. import se3
+
+    d = difference
+    yield f"{len(d.ids)} in both, {len(d.only_a)} only in A, {len(d.only_b)} only in B"
+    if same(d):
+        yield "the same within 1 um"
+        return
+    yield f"{'distance (mm)':28}{'taxels':>8}{'mean':>10}{'rms':>10}{'max':>10}"
+    yield row("as they are", d.as_they_are)
+    yield row("aligned", d.aligned)
+    if d.permutation:
+        yield row(f"aligned and {d.unit}s permuted", d.paired)
+    shift = d.alignment[:3, 3]
+    angle = np.degrees(np.linalg.norm(se3.log_so3(d.alignment[:3, :3])))
+    yield (
+        f"alignment: B turned by {angle:.3f} deg, moved by "
+        + " ".join(f"{1e3 * value:.3f}" for value in shift)
+        + " mm"
+    )
+    yield from d.sentences()
+    if d.permutation:
+        yield f"this explains {'the difference' if d.explains else 'a part of the difference'}"
+    else:
+        yield "no exchange of ids explains a difference"
+    listed = [(taxel, off) for taxel, off in d.worst(worst) if off > SAME]
+    if listed:
+        yield "worst taxels (mm): " + ", ".join(f"{t}: {1e3 * off:.3f}" for t, off in listed)
+
+
+def row(name: str, distance: NDArray[np.float64]) -> str:
+    """One line of the table."""
+    from ..geometry.compare import rms
+
+    if not len(distance):
+        return f"{name:28}{0:>8}"
+    values = (float(distance.mean()), rms(distance), float(distance.max()))
+    return f"{name:28}{len(distance):>8}" + "".join(f"{1e3 * value:>10.4f}" for value in values)
