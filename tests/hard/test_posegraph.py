@@ -256,7 +256,7 @@ def test_nan_is_refused_where_it_is():
 def test_numbers_too_large_to_compute_with():
     graph, _ = skin(30)
     parts = graph.poses, graph.edges, graph.measurements
-    with pytest.raises(GraphError, match="too large .* scale all of it down"):
+    with pytest.raises(GraphError, match=r"too large .* scale all of it down"):
         PoseGraph(*parts, 1e308 * np.eye(6))
     far = graph.measurements.copy()
     far[:, :3, 3] *= 1e120
