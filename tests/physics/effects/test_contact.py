@@ -77,7 +77,7 @@ def test_a_place_pressed_suddenly_relaxes_as_the_standard_linear_solid(context, 
 
 def along(way, a=4e-3):
     """Hertz pressures of a patch that slides over a line of places, and the places."""
-    places = np.arange(-0.02, 0.06, 2e-4)
+    places = np.arange(-0.02, 0.06, STEP / 4)
     return np.sqrt(np.maximum(1 - ((places - way[:, None]) / a) ** 2, 0.0)), places
 
 
@@ -93,6 +93,23 @@ def test_a_relaxing_patch_leads_and_lets_go_behind(context, glide):
     np.testing.assert_array_equal(Relaxation(relaxed=1.0).build(context)(p, glide(way)), p)
 
 
+def test_relaxation_goes_with_the_rate(context, glide):
+    """Passed in far less or far more than the relaxation time, a place answers like a spring."""
+    way = STEP * np.arange(80)
+    p, places = along(way)
+
+    def lead(time_constant):
+        act = Relaxation(relaxed=0.9, time_constant=time_constant).build(context)
+        got = act(p, glide(way))[40:]
+        return float(np.mean(got @ places / got.sum(axis=1) - way[40:]))
+
+    # the patch of 8 mm passes at 50 mm/s in 0.16 s
+    slow, middle, fast = lead(1e-3), lead(0.08), lead(20.0)
+    assert middle > 5e-5
+    assert abs(slow) < middle / 10
+    assert abs(fast) < middle / 10
+
+
 def test_relaxation_keeps_the_force_where_nothing_lets_go(context, glide):
     way = STEP * np.arange(80)
     p = along(way)[0] + 1.0
@@ -100,6 +117,17 @@ def test_relaxation_keeps_the_force_where_nothing_lets_go(context, glide):
     got = Relaxation(relaxed=0.6, time_constant=0.1).build(context)(p, frames)
     np.testing.assert_allclose(got.sum(axis=1), p.sum(axis=1), rtol=1e-12)
     assert np.abs(got - p).max() > 0.01
+
+
+def test_a_steadily_sliding_patch_leads_by_its_memory(context, glide):
+    """The memory h stays v tau behind: the first moment leads by v tau (1 - g) / g."""
+    way = STEP * np.arange(80)
+    patch, places = along(way)
+    p = patch + 1.0
+    frames = glide(way, force=p.sum(axis=1))
+    got = Relaxation(relaxed=0.8, time_constant=0.04).build(context)(p, frames)
+    lead = ((got - 1.0) @ places / patch.sum(axis=1) - way)[60:]
+    np.testing.assert_allclose(lead, 0.05 * 0.04 * 0.2 / 0.8, rtol=1e-3)
 
 
 def test_relaxation_does_not_depend_on_the_batches(context, glide, split):
