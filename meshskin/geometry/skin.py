@@ -167,18 +167,15 @@ def _sites(
         margin = round(4.0 * np.sqrt(count))  # two rings more than needed, trimmed later
         return lattice.grow(body, region, aim, first, count + margin)
 
-    sites, aim = lay(spacing), spacing
-    mean, scatter = sites.spacing()
-    if len(sites) > 2 and (abs(mean / spacing - 1) > REGULAR[0] or scatter > REGULAR[1]):
-        for _ in range(TRIES):  # sites that cannot close up evenly come nearer than they should
+    aim = spacing / CLOSER if halvings else spacing
+    for _ in range(1 + TRIES):  # sites that cannot close up evenly come nearer than they should
+        sites = lay(aim)
+        if sites.spacing()[1] > REGULAR[1]:
             sites = lattice.relax(body, region, sites, aim)
-            mean, _ = sites.spacing()
-            if abs(mean / spacing - 1) < REGULAR[0]:
-                break
-            aim *= spacing / mean
-            sites = lay(aim)
-        else:
-            sites = lattice.relax(body, region, sites, aim)
+        mean, _ = sites.spacing()
+        if len(sites) < 3 or abs(mean / spacing - 1) < REGULAR[0]:
+            break
+        aim *= spacing / mean
     return _from_centre(body, region, sites, spacing)
 
 
