@@ -49,7 +49,7 @@ class Crosstalk(Plain):
 
     def mixing(self, context: Context) -> Any:
         """The sparse, symmetric matrix (n, n) of the leaks; its rows and columns sum to 1."""
-        from scipy.sparse import csr_array, eye_array
+        from scipy.sparse import csr_array, diags_array
         from scipy.spatial import cKDTree
 
         places, n = context.skin.positions, len(context.skin)
@@ -63,4 +63,4 @@ class Crosstalk(Plain):
         part = self.coupling / max(int(degree.max()), 1)
         row, col = np.concatenate([pairs, pairs[:, ::-1]]).T
         leaks = csr_array((np.full(len(row), part), (row, col)), shape=(n, n))
-        return (eye_array(n) - csr_array(np.diag(part * degree)) + leaks).tocsr()
+        return (diags_array(1.0 - part * degree) + leaks).tocsr()
