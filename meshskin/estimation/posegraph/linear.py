@@ -28,12 +28,12 @@ def solve(
     return x if converged else np.asarray(factorise(matrix).solve(right))
 
 
-def factorise(matrix: sparse.csr_array) -> splu:
-    """SuperLU of a symmetric positive definite matrix, minimum degree, no pivoting."""
+def factorise(matrix: sparse.csr_array, order: str = "MMD_AT_PLUS_A") -> splu:
+    """SuperLU of a symmetric positive definite matrix: minimum degree `order`, no pivoting."""
     options = {"SymmetricMode": True}
     return splu(
         sparse.csc_matrix(matrix),
-        permc_spec="MMD_AT_PLUS_A",
+        permc_spec=order,
         diag_pivot_thresh=0.0,
         options=options,
     )

@@ -16,7 +16,9 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import lapack
 
-from meshskin.estimation.posegraph.linear import Integers, factorise
+from meshskin.estimation.posegraph import memory
+from meshskin.estimation.posegraph.linear import Integers
+from meshskin.estimation.posegraph.ordering import elimination_order
 from meshskin.se3 import Array
 
 BLOCK = 6
@@ -71,26 +73,15 @@ def diagonal_of_inverse(matrix: sparse.csr_array) -> Array:
     Raises SingularError where it is not.
     """
     n = matrix.shape[0] // BLOCK
-    order = _order(matrix, n)
+    order = elimination_order(matrix, BLOCK)
     scalar = (BLOCK * order[:, None] + np.arange(BLOCK)).ravel()
     blocks = sparse.bsr_array(matrix[scalar][:, scalar], blocksize=(BLOCK, BLOCK))
     blocks.sort_indices()
     fronts = _fronts(blocks.indptr, blocks.indices)
     found = np.empty((n, BLOCK, BLOCK))
-    found[order] = _invert(fronts, _eliminate(fronts, blocks), n)
+    with memory.kept():
+        found[order] = _invert(fronts, _eliminate(fronts, blocks), n)
     return found
-
-
-def _order(matrix: sparse.csr_array, n: int) -> Integers:
-    """Poses in an elimination order of little fill (minimum degree, postordered)."""
-    entries = matrix.tocoo()
-    pairs = np.unique(entries.row // BLOCK * n + entries.col // BLOCK)
-    rows, columns = pairs // n, pairs % n
-    weights = np.where(
-        rows == columns, 2.0 * n, -1.0
-    )  # diagonally dominant: only the pattern counts
-    pattern = sparse.csc_array((weights, (rows, columns)), shape=(n, n))
-    return np.argsort(factorise(pattern).perm_c)
 
 
 def _fronts(start: Integers, columns: Integers) -> list[Front]:

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 from scipy import sparse
 
-from meshskin.estimation.posegraph import linear
+from meshskin.estimation.posegraph import linear, memory
 from meshskin.estimation.posegraph.blas import use_scipys_blas
 from meshskin.estimation.posegraph.functions import Call, Function, Recorder
 from meshskin.estimation.posegraph.kernel import EDGE
@@ -35,6 +35,7 @@ OPTIONS: dict[str, object] = {
     "mumps_permuting_scaling": 0,
     "mumps_scaling": 0,
     "mumps_pivot_order": METIS,
+    "mumps_mem_percent": 20,
     "min_refinement_steps": 0,
     "max_refinement_steps": 0,
     "print_level": 0,
@@ -82,7 +83,7 @@ class Problem:
 
         `tolerance` is for the parameters' own scale. With `record`, the path is kept.
         """
-        with self._lock:
+        with self._lock, memory.kept():
             return self._run(parameters, tolerance, limit, record)
 
     def _run(self, parameters: Array, tolerance: float, limit: int, record: bool) -> Run:

@@ -5,7 +5,7 @@ import pytest
 from scipy import sparse
 
 from meshskin import se3
-from meshskin.estimation.posegraph import PoseGraph, marginals
+from meshskin.estimation.posegraph import PoseGraph, linear, marginals, ordering
 
 
 def spd(n, links, rng):
@@ -37,6 +37,23 @@ def test_selected_inverse_equals_dense(kind):
     inverse = np.linalg.inv(dense).reshape(n, 6, n, 6)
     each = np.arange(n)
     assert np.allclose(blocks, inverse[each, :, each, :], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("metis", [True, False])
+def test_orders_of_elimination(metis, monkeypatch):
+    if not metis:
+        monkeypatch.setattr(ordering, "_metis", lambda: None)
+    elif ordering._metis() is None:
+        pytest.skip("no METIS 4 beside this CasADi")
+    n, side = 400, 20
+    links = [(k, k + 1) for k in range(n - 1) if (k + 1) % side]
+    links += [(k, k + side) for k in range(n - side)]
+    matrix = sparse.csr_array(spd(n, links, np.random.default_rng(2)))
+    order = ordering.elimination_order(matrix, 6)
+    assert np.array_equal(np.sort(order), np.arange(n))
+    scalar = (6 * order[:, None] + np.arange(6)).ravel()
+    fill = [linear.factorise(m, "NATURAL").L.nnz for m in (matrix[scalar][:, scalar], matrix)]
+    assert fill[0] < 0.7 * fill[1]
 
 
 def test_indefinite_matrix_is_refused():
