@@ -90,6 +90,8 @@ def _assemble(
         why=why,
         seconds=seconds,
         provenance=source,
+        middles=trilaterate.centroids(data, belief.body),
+        belief=belief,
         **values,
     )
 

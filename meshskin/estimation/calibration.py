@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -16,6 +16,10 @@ from ..atomic import atomic, write_text
 from ..errors import CalibrationError
 from ..se3 import Array
 from .fit import Fit
+
+if TYPE_CHECKING:
+    from ..scene import Belief
+    from .explore import NextContacts
 
 _KEY = b"meshskin-calibration"
 _COLUMNS = ("ids", "poses", "covariances", "observed", "touched", "readings", "chi2", "why")
@@ -79,6 +83,10 @@ class Calibration:
     """What is wrong with a taxel (n,) str, "" where nothing was found; None: not looked for."""
     fit: Fit | None = None
     """Whether the model explains the readings."""
+    middles: Array | None = None
+    """Pressure-weighted middle (n, 3), m, of the contacts that each taxel answered; NaN: none."""
+    belief: Belief | None = field(default=None, repr=False, compare=False)
+    """What it was estimated under; not saved."""
     iterates: Array | None = None
     """Positions (k, n, 3), m, along the iterations, where they were kept."""
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -97,6 +105,21 @@ class Calibration:
         variance = np.diagonal(self.covariances, axis1=1, axis2=2)
         return np.asarray(np.sqrt(variance[:, :2].sum(axis=1)))
 
+    def next_contacts(self, k: int = 1, belief: Belief | None = None) -> NextContacts:
+        """The k contacts, ranked, that reduce the worst taxel's uncertainty most (explore.py).
+
+        `belief` as in `calibrate`; only a calibration that was loaded from a file needs it. Raises
+        CalibrationError without one, for k < 1, or if no taxel was read.
+        """
+        from .explore import next_contacts
+
+        belief = belief or self.belief
+        if belief is None:
+            raise CalibrationError(
+                "a loaded calibration does not know the scene", remedy="give next_contacts a belief"
+            )
+        return next_contacts(self, belief, k)
+
     def save(self, path: str | Path) -> None:
         """Write path.parquet, which `load` reads, and path.csv, a map for people (mm)."""
         path = Path(path)
@@ -106,6 +129,8 @@ class Calibration:
             columns["iterates"] = _column(np.swapaxes(self.iterates, 0, 1))
         if self.faults is not None:
             columns["faults"] = _column(self.faults)
+        if self.middles is not None:
+            columns["middles"] = _column(self.middles)
         columns |= {_LOCAL + name: _column(values) for name, values in self.taxel_unknowns.items()}
         header = {name: getattr(self, name) for name in _HEADER} | {"steps": steps}
         header["fit"] = None if self.fit is None else asdict(self.fit)
@@ -140,6 +165,8 @@ class Calibration:
             values["iterates"] = np.swapaxes(_array(table, "iterates").reshape(n, steps, 3), 0, 1)
         if "faults" in table.column_names:
             values["faults"] = _array(table, "faults")
+        if "middles" in table.column_names:
+            values["middles"] = _array(table, "middles").reshape(n, 3)
         values["taxel_unknowns"] = {
             name.removeprefix(_LOCAL): _array(table, name).reshape(n, 2)
             for name in table.column_names

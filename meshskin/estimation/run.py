@@ -142,9 +142,9 @@ class Run:
         Returns the rows of the taxels that were moved.
         """
         places, before = self.problem.places, self.chi2
-        limit = max(
-            MISFIT if self.data.noise else MISFIT_NOMINAL, MISFIT * float(np.nanmedian(before))
-        )
+        known = before[np.isfinite(before)]
+        typical = float(np.median(known)) if len(known) else 1.0
+        limit = max(MISFIT if self.data.noise else MISFIT_NOMINAL, MISFIT * typical)
         bad = np.flatnonzero((before > limit) | self.restless)
         if not len(bad) or not isinstance(places, Free):
             return bad[:0]

@@ -22,7 +22,7 @@ IPOPT: dict[str, object] = {
     "print_level": 0,
     "sb": "yes",
 }
-ITERATIONS = 60
+ITERATIONS = 30
 """Most iterations of IPOPT."""
 
 

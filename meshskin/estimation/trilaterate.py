@@ -57,7 +57,7 @@ class Circles:
 
     def sum(self, values: Array) -> Array:
         """Sums (n, ...) over the circles of each point, of values (k, ...)."""
-        flat = values.reshape(len(values), -1)
+        flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
         columns = [np.bincount(self.owner, column, self.count) for column in flat.T]
         total: Array = np.stack(columns, axis=1, dtype=float)
         return total.reshape(self.count, *values.shape[1:])
@@ -243,11 +243,15 @@ def frames_of(charts: Charts) -> Array:
 def _within_reach(data: Measurements, start: Array) -> Measurements:
     """The readings whose contact can reach its taxel's start (n, 3), with 1 mm to spare.
 
-    Readings within 3 sigma of nothing are left out: their distance would be a guess at the edge.
+    Readings within 3 sigma of nothing are left out: their distance would be a guess at the edge; so
+    are saturated ones of a taxel that has three others.
     """
     off = np.linalg.norm(data.points[data.contact] - start[data.taxel], axis=1)
     keep = off < 1.3 * (data.radii[data.contact] + data.disc) + 1e-3
     keep &= data.pressure > 3 * (data.noise or 0.0)
+    full = data.pressure >= data.saturation
+    others = np.bincount(data.taxel[keep & ~full], minlength=len(data.ids))
+    keep &= ~full | (others[data.taxel] < 3)
     part = {name: getattr(data, name)[keep] for name in ("contact", "taxel", "pressure")}
     return replace(data, **part)
 

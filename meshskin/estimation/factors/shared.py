@@ -41,6 +41,8 @@ PRIORS = {
 force in reference forces, of the pressure in reference peaks, of indenter and body in m."""
 ROTATION = 10.0
 """Standard deviation of a body's rotation, rad, for every m of its translation's."""
+FAR = 20.0
+"""Standard deviations of a prior at which it ends."""
 FOOT_STEP = 1e-5
 """Step over which a contact point's moves are told, m."""
 
@@ -160,7 +162,9 @@ class Anchored:
     def at(self, s: Array) -> Contacts:
         """The contacts at s (ks,)."""
         data, shared, at = self.data, self.shared, self.shared.columns
-        e, h, b = (shared.value(n, s) for n in ("modulus", "force_scale", "force_offset"))
+        # Beyond its priors' far end a trial step of the optimiser changes no more.
+        within = np.clip(s, -FAR * shared.sigma, FAR * shared.sigma)
+        e, h, b = (shared.value(n, within) for n in ("modulus", "force_scale", "force_offset"))
         force = np.maximum(np.exp(h) * data.force + b, 0.01 * data.force)
         f = np.log(force / data.force)
         log_force = np.zeros((len(f), len(s)))
@@ -172,7 +176,9 @@ class Anchored:
         if "modulus" in at:
             log_radius[:, at["modulus"]] = -1 / 3
             log_peak[:, at["modulus"]] = 2 / 3
-        points = data.points if self.moves is None else data.points + self.moves @ (s - self.about)
+        points = (
+            data.points if self.moves is None else data.points + self.moves @ (within - self.about)
+        )
         return Contacts(
             points=points,
             normals=data.normals,

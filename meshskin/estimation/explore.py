@@ -1,0 +1,150 @@
+"""What to touch next: the contacts that reduce the worst taxels' uncertainty most.
+
+Each candidate contact about a taxel adds the expected information of its readings to all taxels in
+reach; contacts are chosen one by one, each against the sum of the fourth powers of the taxels'
+variances, which the worst dominate. Shared unknowns are taken as known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import CalibrationError
+from ..physics.contact import hertz
+from ..se3 import Array
+from . import chart
+from .factors.pressure import mean_pressure
+from .measurements import NOMINAL_NOISE
+from .observe import censored_information
+
+if TYPE_CHECKING:
+    from ..geometry.closest import Closest
+    from ..scene import Belief
+    from .calibration import Calibration
+
+WORST = 60
+"""Taxels about which candidates are laid."""
+RINGS = (0.4, 0.7, 1.0)
+"""Radii of the candidates about a taxel, in contact radii."""
+DIRECTIONS = 8
+"""Candidates on a ring."""
+POWER = 4
+"""Power of the variances in what is minimised."""
+
+
+@dataclass(frozen=True)
+class NextContacts:
+    """k contacts, the most useful first."""
+
+    points: Array
+    """(k, 3) on the body's surface, body frame, m."""
+    normals: Array
+    """Outward normals (k, 3)."""
+    taxel: np.ndarray
+    """Id (k,) of the taxel that gains most by each."""
+    worst: Array
+    """Standard deviation (k,), m, of the worst taxel that is to be expected after each."""
+    unreached: np.ndarray
+    """Ids of taxels of which nothing is known, not even where to touch: they need a sweep."""
+
+
+def next_contacts(calibration: Calibration, belief: Belief, k: int = 1) -> NextContacts:
+    """The k contacts under the reference force that promise most.
+
+    Raises CalibrationError if no taxel was read at all, or k is not positive.
+    """
+    if k < 1:
+        raise CalibrationError("the number of contacts must be positive", value=k, limit=">= 1")
+    nominal = hertz.effective_modulus(belief.material.young, belief.material.poisson)
+    modulus = calibration.modulus or float(nominal)
+    flat = hertz.relative_radius(np.zeros(2), belief.indenter.radius)
+    radius = float(hertz.contact_radius(belief.force_reference, flat, modulus))
+    points, covariance = _known(calibration, belief, radius)
+    near = np.flatnonzero(np.isfinite(points[:, 0]))
+    if not len(near):
+        raise CalibrationError(
+            "no taxel was read, so none can be aimed at", remedy="sweep the whole skin first"
+        )
+    points, covariance, ids = points[near], covariance[near], calibration.ids[near]
+    charts = chart.about(belief.body, points)
+    covariance = _turned(calibration, near, charts, covariance)
+    candidates = _candidates(charts, np.trace(covariance, axis1=1, axis2=2), radius)
+    hit = belief.body.closest(candidates)
+    contact, taxel, slope = _slopes(charts, hit, belief, modulus)
+    chosen, served, worst = [], [], []
+    for _ in range(k):
+        along = np.einsum("pij,pj->pi", covariance[taxel], slope)
+        gain = np.einsum("pi,pi->p", along, along) / (1 + np.einsum("pi,pi->p", slope, along))
+        before = np.trace(covariance, axis1=1, axis2=2)
+        scale = before.max()
+        change = ((before[taxel] - gain) / scale) ** POWER - (before[taxel] / scale) ** POWER
+        best = int(np.argmin(np.bincount(contact, change, len(candidates))))
+        mine = np.flatnonzero(contact == best)
+        served.append(taxel[mine[np.argmin(change[mine])]])
+        for p in mine:
+            g = covariance[taxel[p]] @ slope[p]
+            covariance[taxel[p]] -= np.outer(g, g) / (1 + slope[p] @ g)
+        chosen.append(best)
+        worst.append(float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).max())))
+    lost = np.setdiff1d(calibration.ids, ids)
+    return NextContacts(hit.point[chosen], hit.normal[chosen], ids[served], np.array(worst), lost)
+
+
+def _known(calibration: Calibration, belief: Belief, radius: float) -> tuple[Array, Array]:
+    """Points (n, 3) and covariances (n, 2, 2) along the surface; of a taxel that was read but is
+    not determined, the middle of its contacts, known to within the reach of one.
+    """
+    points, covariance = calibration.positions.copy(), calibration.covariances[:, :2, :2].copy()
+    rough = calibration.middles
+    open_ = ~calibration.observed[:, :2].all(axis=1)
+    points[open_] = np.nan if rough is None else rough[open_]
+    covariance[open_] = np.eye(2) * (radius + belief.disc_radius) ** 2
+    return points, covariance
+
+
+def _turned(
+    calibration: Calibration, rows: np.ndarray, charts: chart.Charts, covariance: Array
+) -> Array:
+    """The covariances (n, 2, 2) from the taxels' frames into the charts' tangents."""
+    axes = calibration.poses[rows, :3, :2]
+    turn = np.einsum("nik,nil->nkl", charts.tangents, axes)
+    turn = np.where(np.isfinite(axes[:, :1, :1]), turn, np.eye(2))
+    return np.asarray(turn @ covariance @ np.swapaxes(turn, 1, 2))
+
+
+def _candidates(charts: chart.Charts, variance: Array, radius: float) -> Array:
+    """Candidate points (c, 3) about the worst taxels."""
+    worst = np.argsort(-variance, kind="stable")[:WORST]
+    angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    offsets = radius * np.concatenate([[[0.0, 0.0]], *(ring * circle for ring in RINGS)])
+    owner = np.repeat(worst, len(offsets))
+    return charts[owner].at(np.tile(offsets, (len(worst), 1)))
+
+
+def _slopes(
+    charts: chart.Charts, hit: Closest, belief: Belief, modulus: float
+) -> tuple[np.ndarray, np.ndarray, Array]:
+    """Contacts (p,) and taxels (p,) in reach, and the derivative (p, 2), 1/m, of each reading, in
+    units of its noise and as far as it is expected to be heard.
+    """
+    from scipy.spatial import cKDTree
+
+    relative = hertz.relative_radius(hit.curvature, belief.indenter.radius)
+    radii = hertz.contact_radius(belief.force_reference, relative, modulus)
+    peaks = hertz.peak_pressure(belief.force_reference, radii)
+    sigma = belief.noise_sigma or NOMINAL_NOISE * float(np.median(peaks))
+    reach = 1.25 * float(radii.max() + belief.disc_radius)
+    pairs = cKDTree(hit.point).sparse_distance_matrix(
+        cKDTree(charts.points), reach, output_type="ndarray"
+    )
+    contact, taxel = pairs["i"], pairs["j"]
+    offset = charts.points[taxel] - hit.point[contact]
+    mean, slope, _ = mean_pressure(offset, hit.normal[contact], radii[contact], belief.disc_radius)
+    scale = peaks[contact] / sigma
+    weight = censored_information(belief.threshold / sigma - scale * mean)
+    along = np.einsum("pi,pij->pj", slope, charts.tangents[taxel])
+    return contact, taxel, (np.sqrt(weight) * scale)[:, None] * along

@@ -1,0 +1,182 @@
+"""Hard cases of the estimators: a right answer with its uncertainty, or a named error."""
+
+import importlib.util
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from meshskin.errors import CalibrationError, ContactError, RecordingError
+from meshskin.estimation import joint
+from meshskin.estimation.calibrate import METHODS, calibrate
+from meshskin.estimation.measurements import gather
+from meshskin.estimation.metrics import nees, position_errors
+
+SPEC = importlib.util.spec_from_file_location(
+    "small_world", Path(__file__).parents[1] / "estimation" / "conftest.py"
+)
+small = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(small)
+
+
+@pytest.fixture(scope="module")
+def world():
+    return small.World(extent=17e-3)
+
+
+@pytest.fixture(scope="module")
+def noisy(world):
+    return world.record(0.01, 0.05), world.belief(0.01, 0.05)
+
+
+@pytest.fixture(scope="module")
+def clean(world, noisy):
+    return position_errors(calibrate(*noisy), world.skin)
+
+
+@pytest.fixture(autouse=True)
+def no_warnings():
+    """No case may warn its way through."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+def contacts(recording, **columns):
+    table = recording.contacts
+    for name, values in columns.items():
+        table = table.set_column(table.column_names.index(name), name, pa.array(values))
+    return replace(recording, contacts=table)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("share", [1.0, 1.3])
+def test_pressures_at_and_above_the_peak(world, noisy, share, method):
+    recording, belief = noisy
+    top = recording.pressure > 0.98 * recording.pressure.max()
+    pressure = np.where(top, share * world.peak_reference, recording.pressure)
+    assert 3 <= top.sum() < 60
+    found = calibrate(small.changed(recording, pressure=pressure), belief, method=method)
+    errors = position_errors(found, world.skin)
+    assert np.isfinite(errors).sum() >= 30
+    if method == "joint":
+        assert errors.mean() < 20e-6
+        assert found.observed[:, :2].all()
+
+
+def test_forces_near_zero(world, noisy):
+    recording, belief = noisy
+    force = recording.force.copy()
+    force[::3] = 1e-6  # the gauge slept, the skin did not
+    found = calibrate(contacts(recording, force=force), belief)
+    assert position_errors(found, world.skin).mean() < 20e-6
+    assert "outlying" in found.fit.words
+    with pytest.raises(CalibrationError, match="check the units of pressure, force and modulus"):
+        calibrate(contacts(recording, force=np.full_like(force, 1e-6)), belief)
+    with pytest.raises(CalibrationError, match="0 pressed contacts"):
+        calibrate(contacts(recording, force=np.zeros_like(force)), belief)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_contacts_on_a_line(world, method):
+    lane = world.points[np.argmin(np.abs(world.points[:, 1])), 1]
+    line = np.abs(world.points[:, 1] - lane) < 1e-4
+    other = replace(world)
+    for name in ("points", "normals", "force", "a", "peak"):
+        setattr(other, name, getattr(world, name)[line])
+    with pytest.raises(CalibrationError, match=r"contacts near a line.*not on a line"):
+        calibrate(other.record(0.01, 0.05), world.belief(0.01, 0.05), method=method)
+
+
+def test_a_taxel_touched_once(world, noisy, clean):
+    recording, belief = noisy
+    keep = recording.reading_taxel != world.ids[18]
+    keep[np.flatnonzero(~keep)[0]] = True
+    found = calibrate(small.changed(recording, keep=keep), belief)
+    assert found.why[18] == "fewer than three readings"
+    assert found.touched[18]
+    assert not found.observed[18].any()
+    errors = np.delete(position_errors(found, world.skin), 18)
+    assert errors.mean() < 1.05 * np.delete(clean, 18).mean()
+
+
+def test_two_identical_taxels(world, noisy, clean):
+    recording = noisy[0]
+    twin = recording.readings.filter(pa.array(recording.reading_taxel == world.ids[5]))
+    ids = pa.array(np.full(twin.num_rows, 999, dtype=np.int32))
+    table = pa.concat_tables([recording.readings, twin.set_column(1, "taxel", ids)])
+    both = replace(recording, readings=table)
+    found = calibrate(both, world.belief(0.01, 0.05, taxel_ids=np.append(world.ids, 999)))
+    assert np.allclose(found.positions[5], found.positions[-1], atol=1e-9)
+    assert found.observed[[5, -1], :5].all()
+    errors = np.linalg.norm(found.positions[:-1] - world.truth, axis=1)
+    assert errors.mean() < 1.05 * clean.mean()
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("threshold", [0.0, 0.05])
+def test_all_readings_zero(world, threshold, method):
+    recording = world.record(0.01, threshold)
+    silent = small.changed(recording, pressure=np.zeros(len(recording.pressure)))
+    with pytest.raises(CalibrationError, match=r"no readings.*at most 0 Pa.*wiring"):
+        calibrate(silent, world.belief(0.01, threshold), method=method)
+
+
+def test_all_readings_saturated(world, noisy):
+    recording, _ = noisy
+    level = 0.06 * world.peak_reference
+    full = small.changed(recording, pressure=np.minimum(recording.pressure, level))
+    found = calibrate(full, world.belief(0.01, 0.05, saturation=level))
+    errors = position_errors(found, world.skin)
+    assert errors.mean() < 0.12e-3  # where a taxel begins and ends to answer is what is left
+    assert nees(found, world.skin).mean() < 4.0
+    assert found.fit.good is None
+    blind = calibrate(full, world.belief(0.01, 0.05))  # taken as they are, they say wrong
+    assert nees(blind, world.skin).mean() > 6.0
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [(1e-3, "look like kPa taken for Pa"), (1e-6, "look like MPa"), (1e3, "cannot be in Pa")],
+)
+@pytest.mark.parametrize("noise", [0.01, None])
+def test_pressures_in_other_units(world, factor, words, noise):
+    recording = world.record(0.01, 0.0)
+    wrong = small.changed(recording, pressure=factor * recording.pressure)
+    with pytest.raises(CalibrationError, match=words):
+        calibrate(wrong, world.belief(noise, 0.0))
+
+
+def test_forces_and_lengths_in_other_units(noisy):
+    recording, belief = noisy
+    with pytest.raises(ContactError, match="too wide"):
+        calibrate(contacts(recording, force=1e3 * recording.force), belief)
+    mm = dict(zip(("px", "py", "pz"), 1e3 * recording.points.T, strict=True))
+    with pytest.raises(CalibrationError, match=r"not on the believed body.*units \(m\)"):
+        calibrate(contacts(recording, **mm), belief)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_nan_in_a_recording(noisy, method):
+    recording, belief = noisy
+    pressure = recording.pressure.copy()
+    pressure[[3, 7]] = np.nan, np.inf
+    with pytest.raises(RecordingError, match="row 3 of readings, 2 in all; drop those rows"):
+        calibrate(small.changed(recording, pressure=pressure), belief, method=method)
+
+
+def test_an_iteration_limit_of_one(world, noisy):
+    far = gather(noisy[0], world.belief(0.01, 0.05, young=2.5 * world.young))
+    with pytest.raises(CalibrationError, match=r"did not converge.*raise the iteration limit"):
+        joint.estimate(far, world.body, iterations=1)
+    assert joint.estimate(far, world.body).modulus == pytest.approx(world.modulus, rel=0.01)
+
+
+def test_a_modulus_far_off(world, noisy, clean):
+    for factor in (0.6, 5.0):
+        found = calibrate(noisy[0], world.belief(0.01, 0.05, young=factor * world.young))
+        assert found.modulus == pytest.approx(world.modulus, rel=0.01)
+        assert position_errors(found, world.skin).mean() < 1.2 * clean.mean()
