@@ -10,12 +10,13 @@ import numpy as np
 import pyarrow as pa
 
 from . import recording as files
-from .errors import ReachError, SimulationError
+from .errors import ReachError
 from .motion import path as paths
 from .motion import stability
 from .motion.arm import Arm
 from .motion.loop import Loop
 from .motion.machine import LENGTHS, Machine, Steps
+from .motion.phases import PHASES, Explorer, Manner
 from .motion.quasi_static import start as body_state
 from .motion.track import Track
 from .physics import effects
@@ -34,7 +35,6 @@ CHECKS = 400
 """Samples of the path whose joint angles are solved for each heading."""
 BODY = ("x", "y", "z", "qw", "qx", "qy", "qz")
 """Columns of the body's pose, where there is no arm."""
-PHASES = ("approach", "settle", "explore")
 
 Progress = Callable[[str, int, int], None]
 """progress(stage, done, total)"""
@@ -208,34 +208,14 @@ def _bridge(start: Array, goal: Array) -> Array:
 def run(
     scene: Scene, machine: Machine, path: paths.Path, progress: Progress | None = None
 ) -> Iterator[Steps]:
-    """Run the closed loop: approach until touch, settle, explore. Yields the steps as they come."""
-    loop, track = machine.loop, Track.of(path, scene.body.surface)
-    settle = max(round(scene.exploration.settle / loop.dt), 1)
-    patience = int(
-        np.ceil((1.0 + 5 * scene.exploration.standoff / loop.law.approach_speed) / loop.dt)
-    )
-    rest = track.hold(0, max(settle, LENGTHS[0]))
-    force = 0.0
-    while not force > 0:
-        if machine.steps > patience:
-            raise SimulationError(
-                "the arm did not touch the indenter",
-                value=f"{machine.steps * loop.dt:.2f} s of approach",
-                remedy="check indenter.position_m and exploration.standoff_m",
-            )
-        steps = machine.advance(rest, phase=0, until_touch=True)
+    """Run the closed loop over the path. Yields the steps as they come."""
+    track = Track.of(path, scene.body.surface)
+    manner = Manner(scene.exploration.standoff, scene.exploration.settle)
+    explorer = Explorer(machine, [track], manner)
+    for steps in explorer.run():
         yield steps
-        force = steps.outputs[-1, loop.outputs["force"].start]
-    total = settle + len(track)
-    done = 0
-    for phase, way in ((1, rest[:settle]), (2, track)):
-        while len(way):
-            steps = machine.advance(way, phase)
-            yield steps
-            way = way[len(steps.time) :]
-            done += len(steps.time)
-            if progress is not None:
-                progress("simulate", done, total)
+        if progress is not None:
+            progress("simulate", explorer.done, len(track))
 
 
 def _batches(runs: Iterator[Steps], size: int) -> Iterator[Sequence[Steps]]:

@@ -26,7 +26,7 @@ class Batch:
     """State of `count` episodes.
 
     rows (count,): where each starts on the track; starts (count, n): joint angles there, not needed
-    without an arm; parameters (count, 8): rows of loop.Parameters, by default the loop's own;
+    without an arm; parameters (count, 9): rows of loop.Parameters, by default the loop's own;
     `compile_` and `steps`: see step.ready; taxels (n, 3): read them all at every step.
     """
 

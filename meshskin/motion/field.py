@@ -57,7 +57,7 @@ class Instant:
 class Field:
     """The closed loop's equations for one scene.
 
-    The inputs of a step are symbols: reference (18,), anchor (69,), parameters (8,). `newton` steps
+    The inputs of a step are symbols: reference (18,), anchor (69,), parameters (9,). `newton` steps
     find the foot of the indenter's centre, from that of the last step.
     """
 
@@ -86,15 +86,19 @@ class Field:
         row = moved(jacobian, lever)[:3, :].T @ normal
 
         wanted = reference_depth(p, t.radius)
-        speed = compliance.force_speed(p, t.stiffness, t.depth, t.force, wanted)
-        slope = compliance.speed_slope(p, t, wanted)
-        # the paper's sphere: the Jacobian of the (osculating) sphere's centre
-        hub = lever - normal / ca.fmax(t.curvature, FLATTEST)
-        push_away = compliance.damped_inverse(
-            moved(jacobian, hub)[:3, :], ca.DM([FORCE_DAMPING] * 3), normal
-        )
+        speed = compliance.force_speed(p, t.stiffness, t.depth, t.force, wanted) * (1.0 - p.free)
+        slope = compliance.speed_slope(p, t, wanted) * (1.0 - p.free)
+        curvature = ca.fmax(t.curvature, FLATTEST)
+        if loop.law.surface == "exact":
+            shape = rotation @ self.shape(uv, centre) @ rotation.T
+            there = moved(jacobian, ca.DM(loop.indenter_position) - position)
+            reach = 1.0 / curvature + p.indenter_radius - t.depth
+            rows = compliance.force_rows(there, normal, shape, reach)
+        else:  # the paper's sphere: the Jacobian of the (osculating) sphere's centre
+            rows = moved(jacobian, lever - normal / curvature)[:3, :]
+        push_away = compliance.damped_inverse(rows, ca.DM([FORCE_DAMPING] * 3), normal)
         omega, velocity = compliance.along(
-            self.reference, p.tracking, position, rotation, lever, normal, ahead
+            self.reference, p.tracking, position, rotation, lever, normal, p.free, ahead
         )
         twist = ca.vertcat(velocity, omega)
         damping = ca.DM([FORCE_DAMPING] * 3 + [ROTATION_DAMPING] * 3)
@@ -116,6 +120,12 @@ class Field:
             free=free,
             output=ca.vertcat(t.point, t.normal, t.force, t.depth, t.radius, torque),
         )
+
+    def shape(self, uv: ca.SX, centre: ca.SX) -> ca.SX:
+        """dn/dc (3, 3), 1/m, body frame: by automatic differentiation of the contact's foot."""
+        c = ca.SX.sym("c", 3)
+        normal = touch(self.anchor, uv, c, self.p, self.newton).normal
+        return ca.substitute(ca.jacobian(normal, c), c, centre)
 
     def rate(self) -> ca.Function:
         """(q, qdot, uv, ahead, reference, anchor, parameters) -> (qdd, foot, output)."""

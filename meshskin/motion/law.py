@@ -23,6 +23,7 @@ from ..config import check, quantity
 from ..errors import UnknownNameError
 from ..physics.contact import hertz
 
+SURFACES = ("sphere", "exact")
 TORQUES = ("compensated", "paper", "off")
 SHAPES = ("inertia", "identity")
 
@@ -44,6 +45,9 @@ class Law:
     torque: str = "compensated"
     """"paper": eq. 11 as printed, with its steady force error; "compensated": with -J^T f_c;
     "off": none, the arm falls."""
+    surface: str = "sphere"
+    """What the force part takes the body for: "sphere", of its mean curvature at the contact (the
+    paper's law there), or "exact", with both curvatures, by automatic differentiation (slower)."""
     approach_speed: float = quantity("m/s", 0.1, above=0.0, most=1.0)
     """Largest speed along the normal that the force part may ask for; the speed before touch."""
     tracking: float = quantity("1/s", 20.0, least=0.0)
@@ -53,6 +57,8 @@ class Law:
         check(self)
         if self.torque not in TORQUES:
             raise UnknownNameError("torque law", self.torque, TORQUES)
+        if self.surface not in SURFACES:
+            raise UnknownNameError("surface of the law", self.surface, SURFACES)
         if self.shape not in SHAPES:
             raise UnknownNameError("shape of the velocity gain", self.shape, SHAPES)
 
@@ -61,6 +67,31 @@ def zeta(delta: Any, d: Any, n: Any) -> Any:
     """The matrix zeta (3, 3) of eq. 10; delta, d in m, n (3,) the outward body normal."""
     nn = n @ n.T
     return -(delta * ca.sqrt(delta) / d) * (ca.DM.eye(3) - nn) + 1.5 * ca.sqrt(delta) * nn
+
+
+def general_zeta(delta: Any, n: Any, shape: Any) -> Any:
+    """The matrix Z (3, 6) of eq. 10 for any surface: d f_c / dt = -K_c Z (v, omega).
+
+    (v, omega): the body's velocity at the indenter's centre and its angular velocity; the contact
+    moves with the whole twist. shape (3, 3): dn/dc, how the normal n (3,) turns with the centre c
+    in the body's frame, in world axes; on a sphere (I - n n^T) / d, which gives `zeta`. The change
+    of K_c with the curvature along the surface is left out, as it is zero on the sphere.
+    """
+    press = 1.5 * ca.sqrt(delta) * n @ n.T
+    turn = delta * ca.sqrt(delta)
+    return ca.horzcat(press - turn * shape, -turn * ca.skew(n))
+
+
+def force_rows(jacobian: Any, n: Any, shape: Any, length: Any) -> Any:
+    """Rows (3, n) whose inverse times `force_speed` n is (Z J)^+ (gamma / K_c) (f_c - f*).
+
+    jacobian (6, n) at the indenter's centre. f_c - f* is along n, an eigenvector of the normal part
+    of Z; its tangential part, that the normal must not turn, is scaled by `length`, m (the distance
+    of the centres on the sphere), in place of delta^(3/2).
+    """
+    linear, angular = jacobian[:3, :], jacobian[3:, :]
+    turning = shape @ linear + ca.skew(n) @ angular
+    return n @ (n.T @ linear) + length * turning
 
 
 def force_speed(gains: Any, stiffness: Any, delta: Any, force: Any, delta_reference: Any) -> Any:
@@ -99,20 +130,21 @@ def along(
     rotation: Any,
     lever: Any,
     normal: Any,
+    free: Any = 0.0,
     ahead: Any = 0.0,
 ) -> tuple[Any, Any]:
     """Angular velocity and velocity (3,) of the contact point that follow the path.
 
     reference (18,), see loop.REFERENCE, taken `ahead` s on; position, rotation: of the body;
     lever: from the body's origin to the contact, normal: there; all in world axes. The velocity is
-    kept out of the normal, the force's direction.
+    kept out of the normal, the force's direction, unless `free` is 1.
     """
     goal = ca.reshape(reference[3:12], 3, 3)
     turn = 0.5 * sum(ca.cross(rotation[:, k], goal[:, k]) for k in range(3))
     omega = reference[15:18] + tracking * (turn + ahead * reference[15:18])
     velocity = reference[12:15] + tracking * (reference[:3] + ahead * reference[12:15] - position)
     velocity += ca.cross(omega, lever)
-    return omega, velocity - normal * ca.dot(normal, velocity)
+    return omega, velocity - (1.0 - free) * normal * ca.dot(normal, velocity)
 
 
 def torque(kind: str, bias: Any, gain: Any, excess: Any, lift: Any) -> Any:

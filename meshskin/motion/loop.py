@@ -47,6 +47,8 @@ class Parameters:
     """E*, Pa."""
     indenter_radius: Any
     """m."""
+    free: Any = 0.0
+    """0: the law holds the force along the normal; 1: the body follows the path there too."""
 
     @classmethod
     def split(cls, vector: Any) -> Parameters:

@@ -100,10 +100,13 @@ class Machine:
         """Steps of the closed loop in a second of running it."""
         return self.steps / self.seconds if self.seconds else 0.0
 
-    def advance(self, track: Track, phase: int, until_touch: bool = False) -> Steps:
+    def advance(
+        self, track: Track, phase: int, until_touch: bool = False, free: bool = False
+    ) -> Steps:
         """Run the first rows of a track: as many as fit a block and as the foot stays on its faces.
 
-        until_touch: end with the first step in contact. Raises SimulationError where a number is
+        until_touch: end with the first step in contact. free: follow the path along the normal too,
+        instead of holding the force. Raises SimulationError where a number is
         not finite, ReachError where a joint leaves its range.
         """
         started = perf_counter()
@@ -111,7 +114,7 @@ class Machine:
         blocks = self.blocks[0 if short else 1]
         track = track[: blocks.length]
         count = len(track)
-        faces = self._fill(blocks, track)
+        faces = self._fill(blocks, track, free)
         try:
             blocks.run()
         except RuntimeError as error:
@@ -138,10 +141,11 @@ class Machine:
         self.seconds += perf_counter() - started
         return Steps(time, q, outputs, phase, readings)
 
-    def _fill(self, blocks: Blocks, track: Track) -> NDArray[np.intp]:
+    def _fill(self, blocks: Blocks, track: Track, free: bool) -> NDArray[np.intp]:
         """Set a block's inputs; returns the face of each row (k,)."""
         count = len(track)
         blocks.state[:] = self.state
+        blocks.parameters[-1] = free
         blocks.references[:count] = track.references
         faces, maps = track.faces, blocks.anchors[:, -len(STAY) :]
         if self._astray:

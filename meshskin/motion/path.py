@@ -178,10 +178,10 @@ def plan(
     reach = hit.point + gap * hit.normal
     positions = indenter_position - np.einsum("kij,kj->ki", rotations, reach)
     poses = transform(rotations, positions)
-    return Path(dt, hit.point, hit.normal, poses, _twists(poses, dt), hit.face)
+    return Path(dt, hit.point, hit.normal, poses, twists(poses, dt), hit.face)
 
 
-def _twists(poses: Array, dt: float) -> Array:
+def twists(poses: Array, dt: float) -> Array:
     """Twists (k, 6) that carry each pose to the next within dt, linear first; rest at the end."""
     r, p = poses[:, :3, :3], poses[:, :3, 3]
     turn = log_so3(r[1:] @ r[:-1].transpose(0, 2, 1))

@@ -27,8 +27,12 @@ def step(loop: Loop) -> ca.Function:
     rotation = matrix(turn)
     t = touch(anchor, uv, rotation.T @ (ca.DM(loop.indenter_position) - position), p)
     normal, lever = rotation @ t.normal, rotation @ t.point
-    speed = compliance.force_speed(p, t.stiffness, t.depth, t.force, reference_depth(p, t.radius))
-    omega, velocity = compliance.along(reference, p.tracking, position, rotation, lever, normal)
+    speed = (1.0 - p.free) * compliance.force_speed(
+        p, t.stiffness, t.depth, t.force, reference_depth(p, t.radius)
+    )
+    omega, velocity = compliance.along(
+        reference, p.tracking, position, rotation, lever, normal, p.free
+    )
     # the law's speed is that of the contact point; the body's origin is at -lever from it
     origin = velocity + speed * normal - ca.cross(omega, lever)
     rate = 0.5 * ca.vertcat(-ca.dot(turn[1:], omega), turn[0] * omega + ca.cross(omega, turn[1:]))

@@ -28,7 +28,7 @@ def step(loop: Loop) -> ca.Function:
 
     state (2 n + 2): q, qdot, (u, v) of the foot, or quasi_static's (9); reference (18,): pose and
     twist of the body along the path (world); anchor (69,): patch of the foot's face and how the
-    last foot's (u, v) are carried there; parameters (8,); output as Loop.outputs says.
+    last foot's (u, v) are carried there; parameters (9,); output as Loop.outputs says.
     """
     return quasi_static.step(loop) if loop.mode == "quasi_static" else integrators.step(loop)
 

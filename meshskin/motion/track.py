@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..geometry.surface import Surface
 from ..se3 import Array
-from .path import Path
+from .path import Path, twists
 
 STAY = np.eye(2, 3).T.ravel()
 """The map, column-major (6,), of a foot that stays on its face."""
@@ -38,6 +38,15 @@ class Track:
         new = np.flatnonzero(np.diff(faces)) + 1
         maps[new] = crossings(surface, faces[new - 1], faces[new])
         return cls(path.references, faces, maps)
+
+    @classmethod
+    def through(cls, poses: Array, dt: float, face: int) -> Track:
+        """A way of the body through poses T_w_b (k, 4, 4), one a step, over one face."""
+        path = Path(
+            dt, poses[:, :3, 3], poses[:, :3, 2], poses, twists(poses, dt), np.zeros(0, int)
+        )
+        count = len(poses)
+        return cls(path.references, np.full(count, face), np.tile(STAY, (count, 1)))
 
     def __len__(self) -> int:
         return len(self.faces)

@@ -5,7 +5,16 @@ import numpy as np
 import pytest
 
 from meshskin.errors import ConfigError, UnknownNameError
-from meshskin.motion.law import Law, damped_inverse, force_speed, zeta
+from meshskin.geometry.body import Body
+from meshskin.geometry.patch import casadi_foot
+from meshskin.motion.law import (
+    Law,
+    damped_inverse,
+    force_rows,
+    force_speed,
+    general_zeta,
+    zeta,
+)
 
 
 def test_zeta_is_minus_the_derivative_of_the_contact_force():
@@ -58,3 +67,60 @@ def test_wrong_gains_are_named():
         Law(gamma=-1)
     with pytest.raises(UnknownNameError, match="did you mean paper"):
         Law(torque="papper")
+
+
+def contact_force(body, face, uv, centre, twist, stiffness):
+    """f_c in the world, normal and depth, for a small twist (v at the centre, omega)."""
+    turn = ca.SX.eye(3) + ca.skew(twist[3:])
+    # the body moves: in its own frame the indenter's centre moves the other way
+    seen = turn.T @ (ca.DM(centre) - twist[:3] - ca.DM(centre)) + ca.DM(centre)
+    patch = ca.DM(body.surface.patches[face])
+    _, _, point, normal, _ = casadi_foot(patch, *uv, seen, 3)
+    depth = 0.01 - ca.dot(normal, seen - point)
+    return -stiffness * depth * ca.sqrt(depth) * (turn @ normal), normal, depth
+
+
+@pytest.mark.parametrize("shape", ["sphere", "ellipsoid", "torus"])
+def test_the_general_zeta_is_minus_the_derivative_of_the_contact_force(shape):
+    """By automatic differentiation of the contact under the whole twist, on any surface."""
+    body = {
+        "sphere": lambda: Body.sphere(0.1),
+        "ellipsoid": lambda: Body.ellipsoid((0.1, 0.07, 0.05)),
+        "torus": lambda: Body.torus(0.1, 0.04),
+    }[shape]()
+    rng = np.random.default_rng(8)
+    faces = rng.integers(len(body.mesh.faces), size=5)
+    hit = body.surface.at(faces, np.full((5, 2), 0.3))
+    for k in range(5):
+        centre = hit.point[k] + 0.0085 * hit.normal[k]
+        twist = ca.SX.sym("twist", 6)
+        force, normal, depth = contact_force(body, faces[k], hit.uv[k], centre, twist, 3.1e4)
+        turned = ca.jacobian(normal, twist[:3])  # dn by the centre's way: minus dn/dc
+        values = ca.Function("v", [twist], [ca.jacobian(force, twist), normal, depth, -turned])
+        by_ad, n, delta, dn = values(np.zeros(6))
+        by_formula = -3.1e4 * np.array(general_zeta(delta, n, dn))
+        np.testing.assert_allclose(by_formula, by_ad, rtol=1e-6, atol=1e-5)
+        bends = np.sort(np.linalg.eigvalsh(0.5 * np.array(dn + dn.T)))
+        expected = hit.curvature[k] / (1 + 0.0085 * hit.curvature[k])
+        np.testing.assert_allclose(np.sort([*expected, 0.0]), bends, rtol=1e-4, atol=1e-6)
+
+
+def test_on_the_sphere_the_general_law_is_the_papers():
+    """Z (v, omega) = zeta v_b for the twist of a body that turns about its centre."""
+    rng = np.random.default_rng(9)
+    n = rng.normal(size=3)
+    n /= np.linalg.norm(n)
+    delta, d = 1.5e-3, 0.1085
+    shape = (np.eye(3) - np.outer(n, n)) / d
+    general = np.array(general_zeta(delta, ca.DM(n), ca.DM(shape)))
+    paper = np.array(zeta(delta, d, ca.DM(n)))
+    v, omega = rng.normal(size=3), rng.normal(size=3)
+    at_indenter = v + np.cross(omega, d * n)
+    np.testing.assert_allclose(general @ [*at_indenter, *omega], paper @ v, atol=1e-12)
+    jacobian = rng.normal(size=(6, 6))  # at the body's centre
+    moved = jacobian.copy()
+    moved[:3] -= d * np.array(ca.DM(ca.skew(ca.DM(n)))) @ jacobian[3:]
+    rows = np.array(force_rows(ca.DM(moved), ca.DM(n), ca.DM(shape), d))
+    inverse = np.linalg.pinv(paper @ jacobian[:3])
+    along = 1.5 * np.sqrt(delta)
+    np.testing.assert_allclose(np.linalg.pinv(rows) @ n / along, inverse @ n, rtol=1e-8)

@@ -99,7 +99,7 @@ def test_point_readings_are_hertz_in_the_tangent_plane(prepared, sphere):
         sphere.body, machine.loop, machine._start, path.points[0], taxels=np.vstack([x, -x])
     )
     for steps in run(sphere, reader, path):
-        if steps.phase == 2:
+        if steps.phase == 3:
             break
     k = len(steps.time) // 2
     point, normal, force = steps.outputs[k, :3], steps.outputs[k, 3:6], steps.outputs[k, 6]

@@ -1,0 +1,159 @@
+"""The exploration as an explicit state machine over the closed loop.
+
+    approach -> touch -> hold -> slide -> leave -> next -> approach ...
+
+Every place is a track of its own. The body comes down until the first contact (approach), the force
+settles (touch), the arm rests (hold), the contact point follows the track (slide), the body lifts
+off (leave) and moves to the next place (next). Contact that is lost for longer than PATIENCE while
+the law should hold it is sought again where it was lost, at most RETRIES times in a place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import SimulationError
+from ..se3 import Array, exp_so3, log_so3, transform
+from .machine import LENGTHS, Machine, Steps
+from .track import Track
+
+PHASES = ("approach", "touch", "hold", "slide", "leave", "next")
+APPROACH, TOUCH, HOLD, SLIDE, LEAVE, NEXT = range(6)
+SETTLED = 0.05
+"""Part of the reference force within which a touch counts as settled."""
+PATIENCE = 0.02
+"""Time without contact after which it counts as lost, s."""
+RETRIES = 5
+AIR_SPEED, AIR_TURN = 0.1, 1.0
+"""Speeds in the air, m/s and rad/s."""
+
+
+@dataclass(frozen=True)
+class Manner:
+    """How places are explored."""
+
+    standoff: float
+    """Height over the indenter between places, m."""
+    settle: float
+    """Longest time for the touch to settle, and with it the rest before the slide, s."""
+
+
+class Explorer:
+    """Runs a machine over tracks (places), in order, and says what it is doing."""
+
+    def __init__(self, machine: Machine, tracks: Sequence[Track], manner: Manner) -> None:
+        self.machine, self.tracks, self.manner = machine, tracks, manner
+        self.place, self.row = 0, 0
+        self.phase = APPROACH
+        self.losses = 0
+        """Contacts lost and found again."""
+
+    @property
+    def done(self) -> int:
+        """Rows of the tracks that are behind."""
+        return sum(len(t) for t in self.tracks[: self.place]) + self.row
+
+    def run(self) -> Iterator[Steps]:
+        """The steps as they come. Raises SimulationError where contact cannot be made or kept."""
+        for place, track in enumerate(self.tracks):
+            self.place, self.row, lost = place, 0, 0
+            while self.row < len(track):
+                yield from self._make_contact(track)
+                yield from self._slide(track)
+                if self.row < len(track):
+                    lost, self.losses = lost + 1, self.losses + 1
+                    if lost > RETRIES:
+                        raise self._lost()
+            if self.place + 1 < len(self.tracks):
+                yield from self._travel(track, self.tracks[self.place + 1])
+
+    def _make_contact(self, track: Track) -> Iterator[Steps]:
+        """Come down, let the force settle, rest."""
+        machine, loop = self.machine, self.machine.loop
+        settle = max(round(self.manner.settle / loop.dt), 1)
+        rest = track.hold(self.row, max(settle, LENGTHS[0]))
+        fall = 5 * self.manner.standoff / loop.law.approach_speed + 20 / loop.law.gamma
+        last = machine.steps + int(np.ceil((1.0 + fall) / loop.dt))
+        self.phase, force = APPROACH, 0.0
+        while not force > 0:
+            if machine.steps > last:
+                raise SimulationError(
+                    "the arm did not touch the indenter",
+                    value=f"{(1.0 + fall):.2f} s of approach",
+                    remedy="check indenter.position_m and exploration.standoff_m",
+                )
+            steps = machine.advance(rest, APPROACH, until_touch=True)
+            yield steps
+            force = self._force(steps)[-1]
+        self.phase, left = TOUCH, settle
+        while left > 0:
+            steps = machine.advance(rest[:left], self.phase)
+            yield steps
+            left -= len(steps.time)
+            if abs(self._force(steps)[-1] / loop.law.force_reference - 1.0) < SETTLED:
+                self.phase = HOLD
+
+    def _slide(self, track: Track) -> Iterator[Steps]:
+        """Follow the track from the row at hand, to its end or until contact is lost."""
+        self.phase, patience = SLIDE, max(round(PATIENCE / self.machine.loop.dt), 1)
+        apart = 0
+        while self.row < len(track):
+            steps = self.machine.advance(track[self.row :], SLIDE)
+            touching = np.flatnonzero(self._force(steps) > 0)
+            ends = np.array([-1 - apart, *touching, len(steps.time)])
+            gaps = np.diff(ends) - 1  # steps without contact, the last block's counted in
+            lost = np.flatnonzero(gaps >= patience)
+            if len(lost):  # go on from where contact was last
+                self.row = max(self.row + int(ends[lost[0]]), 0)
+                yield steps
+                return
+            apart = int(gaps[-1])
+            self.row += len(steps.time)
+            yield steps
+
+    def _travel(self, track: Track, goal: Track) -> Iterator[Steps]:
+        """Lift off the end of a track and move to above the start of the next."""
+        machine, dt = self.machine, self.machine.loop.dt
+        up = np.array([0.0, 0.0, self.manner.standoff])
+        ways = [_pose(track.references[-1]), _pose(track.references[-1], up)]
+        ways += [_pose(goal.references[0], up)]
+        for self.phase, start, end in zip((LEAVE, NEXT), ways[:-1], ways[1:], strict=True):
+            face = machine.face
+            way = Track.through(_blend(start, end, dt), dt, face)
+            while len(way):
+                steps = machine.advance(way, self.phase, free=True)
+                yield steps
+                way = way[len(steps.time) :]
+
+    def _force(self, steps: Steps) -> Array:
+        return np.asarray(steps.outputs[:, self.machine.loop.outputs["force"].start])
+
+    def _lost(self) -> SimulationError:
+        return SimulationError(
+            f"contact was lost {RETRIES + 1} times at row {self.row} of place {self.place}",
+            value=f"t = {self.machine.steps * self.machine.loop.dt:.4f} s",
+            remedy="explore slower, or take a larger law.gamma or law.rate",
+        )
+
+
+def _pose(reference: Array, shift: Array | None = None) -> Array:
+    """T_w_b (4, 4) of a reference row, shifted in the world."""
+    position = reference[:3] if shift is None else reference[:3] + shift
+    return transform(reference[3:12].reshape(3, 3).T, position)
+
+
+def _blend(start: Array, end: Array, dt: float) -> Array:
+    """Poses (k, 4, 4) from one to another, half a cosine in time."""
+    turn = log_so3(end[:3, :3] @ start[:3, :3].T)
+    shift = end[:3, 3] - start[:3, 3]
+    time = (
+        0.5
+        * np.pi
+        * max(float(np.linalg.norm(shift)) / AIR_SPEED, float(np.linalg.norm(turn)) / AIR_TURN)
+    )
+    part = 0.5 - 0.5 * np.cos(np.pi * np.linspace(0.0, 1.0, max(int(np.ceil(time / dt)), 2)))
+    rotation = exp_so3(part[:, None] * turn) @ start[:3, :3]
+    return transform(rotation, start[:3, 3] + part[:, None] * shift)
