@@ -82,8 +82,8 @@ class Bench(distributed.WorkerPlugin):
 
 def _perform(bench: str, task: Task) -> Outcome | None:
     """Runs on a Dask worker."""
-    plugin: Bench = distributed.get_worker().plugins[bench]
-    return plugin.perform(task)
+    plugin: Bench | None = distributed.get_worker().plugins.get(bench)
+    return None if plugin is None else plugin.perform(task)
 
 
 class Cluster:
@@ -97,6 +97,7 @@ class Cluster:
         self._bench = Bench(setup)
         self._pending: dict[str, tuple[Task, Any]] = {}
         self._done: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._count = itertools.count()
         self._last_seen = time.monotonic()
         try:
             self._client = distributed.Client(address, timeout=CONNECT, set_as_default=False)
@@ -146,7 +147,11 @@ class Cluster:
             with contextlib.suppress(queue.Empty):
                 future = self._done.get(timeout=LOOK)
                 task, _ = self._pending.pop(future.key)
-                yield self._outcome(task, future)
+                outcome = self._outcome(task, future)
+                if outcome is None:
+                    self._submit(task)
+                else:
+                    yield outcome
 
     def _ahead(self) -> int:
         """How many cases to have on their way. Raises StudyError if the scheduler is gone."""
@@ -162,20 +167,23 @@ class Cluster:
         return max(AHEAD * threads, LEAST)
 
     def _submit(self, task: Task) -> None:
-        key = f"{self._bench.name}-{task.key}"
+        key = f"{self._bench.name}-{task.key}-{next(self._count)}"
         future = self._client.submit(_perform, self._bench.name, task, key=key, pure=False)
-        self._pending[future.key] = task, future
+        self._pending[key] = task, future
         future.add_done_callback(self._done.put)
 
-    def _outcome(self, task: Task, future: Any) -> Outcome:
-        """What a finished future says. Raises StudyError."""
+    def _outcome(self, task: Task, future: Any) -> Outcome | None:
+        """What a finished future says; None if its result went with a worker. Raises StudyError."""
         try:
             outcome: Outcome | None = future.result(timeout=PATIENCE)
         except distributed.KilledWorker:
             return died(task, self._bench.orders.limits, None)
         except (distributed.CancelledError, OSError, TimeoutError) as error:
-            raise self._gone() from error
-        if outcome is None:
+            time.sleep(LOOK)  # a client that lost its scheduler knows of it a moment later
+            if self._client.status != "running":
+                raise self._gone() from error
+            return None
+        if outcome is None:  # another scheduler has taken the place of the first
             raise self._gone()
         return outcome
 
