@@ -16,20 +16,19 @@ from numpy.typing import NDArray
 from . import patch
 from .fans import Fans, face_normals
 from .heights import heights
-from .jets import Jets
+from .jets import FAITHFUL, Jets
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 BULGE = 3e-3
 """lift of a patch from its face, over the shortest side, beyond what its tangents account for"""
-LEAN, SHARE = np.radians(1.5), 0.4
-"""angle of a jet's normal from its face's, beyond the next face's or this share of the largest turn
-at the vertex"""
-FAITHFUL = 0.01
-"""miss of a jet from which it is not held to that share"""
+LEAN, SHARE = np.radians(1.0), 0.4
+"""angle of a jet's normal from its face's, beyond 3/4 of the turn to the next faces (on a circle it
+is a half), or of this share of the largest turn at the vertex: of twice the turn if faithful"""
 BOW = 0.2
-"""largest distance of a crease's curve from its chord, relative to the chord"""
+"""largest distance of a crease's curve from its chord, relative to the chord; nor may it be farther
+than the tangent planes at its ends"""
 CHUNK = 8192
 """faces blended at once: bounds the memory"""
 NODES = np.array(patch.POWERS) / patch.DEGREE
@@ -135,18 +134,42 @@ def crease_curves(jets: Jets, fans: Fans, beyond: Index, slot: Index) -> tuple[I
         (tail, head, flat[: len(a)]),
         (fans.corner[b, (kb + 2) % 3], fans.corner[b, (kb + 1) % 3], flat[len(a) :]),
     )
-    along = (q - p) / np.maximum(np.linalg.norm(q - p, axis=1), 1e-300)[:, None]
     length = np.linalg.norm(q - p, axis=1)
-    most = (BOW * length)[:, None, None]
+    along = (q - p) / np.maximum(length, 1e-300)[:, None]
+    most = BOW * length
+    if len(a):
+        normals = tangents(jets)
+        ends = (tail, head, sides[1][0], sides[1][1])
+        rise = np.max([_rise(jets, normals, fan, chord) for fan in ends], axis=0)
+        meet = np.linalg.norm(np.cross(flat[: len(a)], flat[len(a) :]), axis=1)
+        most = np.minimum(most, rise / np.maximum(meet, 0.3))
+        for f, k in ((a, ka), (b, kb)):  # nor beyond the middle of the faces beside it
+            tip = jets.origin[fans.corner[f, k]] - p
+            most = np.minimum(most, 0.5 * np.linalg.norm(np.cross(along, tip), axis=1))
+    most = most[:, None, None]
     curve = chord.copy()
     for _ in range(8):
         curve = chord + np.clip(curve + _towards(jets, sides, curve, along) - chord, -most, most)
     bow = np.linalg.norm(curve - chord, axis=2).max(axis=1)
     left = np.abs(_towards(jets, sides, curve, along)).max(axis=(1, 2))
-    straight = ~((bow < BOW * length) & (left < 1e-3 * length))
+    straight = ~((bow < most[:, 0, 0]) & (left < 1e-3 * length))
     curve[straight] = chord[straight]
     both = np.concatenate([3 * a + ka, 3 * b + kb])
     return both, np.concatenate([curve, curve[:, ::-1]])
+
+
+def tangents(jets: Jets) -> Array:
+    """Unit normals (j, 3) of the jets."""
+    slope = jets.coefficients[:, :2] / jets.scale
+    normals = jets.frame[:, 2] - np.einsum("jk,jkc->jc", slope, jets.frame[:, :2])
+    return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
+
+
+def _rise(jets: Jets, normals: Array, fan: Index, points: Array) -> Array:
+    """Largest distances (e,) of points (e, 4, 3) from the tangent planes of fans (e,)."""
+    offset = points - jets.origin[fan][:, None]
+    high = np.abs(np.einsum("etc,ec->et", offset, normals[fan])).max(axis=1)
+    return np.where(jets.degree[fan] > 0, high, 0.0)
 
 
 def _towards(
@@ -190,9 +213,7 @@ def flatten_bulges(jets: Jets, fans: Fans) -> Jets:
     turn = np.zeros(len(degree))
     for k in range(3):
         np.maximum.at(turn, fans.corner[:, k], fans.turn)
-    slope = jets.coefficients[:, :2] / jets.scale
-    normals = jets.frame[:, 2] - np.einsum("jk,jkc->jc", slope, jets.frame[:, :2])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = tangents(jets)
     for start in range(0, len(fans.corner), CHUNK):
         corner = fans.corner[start : start + CHUNK]
         places = jets.origin[corner]
@@ -201,8 +222,8 @@ def flatten_bulges(jets: Jets, fans: Fans) -> Jets:
         flat = face_normals(jets.origin, corner)
         lean = np.arccos(np.clip(np.einsum("mkc,mc->mk", normals[corner], flat), -1.0, 1.0))
         own = fans.turn[start : start + CHUNK, None]
-        share = np.where(jets.miss[corner] < FAITHFUL, 1.0, SHARE)
-        leaning = lean > np.maximum(own, share * turn[corner]) + LEAN
+        share = np.where(jets.miss[corner] < FAITHFUL, 2.0, SHARE)
+        leaning = lean > 0.75 * np.maximum(own, share * turn[corner]) + LEAN
         degree[corner[leaning]] = 0
         lift = np.linalg.norm(values - base, axis=2)
         offset = base[:, None] - places[:, :, None]

@@ -46,11 +46,13 @@ class Body:
     """the exact surface, of a primitive"""
     repairs: tuple[str, ...] = field(default=())
     """what was put right in the mesh when it was loaded"""
+    seams: NDArray[np.intp] | None = None
+    """(k, 2) edges, by their vertices, over which the curvature is known to jump"""
 
     @cached_property
     def surface(self) -> Surface:
         """The smooth surface; fitted when first asked for."""
-        return Surface(self.mesh)
+        return Surface(self.mesh, self.seams)
 
     def closest(self, points: ArrayLike, face: ArrayLike | None = None) -> Closest:
         """Closest points of the smooth surface to `points` (n, 3), body frame, m.
@@ -146,18 +148,24 @@ class Body:
         a, b, c = (float(r) for r in np.asarray(radii, dtype=float).reshape(3))
         for r in (a, b, c):
             _positive("semi-axis", r)
-        vertices, triangles = tessellate.sphere(faces)
-        return cls._of(
-            "ellipsoid", vertices * [a, b, c], triangles, primitives.Ellipsoid((a, b, c))
-        )
+        vertices, triangles = tessellate.ellipsoid(np.array([a, b, c]), faces)
+        return cls._of("ellipsoid", vertices, triangles, primitives.Ellipsoid((a, b, c)))
+
+    @classmethod
+    def cylinder(cls, radius: float, length: float, faces: int = FACES) -> Body:
+        """Cylinder along z of `length` with flat caps, in m."""
+        _positive("radius", radius)
+        _positive("length", length)
+        vertices, triangles = tessellate.cylinder(radius, length, faces)
+        return cls._of("cylinder", vertices, triangles, primitives.Cylinder(radius, length))
 
     @classmethod
     def capsule(cls, radius: float, length: float, faces: int = FACES) -> Body:
         """Cylinder along z of `length` with half spheres of `radius` on its ends, in m."""
         _positive("radius", radius)
         _positive("length", length)
-        vertices, triangles = tessellate.capsule(radius, length, faces)
-        return cls._of("capsule", vertices, triangles, primitives.Capsule(radius, length))
+        vertices, triangles, seams = tessellate.capsule(radius, length, faces)
+        return cls._of("capsule", vertices, triangles, primitives.Capsule(radius, length), seams)
 
     @classmethod
     def torus(cls, major: float, minor: float, faces: int = FACES) -> Body:
@@ -169,11 +177,19 @@ class Body:
         return cls._of("torus", vertices, triangles, primitives.Torus(major, minor))
 
     @classmethod
-    def _of(cls, name: str, vertices: Array, faces: NDArray[np.intp], exact: Exact) -> Body:
+    def _of(
+        cls,
+        name: str,
+        vertices: Array,
+        faces: NDArray[np.intp],
+        exact: Exact,
+        seams: NDArray[np.intp] | None = None,
+    ) -> Body:
         import trimesh
 
         check_extent(vertices)
-        return cls(name, trimesh.Trimesh(vertices, faces, process=False), exact)
+        mesh = trimesh.Trimesh(vertices, faces, process=False)
+        return cls(name, mesh, exact, seams=seams)
 
 
 def check_extent(vertices: Array) -> None:

@@ -19,6 +19,8 @@ STEEP, WAVY = 2.0, 0.8
 """bounds of the sums of absolute coefficients, all and those above degree 2, of a believable fit,
 over the ring's radius; on a sphere, with q = ring radius over sphere radius, they are q + q^3 / 2
 and q^3 / 2"""
+DECAY = 0.2
+"""largest terms above degree 2, over those of degree 2, of a believable fit without spare points"""
 MISS = 0.01
 """bound of a believable fit's residual, RMS over the ring, relative to the ring's radius"""
 
@@ -81,6 +83,12 @@ def believable(values: Array, scale: Array) -> NDArray[np.bool_]:
     slope = np.sum(np.abs(values[:, :2]) / scale, axis=1)
     size = np.abs(values) / shortest[:, None]
     return np.asarray((slope + size[:, 2:].sum(axis=1) < STEEP) & (size[:, 5:].sum(axis=1) < WAVY))
+
+
+def decaying(values: Array) -> NDArray[np.bool_]:
+    """Whether the terms above degree 2 of coefficients (g, c) are small against those of it."""
+    wave, bend = np.abs(values[:, 5:]).sum(axis=1), np.abs(values[:, 2:5]).sum(axis=1)
+    return np.asarray(wave <= DECAY * bend)
 
 
 def powers(x: Array, y: Array, degree: int) -> Array:

@@ -18,7 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .fans import Fans
-from .heights import DEGREE, MISS, POWERS, TERMS, believable, in_order, least_squares, powers
+from .heights import (
+    DEGREE,
+    MISS,
+    POWERS,
+    TERMS,
+    believable,
+    decaying,
+    in_order,
+    least_squares,
+    powers,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -27,8 +37,10 @@ PLANE = 1e-5
 """bound of the residual of a ring that is taken as flat, relative to the ring's radius"""
 EXPLAINED = 0.02
 """share of the heights' squares that a fit without spare points may leave"""
-DECAY = 0.2
-"""largest terms above degree 2, over those of degree 2, of a fit without spare points"""
+SPARE = 2
+"""points of a ring, beyond the terms of the fit and the fan itself, that a fit should have"""
+FAITHFUL = 0.01
+"""miss of a jet that is trusted on a wider ring, and with a normal that leans from its faces'"""
 CHANCE = 2.0
 """ratio of the variances of two fits' residuals that noise alone explains"""
 EXACT = 1e-14
@@ -142,6 +154,11 @@ def fit(vertices: Array, fans: Fans, degree: int = DEGREE, order: int = 2) -> Je
         reach = reach @ step
     _fit_rings(work, np.arange(count), reach, degree)
     _smooth_noise(work, step, reach, fans.split)
+    small = np.diff(reach.indptr) <= TERMS[degree] + SPARE
+    poor = np.flatnonzero((jets.degree == 0) & small)
+    if len(poor):  # beside a crease rings are small: one more, if the surface is smooth that far
+        _fit_rings(work, poor, reach[poor] @ step, degree)
+        jets.degree[poor[jets.miss[poor] > 0.03 * FAITHFUL]] = 0
     poor = np.flatnonzero(jets.degree == 0)
     if len(poor):
         for near in (reach, step):
@@ -160,6 +177,8 @@ def _fit_rings(work: _Fit, rows: Index, reach: Any, degree: int) -> None:
         ring = index[start[group][:, None] + np.arange(size[group[0]])]
         local = _local(jets, members, ring)
         solved, values, rss = least_squares(local, jets.scale[members], degree)
+        if len(ring[0]) <= TERMS[degree] + SPARE:
+            solved &= decaying(values)
         done = members[solved]
         work.rss[done, 2 : degree + 1] = rss[solved]
         work.dof[done, 2:] = [max(len(ring[0]) - 1 - TERMS[d], 0) for d in (2, 3, 4)]
@@ -247,6 +266,7 @@ def _average(
         jets.coefficients[done, :5] = values[good, :5]
         jets.coefficients[done, 5:] = 0.0
         jets.degree[done] = 2
+        jets.miss[done] = 0.0  # what is left is noise
         shift = np.where(moving[group][good], values[good, 5], 0.0)
         jets.origin[done] += shift[:, None] * jets.frame[done, 2]
     return accepted
@@ -280,8 +300,7 @@ def _fit_sparse(work: _Fit, rows: Index, reach: Any, degree: int) -> None:
             if trial == 1:
                 good &= rss < (PLANE * extent) ** 2 * size[group[0]]
             elif trial > 2:
-                wave, bend = (np.abs(v).sum(axis=1) for v in (values[:, 5:], values[:, 2:5]))
-                good &= (freedom > 0) | (wave < DECAY * bend)
+                good &= (freedom > 0) | decaying(values)
             variance = rss / np.maximum(freedom, 1)
             best = np.minimum(best, np.where(good, variance, np.inf))
             chosen = good & ((jets.degree[members] == 0) | (variance <= CHANCE * best))
@@ -289,6 +308,8 @@ def _fit_sparse(work: _Fit, rows: Index, reach: Any, degree: int) -> None:
             jets.coefficients[done] = 0.0
             jets.coefficients[done, : values.shape[1]] = values[chosen]
             jets.degree[done] = trial
+            squares = np.maximum(np.sum(height**2, axis=1), 1e-300)
+            jets.miss[done] = np.where(freedom > SPARE, np.sqrt(rss / squares), 1.0)[chosen]
 
 
 def size_groups(size: Index) -> list[Index]:

@@ -67,6 +67,34 @@ class Capsule:
 
 
 @dataclass(frozen=True)
+class Cylinder:
+    """Cylinder of a radius along z, `length` long, closed by flat caps (m)."""
+
+    radius: float
+    length: float
+
+    def closest(self, points: ArrayLike) -> Closest:
+        """Closest points of (n, 3) points, m.
+
+        On a rim the normal points from the foot to the point, and the curvature is the side's.
+        Points on the axis, nearer to the side than to a cap, go to +x.
+        """
+        p = _points(points)
+        half = 0.5 * self.length
+        radial, reach = _unit(p * [1.0, 1.0, 0.0], (1.0, 0.0, 0.0))
+        up = np.where(p[:, 2:] < 0.0, -1.0, 1.0) * [0.0, 0.0, 1.0]
+        side, cap = reach - self.radius, np.abs(p[:, 2]) - half
+        rim = (side > 0.0) & (cap > 0.0)
+        flat = (cap >= side) & ~rim
+        foot = radial * np.where(flat, reach, self.radius)[:, None]
+        foot[:, 2] = np.where(rim | flat, half * up[:, 2], p[:, 2])
+        corner, gap = _unit(p - foot, (1.0, 0.0, 0.0))
+        normal = np.where(rim[:, None], corner, np.where(flat[:, None], up, radial))
+        distance = np.where(rim, gap, np.maximum(side, cap))
+        return _answer(foot, distance, normal, np.where(flat, 0.0, 1.0 / self.radius), 0.0)
+
+
+@dataclass(frozen=True)
 class Torus:
     """Torus about z: a circle of radius `minor` carried round a circle of radius `major` (m)."""
 

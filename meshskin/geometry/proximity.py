@@ -30,19 +30,27 @@ class Proximity:
 
     def exact(self, points: Array, candidates: int = 24) -> Index:
         """The nearest flat faces (n,) among those of the `candidates` nearest samples."""
-        faces, gap = self.nearby(points, candidates)
+        faces, gap, _ = self.nearby(points, candidates)
         return np.asarray(faces[np.arange(len(points)), np.argmin(gap, axis=1)])
 
-    def nearby(self, points: Array, candidates: int) -> tuple[Index, Array]:
-        """The flat faces (n, k) of the `candidates` nearest samples, and their distances in m."""
+    def nearby(self, points: Array, candidates: int) -> tuple[Index, Array, Array]:
+        """The flat faces (n, k) of the `candidates` nearest samples, how far they are, and where.
+
+        Distances (n, k) in m; feet by their barycentric weights (n, k, 2).
+        """
         count = min(candidates, len(self.owner))
         if not len(points):
-            return np.zeros((0, count), dtype=np.intp), np.zeros((0, count))
+            return (
+                np.zeros((0, count), dtype=np.intp),
+                np.zeros((0, count)),
+                np.zeros((0, count, 2)),
+            )
         samples = self.tree.query((points - self.origin) / self.scale, k=count)[1]
         faces = self.owner[samples.reshape(len(points), count)]
         corners = self.vertices[self.faces[faces]]
         a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
-        return faces, np.sqrt(triangle_distance2(points[:, None], a, b - a, c - a))
+        gap2, uv = triangle_foot(points[:, None], a, b - a, c - a)
+        return faces, np.sqrt(gap2), uv
 
 
 def sample_faces(vertices: Array, faces: Index, least: int = 0) -> tuple[Array, Index]:
@@ -90,17 +98,33 @@ def part_middles(count: int) -> Array:
 
 def triangle_distance2(p: Array, a: Array, ab: Array, ac: Array) -> Array:
     """Squared distances from points p to triangles a, a + ab, a + ac (all (..., 3))."""
+    return triangle_foot(p, a, ab, ac)[0]
+
+
+def triangle_foot(p: Array, a: Array, ab: Array, ac: Array) -> tuple[Array, Array]:
+    """Squared distances of points p to triangles a, a + ab, a + ac (all (..., 3)), and their feet.
+
+    The feet are given by their weights (..., 2) of ab and ac.
+    """
     ap = p - a
-    inside = _barycentric(ap, ab, ac)
-    flat = ap - inside[..., :1] * ab - inside[..., 1:] * ac
-    best = np.where(
-        (inside.min(axis=-1) >= 0) & (inside.sum(axis=-1) <= 1), np.sum(flat**2, axis=-1), np.inf
+    uv = _barycentric(ap, ab, ac)
+    flat = ap - uv[..., :1] * ab - uv[..., 1:] * ac
+    within = (uv.min(axis=-1) >= 0) & (uv.sum(axis=-1) <= 1)
+    best = np.where(within, np.sum(flat**2, axis=-1), np.inf)
+    origin, east, north = np.zeros(2), np.array([1.0, 0.0]), np.array([0.0, 1.0])
+    sides = (
+        (ap, ab, origin, east),
+        (ap, ac, origin, north),
+        (ap - ab, ac - ab, east, north - east),
     )
-    for start, edge in ((ap, ab), (ap, ac), (ap - ab, ac - ab)):
+    for start, edge, first, way in sides:
         length2 = np.maximum(np.sum(edge * edge, axis=-1), 1e-300)
-        t = np.clip(np.sum(start * edge, axis=-1) / length2, 0.0, 1.0)
-        best = np.minimum(best, np.sum((start - t[..., None] * edge) ** 2, axis=-1))
-    return best
+        t = np.clip(np.sum(start * edge, axis=-1) / length2, 0.0, 1.0)[..., None]
+        gap = np.sum((start - t * edge) ** 2, axis=-1)
+        nearer = gap < best
+        best = np.where(nearer, gap, best)
+        uv = np.where(nearer[..., None], first + t * way, uv)
+    return best, uv
 
 
 def _barycentric(offset: Array, ab: Array, ac: Array) -> Array:

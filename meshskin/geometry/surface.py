@@ -25,10 +25,8 @@ Index = NDArray[np.intp]
 
 SAMPLES = 20_000
 """samples, at least, of a mesh with creases, whose faces may be long"""
-NEAR, WIDE = 12, 32
+NEAR, WIDE = 24, 48
 """nearest samples whose faces are looked at for a start, and where a walk's end is in doubt"""
-ANOTHER = 0.8
-"""cosine of the angle between two faces from which they belong to different sheets"""
 SLACK = 1.3
 """a patch's height over its face, over that at its nodes"""
 ON_EDGE = 1e-9
@@ -86,46 +84,52 @@ class Surface:
         p = _finite(points)
         if self.smooth:
             start = self._proximity.near(p) if face is None else np.array(face, dtype=np.intp)
-            foot, uv, hops = self._walk(p, start, walk.closest_step)
+            foot, uv, hops = self._walk(p, start)
             far = np.flatnonzero(hops >= walk.FAR)
             if len(far):
-                self._try(p, foot, uv, far, self._proximity.exact(p[far]))
+                start = self._proximity.exact(p[far])
+                self._try(p, foot, uv, far, start, np.full((len(far), 2), 1.0 / 3.0))
             return self.at(foot, uv, p)
-        most, flat = np.full(len(p), np.inf), self._flat_normals
-        if face is None:  # sheets lie close, edges end walks
-            near, gap = self._proximity.nearby(p, NEAR)
-            start = near[np.arange(len(p)), np.argmin(gap, axis=1)]
-            most = np.min(gap + self._height[near], axis=1)
+        if face is None:
+            near = self._proximity.nearby(p, NEAR)
+            row, first = np.arange(len(p)), np.argmin(near[1], axis=1)
+            foot, uv, hops = self._walk(p, near[0][row, first], start=near[2][row, first])
+            self._search(p, foot, uv, row, near)
         else:
-            start = np.array(face, dtype=np.intp)
-        foot, uv, hops = self._walk(p, start, walk.closest_step)
-        found = self._gap(p, foot, uv)
-        doubtful = (hops >= walk.FAR) | (found > 1.0001 * most)
-        if face is None:  # another sheet may be as near
-            turned = np.einsum("nkc,nc->nk", flat[near], flat[foot]) < ANOTHER
-            doubtful |= np.any(
-                turned & (gap - self._height[near] < 0.9999 * found[:, None]), axis=1
-            )
-        self._search(p, foot, uv, np.flatnonzero(doubtful))
+            foot, uv, hops = self._walk(p, np.array(face, dtype=np.intp))
+        doubtful = np.flatnonzero(hops >= walk.FAR)
+        if len(doubtful):
+            self._search(p, foot, uv, doubtful, self._proximity.nearby(p[doubtful], WIDE))
         hit = self.at(foot, uv, p)
         return replace(hit, distance=self._signed(hit, p))
 
-    def _search(self, points: Array, foot: Index, uv: Array, rows: Index) -> None:
-        """Walk again, in place, from every face whose patch may be nearer than what was found."""
-        if not len(rows):
-            return
-        near, gap = self._proximity.nearby(points[rows], WIDE)
-        near, order = np.sort(near, axis=1), np.argsort(near, axis=1)
-        gap = np.take_along_axis(gap, order, axis=1) - self._height[near]
-        found = self._gap(points[rows], foot[rows], uv[rows])
-        wanted = gap < 0.9999 * found[:, None]
-        wanted[:, 1:] &= near[:, 1:] != near[:, :-1]
-        row, k = np.nonzero(wanted)
-        self._try(points, foot, uv, rows[row], near[row, k])
+    def _search(
+        self,
+        points: Array,
+        foot: Index,
+        uv: Array,
+        rows: Index,
+        near: tuple[Index, Array, Array],
+    ) -> None:
+        """Walk again, in place, from every face whose patch may be nearer than what was found.
 
-    def _try(self, points: Array, foot: Index, uv: Array, rows: Index, start: Index) -> None:
-        """Walk from the faces `start` for points `rows` (k,), which may repeat; keep the best."""
-        again, again_uv, _ = self._walk(points[rows], start, walk.closest_step)
+        `near`: flat faces near the points `rows` (k,), as of Proximity.nearby.
+        """
+        order = np.argsort(near[0], axis=1)
+        faces = np.take_along_axis(near[0], order, axis=1)
+        least = np.take_along_axis(near[1], order, axis=1) - self._height[faces]
+        found = self._gap(points[rows], foot[rows], uv[rows])
+        wanted = (least < 0.9999 * found[:, None]) & (faces != foot[rows, None])
+        wanted[:, 1:] &= faces[:, 1:] != faces[:, :-1]
+        row, k = np.nonzero(wanted)
+        if len(row):
+            self._try(points, foot, uv, rows[row], faces[row, k], near[2][row, order[row, k]])
+
+    def _try(
+        self, points: Array, foot: Index, uv: Array, rows: Index, face: Index, start: Array
+    ) -> None:
+        """Walk from `face`, `start` for the points `rows` (k,), which may repeat; keep the best."""
+        again, again_uv, _ = self._walk(points[rows], face, start=start)
         gap = self._gap(points[rows], again, again_uv)
         best = np.lexsort((gap, rows))
         best = best[np.unique(rows[best], return_index=True)[1]]
@@ -164,8 +168,10 @@ class Surface:
         target = np.stack([origins, e1, e2], axis=1)
         return self._walk(target, face, walk.ray_step)[:2]
 
-    def _walk(self, target: Array, face: Index, step: Any) -> tuple[Index, Array, Index]:
-        return walk.walk(self.patches, (self.neighbours, self._slot), target, face, step)
+    def _walk(
+        self, target: Array, face: Index, step: Any = walk.closest_step, start: Array | None = None
+    ) -> tuple[Index, Array, Index]:
+        return walk.walk(self.patches, (self.neighbours, self._slot), target, face, step, start)
 
     def _signed(self, hit: Closest, points: Array) -> Array:
         """The distances (n,), with signs that hold at creases and corners too.

@@ -19,8 +19,42 @@ def sphere(faces: int) -> tuple[Array, Index]:
     return vertices / np.linalg.norm(vertices, axis=1, keepdims=True), np.array(mesh.faces)
 
 
-def capsule(radius: float, length: float, faces: int) -> tuple[Array, Index]:
-    """Capsule along z: rows of even triangles on the cylinder, half octahedra at its ends."""
+def ellipsoid(radii: Array, faces: int) -> tuple[Array, Index]:
+    """Ellipsoid of semi-axes `radii` (3,): an icosphere carried over so as to suit its bends.
+
+    Scaling the sphere by the radii leaves large turns at sharp ends, the inverse of the Gauss map
+    large faces on flat sides; halfway between, both keep to the square root of the radii's ratio.
+    """
+    directions, triangles = sphere(faces)
+    stretched = np.sqrt(radii) * directions
+    return radii * stretched / np.linalg.norm(stretched, axis=1, keepdims=True), triangles
+
+
+def cylinder(radius: float, length: float, faces: int) -> tuple[Array, Index]:
+    """Cylinder along z with flat caps: rows of even triangles on the side, rings on the caps."""
+    area = 2.0 * np.pi * radius * (radius + length)
+    step = float(np.sqrt(area / (faces * np.sqrt(3.0) / 4.0)))
+    n = max(2, round(2.0 * np.pi * radius / (6.0 * step)))
+    rows = max(1, round(length / (2.0 * np.pi * radius / (6 * n) * np.sqrt(3.0) / 2.0)))
+    counts = [1, *(6 * k for k in range(1, n + 1))]
+    reach = [radius * k / n for k in range(n + 1)]
+    heights = [0.5 * length] * (n + 1) + list(np.linspace(0.5, -0.5, rows + 1)[1:] * length)
+    heights += [-0.5 * length] * n
+    counts += [6 * n] * rows + counts[:n][::-1]
+    reach += [radius] * rows + reach[:n][::-1]
+    rings = []
+    for k, (z, r, count) in enumerate(zip(heights, reach, counts, strict=True)):
+        shift = 0.5 * ((k - n) % 2) if n < k <= n + rows else 0.0  # every other row of the side
+        a = (np.arange(count) + shift) * 2.0 * np.pi / count
+        rings.append(np.column_stack([r * np.cos(a), r * np.sin(a), np.full(count, z)]))
+    return _stitch(rings)
+
+
+def capsule(radius: float, length: float, faces: int) -> tuple[Array, Index, Index]:
+    """Capsule along z: rows of even triangles on the cylinder, half octahedra at its ends.
+
+    The third is the seams (k, 2), edges by their vertices, where the cylinder becomes a sphere.
+    """
     area_sphere, area_side = 4.0 * np.pi * radius**2, 2.0 * np.pi * radius * length
     n = max(2, round(float(np.sqrt(faces / 8.0 * area_sphere / (area_sphere + area_side)))))
     step = 2.0 * np.pi * radius / (4 * n)
@@ -41,7 +75,10 @@ def capsule(radius: float, length: float, faces: int) -> tuple[Array, Index]:
         flat = radius * np.cos(angle)
         up = np.full(count, z + radius * np.sin(angle))
         rings.append(np.column_stack([flat * np.cos(a), flat * np.sin(a), up]))
-    return _stitch(rings)
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    around = np.arange(4 * n)
+    seam = np.column_stack([around, (around + 1) % (4 * n)])
+    return *_stitch(rings), np.concatenate([seam + starts[n], seam + starts[n + rows]])
 
 
 def torus(major: float, minor: float, faces: int) -> tuple[Array, Index]:

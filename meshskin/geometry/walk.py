@@ -51,9 +51,14 @@ def neighbours(faces: Index) -> tuple[Index, Index]:
 
 
 def walk(
-    patches: Array, across: tuple[Index, Index], target: Array, face: Index, step: Any
+    patches: Array,
+    across: tuple[Index, Index],
+    target: Array,
+    face: Index,
+    step: Any,
+    start: Array | None = None,
 ) -> tuple[Index, Array, Index]:
-    """Iterate `step` from the middles of `face` (n,) until every row is still.
+    """Iterate `step` on `face` (n,) from `start` (n, 2), or the middles, until every row is still.
 
     Gives faces (n,), uv (n, 2), and the edges crossed (n,), at least FAR for a held row. A row
     that returns to the face it came from (a crease, or the seam of two patches), that meets a
@@ -61,7 +66,7 @@ def walk(
     """
     beyond_edge, slot_there = across
     n = len(face)
-    face, uv = face.copy(), np.full((n, 2), 1.0 / 3.0)
+    face, uv = face.copy(), np.full((n, 2), 1.0 / 3.0) if start is None else start.copy()
     hops, back = np.zeros(n, dtype=np.intp), np.zeros(n, dtype=np.intp)
     came = np.full(n, -1)
     held = np.full(n, -1)  # edge (by its opposite corner) on which a row is held

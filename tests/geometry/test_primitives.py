@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from meshskin.geometry.primitives import Capsule, Ellipsoid, Sphere, Torus
+from meshskin.geometry.primitives import Capsule, Cylinder, Ellipsoid, Sphere, Torus
 
 IMPLICIT = [
     (Sphere(0.1), lambda x: ca.sumsqr(x) / 0.01 - 1),
@@ -61,13 +61,26 @@ def test_capsule():
     np.testing.assert_allclose(hit.point[1], [0.0, 0.0, 0.15], atol=1e-15)
 
 
+def test_cylinder():
+    exact = Cylinder(0.05, 0.2)
+    points = [[0.07, 0, 0.03], [0, 0.01, 0.12], [0.08, 0, 0.14], [0.04, 0, 0], [0, 0, -0.095]]
+    hit = exact.closest(points)
+    np.testing.assert_allclose(hit.distance, [0.02, 0.02, 0.05, -0.01, -0.005], atol=1e-15)
+    np.testing.assert_allclose(hit.point[2], [0.05, 0.0, 0.1], atol=1e-15)
+    np.testing.assert_allclose(hit.normal[2], [0.6, 0.0, 0.8], atol=1e-15)
+    np.testing.assert_allclose(hit.point[4], [0.0, 0.0, -0.1], atol=1e-15)
+    np.testing.assert_allclose(hit.curvature, [[20, 0], [0, 0], [20, 0], [20, 0], [0, 0]])
+
+
 def test_torus_is_hollow_inside_the_ring():
     hit = Torus(0.1, 0.04).closest([[0.05, 0.0, 0.0]])
     np.testing.assert_allclose(hit.curvature, [[25.0, -1.0 / 0.06]], atol=1e-9)
     np.testing.assert_allclose(hit.distance, 0.01, atol=1e-15)
 
 
-@pytest.mark.parametrize("exact", [Sphere(0.1), Capsule(0.05, 0.2), Torus(0.1, 0.04)])
+@pytest.mark.parametrize(
+    "exact", [Sphere(0.1), Capsule(0.05, 0.2), Cylinder(0.05, 0.2), Torus(0.1, 0.04)]
+)
 def test_symmetric_points_have_finite_answers(exact):
     hit = exact.closest(np.zeros((1, 3)))
     assert np.isfinite(hit.point).all()
