@@ -13,9 +13,9 @@ from types import FrameType
 from typing import TextIO
 
 from ..errors import MeshskinError
-from . import diff, lint, run, scenes, study
+from . import check, diff, lint, run, scenes, study
 
-COMMANDS = (run, scenes, study, lint, diff)
+COMMANDS = (run, scenes, study, check, lint, diff)
 INTERRUPTED = 130
 
 

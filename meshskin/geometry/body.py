@@ -14,6 +14,7 @@ from ..errors import MeshError
 from . import primitives, tessellate
 from .closest import Closest
 from .files import mesh as mesh_file
+from .overlap import ray_scene
 from .surface import Surface
 
 Array = NDArray[np.float64]
@@ -108,15 +109,10 @@ class Body:
     @cached_property
     def _ray_scene(self) -> tuple[Array, float, Any]:
         """Centre and scale that bring the mesh near one, and embree's scene of it."""
-        from embreex import rtcore_scene
-        from embreex.mesh_construction import TriangleMesh
-
         vertices = self.surface.vertices
         centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
-        scaled = ((vertices - centre) / self.surface.scale).astype(np.float32)
-        scene = rtcore_scene.EmbreeScene()
-        TriangleMesh(scene, scaled[self.surface.faces])
-        return centre, self.surface.scale, scene
+        scaled = (vertices - centre) / self.surface.scale
+        return centre, self.surface.scale, ray_scene(scaled, self.surface.faces)
 
     @classmethod
     def load(cls, path: str | Path, units: str | None = None, open: bool = False) -> Body:
@@ -200,7 +196,8 @@ def check_extent(vertices: Array) -> None:
     names = {"mm": "millimetres", "cm": "centimetres", "in": "inches"}
     likely = [u for u in names if SMALLEST <= extent * mesh_file.UNITS[u] <= LARGEST]
     if extent > LARGEST and likely:
-        remedy = f"likely {names[likely[0]]}: units='{likely[0]}'"
+        unit = likely[0]
+        remedy = f"likely {names[unit]}: units='{unit}', in a scene radius_{unit} and the like"
     elif extent < SMALLEST:
         remedy = "likely scaled to m already, or given in m twice: units='m'"
     else:

@@ -125,7 +125,7 @@ def test_flipped_faces_are_turned_and_listed(ball, tmp_path):
 
 def test_a_hole_is_refused_unless_open(ball, tmp_path):
     write_off(tmp_path / "hole.off", ball.vertices, ball.faces[1:])
-    with pytest.raises(MeshError, match="not watertight, got 3 border edges"):
+    with pytest.raises(MeshError, match="not watertight: 3 border edges, 1 hole"):
         Body.load(tmp_path / "hole.off", units="mm")
     body = Body.load(tmp_path / "hole.off", units="mm", open=True)
     assert len(body.mesh.faces) == len(ball.faces) - 1

@@ -1,0 +1,131 @@
+"""`meshskin check MESH`: whether a mesh can be a body, what is wrong with it, and where."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import MeshError, OutputError
+
+if TYPE_CHECKING:
+    from ..geometry.check import Survey
+
+COLOURS = {"refused": "#c62828", "noted": "#ef6c00", "repaired": "#1565c0"}
+PICTURES = (".png", ".pdf", ".svg")
+DRAWN = 20_000
+"""faces, and places of a finding, that a drawing shows at most"""
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser's commands."""
+    parser = commands.add_parser(
+        "check",
+        help="find what is wrong with a mesh, and where",
+        description="Find what is wrong with a mesh. Exit code 0: it can be a body; 1: it cannot; "
+        "2: it cannot be read.",
+    )
+    parser.add_argument("mesh", type=Path, metavar="MESH", help="an STL, OBJ, PLY, OFF or GLB file")
+    parser.add_argument("--units", help="m, cm, mm or in; required but for GLB")
+    parser.add_argument("--open", action="store_true", help="the mesh is meant to be open")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="draw where: a .png, .pdf, .svg or .html file"
+    )
+    parser.set_defaults(command=command)
+
+
+def command(options: argparse.Namespace) -> int:
+    """Print the findings, and draw them if asked."""
+    from ..geometry.body import check_extent
+    from ..geometry.check import survey
+    from ..geometry.files import mesh
+
+    kind = None if options.out is None else options.out.suffix.lower()
+    if kind not in (None, ".html", *PICTURES):
+        raise OutputError("kind of drawing", value=kind, limit=f".html, {', '.join(PICTURES)}")
+    scale = mesh.unit(options.mesh, options.units)
+    found = survey(*mesh.read(options.mesh, scale), options.open)
+    finite = found.vertices[np.isfinite(found.vertices).all(axis=1)]
+    size = 1e3 * np.ptp(finite, axis=0) if len(finite) else np.zeros(3)
+    print(f"{options.mesh.name}: {len(found.vertices)} vertices, {len(found.faces)} faces, "
+          f"{size[0]:.4g} x {size[1]:.4g} x {size[2]:.4g} mm")  # fmt: skip
+    for finding in found.findings:
+        print(f"  {finding.verdict:9} {finding.what}")
+        if place := finding.where():
+            print(f"  {'':9}   {place}")
+        if finding.remedy and finding.verdict == "refused":
+            print(f"  {'':9}   remedy: {finding.remedy}")
+    usable = not found.refused
+    try:
+        check_extent(finite if len(finite) else np.zeros((1, 3)))
+    except MeshError as error:
+        usable = False
+        print(f"  {'refused':9} {error}")
+    print("can be a body" if usable else "cannot be a body")
+    if kind == ".html":
+        page(found, options.mesh.name, options.out)
+    elif kind:
+        picture(found, options.mesh.name, options.out)
+    return 0 if usable else 1
+
+
+def few(rows: Any) -> Any:
+    """At most DRAWN of the rows, evenly."""
+    return rows[:: max(1, -(-len(rows) // DRAWN))]
+
+
+def drawable(found: Survey) -> Any:
+    """Faces (k, 3), few enough to draw and with finite vertices."""
+    finite = np.asarray(np.isfinite(found.vertices).all(axis=1))
+    named = (found.faces >= 0) & (found.faces < len(finite))
+    faces = found.faces[named.all(axis=1)]
+    return few(faces[finite[faces].all(axis=1)])
+
+
+def picture(found: Survey, title: str, path: Path) -> None:
+    """Draw the mesh and the places of the findings with matplotlib."""
+    from matplotlib.figure import Figure
+
+    from ..atomic import atomic
+
+    figure = Figure(figsize=(9, 7), layout="constrained")
+    axes: Any = figure.add_subplot(projection="3d")
+    mm, faces = 1e3 * found.vertices, drawable(found)
+    if len(faces):
+        axes.plot_trisurf(*mm.T, triangles=faces, color="#b0bec5", alpha=0.35, linewidth=0)
+    for finding in found.findings:
+        at = few(1e3 * finding.points)
+        if len(at):
+            axes.scatter(*at.T, s=14, color=COLOURS[finding.verdict], depthshade=False,
+                         label=f"{finding.verdict}: {finding.what}")  # fmt: skip
+    axes.set(xlabel="x (mm)", ylabel="y (mm)", zlabel="z (mm)", title=title)
+    axes.set_aspect("equal")
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="upper left", fontsize=8)
+    with atomic(path) as temporary:
+        figure.savefig(temporary, format=path.suffix.lower()[1:], dpi=150)
+
+
+def page(found: Survey, title: str, path: Path) -> None:
+    """Draw the same as a page to turn, with plotly."""
+    import plotly.graph_objects as go
+
+    from ..atomic import atomic
+
+    faces, mm = drawable(found), 1e3 * found.vertices
+    grey = {"color": "#b0bec5", "opacity": 0.5, "name": "mesh", "hoverinfo": "skip"}
+    x, y, z = mm.T
+    i, j, k = faces.T
+    traces: list[Any] = [go.Mesh3d(x=x, y=y, z=z, i=i, j=j, k=k, **grey)]
+    for finding in found.findings:
+        x, y, z = few(1e3 * finding.points).T
+        marker = {"size": 4, "color": COLOURS[finding.verdict]}
+        name = f"{finding.verdict}: {finding.what}"
+        traces.append(go.Scatter3d(x=x, y=y, z=z, mode="markers", marker=marker, name=name))
+    figure = go.Figure(traces)
+    axes = {f"{a}axis_title": f"{a} (mm)" for a in "xyz"}
+    figure.update_layout(title=title, scene={"aspectmode": "data", **axes}, showlegend=True)
+    with atomic(path) as temporary:
+        temporary.write_text(figure.to_html(include_plotlyjs=True), encoding="utf-8")

@@ -1,0 +1,228 @@
+"""What is wrong with a mesh, where, what was mended, and what would mend the rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import MeshError
+from . import mend, overlap
+from .walk import AFTER, BEFORE, neighbours
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+SHOWN = 5
+"""faces named in a message"""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing found in a mesh."""
+
+    what: str
+    """in words, with the count"""
+    points: Array
+    """(k, 3) m, where"""
+    faces: Index
+    """(k,) faces at fault, by their numbers in the file; empty where vertices are"""
+    verdict: str
+    """"repaired", "refused" or "noted\""""
+    remedy: str = ""
+    """what would mend it, where it is refused"""
+
+    def error(self) -> MeshError:
+        """The error that a refused finding is raised as."""
+        place = self.where()
+        return MeshError(f"{self.what} ({place})" if place else self.what, remedy=self.remedy)
+
+    def where(self) -> str:
+        """The first place and faces, in words."""
+        words = []
+        if len(self.points):
+            near = np.array2string(self.points[0], precision=4, separator=", ")
+            words.append(f"the first near {near} m")
+        if len(self.faces):
+            ids = ", ".join(str(i) for i in self.faces[:SHOWN])
+            more = ", ..." if len(self.faces) > SHOWN else ""
+            words.append(f"faces {ids}{more}")
+        return "; ".join(words)
+
+
+@dataclass(frozen=True)
+class Survey:
+    """A mesh after its repairs, and everything found in it."""
+
+    vertices: Array
+    """(n, 3) m"""
+    faces: Index
+    """(m, 3)"""
+    findings: tuple[Finding, ...]
+    """in the order of finding; a refused one may hide others that depend on it"""
+
+    @property
+    def repairs(self) -> tuple[str, ...]:
+        """What was put right, in words."""
+        return tuple(f.what for f in self.findings if f.verdict == "repaired")
+
+    @property
+    def refused(self) -> tuple[Finding, ...]:
+        """What keeps the mesh from being a body."""
+        return tuple(f for f in self.findings if f.verdict == "refused")
+
+
+def survey(vertices: Array, faces: Index, open: bool = False) -> Survey:
+    """Look at a mesh (vertices (n, 3) m, faces (m, 3)), and mend what is safe to mend.
+
+    With `open`, borders, edges of several faces, faces wound against each other and overlaps are
+    noted, not refused.
+    """
+    draft = mend.Draft(vertices, faces, np.arange(len(faces)))
+    findings = _unusable(draft)
+    if findings:
+        return Survey(vertices, faces, tuple(findings))
+    mend.drop_unreferenced(draft)
+    if not np.max(np.ptp(draft.vertices, axis=0)) > 0.0:
+        flat = _finding(draft, "the mesh is a point", np.arange(len(faces)), "check its export")
+        return Survey(vertices, faces, (flat,))
+    mend.merge(draft)
+    mend.drop_points(draft)
+    mend.drop_doubles(draft)
+    if not len(draft.faces):
+        empty = Finding("no face has an area", vertices[:1], np.zeros(0, dtype=np.intp), "refused",
+                        "check its export")  # fmt: skip
+        return Survey(vertices, faces, (empty,))
+    mend.wind(draft)
+    across, _ = neighbours(draft.faces)
+    part = components(across)
+    if not open:
+        mend.turn_outward(draft, part)
+        across, _ = neighbours(draft.faces)
+    none = np.zeros(0, dtype=np.intp)
+    findings = [Finding(words, points, none, "repaired") for words, points in draft.marks]
+    findings += _edges(draft, across, open)
+    findings += _slivers(draft)
+    if part.max() > 0:
+        first = np.unique(part, return_index=True)[1]
+        words = f"{part.max() + 1} separate parts"
+        findings.append(Finding(words, draft.middles(first), draft.number[first], "noted"))
+    findings += _overlaps(draft, open)
+    return Survey(draft.vertices, np.ascontiguousarray(draft.faces), tuple(findings))
+
+
+def _finding(
+    draft: mend.Draft, what: str, rows: Index, remedy: str, refused: bool = True
+) -> Finding:
+    return Finding(
+        what, draft.middles(rows), draft.number[rows], "refused" if refused else "noted", remedy
+    )
+
+
+def _unusable(draft: mend.Draft) -> list[Finding]:
+    """What makes every further look meaningless."""
+    none, nowhere = np.zeros(0, dtype=np.intp), np.zeros((0, 3))
+    if not len(draft.faces):
+        return [Finding("the mesh has no faces", nowhere, none, "refused",
+                        "check the file in a mesh viewer")]  # fmt: skip
+    if draft.faces.min() < 0 or draft.faces.max() >= len(draft.vertices):
+        rows = np.flatnonzero(
+            ((draft.faces < 0) | (draft.faces >= len(draft.vertices))).any(axis=1)
+        )
+        return [Finding(f"{len(rows)} faces name vertices that are not there", nowhere, rows,
+                        "refused", "export the mesh anew")]  # fmt: skip
+    bad = np.asarray(~np.isfinite(draft.vertices).all(axis=1))
+    rows = np.flatnonzero(bad[draft.faces].any(axis=1))
+    if not len(rows):
+        return []
+    corners = draft.vertices[draft.faces[rows]].reshape(-1, 3)
+    beside = corners[np.isfinite(corners).all(axis=1)]
+    count = len(np.unique(draft.faces[rows][bad[draft.faces[rows]]]))
+    return [Finding(f"{count} vertices are not finite", beside, rows, "refused",
+                    "delete them and fill the holes in a mesh editor")]  # fmt: skip
+
+
+def components(across: Index) -> Index:
+    """The connected part (m,) of each face, by the faces `across` its edges."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    m = len(across)
+    face, k = np.nonzero(across >= 0)
+    ones = np.ones(len(face), dtype=np.int8)
+    graph = coo_array((ones, (face, across[face, k])), shape=(m, m))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.intp)
+
+
+def _edges(draft: mend.Draft, across: Index, open: bool) -> list[Finding]:
+    """Borders, edges of several faces, and edges whose two faces are wound against each other."""
+    face, k = np.nonzero(across < 0)
+    if not len(face):
+        return []
+    tail, head = draft.faces[face, AFTER[k]], draft.faces[face, BEFORE[k]]
+    key = np.minimum(tail, head) * len(draft.vertices) + np.maximum(tail, head)
+    _, place, count = np.unique(key, return_inverse=True, return_counts=True)
+    share = count[place]
+    found = []
+    border = share == 1
+    if border.any():
+        loops, largest = _loops(tail[border], head[border], draft.vertices)
+        found.append(
+            _finding(
+                draft,
+                f"the mesh is not watertight: {int(border.sum())} border edges, "
+                f"{loops} hole{'s' if loops > 1 else ''}, the longest {largest * 1e3:.3g} mm round",
+                face[border],
+                "fill the holes in a mesh editor, or open=True if it is meant to be open",
+                not open,
+            )
+        )
+    for rows, words, remedy in (
+        (share > 2, "edges of more than two faces", "delete inner faces in a mesh editor"),
+        (share == 2, "edges whose faces are wound against each other", "split a one-sided band"),
+    ):
+        if rows.any():
+            edges = len(np.unique(place[rows]))
+            found.append(_finding(draft, f"{edges} {words}", face[rows], remedy, not open))
+    return found
+
+
+def _loops(tail: Index, head: Index, vertices: Array) -> tuple[int, float]:
+    """Number of loops of border edges, and the longest's length in m."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    n = len(vertices)
+    graph = coo_array((np.ones(len(tail), dtype=np.int8), (tail, head)), shape=(n, n))
+    label = connected_components(graph, directed=False)[1][tail]
+    length = np.bincount(label, np.linalg.norm(vertices[head] - vertices[tail], axis=1))
+    return len(np.unique(label)), float(length.max())
+
+
+def _slivers(draft: mend.Draft) -> list[Finding]:
+    """Faces of three vertices in a line: they close the mesh, so they stay."""
+    a, b, c = (draft.vertices[draft.faces[:, k]] for k in range(3))
+    area2 = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    longest = np.max([np.sum((p - q) ** 2, axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
+    thin = np.flatnonzero(area2 <= 1e-9 * longest)
+    if not len(thin):
+        return []
+    words = f"{len(thin)} faces without area kept: they close the mesh"
+    return [_finding(draft, words, thin, "", refused=False)]
+
+
+def _overlaps(draft: mend.Draft, open: bool) -> list[Finding]:
+    one, two, where = overlap.piercings(draft.vertices, draft.faces)
+    if not len(one):
+        return []
+    faces = draft.number[np.stack([one, two], axis=1).ravel()]
+    return [
+        Finding(
+            f"the mesh passes through itself at {len(one)} places",
+            where,
+            faces,
+            "noted" if open else "refused",
+            "unite the parts in a mesh editor (boolean union), or open=True",
+        )
+    ]
