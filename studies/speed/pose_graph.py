@@ -23,6 +23,9 @@ import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# both are off unless asked for; set either to "" to measure without it
+os.environ.setdefault("MESHSKIN_BLAS", "scipy")
+os.environ.setdefault("MESHSKIN_MALLOC", "keep")
 
 import argparse
 import json

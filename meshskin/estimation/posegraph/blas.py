@@ -4,8 +4,9 @@ On Linux CasADi's wheel brings an OpenBLAS built for processors of 2006, without
 SciPy brings is made for all, and factorises up to twice as fast. A library found under the name of
 CasADi's is loaded first, so that the dynamic linker gives it to MUMPS: it passes every call on to
 the functions that SciPy offers to other compiled code (scipy.linalg.cython_blas, cython_lapack).
-Nothing else in the process sees it. `MESHSKIN_BLAS=casadi` leaves CasADi's own in place, and so
-does whatever is not as expected: no compiler, another platform, IPOPT loaded before.
+Nothing else in the process sees it. It is done only where `MESHSKIN_BLAS=scipy` asks for it, since
+it leans on how both wheels are built; and CasADi's own stays in place where something is not as
+expected: no compiler, another platform, IPOPT loaded before.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ SIGNATURE = re.compile(r"(\w+) \(([^()]*)\)")
 def use_scipys_blas() -> bool:
     """Whether IPOPT's linear solver now uses SciPy's BLAS; to be called before IPOPT is loaded."""
     folder = Path(ca.__file__).parent
-    if os.environ.get("MESHSKIN_BLAS") == "casadi" or not sys.platform.startswith("linux"):
+    if os.environ.get("MESHSKIN_BLAS") != "scipy" or not sys.platform.startswith("linux"):
         return False
     if not all((folder / name).exists() for name in (THEIRS, *CLIENTS)):
         return False

@@ -3,7 +3,8 @@
 MUMPS asks for its whole workspace anew at every factorisation. glibc gives blocks of that size back
 to the system as soon as they are freed, and the system clears every page again: up to a fifth of
 a solve. While IPOPT runs, such blocks are cut from the heap instead; the heap keeps what was freed,
-for the next solve. `MESHSKIN_MALLOC=system` leaves glibc as it is; elsewhere nothing is changed.
+for the next solve. This concerns the whole process, so it is done only where `MESHSKIN_MALLOC=keep`
+asks for it.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def kept() -> Iterator[None]:
 @functools.cache
 def _mallopt() -> Callable[[int, int], int] | None:
     """glibc's function, its thresholds set; None where there is none, or it is not to be used."""
-    if os.environ.get("MESHSKIN_MALLOC") == "system" or not sys.platform.startswith("linux"):
+    if os.environ.get("MESHSKIN_MALLOC") != "keep" or not sys.platform.startswith("linux"):
         return None
     mallopt: Callable[[int, int], int] | None = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is None or not (
