@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from ..geometry.check import Survey
 
 COLOURS = {"refused": "#c62828", "noted": "#ef6c00", "repaired": "#1565c0"}
+SIZES = {"refused": 5.0, "noted": 4.0, "repaired": 1.5}
+"""of the dots, in points"""
 PICTURES = (".png", ".pdf", ".svg")
 DRAWN = 20_000
 """faces, and places of a finding, that a drawing shows at most"""
@@ -98,7 +100,7 @@ def picture(found: Survey, title: str, path: Path) -> None:
     for finding in found.findings:
         at = few(1e3 * finding.points)
         if len(at):
-            axes.scatter(*at.T, s=14, color=COLOURS[finding.verdict], depthshade=False,
+            axes.scatter(*at.T, s=SIZES[finding.verdict] ** 2, color=COLOURS[finding.verdict], depthshade=False,
                          label=f"{finding.verdict}: {finding.what}")  # fmt: skip
     axes.set(xlabel="x (mm)", ylabel="y (mm)", zlabel="z (mm)", title=title)
     axes.set_aspect("equal")
@@ -121,7 +123,7 @@ def page(found: Survey, title: str, path: Path) -> None:
     traces: list[Any] = [go.Mesh3d(x=x, y=y, z=z, i=i, j=j, k=k, **grey)]
     for finding in found.findings:
         x, y, z = few(1e3 * finding.points).T
-        marker = {"size": 4, "color": COLOURS[finding.verdict]}
+        marker = {"size": SIZES[finding.verdict], "color": COLOURS[finding.verdict]}
         name = f"{finding.verdict}: {finding.what}"
         traces.append(go.Scatter3d(x=x, y=y, z=z, mode="markers", marker=marker, name=name))
     figure = go.Figure(traces)

@@ -7,7 +7,7 @@ sides end on one curve, where the two sides' surfaces meet.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import comb
 
 import numpy as np
@@ -24,12 +24,16 @@ Index = NDArray[np.intp]
 BULGE = 3e-3
 """lift of a patch from its face, over the shortest side, beyond what its tangents account for"""
 LEAN, SHARE = np.radians(1.0), 0.4
-"""angle of a jet's normal from its face's, beyond 3/4 of the turn to the next faces (on a circle it
-is a half), or of this share of the largest turn at the vertex: of twice the turn if faithful"""
+"""angle of a jet's normal from its face's, beyond the turn to the next faces (on a circle it
+is half of it), or 3/4 of this share of the largest turn at the vertex"""
+FINE = np.radians(6.0)
+"""the same for faithful jets: twice the largest turn at the vertex, but no more than this"""
 BOW = 0.2
 """largest distance of a crease's curve from its chord, relative to the chord; nor may it be farther
 than the tangent planes at its ends"""
-CHUNK = 8192
+FOLD, ROUNDS = 0.5, 6
+"""cosine of the angle to its face from which a patch folds; rounds of unfolding"""
+CHUNK = 1024
 """faces blended at once: bounds the memory"""
 NODES = np.array(patch.POWERS) / patch.DEGREE
 """(21, 2) u, v of the points that fix a quintic"""
@@ -39,6 +43,8 @@ BASIS = patch.monomials(NODES[:, 0], NODES[:, 1])
 """(21, 21) from coefficients to values at the nodes"""
 INVERSE = np.linalg.inv(BASIS)
 """(21, 21) from values at the nodes to coefficients"""
+SLOPE_U, SLOPE_V = patch.slopes(NODES[:, 0], NODES[:, 1])
+"""(21, 21) each, from coefficients to derivatives in u and v at the nodes"""
 INNER = np.arange(1, patch.DEGREE) / patch.DEGREE
 """(4,) weights of an edge's head at its inner nodes"""
 
@@ -66,24 +72,79 @@ def _edge_tables() -> tuple[Index, Array]:
 EDGE_NODES, SPREAD = _edge_tables()
 
 
-def blend(jets: Jets, fans: Fans, beyond: Index, slot: Index) -> Array:
-    """Patches (m, 21, 3) of the faces; `beyond`, `slot` (m, 3): faces over the edges and corners.
+@dataclass(frozen=True)
+class Creases:
+    """The curves of the creases, once for each of their two faces, in the order of the faces."""
+
+    face: Index
+    """(e,)"""
+    corner: Index
+    """(e,) the corner opposite the crease"""
+    curve: Array
+    """(e, 4, 3) inner points, m, from the edge's tail to its head in this face"""
+
+    def of(self, rows: Index) -> tuple[Index, Index, Array]:
+        """Those of the sorted faces `rows` (k,): places in `rows`, corners, points."""
+        low, high = np.searchsorted(self.face, rows), np.searchsorted(self.face, rows, side="right")
+        count = high - low
+        place = np.repeat(np.arange(len(rows)), count)
+        pick = np.repeat(low - np.cumsum(count) + count, count) + np.arange(count.sum())
+        return place, self.corner[pick], self.curve[pick]
+
+
+def settle(jets: Jets, fans: Fans, beyond: Index, slot: Index) -> tuple[Jets, Creases]:
+    """Jets and curves of creases without bulges and folds; `beyond`, `slot`: as of walk.neighbours.
+
+    Where a patch would fold, its creases become straight; where it still does, its jets flat.
+    """
+    jets = flatten_bulges(jets, fans)
+    straight = np.zeros(fans.corner.shape, dtype=bool)
+    creases = crease_curves(jets, fans, beyond, slot, straight)
+    doubtful = np.any(jets.miss[fans.corner] >= FAITHFUL, axis=1)
+    doubtful[creases.face] = True
+    suspect = np.flatnonzero(doubtful)
+    for trial in range(ROUNDS):
+        folded = [
+            rows[folds(jets, fans.corner[rows], creases.of(rows))]
+            for rows in np.split(suspect, range(CHUNK, len(suspect), CHUNK))
+        ]
+        bad = np.concatenate(folded)
+        if not len(bad):
+            break
+        here = np.zeros_like(straight)
+        here[bad] = fans.sharp[bad]
+        face, k = np.nonzero(here & ~straight)
+        straight[face, k] = straight[beyond[face, k], slot[face, k]] = True
+        if trial or not len(face):
+            degree = jets.degree.copy()
+            degree[fans.corner[bad]] = 0
+            jets = replace(jets, degree=degree)
+        creases = crease_curves(jets, fans, beyond, slot, straight)
+    return jets, creases
+
+
+def folds(jets: Jets, corner: Index, curved: tuple[Index, Index, Array]) -> NDArray[np.bool_]:
+    """Whether the patches of faces with the fans `corner` (m, 3) turn from their faces anywhere."""
+    values, _ = node_values(jets, corner, curved)
+    coefficients = INVERSE @ values
+    normal = np.cross(SLOPE_U @ coefficients, SLOPE_V @ coefficients)
+    size = np.linalg.norm(normal, axis=2)
+    flat = face_normals(jets.origin, corner)
+    along = np.einsum("mnc,mc->mn", normal, flat)
+    return np.asarray(np.any(along < FOLD * size, axis=1) & flat.any(axis=1))
+
+
+def blend(jets: Jets, fans: Fans, creases: Creases) -> Array:
+    """Patches (m, 21, 3) of the faces.
 
     Two faces share the jets of a smooth edge and the curve of a crease: their patches meet exactly.
     """
     m = len(fans.corner)
-    edges, curves = crease_curves(jets, fans, beyond, slot)
-    of_face, corner = np.divmod(edges, 3)
-    order = np.argsort(of_face, kind="stable")
-    of_face, corner, curves = of_face[order], corner[order], curves[order]
     out = np.empty((m, len(NODES), 3))
     for start in range(0, m, CHUNK):
-        rows = slice(start, start + CHUNK)
-        cut = slice(*np.searchsorted(of_face, [start, start + CHUNK]))
-        values, _ = node_values(
-            jets, fans.corner[rows], (of_face[cut] - start, corner[cut], curves[cut])
-        )
-        out[rows] = INVERSE @ values
+        rows = np.arange(start, min(start + CHUNK, m))
+        values, _ = node_values(jets, fans.corner[rows], creases.of(rows))
+        out[start : start + CHUNK] = INVERSE @ values
     return out
 
 
@@ -101,13 +162,13 @@ def node_values(
         nodes = EDGE_NODES[k]
         move = curve - base[face[:, None], nodes]
         np.add.at(base, face, SPREAD[k] @ move)
-    values = base.copy()
+    values, most = base.copy(), int(jets.degree[corner].max(initial=0))
     for j in range(3):
         fan = corner[:, j]
         frame, scale = jets.frame[fan], jets.scale[fan]
         local = (base - places[:, [j]]) @ np.swapaxes(frame, 1, 2)
         x, y = local[..., 0] / scale[:, :1], local[..., 1] / scale[:, 1:]
-        lift = heights(jets.coefficients[fan], x, y) - local[..., 2]
+        lift = heights(jets.coefficients[fan], x, y, most) - local[..., 2]
         lift *= WEIGHTS[:, j] * (jets.degree[fan] > 0)[:, None]
         values += lift[..., None] * frame[:, None, 2]
     if curved is not None and len(curved[0]):
@@ -115,11 +176,12 @@ def node_values(
     return values, base
 
 
-def crease_curves(jets: Jets, fans: Fans, beyond: Index, slot: Index) -> tuple[Index, Array]:
-    """Creases as 3 face + corner (e,), and their inner points (e, 4, 3), m, from tail to head.
+def crease_curves(
+    jets: Jets, fans: Fans, beyond: Index, slot: Index, chords: NDArray[np.bool_]
+) -> Creases:
+    """The curves of the creases, from where the surfaces of both sides meet.
 
-    The points lie where the surfaces of both sides meet; where those do not meet near the chord,
-    and at edges of several faces, on the chord.
+    Where those do not meet near the chord, and where `chords` (m, 3) says so, it is the chord.
     """
     edge = np.flatnonzero(fans.sharp.ravel())
     face, k = np.divmod(edge, 3)
@@ -153,9 +215,11 @@ def crease_curves(jets: Jets, fans: Fans, beyond: Index, slot: Index) -> tuple[I
     bow = np.linalg.norm(curve - chord, axis=2).max(axis=1)
     left = np.abs(_towards(jets, sides, curve, along)).max(axis=(1, 2))
     straight = ~((bow < most[:, 0, 0]) & (left < 1e-3 * length))
+    straight |= chords[a, ka]
     curve[straight] = chord[straight]
-    both = np.concatenate([3 * a + ka, 3 * b + kb])
-    return both, np.concatenate([curve, curve[:, ::-1]])
+    face, corner = np.concatenate([a, b]), np.concatenate([ka, kb])
+    order = np.argsort(face, kind="stable")
+    return Creases(face[order], corner[order], np.concatenate([curve, curve[:, ::-1]])[order])
 
 
 def tangents(jets: Jets) -> Array:
@@ -214,16 +278,18 @@ def flatten_bulges(jets: Jets, fans: Fans) -> Jets:
     for k in range(3):
         np.maximum.at(turn, fans.corner[:, k], fans.turn)
     normals = tangents(jets)
-    for start in range(0, len(fans.corner), CHUNK):
-        corner = fans.corner[start : start + CHUNK]
+    suspect = np.flatnonzero(np.any(jets.miss[fans.corner] >= FAITHFUL, axis=1))
+    for start in range(0, len(suspect), CHUNK):
+        rows = suspect[start : start + CHUNK]
+        corner = fans.corner[rows]
         places = jets.origin[corner]
         side = np.linalg.norm(places - places[:, [1, 2, 0]], axis=2).min(axis=1)
         values, base = node_values(jets, corner)
         flat = face_normals(jets.origin, corner)
         lean = np.arccos(np.clip(np.einsum("mkc,mc->mk", normals[corner], flat), -1.0, 1.0))
-        own = fans.turn[start : start + CHUNK, None]
-        share = np.where(jets.miss[corner] < FAITHFUL, 2.0, SHARE)
-        leaning = lean > 0.75 * np.maximum(own, share * turn[corner]) + LEAN
+        near = np.where(jets.miss[corner] < FAITHFUL, np.minimum(2.0 * turn, FINE)[corner], 0.0)
+        near = np.maximum(near, SHARE * turn[corner])
+        leaning = lean > np.maximum(fans.turn[rows, None], 0.75 * near) + LEAN
         degree[corner[leaning]] = 0
         lift = np.linalg.norm(values - base, axis=2)
         offset = base[:, None] - places[:, :, None]

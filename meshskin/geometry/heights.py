@@ -104,13 +104,16 @@ def powers(x: Array, y: Array, degree: int) -> Array:
     return out
 
 
-def heights(coefficients: Array, x: Array, y: Array) -> Array:
-    """Heights h(x, y), m, of jets (m, 14) at x, y (m, k), which are relative to their scales."""
+def heights(coefficients: Array, x: Array, y: Array, degree: int = DEGREE) -> Array:
+    """Heights h(x, y), m, of jets (m, 14) at x, y (m, k), which are relative to their scales.
+
+    No coefficient beyond `degree` may count.
+    """
     c = {power: coefficients[:, k, None] for k, power in enumerate(POWERS)}
     total = np.zeros_like(x)
-    for i in range(DEGREE, -1, -1):  # Horner in x, whose coefficients are Horner in y
+    for i in range(degree, -1, -1):  # Horner in x, whose coefficients are Horner in y
         row = np.zeros_like(x)
-        for j in range(DEGREE - i, -1, -1):
+        for j in range(degree - i, -1, -1):
             row *= y
             if i or j:
                 row += c[i, j]

@@ -47,6 +47,8 @@ EXACT = 1e-14
 """square of a residual over that of the heights from which rounding explains it"""
 WIDEST = 4
 """edges within which noisy vertices are averaged, at most"""
+MANY = 250_000
+"""fans beyond which quadrics are fitted: exact enough on faces so small, and four times as fast"""
 CHUNK = 2048
 """vertices fitted at once: bounds the memory"""
 
@@ -142,6 +144,8 @@ def fit(vertices: Array, fans: Fans, degree: int = DEGREE, order: int = 2) -> Je
     lower one is fitted, on the 1-ring at last; a fan that nothing fits keeps its flat faces.
     """
     points, count = vertices[fans.vertex], len(fans.vertex)
+    if count > MANY:
+        degree = 2
     step = steps(fans.corner, count)
     frame = _frames(points, fans)
     jets = Jets(
@@ -153,7 +157,8 @@ def fit(vertices: Array, fans: Fans, degree: int = DEGREE, order: int = 2) -> Je
     for _ in range(order - 1):
         reach = reach @ step
     _fit_rings(work, np.arange(count), reach, degree)
-    _smooth_noise(work, step, reach, fans.split)
+    if degree == DEGREE:
+        _smooth_noise(work, step, reach, fans.split)
     small = np.diff(reach.indptr) <= TERMS[degree] + SPARE
     poor = np.flatnonzero((jets.degree == 0) & small)
     if len(poor):  # beside a crease rings are small: one more, if the surface is smooth that far
@@ -223,17 +228,20 @@ def _smooth_noise(work: _Fit, step: Any, reach: Any, split: NDArray[np.bool_]) -
     noisy &= total[:, 2] > step @ np.where(full, work.floor, 0.0)
     if noisy.sum() <= 0.5 * len(full):
         return
-    quadric = noisy & (variance[:, 0] <= chance)
+    chance = np.maximum(chance, CHANCE * np.median(variance[noisy, 2]))
+    known = freedom[:, 2] >= 6
+    noisy, quadric = (known & (variance[:, k] <= chance) for k in (1, 0))
     cubic = np.flatnonzero(noisy & ~quadric)
     _fit_rings(work, cubic, reach[cubic], 3)
     rows = np.flatnonzero(quadric)
-    limit = CHANCE * variance[rows, 0]
+    limit = chance[rows]
     _fit_rings(work, rows, reach[rows], 2)
     ring = reach[rows]
     for _ in range(WIDEST - 2):
         ring = ring @ step
         accepted = _average(work.jets, rows, ring, limit, ~split[rows])
         rows, limit, ring = rows[accepted], limit[accepted], ring[accepted]
+    work.jets.miss[known & (work.jets.degree > 0)] = 0.0  # what they miss is noise
 
 
 def _average(
@@ -266,7 +274,6 @@ def _average(
         jets.coefficients[done, :5] = values[good, :5]
         jets.coefficients[done, 5:] = 0.0
         jets.degree[done] = 2
-        jets.miss[done] = 0.0  # what is left is noise
         shift = np.where(moving[group][good], values[good, 5], 0.0)
         jets.origin[done] += shift[:, None] * jets.frame[done, 2]
     return accepted

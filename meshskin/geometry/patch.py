@@ -57,6 +57,12 @@ def monomials(u: ArrayLike, v: ArrayLike) -> Array:
     return out
 
 
+def slopes(u: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+    """Derivatives in u and in v (..., 21) of the monomials at u, v (...)."""
+    basis = monomials(u, v)
+    return basis[..., _SOURCE[1]] * _FACTOR[1], basis[..., _SOURCE[2]] * _FACTOR[2]
+
+
 def evaluate(coefficients: Array, u: ArrayLike, v: ArrayLike) -> tuple[Array, ...]:
     """S, Su, Sv, Suu, Suv, Svv, each (..., 3), of patches (..., 21, 3) at u, v (...)."""
     basis = np.take(monomials(u, v), _SOURCE, axis=-1) * _FACTOR  # (..., 6, 21)

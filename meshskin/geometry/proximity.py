@@ -53,6 +53,18 @@ class Proximity:
         return faces, np.sqrt(gap2), uv
 
 
+def thin_walled(vertices: Array, faces: Index) -> bool:
+    """Whether faces that look away from each other are within about three faces' sizes."""
+    from scipy.spatial import KDTree
+
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    normal, middle = np.cross(b - a, c - a), (a + b + c) / 3.0
+    some = slice(None, None, max(1, len(faces) // 20_000))
+    near = KDTree(middle - middle[0]).query((middle - middle[0])[some], k=min(24, len(faces)))[1]
+    facing = np.einsum("nc,nkc->nk", normal[some], normal[near.reshape(len(near), -1)])
+    return bool(np.any(facing < 0.0))
+
+
 def sample_faces(vertices: Array, faces: Index, least: int = 0) -> tuple[Array, Index]:
     """Points (k, 3) on the faces, and their faces (k,), dense enough for a nearest-face guess.
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import MeshError
 from . import blend, fans, jets, patch, walk
 from .closest import Closest
-from .proximity import Proximity
+from .proximity import Proximity, thin_walled
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -52,19 +52,27 @@ class Surface:
         return fans.split(self.vertices, self.faces, (self.neighbours, self._slot), self._seams)
 
     @cached_property
+    def _shape(self) -> tuple[jets.Jets, blend.Creases]:
+        fitted = jets.fit(self.vertices, self.fans)
+        return blend.settle(fitted, self.fans, self.neighbours, self._slot)
+
+    @property
     def jets(self) -> jets.Jets:
         """Height fields at the fans."""
-        return blend.flatten_bulges(jets.fit(self.vertices, self.fans), self.fans)
+        return self._shape[0]
 
     @cached_property
     def patches(self) -> Array:
         """Patch coefficients (m, 21, 3), m, in the order of patch.POWERS."""
-        return blend.blend(self.jets, self.fans, self.neighbours, self._slot)
+        fitted, creases = self._shape
+        return blend.blend(fitted, self.fans, creases)
 
     @cached_property
     def smooth(self) -> bool:
-        """Whether there is no crease, border, or vertex that keeps its flat faces."""
-        return bool(np.all(self.jets.degree > 0)) and not self.fans.creased
+        """Whether there is no crease, border, thin wall, or vertex that keeps its flat faces."""
+        if self.fans.creased or np.any(self.jets.degree == 0):
+            return False
+        return not thin_walled(self.vertices, self.faces)
 
     @cached_property
     def scale(self) -> float:

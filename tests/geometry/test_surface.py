@@ -167,8 +167,8 @@ def test_noise_lowers_the_degree_and_widens_the_rings():
     assert np.mean(surface.jets.degree == 2) > 0.8
     points = near(surface, 4000, 1e-3)
     e = errors(surface.closest(points), primitives.Ellipsoid(radii).closest(points))
-    assert rms(e.distance) < 5e-6
-    assert rms(e.curvature) < 0.15
+    assert rms(e.distance) < 4e-6
+    assert rms(e.curvature) < 0.07
 
 
 @pytest.mark.parametrize("name", ["forearm", "wrist3", "base"])
