@@ -100,8 +100,13 @@ def picture(found: Survey, title: str, path: Path) -> None:
     for finding in found.findings:
         at = few(1e3 * finding.points)
         if len(at):
-            axes.scatter(*at.T, s=SIZES[finding.verdict] ** 2, color=COLOURS[finding.verdict], depthshade=False,
-                         label=f"{finding.verdict}: {finding.what}")  # fmt: skip
+            axes.scatter(
+                *at.T,
+                s=SIZES[finding.verdict] ** 2,
+                color=COLOURS[finding.verdict],
+                depthshade=False,
+                label=f"{finding.verdict}: {finding.what}",
+            )
     axes.set(xlabel="x (mm)", ylabel="y (mm)", zlabel="z (mm)", title=title)
     axes.set_aspect("equal")
     if axes.get_legend_handles_labels()[0]:

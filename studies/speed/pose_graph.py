@@ -164,7 +164,8 @@ def show(row: Row) -> None:
         f"{row.taxels:7d} {row.edges:7d} {row.solve:8.4f} {row.all:8.4f} {row.again:8.4f}"
         f" {row.optimise:8.4f} {row.gtsam_all:9.4f} {row.all / row.gtsam_all:8.2f}"
         f" {row.again / row.gtsam_all:8.2f} {row.marginals:9.3f} {row.proof:7.3f} {row.gap:7.0e}"
-        f" {row.solve_gb:8.2f} {row.peak_gb:7.2f} {row.iterations:2d}/{row.gtsam_iterations} {row.cost_off:8.0e}",
+        f" {row.solve_gb:8.2f} {row.peak_gb:7.2f} {row.iterations:2d}/{row.gtsam_iterations}"
+        f" {row.cost_off:8.0e}",
         flush=True,
     )
 
