@@ -54,7 +54,7 @@ def conjugate_gradients(
     right: Array,
     preconditioner: Operator,
     tolerance: float,
-    limit: int = 300,
+    limit: int = 100,
 ) -> tuple[Array, bool]:
     """x (n, k), and whether every column's error fell to `tolerance`.
 
