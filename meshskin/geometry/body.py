@@ -96,6 +96,7 @@ class Body:
             spread(way),
             spread(answer.normal),
             spread(answer.curvature),
+            spread(answer.direction),
             face,
             spread(answer.uv),
         )

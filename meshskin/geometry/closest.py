@@ -22,6 +22,8 @@ class Closest:
     """(n, 3) outward unit normals"""
     curvature: Array
     """(n, 2) principal curvatures in 1/m, positive where convex, larger first"""
+    direction: Array
+    """(n, 3) unit tangents along the first principal curvature; any tangent where both are equal"""
     face: NDArray[np.intp]
     """(n,) faces of the mesh; -1 where a ray missed (its other entries are NaN)"""
     uv: Array

@@ -9,7 +9,7 @@ length, gaps are filled and crowded sites removed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -311,24 +311,11 @@ def _tree(points: Array) -> Any:
 
 
 def _rows(at: Closest, rows: Any) -> Closest:
-    return Closest(
-        at.point[rows],
-        at.distance[rows],
-        at.normal[rows],
-        at.curvature[rows],
-        at.face[rows],
-        at.uv[rows],
-    )
+    return Closest(*(getattr(at, f.name)[rows] for f in fields(Closest)))
 
 
 def _join(a: Lattice, b: Lattice) -> Lattice:
     x, y = a.at, b.at
-    at = Closest(
-        np.concatenate([x.point, y.point]),
-        np.concatenate([x.distance, y.distance]),
-        np.concatenate([x.normal, y.normal]),
-        np.concatenate([x.curvature, y.curvature]),
-        np.concatenate([x.face, y.face]),
-        np.concatenate([x.uv, y.uv]),
-    )
+    both = ((getattr(x, f.name), getattr(y, f.name)) for f in fields(Closest))
+    at = Closest(*map(np.concatenate, both))
     return Lattice(at, np.concatenate([a.tangent, b.tangent]), np.concatenate([a.way, b.way]))

@@ -70,12 +70,14 @@ def evaluate(coefficients: Array, u: ArrayLike, v: ArrayLike) -> tuple[Array, ..
     return tuple(out[..., k, :] for k in range(len(ORDERS)))
 
 
-def shape(first: tuple[Array, Array], second: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """Outward normals (n, 3) and principal curvatures (n, 2) of the derivatives (n, 3).
+def shape(
+    first: tuple[Array, Array], second: tuple[Array, Array, Array]
+) -> tuple[Array, Array, Array]:
+    """Outward normals (n, 3), principal curvatures (n, 2) and the first's direction (n, 3).
 
-    `first` is (Su, Sv), `second` (Suu, Suv, Svv); curvature is positive where the surface bends
-    away from the normal (convex), larger first. Where Su and Sv are parallel (a face without area)
-    both are zero.
+    `first` is (Su, Sv), `second` (Suu, Suv, Svv), each (n, 3); curvature is positive where the
+    surface bends away from the normal (convex), larger first. Where Su and Sv are parallel (a face
+    without area) all are zero.
     """
     (su, sv), (suu, suv, svv) = first, second
     normal = np.cross(su, sv)
@@ -88,7 +90,13 @@ def shape(first: tuple[Array, Array], second: tuple[Array, Array, Array]) -> tup
     mean = (e * n - 2.0 * f * m + g * ll) / (2.0 * area2)
     gauss = (ll * n - m * m) / area2
     spread = np.sqrt(np.maximum(mean * mean - gauss, 0.0))
-    return normal, np.stack([mean + spread, mean - spread], axis=1)
+    # the shape operator about Su and n x Su: its first eigenvector is half an arctangent away
+    e[thin] = 1.0
+    turn = 2.0 * (m * e - f * ll) / (e * np.sqrt(area2))
+    angle = 0.5 * np.arctan2(turn, 2.0 * (ll / e - mean))
+    along = np.cos(angle)[:, None] * su + np.sin(angle)[:, None] * np.cross(normal, su)
+    along *= (~thin / np.sqrt(e))[:, None]
+    return normal, np.stack([mean + spread, mean - spread], axis=1), along
 
 
 def _casadi_derivatives(coefficients: Any, u: Any, v: Any) -> list[Any]:

@@ -16,6 +16,10 @@ from .closest import Closest
 Array = NDArray[np.float64]
 
 
+TINY = 1e-9
+"""length of a tangent, relative to one, below which it has no direction"""
+
+
 def _points(points: ArrayLike) -> Array:
     return np.asarray(points, dtype=float).reshape(-1, 3)
 
@@ -27,11 +31,37 @@ def _unit(vectors: Array, fallback: tuple[float, float, float]) -> tuple[Array, 
     return np.where(length[:, None] > 0, vectors / safe, fallback), length
 
 
-def _answer(foot: Array, distance: Array, normal: Array, k1: ArrayLike, k2: ArrayLike) -> Closest:
+def _answer(
+    foot: Array, distance: Array, normal: Array, k1: ArrayLike, k2: ArrayLike, first: Array
+) -> Closest:
+    """The answer of curvatures k1 >= k2 (n,); `first` (n, 3): tangents along k1, or zero."""
     n = len(foot)
-    k1, k2 = np.broadcast_to(k1, n), np.broadcast_to(k2, n)
-    curvature = np.stack([np.maximum(k1, k2), np.minimum(k1, k2)], axis=1)
-    return Closest(foot, distance, normal, curvature, np.full(n, -1), np.zeros((n, 2)))
+    curvature = np.stack([np.broadcast_to(k1, n), np.broadcast_to(k2, n)], axis=1)
+    nowhere = np.linalg.norm(first, axis=1, keepdims=True) < TINY
+    direction, _ = _unit(np.where(nowhere, _across(normal), first), (1.0, 0.0, 0.0))
+    return Closest(foot, distance, normal, curvature, direction, np.full(n, -1), np.zeros((n, 2)))
+
+
+def _across(normal: Array) -> Array:
+    """Vectors (n, 3) across the normals (n, 3)."""
+    return np.cross(np.eye(3)[np.argmin(np.abs(normal), axis=1)], normal)
+
+
+def _round(normal: Array) -> Array:
+    """Tangents (n, 3) around the z axis; zero on it."""
+    return np.stack([-normal[:, 1], normal[:, 0], np.zeros(len(normal))], axis=1)
+
+
+def _steepest(normal: Array, radii: Array) -> Array:
+    """Tangents (n, 3) along the first principal curvature of an ellipsoid.
+
+    Up to its length the shape operator is diag(1/r^2), restricted to the tangent plane.
+    """
+    t1, _ = _unit(_across(normal), (1.0, 0.0, 0.0))
+    t2 = np.cross(normal, t1)
+    a, b, c = (np.sum(s * t / radii**2, axis=1) for s, t in ((t1, t1), (t1, t2), (t2, t2)))
+    angle = 0.5 * np.arctan2(2.0 * b, a - c)[:, None]
+    return np.asarray(np.cos(angle) * t1 + np.sin(angle) * t2)
 
 
 @dataclass(frozen=True)
@@ -44,7 +74,7 @@ class Sphere:
         """Closest points of (n, 3) points, m; the centre goes to the pole +z."""
         normal, length = _unit(_points(points), (0.0, 0.0, 1.0))
         k = 1.0 / self.radius
-        return _answer(self.radius * normal, length - self.radius, normal, k, k)
+        return _answer(self.radius * normal, length - self.radius, normal, k, k, _across(normal))
 
 
 @dataclass(frozen=True)
@@ -63,7 +93,9 @@ class Capsule:
         normal, gap = _unit(p - axis, (1.0, 0.0, 0.0))
         k = 1.0 / self.radius
         second = np.where(np.abs(p[:, 2]) < half, 0.0, k)
-        return _answer(axis + self.radius * normal, gap - self.radius, normal, k, second)
+        return _answer(
+            axis + self.radius * normal, gap - self.radius, normal, k, second, _round(normal)
+        )
 
 
 @dataclass(frozen=True)
@@ -91,7 +123,8 @@ class Cylinder:
         corner, gap = _unit(p - foot, (1.0, 0.0, 0.0))
         normal = np.where(rim[:, None], corner, np.where(flat[:, None], up, radial))
         distance = np.where(rim, gap, np.maximum(side, cap))
-        return _answer(foot, distance, normal, np.where(flat, 0.0, 1.0 / self.radius), 0.0)
+        side = np.where(flat, 0.0, 1.0 / self.radius)
+        return _answer(foot, distance, normal, side, 0.0, _round(normal))
 
 
 @dataclass(frozen=True)
@@ -110,7 +143,8 @@ class Torus:
         outward = np.sum(normal * radial, axis=1)
         foot = self.major * radial + self.minor * normal
         around = outward / (self.major + self.minor * outward)
-        return _answer(foot, gap - self.minor, normal, 1.0 / self.minor, around)
+        meridian = np.cross(_round(radial), normal)
+        return _answer(foot, gap - self.minor, normal, 1.0 / self.minor, around, meridian)
 
 
 @dataclass(frozen=True)
@@ -146,4 +180,5 @@ class Ellipsoid:
         gauss = 1.0 / (np.prod(r) ** 2 * steep**4)
         mean = (np.sum(r**2) - np.sum(foot**2, axis=1)) / (2.0 * np.prod(r) ** 2 * steep**3)
         spread = np.sqrt(np.maximum(mean**2 - gauss, 0.0))
-        return _answer(foot, distance, normal, mean + spread, mean - spread)
+        first = _steepest(normal, r)
+        return _answer(foot, distance, normal, mean + spread, mean - spread, first)

@@ -160,15 +160,16 @@ class Surface:
         """The surface at `face` (n,), `uv` (n, 2); distances are those of `points` (n, 3), m."""
         face, uv = np.asarray(face, dtype=np.intp), np.asarray(uv, dtype=float)
         s, su, sv, *second = patch.evaluate(self.patches[face], uv[:, 0], uv[:, 1])
-        normal, curvature = patch.shape((su, sv), (second[0], second[1], second[2]))
+        normal, curvature, direction = patch.shape((su, sv), (second[0], second[1], second[2]))
         thin = np.flatnonzero(~normal.any(axis=1))
         if len(thin):  # a face without area takes its normal from its corners
             total = self.jets.frame[self.fans.corner[face[thin]], 2].sum(axis=1)
             normal[thin] = total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None]
+            direction[thin] = jets.tangent_frames(normal[thin])[:, 0]
         offset = np.zeros_like(s) if points is None else np.asarray(points, dtype=float) - s
         height = np.einsum("ij,ij->i", offset, normal)
         distance = np.copysign(np.sqrt(np.einsum("ij,ij->i", offset, offset)), height)
-        return Closest(s, distance, normal, curvature, face, uv)
+        return Closest(s, distance, normal, curvature, direction, face, uv)
 
     def trace(self, origins: Array, directions: Array, face: Index) -> tuple[Index, Array]:
         """Where rays (n, 3) meet the surface near the faces `face` (n,): faces (n,), uv (n, 2)."""

@@ -35,9 +35,11 @@ def test_shape_of_a_graph_with_known_curvatures():
     def bend(a, b):
         return np.array([[0.0, 0.0, -(k1 * a[0, 0] * b[0, 0] + k2 * a[0, 1] * b[0, 1])]]) + zero
 
-    normal, curvature = patch.shape((su, sv), (bend(su, su), bend(su, sv), bend(sv, sv)))
+    second = bend(su, su), bend(su, sv), bend(sv, sv)
+    normal, curvature, direction = patch.shape((su, sv), second)
     np.testing.assert_allclose(normal, [[0.0, 0.0, 1.0]], atol=1e-15)
     np.testing.assert_allclose(curvature, [[k1, k2]], atol=1e-12)
+    np.testing.assert_allclose(np.abs(direction), [[1.0, 0.0, 0.0]], atol=1e-12)
 
 
 @pytest.fixture(scope="module")

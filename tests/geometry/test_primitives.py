@@ -85,3 +85,24 @@ def test_symmetric_points_have_finite_answers(exact):
     hit = exact.closest(np.zeros((1, 3)))
     assert np.isfinite(hit.point).all()
     np.testing.assert_allclose(np.linalg.norm(hit.normal, axis=1), 1.0)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [Sphere(0.1), Ellipsoid((0.1, 0.07, 0.05)), Capsule(0.05, 0.2), Cylinder(0.05, 0.2),
+     Torus(0.1, 0.04)],
+)  # fmt: skip
+def test_first_direction_is_where_the_normal_turns_fastest(shape):
+    """dn/ds = k1 along the first direction, k2 across it (Rodrigues' formula)."""
+    rng = np.random.default_rng(3)
+    hit = shape.closest(rng.normal(size=(200, 3)) * [0.06, 0.05, 0.08])
+    step = 1e-6
+    np.testing.assert_allclose(np.linalg.norm(hit.direction, axis=1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(np.sum(hit.direction * hit.normal, axis=1), 0.0, atol=1e-9)
+    for k, way in enumerate((hit.direction, np.cross(hit.normal, hit.direction))):
+        there, here = (shape.closest(hit.point + s * step * way).normal for s in (1, -1))
+        turn = (there - here) / (2 * step)
+        error = np.linalg.norm(turn - hit.curvature[:, k : k + 1] * way, axis=1)
+        smooth = np.linalg.norm(there - here, axis=1) < 0.1  # not on a rim
+        assert np.quantile(error[smooth], 0.95) < 1e-3  # but for a capsule's seams
+        assert smooth.sum() > 100

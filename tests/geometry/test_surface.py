@@ -357,3 +357,14 @@ def test_an_edge_of_three_faces_has_no_neighbours():
     across, _ = neighbours(faces[:2])
     assert across[0, 2] == 1
     assert across[1, 2] == 0
+
+
+@pytest.mark.parametrize("body", [Body.ellipsoid((0.1, 0.07, 0.05)), Body.torus(0.1, 0.04)])
+def test_principal_direction_is_the_exact_one(body):
+    rng = np.random.default_rng(5)
+    points = body.exact.closest(rng.normal(scale=0.08, size=(300, 3))).point
+    hit, exact = body.closest(points), body.exact.closest(points)
+    clear = exact.curvature[:, 0] - exact.curvature[:, 1] > 2.0
+    cosine = np.abs(np.sum(hit.direction * exact.direction, axis=1))
+    assert clear.sum() > 100
+    assert np.degrees(np.arccos(np.minimum(cosine[clear], 1.0))).max() < 0.3
