@@ -13,6 +13,7 @@ from ..physics import contact
 from ..physics.contact import hertz
 from ..physics.contact.disc import disc_slope, invert_disc_mean
 from ..se3 import Array
+from . import units
 from .factors.shared import MODULUS, Shared, declared
 
 if TYPE_CHECKING:
@@ -26,10 +27,6 @@ SPARE = 0.4e-3
 """Reach beyond patch and disc within which a taxel may be read, m."""
 QUIET = 4.0
 """Sigmas below the threshold beyond which a silent reading says nothing: 1e-3 of a heard one."""
-FAR_OFF = 0.02
-"""Most by which contact points may typically lie off the believed surface, m."""
-UNITS = 30.0
-"""Most by which the strongest readings may differ from the believed peak pressure."""
 CHUNK = 8192
 """Taxels whose contacts are looked for at once."""
 
@@ -109,18 +106,19 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     _check_finite(recording)
     index = _taxel_index(recording.reading_taxel, np.asarray(belief.taxel_ids))
     hit = belief.body.closest(recording.points)
-    _check_place(hit.distance)
+    units.check_place(hit.distance)
     modulus = hertz.effective_modulus(belief.material.young, belief.material.poisson)
     pressed = recording.force > 0
     force, curvature = recording.force[pressed], hit.curvature[pressed]
     heard = pressed[recording.reading_contact] & (recording.pressure > 0)
     _require(heard, recording, pressed)
+    units.check_force(force, belief.force_reference)
     _check_range(force, curvature, belief)
     row = np.cumsum(pressed) - 1
     relative = hertz.relative_radius(curvature, belief.indenter.radius)
     radii = hertz.contact_radius(force, relative, modulus)
     peaks = hertz.peak_pressure(force, radii)
-    _check_units(recording.pressure[heard], index[heard], peaks)
+    units.check_pressure(recording.pressure[heard], index[heard], peaks)
     heard &= recording.pressure > belief.threshold
     _require(heard, recording, pressed)
     return Measurements(
@@ -204,39 +202,6 @@ def _check_range(force: Array, curvature: Array, belief: Belief) -> None:
             poisson=belief.material.poisson,
             thickness=belief.material.thickness,
         )
-
-
-def _check_place(distance: Array) -> None:
-    """Refuse contact points that are nowhere near the surface."""
-    typical = float(np.median(np.abs(distance))) if len(distance) else 0.0
-    if typical > FAR_OFF:
-        raise CalibrationError(
-            "the contact points are not on the believed body",
-            value=f"typically {typical:.3g} m off its surface",
-            limit=f"{FAR_OFF} m",
-            remedy="check their units (m) and that they are in the body's frame",
-        )
-
-
-def _check_units(pressure: Array, taxel: np.ndarray, peaks: Array) -> None:
-    """Refuse pressures that no modulus within reason explains: units are mixed up."""
-    if not len(pressure):
-        return
-    strongest = np.zeros(int(taxel.max()) + 1)
-    np.maximum.at(strongest, taxel, pressure)
-    typical, expected = float(np.median(strongest[strongest > 0])), float(np.median(peaks))
-    ratio = typical / expected
-    if 1 / UNITS < ratio < UNITS:
-        return
-    near = {1e-3: "kPa", 1e-6: "MPa", 1e-5: "bar", 6894.76**-1: "psi"}
-    unit = min(near, key=lambda factor: abs(np.log(ratio / factor)))
-    guess = f"they look like {near[unit]} taken for Pa; " if 0.05 < ratio / unit < 20 else ""
-    raise CalibrationError(
-        "the pressures cannot be in Pa",
-        value=f"a taxel's strongest reading is typically {typical:.3g}",
-        limit=f"the believed contacts peak at {expected:.3g} Pa",
-        remedy=f"{guess}check the units of pressure, force and modulus",
-    )
 
 
 def reach(data: Measurements, stretch: float = 1.0) -> Array:

@@ -150,10 +150,17 @@ def test_pressures_in_other_units(world, factor, words, noise):
         calibrate(wrong, world.belief(noise, 0.0))
 
 
-def test_forces_and_lengths_in_other_units(noisy):
+@pytest.mark.parametrize(("factor", "unit"), [(1e-3, "kN"), (1e3, "mN"), (1e6, "uN")])
+def test_forces_in_other_units(noisy, factor, unit):
+    recording, belief = noisy
+    with pytest.raises(CalibrationError, match=f"cannot be in N.*look like {unit} taken for N"):
+        calibrate(contacts(recording, force=factor * recording.force), belief)
+
+
+def test_forces_too_large_for_the_contact_model_and_lengths_in_mm(noisy):
     recording, belief = noisy
     with pytest.raises(ContactError, match="too wide"):
-        calibrate(contacts(recording, force=1e3 * recording.force), belief)
+        calibrate(contacts(recording, force=50 * recording.force), belief)
     mm = dict(zip(("px", "py", "pz"), 1e3 * recording.points.T, strict=True))
     with pytest.raises(CalibrationError, match=r"not on the believed body.*units \(m\)"):
         calibrate(contacts(recording, **mm), belief)

@@ -13,6 +13,7 @@ Both integrals are without branches, and M is C1 in rho and s.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -106,13 +107,14 @@ def _limits(f: Any, rho: Any, s: Any) -> tuple[Any, Any, Any]:
     return lo, cut, hi
 
 
-def _rule(nodes: int) -> list[tuple[float, float]]:
+@functools.cache
+def _rule(nodes: int) -> tuple[tuple[float, float], ...]:
     """Gauss-Legendre in the angle t of x = cos t: (cosine, weight); it absorbs root-like ends."""
     x, weight = np.polynomial.legendre.leggauss(nodes)
     angle = np.pi / 2 * (x + 1)
-    return [
+    return tuple(
         (math.cos(t), math.pi / 2 * k * math.sin(t)) for t, k in zip(angle, weight, strict=True)
-    ]
+    )
 
 
 def _newton_step(excess: Array, m: Array, slope: Array) -> Array:
