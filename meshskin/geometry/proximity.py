@@ -22,6 +22,7 @@ class Proximity:
         self.origin = vertices[faces[0, 0]]
         self.scale = float(np.max(np.ptp(vertices, axis=0)))
         points, self.owner = sample_faces(vertices, faces, least)
+        self.cut = len(self.owner) > 1.2 * len(faces)  # whether long faces have several samples
         self.tree = KDTree((points - self.origin) / self.scale)
 
     def near(self, points: Array) -> Index:

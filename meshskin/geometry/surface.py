@@ -25,8 +25,9 @@ Index = NDArray[np.intp]
 
 SAMPLES = 20_000
 """samples, at least, of a mesh with creases, whose faces may be long"""
-NEAR, WIDE = 24, 48
-"""nearest samples whose faces are looked at for a start, and where a walk's end is in doubt"""
+FEW, NEAR, WIDE = 8, 24, 48
+"""nearest samples whose faces are looked at for a start, where each face has one and where long
+faces have many, and where a walk's end is in doubt"""
 SLACK = 1.3
 """a patch's height over its face, over that at its nodes"""
 ON_EDGE = 1e-9
@@ -99,17 +100,27 @@ class Surface:
                 self._try(p, foot, uv, far, start, np.full((len(far), 2), 1.0 / 3.0))
             return self.at(foot, uv, p)
         if face is None:
-            near = self._proximity.nearby(p, NEAR)
+            near = self._proximity.nearby(p, NEAR if self._proximity.cut else FEW)
             row, first = np.arange(len(p)), np.argmin(near[1], axis=1)
             foot, uv, hops = self._walk(p, near[0][row, first], start=near[2][row, first])
             self._search(p, foot, uv, row, near)
+            most = np.min(near[1] + self._height[near[0]], axis=1)
+            stuck = np.flatnonzero(self._gap(p, foot, uv) > 1.0001 * most)  # at a crease's end
+            if len(stuck):
+                again, k = np.repeat(stuck, near[0].shape[1]), near[0][stuck].ravel()
+                self._try(p, foot, uv, again, k, np.full((len(k), 2), 1.0 / 3.0))
         else:
             foot, uv, hops = self._walk(p, np.array(face, dtype=np.intp))
         doubtful = np.flatnonzero(hops >= walk.FAR)
         if len(doubtful):
             self._search(p, foot, uv, doubtful, self._proximity.nearby(p[doubtful], WIDE))
         hit = self.at(foot, uv, p)
-        return replace(hit, distance=self._signed(hit, p))
+        outward = self._outward(hit.face, hit.uv, hit.normal)
+        side = np.einsum("ij,ij->i", p - hit.point, outward)
+        if face is None:
+            flat = self._flat_side(p, hit, near)
+            side = np.where(flat != 0.0, flat, side)
+        return replace(hit, distance=np.copysign(hit.distance, side))
 
     def _search(
         self,
@@ -182,27 +193,37 @@ class Surface:
     ) -> tuple[Index, Array, Index]:
         return walk.walk(self.patches, (self.neighbours, self._slot), target, face, step, start)
 
-    def _signed(self, hit: Closest, points: Array) -> Array:
-        """The distances (n,), with signs that hold at creases and corners too.
+    def _outward(self, face: Index, uv: Array, normal: Array) -> Array:
+        """Directions (n, 3) that tell outside from inside at creases and corners too.
 
         There the normal of one face does not tell; the sum over the faces that meet, weighted by
         their angles, does: Baerentzen and Aanaes, IEEE Trans. Vis. Comp. Graphics 11 (2005).
         """
-        weight = np.column_stack([1.0 - hit.uv.sum(axis=1), hit.uv])
-        off = weight < ON_EDGE
-        normal = hit.normal.copy()
+        off = np.column_stack([1.0 - uv.sum(axis=1), uv]) < ON_EDGE
+        normal = normal.copy()
         edge = np.flatnonzero(off.sum(axis=1) == 1)
-        opposite = np.argmax(off[edge], axis=1)
-        beyond = self.neighbours[hit.face[edge], opposite]
+        beyond = self.neighbours[face[edge], np.argmax(off[edge], axis=1)]
         flat = self._flat_normals
-        there = np.where(beyond[:, None] >= 0, flat[beyond], 0.0)
-        normal[edge] = flat[hit.face[edge]] + there
+        normal[edge] = flat[face[edge]] + np.where(beyond[:, None] >= 0, flat[beyond], 0.0)
         corner = np.flatnonzero(off.sum(axis=1) == 2)
-        normal[corner] = self._corner_normals[
-            self.faces[hit.face[corner], np.argmin(off[corner], axis=1)]
-        ]
-        height = np.einsum("ij,ij->i", points - hit.point, normal)
-        return np.copysign(hit.distance, height)
+        vertex = self.faces[face[corner], np.argmin(off[corner], axis=1)]
+        normal[corner] = self._corner_normals[vertex]
+        return normal
+
+    def _flat_side(self, points: Array, hit: Closest, near: tuple[Index, Array, Array]) -> Array:
+        """On which side (n,), by its sign, of the flat mesh points are; 0 where that tells nothing.
+
+        It tells where a point is farther from the flat face than the patches are: the patches of
+        a coarse thin body may pass through each other, its faces do not.
+        """
+        row, first = np.arange(len(points)), np.argmin(near[1], axis=1)
+        face, gap, uv = (part[row, first] for part in near)
+        weight = np.column_stack([1.0 - uv.sum(axis=1), uv])
+        foot = np.einsum("nk,nkc->nc", weight, self.vertices[self.faces[face]])
+        outward = self._outward(face, uv, self._flat_normals[face])
+        side = np.einsum("ij,ij->i", points - foot, outward)
+        clear = gap > np.maximum(self._height[face], self._height[hit.face])
+        return np.where(clear, side, 0.0)
 
     @cached_property
     def _flat_normals(self) -> Array:
