@@ -16,13 +16,14 @@ import numpy as np
 
 from . import library
 from .config import check, quantity
+from .errors import ContactError
 from .geometry.body import Body
 from .geometry.skin import Skin
 from .motion.arm import Arm
 from .motion.law import Law
 from .motion.loop import COMPILE, INTEGRATORS, MODES, known
 from .motion.path import Exploration
-from .physics.contact import Patch, solve
+from .physics.contact import BATCHED, Model, Patch, solve
 from .physics.effects import Context, Noise
 from .physics.indenter import Indenter
 from .physics.material import Material
@@ -31,6 +32,8 @@ from .se3 import Array, transform
 if TYPE_CHECKING:
     from .physics.effects import Effect
 
+AUTO = "auto"
+"""In place of a contact model's name: the first one that holds."""
 ADAPTER = 0.02
 """Length of the piece between flange and body when no mount is given, m."""
 
@@ -99,7 +102,7 @@ class Belief:
     """Standard deviations of unknowns before any data, where they are not the defaults."""
     headings: Array | None = None
     """Rotations (m, 3, 3), world from body, of the recording's contacts: an unknown indenter offset
-    needs them."""
+    needs them. None: those that the recording itself may hold."""
     module_slots: Array | None = None
     """Places (slots, 3) of a rigid module's taxels in the module's frame, m (z = outward normal);
     taxel ids are then slots * module + slot. None: every taxel by itself."""
@@ -120,6 +123,8 @@ class Scene:
     loop: Loop = field(default_factory=Loop)
     effects: tuple[Effect, ...] = ()
     contact: str = "hertz"
+    """Contact model: of physics.contact.BATCHED, or "auto", the first of them that holds for every
+    place of the skin."""
     payload: float = 1.0
     """Mass of the body, kg, spread evenly over its volume."""
     mount: Array | None = None
@@ -156,18 +161,50 @@ class Scene:
         return transform(rotation, [0.0, 0.0, back + ADAPTER])
 
     @cached_property
-    def patch(self) -> Patch:
-        """The contact patch at the skin's centre under the reference force."""
-        centre = self.body.closest(self.skin.positions.mean(axis=0)[None])
+    def model(self) -> Model:
+        """The contact model of the whole skin.
+
+        Raises UnknownNameError, and ContactError where it leaves its range at a taxel.
+        """
+        known("contact model of a scene", self.contact, (*BATCHED, AUTO))
+        names = BATCHED if self.contact == AUTO else (self.contact,)
+        for name in names[:-1]:
+            try:
+                self._judge(name)
+            except ContactError:
+                continue
+            return self._layer(name)
+        self._judge(names[-1])
+        return self._layer(names[-1])
+
+    def _layer(self, name: str) -> Model:
+        return Model(name, self.material.poisson, self.material.thickness)
+
+    def _judge(self, name: str) -> None:
+        """Let a contact model judge the taxels nearest to its limits. Raises ContactError."""
+        curvature = self.body.closest(self.skin.positions).curvature
+        relative = curvature + 1.0 / self.indenter.radius
+        ratio = relative[:, 0] / np.maximum(relative[:, 1], 1e-9)
+        for k in {int(np.argmax(ratio)), int(relative.min(axis=1).argmin()),
+                  int(relative.max(axis=1).argmax())}:  # fmt: skip
+            self._solve(name, curvature[k])
+
+    def _solve(self, name: str, curvature: Array) -> Patch:
         return solve(
-            self.contact,
+            name,
             force=self.law.force_reference,
-            curvature=tuple(centre.curvature[0]),
+            curvature=tuple(curvature),
             indenter_radius=self.indenter.radius,
             modulus=self.material.young,
             poisson=self.material.poisson,
             thickness=self.material.thickness,
         )
+
+    @cached_property
+    def patch(self) -> Patch:
+        """The contact patch at the skin's centre under the reference force."""
+        centre = self.body.closest(self.skin.positions.mean(axis=0)[None])
+        return self._solve(self.model.name, centre.curvature[0])
 
     @property
     def threshold(self) -> float:
@@ -217,7 +254,7 @@ class Scene:
             body=self.body,
             indenter=self.indenter,
             material=self.material,
-            contact=self.contact,
+            contact=self.model.name,
             taxel_ids=np.array(self.skin.ids),
             disc_radius=self.skin.disc_radius,
             force_reference=self.law.force_reference,

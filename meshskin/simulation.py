@@ -25,7 +25,7 @@ from .physics.reading import disc_pressures
 from .provenance import provenance
 from .recording import Recording, RecordingWriter
 from .scene import Scene
-from .se3 import Array, exp_so3, inverse, log_so3, transform
+from .se3 import Array, exp_so3, inverse, log_so3, quaternion, transform
 
 FRAME_CELLS = 2e6
 """Largest number of pressures (frames times taxels) held at once."""
@@ -84,6 +84,7 @@ def prepare(scene: Scene, taxels: Array | None = None) -> tuple[Machine, paths.P
         dt=scene.loop.dt,
         integrator=scene.loop.integrator,
         mode=scene.loop.mode,
+        contact=scene.model,
     )
     if quasi_static:
         path = _plan(scene, 0.0, scene.loop.dt)
@@ -234,7 +235,7 @@ def _tables(
     scene: Scene, seed: int, loop: Loop, runs: Iterator[Steps]
 ) -> Iterator[tuple[pa.Table, pa.Table, pa.Table]]:
     """Tables of contacts, readings and motion, in batches, from the steps."""
-    chain = effects.Chain.of(scene.effects, scene.context(seed), _field(scene))
+    chain = effect_chain(scene, seed)
     stride = scene.frame_steps
     size = int(np.clip(FRAME_CELLS / max(len(scene.skin.ids), 1) * stride, LENGTHS[0], 8192))
     rows = loop.outputs
@@ -247,8 +248,13 @@ def _tables(
         frame &= outputs[:, rows["force"].start] > 0
         configuration = np.concatenate([s.q for s in batch])
         seen = _frames(scene, time[frame], outputs[frame], rows, configuration[frame])
-        contacts, readings = _sensor_tables(scene, seen, chain)
+        contacts, readings = sensor_tables(scene, seen, chain)
         yield contacts, readings, _motion_table(scene, batch, time, outputs, rows)
+
+
+def effect_chain(scene: Scene, seed: int) -> effects.Chain:
+    """The scene's effects on frames that follow one another."""
+    return effects.Chain.of(scene.effects, scene.context(seed), _field(scene))
 
 
 def _field(scene: Scene) -> Field:
@@ -258,12 +264,14 @@ def _field(scene: Scene) -> Field:
         return disc_pressures(
             frames.points,
             frames.normals,
+            frames.directions,
             frames.force,
             frames.curvature,
             positions=poses[:, :3, 3],
             disc_radius=scene.skin.disc_radius,
             indenter_radius=scene.indenter.radius,
             effective_modulus=scene.material.effective_modulus,
+            model=scene.model,
         )
 
     return field
@@ -272,29 +280,43 @@ def _field(scene: Scene) -> Field:
 def _frames(scene: Scene, time: Array, outputs: Array, rows: dict[str, slice], q: Array) -> Frames:
     """The frames at `time` (m,) from the loop's outputs and configurations."""
     points, normals = outputs[:, rows["point"]], outputs[:, rows["normal"]]
-    gap = scene.indenter.radius - outputs[:, rows["depth"]]
+    centres = points + (scene.indenter.radius - outputs[:, rows["depth"]]) * normals
+    return frames_at(scene, time, points, normals, outputs[:, rows["force"].start], centres, q)
 
-    def foot(centres: Array) -> tuple[Array, Array]:
-        hit = scene.body.closest(centres)
+
+def frames_at(
+    scene: Scene, time: Array, points: Array, normals: Array, force: Array, centres: Array, q: Array
+) -> Frames:
+    """The frames of m contacts, their columns as in Frames."""
+
+    def foot(moved: Array) -> tuple[Array, Array]:
+        hit = scene.body.closest(moved)
         return hit.point, hit.normal
 
+    hit = scene.body.closest(points if len(time) else np.zeros((1, 3)))
     return Frames(
         time=time,
         points=points,
         normals=normals,
-        force=outputs[:, rows["force"].start],
-        centres=points + gap * normals,
-        curvature=scene.body.closest(points).curvature if len(time) else np.zeros((0, 2)),
+        force=force,
+        centres=centres,
+        curvature=hit.curvature[: len(time)],
+        directions=hit.direction[: len(time)],
         q=q,
         foot=foot,
     )
 
 
-def _sensor_tables(scene: Scene, frames: Frames, chain: effects.Chain) -> tuple[pa.Table, pa.Table]:
+def sensor_tables(scene: Scene, frames: Frames, chain: effects.Chain) -> tuple[pa.Table, pa.Table]:
     """Contacts and readings as they are recorded."""
     recorded = chain.record(frames)
     columns = (recorded.time, *recorded.points.T, *recorded.normals.T, recorded.force)
     contacts = pa.Table.from_arrays([pa.array(c) for c in columns], schema=files.CONTACTS)
+    headings = np.zeros((0, 4))
+    if len(frames):
+        headings = quaternion(scene.body_pose(frames.q)[:, :3, :3])[:, [3, 0, 1, 2]]
+    for name, column in zip(files.HEADING, headings.T, strict=True):
+        contacts = contacts.append_column(name, pa.array(column))
     if not len(frames):
         return contacts, files.READINGS.empty_table()
     pressures = chain.read(frames, scene.skin.poses)

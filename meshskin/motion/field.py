@@ -14,7 +14,7 @@ import numpy as np
 
 from . import law as compliance
 from .loop import ANCHOR, PARAMETERS, REFERENCE, Loop, Parameters
-from .touch import Touch, reference_depth, touch
+from .touch import Touch, touch
 
 ROTATION_DAMPING = 0.02
 FORCE_DAMPING = 1e-6
@@ -81,12 +81,13 @@ class Field:
         jacobian = moved(self.model.jacobian(q), position - tip[:3, 3])
 
         centre = rotation.T @ (ca.DM(loop.indenter_position) - position)
-        t = touch(self.anchor, uv, centre, p, self.newton)
+        t = touch(self.anchor, uv, centre, p, loop.contact, self.newton)
         normal, lever = rotation @ t.normal, rotation @ t.point
         row = moved(jacobian, lever)[:3, :].T @ normal
 
-        wanted = reference_depth(p, t.radius)
-        speed = compliance.force_speed(p, t.stiffness, t.depth, t.force, wanted) * (1.0 - p.free)
+        wanted = t.reference_depth
+        firm = t.slope_at(compliance.floored(t.depth, wanted))
+        speed = compliance.force_speed(p, firm, t.depth, t.force) * (1.0 - p.free)
         slope = compliance.speed_slope(p, t, wanted) * (1.0 - p.free)
         curvature = ca.fmax(t.curvature, FLATTEST)
         if loop.law.surface == "exact":
@@ -124,7 +125,7 @@ class Field:
     def shape(self, uv: ca.SX, centre: ca.SX) -> ca.SX:
         """dn/dc (3, 3), 1/m, body frame: by automatic differentiation of the contact's foot."""
         c = ca.SX.sym("c", 3)
-        normal = touch(self.anchor, uv, c, self.p, self.newton).normal
+        normal = touch(self.anchor, uv, c, self.p, self.loop.contact, self.newton).normal
         return ca.substitute(ca.jacobian(normal, c), c, centre)
 
     def rate(self) -> ca.Function:

@@ -21,7 +21,6 @@ import casadi as ca
 
 from ..config import check, quantity
 from ..errors import UnknownNameError
-from ..physics.contact import hertz
 
 SURFACES = ("sphere", "exact")
 TORQUES = ("compensated", "paper", "off")
@@ -94,20 +93,25 @@ def force_rows(jacobian: Any, n: Any, shape: Any, length: Any) -> Any:
     return n @ (n.T @ linear) + length * turning
 
 
-def force_speed(gains: Any, stiffness: Any, delta: Any, force: Any, delta_reference: Any) -> Any:
-    """Speed along n of the force part: zeta^-1 (gamma / K_c) (f_c - f*), limited.
+def force_speed(gains: Any, slope: Any, delta: Any, force: Any) -> Any:
+    """Speed along n of the force part: gamma (f_ref - F) / slope, limited.
 
-    gains: a Law, or anything with its gamma, force_reference and approach_speed. f_c - f* =
-    (f_ref - F) n lies in the normal eigenspace of zeta, so that zeta's inverse is a division by
-    (3/2) delta^(1/2). delta is floored at a quarter of its reference (zeta is singular at
-    delta = 0) and the speed limited to the approach speed, which makes approach and touch part of
-    the law. Across a gap the speed grows with the gap at the rate gamma: stiff contact, where the
-    force part alone crawls, is approached fast and touched slowly (`touch_speed`).
+    gains: a Law, or anything with its gamma, force_reference and approach_speed. slope:
+    dF/d(depth), N/m, at `floored` depth; on the paper's sphere it is (3/2) K_c delta^(1/2), and
+    this is zeta^-1 (gamma / K_c) (f_c - f*): f_c - f* = (f_ref - F) n lies in the normal eigenspace
+    of zeta, so that zeta's inverse is a division. The speed is limited to the approach speed, which
+    makes approach and touch part of the law. Across a gap the speed grows with the gap at the rate
+    gamma: stiff contact, where the force part alone crawls, is approached fast and touched slowly
+    (`touch_speed`).
     """
-    root = ca.sqrt(ca.fmax(delta, 0.25 * delta_reference))
-    speed = gains.gamma * (gains.force_reference - force) / (1.5 * stiffness * root)
+    speed = gains.gamma * (gains.force_reference - force) / slope
     speed += gains.gamma * ca.fmax(-delta, 0.0)
     return ca.fmax(-gains.approach_speed, ca.fmin(gains.approach_speed, speed))
+
+
+def floored(delta: Any, delta_reference: Any) -> Any:
+    """Depth at which the force part takes its slope: zeta is singular at delta = 0."""
+    return ca.fmax(delta, 0.25 * delta_reference)
 
 
 def touch_speed(gains: Any, delta_reference: float) -> float:
@@ -118,8 +122,8 @@ def touch_speed(gains: Any, delta_reference: float) -> float:
 def speed_slope(gains: Any, touch: Any, delta_reference: Any) -> Any:
     """Derivative of `force_speed` by the depth at the contact `touch`, 1/s: at most zero."""
     delta = ca.SX.sym("delta")
-    force = hertz.force(delta, touch.radius, gains.effective_modulus)
-    speed = force_speed(gains, touch.stiffness, delta, force, delta_reference)
+    slope = touch.slope_at(floored(delta, delta_reference))
+    speed = force_speed(gains, slope, delta, touch.force_at(delta))
     return ca.substitute(ca.gradient(speed, delta), delta, touch.depth)
 
 

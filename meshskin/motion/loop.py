@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import UnknownNameError
+from ..physics.contact import Model
 from ..se3 import Array
 from .law import Law
 
@@ -84,6 +85,8 @@ class Loop:
     """One of INTEGRATORS; with mode "quasi_static" the body follows the law's velocity exactly."""
     mode: str = "arm"
     """"arm": the arm's dynamics; "quasi_static": the body moves as the law asks, without an arm."""
+    contact: Model = Model()
+    """Contact model that gives the force."""
 
     def __post_init__(self) -> None:
         known("integrator", self.integrator, INTEGRATORS)

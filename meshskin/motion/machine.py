@@ -73,9 +73,9 @@ class Machine:
         self.rewind()
 
     @property
-    def curvature(self) -> float:
-        """Mean curvature of the body at the first contact, 1/m."""
-        return float(self._foot.curvature.mean())
+    def curvature(self) -> Array:
+        """Principal curvatures (2,) of the body at the first contact, 1/m."""
+        return np.asarray(self._foot.curvature[0])
 
     def at_start(self, q: Array) -> tuple[Array, Array]:
         """State and anchor of the step at rest in configuration `q` at the first contact."""

@@ -13,7 +13,7 @@ from ..se3 import Array
 from . import law as compliance
 from .integrators import NAMES
 from .loop import ANCHOR, PARAMETERS, REFERENCE, Loop, Parameters
-from .touch import reference_depth, touch
+from .touch import touch
 
 
 def step(loop: Loop) -> ca.Function:
@@ -25,11 +25,10 @@ def step(loop: Loop) -> ca.Function:
     p = Parameters.split(parameters)
     position, turn, uv = state[:3], state[3:7], state[7:]
     rotation = matrix(turn)
-    t = touch(anchor, uv, rotation.T @ (ca.DM(loop.indenter_position) - position), p)
+    t = touch(anchor, uv, rotation.T @ (ca.DM(loop.indenter_position) - position), p, loop.contact)
     normal, lever = rotation @ t.normal, rotation @ t.point
-    speed = (1.0 - p.free) * compliance.force_speed(
-        p, t.stiffness, t.depth, t.force, reference_depth(p, t.radius)
-    )
+    firm = t.slope_at(compliance.floored(t.depth, t.reference_depth))
+    speed = (1.0 - p.free) * compliance.force_speed(p, firm, t.depth, t.force)
     omega, velocity = compliance.along(
         reference, p.tracking, position, rotation, lever, normal, p.free
     )

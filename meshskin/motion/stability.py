@@ -61,10 +61,10 @@ def check(machine: Machine, q: Array, reference: Array) -> None:
     reference (18,): the row of the path there. Raises SimulationError.
     """
     loop = machine.loop
-    radius = 1.0 / (float(machine.curvature) + 1.0 / loop.indenter_radius)
-    speed = 2.0 * compliance.touch_speed(loop.law, _reference_depth(loop, radius))
+    curvature = machine.curvature
+    speed = 2.0 * compliance.touch_speed(loop.law, reference_depth(loop, curvature))
     speed = min(speed, loop.law.approach_speed)
-    accurate = touch_limit(loop, inertia(loop, q), radius, speed)
+    accurate = touch_limit(loop, inertia(loop, q), curvature, speed)
     if loop.dt <= accurate and spectral_radius(machine, q, reference, loop.dt) <= 1 + GROWTH:
         return
     limit = StepLimit(stable_limit(machine, q, reference, min(accurate, LONGEST)), accurate)
@@ -79,17 +79,24 @@ def check(machine: Machine, q: Array, reference: Array) -> None:
     )
 
 
-def _reference_depth(loop: Loop, radius: float) -> float:
-    return (0.75 * loop.law.force_reference / loop.effective_modulus) ** (2 / 3) / radius ** (1 / 3)
+def reference_depth(loop: Loop, curvature: Array) -> float:
+    """Depth of the contact under the reference force, m, at principal curvatures (2,), 1/m."""
+    patch = loop.contact.patches(
+        force=loop.law.force_reference,
+        curvature=curvature,
+        indenter_radius=loop.indenter_radius,
+        effective_modulus=loop.effective_modulus,
+    )
+    return float(patch.depth)
 
 
-def touch_limit(loop: Loop, mass: float, radius: float, v: float) -> float:
+def touch_limit(loop: Loop, mass: float, curvature: Array, v: float) -> float:
     """Longest step that resolves a touch at the speed v (m/s), s.
 
-    mass: along the normal, kg; radius: relative, m.
+    mass: along the normal, kg; curvature (2,): of the body, 1/m.
     """
-    p, wanted = loop.parameters, _reference_depth(loop, radius)
-    stiffness = 4.0 / 3.0 * loop.effective_modulus * math.sqrt(radius)
+    p, wanted = loop.parameters, reference_depth(loop, curvature)
+    stiffness = loop.law.force_reference / wanted**1.5
     hit = (1.25 * mass * v * v / stiffness) ** 0.4
     rate = p.rate if loop.law.shape == "inertia" else p.rate / mass
     stop = STOP * v / rate if loop.law.torque != "off" else math.inf
@@ -117,7 +124,7 @@ def spectral_radius(machine: Machine, q: Array, reference: Array, dt: float) -> 
     state, anchor = machine.at_start(q)
     size = len(state) - 2
     p: Parameters = replace(loop.parameters, dt=dt)
-    depth = _reference_depth(loop, loop.indenter_radius)
+    depth = reference_depth(loop, machine.curvature)
     steps = np.full(size, 1e-6)
     steps[: len(q)] = 1e-3 * depth  # small against the depth: the force is not linear in it
     moved = np.concatenate([np.diag(steps), -np.diag(steps)])

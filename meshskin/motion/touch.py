@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 
 from ..geometry.patch import POWERS, casadi_foot
-from ..physics.contact import hertz
+from ..physics.contact import Model
 from .loop import Parameters
+
+SHALLOW = 1e-12
+"""Depth, m, at which the slope of the force is taken for less."""
 
 
 @dataclass(frozen=True)
@@ -22,24 +26,56 @@ class Touch:
     """(3,), m."""
     normal: ca.SX
     """Outward (3,)."""
-    curvature: ca.SX
-    """Mean of the principal curvatures, 1/m."""
-    radius: ca.SX
-    """Relative radius of the two surfaces, m."""
+    curvatures: ca.SX
+    """Principal (2,), 1/m, larger first."""
     depth: ca.SX
     """Penetration, m; negative in the air."""
     force: ca.SX
     """N."""
-    stiffness: ca.SX
-    """K_c of F = K_c depth^(3/2), N/m^(3/2)."""
+    model: Model
+    """Contact model that gives the force."""
+    p: Parameters
+
+    @property
+    def curvature(self) -> ca.SX:
+        """Mean of the principal curvatures, 1/m."""
+        return 0.5 * (self.curvatures[0] + self.curvatures[1])
+
+    @property
+    def radius(self) -> ca.SX:
+        """Relative radius of the two surfaces, m."""
+        return 1.0 / (self.curvature + 1.0 / self.p.indenter_radius)
 
     @property
     def slope(self) -> ca.SX:
-        """dF/d(depth), N/m."""
-        return 1.5 * self.stiffness * ca.sqrt(ca.fmax(self.depth, 1e-12)) * (self.depth > 0)
+        """dF/d(depth), N/m; zero in the air."""
+        return self.slope_at(ca.fmax(self.depth, SHALLOW)) * (self.depth > 0)
+
+    def force_at(self, depth: ca.SX) -> ca.SX:
+        """The force, N, at another depth, m."""
+        return self.model.force(depth=depth, **self._place)
+
+    def slope_at(self, depth: ca.SX) -> ca.SX:
+        """dF/d(depth), N/m, at another depth > 0, m."""
+        return self.model.slope(depth=depth, **self._place)
+
+    @property
+    def reference_depth(self) -> ca.SX:
+        """Depth at which the contact has the reference force, m."""
+        return self.model.patches(force=self.p.force_reference, **self._place).depth
+
+    @property
+    def _place(self) -> dict[str, Any]:
+        return {
+            "curvature": self.curvatures,
+            "indenter_radius": self.p.indenter_radius,
+            "effective_modulus": self.p.effective_modulus,
+        }
 
 
-def touch(anchor: ca.SX, uv: ca.SX, centre: ca.SX, p: Parameters, newton: int = 1) -> Touch:
+def touch(
+    anchor: ca.SX, uv: ca.SX, centre: ca.SX, p: Parameters, model: Model, newton: int = 1
+) -> Touch:
     """The contact of an indenter centred at `centre` (3,), body frame.
 
     anchor (69,) and uv (2,), the last foot: see loop.ANCHOR; newton: steps towards the foot, one
@@ -50,21 +86,10 @@ def touch(anchor: ca.SX, uv: ca.SX, centre: ca.SX, p: Parameters, newton: int = 
     start = change @ ca.vertcat(uv, 1.0)
     u, v, point, normal, curvatures = casadi_foot(patch, start[0], start[1], centre, newton)
     depth = p.indenter_radius - ca.dot(normal, centre - point)
-    curvature = 0.5 * (curvatures[0] + curvatures[1])
-    radius = 1.0 / (curvature + 1.0 / p.indenter_radius)
-    return Touch(
-        u=u,
-        v=v,
-        point=point,
-        normal=normal,
-        curvature=curvature,
-        radius=radius,
+    force = model.force(
         depth=depth,
-        force=hertz.force(depth, radius, p.effective_modulus),
-        stiffness=4.0 / 3.0 * p.effective_modulus * ca.sqrt(radius),
+        curvature=curvatures,
+        indenter_radius=p.indenter_radius,
+        effective_modulus=p.effective_modulus,
     )
-
-
-def reference_depth(p: Parameters, radius: ca.SX) -> ca.SX:
-    """Depth at which Hertz gives the reference force; `radius` relative, m."""
-    return (0.75 * p.force_reference / p.effective_modulus) ** (2 / 3) / radius ** (1 / 3)
+    return Touch(u, v, point, normal, curvatures, depth, force, model, p)

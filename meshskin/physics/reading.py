@@ -5,16 +5,22 @@ from __future__ import annotations
 import numpy as np
 
 from ..se3 import Array
-from .contact import hertz
+from .contact import Model
 from .contact.disc import disc_mean
 
 NODES = 32
-"""Nodes of the disc mean: finer than the estimators', so that theirs is put to the test."""
+"""Nodes of the disc mean on circular Hertz patches: finer than the estimators', so that theirs is
+put to the test."""
+EDGE_NODES = 192
+"""Nodes of the disc mean on other patches, finer than the estimators' too: 3e-6 of the peak."""
+CHUNK = 20_000
+"""Readings computed at once."""
 
 
 def disc_pressures(
     points: Array,
     normals: Array,
+    directions: Array,
     force: Array,
     curvature: Array,
     *,
@@ -22,28 +28,55 @@ def disc_pressures(
     disc_radius: float,
     indenter_radius: float,
     effective_modulus: float,
+    model: Model | None = None,
 ) -> Array:
-    """Mean Hertz pressures (m, n), Pa, of n taxels in m contacts.
+    """Mean contact pressures (m, n), Pa, of n taxels in m contacts.
 
-    points, normals (m, 3): contact points and outward normals; force (m,), N; curvature (m, 2),
-    principal, 1/m; positions (n, 3) of the taxels on the undeformed surface, all in the body frame.
-    A taxel's distance from the contact is taken in the contact's tangent plane, as Hertz does.
+    points, normals (m, 3): contact points and outward normals; directions (m, 3): first principal
+    directions of the body there; force (m,), N; curvature (m, 2), principal, 1/m; positions (n, 3)
+    of the taxels on the undeformed surface, all in the body frame; model: of contact, by default
+    circular Hertz. A taxel's place in the patch is taken in the contact's tangent plane, as Hertz
+    does. Raises ContactError where a contact leaves the range of the model's series.
     """
-    radius = hertz.relative_radius(curvature, indenter_radius)
-    a = hertz.contact_radius(force, radius, effective_modulus)
-    peak = hertz.peak_pressure(force, a)
+    model = model or Model()
+    patches = model.patches(
+        force=force,
+        curvature=curvature,
+        indenter_radius=indenter_radius,
+        effective_modulus=effective_modulus,
+    )
+    reach = np.maximum(patches.first, patches.second)
+    row, col, offset = _candidates(points, positions, reach + disc_radius)
+    along = np.einsum("ij,ij->i", offset, normals[row])
     out = np.zeros((len(points), len(positions)))
-    # |x - c|^2 bounds the tangential distance from above on no surface, from below on none: take
-    # the candidates generously, then the tangential distance exactly
+    if model.name == "hertz":
+        distance = np.sqrt(np.maximum(np.einsum("ij,ij->i", offset, offset) - along**2, 0.0))
+        a = patches.first[row]
+        mean = patches.peak[row] * disc_mean(distance / a, disc_radius / a, nodes=NODES)
+        out[row, col] = np.maximum(mean, 0.0)
+        return out
+    x = np.einsum("ij,ij->i", offset, directions[row])
+    y = np.einsum("ij,ij->i", offset, np.cross(normals, directions)[row])
+    for start in range(0, len(row), CHUNK):
+        part = slice(start, start + CHUNK)
+        own = patches.take(row[part])
+        mean = own.reading(x[part], y[part], disc_radius, nodes=EDGE_NODES)
+        out[row[part], col[part]] = np.maximum(mean, 0.0)
+    return out
+
+
+def _candidates(
+    points: Array, positions: Array, reach: Array
+) -> tuple[np.ndarray, np.ndarray, Array]:
+    """Contacts (k,), taxels (k,) that may be within `reach` (m,) of them, offsets (k, 3).
+
+    |x - c|^2 bounds the tangential distance from above on no surface, from below on none: the
+    candidates are taken generously.
+    """
     squared = (
         np.sum(points**2, axis=1)[:, None]
         + np.sum(positions**2, axis=1)
         - 2.0 * points @ positions.T
     )
-    row, col = np.nonzero(squared < (2.0 * (a + disc_radius) ** 2)[:, None])
-    offset = positions[col] - points[row]
-    along = np.einsum("ij,ij->i", offset, normals[row])
-    distance = np.sqrt(np.maximum(np.einsum("ij,ij->i", offset, offset) - along**2, 0.0))
-    mean = disc_mean(distance / a[row], disc_radius / a[row], nodes=NODES)
-    out[row, col] = peak[row] * np.maximum(mean, 0.0)
-    return out
+    row, col = np.nonzero(squared < (2.0 * reach**2)[:, None])
+    return row, col, positions[col] - points[row]

@@ -58,7 +58,7 @@ def world(taxels: int, seed: int = 0):
         rows = slice(begin, begin + 500)
         near = np.unique(np.concatenate(tree.query_ball_point(contacts[rows], 0.01)).astype(int))
         p = disc_pressures(
-            hit.point[rows], hit.normal[rows], force[rows], hit.curvature[rows],
+            hit.point[rows], hit.normal[rows], hit.direction[rows], force[rows], hit.curvature[rows],
             positions=truth[near], disc_radius=DISC, indenter_radius=INDENTER,
             effective_modulus=modulus,
         )  # fmt: skip

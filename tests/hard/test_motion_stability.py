@@ -19,6 +19,7 @@ from meshskin.simulation import prepare
 
 NU = 0.49
 RADIUS = 1 / 110  # relative, of the sphere and the indenter
+CURVATURE = np.array([10.0, 10.0])  # of the sphere
 INTEGRATORS = ("semi_implicit", "linearly_implicit", "rk4")
 
 
@@ -72,7 +73,7 @@ def forces(machine, track, steps):
 def longest(place, young, speed, integrator):
     machine, track = place(young=young, speed=speed, integrator=integrator)
     q, loop = machine.state[:6], machine.loop
-    accurate = stability.touch_limit(loop, stability.inertia(loop, q), RADIUS, speed)
+    accurate = stability.touch_limit(loop, stability.inertia(loop, q), CURVATURE, speed)
     most = min(accurate, stability.LONGEST)
     return stability.stable_limit(machine, q, track.references[0], most)
 
@@ -253,6 +254,6 @@ def test_an_edge_of_the_body_is_named(place):
 def test_numbers_of_the_stated_limits(place):
     """Touch times by the formula, for the paper's sphere."""
     machine, _ = place(speed=0.1)
-    slow = stability.touch_limit(machine.loop, 5.0, RADIUS, 0.1)
+    slow = stability.touch_limit(machine.loop, 5.0, CURVATURE, 0.1)
     wanted = (3.0 / (4 / 3 * 2e5 / (1 - NU**2) * np.sqrt(RADIUS))) ** (2 / 3)
     assert slow == pytest.approx(0.2 * wanted / 0.1)

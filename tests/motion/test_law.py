@@ -10,6 +10,7 @@ from meshskin.geometry.patch import casadi_foot
 from meshskin.motion.law import (
     Law,
     damped_inverse,
+    floored,
     force_rows,
     force_speed,
     general_zeta,
@@ -43,13 +44,15 @@ def test_force_speed_is_the_inverse_of_zeta_along_the_normal():
     expected = (
         law.gamma / stiffness * np.linalg.solve(np.array(ca.DM(zeta(delta, d, ca.DM(n)))), error)
     )
-    got = float(force_speed(law, stiffness, delta, force, 2e-3))
+    slope = 1.5 * stiffness * np.sqrt(floored(delta, 2e-3))
+    got = float(force_speed(law, slope, delta, force))
     np.testing.assert_allclose(got * n, expected, rtol=1e-12)
 
 
 def test_force_speed_before_touch_is_the_approach_speed():
     law = Law(approach_speed=0.05)
-    assert float(force_speed(law, 3.1e4, -1e-3, 0.0, 2e-3)) == 0.05
+    slope = 1.5 * 3.1e4 * np.sqrt(floored(-1e-3, 2e-3))
+    assert float(force_speed(law, float(slope), -1e-3, 0.0)) == 0.05
 
 
 def test_damped_inverse_is_the_pseudo_inverse_without_damping_and_finite_when_singular():

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
@@ -22,7 +23,7 @@ MODELS = ("hertz", "elliptic", "layered", "field")
 BATCHED = MODELS[:3]
 """Names of the models that `patches` and `force` know."""
 
-__all__ = ["BATCHED", "MODELS", "Patch", "Patches", "force", "patches", "solve"]
+__all__ = ["BATCHED", "MODELS", "Model", "Patch", "Patches", "force", "patches", "solve"]
 
 
 def solve(
@@ -65,54 +66,84 @@ def solve(
     return patch
 
 
-def patches(
-    model: str,
-    *,
-    force: Any,
-    curvature: Any,
-    indenter_radius: Any,
-    effective_modulus: Any,
-    poisson: float,
-    thickness: float | None = None,
-) -> Patches:
-    """Patches of many contacts by a model of `BATCHED`.
+@dataclass(frozen=True)
+class Model:
+    """A batched contact model and the soft layer that it is asked about.
 
-    force (...), N; curvature (..., 2), 1/m; effective_modulus: E*, Pa; NumPy arrays, or CasADi
-    expressions with a column of two curvatures. `poisson` and `thickness` matter to `layered`
-    only. For `hertz` the circle of the mean curvature. Raises ContactError for NumPy values outside
-    the range of the model's series (not for its physical limits: `solve` has these).
+    Its methods take NumPy arrays, or CasADi expressions with a column of two curvatures.
     """
-    _known(model, BATCHED)
-    if model == "layered":
-        layer = _module(model).Layer(poisson, math.inf if thickness is None else thickness)
-        found: Patches = layer.patches(force, curvature, indenter_radius, effective_modulus)
-    else:
-        found = _module(model).patches(force, curvature, indenter_radius, effective_modulus)
-    return found
+
+    name: str = "hertz"
+    """One of BATCHED."""
+    poisson: float = 0.49
+    """Poisson's ratio; it matters to `layered` only."""
+    thickness: float | None = None
+    """Thickness of the soft layer, m, None for a half-space; it matters to `layered` only."""
+
+    def __post_init__(self) -> None:
+        _known(self.name, BATCHED)
+
+    def patches(
+        self, *, force: Any, curvature: Any, indenter_radius: Any, effective_modulus: Any
+    ) -> Patches:
+        """Patches under `force` (...), N, at `curvature` (..., 2), 1/m; effective_modulus: E*, Pa.
+
+        For `hertz` the circle of the mean curvature. Raises ContactError for NumPy values outside
+        the range of the model's series (not for its physical limits: `solve` has these).
+        """
+        found: Patches = self._law.patches(force, curvature, indenter_radius, effective_modulus)
+        return found
+
+    def force(
+        self, *, depth: Any, curvature: Any, indenter_radius: Any, effective_modulus: Any
+    ) -> Any:
+        """Force, N, from the approach `depth` (...), m; other arguments and errors as `patches`.
+
+        Zero, with finite derivatives, where depth <= 0.
+        """
+        if self.name == "hertz":
+            radius = self._law.relative_radius(curvature, indenter_radius)
+            return self._law.force(depth, radius, effective_modulus)
+        return self._law.force(depth, curvature, indenter_radius, effective_modulus)
+
+    def slope(
+        self, *, depth: Any, curvature: Any, indenter_radius: Any, effective_modulus: Any
+    ) -> Any:
+        """dF/d(depth), N/m, at depths > 0; other arguments and errors as `force`.
+
+        For `layered` of CasADi expressions only.
+        """
+        if self.name == "hertz":
+            radius = self._law.relative_radius(curvature, indenter_radius)
+            return self._law.slope(depth, radius, effective_modulus)
+        if self.name == "elliptic":
+            return self._law.slope(depth, curvature, indenter_radius, effective_modulus)
+        import casadi as ca
+
+        at = ca.SX.sym("depth")
+        force = self._law.force(at, curvature, indenter_radius, effective_modulus)
+        return ca.substitute(ca.gradient(force, at), at, depth)
+
+    @property
+    def _law(self) -> Any:
+        if self.name != "layered":
+            return _module(self.name)
+        thickness = math.inf if self.thickness is None else self.thickness
+        return _module(self.name).Layer(self.poisson, thickness)
+
+
+def patches(
+    model: str, *, poisson: float = 0.49, thickness: float | None = None, **contact: Any
+) -> Patches:
+    """Patches of many contacts by a model of `BATCHED`: see `Model.patches`."""
+    return Model(model, poisson, thickness).patches(**contact)
 
 
 def force(
-    model: str,
-    *,
-    depth: Any,
-    curvature: Any,
-    indenter_radius: Any,
-    effective_modulus: Any,
-    poisson: float,
-    thickness: float | None = None,
+    model: str, *, poisson: float = 0.49, thickness: float | None = None, **contact: Any
 ) -> Any:
-    """Force, N, from the approach `depth` (...), m, by a model of `BATCHED`.
-
-    Zero, with finite derivatives, where depth <= 0. Other arguments and errors as `patches`.
-    """
-    _known(model, BATCHED)
-    if model == "layered":
-        layer = _module(model).Layer(poisson, math.inf if thickness is None else thickness)
-        return layer.force(depth, curvature, indenter_radius, effective_modulus)
-    if model == "elliptic":
-        return _module(model).force(depth, curvature, indenter_radius, effective_modulus)
-    hertz = _module(model)
-    return hertz.force(depth, hertz.relative_radius(curvature, indenter_radius), effective_modulus)
+    """Force, N, from the approach, by a model of `BATCHED`: see `Model.force`."""
+    return Model(model, poisson, thickness).force(**contact)
 
 
 def _known(model: str, names: Sequence[str]) -> None:

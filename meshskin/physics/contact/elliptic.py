@@ -62,6 +62,12 @@ def force(depth: Any, curvature: Any, indenter_radius: Any, modulus: Any) -> Any
     return hertz.force(depth / sink, radius, modulus)
 
 
+def slope(depth: Any, curvature: Any, indenter_radius: Any, modulus: Any) -> Any:
+    """dF/d(depth), N/m, at approaches > 0, m; other arguments and errors as `patches`."""
+    radius, _, _, sink = _geometry(curvature, indenter_radius)
+    return hertz.slope(depth / sink, radius, modulus) / sink
+
+
 def stretch(curvature: Any, indenter_radius: Any) -> Any:
     """sqrt(a/b), with a along the first principal direction; arguments as `patches`."""
     return _geometry(curvature, indenter_radius)[1]

@@ -76,6 +76,11 @@ def force(depth: Any, radius: Any, modulus: Any) -> Any:
     return 4 / 3 * modulus * f.sqrt(radius) * positive * f.sqrt(f.fmax(depth, 1e-12))
 
 
+def slope(depth: Any, radius: Any, modulus: Any) -> Any:
+    """dF/d(depth), N/m, at approaches delta > 0, m; other arguments as `force`."""
+    return 2 * modulus * functions(depth, radius, modulus).sqrt(radius * depth)
+
+
 def patches(force: Any, curvature: Any, indenter_radius: Any, modulus: Any) -> Patches:
     """Patches of many contacts: `force` (...), N, `curvature` (..., 2), 1/m, E* `modulus`, Pa.
 

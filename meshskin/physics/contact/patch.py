@@ -71,3 +71,10 @@ class Patches(NamedTuple):
         """
         mean = ellipse_mean(x, y, self.first, self.second, disc_radius, self.exponent, nodes)
         return self.peak * mean
+
+    def take(self, rows: Any) -> Patches:
+        """The patches of some contacts."""
+        exponent = self.exponent if np.ndim(self.exponent) == 0 else self.exponent[rows]
+        return Patches(
+            self.first[rows], self.second[rows], self.peak[rows], self.depth[rows], exponent
+        )

@@ -33,7 +33,9 @@ class Frames:
     centres: Array
     """The indenter's centre (m, 3)."""
     curvature: Array
-    """Principal curvatures (m, 2), positive where convex."""
+    """Principal curvatures (m, 2), positive where convex, larger first."""
+    directions: Array
+    """Unit tangents (m, 3) along the first of them."""
     q: Array
     """The robot's configuration (m, k), see Context.pose."""
     foot: Foot

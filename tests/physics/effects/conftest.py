@@ -36,6 +36,7 @@ def glide(sphere):
             force=np.broadcast_to(force, m).astype(float),
             centres=(0.1 + sphere.indenter.radius - sphere.patch.depth) * normals,
             curvature=np.full((m, 2), 10.0),
+            directions=sphere.body.exact.closest(normals).direction,
             q=np.zeros((m, 6)) if q is None else q,
             foot=foot,
         )

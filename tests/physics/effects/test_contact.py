@@ -150,6 +150,7 @@ def hertz(sphere):
         return disc_pressures(
             frames.points,
             frames.normals,
+            frames.directions,
             frames.force,
             frames.curvature,
             positions=poses[:, :3, 3],

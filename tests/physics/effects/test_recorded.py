@@ -119,7 +119,9 @@ def _frames(time, centres, hit, q, foot):
     from meshskin.physics.effects.frames import Frames
 
     force = np.full(len(time), 3.0)
-    return Frames(time, hit.point, hit.normal, force, centres, hit.curvature, q, foot)
+    return Frames(
+        time, hit.point, hit.normal, force, centres, hit.curvature, hit.direction, q, foot
+    )
 
 
 def test_encoder_noise_is_one_stream_over_the_batches(context, frames, split):
