@@ -14,6 +14,7 @@ from ..errors import MeshError
 from . import primitives, tessellate
 from .closest import Closest
 from .files import mesh as mesh_file
+from .heights import DEGREE
 from .overlap import ray_scene
 from .surface import Surface
 
@@ -49,11 +50,13 @@ class Body:
     """what was put right in the mesh when it was loaded"""
     seams: NDArray[np.intp] | None = None
     """(k, 2) edges, by their vertices, over which the curvature is known to jump"""
+    degree: int = DEGREE
+    """highest degree (2 to 4) of the polynomials that the surface is fitted with"""
 
     @cached_property
     def surface(self) -> Surface:
         """The smooth surface; fitted when first asked for."""
-        return Surface(self.mesh, self.seams)
+        return Surface(self.mesh, self.seams, self.degree)
 
     def closest(self, points: ArrayLike, face: ArrayLike | None = None) -> Closest:
         """Closest points of the smooth surface to `points` (n, 3), body frame, m.

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import MeshError
-from . import blend, fans, jets, patch, walk
+from . import blend, fans, heights, jets, patch, walk
 from .closest import Closest
 from .proximity import Proximity, thin_walled
 
@@ -40,12 +40,18 @@ class Surface:
     Faces are counter-clockwise seen from outside. Vertices are in the body frame.
     """
 
-    def __init__(self, mesh: Any, seams: ArrayLike | None = None) -> None:
-        """`seams` (k, 2): pairs of vertices over whose edges the curvature jumps, where known."""
+    def __init__(
+        self, mesh: Any, seams: ArrayLike | None = None, degree: int = heights.DEGREE
+    ) -> None:
+        """`seams` (k, 2): pairs of vertices over whose edges the curvature jumps, where known.
+
+        `degree` (2 to 4): the highest of the height fields at the vertices.
+        """
         self.vertices: Array = np.array(mesh.vertices, dtype=float)
         self.faces: Index = np.array(mesh.faces, dtype=np.intp)
         self.neighbours, self._slot = walk.neighbours(self.faces)
         self._seams = None if seams is None else np.asarray(seams, dtype=np.intp)
+        self._degree = degree
 
     @cached_property
     def fans(self) -> fans.Fans:
@@ -54,7 +60,7 @@ class Surface:
 
     @cached_property
     def _shape(self) -> tuple[jets.Jets, blend.Creases]:
-        fitted = jets.fit(self.vertices, self.fans)
+        fitted = jets.fit(self.vertices, self.fans, self._degree)
         return blend.settle(fitted, self.fans, self.neighbours, self._slot)
 
     @property

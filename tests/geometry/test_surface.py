@@ -1,5 +1,6 @@
 """The smooth surface against exact ones: accuracy, order, hops, signs, creases and borders."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -368,3 +369,14 @@ def test_principal_direction_is_the_exact_one(body):
     # a direction is told as well as its shape operator: off by twist / (k1 - k2)
     twist = sine * (exact.curvature[:, 0] - exact.curvature[:, 1])
     assert twist.max() < 5e-3 * np.abs(exact.curvature).max()
+
+
+def test_the_degree_is_a_choice():
+    """Against the exact sphere, whose heights are even: quadrics and cubics alike, then quartics."""
+    off = []
+    for degree in (2, 3, 4):
+        body = replace(Body.sphere(0.1, faces=1280), degree=degree)
+        points = 0.11 * body.exact.closest(np.random.default_rng(1).normal(size=(200, 3))).normal
+        off.append(np.abs(body.closest(points).distance - 0.01).max())
+    assert off[1] == pytest.approx(off[0], rel=0.5)
+    assert off[0] > 20 * off[2] > 0
