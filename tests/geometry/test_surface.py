@@ -372,7 +372,7 @@ def test_principal_direction_is_the_exact_one(body):
 
 
 def test_the_degree_is_a_choice():
-    """Against the exact sphere, whose heights are even: quadrics and cubics alike, then quartics."""
+    """Against the exact sphere, whose heights are even: quadrics and cubics alike, not quartics."""
     off = []
     for degree in (2, 3, 4):
         body = replace(Body.sphere(0.1, faces=1280), degree=degree)
