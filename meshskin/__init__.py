@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from .physics import contact
     from .physics.indenter import Indenter
     from .physics.material import Material
+    from .presses import press
     from .recording import Recording, RecordingWriter
     from .scene import Belief, Readout, Scene
     from .simulation import simulate
@@ -43,6 +44,7 @@ _HOMES = {
     "Skin": "geometry.skin",
     "Study": "study.sweep",
     "calibrate": "estimation.calibrate",
+    "press": "presses",
     "simulate": "simulation",
 }
 
@@ -64,6 +66,7 @@ __all__ = [
     "Study",
     "calibrate",
     "contact",
+    "press",
     "simulate",
 ]
 

@@ -1,7 +1,8 @@
 """The recording: what a simulation or a robot writes, and what calibration reads.
 
 Three Parquet tables. `contacts`, one row a frame in contact: time (s), px py pz (contact point in
-the body frame, m), nx ny nz (outward normal there), force (N). `readings`, sparse: time (s), taxel
+the body frame, m), nx ny nz (outward normal there), force (N), and, where they are known, qw qx qy
+qz (unit quaternion of the body's rotation, world from body). `readings`, sparse: time (s), taxel
 (id), pressure (Pa), only pressures above the threshold. `motion`, from simulations only, one row a
 step.
 """
@@ -29,6 +30,8 @@ from .se3 import Array
 CONTACTS = pa.schema(
     [(name, pa.float64()) for name in ("time", "px", "py", "pz", "nx", "ny", "nz", "force")]
 )
+HEADING = ("qw", "qx", "qy", "qz")
+"""Columns of `contacts` that a recording may lack."""
 READINGS = pa.schema([("time", pa.float64()), ("taxel", pa.int32()), ("pressure", pa.float64())])
 _KEY = b"meshskin"
 _PARTS = ("contacts", "readings", "motion")
@@ -92,6 +95,26 @@ class Recording:
     def force(self) -> Array:
         """Normal contact forces (m,), N."""
         return _column(self.contacts, "force")
+
+    @cached_property
+    def headings(self) -> Array | None:
+        """Rotations (m, 3, 3), world from body, of the contacts; None where not recorded.
+
+        Raises RecordingError for a quaternion that is none.
+        """
+        from scipy.spatial.transform import Rotation
+
+        if not set(HEADING) <= set(self.contacts.column_names):
+            return None
+        quaternion = np.stack([_column(self.contacts, c) for c in HEADING], axis=1)
+        bad = np.flatnonzero(~(np.abs(np.linalg.norm(quaternion, axis=1) - 1) < 1e-3))
+        if len(bad):
+            raise RecordingError(
+                "a heading is no unit quaternion",
+                value=f"{quaternion[bad[0]].tolist()} in row {bad[0]} of contacts",
+                remedy="write qw, qx, qy, qz of the body's rotation, world from body",
+            )
+        return np.asarray(Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]).as_matrix())
 
     @cached_property
     def reading_contact(self) -> np.ndarray:

@@ -25,6 +25,7 @@ WINGS = [
     "scene_file",
     "recording",
     "simulation",
+    "presses",
     "estimation",
     "study",
     "report",

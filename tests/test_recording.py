@@ -85,3 +85,19 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="cannot write"):
         Recording(*tables(), {}).save(tmp_path / "file" / "r")
+
+
+def test_headings(tmp_path):
+    contacts, readings = tables()
+    assert Recording(contacts, readings, {}).headings is None
+    half = np.sqrt(0.5)
+    columns = {"qw": half, "qx": 0.0, "qy": 0.0, "qz": half}
+    turned = contacts
+    for name, value in columns.items():
+        turned = turned.append_column(name, pa.array(np.full(3, value)))
+    Recording(turned, readings, {}).save(tmp_path / "r")
+    found = Recording.load(tmp_path / "r").headings
+    assert np.allclose(found, [[[0, -1, 0], [1, 0, 0], [0, 0, 1]]] * 3)
+    bent = turned.set_column(8, "qw", pa.array([half, half, 1.0]))
+    with pytest.raises(RecordingError, match=r"no unit quaternion.*row 2 of contacts"):
+        _ = Recording(bent, readings, {}).headings

@@ -115,6 +115,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     units.check_force(force, belief.force_reference)
     _check_range(force, curvature, belief)
     row = np.cumsum(pressed) - 1
+    headings = recording.headings if belief.headings is None else belief.headings
     relative = hertz.relative_radius(curvature, belief.indenter.radius)
     radii = hertz.contact_radius(force, relative, modulus)
     peaks = hertz.peak_pressure(force, radii)
@@ -141,7 +142,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
             belief.unknown, belief.priors, belief.force_reference, float(np.median(peaks))
         ),
         slots=belief.module_slots,
-        headings=None if belief.headings is None else np.asarray(belief.headings)[pressed],
+        headings=None if headings is None else np.asarray(headings)[pressed],
     )
 
 

@@ -211,7 +211,8 @@ def anchored(shared: Shared, data: Measurements, body: Body, s: Array) -> Anchor
             raise CalibrationError(
                 "an unknown indenter offset needs the body's orientation in every contact",
                 value="belief.headings = None",
-                remedy="give belief.headings (m, 3, 3), world from body, or leave it out",
+                remedy="record qw qx qy qz of every contact, give belief.headings (m, 3, 3), world "
+                "from body, or leave it out",
             )
         back = np.swapaxes(data.headings, 1, 2)
         moved = moved + back @ s[at["indenter_offset"]]

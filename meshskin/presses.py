@@ -1,0 +1,73 @@
+"""Presses: the recording of chosen contacts without the closed loop, in milliseconds.
+
+For studies of what a set of contacts tells, and for trying an exploration before a robot runs it.
+Each contact is at rest at its force, and one follows the other at the readout's rate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .provenance import provenance
+from .recording import Recording
+from .se3 import Array, exp_so3, quaternion
+from .simulation import effect_chain, frames_at, sensor_tables
+
+if TYPE_CHECKING:
+    from .scene import Scene
+
+
+def press(
+    scene: Scene,
+    points: ArrayLike,
+    force: ArrayLike | None = None,
+    spin: ArrayLike = 0.0,
+    seed: int = 0,
+) -> Recording:
+    """The recording of the indenter pressed on the body at `points` (m, 3), body frame, m.
+
+    force (m,), N: the reference force by default. spin (m,), rad: how far the body is turned about
+    the vertical; its skin faces down on the indenter. All effects of the scene act, as in
+    `simulate`; those of an arm's joints find none.
+    """
+    floating = scene.with_(loop=replace(scene.loop, mode="quasi_static"))
+    hit = scene.body.closest(np.asarray(points, dtype=float))
+    count = len(hit.point)
+    forces = np.broadcast_to(scene.law.force_reference if force is None else force, count)
+    forces = np.array(forces, dtype=float)
+    patches = scene.model.patches(
+        force=forces,
+        curvature=hit.curvature,
+        indenter_radius=scene.indenter.radius,
+        effective_modulus=scene.material.effective_modulus,
+    )
+    centres = hit.point + (scene.indenter.radius - patches.depth)[:, None] * hit.normal
+    turned = exp_so3(np.broadcast_to(spin, count)[:, None] * [0.0, 0.0, 1.0]) @ _down(hit.normal)
+    place = np.array(scene.indenter.position) - np.einsum("kij,kj->ki", turned, centres)
+
+    time = scene.frame_steps * scene.loop.dt * np.arange(float(count))
+    q = np.concatenate([place, quaternion(turned)[:, [3, 0, 1, 2]]], axis=1)
+    frames = frames_at(floating, time, hit.point, hit.normal, forces, centres, q)
+    contacts, readings = sensor_tables(floating, frames, effect_chain(floating, seed))
+    header = {
+        "scene": scene.name,
+        "taxel_ids": np.asarray(scene.skin.ids).tolist(),
+        "disc_radius_m": scene.skin.disc_radius,
+        "threshold_pa": scene.threshold,
+        "force_reference_n": scene.law.force_reference,
+        "provenance": provenance(scene=scene.name, seed=seed, presses=count),
+    }
+    return Recording(contacts, readings, header)
+
+
+def _down(normals: Array) -> Array:
+    """The least rotations (m, 3, 3) that turn unit normals (m, 3) straight down."""
+    axis = np.cross(normals, [0.0, 0.0, -1.0])
+    sine = np.linalg.norm(axis, axis=1)
+    angle = np.arctan2(sine, -normals[:, 2])
+    axis = np.where(sine[:, None] > 1e-12, axis / np.maximum(sine, 1e-12)[:, None], [1.0, 0.0, 0.0])
+    return exp_so3(axis * angle[:, None])

@@ -1,0 +1,64 @@
+"""Presses: contacts without the closed loop read what the closed loop reads."""
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin.estimation import metrics
+from meshskin.physics.effects.gaussian_noise import GaussianNoise
+from meshskin.physics.effects.indenter_offset import IndenterOffset
+from meshskin.presses import press
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return ms.Scene.load("sphere")
+
+
+@pytest.fixture(scope="module")
+def simulated(scene):
+    return ms.simulate(scene, seed=1)
+
+
+def test_as_the_closed_loop(scene, simulated):
+    pressed = press(scene, simulated.points, simulated.force)
+    assert np.allclose(pressed.points, simulated.points, atol=1e-12)
+    assert np.allclose(pressed.normals, simulated.normals, atol=5e-6)  # the loop's are jets
+    dense = np.zeros((2, len(simulated.time), int(max(scene.skin.ids)) + 1))
+    for table, recording in zip(dense, (pressed, simulated), strict=True):
+        table[recording.reading_contact, recording.reading_taxel] = recording.pressure
+    assert np.abs(dense[0] - dense[1]).max() < 1e-5 * scene.patch.peak
+    assert pressed.metadata["taxel_ids"] == simulated.metadata["taxel_ids"]
+
+
+def test_the_body_stands_on_the_indenter(scene):
+    points = scene.body.closest(scene.skin.positions[:4]).point
+    pressed = press(scene, points, spin=[0.0, 0.0, 1.0, -2.0])
+    turned, force = pressed.headings, scene.law.force_reference
+    down = np.einsum("kij,kj->ki", turned, pressed.normals)
+    assert np.allclose(down, [0, 0, -1], atol=1e-9)
+    across = turned[0] @ turned[1].T
+    assert np.trace(across) > 2.99  # no spin: the least turn
+    assert np.trace(turned[2] @ turned[0].T) == pytest.approx(1 + 2 * np.cos(1.0), abs=0.02)
+    assert np.allclose(pressed.force, force)
+
+
+def test_effects_act_and_a_heading_that_varies_shows_the_indenters_offset(scene):
+    offset = (8e-4, -3e-4, 0.0)
+    world = scene.with_(
+        effects=(GaussianNoise(0.01), IndenterOffset(offset)),
+        readout=ms.Readout(threshold_relative=0.05),
+    )
+    centre = scene.skin.positions.mean(axis=0)
+    near = np.random.default_rng(0).normal(scale=15e-3, size=(1500, 3))
+    recording = press(world, centre + near, spin=np.linspace(-3, 3, 1500), seed=4)
+    belief = world.belief(unknown=("modulus", "indenter_offset"))
+    found = ms.calibrate(recording, belief)
+    for axis, true in zip("xy", offset, strict=False):
+        value, sigma = found.unknowns[f"indenter_offset {axis}"]
+        assert value == pytest.approx(-true, abs=4 * sigma)
+        assert sigma < 5e-6
+    bound = metrics.cramer_rao(recording, belief, scene.skin)
+    assert np.nanmean(metrics.position_errors(found, scene.skin)) < 1.2 * bound.mean
+    again = press(world, centre + near, spin=np.linspace(-3, 3, 1500), seed=4)
+    assert np.array_equal(again.pressure, recording.pressure)
