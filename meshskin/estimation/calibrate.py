@@ -13,6 +13,7 @@ from ..provenance import digest, provenance
 from . import chart, displacements, gauge, joint, observe, trilaterate
 from .calibration import Calibration
 from .measurements import Measurements, gather
+from .solve import AT_REST
 
 if TYPE_CHECKING:
     from ..recording import Recording
@@ -27,13 +28,17 @@ MODULE_SURFACE = "body surface: modules lie on it to 0.1 mm a taxel"
 CONTACTS = "contact points in the body frame"
 
 
-def calibrate(recording: Recording, belief: Belief, method: str = "joint") -> Calibration:
+def calibrate(
+    recording: Recording, belief: Belief, method: str = "joint", tolerance: float = AT_REST
+) -> Calibration:
     """Where every taxel of `belief.taxel_ids` is, by the readings of `recording`.
 
     method: "joint", maximum likelihood over all readings (the default); "posegraph", the paper's
     graph of displacements; "posegraph_isotropic", with the paper's isotropic information;
     "posegraph_paper", with displacements from three circles, too, as in the paper;
     "trilateration", least squares on all circles of a taxel; "three_circles", the paper's.
+    tolerance: the Newton decrement at which the joint estimate rests (a move of sqrt(2 tolerance)
+    standard deviations); the other methods have no use for it.
     Raises UnknownNameError for another method, RecordingError for values that are not finite,
     CalibrationError for no readings, unknown taxels or nothing determined, ContactError where the
     believed contact model leaves its range.
@@ -43,7 +48,8 @@ def calibrate(recording: Recording, belief: Belief, method: str = "joint") -> Ca
     begin = time.perf_counter()
     data = gather(recording, belief)
     gathered = time.perf_counter()
-    values = METHODS[method](data, belief)
+    options = {"tolerance": tolerance} if method == "joint" else {}
+    values = METHODS[method](data, belief, **options)
     seconds = {"gather": gathered - begin, **values.pop("seconds", {})}
     return _assemble(
         data,
@@ -96,8 +102,8 @@ def _assemble(
     )
 
 
-def _joint(data: Measurements, belief: Belief) -> dict[str, Any]:
-    found = joint.estimate(data, belief.body)
+def _joint(data: Measurements, belief: Belief, tolerance: float = AT_REST) -> dict[str, Any]:
+    found = joint.estimate(data, belief.body, tolerance=tolerance)
     silent = ("silent readings, censored at the threshold",) if data.noise else ()
     surface: tuple[str, ...] = (SURFACE,)
     if found.covariances is not None:
@@ -205,7 +211,7 @@ def _posegraph(
     return run
 
 
-METHODS: dict[str, Callable[[Measurements, Belief], dict[str, Any]]] = {
+METHODS: dict[str, Callable[..., dict[str, Any]]] = {
     "joint": _joint,
     "posegraph": _posegraph(isotropic=False),
     "posegraph_isotropic": _posegraph(isotropic=True),

@@ -91,6 +91,8 @@ class Problem:
     likelihood: Likelihood
     places: Places
     contacts: Anchored
+    settled: float = SETTLED
+    """Newton decrement, in units of the cost, at which a group rests."""
     sweeps: float = 0.0
     """Evaluations of all readings so far."""
 
@@ -120,7 +122,7 @@ class Problem:
             blocks = self.blocks(state, groups)
             step = blocks.steps(damping)
             state.decrement[groups] = blocks.decrement
-            open_ = state.decrement[groups] > SETTLED
+            open_ = state.decrement[groups] > self.settled
             groups, step, damping = groups[open_], step[open_], damping[open_]
             if not len(groups):
                 return

@@ -13,22 +13,19 @@ import numpy as np
 from ..errors import CalibrationError
 from ..se3 import Array
 from . import faults
-from .eliminate import SETTLED, Problem, Reduced, State
+from .eliminate import Problem, Reduced, State
 from .factors.pressure import HEARD
 from .factors.shared import Anchored, anchored
 from .likelihood import Likelihood, select
 from .measurements import SPARE, Measurements
 from .places import Free, Places
-from .solve import minimise
+from .solve import AT_REST, minimise
 
 if TYPE_CHECKING:
     from ..geometry.body import Body
 
 PASSES = 8
 """Most anchorings; two are usual."""
-AT_REST = 1e-8
-"""Newton decrement, in units of the cost, at which fresh anchors are at the optimum: a move of
-some 1e-4 standard deviations."""
 DECREMENT = 1e-6
 """Largest Newton decrement of the shared unknowns at which a solution is believed."""
 MISFIT = 4.0
@@ -48,8 +45,10 @@ class Run:
         places: Places,
         weight: Array,
         iterations: int,
+        tolerance: float = AT_REST,
     ) -> None:
         self.data, self.body, self.live, self.iterations = data, body, live, iterations
+        self.tolerance = tolerance
         self.weight = weight
         self.silent_weight = np.ones(len(live))
         self.seconds = {"readings": 0.0, "solve": 0.0}
@@ -73,7 +72,7 @@ class Run:
             self.likelihood = Likelihood(self.data, readings, self.data.shared)
             self.about = points, contacts.data.points, stretch
             self.seconds["readings"] += time.perf_counter() - clock
-        self.problem = Problem(self.likelihood, places, contacts)
+        self.problem = Problem(self.likelihood, places, contacts, self.tolerance / 10)
         self.state = self.problem.start(s, z)
 
     def _covers(self, places: Places, contacts: Anchored, stretch: float) -> bool:
@@ -93,14 +92,17 @@ class Run:
         status, clock = "", time.perf_counter()
         for turn in range(PASSES):
             problem, fresh = self.problem, self.problem.blocks(self.state)
-            self.restless = (fresh.decrement > AT_REST)[problem.places.group]
-            if turn and not self.restless.any() and problem.reduce(self.state).decrement < AT_REST:
+            self.restless = (fresh.decrement > self.tolerance)[problem.places.group]
+            moving = self.restless.any() or problem.reduce(self.state).decrement > self.tolerance
+            if turn and not moving:
                 break
             problem.settle(self.state)
             left = problem.reduce(self.state)
             self.watch(self.state)
-            if left.decrement > AT_REST:
-                self.state, status = minimise(problem, self.state, self.iterations, self.watch)
+            if left.decrement > self.tolerance:
+                self.state, status = minimise(
+                    problem, self.state, self.iterations, self.watch, self.tolerance
+                )
                 left = problem.reduce(self.state)
             self._check(left, status)
             z, size = self.state.z.copy(), problem.places.size
@@ -110,7 +112,8 @@ class Run:
         self.seconds["solve"] += time.perf_counter() - clock
 
     def _check(self, left: Reduced, status: str) -> None:
-        if not left.decrement < max(DECREMENT, 1e-9 * len(self.data.pressure)):
+        believed = max(DECREMENT, 100 * self.tolerance, 1e-9 * len(self.data.pressure))
+        if not left.decrement < believed:
             raise CalibrationError(
                 "the joint estimate did not converge",
                 value=f"Newton decrement {left.decrement:.3g}, {status}",
@@ -156,7 +159,7 @@ class Run:
         moved = places.about(self.body, points)
         self.anchor(moved, kept.s, z, select_anew=True)
         self.problem.settle(self.state, bad)
-        settled = self.state.decrement[bad] <= SETTLED
+        settled = self.state.decrement[bad] <= self.problem.settled
         # The cost counts silent readings, too; readings of other places are other readings.
         better = bad[(self.chi2[bad] < before[bad]) | (settled & restless[bad])]
         points = places.points().copy()

@@ -15,23 +15,28 @@ import numpy as np
 from ..se3 import Array
 from .eliminate import Problem, Reduced, State
 
-# A gradient of 1e-5 is a step of 1e-5 standard deviations.
 IPOPT: dict[str, object] = {
-    "tol": 1e-5,
     "nlp_scaling_method": "none",
     "print_level": 0,
     "sb": "yes",
 }
 ITERATIONS = 30
 """Most iterations of IPOPT."""
+AT_REST = 1e-8
+"""Newton decrement, in units of the cost, at which an estimate is at its optimum: a move of some
+1e-4 standard deviations."""
 
 
 def minimise(
-    problem: Problem, state: State, iterations: int, watch: Callable[[State], None]
+    problem: Problem,
+    state: State,
+    iterations: int,
+    watch: Callable[[State], None],
+    tolerance: float = AT_REST,
 ) -> tuple[State, str]:
     """The state at the most likely shared unknowns, and IPOPT's status.
 
-    `watch` sees the state of every new lowest cost.
+    `watch` sees the state of every new lowest cost; tolerance: Newton decrement to be reached.
     """
     if not len(state.s):
         return state, "nothing shared"
@@ -51,7 +56,8 @@ def minimise(
         "calc_lam_x": False,
         "calc_lam_p": False,
         "print_time": False,
-        "ipopt": IPOPT | {"max_iter": iterations},
+        # a gradient of 1e-5 is a step of 1e-5 standard deviations, and a decrement of 5e-11
+        "ipopt": IPOPT | {"max_iter": iterations, "tol": 0.1 * tolerance**0.5},
     }
     solver = ca.nlpsol("joint", "ipopt", {"x": x, "p": p, "f": cost(x)}, options)
     found = solver(x0=state.s / evaluator.scale)["x"].full().ravel()

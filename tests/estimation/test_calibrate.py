@@ -142,3 +142,16 @@ def test_approach_without_force_is_left_out(world):
     found = calibrate(untouched, world.belief())
     assert found.readings.sum() == heard.sum()
     assert mean_error(world, found) < 1e-6
+
+
+def test_a_loose_tolerance_stays_within_what_it_says(noisy):
+    """sqrt(2 tolerance) standard deviations from the optimum, at most, and no further for less."""
+    recording, belief = noisy
+    tight = calibrate(recording, belief, tolerance=1e-12)
+    off = []
+    for tolerance in (1e-1, 1e-2, 1e-8):
+        loose = calibrate(recording, belief, tolerance=tolerance)
+        away = np.linalg.norm(loose.positions - tight.positions, axis=1) / tight.position_sigma
+        off.append(np.nanmax(away))
+        assert off[-1] < 2 * np.sqrt(2 * tolerance)
+    assert off[0] > 100 * off[2]
