@@ -238,18 +238,12 @@ def _tables(
     chain = effect_chain(scene, seed)
     stride = scene.frame_steps
     size = int(np.clip(FRAME_CELLS / max(len(scene.skin.ids), 1) * stride, LENGTHS[0], 8192))
-    rows = loop.outputs
     count = 0
     for batch in _batches(runs, size):
-        time = np.concatenate([s.time for s in batch])
-        outputs = np.concatenate([s.outputs for s in batch])
-        frame = (count + np.arange(len(time))) % stride == 0
-        count += len(time)
-        frame &= outputs[:, rows["force"].start] > 0
-        configuration = np.concatenate([s.q for s in batch])
-        seen = _frames(scene, time[frame], outputs[frame], rows, configuration[frame])
+        seen = contact_frames(scene, loop, batch, count)
+        count += sum(len(s.time) for s in batch)
         contacts, readings = sensor_tables(scene, seen, chain)
-        yield contacts, readings, _motion_table(scene, batch, time, outputs, rows)
+        yield contacts, readings, _motion_table(scene, loop, batch)
 
 
 def effect_chain(scene: Scene, seed: int) -> effects.Chain:
@@ -277,8 +271,14 @@ def _field(scene: Scene) -> Field:
     return field
 
 
-def _frames(scene: Scene, time: Array, outputs: Array, rows: dict[str, slice], q: Array) -> Frames:
-    """The frames at `time` (m,) from the loop's outputs and configurations."""
+def contact_frames(scene: Scene, loop: Loop, batch: Sequence[Steps], before: int = 0) -> Frames:
+    """The contacts when the skin is read, among consecutive steps that follow `before` others."""
+    outputs, rows = np.concatenate([s.outputs for s in batch]), loop.outputs
+    frame = (before + np.arange(len(outputs))) % scene.frame_steps == 0
+    frame &= outputs[:, rows["force"].start] > 0
+    outputs = outputs[frame]
+    time = np.concatenate([s.time for s in batch])[frame]
+    q = np.concatenate([s.q for s in batch])[frame]
     points, normals = outputs[:, rows["point"]], outputs[:, rows["normal"]]
     centres = points + (scene.indenter.radius - outputs[:, rows["depth"]]) * normals
     return frames_at(scene, time, points, normals, outputs[:, rows["force"].start], centres, q)
@@ -329,10 +329,10 @@ def sensor_tables(scene: Scene, frames: Frames, chain: effects.Chain) -> tuple[p
     return contacts, readings
 
 
-def _motion_table(
-    scene: Scene, batch: Sequence[Steps], time: Array, outputs: Array, rows: dict[str, slice]
-) -> pa.Table:
+def _motion_table(scene: Scene, loop: Loop, batch: Sequence[Steps]) -> pa.Table:
     """Every step: time, phase, force, reference, depth, joint angles and torques."""
+    outputs, rows = np.concatenate([s.outputs for s in batch]), loop.outputs
+    time = np.concatenate([s.time for s in batch])
     q = np.concatenate([s.q for s in batch])
     phase = np.repeat([s.phase for s in batch], [len(s.time) for s in batch]).astype(np.int8)
     columns = {
