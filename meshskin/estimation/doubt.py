@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from . import faults, trilaterate
-from .factors.pressure import SILENT
+from .factors.pressure import HEARD, SILENT
 from .places import Free
 from .run import Run
 
@@ -33,7 +33,7 @@ def doubt(run: Run) -> None:
 
 
 def _sift(run: Run, suspects: np.ndarray, scale: float, fixed: bool) -> float:
-    """Weigh the readings of suspects until none changes sides; the scale of what is left.
+    """Weigh the readings of suspects until no weight changes; the scale of what is left.
 
     Infinite where too much is left out. The scale of the noise is `scale`, if `fixed`.
     """
@@ -50,24 +50,26 @@ def _sift(run: Run, suspects: np.ndarray, scale: float, fixed: bool) -> float:
             scale = max(faults.typical(readings, r), faults.LEAST)
         if not stage:
             suspects = np.union1d(suspects, faults.suspects(readings, r, scale))
-        weight = faults.weights(r, scale, stage)
+        own = (readings.kind == HEARD) & np.isin(readings.taxel, suspects)
+        cut = faults.CUT if stage else faults.even_odds(r[own], scale)
+        weight = faults.weights(r, scale, stage, cut)
         run.silent_weight[:] = 1.0
         if stage:  # what was heard says where a taxel is; then what was not is judged by it
             weight[readings.kind == SILENT] = run.silent_weight[suspects] = 0.0
         weight[~np.isin(readings.taxel, suspects)] = 1.0
-        if np.array_equal(weight, readings.weight):
+        if np.abs(weight - readings.weight).max() < faults.STILL:
             break
         run.weigh(weight)
         run.converge()
     readings = run.likelihood.readings
-    lost = np.mean(readings.weight[readings.kind != SILENT] == 0)
+    lost = np.mean(faults.outlying(readings)[readings.kind != SILENT])
     return faults.typical(readings, run.residuals()) if lost < faults.MOST else np.inf
 
 
 def _name(run: Run) -> None:
     """Say of each taxel what is wrong; one that is mostly outlying is `broken`."""
     readings, n = run.likelihood.readings, len(run.live)
-    out, silent = readings.weight == 0, readings.kind == SILENT
+    out, silent = faults.outlying(readings), readings.kind == SILENT
 
     def count(which: np.ndarray) -> np.ndarray:
         return np.bincount(readings.taxel[which], minlength=n)

@@ -1,8 +1,9 @@
 """Readings and taxels that do not tell what they should: found, named, and kept from the rest.
 
 Outlying readings are found by graduated non-convexity: Geman-McClure weights
-w = (m c^2 / (m c^2 + r^2))^2, with m falling to 1, then a plain cut. Only taxels whose chi-square
-cannot be chance are weighed, so that sound recordings are estimated as if nothing could be wrong.
+w = (m c^2 / (m c^2 + r^2))^2, with m falling to 1. Then each weighs what its probability of being
+sound is, among outlying ones that lie anywhere. Only taxels whose chi-square cannot be chance are
+weighed, so that sound recordings are estimated as if nothing could be wrong.
 Source: Yang, Antonante, Tzoumas, Carlone, "Graduated Non-Convexity for Robust Spatial Perception",
 IEEE Robotics and Automation Letters 5 (2020).
 """
@@ -22,6 +23,8 @@ STAGES = (64.0, 16.0, 4.0, 1.0)
 """m along the way."""
 CUT = 4.5
 """Residual, in standard deviations, beyond which a reading is outlying; c is two thirds of it."""
+LEAST_CUT = 3.0
+"""The same where outlying readings are as many as can be: one sound reading in 400 is beyond."""
 CHANCE = 1e-9
 """Probability below which a taxel's chi-square is no chance."""
 GROSS = 1.5
@@ -29,7 +32,9 @@ GROSS = 1.5
 BROKEN = 0.5
 """Share of outlying readings from which a taxel is not believed at all."""
 CUTS = 6
-"""Most plain cuts after the weighing."""
+"""Most weighings by probability after those."""
+STILL = 0.02
+"""Change of a weight that ends them."""
 LEAST = 0.1
 """Least scale of residuals where the noise is not known, in nominal noises."""
 TAKEN = 1.25
@@ -48,6 +53,11 @@ class Stuck:
     """Rows of the taxels."""
     level: Array
     """What they read, Pa."""
+
+
+def outlying(readings: Readings) -> np.ndarray:
+    """Readings (k,) that are rather outlying than sound."""
+    return np.asarray(readings.weight < 0.5)
 
 
 def stuck(data: Measurements) -> Stuck:
@@ -75,7 +85,7 @@ def residuals(readings: Readings, mu: Array, sigma: float) -> Array:
 
 def typical(readings: Readings, r: Array) -> float:
     """Scale of the residuals, by the median, which few outlying ones do not move."""
-    r = r[(readings.kind == HEARD) & (readings.weight > 0.5)]
+    r = r[(readings.kind == HEARD) & ~outlying(readings)]
     return float(np.median(np.abs(r))) / 0.6745 if len(r) else 1.0
 
 
@@ -84,19 +94,37 @@ def suspects(readings: Readings, r: Array, scale: float) -> np.ndarray:
     from scipy.stats import chi2
 
     n = len(readings.starts) - 1
-    counted = (readings.weight > 0) & ((readings.kind == HEARD) | (r != 0))
+    counted = ~outlying(readings) & ((readings.kind == HEARD) | (r != 0))
     count = np.bincount(readings.taxel, counted, n)
     total = np.bincount(readings.taxel, np.where(counted, r**2, 0.0), n) / scale**2
     chance = chi2.sf(total, np.maximum(count - 2, 1))
     return np.flatnonzero((total > GROSS * count) & (chance < CHANCE))
 
 
-def weights(r: Array, scale: float, stage: float) -> Array:
-    """Geman-McClure weights (k,) at a stage m; at m = 0, whether a residual is no more than CUT."""
+def weights(r: Array, scale: float, stage: float, cut: float = CUT) -> Array:
+    """Geman-McClure weights (k,) at a stage m; at m = 0, the probability that a reading is sound,
+    one half where its residual is `cut`, in units of `scale`.
+    """
     if not stage:
-        return (np.abs(r) < CUT * scale).astype(float)
+        from scipy.special import expit
+
+        return np.asarray(expit((cut**2 - (r / scale) ** 2) / 2))
     c2 = stage * (2 / 3 * CUT * scale) ** 2
     return np.asarray((c2 / (c2 + r**2)) ** 2)
+
+
+def even_odds(r: Array, scale: float) -> float:
+    """Residual, in units of `scale`, at which a reading is as likely sound as outlying.
+
+    The sound of the residuals r (k,) are normal; the outlying ones, a share e of them, lie evenly
+    over a width w: (1 - e) exp(-c^2 / 2) / sqrt(2 pi) = e / w. No less than LEAST_CUT, nor more
+    than CUT.
+    """
+    out = np.abs(r) > CUT * scale
+    share = np.clip(np.mean(out), 1e-6, 0.5) if len(r) else 1e-6
+    low, high = np.quantile(r[out], [0.25, 0.75]) / scale if out.any() else (0.0, 0.0)
+    ratio = (1 - share) / share * max(2 * (high - low), 2 * CUT) / np.sqrt(2 * np.pi)
+    return float(np.clip(np.sqrt(2 * np.log(ratio)), LEAST_CUT, CUT))
 
 
 def exchanged(
@@ -106,7 +134,7 @@ def exchanged(
 
     Their outlying readings lie about the other's position, both ways.
     """
-    out = (readings.weight == 0) & (readings.kind == HEARD)
+    out = outlying(readings) & (readings.kind == HEARD)
     power = np.where(out, readings.level**2, 0.0)
     total = np.bincount(readings.taxel, power, len(points))
     where = np.stack(

@@ -28,7 +28,7 @@ from .measurements import Measurements
 from .nulls import undetermined
 from .places import Free, Places
 from .run import PASSES, Run
-from .solve import AT_REST, ITERATIONS
+from .solve import ITERATIONS
 
 if TYPE_CHECKING:
     from ..geometry.body import Body
@@ -106,13 +106,11 @@ def estimate(
     body: Body,
     start: trilaterate.Fit | None = None,
     iterations: int = ITERATIONS,
-    tolerance: float = AT_REST,
 ) -> Joint:
     """The most likely unknowns, from the least-squares trilateration as a start.
 
-    `iterations`: the most that IPOPT may take; `tolerance`: the Newton decrement at which
-    taxels and shared unknowns are at the optimum, in units of the cost. Raises CalibrationError if
-    no taxel is determined or the optimiser does not converge.
+    `iterations`: the most that IPOPT may take. Raises CalibrationError if no taxel is determined or
+    the optimiser does not converge.
     """
     clock = time.perf_counter()
     start = start or trilaterate.least_squares(data, body)
@@ -132,7 +130,7 @@ def estimate(
         sound = np.isin(np.arange(len(data.ids)), live)
         places, live = module.start(body, data.slots, data.ids, start.points, sound, step)
     weight = np.where(np.isin(data.taxel, stuck.rows), 0.0, 1.0)
-    run = Run(data, body, live, places, weight, iterations, tolerance)
+    run = Run(data, body, live, places, weight, iterations)
     run.converge()
     again = run.restart(trilaterate.centroids(data, body)[live])
     doubt(run)
@@ -156,12 +154,12 @@ def _fit(run: Run) -> Fit:
     r = run.residuals()
     mu = r + np.where(read.kind == SILENT, data.threshold, read.level) / data.sigma
     clear = (mu > data.threshold / data.sigma + 3) & (mu < data.saturation / data.sigma - 3)
-    clear &= (read.weight > 0) & ~run.broken[read.taxel]
-    unknowns = run.state.z.size + len(run.state.s)
-    share = clear.sum() / max(int(np.sum(read.kind != SILENT)), 1)
+    weight = np.where(clear & ~run.broken[read.taxel], read.weight, 0.0)
+    unknowns, count = run.state.z.size + len(run.state.s), float(weight.sum())
+    share = count / max(int(np.sum(read.kind != SILENT)), 1)
     return goodness(
-        float(r[clear] @ r[clear]), int(clear.sum()) - unknowns * min(share, 1.0),
-        bool(data.noise), int(np.sum(read.weight == 0)),
+        float(weight @ r**2), count - unknowns * min(share, 1.0),
+        bool(data.noise), int(np.sum(faults.outlying(read))),
     )  # fmt: skip
 
 
