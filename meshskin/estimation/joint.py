@@ -28,7 +28,7 @@ from .measurements import Measurements
 from .nulls import undetermined
 from .places import Free, Places
 from .run import PASSES, Run
-from .solve import ITERATIONS
+from .solve import AT_REST, ITERATIONS
 
 if TYPE_CHECKING:
     from ..geometry.body import Body
@@ -106,11 +106,13 @@ def estimate(
     body: Body,
     start: trilaterate.Fit | None = None,
     iterations: int = ITERATIONS,
+    tolerance: float = AT_REST,
 ) -> Joint:
     """The most likely unknowns, from the least-squares trilateration as a start.
 
-    `iterations`: the most that IPOPT may take. Raises CalibrationError if no taxel is determined or
-    the optimiser does not converge.
+    `iterations`: the most that IPOPT may take; `tolerance`: the Newton decrement at which
+    taxels and shared unknowns are at the optimum, in units of the cost. Raises CalibrationError if
+    no taxel is determined or the optimiser does not converge.
     """
     clock = time.perf_counter()
     start = start or trilaterate.least_squares(data, body)
@@ -130,7 +132,7 @@ def estimate(
         sound = np.isin(np.arange(len(data.ids)), live)
         places, live = module.start(body, data.slots, data.ids, start.points, sound, step)
     weight = np.where(np.isin(data.taxel, stuck.rows), 0.0, 1.0)
-    run = Run(data, body, live, places, weight, iterations)
+    run = Run(data, body, live, places, weight, iterations, tolerance)
     run.converge()
     again = run.restart(trilaterate.centroids(data, body)[live])
     doubt(run)
