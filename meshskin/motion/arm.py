@@ -4,7 +4,7 @@ World = base: the root link is fixed at the world's origin, z up, gravity along 
 pose of the tip link. Jacobians stack the tip's linear velocity over its angular velocity, both in
 world axes (m/rad, rad/rad).
 
-Source: Featherstone, "Rigid Body Dynamics Algorithms" (2008); the recursions are those of adam.
+Source: Featherstone, "Rigid Body Dynamics Algorithms" (2008).
 """
 
 from __future__ import annotations
@@ -23,15 +23,41 @@ from numpy.typing import ArrayLike
 from ..errors import ArmError
 from ..se3 import Array
 from . import reach
-from .urdf import bare, chain, check_links, numbers, parse, reflected_inertias, rotation
+from .dynamics import Dynamics
+from .urdf import Joint, chain, check_links, drive, numbers, parse, reflected_inertias
 
-GRAVITY = 9.80665  # m/s^2, standard gravity
-MOVING = ("revolute", "continuous")  # adam 0.5 fails on prismatic joints
+MOVING = ("revolute", "continuous", "prismatic")
+
+
+def _range(joint: Joint) -> tuple[float, float]:
+    """Lowest and highest position of a joint."""
+    if joint.kind == "continuous":
+        return -math.inf, math.inf
+    return joint.limits["lower"], joint.limits["upper"]
+
+
+@dataclass(frozen=True)
+class Driven:
+    """A moving joint of the chain and what moves it."""
+
+    joint: Joint
+    column: int | None
+    """Which of the arm's joints; None: one beside the chain, held at zero."""
+    multiplier: float
+    offset: float
+
+    def position(self, q: cs.SX) -> cs.SX | float:
+        """Its position at the arm's joint angles `q` (n,)."""
+        return self.offset + (0.0 if self.column is None else self.multiplier * q[self.column])
 
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """A serial arm: the rotary joints from the root link to the tip of a URDF file, in order."""
+    """A serial arm: the moving joints from the root link to the tip of a URDF file, in order.
+
+    Joints that mimic others are driven by these and not counted. Angles and torques (rad, N m) are
+    ways and forces (m, N) for prismatic joints.
+    """
 
     name: str
     joint_names: tuple[str, ...]
@@ -55,7 +81,8 @@ class Arm:
         """Read an arm from the URDF file at `path`; `tip` names the link whose pose is controlled.
 
         Motors are read from `<transmission>` elements as Drake documents them: `rotor_inertia`
-        (kg m^2) and `gear_ratio` under `actuator`. Moving joints beside the chain are held at zero.
+        (kg m^2) and `gear_ratio` under `actuator`. Moving joints beside the chain are held at zero,
+        and so are those that drive a mimic joint of the chain from beside it.
         Raises ArmError (no file, no URDF, no moving joint), UnknownNameError (no such tip).
         """
         path = Path(path)
@@ -70,25 +97,32 @@ class Arm:
         """The arm described by URDF text; `where` is added to error messages. As `from_urdf`."""
         robot = parse(urdf, where)
         check_links(robot, where)
-        moving = [j for j in chain(robot, tip, where) if j.kind != "fixed"]
-        if not moving:
-            raise ArmError(f"no moving joint leads to the link {tip!r}{where}", remedy="set tip=")
-        for j in moving:
+        every = [j for j in chain(robot, tip, where) if j.kind != "fixed"]
+        for j in every:
             if j.kind not in MOVING:
                 raise ArmError(f"joint {j.name!r}{where} is {j.kind}", limit=" or ".join(MOVING))
             if j.kind != "continuous" and not {"lower", "upper"} <= j.limits.keys():
                 raise ArmError(f"joint {j.name!r}{where} has no <limit lower= upper=>")
-        free = [j.kind == "continuous" for j in moving]
+        moving = [j for j in every if j.mimic is None]
+        if not moving:
+            raise ArmError(f"no moving joint leads to the link {tip!r}{where}", remedy="set tip=")
         inertia = reflected_inertias(robot, where)
+        ranges = {j.name: _range(j) for j in moving}
+        for j in every:  # a mimic joint's range limits the one that drives it
+            driver = drive(j, robot, where)
+            if driver.joint in ranges and driver.multiplier:
+                ends = sorted((end - driver.offset) / driver.multiplier for end in _range(j))
+                low, high = ranges[driver.joint]
+                ranges[driver.joint] = max(low, ends[0]), min(high, ends[1])
 
         def limits(key: str) -> Array:
             return np.array([j.limits.get(key, math.inf) for j in moving])
 
         return cls(
             name=robot.get("name", "arm"),
-            joint_names=tuple(j.name for j in moving),
-            lower=np.where(free, -math.inf, limits("lower")),
-            upper=np.where(free, math.inf, limits("upper")),
+            joint_names=tuple(ranges),
+            lower=np.array([low for low, _ in ranges.values()]),
+            upper=np.array([high for _, high in ranges.values()]),
             velocity_limit=limits("velocity"),
             effort_limit=limits("effort"),
             reflected_inertia=np.array([inertia.get(j.name, 0.0) for j in moving]),
@@ -145,18 +179,32 @@ class Arm:
         """
         if q.shape != (len(self.joint_names), 1):
             raise ArmError("q of wrong shape", value=q.shape, limit=f"({len(self.joint_names)}, 1)")
-        pose, axes, points = cs.SX.eye(4), [], []
-        index = {name: k for k, name in enumerate(self.joint_names)}
+        pose, moved = cs.SX.eye(4), []
+        driven = {d.joint.name: d for d in self.driven}
         for joint in chain(parse(self.urdf, ""), self.tip, ""):
-            pose = pose @ joint.motion(q[index[joint.name]] if joint.name in index else 0.0)
-            if joint.name in index:  # the axis is the same before and after the joint's own motion
-                axes.append(pose[:3, :3] @ joint.axis)
-                points.append(pose[:3, 3])
-        columns = [
-            cs.vertcat(cs.cross(axis, pose[:3, 3] - point), axis)
-            for axis, point in zip(axes, points, strict=True)
-        ]
-        return cs.densify(pose), cs.densify(cs.horzcat(*columns))
+            by = driven.get(joint.name)
+            pose = pose @ joint.motion(by.position(q) if by else 0.0)
+            if by:  # the axis is the same before and after the joint's own motion
+                moved.append((by, pose[:3, :3] @ joint.axis, pose[:3, 3]))
+        jacobian = cs.SX.zeros(6, len(self.joint_names))
+        for by, axis, point in moved:
+            if by.column is not None:
+                slides = by.joint.kind == "prismatic"
+                way = axis if slides else cs.cross(axis, pose[:3, 3] - point)
+                turn = cs.SX.zeros(3) if slides else axis
+                jacobian[:, by.column] += by.multiplier * cs.vertcat(way, turn)
+        return cs.densify(pose), cs.densify(jacobian)
+
+    @cached_property
+    def driven(self) -> tuple[Driven, ...]:
+        """Every moving joint of the chain, mimic ones too, in order."""
+        robot, found = parse(self.urdf, ""), []
+        index = {name: k for k, name in enumerate(self.joint_names)}
+        for joint in chain(robot, self.tip, ""):
+            if joint.kind != "fixed":
+                by = drive(joint, robot, "")
+                found.append(Driven(joint, index.get(by.joint), by.multiplier, by.offset))
+        return tuple(found)
 
     def pose(self, q: ArrayLike) -> Array:
         """T_w_tip (..., 4, 4) at joint angles (..., n). Raises ArmError for a wrong shape."""
@@ -203,44 +251,3 @@ class Arm:
     def newton(self) -> reach.Newton:
         """The iterations of inverse kinematics as CasADi functions, built once."""
         return reach.newton(self)
-
-
-class Dynamics:
-    """Expressions of an arm's equations of motion, M(q) qdd + bias(q, qd) = torque + J^T wrench."""
-
-    def __init__(self, arm: Arm) -> None:
-        from adam.casadi.casadi_like import SpatialMath
-        from adam.core import RBDAlgorithms
-        from adam.model import Model
-        from adam.model.std_factories.std_model import URDFModelFactory
-
-        class ExactMath(SpatialMath):
-            """adam's mathematics with exact quarter turns: 40 % fewer instructions."""
-
-            def R_from_RPY(self, rpy: Any) -> Any:
-                angles = cs.DM(rpy.array).full().ravel()
-                return self.factory.asarray(cs.sparsify(cs.SX(rotation(angles))))
-
-        exact = ExactMath()
-        factory = URDFModelFactory(bare(arm.urdf, arm.name, arm.joint_names), exact)
-        model = Model.build(factory, joints_name_list=list(arm.joint_names))
-        self._arm, self._adam = arm, RBDAlgorithms(model, exact)
-
-    def mass_matrix(self, q: cs.SX) -> cs.SX:
-        """Mass matrix (n, n), kg m^2, with the motors' reflected inertia, at angles `q` (n,)."""
-        m = self._adam.crba(cs.SX.eye(4), q)[0].array[6:, 6:]
-        return cs.densify(m + cs.diag(cs.DM(self._arm.reflected_inertia)))
-
-    def bias(self, q: cs.SX, qd: cs.SX) -> cs.SX:
-        """Coriolis, centrifugal and gravity torques (n,), N m, at `q` and velocities `qd` (n,)."""
-        gravity = cs.SX([0.0, 0.0, -GRAVITY, 0.0, 0.0, 0.0])
-        torque = self._adam.rnea(cs.SX.eye(4), q, cs.SX(6, 1), qd, gravity).array
-        return cs.densify(torque[6:])
-
-    def pose(self, q: cs.SX) -> cs.SX:
-        """T_w_tip (4, 4)."""
-        return self._arm.kinematics(q)[0]
-
-    def jacobian(self, q: cs.SX) -> cs.SX:
-        """Jacobian (6, n) of the tip, linear over angular velocity, world axes."""
-        return self._arm.kinematics(q)[1]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -85,7 +85,7 @@ class Loop:
     """One of INTEGRATORS; with mode "quasi_static" the body follows the law's velocity exactly."""
     mode: str = "arm"
     """"arm": the arm's dynamics; "quasi_static": the body moves as the law asks, without an arm."""
-    contact: Model = Model()
+    contact: Model = field(default_factory=Model)
     """Contact model that gives the force."""
 
     def __post_init__(self) -> None:

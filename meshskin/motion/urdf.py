@@ -16,6 +16,15 @@ from ..se3 import Array
 
 
 @dataclass(frozen=True)
+class Mimic:
+    """A joint that another one drives: its position is multiplier * q + offset."""
+
+    joint: str
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True)
 class Joint:
     """One joint of a URDF file: where it sits on its parent link, and how it moves."""
 
@@ -27,12 +36,15 @@ class Joint:
     rpy: Array  # (3,) rad, fixed-axis roll, pitch, yaw of the origin
     axis: Array  # (3,) unit vector in the joint's frame
     limits: dict[str, float]  # lower, upper, velocity, effort: those that the file gives
+    mimic: Mimic | None = None
 
     def motion(self, q: cs.SX | float) -> cs.SX:
-        """Pose (4, 4) of the child link in the parent link at joint angle `q` (rad)."""
+        """Pose (4, 4) of the child link in the parent link at joint position `q` (rad or m)."""
         origin, move = np.eye(4), cs.SX.eye(4)
         origin[:3, :3], origin[:3, 3] = rotation(self.rpy), self.xyz
-        if self.kind != "fixed":
+        if self.kind == "prismatic":
+            move[:3, 3] = self.axis * q
+        elif self.kind != "fixed":
             x, y, z = self.axis
             along = np.outer(self.axis, self.axis)
             across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -121,24 +133,49 @@ def _joint(element: ET.Element, where: str) -> Joint:
     parent, child = _end(element, "parent"), _end(element, "child")
     if not (parent and child):
         raise ArmError(f"no parent or child{here}")
-    if element.find("mimic") is not None:
-        raise ArmError(f"<mimic>{here} is not supported", remedy="make the joint fixed")
     origin, limit = element.find("origin"), element.find("limit")
     axis = _vector(element.find("axis"), "xyz", "1 0 0", 3, here)
-    length = np.linalg.norm(axis)
+    length, kind = np.linalg.norm(axis), element.get("type", "")
     if not length > 0.0:
-        raise ArmError(f"zero axis{here}")
+        if kind != "fixed":
+            raise ArmError(f"zero axis{here}")
+        axis, length = np.array([1.0, 0.0, 0.0]), 1.0
     given = {} if limit is None else limit.attrib
     return Joint(
         name=name,
-        kind=element.get("type", ""),
+        kind=kind,
         parent=parent,
         child=child,
         xyz=_vector(origin, "xyz", "0 0 0", 3, here),
         rpy=_vector(origin, "rpy", "0 0 0", 3, here),
         axis=axis / length,
         limits={key: float(_vector(limit, key, "", 1, here)[0]) for key in given},
+        mimic=_mimic(element.find("mimic"), here),
     )
+
+
+def _mimic(element: ET.Element | None, where: str) -> Mimic | None:
+    """What drives a joint, if another one does."""
+    if element is None:
+        return None
+    multiplier = _vector(element, "multiplier", "1", 1, where)[0]
+    offset = _vector(element, "offset", "0", 1, where)[0]
+    return Mimic(element.get("joint", ""), float(multiplier), float(offset))
+
+
+def drive(joint: Joint, robot: ET.Element, where: str) -> Mimic:
+    """The joint that moves `joint` in the end, itself where it mimics none. Raises ArmError."""
+    joints = {j.name: j for j in _joints(robot, where)}
+    name, multiplier, offset = joint.name, 1.0, 0.0
+    for _ in joints:
+        mimic = joints[name].mimic
+        if mimic is None:
+            return Mimic(name, multiplier, offset)
+        if mimic.joint not in joints:
+            raise ArmError(f"joint {name!r}{where} mimics one that is missing", value=mimic.joint)
+        name, offset = mimic.joint, offset + multiplier * mimic.offset
+        multiplier *= mimic.multiplier
+    raise ArmError(f"joint {joint.name!r}{where} mimics itself")
 
 
 def _end(joint: ET.Element, which: str) -> str:
@@ -176,6 +213,19 @@ def reflected_inertias(robot: ET.Element, where: str) -> dict[str, float]:
         gear = _vector(found.get("gear_ratio"), "value", "1", 1, here)[0]
         motors[name] = float(rotor * gear**2)
     return motors
+
+
+def massless(robot: ET.Element, joint: Joint, moving: Iterable[str]) -> list[str]:
+    """Links that `joint` moves rigidly, up to the next of the `moving`, if none has a mass."""
+    joints, free = _joints(robot, ""), set(moving)
+    mass = {
+        link.get("name", ""): float(_vector(link.find("inertial/mass"), "value", "0", 1, "")[0])
+        for link in robot.findall("link")
+    }
+    moved = [joint.child]
+    for name in moved:  # grows as it goes
+        moved += [j.child for j in joints if j.parent == name and j.name not in free]
+    return [] if any(mass[name] > 0.0 for name in moved) else moved
 
 
 def bare(urdf: str, name: str, moving: Iterable[str]) -> str:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from meshskin.errors import ArmError, ReachError, UnknownNameError
-from meshskin.motion.arm import GRAVITY, Arm
+from meshskin.motion.arm import Arm
+from meshskin.motion.dynamics import GRAVITY
 from meshskin.se3 import exp_so3, transform
 
 PUMA = Path(__file__).parents[2] / "bodies" / "puma560.urdf"
@@ -99,6 +100,54 @@ def test_odd_arm_agrees_with_pinocchio():
         q, qd = rng.uniform(-1.0, 1.0, 2), rng.uniform(-3.0, 3.0, 2)
         for ours, theirs in zip(f(q, qd), oracle(arm, q, qd), strict=True):
             np.testing.assert_allclose(ours.full(), theirs, rtol=0, atol=1e-10)
+
+
+def test_a_sliding_joint_agrees_with_pinocchio():
+    text = ODD.replace(
+        'type="revolute"><parent link="root"/>', 'type="prismatic"><parent link="root"/>'
+    )
+    arm = Arm.from_text(text, tip="tip")
+    rng = np.random.default_rng(4)
+    for _ in range(5):
+        q, qd = rng.uniform(-1.0, 1.0, 2), rng.normal(size=2)
+        for ours, theirs in zip(model(arm)(q, qd), oracle(arm, q, qd), strict=True):
+            np.testing.assert_allclose(ours.full(), theirs, atol=1e-12)
+
+
+def test_a_mimic_joint_agrees_with_pinocchio():
+    """With all joints at G q + o, M becomes G^T M G (Featherstone, section 8)."""
+    mimic = '<mimic joint="turn" multiplier="-2" offset="0.3"/>'
+    arm = Arm.from_text(ODD.replace('<axis xyz="0 1 1"/>', '<axis xyz="0 1 1"/>' + mimic), "tip")
+    free = Arm.from_text(ODD, tip="tip")
+    assert arm.joint_names == ("turn",)
+    gather, rng = np.array([[1.0], [-2.0]]), np.random.default_rng(5)
+    for _ in range(5):
+        q, qd = rng.uniform(-1.0, 1.0, 1), rng.normal(size=1)
+        mass, bias, pose, jacobian = oracle(free, gather @ q + [0.0, 0.3], gather @ qd)
+        got = [x.full() for x in model(arm)(q, qd)]
+        expected = (gather.T @ mass @ gather, gather.T @ bias, pose, jacobian @ gather)
+        for ours, theirs in zip(got, expected, strict=True):
+            np.testing.assert_allclose(ours, theirs, atol=1e-12)
+
+
+def test_the_range_of_a_mimic_joint_limits_the_one_that_drives_it():
+    spin = '<joint name="spin" type="continuous">'
+    limited = ODD.replace(spin, spin.replace("continuous", "revolute")).replace(
+        '<axis xyz="0 1 1"/>',
+        '<axis xyz="0 1 1"/><limit lower="-1" upper="0.5" effort="1" velocity="1"/>'
+        '<mimic joint="turn" multiplier="-2"/>',
+    )
+    arm = Arm.from_text(limited, tip="tip")
+    np.testing.assert_allclose([arm.lower, arm.upper], [[-0.25], [0.5]])
+
+
+def test_a_joint_that_moves_no_mass_is_named():
+    bare = re.sub(r"<link name=\"c\">.*?</link>", '<link name="c"/>', ODD, flags=re.S)
+    bare = re.sub(r"<link name=\"d\">.*?</link>", '<link name="d"/>', bare, flags=re.S)
+    arm = Arm.from_text(bare, tip="tip")
+    with pytest.raises(ArmError, match=r"joint 'spin' .* mass, got links c, d, tip; give one"):
+        arm.dynamics()
+    assert arm.with_payload(1.0, COM, INERTIA).dynamics()
 
 
 def test_expressions_are_light(puma):
@@ -296,7 +345,7 @@ def test_files_that_are_no_arm(tmp_path):
     ("old", "new", "message"),
     [
         ("<robot ", "<sdf ", "root element is <sdf>"),
-        ('"revolute"', '"prismatic"', "'turn' is prismatic"),
+        ('"revolute"', '"planar"', "'turn' is planar"),
         ('lower="-1" upper="1" effort="10"', 'effort="10"', "'turn' has no <limit"),
         ('xyz="0.1 0.2 0.3"', 'xyz="0.1 0.2"', r"bad xyz of joint 'turn'"),
         ('effort="10"', 'effort="strong"', r"bad effort of joint 'turn', got 'strong'"),
@@ -306,7 +355,8 @@ def test_files_that_are_no_arm(tmp_path):
         ('<child link="d"/>', '<child link="c"/>', "form no tree"),
         ('<parent link="root"/>', '<parent link="c"/>', "form no tree|form a loop"),
         ('<mass value="2"/>', "", "bad value of link 'a'"),
-        ('<axis xyz="0 1 1"/>', '<mimic joint="turn"/>', "mimic"),
+        ('<axis xyz="0 1 1"/>', '<mimic joint="turm"/>', "mimics one that is missing, got turm"),
+        ('<axis xyz="0 1 1"/>', '<mimic joint="spin"/>', "mimics itself"),
     ],
 )
 def test_bad_descriptions(old, new, message):
