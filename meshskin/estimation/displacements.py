@@ -19,9 +19,10 @@ from ..errors import CalibrationError
 from ..se3 import Array
 from . import chart, trilaterate
 from .chart import Charts
+from .circles import Circles, circles
 from .measurements import Measurements
 from .posegraph import PoseGraph
-from .trilaterate import Circles, Fit
+from .trilaterate import Fit
 
 if TYPE_CHECKING:
     from ..geometry.body import Body
@@ -60,7 +61,7 @@ def displacements(
             limit=f"{SHARED} shared contacts",
             remedy="use method='joint', a softer material, or a denser skin",
         )
-    found = trilaterate.circles(data, rows, owner)
+    found = circles(data, fit.points, rows, owner)
     own = chart.about(body, np.where(fit.found[:, None], fit.points, data.points[0]), fit.rotations)
     charts = own[pairs.ravel()]  # owner 2 g is the first taxel of pair g, 2 g + 1 the second
     y, information, chi2 = trilateration(found, charts)

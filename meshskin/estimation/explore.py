@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import CalibrationError
-from ..physics.contact import hertz
+from ..physics.contact import Model, Patches, hertz
 from ..se3 import Array
 from . import chart
-from .factors.pressure import mean_pressure
+from .factors.patches import MEANS
+from .factors.shared import Contacts
 from .measurements import NOMINAL_NOISE
 from .observe import censored_information
 
@@ -60,8 +61,7 @@ def next_contacts(calibration: Calibration, belief: Belief, k: int = 1) -> NextC
         raise CalibrationError("the number of contacts must be positive", value=k, limit=">= 1")
     nominal = hertz.effective_modulus(belief.material.young, belief.material.poisson)
     modulus = calibration.modulus or float(nominal)
-    flat = hertz.relative_radius(np.zeros(2), belief.indenter.radius)
-    radius = float(hertz.contact_radius(belief.force_reference, flat, modulus))
+    radius = float(_patches(np.zeros((1, 2)), belief, modulus).first[0])
     points, covariance = _known(calibration, belief, radius)
     near = np.flatnonzero(np.isfinite(points[:, 0]))
     if not len(near):
@@ -133,18 +133,31 @@ def _slopes(
     """
     from scipy.spatial import cKDTree
 
-    relative = hertz.relative_radius(hit.curvature, belief.indenter.radius)
-    radii = hertz.contact_radius(belief.force_reference, relative, modulus)
-    peaks = hertz.peak_pressure(belief.force_reference, radii)
-    sigma = belief.noise_sigma or NOMINAL_NOISE * float(np.median(peaks))
-    reach = 1.25 * float(radii.max() + belief.disc_radius)
+    patches = _patches(hit.curvature, belief, modulus)
+    sigma = belief.noise_sigma or NOMINAL_NOISE * float(np.median(patches.peak))
+    longest = np.maximum(patches.first, patches.second)
+    reach = 1.25 * float(longest.max() + belief.disc_radius)
     pairs = cKDTree(hit.point).sparse_distance_matrix(
         cKDTree(charts.points), reach, output_type="ndarray"
     )
     contact, taxel = pairs["i"], pairs["j"]
     offset = charts.points[taxel] - hit.point[contact]
-    mean, slope, _ = mean_pressure(offset, hit.normal[contact], radii[contact], belief.disc_radius)
-    scale = peaks[contact] / sigma
+    none = np.zeros((len(hit.point), 0))
+    contacts = Contacts(hit.point, hit.normal, hit.direction, patches, (), none, None)
+    mean, slope, _ = MEANS[belief.contact](offset, contact, contacts, belief.disc_radius)
+    scale = patches.peak[contact] / sigma
     weight = censored_information(belief.threshold / sigma - scale * mean)
     along = np.einsum("pi,pij->pj", slope, charts.tangents[taxel])
     return contact, taxel, (np.sqrt(weight) * scale)[:, None] * along
+
+
+def _patches(curvature: Array, belief: Belief, modulus: float) -> Patches:
+    """Patches under the reference force at curvatures (m, 2), 1/m."""
+    material = belief.material
+    model = Model(belief.contact, material.poisson, material.thickness)
+    return model.patches(
+        force=np.full(len(curvature), belief.force_reference),
+        curvature=curvature,
+        indenter_radius=belief.indenter.radius,
+        effective_modulus=modulus,
+    )

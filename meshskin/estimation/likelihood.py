@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..se3 import Array
-from .factors.pressure import HEARD, SATURATED, SILENT, costs, mean_pressure
+from .factors.patches import MEANS
+from .factors.pressure import HEARD, SATURATED, SILENT, costs
 from .factors.shared import Contacts, Shared
 from .measurements import SPARE, Measurements, reach, silent_pairs
 
@@ -215,9 +216,8 @@ class Likelihood:
     ) -> tuple[Array, Array]:
         """mu (k,) in units of the noise, and its derivatives (C, k) in all unknowns."""
         offset = points - contacts.points[contact]
-        mean, by_point, by_radius = mean_pressure(
-            offset, contacts.normals[contact], contacts.radii[contact], self.data.disc
-        )
+        read = MEANS[self.data.model.name]
+        mean, by_point, by_shape = read(offset, contact, contacts, self.data.disc)
         names = self.shared.local_names
         peak = contacts.peaks[contact] / self.data.sigma
         if "gain" in names:
@@ -228,12 +228,11 @@ class Likelihood:
         for row, name in enumerate(names, 3):
             jacobian[row] = mu if name == "gain" else 1.0
         first = 3 + len(names)
-        by_log_radius = peak * by_radius
+        by_shape = tuple(peak * by for by in by_shape)
         for row in range(len(self.shared.sigma)):
-            jacobian[first + row] = (
-                by_log_radius * contacts.log_radius[contact, row]
-                + mu * contacts.log_peak[contact, row]
-            )
+            jacobian[first + row] = mu * contacts.log_peak[contact, row]
+            for by, slope in zip(by_shape, contacts.shape, strict=True):
+                jacobian[first + row] += by * slope[contact, row]
             if contacts.moves is not None:
                 moved = contacts.moves[contact, :, row]
                 jacobian[first + row] -= np.einsum("ik,ki->k", jacobian[:3], moved)

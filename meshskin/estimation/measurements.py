@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -17,6 +17,7 @@ from . import units
 from .factors.shared import MODULUS, Shared, declared
 
 if TYPE_CHECKING:
+    from ..geometry.closest import Closest
     from ..recording import Recording
     from ..scene import Belief
 
@@ -41,10 +42,16 @@ class Measurements:
     """Contact points (m, 3), body frame, m."""
     normals: Array
     """Outward normals (m, 3) of the believed body at the contact points."""
-    radii: Array
-    """Contact radii a (m,), m, at the nominal E*."""
-    peaks: Array
-    """Peak pressures p_0 (m,), Pa, at the nominal E*."""
+    directions: Array
+    """Unit tangents (m, 3) along the first principal curvature there."""
+    curvature: Array
+    """Principal curvatures (m, 2) there, 1/m."""
+    patches: contact.Patches
+    """The contacts' patches at the nominal E*; `first` lies along `directions`."""
+    model: contact.Model
+    """The believed contact model."""
+    indenter_radius: float
+    """m."""
     modulus: float
     """Nominal E*, Pa."""
     disc: float
@@ -61,8 +68,6 @@ class Measurements:
     """Pressures up to this are silent, Pa."""
     force: Array
     """Measured forces (m,), N."""
-    height: Array
-    """Height (m,) of the indenter's centre over the contact point, m."""
     saturation: float = np.inf
     """Readings of this and more are at the end of the sensor's range, Pa."""
     shared: Shared = MODULUS
@@ -78,13 +83,52 @@ class Measurements:
         return self.noise or NOMINAL_NOISE * float(np.median(self.peaks))
 
     @cached_property
+    def radii(self) -> Array:
+        """Contact radii (m,), m, at the nominal E*: of the circles of the patches' areas."""
+        return np.asarray(np.sqrt(self.patches.first * self.patches.second))
+
+    @cached_property
+    def longest(self) -> Array:
+        """The longer semi-axes (m,), m, at the nominal E*."""
+        return np.asarray(np.maximum(self.patches.first, self.patches.second))
+
+    @property
+    def peaks(self) -> Array:
+        """Peak pressures p_0 (m,), Pa, at the nominal E*."""
+        return np.asarray(self.patches.peak)
+
+    @property
+    def height(self) -> Array:
+        """Height (m,) of the indenter's centre over the contact point, m."""
+        return np.asarray(self.indenter_radius - self.patches.depth)
+
+    def on(self, hit: Closest) -> Measurements:
+        """The same with the contacts at the points `hit` of the body."""
+        patches = self.model.patches(
+            force=self.force,
+            curvature=hit.curvature,
+            indenter_radius=self.indenter_radius,
+            effective_modulus=self.modulus,
+        )
+        return replace(
+            self,
+            points=hit.point,
+            normals=hit.normal,
+            directions=hit.direction,
+            curvature=hit.curvature,
+            patches=patches,
+        )
+
+    @cached_property
     def counts(self) -> np.ndarray:
         """Readings (n,) of each taxel."""
         return np.bincount(self.taxel, minlength=len(self.ids))
 
     @cached_property
     def distance(self) -> Array:
-        """Distance (k,), m, from contact to taxel that each reading says (paper, eq. 15)."""
+        """Distance (k,), m, from contact to taxel that each reading says (paper, eq. 15), under
+        circular patches.
+        """
         a = self.radii[self.contact]
         return a * invert_disc_mean(self.pressure / self.peaks[self.contact], self.disc / a)
 
@@ -107,7 +151,9 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     index = _taxel_index(recording.reading_taxel, np.asarray(belief.taxel_ids))
     hit = belief.body.closest(recording.points)
     units.check_place(hit.distance)
-    modulus = hertz.effective_modulus(belief.material.young, belief.material.poisson)
+    material = belief.material
+    model = contact.Model(belief.contact, material.poisson, material.thickness)
+    modulus = hertz.effective_modulus(material.young, material.poisson)
     pressed = recording.force > 0
     force, curvature = recording.force[pressed], hit.curvature[pressed]
     heard = pressed[recording.reading_contact] & (recording.pressure > 0)
@@ -116,18 +162,24 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     _check_range(force, curvature, belief)
     row = np.cumsum(pressed) - 1
     headings = recording.headings if belief.headings is None else belief.headings
-    relative = hertz.relative_radius(curvature, belief.indenter.radius)
-    radii = hertz.contact_radius(force, relative, modulus)
-    peaks = hertz.peak_pressure(force, radii)
-    units.check_pressure(recording.pressure[heard], index[heard], peaks)
+    patches = model.patches(
+        force=force,
+        curvature=curvature,
+        indenter_radius=belief.indenter.radius,
+        effective_modulus=modulus,
+    )
+    units.check_pressure(recording.pressure[heard], index[heard], patches.peak)
     heard &= recording.pressure > belief.threshold
     _require(heard, recording, pressed)
     return Measurements(
         ids=np.asarray(belief.taxel_ids),
         points=recording.points[pressed],
         normals=hit.normal[pressed],
-        radii=radii,
-        peaks=peaks,
+        directions=hit.direction[pressed],
+        curvature=curvature,
+        patches=patches,
+        model=model,
+        indenter_radius=belief.indenter.radius,
         modulus=float(modulus),
         disc=belief.disc_radius,
         contact=row[recording.reading_contact][heard],
@@ -136,10 +188,9 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         noise=belief.noise_sigma,
         threshold=belief.threshold,
         force=force,
-        height=belief.indenter.radius - radii**2 / relative,
         saturation=belief.saturation or np.inf,
         shared=declared(
-            belief.unknown, belief.priors, belief.force_reference, float(np.median(peaks))
+            belief.unknown, belief.priors, belief.force_reference, float(np.median(patches.peak))
         ),
         slots=belief.module_slots,
         headings=None if headings is None else np.asarray(headings)[pressed],
@@ -206,11 +257,11 @@ def _check_range(force: Array, curvature: Array, belief: Belief) -> None:
 
 
 def reach(data: Measurements, stretch: float = 1.0) -> Array:
-    """Distance (m,), m, across the contact at which patch and disc part.
+    """Distance (m,), m, across the contact beyond which patch and disc have parted.
 
     `stretch`: contact radii relative to those at nominal E*.
     """
-    return stretch * data.radii + data.disc
+    return np.asarray(stretch * data.longest + data.disc)
 
 
 def near_pairs(data: Measurements, points: Array, radius: Array) -> tuple[np.ndarray, np.ndarray]:
@@ -243,7 +294,8 @@ def silent_pairs(
     level = np.maximum(data.threshold - QUIET * data.sigma, 0.0) / (data.peaks * stretch**-2)
     if "offset" in data.shared.local_names:  # where a taxel falls silent is not known, then
         level = np.zeros_like(level)
-    a = stretch * data.radii
+    a = stretch * data.longest
+    # A circle of the longer semi-axis under Hertz's profile has at least the patch's pressure.
     radius = a * invert_disc_mean(level, data.disc / a, tolerance=1e-3) + SPARE
     contact, taxel = near_pairs(data, points, radius)
     number = live[taxel] * len(data.points) + contact

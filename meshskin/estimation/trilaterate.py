@@ -1,7 +1,8 @@
 """Trilateration: a taxel lies where the circles of its contacts meet (paper, eq. 15).
 
 Each reading says how far its taxel is from a contact: a circle about the contact point in the
-tangent plane. The distance inverts the disc-averaged Hertz profile. Two estimators: the paper's
+tangent plane, or, under an elliptic patch, in the plane scaled along its axes (circles.py). The
+distance inverts the disc-averaged profile of the contact model. Two estimators: the paper's
 three circles, and weighted least squares over all circles. A reading at or above the profile's
 maximum has the distance 0. Near there the slope of the profile vanishes and the distance is
 uncertain; so it is at the patch's edge: least squares weighs each circle by its slope, the
@@ -18,7 +19,8 @@ import numpy as np
 from ..se3 import Array
 from . import chart
 from .chart import Charts
-from .measurements import Measurements
+from .circles import Circles, circles
+from .measurements import Measurements, reach
 
 if TYPE_CHECKING:
     from ..geometry.body import Body
@@ -28,44 +30,8 @@ LINE = "contacts near a line"
 MISS = "circles that do not meet"
 NARROW = 0.05
 """Least width of the contacts about their best line, relative to the contact radius."""
-FLAT = 0.05
-"""Slope, relative to p_0/a, below which a circle gains no more uncertainty."""
 STEEP = 0.3
 """Slope, relative to p_0/a, that the paper's three circles should have."""
-
-
-@dataclass(frozen=True)
-class Circles:
-    """k circles, sorted by the one of n unknown points that each belongs to."""
-
-    owner: np.ndarray
-    """Unknown point (k,) of each circle, rising."""
-    centres: Array
-    """Contact points (k, 3), m."""
-    normals: Array
-    """Contact normals (k, 3): a distance is measured across them."""
-    radii: Array
-    """Distances (k,), m."""
-    weights: Array
-    """1 / standard deviation of the distance (k,), 1/m."""
-    steepness: Array
-    """Slope of the profile (k,) relative to p_0/a."""
-    patch: Array
-    """Contact radius (k,), m."""
-    count: int
-    """n."""
-
-    def sum(self, values: Array) -> Array:
-        """Sums (n, ...) over the circles of each point, of values (k, ...)."""
-        flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
-        columns = [np.bincount(self.owner, column, self.count) for column in flat.T]
-        total: Array = np.stack(columns, axis=1, dtype=float)
-        return total.reshape(self.count, *values.shape[1:])
-
-    def select(self, keep: np.ndarray) -> Circles:
-        """The circles where `keep` (k,) is true."""
-        fields = ("owner", "centres", "normals", "radii", "weights", "steepness", "patch")
-        return replace(self, **{name: getattr(self, name)[keep] for name in fields})
 
 
 @dataclass(frozen=True)
@@ -89,29 +55,6 @@ class Fit:
         return np.asarray(self.why == "")
 
 
-def circles(
-    data: Measurements, rows: np.ndarray | None = None, owner: np.ndarray | None = None
-) -> Circles:
-    """The circles of the readings `rows` (all by default), owned by their taxels or by `owner`."""
-    rows = np.arange(len(data.pressure)) if rows is None else rows
-    owners = data.taxel[rows] if owner is None else owner
-    order = np.argsort(owners, kind="stable")
-    rows, owners = rows[order], owners[order]
-    contact = data.contact[rows]
-    scale = data.peaks[contact] / data.radii[contact]
-    steepness = data.slope[rows] / scale
-    return Circles(
-        owner=owners,
-        centres=data.points[contact],
-        normals=data.normals[contact],
-        radii=data.distance[rows],
-        weights=scale * np.hypot(steepness, FLAT) / data.sigma,
-        steepness=steepness,
-        patch=data.radii[contact],
-        count=len(data.ids) if owner is None else int(owners.max(initial=-1)) + 1,
-    )
-
-
 def centroids(data: Measurements, body: Body) -> Array:
     """Where each taxel roughly is (n, 3), m: the mean contact point, weighted by pressure squared.
 
@@ -119,7 +62,7 @@ def centroids(data: Measurements, body: Body) -> Array:
     the second. NaN for a taxel without readings.
     """
     weight = data.pressure**2
-    reach = data.radii[data.contact] + data.disc
+    far = 1.5 * reach(data)[data.contact]
 
     def mean(weight: Array) -> Array:
         points = weight[:, None] * data.points[data.contact]
@@ -130,7 +73,7 @@ def centroids(data: Measurements, body: Body) -> Array:
 
     first = mean(weight)
     off = np.linalg.norm(data.points[data.contact] - first[data.taxel], axis=1)
-    second = mean(np.where(off < 1.5 * reach, weight, 0.0))
+    second = mean(np.where(off < far, weight, 0.0))
     start = np.where(np.isfinite(second), second, first)
     seen = np.isfinite(start[:, 0])
     start[seen] = body.closest(start[seen]).point
@@ -160,9 +103,9 @@ def least_squares(data: Measurements, body: Body) -> Fit:
     start = centroids(data, body)
     seen = np.isfinite(start[:, 0])
     start[~seen] = data.points[0]
-    found = circles(_within_reach(data, start))
-    charts = chart.about(body, start)
+    near, charts = _within_reach(data, start), chart.about(body, start)
     for _ in range(2):  # the second time about the estimate, to take out the chart's own error
+        found = circles(near, charts.points)
         y, information, chi2 = solve(found, charts)
         charts = chart.about(body, charts.at(y), frames_of(charts))
     return finish(found, charts, information, chi2)
@@ -176,9 +119,10 @@ def three_circles(data: Measurements, body: Body) -> Fit:
     start = centroids(data, body)
     seen = np.isfinite(start[:, 0])
     start[~seen] = data.points[0]
-    found = _three(circles(_within_reach(data, start)))
-    charts = chart.about(body, start)
+    near, charts = _within_reach(data, start), chart.about(body, start)
+    three = _three(circles(near, charts.points)).reading
     for _ in range(3):
+        found = circles(near, charts.points, three)
         y, information = _linear(found, charts, equal=True)
         far = np.linalg.norm(y, axis=1) > 2 * found.patch.max(initial=0.0)
         y[far] = 0.0
@@ -247,7 +191,7 @@ def _within_reach(data: Measurements, start: Array) -> Measurements:
     are saturated ones of a taxel that has three others.
     """
     off = np.linalg.norm(data.points[data.contact] - start[data.taxel], axis=1)
-    keep = off < 1.3 * (data.radii[data.contact] + data.disc) + 1e-3
+    keep = off < 1.3 * reach(data)[data.contact] + 1e-3
     keep &= data.pressure > 3 * (data.noise or 0.0)
     full = data.pressure >= data.saturation
     others = np.bincount(data.taxel[keep & ~full], minlength=len(data.ids))
@@ -259,29 +203,26 @@ def _within_reach(data: Measurements, start: Array) -> Measurements:
 def _residuals(found: Circles, charts: Charts, y: Array) -> tuple[Array, Array]:
     """Weighted residuals (k,) and their derivatives (k, 2) by the owner's coordinates."""
     own = found.owner
-    offset = charts.at(y)[own] - found.centres
-    across = offset - found.normals * np.einsum("ki,ki->k", offset, found.normals)[:, None]
-    distance = np.sqrt(np.einsum("ki,ki->k", across, across) + 1e-18)
+    distance, gradient = found.distance(charts.at(y)[own] - found.centres)
     sag = np.einsum("nij,nj->ni", charts.shape, y)
     along = charts.tangents - charts.normals[:, :, None] * sag[:, None, :]  # dx/dy (n, 3, 2)
-    jacobian = np.einsum("ki,kij->kj", across / distance[:, None], along[own])
+    jacobian = np.einsum("ki,kij->kj", gradient, along[own])
     return found.weights * (distance - found.radii), found.weights[:, None] * jacobian
 
 
 def _linear(found: Circles, charts: Charts, equal: bool = False) -> tuple[Array, Array]:
     """Intersection (n, 2) of the circles in the tangent planes by differences of their equations.
 
-    |y - c|^2 = r^2 is linear in y once the weighted mean equation is taken off each. Also the
-    normal matrix (n, 2, 2). `equal`: without the weights of the distances.
+    |y|^2 - 2 c . y + b = r^2 is linear in y once the weighted mean equation is taken off each.
+    Also the normal matrix (n, 2, 2). `equal`: without the weights of the distances.
     """
     own = found.owner
-    offset = found.centres - charts.points[own]
-    c = np.einsum("kij,ki->kj", charts.tangents[own], offset)
+    c, b = found.conic(found.centres - charts.points[own], charts.tangents[own])
     # The equation is in r^2, whose standard deviation is 2 r / weight.
     weight = found.weights / np.maximum(2 * found.radii, 0.2 * found.patch)
     w = np.ones(len(own)) if equal else weight**2
     total = np.maximum(np.bincount(own, w, found.count), 1e-300)
-    b = np.einsum("kj,kj->k", c, c) - found.radii**2
+    b = b - found.radii**2
     c = c - (found.sum(w[:, None] * c) / total[:, None])[own]
     b = b - (np.bincount(own, w * b, found.count) / total)[own]
     normal = found.sum(w[:, None, None] * c[:, :, None] * c[:, None, :])

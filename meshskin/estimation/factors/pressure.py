@@ -5,16 +5,17 @@ A taxel at x reads, in units of the noise,
     mu = g p_0 M(|v| / a, s / a) + o,   v = d - (d . n) n,   d = x - c,
 
 c being the contact point, n its normal, a and p_0 the radius and the peak of the Hertz patch, s the
-disc's radius, M the disc mean, g and o the taxel's gain and offset. A reading y costs
-(mu - y)^2 / 2. A silent one says that y is below the threshold, a saturated one that y is above the
-sensor's range: they are censored (Tobit) and cost -log Phi(-u), u = mu - threshold or range - mu.
-Hessians are Gauss-Newton: J^T J times the cost's curvature in mu, which is positive for all.
+disc's radius, M the disc mean, g and o the taxel's gain and offset (patches that are no circles:
+pressure_elliptic.py). A reading y costs (mu - y)^2 / 2. A silent one says that y is below the
+threshold, a saturated one that y is above the sensor's range: they are censored (Tobit) and cost
+-log Phi(-u), u = mu - threshold or range - mu. Hessians are Gauss-Newton: J^T J times the cost's
+curvature in mu, which is positive for all.
 """
 
 from __future__ import annotations
 
 import functools
-from typing import Any
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -22,10 +23,12 @@ import numpy as np
 from ...compiled import compiled
 from ...physics.contact.disc import disc_mean_of_square
 from ...se3 import Array
+from .batch import BATCH, evaluate
 
-BATCH = 256
-"""Readings evaluated in one call of the compiled kernel."""
-INPUTS, OUTPUTS = 8, 5
+if TYPE_CHECKING:
+    from .shared import Contacts
+
+INPUTS = 8
 HEARD, SILENT, SATURATED = 0, 1, -1
 """Kinds of a reading; the sign is that of the censored side."""
 
@@ -51,18 +54,20 @@ def mean_pressure(d: Array, n: Array, a: Array, s: float) -> tuple[Array, Array,
 
     d, n (k, 3): the taxel's offset from the contact, m, and the contact's normal; a (k,), m.
     """
-    k = len(a)
-    rows = -(-k // BATCH) * BATCH
-    x = np.ones((rows, INPUTS))
-    x[:k, :3], x[:k, 3:6], x[:k, 6], x[:, 7] = d, n, a, s
-    out = np.empty((rows, OUTPUTS))
-    buffer: Any
-    buffer, evaluate = kernel().buffer()
-    for begin in range(0, rows, BATCH):
-        buffer.set_arg(0, x[begin : begin + BATCH].data)
-        buffer.set_res(0, out[begin : begin + BATCH].data)
-        evaluate()
-    return out[:k, 0], out[:k, 1:4], out[:k, 4]
+    out = evaluate(kernel(), len(a), d, n, a, s)
+    return out[:, 0], out[:, 1:4], out[:, 4]
+
+
+def circle(
+    offset: Array, rows: np.ndarray, contacts: Contacts, disc: float
+) -> tuple[Array, Array, tuple[Array, ...]]:
+    """M (k,) of taxels `offset` (k, 3), m, from the contacts `rows`, its gradient, 1/m, and its
+    derivatives in the patch's shape: ln a.
+    """
+    mean, by_point, by_log_a = mean_pressure(
+        offset, contacts.normals[rows], contacts.patches.first[rows], disc
+    )
+    return mean, by_point, (by_log_a,)
 
 
 def censored(u: Array) -> tuple[Array, Array, Array]:

@@ -1,24 +1,26 @@
 """Unknowns shared by all readings: the contact modulus, the force, where the contacts are.
 
-    a = a_0 exp((f - e)/3),  p_0 ~ exp((f + 2 e)/3),  f = ln(F_true / F),  F_true = exp(h) F + b,
-    c = c_0 + B (s - s_0),
+    f = ln(F_true / F),  F_true = exp(h) F + b,  c = c_0 + B (s - s_0),
 
-e = ln(E* / nominal), h the force's scale, b its offset; B holds the moves of the contact points
-under an indenter offset, world frame, and a body offset (translation, rotation), body frame. Points
-are anchored anew on the surface, as the taxels are: B only speeds the way there.
+e = ln(E* / nominal), h the force's scale, b its offset; patches.py tells how the patches follow f
+and e (on a half-space a ~ exp((f - e)/3), p_0 ~ exp((f + 2 e)/3)). B holds the moves of the
+contact points under an indenter offset, world frame, and a body offset (translation, rotation),
+body frame. Points are anchored anew on the surface, as the taxels are: B only speeds the way there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ... import se3
 from ...errors import CalibrationError, UnknownNameError
+from ...physics.contact import Patches
 from ...se3 import Array
+from .patches import FOLLOW
 
 if TYPE_CHECKING:
     from ...geometry.body import Body
@@ -138,16 +140,26 @@ class Contacts:
     """(m, 3), body frame, m."""
     normals: Array
     """(m, 3)."""
-    radii: Array
-    """a (m,), m."""
-    peaks: Array
-    """p_0 (m,), Pa."""
-    log_radius: Array
-    """d ln a / ds (m, ks)."""
+    directions: Array
+    """Unit tangents (m, 3) along the patches' first semi-axes."""
+    patches: Patches
+    """Semi-axes, m, and peaks p_0, Pa, of m contacts."""
+    shape: tuple[Array, ...]
+    """Derivatives (m, ks) in s of what the contact model calls the shape (`patches.Means`)."""
     log_peak: Array
     """d ln p_0 / ds (m, ks)."""
     moves: Array | None
     """B (m, 3, ks); None where no contact moves."""
+
+    @property
+    def radii(self) -> Array:
+        """Radii (m,), m, of the circles of the patches' areas."""
+        return np.asarray(np.sqrt(self.patches.first * self.patches.second))
+
+    @property
+    def peaks(self) -> Array:
+        """p_0 (m,), Pa."""
+        return np.asarray(self.patches.peak)
 
 
 @dataclass(frozen=True)
@@ -172,19 +184,22 @@ class Anchored:
             log_force[:, at["force_scale"]] = (np.exp(h) * data.force / force)[:, None]
         if "force_offset" in at:
             log_force[:, at["force_offset"]] = 1 / force[:, None]
-        log_radius, log_peak = log_force / 3, log_force / 3
+        patches, rates = FOLLOW[data.model.name](data, f, e)
+        load = log_force  # of ln(F/E*)
         if "modulus" in at:
-            log_radius[:, at["modulus"]] = -1 / 3
-            log_peak[:, at["modulus"]] = 2 / 3
+            load[:, at["modulus"]] = -1.0
+        log_peak = rates.peak * load
+        if "modulus" in at:
+            log_peak[:, at["modulus"]] += 1.0
         points = (
             data.points if self.moves is None else data.points + self.moves @ (within - self.about)
         )
         return Contacts(
             points=points,
             normals=data.normals,
-            radii=data.radii * np.exp((f - e) / 3),
-            peaks=data.peaks * np.exp((f + 2 * e) / 3),
-            log_radius=log_radius,
+            directions=data.directions,
+            patches=patches,
+            shape=tuple(rate * load for rate in rates.shape),
             log_peak=log_peak,
             moves=self.moves,
         )
@@ -222,4 +237,4 @@ def anchored(shared: Shared, data: Measurements, body: Body, s: Array) -> Anchor
     foot = body.closest(steps.reshape(-1, 3)).point.reshape(-1, 3, 3) - hit.point[:, None]
     moves = np.swapaxes(foot, 1, 2) / FOOT_STEP @ into
     # The recorded points are on the believed surface only as well as they were recorded.
-    return Anchored(shared, replace(data, points=hit.point, normals=hit.normal), s, moves)
+    return Anchored(shared, data.on(hit), s, moves)

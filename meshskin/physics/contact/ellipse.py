@@ -77,24 +77,73 @@ def invert_ellipse_mean(
 
     Batched. Non-increasing in m (the mean falls along every ray, by Anderson's theorem): `m` at or
     above the maximum gives 0; `m` <= 0 gives a distance at which the disc has left the patch;
-    NaN gives NaN. Bisection to 1e-12 of the bracket.
+    NaN gives NaN. Bracketed regula falsi (Illinois) on sqrt(M), which is steep at the patch's edge.
     """
     way = np.asarray(direction, dtype=float)
-    target, ux, uy, first, second, radius, power = (
-        np.array(v, dtype=float)
-        for v in np.broadcast_arrays(m, way[..., 0], way[..., 1], a, b, s, exponent)
-    )
-    profile: Any = 0.5 if np.all(power == 0.5) else power
-    low = np.zeros_like(target)
+    whole = np.broadcast_arrays(m, way[..., 0], way[..., 1], a, b, s, exponent)
+    target, ux, uy, first, second, radius, power = (np.ravel(v).astype(float) for v in whole)
     # A supporting half-plane of the patch, moved out by s, bounds where the disc can touch it.
-    high = (np.hypot(first * ux, second * uy) + radius) / np.maximum(ux**2 + uy**2, _TINY)
-    for _ in range(42):
-        middle = (low + high) / 2
-        value = ellipse_mean(middle * ux, middle * uy, first, second, radius, profile, nodes)
-        above = np.where(target > 0, value >= target, True)
-        low, high = np.where(above, middle, low), np.where(above, high, middle)
-    out = np.where(
-        target >= ellipse_mean(0.0, 0.0, first, second, radius, profile, nodes), 0.0, low
-    )
+    end = (np.hypot(first * ux, second * uy) + radius) / np.maximum(ux**2 + uy**2, _TINY)
+    out = np.where(target > 0, 0.0, end)
     out[np.isnan(target)] = np.nan
-    return np.asarray(out)
+    profile = _profile(power)
+    row = np.flatnonzero(ellipse_mean(0.0, 0.0, first, second, radius, profile, nodes) > target)
+    row = row[target[row] > 0]
+    ray = tuple(v[row] for v in (ux, uy, first, second, radius, power))
+    out[row] = _root(np.sqrt(target[row]), end[row], ray, nodes)
+    return out.reshape(whole[0].shape)
+
+
+def _root(root: Array, end: Array, ray: tuple[Array, ...], nodes: int) -> Array:
+    """Where along k rays, between 0 and `end` (k,), the root of the mean is `root` (k,)."""
+    ux, uy, a, b, s, power = ray
+    profile = _profile(power)
+
+    def excess(r: Array) -> Array:
+        mean = ellipse_mean(r * ux, r * uy, a, b, s, profile, nodes)
+        return np.asarray(np.sqrt(np.maximum(mean, 0.0)) - root)
+
+    low, high, at, side = np.zeros_like(end), end, end, np.zeros_like(end)
+    at_low, at_high = excess(low), -root
+    for _ in range(60):
+        at = (low * at_high - high * at_low) / (at_high - at_low)
+        value = excess(at)
+        if np.max(np.abs(value), initial=0.0) < 1e-12:
+            break
+        above = value >= 0  # an end that stays counts half as much every time
+        at_low = np.where(above, value, np.where(side < 0, at_low / 2, at_low))
+        at_high = np.where(above, np.where(side > 0, at_high / 2, at_high), value)
+        low, high = np.where(above, at, low), np.where(above, high, at)
+        side = np.where(above, 1.0, -1.0)
+    return at
+
+
+def _profile(power: Array) -> Any:
+    """The exponents (k,), as one number where all are Hertz's."""
+    return 0.5 if np.all(power == 0.5) else power
+
+
+def ellipse_slope(
+    r: ArrayLike,
+    direction: ArrayLike,
+    a: ArrayLike,
+    b: ArrayLike,
+    s: ArrayLike,
+    exponent: ArrayLike = 0.5,
+    nodes: int = NODES,
+) -> Array:
+    """Derivative of the disc mean by the distance `r` along `direction` (..., 2), unit, NumPy.
+
+    By Gauss' theorem 2/s times the mean over the disc's edge of the pressure and its outward
+    normal's component; arguments as of `invert_ellipse_mean`.
+    """
+    way = np.asarray(direction, dtype=float)
+    ux, uy = way[..., 0], way[..., 1]
+    r, a, b, s = (np.asarray(v, dtype=float) for v in (r, a, b, s))
+    total: Any = 0.0
+    for k in range(nodes):
+        angle = 2 * math.pi * (k + 0.5) / nodes
+        cosine, sine = math.cos(angle), math.sin(angle)
+        q = ((r * ux + s * cosine) / a) ** 2 + ((r * uy + s * sine) / b) ** 2
+        total = total + np.maximum(1 - q, 0.0) ** exponent * (cosine * ux + sine * uy)
+    return np.asarray(2 * total / (nodes * s))

@@ -6,7 +6,7 @@ import pytest
 from scipy.integrate import quad
 
 from meshskin.physics.contact.disc import disc_mean, invert_disc_mean
-from meshskin.physics.contact.ellipse import ellipse_mean, invert_ellipse_mean
+from meshskin.physics.contact.ellipse import ellipse_mean, ellipse_slope, invert_ellipse_mean
 from meshskin.physics.contact.patch import Patch
 
 
@@ -102,6 +102,16 @@ def test_inverse_round_trip(samples):
     steep = (m > 1e-2) & (m < disc_mean(0 * s, s) - 1e-2)
     found = invert_ellipse_mean(m, way, 1.0, 1.0, s)
     assert np.allclose(found[steep], invert_disc_mean(m, s)[steep], atol=2e-3)
+
+
+def test_slope_along_a_ray(samples):
+    rho, angle, s = samples
+    way, h = np.stack([np.cos(angle), np.sin(angle)], axis=1), 1e-4
+    for exponent in (0.5, 0.8):
+        found = ellipse_slope(rho, way, 1.3, 0.8, s, exponent, nodes=2000)
+        ends = [ellipse_mean(*(r * way.T), 1.3, 0.8, s, exponent, 400) for r in (rho - h, rho + h)]
+        assert np.allclose(found, (ends[1] - ends[0]) / (2 * h), atol=4e-3)
+        assert np.allclose(found, ellipse_slope(rho, way, 1.3, 0.8, s, exponent), atol=2e-2)
 
 
 def test_inverse_at_and_beyond_its_ends():
