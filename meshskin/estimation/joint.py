@@ -19,7 +19,7 @@ import numpy as np
 
 from ..errors import CalibrationError
 from ..se3 import Array
-from . import chart, faults, trilaterate
+from . import chart, coactivation, faults, trilaterate
 from .doubt import doubt
 from .factors import module
 from .factors.pressure import SILENT
@@ -108,14 +108,14 @@ def estimate(
     iterations: int = ITERATIONS,
     tolerance: float = AT_REST,
 ) -> Joint:
-    """The most likely unknowns, from the least-squares trilateration as a start.
+    """The most likely unknowns, from trilateration as a start, or co-activation where it fails.
 
     `iterations`: the most that IPOPT may take; `tolerance`: the Newton decrement at which
     taxels and shared unknowns are at the optimum, in units of the cost. Raises CalibrationError if
     no taxel is determined or the optimiser does not converge.
     """
     clock = time.perf_counter()
-    start = start or trilaterate.least_squares(data, body)
+    start = start or coactivation.start(data, body)
     stuck = faults.stuck(data)
     live = np.setdiff1d(np.flatnonzero(start.found), stuck.rows)
     if not len(live):
