@@ -13,9 +13,10 @@ from meshskin.motion import stability
 from meshskin.motion.arm import Arm
 from meshskin.motion.loop import Loop
 from meshskin.motion.machine import Machine
+from meshskin.motion.phases import SLIDE
 from meshskin.motion.track import STAY, Track
 from meshskin.se3 import hat
-from meshskin.simulation import prepare
+from meshskin.simulation import prepare, run
 
 NU = 0.49
 RADIUS = 1 / 110  # relative, of the sphere and the indenter
@@ -257,3 +258,50 @@ def test_numbers_of_the_stated_limits(place):
     slow = stability.touch_limit(machine.loop, 5.0, CURVATURE, 0.1)
     wanted = (3.0 / (4 / 3 * 2e5 / (1 - NU**2) * np.sqrt(RADIUS))) ** (2 / 3)
     assert slow == pytest.approx(0.2 * wanted / 0.1)
+
+
+def slid(scene, count, **loop):
+    """Forces (count,) from the first step of sliding on."""
+    machine, path = prepare(scene.with_(loop=replace(scene.loop, compile="never", **loop)))
+    found = []
+    for steps in run(scene, machine, path):
+        if steps.phase == SLIDE:
+            found.extend(steps.outputs[:, 6])
+        if len(found) >= count:
+            return np.array(found[:count])
+    raise AssertionError("the path is too short")
+
+
+def test_sliding_at_half_a_metre_a_second_keeps_to_the_reference(sphere):
+    fast = sphere.with_(
+        exploration=replace(
+            sphere.exploration, speed=0.5, turn_rate=6.0, lane_spacing=0.02, settle=0.1
+        )
+    )
+    exact = slid(fast, 6000, integrator="rk4", dt=2.5e-4)[::4]  # CVODES is too slow for this
+    assert np.abs(exact - 3.0).max() > 0.01  # it is disturbed
+    for integrator, error in (("semi_implicit", 0.02), ("linearly_implicit", 0.02), ("rk4", 1e-3)):
+        assert np.abs(slid(fast, 1500, integrator=integrator) - exact).max() < error, integrator
+    without = slid(fast, 1500, mode="quasi_static")
+    fine = slid(fast, 15000, mode="quasi_static", dt=1e-4)[::10]
+    assert np.abs(without - fine).max() < 0.02
+
+
+@pytest.mark.parametrize("young", [1e4, 2e5, 1e9])
+def test_the_quasi_static_touch_keeps_its_stated_error(sphere, young):
+    """Without an arm the depth falls at the law's own speed: against steps a tenth as long."""
+    law = replace(sphere.law, approach_speed=0.05 if young < 1e8 else 1e-3)
+    scene = sphere.with_(
+        material=Material(young=young),
+        law=law if young > 1e4 else replace(law, force_reference=0.02),
+        exploration=replace(sphere.exploration, lane_spacing=0.02, standoff=1e-4),
+    )
+    touch = {}
+    for dt in (1e-3, 1e-4):
+        loop = replace(scene.loop, mode="quasi_static", dt=dt, compile="never")
+        machine, path = prepare(scene.with_(loop=loop))
+        found = forces(machine, Track.of(path, sphere.body.surface).hold(0, 256), round(0.3 / dt))
+        touch[dt] = found[:: round(1e-3 / dt)]
+    reference = scene.law.force_reference
+    assert touch[1e-4][-1] == pytest.approx(reference, rel=0.02)
+    assert np.abs(touch[1e-3] - touch[1e-4]).max() <= stability.ERROR * reference
