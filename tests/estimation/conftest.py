@@ -1,6 +1,7 @@
-"""A small exact world for the tests: the paper's sphere, contacts on lanes, Hertz disc readings.
+"""A small exact world for the tests: the paper's sphere, contacts on lanes, readings over discs.
 
-Its bodies are the exact primitives, and its disc means have more nodes than the estimators'.
+Its bodies are the exact primitives, its contact models those of physics, and its disc means have
+more nodes than the estimators'.
 """
 
 from dataclasses import dataclass, field
@@ -11,7 +12,7 @@ import pyarrow as pa
 import pytest
 
 from meshskin.geometry.primitives import Sphere
-from meshskin.physics.contact import hertz
+from meshskin.physics.contact import Model, hertz
 from meshskin.physics.contact.disc import disc_mean
 from meshskin.recording import CONTACTS, READINGS, Recording
 
@@ -28,6 +29,9 @@ class World:
     step: float = 0.5e-3
     young: float = YOUNG
     body: object = field(default_factory=lambda: Sphere(RADIUS))
+    model: Model = field(default_factory=Model)
+    spread: float = 0.01
+    """Of the forces."""
 
     def __post_init__(self):
         n = int(self.extent / self.spacing) + 2
@@ -40,11 +44,17 @@ class World:
         v = np.arange(-self.extent - 4e-3, self.extent + 4e-3, self.lane)
         hit = self.body.closest(self.raise_(np.stack(np.meshgrid(u, v), -1).reshape(-1, 2)))
         self.points, self.normals = hit.point, hit.normal
-        self.force = FORCE * (1 + 0.01 * np.sin(np.arange(len(self.points))))
+        self.directions = hit.direction
+        self.force = FORCE * (1 + self.spread * np.sin(np.arange(len(self.points))))
         self.modulus = hertz.effective_modulus(self.young, POISSON)
-        radius = hertz.relative_radius(hit.curvature, INDENTER)
-        self.a = hertz.contact_radius(self.force, radius, self.modulus)
-        self.peak = hertz.peak_pressure(self.force, self.a)
+        self.patches = self.model.patches(
+            force=self.force,
+            curvature=hit.curvature,
+            indenter_radius=INDENTER,
+            effective_modulus=self.modulus,
+        )
+        self.a = np.maximum(self.patches.first, self.patches.second)
+        self.peak = self.patches.peak
         self.peak_reference = float(np.median(self.peak))
 
     @staticmethod
@@ -67,6 +77,11 @@ class World:
         out = np.zeros_like(r)
         near = (r < 1.3 * (self.a[:, None] + DISC)) & (np.linalg.norm(offset, axis=2) < 0.02)
         row = np.nonzero(near)[0]
+        if self.model.name != "hertz":
+            sides = np.stack([self.directions, np.cross(self.normals, self.directions)])
+            x, y = (np.einsum("kj,kj->k", offset[near], side[row]) for side in sides)
+            out[near] = np.maximum(self.patches.take(row).reading(x, y, DISC, nodes=150), 0.0)
+            return out
         out[near] = self.peak[row] * disc_mean(r[near] / self.a[row], DISC / self.a[row], nodes=24)
         return out
 
@@ -90,8 +105,10 @@ class World:
         fields = {
             "body": self.body,
             "indenter": SimpleNamespace(radius=INDENTER),
-            "material": SimpleNamespace(young=young, poisson=POISSON, thickness=None),
-            "contact": "hertz",
+            "material": SimpleNamespace(
+                young=young, poisson=POISSON, thickness=self.model.thickness
+            ),
+            "contact": self.model.name,
             "taxel_ids": self.ids,
             "disc_radius": DISC,
             "force_reference": FORCE,
