@@ -1,8 +1,8 @@
-"""Where taxels are by co-activation alone: which contacts each answered, whatever it said.
+"""Where taxels are by co-activation: which contacts each answered.
 
-No pressure enters, nor E*, gain or force: this holds where trilateration fails, because its
-distances are wrong or too few are left, and is near enough for the joint estimate to find its
-optimum (studies/estimators.py measures how near that is).
+No E*, gain or force enters: this holds where trilateration fails, because its distances are wrong,
+too few are left, or false answers are among them, and is near enough for the joint estimate to find
+its optimum (studies/estimators.py measures how near that is).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from . import chart, trilaterate
-from .measurements import Measurements
+from .measurements import Measurements, reach
 
 if TYPE_CHECKING:
     from ..geometry.body import Body
@@ -23,6 +23,13 @@ OUTSIDE = 2.0
 relative to their spread."""
 SCATTERED = 3.0
 """Spread of a taxel's contacts, relative to the median taxel's, beyond which they show nothing."""
+WIDE = 1.3
+"""Spread of a taxel's contacts, relative to the reach of one contact, beyond which some of its
+answers must be false: of a sound taxel it is some 0.7."""
+SHY = 3.0
+"""Contacts without an answer that are added to each neighbourhood, so that few prove little."""
+CHUNK = 64
+"""Taxels whose neighbourhoods are counted at once."""
 EVERYWHERE = "answers to contacts all over"
 """Why a taxel is then undetermined."""
 
@@ -30,6 +37,7 @@ EVERYWHERE = "answers to contacts all over"
 def alone(data: Measurements, body: Body) -> trilaterate.Fit:
     """Every taxel (n) at the middle of its contacts, where three or more answered, not on a line.
 
+    No pressure enters: only which contacts were answered.
     The middle is the geometric median, which a few false answers elsewhere do not move. Its
     covariance is that of the contacts about it: a bound, and a generous one.
     """
@@ -57,6 +65,53 @@ def alone(data: Measurements, body: Body) -> trilaterate.Fit:
     bad = why != ""
     points[bad], flat[bad] = np.nan, np.diag([np.inf, np.inf])
     return trilaterate.Fit(points, rotations, flat, np.full(n, np.nan), why)
+
+
+def plausible(data: Measurements) -> Measurements:
+    """The readings without far-away ones of taxels that answer to contacts all over.
+
+    Such a taxel is where it answered the contacts within reach most: noise above a low threshold
+    answers anywhere, but seldom, and weakly.
+    """
+    n, where = len(data.ids), data.points[data.contact]
+    count = np.maximum(data.counts, 1)[:, None]
+    mean = np.stack([np.bincount(data.taxel, x, n) for x in where.T], axis=1) / count
+    square = np.bincount(data.taxel, np.sum((where - mean[data.taxel]) ** 2, axis=1), n)
+    range_ = float(np.median(reach(data)))
+    wide = np.flatnonzero(np.sqrt(square / count[:, 0]) > WIDE * range_)
+    if not len(wide):
+        return data
+    centre = np.full((n, 3), np.nan)
+    centre[wide] = data.points[_densest(data, wide, range_)]
+    far = np.linalg.norm(where - centre[data.taxel], axis=1) > 1.5 * range_
+    keep = ~far  # NaN is not far
+    return replace(data, **{k: getattr(data, k)[keep] for k in ("contact", "taxel", "pressure")})
+
+
+def _densest(data: Measurements, rows: np.ndarray, radius: float) -> np.ndarray:
+    """Contact (r,) about which each of the taxels `rows` answered most, on average over contacts.
+
+    No reading counts for more than three of the taxel's mean ones.
+    """
+    from scipy.sparse import csr_array
+    from scipy.spatial import cKDTree
+
+    m, tree = len(data.points), cKDTree(data.points)
+    pairs = tree.sparse_distance_matrix(tree, radius, output_type="ndarray")
+    near = csr_array((np.ones(len(pairs)), (pairs["i"], pairs["j"])), shape=(m, m))
+    total = near.sum(axis=1) + SHY
+    place = np.full(len(data.ids), -1)
+    place[rows] = np.arange(len(rows))
+    mine = np.flatnonzero(place[data.taxel] >= 0)
+    at = (data.contact[mine], place[data.taxel[mine]])
+    mean = np.bincount(at[1], data.pressure[mine]) / np.bincount(at[1])
+    level = np.minimum(data.pressure[mine], 3 * mean[at[1]])
+    answered = csr_array((level, at), shape=(m, len(rows))).tocsc()
+    best = [
+        ((near @ answered[:, k : k + CHUNK]).toarray() / total[:, None]).argmax(axis=0)
+        for k in range(0, len(rows), CHUNK)
+    ]
+    return np.concatenate(best)
 
 
 def start(data: Measurements, body: Body) -> trilaterate.Fit:

@@ -115,7 +115,8 @@ def estimate(
     no taxel is determined or the optimiser does not converge.
     """
     clock = time.perf_counter()
-    start = start or coactivation.start(data, body)
+    near = coactivation.plausible(data)
+    start = start or coactivation.start(near, body)
     stuck = faults.stuck(data)
     live = np.setdiff1d(np.flatnonzero(start.found), stuck.rows)
     if not len(live):
@@ -134,7 +135,7 @@ def estimate(
     weight = np.where(np.isin(data.taxel, stuck.rows), 0.0, 1.0)
     run = Run(data, body, live, places, weight, iterations, tolerance)
     run.converge()
-    again = run.restart(trilaterate.centroids(data, body)[live])
+    again = run.restart(trilaterate.centroids(near, body)[live])
     doubt(run)
     for row, level in zip(stuck.rows, stuck.level, strict=True):
         run.faults[row] = f"stuck at {level / 1e3:.3g} kPa"

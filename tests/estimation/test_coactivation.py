@@ -86,3 +86,22 @@ def test_what_says_nothing(world, data):
         assert fit.why[row] == why
         assert np.isnan(fit.points[row]).all()
     assert fit.found.sum() == len(world.truth) - 3
+
+
+def test_false_answers_everywhere(world):
+    sigma, threshold = 0.2, 0.2  # a third of all contacts and taxels
+    belief = world.belief(sigma, threshold)
+    for seed in range(2):
+        data = gather(world.record(sigma, threshold, seed), belief)
+        near = coactivation.plausible(data)
+        assert len(near.pressure) < 0.6 * len(data.pressure)
+        start = coactivation.start(near, world.body)
+        assert errors(world, start).max() < 4e-3
+        right = joint.estimate(data, world.body, replace(start, points=world.truth))
+        found = joint.estimate(data, world.body)
+        assert np.allclose(found.points, right.points, atol=1e-6)
+        assert errors(world, found).mean() < 0.35e-3
+
+
+def test_sound_recordings_are_left_as_they_are(data):
+    assert coactivation.plausible(data) is data
