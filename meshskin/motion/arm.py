@@ -75,6 +75,10 @@ class Arm:
     """Name of the link whose pose is controlled and that carries the payload."""
     urdf: str
     """The text of the URDF file, with the payloads added."""
+    damping: Array
+    """Viscous friction of the joints (n,), N m s/rad; zero where the file gives none."""
+    friction: Array
+    """Coulomb friction of the joints (n,), N m; zero where the file gives none."""
 
     @classmethod
     def from_urdf(cls, path: str | Path, tip: str = "tool0") -> Arm:
@@ -128,6 +132,8 @@ class Arm:
             reflected_inertia=np.array([inertia.get(j.name, 0.0) for j in moving]),
             tip=tip,
             urdf=urdf,
+            damping=np.array([j.dynamics.get("damping", 0.0) for j in moving]),
+            friction=np.array([j.dynamics.get("friction", 0.0) for j in moving]),
         )
 
     def __getstate__(self) -> dict[str, Any]:

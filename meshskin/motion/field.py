@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from . import law as compliance
+from .delay import heard, kept
 from .loop import ANCHOR, PARAMETERS, REFERENCE, Loop, Parameters
 from .touch import Touch, touch
 
@@ -21,6 +22,8 @@ FORCE_DAMPING = 1e-6
 """Row dampings of the inverses, in m; damping costs path accuracy, hence the rotation rows only."""
 FLATTEST = 1.0
 """Curvature below which the body counts as a sphere of 1 m in the force part, 1/m."""
+SLIP = 5e-3
+"""Joint speed at which Coulomb friction is at tanh(1) of its full value, rad/s."""
 
 
 @dataclass(frozen=True)
@@ -33,20 +36,22 @@ class Instant:
     root: ca.SX
     """Its upper Cholesky factor."""
     effort: ca.SX
-    """tau + J^T f_c - bias (n,), N m."""
+    """tau + J^T f_c - bias - friction (n,), N m."""
     row: ca.SX
     """d(depth)/dq (n,), m/rad."""
     pull: ca.SX
     """d(effort)/d(depth) with opposite sign (n,): contact stiffness and law slope, N/rad."""
     free: ca.SX
     """1 where a joint's torque is within its limit, 0 where it is held there (n,)."""
+    memory: ca.SX
+    """Readings on their way to the law after this step."""
     output: ca.SX
     """The row that Loop.outputs describes."""
 
     @property
     def foot(self) -> ca.SX:
-        """(u, v) of the contact."""
-        return ca.vertcat(self.touch.u, self.touch.v)
+        """What the next step knows of this contact: readings on their way, (u, v) of the foot."""
+        return ca.vertcat(self.memory, self.touch.u, self.touch.v)
 
     @property
     def acceleration(self) -> ca.SX:
@@ -71,9 +76,10 @@ class Field:
         limit = np.asarray(loop.arm.effort_limit, dtype=float)
         self.limit = ca.DM(np.where(np.isfinite(limit), limit, 1e30))
 
-    def at(self, q: ca.SX, qdot: ca.SX, uv: ca.SX, ahead: ca.SX | float = 0.0) -> Instant:
-        """The closed loop at (q, qdot), `ahead` s after the reference; uv: the last foot."""
+    def at(self, q: ca.SX, qdot: ca.SX, foot: ca.SX, ahead: ca.SX | float = 0.0) -> Instant:
+        """The closed loop at (q, qdot), `ahead` s after the reference; foot: the last one."""
         loop, p = self.loop, self.p
+        memory, uv = foot[:-2], foot[-2:]
         mass, bias = self.model.mass_matrix(q), self.model.bias(q, qdot)
         tip = self.model.pose(q)
         pose = tip @ ca.DM(loop.mount)
@@ -85,10 +91,9 @@ class Field:
         normal, lever = rotation @ t.normal, rotation @ t.point
         row = moved(jacobian, lever)[:3, :].T @ normal
 
-        wanted = t.reference_depth
-        firm = t.slope_at(compliance.floored(t.depth, wanted))
-        speed = compliance.force_speed(p, firm, t.depth, t.force) * (1.0 - p.free)
-        slope = compliance.speed_slope(p, t, wanted) * (1.0 - p.free)
+        reading, believed = heard(memory, t), t.believed(loop.law.effective_modulus)
+        firm = believed.slope_at(compliance.floored(reading.depth, believed.reference_depth))
+        speed = compliance.force_speed(p, firm, reading.depth, reading.force) * (1.0 - p.free)
         curvature = ca.fmax(t.curvature, FLATTEST)
         if loop.law.surface == "exact":
             shape = rotation @ self.shape(uv, centre) @ rotation.T
@@ -106,21 +111,34 @@ class Field:
         wish = speed * push_away + compliance.damped_inverse(moved(jacobian, lever), damping, twist)
 
         gain = compliance.velocity_gain(loop.law.shape, p.rate, mass)
-        asked = compliance.torque(loop.law.torque, bias, gain, qdot - wish, row * t.force)
+        asked = compliance.torque(loop.law.torque, bias, gain, qdot - wish, row * reading.force)
         torque = ca.fmin(ca.fmax(asked, -self.limit), self.limit)
         free = (ca.fabs(asked) < self.limit) * (loop.law.torque != "off")
-        lifted = free if loop.law.torque == "compensated" else 0.0
-        pull = row * t.slope * (1.0 - lifted) - free * (gain @ push_away) * slope
+        pull = row * t.slope
+        if not loop.delay:  # an old reading does not answer to the depth of the moment
+            slope = compliance.speed_slope(p, t, believed) * (1.0 - p.free)
+            lifted = free if loop.law.torque == "compensated" else 0.0
+            pull = pull * (1.0 - lifted) - free * (gain @ push_away) * slope
         return Instant(
             touch=t,
             mass=mass,
             root=ca.chol(mass),
-            effort=torque - row * t.force - bias,
+            effort=torque - row * t.force - bias - self.friction(qdot),
             row=row,
             pull=pull,
             free=free,
+            memory=kept(memory, t),
             output=ca.vertcat(t.point, t.normal, t.force, t.depth, t.radius, torque),
         )
+
+    def friction(self, qdot: ca.SX) -> ca.SX:
+        """Friction of the joints (n,), N m: viscous, and Coulomb's, smooth about rest."""
+        arm, drag = self.loop.arm, ca.SX(*qdot.shape)
+        if np.any(arm.damping):
+            drag += ca.DM(arm.damping) * qdot
+        if np.any(arm.friction):
+            drag += ca.DM(arm.friction) * ca.tanh(qdot / SLIP)
+        return drag
 
     def shape(self, uv: ca.SX, centre: ca.SX) -> ca.SX:
         """dn/dc (3, 3), 1/m, body frame: by automatic differentiation of the contact's foot."""
@@ -129,15 +147,14 @@ class Field:
         return ca.substitute(ca.jacobian(normal, c), c, centre)
 
     def rate(self) -> ca.Function:
-        """(q, qdot, uv, ahead, reference, anchor, parameters) -> (qdd, foot, output)."""
+        """(q, qdot, foot, ahead, reference, anchor, parameters) -> (qdd, foot, output)."""
         n = self.loop.joints
-        q, qdot, uv, ahead = (
-            ca.SX.sym(name, k) for name, k in (("q", n), ("qdot", n), ("uv", 2), ("ahead", 1))
-        )
-        now = self.at(q, qdot, uv, ahead)
+        sizes = {"q": n, "qdot": n, "foot": self.loop.memory + 2, "ahead": 1}
+        q, qdot, foot, ahead = (ca.SX.sym(name, k) for name, k in sizes.items())
+        now = self.at(q, qdot, foot, ahead)
         return ca.Function(
             "rate",
-            [q, qdot, uv, ahead, self.reference, self.anchor, self.parameters],
+            [q, qdot, foot, ahead, self.reference, self.anchor, self.parameters],
             [now.acceleration, now.foot, now.output],
             {"cse": True},
         )

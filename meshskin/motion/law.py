@@ -51,6 +51,8 @@ class Law:
     """Largest speed along the normal that the force part may ask for; the speed before touch."""
     tracking: float = quantity("1/s", 20.0, least=0.0)
     """Rate at which errors of the body's pose along the path decay."""
+    effective_modulus: float | None = quantity("Pa", None, above=0.0)
+    """E* that the law takes the contact to have; None: the one that it has."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -119,10 +121,13 @@ def touch_speed(gains: Any, delta_reference: float) -> float:
     return float(min(gains.approach_speed, 4.0 / 3.0 * gains.gamma * delta_reference))
 
 
-def speed_slope(gains: Any, touch: Any, delta_reference: Any) -> Any:
-    """Derivative of `force_speed` by the depth at the contact `touch`, 1/s: at most zero."""
+def speed_slope(gains: Any, touch: Any, believed: Any) -> Any:
+    """Derivative of `force_speed` by the depth at the contact `touch`, 1/s: at most zero.
+
+    believed: the contact as the law takes it to be.
+    """
     delta = ca.SX.sym("delta")
-    slope = touch.slope_at(floored(delta, delta_reference))
+    slope = believed.slope_at(floored(delta, believed.reference_depth))
     speed = force_speed(gains, slope, delta, touch.force_at(delta))
     return ca.substitute(ca.gradient(speed, delta), delta, touch.depth)
 

@@ -87,6 +87,8 @@ class Loop:
     """"arm": the arm's dynamics; "quasi_static": the body moves as the law asks, without an arm."""
     contact: Model = field(default_factory=Model)
     """Contact model that gives the force."""
+    delay: int = 0
+    """Steps by which the reading of the contact that the law hears is old."""
 
     def __post_init__(self) -> None:
         known("integrator", self.integrator, INTEGRATORS)
@@ -96,6 +98,11 @@ class Loop:
     def joints(self) -> int:
         """Number of joints n; 0 without an arm."""
         return len(self.arm.joint_names) if self.mode == "arm" else 0
+
+    @property
+    def memory(self) -> int:
+        """Numbers of the state that are readings on their way to the law, see motion.delay."""
+        return 2 * self.delay
 
     @property
     def parameters(self) -> Parameters:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..se3 import Array
 from . import law as compliance
+from .delay import heard, kept
 from .integrators import NAMES
 from .loop import ANCHOR, PARAMETERS, REFERENCE, Loop, Parameters
 from .touch import touch
@@ -20,15 +21,16 @@ def step(loop: Loop) -> ca.Function:
     """(state, reference, anchor, parameters) -> (next state, output), as the integrators' step."""
     state, reference, anchor, parameters = (
         ca.SX.sym(name, k)
-        for name, k in zip(NAMES[0], (9, REFERENCE, ANCHOR, PARAMETERS), strict=True)
+        for name, k in zip(NAMES[0], (9 + loop.memory, REFERENCE, ANCHOR, PARAMETERS), strict=True)
     )
     p = Parameters.split(parameters)
-    position, turn, uv = state[:3], state[3:7], state[7:]
+    position, turn, memory, uv = state[:3], state[3:7], state[7:-2], state[-2:]
     rotation = matrix(turn)
     t = touch(anchor, uv, rotation.T @ (ca.DM(loop.indenter_position) - position), p, loop.contact)
     normal, lever = rotation @ t.normal, rotation @ t.point
-    firm = t.slope_at(compliance.floored(t.depth, t.reference_depth))
-    speed = (1.0 - p.free) * compliance.force_speed(p, firm, t.depth, t.force)
+    reading, believed = heard(memory, t), t.believed(loop.law.effective_modulus)
+    firm = believed.slope_at(compliance.floored(reading.depth, believed.reference_depth))
+    speed = (1.0 - p.free) * compliance.force_speed(p, firm, reading.depth, reading.force)
     omega, velocity = compliance.along(
         reference, p.tracking, position, rotation, lever, normal, p.free
     )
@@ -41,7 +43,7 @@ def step(loop: Loop) -> ca.Function:
         "step",
         [state, reference, anchor, parameters],
         [
-            ca.vertcat(position + p.dt * origin, after, t.u, t.v),
+            ca.vertcat(position + p.dt * origin, after, kept(memory, t), t.u, t.v),
             ca.vertcat(t.point, t.normal, t.force, t.depth, t.radius),
         ],
         *NAMES,

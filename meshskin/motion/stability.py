@@ -65,8 +65,15 @@ def check(machine: Machine, q: Array, reference: Array) -> None:
     speed = 2.0 * compliance.touch_speed(loop.law, reference_depth(loop, curvature))
     speed = min(speed, loop.law.approach_speed)
     accurate = touch_limit(loop, inertia(loop, q), curvature, speed)
-    if loop.dt <= accurate and spectral_radius(machine, q, reference, loop.dt) <= 1 + GROWTH:
+    stable = spectral_radius(machine, q, reference, loop.dt) <= 1 + GROWTH
+    if loop.dt <= accurate and stable:
         return
+    if loop.delay and not stable:
+        raise SimulationError(
+            f"the closed loop is unstable with readings {loop.delay} steps old",
+            value=f"law.gamma = {loop.law.gamma:g} 1/s",
+            remedy="lower law.gamma, or loop.delay_ms",
+        )
     limit = StepLimit(stable_limit(machine, q, reference, min(accurate, LONGEST)), accurate)
     works = _rounded(limit.longest)
     why = "resolve the touch" if loop.dt > accurate else "be stable"

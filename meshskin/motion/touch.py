@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -63,6 +63,12 @@ class Touch:
     def reference_depth(self) -> ca.SX:
         """Depth at which the contact has the reference force, m."""
         return self.model.patches(force=self.p.force_reference, **self._place).depth
+
+    def believed(self, effective_modulus: float | None) -> Touch:
+        """This contact as it is taken to be with another E*, Pa; None: as it is."""
+        if effective_modulus is None:
+            return self
+        return replace(self, p=replace(self.p, effective_modulus=effective_modulus))
 
     @property
     def _place(self) -> dict[str, Any]:

@@ -36,6 +36,7 @@ class Joint:
     rpy: Array  # (3,) rad, fixed-axis roll, pitch, yaw of the origin
     axis: Array  # (3,) unit vector in the joint's frame
     limits: dict[str, float]  # lower, upper, velocity, effort: those that the file gives
+    dynamics: dict[str, float]  # damping, friction: those that the file gives
     mimic: Mimic | None = None
 
     def motion(self, q: cs.SX | float) -> cs.SX:
@@ -134,6 +135,7 @@ def _joint(element: ET.Element, where: str) -> Joint:
     if not (parent and child):
         raise ArmError(f"no parent or child{here}")
     origin, limit = element.find("origin"), element.find("limit")
+    dynamics = element.find("dynamics")
     axis = _vector(element.find("axis"), "xyz", "1 0 0", 3, here)
     length, kind = np.linalg.norm(axis), element.get("type", "")
     if not length > 0.0:
@@ -150,6 +152,9 @@ def _joint(element: ET.Element, where: str) -> Joint:
         rpy=_vector(origin, "rpy", "0 0 0", 3, here),
         axis=axis / length,
         limits={key: float(_vector(limit, key, "", 1, here)[0]) for key in given},
+        dynamics={
+            key: float(_vector(dynamics, key, "0", 1, here)[0]) for key in ("damping", "friction")
+        },
         mimic=_mimic(element.find("mimic"), here),
     )
 

@@ -1,7 +1,8 @@
 """Integrators of the closed loop, one a file: each makes one step of a Field.
 
 `step(field) -> Function` takes (state, reference, anchor, parameters) to (next state, output). The
-state (2 n + 2) is q, qdot and the foot (u, v); the output belongs to the start of the step.
+state (2 n + 2) is q, qdot and the foot (u, v), with readings that are on their way to the law
+before the foot, where there is a delay (motion.delay); the output belongs to the start of the step.
 """
 
 from __future__ import annotations

@@ -20,14 +20,15 @@ def step(loop: Loop) -> ca.Function:
     field, n = Field(loop, newton=4), loop.joints
     rate = field.rate()
     x, t = ca.SX.sym("x", 2 * n), ca.SX.sym("t")
-    uv = ca.SX.sym("uv", 2)
+    last = ca.SX.sym("last", loop.memory + 2)
     held = (field.reference, field.anchor, field.parameters)
     h = field.p.dt
-    qdd = rate(x[:n], x[n:], uv, t * h, *held)[0]
-    problem = {"x": x, "t": t, "p": ca.vertcat(uv, *held), "ode": h * ca.vertcat(x[n:], qdd)}
+    qdd = rate(x[:n], x[n:], last, t * h, *held)[0]
+    problem = {"x": x, "t": t, "p": ca.vertcat(last, *held), "ode": h * ca.vertcat(x[n:], qdd)}
     solver = ca.integrator("cvodes", "cvodes", problem, 0.0, 1.0, OPTIONS)
     state, *inputs = (
-        ca.MX.sym(k, v.shape[0]) for k, v in zip(NAMES[0], (ca.vertcat(x, uv), *held), strict=True)
+        ca.MX.sym(k, v.shape[0])
+        for k, v in zip(NAMES[0], (ca.vertcat(x, last), *held), strict=True)
     )
     end = solver(x0=state[: 2 * n], p=ca.vertcat(state[2 * n :], *inputs))["xf"]
     _, foot, output = rate(state[:n], state[n : 2 * n], state[2 * n :], 0.0, *inputs)

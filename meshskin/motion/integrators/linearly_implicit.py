@@ -22,9 +22,9 @@ from . import NAMES
 def step(loop: Loop) -> ca.Function:
     """See the package."""
     field, n = Field(loop), loop.joints
-    state = ca.SX.sym("state", 2 * n + 2)
-    q, qdot, uv = state[:n], state[n : 2 * n], state[2 * n :]
-    now, h = field.at(q, qdot, uv), field.p.dt
+    state = ca.SX.sym("state", 2 * n + loop.memory + 2)
+    q, qdot, last = state[:n], state[n : 2 * n], state[2 * n :]
+    now, h = field.at(q, qdot, last), field.p.dt
     right = h * (now.effort - h * now.pull * ca.dot(now.row, qdot))
     flat = _damped_solve(loop, now, h * field.p.rate, ca.horzcat(right, h * h * now.pull))
     # Sherman-Morrison for the part of rank one

@@ -21,13 +21,13 @@ def step(loop: Loop) -> ca.Function:
     field, n = Field(loop, newton=2), loop.joints
     rate = field.rate()
     inputs = (field.reference, field.anchor, field.parameters)
-    state, h = ca.SX.sym("state", 2 * n + 2), field.p.dt
-    q, qdot, uv = state[:n], state[n : 2 * n], state[2 * n :]
+    state, h = ca.SX.sym("state", 2 * n + loop.memory + 2), field.p.dt
+    q, qdot, last = state[:n], state[n : 2 * n], state[2 * n :]
     speed, push, total_q, total_v = qdot, ca.SX.zeros(n), ca.SX.zeros(n), ca.SX.zeros(n)
     starts = []
     for time, weight in STAGES:
         there, speed = q + time * h * speed, qdot + time * h * push
-        push, foot, output = rate(there, speed, uv, time * h, *inputs)
+        push, foot, output = rate(there, speed, last, time * h, *inputs)
         total_q += weight / 6.0 * speed
         total_v += weight / 6.0 * push
         starts.append((foot, output))

@@ -19,9 +19,9 @@ def step(loop: Loop) -> ca.Function:
     # a foot one Newton step behind takes 2e-6 of a swing's energy a period: nothing beside control
     newton = 2 if loop.law.torque == "off" else 1
     field, n = Field(loop, newton), loop.joints
-    state = ca.SX.sym("state", 2 * n + 2)
-    q, qdot, uv = state[:n], state[n : 2 * n], state[2 * n :]
-    now = field.at(q, qdot, uv)
+    state = ca.SX.sym("state", 2 * n + loop.memory + 2)
+    q, qdot, last = state[:n], state[n : 2 * n], state[2 * n :]
+    now = field.at(q, qdot, last)
     after = qdot + field.p.dt * now.acceleration
     return ca.Function(
         "step",
