@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from .estimation.calibrate import calibrate
     from .estimation.calibration import Calibration
     from .estimation.posegraph import PoseGraph
+    from .exploration import explore
     from .geometry.body import Body
     from .geometry.skin import Skin
     from .motion.arm import Arm
@@ -44,6 +45,7 @@ _HOMES = {
     "Skin": "geometry.skin",
     "Study": "study.sweep",
     "calibrate": "estimation.calibrate",
+    "explore": "exploration",
     "press": "presses",
     "simulate": "simulation",
 }
@@ -66,6 +68,7 @@ __all__ = [
     "Study",
     "calibrate",
     "contact",
+    "explore",
     "press",
     "simulate",
 ]

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from . import recording as files
-from .errors import ReachError
+from .exploration import route, start_of
 from .motion import path as paths
 from .motion import stability
 from .motion.arm import Arm
@@ -25,14 +25,10 @@ from .physics.reading import disc_pressures
 from .provenance import provenance
 from .recording import Recording, RecordingWriter
 from .scene import Scene
-from .se3 import Array, exp_so3, inverse, log_so3, quaternion, transform
+from .se3 import Array, inverse, quaternion
 
 FRAME_CELLS = 2e6
 """Largest number of pressures (frames times taxels) held at once."""
-HEADINGS = 8
-"""World directions tried for the skin's first meridian."""
-CHECKS = 400
-"""Samples of the path whose joint angles are solved for each heading."""
 BODY = ("x", "y", "z", "qw", "qx", "qy", "qz")
 """Columns of the body's pose, where there is no arm."""
 
@@ -44,16 +40,18 @@ def simulate(
     scene: Scene,
     seed: int = 0,
     *,
+    path: paths.Path | None = None,
     out: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Recording:
     """Run the scene's exploration and record it.
 
-    seed: of every random stream. out: stream the recording to these files and read it back from
-    there, instead of holding it in memory. progress(stage, done, total) is called as it goes.
+    seed: of every random stream. path: of a plan (`explore`), to follow instead of the scene's own
+    exploration. out: stream the recording to these files and read it back from there, instead of
+    holding it in memory. progress(stage, done, total) is called as it goes.
     Raises ReachError if the arm cannot follow the path, SimulationError if the loop fails.
     """
-    machine, path = prepare(scene)
+    machine, path = prepare(scene, path=path)
     batches = _tables(scene, seed, machine.loop, run(scene, machine, path, progress))
     header = _metadata(scene, seed)
     if out is not None:
@@ -67,10 +65,13 @@ def simulate(
     return Recording(tables[0], tables[1], header, tables[2])
 
 
-def prepare(scene: Scene, taxels: Array | None = None) -> tuple[Machine, paths.Path]:
+def prepare(
+    scene: Scene, taxels: Array | None = None, path: paths.Path | None = None
+) -> tuple[Machine, paths.Path]:
     """The machine at the start of the scene's exploration, and the path that it will follow.
 
-    taxels (n, 3): read these at every step. Raises ReachError if the arm cannot follow the path.
+    taxels (n, 3): read these at every step; path: follow this one instead. Raises ReachError if
+    the arm cannot follow the path.
     """
     quasi_static = scene.loop.mode == "quasi_static"
     arm = _loaded_arm(scene)
@@ -86,11 +87,10 @@ def prepare(scene: Scene, taxels: Array | None = None) -> tuple[Machine, paths.P
         mode=scene.loop.mode,
         contact=scene.model,
     )
+    path, start = route(scene) if path is None else (path, start_of(scene, path))
     if quasi_static:
-        path = _plan(scene, 0.0, scene.loop.dt)
-        start, rest = body_state(_above(scene, path.poses[0])), body_state(path.poses[0])
+        start, rest = body_state(start), body_state(path.poses[0])
     else:
-        path, start = reachable_path(scene, arm)
         rest = arm.inverse_kinematics(path.poses[:1] @ inverse(scene.mount_pose), start)[0]
     machine = Machine(
         scene.body,
@@ -114,11 +114,16 @@ def _performance(machine: Machine) -> dict[str, Any]:
     }
 
 
-def _above(scene: Scene, pose: Array) -> Array:
-    """A pose at the reference depth, lifted to the standoff."""
-    above = pose.copy()
-    above[2, 3] += scene.exploration.standoff + scene.patch.depth
-    return above
+def _loaded_arm(scene: Scene) -> Arm:
+    """The arm with the body's mass at its tip."""
+    if scene.payload == 0:
+        return scene.arm
+    mesh = scene.body.mesh
+    pose = scene.mount_pose
+    density = scene.payload / abs(mesh.volume)
+    inertia = pose[:3, :3] @ (np.asarray(mesh.moment_inertia) * density) @ pose[:3, :3].T
+    com = pose[:3, :3] @ np.asarray(mesh.center_mass) + pose[:3, 3]
+    return scene.arm.with_payload(scene.payload, com, inertia)
 
 
 def _metadata(scene: Scene, seed: int) -> dict[str, Any]:
@@ -135,88 +140,17 @@ def _metadata(scene: Scene, seed: int) -> dict[str, Any]:
     }
 
 
-def _loaded_arm(scene: Scene) -> Arm:
-    """The arm with the body's mass at its tip."""
-    if scene.payload == 0:
-        return scene.arm
-    mesh = scene.body.mesh
-    pose = scene.mount_pose
-    density = scene.payload / abs(mesh.volume)
-    inertia = pose[:3, :3] @ (np.asarray(mesh.moment_inertia) * density) @ pose[:3, :3].T
-    com = pose[:3, :3] @ np.asarray(mesh.center_mass) + pose[:3, 3]
-    return scene.arm.with_payload(scene.payload, com, inertia)
-
-
-def reachable_path(scene: Scene, arm: Arm) -> tuple[paths.Path, Array]:
-    """The exploration path and the joint angles (n,) at its standoff, with the best heading.
-
-    Of the headings about the vertical, the one that stays farthest from the joint limits is taken.
-    Raises ReachError with the best heading's reason if none works.
-    """
-    best: tuple[float, paths.Path, Array] | None = None
-    reason: ReachError | None = None
-    tip_body = inverse(scene.mount_pose)
-    for heading in np.arange(HEADINGS) * 2 * np.pi / HEADINGS:
-        coarse = _plan(scene, heading, scene.loop.dt * 50)
-        poses = coarse.poses[:: max(len(coarse.poses) // CHECKS, 1)] @ tip_body
-        try:
-            seed = arm.solve(poses[len(poses) // 2])
-            first = arm.inverse_kinematics(_bridge(poses[len(poses) // 2], poses[0]), seed)[-1]
-            q = arm.inverse_kinematics(poses, first)
-            start = arm.inverse_kinematics(
-                _above(scene, poses[0] @ inverse(tip_body))[None] @ tip_body, first
-            )[0]
-        except ReachError as error:
-            reason = reason or error
-            continue
-        spare = float(np.minimum(q - arm.lower, arm.upper - q).min())
-        if best is None or spare > best[0]:
-            best = spare, coarse, start
-            best_heading = heading
-    if best is None:
-        raise ReachError(
-            f"the arm {arm.name} cannot turn the skin over the indenter at "
-            f"{tuple(round(float(x), 3) for x in scene.indenter.position)} m: {reason}",
-            remedy="move indenter.position_m or change the mount",
-        ) from reason
-    return _plan(scene, best_heading, scene.loop.dt), best[2]
-
-
-def _plan(scene: Scene, heading: float, dt: float) -> paths.Path:
-    cosine = np.clip(scene.skin.normals @ scene.axis, -1.0, 1.0)
-    return paths.plan(
-        scene.body,
-        scene.axis,
-        float(np.arccos(cosine.min())),
-        scene.exploration,
-        indenter_position=np.array(scene.indenter.position),
-        gap=scene.indenter.radius - scene.patch.depth,
-        heading=heading,
-        dt=dt,
-    )
-
-
-def _bridge(start: Array, goal: Array) -> Array:
-    """Poses (k, 4, 4) from one to the other by a straight screw-free blend in small steps."""
-    turn = log_so3(goal[:3, :3] @ start[:3, :3].T)
-    count = 2 + int(np.ceil(np.linalg.norm(turn) / 0.05))
-    part = np.linspace(0.0, 1.0, count)
-    rotation = exp_so3(part[:, None] * turn) @ start[:3, :3]
-    shift = goal[:3, 3] - start[:3, 3]
-    return transform(rotation, start[:3, 3] + part[:, None] * shift)
-
-
 def run(
     scene: Scene, machine: Machine, path: paths.Path, progress: Progress | None = None
 ) -> Iterator[Steps]:
     """Run the closed loop over the path. Yields the steps as they come."""
-    track = Track.of(path, scene.body.surface)
+    tracks = [Track.of(place, scene.body.surface) for place in path.places]
     manner = Manner(scene.exploration.standoff, scene.exploration.settle)
-    explorer = Explorer(machine, [track], manner)
+    explorer = Explorer(machine, tracks, manner, path.postures)
     for steps in explorer.run():
         yield steps
         if progress is not None:
-            progress("simulate", explorer.done, len(track))
+            progress("simulate", explorer.done, len(path.points))
 
 
 def _batches(runs: Iterator[Steps], size: int) -> Iterator[Sequence[Steps]]:

@@ -24,6 +24,7 @@ WINGS = [
     "scene",
     "scene_file",
     "recording",
+    "exploration",
     "simulation",
     "presses",
     "estimation",

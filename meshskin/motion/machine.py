@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +13,7 @@ from numpy.typing import NDArray
 from ..errors import ReachError, SimulationError
 from ..geometry.body import Body
 from ..se3 import Array
+from .carry import inverse_dynamics
 from .loop import Loop, flat_anchor
 from .readings import PointReadings
 from .step import Blocks, ready, step
@@ -141,6 +144,37 @@ class Machine:
         self.seconds += perf_counter() - started
         return Steps(time, q, outputs, phase, readings)
 
+    def carry(self, q: Array, phase: int) -> Steps:
+        """Move through the air as the joints' own controllers do: exactly along `q` (k, n), one row
+        a step, from where the arm is; at rest at the end. Raises SimulationError where the body
+        meets the indenter on the way, ReachError where a joint leaves its range.
+        """
+        loop, dt = self.loop, self.loop.dt
+        poses = loop.arm.pose(q) @ loop.mount
+        way = loop.indenter_position - poses[:, :3, 3]
+        hit = self.body.closest(np.einsum("kji,kj->ki", poses[:, :3, :3], way))
+        depth = loop.indenter_radius - hit.distance
+        outputs = np.zeros((len(q), self.blocks[0].outputs.shape[1]))
+        rates = np.gradient(q, dt, axis=0)
+        torque = self._torques(q.T, rates.T, np.gradient(rates, dt, axis=0).T).full().T
+        columns = {"point": hit.point, "normal": hit.normal, "depth": depth[:, None]}
+        columns["torque"] = np.clip(torque, -loop.arm.effort_limit, loop.arm.effort_limit)
+        for name, column in columns.items():
+            outputs[:, loop.outputs[name]] = column
+        states = np.zeros((len(q), len(self.state)))
+        states[:, : self.size], states[:, -2:] = q, hit.uv
+        self._check(states, outputs)
+        if depth.max() > 0:
+            raise SimulationError(
+                f"the body meets the indenter on its way through the air at {self._at(states[-1])}",
+                value=f"{depth.max() * 1e3:.3g} mm deep",
+                remedy="raise exploration.standoff_mm",
+            )
+        time = np.asarray((self.steps + np.arange(len(q))) * dt, dtype=float)
+        self.steps += len(q)
+        self.state[:], self.face, self._astray = states[-1], int(hit.face[-1]), True
+        return Steps(time, q, outputs, phase)
+
     def _fill(self, blocks: Blocks, track: Track, free: bool) -> NDArray[np.intp]:
         """Set a block's inputs; returns the face of each row (k,)."""
         count = len(track)
@@ -164,6 +198,10 @@ class Machine:
             blocks.anchors[count:, : -len(STAY)] = self._row(int(faces[-1]))
             maps[count:] = STAY
         return faces
+
+    @cached_property
+    def _torques(self) -> Any:
+        return inverse_dynamics(self.loop.arm)
 
     def _row(self, face: int) -> Array:
         """Patch of a face (63,), column-major."""

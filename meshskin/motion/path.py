@@ -8,15 +8,19 @@ normal at the contact point faces the indenter (straight down on the indenter's 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..config import check, quantity
-from ..errors import SimulationError
+from ..errors import SimulationError, UnknownNameError
 from ..geometry.body import Body
 from ..se3 import Array, exp_so3, log_so3, transform
+
+PATTERNS = ("auto", "parallels", "lanes")
 
 
 @dataclass(frozen=True)
@@ -37,9 +41,19 @@ class Exploration:
     """Gap between body and indenter before the approach."""
     settle: float = quantity("s", 0.3, least=0.0)
     """Rest after the touch, before the contact point moves."""
+    pattern: str = "auto"
+    """"parallels": about the skin's axis, for convex caps; "lanes": geodesic lanes, for any region;
+    "auto": parallels where the skin is a cap of a sphere, lanes elsewhere."""
+    contacts: float | None = quantity("", None, above=0.0)
+    """Contacts wanted of each taxel; sets the spacing of geodesic lanes in place of
+    `lane_spacing`."""
+    joint_share: float = quantity("", 0.8, above=0.0, most=1.0)
+    """Part of the joints' speed limits that geodesic lanes use."""
 
     def __post_init__(self) -> None:
         check(self)
+        if self.pattern not in PATTERNS:
+            raise UnknownNameError("pattern of the exploration", self.pattern, PATTERNS)
 
 
 @dataclass(frozen=True)
@@ -57,6 +71,43 @@ class Path:
     """Velocity of the body's origin and angular velocity (k, 6), world."""
     faces: NDArray[np.intp]
     """The mesh's face at each contact point (k,)."""
+    breaks: tuple[int, ...] = ()
+    """Rows, in order, at which a new place begins: the body is lifted off before."""
+    postures: Array | None = None
+    """Joint angles (len(breaks) + 1, n) at the first pose of each place; None: any will do."""
+
+    @classmethod
+    def joined(cls, places: Sequence[Path]) -> Path:
+        """The path over places, one after the other."""
+        breaks = np.cumsum([len(place.points) for place in places])[:-1]
+        held = [place.postures for place in places if place.postures is not None]
+        return cls(
+            dt=places[0].dt,
+            points=np.concatenate([place.points for place in places]),
+            normals=np.concatenate([place.normals for place in places]),
+            poses=np.concatenate([place.poses for place in places]),
+            twists=np.concatenate([place.twists for place in places]),
+            faces=np.concatenate([place.faces for place in places]),
+            breaks=tuple(int(k) for k in breaks),
+            postures=np.concatenate(held) if len(held) == len(places) else None,
+        )
+
+    @property
+    def places(self) -> list[Path]:
+        """The path, place by place."""
+        ends = [0, *self.breaks, len(self.points)]
+        return [self._place(k, slice(*pair)) for k, pair in enumerate(pairwise(ends))]
+
+    def _place(self, place: int, rows: slice) -> Path:
+        return Path(
+            dt=self.dt,
+            points=self.points[rows],
+            normals=self.normals[rows],
+            poses=self.poses[rows],
+            twists=self.twists[rows],
+            faces=self.faces[rows],
+            postures=None if self.postures is None else self.postures[place : place + 1],
+        )
 
     @property
     def references(self) -> Array:
@@ -65,7 +116,7 @@ class Path:
         return np.concatenate([self.poses[:, :3, 3], r, self.twists], axis=1)
 
 
-def _profile(cruise: float, ramp: float, dt: float) -> Array:
+def timed(cruise: float, ramp: float, dt: float) -> Array:
     """Fractions of a way (k,) that takes `cruise` seconds at full speed, with half-cosine ramps."""
     total = max(cruise, 1e-9) + ramp
     count = max(int(np.ceil(total / dt)), 2)
@@ -100,11 +151,11 @@ def parallels(polar: Array, radius: float, exploration: Exploration, dt: float) 
     way = [np.array([[polar[0], -np.pi]])]
     for k, theta in enumerate(polar):
         start = -np.pi if k % 2 == 0 else np.pi
-        s = _profile(cruise(2 * np.pi, radius * np.sin(theta)), exploration.ramp, dt)
+        s = timed(cruise(2 * np.pi, radius * np.sin(theta)), exploration.ramp, dt)
         way.append(np.stack([np.full_like(s, theta), start * (1 - 2 * s)], axis=1))
         if k + 1 < len(polar):
             hop = polar[k + 1] - theta
-            s = _profile(cruise(hop, radius), exploration.ramp, dt)
+            s = timed(cruise(hop, radius), exploration.ramp, dt)
             way.append(np.stack([theta + hop * s, np.full_like(s, -start)], axis=1))
     return np.concatenate(way)
 

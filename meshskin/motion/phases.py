@@ -4,8 +4,9 @@
 
 Every place is a track of its own. The body comes down until the first contact (approach), the force
 settles (touch), the arm rests (hold), the contact point follows the track (slide), the body lifts
-off (leave) and moves to the next place (next). Contact that is lost for longer than PATIENCE while
-the law should hold it is sought again where it was lost, at most RETRIES times in a place.
+off (leave) and moves to the next place, taking the posture that it wants (next). Contact that is
+lost for longer than PATIENCE while the law should hold it is sought again where it was lost, at
+most RETRIES times in a place.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import SimulationError
-from ..se3 import Array, exp_so3, log_so3, transform
+from ..se3 import Array, exp_so3, inverse, log_so3, transform
+from . import carry
 from .machine import LENGTHS, Machine, Steps
 from .track import Track
 
@@ -44,8 +46,17 @@ class Manner:
 class Explorer:
     """Runs a machine over tracks (places), in order, and says what it is doing."""
 
-    def __init__(self, machine: Machine, tracks: Sequence[Track], manner: Manner) -> None:
+    def __init__(
+        self,
+        machine: Machine,
+        tracks: Sequence[Track],
+        manner: Manner,
+        postures: Array | None = None,
+    ) -> None:
         self.machine, self.tracks, self.manner = machine, tracks, manner
+        self.postures = postures
+        """Joint angles (places, n) at the first row of each track, taken in the air before; None:
+        the body is carried over, in whatever posture the arm is."""
         self.place, self.row = 0, 0
         self.phase = APPROACH
         self.losses = 0
@@ -119,14 +130,32 @@ class Explorer:
         machine, dt = self.machine, self.machine.loop.dt
         up = np.array([0.0, 0.0, self.manner.standoff])
         ways = [_pose(track.references[-1]), _pose(track.references[-1], up)]
-        ways += [_pose(goal.references[0], up)]
-        for self.phase, start, end in zip((LEAVE, NEXT), ways[:-1], ways[1:], strict=True):
+        if self.postures is None:
+            ways += [_pose(goal.references[0], up)]
+        for self.phase, start, end in zip((LEAVE, NEXT), ways[:-1], ways[1:], strict=False):
             face = machine.face
             way = Track.through(_blend(start, end, dt), dt, face)
             while len(way):
                 steps = machine.advance(way, self.phase, free=True)
                 yield steps
                 way = way[len(steps.time) :]
+        if self.postures is not None:
+            self.phase = NEXT
+            yield machine.carry(self._over(goal, self.postures[self.place + 1]), NEXT)
+
+    def _over(self, goal: Track, posture: Array) -> Array:
+        """Joint angles (k, n) from where the arm is to above the start of a track."""
+        machine, loop = self.machine, self.machine.loop
+        low = _pose(goal.references[0])
+        high = _pose(goal.references[0], np.array([0.0, 0.0, self.manner.standoff]))
+        poses = _blend(low, high, loop.dt)[:: LENGTHS[0]] @ inverse(loop.mount)
+        above = loop.arm.inverse_kinematics(
+            np.concatenate([poses, high[None] @ inverse(loop.mount)]), posture
+        )[-1]
+        return carry.way(
+            loop.arm, loop.mount, machine.body, loop.indenter_position, loop.indenter_radius,
+            machine.state[: machine.size].copy(), above, loop.dt,
+        )  # fmt: skip
 
     def _force(self, steps: Steps) -> Array:
         return np.asarray(steps.outputs[:, self.machine.loop.outputs["force"].start])

@@ -29,7 +29,7 @@ TRACKING_STEPS = 2  # Newton steps per sample while following a path
 
 @dataclass(frozen=True)
 class Newton:
-    """An arm's Newton iterations; targets (12,) are rows of `_flat`."""
+    """An arm's Newton iterations; targets (12,) are rows of `flat`."""
 
     step: cs.Function
     """(q (n,), target (12,)) -> (q after one step, residual before it)."""
@@ -62,7 +62,7 @@ def inverse_kinematics(arm: Arm, poses: ArrayLike, seed: ArrayLike) -> Array:
 
     Tracks the poses one after the other in few steps, then polishes all samples at once.
     """
-    targets = _flat(shaped("poses", poses, (4, 4), batch=1))
+    targets = flat(shaped("poses", poses, (4, 4), batch=1))
     start = shaped("seed", seed, (len(arm.joint_names),))
     first, _ = _converge(arm, start[None], targets[:1])
     track = arm.newton.follow.mapaccum("track", len(targets))
@@ -81,7 +81,7 @@ def inverse_kinematics(arm: Arm, poses: ArrayLike, seed: ArrayLike) -> Array:
 
 def solve(arm: Arm, pose: ArrayLike, seeds: ArrayLike | None = None) -> Array:
     """Joint angles (n,) for one `pose` (4, 4), from `seeds` (k, n) or (n,); see `Arm.solve`."""
-    target = _flat(shaped("pose", pose, (4, 4)))
+    target = flat(shaped("pose", pose, (4, 4)))
     if seeds is None:
         low = np.where(np.isfinite(arm.lower), arm.lower, -math.pi)
         high = np.where(np.isfinite(arm.upper), arm.upper, math.pi)
@@ -96,7 +96,7 @@ def solve(arm: Arm, pose: ArrayLike, seeds: ArrayLike | None = None) -> Array:
             limit=f"{TOLERANCE:g}",
             remedy="move the pose nearer to the arm's base",
         )
-    q = _unwind(arm, q[reached])
+    q = unwound(arm, q[reached])
     margin = np.minimum(q - arm.lower, arm.upper - q).min(axis=1)
     best = q[np.argmax(margin)]
     _check_limits(arm, best[None])
@@ -121,13 +121,13 @@ def shaped(name: str, values: ArrayLike, core: tuple[int, ...], batch: int | Non
     return array
 
 
-def _flat(poses: Array) -> Array:
+def flat(poses: Array) -> Array:
     """Poses (k, 4, 4) or (4, 4) as rows (k, 12): the rotation column by column, then the origin."""
     t = poses.reshape(-1, 4, 4)
     return np.concatenate([t[:, :3, :3].swapaxes(1, 2).reshape(-1, 9), t[:, :3, 3]], axis=1)
 
 
-def _unwind(arm: Arm, q: Array) -> Array:
+def unwound(arm: Arm, q: Array) -> Array:
     """`q` (k, n) with whole turns removed, nearest the middle of the range."""
     with np.errstate(invalid="ignore"):
         middle = np.where(np.isfinite(arm.lower), 0.5 * (arm.lower + arm.upper), 0.0)

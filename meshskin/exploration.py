@@ -1,0 +1,196 @@
+"""Where to touch: the exploration of a scene, and of any skin region, planned for the arm.
+
+Caps of spheres are explored by the paper's parallels about the skin's axis, everything else by
+geodesic lanes (motion/plan.py).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .errors import ReachError, SkinError
+from .geometry.body import Body
+from .geometry.region import Region
+from .geometry.skin import Skin
+from .motion import path as paths
+from .motion import plan as plans
+from .motion.arm import Arm
+from .motion.path import Exploration
+from .motion.ways import Setup
+from .physics import contact as models
+from .physics.indenter import Indenter
+from .physics.material import Material
+from .scene import Scene
+from .se3 import Array, exp_so3, inverse, log_so3, transform
+
+HEADINGS = 8
+"""World directions tried for the skin's first meridian."""
+CHECKS = 400
+"""Samples of the path whose joint angles are solved for each heading."""
+ROUND = 0.02
+"""Relative scatter of the curvatures up to which a body counts as a sphere."""
+SITE_SPACING = 5e-3
+"""Distance of the places that stand for a region given without taxels, m."""
+
+
+def explore(
+    body: Body,
+    skin_region: Skin | Region,
+    *,
+    arm: Arm | None = None,
+    mount: Array | None = None,
+    indenter: Indenter | None = None,
+    material: Material | None = None,
+    force: float = 3.0,
+    exploration: Exploration | None = None,
+    dt: float = 1e-3,
+    frame: float = 0.01,
+) -> plans.Plan:
+    """Plan how the contact point passes over a skin, or over a region of a body.
+
+    Geodesic lanes, spun about the normal as the joints' limits ask, broken where the arm must take
+    another posture. arm: None for a body that moves freely; mount: T_tip_body (4, 4), which an arm
+    needs. force, N, and material: of the contact, whose patch sets the depth and, with
+    `exploration.contacts`, the spacing of the lanes. dt, s: of the path; frame, s: between
+    readings. A region is taken as places 5 mm apart, numbered. Raises ReachError where nothing can
+    be explored, SkinError for a region too small, ContactError where no contact model holds.
+    """
+    skin = skin_region
+    if not isinstance(skin, Skin):
+        skin = Skin.cover(body, spacing=SITE_SPACING, region=skin)
+    if arm is not None and mount is None:
+        raise SkinError("an arm without a mount", remedy="give mount=, T_tip_body (4, 4)")
+    indenter, material = indenter or Indenter(), material or Material()
+    middle = skin.positions[
+        np.argmin(np.linalg.norm(skin.positions - skin.positions.mean(0), axis=1))
+    ]
+    patch = models.solve(
+        "hertz",
+        force=force,
+        curvature=tuple(body.closest(middle[None]).curvature[0]),
+        indenter_radius=indenter.radius,
+        modulus=material.young,
+        poisson=material.poisson,
+        thickness=material.thickness,
+        upgrade=True,
+    )
+    setup = Setup(
+        body, indenter, patch.depth, float(patch.semi_axes[-1]) + skin.disc_radius, arm, mount
+    )
+    wanted = exploration or Exploration(pattern="lanes")
+    return plans.plan(setup, skin.positions, skin.ids, wanted, dt=dt, frame=frame)
+
+
+def planned(scene: Scene) -> plans.Plan:
+    """The scene's exploration in geodesic lanes. Raises ReachError."""
+    patch = scene.patch
+    setup = Setup(
+        scene.body,
+        scene.indenter,
+        patch.depth,
+        float(patch.semi_axes[-1]) + scene.skin.disc_radius,
+        scene.arm if scene.loop.mode == "arm" else None,
+        scene.mount_pose,
+    )
+    frame = scene.frame_steps * scene.loop.dt
+    skin = scene.skin
+    return plans.plan(
+        setup, skin.positions, skin.ids, scene.exploration, dt=scene.loop.dt, frame=frame
+    )
+
+
+def route(scene: Scene) -> tuple[paths.Path, Array]:
+    """The path of the scene's exploration by its pattern, and where it starts.
+
+    The start: joint angles (n,) at the standoff over the first pose, or, without an arm, that pose
+    (4, 4). Raises ReachError if the arm cannot follow the path.
+    """
+    parallel = scene.exploration.pattern == "parallels"
+    parallel |= scene.exploration.pattern == "auto" and is_cap(scene)
+    if parallel and scene.loop.mode == "arm":
+        return reachable_path(scene, scene.arm)
+    path = parallels(scene, 0.0, scene.loop.dt) if parallel else planned(scene).path
+    return path, start_of(scene, path)
+
+
+def start_of(scene: Scene, path: paths.Path) -> Array:
+    """Where a path is begun, at the standoff over its first pose: as `route`."""
+    first, tip_body = path.poses[0], inverse(scene.mount_pose)
+    if path.postures is None:
+        return above(scene, first)
+    way = _bridge(first, above(scene, first)) @ tip_body
+    return np.asarray(scene.arm.inverse_kinematics(way, path.postures[0])[-1])
+
+
+def is_cap(scene: Scene) -> bool:
+    """Whether the skin lies on a sphere: convex, and all its curvatures the same."""
+    curvature = scene.body.closest(scene.skin.positions).curvature
+    mean = float(curvature.mean())
+    return bool(mean > 0 and np.abs(curvature - mean).max() < ROUND * mean)
+
+
+def above(scene: Scene, pose: Array) -> Array:
+    """A pose at the reference depth, lifted to the standoff."""
+    above = pose.copy()
+    above[2, 3] += scene.exploration.standoff + scene.patch.depth
+    return above
+
+
+def reachable_path(scene: Scene, arm: Arm) -> tuple[paths.Path, Array]:
+    """The exploration path and the joint angles (n,) at its standoff, with the best heading.
+
+    Of the headings about the vertical, the one that stays farthest from the joint limits is taken.
+    Raises ReachError with the best heading's reason if none works.
+    """
+    best: tuple[float, paths.Path, Array] | None = None
+    reason: ReachError | None = None
+    tip_body = inverse(scene.mount_pose)
+    for heading in np.arange(HEADINGS) * 2 * np.pi / HEADINGS:
+        coarse = parallels(scene, heading, scene.loop.dt * 50)
+        poses = coarse.poses[:: max(len(coarse.poses) // CHECKS, 1)] @ tip_body
+        try:
+            seed = arm.solve(poses[len(poses) // 2])
+            first = arm.inverse_kinematics(_bridge(poses[len(poses) // 2], poses[0]), seed)[-1]
+            q = arm.inverse_kinematics(poses, first)
+            start = arm.inverse_kinematics(
+                above(scene, poses[0] @ inverse(tip_body))[None] @ tip_body, first
+            )[0]
+        except ReachError as error:
+            reason = reason or error
+            continue
+        spare = float(np.minimum(q - arm.lower, arm.upper - q).min())
+        if best is None or spare > best[0]:
+            best = spare, coarse, start
+            best_heading = heading
+    if best is None:
+        raise ReachError(
+            f"the arm {arm.name} cannot turn the skin over the indenter at "
+            f"{tuple(round(float(x), 3) for x in scene.indenter.position)} m: {reason}",
+            remedy="move indenter.position_m or change the mount",
+        ) from reason
+    return parallels(scene, best_heading, scene.loop.dt), best[2]
+
+
+def parallels(scene: Scene, heading: float, dt: float) -> paths.Path:
+    """The paper's path, its first meridian along a world direction, rad."""
+    cosine = np.clip(scene.skin.normals @ scene.axis, -1.0, 1.0)
+    return paths.plan(
+        scene.body,
+        scene.axis,
+        float(np.arccos(cosine.min())),
+        scene.exploration,
+        indenter_position=np.array(scene.indenter.position),
+        gap=scene.indenter.radius - scene.patch.depth,
+        heading=heading,
+        dt=dt,
+    )
+
+
+def _bridge(start: Array, goal: Array) -> Array:
+    """Poses (k, 4, 4) from one to the other by a straight screw-free blend in small steps."""
+    turn = log_so3(goal[:3, :3] @ start[:3, :3].T)
+    count = 2 + int(np.ceil(np.linalg.norm(turn) / 0.05))
+    part = np.linspace(0.0, 1.0, count)
+    rotation = exp_so3(part[:, None] * turn) @ start[:3, :3]
+    shift = goal[:3, 3] - start[:3, 3]
+    return transform(rotation, start[:3, 3] + part[:, None] * shift)

@@ -1,0 +1,93 @@
+"""Moves through the air from one posture to another: up, over in joint space, and down.
+
+Between places the arm is not under the compliance law but under its own joint controllers, which
+follow a smooth way between the joint angles; their torque is that of inverse dynamics.
+"""
+
+from __future__ import annotations
+
+import casadi as cs
+import numpy as np
+
+from ..errors import ReachError
+from ..geometry.body import Body
+from ..se3 import Array, inverse
+from .arm import Arm
+from .path import timed
+
+HEIGHTS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3)
+"""Heights tried over which the body is lifted before the joints turn, m."""
+RISE = 0.01
+"""Distance of the poses on the way up and down, m."""
+SHARE = 0.4
+"""Part of the joints' speed limits that is used."""
+SLOWEST = 1.0
+"""Speed of a joint without a limit, rad/s."""
+RAMP = 0.2
+"""Time to speed up and to slow down, s."""
+GAP = 1e-3
+"""Least distance of body and indenter on the way, m."""
+LOOKS = 60
+"""Poses of the way at which the distance is taken."""
+
+
+def way(arm: Arm, mount: Array, body: Body, place: Array, radius: float, start: Array, goal: Array,
+        dt: float) -> Array:  # fmt: skip
+    """Joint angles (k, n), one row a step, from `start` (n,) to `goal` (n,), both in the air.
+
+    The lowest way that keeps the body off an indenter of `radius` (m) centred at `place` (3,), and
+    the joints within their limits. Raises ReachError if none does.
+    """
+    from scipy.interpolate import PchipInterpolator
+
+    rate = np.minimum(SHARE * arm.velocity_limit, SLOWEST)
+    for height in HEIGHTS:
+        try:
+            up, down = (_lifted(arm, q, height) for q in (start, goal))
+        except ReachError:
+            continue
+        points = np.concatenate([up, down[::-1]])
+        points = points[
+            np.concatenate([[True], np.abs(np.diff(points, axis=0)).max(axis=1) > 1e-9])
+        ]
+        if len(points) < 2:
+            return goal[None]
+        seconds = np.concatenate(
+            [[0.0], np.cumsum((np.abs(np.diff(points, axis=0)) / rate).max(1))]
+        )
+        line = PchipInterpolator(seconds, points)  # never beyond its points
+        look = line(np.linspace(0.0, seconds[-1], LOOKS))
+        within = (look >= arm.lower).all() and (look <= arm.upper).all()
+        if within and _gap(arm, mount, body, place, look) > radius + min(GAP, height + 1e-4):
+            return np.asarray(line(timed(seconds[-1], RAMP, dt) * seconds[-1]))
+    raise ReachError(
+        f"{arm.name} cannot get over the indenter from one posture to the next",
+        value=f"joint angles {start.round(3).tolist()} to {goal.round(3).tolist()} rad",
+        limit=f"{HEIGHTS[-1]} m of lift",
+        remedy="lower the indenter, or explore a smaller region",
+    )
+
+
+def _lifted(arm: Arm, q: Array, height: float) -> Array:
+    """Joint angles (k, n) from `q` (n,) with the tip carried straight up by `height`, m."""
+    if height == 0.0:
+        return q[None]
+    rise = np.linspace(0.0, height, max(int(np.ceil(height / RISE)), 1) + 1)
+    poses = np.repeat(arm.pose(q)[None], len(rise), axis=0)
+    poses[:, 2, 3] += rise
+    return np.concatenate([q[None], arm.inverse_kinematics(poses, q)[1:]])
+
+
+def _gap(arm: Arm, mount: Array, body: Body, place: Array, q: Array) -> float:
+    """Least distance, m, of the body's surface from a point in configurations (k, n)."""
+    there = np.einsum("kij,j->ki", inverse(arm.pose(q) @ mount), [*place, 1.0])[:, :3]
+    return float(body.closest(there).distance.min())
+
+
+def inverse_dynamics(arm: Arm) -> cs.Function:
+    """(q, qd, qdd) -> joint torques (n,), N m, of a motion in the air."""
+    n = len(arm.joint_names)
+    q, qd, qdd = (cs.SX.sym(name, n) for name in ("q", "qd", "qdd"))
+    model = arm.dynamics()
+    torque = model.mass_matrix(q) @ qdd + model.bias(q, qd)
+    return cs.Function("inverse_dynamics", [q, qd, qdd], [torque], {"cse": True})
