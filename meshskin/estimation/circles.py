@@ -14,7 +14,7 @@ from typing import Self
 
 import numpy as np
 
-from ..physics.contact.ellipse import ellipse_slope, invert_ellipse_mean
+from ..physics.contact.ellipse import ellipse_gradient, invert_ellipse_mean
 from ..se3 import Array
 from .measurements import Measurements
 
@@ -150,7 +150,8 @@ def _along(data: Measurements, points: Array, rows: np.ndarray) -> tuple[Array, 
     way = np.where(length > 0, way / np.where(length > 0, length, 1.0), [1.0, 0.0])
     shape = patch.first, patch.second, data.disc, patch.exponent
     r = invert_ellipse_mean(data.pressure[asked] / patch.peak, way, *shape)
-    slope = ellipse_slope(r, way, *shape)
+    slopes = ellipse_gradient(r * way[:, 0], r * way[:, 1], *shape)[1:3]
+    slope = np.einsum("ki,ik->k", way, slopes)
     first, second = g / patch.first, g / patch.second
     stretch = np.hypot(first * way[:, 0], second * way[:, 1])
     scaled = [

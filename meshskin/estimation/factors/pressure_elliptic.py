@@ -1,9 +1,7 @@
 """The pressure factor under patches that are no Hertzian circles.
 
 As pressure.py, with the disc mean M of the profile (1 - x^2/a^2 - y^2/b^2)^m, x and y being the
-taxel's offset from the contact along the patch's axes t and n x t. The mean is the sum of
-physics/contact/ellipse.py, and the derivatives are exactly those of the sum, by automatic
-differentiation: so cost and gradient belong together, whatever the sum's own error.
+taxel's offset from the contact along the patch's axes t and n x t (physics/contact/ellipse.py).
 """
 
 from __future__ import annotations
@@ -15,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from ...compiled import compiled
-from ...physics.contact.ellipse import ellipse_mean
+from ...physics.contact.ellipse import ellipse_gradient
 from ...se3 import Array
 from .batch import BATCH, evaluate
 
@@ -29,10 +27,8 @@ def hertzian() -> ca.Function:
     derivative in the logarithm of both semi-axes.
     """
     x = ca.SX.sym("x", 12)
-    place, across = _place(x)
-    mean = ellipse_mean(place[0], place[1], x[9], x[10], x[11])
-    by_place, by_axes = ca.gradient(mean, place), ca.gradient(mean, x[9:11])
-    return _mapped("pressure_elliptic", x, place, mean, across @ by_place, ca.dot(x[9:11], by_axes))
+    mean, by_point, by_a, by_b, _ = _mean(x, 0.5)
+    return _mapped("pressure_elliptic", x, mean, by_point, by_a + by_b)
 
 
 @functools.cache
@@ -41,25 +37,20 @@ def free() -> ca.Function:
     ln a, ln b and m.
     """
     x = ca.SX.sym("x", 13)
-    place, across = _place(x)
-    mean = ellipse_mean(place[0], place[1], x[9], x[10], x[11], x[12])
-    by_place, by_axes = ca.gradient(mean, place), ca.gradient(mean, x[9:11])
-    by_exponent = ca.gradient(mean, x[12])
-    return _mapped(
-        "pressure_profile", x, place, mean, across @ by_place, x[9:11] * by_axes, by_exponent
+    return _mapped("pressure_profile", x, *_mean(x, x[12]))
+
+
+def _mean(x: ca.SX, exponent: ca.SX | float) -> tuple[ca.SX, ...]:
+    """M and its derivatives in d (3), ln a, ln b and the exponent, of the inputs `x`."""
+    along, beside = x[6:9], ca.cross(x[3:6], x[6:9])
+    mean, by_x, by_y, *by_shape = ellipse_gradient(
+        ca.dot(x[:3], along), ca.dot(x[:3], beside), x[9], x[10], x[11], exponent
     )
+    return mean, by_x * along + by_y * beside, *by_shape
 
 
-def _place(x: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Symbols of a place in the patch's axes, and these axes (3, 2) of the inputs `x`."""
-    return ca.SX.sym("place", 2), ca.horzcat(x[6:9], ca.cross(x[3:6], x[6:9]))
-
-
-def _mapped(name: str, x: ca.SX, place: ca.SX, *outputs: ca.SX) -> ca.Function:
-    """The compiled function of the columns `x`, with `place` where their taxel is."""
-    inner = ca.Function("place", [x, place], [ca.vertcat(*outputs)], {"cse": True})
-    out = inner(x, _place(x)[1].T @ x[:3])
-    return compiled(ca.Function(name, [x], [out], {"cse": True})).map(BATCH)
+def _mapped(name: str, x: ca.SX, *outputs: ca.SX) -> ca.Function:
+    return compiled(ca.Function(name, [x], [ca.vertcat(*outputs)], {"cse": True})).map(BATCH)
 
 
 def ellipse(

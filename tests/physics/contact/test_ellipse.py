@@ -6,7 +6,7 @@ import pytest
 from scipy.integrate import quad
 
 from meshskin.physics.contact.disc import disc_mean, invert_disc_mean
-from meshskin.physics.contact.ellipse import ellipse_mean, ellipse_slope, invert_ellipse_mean
+from meshskin.physics.contact.ellipse import ellipse_gradient, ellipse_mean, invert_ellipse_mean
 from meshskin.physics.contact.patch import Patch
 
 
@@ -104,14 +104,21 @@ def test_inverse_round_trip(samples):
     assert np.allclose(found[steep], invert_disc_mean(m, s)[steep], atol=2e-3)
 
 
-def test_slope_along_a_ray(samples):
+@pytest.mark.parametrize("exponent", [0.5, np.array(0.5), np.array(0.8)])
+def test_gradient_is_that_of_the_sum(samples, exponent):
     rho, angle, s = samples
-    way, h = np.stack([np.cos(angle), np.sin(angle)], axis=1), 1e-4
-    for exponent in (0.5, 0.8):
-        found = ellipse_slope(rho, way, 1.3, 0.8, s, exponent, nodes=2000)
-        ends = [ellipse_mean(*(r * way.T), 1.3, 0.8, s, exponent, 400) for r in (rho - h, rho + h)]
-        assert np.allclose(found, (ends[1] - ends[0]) / (2 * h), atol=4e-3)
-        assert np.allclose(found, ellipse_slope(rho, way, 1.3, 0.8, s, exponent), atol=2e-2)
+    x = ca.SX.sym("x", 5)  # x, y, ln a, ln b, exponent
+    power = exponent if isinstance(exponent, float) else x[4]
+    value = ellipse_mean(x[0], x[1], 1.3 * ca.exp(x[2]), 0.8 * ca.exp(x[3]), 0.6, power)
+    f = ca.Function("f", [x], [value, ca.gradient(value, x[:4])]).map(len(s))
+    at = np.zeros((5, len(s)))
+    at[:2], at[4] = (rho * np.cos(angle), rho * np.sin(angle)), exponent
+    mean, slopes = (v.full() for v in f(at))
+    found = ellipse_gradient(at[0], at[1], 1.3, 0.8, 0.6, exponent)
+    assert np.allclose(found[0], mean[0], atol=1e-13)
+    assert np.allclose(found[1:5], slopes, atol=3e-6)
+    up, down = (ellipse_mean(at[0], at[1], 1.3, 0.8, 0.6, exponent + h) for h in (1e-6, -1e-6))
+    assert np.allclose(found[5], (up - down) / 2e-6, atol=1e-7)
 
 
 def test_inverse_at_and_beyond_its_ends():
