@@ -182,7 +182,7 @@ def test_no_query_ends_in_a_local_minimum(name):
     proximity = Proximity(surface.vertices, surface.faces, least=20_000)
     faces = proximity.nearby(points, 80)[0]
     for k in range(0, 80, 4):
-        other = surface.at(*surface._walk(points, faces[:, k])[:2], points)
+        other = surface.descend(points, faces[:, k])
         assert np.all(found <= np.abs(other.distance) + 20e-6)  # two minima in one patch
 
 
@@ -195,7 +195,7 @@ def test_patches_meet_at_creases():
         rows = np.arange(len(face))
         weight[rows, (corner + 1) % 3], weight[rows, (corner + 2) % 3] = 1 - t, t
         here = surface.at(face, weight[:, 1:]).point
-        beyond, slot = surface.neighbours[face, corner], surface._slot[face, corner]
+        beyond, slot = surface.neighbours[face, corner], surface.slot[face, corner]
         weight[:] = 0.0
         weight[rows, (slot + 1) % 3], weight[rows, (slot + 2) % 3] = t, 1 - t
         np.testing.assert_allclose(here, surface.at(beyond, weight[:, 1:]).point, atol=1e-12)

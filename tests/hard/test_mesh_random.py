@@ -65,7 +65,7 @@ def a_right_answer_or_a_named_error(mesh):
     corners = (found.vertices - offset)[found.faces]
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     gap = np.sqrt(triangle_distance2((points - offset)[:, None], a, b - a, c - a).min(axis=1))
-    height = surface._height.max()
+    height = surface.lifts.max()
     assert np.all(np.abs(hit.distance) <= gap + height + 1e-9)
     clear = gap > height + 1e-9
     inside = np.array([turns(corners, p) > 0.5 for p in points - offset])

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...errors import ContactError
-from ...geometry import walk
 from ...geometry.body import Body
 from ...geometry.proximity import triangle_distance2
 from ...se3 import Array
@@ -68,9 +67,7 @@ def contacts(body: Body, centre: ArrayLike, indenter_radius: float) -> Contacts:
         )
     starts = _starts(body, c, indenter_radius)
     surface, here = body.surface, np.broadcast_to(c, (len(starts), 3))
-    # `body.closest` would take a walk of some hops to the nearest minimum of all
-    face, uv, _ = surface._walk(here, starts, walk.closest_step)
-    hit = surface.at(face, uv)
+    hit = surface.descend(here, starts)
     way = c - hit.point
     distance = np.linalg.norm(way, axis=1)
     normal = way / np.maximum(distance, 1e-300)[:, None]

@@ -1,0 +1,152 @@
+"""The search for closest points in C: the same walks, from the exactly nearest flat face.
+
+A tree of bounding cylinders over the faces finds that face, and every other whose patch may be
+nearer than what a walk found: no sample of the mesh stands in for it, as in search.py. Cylinders
+about the mean normal hug a smooth surface, as boxes do not: the cost hardly grows with the faces.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import compiled
+from . import patch, walk
+from .search import Flat
+
+if TYPE_CHECKING:
+    from .surface import Surface
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Long = NDArray[np.int64]
+
+LEAF = 4
+"""faces in a leaf of the tree, at most"""
+FEW = 100
+"""queries, at most, that are taken as they come: more are sorted by place, for the cache"""
+_WHOLE, _REAL, _ADDRESS = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
+
+
+class _Tree(ctypes.Structure):
+    _fields_ = (
+        ("leaves", _WHOLE),
+        ("size", _WHOLE),
+        ("node", _ADDRESS),
+        ("corner", _ADDRESS),
+        ("face", _ADDRESS),
+    )
+
+
+class _Surface(ctypes.Structure):
+    _fields_ = (
+        ("patch", _ADDRESS),
+        ("lift", _ADDRESS),
+        ("beyond", _ADDRESS),
+        ("slot", _ADDRESS),
+        ("quadratic", _REAL),
+        ("still", _REAL),
+        ("far", _WHOLE),
+        ("hops", _WHOLE),
+        ("steps", _WHOLE),
+    )
+
+
+@cache
+def library() -> ctypes.CDLL | None:
+    """The compiled search; None, and one warning, without a C compiler."""
+    parts = (Path(__file__).with_name(name) for name in ("cylinders.c", "compiled_search.c"))
+    text = "\n".join(part.read_text(encoding="utf-8") for part in parts)
+    return compiled.library("closest points", text)
+
+
+class CompiledSearch:
+    """Closest points on the patches of a surface, as `Search`."""
+
+    def __init__(self, surface: Surface, built: ctypes.CDLL) -> None:
+        self.sharp = not surface.smooth
+        self._library = built
+        patches = np.ascontiguousarray(surface.patches)
+        beyond = np.ascontiguousarray(surface.neighbours, dtype=np.int64)
+        slot = np.ascontiguousarray(surface.slot, dtype=np.int64)
+        nodes = tree(built, surface)
+        self._kept = (
+            patches,
+            surface.lifts,
+            beyond,
+            slot,
+            *nodes,
+        )  # the addresses below are theirs
+        ends = (walk.QUADRATIC, walk.STILL, walk.FAR, walk.HOPS, walk.STEPS)
+        self._surface = _Surface(*(a.ctypes.data for a in self._kept[:4]), *ends)
+        leaves = len(nodes[0]) // 2
+        self._tree = _Tree(leaves, len(nodes[2]) // leaves, *(a.ctypes.data for a in nodes))
+
+    def closest(self, p: Array, face: Index | None) -> tuple[Index, Array, Flat | None]:
+        """Faces (n,) and uv (n, 2) of the feet of p (n, 3), m, and the nearest flat faces.
+
+        With `face` (n,) to start from the last is None.
+        """
+        n, warm = len(p), face is not None
+        foot = np.array(np.zeros(n) if face is None else face, dtype=np.int64)
+        uv = np.empty((n, 2))
+        none = np.empty(0)
+        flat = None if warm else Flat(np.empty(n, dtype=np.int64), np.empty((n, 2)), np.empty(n))
+        out = _addresses(foot, uv, *(flat or (none, none, none)))
+        both = ctypes.byref(self._tree), ctypes.byref(self._surface)
+        queue = along_curve(p) if n > FEW and not warm else np.arange(n)
+        points = _addresses(queue, p)
+        self._library.closest(*both, _WHOLE(n), *points, int(warm), int(self.sharp), *out)
+        return foot, uv, flat
+
+    def derivatives(self, face: Index, uv: Array) -> tuple[Array, ...]:
+        """S, Su, Sv, Suu, Suv, Svv, each (n, 3), of the patches `face` (n,) at uv (n, 2)."""
+        out = np.empty((len(patch.ORDERS), len(face), 3))
+        inputs = np.ascontiguousarray(face, dtype=np.int64), np.ascontiguousarray(uv)
+        surface = ctypes.byref(self._surface)
+        self._library.derivatives(surface, _WHOLE(len(face)), *_addresses(*inputs, out))
+        return tuple(out)
+
+    def descend(self, p: Array, face: Index) -> tuple[Index, Array]:
+        """Faces (n,) and uv (n, 2) where walks from `face` (n,) towards p (n, 3), m, end."""
+        foot, uv = np.array(face, dtype=np.int64), np.empty((len(p), 2))
+        surface = ctypes.byref(self._surface)
+        self._library.descend(surface, _WHOLE(len(p)), *_addresses(p, foot, uv))
+        return foot, uv
+
+
+def tree(built: ctypes.CDLL, surface: Surface) -> tuple[Array, Array, Long]:
+    """A balanced tree of cylinders over the faces of a surface.
+
+    Gives the cylinders (2 leaves, 10), and corners (k, 3, 3) and numbers (k,) of the faces, leaf by
+    leaf; some faces are there twice, to fill all leaves alike.
+    """
+    m = len(surface.faces)
+    leaves = 1 << max(0, int(np.ceil(np.log2(m / LEAF))))
+    size = -(-m // leaves)
+    face = np.arange(leaves * size, dtype=np.int64) * m // (leaves * size)
+    middles = surface.vertices[surface.faces].mean(axis=1)
+    count = (_WHOLE(leaves), _WHOLE(size))
+    built.order(*count, *_addresses(middles, face))
+    corners, lifts = surface.vertices[surface.faces[face]], surface.lifts[face]
+    node = np.empty((2 * leaves, 10))
+    built.enclose(*count, *_addresses(corners, lifts, node))
+    return node, corners, face
+
+
+def along_curve(points: Array) -> Long:
+    """An order (n,) of points (n, 3) in which neighbours are near: along Morton's curve."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    cell = ((points - low) * (1023.0 / max(float((high - low).max()), 1e-300))).astype(np.int64)
+    for shift, mask in ((16, 0x30000FF), (8, 0x300F00F), (4, 0x30C30C3), (2, 0x9249249)):
+        cell = (cell | cell << shift) & mask
+    return np.argsort(cell[:, 0] | cell[:, 1] << 1 | cell[:, 2] << 2)
+
+
+def _addresses(*arrays: NDArray[Any]) -> list[ctypes.c_void_p]:
+    return [_ADDRESS(a.ctypes.data) for a in arrays]

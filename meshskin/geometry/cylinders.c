@@ -1,0 +1,128 @@
+/* A tree of cylinders over triangles, each about the mean normal of what it holds: on a smooth
+   surface they are flat, and few of them are as near to a point as the nearest triangle is. */
+
+#include <math.h>
+#include <stdint.h>
+
+typedef struct {
+    double centre[3], normal[3], radius, low, high; /* high: along the normal, from the centre */
+    double lift;                                    /* the largest of the patches within */
+} Cylinder;
+
+typedef struct {
+    int64_t leaves, size;   /* leaves, a power of two, and faces in each */
+    const Cylinder *node;   /* (2 leaves,) hulls; node k has the children 2 k and 2 k + 1 */
+    const double *corner;   /* (leaves * size, 9) corners of the faces, leaf by leaf */
+    const int64_t *face;    /* (leaves * size,) their numbers */
+} Tree;
+
+static inline double larger(double a, double b) { return a > b ? a : b; }
+
+static inline double smaller(double a, double b) { return a < b ? a : b; }
+
+static double dot(const double *a, const double *b)
+{
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+/* A bound of the squared distance of p from what is in a cylinder; `reach`: more than it by the
+   squared distance of p from the centre, a guess at which cylinder holds the nearest triangle. */
+static double outside(const Cylinder *c, const double *p, double *reach)
+{
+    double q[3] = {p[0] - c->centre[0], p[1] - c->centre[1], p[2] - c->centre[2]};
+    double along = dot(q, c->normal), whole = dot(q, q), across2 = whole - along * along;
+    double above = larger(larger(c->low - along, along - c->high), 0.0);
+    double beside = across2 > c->radius * c->radius ? sqrt(across2) - c->radius : 0.0;
+    *reach = above * above + beside * beside + whole;
+    return above * above + beside * beside;
+}
+
+/* The squared distance from which a cylinder holds no patch nearer than `most`. */
+static double limit2(const Cylinder *c, double most)
+{
+    return (most + c->lift) * (most + c->lift);
+}
+
+/* Reorder `face` so that the first `half` of n have the smaller keys: Hoare's selection. */
+static void halve(int64_t *face, int64_t n, int64_t half, const double *key)
+{
+    int64_t low = 0, high = n - 1;
+    while (low < high) {
+        double pivot = key[3 * face[low + (high - low) / 2]];
+        int64_t i = low, j = high;
+        while (i <= j) {
+            while (key[3 * face[i]] < pivot) i++;
+            while (key[3 * face[j]] > pivot) j--;
+            if (i > j) break;
+            int64_t swap = face[i];
+            face[i++] = face[j], face[j--] = swap;
+        }
+        if (half <= j) high = j;
+        else if (half >= i) low = i;
+        else break;
+    }
+}
+
+/* Put faces (count * leaves,) in the order of the leaves of a balanced tree: halved, from the
+   whole down, across the longest extent of their middles (m, 3). */
+void order(int64_t leaves, int64_t size, const double *middle, int64_t *face)
+{
+    for (int64_t blocks = 1; blocks < leaves; blocks *= 2) {
+        int64_t n = leaves / blocks * size;
+        for (int64_t block = 0; block < blocks; block++) {
+            int64_t *here = face + block * n;
+            double extent[3];
+            for (int x = 0; x < 3; x++) {
+                double low = INFINITY, high = -INFINITY;
+                for (int64_t k = 0; k < n; k++) {
+                    double value = middle[3 * here[k] + x];
+                    low = smaller(low, value), high = larger(high, value);
+                }
+                extent[x] = high - low;
+            }
+            int longest = extent[1] > extent[0];
+            if (extent[2] > extent[longest]) longest = 2;
+            halve(here, n, n / 2, middle + longest);
+        }
+    }
+}
+
+/* The cylinder about n triangles (n, 9): its axis is the mean of their normals. */
+static Cylinder hull(const double *corner, int64_t n, double lift)
+{
+    Cylinder c = {{0.0}, {0.0}, 0.0, INFINITY, -INFINITY, lift};
+    for (int64_t k = 0; k < n; k++) {
+        const double *a = corner + 9 * k, *b = a + 3, *d = a + 6;
+        for (int x = 0; x < 3; x++) {
+            int y = (x + 1) % 3, z = (x + 2) % 3;
+            c.centre[x] += (a[x] + b[x] + d[x]) / (3.0 * (double)n);
+            c.normal[x] += (b[y] - a[y]) * (d[z] - a[z]) - (b[z] - a[z]) * (d[y] - a[y]);
+        }
+    }
+    double length = sqrt(dot(c.normal, c.normal));
+    if (!(length > 0.0)) c.normal[0] = length = 1.0;
+    for (int x = 0; x < 3; x++) c.normal[x] /= length;
+    for (int64_t k = 0; k < 3 * n; k++) {
+        double q[3], along;
+        for (int x = 0; x < 3; x++) q[x] = corner[3 * k + x] - c.centre[x];
+        along = dot(q, c.normal);
+        c.low = smaller(c.low, along), c.high = larger(c.high, along);
+        for (int x = 0; x < 3; x++) q[x] -= along * c.normal[x];
+        c.radius = larger(c.radius, dot(q, q));
+    }
+    c.radius = sqrt(c.radius);
+    return c;
+}
+
+/* The cylinders of a tree from the corners and lifts of its faces, leaf by leaf. */
+void enclose(int64_t leaves, int64_t size, const double *corner, const double *lift,
+             Cylinder *node)
+{
+    for (int64_t blocks = leaves, n = size; blocks; blocks /= 2, n *= 2)
+        for (int64_t block = 0; block < blocks; block++) {
+            double most = 0.0;
+            for (int64_t k = block * n; k < (block + 1) * n; k++) most = larger(most, lift[k]);
+            node[blocks + block] = hull(corner + 9 * block * n, n, most);
+        }
+    node[0] = node[1];
+}
