@@ -11,7 +11,7 @@ from meshskin.errors import MeshError
 from meshskin.geometry import compiled_search
 from meshskin.geometry.body import Body
 from meshskin.geometry.compiled_search import CompiledSearch
-from meshskin.geometry.proximity import triangle_foot
+from meshskin.geometry.proximity import triangle_distance2
 from meshskin.geometry.search import Search
 from meshskin.geometry.surface import Surface
 
@@ -77,7 +77,7 @@ def test_the_nearest_flat_face_is_the_nearest(name):
     points = np.vstack([cloud(surface, 300, 0.02), cloud(surface, 50, 3.0)])
     search = both(surface)[0]
     a, b, c = np.swapaxes(surface.vertices[surface.faces], 0, 1)
-    gap2, uv = triangle_foot(points[:, None], a, b - a, c - a)
+    gap2 = triangle_distance2(points[:, None], a, b - a, c - a)
     flat = search.closest(points, None)[2]
     np.testing.assert_allclose(flat.gap, np.sqrt(gap2.min(axis=1)), rtol=1e-12, atol=1e-15)
     rows = np.arange(len(points))
