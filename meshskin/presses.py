@@ -10,12 +10,14 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import ArrayLike
 
+from .errors import RecordingError
 from .provenance import provenance
 from .recording import Recording
 from .se3 import Array, exp_so3, quaternion
-from .simulation import effect_chain, frames_at, sensor_tables
+from .simulation import FRAME_CELLS, effect_chain, frames_at, sensor_tables
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -32,11 +34,13 @@ def press(
 
     force (m,), N: the reference force by default. spin (m,), rad: how far the body is turned about
     the vertical; its skin faces down on the indenter. All effects of the scene act, as in
-    `simulate`; those of an arm's joints find none.
+    `simulate`; those of an arm's joints find none. Raises RecordingError without points.
     """
     floating = scene.with_(loop=replace(scene.loop, mode="quasi_static"))
-    hit = scene.body.closest(np.asarray(points, dtype=float))
-    count = len(hit.point)
+    where = np.asarray(points, dtype=float).reshape(-1, 3)
+    if not len(where):
+        raise RecordingError("nothing to press", remedy="give one contact point or more")
+    hit, count = scene.body.closest(where), len(where)
     forces = np.broadcast_to(scene.law.force_reference if force is None else force, count)
     forces = np.array(forces, dtype=float)
     patches = scene.model.patches(
@@ -52,7 +56,12 @@ def press(
     time = scene.frame_steps * scene.loop.dt * np.arange(float(count))
     q = np.concatenate([place, quaternion(turned)[:, [3, 0, 1, 2]]], axis=1)
     frames = frames_at(floating, time, hit.point, hit.normal, forces, centres, q)
-    contacts, readings = sensor_tables(floating, frames, effect_chain(floating, seed))
+    chain, size = effect_chain(floating, seed), max(int(FRAME_CELLS / len(scene.skin)), 1)
+    batches = [
+        sensor_tables(floating, frames.rows(slice(k, k + size)), chain)
+        for k in range(0, count, size)
+    ]
+    contacts, readings = (pa.concat_tables(part) for part in zip(*batches, strict=True))
     header = {
         "scene": scene.name,
         "taxel_ids": np.asarray(scene.skin.ids).tolist(),

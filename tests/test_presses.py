@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import meshskin as ms
+from meshskin import presses
+from meshskin.errors import RecordingError
 from meshskin.estimation import metrics
 from meshskin.physics.effects.gaussian_noise import GaussianNoise
 from meshskin.physics.effects.indenter_offset import IndenterOffset
@@ -62,3 +64,14 @@ def test_effects_act_and_a_heading_that_varies_shows_the_indenters_offset(scene)
     assert np.nanmean(metrics.position_errors(found, scene.skin)) < 1.2 * bound.mean
     again = press(world, centre + near, spin=np.linspace(-3, 3, 1500), seed=4)
     assert np.array_equal(again.pressure, recording.pressure)
+
+
+def test_batches_make_no_difference_and_nothing_is_refused(scene, monkeypatch):
+    noisy = scene.with_(effects=(GaussianNoise(0.01),))
+    whole = press(noisy, scene.skin.positions, seed=2)
+    monkeypatch.setattr(presses, "FRAME_CELLS", 7 * len(scene.skin))
+    parts = press(noisy, scene.skin.positions, seed=2)
+    assert parts.readings.equals(whole.readings)
+    assert parts.contacts.equals(whole.contacts)
+    with pytest.raises(RecordingError, match="nothing to press"):
+        press(scene, [])

@@ -1,0 +1,54 @@
+"""The study of the estimators at a small size, pinned to what it is for."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+import pytest
+
+import meshskin as ms
+
+SCRIPT = Path(__file__).parents[2] / "studies" / "estimators.py"
+
+
+@pytest.fixture(scope="module")
+def study():
+    spec = importlib.util.spec_from_file_location("estimators_study", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def points():
+    """The contacts of the scene's own exploration."""
+    return ms.simulate(ms.Scene.load("sphere")).points
+
+
+def test_over_noise(study, points, capsys):
+    row = study.by_noise(points, range(2), (0.05,))["0.05"]
+    assert row["joint"] == pytest.approx(row["bound"], rel=0.12)
+    assert row["three_circles"] > 8 * row["joint"]
+    assert row["posegraph_isotropic"] > 3 * row["joint"]
+    assert row["posegraph"] < 0.85 * row["posegraph_isotropic"]
+    assert row["posegraph_paper"] > row["posegraph_isotropic"]
+    assert "alone win back" in capsys.readouterr().out
+
+
+def test_from_initial_errors(study, points):
+    rows = study.by_start(points[::3], range(1), (4.0, 12.0))
+    assert [rows[key]["joint"] for key in rows] == [1.0, 1.0, 1.0]
+    assert rows["4"]["plain"] == 1.0
+    assert rows["12"]["plain"] < 0.1
+    assert rows["12"]["posegraph"] == 1.0
+    assert rows["co-activation"]["plain"] == 1.0
+    assert 0.5 < rows["co-activation"]["error_mm"] < 1.5
+
+
+def test_over_size_with_figure(study, tmp_path, monkeypatch):
+    monkeypatch.setattr(study, "SIZES", (20, 40))
+    asked = ["--only", "size", "--seeds", "1", "--out", str(tmp_path)]
+    found = study.main([*asked, "--json", str(tmp_path / "x.json")])
+    assert json.loads((tmp_path / "x.json").read_text()) == found
+    assert (tmp_path / "estimators.png").stat().st_size > 10_000
+    assert found["size"]["40"]["joint"] == pytest.approx(found["size"]["40"]["bound"], rel=0.25)
