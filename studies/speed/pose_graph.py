@@ -23,9 +23,6 @@ import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# both are off unless asked for; set either to "" to measure without it
-os.environ.setdefault("MESHSKIN_BLAS", "scipy")
-os.environ.setdefault("MESHSKIN_MALLOC", "keep")
 
 import argparse
 import json
@@ -40,7 +37,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from meshskin import PoseGraph, se3
-from meshskin.estimation.posegraph import problem
+from meshskin.estimation.posegraph import topology
 from meshskin.estimation.posegraph.start import chordal
 from meshskin.estimation.posegraph.sweep import library
 
@@ -138,7 +135,7 @@ def measure(taxels: int, repeats: int, peer: bool) -> Row:
     seconds = []
     cost, iterations, theirs, built = np.nan, 0, np.nan, np.nan
     for _ in range(repeats):
-        problem.problem = problem.Kept(edges=2 * len(graph.edges)).get  # nothing known
+        topology.kept = topology.Kept(edges=2 * len(graph.edges))  # nothing known
         everything, _ = timed(lambda: PoseGraph(*arrays).solve())
         known = PoseGraph(*arrays)
         again, _ = timed(known.solve)

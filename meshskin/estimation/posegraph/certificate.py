@@ -19,11 +19,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
 
-from meshskin.estimation.posegraph import linear
+from meshskin.estimation.posegraph.cholesky import Blocks
 from meshskin.estimation.posegraph.graph import PoseGraph
-from meshskin.estimation.posegraph.linear import Integers
 from meshskin.se3 import Array
 
 GAPS = 0.5 * 10.0 ** np.arange(-10, 0.5, 1.0)
@@ -74,33 +72,29 @@ def certify(graph: PoseGraph, poses: Array) -> Certificate:
     n = len(poses)
     if not len(graph.edges):
         return Certificate(0.0, 0.0, 0.0, poses)
-    matrix = quadratic_form(graph)
-    x = np.swapaxes(poses[:, :3, [3, 0, 1, 2]], 1, 2).reshape(4 * n, 3)  # X^T
-    product = (matrix @ x).reshape(n, 4, 3)
-    cost = float(np.sum(product * x.reshape(n, 4, 3)))
+    form = quadratic_form(graph)
+    x = np.swapaxes(poses[:, :3, [3, 0, 1, 2]], 1, 2)  # X^T, block by block
+    product = form @ x
+    cost = float(np.sum(product * x))
     multipliers = np.einsum("nba,ncb->nac", poses[:, :3, :3], product[:, 1:])
     multipliers = (multipliers + np.swapaxes(multipliers, 1, 2)) / 2
     bound = float(np.trace(multipliers, axis1=1, axis2=2).sum())
     subtracted = np.zeros((n, 4, 4))
     subtracted[:, 1:, 1:] = multipliers
-    nodes = np.arange(n)
-    slack = (matrix - linear.block_matrix(subtracted, nodes, nodes, n)).tocsr()
-    free = np.setdiff1d(np.arange(4 * n), 4 * graph.anchors)  # translations up to each component's
-    rotation = np.flatnonzero(free % 4)
-    slack = slack[free][:, free].tocsr()
-    rounding = ROUNDING * float(slack.diagonal()[rotation].max())
+    slack = form.and_diagonal(-subtracted)
+    rounding = ROUNDING * float(slack.diagonal(n)[:, 1:].max())
     (tau, kappa), lengths = graph.chordal_weights, graph.measurements[:, :3, 3]
     nothing = NOTHING * float(tau @ np.sum(lengths**2, axis=1) + 3 * kappa.sum())
     limit = max(CERTIFIED * cost, nothing)
     for share in GAPS:
         delta = share * cost / (3 * n)
-        if delta > 2 * rounding and _is_positive(slack, rotation, delta - rounding):
+        if delta > 2 * rounding and _is_positive(graph, slack, delta - rounding):
             gap = abs(cost - bound) + 3 * n * delta
             return Certificate(cost, min(gap, cost), limit, poses)
     return Certificate(cost, cost, limit, poses)  # the cost is a sum of squares
 
 
-def quadratic_form(graph: PoseGraph) -> sparse.csr_array:
+def quadratic_form(graph: PoseGraph) -> Blocks:
     """M (4 n, 4 n): f = tr(X M X^T)."""
     (tau, kappa), m, (i, j) = graph.chordal_weights, len(graph.edges), graph.edges.T
     weight = np.zeros((m, 4, 4))
@@ -111,23 +105,24 @@ def quadratic_form(graph: PoseGraph) -> sparse.csr_array:
     step[:, 0, 1:] = graph.measurements[:, :3, 3]
     step[:, 1:, 1:] = np.swapaxes(graph.measurements[:, :3, :3], 1, 2)
     across = -np.swapaxes(step, 1, 2) @ weight
-    blocks = np.concatenate([-across @ step, weight, across, np.swapaxes(across, 1, 2)])
-    rows, columns = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
-    return linear.block_matrix(blocks, rows, columns, len(graph.poses))
+    blocks = np.concatenate([-across @ step, weight, across])
+    return Blocks(np.concatenate([i, j, i]), np.concatenate([i, j, j]), blocks)
 
 
-def _is_positive(slack: sparse.csr_array, rotation: Integers, delta: float) -> bool:
-    """Whether `slack` + delta on the rotations' diagonal is positive definite."""
-    added = np.zeros(slack.shape[0])
-    added[rotation] = delta
-    shifted = (slack + sparse.diags_array(added)).tocsr()
-    diagonal = shifted.diagonal()
-    if (diagonal <= 0).any():
+def _is_positive(graph: PoseGraph, slack: Blocks, delta: float) -> bool:
+    """Whether `slack` + delta on the rotations' diagonal is positive definite.
+
+    Without the anchors' translations; scaled to a unit diagonal.
+    """
+    n = len(graph.poses)
+    diagonal = slack.diagonal(n) + delta * np.array([0.0, 1.0, 1.0, 1.0])
+    held = np.zeros((n, 4))
+    held[graph.anchors, 0] = 1.0
+    if (diagonal[held == 0.0] <= 0.0).any():
         return False
-    scale = sparse.diags_array(diagonal**-0.5)
-    try:
-        factor = linear.factorise((scale @ shifted @ scale).tocsr())
-    except RuntimeError:  # SuperLU: a pivot of zero
-        return False
-    exchanged = not np.array_equal(factor.perm_r, factor.perm_c)
-    return not exchanged and bool((factor.U.diagonal() > 0).all())
+    scale = np.where(held == 0.0, diagonal, 1.0) ** -0.5 * (1.0 - held)
+    added = held
+    added[:, 1:] = delta * scale[:, 1:] ** 2
+    scaled = slack.values * scale[slack.rows][:, :, None] * scale[slack.columns][:, None, :]
+    matrix = Blocks(slack.rows, slack.columns, scaled)
+    return graph.topology.cholesky.is_positive(matrix.and_diagonal(added[:, :, None] * np.eye(4)))

@@ -10,7 +10,7 @@ from meshskin import se3
 from meshskin.errors import GraphError
 from meshskin.estimation.posegraph.graph import PoseGraph
 from meshskin.estimation.posegraph.kernel import EDGE, RELATIVE, ROOT
-from meshskin.estimation.posegraph.linear import Integers
+from meshskin.estimation.posegraph.ordering import Integers
 from meshskin.estimation.posegraph.problem import Problem
 from meshskin.estimation.posegraph.sweep import displacements
 from meshskin.se3 import Array

@@ -17,6 +17,7 @@ from meshskin.se3 import Array
 if TYPE_CHECKING:
     from meshskin.estimation.posegraph.problem import Problem
     from meshskin.estimation.posegraph.solve import Solution
+    from meshskin.estimation.posegraph.topology import Topology
 
 ROTATION_LIMIT = 1e-6
 NEGATIVE_LIMIT = 1e-9
@@ -81,11 +82,16 @@ class PoseGraph:
             1.5 * _inverse_trace(self.information[:, 3:, 3:]),
         )
 
+    @property
+    def topology(self) -> Topology:
+        """What follows from the edges alone, shared by all graphs that have them."""
+        from meshskin.estimation.posegraph import topology
+
+        return topology.kept.get(len(self.poses), self.edges, self.anchors)
+
     def problem(self, residual: str) -> Problem:
         """The NLP of this topology with the `residual` "log" or "vec", built once."""
-        from meshskin.estimation.posegraph.problem import problem
-
-        return problem(len(self.poses), self.edges, self.anchors, residual)
+        return self.topology.problem(residual)
 
     @classmethod
     def load(cls, path: str | Path) -> PoseGraph:

@@ -1,4 +1,4 @@
-"""Elimination orders of little fill for the blocks of a sparse symmetric matrix."""
+"""Elimination orders of little fill for a sparse symmetric matrix."""
 
 from __future__ import annotations
 
@@ -8,37 +8,39 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
+from scipy.sparse.linalg import splu
 
-from meshskin.estimation.posegraph.linear import Integers, factorise
+Integers = NDArray[np.integer]
 
 METIS = "libcoinmetis.so.2"
 
 
-def elimination_order(matrix: sparse.csr_array, block: int) -> Integers:
-    """Block rows of `matrix`, blocks of `block` rows, in an order of little fill, postordered.
+def elimination_order(pattern: sparse.csr_array) -> Integers:
+    """Nodes of a symmetric `pattern` (n, n) without diagonal, in an order of little fill.
 
     Nested dissection by the METIS that CasADi brings, where it does; else minimum degree.
     """
-    n, entries = matrix.shape[0] // block, matrix.tocoo()
-    pairs = np.unique(entries.row // block * np.int64(n) + entries.col // block)
-    rows, columns = pairs // n, pairs % n
-    weights = np.where(rows == columns, 2.0 * n, -1.0)  # dominant: only the pattern counts
-    pattern = sparse.csc_array((weights, (rows, columns)), shape=(n, n))
-    dissected = _dissect(rows[rows != columns], columns[rows != columns], n)
-    if dissected is None:
-        return np.argsort(factorise(pattern).perm_c)
-    postorder = factorise(pattern[dissected][:, dissected], order="NATURAL").perm_c
-    return dissected[np.argsort(postorder)]
+    dissected = _dissect(pattern)
+    return _minimum_degree(pattern) if dissected is None else dissected
 
 
-def _dissect(rows: Integers, columns: Integers, n: int) -> Integers | None:
-    """Nested dissection of a graph given by its sorted pairs, both ways; None without METIS."""
-    metis = _metis()
-    if metis is None or not len(rows):
+def _minimum_degree(pattern: sparse.csr_array) -> Integers:
+    """As SuperLU finds it, on its way to a factorisation."""
+    n = pattern.shape[0]
+    dominant = sparse.csc_matrix(2.0 * n * sparse.eye_array(n) - (pattern != 0))
+    options = {"SymmetricMode": True}
+    factor = splu(dominant, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+    return np.argsort(factor.perm_c)
+
+
+def _dissect(pattern: sparse.csr_array) -> Integers | None:
+    """Nested dissection; None without METIS."""
+    metis, n = _metis(), pattern.shape[0]
+    if metis is None or not pattern.nnz:
         return None
-    start, neighbours = np.searchsorted(rows, np.arange(n + 1)), columns
-    arrays = [np.ascontiguousarray(a, dtype=np.int32) for a in (start, neighbours)]
+    arrays = [np.ascontiguousarray(a, dtype=np.int32) for a in (pattern.indptr, pattern.indices)]
     order, places = np.empty(n, dtype=np.int32), np.empty(n, dtype=np.int32)
     options, count, first = (ctypes.c_int * 8)(0), ctypes.c_int(n), ctypes.c_int(0)
     pointers = [ctypes.c_void_p(a.ctypes.data) for a in (*arrays, order, places)]

@@ -7,22 +7,20 @@ and builds no expression that grows with the graph.
 
 from __future__ import annotations
 
-import hashlib
-import threading
-from collections import OrderedDict
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy import sparse
 
-from meshskin.estimation.posegraph import linear, memory
-from meshskin.estimation.posegraph.blas import use_scipys_blas
+from meshskin.estimation.posegraph import linear
+from meshskin.estimation.posegraph.cholesky import Blocks, Cholesky
 from meshskin.estimation.posegraph.functions import Call, Function, Recorder
 from meshskin.estimation.posegraph.kernel import EDGE
-from meshskin.estimation.posegraph.linear import Integers
+from meshskin.estimation.posegraph.ma57 import Door
+from meshskin.estimation.posegraph.marginals import lower_blocks
+from meshskin.estimation.posegraph.ordering import Integers
 from meshskin.estimation.posegraph.sweep import Sweep
 from meshskin.se3 import Array
 
@@ -66,24 +64,28 @@ class Problem:
     (m, rad) of a unit increment; `blend`, 0 for Gauss-Newton, 1 for the exact Hessian.
     """
 
-    def __init__(self, poses: int, edges: Integers, anchors: Integers, residual: str) -> None:
-        self.poses, self.edges, self.residual = poses, edges, residual
+    def __init__(
+        self, edges: Integers, anchors: Integers, residual: str, cholesky: Cholesky
+    ) -> None:
+        poses = cholesky.nodes
+        self.edges, self.residual = edges, residual
         self.free: Integers = np.setdiff1d(np.arange(poses), anchors)
         """Poses that move, in the order of x."""
+        self._held = anchors
         slot = np.full(poses, len(self.free))  # an anchored pose reads the zeros after x
         slot[self.free] = np.arange(len(self.free))
         self._sweep = Sweep(slot[edges], len(self.free), residual)
         self._evaluator, self._pattern = _Evaluator(self._sweep), self._sweep.pattern()
         self._build(6 * len(self.free), EDGE * len(edges) + 3)
         self._solvers: dict[tuple[tuple[str, object], ...], Call] = {}
-        self._lock = threading.Lock()  # graphs of the same topology share a problem
+        self._door = Door(cholesky, self.free, anchors)
 
     def solve(self, parameters: Array, tolerance: float, limit: int, record: bool = False) -> Run:
         """Minimise from x = 0 until the gradient is below `tolerance`, `limit` iterations at most.
 
         `tolerance` is for the parameters' own scale. With `record`, the path is kept.
         """
-        with self._lock, memory.kept():
+        with self._door.open():  # one thread at a time: graphs of a topology share the problem
             return self._run(parameters, tolerance, limit, record)
 
     def _run(self, parameters: Array, tolerance: float, limit: int, record: bool) -> Run:
@@ -115,12 +117,19 @@ class Problem:
         zero = np.zeros(6 * len(self.free))
         return self._sweep.gradient(edges, scale, zero, np.empty_like(zero))
 
-    def hessian(self, parameters: Array) -> sparse.csc_array:
-        """Upper triangle of the Hessian (6 free, 6 free) at x = 0."""
+    def hessian(self, parameters: Array) -> Blocks:
+        """The Hessian at x = 0; poses that are held have a diagonal block of typical size."""
         values = np.empty(self._sweep.size)
         edges, scale, blend = _split(parameters)
         self._sweep.hessian(edges, scale, blend, np.zeros(6 * len(self.free)), values)
-        return self._sweep.matrix(values)
+        lower = lower_blocks(self._sweep.matrix(values).T)
+        typical = self._sweep.diagonal(values).reshape(-1, 6).max(axis=0, initial=0.0)
+        own = np.broadcast_to(np.diag(np.where(typical > 0, typical, 1.0)), (len(self._held), 6, 6))
+        return Blocks(
+            np.concatenate([self.free[lower.rows], self._held]),
+            np.concatenate([self.free[lower.columns], self._held]),
+            np.concatenate([lower.values, own]),
+        )
 
     def _build(self, size: int, parameters: int) -> None:
         evaluator, one, dense = self._evaluator, ca.Sparsity.dense(1), ca.Sparsity.dense(size)
@@ -147,7 +156,6 @@ class Problem:
         self._nlp: dict[str, Any] = {"x": x, "p": p, "f": self._f(x, p)}
 
     def _solver(self, ipopt: dict[str, object], **options: object) -> ca.Function:
-        use_scipys_blas()
         all_options: dict[str, Any] = {
             "grad_f": self._grad_f,
             "hess_lag": self._hess_lag,
@@ -157,7 +165,7 @@ class Problem:
             "calc_lam_x": False,
             "calc_lam_p": False,
             "print_time": False,
-            "ipopt": {**OPTIONS, "acceptable_iter": 0, **ipopt},
+            "ipopt": {**OPTIONS, **self._door.options, "acceptable_iter": 0, **ipopt},
             **options,
         }
         return ca.nlpsol("posegraph", "ipopt", self._nlp, all_options)
@@ -192,29 +200,3 @@ class _Evaluator:
         """The nonzeros of the upper triangle, written to `values`."""
         edges, scale, blend = _split(parameters)
         self.sweep.hessian(edges, scale, blend, x, values)
-
-
-class Kept:
-    """The problems solved last, at most `edges` edges in all: a solver keeps its memory."""
-
-    def __init__(self, edges: int) -> None:
-        self._limit, self._lock = edges, threading.Lock()
-        self._problems: OrderedDict[bytes, Problem] = OrderedDict()
-
-    def get(self, poses: int, edges: Integers, anchors: Integers, residual: str) -> Problem:
-        named = hashlib.blake2b(f"{residual} {poses} {anchors.tolist()} ".encode())
-        named.update(np.asarray(edges, dtype=np.int64).tobytes())
-        key = named.digest()
-        with self._lock:
-            if key not in self._problems:
-                self._problems[key] = Problem(poses, edges, anchors, residual)
-            self._problems.move_to_end(key)
-            while sum(len(p.edges) for p in self._problems.values()) > self._limit:
-                if len(self._problems) == 1:
-                    break
-                self._problems.popitem(last=False)
-            return self._problems[key]
-
-
-problem = Kept(edges=400_000).get
-"""(poses, edges, anchors, residual) -> their `Problem`, built or known from before."""

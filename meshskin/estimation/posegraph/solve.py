@@ -8,7 +8,6 @@ from time import perf_counter
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import sparse
 
 from meshskin.errors import GraphError, UnknownNameError
 from meshskin.estimation.posegraph import certificate as certificates
@@ -118,16 +117,15 @@ class Solution:
 
     @cached_property
     def _covariances(self) -> Array:
-        covariances = np.zeros((len(self.poses), 6, 6))
         if not len(self.graph.edges):
-            return covariances
+            return np.zeros((len(self.poses), 6, 6))
         problem = _problem(self.graph, self.objective)
         root = _roots(self.graph, self.objective) * np.sqrt(self.weights)[:, None, None]
         edge = edge_numbers(self.graph, self.poses, root)
         parameters = parameter_vector(edge, np.ones(2), 0.0)
-        upper = problem.hessian(parameters)
-        information = (upper + sparse.triu(upper, 1).T).tocsr()
-        covariances[problem.free] = marginals.marginals(information)
+        information = problem.hessian(parameters)
+        covariances = marginals.covariances(self.graph.topology.cholesky, information)
+        covariances[self.graph.anchors] = 0.0
         return covariances
 
 

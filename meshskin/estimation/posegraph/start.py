@@ -9,14 +9,14 @@ from scipy.sparse import csgraph
 
 from meshskin import se3
 from meshskin.errors import UnknownNameError
-from meshskin.estimation.posegraph import linear
+from meshskin.estimation.posegraph.cholesky import Blocks, summed
 from meshskin.estimation.posegraph.graph import PoseGraph, transforms
-from meshskin.estimation.posegraph.linear import Integers
+from meshskin.estimation.posegraph.ordering import Integers
 from meshskin.se3 import Array
 
-TOLERANCE = 1e-5
-"""Of the chordal start's rotations: its cost is then within 2e-4 of the exact start's on the
-standard sets; at 1e-3 it is up to a hundred times larger, and 45 iterations follow instead of 3."""
+LITTLE = 1e-12
+"""Share of a pose's weight that holds it to the tree's, so that what no displacement determines is
+solvable, too."""
 
 
 def start(graph: PoseGraph, kind: str | ArrayLike) -> Array:
@@ -30,17 +30,23 @@ def start(graph: PoseGraph, kind: str | ArrayLike) -> Array:
     return transforms("start poses", kind, len(graph.poses))
 
 
-def chordal(graph: PoseGraph, tolerance: float = TOLERANCE) -> Array:
+def chordal(graph: PoseGraph) -> Array:
     """Rotations by linear least squares without their constraint, projected; then translations.
 
     Minimises sum of kappa |R_j - R_i dR|_F^2 over matrices, then sum of
-    tau |t_j - t_i - R_i dt|^2; the first to the relative `tolerance`.
+    tau |t_j - t_i - R_i dt|^2. What these leave open is as along a tree.
     Source: Martinec and Pajdla, CVPR 2007; Carlone et al., ICRA 2015.
     """
-    tau, kappa = weights(graph)
-    rotations = _relaxed_rotations(graph, kappa, tolerance)
-    arrows = np.einsum("eab,eb->ea", rotations[graph.edges[:, 0]], graph.measurements[:, :3, 3])
-    return se3.transform(rotations, _translations(graph, tau, arrows))
+    (tau, kappa), guess = weights(graph), tree(graph)
+    turns, steps = graph.measurements[:, :3, :3], graph.measurements[:, :3, 3]
+    back, along = (np.swapaxes(r, 1, 2) for r in (turns, guess[:, :3, :3]))
+    matrices = _least_squares(graph, kappa, back, along, step=0.0)  # R_j^T - dR^T R_i^T
+    u, _, vt = np.linalg.svd(np.swapaxes(matrices, 1, 2))
+    u[:, :, 2] *= np.linalg.det(u @ vt)[:, None]
+    rotations, unit = u @ vt, np.ones((len(steps), 1, 1))
+    arrows = np.einsum("eab,eb->ea", rotations[graph.edges[:, 0]], steps)
+    places = _least_squares(graph, tau, unit, guess[:, None, :3, 3], arrows[:, None])
+    return se3.transform(rotations, places[:, 0])
 
 
 def tree(graph: PoseGraph) -> Array:
@@ -86,67 +92,26 @@ def _levels(order: Integers, parents: Integers) -> list[Integers]:
     return np.split(order, np.flatnonzero(np.diff(depths)) + 1)[1:]
 
 
-def _relaxed_rotations(graph: PoseGraph, kappa: Array, tolerance: float) -> Array:
-    """R (n, 3, 3). The unknowns are Y_i = (R_i G_i^T)^T with G the rotations along a tree.
+def _least_squares(
+    graph: PoseGraph, weight: Array, carry: Array, guess: Array, step: Array | float
+) -> Array:
+    """X (n, k, 3) that minimises sum of weight |X_j - carry X_i - step|^2, anchors as in `guess`.
 
-    With e.g. no noise all Y are equal: in these unknowns the normal matrix is near the graph's
-    Laplacian, whose factor is cheap and makes conjugate gradients converge in a few iterations.
+    `carry` (m, k, k) orthogonal, `guess` (n, k, 3), `step` (m, k, 3). Raises SingularError where
+    the weights are too far apart to compute with.
     """
     n, (i, j) = len(graph.poses), graph.edges.T
-    guess = tree(graph)[:, :3, :3]
-    # Residual R_j - R_i dR with R = Y^T G: Y_j - D^T Y_i, D = G_i dR G_j^T.
-    turns = guess[i] @ graph.measurements[:, :3, :3] @ np.swapaxes(guess[j], 1, 2)
-    turns *= kappa[:, None, None]
-    laplacian = _laplacian(graph, kappa)
-    nodes = np.arange(n)
-    blocks = np.concatenate(
-        [-turns, -np.swapaxes(turns, 1, 2), laplacian.diagonal()[:, None, None] * np.eye(3)]
-    )
-    rows, columns = np.concatenate([i, j, nodes]), np.concatenate([j, i, nodes])
-    matrix = linear.block_matrix(blocks, rows, columns, n)
-    free = np.setdiff1d(nodes, graph.anchors)
-    solved = np.tile(np.eye(3), (n, 1, 1))  # as along the tree, and the anchors' for good
-    if len(free):
-        scalars = (3 * free[:, None] + np.arange(3)).ravel()
-        flat = solved.reshape(-1, 3)
-        part = matrix[scalars]
-        factor = linear.factorise(laplacian[free][:, free])
-
-        def near(r: Array) -> Array:
-            return factor.solve(r.reshape(len(free), 9)).reshape(r.shape)
-
-        flat[scalars] += linear.solve(part[:, scalars].tocsr(), -(part @ flat), near, tolerance)
-    u, _, vt = np.linalg.svd(np.swapaxes(solved, 1, 2) @ guess)
-    u[:, :, 2] *= np.linalg.det(u @ vt)[:, None]
-    return np.asarray(u @ vt)
-
-
-def _translations(graph: PoseGraph, tau: Array, arrows: Array) -> Array:
-    """t (n, 3) that minimises sum of tau |t_j - t_i - arrow|^2."""
-    n, (i, j) = len(graph.poses), graph.edges.T
-    weighted = tau[:, None] * arrows
-    right = np.stack(
-        [np.bincount(j, w, n) - np.bincount(i, w, n) for w in weighted.T],
-        axis=1,
-    )
-    laplacian = _laplacian(graph, tau)
-    solved = np.array(graph.poses[:, :3, 3])
-    free = np.setdiff1d(np.arange(n), graph.anchors)
-    if len(free):
-        right -= laplacian[:, graph.anchors] @ solved[graph.anchors]
-        solved[free] = linear.factorise(laplacian[free][:, free]).solve(right[free])
-    return solved
-
-
-def _laplacian(graph: PoseGraph, weight: Array) -> sparse.csr_array:
-    """The graph's Laplacian (n, n), and a little on the diagonal.
-
-    So poses that no displacement determines stay solvable.
-    """
-    n, (i, j) = len(graph.poses), graph.edges.T
-    degree = np.bincount(i, weight, n) + np.bincount(j, weight, n)
-    nodes = np.arange(n)
-    little = 1e-12 * degree.max() or 1.0
-    values = np.concatenate([-weight, -weight, degree + little])
-    places = (np.concatenate([i, j, nodes]), np.concatenate([j, i, nodes]))
-    return sparse.csr_array((values, places), shape=(n, n))
+    size = guess.shape[1]
+    weighted = weight[:, None, None] * (guess[j] - carry @ guess[i] - step)
+    both = np.concatenate([i, j])
+    back = np.swapaxes(carry, 1, 2)
+    gradient = summed(np.concatenate([-back @ weighted, weighted]), both, n)
+    degree = np.bincount(both, np.tile(weight, 2), n)
+    degree[graph.anchors] = 1.0
+    gradient[graph.anchors] = 0.0
+    held = np.zeros(n, dtype=bool)
+    held[graph.anchors] = True
+    between = ~(held[i] | held[j])
+    own = np.where(degree > 0, degree * (1 + LITTLE), 1.0)[:, None, None] * np.eye(size)
+    links = Blocks(j[between], i[between], -(weight[:, None, None] * carry)[between])
+    return guess - graph.topology.cholesky.solve(links.and_diagonal(own), gradient)

@@ -17,7 +17,7 @@ from scipy import sparse
 
 from meshskin import compiled, se3
 from meshskin.estimation.posegraph.kernel import EDGE, LOWER, Kernel, kernel
-from meshskin.estimation.posegraph.linear import Integers
+from meshskin.estimation.posegraph.ordering import Integers
 from meshskin.se3 import Array
 
 Long = NDArray[np.int64]

@@ -25,7 +25,7 @@ def twisted(count, turns):
 def test_quadratic_form_is_the_chordal_cost(skin_graph):
     graph, truth = skin_graph(20)
     x = np.concatenate([truth[:, :3, 3:], truth[:, :3, :3]], axis=2)
-    x = np.swapaxes(x, 1, 2).reshape(-1, 3)
+    x = np.swapaxes(x, 1, 2)
     i, j = graph.edges.T
     tau, kappa = graph.chordal_weights
     r, t = truth[:, :3, :3], truth[:, :3, 3]

@@ -1,0 +1,73 @@
+"""The fronts as IPOPT's linear solver.
+
+CasADi's wheel brings MUMPS, with a BLAS built for processors of 2006, and it finds its order and
+its fronts anew in every solve, scalar by scalar. IPOPT can load another solver at run time, where
+the option `hsllib` names a library with the functions of HSL's MA57: ma57.c has them.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from meshskin.estimation.posegraph.cholesky import Cholesky, Structure
+from meshskin.estimation.posegraph.ordering import Integers
+
+
+class Plan(ctypes.Structure):
+    """`Plan` of ma57.c."""
+
+    _fields_ = [
+        ("fronts", ctypes.POINTER(Structure)),
+        ("poses", ctypes.c_longlong),
+        ("held", ctypes.c_longlong),
+        ("free", ctypes.c_void_p),
+        ("anchors", ctypes.c_void_p),
+        ("x", ctypes.c_void_p),
+        ("factorised", ctypes.c_longlong),
+    ]
+
+
+class Door:
+    """Lets IPOPT in: poses `free` in the order of its x, `anchors` held."""
+
+    def __init__(self, cholesky: Cholesky, free: Integers, anchors: Integers) -> None:
+        self._cholesky = cholesky
+        self._free, self._anchors = (np.ascontiguousarray(a, np.int64) for a in (free, anchors))
+        self._x = np.empty(6 * cholesky.nodes)
+
+    @property
+    def options(self) -> dict[str, object]:
+        """For IPOPT; none where its own MUMPS has to do."""
+        library = self._cholesky.library
+        if library is None:
+            return {}
+        return {
+            "linear_solver": "ma57",
+            "hsllib": library._name,
+            "linear_system_scaling": "none",
+        }
+
+    @contextmanager
+    def open(self) -> Iterator[None]:
+        """While in here, the solver of this thread has these fronts."""
+        library = self._cholesky.library
+        with self._cholesky.lock:
+            if library is None:
+                yield
+                return
+            plan = Plan(
+                ctypes.pointer(self._cholesky.structure),
+                len(self._free),
+                len(self._anchors),
+                *(a.ctypes.data for a in (self._free, self._anchors, self._x)),
+                0,
+            )
+            library.hand_to_ipopt(ctypes.byref(plan))
+            try:
+                yield
+            finally:
+                library.hand_to_ipopt(None)
