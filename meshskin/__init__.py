@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from .recording import Recording, RecordingWriter
     from .scene import Belief, Readout, Scene
     from .simulation import simulate
+    from .study.cost import cost
     from .study.sweep import Study
 
 _HOMES = {
@@ -45,6 +46,7 @@ _HOMES = {
     "Skin": "geometry.skin",
     "Study": "study.sweep",
     "calibrate": "estimation.calibrate",
+    "cost": "study.cost",
     "explore": "exploration",
     "press": "presses",
     "simulate": "simulation",
@@ -68,6 +70,7 @@ __all__ = [
     "Study",
     "calibrate",
     "contact",
+    "cost",
     "explore",
     "press",
     "simulate",

@@ -89,7 +89,7 @@ def run(
     with clock.stage("report"):
         _report(result, folder, seed, clock.seconds)
     result.metrics["seconds"] = {k: round(v, 4) for k, v in clock.seconds.items()}
-    write_text(folder / "metrics.json", json.dumps(_finite(result.metrics), indent=2) + "\n")
+    write_text(folder / "metrics.json", json.dumps(finite(result.metrics), indent=2) + "\n")
     return result
 
 
@@ -178,12 +178,12 @@ def _report(result: Result, folder: Path, seed: int, seconds: dict[str, float]) 
     )
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     """The value with null in place of numbers that JSON does not know."""
     if isinstance(value, dict):
-        return {key: _finite(v) for key, v in value.items()}
+        return {key: finite(v) for key, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
+        return [finite(v) for v in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

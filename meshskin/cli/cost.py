@@ -1,0 +1,91 @@
+"""`meshskin cost SCENE`: error and seconds over every knob, and the cheapest way to an accuracy."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .run import bar
+
+if TYPE_CHECKING:
+    from ..study.cost import Costs
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser's commands."""
+    parser = commands.add_parser(
+        "cost", help="measure a scene's accuracy against time, over every knob"
+    )
+    parser.add_argument("scene", metavar="SCENE", help="a scene's name (meshskin scenes) or file")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out"), metavar="DIR", help="folder for page and figure"
+    )
+    parser.add_argument("--seeds", type=int, default=1, help="runs of each setting (default 1)")
+    parser.add_argument("--knobs", nargs="*", default=None, metavar="KNOB", help="only these")
+    parser.add_argument(
+        "--full", action="store_true", help="3 seeds, and a reference twice as fine again"
+    )
+    parser.add_argument("--quiet", action="store_true", help="no progress bar and no table")
+    parser.set_defaults(command=command)
+
+
+def command(options: argparse.Namespace) -> int:
+    """Measure, write the page, and print the table."""
+    from ..job import check_folder
+    from ..scene import Scene
+    from ..study.cost import KNOBS, cost
+
+    scene = Scene.load(options.scene)
+    check_folder(options.out)
+    with bar(options.quiet) as progress:
+        costs = cost(
+            scene,
+            knobs=KNOBS if options.knobs is None else options.knobs,
+            seeds=max(options.seeds, 3) if options.full else options.seeds,
+            finer=8 if options.full else 4,
+            progress=progress,
+        )
+    write(costs, options.out)
+    if not options.quiet:
+        print(summary(costs))
+        print(f"  page               {options.out / 'cost.html'}")
+    return 0
+
+
+def write(costs: Costs, folder: Path) -> None:
+    """The page cost.html, the figure, and every setting in cost.json."""
+    from ..atomic import write_text
+    from ..job import finite
+    from ..provenance import provenance
+    from ..report import page, precision, theme
+    from ..study.cost import TARGETS
+
+    png, svg = theme.save(precision.figure(costs, TARGETS), folder / "figures", "work_precision")
+    page.write(folder / "cost.html", precision.page(costs, TARGETS, png, svg))
+    record = {
+        "scene": costs.scene,
+        "reference": costs.reference.words(costs.base),
+        "routes": [vars(route) for route in costs.routes],
+        "settings": costs.records(),
+        "provenance": provenance(scene=costs.scene, seeds=costs.seeds),
+    }
+    write_text(folder / "cost.json", json.dumps(finite(record), indent=2) + "\n")
+
+
+def summary(costs: Costs) -> str:
+    """The table for people."""
+    from ..report import precision
+    from ..study.cost import TARGETS
+
+    rows = [precision.HEADER, *precision.table(costs, TARGETS)]
+    width = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    lines = [f"{costs.scene}: {len(costs.rows)} settings; numerical parts are counted from "
+             f"{costs.reference.words(costs.base)}"]  # fmt: skip
+    for row in rows:
+        cells = (row[k].ljust(width[k]) if k == 1 else row[k].rjust(width[k]) for k in range(5))
+        lines.append(("  " + "  ".join(cells)).rstrip())
+    for route in costs.routes:
+        lines.append(f"  confirmed by {route.name}: within {route.mean_mm:.2g} mm on average")
+    return "\n".join(lines)

@@ -1,0 +1,233 @@
+"""Accuracy against time: the work-precision plot with its Pareto front, and its page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from operator import attrgetter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..se3 import Array
+from . import theme
+from .markup import Block, Content, Number, Picture, Section, Table, Text
+from .theme import number
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ..study.cost import Costs, Row
+
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
+COLOURS = (*theme.METHODS, theme.WARNING, theme.TRUTH, "#b59f00", "#7b4fa3")
+SAID = {
+    "faces": "faces of the mesh",
+    "degree": "degree of the surface",
+    "contact": "contact model",
+    "dt": "step dt",
+    "integrator": "integrators",
+    "lanes": "spacing of lanes",
+    "rate": "frames a second",
+    "method": "estimator",
+    "tolerance": "tolerance",
+    "chosen": "combinations",
+}
+"""Knob -> its name for people."""
+RANKED = tuple(SAID[k] for k in ("faces", "degree", "dt", "lanes", "rate", "tolerance"))
+"""Knobs whose levels have an order: their points are joined."""
+SIMULATED = tuple(
+    SAID[k] for k in ("faces", "degree", "contact", "dt", "integrator", "tolerance", "chosen")
+)
+"""Knobs that the numerical part depends on."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """The settings of one knob, in order."""
+
+    name: str
+    seconds: Array
+    """(k,)."""
+    error: Array
+    """Error against the truth (k,), mm."""
+    numerical: Array
+    """Numerical part (k,), mm."""
+    labels: tuple[str, ...]
+    """What each setting is called, "" for none."""
+
+
+def series(costs: Costs) -> list[Series]:
+    """Measured settings by knob, the scene's own among each."""
+    own = next(row for row in costs.rows if row.knob == "scene")
+    out = []
+    for knob, name in SAID.items():
+        rows = [row for row in costs.whole if row.knob == knob]
+        if not rows:
+            continue
+        if name in RANKED:
+            field = "lane_spacing" if knob == "lanes" else knob
+            rows = sorted([*rows, own], key=attrgetter(f"setting.{field}"))
+        out.append(
+            Series(
+                name,
+                np.array([row.time for row in rows]),
+                np.array([row.error_mm for row in rows]),
+                np.array([row.numerical_mm for row in rows]),
+                tuple("" if row is own else row.setting.words(costs.base) for row in rows),
+            )
+        )
+    return out
+
+
+@theme.styled
+def work_precision(
+    measured: Sequence[Series],
+    own: tuple[float, float, float],
+    front: Sequence[tuple[float, float]],
+    targets: Sequence[float] = (),
+) -> Figure:
+    """Error against seconds of every setting, and the numerical part of it beside.
+
+    own: seconds, error and numerical part, mm, of the scene as it is; front: seconds and total
+    error, mm, of the settings that none beats; targets, mm: drawn as lines.
+    """
+    figure = theme.canvas(9.6, 5.0)
+    left, right = (theme.place(figure, x, 1.1, 3.85, 3.5) for x in (0.75, 5.6))
+    for k, s in enumerate(measured):
+        style: dict[str, Any] = {
+            "marker": MARKERS[k % len(MARKERS)],
+            "color": COLOURS[k % len(COLOURS)],
+        }
+        if s.name == SAID["chosen"]:
+            style = {"marker": "o", "color": theme.INK, "mfc": "none", "mew": 1.3}
+        for axes, values in ((left, s.error), (right, s.numerical)):
+            if axes is left or s.name in SIMULATED:
+                line = "-" if s.name in RANKED else ""
+                axes.plot(s.seconds, values, ls=line, lw=0.9, ms=5, label=s.name, **style)
+        if s.name == SAID["method"]:
+            for x, y, text in zip(s.seconds, s.error, s.labels, strict=True):
+                left.annotate(text.replace("_", " "), (x, y), (5, 2), textcoords="offset points",
+                              fontsize=7, color=theme.MUTED)  # fmt: skip
+    for axes, value in ((left, own[1]), (right, own[2])):
+        axes.plot(own[0], value, "*", ms=12, color=theme.INK, label="the scene as it is", zorder=5)
+        axes.set(xscale="log", yscale="log", xlabel="processor time (s): load, simulate, calibrate")
+    if front:
+        x, y = np.array(front).T
+        left.step(x, y, where="post", color=theme.INK, lw=2.2, alpha=0.3, label="Pareto front")
+    low, high = left.get_ylim()
+    for target in targets:
+        if low < target < high:
+            left.axhline(target, color=theme.FAINT, lw=0.8, zorder=0)
+    left.set(ylabel="mean error of the taxels (mm)", title="Error against the truth")
+    right.set(ylabel="mean shift of the taxels (mm)", title="Numerical part, without noise")
+    for axes in (left, right):
+        _plain_axes(axes)
+    handles, labels = left.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="lower center", ncols=6, fontsize=8)
+    return figure
+
+
+def _plain_axes(axes: Axes) -> None:
+    """Ticks in plain numbers: few seconds and decades of millimetres."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+        span = high / low
+        subs = (1.0,) if span > 100 else (1.0, 2.0, 5.0) if span > 8 else (1.0, 1.5, 2, 3, 4, 6)
+        axis.set_major_locator(LogLocator(subs=subs, numticks=12))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: number(value)))
+        axis.set_minor_formatter(NullFormatter())
+
+
+def figure(costs: Costs, targets: Sequence[float]) -> Figure:
+    """The work-precision plot of what was measured."""
+    own = next(row for row in costs.rows if row.knob == "scene")
+    front = [(row.time, row.total_mm) for row in costs.front]
+    return work_precision(series(costs), (own.time, own.error_mm, own.numerical_mm), front, targets)
+
+
+HEADER = ("to reach (mm)", "cheapest setting", "seconds", "error (mm)", "numerical part (mm)")
+
+
+def table(costs: Costs, targets: Sequence[float]) -> list[tuple[str, ...]]:
+    """For each target, mm: the cheapest measured setting that reaches it, as text."""
+    rows: list[tuple[str, ...]] = []
+    for target in targets:
+        row = costs.cheapest(target)
+        if row is None:
+            best = min(costs.whole, key=lambda r: r.total_mm)
+            said = f"none; best {number(best.total_mm)}: {best.setting.words(costs.base)}"
+            rows.append((f"{target:g}", said, "", "", ""))
+            continue
+        rows.append(
+            (
+                f"{target:g}",
+                row.setting.words(costs.base),
+                f"{row.time:.2f}",
+                number(row.error_mm),
+                number(row.numerical_mm),
+            )
+        )
+    return rows
+
+
+def page(costs: Costs, targets: Sequence[float], png: Path, svg: Path) -> Content:
+    """The page of `meshskin cost`."""
+    own = next(row for row in costs.rows if row.knob == "scene")
+    best = min(costs.whole, key=lambda r: r.total_mm)
+    numbers = (
+        Number("The scene as it is", number(own.error_mm), "mm", f"in {own.time:.2f} s"),
+        Number("Its numerical part", number(own.numerical_mm), "mm", "by discretisation alone"),
+        Number("Most accurate", number(best.total_mm), "mm", f"in {best.time:.2f} s"),
+        Number("Settings", str(len(costs.rows)), "", f"{costs.seeds} seeds each"),
+    )
+    picture = Picture(png, svg, "Error against processor time", CAPTION, "Work-precision plot")
+    reach = Table(HEADER, tuple(table(costs, targets)), numeric=(0, 2, 3, 4))
+    return Content(
+        title=f"What accuracy costs: {costs.scene}",
+        verdict=f"The scene as it is: {number(own.error_mm)} mm in {own.time:.2f} s of processor "
+        f"time; {number(own.numerical_mm)} mm of it by discretisation.",
+        numbers=numbers,
+        sections=(
+            Section("The cheapest way to an accuracy", (reach,)),
+            Section("Work and precision", (picture,)),
+            Section("Can the reference be believed?", _routes(costs)),
+            Section("Every setting", (_settings(costs.rows, costs),)),
+        ),
+    )
+
+
+CAPTION = (
+    "Left: mean distance of the calibrated taxels from the truth, under the scene's noise. The "
+    "grey steps join settings that no other beats, both panels taken together. Right: how far the "
+    "taxels move because of mesh, contact model, step and tolerance alone, from the reference."
+)
+
+
+def _routes(costs: Costs) -> tuple[Block, ...]:
+    words = costs.reference.words(costs.base)
+    text = Text((f"Numerical parts are counted from {words}. Computed otherwise, it moves by:",))
+    rows = [(r.name, number(r.mean_mm), number(r.largest_mm)) for r in costs.routes]
+    return text, Table(("second route", "mean (mm)", "largest (mm)"), tuple(rows), numeric=(1, 2))
+
+
+def _settings(rows: Sequence[Row], costs: Costs) -> Table:
+    header = ("knob", "change", "error (mm)", "bound (mm)", "numerical (mm)", "readings", "s", "")
+    best = set(map(id, costs.front))
+    body = []
+    for row in rows:
+        note = row.failure or ("on the front" if id(row) in best else "")
+        if not row.failure and row not in costs.whole:
+            note = f"{row.located} taxels found"
+        values: Mapping[str, float] = {
+            "error": row.error_mm, "bound": row.bound_mm, "numerical": row.numerical_mm
+        }  # fmt: skip
+        cells = (number(v) for v in values.values())
+        readings = "" if row.failure else str(row.readings)
+        seconds = "" if row.failure else f"{row.time:.3f}"
+        said = row.setting.words(costs.base)
+        body.append((SAID.get(row.knob, row.knob), said, *cells, readings, seconds, note))
+    return Table(header, tuple(body), numeric=(2, 3, 4, 5, 6), folded="All that was measured")

@@ -1,0 +1,124 @@
+"""Accuracy against time: numerical parts of the right order, a front that nothing beats."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin.errors import UnknownNameError
+from meshskin.geometry.region import Cap
+from meshskin.study.cost import Row, Setting, cost, front
+from meshskin.study.cost.models import Models
+from meshskin.study.cost.setting import ladders
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A small skin on the paper's sphere, with its noise."""
+    whole = ms.Scene.load("sphere_noisy")
+    region = Cap(direction=(0.0, 0.0, -1.0))
+    skin = ms.Skin.cover(whole.body, spacing=6e-3, count=30, region=region)
+    return whole.with_(skin=skin)
+
+
+@pytest.fixture(scope="module")
+def costs(scene):
+    """Three of its knobs."""
+    return cost(scene, knobs=("dt", "rate", "method"), targets=(0.1,))
+
+
+def rows(costs, knob):
+    return [row for row in costs.rows if row.knob == knob and not row.failure]
+
+
+def test_second_routes_confirm_the_reference(costs):
+    routes = {route.name.partition(":")[0]: route for route in costs.routes}
+    assert routes["surface"].mean_mm < 1e-5
+    assert 0 < routes["integration"].largest_mm < 1e-4
+    # another profile at the patch's rim, by the elements' size: 0.1 % of the patch's radius
+    assert 0 < routes["contact"].mean_mm < 0.005
+
+
+def test_the_numerical_part_is_of_the_integrators_order(costs):
+    """Semi-implicit Euler: twice the step, twice the shift, and far below the noise."""
+    own = costs.rows[0]
+    by_dt = {row.setting.dt: row.numerical_mm for row in rows(costs, "dt")}
+    assert by_dt[0.5e-3] / own.numerical_mm == pytest.approx(0.5, rel=0.1)
+    assert by_dt[2e-3] / own.numerical_mm == pytest.approx(2.0, rel=0.1)
+    assert own.numerical_mm < 0.1 * own.error_mm
+
+
+def test_errors_keep_to_the_bound_and_fall_with_the_readings(costs):
+    for row in [costs.rows[0], *rows(costs, "rate")]:
+        assert row.error_mm == pytest.approx(row.bound_mm, rel=0.6)
+        expected = costs.rows[0].bound_mm * np.sqrt(costs.base.rate / row.setting.rate)
+        assert row.bound_mm == pytest.approx(expected, rel=0.1)
+    by_method = {row.setting.method: row.error_mm for row in rows(costs, "method")}
+    assert by_method["three_circles"] > 4 * costs.rows[0].error_mm
+
+
+def test_a_step_that_cannot_be_taken_is_a_row_that_says_why(costs):
+    failed = [row for row in costs.rows if row.failure]
+    assert [1e3 * row.setting.dt for row in failed] == [5.0]
+    assert "too long" in failed[0].failure
+    assert failed[0] not in costs.whole
+
+
+def test_nothing_beats_the_front(costs):
+    for one in costs.front:
+        for other in costs.whole:
+            assert not (other.time < one.time and other.total_mm < one.total_mm)
+    assert costs.cheapest(0.1) in costs.front
+    assert costs.cheapest(0.1).time <= costs.rows[0].time
+    assert costs.cheapest(1e-9) is None
+
+
+def test_front_of_known_points():
+    made = [row(2.0, 1.0), row(1.0, 3.0), row(3.0, 2.0), row(4.0, 0.5)]
+    assert [r.time for r in front(made)] == [1.0, 2.0, 4.0]
+
+
+def row(seconds, error):
+    """A row of given time and error."""
+    setting = Setting(None, 4, "hertz", 1e-3, "rk4", 3e-3, 100.0)
+    return Row("scene", setting, error, 0.0, seconds={"simulate": seconds})
+
+
+def test_records_are_plain(costs):
+    import json
+
+    records = costs.records()
+    assert len(records) == len(costs.rows)
+    assert json.loads(json.dumps(records))[0]["change"] == "the scene as it is"
+    assert sum(r["front"] for r in records) == len(costs.front)
+
+
+def test_models_give_back_what_was_measured(costs):
+    single = [row for row in costs.rows if row.knob in ("scene", "dt", "rate", "method")]
+    models = Models.fit(single)
+    for row in [r for r in single if not r.failure]:
+        error, numerical = models.error(row.setting)
+        assert error == pytest.approx(row.error_mm, rel=0.02 if row.knob == "dt" else 1e-9)
+        assert numerical == pytest.approx(row.numerical_mm, rel=1e-6)
+    assert models.error(replace(costs.base, dt=0.25e-3)) == (np.inf, np.inf)
+
+
+def test_ladders_turn_one_knob_at_a_time(scene):
+    base = Setting.of(scene)
+    for knob, setting in ladders(base):
+        changed = [f for f in Setting.__dataclass_fields__
+                   if getattr(setting, f) != getattr(base, f)]  # fmt: skip
+        assert len(changed) <= (2 if knob == "integrator" else 1)
+
+
+def test_the_skin_stays_where_it_is(scene):
+    coarse = replace(Setting.of(scene), faces=1280)
+    made = coarse.scene(scene, coarse.body(scene.body))
+    assert len(made.body.mesh.faces) == 1280
+    assert made.skin is scene.skin
+
+
+def test_an_unknown_knob(scene):
+    with pytest.raises(UnknownNameError, match="did you mean rate"):
+        cost(scene, knobs=("rat",))
