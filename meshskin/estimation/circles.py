@@ -14,7 +14,7 @@ from typing import Self
 
 import numpy as np
 
-from ..physics.contact.ellipse import ellipse_gradient, invert_ellipse_mean
+from ..physics.contact.ellipse import NODES, ellipse_gradient, invert_ellipse_mean
 from ..se3 import Array
 from .measurements import Measurements
 
@@ -106,10 +106,12 @@ def circles(
     points: Array,
     rows: np.ndarray | None = None,
     owner: np.ndarray | None = None,
+    nodes: int = NODES,
 ) -> Circles:
     """The circles of the readings `rows` (all by default), owned by their taxels or by `owner`.
 
-    points (n, 3), m: where the taxels roughly are; it matters under ellipses only.
+    points (n, 3), m, where the taxels roughly are, and the `nodes` of the disc mean matter under
+    ellipses only.
     """
     rows = np.arange(len(data.pressure)) if rows is None else rows
     owners = data.taxel[rows] if owner is None else owner
@@ -121,7 +123,7 @@ def circles(
     if data.model.name == "hertz":
         radii, steepness = data.distance[rows], data.slope[rows] / scale
     else:
-        radii, steepness, axes = _along(data, points, rows)
+        radii, steepness, axes = _along(data, points, rows, nodes)
     found = (
         owners,
         rows,
@@ -136,7 +138,9 @@ def circles(
     return Ellipses(*found, *axes) if axes else Circles(*found)
 
 
-def _along(data: Measurements, points: Array, rows: np.ndarray) -> tuple[Array, Array, list[Array]]:
+def _along(
+    data: Measurements, points: Array, rows: np.ndarray, nodes: int
+) -> tuple[Array, Array, list[Array]]:
     """Scaled distance and slope (k,) of the readings `rows`, along the ways to their taxels at
     `points`, and both scaled axes (k, 3).
     """
@@ -148,7 +152,7 @@ def _along(data: Measurements, points: Array, rows: np.ndarray) -> tuple[Array, 
     way = np.stack([np.einsum("ki,ki->k", offset, axis) for axis in axes], axis=1)
     length = np.linalg.norm(way, axis=1, keepdims=True)
     way = np.where(length > 0, way / np.where(length > 0, length, 1.0), [1.0, 0.0])
-    shape = patch.first, patch.second, data.disc, patch.exponent
+    shape = patch.first, patch.second, data.disc, patch.exponent, nodes
     r = invert_ellipse_mean(data.pressure[asked] / patch.peak, way, *shape)
     slopes = ellipse_gradient(r * way[:, 0], r * way[:, 1], *shape)[1:3]
     slope = np.einsum("ki,ik->k", way, slopes)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..physics.contact.ellipse import NODES
 from ..se3 import Array
 from . import chart
 from .chart import Charts
@@ -30,6 +31,8 @@ LINE = "contacts near a line"
 MISS = "circles that do not meet"
 NARROW = 0.05
 """Least width of the contacts about their best line, relative to the contact radius."""
+ROUGH = 16
+"""Nodes of the disc mean of the first pass over ellipses: within 1e-3 of the peak."""
 STEEP = 0.3
 """Slope, relative to p_0/a, that the paper's three circles should have."""
 
@@ -104,8 +107,9 @@ def least_squares(data: Measurements, body: Body) -> Fit:
     seen = np.isfinite(start[:, 0])
     start[~seen] = data.points[0]
     near, charts = _within_reach(data, start), chart.about(body, start)
-    for _ in range(2):  # the second time about the estimate, to take out the chart's own error
-        found = circles(near, charts.points)
+    # The second time about the estimate, to take out the chart's own error.
+    for nodes in (ROUGH, NODES):
+        found = circles(near, charts.points, nodes=nodes)
         y, information, chi2 = solve(found, charts)
         charts = chart.about(body, charts.at(y), frames_of(charts))
     return finish(found, charts, information, chi2)

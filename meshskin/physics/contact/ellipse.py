@@ -132,36 +132,40 @@ def invert_ellipse_mean(
     end = (np.hypot(first * ux, second * uy) + radius) / np.maximum(ux**2 + uy**2, _TINY)
     out = np.where(target > 0, 0.0, end)
     out[np.isnan(target)] = np.nan
-    profile = _profile(power)
-    row = np.flatnonzero(ellipse_mean(0.0, 0.0, first, second, radius, profile, nodes) > target)
-    row = row[target[row] > 0]
+    peak = ellipse_mean(0.0, 0.0, first, second, radius, _profile(power), nodes)
+    row = np.flatnonzero((target > 0) & (target < peak))
+    top, root = np.sqrt(peak[row]), np.sqrt(target[row])
     ray = tuple(v[row] for v in (ux, uy, first, second, radius, power))
-    out[row] = _root(np.sqrt(target[row]), end[row], ray, nodes)
+    out[row] = _roots(root, top, end[row], ray, nodes)
     return out.reshape(whole[0].shape)
 
 
-def _root(root: Array, end: Array, ray: tuple[Array, ...], nodes: int) -> Array:
-    """Where along k rays, between 0 and `end` (k,), the root of the mean is `root` (k,)."""
-    ux, uy, a, b, s, power = ray
-    profile = _profile(power)
-
-    def excess(r: Array) -> Array:
-        mean = ellipse_mean(r * ux, r * uy, a, b, s, profile, nodes)
-        return np.asarray(np.sqrt(np.maximum(mean, 0.0)) - root)
-
-    low, high, at, side = np.zeros_like(end), end, end, np.zeros_like(end)
-    at_low, at_high = excess(low), -root
+def _roots(root: Array, top: Array, end: Array, ray: tuple[Array, ...], nodes: int) -> Array:
+    """Where along k rays, between 0 and `end` (k,), the root of the mean falls from `top` (k,) to
+    `root` (k,).
+    """
+    out, row = end.copy(), np.arange(len(end))
+    low, high, at_low, at_high = np.zeros_like(end), end, top - root, -root
+    side = np.zeros_like(end)
     for _ in range(60):
         at = (low * at_high - high * at_low) / (at_high - at_low)
-        value = excess(at)
-        if np.max(np.abs(value), initial=0.0) < 1e-10:
-            break
+        ux, uy, a, b, s, power = ray
+        mean = ellipse_mean(at * ux, at * uy, a, b, s, _profile(power), nodes)
+        value = np.sqrt(np.maximum(mean, 0.0)) - root
+        out[row] = at
         above = value >= 0  # an end that stays counts half as much every time
         at_low = np.where(above, value, np.where(side < 0, at_low / 2, at_low))
         at_high = np.where(above, np.where(side > 0, at_high / 2, at_high), value)
         low, high = np.where(above, at, low), np.where(above, high, at)
         side = np.where(above, 1.0, -1.0)
-    return at
+        left = np.abs(value) > 1e-10
+        if not left.any():
+            break
+        ray = tuple(v[left] for v in ray)
+        row, root, low, high, at_low, at_high, side = (
+            v[left] for v in (row, root, low, high, at_low, at_high, side)
+        )
+    return out
 
 
 def _profile(power: Array) -> Any:
