@@ -106,6 +106,7 @@ def _assess(
         np.asarray(recording.motion.column("time")),
         np.asarray(recording.motion.column("force")),
         scene.law.force_reference,
+        recording.motion.column("phase").to_pylist(),
     )
     belief, skin = scene.belief(), scene.skin
     bound = {"mean": 0.0, "rms": 0.0}  # without noise nothing keeps an estimate from the truth
@@ -131,6 +132,7 @@ def _assess(
             "std_n": force.std,
             "overshoot": force.overshoot,
             "settling_s": force.settling,
+            "disturbance": force.disturbance,
             "lost_contact_steps": force.lost,
         },
         "demonstration_mm": 1e3 * demonstration.mean_error,

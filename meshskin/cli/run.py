@@ -79,7 +79,8 @@ def summary(result: Result, folder: Path) -> str:
             )
         ),
         f"  force              {force['mean_n']:.4f} N for {force['reference_n']:g} N, settled in "
-        f"{1e3 * force['settling_s']:.0f} ms, overshoot {100 * force['overshoot']:.1f} %",
+        f"{1e3 * force['settling_s']:.0f} ms, overshoot {100 * force['overshoot']:.1f} %, "
+        f"then within {100 * force['disturbance']:.2g} %",
     ]
     if calibration.modulus is not None:
         lines.append(

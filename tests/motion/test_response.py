@@ -25,3 +25,17 @@ def test_a_force_that_never_settles_or_never_comes():
     assert lost.lost == 1
     with pytest.raises(SimulationError, match="no contact force"):
         force_response(time, np.zeros(100), 3.0)
+
+
+def test_air_and_sliding_are_told_from_the_touch():
+    """Two places: the second touch, the way between and the slide's disturbance are no settling."""
+    place = ["approach"] * 10 + ["touch"] * 50 + ["hold"] * 20 + ["slide"] * 100 + ["leave"] * 20
+    force = np.concatenate([np.zeros(12), np.full(168, 3.0), np.zeros(20)])
+    force[15], force[120] = 3.3, 2.7
+    time, phase = 1e-3 * np.arange(400), place * 2
+    got = force_response(time, np.tile(force, 2), 3.0, phase)
+    assert got.touch == pytest.approx(0.012)
+    assert got.settling == pytest.approx(0.004)
+    assert got.overshoot == pytest.approx(0.1)
+    assert got.disturbance >= 0.1
+    assert got.lost == 2  # of the second touch: the first is waited for
