@@ -64,6 +64,10 @@ class SimulationError(MeshskinError):
     """A simulation that left its range; carries the time and the state."""
 
 
+class TuningError(MeshskinError):
+    """Demands on the closed loop that no gains meet; says which to relax."""
+
+
 class RecordingError(MeshskinError):
     """A recording that cannot be read or is not consistent."""
 

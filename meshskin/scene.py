@@ -16,7 +16,7 @@ import numpy as np
 
 from . import library
 from .config import check, quantity
-from .errors import ContactError
+from .errors import ConfigError, ContactError
 from .geometry.body import Body
 from .geometry.skin import Skin
 from .motion.arm import Arm
@@ -62,6 +62,8 @@ class Loop:
     contact is soft) or "cvodes" (the slow reference)."""
     mode: str = "arm"
     """"arm": with the arm's dynamics; "quasi_static": the body moves as the law asks."""
+    delay: float = quantity("s", 0.0, least=0.0, most=0.1)
+    """Age of the reading of the contact that the law hears: a whole number of steps."""
     compile: str = "auto"
     """The step through the C compiler: "always", "never", or "auto", where a long run pays for it
     or the machine code is in the cache."""
@@ -71,6 +73,18 @@ class Loop:
         known("integrator", self.integrator, INTEGRATORS)
         known("mode of the closed loop", self.mode, MODES)
         known("choice of loop.compile", self.compile, COMPILE)
+        if abs(self.delay_steps * self.dt - self.delay) > 1e-6 * self.dt:
+            raise ConfigError(
+                "loop.delay is no whole number of steps",
+                value=f"{1e3 * self.delay:g} ms",
+                limit=f"steps of {1e3 * self.dt:g} ms",
+                remedy=f"set loop.delay_ms = {1e3 * self.delay_steps * self.dt:g}",
+            )
+
+    @property
+    def delay_steps(self) -> int:
+        """Age of the readings in steps."""
+        return round(self.delay / self.dt)
 
 
 @dataclass(frozen=True)

@@ -74,24 +74,12 @@ def prepare(
     the arm cannot follow the path.
     """
     quasi_static = scene.loop.mode == "quasi_static"
-    arm = _loaded_arm(scene)
-    loop = Loop(
-        arm=arm,
-        mount=scene.mount_pose,
-        indenter_position=np.array(scene.indenter.position),
-        indenter_radius=scene.indenter.radius,
-        effective_modulus=scene.material.effective_modulus,
-        law=scene.law,
-        dt=scene.loop.dt,
-        integrator=scene.loop.integrator,
-        mode=scene.loop.mode,
-        contact=scene.model,
-    )
+    loop = closed_loop(scene)
     path, start = route(scene) if path is None else (path, start_of(scene, path))
     if quasi_static:
         start, rest = body_state(start), body_state(path.poses[0])
     else:
-        rest = arm.inverse_kinematics(path.poses[:1] @ inverse(scene.mount_pose), start)[0]
+        rest = loop.arm.inverse_kinematics(path.poses[:1] @ inverse(scene.mount_pose), start)[0]
     machine = Machine(
         scene.body,
         loop,
@@ -103,6 +91,23 @@ def prepare(
     )
     stability.check(machine, rest, path.references[0] * ([1.0] * 12 + [0.0] * 6))
     return machine, path
+
+
+def closed_loop(scene: Scene) -> Loop:
+    """What the step of a scene's closed loop is made of."""
+    return Loop(
+        arm=_loaded_arm(scene),
+        mount=scene.mount_pose,
+        indenter_position=np.array(scene.indenter.position),
+        indenter_radius=scene.indenter.radius,
+        effective_modulus=scene.material.effective_modulus,
+        law=scene.law,
+        dt=scene.loop.dt,
+        integrator=scene.loop.integrator,
+        mode=scene.loop.mode,
+        contact=scene.model,
+        delay=scene.loop.delay_steps,
+    )
 
 
 def _performance(machine: Machine) -> dict[str, Any]:

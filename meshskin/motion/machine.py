@@ -84,7 +84,14 @@ class Machine:
         """State and anchor of the step at rest in configuration `q` at the first contact."""
         state = np.zeros_like(self.state)
         state[: self.size], state[-2:] = q, self._foot.uv[0]
-        return state, flat_anchor(self.body.surface.patches[int(self._foot.face[0])])
+        anchor = flat_anchor(self.body.surface.patches[int(self._foot.face[0])])
+        if self.loop.delay:  # at rest, all readings are those of now
+            row = self.blocks[0].references[0]
+            output = self.function(state, row, anchor, self.loop.parameters.values)[1].full()
+            state[-2 - self.loop.memory : -2] = np.tile(
+                output[[self.loop.outputs[k].start for k in ("depth", "force")], 0], self.loop.delay
+            )
+        return state, anchor
 
     def rewind(self) -> None:
         """Back to the start, at rest."""

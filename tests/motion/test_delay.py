@@ -5,14 +5,17 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from meshskin import library
+from meshskin.errors import ConfigError, SimulationError
 from meshskin.geometry.body import Body
 from meshskin.motion.arm import Arm
 from meshskin.motion.law import Law
 from meshskin.motion.loop import INTEGRATORS, Loop, flat_anchor
 from meshskin.motion.step import Blocks, step
 from meshskin.se3 import exp_so3, transform
+from meshskin.simulation import prepare
 
 LAW = Law(gamma=20.0)
 PLACE = np.array([0.424, -0.424, 0.7])
@@ -97,7 +100,8 @@ def test_friction_takes_from_the_acceleration_what_it_should(arm, body):
 
 
 def test_friction_comes_from_the_urdf(arm):
-    assert not arm.damping.any() and not arm.friction.any()
+    assert not arm.damping.any()
+    assert not arm.friction.any()
     text = arm.urdf.replace(
         '<axis xyz="0 0 1"/>', '<axis xyz="0 0 1"/><dynamics damping="0.2" friction="1.5"/>'
     )
@@ -119,3 +123,24 @@ def test_a_law_that_believes_in_another_modulus_asks_for_another_speed(arm, body
     ]
     assert np.linalg.norm(moves[0]) > 1e-6
     np.testing.assert_allclose(moves[0], 2.0 * moves[1], rtol=1e-9, atol=1e-15)
+
+
+def test_a_delay_is_a_whole_number_of_steps(sphere):
+    assert replace(sphere.loop, delay=5e-3).delay_steps == 5
+    with pytest.raises(ConfigError, match=r"loop\.delay_ms = 2"):
+        replace(sphere.loop, delay=1.6e-3)
+
+
+@pytest.mark.parametrize("delay", [5e-3, 1e-2])
+def test_a_delay_limits_gamma_and_says_so(sphere, delay):
+    """The force error obeys s (s + L) + L gamma exp(-s T) = 0: its critical gamma, to 20 %."""
+    rate = sphere.law.rate
+    omega = brentq(lambda w: np.arctan(w / rate) + w * delay - np.pi / 2, 1.0, 1e4)
+    critical = omega * np.hypot(omega, rate) / rate
+    late = sphere.with_(loop=replace(sphere.loop, delay=delay))
+    machine, _ = prepare(late.with_(law=replace(sphere.law, gamma=0.8 * critical)))
+    state, _ = machine.at_start(machine.state[:6])
+    np.testing.assert_array_equal(state[13:-2:2], 0.0)  # still in the air: no force is heard
+    assert (state[12:-2:2] < 0).all()
+    with pytest.raises(SimulationError, match=r"lower law\.gamma"):
+        prepare(late.with_(law=replace(sphere.law, gamma=1.2 * critical)))
