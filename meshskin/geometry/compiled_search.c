@@ -52,15 +52,20 @@ static void evaluate(const double *c, double u, double v, double out[6][3])
     }
 }
 
+/* The derivatives at the foot of row k of n: out (6, n, 3). */
+static void keep(const Surface *surface, int64_t n, int64_t k, int64_t face, const double *uv,
+                 double *out)
+{
+    double d[6][3];
+    evaluate(surface->patch + 63 * face, uv[0], uv[1], d);
+    for (int row = 0; row < 6; row++)
+        for (int x = 0; x < 3; x++) out[(row * n + k) * 3 + x] = d[row][x];
+}
+
 void derivatives(const Surface *surface, int64_t n, const int64_t *face, const double *uv,
                  double *out)
 {
-    for (int64_t k = 0; k < n; k++) {
-        double d[6][3];
-        evaluate(surface->patch + 63 * face[k], uv[2 * k], uv[2 * k + 1], d);
-        for (int row = 0; row < 6; row++)
-            for (int x = 0; x < 3; x++) out[(row * n + k) * 3 + x] = d[row][x];
-    }
+    for (int64_t k = 0; k < n; k++) keep(surface, n, k, face[k], uv + 2 * k, out);
 }
 
 /* From `foot`, whose gap is filled in; gives the edges crossed, at least `far` for a held walk. */
@@ -239,13 +244,13 @@ static void challenge(const Surface *surface, const double *p, const Rivals *riv
     }
 }
 
-/* Feet of n points, one after the other in `sequence` (n,): faces (n,) and uv (n, 2). With `warm`,
-   `face` holds the faces to start from; without, `flat_face`, `flat_uv` and `flat_gap` are filled
-   with the nearest flat faces. `sharp` surfaces have creases, borders or walls: there the nearest
+/* Feet of n points, one after the other in `sequence` (n,): faces (n,), uv (n, 2) and the patches'
+   derivatives there (6, n, 3). With `warm`, `face` holds the faces to start from; without,
+   `flat_face`, `flat_uv` and `flat_gap` are filled with the nearest flat faces. `sharp` surfaces have creases, borders or walls: there the nearest
    flat face may mislead. */
 void closest(const Tree *tree, const Surface *surface, int64_t n, const int64_t *sequence,
              const double *points, int warm, int sharp, int64_t *face, double *uv,
-             int64_t *flat_face, double *flat_uv, double *flat_gap)
+             double *out, int64_t *flat_face, double *flat_uv, double *flat_gap)
 {
     Rivals rivals;
     int64_t place = 0;
@@ -269,6 +274,7 @@ void closest(const Tree *tree, const Surface *surface, int64_t n, const int64_t 
             if (sharp && best.gap > 1.0001 * most) challenge(surface, p, &rivals, 1, &best);
         }
         face[k] = best.face, uv[2 * k] = best.u, uv[2 * k + 1] = best.v;
+        keep(surface, n, k, best.face, uv + 2 * k, out);
     }
 }
 

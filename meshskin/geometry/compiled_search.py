@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from .. import compiled
 from . import patch, walk
-from .search import Flat
+from .search import Feet, Flat
 
 if TYPE_CHECKING:
     from .surface import Surface
@@ -87,22 +87,18 @@ class CompiledSearch:
         leaves = len(nodes[0]) // 2
         self._tree = _Tree(leaves, len(nodes[2]) // leaves, *(a.ctypes.data for a in nodes))
 
-    def closest(self, p: Array, face: Index | None) -> tuple[Index, Array, Flat | None]:
-        """Faces (n,) and uv (n, 2) of the feet of p (n, 3), m, and the nearest flat faces.
-
-        With `face` (n,) to start from the last is None.
-        """
+    def closest(self, p: Array, face: Index | None) -> Feet:
+        """The feet of p (n, 3), m; `face` (n,): faces to start from, if known."""
         n, warm = len(p), face is not None
         foot = np.array(np.zeros(n) if face is None else face, dtype=np.int64)
-        uv = np.empty((n, 2))
+        uv, out = np.empty((n, 2)), np.empty((len(patch.ORDERS), n, 3))
         none = np.empty(0)
         flat = None if warm else Flat(np.empty(n, dtype=np.int64), np.empty((n, 2)), np.empty(n))
-        out = _addresses(foot, uv, *(flat or (none, none, none)))
-        both = ctypes.byref(self._tree), ctypes.byref(self._surface)
+        answers = _addresses(foot, uv, out, *(flat or (none, none, none)))
         queue = along_curve(p) if n > FEW and not warm else np.arange(n)
-        points = _addresses(queue, p)
-        self._library.closest(*both, _WHOLE(n), *points, int(warm), int(self.sharp), *out)
-        return foot, uv, flat
+        both = ctypes.byref(self._tree), ctypes.byref(self._surface), _WHOLE(n)
+        self._library.closest(*both, *_addresses(queue, p), int(warm), int(self.sharp), *answers)
+        return Feet(foot, uv, tuple(out), flat if self.sharp else None)
 
     def derivatives(self, face: Index, uv: Array) -> tuple[Array, ...]:
         """S, Su, Sv, Suu, Suv, Svv, each (n, 3), of the patches `face` (n,) at uv (n, 2)."""

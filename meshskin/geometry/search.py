@@ -39,6 +39,19 @@ class Flat(NamedTuple):
     """(n,) distances in m"""
 
 
+class Feet(NamedTuple):
+    """Closest points on the patches to n points."""
+
+    face: Index
+    """(n,)"""
+    uv: Array
+    """(n, 2) barycentric weights of the face's second and third vertex"""
+    derivatives: tuple[Array, ...]
+    """S, Su, Sv, Suu, Suv, Svv, each (n, 3), of the patches there"""
+    flat: Flat | None
+    """the nearest flat faces; None on a smooth surface, and with faces to start from"""
+
+
 class Search:
     """Closest points on the patches of a surface."""
 
@@ -51,11 +64,12 @@ class Search:
         least = 0 if surface.smooth else SAMPLES
         return Proximity(surface.vertices, surface.faces, least)
 
-    def closest(self, p: Array, face: Index | None) -> tuple[Index, Array, Flat | None]:
-        """Faces (n,) and uv (n, 2) of the feet of p (n, 3), m, and the nearest flat faces.
+    def closest(self, p: Array, face: Index | None) -> Feet:
+        """The feet of p (n, 3), m; `face` (n,): faces to start from, if known."""
+        found, uv, flat = self._closest(p, face)
+        return Feet(found, uv, self.derivatives(found, uv), flat)
 
-        With `face` (n,) to start from, and on smooth surfaces, the last is None.
-        """
+    def _closest(self, p: Array, face: Index | None) -> tuple[Index, Array, Flat | None]:
         if self.surface.smooth:
             return *self._on_smooth(p, face), None
         flat = None

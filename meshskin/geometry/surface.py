@@ -98,8 +98,8 @@ class Surface:
         """
         p = _finite(points)
         start = None if face is None else self._known(face, len(p))
-        foot, uv, flat = self._search.closest(p, start)
-        hit = self.at(foot, uv, p)
+        face, uv, derivatives, flat = self._search.closest(p, start)
+        hit = self._answer(face, uv, derivatives, p)
         if self.smooth:
             return hit
         outward = self._outward(hit.face, hit.uv, hit.normal)
@@ -146,14 +146,20 @@ class Surface:
         """The surface at `face` (n,), `uv` (n, 2); distances are those of `points` (n, 3), m."""
         uv = np.asarray(uv, dtype=float)
         face = self._known(face, len(uv))
-        s, su, sv, *second = self._search.derivatives(face, uv)
+        offered = None if points is None else np.asarray(points, dtype=float)
+        return self._answer(face, uv, self._search.derivatives(face, uv), offered)
+
+    def _answer(
+        self, face: Index, uv: Array, derivatives: tuple[Array, ...], points: Array | None
+    ) -> Closest:
+        s, su, sv, *second = derivatives
         normal, curvature, direction = patch.shape((su, sv), (second[0], second[1], second[2]))
         thin = np.flatnonzero(~normal.any(axis=1))
         if len(thin):  # a face without area takes its normal from its corners
             total = self.jets.frame[self.fans.corner[face[thin]], 2].sum(axis=1)
             normal[thin] = total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None]
             direction[thin] = jets.tangent_frames(normal[thin])[:, 0]
-        offset = np.zeros_like(s) if points is None else np.asarray(points, dtype=float) - s
+        offset = np.zeros_like(s) if points is None else points - s
         height = np.einsum("ij,ij->i", offset, normal)
         distance = np.copysign(np.sqrt(np.einsum("ij,ij->i", offset, offset)), height)
         return Closest(s, distance, normal, curvature, direction, face, uv)

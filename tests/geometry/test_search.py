@@ -51,7 +51,7 @@ def test_both_searches_find_the_same_distances(name):
     points = cloud(surface, 1500, 0.015)
     one, two = (search.closest(points, None) for search in both(surface))
     ours, theirs = (
-        np.linalg.norm(points - surface.at(face, uv).point, axis=1) for face, uv, _ in (one, two)
+        np.linalg.norm(points - surface.at(*feet[:2]).point, axis=1) for feet in (one, two)
     )
     assert np.all(
         ours <= theirs + 1e-9 + surface.smooth * surface.lifts.max()
@@ -78,14 +78,15 @@ def test_the_nearest_flat_face_is_the_nearest(name):
     search = both(surface)[0]
     a, b, c = np.swapaxes(surface.vertices[surface.faces], 0, 1)
     gap2 = triangle_distance2(points[:, None], a, b - a, c - a)
-    flat = search.closest(points, None)[2]
+    search.sharp = True  # all are told of their flat faces
+    flat = search.closest(points, None).flat
     np.testing.assert_allclose(flat.gap, np.sqrt(gap2.min(axis=1)), rtol=1e-12, atol=1e-15)
     rows = np.arange(len(points))
     np.testing.assert_allclose(flat.gap, np.sqrt(gap2[rows, flat.face]), rtol=1e-9, atol=1e-12)
     foot = np.column_stack([1 - flat.uv.sum(axis=1), flat.uv])
     foot = np.einsum("nk,nkc->nc", foot, surface.vertices[surface.faces[flat.face]])
     np.testing.assert_allclose(np.linalg.norm(points - foot, axis=1), flat.gap, atol=1e-12)
-    alone = [search.closest(p[None], None)[2].gap[0] for p in points]
+    alone = [search.closest(p[None], None).flat.gap[0] for p in points]
     np.testing.assert_allclose(alone, flat.gap, rtol=1e-12, atol=1e-15)
 
 
