@@ -91,6 +91,7 @@ def planned(scene: Scene) -> plans.Plan:
         float(patch.semi_axes[-1]) + scene.skin.disc_radius,
         scene.arm if scene.loop.mode == "arm" else None,
         scene.mount_pose,
+        scene.refusals,
     )
     frame = scene.frame_steps * scene.loop.dt
     skin = scene.skin
@@ -107,6 +108,8 @@ def route(scene: Scene) -> tuple[paths.Path, Array]:
     """
     parallel = scene.exploration.pattern == "parallels"
     parallel |= scene.exploration.pattern == "auto" and is_cap(scene)
+    if parallel:
+        scene.judge(scene.body.closest(scene.skin.positions).curvature)
     if parallel and scene.loop.mode == "arm":
         return reachable_path(scene, scene.arm)
     path = parallels(scene, 0.0, scene.loop.dt) if parallel else planned(scene).path

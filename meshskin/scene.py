@@ -176,32 +176,38 @@ class Scene:
 
     @cached_property
     def model(self) -> Model:
-        """The contact model of the whole skin.
+        """The contact model; of "auto", the first that holds at every taxel where any does.
 
-        Raises UnknownNameError, and ContactError where it leaves its range at a taxel.
+        Raises UnknownNameError.
         """
         known("contact model of a scene", self.contact, (*BATCHED, AUTO))
-        names = BATCHED if self.contact == AUTO else (self.contact,)
-        for name in names[:-1]:
-            try:
-                self._judge(name)
-            except ContactError:
-                continue
-            return self._layer(name)
-        self._judge(names[-1])
-        return self._layer(names[-1])
-
-    def _layer(self, name: str) -> Model:
+        name = self.contact
+        if name == AUTO:
+            curvature = self.body.closest(self.skin.positions).curvature
+            good = [int(np.sum(self._refusals(n, curvature) == "")) for n in BATCHED]
+            name = BATCHED[int(np.argmax(good))]
         return Model(name, self.material.poisson, self.material.thickness)
 
-    def _judge(self, name: str) -> None:
-        """Let a contact model judge the taxels nearest to its limits. Raises ContactError."""
-        curvature = self.body.closest(self.skin.positions).curvature
-        relative = curvature + 1.0 / self.indenter.radius
-        ratio = relative[:, 0] / np.maximum(relative[:, 1], 1e-9)
-        for k in {int(np.argmax(ratio)), int(relative.min(axis=1).argmin()),
-                  int(relative.max(axis=1).argmax())}:  # fmt: skip
-            self._solve(name, curvature[k])
+    def refusals(self, curvature: Array) -> Array:
+        """Why the contact model does not hold (k,) at principal curvatures (k, 2), 1/m: strings, ""
+        where it does.
+        """
+        return self._refusals(self.model.name, curvature)
+
+    def judge(self, curvature: Array) -> None:
+        """Raise ContactError if the contact model leaves its range at one of (k, 2) curvatures."""
+        for k in np.flatnonzero(self.refusals(curvature) != "")[:1]:
+            self._solve(self.model.name, curvature[k])
+
+    def _refusals(self, name: str, curvature: Array) -> Array:
+        pairs, inverse = np.unique(np.round(curvature, 2), axis=0, return_inverse=True)
+        why = np.full(len(pairs), "", dtype=object)
+        for k, pair in enumerate(pairs):
+            try:
+                self._solve(name, pair)
+            except ContactError as error:
+                why[k] = f"{name} contact does not hold: {error.what}"
+        return np.asarray(why[inverse.ravel()])
 
     def _solve(self, name: str, curvature: Array) -> Patch:
         return solve(
@@ -216,9 +222,15 @@ class Scene:
 
     @cached_property
     def patch(self) -> Patch:
-        """The contact patch at the skin's centre under the reference force."""
-        centre = self.body.closest(self.skin.positions.mean(axis=0)[None])
-        return self._solve(self.model.name, centre.curvature[0])
+        """The contact patch under the reference force at the skin's centre, or at the taxel next
+        to it at which the contact model holds. Raises ContactError where there is none.
+        """
+        positions = self.skin.positions
+        near = np.argsort(np.linalg.norm(positions - positions.mean(axis=0), axis=1))
+        places = np.concatenate([positions.mean(axis=0)[None], positions[near]])
+        curvature = self.body.closest(places).curvature
+        good = np.flatnonzero(self.refusals(curvature) == "")
+        return self._solve(self.model.name, curvature[good[0] if len(good) else 0])
 
     @property
     def threshold(self) -> float:

@@ -76,7 +76,7 @@ def plan(
     pieces = cover(setup.body, sites, spacing, keep(sites, exploration.margin), step)
     ways, blocked = [], []
     for piece in pieces:
-        why = clear.fits(setup.body, piece.points, piece.normals, setup.indenter, setup.depth)
+        why = setup.fits(piece.points, piece.normals)
         blocked += list(zip(piece.points, why, strict=True))
         ways += [piece[run] for run in runs(why == "") if run.stop - run.start >= SHORT]
     strung = joined(setup, ways, spacing, step)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,17 @@ class Setup:
     """None: the body moves freely, without an arm."""
     mount: Array | None = None
     """T_tip_body (4, 4)."""
+    holds: Callable[[Array], Array] | None = None
+    """Principal curvatures (k, 2), 1/m -> why the contact model does not hold there: strings, ""
+    where it does. None: it always does."""
+
+    def fits(self, points: Array, normals: Array) -> Array:
+        """Why the indenter cannot be pressed in at points (k, 3): see `clear.fits`, and `holds`."""
+        why = clear.fits(self.body, points, normals, self.indenter, self.depth)
+        free = np.flatnonzero(why == "")
+        if self.holds is not None and len(free):
+            why[free] = self.holds(self.body.closest(points[free]).curvature)
+        return why
 
     @property
     def gap(self) -> float:

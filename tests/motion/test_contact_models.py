@@ -8,6 +8,7 @@ import pytest
 
 import meshskin as ms
 from meshskin.errors import ContactError, UnknownNameError
+from meshskin.exploration import planned
 from meshskin.physics.contact import Model
 
 MODELS = [Model(), Model("elliptic"), Model("layered", 0.47, 3e-3)]
@@ -50,7 +51,27 @@ def test_auto_takes_the_first_model_that_holds():
     body = ms.Body.capsule(0.03, 0.2)
     skin = ms.Skin.cover(body, count=40, seed=1)
     assert sphere.with_(contact="auto", body=body, skin=skin).model.name == "elliptic"
-    with pytest.raises(ContactError, match="elliptic"):
-        sphere.with_(contact="hertz", body=body, skin=skin).model  # noqa: B018
     with pytest.raises(UnknownNameError, match="elliptic"):
         sphere.with_(contact="eliptic").model  # noqa: B018
+
+
+def test_a_model_that_does_not_hold_is_refused_or_its_places_left_out():
+    sphere = ms.Scene.load("sphere")
+    soft = sphere.with_(material=replace(sphere.material, young=2e4))
+    with pytest.raises(ContactError, match="too wide"):
+        ms.simulate(soft)
+    body = ms.Body.capsule(0.03, 0.2)
+    skin = ms.Skin.cover(body, spacing=12e-3, seed=1)
+    scene = sphere.with_(
+        body=body, skin=skin, loop=replace(sphere.loop, mode="quasi_static"),
+        material=replace(sphere.material, young=8e5),
+    )  # fmt: skip
+    side = scene.refusals(np.array([[33.3, 0.0], [33.3, 33.3]]))
+    assert side[0].startswith("hertz contact does not hold: hertz is for circular patches")
+    assert side[1] == ""
+    assert (scene.with_(contact="elliptic").refusals(np.array([[33.3, 0.0]])) == "").all()
+    missing = planned(scene).unreachable
+    side = np.abs(skin.positions[:, 2]) < 0.08
+    assert 0 < len(missing) < len(skin.ids)
+    assert set(skin.ids[side]) <= set(missing)
+    assert "hertz contact does not hold" in missing[int(skin.ids[side][0])]
