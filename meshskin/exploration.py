@@ -29,6 +29,8 @@ CHECKS = 400
 """Samples of the path whose joint angles are solved for each heading."""
 ROUND = 0.02
 """Relative scatter of the curvatures up to which a body counts as a sphere."""
+ROUNDER = 0.9
+"""Curvature of a hollow, in parts of the indenter's, up to which the indenter fits."""
 SITE_SPACING = 5e-3
 """Distance of the places that stand for a region given without taxels, m."""
 
@@ -61,13 +63,15 @@ def explore(
     if arm is not None and mount is None:
         raise SkinError("an arm without a mount", remedy="give mount=, T_tip_body (4, 4)")
     indenter, material = indenter or Indenter(), material or Material()
-    middle = skin.positions[
-        np.argmin(np.linalg.norm(skin.positions - skin.positions.mean(0), axis=1))
-    ]
+    curvature = body.closest(skin.positions).curvature
+    # what is too hollow for the indenter is left out by the plan: a typical place of the rest
+    fitting = curvature[curvature[:, 1] * indenter.radius > -ROUNDER]
+    curvature = fitting if len(fitting) else curvature
+    mean = curvature.mean(axis=1)
     patch = models.solve(
         "hertz",
         force=force,
-        curvature=tuple(body.closest(middle[None]).curvature[0]),
+        curvature=tuple(curvature[np.argmin(np.abs(mean - np.median(mean)))]),
         indenter_radius=indenter.radius,
         modulus=material.young,
         poisson=material.poisson,

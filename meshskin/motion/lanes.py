@@ -23,6 +23,8 @@ STUCK = 0.3
 """Part of a step below which a trace has run against a border or an edge."""
 APART = 0.6
 """Part of the spacing within which a lane of another geodesic counts as the same one."""
+ROUND = 0.8
+"""Width of a region, in widths of the body, from which it may go round it."""
 BARREN = 4
 """Lanes without any part in the region after which a side is left."""
 BASES = 40
@@ -67,28 +69,34 @@ def cover(body: Body, sites: Array, spacing: float, keep: float, step: float) ->
     """
     from scipy.spatial import cKDTree
 
-    region, open_ = _Region(sites, keep, APART * spacing), np.ones(len(sites), dtype=bool)
+    region, open_ = Region(sites, keep, APART * spacing), np.ones(len(sites), dtype=bool)
     pieces: list[Piece] = []
     for _ in range(BASES):
         if not open_.any():
             break
-        start, direction = _middle(body, sites[open_])
-        pieces += _sweep(body, start, direction, spacing, step, region)
+        start, directions = _middle(body, sites[open_])
+        pieces += _sweep(body, start, directions, spacing, step, region)
         seen = cKDTree(np.concatenate([region.drawn, start[None]])).query(sites)[0] <= spacing
         nearest = np.linalg.norm(sites - start, axis=1)
         open_ &= ~seen & (nearest > nearest[open_].min())
     return pieces
 
 
-class _Region:
+class Region:
     """What is to be covered, and what of it is."""
 
     def __init__(self, sites: Array, keep: float, apart: float) -> None:
         from scipy.spatial import cKDTree
 
         self._sites, self._keep, self._apart = cKDTree(sites), keep, apart
+        self.width = float(np.linalg.norm(np.ptp(sites, axis=0))) + 2.0 * keep
+        """Diagonal of the box about it, m."""
         self.drawn = np.zeros((0, 3))
         """Samples (k, 3) of the lanes so far."""
+
+    def holds(self, points: Array) -> NDArray[np.bool_]:
+        """Which points (k, 3) are in it."""
+        return np.asarray(self._sites.query(points)[0] <= self._keep)
 
     def add(self, lane: list[Closest], step: float) -> list[NDArray[np.bool_]]:
         """Draw a lane, in chains; which samples of each chain are in the region and on no other."""
@@ -97,7 +105,7 @@ class _Region:
         if not lane:
             return []
         points = np.concatenate([chain.point for chain in lane])
-        inside = np.asarray(self._sites.query(points)[0] <= self._keep)
+        inside = self.holds(points)
         if len(self.drawn):
             inside &= cKDTree(self.drawn).query(points)[0] > self._apart
         # a lane that comes back on itself: the earlier samples count
@@ -110,13 +118,18 @@ class _Region:
         return np.split(inside, np.cumsum([len(chain.point) for chain in lane])[:-1])
 
 
-def _middle(body: Body, sites: Array) -> tuple[Array, Array]:
-    """The site nearest to the middle, and the direction in which the sites stretch farthest."""
+def _middle(body: Body, sites: Array) -> tuple[Array, list[Array]]:
+    """The site nearest to the middle, and tangents there: that in which the sites stretch farthest,
+    and the two in which the body is curved most and least.
+    """
     middle = sites.mean(axis=0)
     at = sites[np.argmin(np.linalg.norm(sites - middle, axis=1))]
     spread = np.linalg.svd(sites - middle, full_matrices=False)[2][0] if len(sites) > 2 else None
-    normal = body.closest(at[None]).normal[0]
-    return at, _tangent(np.ones(3) if spread is None else spread, normal)
+    hit = body.closest(at[None])
+    normal = hit.normal[0]
+    curved = _tangent(hit.direction[0], normal)
+    along = curved if spread is None else _tangent(spread, normal)
+    return at, [along, curved, np.cross(normal, curved)]
 
 
 def _tangent(vector: Array, normal: Array) -> Array:
@@ -127,40 +140,57 @@ def _tangent(vector: Array, normal: Array) -> Array:
     return np.asarray(flat / np.linalg.norm(flat))
 
 
-def geodesic(body: Body, start: Array, direction: Array, step: float) -> Array:
-    """Points (k, 3) of the geodesic through `start` both ways: until it closes, meets a border or
-    is twice as long as the body is wide.
+def geodesic(
+    body: Body, start: Array, direction: Array, step: float, region: Region | None = None
+) -> Array:
+    """Points (k, 3) of the geodesic through `start` both ways: until it closes, meets a border,
+    has left the region for longer than that is wide, or is several times as long as the body.
     """
-    most = int(2.0 * body.surface.scale / step)
-    ahead, closed = _trace(body, start, direction, step, most)
-    if closed:
-        return ahead
-    return np.concatenate([_trace(body, start, -direction, step, most)[0][:0:-1], ahead])
+    ahead, closed = _trace(body, start, direction, step, region)
+    if closed:  # cut where it is farthest from the region
+        return np.roll(ahead, len(ahead) // 2, axis=0)
+    return np.concatenate([_trace(body, start, -direction, step, region)[0][:0:-1], ahead])
+
+
+def _base(body: Body, start: Array, directions: list[Array], step: float, region: Region) -> Array:
+    """The geodesic to begin with: the first; round a body that the region goes round, the first
+    that closes, as the others would wind about it.
+    """
+    if region.width > ROUND * body.surface.scale:
+        for direction in directions:
+            way = geodesic(body, start, direction, step, region)
+            if np.linalg.norm(way[-1] - way[0]) < 1.5 * step:
+                return way
+    return geodesic(body, start, directions[0], step, region)
 
 
 def _trace(
-    body: Body, start: Array, direction: Array, step: float, most: int
+    body: Body, start: Array, direction: Array, step: float, region: Region | None
 ) -> tuple[Array, bool]:
     """The geodesic one way from `start`, and whether it came back there."""
     hit = body.closest(start[None])
-    points, way = [hit.point[0]], direction
-    for k in range(most):
+    points, way, astray = [hit.point[0]], direction, 0
+    for k in range(int(4.0 * body.surface.scale / step)):
         hit = body.closest((points[-1] + step * way)[None], hit.face)
         point, normal = hit.point[0], hit.normal[0]
         if np.linalg.norm(point - points[-1]) < STUCK * step:
-            return np.array(points), False
+            break
         points.append(point)
         way = _tangent(way, normal)
         if k > 3 and np.linalg.norm(point - points[0]) < 0.75 * step:
             return np.array(points), True
+        if region is not None:
+            astray = 0 if region.holds(point[None])[0] else astray + 1
+            if astray * step > region.width:
+                break
     return np.array(points), False
 
 
 def _sweep(
-    body: Body, start: Array, direction: Array, spacing: float, step: float, region: _Region
+    body: Body, start: Array, directions: list[Array], spacing: float, step: float, region: Region
 ) -> list[Piece]:
     """Pieces of the lanes beside one geodesic, from one end of the region to the other."""
-    base = [body.closest(geodesic(body, start, direction, step))]
+    base = [body.closest(_base(body, start, directions, step, region))]
     gap, most = round(spacing / step), int(np.ceil(2.0 * body.surface.scale / spacing))
 
     def pieces(lane: list[Closest]) -> list[Piece]:
@@ -184,7 +214,8 @@ def _beside(body: Body, chain: Closest, shift: float, step: float) -> list[Close
     """The chain `shift` to its left, m, without what folded, sampled evenly again."""
     along = np.gradient(chain.point, axis=0)
     left = np.cross(chain.normal, along)
-    left /= np.linalg.norm(left, axis=1)[:, None]
+    length = np.linalg.norm(left, axis=1, keepdims=True)  # zero where a lane folds at a crease
+    left /= np.where(length > 0.0, length, np.inf)
     hit = body.closest(chain.point + shift * left, chain.face)
     moved = np.linalg.norm(hit.point - chain.point, axis=1)
     ahead = np.gradient(hit.point, axis=0)

@@ -18,7 +18,7 @@ from .path import Exploration, Path
 from .timing import followed, free
 from .ways import Setup, Way, joined, transported, turned
 
-STEP = 2e-3
+STEP = 3e-3
 """Largest distance of samples along a lane, m."""
 ENOUGH = 4
 """Contacts, apart from each other, of which a taxel is seen."""
@@ -72,7 +72,7 @@ def plan(
     spacing = exploration.lane_spacing
     if exploration.contacts is not None:
         spacing = spacing_for(setup.reach, exploration.contacts, exploration.speed * frame)
-    step = min(STEP, 0.5 * spacing)
+    step = min(STEP, 0.8 * spacing)
     pieces = cover(setup.body, sites, spacing, keep(sites, exploration.margin), step)
     ways, blocked = [], []
     for piece in pieces:
@@ -121,7 +121,7 @@ def _carried(
     firsts = np.cumsum([0, *(len(w) for w in ways)])
     starts[firsts[:-1]] = True
     headings = turned(tangents[:, None], normals[:, None], spins)
-    poses = setup.poses(points[:, None], normals[:, None], headings)
+    poses = setup.poses(setup.tips(points, normals)[:, None], normals[:, None], headings)
     found = posture.nodes(arm, poses @ inverse(setup.mount))
     usable, why = _usable(setup, found, poses)
     lost = [(points[k], why[k]) for k in np.flatnonzero(why != "")]

@@ -14,6 +14,9 @@ from .ways import Setup, Way, transported, turned
 SMOOTHED = (6.0, 2.0, 0.0)
 """Widths, in samples, over which the spin is smoothed: the first that the joints allow."""
 
+BLUR = 0.015
+"""Time over which the body's pose is smoothed, s."""
+
 
 def free(setup: Setup, way: Way, exploration: Exploration, dt: float) -> Path:
     """The path over one way of a body without an arm."""
@@ -39,7 +42,9 @@ def followed(
     for width in SMOOTHED:
         smooth = gaussian_filter1d(angle, width, mode="nearest") if width else angle
         headings = turned(tangents, way.normals, smooth)
-        poses = setup.poses(way.points, way.normals, headings) @ inverse(setup.mount)
+        poses = setup.poses(setup.tips(way.points, way.normals), way.normals, headings) @ inverse(
+            setup.mount
+        )
         try:
             follow = arm.inverse_kinematics(poses, q[0])
         except ReachError as error:
@@ -59,32 +64,39 @@ def _path(
     dt: float,
 ) -> Path:
     """The samples of a way, with their headings (k, 3) and joint angles (k, n), run in time."""
-    from scipy.interpolate import CubicSpline
+    from scipy.interpolate import PchipInterpolator, make_interp_spline
+    from scipy.ndimage import gaussian_filter1d
 
-    cost = _seconds(setup, way, headings, q, exploration)
-    points, frames = [way.points[:1]], [headings[:1]]
+    pace, length = _pace(setup, way, headings, q, exploration)
+    rows = np.concatenate([way.points, headings], axis=1)
+    parts = [rows[:1]]
     for start, end in pairwise(way.stops):
-        u = np.concatenate([[0.0], np.cumsum(cost[start:end])])
-        along = timed(u[-1], exploration.ramp, dt) * u[-1]
-        leg = np.concatenate([way.points, headings], axis=1)[start : end + 1]
-        fine = CubicSpline(u, leg)(along) if len(leg) > 2 else _straight(u, leg, along)
-        points.append(fine[:, :3])
-        frames.append(fine[:, 3:])
-    hit = setup.body.closest(np.concatenate(points))
-    tangents = np.concatenate(frames)
-    tangents -= np.einsum("ij,ij->i", tangents, hit.normal)[:, None] * hit.normal
+        s = np.concatenate([[0.0], np.cumsum(length[start:end])])
+        u = np.concatenate([[0.0], np.cumsum((pace * length)[start:end])])
+        at = PchipInterpolator(u, s)(timed(u[-1], exploration.ramp, dt) * u[-1])
+        parts.append(make_interp_spline(s, rows[start : end + 1], k=min(3, end - start))(at))
+    fine = np.concatenate(parts)
+    hit = setup.body.closest(fine[:, :3])
+    # over a seam the normal turns with a jerk that the body need not follow
+    width = BLUR / dt
+    tips, normals, tangents = (
+        gaussian_filter1d(rows, width, axis=0, mode="nearest")
+        for rows in (setup.tips(hit.point, hit.normal), hit.normal, fine[:, 3:])
+    )
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    tangents -= np.einsum("ij,ij->i", tangents, normals)[:, None] * normals
     tangents /= np.linalg.norm(tangents, axis=1)[:, None]
-    poses = setup.poses(hit.point, hit.normal, tangents)
+    poses = setup.poses(tips, normals, tangents)
     return Path(dt, hit.point, hit.normal, poses, twists(poses, dt), hit.face, (), first)
 
 
-def _straight(u: Array, leg: Array, along: Array) -> Array:
-    return np.stack([np.interp(along, u, column) for column in leg.T], axis=1)
+def _pace(
+    setup: Setup, way: Way, headings: Array, q: Array, exploration: Exploration
+) -> tuple[Array, Array]:
+    """Least time a metre (k - 1,), s/m, from each sample to the next, and the lengths, m."""
+    from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
-
-def _seconds(setup: Setup, way: Way, headings: Array, q: Array, exploration: Exploration) -> Array:
-    """Least time (k - 1,), s, from each sample to the next."""
-    length = np.linalg.norm(np.diff(way.points, axis=0), axis=1)
+    length = np.maximum(np.linalg.norm(np.diff(way.points, axis=0), axis=1), 1e-9)
     rotation = setup.poses(way.points, way.normals, headings)[:, :3, :3]
     turn = np.linalg.norm(log_so3(rotation[1:] @ np.swapaxes(rotation[:-1], 1, 2)), axis=1)
     least = np.maximum(length / exploration.speed, turn / exploration.turn_rate)
@@ -92,4 +104,5 @@ def _seconds(setup: Setup, way: Way, headings: Array, q: Array, exploration: Exp
         assert setup.arm is not None
         rate = exploration.joint_share * setup.arm.velocity_limit
         least = np.maximum(least, (np.abs(np.diff(q, axis=0)) / rate).max(axis=1))
-    return np.maximum(least, 1e-6)
+    # slow down ahead of what must be slow, and speed up after it, without a jerk
+    return gaussian_filter1d(maximum_filter1d(least / length, 5), 1.0, mode="nearest"), length

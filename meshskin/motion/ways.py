@@ -49,17 +49,21 @@ class Setup:
         """Height of the indenter's centre over the contact point, m."""
         return self.indenter.radius - self.depth
 
-    def poses(self, points: Array, normals: Array, headings: Array) -> Array:
-        """T_w_b (..., 4, 4) with the normals (..., 3) straight down on the indenter's tip.
+    def tips(self, points: Array, normals: Array) -> Array:
+        """The indenter's centre (..., 3), body frame, when it is pressed in at contact points."""
+        return np.asarray(points + self.gap * normals)
 
+    def poses(self, tips: Array, normals: Array, headings: Array) -> Array:
+        """T_w_b (..., 4, 4) with the normals (..., 3) straight down on the indenter.
+
+        tips (..., 3): where the indenter's centre is in the body frame;
         headings (..., 3): unit tangents that come to lie along world x.
         """
-        points, normals, headings = np.broadcast_arrays(points, normals, headings)
+        tips, normals, headings = np.broadcast_arrays(tips, normals, headings)
         down, x = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0])
         local = np.stack([headings, np.cross(normals, headings), normals], axis=-1)
         rotation = np.stack([x, np.cross(down, x), down], axis=-1) @ np.swapaxes(local, -1, -2)
-        tip = points + self.gap * normals
-        place = np.array(self.indenter.position) - np.einsum("...ij,...j->...i", rotation, tip)
+        place = np.array(self.indenter.position) - np.einsum("...ij,...j->...i", rotation, tips)
         return np.asarray(transform(rotation, place))
 
 
