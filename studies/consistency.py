@@ -28,6 +28,7 @@ from meshskin import se3
 from meshskin.estimation import metrics
 from meshskin.estimation.factors.module import SURFACE
 from meshskin.estimation.factors.shared import PRIORS
+from meshskin.estimation.observe import TILT_SIGMA
 from meshskin.geometry import slots
 from meshskin.geometry.region import Cap
 from meshskin.physics.effects.gain_offset import GainOffset
@@ -105,6 +106,8 @@ def study(case: Case, seeds: int) -> dict[str, dict[str, float]]:
         recording = ms.press(world, points, spin=spins, seed=seed)
         found = ms.calibrate(recording, belief)
         off = pose_errors(found, world.skin)[one]
+        if not modular:  # the surface is as true as it is trusted to be
+            off[:, 3:5] += np.random.default_rng(seed).normal(scale=TILT_SIGMA, size=(len(off), 2))
         seen, covariance = found.observed[one], found.covariances[one]
         for name, columns in (("position", [0, 1]), ("tilt", [3, 4]), ("spin", [5])):
             good = seen[:, columns].all(axis=1)
