@@ -48,6 +48,7 @@ def goodness(chi2: float, freedom: float, noise_known: bool, outlying: int = 0) 
     else:
         words = (
             f"the model does not fit: residuals are {ratio**0.5:.3g} times the noise, p = {p:.2g}; "
-            "declare what may be unknown (modulus, gain, force, indenter), or state the true noise"
+            "declare what may be unknown (modulus, gain, force, indenter), believe another contact "
+            "model (elliptic, layered), or state the true noise"
         )
     return Fit(chi2, freedom, p, words + left_out)

@@ -1,13 +1,14 @@
 """How the joint estimate grows with the skin: seconds to build and to solve, and peak memory.
 
-    python studies/speed/joint.py [--sizes 80 1000 10000] [--large] [--json FILE]
+    python studies/speed/joint.py [--sizes 80 1000 10000] [--large] [--contact MODEL] [--json FILE]
 
 Taxels lie at random distances of some 5 mm on a sphere that grows with their number, so that the
 contact is the same at every size; 50 readings a taxel at 80 taxels, 40 beyond. Every size runs in a
 process of its own, on one thread. "build" is everything before the optimiser: gathering the
 recording, trilateration, choosing the readings; "solve" is the rest. Exits 1 where a size falls
 short of its limit, by the processor's seconds: those of the clock depend on what else runs.
-`--large` adds 100,000 taxels with 4 million readings.
+`--large` adds 100,000 taxels with 4 million readings. `--contact` is hertz, elliptic (whose patches
+are circles on a sphere, at the cost of ellipses) or layered (a layer of 6 mm).
 """
 
 from __future__ import annotations
@@ -26,15 +27,17 @@ LIMITS = {80: (0.2, 2.0), 10_000: (15.0, 2.0), 100_000: (240.0, 16.0)}
 """Seconds (build and solve) and GB at each size."""
 YOUNG, POISSON, INDENTER, DISC, FORCE, SPACING = 0.2e6, 0.49, 0.01, 2e-3, 3.0, 5e-3
 NOISE, THRESHOLD = 0.01, 0.05
+LAYER = 6e-3
+"""Thickness under `--contact layered`, m."""
 
 
-def world(taxels: int, seed: int = 0):
+def world(taxels: int, seed: int = 0, contact: str = "hertz"):
     """A recording of a skin of so many taxels, its belief, and the true positions (n, 3), m."""
     import pyarrow as pa
     from scipy.spatial import cKDTree
 
     from meshskin.geometry.body import Body
-    from meshskin.physics.contact import hertz
+    from meshskin.physics.contact import Model, hertz
     from meshskin.physics.indenter import Indenter
     from meshskin.physics.material import Material
     from meshskin.physics.reading import disc_pressures
@@ -50,17 +53,20 @@ def world(taxels: int, seed: int = 0):
     hit = body.closest(contacts)
     force = FORCE * (1 + 0.01 * rng.normal(size=len(contacts)))
     modulus = hertz.effective_modulus(YOUNG, POISSON)
-    relative = hertz.relative_radius(hit.curvature, INDENTER)
-    radii = hertz.contact_radius(force, relative, modulus)
-    peak = float(np.median(hertz.peak_pressure(force, radii)))
+    model = Model(contact, POISSON, LAYER if contact == "layered" else None)
+    patches = model.patches(
+        force=force, curvature=hit.curvature, indenter_radius=INDENTER, effective_modulus=modulus
+    )
+    peak = float(np.median(patches.peak))
     tree, pairs = cKDTree(truth), []
     for begin in range(0, len(contacts), 500):
         rows = slice(begin, begin + 500)
         near = np.unique(np.concatenate(tree.query_ball_point(contacts[rows], 0.01)).astype(int))
         p = disc_pressures(
-            hit.point[rows], hit.normal[rows], hit.direction[rows], force[rows], hit.curvature[rows],
+            hit.point[rows], hit.normal[rows], hit.direction[rows], force[rows],
+            hit.curvature[rows],
             positions=truth[near], disc_radius=DISC, indenter_radius=INDENTER,
-            effective_modulus=modulus,
+            effective_modulus=modulus, model=model,
         )  # fmt: skip
         row, column = np.nonzero(p)
         value = p[row, column] + NOISE * peak * rng.normal(size=len(row))
@@ -74,8 +80,8 @@ def world(taxels: int, seed: int = 0):
         {"taxel_ids": list(range(taxels)), "disc_radius_m": DISC},
     )
     belief = Belief(
-        body=body, indenter=Indenter(INDENTER), material=Material(YOUNG, POISSON),
-        contact="hertz", taxel_ids=np.arange(taxels), disc_radius=DISC, force_reference=FORCE,
+        body=body, indenter=Indenter(INDENTER), material=Material(YOUNG, POISSON, model.thickness),
+        contact=model.name, taxel_ids=np.arange(taxels), disc_radius=DISC, force_reference=FORCE,
         noise_sigma=NOISE * peak, threshold=THRESHOLD * peak,
     )  # fmt: skip
     return recording, belief, truth
@@ -90,7 +96,7 @@ def _spiral(n: int, radius: float, taxels: int | None = None) -> np.ndarray:
     return radius * np.column_stack([ring * np.cos(angle), ring * np.sin(angle), -height])
 
 
-def measure(taxels: int) -> dict[str, float]:
+def measure(taxels: int, contact: str = "hertz") -> dict[str, float]:
     """Numbers of one size, in this process."""
     import resource
 
@@ -99,9 +105,9 @@ def measure(taxels: int) -> dict[str, float]:
     from meshskin.estimation.measurements import gather
 
     if taxels <= 1000:  # the small sizes as in a running program: kernel loaded, libraries imported
-        small, belief, _ = world(60, seed=1)
+        small, belief, _ = world(60, seed=1, contact=contact)
         estimate(gather(small, belief), belief.body)
-    recording, belief, truth = world(taxels)
+    recording, belief, truth = world(taxels, contact=contact)
     clock, cpu = perf_counter(), process_time()
     data = gather(recording, belief)
     start = trilaterate.least_squares(data, belief.body)
@@ -129,15 +135,16 @@ def main() -> int:
     parser.add_argument("--sizes", type=int, nargs="+", default=[80, 1000, 10_000])
     parser.add_argument("--large", action="store_true")
     parser.add_argument("--one", type=int, default=None, help=argparse.SUPPRESS)
+    parser.add_argument("--contact", choices=["hertz", "elliptic", "layered"], default="hertz")
     parser.add_argument("--json", type=Path, default=None)
     options = parser.parse_args()
     if options.one:
-        print(json.dumps(measure(options.one)))
+        print(json.dumps(measure(options.one, options.contact)))
         return 0
     print("   taxels   readings   build s   solve s   total s     cpu s    GB  error mm  lost")
     rows, short = [], []
     for size in options.sizes + [100_000] * options.large:
-        command = [sys.executable, __file__, "--one", str(size)]
+        command = [sys.executable, __file__, "--one", str(size), "--contact", options.contact]
         environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         out = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
         row = json.loads(out.stdout)
