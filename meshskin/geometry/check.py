@@ -94,11 +94,9 @@ def survey(vertices: Array, faces: Index, open: bool = False) -> Survey:
         empty = Finding("no face has an area", vertices[:1], np.zeros(0, dtype=np.intp), "refused",
                         "check its export")  # fmt: skip
         return Survey(vertices, faces, (empty,))
-    mend.wind(draft)
-    across, _ = neighbours(draft.faces)
+    across = mend.wind(draft)
     part = components(across)
-    if not open:
-        mend.turn_outward(draft, part)
+    if not open and mend.turn_outward(draft, part):
         across, _ = neighbours(draft.faces)
     none = np.zeros(0, dtype=np.intp)
     findings = [Finding(words, points, none, "repaired") for words, points in draft.marks]
@@ -179,7 +177,11 @@ def _edges(draft: mend.Draft, across: Index, open: bool) -> list[Finding]:
             )
         )
     for rows, words, remedy in (
-        (share > 2, "edges of more than two faces", "delete inner faces in a mesh editor"),
+        (
+            share > 2,
+            "edges of more than two faces",
+            "delete inner faces, or part sheets that touch, in a mesh editor, or open=True",
+        ),
         (share == 2, "edges whose faces are wound against each other", "split a one-sided band"),
     ):
         if rows.any():

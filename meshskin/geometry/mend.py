@@ -101,18 +101,21 @@ def drop_doubles(draft: Draft) -> None:
         draft.keep(~double)
 
 
-def wind(draft: Draft) -> None:
-    """Wind all faces of a connected part like most of them."""
-    if np.all(neighbours(draft.faces)[0] >= 0):
-        return  # every edge is run both ways
+def wind(draft: Draft) -> Index:
+    """Wind all faces of a connected part like most of them; gives the faces across edges (m, 3)."""
+    across = neighbours(draft.faces)[0]
+    if np.all(across >= 0):
+        return across  # every edge is run both ways
     flip = against(draft.faces)
     if flip.any():
         draft.note(f"{int(flip.sum())} faces wound like the others", draft.middles(flip))
         draft.faces = np.where(flip[:, None], draft.faces[:, ::-1], draft.faces)
+        across = neighbours(draft.faces)[0]
+    return across
 
 
-def turn_outward(draft: Draft, part: Index) -> None:
-    """Turn the closed parts `part` (m,) so that normals point out of the solid.
+def turn_outward(draft: Draft, part: Index) -> bool:
+    """Turn the closed parts `part` (m,) so that normals point out of the solid; whether any was.
 
     A part within an odd number of others bounds a hollow: its normals point into the hollow.
     """
@@ -135,6 +138,7 @@ def turn_outward(draft: Draft, part: Index) -> None:
         which = "" if count == 1 else f" of {int(inward.sum())} of {count} parts"
         draft.note(f"orientation{which} inverted: normals pointed inward", draft.middles(turned))
         draft.faces = np.where(turned[:, None], draft.faces[:, ::-1], draft.faces)
+    return bool(turned.any())
 
 
 def turns(corners: Array, point: Array) -> float:
