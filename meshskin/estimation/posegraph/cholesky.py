@@ -212,7 +212,7 @@ def library() -> ctypes.CDLL | None:
         )
         found.solve.argtypes = [pointer, integer, integer, pointer]
         found.invert.argtypes = [pointer, integer, pointer]
-        found.hand_to_ipopt.argtypes = [pointer]
+        found.hand_to_ipopt.argtypes, found.hand_to_ipopt.restype = [pointer], pointer
         found.use((ctypes.c_void_p * len(functions))(*functions))
     return found
 

@@ -11,14 +11,16 @@ from meshskin.se3 import Array
 
 def add(fronts: Fronts, size: int, rows: Long, columns: Long, blocks: Array, panels: Array) -> None:
     """Add blocks (k, size, size) between nodes `rows` and `columns` to the panels."""
-    for row, column, given in zip(rows.tolist(), columns.tolist(), blocks, strict=True):
-        a, b, block = int(fronts.place[row]), int(fronts.place[column]), given
-        if a < b:
-            a, b, block = b, a, given.T
-        f = int(fronts.front[b])
-        places = _places(fronts, f)
-        i, j = size * np.searchsorted(places, a), size * (b - places[0])
-        _panel(fronts, size, f, panels)[i : i + size, j : j + size] += block
+    a, b, heights = fronts.place[rows], fronts.place[columns], np.diff(fronts.start)
+    values = np.where((a < b)[:, None, None], np.swapaxes(blocks, 1, 2), blocks)
+    a, b = np.maximum(a, b), np.minimum(a, b)
+    f, nodes = fronts.front[b], len(fronts.place)
+    names = np.repeat(np.arange(len(heights)), heights) * nodes + fronts.rows  # sorted
+    row = np.searchsorted(names, f * nodes + a) - fronts.start[f]
+    leading, column = size * heights[f], b - fronts.rows[fronts.start[f]]
+    corner = size * (size * fronts.panel[f] + column * leading + row)
+    r, c = np.arange(size)[:, None], np.arange(size)
+    np.add.at(panels, corner[:, None, None] + leading[:, None, None] * c + r, values)
 
 
 def eliminate(fronts: Fronts, size: int, least: float, panels: Array) -> int:

@@ -19,7 +19,12 @@ typedef struct {
 
 static _Thread_local Plan *handed;
 
-DECLARE void hand_to_ipopt(Plan *plan) { handed = plan; }
+/* The plan before, to be handed back. */
+DECLARE Plan *hand_to_ipopt(Plan *plan) {
+  Plan *before = handed;
+  handed = plan;
+  return before;
+}
 
 DECLARE void ma57id_(double *reals, int *integers) {
   memset(reals, 0, 5 * sizeof(double));

@@ -2,15 +2,19 @@
 
 CasADi's wheel brings MUMPS, with a BLAS built for processors of 2006, and it finds its order and
 its fronts anew in every solve, scalar by scalar. IPOPT can load another solver at run time, where
-the option `hsllib` names a library with the functions of HSL's MA57: ma57.c has them.
+the option `hsllib` names a library with the functions of HSL's MA57: ma57.c has them. An IPOPT that
+does not come in through this door, as one with HSL built in, keeps its own solver.
 """
 
 from __future__ import annotations
 
 import ctypes
+import functools
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from meshskin.estimation.posegraph.cholesky import Cholesky, Structure
@@ -43,21 +47,15 @@ class Door:
     def options(self) -> dict[str, object]:
         """For IPOPT; none where its own MUMPS has to do."""
         library = self._cholesky.library
-        if library is None:
-            return {}
-        return {
-            "linear_solver": "ma57",
-            "hsllib": library._name,
-            "linear_system_scaling": "none",
-        }
+        return _named(library) if library is not None and _comes_in() else {}
 
     @contextmanager
-    def open(self) -> Iterator[None]:
+    def open(self) -> Iterator[Plan]:
         """While in here, the solver of this thread has these fronts."""
         library = self._cholesky.library
         with self._cholesky.lock:
             if library is None:
-                yield
+                yield Plan()
                 return
             plan = Plan(
                 ctypes.pointer(self._cholesky.structure),
@@ -66,8 +64,36 @@ class Door:
                 *(a.ctypes.data for a in (self._free, self._anchors, self._x)),
                 0,
             )
-            library.hand_to_ipopt(ctypes.byref(plan))
+            before = library.hand_to_ipopt(ctypes.byref(plan))
             try:
-                yield
+                yield plan
             finally:
-                library.hand_to_ipopt(None)
+                library.hand_to_ipopt(before)
+
+
+def _named(library: ctypes.CDLL) -> dict[str, object]:
+    return {
+        "linear_solver": "ma57",
+        "hsllib": library._name,
+        "linear_system_scaling": "none",
+    }
+
+
+@functools.cache
+def _comes_in() -> bool:
+    """Whether this IPOPT uses the library: tried with a problem of one pose."""
+    none, one = np.empty(0, dtype=np.int64), np.zeros(1, dtype=np.int64)
+    door, x = Door(Cholesky(1, none, none), one, none), ca.MX.sym("x", 6)
+    library = door._cholesky.library
+    if library is None:
+        return False
+    nlp: dict[str, Any] = {"x": x, "f": ca.sumsqr(x - 1)}
+    quiet = {"print_level": 0, "sb": "yes"}
+    options: dict[str, Any] = {"print_time": False, "ipopt": {**_named(library), **quiet}}
+    try:
+        solver = ca.nlpsol("door", "ipopt", nlp, options)
+        with door.open() as plan:
+            solver(x0=np.zeros(6))
+    except RuntimeError:  # an option that this IPOPT does not know
+        return False
+    return bool(plan.factorised) and bool(solver.stats()["success"])
