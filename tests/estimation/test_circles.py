@@ -100,3 +100,15 @@ def test_noise_gives_the_stated_errors(oval):
         normalised.append(weighed.mean())
     low, high = nees_band(4 * len(oval.truth), 0.999)
     assert low < np.mean(normalised) < high
+
+
+def test_pressures_above_the_maximum_are_distance_zero(oval):
+    data = gather(oval.record(), oval.belief())
+    strong = data.pressure > 0.8 * data.peaks[data.contact]
+    lifted = replace(data, pressure=np.where(strong, 1.3 * data.pressure, data.pressure))
+    found = circles(lifted, oval.truth)
+    assert (found.radii == 0).sum() > 20
+    assert np.isfinite(found.weights).all()
+    fit = trilaterate.least_squares(lifted, oval.body)
+    assert fit.found.all()
+    assert error(oval, fit).max() < 0.1e-3
