@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from time import perf_counter
-from typing import Any
+from tempfile import TemporaryDirectory
+from time import perf_counter, process_time
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .atomic import atomic, write_text
+from .errors import ReachError
 from .estimation import metrics as truth
 from .estimation.calibrate import calibrate
 from .estimation.calibration import Calibration
@@ -24,8 +26,14 @@ from .recording import Recording
 from .scene import Scene
 from .simulation import Progress, simulate
 
+if TYPE_CHECKING:
+    from .motion.path import Path as Way
+    from .study.cost.request import Request
+
 METHODS = ("trilateration", "three_circles", "posegraph", "posegraph_isotropic", "posegraph_paper")
 """Methods that run on the same recording beside the joint estimate."""
+MAPS = 16
+"""A report takes as much processor time as this many maps of the estimates."""
 
 
 @dataclass
@@ -33,6 +41,13 @@ class Clock:
     """Seconds of every stage."""
 
     seconds: dict[str, float] = field(default_factory=dict)
+    began: tuple[float, float] = field(default_factory=lambda: (perf_counter(), process_time()))
+    """On the wall and of the processor."""
+
+    @property
+    def processor(self) -> float:
+        """Processor seconds since the beginning."""
+        return process_time() - self.began[1]
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -65,18 +80,28 @@ def check_folder(folder: Path) -> None:
 
 
 def run(
-    name: str | Path, folder: str | Path, seed: int = 0, progress: Progress | None = None
+    name: str | Path,
+    folder: str | Path,
+    seed: int = 0,
+    progress: Progress | None = None,
+    request: Request | None = None,
 ) -> Result:
     """Run a scene through the whole job and write everything into `folder`.
 
-    Raises MeshskinError kinds: what is wrong, the value, the limit, and what to do.
+    request: an accuracy or a time; a pilot run then chooses lanes and frame rate, and the metrics
+    hold what it promised. Raises MeshskinError kinds: what is wrong, the value, the limit, and what
+    to do.
     """
     folder, clock = Path(folder), Clock()
     with clock.stage("load"):
         scene = Scene.load(name)
         check_folder(folder)
+    path, promise = None, None
+    if request is not None:
+        with clock.stage("pilot"):
+            scene, path, promise = _promised(scene, request, seed, clock)
     with clock.stage("simulate"):
-        recording = simulate(scene, seed, out=folder / "recording", progress=progress)
+        recording = simulate(scene, seed, path=path, out=folder / "recording", progress=progress)
     with clock.stage("calibrate"):
         belief = scene.belief()
         calibration = calibrate(recording, belief)
@@ -86,11 +111,70 @@ def run(
         demonstration = demonstrate(scene.skin.poses, scene.skin.ids, recording, seed)
     with clock.stage("metrics"):
         result = _assess(scene, recording, calibration, comparisons, demonstration)
+    if promise is not None:
+        result.metrics["promise"] = promise
     with clock.stage("report"):
         _report(result, folder, seed, clock.seconds)
+    if promise is not None:
+        promise["came_to"] = {
+            "error_mm": result.metrics["position_error_mm"]["mean"],
+            "seconds": sum(clock.seconds.values()),
+            "processor_seconds": clock.processor,
+        }
     result.metrics["seconds"] = {k: round(v, 4) for k, v in clock.seconds.items()}
     write_text(folder / "metrics.json", json.dumps(finite(result.metrics), indent=2) + "\n")
     return result
+
+
+def _promised(
+    scene: Scene, request: Request, seed: int, clock: Clock
+) -> tuple[Scene, Way, dict[str, Any]]:
+    """The scene at the setting that keeps a request best, its path, and what is promised.
+
+    Raises StudyError where nothing keeps it.
+    """
+    from .study.cost.numerics import held_route
+    from .study.cost.request import pilot
+
+    tried = pilot(scene, request, METHODS, _drawing(scene), seed, clock.began)
+    reason: ReachError | None = None
+    for promise in tried.choose(request):
+        made = promise.setting.scene(scene, scene.body)
+        try:
+            path = held_route(made)
+        except ReachError as error:
+            reason = error
+            continue
+        said = {
+            "asked": request.words,
+            "setting": promise.setting.words(tried.base),
+            "error_mm": promise.error_mm,
+            "numerical_mm": promise.numerical_mm,
+            "seconds": promise.seconds,
+            "processor_seconds": promise.processor_seconds,
+        }
+        return made, path, said
+    assert reason is not None
+    raise reason
+
+
+def _drawing(scene: Scene) -> Callable[[Calibration], float]:
+    """Tells the processor seconds that a report takes on this machine, by those of one map."""
+    from .report import figures
+
+    def drawing(found: Calibration) -> float:
+        truth = scene.skin.positions
+        plane = figures.tangent_plane(truth, scene.skin.normals)
+        for _ in range(2):  # the first one loads matplotlib
+            begin = process_time()
+            figure = figures.estimates(
+                truth, found.positions, disc_radius=scene.skin.disc_radius, plane=plane
+            )
+            with TemporaryDirectory() as place:
+                figures.save(figure, place, "map")
+        return MAPS * (process_time() - begin)
+
+    return drawing
 
 
 def _assess(

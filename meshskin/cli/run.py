@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ..job import Result
     from ..simulation import Progress
+    from ..study.cost.request import Request
 
 
 def add(commands: Any) -> None:
@@ -21,6 +22,13 @@ def add(commands: Any) -> None:
         "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
     )
     parser.add_argument("--seed", type=int, default=0, help="of every random stream (default 0)")
+    asked = parser.add_mutually_exclusive_group()
+    asked.add_argument(
+        "--accuracy-mm", type=float, metavar="MM", help="the cheapest exploration that gets there"
+    )
+    asked.add_argument(
+        "--seconds", type=float, metavar="S", help="the most accurate exploration that fits"
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress bar and no summary")
     parser.set_defaults(command=command)
 
@@ -30,10 +38,25 @@ def command(options: argparse.Namespace) -> int:
     from ..job import run
 
     with bar(options.quiet) as progress:
-        result = run(options.scene, options.out, seed=options.seed, progress=progress)
+        result = run(
+            options.scene,
+            options.out,
+            seed=options.seed,
+            progress=progress,
+            request=_request(options),
+        )
     if not options.quiet:
         print(summary(result, options.out))
     return 0
+
+
+def _request(options: argparse.Namespace) -> Request | None:
+    """The accuracy or the time that is asked for."""
+    if options.accuracy_mm is None and options.seconds is None:
+        return None
+    from ..study.cost.request import Request
+
+    return Request(options.accuracy_mm, options.seconds)
 
 
 @contextmanager
@@ -86,6 +109,14 @@ def summary(result: Result, folder: Path) -> str:
         lines.append(
             f"  E*                 {calibration.modulus / 1e3:.3f} kPa "
             f"+- {(calibration.modulus_sigma or 0.0) / 1e3:.2g}"
+        )
+    if "promise" in m:
+        p = m["promise"]
+        came = p["came_to"]
+        lines.append(
+            f"  promised           {p['error_mm']:.3g} mm in {p['seconds']:.3g} s for "
+            f"{p['asked']} ({p['setting']}); came to {came['error_mm']:.3g} mm in "
+            f"{came['seconds']:.3g} s"
         )
     lines += [
         "  not determined     " + m["undetermined"],

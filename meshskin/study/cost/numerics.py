@@ -35,12 +35,14 @@ SIGMA = 0.01
 class Numerics:
     """Simulations beside a reference, on its path.
 
-    `scene`: at the reference's setting, whose step divides that of all others.
+    `scene`: at the reference's setting, whose step divides that of all others; `tolerance`: of
+    the calibrations; `compile_`: of all loops, for they run many times.
     """
 
-    def __init__(self, scene: Scene, tolerance: float) -> None:
-        self.scene, self.tolerance = bare(scene), tolerance
-        self.path = _held(self.scene, *route(self.scene))
+    def __init__(self, scene: Scene, tolerance: float, compile_: str = "always") -> None:
+        self.tolerance, self.compile = tolerance, compile_
+        self.scene = self._bare(scene)
+        self.path = held_route(self.scene)
         self.frames = self.drive(self.scene)
         known = scene.belief().noise_sigma
         self.belief = scene.belief(noise_sigma=known or SIGMA * scene.patch.peak)
@@ -52,8 +54,12 @@ class Numerics:
 
         Raises SimulationError where the loop fails or loses contact, ContactError.
         """
-        scene = bare(scene)
+        scene = self._bare(scene)
         return self.calibrate(self.read(scene, self.drive(scene))) - self.positions
+
+    def _bare(self, scene: Scene) -> Scene:
+        """A scene without effects."""
+        return scene.with_(effects=(), loop=replace(scene.loop, compile=self.compile))
 
     @property
     def frame_period(self) -> float:
@@ -100,8 +106,12 @@ class Numerics:
         return calibrate(recording, self.belief, tolerance=self.tolerance).positions
 
 
-def _held(scene: Scene, path: Path, start: Array) -> Path:
-    """A path with the arm's posture at its beginning, so that others can follow it."""
+def held_route(scene: Scene) -> Path:
+    """The scene's path, with the arm's posture at its beginning, so that others can follow it.
+
+    Raises ReachError.
+    """
+    path, start = route(scene)
     if scene.loop.mode != "arm" or path.postures is not None:
         return path
     tip = path.poses[:1] @ inverse(scene.mount_pose)
@@ -122,11 +132,6 @@ def _thinned(path: Path, every: int, rows: int | None, scene: Scene) -> list[Pat
             )
         )
     return out
-
-
-def bare(scene: Scene) -> Scene:
-    """The scene without effects, its loop compiled: it runs many times."""
-    return scene.with_(effects=(), loop=replace(scene.loop, compile="always"))
 
 
 def mean_mm(shift: Array) -> float:
