@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from .simulation import simulate
     from .study.cost import cost
     from .study.sweep import Study
+    from .tuning.tune import tune
 
 _HOMES = {
     "Arm": "motion.arm",
@@ -50,6 +51,7 @@ _HOMES = {
     "explore": "exploration",
     "press": "presses",
     "simulate": "simulation",
+    "tune": "tuning.tune",
 }
 
 __all__ = [
@@ -74,6 +76,7 @@ __all__ = [
     "explore",
     "press",
     "simulate",
+    "tune",
 ]
 
 

@@ -26,6 +26,7 @@ WINGS = [
     "recording",
     "exploration",
     "simulation",
+    "tuning",
     "presses",
     "estimation",
     "study",

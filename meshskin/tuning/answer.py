@@ -1,0 +1,118 @@
+"""What the tuning found: gains, predicted manoeuvres, what binds; and its confirmation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..motion.law import Law
+from ..motion.path import Exploration
+from ..motion.response import ForceResponse, force_response
+from ..scene import Scene
+from ..se3 import Array
+from ..simulation import simulate
+from .gains import Gains, Scenario
+from .manoeuvre import Manoeuvre
+from .shooting import Trajectory
+from .worlds import world
+
+BINDING = 1e-3
+"""Multiplier, part of the objective, from which on a limit counts as binding."""
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """A predicted manoeuvre beside the simulated one."""
+
+    scenario: Scenario
+    time: Array
+    """(k,), s, from the start."""
+    simulated: Array
+    """Force (k,), N."""
+    predicted: Array
+    """Force (k,), N."""
+    difference: float
+    """Largest difference of the two, part of the reference force."""
+    response: ForceResponse
+    """Of the simulated force, from the touch to the begin of the slide."""
+    error: float
+    """RMS error of the simulated force over the slide, part of the force that the scene asks
+    for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tuned:
+    """Gains and speeds for a scene: `scene.with_(law=tuned.law, exploration=tuned.exploration)`."""
+
+    scene: Scene
+    """The scene that was tuned, with its own gains."""
+    law: Law
+    exploration: Exploration
+    """With the speeds found: approach (in the law), rest, slide and its ramps."""
+    objective: str
+    """"time" or "force_error"."""
+    value: float
+    """Worst of the scenarios: s, or RMS error of the force as a part of the force asked for."""
+    trajectories: tuple[Trajectory, ...]
+    """The predicted manoeuvre in each scenario, the scene itself first."""
+    multipliers: dict[str, float]
+    """What a limit costs: decrease of the objective for a limit relaxed by its whole (overshoot and
+    forces: by the reference force), and, for the range of a gain, for a range wider by e."""
+    status: str
+    """What the solver said in the end."""
+    iterations: int
+    build_seconds: float
+    solve_seconds: float
+    manoeuvres: tuple[Manoeuvre, ...]
+    """The manoeuvre in each scenario, on the tuned scene."""
+    place: Array
+    """Where the slide begins (3,), body frame, m."""
+
+    @property
+    def binding(self) -> tuple[str, ...]:
+        """The limits that hold the objective back, the dearest first."""
+        dear = {k: v for k, v in self.multipliers.items() if v > BINDING * abs(self.value)}
+        return tuple(sorted(dear, key=lambda name: -dear[name]))
+
+    @property
+    def tuned(self) -> Scene:
+        """The scene with what was found."""
+        return self.scene.with_(law=self.law, exploration=self.exploration)
+
+    def confirm(self, which: int = 0) -> Confirmation:
+        """Simulate the manoeuvre in scenario number `which`, on the body's own surface.
+
+        Raises SimulationError where the simulator refuses it, ReachError where the arm cannot.
+        """
+        foretold, manoeuvre = self.trajectories[which], self.manoeuvres[which]
+        lived = world(self.tuned, foretold.scenario, self.place)
+        time, force = respond(lived, manoeuvre)
+        count = min(len(force), len(foretold.force))
+        reference = self.law.force_reference
+        apart = np.abs(force[:count] - foretold.force[:count]).max()
+        first = time[np.argmax(force > 0)] + self.exploration.settle
+        resting = time <= first
+        asked = self.scene.law.force_reference
+        return Confirmation(
+            foretold.scenario,
+            time[:count],
+            force[:count],
+            foretold.force[:count],
+            float(apart / reference),
+            force_response(time[resting], force[resting], reference),
+            float(np.sqrt(np.mean((force[~resting] / asked - 1.0) ** 2))),
+        )
+
+
+def respond(scene: Scene, manoeuvre: Manoeuvre) -> tuple[Array, Array]:
+    """Time and force (k,) of a manoeuvre as `simulate` runs it with a scene's gains and speeds."""
+    path = manoeuvre.path(scene.body, scene.exploration, scene.loop.dt)
+    motion = simulate(scene.with_(effects=()), path=path).motion
+    assert motion is not None  # a simulation always has one
+    return motion.column("time").to_numpy(), motion.column("force").to_numpy()
+
+
+def rounded(gains: Gains, dt: float) -> Gains:
+    """`gains` as the simulator takes them: a rest of whole steps."""
+    return replace(gains, settle=float(dt * np.ceil(gains.settle / dt - 1e-6)))

@@ -1,0 +1,180 @@
+"""The door: gains of the compliance law and speeds of the exploration by optimal control.
+
+Direct single shooting: the manoeuvre (approach, touch, rest, slide) is rolled out through the very
+step that `simulate` runs, in every scenario, and a nonlinear program over the seven gains is solved
+by IPOPT with derivatives by automatic differentiation.
+
+Source: Betts, "Practical Methods for Optimal Control and Estimation Using Nonlinear Programming"
+(2010), chapter 3; Waechter, Biegler, "On the implementation of an interior-point filter
+line-search algorithm" (Math. Programming 106, 2006).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import TuningError, UnknownNameError
+from ..motion.response import force_response
+from ..scene import Scene
+from ..se3 import Array
+from . import manoeuvre as manoeuvres
+from .answer import Tuned, rounded
+from .gains import NAMES, Demands, Gains, Scenario, scenarios, span
+from .manoeuvre import Manoeuvre
+from .problem import OBJECTIVES, Limit, Problem, Solution
+from .shooting import Shot
+from .worlds import world
+
+__all__ = ["Demands", "Scenario", "Tuned", "scenarios", "tune"]
+
+LEEWAY = 1.1
+"""Length of the rollout over the time of the start's manoeuvre."""
+REST = 1.5
+"""Rest at the start of the search, over the settling time there."""
+
+
+def tune(
+    scene: Scene,
+    *,
+    objective: str = "time",
+    demands: Demands | None = None,
+    over: Sequence[Scenario] = (Scenario(),),
+    distance: float = 0.02,
+    place: ArrayLike | None = None,
+    direction: ArrayLike | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    start: Gains | None = None,
+) -> Tuned:
+    """Choose gamma, L, f_ref and the speeds of a scene's closed loop over a manoeuvre.
+
+    The body comes down from the standoff, touches the indenter, rests, and slides `distance` (m)
+    along a geodesic from `place` (3,) in `direction` (3,), body frame; by default from the skin's
+    centre along its first principal direction. objective: "time", the least time of it all, or
+    "force_error", the least RMS error of the force over the slide from the force that the scene
+    asks for; the worst of the scenarios `over` counts, and the demands hold in each (`scenarios`
+    makes them from ranges). bounds: ranges of single gains, SI. start: where the search begins; by
+    default from the scene's own gains. Delay, step, integrator and mode are those of `scene.loop`.
+
+    Raises TuningError where no gains meet the demands, naming the limit to relax and how far;
+    UnknownNameError, ConfigError for arguments that cannot be, ReachError where the arm cannot make
+    the manoeuvre.
+    """
+    if objective not in OBJECTIVES:
+        raise UnknownNameError("objective", objective, OBJECTIVES)
+    demands = demands or Demands()
+    spot, ahead = _where(scene, place, direction)
+    shots = _shots(scene, over, spot, ahead, distance)
+    first = start or _rested(shots[0], Gains.of(scene))
+    target = scene.law.force_reference
+    ranges = span(bounds or {}, target, demands.force)
+    if shots[0].joints == 0:  # without an arm there is no velocity gain
+        ranges[:, NAMES.index("rate")] = first.rate
+    first = Gains(*np.clip(first.values, *ranges).tolist())
+    longest = max(shot.predict(first).duration for shot in shots)
+    if objective == "force_error" and demands.time is None:
+        demands = replace(demands, time=longest)
+    horizon = LEEWAY * max(longest, demands.time if demands.time and objective != "time" else 0.0)
+    steps = int(np.ceil(horizon / scene.loop.dt)) + 2
+    problem = Problem(shots, demands, objective, first, ranges, steps, target)
+    solution = _solved(problem)
+    gains = rounded(solution.gains, scene.loop.dt)
+    applied = gains.applied(scene)
+    finals = _shots(applied, over, spot, ahead, distance, shots[0].manoeuvre.heading)
+    return Tuned(
+        scene=scene,
+        law=applied.law,
+        exploration=applied.exploration,
+        objective=objective,
+        value=solution.value,
+        trajectories=tuple(shot.predict(gains) for shot in finals),
+        multipliers=solution.multipliers,
+        status=solution.status,
+        iterations=solution.iterations,
+        build_seconds=problem.build_seconds,
+        solve_seconds=solution.seconds,
+        manoeuvres=tuple(shot.manoeuvre for shot in finals),
+        place=spot,
+    )
+
+
+def _solved(problem: Problem) -> Solution:
+    """The solution of a problem that has one. Raises TuningError where it has none."""
+    solution = problem.solve()
+    if not solution.slacks:
+        return solution
+    nearest = problem.solve(elastic=True)
+    if nearest.slacks:
+        raise _infeasible(problem.limits, nearest.slacks)
+    again = problem.solve(nearest.gains)
+    if again.slacks:
+        raise TuningError(
+            f"the solver stopped before it met the demands: {again.status}",
+            value=f"{max(again.slacks, key=lambda k: again.slacks[k])} broken",
+            remedy="give start= nearer to the solution, or relax a limit",
+        )
+    return again
+
+
+def _infeasible(limits: Mapping[str, Limit], slacks: Mapping[str, float]) -> TuningError:
+    """The error that says which limits to relax, and how far; the one farthest broken first."""
+
+    def relaxed(name: str) -> str:
+        limit = limits[name]
+        needed = limit.bound + limit.scale * slacks[name]
+        return f"{name} of {needed:.4g} {limit.unit}".rstrip()
+
+    worst, *others = sorted(slacks, key=lambda name: -slacks[name])
+    bound = f"{limits[worst].bound:.4g} {limits[worst].unit}".rstrip()
+    also = f"; with it {', '.join(relaxed(name) for name in others)}" if others else ""
+    return TuningError(
+        "no gains meet the demands",
+        value=f"at best {relaxed(worst)}",
+        limit=bound,
+        remedy=f"relax the {worst}{also}",
+    )
+
+
+def _where(
+    scene: Scene, place: ArrayLike | None, direction: ArrayLike | None
+) -> tuple[Array, Array]:
+    """Where the slide begins and where it goes, body frame."""
+    wanted = scene.skin.positions.mean(axis=0) if place is None else np.asarray(place, dtype=float)
+    hit = scene.body.closest(wanted[None])
+    ahead = hit.direction[0] if direction is None else np.asarray(direction, dtype=float)
+    return hit.point[0], ahead
+
+
+def _shots(
+    scene: Scene,
+    over: Sequence[Scenario],
+    place: Array,
+    direction: Array,
+    distance: float,
+    heading: float | None = None,
+) -> list[Shot]:
+    """The manoeuvre in each scenario, on the same heading."""
+    shots: list[Shot] = []
+    for scenario in dict.fromkeys(over):
+        lived = world(scene, scenario, place)
+        made: Manoeuvre = manoeuvres.plan(
+            lived, place / scenario.curvature, direction, distance, heading
+        )
+        heading = made.heading
+        shots.append(Shot(lived, scenario, made))
+    return shots
+
+
+def _rested(shot: Shot, gains: Gains) -> Gains:
+    """`gains` with no more rest than their own settling calls for."""
+    foretold = shot.predict(gains)
+    resting = foretold.since <= gains.settle
+    response = force_response(
+        foretold.time[resting], foretold.force[resting], gains.force_reference
+    )
+    if not np.isfinite(response.settling):
+        return gains
+    return replace(gains, settle=min(gains.settle, REST * response.settling))
