@@ -7,7 +7,7 @@ Graphs: taxels 5 mm apart on a sphere, each with the displacements to its nine n
 ordering at its default tolerances. Seconds of CPU time (one thread each, whatever else runs), the
 best of the repeats, interleaved:
 
-    solve     IPOPT with the check of its result, NLP built before
+    solve     IPOPT with the check of its result; NLP and order of elimination found before
     all       a new graph from its arrays: checking, building, start and solve
     again     a new graph of a topology that was solved before: start and solve
     optimise  GTSAM's `optimize()` alone

@@ -118,8 +118,11 @@ def _below(pattern: sparse.csr_array, order: Long) -> list[Long]:
     children: list[list[int]] = [[] for _ in order]
     for k in range(len(order)):
         row = linked[ends[k] : ends[k + 1]]
-        touched = [row[np.searchsorted(row, k) :], *(below[child][1:] for child in children[k])]
-        rest = np.unique(np.concatenate(touched)) if len(touched) > 1 else touched[0]
+        rest = row[np.searchsorted(row, k) :]
+        if children[k]:
+            every = np.concatenate([rest, *(below[child][1:] for child in children[k])])
+            every.sort()
+            rest = every[np.append(every[:-1] != every[1:], True)] if len(every) else every
         below.append(rest)
         if len(rest):
             children[rest[0]].append(k)
