@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .. import se3
 from ..errors import SkinError
@@ -14,6 +14,7 @@ from ..provenance import random_stream
 from . import jets, lattice, modules
 from . import region as regions
 from .body import Body
+from .files.mesh import UNITS
 
 Array = NDArray[np.float64]
 
@@ -23,6 +24,10 @@ CLOSER = 0.96
 """spacing of a large relaxed lattice, relative to the perfect one of as many sites on a plane"""
 GROWN = 1500
 """sites that are grown one by one; a lattice of more is grown coarse, and halved"""
+FARTHEST = 0.05
+"""m, from the body's surface to a taxel that is put on it, at most, unless asked for"""
+HEADLONG = -0.999
+"""cosine between old and new normal below which a frame does not say how to turn it"""
 TRIES = 3
 """lattices grown again, each wider by what the last one missed"""
 
@@ -102,17 +107,21 @@ class Skin:
         return modules.lay(body, count, spacing, region, seed, disc_radius)
 
     @classmethod
-    def load(cls, path: str | Path, part: str | None = None) -> Skin:
+    def load(cls, path: str | Path, part: str | None = None, units: str = "m") -> Skin:
         """A skin from a file, recognised by its content; `part` chooses one of a URDF's skins.
 
-        Formats: CSV, iCub position files and layouts, iDynTree transforms, URDF, and PLY and GLB as
-        saved. Rows that the file itself says are no taxels are left out. A taxel without a normal
-        in the file has a rotation of NaN: see `onto`. Raises SkinError.
+        `units`: those of the file's positions, "m", "cm", "mm" or "in". Formats: CSV, iCub position
+        files and layouts, iDynTree transforms, URDF, and PLY and GLB as saved. Rows that the file
+        itself says are no taxels are left out. A taxel without a normal in the file has a rotation
+        of NaN: `skin.onto(body)` gives it the body's. Raises SkinError.
         """
         from . import files
 
+        if units not in UNITS:
+            raise SkinError("units of a skin file", value=repr(units), limit=f"one of {[*UNITS]}")
         table = files.read(Path(path), part)
         table = table.take(table.is_taxel())
+        table = replace(table, positions=UNITS[units] * table.positions)
         return cls(table.poses(Path(path).name), table.ids, table.disc_radius)
 
     def save(self, path: str | Path, format: str | None = None) -> None:
@@ -126,10 +135,41 @@ class Skin:
         kind = (format or Path(path).suffix.lstrip(".")).lower()
         files.write(Path(path), kind, self.poses, self.ids, self.disc_radius)
 
-    def onto(self, body: Body) -> Skin:
-        """The skin moved to the closest points of a body's surface, with the normals there."""
+    def moved(self, T_b_a: ArrayLike) -> Skin:
+        """The same taxels in another frame b: the skin is given in a, `T_b_a` (4, 4) the pose of a.
+
+        Skin files are in the frame of the robot's link, mesh files mostly in their own: the origin
+        of the link's visual in the URDF is the mesh's pose in the link's frame, T_link_mesh; the
+        skin is moved by its inverse.
+        """
+        return replace(self, poses=np.asarray(T_b_a, dtype=float).reshape(4, 4) @ self.poses)
+
+    def onto(self, body: Body, within: float = FARTHEST) -> Skin:
+        """The skin put on a body: moved to the closest points of its surface, upright there.
+
+        A file's normals may be missing, or one constant; the surface's take their place. Each frame
+        turns the shortest way to its new normal, so that its spin is kept; where there was none, or
+        it stood on its head, a fixed convention sets it. Both are in the body frame. Raises
+        SkinError where a taxel is farther than `within`, m, from the surface.
+        """
         at = body.closest(self.positions)
+        off = np.abs(at.distance)
+        if len(self) and off.max() > within:
+            worst = int(np.argmax(off))
+            raise SkinError(
+                f"taxel {self.ids[worst]} off the surface of {body.name} by",
+                value=f"{1e3 * off[worst]:.4g} mm",
+                limit=f"{1e3 * within:g} mm",
+                remedy="the skin in the body's frame, its file's units (Skin.load(path, "
+                "units='mm')), or a larger `within`",
+            )
         x = jets.tangent_frames(at.normal)[:, 0]
+        cosine = np.einsum("ij,ij->i", self.normals, at.normal)
+        turned = np.flatnonzero(cosine > HEADLONG)  # not where a rotation is NaN
+        across = np.cross(self.normals[turned], at.normal[turned])
+        old = self.poses[turned, :3, 0]
+        side = np.cross(across, old)
+        x[turned] = old + side + np.cross(across, side) / (1.0 + cosine[turned, None])
         rotation = np.stack([x, np.cross(at.normal, x), at.normal], axis=2)
         return replace(self, poses=se3.transform(rotation, at.point))
 

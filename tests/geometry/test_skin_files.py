@@ -1,5 +1,6 @@
 """Skin files: what each format says, round trips, refusals; real files where they are present."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -102,6 +103,87 @@ def test_taxels_without_normal_are_nan_until_a_body_gives_them(tmp_path):
     placed = bare.onto(ball)
     np.testing.assert_allclose(placed.normals, skin.normals, atol=2e-5)
     np.testing.assert_allclose(placed.positions, skin.positions, atol=1e-6)
+
+
+def test_a_skin_put_on_a_body_keeps_its_spins():
+    """A skin 2 mm off, its normals 20 degrees askew: upright again, turned by no more."""
+    ball = Body.sphere()
+    skin = Skin.cover(ball, spacing=5e-3, count=60)
+    rng = np.random.default_rng(0)
+    axes = rng.normal(size=(60, 3))
+    axes -= np.sum(axes * skin.normals, axis=1, keepdims=True) * skin.normals
+    axes *= np.radians(20) / np.linalg.norm(axes, axis=1, keepdims=True)
+    tilt = np.array([se3.exp_so3(a) for a in axes])
+    spin = np.array([se3.exp_so3(a * n) for a, n in zip(rng.normal(size=60), skin.normals,
+                                                        strict=True)])  # fmt: skip
+    spun = spin @ skin.poses[:, :3, :3]
+    askew = se3.transform(tilt @ spun, skin.positions + 2e-3 * skin.normals)
+    placed = replace(skin, poses=askew).onto(ball)
+    np.testing.assert_allclose(placed.positions, skin.positions, atol=1e-7)
+    np.testing.assert_allclose(placed.poses[:, :3, :3], spun, atol=1e-5)  # undone by the shortest
+
+
+def test_a_frame_on_its_head_is_given_another():
+    ball = Body.sphere()
+    skin = Skin.cover(ball, spacing=5e-3, count=10)
+    inward = skin.poses.copy()
+    inward[:, :3, 1:3] *= -1
+    placed = replace(skin, poses=inward).onto(ball)
+    np.testing.assert_allclose(placed.normals, skin.normals, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.det(placed.poses[:, :3, :3]), 1.0)
+
+
+def test_a_position_file_in_millimetres_with_constant_normals_is_put_on_a_body(tmp_path):
+    ball = Body.sphere()
+    skin = Skin.cover(ball, spacing=5e-3, count=30)
+    rows = np.column_stack([1e3 * skin.positions, np.tile([1.0, 0.0, 0.0], (30, 1))])
+    np.savetxt(tmp_path / "mm.txt", rows, header="x", comments="#", fmt="%.6f")
+    with pytest.raises(SkinError, match=r"taxel \d+ off the surface of sphere.*units='mm'"):
+        Skin.load(tmp_path / "mm.txt").onto(ball)
+    with pytest.raises(SkinError, match="units of a skin file, got 'km'"):
+        Skin.load(tmp_path / "mm.txt", units="km")
+    placed = Skin.load(tmp_path / "mm.txt", units="mm").onto(ball)
+    np.testing.assert_allclose(placed.normals, skin.normals, atol=1e-6)
+    np.testing.assert_allclose(placed.positions, skin.positions, atol=1e-8)
+
+
+@real
+def test_a_real_skin_with_constant_normals_is_put_on_its_real_link():
+    """The shank's file, in the link's frame, lies within millimetres of the link's mesh."""
+    mesh = DATA / "icub_body/meshes/sim_sea_2-5_l_shank_prt-binary.stl"
+    body = Body.load(mesh, units="mm", open=True)
+    skin = Skin.load(DATA / "icub_skin/positions/left_leg_lower.txt")
+    assert np.ptp(skin.normals, axis=0).max() == 0
+    with pytest.raises(SkinError, match="the skin in the body's frame"):
+        skin.onto(body)
+    turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    T_link_mesh = se3.transform(turn, [0.0437090614, -0.0701002480, 0.386638])  # of the URDF
+    there = skin.moved(se3.inverse(T_link_mesh))
+    assert np.median(np.abs(body.closest(there.positions).distance)) < 1e-3
+    placed = there.onto(body)
+    stands(placed, body)
+    assert np.median(np.sum(placed.normals * there.normals, axis=1)) < 0.95  # not the file's
+
+
+@real
+def test_a_real_skin_without_normals_is_put_on_its_real_link():
+    mesh = DATA / "icub_body/meshes/sim_sea_2-5_l_forearm_prt-binary.stl"
+    body = Body.load(mesh, units="mm", open=True)
+    skin = Skin.load(DATA / "icub_skin/positions/left_forearm_nomesh.txt")
+    assert np.isnan(skin.normals).all()
+    middle = body.mesh.bounds.mean(axis=0) - skin.positions.mean(axis=0)
+    stands(skin.moved(se3.transform(np.eye(3), middle)).onto(body, within=0.1), body)
+
+
+def stands(skin, body):
+    """Every taxel on the surface, its frame upright."""
+    rotation = skin.poses[:, :3, :3]
+    square = rotation @ np.swapaxes(rotation, 1, 2)
+    np.testing.assert_allclose(square, np.broadcast_to(np.eye(3), square.shape), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(rotation), 1.0)
+    at = body.closest(skin.positions)
+    assert np.abs(at.distance).max() < 1e-8
+    assert np.median(np.sum(at.normal * skin.normals, axis=1)) > 0.999999
 
 
 def test_the_published_module():

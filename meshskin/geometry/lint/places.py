@@ -52,7 +52,12 @@ def scale(table: Table) -> Iterator[Finding]:
     near, extent = float(np.median(_nearest(points))), float(np.ptp(points, axis=0).max())
     what = f"taxels are {near:.3g} m apart, the skin {extent:.3g} m wide"
     if near > SPARSE or extent > LARGE:
-        yield finding(table, "unit", f"{what}: millimetres?", "positions are in m: divide by 1000")
+        yield finding(
+            table,
+            "unit",
+            f"{what}: millimetres?",
+            "positions are in m: Skin.load(path, units='mm')",
+        )
     elif near < DENSE:
         yield finding(table, "unit", f"{what}: kilometres?", "positions are in m")
 
