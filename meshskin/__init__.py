@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from .estimation.posegraph import PoseGraph
     from .exploration import explore
     from .geometry.body import Body
+    from .geometry.compare import compare
+    from .geometry.lint import lint
     from .geometry.skin import Skin
     from .motion.arm import Arm
     from .motion.law import Law
@@ -47,8 +49,10 @@ _HOMES = {
     "Skin": "geometry.skin",
     "Study": "study.sweep",
     "calibrate": "estimation.calibrate",
+    "compare": "geometry.compare",
     "cost": "study.cost",
     "explore": "exploration",
+    "lint": "geometry.lint",
     "press": "presses",
     "simulate": "simulation",
     "tune": "tuning.tune",
@@ -71,9 +75,11 @@ __all__ = [
     "Skin",
     "Study",
     "calibrate",
+    "compare",
     "contact",
     "cost",
     "explore",
+    "lint",
     "press",
     "simulate",
     "tune",
