@@ -5,6 +5,7 @@ import pytest
 
 from meshskin import se3
 from meshskin.estimation.posegraph import PoseGraph
+from meshskin.estimation.posegraph import certificate as module
 from meshskin.estimation.posegraph.certificate import certify, quadratic_form
 
 
@@ -77,3 +78,26 @@ def test_disconnected_graph_is_certified(skin_graph):
         np.concatenate([a.information, a.information]),
     )
     assert both.solve().certificate.certified
+
+
+@pytest.mark.parametrize("off", [-1e-2, -1e-6, -1e-12, 1e-12, 1e-6, 1e-2])
+def test_what_it_calls_positive_is_positive(skin_graph, off):
+    """Against the eigenvalues of the dense matrix, far below the gaps that are proven."""
+    graph, _ = skin_graph(40, seed=3)
+    form = quadratic_form(graph)
+    bent = np.zeros((40, 4, 4))
+    bent[:, 1:, 1:] = np.random.default_rng(0).normal(size=(40, 3, 3)) * 0.1 * form.values.max()
+    slack = form.and_diagonal(-(bent + np.swapaxes(bent, 1, 2)))
+    dense = np.zeros((40, 4, 40, 4))
+    for row, column, block in zip(slack.rows, slack.columns, slack.values, strict=True):
+        dense[row, :, column] += block
+        if row != column:
+            dense[column, :, row] += block.T
+    dense = dense.reshape(160, 160)[1:, 1:]  # without the anchor's translation
+    rotation = np.arange(1, 160) % 4 > 0
+    inner = dense[np.ix_(~rotation, ~rotation)], dense[np.ix_(~rotation, rotation)]
+    reduced = dense[np.ix_(rotation, rotation)] - inner[1].T @ np.linalg.solve(*inner)
+    smallest = np.linalg.eigvalsh((reduced + reduced.T) / 2)[0]
+    assert smallest < 0.0
+    largest = slack.diagonal(40)[:, 1:].max()
+    assert module._is_positive(graph, slack, off * largest - smallest) == (off > 0)
