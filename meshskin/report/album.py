@@ -17,9 +17,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+ACCURACY_TIME = "accuracy_time"
+"""Name of the figure that stands in a section of its own."""
+
+
 def album(folder: Path, findings: Findings) -> list[Picture]:
     """Draw and save every figure that the findings allow, in the order of the page."""
-    drawn = (force, estimates, errors, uncertainty, coverage, iterations)
+    drawn = (force, estimates, errors, uncertainty, coverage, iterations, accuracy_time)
     return [p for draw in drawn for p in [draw(folder, findings)] if p is not None]
 
 
@@ -156,6 +160,28 @@ def coverage(folder: Path, findings: Findings) -> Picture | None:
         + (lost if missing and findings.truth is None else "")
         + _plane_note(findings),
         "Map of readings by taxel with the contact path",
+    )
+
+
+def accuracy_time(folder: Path, findings: Findings) -> Picture | None:
+    """What this run's accuracy cost."""
+    points = {
+        readable(name): (seconds, float(np.nanmean(findings.errors[name])) * MM)
+        for name, seconds in findings.estimating.items()
+        if name in findings.errors and np.isfinite(findings.errors[name]).any()
+    }
+    if not points or not findings.seconds:
+        return None
+    bound = findings.metrics.get("crlb_mm", {}).get("mean")
+    return _keep(
+        folder,
+        ACCURACY_TIME,
+        figures.accuracy_time(points, findings.seconds, bound or None),
+        "Accuracy against time, of this run",
+        "Left: what each estimator that ran made of the same recording, and how long it took; "
+        "further left and lower is better, and none can be expected below the dashed line. Right: "
+        "where the run's time went.",
+        "Mean error against seconds of each estimator, and seconds of each stage",
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -81,6 +81,8 @@ class Findings:
     metrics: Mapping[str, Any]
     seconds: Mapping[str, float]
     provenance: Mapping[str, Any]
+    estimating: Mapping[str, float] = field(default_factory=dict)
+    """Seconds of each method, as far as they were kept; the calibration's own first."""
 
     @classmethod
     def collect(
@@ -98,9 +100,12 @@ class Findings:
         """Match truth and comparisons to the calibration's taxels by their ids."""
         true = None if truth is None else matched(truth.ids, truth.poses, calibration.ids)
         errors: dict[str, Array] = {}
+        estimating: dict[str, float] = {}
         for name, other in {calibration.method: calibration, **comparisons}.items():
             if truth is not None:
                 errors[name] = _errors(other, truth, calibration.ids)
+            if "total" in other.seconds:
+                estimating[name] = other.seconds["total"]
         return cls(
             calibration,
             recording,
@@ -110,6 +115,7 @@ class Findings:
             metrics,
             seconds or {k: v for k, v in calibration.seconds.items() if k != "total"},
             provenance or calibration.provenance,
+            estimating,
         )
 
     @cached_property

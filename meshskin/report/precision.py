@@ -130,6 +130,42 @@ def work_precision(
     return figure
 
 
+@theme.styled
+def accuracy_time(
+    points: Mapping[str, tuple[float, float]],
+    stages: Mapping[str, float],
+    bound: float | None = None,
+) -> Figure:
+    """What one run's accuracy cost: its estimators' seconds and errors, and its stages' seconds.
+
+    points: estimator -> (seconds, mean error in mm); stages: name -> seconds; bound: the mean error
+    that the Cramér-Rao bound lets one expect, mm.
+    """
+    figure = theme.canvas(9.0, 3.4)
+    left, right = (theme.place(figure, x, 0.6, w, 2.4) for x, w in ((0.75, 4.6), (6.7, 2.0)))
+    middle = float(np.median([x for x, _ in points.values()]))
+    for k, (name, (x, y)) in enumerate(points.items()):
+        left.plot(x, y, "o", color=COLOURS[k % len(COLOURS)], ms=8 if k == 0 else 5)
+        away = (-7, "right") if x > middle else (7, "left")
+        left.annotate(
+            name, (x, y), (away[0], 3), textcoords="offset points", ha=away[1], fontsize=8
+        )
+    if bound is not None and np.isfinite(bound):
+        left.axhline(bound, color=theme.INK, lw=1.0, ls="--")
+        left.annotate(f"Cramér-Rao expectation {number(bound)} mm", (1.0, bound), (0, -10),
+                      xycoords=("axes fraction", "data"), textcoords="offset points", ha="right",
+                      fontsize=8)  # fmt: skip
+    left.set(xscale="log", yscale="log", xlabel="time of the estimate (s)")
+    left.set(ylabel="mean error of the taxels (mm)", title="Estimators on this recording")
+    left.margins(x=0.25, y=0.2)
+    _plain_axes(left)
+    names = list(stages)[::-1]
+    right.barh(names, [stages[name] for name in names], color=theme.ESTIMATE, height=0.6)
+    right.tick_params(axis="y", length=0)
+    right.set(xlabel="seconds", title="Where the time went")
+    return figure
+
+
 def _plain_axes(axes: Axes) -> None:
     """Ticks in plain numbers: few seconds and decades of millimetres."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import advice, scene3d
+from .album import ACCURACY_TIME
 from .findings import Findings, readable
 from .markup import Block, Content, Number, Picture, Section, Table, Text, View
 from .plane import MM
@@ -18,8 +19,20 @@ if TYPE_CHECKING:
 
 ROWS = 1000
 """The most taxels that the page lists one by one."""
-SAID = ("position_error_mm", "seconds", "scene", "undetermined", "modulus_pa", "modulus_sigma_pa")
+SAID = (
+    "position_error_mm",
+    "seconds",
+    "promise",
+    "scene",
+    "undetermined",
+    "modulus_pa",
+    "modulus_sigma_pa",
+)
 """Metrics that the page says elsewhere."""
+MORE = (
+    "meshskin cost SCENE measures what every knob (mesh, contact model, step, lanes, frames, "
+    "estimator) buys and costs; meshskin run SCENE --accuracy-mm 0.1 takes the cheapest way there."
+)
 EXPLAINED = {
     "crlb_mm.mean": "least mean error to expect of any unbiased estimate (Cramér-Rao)",
     "crlb_mm.rms": "the same, root mean square",
@@ -51,9 +64,9 @@ def content(findings: Findings, pictures: Sequence[Picture], body: Body | None) 
             Section("What was determined, and what was not", advice.determined(findings)),
             Section("What to do next", (Text(("", *advice.next_steps(findings)), listed=True),)),
             Section("The skin in space", (_view(findings, body),)),
-            Section("Figures", tuple(pictures)),
+            Section("Figures", tuple(p for p in pictures if p.png.stem != ACCURACY_TIME)),
             Section("Numbers", _numbers(findings)),
-            Section("Time", (_seconds(findings.seconds),)),
+            Section("Accuracy against time", _accuracy_time(findings, pictures)),
             Section("Taxels", (_taxels(findings),)),
             Section("Provenance", _provenance(findings)),
         ),
@@ -211,6 +224,30 @@ def _plain(value: object) -> str:
     if isinstance(value, float):
         return number(value, 4)
     return "–" if value is None else str(value)
+
+
+def _accuracy_time(findings: Findings, pictures: Sequence[Picture]) -> tuple[Block, ...]:
+    """What this run's accuracy cost, from its own figures."""
+    blocks: list[Block] = [p for p in pictures if p.png.stem == ACCURACY_TIME]
+    promise = findings.metrics.get("promise")
+    if promise:
+        text = (
+            f"Asked for {promise['asked']}. The pilot run chose {promise['setting']} and promised "
+            f"{number(promise['error_mm'])} mm in {number(promise['seconds'])} s"
+        )
+        errors = main_errors(findings)
+        text += f"; the taxels came to {number(errors['mean'])} mm." if errors else "."
+        blocks.append(Text((text,)))
+    bound = findings.metrics.get("crlb_mm", {}).get("mean") or None
+    rows = []
+    for name, seconds in findings.estimating.items():
+        error = findings.error_summary(name)["mean"] if name in findings.errors else None
+        ratio = number(error / bound) if error is not None and bound else "–"
+        rows.append((readable(name), number(error), ratio, f"{seconds:.3f}"))
+    if rows:
+        header = ("estimator", "mean error (mm)", "times the bound", "seconds")
+        blocks.append(Table(header, tuple(rows), numeric=(1, 2, 3)))
+    return (*blocks, _seconds(findings.seconds), Text((MORE,)))
 
 
 def _seconds(seconds: Mapping[str, float]) -> Block:

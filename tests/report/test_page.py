@@ -99,7 +99,7 @@ def full(case: SimpleNamespace, tmp_path_factory: pytest.TempPathFactory, body: 
 
 def test_nothing_is_loaded_from_anywhere(full: Written) -> None:
     loaded = full[0].loads
-    assert len(loaded) == 6
+    assert len(loaded) == 7
     assert all(source.startswith("data:image/") for source in loaded)
     assert "default-src 'none'" in full[1][0].read_text(encoding="utf-8")
 
@@ -112,7 +112,7 @@ def test_every_figure_is_there_as_png_and_svg(full: Written) -> None:
     folder = full[1][0].parent
     stems = {
         "fig4_force", "fig5_estimates", "fig6-8_iterations", "fig6_iteration", "fig7_iteration",
-        "fig8_iteration", "errors", "coverage", "uncertainty",
+        "fig8_iteration", "errors", "coverage", "uncertainty", "accuracy_time",
     }  # fmt: skip
     for kind in ("png", "svg"):
         assert {p.stem for p in (folder / "figures").glob(f"*.{kind}")} == stems
@@ -130,11 +130,23 @@ def test_the_page_says_the_numbers(full: Written) -> None:
         "settled in 44.9 ms",
         "263.158 ± 0.12 (1 sigma) kPa",
         "simulate 2.250",
+        "Accuracy against time, of this run",
+        "estimator mean error (mm) times the bound seconds joint maximum likelihood",
+        "0.120 trilateration",
         "versions.numpy 2.1.0",
         "trilateration 0.251 0.3 0.9",
         "pose graph 0.0871",
     ):
         assert part in text, part
+
+
+def test_a_promise_stands_beside_what_it_came_to(case: SimpleNamespace, tmp_path: Path) -> None:
+    promise = {"asked": "0.05 mm", "setting": "25 frames/s", "error_mm": 0.02, "seconds": 4.5}
+    shown = write(case, tmp_path, None, metrics=case.METRICS | {"promise": promise})[0]
+    assert (
+        "Asked for 0.05 mm. The pilot run chose 25 frames/s and promised 0.02 mm in 4.5 s; the "
+        "taxels came to 0.0123 mm." in shown.text
+    )
 
 
 def test_the_page_says_what_was_not_determined(full: Written) -> None:
@@ -147,7 +159,7 @@ def test_the_page_says_what_was_not_determined(full: Written) -> None:
 
 
 def test_every_picture_has_an_alternative_text(full: Written) -> None:
-    assert len(full[0].alts) == 6
+    assert len(full[0].alts) == 7
     assert all(len(alt) > 20 for alt in full[0].alts)
 
 
