@@ -142,7 +142,7 @@ def accuracy_time(
     that the Cramér-Rao bound lets one expect, mm.
     """
     figure = theme.canvas(9.0, 3.4)
-    left, right = (theme.place(figure, x, 0.6, w, 2.4) for x, w in ((0.75, 4.6), (6.7, 2.0)))
+    left, right = (theme.place(figure, x, 0.6, w, 2.4) for x, w in ((0.95, 4.4), (6.7, 2.0)))
     middle = float(np.median([x for x, _ in points.values()]))
     for k, (name, (x, y)) in enumerate(points.items()):
         left.plot(x, y, "o", color=COLOURS[k % len(COLOURS)], ms=8 if k == 0 else 5)
@@ -174,7 +174,7 @@ def _plain_axes(axes: Axes) -> None:
         span = high / low
         subs = (1.0,) if span > 100 else (1.0, 2.0, 5.0) if span > 8 else (1.0, 1.5, 2, 3, 4, 6)
         axis.set_major_locator(LogLocator(subs=subs, numticks=12))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: number(value)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: number(value).removeprefix("1 × ")))
         axis.set_minor_formatter(NullFormatter())
 
 
