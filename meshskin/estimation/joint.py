@@ -112,7 +112,8 @@ def estimate(
 
     `iterations`: the most that IPOPT may take; `tolerance`: the Newton decrement at which
     taxels and shared unknowns are at the optimum, in units of the cost. Raises CalibrationError if
-    no taxel is determined or the optimiser does not converge.
+    no taxel is determined or the optimiser does not converge, ContactError where what it finds
+    leaves the contact model.
     """
     clock = time.perf_counter()
     near = coactivation.plausible(data)
@@ -169,6 +170,7 @@ def _fit(run: Run) -> Fit:
 def _result(run: Run, why: np.ndarray, again: np.ndarray, clock: float) -> Joint:
     """What was found, of all taxels."""
     data, problem, state = run.data, run.problem, run.state
+    problem.contacts.check(state.s)
 
     def spread(values: Array, missing: object) -> Array:
         out = np.empty((len(data.ids), *values.shape[1:]))

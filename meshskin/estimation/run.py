@@ -81,7 +81,7 @@ class Run:
         moved = (
             np.abs(places.points() - points).max() + np.abs(contacts.data.points - centres).max()
         )
-        grown = float(self.data.radii.max()) * abs(np.exp(stretch) - np.exp(before))
+        grown = float(self.data.longest.max()) * abs(np.exp(stretch) - np.exp(before))
         return bool(moved + grown < SPARE / 2)
 
     def converge(self) -> None:

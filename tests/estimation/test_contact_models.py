@@ -170,6 +170,18 @@ def test_silence_is_looked_for_wherever_it_says_something(worlds, name):
     assert looked.issuperset(telling.tolist())
 
 
+def test_an_estimate_outside_the_model_is_refused(world):
+    """The nominal E* is within the table of layered; the true one, far softer, is not."""
+    thin = type(world)(extent=9e-3, model=Model("layered", 0.49, 0.6e-3), young=1e6)
+    found = calibrate(thin.record(), thin.belief(young=2e6))
+    assert found.modulus == pytest.approx(thin.modulus, rel=5e-3)
+    thin = type(world)(extent=9e-3, model=Model("layered", 0.49, 0.45e-3))
+    belief = thin.belief(young=3e6)
+    belief.material.thickness = 0.4e-3
+    with pytest.raises(ContactError, match="thinner than the table"):
+        calibrate(thin.record(), belief)
+
+
 def test_what_leaves_the_model_is_refused(worlds):
     world = worlds["elliptic"]
     with pytest.raises(ContactError, match=r"hertz is for circular patches.*use elliptic"):

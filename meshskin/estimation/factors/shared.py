@@ -174,10 +174,8 @@ class Anchored:
     def at(self, s: Array) -> Contacts:
         """The contacts at s (ks,)."""
         data, shared, at = self.data, self.shared, self.shared.columns
-        # Beyond its priors' far end a trial step of the optimiser changes no more.
-        within = np.clip(s, -FAR * shared.sigma, FAR * shared.sigma)
-        e, h, b = (shared.value(n, within) for n in ("modulus", "force_scale", "force_offset"))
-        force = np.maximum(np.exp(h) * data.force + b, 0.01 * data.force)
+        within, force = self._within(s), self._force(s)
+        e, h = (shared.value(n, within) for n in ("modulus", "force_scale"))
         f = np.log(force / data.force)
         log_force = np.zeros((len(f), len(s)))
         if "force_scale" in at:
@@ -203,6 +201,25 @@ class Anchored:
             log_peak=log_peak,
             moves=self.moves,
         )
+
+    def check(self, s: Array) -> None:
+        """Raise ContactError where the contacts at s (ks,) leave the contact model's series."""
+        data, e = self.data, self.shared.value("modulus", self._within(s))
+        data.model.patches(
+            force=self._force(s),
+            curvature=data.curvature,
+            indenter_radius=data.indenter_radius,
+            effective_modulus=data.modulus * np.exp(e),
+        )
+
+    def _within(self, s: Array) -> Array:
+        # Beyond its priors' far end a trial step of the optimiser changes no more.
+        return np.clip(s, -FAR * self.shared.sigma, FAR * self.shared.sigma)
+
+    def _force(self, s: Array) -> Array:
+        """True forces (m,), N."""
+        h, b = (self.shared.value(n, self._within(s)) for n in ("force_scale", "force_offset"))
+        return np.maximum(np.exp(h) * self.data.force + b, 0.01 * self.data.force)
 
 
 def anchored(shared: Shared, data: Measurements, body: Body, s: Array) -> Anchored:
