@@ -25,7 +25,7 @@ def doubt(run: Run) -> None:
             return
         left = _sift(run, suspects, scale, known)
         if left <= faults.TAKEN * scale:
-            _name(run)
+            _name(run, scale)
             return
         run.problem, run.state, _, run.restless = plain
         run.weight, run.silent_weight[:] = plain[2].copy(), 1.0
@@ -62,12 +62,15 @@ def _sift(run: Run, suspects: np.ndarray, scale: float, fixed: bool) -> float:
         run.weigh(weight)
         run.converge()
     readings = run.likelihood.readings
-    lost = np.mean(faults.outlying(readings)[readings.kind != SILENT])
+    lost = faults.lost(readings)
     return faults.typical(readings, run.residuals()) if lost < faults.MOST else np.inf
 
 
-def _name(run: Run) -> None:
-    """Say of each taxel what is wrong; one that is mostly outlying is `broken`."""
+def _name(run: Run, scale: float) -> None:
+    """Say of each taxel what is wrong; one that is mostly outlying is `broken`.
+
+    What is less than CUT times the noise's `scale` off may be chance: it alone accuses no taxel.
+    """
     readings, n = run.likelihood.readings, len(run.live)
     out, silent = faults.outlying(readings), readings.kind == SILENT
 
@@ -75,7 +78,8 @@ def _name(run: Run) -> None:
         return np.bincount(readings.taxel[which], minlength=n)
 
     heard, wild, mute = count(~silent), count(out & ~silent), count(out & silent)
-    guilty = np.flatnonzero(wild + mute)
+    far = out & (np.abs(run.residuals()) > faults.CUT * scale)
+    guilty = np.flatnonzero(count(far))
     points = run.problem.points(run.state)
     pairs = faults.exchanged(run.data, readings, points, guilty)
     for k in guilty:

@@ -40,7 +40,7 @@ LEAST = 0.1
 TAKEN = 1.25
 """Scale of what is left, relative to the noise, up to which the outlying readings are the cause."""
 MOST = 0.35
-"""Share of all readings from which it is the model that is wrong, not they."""
+"""Share of outlying readings, of the mean taxel, from which it is the model that is wrong."""
 SCATTER = 2.0
 """Spread of a stuck taxel's contacts, relative to the reach of one."""
 
@@ -58,6 +58,14 @@ class Stuck:
 def outlying(readings: Readings) -> np.ndarray:
     """Readings (k,) that are rather outlying than sound."""
     return np.asarray(readings.weight < 0.5)
+
+
+def lost(readings: Readings) -> float:
+    """Share of outlying readings, the mean of the taxels': one that answers always is but one."""
+    heard, n = readings.kind != SILENT, len(readings.starts) - 1
+    count = np.bincount(readings.taxel[heard], minlength=n)
+    out = np.bincount(readings.taxel[heard & outlying(readings)], minlength=n)
+    return float(np.mean(out[count > 0] / count[count > 0])) if count.any() else 0.0
 
 
 def stuck(data: Measurements) -> Stuck:
@@ -149,7 +157,8 @@ def exchanged(
     gap = np.linalg.norm(where[:, None] - points[guilty], axis=2)
     nearest = gap.argmin(axis=1)
     limit = 0.5 * float(np.median(reach(data)))
+    there = gap < np.minimum(limit, 0.5 * np.diag(gap)[:, None])  # and far from its own place
     for a, b in enumerate(nearest):
-        if a != b and nearest[b] == a and gap[a, b] < limit and gap[b, a] < limit:
+        if a != b and nearest[b] == a and there[a, b] and there[b, a]:
             found[int(guilty[a])] = int(guilty[b])
     return found

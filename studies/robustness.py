@@ -1,0 +1,194 @@
+"""What outlying readings and faulty taxels do to the joint estimate, and whether they are named.
+
+    python studies/robustness.py [--seeds 5] [--full] [--json FILE]
+
+On the paper's sphere with 1 % noise, 80 taxels and 2,000 contacts. First 5, 10 and 20 % of all
+readings replaced by anything up to twice the peak: mean error over that of the clean recording,
+beside what is lost by leaving out just those readings. Then taxels that are dead, die half-way, are
+stuck, exchange their ids half-way, or drift with heat by a fifth of the peak: one, and a fifth of
+all. For these, the error of the other taxels over their clean one, the share of the faulty that is
+named, and how many of the others are. --full takes 20 seeds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+import meshskin as ms
+from meshskin.estimation import chart, metrics, trilaterate
+from meshskin.estimation.measurements import gather
+from meshskin.estimation.places import Free
+from meshskin.estimation.run import Run
+from meshskin.estimation.solve import ITERATIONS
+from meshskin.recording import READINGS
+
+CONTACTS, NOISE, THRESHOLD = 2000, 0.01, 0.05
+SHARES = (0.05, 0.1, 0.2)
+Fault = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
+"""(pressures (m, n), Pa, columns of the faulty, p_0) -> pressures (m, n)."""
+
+
+def dead(p: np.ndarray, bad: np.ndarray, peak: float) -> np.ndarray:
+    """Nothing, from the start."""
+    p[:, bad] = 0.0
+    return p
+
+
+def dies(p: np.ndarray, bad: np.ndarray, peak: float) -> np.ndarray:
+    """Nothing, from the middle on."""
+    p[len(p) // 2 :, bad] = 0.0
+    return p
+
+
+def stuck(p: np.ndarray, bad: np.ndarray, peak: float) -> np.ndarray:
+    """The same, whatever touches."""
+    p[:, bad] = 0.4 * peak
+    return p
+
+
+def swapped(p: np.ndarray, bad: np.ndarray, peak: float) -> np.ndarray:
+    """One reads in the other's place, from the middle on; of an odd number the last is sound."""
+    one, other = bad[0 : len(bad) - 1 : 2], bad[1::2]
+    late = p[len(p) // 2 :]
+    late[:, one], late[:, other] = late[:, other].copy(), late[:, one].copy()
+    return p
+
+
+def thermal(p: np.ndarray, bad: np.ndarray, peak: float) -> np.ndarray:
+    """An offset that rises to a fifth of the peak."""
+    p[:, bad] += 0.2 * peak * np.linspace(0, 1, len(p))[:, None]
+    return p
+
+
+FAULTS: dict[str, Fault] = {f.__name__: f for f in (dead, dies, stuck, swapped, thermal)}
+
+
+class World:
+    """The exact pressures of all taxels in all contacts, to be spoilt and recorded."""
+
+    def __init__(self) -> None:
+        base = ms.Scene.load("sphere_noisy")
+        self.scene = base.with_(effects=(), readout=ms.Readout(threshold_relative=0.0))
+        self.skin, self.peak = base.skin, base.patch.peak
+        self.belief = base.belief()
+        k, centre = np.arange(CONTACTS) + 0.5, base.skin.positions.mean(axis=0)
+        reach = np.linalg.norm(base.skin.positions - centre, axis=1).max() + 4e-3
+        angle, radius = np.pi * (3 - np.sqrt(5)) * k, reach * np.sqrt(k / CONTACTS)
+        flat = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), 0 * k])
+        order = np.random.default_rng(0).permutation(CONTACTS)  # no part of the skin comes last
+        self.quiet = ms.press(self.scene, base.body.closest((centre + flat)[order]).point)
+        column = {int(k): j for j, k in enumerate(self.skin.ids)}
+        self.exact = np.zeros((CONTACTS, len(self.skin)))
+        columns = [column[int(k)] for k in self.quiet.reading_taxel]
+        self.exact[self.quiet.reading_contact, columns] = self.quiet.pressure
+
+    def record(
+        self, seed: int, fault: Fault | None = None, bad: np.ndarray | None = None
+    ) -> ms.Recording:
+        """A recording with noise, and with a fault of the taxels in the columns `bad`."""
+        p = self.exact.copy()
+        if fault is not None and bad is not None:
+            p = fault(p, bad, self.peak)
+        p += NOISE * self.peak * np.random.default_rng(seed).normal(size=p.shape)
+        contact, taxel = np.nonzero(p > THRESHOLD * self.peak)
+        columns = [self.quiet.time[contact], self.skin.ids[taxel].astype(np.int32)]
+        table = pa.table([*columns, p[contact, taxel]], schema=READINGS)
+        return ms.Recording(self.quiet.contacts, table, self.quiet.metadata)
+
+    def errors(self, recording: ms.Recording) -> tuple[np.ndarray, ms.Calibration]:
+        """Errors (n,), m, in the skin's order, and the calibration."""
+        found = ms.calibrate(recording, self.belief)
+        return metrics.position_errors(found, self.skin), found
+
+
+def outlying(world: World, share: float, seeds: range) -> dict[str, float]:
+    """Errors over the clean one with a share of outlying readings, and without those readings."""
+    rows = []
+    for seed in seeds:
+        sound = world.record(seed)
+        rng = np.random.default_rng(1000 + seed)
+        hit = rng.random(len(sound.pressure)) < share
+        wild = rng.uniform(THRESHOLD, 2, len(hit)) * world.peak
+        bent = with_pressures(sound, np.where(hit, wild, sound.pressure))
+        clean, _ = world.errors(sound)
+        error, found = world.errors(bent)
+        without = left_out(world, sound, hit)
+        assert found.faults is not None
+        words = [w for f in found.faults for w in f.split(", ") if "readings outlying" in w]
+        named = sum(int(w.split()[0]) for w in words)
+        rows.append((error.mean() / clean.mean(), without.mean() / clean.mean(), named / hit.sum()))
+    names = ("error", "without", "named")
+    return dict(zip(names, map(float, np.mean(rows, axis=0)), strict=True))
+
+
+def left_out(world: World, recording: ms.Recording, hit: np.ndarray) -> np.ndarray:
+    """Errors (n,), m, where the readings `hit` (k,) weigh nothing, and nothing is doubted."""
+    data, body = gather(recording, world.belief), world.scene.body
+    start, live = trilaterate.least_squares(data, body), np.arange(len(data.ids))
+    places = Free(
+        chart.about(body, start.points, start.rotations), float(np.median(data.radii)) / 2
+    )
+    run = Run(data, body, live, places, np.where(hit, 0.0, 1.0), ITERATIONS)
+    run.converge()
+    return np.linalg.norm(run.problem.points(run.state) - world.skin.positions, axis=1)
+
+
+def with_pressures(recording: ms.Recording, pressure: np.ndarray) -> ms.Recording:
+    """The recording with other pressures (k,), Pa."""
+    table = recording.readings.set_column(2, "pressure", pa.array(pressure))
+    return ms.Recording(recording.contacts, table, recording.metadata)
+
+
+def faulty(world: World, fault: Fault, count: int, seeds: range) -> dict[str, float]:
+    """Error of the others over their clean one, and what is named, with `count` faulty taxels."""
+    rows = []
+    for seed in seeds:
+        n = len(world.skin)
+        bad = np.random.default_rng(2000 + seed).choice(n, count, replace=False)
+        clean, _ = world.errors(world.record(seed))
+        error, found = world.errors(world.record(seed, fault, bad))
+        rest = np.setdiff1d(np.arange(n), bad)
+        assert found.faults is not None
+        silent = ~found.touched
+        named = (found.faults != "") | silent | (found.why != "")
+        rows.append(
+            (np.nanmean(error[rest]) / clean[rest].mean(), named[bad].mean(), named[rest].sum(),
+             np.isnan(error[rest]).sum())
+        )  # fmt: skip
+    names = ("others", "named", "accused", "lost")
+    return dict(zip(names, map(float, np.mean(rows, axis=0)), strict=True))
+
+
+def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
+    """Run all; return the rows."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=None)
+    parser.add_argument("--full", action="store_true", help="20 seeds")
+    parser.add_argument("--json", type=Path, default=None)
+    options = parser.parse_args(arguments)
+    seeds = range(options.seeds or (20 if options.full else 5))
+    world, rows = World(), {}
+    print(f"error over that of the clean recording, {len(seeds)} seeds")
+    print(f"  {'outlying readings':24}{'error':>8}{'without them':>14}{'named':>8}")
+    for share in SHARES:
+        r = rows[f"outlying {share:g}"] = outlying(world, share, seeds)
+        print(f"  {share:<24.0%}{r['error']:8.3f}{r['without']:14.3f}{r['named']:8.0%}")
+    print(f"  {'faulty taxels':24}{'others':>8}{'named':>8}{'accused':>9}{'lost':>6}")
+    for name, fault in FAULTS.items():
+        for count in (2 if fault is swapped else 1, len(world.skin) // 5):
+            r = rows[f"{name} {count}"] = faulty(world, fault, count, seeds)
+            print(f"  {f'{count} {name}':24}{r['others']:8.3f}{r['named']:8.0%}"
+                  f"{r['accused']:9.1f}{r['lost']:6.1f}", flush=True)  # fmt: skip
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=2))
+    return rows
+
+
+if __name__ == "__main__":
+    main()
