@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 
 from meshskin import se3
 from meshskin.errors import GraphError
-from meshskin.estimation.posegraph import PoseGraph, problem, topology
+from meshskin.estimation.posegraph import PoseGraph, problem, start, topology
 
 SIGMA = np.repeat([1e-4, 0.02], 3)
 
@@ -251,6 +251,27 @@ def test_nan_is_refused_where_it_is():
     start[4, 0, 3] = np.nan
     with pytest.raises(GraphError, match="start poses are not finite, got row 4"):
         graph.solve(start=start)
+
+
+@pytest.mark.parametrize("spread", [1e3, 1e8, 1e14])
+def test_weights_far_apart(spread):
+    """Two stiff parts that hang together by soft displacements only."""
+    graph, truth = skin(30)
+    i, j = graph.edges.T
+    between = (i < 15) != (j < 15)
+    information = graph.information.copy()
+    information[~between] *= spread
+    solution = PoseGraph(graph.poses, graph.edges, graph.measurements, information).solve()
+    assert solution.is_optimal
+    assert error(solution, truth).max() < 1e-3
+
+
+def test_a_chordal_start_that_cannot_be_computed_is_named(monkeypatch):
+    monkeypatch.setattr(start, "LITTLE", -1.0)
+    graph, _ = skin(30)
+    with pytest.raises(GraphError, match=r"weights too far apart.*start from 'tree'"):
+        graph.solve()
+    assert graph.solve(start="tree").is_optimal
 
 
 def test_numbers_too_large_to_compute_with():

@@ -8,8 +8,8 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from meshskin import se3
-from meshskin.errors import UnknownNameError
-from meshskin.estimation.posegraph.cholesky import Blocks, summed
+from meshskin.errors import GraphError, UnknownNameError
+from meshskin.estimation.posegraph.cholesky import Blocks, SingularError, summed
 from meshskin.estimation.posegraph.graph import PoseGraph, transforms
 from meshskin.estimation.posegraph.ordering import Integers
 from meshskin.se3 import Array
@@ -97,8 +97,8 @@ def _least_squares(
 ) -> Array:
     """X (n, k, 3) that minimises sum of weight |X_j - carry X_i - step|^2, anchors as in `guess`.
 
-    `carry` (m, k, k) orthogonal, `guess` (n, k, 3), `step` (m, k, 3). Raises SingularError where
-    the weights are too far apart to compute with.
+    `carry` (m, k, k) orthogonal, `guess` (n, k, 3), `step` (m, k, 3). Raises GraphError where the
+    weights are too far apart to compute with.
     """
     n, (i, j) = len(graph.poses), graph.edges.T
     size = guess.shape[1]
@@ -114,4 +114,11 @@ def _least_squares(
     between = ~(held[i] | held[j])
     own = np.where(degree > 0, degree * (1 + LITTLE), 1.0)[:, None, None] * np.eye(size)
     links = Blocks(j[between], i[between], -(weight[:, None, None] * carry)[between])
-    return guess - graph.topology.cholesky.solve(links.and_diagonal(own), gradient)
+    try:
+        return guess - graph.topology.cholesky.solve(links.and_diagonal(own), gradient)
+    except SingularError as error:
+        raise GraphError(
+            "no chordal start: weights too far apart",
+            value=f"pose {graph.ids[error.node]}, weights {weight.min():.3g} to {weight.max():.3g}",
+            remedy="start from 'tree'",
+        ) from error
