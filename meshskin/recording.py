@@ -5,6 +5,9 @@ the body frame, m), nx ny nz (outward normal there), force (N), and, where they 
 qz (unit quaternion of the body's rotation, world from body). `readings`, sparse: time (s), taxel
 (id), pressure (Pa), only pressures above the threshold. `motion`, from simulations only, one row a
 step.
+
+A robot's own log may be two CSV files with the same columns (contacts.csv, readings.csv), in SI
+units or with the unit after the name: px_mm, pressure_kpa, time_ms. Normals may be left out there.
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from .atomic import atomic
+from .config import UNITS
 from .errors import RecordingError
 from .se3 import Array
 
@@ -33,6 +37,11 @@ CONTACTS = pa.schema(
 HEADING = ("qw", "qx", "qy", "qz")
 """Columns of `contacts` that a recording may lack."""
 READINGS = pa.schema([("time", pa.float64()), ("taxel", pa.int32()), ("pressure", pa.float64())])
+SUFFIXES = {
+    "": 1.0,
+    **{name: factor for unit in ("m", "s", "N", "Pa") for name, factor in UNITS[unit].items()},
+}
+"""Units that a column of a CSV log may name, in SI."""
 _KEY = b"meshskin"
 _PARTS = ("contacts", "readings", "motion")
 
@@ -151,8 +160,18 @@ class Recording:
     def load(cls, path: str | Path) -> Recording:
         """Read the recording at `path` (the common part of its file names), memory-mapped.
 
-        Raises RecordingError if a table is missing, torn, or belongs to another recording.
+        Or CSV logs: the folder that holds contacts.csv and readings.csv, or the common part of
+        PATH.contacts.csv and PATH.readings.csv. Raises RecordingError if a table is missing, torn,
+        or belongs to another recording.
         """
+        if not part_path(path, "contacts").exists() and (logs := _logs(Path(path))):
+            contacts, readings = (_read_csv(file) for file in logs)
+            for name in ("nx", "ny", "nz"):
+                if name not in contacts.column_names:
+                    contacts = contacts.append_column(
+                        name, pa.array(np.full(len(contacts), np.nan))
+                    )
+            return cls(contacts, readings, {"source": [file.name for file in logs]})
         tables: dict[str, pa.Table] = {}
         headers: dict[str, dict[str, Any]] = {}
         for part in _PARTS:
@@ -184,6 +203,48 @@ class Recording:
         header = headers["contacts"]
         header.pop("recording_id", None)
         return cls(tables["contacts"], tables["readings"], header, tables.get("motion"))
+
+
+def _logs(path: Path) -> tuple[Path, Path] | None:
+    """The CSV files of contacts and of readings at `path`, where both are there."""
+    for contacts, readings in (
+        (path / "contacts.csv", path / "readings.csv"),
+        (path.with_name(f"{path.name}.contacts.csv"), path.with_name(f"{path.name}.readings.csv")),
+    ):
+        if contacts.is_file() and readings.is_file():
+            return contacts, readings
+    return None
+
+
+def _read_csv(file: Path) -> pa.Table:
+    """The table of a CSV log, its columns in SI units. Raises RecordingError."""
+    from pyarrow import csv
+
+    try:
+        table = csv.read_csv(file)
+    except (pa.ArrowInvalid, OSError) as error:
+        raise RecordingError(
+            f"{file} cannot be read: {str(error).splitlines()[0]}",
+            remedy="write one header line and numbers with commas between",
+        ) from error
+    columns: dict[str, pa.Array] = {}
+    for label in table.column_names:
+        name, _, suffix = label.partition("_")
+        factor = SUFFIXES.get(suffix.lower())
+        if factor is None or name in columns:
+            raise RecordingError(
+                f"a column of {file.name} that is unknown or twice there",
+                value=label,
+                limit=f"units {', '.join(filter(None, SUFFIXES))}",
+            )
+        try:
+            values = np.asarray(table.column(label).to_numpy(), dtype=float)
+        except ValueError as error:
+            raise RecordingError(
+                f"a column of {file.name} is not of numbers", value=label
+            ) from error
+        columns[name] = pa.array(values.astype(np.int32) if name == "taxel" else values * factor)
+    return pa.table(columns)
 
 
 class RecordingWriter:

@@ -95,14 +95,14 @@ class Belief:
     indenter: Indenter
     material: Material
     """Nominal material; the joint estimator estimates E* with the taxels."""
-    contact: str
-    """Name of the contact model."""
     taxel_ids: np.ndarray
     """Ids (n,) of all taxels of the skin."""
-    disc_radius: float
+    disc_radius: float = 2e-3
     """Radius of a taxel's disc, m."""
-    force_reference: float
-    """N."""
+    contact: str = "hertz"
+    """Name of the contact model."""
+    force_reference: float | None = None
+    """Force of a usual contact, N; None: the median of the recording's."""
     noise_sigma: float | None = None
     """Standard deviation of a reading's noise, Pa; None: unknown, taken from the residuals."""
     threshold: float = 0.0

@@ -101,3 +101,39 @@ def test_headings(tmp_path):
     bent = turned.set_column(8, "qw", pa.array([half, half, 1.0]))
     with pytest.raises(RecordingError, match=r"no unit quaternion.*row 2 of contacts"):
         _ = Recording(bent, readings, {}).headings
+
+
+def test_logs_in_csv(tmp_path):
+    (tmp_path / "contacts.csv").write_text(
+        "time_ms,px_mm,py_mm,pz_mm,force,qw,qx,qy,qz\n0,1,2,3,2.5,1,0,0,0\n10,4,5,6,3,1,0,0,0\n"
+    )
+    (tmp_path / "readings.csv").write_text("time_ms,taxel,pressure_kPa\n10,7,1.5\n10,8,2\n")
+    log = Recording.load(tmp_path)
+    assert np.allclose(log.time, [0, 0.01])
+    assert np.allclose(log.points, [[1e-3, 2e-3, 3e-3], [4e-3, 5e-3, 6e-3]])
+    assert np.allclose(log.force, [2.5, 3.0])
+    assert np.isnan(log.normals).all()
+    assert np.allclose(log.headings, np.eye(3))
+    assert list(log.reading_taxel) == [7, 8]
+    assert list(log.reading_contact) == [1, 1]
+    assert np.allclose(log.pressure, [1500.0, 2000.0])
+    for part in ("contacts", "readings"):
+        (tmp_path / f"{part}.csv").rename(tmp_path / f"arm.{part}.csv")
+    assert np.array_equal(Recording.load(tmp_path / "arm").points, log.points)
+
+
+@pytest.mark.parametrize(
+    ("readings", "words"),
+    [
+        ("time,taxel,pressure_psi\n0,1,2\n", "unknown or twice there, got pressure_psi.*kpa"),
+        ("time,taxel,pressure,pressure_kpa\n0,1,2,3\n", "unknown or twice there, got pressure_kpa"),
+        ("time,taxel,pressure\n0,1,soft\n", "not of numbers, got pressure"),
+        ("time,taxel,pressure\n0,1\n", "cannot be read"),
+        ("time,pressure\n0,1\n", "readings table lacks taxel"),
+    ],
+)
+def test_logs_that_cannot_be_read(tmp_path, readings, words):
+    (tmp_path / "contacts.csv").write_text("time,px,py,pz,force\n0,1,2,3,2.5\n")
+    (tmp_path / "readings.csv").write_text(readings)
+    with pytest.raises(RecordingError, match=words):
+        Recording.load(tmp_path)

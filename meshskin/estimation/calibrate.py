@@ -12,7 +12,7 @@ from ..errors import CalibrationError, UnknownNameError
 from ..provenance import digest, provenance
 from . import chart, displacements, gauge, joint, observe, trilaterate
 from .calibration import Calibration
-from .measurements import Measurements, gather
+from .measurements import Measurements, gather, settled
 from .solve import AT_REST
 
 if TYPE_CHECKING:
@@ -47,6 +47,7 @@ def calibrate(
         raise UnknownNameError("method", method, METHODS)
     begin = time.perf_counter()
     data = gather(recording, belief)
+    belief = settled(belief, recording)
     gathered = time.perf_counter()
     options = {"tolerance": tolerance} if method == "joint" else {}
     values = METHODS[method](data, belief, **options)

@@ -152,7 +152,16 @@ def _slopes(
 
 
 def _patches(curvature: Array, belief: Belief, modulus: float) -> Patches:
-    """Patches under the reference force at curvatures (m, 2), 1/m."""
+    """Patches under the reference force at curvatures (m, 2), 1/m.
+
+    Raises CalibrationError if the belief has none.
+    """
+    if belief.force_reference is None:
+        raise CalibrationError(
+            "next contacts need to know how hard they press",
+            value="belief.force_reference = None",
+            remedy="give the belief a force_reference",
+        )
     material = belief.material
     model = Model(belief.contact, material.poisson, material.thickness)
     return model.patches(

@@ -158,7 +158,8 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     force, curvature = recording.force[pressed], hit.curvature[pressed]
     heard = pressed[recording.reading_contact] & (recording.pressure > 0)
     _require(heard, recording, pressed)
-    units.check_force(force, belief.force_reference)
+    reference = settled(belief, recording).force_reference or 1.0
+    units.check_force(force, reference)
     _check_range(force, curvature, belief)
     row = np.cumsum(pressed) - 1
     headings = recording.headings if belief.headings is None else belief.headings
@@ -189,12 +190,18 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         threshold=belief.threshold,
         force=force,
         saturation=belief.saturation or np.inf,
-        shared=declared(
-            belief.unknown, belief.priors, belief.force_reference, float(np.median(patches.peak))
-        ),
+        shared=declared(belief.unknown, belief.priors, reference, float(np.median(patches.peak))),
         slots=belief.module_slots,
         headings=None if headings is None else np.asarray(headings)[pressed],
     )
+
+
+def settled(belief: Belief, recording: Recording) -> Belief:
+    """The belief with the recording's median force as its reference, where it has none."""
+    if belief.force_reference is not None:
+        return belief
+    pressed = recording.force[recording.force > 0]
+    return replace(belief, force_reference=float(np.median(pressed)) if len(pressed) else 1.0)
 
 
 def _require(heard: np.ndarray, recording: Recording, pressed: np.ndarray) -> None:

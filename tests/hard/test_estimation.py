@@ -14,6 +14,7 @@ from meshskin.estimation import joint
 from meshskin.estimation.calibrate import METHODS, calibrate
 from meshskin.estimation.measurements import gather
 from meshskin.estimation.metrics import nees, position_errors
+from meshskin.scene import Belief
 
 SPEC = importlib.util.spec_from_file_location(
     "small_world", Path(__file__).parents[1] / "estimation" / "conftest.py"
@@ -173,6 +174,21 @@ def test_nan_in_a_recording(noisy, method):
     pressure[[3, 7]] = np.nan, np.inf
     with pytest.raises(RecordingError, match="row 3 of readings, 2 in all; drop those rows"):
         calibrate(small.changed(recording, pressure=pressure), belief, method=method)
+
+
+def test_a_belief_without_a_reference_force_takes_the_recordings(world, noisy, clean):
+    recording, belief = noisy
+    silent = Belief(
+        body=belief.body,
+        indenter=belief.indenter,
+        material=belief.material,
+        taxel_ids=belief.taxel_ids,
+        noise_sigma=belief.noise_sigma,
+        threshold=belief.threshold,
+    )
+    found = calibrate(recording, silent)
+    assert np.allclose(position_errors(found, world.skin), clean, atol=1e-9)
+    assert found.belief.force_reference == pytest.approx(3.0, rel=0.01)
 
 
 def test_an_iteration_limit_of_one(world, noisy):
