@@ -180,7 +180,8 @@ class Recording:
                 if part == "motion":
                     continue
                 raise RecordingError(
-                    f"no recording at {path}: {file.name} is missing", remedy="check the path"
+                    f"no recording at {path}: {file.name} is missing",
+                    remedy="check the path; a log may be contacts.csv and readings.csv in a folder",
                 )
             try:
                 tables[part] = pq.read_table(file, memory_map=True)

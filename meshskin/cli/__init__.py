@@ -13,9 +13,9 @@ from types import FrameType
 from typing import TextIO
 
 from ..errors import MeshskinError
-from . import check, cost, diff, lint, run, scenes, study
+from . import calibrate, check, cost, diff, lint, run, scenes, study
 
-COMMANDS = (run, scenes, cost, study, check, lint, diff)
+COMMANDS = (run, calibrate, scenes, cost, study, check, lint, diff)
 INTERRUPTED = 130
 
 

@@ -1,0 +1,102 @@
+"""Calibration of a robot's own log from the command line."""
+
+import json
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin import cli
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return ms.Scene.load("sphere_noisy")
+
+
+@pytest.fixture(scope="module")
+def recording(scene):
+    rng = np.random.default_rng(0)
+    near = rng.normal(scale=15e-3, size=(1200, 3))
+    return ms.press(scene, scene.skin.positions.mean(axis=0) + near, seed=1)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory, scene, recording):
+    """A folder with a mesh in mm, and the log in CSV, in mm and kPa."""
+    folder = tmp_path_factory.mktemp("log")
+    mesh = scene.body.mesh.copy()
+    mesh.apply_scale(1e3)
+    mesh.export(folder / "ball.stl")
+    contacts = np.column_stack([recording.time, 1e3 * recording.points, recording.force])
+    head = "time,px_mm,py_mm,pz_mm,force"
+    np.savetxt(folder / "contacts.csv", contacts, "%.9g", ",", header=head, comments="")
+    time = recording.time[recording.reading_contact]
+    readings = np.column_stack([time, recording.reading_taxel, 1e-3 * recording.pressure])
+    head = "time,taxel,pressure_kpa"
+    np.savetxt(folder / "readings.csv", readings, "%.9g", ",", header=head, comments="")
+    return folder
+
+
+def known(log):
+    return ["--body", str(log / "ball.stl"), "--units", "mm", "--indenter-radius-mm", "10"]
+
+
+def test_a_log_in_csv_with_a_mesh(scene, log, tmp_path, capsys):
+    out, belief = tmp_path / "out", scene.belief()
+    asked = ["calibrate", str(log), *known(log), "--young-kpa", "150", "--out", str(out)]
+    asked += ["--noise-kpa", str(1e-3 * belief.noise_sigma)]
+    asked += ["--threshold-kpa", str(1e-3 * belief.threshold)]
+    assert cli.main([*asked, "--export", str(tmp_path / "map.csv")]) == 0
+    exported = ms.Skin.load(tmp_path / "map.csv")
+    off = np.linalg.norm(exported.positions - scene.skin.positions, axis=1)
+    assert off.mean() < 0.03e-3
+    m = json.loads((out / "metrics.json").read_text())
+    assert m["determined"] == m["taxels"] == m["touched"] == 80
+    assert m["contacts"] == 1200
+    assert m["modulus_pa"] == pytest.approx(scene.material.effective_modulus, rel=0.01)
+    assert "fits" in m["fit"]["words"]
+    assert m["faults"] == {}
+    assert {"calibration.parquet", "calibration.csv", "report.html", "figures"} < {
+        file.name for file in out.iterdir()
+    }
+    said = capsys.readouterr().out
+    assert "80 of 80 taxels determined" in said
+    assert "rotation about the normal of every taxel" in said
+
+
+def test_a_recording_with_a_scene(recording, tmp_path, capsys):
+    recording.save(tmp_path / "r")
+    asked = ["calibrate", str(tmp_path / "r"), "--scene", "sphere_noisy", "--out"]
+    assert cli.main([*asked, str(tmp_path / "out"), "--unknown", "modulus", "gain"]) == 0
+    found = ms.Calibration.load(tmp_path / "out" / "calibration")
+    assert "gain" in found.taxel_unknowns
+    assert cli.main([*asked, str(tmp_path / "other"), "--method", "trilateration"]) == 0
+    assert ms.Calibration.load(tmp_path / "other" / "calibration").method == "trilateration"
+    assert "80 taxels" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--scene", "nosuch"], "nosuch"),
+        ([], "lacks --body, --indenter-radius-mm, --young-kpa; give a --scene"),
+        (["--scene", "sphere_noisy", "--method", "guess"], "guess"),
+        (["--scene", "sphere_noisy", "--unknown", "gains"], "gains"),
+        (["--scene", "sphere_noisy", "--contact", "hertzian"], "hertzian"),
+        (["--scene", "sphere_noisy", "--noise-kpa", "-1"], r"got -1000.0, limit: >= 0"),
+        (["--scene", "sphere_noisy", "--export", "map.xyz"], "format of a skin file"),
+    ],
+)
+def test_what_cannot_be_calibrated(log, tmp_path, capsys, monkeypatch, options, words):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["calibrate", str(log), *options, "--out", str(tmp_path / "out")]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert words in lines[0]
+
+
+def test_no_log(tmp_path, capsys):
+    asked = ["calibrate", str(tmp_path / "none"), "--scene", "sphere", "--out", str(tmp_path)]
+    assert cli.main(asked) == 2
+    assert "no recording at" in capsys.readouterr().err
