@@ -122,7 +122,9 @@ def _below(pattern: sparse.csr_array, order: Long) -> list[Long]:
         if children[k]:
             every = np.concatenate([rest, *(below[child][1:] for child in children[k])])
             every.sort()
-            rest = every[np.append(every[:-1] != every[1:], True)] if len(every) else every
+            once = np.ones(len(every), dtype=bool)
+            np.not_equal(every[:-1], every[1:], out=once[:-1])
+            rest = every[once]
         below.append(rest)
         if len(rest):
             children[rest[0]].append(k)

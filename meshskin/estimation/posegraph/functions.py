@@ -20,7 +20,7 @@ class Function(ca.Callback):
     def __init__(
         self,
         name: str,
-        inputs: Sequence[int],
+        inputs: Sequence[ca.Sparsity],
         outputs: Sequence[ca.Sparsity],
         evaluate: Callable[[list[Array], list[Array | None]], None],
     ) -> None:
@@ -35,7 +35,7 @@ class Function(ca.Callback):
         return len(self._outputs)
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self._inputs[i], 1)
+        return self._inputs[i]
 
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
         return self._outputs[i]

@@ -132,7 +132,8 @@ class Problem:
         )
 
     def _build(self, size: int, parameters: int) -> None:
-        evaluator, one, dense = self._evaluator, ca.Sparsity.dense(1), ca.Sparsity.dense(size)
+        evaluator, one, none = self._evaluator, ca.Sparsity.dense(1), ca.Sparsity(0, 1)
+        dense, data = ca.Sparsity.dense(size), ca.Sparsity.dense(parameters)
 
         def gradient(given: list[Array], out: list[Array | None]) -> None:
             found: tuple[Any, ...] = evaluator.gradient(*given)
@@ -147,12 +148,12 @@ class Problem:
                 if factor != 1.0:
                     out[0] *= factor
 
-        inputs = [size, parameters]
+        inputs = [dense, data]
         # Kept: CasADi does not own callbacks.
         self._f = Function("f", inputs, [one], gradient)
         self._grad_f = Function("grad_f", inputs, [one, dense], gradient)
-        self._hess_lag = Function("hess_lag", [*inputs, 1, 0], [self._pattern], hessian)
-        x, p = ca.MX.sym("x", size), ca.MX.sym("p", parameters)
+        self._hess_lag = Function("hess_lag", [*inputs, one, none], [self._pattern], hessian)
+        x, p = ca.MX.sym("x", dense), ca.MX.sym("p", data)
         self._nlp: dict[str, Any] = {"x": x, "p": p, "f": self._f(x, p)}
 
     def _solver(self, ipopt: dict[str, object], **options: object) -> ca.Function:
