@@ -134,18 +134,22 @@ def folds(jets: Jets, corner: Index, curved: tuple[Index, Index, Array]) -> NDAr
     return np.asarray(np.any(along < FOLD * size, axis=1) & flat.any(axis=1))
 
 
-def blend(jets: Jets, fans: Fans, creases: Creases) -> Array:
-    """Patches (m, 21, 3) of the faces.
+def blend(jets: Jets, fans: Fans, creases: Creases, triangles: Array) -> tuple[Array, Array]:
+    """Patches (m, 21, 3) of the faces, and their largest distances (m,) from `triangles`, m.
 
     Two faces share the jets of a smooth edge and the curve of a crease: their patches meet exactly.
+    `triangles` (m, 3, 3): the flat faces; the distances are those at the nodes.
     """
     m = len(fans.corner)
-    out = np.empty((m, len(NODES), 3))
+    out, lift2 = np.empty((m, len(NODES), 3)), np.empty(m)
     for start in range(0, m, CHUNK):
         rows = np.arange(start, min(start + CHUNK, m))
-        values, _ = node_values(jets, fans.corner[rows], creases.of(rows))
+        corner = fans.corner[rows]
+        values, _ = node_values(jets, corner, creases.of(rows))
         out[start : start + CHUNK] = INVERSE @ values
-    return out
+        values -= WEIGHTS @ triangles[rows]
+        lift2[start : start + CHUNK] = np.einsum("mnc,mnc->mn", values, values).max(axis=1)
+    return out, np.sqrt(lift2)
 
 
 def node_values(

@@ -126,9 +126,11 @@ def tree(built: ctypes.CDLL, surface: Surface) -> tuple[Array, Array, Long]:
     leaves = 1 << max(0, int(np.ceil(np.log2(m / LEAF))))
     size = -(-m // leaves)
     face = np.arange(leaves * size, dtype=np.int64) * m // (leaves * size)
-    middles = surface.vertices[surface.faces].mean(axis=1)
+    spots = np.empty(len(face), dtype=[("at", np.float64, 3), ("face", np.int64)])
+    spots["at"], spots["face"] = surface.vertices[surface.faces].mean(axis=1)[face], face
     count = (_WHOLE(leaves), _WHOLE(size))
-    built.order(*count, *_addresses(middles, face))
+    built.order(*count, *_addresses(spots))
+    face = spots["face"].copy()
     corners, lifts = surface.vertices[surface.faces[face]], surface.lifts[face]
     node = np.empty((2 * leaves, 10))
     built.enclose(*count, *_addresses(corners, lifts, node))

@@ -43,19 +43,24 @@ static double limit2(const Cylinder *c, double most)
     return (most + c->lift) * (most + c->lift);
 }
 
-/* Reorder `face` so that the first `half` of n have the smaller keys: Hoare's selection. */
-static void halve(int64_t *face, int64_t n, int64_t half, const double *key)
+typedef struct {
+    double at[3];
+    int64_t face;
+} Spot;
+
+/* Reorder n spots so that the first `half` have the smaller coordinates x: Hoare's selection. */
+static void halve(Spot *spot, int64_t n, int64_t half, int x)
 {
     int64_t low = 0, high = n - 1;
     while (low < high) {
-        double pivot = key[3 * face[low + (high - low) / 2]];
+        double pivot = spot[low + (high - low) / 2].at[x];
         int64_t i = low, j = high;
         while (i <= j) {
-            while (key[3 * face[i]] < pivot) i++;
-            while (key[3 * face[j]] > pivot) j--;
+            while (spot[i].at[x] < pivot) i++;
+            while (spot[j].at[x] > pivot) j--;
             if (i > j) break;
-            int64_t swap = face[i];
-            face[i++] = face[j], face[j--] = swap;
+            Spot swap = spot[i];
+            spot[i++] = spot[j], spot[j--] = swap;
         }
         if (half <= j) high = j;
         else if (half >= i) low = i;
@@ -63,26 +68,25 @@ static void halve(int64_t *face, int64_t n, int64_t half, const double *key)
     }
 }
 
-/* Put faces (count * leaves,) in the order of the leaves of a balanced tree: halved, from the
-   whole down, across the longest extent of their middles (m, 3). */
-void order(int64_t leaves, int64_t size, const double *middle, int64_t *face)
+/* Put the middles of faces (leaves * size,) in the order of the leaves of a balanced tree: halved,
+   from the whole down, across their longest extent. */
+void order(int64_t leaves, int64_t size, Spot *spot)
 {
     for (int64_t blocks = 1; blocks < leaves; blocks *= 2) {
         int64_t n = leaves / blocks * size;
         for (int64_t block = 0; block < blocks; block++) {
-            int64_t *here = face + block * n;
-            double extent[3];
-            for (int x = 0; x < 3; x++) {
-                double low = INFINITY, high = -INFINITY;
-                for (int64_t k = 0; k < n; k++) {
-                    double value = middle[3 * here[k] + x];
-                    low = smaller(low, value), high = larger(high, value);
+            Spot *here = spot + block * n;
+            double low[3] = {INFINITY, INFINITY, INFINITY}, extent[3], high[3];
+            for (int x = 0; x < 3; x++) high[x] = -INFINITY;
+            for (int64_t k = 0; k < n; k++)
+                for (int x = 0; x < 3; x++) {
+                    low[x] = smaller(low[x], here[k].at[x]);
+                    high[x] = larger(high[x], here[k].at[x]);
                 }
-                extent[x] = high - low;
-            }
+            for (int x = 0; x < 3; x++) extent[x] = high[x] - low[x];
             int longest = extent[1] > extent[0];
             if (extent[2] > extent[longest]) longest = 2;
-            halve(here, n, n / 2, middle + longest);
+            halve(here, n, n / 2, longest);
         }
     }
 }

@@ -64,10 +64,19 @@ class Surface:
         return self._shape[0]
 
     @cached_property
+    def _blend(self) -> tuple[Array, Array]:
+        fitted, creases = self._shape
+        return blend.blend(fitted, self.fans, creases, self.vertices[self.faces])
+
+    @property
     def patches(self) -> Array:
         """Patch coefficients (m, 21, 3), m, in the order of patch.POWERS."""
-        fitted, creases = self._shape
-        return blend.blend(fitted, self.fans, creases)
+        return self._blend[0]
+
+    @cached_property
+    def lifts(self) -> Array:
+        """Bounds (m,) of the distances in m between the patches and the flat faces."""
+        return SLACK * self._blend[1]
 
     @cached_property
     def smooth(self) -> bool:
@@ -130,17 +139,6 @@ class Surface:
                 remedy=f"row {beside[0]}: -1 is the face of a ray that missed",
             )
         return known
-
-    @cached_property
-    def lifts(self) -> Array:
-        """Bounds (m,) of the distances in m between the patches and the flat faces."""
-        out = np.empty(len(self.faces))
-        for start in range(0, len(out), blend.CHUNK):
-            rows = slice(start, start + blend.CHUNK)
-            nodes = blend.BASIS @ self.patches[rows]
-            flat = blend.WEIGHTS @ self.vertices[self.faces[rows]]
-            out[rows] = SLACK * np.linalg.norm(nodes - flat, axis=2).max(axis=1)
-        return out
 
     def at(self, face: ArrayLike, uv: ArrayLike, points: ArrayLike | None = None) -> Closest:
         """The surface at `face` (n,), `uv` (n, 2); distances are those of `points` (n, 3), m."""

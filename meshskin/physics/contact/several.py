@@ -2,9 +2,10 @@
 
 A contact is a local minimum of the distance from the sphere's centre to the surface that is below
 the sphere's radius. Faces in reach come from the KD-tree of the mesh's vertices; among them, those
-that no face at their vertices undercuts are the starts, and Newton walks on the smooth surface end
-in the minima. Each contact is then solved by itself: the displacement that one causes under
-another, about F / (pi E* distance) on a half-space, is left out.
+that no face at their vertices undercuts, or that are nearest inside, not on an edge, are the
+starts, and Newton walks on the smooth surface end in the minima. Each contact is then solved by
+itself: the displacement that one causes under another, about F / (pi E* distance) on a half-space,
+is left out.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...errors import ContactError
 from ...geometry.body import Body
-from ...geometry.proximity import triangle_distance2
+from ...geometry.proximity import triangle_foot
 from ...se3 import Array
 from . import elliptic, layered
 from .patch import Patch
@@ -27,6 +28,8 @@ ON_EDGE = 0.02
 """Angle, rad, between surface normal and line of centres above which a contact is on an edge."""
 CONFORMING = 1e-3
 """Convexity of the gap, relative to the sphere's, below which contact is along a curve."""
+INSIDE = 1e-6
+"""Least barycentric weight of a foot inside a face."""
 _SLACK = 0.15
 """How far a smooth patch may leave its flat face, in longest edges."""
 
@@ -150,7 +153,7 @@ def press(
 
 
 def _starts(body: Body, centre: Array, reach: float) -> NDArray[np.intp]:
-    """Faces near the sphere that no face at their vertices undercuts."""
+    """Faces near the sphere that hold a minimum by themselves, or that no neighbour undercuts."""
     mesh = body.mesh
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     longest = float(mesh.edges_unique_length.max())
@@ -161,14 +164,16 @@ def _starts(body: Body, centre: Array, reach: float) -> NDArray[np.intp]:
     candidates = np.unique(mesh.vertex_faces[near])
     candidates = candidates[candidates >= 0]
     a, b, c = (vertices[faces[candidates, k]] for k in range(3))
-    gap = np.sqrt(triangle_distance2(centre[None], a, b - a, c - a))
+    gap2, uv = triangle_foot(centre[None], a, b - a, c - a)
+    gap, within = np.sqrt(gap2), np.minimum(uv.min(axis=1), 1.0 - uv.sum(axis=1)) > INSIDE
     edge = np.sqrt(np.max([np.sum((v - w) ** 2, axis=1) for v, w in ((a, b), (b, c), (c, a))], 0))
     inside = gap < reach + _SLACK * edge
-    candidates, gap = candidates[inside], gap[inside]
+    candidates, gap, within = candidates[inside], gap[inside], within[inside]
     corners = faces[candidates]
     around = np.full(len(vertices), np.inf)  # least gap of the faces at each vertex
     np.minimum.at(around, corners.ravel(), np.repeat(gap, 3))
-    return np.asarray(candidates[gap <= around[corners].min(axis=1) * (1 + 1e-9)])
+    lowest = gap <= around[corners].min(axis=1) * (1 + 1e-9)
+    return np.asarray(candidates[lowest | within])
 
 
 def _distinct(points: Array, rows: NDArray[np.intp], same: float) -> NDArray[np.intp]:
