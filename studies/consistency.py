@@ -2,12 +2,13 @@
 
     python studies/consistency.py [--scenes ideal modulus ...] [--seeds 40] [--full] [--json FILE]
 
-Scenes on the paper's sphere, 1 % noise, 40 taxels and 800 contacts: the ideal model; E* unknown and
-20 % off; gains 5 % apart; an indenter that stands 0.4 mm off; rigid modules that lie on the body to
-0.1 mm a taxel. For the position along the surface, the tilt, the spin (of modules), each shared
-unknown and the gains: mean squared error over its stated variance, 1 where the covariance holds,
-with the band that it keeps to in 95 of 100 such studies. RMS error over the Cramer-Rao bound; and
-how often the test of fit is wrong at 1e-3.
+Scenes on the paper's sphere, 1 % noise, 40 taxels and 800 contacts of 2 to 4 N: the ideal model; E*
+unknown and 20 % off; gains 5 % apart; gains and offsets; a force sensor with a bias; an indenter
+that stands 0.4 mm off; rigid modules that lie on the body to 0.1 mm a taxel. For the position along
+the surface, the tilt, the spin (of modules), each shared unknown, the gains and the offsets: mean
+squared error over its stated variance, 1 where the covariance holds, with the band that it keeps to
+in 95 of 100 such studies. RMS error over the Cramer-Rao bound; and how often the test of fit is
+wrong at 1e-3.
 --full takes 200 seeds.
 """
 
@@ -31,14 +32,17 @@ from meshskin.estimation.factors.shared import PRIORS
 from meshskin.estimation.observe import TILT_SIGMA
 from meshskin.geometry import slots
 from meshskin.geometry.region import Cap
+from meshskin.physics.effects.force_sensor import ForceSensor
 from meshskin.physics.effects.gain_offset import GainOffset
 from meshskin.physics.effects.gaussian_noise import GaussianNoise
 from meshskin.physics.effects.indenter_offset import IndenterOffset
 
 NOISE, TAXELS, CONTACTS = 0.01, 40, 800
 OFFSET = (3e-4, -2e-4, 1e-4)
-SPREAD = 0.05
-"""Standard deviation of ln(gain)."""
+SPREAD, OFFSETS = 0.05, 0.005
+"""Standard deviations of ln(gain), and of the offsets in units of the peak."""
+BIAS = 0.1
+"""Of the force sensor, N."""
 SEEN = 0.5
 """Part of its prior's standard deviation below which an unknown counts as determined by data."""
 
@@ -59,6 +63,8 @@ def cases() -> dict[str, Case]:
     ideal = base.with_(skin=skin, effects=(GaussianNoise(NOISE),))
     softer = ms.Material(0.8 * base.material.young, base.material.poisson)
     gains = ideal.with_(effects=(*ideal.effects, GainOffset(SPREAD, 0.0)))
+    offsets = ideal.with_(effects=(*ideal.effects, GainOffset(SPREAD, OFFSETS)))
+    biased = ideal.with_(effects=(*ideal.effects, ForceSensor(0.0, BIAS)))
     displaced = ideal.with_(effects=(*ideal.effects, IndenterOffset(OFFSET)))
     modules = ms.Skin.modules(base.body, 7, region=Cap((0, 0, -1), 0.5)).skin
     stands = {f"indenter_offset {axis}": -value for axis, value in zip("xyz", OFFSET, strict=True)}
@@ -71,6 +77,19 @@ def cases() -> dict[str, Case]:
             {"unknown": ("modulus", "gain"), "priors": {"gain": SPREAD}},
             {"modulus": 0.0},
         ),
+        "offsets": Case(
+            offsets,
+            {
+                "unknown": ("modulus", "gain", "offset"),
+                "priors": {"gain": SPREAD, "offset": OFFSETS},
+            },
+            {"modulus": 0.0},
+        ),
+        "force": Case(
+            biased,
+            {"unknown": ("modulus", "force_scale", "force_offset")},
+            {"modulus": 0.0, "force_scale": 0.0, "force_offset": -BIAS},
+        ),
         "indenter": Case(
             displaced, {"unknown": ("modulus", "indenter_offset")}, {"modulus": 0.0} | stands
         ),
@@ -80,22 +99,26 @@ def cases() -> dict[str, Case]:
     }
 
 
-def contacts(scene: ms.Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Contact points (m, 3), m, over the skin and a patch's radius beyond, and spins (m,), rad."""
+def contacts(scene: ms.Scene) -> dict[str, np.ndarray]:
+    """Points (m, 3), m, over the skin and a patch's radius beyond, forces (m,), N, spins, rad."""
     rng, centre = np.random.default_rng(7), scene.skin.positions.mean(axis=0)
     reach = np.linalg.norm(scene.skin.positions - centre, axis=1).max() + scene.patch.semi_axes[0]
     count = round(CONTACTS * len(scene.skin) / TAXELS)
     k = np.arange(count) + 0.5
     angle, radius = np.pi * (3 - np.sqrt(5)) * k, reach * np.sqrt(k / count)
     flat = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(count)])
-    return scene.body.closest(centre + flat).point, rng.uniform(-np.pi, np.pi, count)
+    return {
+        "points": scene.body.closest(centre + flat).point,
+        "force": rng.uniform(2.0, 4.0, count),
+        "spin": rng.uniform(-np.pi, np.pi, count),
+    }
 
 
 def study(case: Case, seeds: int) -> dict[str, dict[str, float]]:
     """Rows of quantities: mean normalised square, its band, how many squares it is a mean of."""
     world, belief = case.world, case.world.belief(**case.belief)
     right = replace(belief, material=world.material)  # the bound is that at the truth
-    points, spins = contacts(world)
+    pressed = contacts(world)
     squares: dict[str, list[np.ndarray]] = defaultdict(list)
     errors, bounds, chances = [], [], []
     modular = belief.module_slots is not None
@@ -103,7 +126,7 @@ def study(case: Case, seeds: int) -> dict[str, dict[str, float]]:
     for seed in range(seeds):
         if modular:
             world = world.with_(skin=settled(case.world.skin, np.random.default_rng(seed)))
-        recording = ms.press(world, points, spin=spins, seed=seed)
+        recording = ms.press(world, **pressed, seed=seed)
         found = ms.calibrate(recording, belief)
         off = pose_errors(found, world.skin)[one]
         if not modular:  # the surface is as true as it is trusted to be
@@ -118,12 +141,10 @@ def study(case: Case, seeds: int) -> dict[str, dict[str, float]]:
             value, sigma = found.unknowns[label]
             if sigma < SEEN * prior(label):
                 squares[label].append(np.array([((value - true) / sigma) ** 2]))
-        if "gain" in found.taxel_unknowns:
-            true = SPREAD * world.context(seed).stream("gain_offset").standard_normal(
-                len(world.skin)
-            )
-            value, sigma = found.taxel_unknowns["gain"].T
-            squares["gain"].append(((value - true) / sigma) ** 2)
+        for name, true in taxels(world, seed).items():
+            if name in found.taxel_unknowns:
+                value, sigma = found.taxel_unknowns[name].T
+                squares[name].append(((value - true) / sigma) ** 2)
         chances.append(found.fit.p)
         if not modular:
             errors.append(np.mean(metrics.position_errors(found, world.skin) ** 2))
@@ -138,6 +159,14 @@ def study(case: Case, seeds: int) -> dict[str, dict[str, float]]:
     if errors:
         rows["fit"]["rms_over_bound"] = float(np.sqrt(np.mean(errors) / np.mean(bounds)))
     return {name: {key: float(v) for key, v in row.items()} for name, row in rows.items()}
+
+
+def taxels(world: ms.Scene, seed: int) -> dict[str, np.ndarray]:
+    """ln(gain) and offset (Pa) of the world's taxels (n,), as GainOffset draws them."""
+    context = world.context(seed)
+    stream, n = context.stream("gain_offset"), len(world.skin)
+    gain = SPREAD * stream.standard_normal(n)
+    return {"gain": gain, "offset": OFFSETS * context.peak_pressure * stream.standard_normal(n)}
 
 
 def settled(skin: ms.Skin, rng: np.random.Generator) -> ms.Skin:

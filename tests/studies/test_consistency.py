@@ -25,8 +25,10 @@ def wide(row):
 def test_few_seeds(study, tmp_path, capsys):
     found = study.main(["--seeds", "3", "--json", str(tmp_path / "x.json")])
     assert json.loads((tmp_path / "x.json").read_text()) == found
-    assert list(found) == ["ideal", "modulus", "gains", "indenter", "modules"]
-    assert {"position", "tilt", "gain", "modulus"} < set(found["gains"])
+    scenes = ["ideal", "modulus", "gains", "offsets", "force", "indenter", "modules"]
+    assert list(found) == scenes
+    assert {"position", "tilt", "gain", "offset", "modulus"} < set(found["offsets"])
+    assert {"modulus", "force_scale", "force_offset"} < set(found["force"])
     assert {"indenter_offset x", "indenter_offset y"} < set(found["indenter"])
     assert {"position", "tilt", "spin"} < set(found["modules"])
     for rows in found.values():
