@@ -124,7 +124,7 @@ def work_precision(
     left.set(ylabel="mean error of the taxels (mm)", title="Error against the truth")
     right.set(ylabel="mean shift of the taxels (mm)", title="Numerical part, without noise")
     for axes in (left, right):
-        _plain_axes(axes)
+        plain_axes(axes)
     handles, labels = left.get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncols=6, fontsize=8)
     return figure
@@ -158,7 +158,7 @@ def accuracy_time(
     left.set(xscale="log", yscale="log", xlabel="time of the estimate (s)")
     left.set(ylabel="mean error of the taxels (mm)", title="Estimators on this recording")
     left.margins(x=0.25, y=0.2)
-    _plain_axes(left)
+    plain_axes(left)
     names = list(stages)[::-1]
     right.barh(names, [stages[name] for name in names], color=theme.ESTIMATE, height=0.6)
     right.tick_params(axis="y", length=0)
@@ -166,7 +166,7 @@ def accuracy_time(
     return figure
 
 
-def _plain_axes(axes: Axes) -> None:
+def plain_axes(axes: Axes) -> None:
     """Ticks in plain numbers: few seconds and decades of millimetres."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 

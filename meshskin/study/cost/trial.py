@@ -12,6 +12,7 @@ import numpy as np
 from ...errors import ContactError, MeshskinError
 from ...estimation import metrics
 from ...estimation.calibrate import calibrate
+from ...estimation.solve import AT_REST
 from ...simulation import simulate
 from .numerics import Numerics, mean_mm
 from .setting import Setting
@@ -109,7 +110,7 @@ class Bench:
             error = metrics.position_errors(found, truth)
             errors.append(1e3 * float(np.nanmean(error)))
             located.append(int(np.isfinite(error).sum()))
-            if setting.method == "joint":
+            if setting.method == "joint" and setting.tolerance > AT_REST:
                 tight = calibrate(recording, belief, tolerance=self.numerics.tolerance)
                 off += mean_mm(found.positions - tight.positions) / len(recordings)
         count, bound = len(recordings), 0.0
