@@ -51,8 +51,8 @@ class Series:
     name: str
     seconds: Array
     """(k,)."""
-    error: Array
-    """Error against the truth (k,), mm."""
+    total: Array
+    """Error against the truth and numerical part together (k,), mm."""
     numerical: Array
     """Numerical part (k,), mm."""
     labels: tuple[str, ...]
@@ -74,7 +74,7 @@ def series(costs: Costs) -> list[Series]:
             Series(
                 name,
                 np.array([row.time for row in rows]),
-                np.array([row.error_mm for row in rows]),
+                np.array([row.total_mm for row in rows]),
                 np.array([row.numerical_mm for row in rows]),
                 tuple("" if row is own else row.setting.words(costs.base) for row in rows),
             )
@@ -91,7 +91,7 @@ def work_precision(
 ) -> Figure:
     """Error against seconds of every setting, and the numerical part of it beside.
 
-    own: seconds, error and numerical part, mm, of the scene as it is; front: seconds and total
+    own: seconds, total and numerical part, mm, of the scene as it is; front: seconds and total
     error, mm, of the settings that none beats; targets, mm: drawn as lines.
     """
     figure = theme.canvas(9.6, 5.0)
@@ -103,12 +103,12 @@ def work_precision(
         }
         if s.name == SAID["chosen"]:
             style = {"marker": "o", "color": theme.INK, "mfc": "none", "mew": 1.3}
-        for axes, values in ((left, s.error), (right, s.numerical)):
+        for axes, values in ((left, s.total), (right, s.numerical)):
             if axes is left or s.name in SIMULATED:
                 line = "-" if s.name in RANKED else ""
                 axes.plot(s.seconds, values, ls=line, lw=0.9, ms=5, label=s.name, **style)
         if s.name == SAID["method"]:
-            for x, y, text in zip(s.seconds, s.error, s.labels, strict=True):
+            for x, y, text in zip(s.seconds, s.total, s.labels, strict=True):
                 left.annotate(text.replace("_", " "), (x, y), (5, 2), textcoords="offset points",
                               fontsize=7, color=theme.MUTED)  # fmt: skip
     for axes, value in ((left, own[1]), (right, own[2])):
@@ -121,7 +121,7 @@ def work_precision(
     for target in targets:
         if low < target < high:
             left.axhline(target, color=theme.FAINT, lw=0.8, zorder=0)
-    left.set(ylabel="mean error of the taxels (mm)", title="Error against the truth")
+    left.set(ylabel="mean error of the taxels (mm)", title="Error, numerical part included")
     right.set(ylabel="mean shift of the taxels (mm)", title="Numerical part, without noise")
     for axes in (left, right):
         plain_axes(axes)
@@ -182,7 +182,7 @@ def figure(costs: Costs, targets: Sequence[float]) -> Figure:
     """The work-precision plot of what was measured."""
     own = next(row for row in costs.rows if row.knob == "scene")
     front = [(row.time, row.total_mm) for row in costs.front]
-    return work_precision(series(costs), (own.time, own.error_mm, own.numerical_mm), front, targets)
+    return work_precision(series(costs), (own.time, own.total_mm, own.numerical_mm), front, targets)
 
 
 HEADER = ("to reach (mm)", "cheapest setting", "seconds", "error (mm)", "numerical part (mm)")
@@ -237,9 +237,9 @@ def page(costs: Costs, targets: Sequence[float], png: Path, svg: Path) -> Conten
 
 
 CAPTION = (
-    "Left: mean distance of the calibrated taxels from the truth, under the scene's noise. The "
-    "grey steps join settings that no other beats, both panels taken together. Right: how far the "
-    "taxels move because of mesh, contact model, step and tolerance alone, from the reference."
+    "Left: mean distance of the calibrated taxels from the truth, under the scene's noise, with "
+    "the numerical part (root of the sum of squares). Grey: settings that no other beats. Right: "
+    "how far mesh, contact model, step and tolerance alone move the taxels, from the reference."
 )
 
 

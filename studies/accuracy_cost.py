@@ -1,0 +1,132 @@
+"""What accuracy costs in time, for every scene that comes along.
+
+    python studies/accuracy_cost.py --out figures/ [--scenes sphere_noisy ...] [--full]
+
+Turns knobs of each scene (step, lanes, frame rate, estimator; --full: all, 3 seeds, and a finer
+reference), prints the cheapest way to 1, 0.3, 0.1, 0.03 and 0.01 mm, how second routes confirm the
+reference, and draws all scenes' work-precision fronts. Then asks runs for an accuracy and for a
+time, and prints what they promised beside what they came to. Seconds are processor time, which
+other work on the machine moves, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import meshskin as ms
+from meshskin import job, library
+from meshskin.cli.cost import summary
+from meshskin.report import figures, precision, theme
+from meshskin.study.cost import KNOBS, TARGETS, Costs
+from meshskin.study.cost.request import Request
+
+FEW = ("dt", "lanes", "rate", "method")
+"""Knobs of the default size."""
+ASKED = (Request(accuracy_mm=0.03), Request(accuracy_mm=0.008), Request(seconds=30.0))
+
+
+def main(arguments: list[str] | None = None) -> dict[str, Any]:
+    """Run the study; return its numbers by scene."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("figures"))
+    parser.add_argument("--scenes", nargs="*", default=None)
+    parser.add_argument("--knobs", nargs="*", default=None)
+    parser.add_argument("--asked", nargs="*", default=("sphere_noisy",), help="scenes of requests")
+    parser.add_argument("--full", action="store_true", help="all knobs, 3 seeds, finer reference")
+    parser.add_argument("--json", type=Path, default=None)
+    options = parser.parse_args(arguments)
+    scenes = options.scenes or list(library.scenes())
+    knobs = options.knobs or (KNOBS if options.full else FEW)
+
+    found: dict[str, Costs] = {}
+    for name in scenes:
+        costs = ms.cost(
+            ms.Scene.load(name),
+            knobs=knobs,
+            seeds=3 if options.full else 1,
+            finer=8 if options.full else 4,
+        )
+        print(summary(costs), flush=True)
+        found[name] = costs
+    figures.save(fronts(found), options.out, "accuracy_cost")
+    for name, costs in found.items():
+        figures.save(precision.figure(costs, TARGETS), options.out, f"accuracy_cost_{name}")
+    numbers: dict[str, Any] = {name: row(costs) for name, costs in found.items()}
+    asked = scenes if options.full else options.asked
+    numbers["requests"] = [kept(name, request) for name in asked for request in ASKED]
+    if asked:
+        report(numbers["requests"])
+    if options.json:
+        options.json.write_text(json.dumps(numbers, indent=2))
+    return numbers
+
+
+def row(costs: Costs) -> dict[str, Any]:
+    """The numbers of one scene."""
+    own = costs.rows[0]
+    best = {f"{t:g}": costs.cheapest(t) for t in TARGETS}
+    return {
+        "error_mm": own.error_mm,
+        "bound_mm": own.bound_mm,
+        "numerical_mm": own.numerical_mm,
+        "seconds": own.time,
+        "cheapest_seconds": {t: None if r is None else r.time for t, r in best.items()},
+        "routes_mm": {route.name: route.mean_mm for route in costs.routes},
+        "settings": len(costs.rows),
+    }
+
+
+def kept(name: str, request: Request, seed: int = 1) -> dict[str, Any]:
+    """What a run promised, and came to over it."""
+    with TemporaryDirectory() as place:
+        promise = job.run(name, place, seed=seed, request=request).metrics["promise"]
+    came = promise["came_to"]
+    return {
+        "scene": name,
+        **promise,
+        "error_ratio": came["error_mm"] / promise["error_mm"] if promise["error_mm"] else None,
+        "seconds_ratio": came["seconds"] / promise["seconds"],
+        "processor_ratio": came["processor_seconds"] / promise["processor_seconds"],
+    }
+
+
+def report(requests: Sequence[dict[str, Any]]) -> None:
+    """Print promises beside outcomes."""
+    print(f"  {'scene':14}{'asked':>9}{'promised mm':>13}{'came to':>10}{'promised s':>12}"
+          f"{'came to':>9}{'processor s':>13}{'came to':>9}  setting")  # fmt: skip
+    for r in requests:
+        came = r["came_to"]
+        print(f"  {r['scene']:14}{r['asked']:>9}{r['error_mm']:13.4g}{came['error_mm']:10.4g}"
+              f"{r['seconds']:12.2f}{came['seconds']:9.2f}{r['processor_seconds']:13.2f}"
+              f"{came['processor_seconds']:9.2f}  {r['setting']}")  # fmt: skip
+
+
+@theme.styled
+def fronts(found: dict[str, Costs]) -> Any:
+    """Error and numerical part together against seconds: every setting, and each scene's front."""
+    figure = theme.canvas(7.6, 4.6)
+    axes = theme.place(figure, 0.85, 0.65, 6.5, 3.5)
+    for k, (name, costs) in enumerate(found.items()):
+        colour = precision.COLOURS[k % len(precision.COLOURS)]
+        x, y = ([getattr(r, key) for r in costs.whole] for key in ("time", "total_mm"))
+        axes.plot(x, y, ".", color=colour, ms=4, alpha=0.4)
+        x, y = ([getattr(r, key) for r in costs.front] for key in ("time", "total_mm"))
+        axes.step(x, y, where="post", color=colour, lw=1.6, label=name.replace("_", " "))
+        own = costs.rows[0]
+        axes.plot(own.time, own.total_mm, "*", color=colour, ms=11, mec="white", mew=0.6)
+    for target in TARGETS:
+        axes.axhline(target, color=theme.FAINT, lw=0.7, zorder=0)
+    axes.set(xscale="log", yscale="log", xlabel="processor time: load, simulate, calibrate (s)")
+    axes.set(ylabel="error and numerical part (mm)", title="Stars: the scenes as they are")
+    axes.legend(loc="upper right")
+    precision.plain_axes(axes)
+    return figure
+
+
+if __name__ == "__main__":
+    main()

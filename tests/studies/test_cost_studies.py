@@ -1,0 +1,52 @@
+"""Studies of accuracy against time and of the skin's design, at a small size."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+import pytest
+
+STUDIES = Path(__file__).parents[2] / "studies"
+
+
+def study(name):
+    """The script as a module."""
+    spec = importlib.util.spec_from_file_location(f"{name}_study", STUDIES / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.slow
+def test_accuracy_cost(tmp_path, capsys):
+    asked = ["--scenes", "sphere_noisy", "--knobs", "dt", "--asked"]
+    found = study("accuracy_cost").main([*asked, "--out", str(tmp_path)])["sphere_noisy"]
+    assert found["error_mm"] == pytest.approx(0.0100, rel=0.05)
+    assert found["bound_mm"] == pytest.approx(0.00964, rel=0.02)
+    # semi-implicit Euler at 1 ms: a twentieth of the noise
+    assert found["numerical_mm"] == pytest.approx(0.00046, rel=0.1)
+    assert max(found["routes_mm"].values()) < 0.004
+    assert 0 < found["cheapest_seconds"]["0.1"] <= found["seconds"]
+    assert found["cheapest_seconds"]["0.01"] is None, "the step alone does not get there"
+    for name in ("accuracy_cost", "accuracy_cost_sphere_noisy"):
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+    assert "cheapest setting" in capsys.readouterr().out
+
+
+def test_skin_design(tmp_path, capsys):
+    asked = ["--seeds", "1", "--only", "thickness_mm", "young_kpa"]
+    file = tmp_path / "x.json"
+    module = study("skin_design")
+    module.VALUES = {"thickness_mm": (3.0, 20.0), "young_kpa": (100.0, 800.0)}
+    found = module.main([*asked, "--out", str(tmp_path), "--json", str(file)])
+    assert json.loads(file.read_text()) == found
+    thin, thick = found["thickness_mm"]
+    assert thin["joint_mm"] == pytest.approx(0.0065, rel=0.1)
+    assert thin["thick_mm"] > 1.1 * thin["joint_mm"], "a thin layer is no half-space"
+    assert thick["thick_mm"] == pytest.approx(thick["joint_mm"], rel=0.02)
+    soft, stiff = found["young_kpa"]
+    assert stiff["bound_mm"] < 0.4 * soft["bound_mm"]
+    for row in (thin, thick, soft, stiff):
+        assert row["joint_mm"] == pytest.approx(row["bound_mm"], rel=0.2)
+    assert (tmp_path / "skin_design.png").stat().st_size > 10_000
+    assert "as if thick" in capsys.readouterr().out
