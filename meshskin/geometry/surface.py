@@ -111,12 +111,7 @@ class Surface:
         hit = self._answer(face, uv, derivatives, p)
         if self.smooth:
             return hit
-        outward = self._outward(hit.face, hit.uv, hit.normal)
-        side = np.einsum("ij,ij->i", p - hit.point, outward)
-        if flat is not None:
-            clear = self._flat_side(p, hit.face, flat)
-            side = np.where(clear != 0.0, clear, side)
-        return replace(hit, distance=np.copysign(hit.distance, side))
+        return replace(hit, distance=np.copysign(hit.distance, self._side(p, hit, flat)))
 
     def descend(self, points: ArrayLike, face: ArrayLike) -> Closest:
         """Local minima of the distance to `points` (n, 3), m, that walks from `face` (n,) end in.
@@ -186,19 +181,25 @@ class Surface:
         normal[corner] = self._corner_normals[vertex]
         return normal
 
-    def _flat_side(self, points: Array, foot: Index, flat: Flat) -> Array:
-        """On which side (n,), by its sign, of the flat mesh points are; 0 where that tells nothing.
+    def _side(self, points: Array, hit: Closest, flat: Flat | None) -> Array:
+        """On which side (n,), by its sign, of the surface points are.
 
-        It tells where a point is farther from the flat face than the patches are: the patches of
-        a coarse thin body may pass through each other, its faces do not.
+        Where a point is farther from the flat mesh than the patches are, that tells: the patches
+        of a coarse thin body may pass through each other, its faces do not.
         """
-        face, uv, gap = flat
-        weight = np.column_stack([1.0 - uv.sum(axis=1), uv])
-        near = np.einsum("nk,nkc->nc", weight, self.vertices[self.faces[face]])
-        outward = self._outward(face, uv, self._flat_normals[face])
-        side = np.einsum("ij,ij->i", points - near, outward)
-        clear = gap > np.maximum(self.lifts[face], self.lifts[foot])
-        return np.where(clear, side, 0.0)
+        side = np.zeros(len(points))
+        if flat is not None:
+            height = np.maximum(self.lifts[flat.face], self.lifts[hit.face])
+            rows = np.flatnonzero(flat.gap > height)
+            face, uv = flat.face[rows], flat.uv[rows]
+            weight = np.column_stack([1.0 - uv.sum(axis=1), uv])
+            foot = np.einsum("nk,nkc->nc", weight, self.vertices[self.faces[face]])
+            outward = self._outward(face, uv, self._flat_normals[face])
+            side[rows] = np.einsum("ij,ij->i", points[rows] - foot, outward)
+        rows = np.flatnonzero(side == 0.0)
+        outward = self._outward(hit.face[rows], hit.uv[rows], hit.normal[rows])
+        side[rows] = np.einsum("ij,ij->i", points[rows] - hit.point[rows], outward)
+        return side
 
     @cached_property
     def _flat_normals(self) -> Array:
