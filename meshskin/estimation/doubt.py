@@ -61,6 +61,11 @@ def _sift(run: Run, suspects: np.ndarray, scale: float, fixed: bool) -> float:
             break
         run.weigh(weight)
         run.converge()
+    mute = faults.mute(run.likelihood.readings)
+    if mute.any():
+        run.silent_weight[np.unique(run.likelihood.readings.taxel[mute])] = 0.0
+        run.weigh(np.where(mute, 0.0, run.likelihood.readings.weight))
+        run.converge()
     readings = run.likelihood.readings
     lost = faults.lost(readings)
     return faults.typical(readings, run.residuals()) if lost < faults.MOST else np.inf
@@ -77,8 +82,8 @@ def _name(run: Run, scale: float) -> None:
     def count(which: np.ndarray) -> np.ndarray:
         return np.bincount(readings.taxel[which], minlength=n)
 
-    heard, wild, mute = count(~silent), count(out & ~silent), count(out & silent)
     far = out & (np.abs(run.residuals()) > faults.CUT * scale)
+    heard, wild, mute = count(~silent), count(out & ~silent), count(far & silent)
     guilty = np.flatnonzero(count(far))
     points = run.problem.points(run.state)
     pairs = faults.exchanged(run.data, readings, points, guilty)

@@ -41,6 +41,8 @@ TAKEN = 1.25
 """Scale of what is left, relative to the noise, up to which the outlying readings are the cause."""
 MOST = 0.35
 """Share of outlying readings, of the mean taxel, from which it is the model that is wrong."""
+MUTE = 3
+"""Contacts that press a taxel and that it does not answer, from which its silence is no reading."""
 SCATTER = 2.0
 """Spread of a stuck taxel's contacts, relative to the reach of one."""
 
@@ -66,6 +68,16 @@ def lost(readings: Readings) -> float:
     count = np.bincount(readings.taxel[heard], minlength=n)
     out = np.bincount(readings.taxel[heard & outlying(readings)], minlength=n)
     return float(np.mean(out[count > 0] / count[count > 0])) if count.any() else 0.0
+
+
+def mute(readings: Readings) -> np.ndarray:
+    """Silent readings (k,) of taxels that are silent where that cannot be.
+
+    Then their silence elsewhere says nothing either.
+    """
+    silent, n = readings.kind == SILENT, len(readings.starts) - 1
+    count = np.bincount(readings.taxel[silent & outlying(readings)], minlength=n)
+    return np.asarray(silent & (count >= MUTE)[readings.taxel])
 
 
 def stuck(data: Measurements) -> Stuck:

@@ -81,6 +81,17 @@ def test_a_taxel_that_dies_on_the_way(world, clean, change):
     assert others(position_errors(found, world.skin), [9], reference) < 1.05
 
 
+def test_many_taxels_with_a_loose_wire_leave_a_model_that_fits(world, clean, change):
+    recording, belief, reference, _ = clean
+    dying = np.arange(0, len(world.ids), 5)
+    off = recording.reading_contact % 40 > 20
+    keep = ~(off & np.isin(recording.reading_taxel, world.ids[dying]))
+    found = calibrate(change(recording, keep=keep), belief)
+    assert found.fit.good  # what they do not say is not held against the model
+    assert np.array_equal(np.flatnonzero(found.faults != ""), dying)
+    assert others(position_errors(found, world.skin), dying, reference) < 1.05
+
+
 def test_two_taxels_that_exchange_their_ids(world, clean, change, tmp_path):
     recording, belief, reference, _ = clean
     taxel, sometimes = recording.reading_taxel.copy(), recording.reading_contact % 10 > 6

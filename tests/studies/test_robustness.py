@@ -37,3 +37,10 @@ def test_a_fifth_of_all_taxels(study, world, name):
     assert found["named"] == 1.0
     assert found["accused"] <= 4
     assert found["lost"] == 0
+
+
+def test_what_dead_taxels_do_not_say_is_not_held_against_the_model(study, world):
+    bad = np.random.default_rng(2000).choice(len(world.skin), 16, replace=False)
+    _, found = world.errors(world.record(0, study.dies, bad))
+    assert found.fit.good
+    assert set(np.flatnonzero(found.faults != "")) == set(bad)
