@@ -23,7 +23,13 @@ def add(commands: Any) -> None:
         "--out", type=Path, default=Path("out"), metavar="DIR", help="folder for page and figure"
     )
     parser.add_argument("--seeds", type=int, default=1, help="runs of each setting (default 1)")
-    parser.add_argument("--knobs", nargs="*", default=None, metavar="KNOB", help="only these")
+    parser.add_argument(
+        "--knobs",
+        nargs="*",
+        default=None,
+        metavar="KNOB",
+        help="only these of faces, degree, contact, dt, integrator, lanes, rate, method, tolerance",
+    )
     parser.add_argument(
         "--full", action="store_true", help="3 seeds, and a reference twice as fine again"
     )

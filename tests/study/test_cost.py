@@ -1,5 +1,6 @@
 """Accuracy against time: numerical parts of the right order, a front that nothing beats."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -86,8 +87,6 @@ def row(seconds, error):
 
 
 def test_records_are_plain(costs):
-    import json
-
     records = costs.records()
     assert len(records) == len(costs.rows)
     assert json.loads(json.dumps(records))[0]["change"] == "the scene as it is"
@@ -106,10 +105,38 @@ def test_models_give_back_what_was_measured(costs):
 
 def test_ladders_turn_one_knob_at_a_time(scene):
     base = Setting.of(scene)
-    for knob, setting in ladders(base):
+    for knob, setting in ladders(base, scene):
         changed = [f for f in Setting.__dataclass_fields__
                    if getattr(setting, f) != getattr(base, f)]  # fmt: skip
         assert len(changed) <= (2 if knob == "integrator" else 1)
+
+
+def test_a_mesh_has_no_other_faces_and_a_floating_body_no_integrator(scene):
+    found = scene.with_(
+        body=replace(scene.body, exact=None), loop=replace(scene.loop, mode="quasi_static")
+    )
+    base = Setting.of(found)
+    assert base.faces is None
+    knobs = {knob for knob, _ in ladders(base, found)}
+    assert {"faces", "integrator"}.isdisjoint(knobs)
+    assert {"dt", "lanes", "method"} <= knobs
+    assert base.body(found.body) is found.body
+
+
+def test_the_command_writes_page_figure_and_settings(costs, tmp_path):
+    from meshskin.cli.cost import summary, write
+
+    write(costs, tmp_path)
+    page = (tmp_path / "cost.html").read_text()
+    for words in ("The cheapest way to an accuracy", "exact primitive", "the scene as it is"):
+        assert words in page
+    record = json.loads((tmp_path / "cost.json").read_text())
+    assert len(record["settings"]) == len(costs.rows)
+    assert record["settings"][0]["error_mm"] == costs.rows[0].error_mm
+    assert (tmp_path / "figures" / "work_precision.png").stat().st_size > 10_000
+    lines = summary(costs).splitlines()
+    assert lines[0].startswith("sphere_noisy: ")
+    assert [line.split()[0] for line in lines[2:7]] == ["1", "0.3", "0.1", "0.03", "0.01"]
 
 
 def test_the_skin_stays_where_it_is(scene):

@@ -111,7 +111,8 @@ def cost(
 
     seeds: runs a setting, the same random numbers for all. finer: how much finer the reference's
     mesh and step are. progress(stage, done, total) is called as it goes. Raises UnknownNameError
-    for an unknown knob, and what the reference raises; settings that fail are rows that say why.
+    for an unknown knob, and what the reference and the scene itself raise; other settings that fail
+    are rows that say why.
     """
     for knob in knobs:
         if knob not in KNOBS:
@@ -123,9 +124,9 @@ def cost(
         return Numerics(bench.scene(finest), finest.tolerance)
 
     bench = Bench(scene, seeds, numerics)
-    asked = [(k, s) for k, s in ladders(base) if k == "scene" or (k in knobs and s != base)]
+    asked = [(k, s) for k, s in ladders(base, scene) if k == "scene" or (k in knobs and s != base)]
     confirmed = routes(bench.numerics)
-    bench.measure("scene", base)  # what the first run pays once, no row should pay
+    bench.run("scene", base)  # what the first run pays once, no row should pay
     bench.forget()
     rows: list[Row] = []
     targets = tuple(targets)
@@ -134,12 +135,11 @@ def cost(
         rows.append(bench.measure(knob, setting))
         if progress is not None:
             progress("cost", done + 1, total)
-    if not rows[0].failure:
-        models = Models.fit(rows)
-        for done, target in enumerate(targets):
-            _combine(bench, models, rows, target)
-            if progress is not None:
-                progress("cost", len(asked) + done + 1, total)
+    models = Models.fit(rows)
+    for done, target in enumerate(targets):
+        _combine(bench, models, rows, target)
+        if progress is not None:
+            progress("cost", len(asked) + done + 1, total)
     return Costs(scene.name, base, finest, tuple(rows), confirmed, seeds)
 
 

@@ -37,10 +37,12 @@ class Route:
 
 def routes(numerics: Numerics) -> tuple[Route, ...]:
     """All second routes that the reference's scene has."""
-    found = [integration(numerics), contact(numerics)]
+    found = []
     if numerics.scene.body.exact is not None:
-        found.insert(0, geometry(numerics))
-    return tuple(found)
+        found.append(geometry(numerics))
+    if numerics.scene.loop.mode == "arm":
+        found.append(integration(numerics))
+    return (*found, contact(numerics))
 
 
 def geometry(numerics: Numerics) -> Route:

@@ -142,7 +142,7 @@ def reference(base: Setting, scene: Scene, finer: int = 4) -> Setting:
     )
 
 
-def ladders(base: Setting) -> Iterator[tuple[str, Setting]]:
+def ladders(base: Setting, scene: Scene) -> Iterator[tuple[str, Setting]]:
     """Every knob's levels, one knob turned at a time, by (knob, setting)."""
     yield "scene", base
     if base.faces is not None:
@@ -152,7 +152,8 @@ def ladders(base: Setting) -> Iterator[tuple[str, Setting]]:
         yield "degree", replace(base, degree=degree)
     for contact in BATCHED:
         yield "contact", replace(base, contact=contact)
-    for integrator in dict.fromkeys((base.integrator, *INTEGRATORS)):
+    others = INTEGRATORS if scene.loop.mode == "arm" else ()
+    for integrator in dict.fromkeys((base.integrator, *others)):
         for factor in STEPS:
             knob = "dt" if integrator == base.integrator else "integrator"
             yield knob, replace(base, integrator=integrator, dt=base.dt * factor)

@@ -91,11 +91,12 @@ class Bench:
     def measure(self, knob: str, setting: Setting) -> Row:
         """Run a setting; a failure is a row, too."""
         try:
-            return self._measure(knob, setting)
+            return self.run(knob, setting)
         except MeshskinError as error:
             return Row(knob, setting, failure=str(error))
 
-    def _measure(self, knob: str, setting: Setting) -> Row:
+    def run(self, knob: str, setting: Setting) -> Row:
+        """Run a setting. Raises what keeps it from running."""
         if not setting.whole_frames:
             raise ContactError("frames do not fall on steps", value=f"{setting.rate:g} frames/s")
         scene = self.scene(setting)
