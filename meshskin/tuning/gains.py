@@ -84,7 +84,9 @@ SPAN: dict[str, tuple[float, float]] = {
     "speed": (1e-3, 0.5),
     "ramp": (5e-3, 1.0),
 }
-"""Between which values the gains are looked for, SI; the reference force within `Demands.force`."""
+"""Between which values the gains are looked for, SI."""
+REFERENCE = 0.01
+"""How far the reference force may be from the one that the scene asks for, part of it."""
 
 
 @dataclass(frozen=True)
@@ -145,9 +147,9 @@ def scenarios(
     return tuple(dict.fromkeys([Scenario(), *corners]))
 
 
-def span(bounds: Mapping[str, tuple[float, float]], target: float, force: float) -> Array:
+def span(bounds: Mapping[str, tuple[float, float]], target: float) -> Array:
     """Lowest and highest gains (2, 7), SI: SPAN with `bounds` in it. Raises ConfigError."""
-    ranges = SPAN | {"force_reference": (target * (1.0 - force), target * (1.0 + force))}
+    ranges = SPAN | {"force_reference": (target * (1.0 - REFERENCE), target * (1.0 + REFERENCE))}
     for name, (low, high) in bounds.items():
         if name not in NAMES or not 0.0 < low <= high:
             raise ConfigError(

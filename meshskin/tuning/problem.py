@@ -1,6 +1,6 @@
 """The tuning as one nonlinear program over all scenarios, solved by IPOPT.
 
-    min  value + WEIGHT |x - x_0|^2      subject to  limit_i(x) <= bound_i (1 + slack_i)
+    min  log value + WEIGHT |x - x_0|^2      subject to  limit_i(x) <= bound_i + scale_i slack_i
 
 x are the logarithms of the gains, `value` the worst of the scenarios: the time, or the RMS error of
 the force over the slide. Each limit is the largest of a quantity in windows of WINDOW steps, so
@@ -24,6 +24,7 @@ from ..motion.stability import TOUCH
 from ..se3 import Array
 from .gains import NAMES, Demands, Gains
 from .shooting import Shot
+from .watch import BROKEN, Watch
 
 OBJECTIVES = ("time", "force_error")
 WINDOW = 20
@@ -33,25 +34,21 @@ WEIGHT = 1e-5
 ELASTIC = 1e3
 """Cost of a slack of 1 in the elastic problem, over that of the objective."""
 DAMPING = 1.0
-"""Curvature given to the program in the gains: limits and objective are nearly linear in their
-logarithms, most solutions are corners of limits, and a plain proximal term gets there in fewer
-steps than quasi-Newton or exact second derivatives (measured: 50, 100 and over 100)."""
+"""Curvature given to the program for the least time: limits and time are nearly linear in the
+logarithms of the gains, the solution is a corner of limits, and a plain proximal term gets there in
+fewer steps than quasi-Newton or exact second derivatives (measured: 50, 100 and over 100)."""
 TOLERANCE = 1e-3
-"""Largest violation of a limit, part of it, of a solution that is taken."""
+"""Largest violation of a limit, in its scale, of a solution that is taken."""
+SAFE = 0.97
+"""Part of the touch's depth on which its step is judged, as Hertz scales it with the force."""
 OPTIONS: dict[str, Any] = {
     "print_time": False,
+    "show_eval_warnings": False,  # a step too far is unstable: IPOPT takes a shorter one
     "ipopt.print_level": 0,
     "ipopt.sb": "yes",
     "ipopt.mu_strategy": "adaptive",
     "ipopt.tol": 1e-5,
-    # windows and interpolations are continuous, their slopes are not, and the last iterations may
-    # go to and fro over a kink: stop where nothing is gained any more
-    "ipopt.acceptable_tol": 1e3,
-    "ipopt.acceptable_constr_viol_tol": 0.5 * TOLERANCE,
-    "ipopt.acceptable_compl_inf_tol": 1e-2,
-    "ipopt.acceptable_obj_change_tol": TOLERANCE,
-    "ipopt.acceptable_iter": 5,
-    "ipopt.max_iter": 120,
+    "ipopt.max_iter": 200,
 }
 
 
@@ -99,8 +96,8 @@ class Problem:
     ) -> None:
         began = perf_counter()
         self.shots, self.demands, self.objective = shots, demands, objective
-        self.steps, self.target = steps - steps % WINDOW, target
-        self.low, self.high = np.log(span)
+        self.steps, self.target = steps + -steps % WINDOW, target
+        self.span, (self.low, self.high) = span, np.log(span)
         self.first = np.clip(np.log(np.array(start.values, dtype=float)), self.low, self.high)
         x = ca.MX.sym("x", len(NAMES))
         gains = Gains(*(ca.exp(x[k]) for k in range(len(NAMES))))
@@ -116,12 +113,14 @@ class Problem:
         slack, worst = ca.MX.sym("slack", len(self.names)), ca.MX.sym("worst")
         weight = ca.MX.sym("weight", 2)
         self._unit = self._first_value(values, x)
-        g = [(value / self._unit - worst) for value in values]
-        self._rows: list[int] = [-1] * len(values)
+        g = [ca.log(value / self._unit) - worst for value in values]
+        rows = [-1] * len(values)
         for k, found in enumerate(limits.values()):
             for one in found:
                 g.append((one.quantity - one.bound) / one.scale - slack[k])
-                self._rows += [k] * one.quantity.shape[0]
+                rows += [k] * one.quantity.shape[0]
+        self._rows = np.array(rows)
+        self._some = self._rows >= 0  # the others are the objectives
         cost = weight[0] * (worst + WEIGHT * ca.sumsqr(x - self.first))
         nlp = {
             "x": ca.vertcat(x, worst, slack),
@@ -130,7 +129,13 @@ class Problem:
             "g": ca.vertcat(*g),
         }
         self.nlp = nlp
-        self.solver = ca.nlpsol("tune", "ipopt", nlp, OPTIONS | {"hess_lag": _damping(nlp)})
+        self.watch = Watch(nlp["x"].shape[0], nlp["g"].shape[0])
+        made: dict[str, Any] = {"iteration_callback": self.watch}
+        if objective == "time":
+            made["hess_lag"] = _damping(nlp)
+        else:  # the logarithm of an error that may vanish is bent: it needs its curvature
+            made["ipopt.hessian_approximation"] = "limited-memory"
+        self.solver = ca.nlpsol("tune", "ipopt", nlp, OPTIONS | made)
         self.build_seconds = perf_counter() - began
 
     def solve(self, start: Gains | None = None, elastic: bool = False) -> Solution:
@@ -138,8 +143,9 @@ class Problem:
         began = perf_counter()
         many = len(self.names)
         first = self.first if start is None else np.log(np.array(start.values, dtype=float))
-        guess = np.concatenate([first, [1.0], np.full(many, 0.1 if elastic else 0.0)])
-        found = self.solver(
+        guess = np.concatenate([first, [0.0], np.full(many, 0.1 if elastic else 0.0)])
+        self.watch.begin((lambda x, g: float(self._broken(x, g).sum())) if elastic else self._merit)
+        self.solver(
             x0=guess,
             p=[1.0 / ELASTIC, 1.0] if elastic else [1.0, 0.0],
             lbx=np.concatenate([self.low, [-np.inf], np.zeros(many)]),
@@ -147,26 +153,39 @@ class Problem:
             lbg=-np.inf,
             ubg=0.0,
         )
-        stats = self.solver.stats()
-        x, broken = found["x"].full().ravel(), found["g"].full().ravel()
+        stats, best = self.solver.stats(), self.watch.best
+        assert best is not None  # the start is an iterate
         size = len(NAMES)
-        over = np.zeros(many)
-        rows = np.array(self._rows)
-        np.maximum.at(over, rows[rows >= 0], broken[rows >= 0] + x[size + 1 :][rows[rows >= 0]])
-        pull = np.zeros(many)
-        np.add.at(pull, rows[rows >= 0], found["lam_g"].full().ravel()[rows >= 0])
-        bound = found["lam_x"].full().ravel()[:size]
+        pull, over = np.zeros(many), self._broken(best.x, best.g)
+        np.add.at(pull, self._rows[self._some], best.lam_g[self._some])
         pulls = dict(zip(self.names, pull, strict=True))
-        pulls |= {f"range of {n}": abs(v) for n, v in zip(NAMES, bound, strict=True)}
+        bound = np.abs(best.lam_x[:size])
+        pulls |= {f"range of {n}": v for n, v in zip(NAMES, bound, strict=True)}
+        value = self._value(best.x, best.g) * self._unit
         return Solution(
-            gains=Gains(*np.exp(x[:size]).tolist()),
-            value=float(x[size] * self._unit),
+            gains=Gains(*np.clip(np.exp(best.x[:size]), *self.span).tolist()),
+            value=value,
             slacks={n: float(v) for n, v in zip(self.names, over, strict=True) if v > TOLERANCE},
-            multipliers={n: float(v * self._unit) for n, v in pulls.items()},
+            multipliers={n: float(v * value) for n, v in pulls.items()},
             status=stats["return_status"],
             iterations=int(stats["iter_count"]),
             seconds=perf_counter() - began,
         )
+
+    def _value(self, x: Array, g: Array) -> float:
+        """The objective, in its unit, at an iterate: the worst of the scenarios."""
+        return float(np.exp(x[len(NAMES)] + g[: len(self.shots)].max()))
+
+    def _broken(self, x: Array, g: Array) -> Array:
+        """How far each limit is broken at an iterate, in its scale; at least 0."""
+        over, rows = np.zeros(len(self.names)), self._rows[self._some]
+        np.maximum.at(over, rows, g[self._some] + x[len(NAMES) + 1 :][rows])
+        return over
+
+    def _merit(self, x: Array, g: Array) -> float:
+        """Of a point on the way to the solution: any that meets the limits is better than none."""
+        over = float(self._broken(x, g).max())
+        return self._value(x, g) if over < 0.5 * TOLERANCE else BROKEN * (1.0 + over)
 
     def _first_value(self, values: Sequence[ca.MX], x: ca.MX) -> float:
         """The objective at the start: its unit in the program."""
@@ -182,7 +201,7 @@ class Problem:
         reference = gains.force_reference
         error = force / reference - 1.0
         slide = shot.manoeuvre.distance / gains.speed + gains.ramp
-        duration = self.steps * dt - since[-1] + gains.settle + slide
+        duration = (self.steps - 1) * dt - since[-1] + gains.settle + slide
         settled = interpolated(error, since, gains.settle, dt)
         # before the slide's begin, a rising force is not yet asked to be there
         rising = ca.fmin(ca.fmax((gains.settle - since) / (2.0 * dt), 0.0), 1.0)
@@ -210,7 +229,8 @@ class Problem:
         part = TOUCH[shot.loop.integrator if shot.joints else "semi_implicit"]
         if not np.isfinite(part):
             return
-        depth = float(shot.scene.patch.depth)
+        depth = ca.MX(float(shot.scene.patch.depth))
+        depth *= SAFE * (gains.force_reference / shot.scene.law.force_reference) ** (2.0 / 3.0)
         speed = ca.fmin(gains.approach_speed, 8.0 / 3.0 * gains.gamma * depth)
         yield Limit("step of the loop", speed * shot.loop.dt / (part * depth), 1.0, 1.0, "")
 

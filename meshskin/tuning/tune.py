@@ -29,10 +29,12 @@ from .problem import OBJECTIVES, Limit, Problem, Solution
 from .shooting import Shot
 from .worlds import world
 
-__all__ = ["Demands", "Scenario", "Tuned", "scenarios", "tune"]
+__all__ = ["Demands", "Scenario", "Tuned", "scenarios", "tune", "where"]
 
-LEEWAY = 1.1
+LEEWAY = 1.2
 """Length of the rollout over the time of the start's manoeuvre."""
+ROUNDS, WORTH = 3, 5e-3
+"""How often a search is taken up again, and the gain of the last one that calls for it."""
 REST = 1.5
 """Rest at the start of the search, over the settling time there."""
 
@@ -66,11 +68,11 @@ def tune(
     if objective not in OBJECTIVES:
         raise UnknownNameError("objective", objective, OBJECTIVES)
     demands = demands or Demands()
-    spot, ahead = _where(scene, place, direction)
+    spot, ahead = where(scene, place, direction)
     shots = _shots(scene, over, spot, ahead, distance)
     first = start or _rested(shots[0], Gains.of(scene))
     target = scene.law.force_reference
-    ranges = span(bounds or {}, target, demands.force)
+    ranges = span(bounds or {}, target)
     if shots[0].joints == 0:  # without an arm there is no velocity gain
         ranges[:, NAMES.index("rate")] = first.rate
     first = Gains(*np.clip(first.values, *ranges).tolist())
@@ -105,7 +107,7 @@ def _solved(problem: Problem) -> Solution:
     """The solution of a problem that has one. Raises TuningError where it has none."""
     solution = problem.solve()
     if not solution.slacks:
-        return solution
+        return _polished(problem, solution)
     nearest = problem.solve(elastic=True)
     if nearest.slacks:
         raise _infeasible(problem.limits, nearest.slacks)
@@ -117,6 +119,25 @@ def _solved(problem: Problem) -> Solution:
             remedy="give start= nearer to the solution, or relax a limit",
         )
     return again
+
+
+def _polished(problem: Problem, solution: Solution) -> Solution:
+    """A solution that was left for want of progress, searched on from where it was."""
+    for _ in range(ROUNDS):
+        if solution.status == "Solve_Succeeded":
+            break
+        again = problem.solve(solution.gains)
+        if again.slacks or again.value > solution.value:
+            break
+        gain = 1.0 - again.value / solution.value
+        solution = replace(
+            again,
+            iterations=solution.iterations + again.iterations,
+            seconds=solution.seconds + again.seconds,
+        )
+        if gain < WORTH:
+            break
+    return solution
 
 
 def _infeasible(limits: Mapping[str, Limit], slacks: Mapping[str, float]) -> TuningError:
@@ -138,7 +159,7 @@ def _infeasible(limits: Mapping[str, Limit], slacks: Mapping[str, float]) -> Tun
     )
 
 
-def _where(
+def where(
     scene: Scene, place: ArrayLike | None, direction: ArrayLike | None
 ) -> tuple[Array, Array]:
     """Where the slide begins and where it goes, body frame."""

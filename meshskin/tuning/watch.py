@@ -1,0 +1,81 @@
+"""Watches the solver's iterations: keeps the best point that meets the limits, and says enough."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ..se3 import Array
+
+PATIENCE, LONG = 25, 50
+"""Iterations without gain after which the search ends, from a point that meets the limits and
+before one is found. Windows and interpolations are continuous, their slopes are not: the last
+iterations may go to and fro over a kink for ever."""
+GAIN = 1e-3
+"""Least decrease of the merit, part of it, that counts as a gain."""
+BROKEN = 1e3
+"""Merit from which on a point does not meet the limits."""
+
+
+@dataclass(frozen=True)
+class Iterate:
+    """A point of the search."""
+
+    merit: float
+    x: Array
+    g: Array
+    lam_x: Array
+    lam_g: Array
+
+
+class Watch(ca.Callback):
+    """IPOPT's iteration callback for a program of `size` variables and `rows` constraints.
+
+    `merit(x, g)` is what is to become small: the best iterate by it is kept in `best`.
+    """
+
+    def __init__(self, size: int, rows: int) -> None:
+        ca.Callback.__init__(self)
+        self.size, self.rows = size, rows
+        self.begin(lambda x, g: 0.0)
+        self.construct("watch")
+
+    def begin(self, merit: Callable[[Array, Array], float]) -> None:
+        """Forget the last search."""
+        self.merit, self.idle = merit, 0
+        self.best: Iterate | None = None
+        self.mark = np.inf
+
+    def get_n_in(self) -> int:
+        """x, f, g and the multipliers."""
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        """Whether to stop."""
+        return 1
+
+    def get_name_in(self, k: int) -> str:
+        """As the solver's outputs."""
+        return str(ca.nlpsol_out(k))
+
+    def get_sparsity_in(self, k: int) -> ca.Sparsity:
+        """Columns."""
+        sizes = {"x": self.size, "lam_x": self.size, "g": self.rows, "lam_g": self.rows, "f": 1}
+        count = sizes.get(ca.nlpsol_out(k), 0)
+        return ca.Sparsity.dense(count, 1 if count else 0)
+
+    def eval(self, arg: Sequence[Any]) -> list[int]:
+        """Called at every iterate; 1 stops the search."""
+        values = {ca.nlpsol_out(k): np.array(a, dtype=float).ravel() for k, a in enumerate(arg)}
+        merit = self.merit(values["x"], values["g"])
+        if self.best is None or merit < self.best.merit:
+            kept = {name: values[name] for name in ("x", "g", "lam_x", "lam_g")}
+            self.best = Iterate(merit, **kept)
+        gained = merit < (1.0 - GAIN) * self.mark
+        self.mark = merit if gained else self.mark
+        self.idle = 0 if gained else self.idle + 1
+        return [int(self.idle >= (PATIENCE if merit < BROKEN else LONG) or merit == 0.0)]
