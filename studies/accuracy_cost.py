@@ -21,6 +21,7 @@ from typing import Any
 import meshskin as ms
 from meshskin import job, library
 from meshskin.cli.cost import summary
+from meshskin.errors import StudyError
 from meshskin.report import figures, precision, theme
 from meshskin.study.cost import KNOBS, TARGETS, Costs
 from meshskin.study.cost.request import Request
@@ -82,9 +83,12 @@ def row(costs: Costs) -> dict[str, Any]:
 
 
 def kept(name: str, request: Request, seed: int = 1) -> dict[str, Any]:
-    """What a run promised, and came to over it."""
-    with TemporaryDirectory() as place:
-        promise = job.run(name, place, seed=seed, request=request).metrics["promise"]
+    """What a run promised, and came to over it; or why it refused."""
+    try:
+        with TemporaryDirectory() as place:
+            promise = job.run(name, place, seed=seed, request=request).metrics["promise"]
+    except StudyError as error:
+        return {"scene": name, "asked": request.words, "refused": str(error)}
     came = promise["came_to"]
     return {
         "scene": name,
@@ -100,6 +104,9 @@ def report(requests: Sequence[dict[str, Any]]) -> None:
     print(f"  {'scene':14}{'asked':>9}{'promised mm':>13}{'came to':>10}{'promised s':>12}"
           f"{'came to':>9}{'processor s':>13}{'came to':>9}  setting")  # fmt: skip
     for r in requests:
+        if "refused" in r:
+            print(f"  {r['scene']:14}{r['asked']:>9}  {r['refused']}")
+            continue
         came = r["came_to"]
         print(f"  {r['scene']:14}{r['asked']:>9}{r['error_mm']:13.4g}{came['error_mm']:10.4g}"
               f"{r['seconds']:12.2f}{came['seconds']:9.2f}{r['processor_seconds']:13.2f}"
