@@ -64,6 +64,10 @@ class SimulationError(MeshskinError):
     """A simulation that left its range; carries the time and the state."""
 
 
+class PlaceError(SimulationError):
+    """A place that cannot be explored, or no further: an edge of the body, or no contact."""
+
+
 class TuningError(MeshskinError):
     """Demands on the closed loop that no gains meet; says which to relax."""
 

@@ -79,24 +79,36 @@ def explore(
         upgrade=True,
     )
     setup = Setup(
-        body, indenter, patch.depth, float(patch.semi_axes[-1]) + skin.disc_radius, arm, mount
+        body,
+        indenter,
+        patch.depth,
+        float(patch.semi_axes[-1]) + skin.disc_radius,
+        arm,
+        mount,
+        float(patch.semi_axes[0]),
     )
     wanted = exploration or Exploration(pattern="lanes")
     return plans.plan(setup, skin.positions, skin.ids, wanted, dt=dt, frame=frame)
 
 
-def planned(scene: Scene) -> plans.Plan:
-    """The scene's exploration in geodesic lanes. Raises ReachError."""
+def setup_of(scene: Scene) -> Setup:
+    """What explores in a scene."""
     patch = scene.patch
-    setup = Setup(
+    return Setup(
         scene.body,
         scene.indenter,
         patch.depth,
         float(patch.semi_axes[-1]) + scene.skin.disc_radius,
         scene.arm if scene.loop.mode == "arm" else None,
         scene.mount_pose,
+        float(patch.semi_axes[0]),
         scene.refusals,
     )
+
+
+def planned(scene: Scene) -> plans.Plan:
+    """The scene's exploration in geodesic lanes. Raises ReachError."""
+    setup = setup_of(scene)
     frame = scene.frame_steps * scene.loop.dt
     skin = scene.skin
     return plans.plan(

@@ -43,16 +43,20 @@ def simulate(
     path: paths.Path | None = None,
     out: str | Path | None = None,
     progress: Progress | None = None,
+    chain: effects.Chain | None = None,
 ) -> Recording:
     """Run the scene's exploration and record it.
 
     seed: of every random stream. path: of a plan (`explore`), to follow instead of the scene's own
     exploration. out: stream the recording to these files and read it back from there, instead of
     holding it in memory. progress(stage, done, total) is called as it goes.
+    chain: effects of a run before, to go on with in place of fresh ones of the seed.
     Raises ReachError if the arm cannot follow the path, SimulationError if the loop fails.
     """
     machine, path = prepare(scene, path=path)
-    batches = _tables(scene, seed, machine.loop, run(scene, machine, path, progress))
+    batches = _tables(
+        scene, chain or effect_chain(scene, seed), machine.loop, run(scene, machine, path, progress)
+    )
     header = _metadata(scene, seed)
     if out is not None:
         with RecordingWriter(out, header) as writer:
@@ -171,10 +175,9 @@ def _batches(runs: Iterator[Steps], size: int) -> Iterator[Sequence[Steps]]:
 
 
 def _tables(
-    scene: Scene, seed: int, loop: Loop, runs: Iterator[Steps]
+    scene: Scene, chain: effects.Chain, loop: Loop, runs: Iterator[Steps]
 ) -> Iterator[tuple[pa.Table, pa.Table, pa.Table]]:
     """Tables of contacts, readings and motion, in batches, from the steps."""
-    chain = effect_chain(scene, seed)
     stride = scene.frame_steps
     size = int(np.clip(FRAME_CELLS / max(len(scene.skin.ids), 1) * stride, LENGTHS[0], 8192))
     count = 0
@@ -211,7 +214,10 @@ def _field(scene: Scene) -> Field:
 
 
 def contact_frames(scene: Scene, loop: Loop, batch: Sequence[Steps], before: int = 0) -> Frames:
-    """The contacts when the skin is read, among consecutive steps that follow `before` others."""
+    """The contacts when the skin is read, among consecutive steps that follow `before` others.
+
+    Those in which the contact model does not hold are left out: what would be read is not known.
+    """
     outputs, rows = np.concatenate([s.outputs for s in batch]), loop.outputs
     frame = (before + np.arange(len(outputs))) % scene.frame_steps == 0
     frame &= outputs[:, rows["force"].start] > 0
@@ -220,7 +226,8 @@ def contact_frames(scene: Scene, loop: Loop, batch: Sequence[Steps], before: int
     q = np.concatenate([s.q for s in batch])[frame]
     points, normals = outputs[:, rows["point"]], outputs[:, rows["normal"]]
     centres = points + (scene.indenter.radius - outputs[:, rows["depth"]]) * normals
-    return frames_at(scene, time, points, normals, outputs[:, rows["force"].start], centres, q)
+    frames = frames_at(scene, time, points, normals, outputs[:, rows["force"].start], centres, q)
+    return frames.rows(scene.refusals(frames.curvature) == "")
 
 
 def frames_at(

@@ -105,8 +105,12 @@ def _assemble(
 
 def _joint(data: Measurements, belief: Belief, tolerance: float = AT_REST) -> dict[str, Any]:
     found = joint.estimate(data, belief.body, tolerance=tolerance)
-    silent = ("silent readings, censored at the threshold",) if data.noise else ()
+    silent: tuple[str, ...] = ()
+    if data.noise:
+        silent = ("silent readings, censored at the threshold",)
     surface: tuple[str, ...] = (SURFACE,)
+    if data.left_out:
+        silent += (f"without {data.left_out} contacts in which the contact model does not hold",)
     if found.covariances is not None:
         surface = (MODULES, MODULE_SURFACE)
     return {

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import CalibrationError, RecordingError
+from ..errors import CalibrationError, ContactError, RecordingError
 from ..physics import contact
 from ..physics.contact import hertz
 from ..physics.contact.disc import disc_slope, invert_disc_mean
@@ -28,6 +28,8 @@ SPARE = 0.4e-3
 """Reach beyond patch and disc within which a taxel may be read, m."""
 QUIET = 4.0
 """Sigmas below the threshold beyond which a silent reading says nothing: 1e-3 of a heard one."""
+MOST_OUT = 0.05
+"""Part of the contacts that may leave the contact model's range; they are left out."""
 CHUNK = 8192
 """Taxels whose contacts are looked for at once."""
 
@@ -76,6 +78,8 @@ class Measurements:
     """World from body rotations (m, 3, 3), where known."""
     slots: Array | None = None
     """Places (slots, 3), m, of the taxels of rigid modules, in the module's frame."""
+    left_out: int = 0
+    """Contacts in which the contact model does not hold; none of them is in here."""
 
     @property
     def sigma(self) -> float:
@@ -155,12 +159,14 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     model = contact.Model(belief.contact, material.poisson, material.thickness)
     modulus = hertz.effective_modulus(material.young, material.poisson)
     pressed = recording.force > 0
-    force, curvature = recording.force[pressed], hit.curvature[pressed]
     heard = pressed[recording.reading_contact] & (recording.pressure > 0)
     _require(heard, recording, pressed)
     reference = settled(belief, recording).force_reference or 1.0
-    units.check_force(force, reference)
-    _check_range(force, curvature, belief)
+    units.check_force(recording.force[pressed], reference)
+    holds = _holding(recording.force[pressed], hit.curvature[pressed], belief)
+    pressed[pressed] = holds
+    heard &= pressed[recording.reading_contact]
+    force, curvature = recording.force[pressed], hit.curvature[pressed]
     row = np.cumsum(pressed) - 1
     headings = recording.headings if belief.headings is None else belief.headings
     patches = model.patches(
@@ -193,6 +199,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         shared=declared(belief.unknown, belief.priors, reference, float(np.median(patches.peak))),
         slots=belief.module_slots,
         headings=None if headings is None else np.asarray(headings)[pressed],
+        left_out=int(np.sum(~holds)),
     )
 
 
@@ -247,20 +254,42 @@ def _taxel_index(taxels: np.ndarray, ids: np.ndarray) -> np.ndarray:
     return index
 
 
-def _check_range(force: Array, curvature: Array, belief: Belief) -> None:
-    """Let the contact model judge the contacts nearest to its limits."""
+def _holding(force: Array, curvature: Array, belief: Belief) -> np.ndarray:
+    """In which contacts (m,) the contact model holds: all, or all but `MOST_OUT` of them.
+
+    The contacts nearest to the model's limits are judged first, and if they pass no other. Raises
+    the ContactError of the worst where more leave its range.
+    """
+    if not len(force):
+        return np.ones(0, dtype=bool)
     relative = curvature + 1 / belief.indenter.radius
     width = force / np.maximum(relative.mean(axis=1), 0.0) ** -2  # rises with a/R
-    for worst in {int(np.argmax(width)), int(np.argmax(relative[:, 0] / relative[:, 1]))}:
+    ends = {int(np.argmax(width)), int(np.argmax(relative[:, 0] / relative[:, 1]))}
+    ends |= {int(np.argmin(relative[:, 1]))}
+    worst = next((error for k in ends if (error := _refusal(force[k], curvature[k], belief))), None)
+    if worst is None:
+        return np.ones(len(force), dtype=bool)
+    holds = [_refusal(f, pair, belief) is None for f, pair in zip(force, curvature, strict=True)]
+    if np.mean(holds) < 1.0 - MOST_OUT:
+        raise worst
+    return np.array(holds)
+
+
+def _refusal(force: float, curvature: Array, belief: Belief) -> ContactError | None:
+    """Why the contact model does not hold in one contact; None where it does."""
+    try:
         contact.solve(
             belief.contact,
-            force=float(force[worst]),
-            curvature=tuple(curvature[worst]),
+            force=float(force),
+            curvature=tuple(curvature),
             indenter_radius=belief.indenter.radius,
             modulus=belief.material.young,
             poisson=belief.material.poisson,
             thickness=belief.material.thickness,
         )
+    except ContactError as error:
+        return error
+    return None
 
 
 def reach(data: Measurements, stretch: float = 1.0) -> Array:

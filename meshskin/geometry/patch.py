@@ -23,6 +23,9 @@ ORDERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 
 UMBILIC = 1e-12
 """(1/m)^2 under the root of the curvatures' difference: keeps its derivative finite on spheres"""
+FOCUS, FOLD, STRIDE = 1e-60, 1e-30, 0.5
+"""where the foot is not determined, or the patch folds, CasADi's foot stays finite: least squares of
+its Newton matrix's determinant (m^4) and of the patch's area (m^4), and longest step in u and v"""
 THIN = 1e-9
 """sine of the angle between Su and Sv below which a face has no area"""
 
@@ -143,14 +146,16 @@ def casadi_foot(
         huu = ca.dot(su, su) + ca.dot(r, suu)
         huv = ca.dot(su, sv) + ca.dot(r, suv)
         hvv = ca.dot(sv, sv) + ca.dot(r, svv)
-        scale = 1.0 / (huu * hvv - huv * huv)
+        det = huu * hvv - huv * huv
+        scale = det / ca.fmax(det * det, FOCUS)
         du, dv = (huv * gv - hvv * gu) * scale, (huv * gu - huu * gv) * scale
+        du, dv = (ca.fmin(ca.fmax(step, -STRIDE), STRIDE) for step in (du, dv))
         u, v = u + du, v + dv
     turn_u, turn_v = suu * du + suv * dv, suv * du + svv * dv
     s = s + (su + 0.5 * turn_u) * du + (sv + 0.5 * turn_v) * dv
     su, sv = su + turn_u, sv + turn_v
     e, f, g = ca.dot(su, su), ca.dot(su, sv), ca.dot(sv, sv)
-    inverse_area2 = 1.0 / (e * g - f * f)
+    inverse_area2 = 1.0 / ca.fmax(e * g - f * f, FOLD)
     normal = ca.cross(su, sv) * ca.sqrt(inverse_area2)
     ll, m, n = -ca.dot(suu, normal), -ca.dot(suv, normal), -ca.dot(svv, normal)
     mean = (0.5 * (e * n + g * ll) - f * m) * inverse_area2

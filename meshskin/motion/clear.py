@@ -26,12 +26,18 @@ LINK_RADIUS = 0.03
 """Radius of a link of which nothing but its joints is known, m."""
 WRIST = 0.12
 """Distance from the tip within which the arm is taken for part of the mount, m."""
+EDGY = np.cos(np.deg2rad(20.0))
+"""Cosine of the turn of the surface's normal from which a crease is an edge: the indenter runs over
+what turns less, as over the facets of a coarse mesh of something round."""
+ALONG = (0.1, 0.5, 0.9)
+"""Parts of an edge at which its normals are compared."""
 SAMPLES = 9
 """Points along a link at which its distance from the body is taken."""
 ROUND = 1e-3
 """Relative slack within which a sphere counts as touching at one point only."""
 
 HOLLOW = "concave: the indenter does not fit"
+EDGE = "edge: the contact patch would run over it"
 SUPPORT = "collision: the indenter's support meets the body"
 ARM_SUPPORT = "collision: the arm meets the indenter's support"
 ARM_BODY = "collision: the arm meets the body"
@@ -55,6 +61,47 @@ def fits(body: Body, points: Array, normals: Array, indenter: Indenter, depth: f
     large = indenter.radius + depth
     reason[body.closest(points + large * normals).distance < large * (1 - ROUND)] = HOLLOW
     return reason
+
+
+def edges(body: Body, spacing: float) -> Array:
+    """Points (k, 3), at most `spacing` apart, on the body's edges and borders, body frame, m.
+
+    An edge is where the smooth surface's normal jumps; where only its curvature does is none.
+    """
+    surface = body.surface
+    if surface.smooth:
+        return np.zeros((0, 3))
+    beyond, slot = surface.neighbours.ravel(), surface.slot.ravel()
+    face, corner = np.divmod(np.arange(beyond.size), 3)
+    once = np.flatnonzero(beyond < face)  # borders, and every inner edge from one side
+    face, corner, beyond, slot = (x[once] for x in (face, corner, beyond, slot))
+    jump, inner = beyond < 0, np.flatnonzero(beyond >= 0)
+    for part in ALONG:
+        here = surface.at(face[inner], _along(corner[inner], part)).normal
+        there = surface.at(beyond[inner], _along(slot[inner], 1.0 - part)).normal
+        jump[inner] |= np.sum(here * there, axis=1) < EDGY
+    face, corner = face[jump], corner[jump]
+    ends = [surface.vertices[surface.faces[face, (corner + k) % 3]] for k in (1, 2)]
+    count = np.ceil(np.linalg.norm(ends[1] - ends[0], axis=1) / spacing).astype(int) + 1
+    row = np.repeat(np.arange(len(count)), count)
+    part = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)) / count[row]
+    return np.asarray(ends[0][row] + part[:, None] * (ends[1] - ends[0])[row])
+
+
+def _along(corner: NDArray[np.intp], part: float) -> Array:
+    """Where (k, 2) a `part` of the side opposite each corner (k,) of a face is behind."""
+    weight, row = np.zeros((len(corner), 3)), np.arange(len(corner))
+    weight[row, (corner + 1) % 3], weight[row, (corner + 2) % 3] = 1.0 - part, part
+    return weight[:, 1:]
+
+
+def on_edges(points: Array, brink: Array, patch: float) -> NDArray[np.bool_]:
+    """Which contact points (k, 3) have one of the points `brink` (e, 3) within `patch`, m."""
+    from scipy.spatial import cKDTree
+
+    if not len(brink) or not len(points):
+        return np.zeros(len(points), dtype=bool)
+    return np.asarray(cKDTree(brink).query(points)[0] < patch)
 
 
 def column(indenter: Indenter) -> Array:

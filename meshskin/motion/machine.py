@@ -10,11 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import ReachError, SimulationError
+from ..errors import PlaceError, ReachError, SimulationError
 from ..geometry.body import Body
+from ..geometry.closest import Closest
 from ..se3 import Array
 from .carry import inverse_dynamics
+from .clear import EDGY
 from .loop import Loop, flat_anchor
+from .quasi_static import pose
 from .readings import PointReadings
 from .step import Blocks, ready, step
 from .track import STAY, Track, crossings
@@ -24,8 +27,8 @@ LENGTHS = (32, 256)
 CVODES_LENGTHS = (1, 8)
 SPARE = 0.25
 """How far, in barycentric weight, the foot may leave its face."""
-SMOOTH = np.cos(np.deg2rad(5.0))
-"""Cosine between the surface's normal and the way to the indenter's centre; less is an edge."""
+BENDS = (-0.5, 1.0)
+"""Curvatures, in parts of the indenter's, between which a force is told while a body lifts off."""
 FULL = 1.0 - 1e-9
 """Part of the torque limit that counts as being at it."""
 
@@ -151,30 +154,58 @@ class Machine:
         self.seconds += perf_counter() - started
         return Steps(time, q, outputs, phase, readings)
 
+    def clears(self, poses: Array) -> bool:
+        """Whether the body at T_w_b (k, 4, 4) nowhere meets the indenter."""
+        return bool(self._under(poses)[1].max() < 0.0)
+
+    def _under(self, poses: Array) -> tuple[Closest, Array]:
+        """The body's points next to the indenter at T_w_b (k, 4, 4), and how deep it is in (k,).
+
+        An open surface has no inside to be in: far from it, signs mean nothing.
+        """
+        way = self.loop.indenter_position - poses[:, :3, 3]
+        hit = self.body.closest(np.einsum("kji,kj->ki", poses[:, :3, :3], way))
+        far = hit.distance if self.body.mesh.is_watertight else np.abs(hit.distance)
+        return hit, self.loop.indenter_radius - far
+
     def carry(self, q: Array, phase: int) -> Steps:
-        """Move through the air as the joints' own controllers do: exactly along `q` (k, n), one row
-        a step, from where the arm is; at rest at the end. Raises SimulationError where the body
-        meets the indenter on the way, ReachError where a joint leaves its range.
+        """Move exactly along configurations `q` (k, n), one row a step, as the joints' own
+        controllers or a hand do; at rest at the end. A contact that is there may end.
+
+        Raises SimulationError where the body meets the indenter on the way, ReachError where a
+        joint leaves its range.
         """
         loop, dt = self.loop, self.loop.dt
-        poses = loop.arm.pose(q) @ loop.mount
-        way = loop.indenter_position - poses[:, :3, 3]
-        hit = self.body.closest(np.einsum("kji,kj->ki", poses[:, :3, :3], way))
-        depth = loop.indenter_radius - hit.distance
+        poses = loop.arm.pose(q) @ loop.mount if loop.joints else pose(q)
+        hit, depth = self._under(poses)
+        force = np.zeros(len(q))
+        pressed = np.flatnonzero(depth > 0)
+        if len(pressed):  # over a hollow or an edge the lifting passes, no model holds
+            bend = np.clip(hit.curvature[pressed], *np.array(BENDS) / loop.indenter_radius)
+            force[pressed] = loop.contact.force(
+                depth=depth[pressed],
+                curvature=bend,
+                indenter_radius=loop.indenter_radius,
+                effective_modulus=loop.effective_modulus,
+            )
+        radius = 1.0 / (hit.curvature.mean(axis=1) + 1.0 / loop.indenter_radius)
         outputs = np.zeros((len(q), self.blocks[0].outputs.shape[1]))
-        rates = np.gradient(q, dt, axis=0)
-        torque = self._torques(q.T, rates.T, np.gradient(rates, dt, axis=0).T).full().T
-        columns = {"point": hit.point, "normal": hit.normal, "depth": depth[:, None]}
-        columns["torque"] = np.clip(torque, -loop.arm.effort_limit, loop.arm.effort_limit)
+        columns = {"point": hit.point, "normal": hit.normal, "force": force[:, None]}
+        columns |= {"depth": depth[:, None], "radius": radius[:, None]}
+        if loop.joints:
+            rates = np.gradient(q, dt, axis=0)
+            torque = self._torques(q.T, rates.T, np.gradient(rates, dt, axis=0).T).full().T
+            columns["torque"] = np.clip(torque, -loop.arm.effort_limit, loop.arm.effort_limit)
         for name, column in columns.items():
             outputs[:, loop.outputs[name]] = column
         states = np.zeros((len(q), len(self.state)))
         states[:, : self.size], states[:, -2:] = q, hit.uv
         self._check(states, outputs)
-        if depth.max() > 0:
+        met = (depth > 0) & ~np.logical_and.accumulate(depth > 0)
+        if met.any():
             raise SimulationError(
                 f"the body meets the indenter on its way through the air at {self._at(states[-1])}",
-                value=f"{depth.max() * 1e3:.3g} mm deep",
+                value=f"{depth[met].max() * 1e3:.3g} mm deep",
                 remedy="raise exploration.standoff_mm",
             )
         time = np.asarray((self.steps + np.arange(len(q))) * dt, dtype=float)
@@ -225,10 +256,13 @@ class Machine:
         rows = self.loop.outputs
         gap = self.loop.indenter_radius - output[rows["depth"]]
         centre = output[rows["point"]] + gap * output[rows["normal"]]
-        hit = self.body.closest(centre[None], face=np.array([self.face]))
-        offset = centre - hit.point[0]
-        if hit.normal[0] @ offset < SMOOTH * np.linalg.norm(offset):
-            raise SimulationError(
+        for start in (np.array([self.face]), None):  # a walk may end at a crease
+            hit = self.body.closest(centre[None], face=start)
+            offset = centre - hit.point[0]
+            if hit.normal[0] @ offset >= EDGY * np.linalg.norm(offset):
+                break
+        else:
+            raise PlaceError(
                 f"the contact ran over an edge of the body at {self._at(self.state)}",
                 value=f"contact point {np.round(hit.point[0], 4).tolist()} m",
                 remedy="keep the exploration off the edge, or round the edge in the mesh",

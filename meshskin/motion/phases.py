@@ -16,10 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import SimulationError
+from ..errors import PlaceError, SimulationError
 from ..se3 import Array, exp_so3, inverse, log_so3, transform
 from . import carry
 from .machine import LENGTHS, Machine, Steps
+from .quasi_static import pose as body_pose
+from .quasi_static import start as body_state
 from .track import Track
 
 PHASES = ("approach", "touch", "hold", "slide", "leave", "next")
@@ -29,6 +31,10 @@ SETTLED = 0.05
 PATIENCE = 0.02
 """Time without contact after which it counts as lost, s."""
 RETRIES = 5
+HIGHEST, SIGHT = 10, 16.0
+"""Doublings of the standoff that a way over may take; steps between looks ahead on it."""
+ASTRAY = 4.0
+"""Distance from the next place, in extents of the body, that no exploration has."""
 AIR_SPEED, AIR_TURN = 0.1, 1.0
 """Speeds in the air, m/s and rad/s."""
 
@@ -59,6 +65,8 @@ class Explorer:
         the body is carried over, in whatever posture the arm is."""
         self.place, self.row = 0, 0
         self.phase = APPROACH
+        self.cut = 0
+        """Places given up, or what was left of them."""
         self.losses = 0
         """Contacts lost and found again."""
 
@@ -68,12 +76,22 @@ class Explorer:
         return sum(len(t) for t in self.tracks[: self.place]) + self.row
 
     def run(self) -> Iterator[Steps]:
-        """The steps as they come. Raises SimulationError where contact cannot be made or kept."""
+        """The steps as they come.
+
+        A place is given up where contact cannot be made or kept, or runs over an edge. Raises
+        PlaceError where that is the last one, and so for all.
+        """
         for place, track in enumerate(self.tracks):
             self.place, self.row, lost = place, 0, 0
             while self.row < len(track):
-                yield from self._make_contact(track)
-                yield from self._slide(track)
+                try:
+                    yield from self._make_contact(track)
+                    yield from self._slide(track)
+                except PlaceError:
+                    self.cut += 1
+                    if self.cut == len(self.tracks):
+                        raise
+                    break
                 if self.row < len(track):
                     lost, self.losses = lost + 1, self.losses + 1
                     if lost > RETRIES:
@@ -91,7 +109,7 @@ class Explorer:
         self.phase, force = APPROACH, 0.0
         while not force > 0:
             if machine.steps > last:
-                raise SimulationError(
+                raise PlaceError(
                     "the arm did not touch the indenter",
                     value=f"{(1.0 + fall):.2f} s of approach",
                     remedy="check indenter.position_m and exploration.standoff_m",
@@ -129,6 +147,9 @@ class Explorer:
         """Lift off the end of a track and move to above the start of the next."""
         machine, dt = self.machine, self.machine.loop.dt
         up = np.array([0.0, 0.0, self.manner.standoff])
+        if not machine.loop.joints:
+            yield from self._drift(_pose(goal.references[0], up), up)
+            return
         ways = [_pose(track.references[-1]), _pose(track.references[-1], up)]
         if self.postures is None:
             ways += [_pose(goal.references[0], up)]
@@ -142,6 +163,25 @@ class Explorer:
         if self.postures is not None:
             self.phase = NEXT
             yield machine.carry(self._over(goal, self.postures[self.place + 1]), NEXT)
+
+    def _drift(self, goal: Array, up: Array) -> Iterator[Steps]:
+        """Without an arm: up, as far as it takes to turn, and over to the pose `goal` (4, 4)."""
+        machine = self.machine
+        low = body_pose(machine.state[None])[0]
+        if np.linalg.norm(low[:3, 3] - goal[:3, 3]) > ASTRAY * machine.body.surface.scale:
+            raise SimulationError(
+                f"the body flew off place {self.place}",
+                value=f"position {np.round(low[:3, 3], 3).tolist()} m",
+                remedy="keep the exploration to smooth parts of the body",
+            )
+        for lift in up[2] * 2.0 ** np.arange(HIGHEST):
+            high, over = _raised(low, lift), _raised(goal, lift - up[2])
+            if machine.clears(_blend(high, over, SIGHT * machine.loop.dt)):
+                break
+        ways = ((LEAVE, low, high), (NEXT, high, over), (NEXT, over, goal))
+        for self.phase, start, end in ways:
+            poses = _blend(start, end, machine.loop.dt)
+            yield machine.carry(np.array([body_state(pose) for pose in poses]), self.phase)
 
     def _over(self, goal: Track, posture: Array) -> Array:
         """Joint angles (k, n) from where the arm is to above the start of a track."""
@@ -160,12 +200,19 @@ class Explorer:
     def _force(self, steps: Steps) -> Array:
         return np.asarray(steps.outputs[:, self.machine.loop.outputs["force"].start])
 
-    def _lost(self) -> SimulationError:
-        return SimulationError(
+    def _lost(self) -> PlaceError:
+        return PlaceError(
             f"contact was lost {RETRIES + 1} times at row {self.row} of place {self.place}",
             value=f"t = {self.machine.steps * self.machine.loop.dt:.4f} s",
             remedy="explore slower, or take a larger law.gamma or law.rate",
         )
+
+
+def _raised(pose: Array, lift: float) -> Array:
+    """A pose (4, 4) `lift` m higher."""
+    up = pose.copy()
+    up[2, 3] += lift
+    return up
 
 
 def _pose(reference: Array, shift: Array | None = None) -> Array:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from ..se3 import Array
+from ..se3 import Array, transform
 from . import law as compliance
 from .delay import heard, kept
 from .integrators import NAMES
@@ -59,6 +59,14 @@ def matrix(q: ca.SX) -> ca.SX:
         ca.horzcat(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
         ca.horzcat(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
+
+
+def pose(states: Array) -> Array:
+    """T_w_b (k, 4, 4) of states (k, 7 or more)."""
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_quat(states[:, [4, 5, 6, 3]]).as_matrix()
+    return transform(turn, states[:, :3])
 
 
 def start(pose: Array) -> Array:

@@ -141,7 +141,7 @@ def _joint(element: ET.Element, where: str) -> Joint:
     if not length > 0.0:
         if kind != "fixed":
             raise ArmError(f"zero axis{here}")
-        axis, length = np.array([1.0, 0.0, 0.0]), 1.0
+        axis, length = np.array([1.0, 0.0, 0.0]), np.float64(1.0)
     given = {} if limit is None else limit.attrib
     return Joint(
         name=name,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -32,13 +33,21 @@ class Setup:
     """None: the body moves freely, without an arm."""
     mount: Array | None = None
     """T_tip_body (4, 4)."""
+    patch: float = 0.0
+    """Longer semi-axis of the contact patch, m: no edge may be nearer than that."""
     holds: Callable[[Array], Array] | None = None
     """Principal curvatures (k, 2), 1/m -> why the contact model does not hold there: strings, ""
     where it does. None: it always does."""
 
+    @cached_property
+    def brink(self) -> Array:
+        """Points (k, 3) on the body's edges."""
+        return clear.edges(self.body, 0.2 * self.patch) if self.patch else np.zeros((0, 3))
+
     def fits(self, points: Array, normals: Array) -> Array:
         """Why the indenter cannot be pressed in at points (k, 3): see `clear.fits`, and `holds`."""
         why = clear.fits(self.body, points, normals, self.indenter, self.depth)
+        why[(why == "") & clear.on_edges(points, self.brink, self.patch)] = clear.EDGE
         free = np.flatnonzero(why == "")
         if self.holds is not None and len(free):
             why[free] = self.holds(self.body.closest(points[free]).curvature)
@@ -113,7 +122,7 @@ def _hop(setup: Setup, start: Array, end: Array, step: float) -> Piece | None:
     count = max(int(np.ceil(np.linalg.norm(end - start) / step)), 1)
     part = np.linspace(0.0, 1.0, count + 1)[:, None]
     hit = setup.body.closest((1 - part) * start + part * end)
-    why = clear.fits(setup.body, hit.point, hit.normal, setup.indenter, setup.depth)
+    why = setup.fits(hit.point, hit.normal)
     return None if (why != "").any() else Piece(hit.point, hit.normal)
 
 

@@ -20,6 +20,9 @@ curvature k: there, boundary elements on true arcs are 4 % off in a and 2.5 % in
 MAX_LAYER_RATIO = 0.1
 """Largest a/thickness taken for a half-space: there, a bonded layer is 7.6 % less deep."""
 
+HOLLOWEST = 1e-3
+"""Least relative curvature of CasADi expressions, in parts of the indenter's."""
+
 
 @dataclass(frozen=True)
 class Setting:
@@ -116,11 +119,16 @@ class Setting:
 def relative_curvatures(curvature: Any, indenter_radius: Any) -> tuple[Any, Any]:
     """Relative curvatures, 1/m, along the two principal directions, in the order of `curvature`.
 
+    CasADi's are held above zero: a step of the closed loop stays finite in a hollow.
+
     `curvature`, 1/m, positive where convex: NumPy (..., 2) or a CasADi column of two. Raises
     ContactError for another shape, and where the body is more hollow than the indenter is round.
     """
     if is_casadi(curvature):
-        return curvature[0] + 1 / indenter_radius, curvature[1] + 1 / indenter_radius
+        import casadi as ca
+
+        tip = 1 / indenter_radius
+        return tuple(ca.fmax(curvature[k] + tip, HOLLOWEST * tip) for k in range(2))
     pairs = np.asarray(curvature, dtype=float)
     if not pairs.shape or pairs.shape[-1] != 2:
         raise ContactError(
