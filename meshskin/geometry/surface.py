@@ -17,6 +17,7 @@ from ..errors import MeshError
 from . import blend, compiled_search, fans, heights, jets, patch, walk
 from .closest import Closest
 from .compiled_search import CompiledSearch
+from .folds import Folds
 from .proximity import thin_walled
 from .search import Flat, Search
 
@@ -195,11 +196,18 @@ class Surface:
             weight = np.column_stack([1.0 - uv.sum(axis=1), uv])
             foot = np.einsum("nk,nkc->nc", weight, self.vertices[self.faces[face]])
             outward = self._outward(face, uv, self._flat_normals[face])
-            side[rows] = np.einsum("ij,ij->i", points[rows] - foot, outward)
+            way = points[rows] - foot
+            side[rows] = np.einsum("ij,ij->i", way, outward)
+            doubtful = rows[self._folds.doubtful(face, weight, way)]
+            side[doubtful] = self._folds.side(points[doubtful])
         rows = np.flatnonzero(side == 0.0)
         outward = self._outward(hit.face[rows], hit.uv[rows], hit.normal[rows])
         side[rows] = np.einsum("ij,ij->i", points[rows] - hit.point[rows], outward)
         return side
+
+    @cached_property
+    def _folds(self) -> Folds:
+        return Folds(self.vertices, self.faces, self._flat_normals)
 
     @cached_property
     def _flat_normals(self) -> Array:
