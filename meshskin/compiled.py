@@ -102,7 +102,7 @@ def _machine_code(
     """What `load` makes of the shared library of C source `text`; None where there is none."""
     compiler = _compiler()
     if compiler is None:
-        _warn("no C compiler found: CasADi functions are interpreted, several times slower")
+        _warn("no C compiler found: functions are interpreted, several times slower")
         return None
     written = text()
     key = _key(written, compiler, flags)
