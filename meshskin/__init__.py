@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from .recording import Recording, RecordingWriter
     from .scene import Belief, Readout, Scene
     from .simulation import simulate
+    from .study.budget import budget
     from .study.cost import cost
     from .study.sweep import Study
     from .tuning.tune import tune
@@ -48,6 +49,7 @@ _HOMES = {
     "Scene": "scene",
     "Skin": "geometry.skin",
     "Study": "study.sweep",
+    "budget": "study.budget",
     "calibrate": "estimation.calibrate",
     "compare": "geometry.compare",
     "cost": "study.cost",
@@ -74,6 +76,7 @@ __all__ = [
     "Scene",
     "Skin",
     "Study",
+    "budget",
     "calibrate",
     "compare",
     "contact",

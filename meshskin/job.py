@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter, process_time
@@ -20,14 +20,16 @@ from .estimation import metrics as truth
 from .estimation.calibrate import calibrate
 from .estimation.calibration import Calibration
 from .estimation.demonstration import Demonstration, demonstrate
+from .estimation.solve import AT_REST
 from .motion.response import ForceResponse, force_response
 from .provenance import provenance
 from .recording import Recording
-from .scene import Scene
+from .scene import Belief, Scene
 from .simulation import Progress, simulate
 
 if TYPE_CHECKING:
     from .motion.path import Path as Way
+    from .study.budget import Ledger
     from .study.cost.request import Request
 
 METHODS = ("trilateration", "three_circles", "posegraph", "posegraph_isotropic", "posegraph_paper")
@@ -70,6 +72,8 @@ class Result:
     demonstration: Demonstration
     force: ForceResponse
     metrics: dict[str, Any]
+    ledger: Ledger | None = None
+    """What an error budget decided, where there was one."""
 
 
 def check_folder(folder: Path) -> None:
@@ -85,17 +89,26 @@ def run(
     seed: int = 0,
     progress: Progress | None = None,
     request: Request | None = None,
+    budget: float | None = None,
 ) -> Result:
     """Run a scene through the whole job and write everything into `folder`.
 
     request: an accuracy or a time; a pilot run then chooses lanes and frame rate, and the metrics
-    hold what it promised. Raises MeshskinError kinds: what is wrong, the value, the limit, and what
-    to do.
+    hold what it promised. budget: taxel error, m, that may be left out, in place of the scene's
+    own; `ms.budget` then decides what is on. Raises MeshskinError kinds: what is wrong, the value,
+    the limit, and what to do.
     """
+    from .study.budget import budget as decide
+
     folder, clock = Path(folder), Clock()
     with clock.stage("load"):
         scene = Scene.load(name)
         check_folder(folder)
+    ledger = None
+    if budget is not None or scene.budget is not None:
+        with clock.stage("budget"):
+            ledger = decide(scene, budget, seed=seed, progress=progress)
+            scene = ledger.scene
     path, promise = None, None
     if request is not None:
         with clock.stage("pilot"):
@@ -103,14 +116,18 @@ def run(
     with clock.stage("simulate"):
         recording = simulate(scene, seed, path=path, out=folder / "recording", progress=progress)
     with clock.stage("calibrate"):
-        belief = scene.belief()
-        calibration = calibrate(recording, belief)
+        belief = scene.belief() if ledger is None else ledger.belief
+        tolerance = AT_REST if ledger is None else ledger.tolerance
+        calibration = calibrate(recording, belief, tolerance=tolerance)
         calibration.save(folder / "calibration")
     with clock.stage("compare"):
         comparisons = {method: calibrate(recording, belief, method=method) for method in METHODS}
         demonstration = demonstrate(scene.skin.poses, scene.skin.ids, recording, seed)
     with clock.stage("metrics"):
-        result = _assess(scene, recording, calibration, comparisons, demonstration)
+        result = _assess(scene, belief, recording, calibration, comparisons, demonstration)
+    if ledger is not None:
+        result = replace(result, ledger=ledger)
+        result.metrics["budget"] = ledger.metrics()
     if promise is not None:
         result.metrics["promise"] = promise
     with clock.stage("report"):
@@ -179,6 +196,7 @@ def _drawing(scene: Scene) -> Callable[[Calibration], float]:
 
 def _assess(
     scene: Scene,
+    belief: Belief,
     recording: Recording,
     calibration: Calibration,
     comparisons: dict[str, Calibration],
@@ -192,7 +210,7 @@ def _assess(
         scene.law.force_reference,
         recording.motion.column("phase").to_pylist(),
     )
-    belief, skin = scene.belief(), scene.skin
+    skin = scene.skin
     bound = {"mean": 0.0, "rms": 0.0}  # without noise nothing keeps an estimate from the truth
     if belief.noise_sigma is not None:
         limit = truth.cramer_rao(recording, belief, skin)
@@ -260,6 +278,7 @@ def _report(result: Result, folder: Path, seed: int, seconds: dict[str, float]) 
         demonstration=result.demonstration,
         metrics=result.metrics,
         seconds=seconds,
+        ledger=result.ledger,
         provenance=provenance(scene=result.scene.name, seed=seed),
     )
 

@@ -136,6 +136,10 @@ class Scene:
     readout: Readout = field(default_factory=Readout)
     loop: Loop = field(default_factory=Loop)
     effects: tuple[Effect, ...] = ()
+    candidates: tuple[Effect, ...] | None = None
+    """What an error budget may put on beside `effects`; None: every registered effect."""
+    budget: float | None = None
+    """Taxel error, m, that may be left out: `ms.budget` decides what is on. None: it is decided."""
     contact: str = "hertz"
     """Contact model: of physics.contact.BATCHED, or "auto", the first of them that holds for every
     place of the skin."""

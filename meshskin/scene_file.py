@@ -1,6 +1,8 @@
 """Scenes as TOML files.
 
 Tables: body, skin, material, indenter, arm, law, exploration, loop, readout, and effects (a list).
+With `effects = "auto"`, or a `budget_mm`, an error budget decides what is on, among the effects
+and the `candidates` (a list, too; by default all there are).
 `extends = "sphere"` starts from another scene. Relative paths are taken from the file's own folder.
 """
 
@@ -36,7 +38,15 @@ _PLAIN: dict[str, type] = {
     "loop": Loop,
     "readout": Readout,
 }
-_TABLES = (*_PLAIN, "body", "skin", "arm", "effects", "extends", "description", "contact", "name")
+_BUDGET = ("budget_mm", "budget_m", "budget_um")
+_TABLES = (
+    *_PLAIN, "body", "skin", "arm", "effects", "candidates", *_BUDGET, "extends", "description",
+    "contact", "name",
+)  # fmt: skip
+AUTO = "auto"
+"""In place of a list of effects: an error budget decides."""
+BUDGET = 0.2e-3
+"""Error budget of a scene that gives none, m."""
 
 
 @dataclass(frozen=True)
@@ -148,6 +158,11 @@ class _ArmTable:
         return transform(exp_so3(self.mount_angles), self.mount)
 
 
+@dataclass(frozen=True)
+class _BudgetKeys:
+    budget: float | None = quantity("m", None, above=0.0)
+
+
 def _given(**options: Any) -> dict[str, Any]:
     """The options that are given."""
     return {key: value for key, value in options.items() if value is not None}
@@ -217,9 +232,30 @@ def parts(data: Mapping[str, Any]) -> dict[str, Any]:
     plain: dict[str, Any] = {
         key: build(cls, data[key], key) for key, cls in _PLAIN.items() if key in data
     }
-    listed = effects.ordered(effects.from_table(e) for e in data.get("effects", []))
     named = _given(**{key: data.get(key) for key in ("name", "description", "contact")})
-    return plain | named | {"effects": listed}
+    return plain | named | _effects(data)
+
+
+def _effects(data: Mapping[str, Any]) -> dict[str, Any]:
+    """The scene's effects, what a budget may put on beside them, and the budget."""
+    known = build(_BudgetKeys, {k: v for k, v in data.items() if k.startswith("budget")}, "scene")
+    check(known)
+    tables, budget = data.get("effects", []), known.budget
+    if isinstance(tables, str):
+        if tables != AUTO:
+            raise ConfigError(
+                "effects must be a list of tables", value=repr(tables), remedy=f'or "{AUTO}"'
+            )
+        tables, budget = [], budget or BUDGET
+    if "candidates" in data and budget is None:
+        raise ConfigError(
+            "candidates need a budget that chooses from them", remedy='add effects = "auto"'
+        )
+    found: dict[str, Any] = {"effects": effects.ordered(map(effects.from_table, tables))}
+    if "candidates" in data:
+        listed = data["candidates"]
+        found["candidates"] = tuple(effects.from_table(e, "candidates") for e in listed)
+    return found | {"budget": budget}
 
 
 def _body(table: Mapping[str, Any]) -> Any:

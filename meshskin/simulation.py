@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from . import recording as files
+from .errors import ConfigError
 from .exploration import route, start_of
 from .motion import path as paths
 from .motion import stability
@@ -51,8 +52,15 @@ def simulate(
     exploration. out: stream the recording to these files and read it back from there, instead of
     holding it in memory. progress(stage, done, total) is called as it goes.
     chain: effects of a run before, to go on with in place of fresh ones of the seed.
-    Raises ReachError if the arm cannot follow the path, SimulationError if the loop fails.
+    Raises ReachError if the arm cannot follow the path, SimulationError if the loop fails,
+    ConfigError for a scene whose budget has not decided what is on.
     """
+    if scene.budget is not None:
+        raise ConfigError(
+            f"what is on in the scene {scene.name} has not been decided",
+            value=f"a budget of {1e3 * scene.budget:g} mm",
+            remedy="simulate ms.budget(scene).scene, or scene.with_(budget=None) as it is",
+        )
     machine, path = prepare(scene, path=path)
     batches = _tables(
         scene, chain or effect_chain(scene, seed), machine.loop, run(scene, machine, path, progress)

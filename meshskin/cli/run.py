@@ -29,6 +29,9 @@ def add(commands: Any) -> None:
     asked.add_argument(
         "--seconds", type=float, metavar="S", help="the most accurate exploration that fits"
     )
+    asked.add_argument(
+        "--budget-mm", type=float, metavar="MM", help="leave out what moves the taxels no further"
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress bar and no summary")
     parser.set_defaults(command=command)
 
@@ -43,9 +46,12 @@ def command(options: argparse.Namespace) -> int:
             options.out,
             seed=options.seed,
             progress=progress,
+            budget=None if options.budget_mm is None else 1e-3 * options.budget_mm,
             request=_request(options),
         )
     if not options.quiet:
+        if result.ledger is not None:
+            print(result.ledger)
         print(summary(result, options.out))
     return 0
 

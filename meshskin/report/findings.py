@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from ..estimation.demonstration import Demonstration
     from ..geometry.skin import Skin
     from ..recording import Recording
+    from ..study.budget import Ledger
 
 NAMES = {
     "joint": "joint maximum likelihood",
@@ -83,6 +84,8 @@ class Findings:
     provenance: Mapping[str, Any]
     estimating: Mapping[str, float] = field(default_factory=dict)
     """Seconds of each method, as far as they were kept; the calibration's own first."""
+    ledger: Ledger | None = None
+    """What an error budget decided, where there was one."""
 
     @classmethod
     def collect(

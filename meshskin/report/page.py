@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ..geometry.body import Body
     from ..geometry.skin import Skin
     from ..recording import Recording
+    from ..study.budget import Ledger
 
 
 def write(path: str | Path, content: Content) -> Path:
@@ -74,13 +75,14 @@ def report(
     metrics: Mapping[str, Any] | None = None,
     seconds: Mapping[str, float] | None = None,
     provenance: Mapping[str, Any] | None = None,
+    ledger: Ledger | None = None,
 ) -> list[Path]:
     """Write the page and, in the folder figures/ beside it, every figure as PNG and SVG.
 
     truth: the true skin, of a simulation; without it the report gives the stated uncertainty in
     the place of errors. comparisons: other methods on the same recording. demonstration: the
     pose graph from the origin (without it: the first pose graph that kept its iterates).
-    metrics: as in metrics.json. seconds: of each stage.
+    metrics: as in metrics.json. seconds: of each stage. ledger: what an error budget decided.
 
     Returns the paths written, the page first. Raises OutputError if a place cannot be written.
     """
@@ -102,6 +104,6 @@ def report(
     path = Path(path)
     pictures = album(path.parent / "figures", findings)
     times = {**findings.seconds, "figures": perf_counter() - started}
-    findings = replace(findings, seconds=times)
+    findings = replace(findings, seconds=times, ledger=ledger)
     write(path, content(findings, pictures, body))
     return [path, *(file for picture in pictures for file in picture.files)]

@@ -24,6 +24,7 @@ SAID = (
     "seconds",
     "promise",
     "scene",
+    "budget",
     "undetermined",
     "modulus_pa",
     "modulus_sigma_pa",
@@ -66,6 +67,7 @@ def content(findings: Findings, pictures: Sequence[Picture], body: Body | None) 
             Section("The skin in space", (_view(findings, body),)),
             Section("Figures", tuple(p for p in pictures if p.png.stem != ACCURACY_TIME)),
             Section("Numbers", _numbers(findings)),
+            *_budget(findings),
             Section("Accuracy against time", _accuracy_time(findings, pictures)),
             Section("Taxels", (_taxels(findings),)),
             Section("Provenance", _provenance(findings)),
@@ -248,6 +250,15 @@ def _accuracy_time(findings: Findings, pictures: Sequence[Picture]) -> tuple[Blo
         header = ("estimator", "mean error (mm)", "times the bound", "seconds")
         blocks.append(Table(header, tuple(rows), numeric=(1, 2, 3)))
     return (*blocks, _seconds(findings.seconds), Text((MORE,)))
+
+
+def _budget(findings: Findings) -> tuple[Section, ...]:
+    """What an error budget decided, where there was one."""
+    if findings.ledger is None:
+        return ()
+    header, rows = findings.ledger.table()
+    blocks = Text(findings.ledger.summary()), Table(header, rows, numeric=(2, 3))
+    return (Section("What was simulated, and what was left out", blocks),)
 
 
 def _seconds(seconds: Mapping[str, float]) -> Block:

@@ -206,6 +206,12 @@ def changed(data: Tables, parameters: Tables) -> dict[str, Any]:
 def _with_effect(effects: Any, rest: str, value: Any) -> list[dict[str, Any]]:
     """The list of effects with one changed, put in or taken out."""
     kind, _, quantity = rest.partition(".")
+    if isinstance(effects, str):
+        raise ConfigError(
+            f"effects.{kind} cannot be changed where a budget decides on effects",
+            value=f"effects = {effects!r}",
+            remedy="list the effects in the scene",
+        )
     listed = [dict(effect) for effect in effects]
     found = next((effect for effect in listed if effect.get("kind") == kind), None)
     if not quantity and not isinstance(value, bool):
@@ -226,6 +232,10 @@ def _tables_of(scene: Scene) -> dict[str, Any]:
     names = ("material", "indenter", "law", "exploration", "loop", "readout")
     out: dict[str, Any] = {name: _table_of(getattr(scene, name)) for name in names}
     out["effects"] = [{"kind": effect.name, **_table_of(effect)} for effect in scene.effects]
+    if scene.candidates is not None:
+        out["candidates"] = [{"kind": e.name, **_table_of(e)} for e in scene.candidates]
+    if scene.budget is not None:
+        out["budget_m"] = scene.budget
     return out | {"contact": scene.contact}
 
 

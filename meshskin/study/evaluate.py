@@ -9,6 +9,7 @@ import numpy as np
 from ..estimation import metrics
 from ..estimation.calibrate import calibrate
 from ..simulation import simulate
+from .budget import budget
 
 if TYPE_CHECKING:
     from .case import Case
@@ -23,6 +24,8 @@ def evaluate(case: Case) -> dict[str, Value]:
     is 0 without noise, where nothing keeps an estimate from the truth.
     """
     scene, belief = case.scene, case.belief
+    if scene.budget is not None:
+        scene = budget(scene, seed=case.seed).scene
     recording = simulate(scene, case.seed)
     found = calibrate(recording, belief, method=case.method)
     # displacements say nothing about the pose of the whole

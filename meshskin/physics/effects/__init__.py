@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, is_dataclass
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from dataclasses import Field as Field_
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, cast, runtime_checkable
 
@@ -198,6 +199,19 @@ def _outside() -> dict[str, EntryPoint]:
     from importlib.metadata import entry_points
 
     return {point.name: point for point in entry_points(group=GROUP)}
+
+
+def registered() -> tuple[Effect, ...]:
+    """All effects that can be had, those of other packages too, at their defaults, in order.
+
+    One that has no defaults is left out. Raises as `find`.
+    """
+    kinds = [find(name) for name in (*KINDS, *sorted(set(_outside()) - set(KINDS)))]
+    return tuple(kind() for kind in kinds if all(map(_has_default, fields(cast(Any, kind)))))
+
+
+def _has_default(field: Field_[Any]) -> bool:
+    return field.default is not MISSING or field.default_factory is not MISSING
 
 
 def from_table(table: Mapping[str, Any], where: str = "effects") -> Effect:

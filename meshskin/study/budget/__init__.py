@@ -1,0 +1,77 @@
+"""The error budget: which effects a scene calls for, and how finely it must be computed.
+
+screen  effects whose own bounds are negligible are left out
+try     how far the taxels move for leaving out each of the others, and for each coarser setting
+        of the knobs, by one Gauss-Newton step from the solution with everything on
+choose  by millimetres per second, until the rest fits the budget, all of it together
+check   with everything on, in full, over contacts and seeds kept aside
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from ...errors import ConfigError
+from .candidates import candidates
+from .check import compare
+from .choose import choose
+from .ledger import Check, Entry, Ledger
+from .trial import Trial
+
+if TYPE_CHECKING:
+    from ...scene import Scene
+
+__all__ = ["DEFAULT", "Check", "Entry", "Ledger", "budget"]
+
+DEFAULT = 0.2e-3
+"""Taxel error, m, that may be left out, where neither call nor scene says."""
+MARGIN = 0.8
+"""Part of the budget that the estimate may take: other contacts and seeds give other errors."""
+SEEDS, ASIDE = 2, 1
+"""Seeds that are tried, and seeds kept aside for the check."""
+CHECKS = 4
+"""Most checks: after one that exceeds the budget, more is added."""
+
+Progress = Callable[[str, int, int], None]
+
+
+def budget(
+    scene: Scene,
+    taxel_error: float | None = None,
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Ledger:
+    """Decide what a scene calls for, so that what is left out moves the taxels little enough.
+
+    taxel_error, m: how far the calibrated taxels may be off, on average, for all that is left out;
+    by default the scene's own `budget`, or 0.2 mm. Chosen among are the scene's effects and its
+    `candidates` (by default every registered effect), contact models, meshes of a primitive, and
+    time steps. What the owner believes is the same throughout. seed: the first of the seeds that
+    are tried. Raises ConfigError for a budget that is not positive, else as `simulate` and
+    `calibrate`.
+    """
+    if taxel_error is None:
+        taxel_error = DEFAULT if scene.budget is None else scene.budget
+    if not (math.isfinite(taxel_error) and taxel_error > 0):
+        raise ConfigError(
+            "an error budget must be positive",
+            value=f"{1e3 * taxel_error:g} mm",
+            limit="above 0 mm",
+            remedy="to have everything on, simulate the scene without a budget",
+        )
+    effects, refused = candidates(scene, seed)
+    trial = Trial(scene, effects, taxel_error, range(seed, seed + SEEDS), progress)
+    aside, limit = range(seed + SEEDS, seed + SEEDS + ASIDE), MARGIN * taxel_error
+    for _ in range(CHECKS):
+        on, rest = choose(trial.items, limit, trial.forced(limit), trial.joint)
+        chosen = trial.scene_of(on)
+        check = compare(
+            trial.everything, chosen, trial.belief, trial.halves, aside, trial.tolerance
+        )
+        if check.shift <= taxel_error or len(on) == len(trial.items):
+            break
+        limit *= MARGIN * taxel_error / check.shift
+    return trial.ledger(on, rest, check, limit, refused)

@@ -1,0 +1,117 @@
+"""The knobs of a scene: contact model, mesh resolution, time step; each a ladder of settings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from ...errors import ContactError
+from ...geometry.body import Body
+from ...physics.contact import BATCHED
+
+if TYPE_CHECKING:
+    from ...scene import Scene
+
+SECONDS = {"face": 21e-6, "step": 13e-6, "hertz": 1e-7, "elliptic": 1.5e-6, "layered": 2.0e-6}
+"""Seconds for each face of the body, each step of the loop with its planning, and each taxel and
+frame of a contact model (measured on one core, the paper's sphere)."""
+FACES = (1 / 16, 1 / 4, 1, 4)
+"""Faces of a primitive, relative to the scene's."""
+STEPS = (1 / 4, 1 / 2, 1, 4)
+"""Steps from frame to frame, relative to the scene's."""
+FEWEST_FACES = 80
+LONGEST_STEP = 0.01
+"""s, as Loop allows."""
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One setting of a knob."""
+
+    label: str
+    changes: Mapping[str, Any]
+    """Parts of the scene that it replaces."""
+    seconds: float
+    """What it costs in the whole run."""
+
+
+@dataclass(frozen=True)
+class Knob:
+    """A ladder of settings, the cheapest first, the finest last."""
+
+    name: str
+    rungs: tuple[Rung, ...]
+    declared: int
+    """The scene's own setting."""
+
+
+def knobs(scene: Scene, steps: int, frames: float) -> tuple[Knob, ...]:
+    """The knobs that a scene has; those with one setting are left out.
+
+    steps of the loop and frames of the whole run.
+    """
+    found = (contact_models(scene, frames), mesh_resolution(scene), time_step(scene, steps))
+    return tuple(knob for knob in found if len(knob.rungs) > 1)
+
+
+def contact_models(scene: Scene, frames: float) -> Knob:
+    """The contact models that hold for the whole skin."""
+    names = [name for name in BATCHED if _holds(scene, name)]
+    cells = frames * len(scene.skin.ids)
+    rungs = tuple(Rung(name, {"contact": name}, SECONDS[name] * cells) for name in names)
+    return Knob("contact model", rungs, names.index(scene.model.name))
+
+
+def _holds(scene: Scene, name: str) -> bool:
+    """Whether a contact model keeps to its range; a layer that is not there is no reason for it."""
+    if name == "layered" and scene.material.thickness is None:
+        return name == scene.contact
+    try:
+        return scene.with_(contact=name).model.name == name
+    except ContactError:
+        return False
+
+
+def mesh_resolution(scene: Scene) -> Knob:
+    """Faces of a primitive; a mesh that was loaded is as it is."""
+    body = scene.body
+    own = Rung(_faces(body), {"body": body}, SECONDS["face"] * len(body.mesh.faces))
+    if body.exact is None:
+        return Knob("mesh", (own,), 0)
+    rungs: dict[str, Rung] = {}
+    for factor in FACES:
+        count = round(factor * len(body.mesh.faces))
+        if count < FEWEST_FACES:
+            continue
+        made = body if factor == 1 else _remade(body, count)
+        rungs[_faces(made)] = Rung(
+            _faces(made), {"body": made}, SECONDS["face"] * len(made.mesh.faces)
+        )
+    return Knob("mesh", tuple(rungs.values()), list(rungs).index(own.label))
+
+
+def _faces(body: Body) -> str:
+    return f"{len(body.mesh.faces)} faces"
+
+
+def _remade(body: Body, faces: int) -> Body:
+    """The same primitive of about so many faces."""
+    make = getattr(Body, body.name)
+    return replace(make(**asdict(body.exact), faces=faces), degree=body.degree)  # type: ignore[call-overload]
+
+
+def time_step(scene: Scene, steps: int) -> Knob:
+    """Steps of the loop that divide the time between frames."""
+    own, rungs = scene.frame_steps, {}
+    period = own * scene.loop.dt
+    for factor in STEPS:
+        count = max(round(factor * own), 1)
+        dt = period / count
+        if count in rungs or dt > LONGEST_STEP:
+            continue
+        changed = replace(scene.loop, dt=scene.loop.dt if count == own else dt)
+        seconds = SECONDS["step"] * steps * count / own
+        rungs[count] = Rung(f"{1e3 * dt:.4g} ms", {"loop": changed}, seconds)
+    ordered = sorted(rungs)
+    return Knob("time step", tuple(rungs[k] for k in ordered), ordered.index(own))

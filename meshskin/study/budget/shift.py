@@ -1,0 +1,113 @@
+"""Shifts: how far the taxels move for leaving out effects, or for a coarser setting of a knob."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...errors import ContactError, ReachError, SimulationError
+from ...physics.effects import Effect
+from ...se3 import Array
+from .knobs import Knob, Rung
+from .linear import Solution, answering
+from .rehearsal import Halves, Rehearsal
+
+if TYPE_CHECKING:
+    from ...recording import Recording
+    from ...scene import Belief, Scene
+
+
+@dataclass
+class Effects:
+    """Effects on trial, over one half of a rehearsal: every run shares motion and noise."""
+
+    rehearsal: Rehearsal
+    halves: Halves
+    belief: Belief
+    every: tuple[Effect, ...]
+    """All that can be on."""
+    seeds: Sequence[int]
+    solutions: list[Solution] = field(init=False)
+    """Of each seed, with everything on."""
+
+    def __post_init__(self) -> None:
+        whole = [self._recording(self.every, seed) for seed in self.seeds]
+        true = Solution.true(self.rehearsal.scene)
+        self.solutions = [true.solved(recording, self.belief) for recording in whole]
+        pairs = zip(self.solutions, whole, strict=True)
+        steps = [solution.step(recording, self.belief) for solution, recording in pairs]
+        self._at_rest = [step.move for step in steps]
+        self._answering = [answering(recording, self.belief) for recording in whole]
+        self.sigma = float(np.nanmedian(steps[0].sigma[self.halves.taxels[0]]))
+        """Median standard deviation of a taxel's place, m."""
+
+    def without(self, off: Iterable[str]) -> tuple[Array, int]:
+        """How leaving effects out moves the taxels of the half (seeds, n, 3), m; and how many of
+        them answer without these effects and not with them, or the other way (most of a seed).
+        """
+        left = tuple(effect for effect in self.every if effect.name not in set(off))
+        rows, shifts, changed = self.halves.taxels[0], [], 0
+        for k, seed in enumerate(self.seeds):
+            recording = self._recording(left, seed)
+            step = self.solutions[k].step(recording, self.belief)
+            shifts.append((step.move - self._at_rest[k])[rows])
+            answers = answering(recording, self.belief) != self._answering[k]
+            changed = max(changed, int(answers[rows].sum()))
+        return np.stack(shifts), changed
+
+    def _recording(self, effects: tuple[Effect, ...], seed: int) -> Recording:
+        return self.rehearsal.recording(effects, seed, self.halves)
+
+
+@dataclass(frozen=True)
+class Rehearsed:
+    """A knob whose settings have been run, without effects."""
+
+    knob: Knob
+    recordings: tuple[Recording, ...]
+    """Of the half, one a setting."""
+    scenes: tuple[Scene, ...]
+
+    @classmethod
+    def of(cls, knob: Knob, own: Rehearsal, halves: Halves, told: Callable[[], None]) -> Rehearsed:
+        """Run a knob's settings, `own` being that of the scene; those that cannot be run are left
+        out (a time step may be too long for the touch).
+        """
+        kept: list[tuple[Rung, Recording, Scene]] = []
+        for rung in knob.rungs:
+            scene = own.scene.with_(**rung.changes)
+            try:
+                run = own if rung is knob.rungs[knob.declared] else Rehearsal.of(scene)
+            except (SimulationError, ReachError, ContactError):
+                continue
+            finally:
+                told()
+            kept.append((rung, run.recording((), 0, halves), scene))
+        rungs, recordings, scenes = zip(*kept, strict=True)
+        declared = rungs.index(knob.rungs[knob.declared])
+        return cls(Knob(knob.name, rungs, declared), recordings, scenes)
+
+    def judged(self, belief: Belief, taxels: np.ndarray) -> tuple[Knob, list[Array]]:
+        """The knob, and how each of its settings moves the taxels against the finest (n, 3), m.
+
+        Without the others than the scene's own under which the contact model does not hold.
+        """
+        solution = Solution.true(self.scenes[0])
+        rungs, moves = [], []
+        for rung, recording, scene in zip(
+            self.knob.rungs, self.recordings, self.scenes, strict=True
+        ):
+            try:
+                step = solution.step(recording, replace(belief, body=scene.body))
+            except ContactError:
+                if rung is self.knob.rungs[self.knob.declared]:
+                    raise
+                continue
+            rungs.append(rung)
+            moves.append(step.move[taxels])
+        declared = rungs.index(self.knob.rungs[self.knob.declared])
+        knob = Knob(self.knob.name, tuple(rungs), declared)
+        return knob, [move - moves[-1] for move in moves]

@@ -1,0 +1,197 @@
+"""Does the error budget keep its word? Its estimates against the truth, over scenes and seeds.
+
+    python studies/budget.py --out figures/ [--random 2] [--budget-mm 0.2] [--first 0] [--full]
+
+For the shipped scenes and random ones (bodies, materials, effects of random sizes), the budget
+chooses; then everything on and the chosen scene are simulated and calibrated over the whole skin,
+with a seed that the budget has not seen. Prints the estimated and the true error of what was left
+out, and how much faster the chosen scene ran (processor time); draws one against the other. --full
+takes 20 random scenes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+
+import meshskin as ms
+from meshskin import library
+from meshskin.errors import ReachError
+from meshskin.geometry.region import Cap
+from meshskin.physics import effects
+from meshskin.report import figures, theme
+from meshskin.simulation import prepare
+from meshskin.study.budget.check import paired
+
+FRESH = 100
+"""A seed that the budget has not seen."""
+SIZES: dict[str, tuple[str, float]] = {
+    "friction": ("coefficient", 1),
+    "cover_fabric": ("width", 0.5),
+    "crosstalk": ("coupling", 1),
+    "hysteresis": ("width_relative", 1),
+    "capacitive": ("half_relative", -1),
+    "gain_offset": ("gain_spread", 1),
+    "temperature_drift": ("gain_drift", 1),
+    "gaussian_noise": ("sigma_relative", 1),
+    "body_pose": ("translation", 1),
+    "indenter_offset": ("offset", 1),
+    "sampling": ("rate", -1),
+    "encoder": ("offset_spread", 1),
+    "gravity_error": ("mass", 1),
+    "force_sensor": ("bias", 1),
+    "relaxation": ("time_constant", 1),
+}
+"""The field that says how large an effect is, and the power of the factor that it goes with."""
+
+
+def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
+    """Run the study; return its rows by scene."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("figures"))
+    parser.add_argument("--random", type=int, default=2, help="number of random scenes")
+    parser.add_argument("--first", type=int, default=0, help="number of the first random scene")
+    parser.add_argument("--scenes", nargs="*", default=None, help="only these shipped scenes")
+    parser.add_argument("--budget-mm", type=float, default=0.2)
+    parser.add_argument("--json", type=Path, default=None)
+    parser.add_argument("--full", action="store_true", help="20 random scenes")
+    options = parser.parse_args(arguments)
+
+    shipped = library.scenes() if options.scenes is None else options.scenes
+    count = 20 if options.full else options.random
+    print(f"{'scene':22}{'estimate':>10}{'true':>10}{'ratio':>8}{'faster':>8}{'took (s)':>10}  off")
+    rows = {}
+    for name in (*shipped, *range(options.first, options.first + count)):
+        scene = ms.Scene.load(name) if isinstance(name, str) else drawn(name)
+        rows[scene.name] = row(scene, options.budget_mm * 1e-3)
+        if options.json:
+            options.json.write_text(json.dumps(rows, indent=2))
+    ratio = np.array([r["estimate_mm"] / max(r["true_mm"], 1e-12) for r in rows.values()])
+    within = np.mean((ratio > 0.5) & (ratio < 2.0))
+    worst = max(r["true_mm"] for r in rows.values()) / options.budget_mm
+    slowest = min(r["faster"] for r in rows.values())
+    print(f"within a factor of 2: {100 * within:.0f} %; largest true error: {worst:.2f} of the "
+          f"budget; least {slowest:.1f} times faster")  # fmt: skip
+    figures.save(against(rows, options.budget_mm), options.out, "budget")
+    return rows
+
+
+def drawn(number: int) -> ms.Scene:
+    """A random scene: a sphere or an ellipsoid, on an arm or without, with random effects."""
+    rng = np.random.default_rng(number)
+    size = rng.uniform(0.06, 0.14)
+    if rng.random() < 0.5:
+        body = ms.Body.sphere(size)
+    else:
+        body = ms.Body.ellipsoid(size * rng.uniform(0.92, 1.08, size=3))
+    spacing = rng.uniform(4e-3, 6e-3)
+    direction = (*rng.uniform(-0.3, 0.3, size=2), -1.0)
+    count = int(rng.integers(35, 65))
+    skin = ms.Skin.cover(body, spacing=spacing, count=count, region=Cap(direction=direction))
+    plain = ms.Scene.load("sphere")
+    scene = plain.with_(
+        body=body,
+        skin=skin,
+        name=f"random {number}",
+        contact="auto",
+        indenter=replace(plain.indenter, radius=rng.uniform(8e-3, 14e-3)),
+        material=ms.Material(young=rng.uniform(0.15e6, 0.4e6)),
+        law=replace(plain.law, force_reference=rng.uniform(1.5, 3.5)),
+        exploration=replace(plain.exploration, lane_spacing=rng.uniform(3e-3, 4.5e-3)),
+        readout=ms.Readout(threshold_relative=float(rng.choice([0.0, 0.03]))),
+        candidates=tuple(sized(name, rng) for name in some(rng)),
+    )
+    floating = scene.with_(loop=replace(plain.loop, mode="quasi_static"))
+    if rng.random() < 0.5:
+        return floating
+    try:
+        prepare(scene)
+    except ReachError:  # the arm cannot turn every skin over the indenter
+        return floating
+    return scene
+
+
+def some(rng: np.random.Generator) -> list[str]:
+    """Noise, and six to twelve other kinds of effects."""
+    names = [name for name in effects.KINDS if name != "gaussian_noise"]
+    return ["gaussian_noise", *rng.permutation(names)[: rng.integers(6, 13)].tolist()]
+
+
+def sized(name: str, rng: np.random.Generator) -> effects.Effect:
+    """An effect between a third and three times its default size."""
+    effect: Any = effects.find(name)()
+    if name not in SIZES:
+        return effect
+    field, power = SIZES[name]
+    factor = float(np.exp(rng.uniform(-np.log(3), np.log(3)))) ** power
+    value = getattr(effect, field)
+    large = tuple(factor * x for x in value) if isinstance(value, tuple) else factor * value
+    return replace(effect, **{field: large})
+
+
+def row(scene: ms.Scene, error: float) -> dict[str, Any]:
+    """What the budget estimated beside what is true."""
+    begin = process_time()
+    ledger = ms.budget(scene, error)
+    took = process_time() - begin
+    belief = ledger.belief
+    everything, scene = paired(ledger.everything, ledger.scene)
+    every, slow = calibrated(everything, belief)
+    chosen, fast = calibrated(scene, belief, tolerance=ledger.tolerance)
+    true = np.linalg.norm(chosen.positions - every.positions, axis=1)
+    off = [entry.name for entry in ledger.entries if not entry.on and entry.shift]
+    found = {
+        "estimate_mm": 1e3 * ledger.estimate,
+        "true_mm": 1e3 * float(np.nanmean(true)),
+        "checked_mm": 1e3 * ledger.check.shift,
+        "faster": slow / fast,
+        "seconds": took,
+        "off": off,
+    }
+    print(
+        f"{scene.name:22}{found['estimate_mm']:10.4f}{found['true_mm']:10.4f}"
+        f"{found['estimate_mm'] / found['true_mm']:8.2f}{found['faster']:8.1f}{took:10.1f}  "
+        + ", ".join(off),
+        flush=True,
+    )
+    return found
+
+
+def calibrated(
+    scene: ms.Scene, belief: ms.Belief, **options: float
+) -> tuple[ms.Calibration, float]:
+    """The calibration of a scene's recording, and its processor seconds, simulation included."""
+    begin = process_time()
+    fresh = scene.with_(body=replace(scene.body))  # fitting its surface counts
+    found = ms.calibrate(ms.simulate(fresh, FRESH), belief, **options)
+    return found, process_time() - begin
+
+
+@theme.styled
+def against(rows: dict[str, dict[str, float]], budget_mm: float) -> object:
+    """Estimate against truth, with a factor of two to either side."""
+    figure = theme.canvas(4.6, 4.2)
+    axes = figure.add_subplot()
+    true = np.array([r["true_mm"] for r in rows.values()])
+    estimate = np.array([r["estimate_mm"] for r in rows.values()])
+    ends = np.array([0.5 * min(true.min(), estimate.min()), 2.0 * max(true.max(), budget_mm)])
+    axes.loglog(ends, ends, color=theme.MUTED, lw=0.8)
+    axes.fill_between(ends, ends / 2, ends * 2, color=theme.MUTED, alpha=0.15, lw=0,
+                      label="a factor of 2")  # fmt: skip
+    axes.axvline(budget_mm, color=theme.BOUND, lw=0.8, label="budget")
+    axes.plot(true, estimate, "o", color=theme.ESTIMATE, ms=4, label="scenes")
+    axes.set(xlim=ends, ylim=ends, xlabel="true error of what was left out (mm)",
+             ylabel="estimate (mm)", title="What the budget promised")  # fmt: skip
+    axes.legend(loc="upper left")
+    figure.tight_layout()
+    return figure
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,180 @@
+"""The error budget as one uses it: call, scene file, command line, ledger; and what it refuses."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin import cli, job
+from meshskin.errors import ConfigError
+from meshskin.geometry.region import Cap
+from meshskin.physics import effects
+from meshskin.report import sections
+from meshskin.study import base
+from meshskin.study.evaluate import evaluate
+
+KINDS = ("body_pose", "gain_offset", "cover_fabric", "gaussian_noise", "quantisation")
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A sphere of 20 taxels that moves without an arm, and some effects."""
+    sphere = ms.Scene.load("sphere")
+    skin = ms.Skin.cover(sphere.body, spacing=5e-3, count=20, region=Cap((0.0, 0.0, -1.0)))
+    return sphere.with_(
+        skin=skin,
+        loop=replace(sphere.loop, mode="quasi_static"),
+        candidates=tuple(effects.find(name)() for name in KINDS),
+    )
+
+
+@pytest.fixture(scope="module")
+def ledger(scene):
+    return ms.budget(scene, 0.2e-3)
+
+
+def test_the_ledger_says_what_is_on(ledger):
+    entries = {entry.name: entry for entry in ledger.entries}
+    assert set(KINDS) < set(entries)
+    assert entries["body_pose"].on  # 0.5 mm, alone beyond 0.2
+    assert entries["body_pose"].shift == pytest.approx(0.45e-3, rel=0.1)
+    assert not entries["cover_fabric"].on
+    chosen = {e.name for e in ledger.scene.effects}
+    assert chosen == {name for name in KINDS if entries[name].on}
+    assert {e.name for e in ledger.everything.effects} == set(KINDS)
+    assert ledger.scene.budget is None
+    assert ledger.scene.loop.dt >= ledger.everything.loop.dt
+
+
+def test_the_ledger_sums(ledger):
+    off = [entry.shift for entry in ledger.entries if not entry.on]
+    knobs = [e.shift for e in ledger.entries if e.name in ("mesh", "time step", "contact model")]
+    assert ledger.estimate <= 1.1 * (sum(off) + sum(knobs))
+    assert ledger.seconds == pytest.approx(sum(e.seconds for e in ledger.entries if e.on))
+    assert ledger.seconds < sum(e.seconds for e in ledger.entries)
+
+
+def test_the_estimate_is_checked_against_the_truth(ledger):
+    assert ledger.fits
+    assert ledger.check.shift <= ledger.budget
+    assert 0.5 < ledger.estimate / ledger.check.shift < 2.0
+    assert ledger.check.taxels >= 5
+
+
+def test_the_ledger_prints_as_a_table(ledger):
+    lines = str(ledger).splitlines()
+    assert lines[0].split()[:3] == ["effect", "mm", "seconds"]
+    assert len(lines) == 1 + len(ledger.entries) + len(ledger.summary())
+    assert any(line.startswith("body pose") and " on " in line for line in lines)
+    metrics = ledger.metrics()
+    assert metrics["budget_mm"] == pytest.approx(0.2)
+    assert metrics["on"]["body_pose"] == "on"
+    assert "cover_fabric" in metrics["off_mm"]
+
+
+def test_the_ledger_stands_in_the_report(ledger):
+    (section,) = sections._budget(SimpleNamespace(ledger=ledger))
+    text, table = section.blocks
+    assert text.lines == ledger.summary()
+    assert len(table.rows) == len(ledger.entries)
+    assert sections._budget(SimpleNamespace(ledger=None)) == ()
+
+
+@pytest.mark.slow
+def test_the_same_call_decides_the_same(scene, ledger):
+    again = ms.budget(scene, 0.2e-3)
+    assert again.entries == ledger.entries
+    assert again.estimate == ledger.estimate
+
+
+@pytest.mark.slow
+def test_a_small_budget_needs_more(scene, ledger):
+    fine = ms.budget(scene, 0.02e-3)
+    assert {e.name for e in fine.scene.effects} > {e.name for e in ledger.scene.effects}
+    assert fine.estimate < 0.02e-3 or len(fine.scene.effects) == len(KINDS)
+
+
+@pytest.mark.parametrize("budget", [-1e-4, 0.0, float("nan"), float("inf")])
+def test_a_budget_must_be_positive(scene, budget):
+    with pytest.raises(ConfigError, match=r"budget must be positive.*simulate the scene without"):
+        ms.budget(scene, budget)
+
+
+def toml(tmp_path, text):
+    file = tmp_path / "mine.toml"
+    file.write_text(text)
+    return file
+
+
+def test_a_scene_file_leaves_the_effects_to_a_budget(tmp_path):
+    auto = 'extends = "sphere_noisy"\neffects = "auto"\n'
+    scene = ms.Scene.load(toml(tmp_path, auto))
+    assert (scene.effects, scene.candidates, scene.budget) == ((), None, 0.2e-3)
+    some = auto + 'budget_um = 50\n[[candidates]]\nkind = "friction"\ncoefficient = 0.4\n'
+    scene = ms.Scene.load(toml(tmp_path, some))
+    assert scene.budget == pytest.approx(50e-6)
+    assert [e.coefficient for e in scene.candidates] == [0.4]
+    scene = ms.Scene.load(toml(tmp_path, 'extends = "sphere_noisy"\nbudget_mm = 0.1\n'))
+    assert [e.name for e in scene.effects] == ["gaussian_noise"]
+    assert scene.budget == pytest.approx(1e-4)
+
+
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ('effects = "all"', 'list of tables.*"auto"'),
+        ("budget_mm = -1", "budget is out of range.*above 0 m"),
+        ("budget_mm = 0", "budget is out of range"),
+        ("budget = 1", "unknown key 'budget'"),
+        ('[[candidates]]\nkind = "friction"', "candidates need a budget"),
+        ('effects = "auto"\n[[candidates]]\nkind = "frction"', "did you mean friction"),
+    ],
+)
+def test_a_scene_file_that_cannot_be_meant_is_refused(tmp_path, text, error):
+    with pytest.raises(ConfigError, match=error):
+        ms.Scene.load(toml(tmp_path, f'extends = "sphere"\n{text}\n'))
+
+
+def test_nothing_undecided_is_simulated(scene):
+    with pytest.raises(ConfigError, match=r"not been decided.*ms.budget\(scene\).scene"):
+        ms.simulate(scene.with_(budget=1e-4))
+
+
+@pytest.mark.slow
+def test_a_study_decides_for_each_case(scene):
+    case = SimpleNamespace(
+        scene=scene.with_(budget=0.2e-3), belief=scene.belief(), seed=0, method="joint"
+    )
+    assert evaluate(case)["position_error_mm.mean"] == pytest.approx(0.45, abs=0.1)
+
+
+def test_a_study_cannot_change_an_effect_that_a_budget_decides_on():
+    with pytest.raises(ConfigError, match=r"cannot be changed where a budget decides"):
+        base.changed({"effects": "auto"}, {"effects.friction": True})
+
+
+def test_the_command_line_hands_the_budget_on(tmp_path, monkeypatch):
+    seen = {}
+    monkeypatch.setattr(job, "run", lambda *args, **options: seen.update(options))
+    assert cli.main(["run", "sphere", "--out", str(tmp_path), "--quiet", "--budget-mm", "0.3"]) == 0
+    assert seen["budget"] == pytest.approx(0.3e-3)
+    with pytest.raises(SystemExit):
+        cli.main(["run", "sphere", "--out", "x", "--budget-mm", "0.3", "--accuracy-mm", "1"])
+
+
+def test_the_command_line_refuses_a_negative_budget(tmp_path, capsys):
+    assert cli.main(["run", "sphere", "--out", str(tmp_path), "--quiet", "--budget-mm", "-1"]) == 2
+    assert "an error budget must be positive, got -1 mm" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_whole_run_with_a_budget(tmp_path):
+    result = job.run("sphere_noisy", tmp_path, budget=0.2e-3)
+    assert result.ledger.fits
+    assert result.ledger.check.faster > 3.0
+    assert result.metrics["budget"]["budget_mm"] == pytest.approx(0.2)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "What was simulated, and what was left out" in page
+    assert np.isfinite(result.metrics["position_error_mm"]["mean"])

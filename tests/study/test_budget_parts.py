@@ -1,0 +1,233 @@
+"""The parts of an error budget, each against what is known in closed form."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin.geometry.region import Cap
+from meshskin.motion.path import Path
+from meshskin.physics import effects
+from meshskin.physics.effects.body_pose import BodyPose
+from meshskin.physics.effects.gain_offset import GainOffset
+from meshskin.physics.effects.gaussian_noise import GaussianNoise
+from meshskin.physics.effects.indenter_offset import IndenterOffset
+from meshskin.physics.effects.quantisation import Quantisation
+from meshskin.physics.effects.relaxation import Relaxation
+from meshskin.study.budget.candidates import candidates
+from meshskin.study.budget.choose import Item, choose, left_out, size
+from meshskin.study.budget.knobs import knobs
+from meshskin.study.budget.linear import Solution, answering
+from meshskin.study.budget.rehearsal import Rehearsal, shortened
+from meshskin.study.budget.screen import NEGLIGIBLE, screened
+
+
+@pytest.fixture(scope="module")
+def small():
+    """A sphere of 20 taxels that moves without an arm."""
+    scene = ms.Scene.load("sphere")
+    skin = ms.Skin.cover(scene.body, spacing=5e-3, count=20, region=Cap((0.0, 0.0, -1.0)))
+    return scene.with_(skin=skin, loop=replace(scene.loop, mode="quasi_static"))
+
+
+@pytest.fixture(scope="module")
+def rehearsal(small):
+    return Rehearsal.of(small)
+
+
+@pytest.fixture(scope="module")
+def solved(small, rehearsal):
+    """Belief, recording without effects, and the solution there."""
+    belief = small.with_(effects=(GaussianNoise(),)).belief()
+    recording = rehearsal.recording((), 0)
+    return belief, recording, Solution.of(ms.calibrate(recording, belief))
+
+
+def moved(solved, recording):
+    belief, plain, solution = solved
+    return solution.step(recording, belief).move - solution.step(plain, belief).move
+
+
+def test_a_displaced_body_moves_the_taxels_as_its_feet_move(small, rehearsal, solved):
+    """The foot of a centre that moves along the sphere moves by R / (R + r) of it, r being the
+    indenter's radius less the depth."""
+    offset = 5e-5
+    recording = rehearsal.recording((BodyPose(translation=(offset, 0.0, 0.0)),), 0)
+    shift = moved(solved, recording)
+    normals = small.skin.normals
+    height = small.indenter.radius - small.patch.depth
+    along = offset * (np.array([1.0, 0.0, 0.0]) - normals[:, :1] * normals)
+    np.testing.assert_allclose(shift, along * 0.1 / (0.1 + height), atol=0.03 * offset)
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [IndenterOffset((5e-5, 3e-5, 0.0)), GainOffset(0.005, 0.0), Relaxation(0.99)],
+    ids=lambda effect: effect.name,
+)
+def test_one_step_foretells_the_full_calibration(effect, rehearsal, solved):
+    belief, _, solution = solved
+    recording = rehearsal.recording((effect,), 3)
+    full = ms.calibrate(recording, belief).positions - solution.points
+    step = moved(solved, recording)
+    assert size(step - full) < 0.1 * size(full)
+
+
+def test_a_rehearsal_records_what_a_simulation_does(small, rehearsal):
+    chosen = (GaussianNoise(), BodyPose(), effects.find("friction")(), effects.find("scan_order")())
+    simulated = ms.simulate(small.with_(effects=effects.ordered(chosen)), seed=5)
+    rehearsed = rehearsal.recording(chosen, 5)
+    for name in ("time", "points", "normals", "force", "reading_taxel", "pressure"):
+        np.testing.assert_allclose(getattr(rehearsed, name), getattr(simulated, name), rtol=1e-9)
+
+
+def test_halves_hold_every_contact_of_their_taxels(small):
+    skin = ms.Skin.cover(small.body, spacing=5e-3, count=60, region=Cap((0.0, 0.0, -1.0)))
+    rehearsal, noisy = Rehearsal.of(small.with_(skin=skin)), (GaussianNoise(), Relaxation())
+    whole, halves = rehearsal.recording(noisy, 1), rehearsal.halves()
+    assert halves.cut
+    assert not set(halves.taxels[0]) & set(halves.taxels[1])
+    for half in (0, 1):
+        part = rehearsal.recording(noisy, 1, halves, half)
+        for taxel in halves.taxels[half]:
+            mine, there = (
+                np.sort(r.pressure[(r.reading_taxel == taxel) & (r.pressure > 8e3)])
+                for r in (whole, part)
+            )
+            assert len(mine)
+            np.testing.assert_allclose(mine, there)
+
+
+def test_a_long_path_is_shortened_place_by_place():
+    rows = np.arange(30.0).reshape(10, 3)
+    whole = Path(
+        1e-3, rows, rows, np.tile(np.eye(4), (10, 1, 1)), np.zeros((10, 6)), np.arange(10),
+        breaks=(4, 7), postures=np.arange(3.0)[:, None],
+    )  # fmt: skip
+    short = shortened(whole, 6)
+    assert len(short.points) == len(short.poses) == len(short.faces) == 6
+    assert short.breaks == (4,)
+    np.testing.assert_array_equal(short.postures, [[0.0], [1.0]])
+    assert [len(place.points) for place in short.places] == [4, 2]
+
+
+def test_a_small_skin_is_not_cut(rehearsal):
+    halves = rehearsal.halves()
+    assert not halves.cut
+    assert len(halves.taxels[0]) == len(halves.taxels[1]) == 20
+    assert halves.frames(rehearsal.frames.points, 1).all()
+
+
+def test_dead_taxels_do_not_answer(small, rehearsal):
+    belief = small.with_(effects=(GaussianNoise(),)).belief()
+    broken = effects.find("broken_taxels")(dead=0.2, stuck=0.0)
+    lost = ~answering(rehearsal.recording((GaussianNoise(), broken), 2), belief)
+    assert set(np.flatnonzero(lost)) == set(broken.chosen(small.context(2))[0])
+
+
+class Stub(effects.Plain):
+    """An effect that is only a bound."""
+
+    stage, cost = "transducer", 1e-9
+
+    def __init__(self, name, bound, requires=()):
+        self.name, self.largest, self.requires = name, bound, requires
+
+    def bound(self, context):
+        return self.largest
+
+    def build(self, context):
+        return lambda pressures, frames: pressures
+
+
+def test_screening_never_drops_an_effect_above_its_bound(small):
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        budget = 10 ** rng.uniform(-5, -3)
+        stubs = [Stub(f"e{k}", 10 ** rng.uniform(-8, -3)) for k in range(10)]
+        out = screened(stubs, small.context(0), budget)
+        assert sum(out.values()) <= NEGLIGIBLE * budget
+        assert all(out[s.name] == s.largest for s in stubs if s.name in out)
+        kept = [s.largest for s in stubs if s.name not in out]
+        assert not out or not kept or max(out.values()) <= min(kept)
+    needed = Stub("needed", 1e-9)
+    assert not screened([needed, Stub("large", 1.0, ("needed",))], small.context(0), 1e-3)
+    assert set(screened([Quantisation(bits=16), BodyPose()], small.context(0), 2e-4)) == {
+        "quantisation"
+    }
+
+
+def item(name, x, y, seconds, requires=()):
+    return Item(name, np.array([[[x, y, 0.0]]]), seconds, requires)
+
+
+def test_what_takes_off_most_for_its_seconds_comes_first():
+    items = [item("cheap", 3.0, 0.0, 1.0), item("dear", 0.0, 4.0, 100.0), item("small", 0.1, 0, 1)]
+
+    def joint(on):
+        return left_out(on, items)
+
+    assert choose(items, 6.0, (), joint)[0] == set()
+    assert choose(items, 4.05, (), joint)[0] == {"cheap"}
+    assert choose(items, 3.2, (), joint)[0] == {"dear"}
+    assert choose(items, 1e-9, (), joint)[0] == {"cheap", "dear", "small"}
+    assert choose(items, 6.0, ("small",), joint)[0] == {"small"}
+    assert size(choose(items, 3.2, (), joint)[1]) == pytest.approx(3.1)
+
+
+def test_parts_that_cancel_or_require_each_other():
+    items = [item("up", 5.0, 0.0, 1.0), item("down", -5.0, 0.1, 1.0)]
+    assert choose(items, 0.2, (), lambda on: left_out(on, items))[0] == set()
+    ladder = [item("k:0", 1.0, 0.0, 1.0), item("k:1", 2.0, 0.0, 1.0, ("k:0",))]
+    assert choose(ladder, 1.5, (), lambda on: left_out(on, ladder))[0] == {"k:0", "k:1"}
+
+
+def test_what_does_not_add_up_is_measured():
+    """Two effects that together do three times the sum of what they do alone."""
+    items = [item("a", 1.0, 0.0, 1.0), item("b", 1.0, 0.0, 2.0)]
+
+    def joint(on):
+        rest = left_out(on, items)
+        return rest if on else 3.0 * rest
+
+    on, rest = choose(items, 2.5, (), joint)
+    assert len(on) == 1
+    assert size(rest) == pytest.approx(1.0)
+
+
+def test_candidates_are_what_applies(small):
+    found, refused = candidates(small)
+    names = {e.name for e in found}
+    assert "encoder" not in names
+    assert "joints" in refused["encoder"]
+    assert names | set(refused) == set(effects.KINDS)
+    own = BodyPose(translation=(0.0, 1e-3, 0.0))
+    scene = small.with_(effects=(own,), candidates=(BodyPose(), GainOffset()))
+    assert candidates(scene)[0] == (GainOffset(), own)
+    rival = Stub("rival", 1.0)
+    rival.excludes = ("body_pose",)
+    lone = Stub("lone", 1.0, ("nobody",))
+    found, refused = candidates(scene.with_(candidates=(rival, lone)))
+    assert found == (own,)
+    assert refused == {"rival": "excluded by body_pose", "lone": "requires nobody"}
+
+
+def test_knobs_are_ladders_from_cheap_to_fine(small):
+    found = {knob.name: knob for knob in knobs(small, 10_000, 1_000.0)}
+    assert set(found) == {"contact model", "mesh", "time step"}
+    for knob in found.values():
+        seconds = [rung.seconds for rung in knob.rungs]
+        assert seconds == sorted(seconds)
+    mesh, step = found["mesh"], found["time step"]
+    assert mesh.rungs[mesh.declared].changes["body"] is small.body
+    assert [len(r.changes["body"].mesh.faces) for r in mesh.rungs] == [320, 1280, 5120, 20480]
+    for rung in step.rungs:
+        fine = small.with_(**rung.changes)
+        assert fine.frame_steps * fine.loop.dt == pytest.approx(0.01)
+    assert [r.label for r in found["contact model"].rungs] == ["hertz", "elliptic"]
+    thin = small.with_(material=replace(small.material, thickness=8e-3), contact="layered")
+    loaded = replace(small.body, exact=None)
+    found = {knob.name: knob for knob in knobs(thin.with_(body=loaded), 10_000, 1_000.0)}
+    assert set(found) == {"contact model", "time step"}
+    assert found["contact model"].rungs[-1].label == "layered"
