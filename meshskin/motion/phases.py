@@ -168,7 +168,8 @@ class Explorer:
         """Without an arm: up, as far as it takes to turn, and over to the pose `goal` (4, 4)."""
         machine = self.machine
         low = body_pose(machine.state[None])[0]
-        if np.linalg.norm(low[:3, 3] - goal[:3, 3]) > ASTRAY * machine.body.surface.scale:
+        middle = np.append(machine.body.mesh.bounds.mean(axis=0), 1.0)
+        if np.linalg.norm((low - goal) @ middle) > ASTRAY * machine.body.surface.scale:
             raise SimulationError(
                 f"the body flew off place {self.place}",
                 value=f"position {np.round(low[:3, 3], 3).tolist()} m",
