@@ -40,6 +40,7 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
     parser.add_argument("--scenes", nargs="+", default=["sphere", "capsule"])
     parser.add_argument("--distance", type=float, default=20.0, help="of the slide, mm")
     parser.add_argument("--points", type=int, default=None, help="times of the trade")
+    parser.add_argument("--delay", type=float, default=0.0, help="age of the readings, ms")
     parser.add_argument("--quasi-static", action="store_true", help="without an arm")
     parser.add_argument("--full", action="store_true", help="more times, more scenarios")
     parser.add_argument("--json", type=Path, default=None)
@@ -49,7 +50,9 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
     for name in options.scenes:
         scene = ms.Scene.load(name)
         mode = "quasi_static" if options.quasi_static else scene.loop.mode
-        scene = scene.with_(loop=replace(scene.loop, mode=mode), effects=())
+        scene = scene.with_(
+            loop=replace(scene.loop, mode=mode, delay=options.delay * 1e-3), effects=()
+        )
         found[name] = compare(scene, options.distance * 1e-3, options.full, options.out)
     points = options.points or (8 if options.full else 4)
     tuned = [row.pop("tuned") for row in found.values()]

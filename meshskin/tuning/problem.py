@@ -19,6 +19,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.optimize import nnls
 
 from ..motion.stability import TOUCH
 from ..se3 import Array
@@ -39,6 +40,8 @@ logarithms of the gains, the solution is a corner of limits, and a plain proxima
 fewer steps than quasi-Newton or exact second derivatives (measured: 50, 100 and over 100)."""
 TOLERANCE = 1e-3
 """Largest violation of a limit, in its scale, of a solution that is taken."""
+TOUCHED = 2e-3
+"""Distance from a limit, in its scale, or from the end of a range, below which it is touched."""
 SAFE = 0.97
 """Part of the touch's depth on which its step is judged, as Hertz scales it with the force."""
 OPTIONS: dict[str, Any] = {
@@ -129,6 +132,11 @@ class Problem:
             "g": ca.vertcat(*g),
         }
         self.nlp = nlp
+        self._slopes = ca.Function(
+            "slopes",
+            [nlp["x"], nlp["p"]],
+            [ca.gradient(nlp["f"], nlp["x"]), ca.jacobian(nlp["g"], nlp["x"])],
+        )
         self.watch = Watch(nlp["x"].shape[0], nlp["g"].shape[0])
         made: dict[str, Any] = {"iteration_callback": self.watch}
         if objective == "time":
@@ -156,11 +164,7 @@ class Problem:
         stats, best = self.solver.stats(), self.watch.best
         assert best is not None  # the start is an iterate
         size = len(NAMES)
-        pull, over = np.zeros(many), self._broken(best.x, best.g)
-        np.add.at(pull, self._rows[self._some], best.lam_g[self._some])
-        pulls = dict(zip(self.names, pull, strict=True))
-        bound = np.abs(best.lam_x[:size])
-        pulls |= {f"range of {n}": v for n, v in zip(NAMES, bound, strict=True)}
+        over, pulls = self._broken(best.x, best.g), self._multipliers(best.x, best.g)
         value = self._value(best.x, best.g) * self._unit
         return Solution(
             gains=Gains(*np.clip(np.exp(best.x[:size]), *self.span).tolist()),
@@ -171,6 +175,28 @@ class Problem:
             iterations=int(stats["iter_count"]),
             seconds=perf_counter() - began,
         )
+
+    def _multipliers(self, x: Array, g: Array) -> dict[str, float]:
+        """Multipliers of the limits and ranges that an iterate touches, in the program's units.
+
+        By non-negative least squares on the stationarity of the Lagrangian, so that they depend
+        neither on the solver's barrier nor on where it stopped.
+        """
+        size = len(NAMES)
+        cost, slopes = (np.array(s) for s in self._slopes(x, [1.0, 0.0]))
+        touched = np.flatnonzero(g > -TOUCHED)
+        ends = np.concatenate([self.low - x[:size], x[:size] - self.high]) > -TOUCHED
+        walls = np.concatenate([-np.eye(size), np.eye(size)])[ends]
+        walls = np.concatenate([walls, np.zeros((len(walls), 1))], axis=1)
+        columns = np.concatenate([slopes[touched, : size + 1], walls]).T
+        pull = nnls(columns, -cost.ravel()[: size + 1])[0]
+        names = [self.names[k] if k >= 0 else "" for k in self._rows[touched]]
+        names += [f"range of {name}" for name in np.array([*NAMES, *NAMES])[ends]]
+        found: dict[str, float] = {}
+        for name, value in zip(names, pull, strict=True):
+            found[name] = found.get(name, 0.0) + float(value)
+        found.pop("", None)  # the scenarios' shares of the objective
+        return found
 
     def _value(self, x: Array, g: Array) -> float:
         """The objective, in its unit, at an iterate: the worst of the scenarios."""

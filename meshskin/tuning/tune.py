@@ -33,7 +33,7 @@ __all__ = ["Demands", "Scenario", "Tuned", "scenarios", "tune", "where"]
 
 LEEWAY = 1.2
 """Length of the rollout over the time of the start's manoeuvre."""
-ROUNDS, WORTH = 3, 5e-3
+ROUNDS, WORTH = 2, 1e-2
 """How often a search is taken up again, and the gain of the last one that calls for it."""
 REST = 1.5
 """Rest at the start of the search, over the settling time there."""
@@ -118,7 +118,7 @@ def _solved(problem: Problem) -> Solution:
             value=f"{max(again.slacks, key=lambda k: again.slacks[k])} broken",
             remedy="give start= nearer to the solution, or relax a limit",
         )
-    return again
+    return _polished(problem, again)
 
 
 def _polished(problem: Problem, solution: Solution) -> Solution:

@@ -15,6 +15,8 @@ PATIENCE, LONG = 25, 50
 """Iterations without gain after which the search ends, from a point that meets the limits and
 before one is found. Windows and interpolations are continuous, their slopes are not: the last
 iterations may go to and fro over a kink for ever."""
+LEAST = 40
+"""Iterations that every search may take: the first of them lead away from the limits."""
 GAIN = 1e-3
 """Least decrease of the merit, part of it, that counts as a gain."""
 BROKEN = 1e3
@@ -28,8 +30,6 @@ class Iterate:
     merit: float
     x: Array
     g: Array
-    lam_x: Array
-    lam_g: Array
 
 
 class Watch(ca.Callback):
@@ -46,7 +46,7 @@ class Watch(ca.Callback):
 
     def begin(self, merit: Callable[[Array, Array], float]) -> None:
         """Forget the last search."""
-        self.merit, self.idle = merit, 0
+        self.merit, self.idle, self.count = merit, 0, 0
         self.best: Iterate | None = None
         self.mark = np.inf
 
@@ -73,9 +73,10 @@ class Watch(ca.Callback):
         values = {ca.nlpsol_out(k): np.array(a, dtype=float).ravel() for k, a in enumerate(arg)}
         merit = self.merit(values["x"], values["g"])
         if self.best is None or merit < self.best.merit:
-            kept = {name: values[name] for name in ("x", "g", "lam_x", "lam_g")}
-            self.best = Iterate(merit, **kept)
+            self.best = Iterate(merit, values["x"], values["g"])
+        self.count += 1
         gained = merit < (1.0 - GAIN) * self.mark
         self.mark = merit if gained else self.mark
         self.idle = 0 if gained else self.idle + 1
-        return [int(self.idle >= (PATIENCE if merit < BROKEN else LONG) or merit == 0.0)]
+        patience = PATIENCE if self.mark < BROKEN else LONG
+        return [int((self.count > LEAST and self.idle >= patience) or merit == 0.0)]

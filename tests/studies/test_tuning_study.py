@@ -1,0 +1,29 @@
+"""The study of the tuning at a small size: without an arm, readings 4 ms late."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+STUDY = Path(__file__).parents[2] / "studies" / "tuning.py"
+
+
+def test_tuning(tmp_path, capsys):
+    spec = importlib.util.spec_from_file_location("tuning_study", STUDY)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    small = ["--scenes", "sphere", "--quasi-static", "--delay", "4", "--distance", "5"]
+    rest = ["--points", "2", "--out", str(tmp_path), "--json", str(tmp_path / "found.json")]
+    found = module.main([*small, *rest])
+    assert json.loads((tmp_path / "found.json").read_text()) == found
+    sphere, trade = found["sphere"], found["trade"]
+    before, after = sphere["settling_ms"]
+    assert after <= 0.5 * before
+    assert sphere["overshoot"][1] <= 0.0065
+    assert sphere["time_s"][1] < 0.5 * sphere["time_s"][0]
+    assert sphere["difference"] < 0.02
+    assert "overshoot" in sphere["binding"]
+    assert trade[0]["time_s"] <= trade[1]["time_s"] + 1e-3
+    assert trade[1]["force_error"] <= 1.01 * trade[0]["force_error"]
+    assert all(row["simulated_error"] <= 1.1 * row["force_error"] + 1e-3 for row in trade)
+    assert {"fig4_tuned_sphere.png", "tuning_trade.png"} <= {f.name for f in tmp_path.iterdir()}
+    assert "predicted and simulated force agree" in capsys.readouterr().out
