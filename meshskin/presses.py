@@ -20,6 +20,7 @@ from .se3 import Array, exp_so3, quaternion
 from .simulation import FRAME_CELLS, effect_chain, frames_at, sensor_tables
 
 if TYPE_CHECKING:
+    from .physics.effects import Chain
     from .scene import Scene
 
 
@@ -29,12 +30,14 @@ def press(
     force: ArrayLike | None = None,
     spin: ArrayLike = 0.0,
     seed: int = 0,
+    chain: Chain | None = None,
 ) -> Recording:
     """The recording of the indenter pressed on the body at `points` (m, 3), body frame, m.
 
     force (m,), N: the reference force by default. spin (m,), rad: how far the body is turned about
     the vertical; its skin faces down on the indenter. All effects of the scene act, as in
-    `simulate`; those of an arm's joints find none. Raises RecordingError without points.
+    `simulate`; those of an arm's joints find none. chain: effects of presses before, to go on with
+    in place of fresh ones of the seed. Raises RecordingError without points.
     """
     floating = scene.with_(loop=replace(scene.loop, mode="quasi_static"))
     where = np.asarray(points, dtype=float).reshape(-1, 3)
@@ -56,7 +59,8 @@ def press(
     time = scene.frame_steps * scene.loop.dt * np.arange(float(count))
     q = np.concatenate([place, quaternion(turned)[:, [3, 0, 1, 2]]], axis=1)
     frames = frames_at(floating, time, hit.point, hit.normal, forces, centres, q)
-    chain, size = effect_chain(floating, seed), max(int(FRAME_CELLS / len(scene.skin)), 1)
+    chain = chain or effect_chain(floating, seed)
+    size = max(int(FRAME_CELLS / len(scene.skin)), 1)
     batches = [
         sensor_tables(floating, frames.rows(slice(k, k + size)), chain)
         for k in range(0, count, size)

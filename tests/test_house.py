@@ -29,6 +29,7 @@ WINGS = [
     "tuning",
     "presses",
     "estimation",
+    "adaptive",
     "study",
     "report",
     "job",

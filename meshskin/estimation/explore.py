@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from ..scene import Belief
     from .calibration import Calibration
 
-WORST = 60
+WORST = 200
 """Taxels about which candidates are laid."""
-RINGS = (0.4, 0.7, 1.0)
+RINGS = (0.3, 0.5, 0.7, 0.85, 1.0, 1.15, 1.3)
 """Radii of the candidates about a taxel, in contact radii."""
 DIRECTIONS = 8
 """Candidates on a ring."""

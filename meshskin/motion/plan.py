@@ -123,7 +123,7 @@ def _carried(
     headings = turned(tangents[:, None], normals[:, None], spins)
     poses = setup.poses(setup.tips(points, normals)[:, None], normals[:, None], headings)
     found = posture.nodes(arm, poses @ inverse(setup.mount))
-    usable, why = _usable(setup, found, poses)
+    usable, why = usable_nodes(setup, found, poses)
     lost = [(points[k], why[k]) for k in np.flatnonzero(why != "")]
     segments: list[Path] = []
     held = why == ""
@@ -172,7 +172,7 @@ def _parts(
     ]
 
 
-def _usable(
+def usable_nodes(
     setup: Setup, found: posture.Nodes, poses: Array
 ) -> tuple[NDArray[np.bool_], NDArray[np.object_]]:
     """The nodes (m, s, b) that may be taken, and why a sample (m,) has none ("" where it has)."""

@@ -63,14 +63,18 @@ class Nodes:
         return np.asarray(self.solved & (self.spare >= SPARE))
 
 
-def nodes(arm: Arm, targets: Array, seed: int = 0) -> Nodes:
-    """The postures for poses T_w_tip `targets` (m, s, 4, 4); neighbours are near each other."""
+def nodes(arm: Arm, targets: Array, stretch: int = STRETCH, seed: int = 0) -> Nodes:
+    """The postures for poses T_w_tip `targets` (m, s, 4, 4).
+
+    Every `stretch`-th sample is solved from random starts, the others from their neighbours, which
+    must be near then.
+    """
     m, s = targets.shape[:2]
     rows = flat(targets).reshape(m, s, 12)
     n = len(arm.joint_names)
     q = np.full((m, s, POSTURES, n), np.nan)
     anchors = np.unique(
-        np.linspace(0, m - 1, max(math.ceil(m / STRETCH), 1) + 1).round().astype(int)
+        np.linspace(0, m - 1, max(math.ceil((m - 1) / stretch), 1) + 1).round().astype(int)
     )
     rng = np.random.default_rng(seed)
     for k in anchors:
@@ -242,3 +246,22 @@ def _trace(found: Nodes, cost: Array, parents: Array, fresh: NDArray[np.bool_]) 
         step = (s[k] - s[k - 1] + spins // 2) % spins - spins // 2
         spin[k] = s[k] if breaks[k] else spin[k - 1] + step
     return Choice(found.q[np.arange(count), s, b], spin, breaks)
+
+
+def nearest(
+    found: Nodes, usable: NDArray[np.bool_], rows: NDArray[np.intp]
+) -> tuple[NDArray[np.intp], Array]:
+    """Spins (k,) and joint angles (k, n) at some samples, each near the one before and off limits.
+
+    The joints may move in the air between them, so that nothing need follow on.
+    """
+    spins, joints = np.empty(len(rows), dtype=np.intp), np.empty((len(rows), found.q.shape[-1]))
+    price = np.where(usable, np.maximum(0.0, 1.0 - found.spare / NEAR) ** 2, np.inf)
+    for k, row in enumerate(rows):
+        cost = price[row]
+        if k:
+            move = np.abs(found.q[row] - joints[k - 1]).max(axis=-1)
+            cost = cost + np.where(usable[row], move, 0.0)
+        s, b = np.unravel_index(int(np.argmin(cost)), cost.shape)
+        spins[k], joints[k] = s, found.q[row, s, b]
+    return spins, joints

@@ -1,0 +1,268 @@
+"""Adaptive exploration: after a first pass, contacts go where they tell most.
+
+Rounds of touch, calibrate, and `Calibration.next_contacts`, until the stated uncertainty of every
+taxel is below a target, or nothing that can be touched brings it there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from .errors import CalibrationError, ConfigError, ReachError
+from .estimation.calibrate import calibrate
+from .estimation.calibration import Calibration
+from .exploration import planned, setup_of
+from .motion.path import Path
+from .motion.phases import PHASES, SLIDE
+from .motion.plan import UNSEEN
+from .motion.visits import tour, visits
+from .physics.effects import Chain
+from .presses import press
+from .recording import Recording
+from .scene import Scene
+from .se3 import Array
+from .simulation import effect_chain, simulate
+
+FIRST_SPACING, FIRST_STEP = 1.0, 0.8
+"""Distances between the first pass's lanes, and between contacts along them, in distances at which
+a contact is felt."""
+GAP = 0.5
+"""Distance from all contacts, in the same unit, at which a silent taxel is looked for."""
+BATCH = 0.2
+"""Contacts of a round, relative to all so far."""
+LEAST_BATCH = 8
+FRUITLESS = 0.98
+"""Part to which a round must bring down the worst uncertainty to be worth another one."""
+PATIENCE = 3
+"""Rounds without that after which the worst taxel is given up."""
+DWELL = 0.05
+"""Rest of a touch after the force has settled, s."""
+
+NEVER = "never read"
+STUCK = "further contacts tell nothing more"
+SPENT = "the contacts allowed are used up"
+
+Touch = Callable[[Scene, Array, Chain], tuple[Recording, Array]]
+"""(scene, points (k, 3), effects) -> the recording of one contact a point that can be touched, and
+why each (k,) that cannot be is left out ("" where it is not)."""
+
+
+@dataclass(frozen=True)
+class Round:
+    """Where an adaptive exploration stood after a round."""
+
+    contacts: int
+    """So far."""
+    mean_sigma: float
+    """Mean standard deviation, m, of the taxels that are determined."""
+    worst_sigma: float
+    """The largest, m, of those that are not given up; infinite where one is not determined."""
+    above: int
+    """Taxels above the target or not determined, given up or not."""
+    positions: Array
+    """(n, 3), m: the estimates."""
+
+
+@dataclass(frozen=True)
+class Adaptive:
+    """What an adaptive exploration found."""
+
+    recording: Recording
+    """Of all contacts."""
+    calibration: Calibration
+    """From all of them."""
+    rounds: tuple[Round, ...]
+    unmet: Mapping[int, str]
+    """Why each taxel (by id) above the target is so."""
+
+
+def pressed(scene: Scene, points: Array, chain: Chain) -> tuple[Recording, Array]:
+    """Contacts at rest, without the closed loop: in milliseconds. A `Touch`."""
+    hit = scene.body.closest(points)
+    why = setup_of(scene).fits(hit.point, hit.normal)
+    good = why == ""
+    _some(good, why)
+    return press(scene, points[good], chain=chain), why
+
+
+def touched(scene: Scene, points: Array, chain: Chain) -> tuple[Recording, Array]:
+    """Contacts made by the closed loop: set down, settled, read once, lifted off. A `Touch`."""
+    order = tour(points)
+    dwell = max(round(DWELL / scene.loop.dt), scene.frame_steps)
+    found, reasons = visits(setup_of(scene), points[order], dwell, scene.loop.dt)
+    why = np.empty_like(reasons)
+    why[order] = reasons
+    _some(why == "", why)
+    return last_of_each(simulate(scene, path=Path.joined(found), chain=chain)), why
+
+
+def _some(good: Array, why: Array) -> None:
+    if not good.any():
+        raise ReachError(f"none of the contacts can be made: {why[0]}", value=len(why))
+
+
+def adapt(
+    scene: Scene,
+    target: float,
+    *,
+    seed: int = 0,
+    most: int = 2000,
+    touch: Touch = pressed,
+    points: Array | None = None,
+) -> Adaptive:
+    """Explore until the stated uncertainty of every taxel is at most `target` (m) or cannot be.
+
+    The uncertainty is `Calibration.position_sigma`. most: contacts in all. touch: `pressed`, or
+    `touched` for the closed loop with the arm. points (k, 3): of the first pass; by default sparse
+    contacts on geodesic lanes. Raises ConfigError for a target that is not positive, ReachError
+    where nothing can be touched.
+    """
+    if not target > 0:
+        raise ConfigError("the target of an adaptive exploration", value=f"{target} m", limit="> 0")
+    unreachable: Mapping[int, str] = {}
+    if points is None:
+        points, unreachable = first_pass(scene)
+    belief, stand = scene.belief(), _Standing(target, dict(unreachable))
+    chain = effect_chain(scene, seed)
+    recording, _ = touch(scene, points, chain)
+    if not calibrate(recording, belief).touched.all():
+        gaps = between(scene, recording.points)
+        recording = together(recording, touch(scene, gaps, chain)[0]) if len(gaps) else recording
+    while True:
+        calibration = calibrate(recording, belief)
+        left = stand.judge(calibration, len(recording.time), most)
+        if left <= 0:
+            return Adaptive(recording, calibration, tuple(stand.rounds), stand.unmet)
+        batch = min(max(LEAST_BATCH, int(BATCH * len(recording.time))), left)
+        wanted = _without(calibration, stand.unmet).next_contacts(batch)
+        enough = int(np.argmax(wanted.worst <= target)) + 1 if wanted.worst[-1] <= target else batch
+        try:
+            more, why = touch(scene, wanted.points[:enough], chain)
+        except ReachError:
+            stand.give_up(wanted.taxel[:enough], "no contact that would tell more can be made")
+            continue
+        recording = together(recording, more)
+        for taxel in np.unique(wanted.taxel[:enough]):
+            mine = why[wanted.taxel[:enough] == taxel]
+            if (mine != "").all():
+                stand.give_up(np.array([taxel]), str(mine[0]))
+
+
+class _Standing:
+    """What is reached, and which taxels are given up."""
+
+    def __init__(self, target: float, unmet: dict[int, str]) -> None:
+        self.target, self.unmet = target, unmet
+        self.rounds: list[Round] = []
+        self._record: tuple[float, float] = (np.inf, np.inf)
+        self._vain = 0
+
+    def give_up(self, taxels: Array, why: str) -> None:
+        """Aim at these taxels no more."""
+        self.unmet |= {int(k): why for k in taxels}
+
+    def judge(self, calibration: Calibration, contacts: int, most: int) -> int:
+        """Note the round; how many contacts may still be made, 0 when it is over."""
+        sigma = np.where(
+            calibration.observed[:, :2].all(axis=1), calibration.position_sigma, np.inf
+        )
+        above = sigma > self.target
+        self.unmet = {k: w for k, w in self.unmet.items() if above[calibration.ids == k].all()}
+        open_ = above & ~np.isin(calibration.ids, list(self.unmet))
+        silent = open_ & ~calibration.touched
+        self.give_up(calibration.ids[silent], NEVER)
+        open_ &= ~silent
+        worst = float(sigma[open_].max(initial=0.0))
+        known = sigma[np.isfinite(sigma)]
+        mean = float(known.mean()) if len(known) else np.inf
+        self.rounds.append(Round(contacts, mean, worst, int(above.sum()), calibration.positions))
+        if open_.any() and contacts >= most:
+            self.give_up(calibration.ids[open_], SPENT)
+            return 0
+        # what is not determined yet counts first, then the worst of what is
+        lost = float((~np.isfinite(sigma[open_])).sum())
+        last = float(sigma[open_ & np.isfinite(sigma)].max(initial=0.0))
+        better = lost < self._record[0] or last < FRUITLESS * self._record[1]
+        self._vain = 0 if better else self._vain + 1
+        self._record = min(lost, self._record[0]), min(last, self._record[1])
+        if self._vain == PATIENCE and open_.any():
+            hopeless = open_ & (sigma >= worst)
+            self.give_up(calibration.ids[hopeless], STUCK)
+            open_ &= ~hopeless
+            self._record, self._vain = (np.inf, np.inf), 0
+        return most - contacts if open_.any() else 0
+
+
+def first_pass(
+    scene: Scene, spacing: float = FIRST_SPACING, step: float = FIRST_STEP
+) -> tuple[Array, Mapping[int, str]]:
+    """Contact points (k, 3) on geodesic lanes, their distances in distances at which a contact is
+    felt, and the taxels that cannot be reached.
+    """
+    reach = setup_of(scene).reach
+    lanes = replace(scene.exploration, pattern="lanes", lane_spacing=spacing * reach, contacts=None)
+    plan = planned(scene.with_(exploration=lanes))
+    parts = []
+    for place in plan.segments:
+        way = np.linalg.norm(np.diff(place.points, axis=0), axis=1)
+        along = np.concatenate([[0.0], np.cumsum(way)])
+        parts.append(place.points[np.searchsorted(along, np.arange(0.0, along[-1], step * reach))])
+    hopeless = {k: why for k, why in plan.unreachable.items() if why != UNSEEN}
+    return np.concatenate(parts), hopeless
+
+
+def between(scene: Scene, points: Array) -> Array:
+    """Contact points (k, 3) in the gaps of a first pass at `points` (m, 3), for silent taxels."""
+    from scipy.spatial import cKDTree
+
+    dense, _ = first_pass(scene, GAP, GAP)
+    return dense[cKDTree(points).query(dense)[0] > GAP * setup_of(scene).reach]
+
+
+def _without(calibration: Calibration, given_up: Mapping[int, str]) -> Calibration:
+    """The calibration with nothing known of some taxels, so that none is aimed at."""
+    rows = np.isin(calibration.ids, list(given_up))
+    poses, observed = calibration.poses.copy(), calibration.observed.copy()
+    poses[rows], observed[rows] = np.nan, False
+    middles = None if calibration.middles is None else calibration.middles.copy()
+    if middles is not None:
+        middles[rows] = np.nan
+    return replace(calibration, poses=poses, observed=observed, middles=middles)
+
+
+def last_of_each(recording: Recording) -> Recording:
+    """The last contact of every stretch of sliding: one settled contact a touch."""
+    if recording.motion is None:
+        raise CalibrationError("a recording without motion does not tell its touches apart")
+    motion = recording.motion
+    slide = np.asarray(motion.column("phase").to_pylist()) == PHASES[SLIDE]
+    time = motion.column("time").to_numpy()
+    ends = time[np.flatnonzero(slide & ~np.append(slide[1:], False))]
+    rows = np.unique(np.searchsorted(recording.time, ends, side="right") - 1)
+    kept = recording.time[rows]
+    heard = np.isin(recording.readings.column("time").to_numpy(), kept)
+    return Recording(
+        recording.contacts.take(pa.array(rows)),
+        recording.readings.filter(pa.array(heard)),
+        recording.metadata,
+    )
+
+
+def together(first: Recording, second: Recording) -> Recording:
+    """Two recordings of the same skin, one after the other."""
+    shift = float(first.time[-1] - second.time[0]) + 1.0
+
+    def later(table: Any) -> Any:
+        times = pa.array(table.column("time").to_numpy() + shift)
+        return table.set_column(0, table.schema.field(0), times)
+
+    return Recording(
+        pa.concat_tables([first.contacts, later(second.contacts)]),
+        pa.concat_tables([first.readings, later(second.readings)]),
+        first.metadata,
+    )

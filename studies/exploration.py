@@ -1,0 +1,176 @@
+"""Contacts against error: geodesic lanes of fixed density, and contacts put where they tell most.
+
+    python studies/exploration.py --out figures/ [--scene ellipsoid] [--pitch-mm 5 6.5] [--seeds 3]
+                                  [--full]
+
+Both explore the same skin, laid at each pitch: 5 mm is the paper's, 6.5 mm that of iCub's modules.
+A contact is one reading of the whole skin at rest under the reference force. Fixed: lanes at the
+scene's spacing, contacts at steps of 0.5 mm along them (what 100 Hz at 50 mm/s gives) to 1 mm.
+Adaptive: a sparse first pass, then rounds of `Calibration.next_contacts`. Prints, at the mean
+errors of the lanes, the contacts that adaptive needs of theirs, and the same for the worst stated
+uncertainty; draws the curves. --full: 12 seeds, and one adaptive run through the closed loop with
+the arm.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import meshskin as ms
+from meshskin.adaptive import adapt, touched
+from meshskin.exploration import planned
+from meshskin.geometry.region import Cap
+from meshskin.report import figures, theme
+
+STEPS = (1e-3, 0.7e-3, 0.5e-3)
+"""Distances of contacts along the fixed lanes, m."""
+LEVELS = 9
+"""Errors, between those of the lanes, at which the two are compared."""
+MARGIN = 1.3
+"""Part of the lanes' largest error up to which rounds of adaptive exploration are taken."""
+AIM = 12e-6
+"""Target of every taxel's uncertainty in the adaptive runs, m: about what the lanes reach."""
+Curve = dict[str, np.ndarray]
+"""contacts, error_mm (mean over taxels and seeds), sigma_mm (worst taxel's, mean over seeds)"""
+
+
+def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
+    """Run the study; return its rows by pitch."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("figures"))
+    parser.add_argument("--scene", default="ellipsoid")
+    parser.add_argument("--pitch-mm", type=float, nargs="+", default=[5.0, 6.5])
+    parser.add_argument("--seeds", type=int, default=None)
+    parser.add_argument("--full", action="store_true", help="12 seeds, and the closed loop")
+    parser.add_argument("--json", type=Path, default=None)
+    options = parser.parse_args(arguments)
+    seeds = range(options.seeds or (12 if options.full else 3))
+
+    rows, curves = {}, {}
+    for pitch in options.pitch_mm:
+        scene = laid(ms.Scene.load(options.scene), pitch * 1e-3)
+        fixed = lanes(scene, seeds)
+        adaptive = rounds(scene, seeds, int(fixed["contacts"].max()))
+        rows[f"{pitch:g}"] = compared(fixed, adaptive)
+        curves[f"{pitch:g}"] = fixed, adaptive
+    report(rows, f"{options.scene}, {len(seeds)} seeds: adaptive contacts over those of lanes")
+    if options.full:
+        rows["closed loop"] = through_the_loop(ms.Scene.load(options.scene))
+    figures.save(drawn(curves), options.out, "exploration")
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=2))
+    return rows
+
+
+def laid(scene: ms.Scene, pitch: float) -> ms.Scene:
+    """The scene with its skin laid again, its taxels `pitch` (m) apart about the same middle."""
+    middle = scene.skin.positions.mean(axis=0) - scene.body.mesh.bounds.mean(axis=0)
+    region = Cap(tuple(middle))
+    skin = ms.Skin.cover(scene.body, count=len(scene.skin), spacing=pitch, region=region)
+    return scene.with_(skin=skin)
+
+
+def lanes(scene: ms.Scene, seeds: range) -> Curve:
+    """The curve of fixed lanes."""
+    dense = replace(scene.exploration, pattern="lanes")
+    free = replace(scene.loop, mode="quasi_static")
+    path = planned(scene.with_(exploration=dense, loop=free)).path.points
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    belief, found = scene.belief(), []
+    for step in STEPS:
+        points = path[np.searchsorted(along, np.arange(0.0, along[-1], step))]
+        runs = [ms.calibrate(ms.press(scene, points, seed=seed), belief) for seed in seeds]
+        errors = [error_mm(scene, run.positions) for run in runs]
+        worst = [1e3 * run.position_sigma.max() for run in runs]
+        found.append((len(points), np.mean(errors), np.mean(worst)))
+    return curve(found)
+
+
+def rounds(scene: ms.Scene, seeds: range, most: int) -> Curve:
+    """The curve of adaptive exploration with at most so many contacts."""
+    found: dict[int, list[tuple[float, float]]] = {}
+    for seed in seeds:
+        for one in adapt(scene, AIM, seed=seed, most=most).rounds:
+            if np.isfinite(one.positions).all():
+                both = error_mm(scene, one.positions), 1e3 * one.worst_sigma
+                found.setdefault(one.contacts, []).append(both)
+    whole = {k: np.mean(v, axis=0) for k, v in found.items() if len(v) == len(seeds)}
+    return curve([(k, *whole[k]) for k in sorted(whole)])
+
+
+def curve(found: list[tuple[float, float, float]]) -> Curve:
+    """A curve from its points."""
+    columns = np.array(found, dtype=float).T
+    return dict(zip(("contacts", "error_mm", "sigma_mm"), columns, strict=True))
+
+
+def error_mm(scene: ms.Scene, positions: np.ndarray) -> float:
+    """Mean distance, mm, from the true taxels."""
+    return 1e3 * float(np.linalg.norm(positions - scene.skin.positions, axis=1).mean())
+
+
+def compared(fixed: Curve, adaptive: Curve) -> dict[str, float]:
+    """Contacts of adaptive over those of lanes, at equal mean error and at equal worst sigma."""
+    row = {}
+    for key, name in (("error_mm", "ratio"), ("sigma_mm", "worst_ratio")):
+        levels = np.geomspace(fixed[key].min(), fixed[key].max(), LEVELS)
+        near = adaptive[key] <= MARGIN * levels[-1]
+        needed = needs({k: v[near] for k, v in adaptive.items()}, key, levels)
+        ratio = needed / needs(fixed, key, levels)
+        row |= {name: float(np.exp(np.log(ratio).mean()))}
+        row |= {f"{name}_low": float(ratio.min()), f"{name}_high": float(ratio.max())}
+    return row
+
+
+def needs(one: Curve, key: str, levels: np.ndarray) -> np.ndarray:
+    """Contacts at which a curve falls to the levels, by the straight line through its logarithms:
+    errors go with a power of the contacts, and a line forgives the luck of single points."""
+    slope, start = np.polyfit(np.log(one[key]), np.log(one["contacts"]), 1)
+    return np.exp(start + slope * np.log(levels))
+
+
+def through_the_loop(scene: ms.Scene) -> dict[str, float]:
+    """One adaptive run in which the arm makes every touch."""
+    found = adapt(scene, 30e-6, touch=touched)
+    error = error_mm(scene, found.calibration.positions)
+    print(f"closed loop, target 0.03 mm: {len(found.recording.time)} touches in "
+          f"{len(found.rounds)} rounds, mean error {error:.4f} mm, "
+          f"{len(found.unmet)} taxels above the target")  # fmt: skip
+    return {"contacts": float(len(found.recording.time)), "error_mm": error}
+
+
+def report(rows: dict[str, dict[str, float]], title: str) -> None:
+    """Print the table."""
+    print(title)
+    print(f"  {'pitch, mm':>10} {'at equal mean error':>24} {'at equal worst sigma':>24}")
+    for pitch, r in rows.items():
+        mean = f"{r['ratio']:.2f} ({r['ratio_low']:.2f} to {r['ratio_high']:.2f})"
+        worst = (
+            f"{r['worst_ratio']:.2f} ({r['worst_ratio_low']:.2f} to {r['worst_ratio_high']:.2f})"
+        )
+        print(f"  {pitch:>10} {mean:>24} {worst:>24}")
+
+
+@theme.styled
+def drawn(curves: dict[str, tuple[Curve, Curve]]) -> object:
+    """Mean error against contacts, a panel a pitch."""
+    figure = theme.canvas(3.6 * len(curves), 3.2)
+    for k, (pitch, (fixed, adaptive)) in enumerate(curves.items()):
+        axes = figure.add_subplot(1, len(curves), k + 1)
+        axes.loglog(fixed["contacts"], fixed["error_mm"], "s-", color=theme.MUTED, label="lanes")
+        axes.loglog(
+            adaptive["contacts"], adaptive["error_mm"], "o-", color=theme.ESTIMATE, label="adaptive"
+        )
+        axes.set(xlabel="contacts", ylabel="mean error (mm)", title=f"taxels {pitch} mm apart")
+        axes.legend()
+    figure.tight_layout()
+    return figure
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,96 @@
+"""Adaptive exploration: it meets its target, or says why not, and the arm can make its touches."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin.adaptive import NEVER, SPENT, adapt, last_of_each, pressed, together, touched
+from meshskin.errors import ConfigError, ReachError
+from meshskin.geometry.region import Cap
+from meshskin.motion import clear
+from meshskin.physics.effects.broken_taxels import BrokenTaxels
+from meshskin.simulation import effect_chain
+
+TARGET = 45e-6
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A small skin on the ellipsoid."""
+    whole = ms.Scene.load("ellipsoid")
+    skin = ms.Skin.cover(whole.body, count=19, spacing=5e-3, region=Cap((0.0, -1.0, 0.0)))
+    return whole.with_(skin=skin, loop=replace(whole.loop, compile="never"))
+
+
+def errors(found, scene):
+    return np.linalg.norm(found.calibration.positions - scene.skin.positions, axis=1)
+
+
+def test_every_taxel_comes_below_the_target_in_few_contacts(scene):
+    found = adapt(scene, TARGET, seed=3)
+    assert found.unmet == {}
+    assert found.calibration.position_sigma.max() <= TARGET
+    assert errors(found, scene).max() < 4 * TARGET
+    counts = [one.contacts for one in found.rounds]
+    assert counts == sorted(counts)
+    assert counts[-1] == len(found.recording.time) < 120
+    assert found.rounds[-1].above == 0 < found.rounds[0].above
+    # the same number of contacts thrown evenly over the skin leaves some taxel above it
+    hit = scene.body.closest(found.recording.points)
+    rng = np.random.default_rng(0)
+    spread = scene.skin.positions[rng.integers(0, 19, counts[-1])]
+    blind = spread + rng.uniform(-4e-3, 4e-3, spread.shape)
+    other = ms.calibrate(ms.press(scene, scene.body.closest(blind).point, seed=3), scene.belief())
+    assert other.position_sigma.max() > 1.1 * found.calibration.position_sigma.max()
+    assert np.abs(hit.distance).max() < 1e-9
+
+
+def test_a_tighter_target_takes_more_contacts(scene):
+    loose, tight = (adapt(scene, target, seed=1) for target in (2 * TARGET, TARGET))
+    assert len(loose.recording.time) < len(tight.recording.time)
+
+
+def test_a_dead_taxel_and_a_spent_budget_are_named(scene):
+    dead = scene.with_(effects=(*scene.effects, BrokenTaxels(dead=0.06, stuck=0.0)))
+    found = adapt(dead, 2 * TARGET, seed=2)
+    assert list(found.unmet.values()) == [NEVER]
+    lost = found.calibration.ids == next(iter(found.unmet))
+    assert not found.calibration.touched[lost].any()
+    assert found.calibration.position_sigma[~lost].max() <= 2 * TARGET
+    short = adapt(scene, TARGET / 10, seed=2, most=60)
+    assert len(short.recording.time) <= 60
+    assert set(short.unmet.values()) == {SPENT}
+
+
+def test_what_cannot_be_asked(scene):
+    with pytest.raises(ConfigError, match="target"):
+        adapt(scene, 0.0)
+    hollow = ms.Body.torus(0.06, 0.04)
+    inside = np.array([[0.02, 0.0, 0.0]])
+    ring = scene.with_(body=hollow)
+    with pytest.raises(ReachError, match=clear.SUPPORT):
+        pressed(ring, inside, effect_chain(ring, 0))
+
+
+def test_the_arm_sets_the_body_down_on_every_contact(scene):
+    points = scene.skin.positions[[0, 5, 11, 17]]
+    recording, why = touched(scene, points, effect_chain(scene, 1))
+    assert (why == "").all()
+    assert len(recording.time) == 4
+    assert recording.force == pytest.approx(3.0, rel=0.02)
+    off = np.linalg.norm(recording.points[:, None] - points, axis=2).min(axis=0)
+    assert off.max() < 0.2e-3
+    assert (np.diff(recording.time) > 0.3).all()
+    twice = together(recording, recording)
+    assert len(twice.time) == 8
+    assert len(twice.pressure) == 2 * len(recording.pressure)
+    assert (twice.reading_contact < 8).all()
+
+
+def test_the_last_contact_of_a_slide_is_kept(scene):
+    whole = ms.simulate(scene, 1)
+    kept = last_of_each(whole)
+    assert kept.time.tolist() == [whole.time[-1]]
+    assert len(kept.pressure) == (whole.reading_contact == len(whole.time) - 1).sum()
