@@ -20,6 +20,8 @@ from .frames import Field, Frames
 
 NODES = 5
 """Nodes along each axis."""
+SAMPLES = 200
+"""Distances from the patch's middle at which the bound looks at readings."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +36,22 @@ class CoverFabric(Plain):
     cost: ClassVar[float] = 2.5e-6
 
     def bound(self, context: Context) -> float:
-        """From the rim, where p goes like the root of the distance: sqrt(w / a) of p_0, m."""
-        return context.misread(min(np.sqrt(self.width / context.contact_radius), 1.0))
+        """From the reading that the blur changes most, m, the reference contact being a circle."""
+        from ..contact.disc import disc_mean
+
+        a, disc = context.contact_radius, context.skin.disc_radius
+        node, weight = _bell()
+        r = np.linspace(0.0, a + disc + 4.0 * self.width, SAMPLES)
+        x = r[:, None, None] + self.width * node[:, None]
+        blurred = disc_mean(np.hypot(x, self.width * node) / a, disc / a)
+        change = np.maximum(blurred, 0.0) @ weight @ weight - np.maximum(
+            disc_mean(r / a, disc / a), 0
+        )
+        return context.misread(min(float(np.abs(change).max()), 1.0))
 
     def build(self, context: Context) -> Callable[[Field], Field]:
         """A field without memory."""
-        node, weight = np.polynomial.hermite_e.hermegauss(NODES)
-        weight /= weight.sum()
+        node, weight = _bell()
 
         def wrap(field: Field) -> Field:
             def blur(frames: Frames, poses: Array) -> Array:
@@ -55,3 +66,9 @@ class CoverFabric(Plain):
             return blur
 
         return wrap
+
+
+def _bell() -> tuple[Array, Array]:
+    """Nodes of a normal distribution, and their weights."""
+    node, weight = np.polynomial.hermite_e.hermegauss(NODES)
+    return node, weight / weight.sum()

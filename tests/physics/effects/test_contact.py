@@ -174,6 +174,17 @@ def test_a_cover_spreads_pressure_and_keeps_the_force(sphere, context, glide):
     assert covered[bare == 0].max() > 0
 
 
+@pytest.mark.parametrize("width", [3e-4, 1e-3, 3e-3])
+def test_a_cover_is_bound_by_the_reading_that_it_changes_most(sphere, context, glide, width):
+    """Twice that part of the peak, in contact radii: below the rim's root as long as it is thin."""
+    frames, poses = glide([0.0]), plane()
+    field, effect = hertz(sphere), CoverFabric(width=width)
+    change = np.abs(effect.build(context)(field)(frames, poses) - field(frames, poses)).max()
+    bound = 2.0 * change / context.peak_pressure * context.contact_radius
+    assert effect.bound(context) == pytest.approx(bound, rel=0.02)
+    assert effect.bound(context) < 2.0 * np.sqrt(width * context.contact_radius)
+
+
 def test_the_blur_is_exact_for_polynomials(context, glide):
     """x^4 under a bell of variance w^2 is x^4 + 6 w^2 x^2 + 3 w^4."""
 
