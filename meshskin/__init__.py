@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .adaptive import adapt
     from .estimation.calibrate import calibrate
     from .estimation.calibration import Calibration
     from .estimation.posegraph import PoseGraph
@@ -49,6 +50,7 @@ _HOMES = {
     "Scene": "scene",
     "Skin": "geometry.skin",
     "Study": "study.sweep",
+    "adapt": "adaptive",
     "budget": "study.budget",
     "calibrate": "estimation.calibrate",
     "compare": "geometry.compare",
@@ -76,6 +78,7 @@ __all__ = [
     "Scene",
     "Skin",
     "Study",
+    "adapt",
     "budget",
     "calibrate",
     "compare",

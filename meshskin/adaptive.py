@@ -177,7 +177,8 @@ class _Standing:
         silent = open_ & ~calibration.touched
         self.give_up(calibration.ids[silent], NEVER)
         open_ &= ~silent
-        worst = float(sigma[open_].max(initial=0.0))
+        aimed = ~np.isin(calibration.ids, list(self.unmet))
+        worst = float(sigma[aimed].max(initial=0.0))
         known = sigma[np.isfinite(sigma)]
         mean = float(known.mean()) if len(known) else np.inf
         self.rounds.append(Round(contacts, mean, worst, int(above.sum()), calibration.positions))

@@ -45,6 +45,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
     parser.add_argument("--out", type=Path, default=Path("figures"))
     parser.add_argument("--scene", default="ellipsoid")
     parser.add_argument("--pitch-mm", type=float, nargs="+", default=[5.0, 6.5])
+    parser.add_argument("--count", type=int, default=None, help="taxels; the scene's by default")
     parser.add_argument("--seeds", type=int, default=None)
     parser.add_argument("--full", action="store_true", help="12 seeds, and the closed loop")
     parser.add_argument("--json", type=Path, default=None)
@@ -53,7 +54,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
 
     rows, curves = {}, {}
     for pitch in options.pitch_mm:
-        scene = laid(ms.Scene.load(options.scene), pitch * 1e-3)
+        scene = laid(ms.Scene.load(options.scene), pitch * 1e-3, options.count)
         fixed = lanes(scene, seeds)
         adaptive = rounds(scene, seeds, int(fixed["contacts"].max()))
         rows[f"{pitch:g}"] = compared(fixed, adaptive)
@@ -67,11 +68,11 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
     return rows
 
 
-def laid(scene: ms.Scene, pitch: float) -> ms.Scene:
+def laid(scene: ms.Scene, pitch: float, count: int | None = None) -> ms.Scene:
     """The scene with its skin laid again, its taxels `pitch` (m) apart about the same middle."""
     middle = scene.skin.positions.mean(axis=0) - scene.body.mesh.bounds.mean(axis=0)
     region = Cap(tuple(middle))
-    skin = ms.Skin.cover(scene.body, count=len(scene.skin), spacing=pitch, region=region)
+    skin = ms.Skin.cover(scene.body, count=count or len(scene.skin), spacing=pitch, region=region)
     return scene.with_(skin=skin)
 
 

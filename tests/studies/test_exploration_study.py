@@ -1,0 +1,23 @@
+"""The study of exploration at a small size, pinned to what it is for."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+SCRIPT = Path(__file__).parents[2] / "studies" / "exploration.py"
+
+
+def test_exploration(tmp_path, capsys):
+    spec = importlib.util.spec_from_file_location("exploration_study", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    asked = ["--pitch-mm", "6.5", "--count", "24", "--seeds", "1"]
+    found = module.main([*asked, "--out", str(tmp_path), "--json", str(tmp_path / "x.json")])
+    assert json.loads((tmp_path / "x.json").read_text()) == found
+    assert (tmp_path / "exploration.png").stat().st_size > 10_000
+    row = found["6.5"]
+    assert row["worst_ratio_low"] <= row["worst_ratio"] <= row["worst_ratio_high"]
+    # one seed and a small skin: the luck of a mean of 24 errors is some 15 %
+    assert 0.3 < row["ratio"] < 0.85
+    assert 0.4 < row["worst_ratio"] < 0.7
+    assert "at equal mean error" in capsys.readouterr().out
