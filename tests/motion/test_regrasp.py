@@ -1,0 +1,92 @@
+"""Postures change in the air: up, over in joint space, down, and touch again."""
+
+from dataclasses import replace
+from itertools import groupby
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin.errors import ReachError
+from meshskin.exploration import planned
+from meshskin.geometry.region import Cap
+from meshskin.motion import carry
+from meshskin.motion.phases import PHASES, SLIDE
+from meshskin.se3 import inverse
+from meshskin.simulation import prepare, run
+
+
+@pytest.fixture(scope="module")
+def islands():
+    """Two islands of skin on a ball, too far apart to slide from one to the other."""
+    body = ms.Body.sphere(0.1)
+    parts = [
+        ms.Skin.cover(body, count=4, spacing=5e-3, region=Cap(way))
+        for way in ((0.5, 0.0, -1.0), (-0.5, 0.0, -1.0))
+    ]
+    poses = np.concatenate([part.poses for part in parts])
+    return ms.Scene(
+        body=body,
+        skin=ms.Skin(poses, np.arange(len(poses))),
+        exploration=ms.Exploration(pattern="lanes"),
+    )
+
+
+def test_the_arm_lifts_off_takes_the_posture_of_the_next_place_and_touches_again(islands):
+    scene = islands.with_(loop=replace(islands.loop, compile="never"))
+    machine, path = prepare(scene)
+    assert len(path.places) == len(path.postures) == 2
+    found = list(run(scene, machine, path))
+    order = [PHASES[phase] for phase, _ in groupby(found, key=lambda steps: steps.phase)]
+    once = ["approach", "touch", "hold", "slide"]
+    assert order == [*once, "leave", "next", *once]
+    q = np.concatenate([steps.q for steps in found])
+    rate = np.abs(np.diff(q, axis=0)).max(axis=0) / scene.loop.dt
+    assert (rate < scene.arm.velocity_limit).all()
+    assert (q > scene.arm.lower).all()
+    assert (q < scene.arm.upper).all()
+    slides = np.concatenate([steps.outputs for steps in found if steps.phase == SLIDE])
+    assert slides[:, 6] == pytest.approx(3.0, abs=0.1)
+    near = np.linalg.norm(slides[:, None, :3] - scene.skin.positions, axis=2).min(axis=0)
+    assert near.max() < 3e-3
+
+
+def test_a_joint_that_cannot_go_on_breaks_the_lane_instead():
+    whole = ms.Scene.load("capsule")
+    skin = ms.Skin.cover(whole.body, count=30, spacing=5e-3, region=Cap((1.0, 0.0, 0.0)))
+    free = planned(whole.with_(skin=skin))
+    assert len(free.segments) == 1
+    poses = free.path.poses[::20] @ inverse(whole.mount_pose)
+    q = whole.arm.inverse_kinematics(poses, free.path.postures[0])
+    # each joint's way cut in the middle, where other postures of the arm are as good
+    cut = [(j, 0.5 * (q[:, j].min() + q[:, j].max())) for j in range(6) if np.ptp(q[:, j]) > 0.2]
+    broken = 0
+    for joint, middle in cut:
+        arm = replace(whole.arm, upper=whole.arm.upper.copy())
+        arm.upper[joint] = middle
+        try:
+            plan = planned(whole.with_(skin=skin, arm=arm))
+        except ReachError:
+            continue
+        broken += len(plan.segments) > 1 or bool(plan.unreachable)
+        for place in plan.segments:
+            follow = place.poses[::20] @ inverse(whole.mount_pose)
+            arm.inverse_kinematics(follow, place.postures[0])  # raises beyond the limit
+    assert broken
+
+
+def test_the_way_between_postures_keeps_off_the_indenter(islands):
+    arm, mount = islands.arm, islands.mount_pose
+    plan = planned(islands)
+    place = np.array(islands.indenter.position)
+    lifted = []
+    for segment, seed in zip(plan.segments, plan.path.postures, strict=True):
+        above = np.repeat(segment.poses[:1], 8, axis=0)
+        above[:, 2, 3] += np.linspace(0.0, 7e-3, 8)
+        lifted.append(arm.inverse_kinematics(above @ inverse(mount), seed)[-1])
+    q = carry.way(arm, mount, islands.body, place, 0.01, *lifted, 1e-3)
+    np.testing.assert_allclose(q[-1], lifted[1], atol=1e-9)
+    assert carry._gap(arm, mount, islands.body, place, q[::10]) > 0.01
+    assert (np.abs(np.diff(q, axis=0)) / 1e-3).max() <= carry.SLOWEST * 1.6
+    with pytest.raises(ReachError, match="cannot get over the indenter"):
+        carry.way(arm, mount, islands.body, place, 0.5, *lifted, 1e-3)
