@@ -24,8 +24,8 @@ ORDERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 UMBILIC = 1e-12
 """(1/m)^2 under the root of the curvatures' difference: keeps its derivative finite on spheres"""
 FOCUS, FOLD, STRIDE = 1e-60, 1e-30, 0.5
-"""where the foot is not determined, or the patch folds, CasADi's foot stays finite: least squares of
-its Newton matrix's determinant (m^4) and of the patch's area (m^4), and longest step in u and v"""
+"""where the foot is not determined or the patch folds, CasADi's foot stays finite: least squared
+determinant of its Newton matrix, least of the patch's metric (m^4), longest step in u and v"""
 THIN = 1e-9
 """sine of the angle between Su and Sv below which a face has no area"""
 
