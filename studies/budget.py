@@ -24,10 +24,13 @@ import meshskin as ms
 from meshskin import library
 from meshskin.errors import ReachError
 from meshskin.geometry.region import Cap
+from meshskin.motion.path import Path as Way
 from meshskin.physics import effects
 from meshskin.report import figures, theme
 from meshskin.simulation import prepare
 from meshskin.study.budget.check import paired
+from meshskin.study.budget.rehearsal import along
+from meshskin.study.cost.numerics import held_route
 
 FRESH = 100
 """A seed that the budget has not seen."""
@@ -142,8 +145,9 @@ def row(scene: ms.Scene, error: float) -> dict[str, Any]:
     took = process_time() - begin
     belief = ledger.belief
     everything, scene = paired(ledger.everything, ledger.scene)
-    every, slow = calibrated(everything, belief)
-    chosen, fast = calibrated(scene, belief, tolerance=ledger.tolerance)
+    path = held_route(everything)
+    every, slow = calibrated(everything, path, belief)
+    chosen, fast = calibrated(scene, path, belief, tolerance=ledger.tolerance)
     true = np.linalg.norm(chosen.positions - every.positions, axis=1)
     off = [entry.name for entry in ledger.entries if not entry.on and entry.shift]
     found = {
@@ -164,12 +168,14 @@ def row(scene: ms.Scene, error: float) -> dict[str, Any]:
 
 
 def calibrated(
-    scene: ms.Scene, belief: ms.Belief, **options: float
+    scene: ms.Scene, path: Way, belief: ms.Belief, **options: float
 ) -> tuple[ms.Calibration, float]:
     """The calibration of a scene's recording, and its processor seconds, simulation included."""
     begin = process_time()
     fresh = scene.with_(body=replace(scene.body))  # fitting its surface counts
-    found = ms.calibrate(ms.simulate(fresh, FRESH), belief, **options)
+    held_route(fresh)  # a run plans its own path, which is not what is compared here
+    recording = ms.simulate(fresh, FRESH, path=along(path, fresh))
+    found = ms.calibrate(recording, belief, **options)
     return found, process_time() - begin
 
 

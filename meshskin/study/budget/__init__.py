@@ -69,7 +69,13 @@ def budget(
         on, rest = choose(trial.items, limit, trial.forced(limit), trial.joint)
         chosen = trial.scene_of(on)
         check = compare(
-            trial.everything, chosen, trial.belief, trial.halves, aside, trial.tolerance
+            trial.everything,
+            chosen,
+            trial.belief,
+            trial.path,
+            trial.halves,
+            aside,
+            trial.tolerance,
         )
         if check.shift <= taxel_error or len(on) == len(trial.items):
             break

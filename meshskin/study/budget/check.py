@@ -12,11 +12,13 @@ import numpy as np
 from ...estimation.calibrate import calibrate
 from ...estimation.solve import AT_REST
 from ...physics.effects import Noise
+from ..cost.numerics import held_route
 from .choose import size
 from .ledger import Check
 from .rehearsal import Halves, Rehearsal
 
 if TYPE_CHECKING:
+    from ...motion.path import Path
     from ...scene import Belief, Scene
 
 
@@ -38,6 +40,7 @@ def compare(
     everything: Scene,
     chosen: Scene,
     belief: Belief,
+    path: Path,
     halves: Halves,
     seeds: Iterable[int],
     tolerance: float,
@@ -49,7 +52,9 @@ def compare(
     for scene, rest in zip(paired(everything, chosen), (AT_REST, tolerance), strict=True):
         begin = process_time()
         # a body of its own: fitting its surface counts
-        rehearsal = Rehearsal.of(scene.with_(body=replace(scene.body)))
+        fresh = scene.with_(body=replace(scene.body))
+        held_route(fresh)  # a run plans a path of its own
+        rehearsal = Rehearsal.of(fresh, path)
         found = []
         for seed in seeds:
             recording = rehearsal.recording(scene.effects, seed, halves, 1)

@@ -18,8 +18,8 @@ SECONDS = {"face": 21e-6, "step": 13e-6, "hertz": 1e-7, "elliptic": 1.5e-6, "lay
 frame of a contact model (measured on one core, the paper's sphere)."""
 FACES = (1 / 16, 1 / 4, 1, 4)
 """Faces of a primitive, relative to the scene's."""
-STEPS = (1 / 4, 1 / 2, 1, 4)
-"""Steps from frame to frame, relative to the scene's."""
+FINER, COARSER = 4, (2, 5)
+"""Steps from frame to frame: so many times the scene's, and parts of them that are whole."""
 FEWEST_FACES = 80
 LONGEST_STEP = 0.01
 """s, as Loop allows."""
@@ -105,13 +105,17 @@ def time_step(scene: Scene, steps: int) -> Knob:
     """Steps of the loop that divide the time between frames."""
     own, rungs = scene.frame_steps, {}
     period = own * scene.loop.dt
-    for factor in STEPS:
-        count = max(round(factor * own), 1)
+    for count in (FINER * own, own, *(own // part for part in COARSER if own % part == 0)):
         dt = period / count
-        if count in rungs or dt > LONGEST_STEP:
+        if dt > LONGEST_STEP:
             continue
         changed = replace(scene.loop, dt=scene.loop.dt if count == own else dt)
         seconds = SECONDS["step"] * steps * count / own
         rungs[count] = Rung(f"{1e3 * dt:.4g} ms", {"loop": changed}, seconds)
     ordered = sorted(rungs)
     return Knob("time step", tuple(rungs[k] for k in ordered), ordered.index(own))
+
+
+def finest_step(scene: Scene) -> Scene:
+    """The scene at the finest of its time steps."""
+    return scene.with_(loop=time_step(scene, 0).rungs[-1].changes["loop"])

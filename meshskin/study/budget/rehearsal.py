@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...motion.path import twists
 from ...physics.effects import Chain, Effect, ordered
 from ...physics.effects.frames import Frames
 from ...recording import Recording
@@ -77,9 +78,9 @@ class Rehearsal:
     """The contacts as they are recorded, by what acts on them."""
 
     @classmethod
-    def of(cls, scene: Scene) -> Rehearsal:
-        """Run the first part of a scene's exploration. Raises as `simulate`."""
-        machine, path = prepare(scene)
+    def of(cls, scene: Scene, path: Path | None = None) -> Rehearsal:
+        """Run the first part of a scene's exploration, or of `path`. Raises as `simulate`."""
+        machine, path = prepare(scene, path=None if path is None else along(path, scene))
         taxels, step = max(len(scene.skin.ids), 1), scene.loop.dt
         longest = min(LONGEST, CELLS / taxels * scene.frame_steps * step)
         count = min(len(path.points), max(int(longest / step), 2))
@@ -149,6 +150,25 @@ class Rehearsal:
         if min(map(len, cut)) < FEWEST:
             return Halves(origin, normal, (ready, ready), False)
         return Halves(origin, normal, cut, True)
+
+
+def along(path: Path, scene: Scene) -> Path:
+    """A path at the scene's time step, a multiple of its own, and on the scene's mesh."""
+    every, places = round(scene.loop.dt / path.dt), []
+    for place in path.places:
+        points, poses = place.points[::every], place.poses[::every]
+        places.append(
+            replace(
+                place,
+                dt=scene.loop.dt,
+                points=points,
+                normals=place.normals[::every],
+                poses=poses,
+                twists=twists(poses, scene.loop.dt),
+                faces=scene.body.closest(points).face,
+            )
+        )
+    return type(path).joined(places)
 
 
 def shortened(path: Path, count: int) -> Path:

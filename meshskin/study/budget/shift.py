@@ -16,6 +16,7 @@ from .linear import Solution, answering
 from .rehearsal import Halves, Rehearsal
 
 if TYPE_CHECKING:
+    from ...motion.path import Path
     from ...recording import Recording
     from ...scene import Belief, Scene
 
@@ -72,15 +73,17 @@ class Rehearsed:
     scenes: tuple[Scene, ...]
 
     @classmethod
-    def of(cls, knob: Knob, own: Rehearsal, halves: Halves, told: Callable[[], None]) -> Rehearsed:
-        """Run a knob's settings, `own` being that of the scene; those that cannot be run are left
-        out (a time step may be too long for the touch).
+    def of(
+        cls, knob: Knob, own: Rehearsal, path: Path, halves: Halves, told: Callable[[], None]
+    ) -> Rehearsed:
+        """Run a knob's settings along a path, `own` being that of the scene; those that cannot be
+        run are left out (a time step may be too long for the touch).
         """
         kept: list[tuple[Rung, Recording, Scene]] = []
         for rung in knob.rungs:
             scene = own.scene.with_(**rung.changes)
             try:
-                run = own if rung is knob.rungs[knob.declared] else Rehearsal.of(scene)
+                run = own if rung is knob.rungs[knob.declared] else Rehearsal.of(scene, path)
             except (SimulationError, ReachError, ContactError):
                 continue
             finally:

@@ -12,8 +12,9 @@ import numpy as np
 from ...estimation.solve import AT_REST
 from ...physics.effects import Effect
 from ...se3 import Array
+from ..cost.numerics import held_route
 from .choose import Item, left_out, size
-from .knobs import Knob, knobs
+from .knobs import Knob, finest_step, knobs
 from .ledger import Check, Entry, Ledger
 from .rehearsal import Rehearsal
 from .screen import NEGLIGIBLE, screened
@@ -40,7 +41,9 @@ class Trial:
     ) -> None:
         self.scene, self.effects, self.budget = scene, effects, budget
         self.screened = screened(effects, scene.context(seeds[0]), budget)
-        run = Rehearsal.of(scene)
+        self.path = held_route(finest_step(scene))
+        """What all explore alike, so that it is not the exploration that differs."""
+        run = Rehearsal.of(scene, self.path)
         self.halves = run.halves()
         self.frames = run.frames_in_all
         ladders = knobs(scene, run.steps_in_all, self.frames)
@@ -58,7 +61,7 @@ class Trial:
         self.knobs: list[tuple[Knob, list[Array]]] = []
         """Each knob, and the shifts of its settings against its finest."""
         for knob in ladders:
-            rehearsed = Rehearsed.of(knob, run, self.halves, told)
+            rehearsed = Rehearsed.of(knob, run, self.path, self.halves, told)
             self.knobs.append(rehearsed.judged(self.belief, self.halves.taxels[0]))
         finest = {k: v for knob, _ in self.knobs for k, v in knob.rungs[-1].changes.items()}
         self.everything = scene.with_(effects=effects, budget=None, **finest)
