@@ -195,7 +195,7 @@ def test_what_leaves_the_model_is_refused(worlds):
 
 
 def test_a_few_contacts_out_of_the_models_range_are_left_out(sphere):
-    """One contact in forty pressed far too hard is left out, with its readings; many are refused."""
+    """One contact in forty pressed far too hard is left out with its readings; many are refused."""
     from meshskin import calibrate, press
 
     rng = np.random.default_rng(8)
