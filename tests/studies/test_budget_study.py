@@ -1,0 +1,47 @@
+"""The study of the error budget: its scenes, and, at a small size, whether it keeps its word."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+SCRIPT = Path(__file__).parents[2] / "studies" / "budget.py"
+
+
+@pytest.fixture(scope="module")
+def study():
+    spec = importlib.util.spec_from_file_location("budget_study", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_random_scenes_are_the_same_every_time(study):
+    one, again, other = study.drawn(9), study.drawn(9), study.drawn(10)
+    np.testing.assert_array_equal(one.skin.positions, again.skin.positions)
+    assert one.candidates == again.candidates
+    assert one.candidates != other.candidates
+    assert 7 <= len(one.candidates) <= 13
+
+
+def test_effects_are_drawn_between_a_third_and_three_times_their_size(study):
+    rng = np.random.default_rng(0)
+    sizes = [study.sized("body_pose", rng).translation[0] / 5e-4 for _ in range(100)]
+    assert 1 / 3 <= min(sizes) < 0.5
+    assert 2 < max(sizes) <= 3
+
+
+@pytest.mark.slow
+def test_the_budget_keeps_its_word(study, tmp_path, capsys):
+    file = tmp_path / "x.json"
+    asked = ["--scenes", "sphere_noisy", "--first", "8", "--random", "2"]
+    rows = study.main([*asked, "--out", str(tmp_path), "--json", str(file)])
+    assert json.loads(file.read_text()) == rows
+    for row in rows.values():
+        assert 0.5 < row["estimate_mm"] / row["true_mm"] < 2.0
+        assert row["true_mm"] < 1.2 * 0.2
+        assert row["faster"] > 3.0
+    assert "within a factor of 2: 100 %" in capsys.readouterr().out
+    assert (tmp_path / "budget.png").stat().st_size > 10_000
