@@ -66,6 +66,7 @@ def simulate(
         scene, chain or effect_chain(scene, seed), machine.loop, run(scene, machine, path, progress)
     )
     header = _metadata(scene, seed)
+    header["unreachable"] = {str(k): why for k, why in path.unreachable.items()}
     if out is not None:
         with RecordingWriter(out, header) as writer:
             for contacts, readings, motion in batches:

@@ -8,8 +8,8 @@ normal at the contact point faces the indenter (straight down on the indenter's 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -75,6 +75,8 @@ class Path:
     """Rows, in order, at which a new place begins: the body is lifted off before."""
     postures: Array | None = None
     """Joint angles (len(breaks) + 1, n) at the first pose of each place; None: any will do."""
+    unreachable: Mapping[int, str] = field(default_factory=dict)
+    """Why each taxel (by id) that the path leaves out is left out."""
 
     @classmethod
     def joined(cls, places: Sequence[Path]) -> Path:

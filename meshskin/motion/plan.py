@@ -93,7 +93,7 @@ def plan(
             value=f"{len(sites)} taxels",
             remedy="move indenter.position_m, change the mount, or use a smaller indenter",
         )
-    return Plan(Path.joined(segments), missing, spacing)
+    return Plan(replace(Path.joined(segments), unreachable=missing), missing, spacing)
 
 
 def keep(sites: Array, margin: float) -> float:

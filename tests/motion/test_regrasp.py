@@ -51,6 +51,19 @@ def test_the_arm_lifts_off_takes_the_posture_of_the_next_place_and_touches_again
     assert near.max() < 3e-3
 
 
+def test_a_recording_says_what_its_exploration_left_out(islands):
+    arm = replace(islands.arm, lower=islands.arm.lower.copy())
+    free = planned(islands)
+    poses = np.concatenate([place.poses[::40] for place in free.segments])
+    bend = [islands.arm.solve(pose @ inverse(islands.mount_pose))[4] for pose in poses]
+    arm.lower[4] = np.median(bend)
+    scene = islands.with_(arm=arm, loop=replace(islands.loop, compile="never"))
+    plan = planned(scene)
+    recording = ms.simulate(scene, 1)
+    assert recording.metadata["unreachable"] == {str(k): w for k, w in plan.unreachable.items()}
+    assert set(recording.reading_taxel) >= set(scene.skin.ids) - set(plan.unreachable)
+
+
 def test_a_joint_that_cannot_go_on_breaks_the_lane_instead():
     whole = ms.Scene.load("capsule")
     skin = ms.Skin.cover(whole.body, count=30, spacing=5e-3, region=Cap((1.0, 0.0, 0.0)))
