@@ -108,4 +108,14 @@ class Memory:
 
         columns = {name: blend(name) for name in COLUMNS}
         columns["normals"] /= np.linalg.norm(columns["normals"], axis=1)[:, None]
+        columns["directions"] = _blended(early, late, np.clip(part, 0.0, 1.0), columns["normals"])
         return known._with(columns | {"time": time})
+
+
+def _blended(early: Frames, late: Frames, part: Array, normals: Array) -> Array:
+    """Unit tangents (k, 3) between those of two frames, which are known but for their sign."""
+    a, b = early.directions, late.directions
+    a = np.where(np.einsum("kj,kj->k", a, b)[:, None] < 0.0, -a, a)
+    between = b + (1.0 - part)[:, None] * (a - b)
+    between = between - np.einsum("kj,kj->k", between, normals)[:, None] * normals
+    return np.asarray(between / np.linalg.norm(between, axis=1)[:, None])

@@ -11,6 +11,7 @@ from meshskin.geometry.body import Body
 from meshskin.physics.effects.body_pose import BodyPose
 from meshskin.physics.effects.encoder import Encoder
 from meshskin.physics.effects.force_sensor import ForceSensor
+from meshskin.physics.effects.frames import Memory
 from meshskin.physics.effects.gravity_error import GravityError
 from meshskin.physics.effects.indenter_offset import IndenterOffset
 from meshskin.physics.effects.mesh_facets import MeshFacets, closest_on_triangle
@@ -178,3 +179,14 @@ def test_sampling_does_not_depend_on_the_batches(context, frames, split):
     whole = effect.build(context)(frames).points
     parts = split(effect.build(context), frames)
     np.testing.assert_allclose(np.vstack([p.points for p in parts]), whole, atol=1e-15)
+
+
+def test_directions_between_frames_are_unit_tangents_whatever_their_sign(glide):
+    """A principal direction is known but for its sign, and on a sphere it is any tangent."""
+    frames = glide(5e-4 * np.arange(6))
+    flipped = replace(frames, directions=frames.directions * [[1], [-1], [1], [-1], [-1], [1]])
+    memory = Memory(0.1, 0.01)
+    memory.extend(flipped)
+    at = memory.at(np.linspace(0.0, 0.05, 37))
+    np.testing.assert_allclose(np.linalg.norm(at.directions, axis=1), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(np.sum(at.directions * at.normals, axis=1), 0.0, atol=1e-12)
