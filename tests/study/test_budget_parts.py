@@ -227,6 +227,8 @@ def test_knobs_are_ladders_from_cheap_to_fine(small):
         assert fine.frame_steps * fine.loop.dt == pytest.approx(0.01)
     assert [r.label for r in found["contact model"].rungs] == ["hertz", "elliptic"]
     thin = small.with_(material=replace(small.material, thickness=8e-3), contact="layered")
+    facets = small.with_(effects=(effects.find("mesh_facets")(),))
+    assert "mesh" not in {knob.name for knob in knobs(facets, 10_000, 1_000.0)}
     loaded = replace(small.body, exact=None)
     found = {knob.name: knob for knob in knobs(thin.with_(body=loaded), 10_000, 1_000.0)}
     assert set(found) == {"contact model", "time step"}

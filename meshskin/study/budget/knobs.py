@@ -74,10 +74,13 @@ def _holds(scene: Scene, name: str) -> bool:
 
 
 def mesh_resolution(scene: Scene) -> Knob:
-    """Faces of a primitive; a mesh that was loaded is as it is."""
+    """Faces of a primitive; a mesh that was loaded is as it is.
+
+    So is one whose facets the robot takes for the surface: they are no matter of computing.
+    """
     body = scene.body
     own = Rung(_faces(body), {"body": body}, SECONDS["face"] * len(body.mesh.faces))
-    if body.exact is None:
+    if body.exact is None or any(effect.name == "mesh_facets" for effect in scene.effects):
         return Knob("mesh", (own,), 0)
     rungs: dict[str, Rung] = {}
     for factor in FACES:

@@ -46,7 +46,7 @@ class Trial:
         run = Rehearsal.of(scene, self.path)
         self.halves = run.halves()
         self.frames = run.frames_in_all
-        ladders = knobs(scene, run.steps_in_all, self.frames)
+        ladders = knobs(scene.with_(effects=effects), run.steps_in_all, self.frames)
         total = sum(len(knob.rungs) for knob in ladders) + len(effects)
         done = 0
 
