@@ -29,6 +29,8 @@ SPARE = 0.25
 """How far, in barycentric weight, the foot may leave its face."""
 BENDS = (-0.5, 1.0)
 """Curvatures, in parts of the indenter's, between which a force is told while a body lifts off."""
+ON_RIDGE = 1e-6
+"""Barycentric weight below which a foot is on a side of its face."""
 FULL = 1.0 - 1e-9
 """Part of the torque limit that counts as being at it."""
 
@@ -146,8 +148,8 @@ class Machine:
         self.steps += count
         self.state[:] = states[-1]
         self.face = int(faces[count - 1])
-        if not spare[count - 1] >= -SPARE:
-            self._hop(outputs[-1])
+        if not spare[count - 1] >= (0.0 if self._astray else -SPARE):
+            self._hop()
         elif self._astray:
             self._rejoin(int(track.faces[count - 1]))
         readings = None if self.readings is None else self.readings(outputs)
@@ -158,13 +160,21 @@ class Machine:
         """Whether the body at T_w_b (k, 4, 4) nowhere meets the indenter."""
         return bool(self._under(poses)[1].max() < 0.0)
 
+    def _poses(self, q: Array) -> Array:
+        """T_w_b (k, 4, 4) in configurations (k, n)."""
+        return self.loop.arm.pose(q) @ self.loop.mount if self.loop.joints else pose(q)
+
+    def _tips(self, poses: Array) -> Array:
+        """The indenter's centre (k, 3), body frame, at T_w_b (k, 4, 4)."""
+        way = self.loop.indenter_position - poses[:, :3, 3]
+        return np.asarray(np.einsum("kji,kj->ki", poses[:, :3, :3], way))
+
     def _under(self, poses: Array) -> tuple[Closest, Array]:
         """The body's points next to the indenter at T_w_b (k, 4, 4), and how deep it is in (k,).
 
         An open surface has no inside to be in: far from it, signs mean nothing.
         """
-        way = self.loop.indenter_position - poses[:, :3, 3]
-        hit = self.body.closest(np.einsum("kji,kj->ki", poses[:, :3, :3], way))
+        hit = self.body.closest(self._tips(poses))
         far = hit.distance if self.body.mesh.is_watertight else np.abs(hit.distance)
         return hit, self.loop.indenter_radius - far
 
@@ -176,7 +186,7 @@ class Machine:
         joint leaves its range.
         """
         loop, dt = self.loop, self.loop.dt
-        poses = loop.arm.pose(q) @ loop.mount if loop.joints else pose(q)
+        poses = self._poses(q)
         hit, depth = self._under(poses)
         force = np.zeros(len(q))
         pressed = np.flatnonzero(depth > 0)
@@ -251,25 +261,35 @@ class Machine:
         one = crossings(self.body.surface, np.array([before]), np.array([after]))
         return np.asarray(one[0])
 
-    def _hop(self, output: Array) -> None:
+    def _hop(self) -> None:
         """Go on from the foot of the indenter's centre, found on the mesh."""
-        rows = self.loop.outputs
-        gap = self.loop.indenter_radius - output[rows["depth"]]
-        centre = output[rows["point"]] + gap * output[rows["normal"]]
-        for start in (np.array([self.face]), None):  # a walk may end at a crease
-            hit = self.body.closest(centre[None], face=start)
-            offset = centre - hit.point[0]
-            if hit.normal[0] @ offset >= EDGY * np.linalg.norm(offset):
-                break
-        else:
+        centre = self._tips(self._poses(self.state[None, : self.size]))[0]
+        hit = self.body.closest(centre[None])
+        offset = centre - hit.point[0]
+        if hit.normal[0] @ offset < EDGY * np.linalg.norm(offset):
             raise PlaceError(
                 f"the contact ran over an edge of the body at {self._at(self.state)}",
                 value=f"contact point {np.round(hit.point[0], 4).tolist()} m",
                 remedy="keep the exploration off the edge, or round the edge in the mesh",
             )
-        self.face, self.state[-2:] = int(hit.face[0]), hit.uv[0]
+        self.face, self.state[-2:] = self._over_ridge(hit, offset)
         self._astray = True
         self.hops += 1
+
+    def _over_ridge(self, hit: Closest, offset: Array) -> tuple[int, Array]:
+        """The face to go on with and the foot (2,) on it, where the foot `hit` may be on a ridge.
+
+        Of the faces that meet there, the one that looks most along `offset` (3,), the way to the
+        indenter's centre: the others' planes reach out over it, and would hold the indenter off.
+        """
+        face, (u, v) = int(hit.face[0]), hit.uv[0]
+        beyond = self.body.surface.neighbours[face][np.array([1.0 - u - v, u, v]) < ON_RIDGE]
+        faces = [face, *beyond[beyond >= 0].tolist()]
+        best = faces[int(np.argmax(self.body.mesh.face_normals[faces] @ offset))]
+        if best == face:
+            return face, hit.uv[0]
+        change = self._crossing(face, best).reshape(3, 2).T
+        return best, change @ [u, v, 1.0]
 
     def _rejoin(self, face: int) -> None:
         """Run over the path's faces again once the foot lies well on the one under the path."""

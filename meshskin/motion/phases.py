@@ -33,6 +33,8 @@ PATIENCE = 0.02
 RETRIES = 5
 HIGHEST, SIGHT = 10, 16.0
 """Doublings of the standoff that a way over may take; steps between looks ahead on it."""
+SKIP = 0.2
+"""Time along the path that is given up where it cannot be followed, s."""
 ASTRAY = 4.0
 """Distance from the next place, in extents of the body, that no exploration has."""
 AIR_SPEED, AIR_TURN = 0.1, 1.0
@@ -66,7 +68,9 @@ class Explorer:
         self.place, self.row = 0, 0
         self.phase = APPROACH
         self.cut = 0
-        """Places given up, or what was left of them."""
+        """Parts of places given up."""
+        self.explored = False
+        """Whether anything has been."""
         self.losses = 0
         """Contacts lost and found again."""
 
@@ -78,26 +82,38 @@ class Explorer:
     def run(self) -> Iterator[Steps]:
         """The steps as they come.
 
-        A place is given up where contact cannot be made or kept, or runs over an edge. Raises
-        PlaceError where that is the last one, and so for all.
+        Where contact cannot be made or kept, or runs over an edge, a part of the place is given
+        up. Raises PlaceError where it is the only place, or nothing at all is explored.
         """
+        failed: PlaceError | None = None
         for place, track in enumerate(self.tracks):
             self.place, self.row, lost = place, 0, 0
             while self.row < len(track):
                 try:
                     yield from self._make_contact(track)
                     yield from self._slide(track)
-                except PlaceError:
-                    self.cut += 1
-                    if self.cut == len(self.tracks):
+                    if self.row < len(track):
+                        lost, self.losses = lost + 1, self.losses + 1
+                        if lost > RETRIES:
+                            raise self._lost()
+                except PlaceError as error:
+                    if len(self.tracks) == 1:
                         raise
-                    break
-                if self.row < len(track):
-                    lost, self.losses = lost + 1, self.losses + 1
-                    if lost > RETRIES:
-                        raise self._lost()
+                    failed = error
+                    yield from self._skip(track)
             if self.place + 1 < len(self.tracks):
                 yield from self._travel(track, self.tracks[self.place + 1])
+        if failed is not None and not self.explored:
+            raise failed
+
+    def _skip(self, track: Track) -> Iterator[Steps]:
+        """Give up the next of the track, and go on beyond; with an arm, give up the rest."""
+        self.cut += 1
+        rows = max(round(SKIP / self.machine.loop.dt), 1)
+        self.row = len(track) if self.machine.loop.joints else self.row + rows
+        if self.row < len(track):
+            up = np.array([0.0, 0.0, self.manner.standoff])
+            yield from self._drift(_pose(track.references[self.row], up), up)
 
     def _make_contact(self, track: Track) -> Iterator[Steps]:
         """Come down, let the force settle, rest."""
@@ -141,6 +157,7 @@ class Explorer:
                 return
             apart = int(gaps[-1])
             self.row += len(steps.time)
+            self.explored = True
             yield steps
 
     def _travel(self, track: Track, goal: Track) -> Iterator[Steps]:

@@ -1,0 +1,207 @@
+"""The whole job on bodies of real robots: UR3e forearm, iCub left forearm, iCub left shank.
+
+    python studies/real_bodies.py DATA --out figures/ [--only NAME ...] [--full]
+
+DATA is a folder with ur3e_meshes/ and icub_body/ as their sources have them. The UR3e's forearm and
+the iCub's shank get taxels of a lattice (150 and 250; all over with --full), the iCub's forearm the
+modules of left_forearm_V2 where its URDF has them. The body is moved by hand (quasi-static) over an
+8 mm indenter, lane by lane; noise is 1 % of the peak pressure. A taxel is reached where the plan
+names nothing that keeps contacts from it. The table: taxels, those that the body lets the indenter
+reach, touched, found; RMS error in mm of those reached and found; what their Cramer-Rao bound lets
+one expect; seconds. Below it, why taxels were not reached or not found.
+
+The CAD meshes are coarse: turns of up to 20 degrees between facets count as round, what turns more
+is an edge, and no contact patch may lie over one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+import meshskin as ms
+from meshskin.estimation import metrics
+from meshskin.exploration import planned
+from meshskin.geometry.modules import Modules
+from meshskin.geometry.region import Cap
+from meshskin.report import theme
+
+MESHES = {
+    "UR3e forearm": "ur3e_meshes/forearm.stl",
+    "iCub left forearm": "icub_body/meshes/sim_sea_2-5_l_forearm_prt-binary.stl",
+    "iCub left shank": "icub_body/meshes/sim_sea_2-5_l_shank_prt-binary.stl",
+}
+URDF = "icub_body/iCubGazeboV2_5.urdf"
+BOUND = 1.2
+"""Largest RMS error over the Cramer-Rao bound."""
+
+
+def main() -> int:
+    """Print the table, draw the picture; exit code 1 where an error is above its bound."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("figures"))
+    parser.add_argument("--only", nargs="+", choices=BODIES, default=list(BODIES))
+    parser.add_argument("--full", action="store_true")
+    options = parser.parse_args()
+    rows, maps = [], {}
+    for name in options.only:
+        row, maps[name] = job(name, options.data, options.full)
+        rows.append(row)
+        print(line(row), flush=True)
+    options.out.mkdir(parents=True, exist_ok=True)
+    (options.out / "real_bodies.json").write_text(json.dumps(rows, indent=2) + "\n")
+    draw(maps, options.out)
+    return 0 if all(row["ratio"] <= BOUND for row in rows) else 1
+
+
+def ur3e(data: Path, full: bool) -> tuple[ms.Body, ms.Skin]:
+    """The forearm, and taxels on its side."""
+    body = ms.Body.load(data / MESHES["UR3e forearm"], units="m")
+    return body, _cover(body, 6e-3, None if full else 150, (1.0, 0.0, 0.0))
+
+
+def _cover(
+    body: ms.Body, spacing: float, count: int | None, direction: tuple[float, float, float]
+) -> ms.Skin:
+    """Taxels about the place that faces `direction`, or, without a count, all over."""
+    region = None if count is None else Cap(direction=direction)
+    return ms.Skin.cover(body, spacing=spacing, count=count, region=region, seed=1)
+
+
+def shank(data: Path, full: bool) -> tuple[ms.Body, ms.Skin]:
+    """The shank, and taxels on its front."""
+    body = ms.Body.load(data / MESHES["iCub left shank"], units="mm", open=True)
+    return body, _cover(body, 7e-3, None if full else 250, (1.0, 0.0, 0.0))
+
+
+def forearm(data: Path, full: bool) -> tuple[ms.Body, ms.Skin]:
+    """The forearm with its 24 modules, brought onto the mesh from their places in the link.
+
+    A module's turn about its normal is not in the URDF: it is taken as the frame has it.
+    """
+    body = ms.Body.load(data / MESHES["iCub left forearm"], units="mm", open=True)
+    frames = ms.Skin.load(data / URDF, part="l_forearm")
+    poses = np.array(frames.poses)
+    poses[:, :3, 3] -= _origin(data / URDF, "l_forearm")
+    return body, Modules(poses, np.array(frames.ids)).skin.onto(body)
+
+
+def _origin(urdf: Path, link: str) -> np.ndarray:
+    """Where (3,), m, a link's mesh has its origin in the link's frame."""
+    origin = ElementTree.parse(urdf).find(f"link[@name='{link}']/visual/origin")
+    assert origin is not None
+    return np.array([float(x) for x in origin.get("xyz", "0 0 0").split()])
+
+
+BODIES: dict[str, Callable[[Path, bool], tuple[ms.Body, ms.Skin]]] = {
+    "UR3e forearm": ur3e,
+    "iCub left forearm": forearm,
+    "iCub left shank": shank,
+}
+
+
+def scene(body: ms.Body, skin: ms.Skin, name: str) -> ms.Scene:
+    """The scene of the study."""
+    base = ms.Scene.load("sphere_noisy")
+    return base.with_(
+        name=name,
+        body=body,
+        skin=skin,
+        contact="elliptic",
+        material=ms.Material(young=0.4e6),
+        indenter=ms.Indenter.sphere(0.008),
+        loop=replace(base.loop, mode="quasi_static"),
+        exploration=replace(base.exploration, pattern="lanes"),
+    )
+
+
+def job(name: str, data: Path, full: bool = False) -> tuple[dict[str, Any], tuple[Any, ...]]:
+    """One body's row of the table, and what is drawn of it: positions (n, 3), errors (n,), mm."""
+    started = perf_counter()
+    world = scene(*BODIES[name](data, full), name)
+    plan = planned(world)
+    recording = ms.simulate(world, seed=1)
+    calibration = ms.calibrate(recording, world.belief())
+    reached = ~np.isin(calibration.ids, list(plan.unreachable))
+    found = np.isfinite(calibration.positions[:, 0])
+    limit = metrics.cramer_rao(recording, world.belief(), world.skin)
+    error = 1e3 * metrics.position_errors(calibration, world.skin)
+    variance = np.trace(limit.covariance, axis1=1, axis2=2)
+    both = reached & found & np.isfinite(variance)
+    rms = float(np.sqrt(np.mean(error[both] ** 2)))
+    bound = 1e3 * float(np.sqrt(np.mean(variance[both])))
+    why = Counter(plan.unreachable.values())
+    lost = Counter(str(w) for w in calibration.why[reached & ~found])
+    row = {
+        "body": name,
+        "taxels": len(found),
+        "reached": int(reached.sum()),
+        "touched": int(calibration.touched.sum()),
+        "found": int((reached & found).sum()),
+        "rms_mm": rms,
+        "bound_mm": bound,
+        "ratio": rms / bound,
+        "seconds": perf_counter() - started,
+        "not_reached": dict(why),
+        "not_found": dict(lost),
+    }
+    return row, (world.body, world.skin.positions, np.where(reached & found, error, np.nan))
+
+
+def line(row: dict[str, Any]) -> str:
+    """One row of the table, and the reasons below it."""
+    text = (
+        f"{row['body']:18s} {row['taxels']:5d} taxels {row['reached']:5d} reached "
+        f"{row['touched']:5d} touched {row['found']:5d} found  {row['rms_mm']:.4f} mm rms, bound "
+        f"{row['bound_mm']:.4f}, ratio {row['ratio']:.2f}  {row['seconds']:.0f} s"
+    )
+    for what, reasons in (("reached", row["not_reached"]), ("found", row["not_found"])):
+        for why, count in sorted(reasons.items(), key=lambda item: -item[1]):
+            text += f"\n    {count:5d} not {what}: {why}"
+    return text
+
+
+@theme.styled
+def draw(maps: dict[str, tuple[Any, ...]], out: Path) -> None:
+    """The bodies, their taxels coloured by the error; crosses where none was reached or found."""
+    figure = theme.canvas(4.0 * len(maps), 4.2)
+    for k, (name, (body, positions, error)) in enumerate(maps.items()):
+        axes = figure.add_subplot(1, len(maps), k + 1, projection="3d")
+        side = _facing(positions, body.closest(positions).normal.mean(axis=0))
+        corners = body.mesh.vertices @ side.T
+        axes.plot_trisurf(
+            *corners.T, triangles=body.mesh.faces, color="0.85", alpha=0.25, linewidth=0.0
+        )
+        x = positions @ side.T
+        good = np.isfinite(error)
+        axes.scatter(*x[~good].T, marker="x", s=12, color="0.4")
+        dots = axes.scatter(*x[good].T, c=error[good], s=14, vmin=0.0, vmax=0.05, cmap="viridis")
+        axes.set_title(name)
+        axes.set_axis_off()
+        axes.set_box_aspect(np.ptp(corners, axis=0), zoom=1.4)
+        axes.view_init(elev=12.0, azim=-90.0)
+    figure.colorbar(dots, ax=figure.axes, shrink=0.6, label="position error, mm")
+    theme.save(figure, out, "real_bodies")
+
+
+def _facing(positions: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Axes (3, 3), rows: the taxels' longest extent upright, their mean normal to the viewer."""
+    toward = normal / np.linalg.norm(normal)
+    centred = positions - positions.mean(axis=0)
+    up = np.linalg.svd(centred - np.outer(centred @ toward, toward), full_matrices=False)[2][0]
+    return np.stack([np.cross(-toward, up), -toward, up])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

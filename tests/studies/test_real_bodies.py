@@ -1,0 +1,37 @@
+"""The study of real bodies on a few taxels of one of them; skips where the meshes are absent."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+DATA = ROOT / ".." / "shared" / "data"
+
+
+@pytest.fixture
+def study():
+    spec = importlib.util.spec_from_file_location("real", ROOT / "studies" / "real_bodies.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_taxels_on_the_ur3e_are_found_to_their_bound(study, monkeypatch, tmp_path):
+    if not (DATA / study.MESHES["UR3e forearm"]).is_file():
+        pytest.skip("needs ../shared/data/ur3e_meshes")
+
+    def few(data, full):
+        body, skin = study.ur3e(data, full)
+        keep = skin.ids < 40
+        return body, study.ms.Skin(skin.poses[keep], skin.ids[keep], skin.disc_radius)
+
+    monkeypatch.setitem(study.BODIES, "UR3e forearm", few)
+    row, drawn = study.job("UR3e forearm", DATA)
+    assert row["taxels"] == 40
+    assert row["found"] >= 0.9 * row["reached"] > 20
+    assert row["reached"] + sum(row["not_reached"].values()) == 40
+    assert row["ratio"] < study.BOUND
+    assert "reached" in study.line(row)
+    study.draw({"UR3e forearm": drawn}, tmp_path)
+    assert (tmp_path / "real_bodies.png").stat().st_size > 10_000
