@@ -10,7 +10,7 @@ Source: do Carmo, "Differential Geometry of Curves and Surfaces", section 4.6 (F
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ APART = 0.6
 """Part of the spacing within which a lane of another geodesic counts as the same one."""
 ROUND = 0.8
 """Width of a region, in widths of the body, from which it may go round it."""
+OVERLAP = 0.5
+"""Distance between lanes, in spacings, below which the later one ends."""
 BARREN = 4
 """Lanes without any part in the region after which a side is left."""
 BASES = 40
@@ -199,15 +201,34 @@ def _sweep(
         return [piece for chain in cut for piece in chain if len(piece) > gap]
 
     found = {0: pieces(base)}
+    passed = [chain.point for chain in base]
     for side in (-1, 1):
         lane, barren = base, 0
         for k in range(1, most):
             lane = [c for chain in lane for c in _beside(body, chain, side * spacing, step)]
+            lane = _fresh(lane, passed, OVERLAP * spacing)
             found[side * k] = pieces(lane)
             barren = 0 if found[side * k] else barren + 1
             if not lane or barren == BARREN:
                 break
     return [piece for k in sorted(found) for piece in found[k]]
+
+
+def _fresh(lane: list[Closest], passed: list[Array], apart: float) -> list[Closest]:
+    """A lane without what is less than `apart`, m, from lanes or chains before it, in `passed`.
+
+    Where lanes fold over creases their chains would else run over one another, more every time.
+    """
+    from scipy.spatial import cKDTree
+
+    out = []
+    for chain in lane:
+        near = cKDTree(np.concatenate(passed)).query(chain.point)[0] < apart
+        for run in runs(~near):
+            if run.stop - run.start > 2:
+                out.append(Closest(*(getattr(chain, f.name)[run] for f in fields(Closest))))
+        passed.append(chain.point)
+    return out
 
 
 def _beside(body: Body, chain: Closest, shift: float, step: float) -> list[Closest]:
