@@ -101,7 +101,8 @@ class Cluster:
         self._last_seen = time.monotonic()
         try:
             self._client = distributed.Client(address, timeout=CONNECT, set_as_default=False)
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, AssertionError) as error:
+            # AssertionError: on a starved machine Dask's own thread did not start in its 10 s
             raise StudyError(
                 "no Dask scheduler answers", value=address, remedy="check --scheduler"
             ) from error
