@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import math
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -92,8 +94,9 @@ def summary(result: Result, folder: Path) -> str:
     """What a person wants to read after a run."""
     m, calibration = result.metrics, result.calibration
     error, bound, force = m["position_error_mm"], m["crlb_mm"], m["force"]
+    found = sum(math.isfinite(x) for x in calibration.positions[:, 0])
     lines = [
-        f"{m['scene']}: {m['touched']} of {m['taxels']} taxels calibrated from "
+        f"{m['scene']}: {found} of {m['taxels']} taxels calibrated from "
         f"{m['readings']} readings in {m['contacts']} contacts",
         f"  position error     mean {error['mean']:.4g} mm, rms {error['rms']:.4g}, "
         f"max {error['max']:.4g}" + (f"  (bound: mean {bound['mean']:.4g})" if bound else ""),
@@ -124,6 +127,8 @@ def summary(result: Result, folder: Path) -> str:
             f"{p['asked']} ({p['setting']}); came to {came['error_mm']:.3g} mm in "
             f"{came['seconds']:.3g} s"
         )
+    left_out = Counter(result.recording.metadata.get("unreachable", {}).values())
+    lines += [f"  not reached        {n} taxels: {why}" for why, n in left_out.most_common()]
     lines += [
         "  not determined     " + m["undetermined"],
         f"  closed loop        {m['steps_per_second']:,.0f} steps/s",
