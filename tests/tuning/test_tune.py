@@ -67,7 +67,7 @@ def test_settling_is_halved_at_equal_overshoot(small, tuned):
         first = time <= time[np.argmax(force > 0)] + resting
         found[name] = force_response(time[first], force[first], law.force_reference)
     assert found["tuned"].overshoot <= found["default"].overshoot + DEMANDS.overshoot + TOLERANCE
-    assert found["tuned"].settling <= 0.5 * found["default"].settling
+    assert found["tuned"].settling <= 0.5 * found["default"].settling + 1e-9  # steps, rounded
 
 
 def test_no_gains_about_it_are_better(small, tuned):
@@ -158,7 +158,7 @@ def test_with_the_arm_settling_is_halved_within_the_torque_limits(name):
         time, force = respond(scene.with_(law=law), tuned.manoeuvres[0])
         first = time <= time[np.argmax(force > 0)] + scene.exploration.settle
         found.append(force_response(time[first], force[first], law.force_reference))
-    assert found[1].settling <= 0.5 * found[0].settling
+    assert found[1].settling <= 0.5 * found[0].settling + 1e-9  # steps, rounded
     assert found[1].overshoot <= found[0].overshoot + demands.overshoot + TOLERANCE
 
 
