@@ -106,7 +106,7 @@ def survey(vertices: Array, faces: Index, open: bool = False) -> Survey:
         first = np.unique(part, return_index=True)[1]
         words = f"{part.max() + 1} separate parts"
         findings.append(Finding(words, draft.middles(first), draft.number[first], "noted"))
-    findings += _overlaps(draft, open)
+    findings += _overlaps(draft, across, open)
     return Survey(draft.vertices, np.ascontiguousarray(draft.faces), tuple(findings))
 
 
@@ -214,8 +214,9 @@ def _slivers(draft: mend.Draft) -> list[Finding]:
     return [_finding(draft, words, thin, "", refused=False)]
 
 
-def _overlaps(draft: mend.Draft, open: bool) -> list[Finding]:
-    one, two, where = overlap.piercings(draft.vertices, draft.faces)
+def _overlaps(draft: mend.Draft, across: Index, open: bool) -> list[Finding]:
+    closed = bool(np.all(across >= 0))
+    one, two, where = overlap.piercings(draft.vertices, draft.faces, closed)
     if not len(one):
         return []
     faces = draft.number[np.stack([one, two], axis=1).ravel()]

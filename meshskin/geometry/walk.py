@@ -43,9 +43,9 @@ def neighbours(faces: Index) -> tuple[Index, Index]:
     ordered = key[order]
     at = np.minimum(np.searchsorted(ordered, twin), len(key) - 1)
     found = ordered[at] == twin
-    unique, counts = np.unique(key, return_counts=True)
-    many = unique[counts > 1]
-    found &= ~(np.isin(key, many) | np.isin(twin, many))
+    many = ordered[1:][ordered[1:] == ordered[:-1]]
+    if len(many):
+        found &= ~(np.isin(key, many) | np.isin(twin, many))
     other = np.where(found, order[at], -1).reshape(m, 3)
     return np.where(other >= 0, other // 3, -1), other % 3
 
