@@ -7,6 +7,8 @@ sides end on one curve, where the two sides' surfaces meet.
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from math import comb
 
@@ -35,6 +37,8 @@ FOLD, ROUNDS = 0.5, 6
 """cosine of the angle to its face from which a patch folds; rounds of unfolding"""
 CHUNK = 1024
 """faces blended at once: bounds the memory"""
+WORKERS = min(os.cpu_count() or 1, 4)
+"""threads that blend; the result does not depend on their number"""
 NODES = np.array(patch.POWERS) / patch.DEGREE
 """(21, 2) u, v of the points that fix a quintic"""
 WEIGHTS = np.column_stack([1.0 - NODES.sum(axis=1), NODES])
@@ -142,13 +146,17 @@ def blend(jets: Jets, fans: Fans, creases: Creases, triangles: Array) -> tuple[A
     """
     m = len(fans.corner)
     out, lift2 = np.empty((m, len(NODES), 3)), np.empty(m)
-    for start in range(0, m, CHUNK):
+
+    def fill(start: int) -> None:
         rows = np.arange(start, min(start + CHUNK, m))
         corner = fans.corner[rows]
         values, _ = node_values(jets, corner, creases.of(rows))
         out[start : start + CHUNK] = INVERSE @ values
         values -= WEIGHTS @ triangles[rows]
         lift2[start : start + CHUNK] = np.einsum("mnc,mnc->mn", values, values).max(axis=1)
+
+    with ThreadPoolExecutor(WORKERS) as pool:  # NumPy lets go of the interpreter meanwhile
+        list(pool.map(fill, range(0, m, CHUNK)))
     return out, np.sqrt(lift2)
 
 
