@@ -104,7 +104,7 @@ class Cholesky:
         self.fronts: Fronts = fronts(nodes, rows, columns)
         self.nodes = nodes
         self.lock = threading.RLock()
-        self.library = library()
+        self.built = library()
 
     @functools.cached_property
     def structure(self) -> Structure:
@@ -133,10 +133,10 @@ class Cholesky:
         """
         size, count = right.shape[1:]
         with self._factorised(matrix, 0.0):
-            if self.library is None:
+            if self.built is None:
                 return frontal.solve(self.fronts, size, right, self._panels)
             columns = np.array(np.moveaxis(right, 2, 0), order="C")
-            self.library.solve(self._pointer(), size, count, columns.ctypes.data)
+            self.built.solve(self._pointer(), size, count, columns.ctypes.data)
             return np.moveaxis(columns, 0, 2)
 
     def diagonal_of_inverse(self, matrix: Blocks, least: float) -> Array:
@@ -147,10 +147,10 @@ class Cholesky:
         size = matrix.values.shape[1]
         found = np.empty((self.nodes, size, size))
         with self._factorised(matrix, least):
-            if self.library is None:
+            if self.built is None:
                 frontal.invert(self.fronts, size, found, self._panels)
             else:
-                self.library.invert(self._pointer(), size, found.ctypes.data)
+                self.built.invert(self._pointer(), size, found.ctypes.data)
         return found
 
     def is_positive(self, matrix: Blocks) -> bool:
@@ -170,15 +170,15 @@ class Cholesky:
         rows, columns = (np.ascontiguousarray(a, np.int64) for a in (matrix.rows, matrix.columns))
         values = np.ascontiguousarray(matrix.values)
         with self.lock:
-            if self.library is None:
+            if self.built is None:
                 self._panels[: size * size * int(self.fronts.panel[-1])] = 0.0
                 frontal.add(self.fronts, size, rows, columns, values, self._panels)
                 fault = frontal.eliminate(self.fronts, size, least, self._panels)
             else:
-                self.library.clear(self._pointer(), size)
+                self.built.clear(self._pointer(), size)
                 arrays = (a.ctypes.data for a in (rows, columns, values))
-                self.library.add(self._pointer(), size, len(rows), *arrays)
-                fault = self.library.eliminate(self._pointer(), size, least)
+                self.built.add(self._pointer(), size, len(rows), *arrays)
+                fault = self.built.eliminate(self._pointer(), size, least)
             if fault:
                 raise SingularError(fault - 1)
             yield

@@ -46,13 +46,13 @@ class Door:
     @property
     def options(self) -> dict[str, object]:
         """For IPOPT; none where its own MUMPS has to do."""
-        library = self._cholesky.library
+        library = self._cholesky.built
         return _named(library) if library is not None and _comes_in() else {}
 
     @contextmanager
     def open(self) -> Iterator[Plan]:
         """While in here, the solver of this thread has these fronts."""
-        library = self._cholesky.library
+        library = self._cholesky.built
         with self._cholesky.lock:
             if library is None:
                 yield Plan()
@@ -84,7 +84,7 @@ def _comes_in() -> bool:
     """Whether this IPOPT uses the library: tried with a problem of one pose."""
     none, one = np.empty(0, dtype=np.int64), np.zeros(1, dtype=np.int64)
     door, x = Door(Cholesky(1, none, none), one, none), ca.MX.sym("x", 6)
-    library = door._cholesky.library
+    library = door._cholesky.built
     if library is None:
         return False
     nlp: dict[str, Any] = {"x": x, "f": ca.sumsqr(x - 1)}

@@ -58,8 +58,8 @@ def make(request):
     def made(pairs):
         found = Cholesky(N, *pairs.T)
         if request.param == "numpy":
-            found.library = None
-        elif found.library is None:
+            found.built = None
+        elif found.built is None:
             pytest.skip("no C compiler")
         return found
 

@@ -16,7 +16,7 @@ def door():
     """Of a ring of poses, one of them held."""
     each = np.arange(POSES)
     cholesky = Cholesky(POSES, each, (each + 1) % POSES)
-    if cholesky.library is None:
+    if cholesky.built is None:
         pytest.skip("no C compiler")
     return ma57.Door(cholesky, np.delete(each, HELD), np.array([HELD]))
 
@@ -29,7 +29,7 @@ def call(door, function, *arguments):
         else ctypes.byref(ctypes.c_int(a))
         for a in arguments
     ]
-    getattr(door._cholesky.library, function)(*given)
+    getattr(door._cholesky.built, function)(*given)
 
 
 def solved(door, dense, right):
