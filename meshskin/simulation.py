@@ -163,7 +163,8 @@ def run(
 ) -> Iterator[Steps]:
     """Run the closed loop over the path. Yields the steps as they come."""
     tracks = [Track.of(place, scene.body.surface) for place in path.places]
-    manner = Manner(scene.exploration.standoff, scene.exploration.settle)
+    way = scene.exploration
+    manner = Manner(way.standoff, way.settle, way.approach_ramp)
     explorer = Explorer(machine, tracks, manner, path.postures)
     for steps in explorer.run():
         yield steps

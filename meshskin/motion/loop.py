@@ -63,6 +63,7 @@ class Parameters:
 
 
 PARAMETERS = len(fields(Parameters))
+APPROACH_SPEED = [f.name for f in fields(Parameters)].index("approach_speed")
 
 
 @dataclass(frozen=True)

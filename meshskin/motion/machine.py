@@ -16,7 +16,7 @@ from ..geometry.closest import Closest
 from ..se3 import Array
 from .carry import inverse_dynamics
 from .clear import EDGY
-from .loop import Loop, flat_anchor
+from .loop import APPROACH_SPEED, Loop, flat_anchor
 from .quasi_static import pose
 from .readings import PointReadings
 from .step import Blocks, ready, step
@@ -116,12 +116,18 @@ class Machine:
         return self.steps / self.seconds if self.seconds else 0.0
 
     def advance(
-        self, track: Track, phase: int, until_touch: bool = False, free: bool = False
+        self,
+        track: Track,
+        phase: int,
+        until_touch: bool = False,
+        free: bool = False,
+        pace: float = 1.0,
     ) -> Steps:
         """Run the first rows of a track: as many as fit a block and as the foot stays on its faces.
 
         until_touch: end with the first step in contact. free: follow the path along the normal too,
-        instead of holding the force. Raises SimulationError where a number is
+        instead of holding the force; pace: part of the approach speed that the law may ask for.
+        Raises SimulationError where a number is
         not finite, ReachError where a joint leaves its range.
         """
         started = perf_counter()
@@ -129,7 +135,7 @@ class Machine:
         blocks = self.blocks[0 if short else 1]
         track = track[: blocks.length]
         count = len(track)
-        faces = self._fill(blocks, track, free)
+        faces = self._fill(blocks, track, free, pace)
         try:
             blocks.run()
         except RuntimeError as error:
@@ -223,11 +229,12 @@ class Machine:
         self.state[:], self.face, self._astray = states[-1], int(hit.face[-1]), True
         return Steps(time, q, outputs, phase)
 
-    def _fill(self, blocks: Blocks, track: Track, free: bool) -> NDArray[np.intp]:
+    def _fill(self, blocks: Blocks, track: Track, free: bool, pace: float) -> NDArray[np.intp]:
         """Set a block's inputs; returns the face of each row (k,)."""
         count = len(track)
         blocks.state[:] = self.state
         blocks.parameters[-1] = free
+        blocks.parameters[APPROACH_SPEED] = pace * self.loop.law.approach_speed
         blocks.references[:count] = track.references
         faces, maps = track.faces, blocks.anchors[:, -len(STAY) :]
         if self._astray:

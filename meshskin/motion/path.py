@@ -39,6 +39,8 @@ class Exploration:
     """Time to speed up and to slow down, on each lane."""
     standoff: float = quantity("m", 5e-3, above=0.0)
     """Gap between body and indenter before the approach."""
+    approach_ramp: float = quantity("s", 0.0, least=0.0)
+    """Time in which the approach gains its speed; 0: at once, by a jerk of the torques."""
     settle: float = quantity("s", 0.3, least=0.0)
     """Rest after the touch, before the contact point moves."""
     pattern: str = "auto"

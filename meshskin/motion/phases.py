@@ -49,6 +49,8 @@ class Manner:
     """Height over the indenter between places, m."""
     settle: float
     """Longest time for the touch to settle, and with it the rest before the slide, s."""
+    ramp: float = 0.0
+    """Time in which the approach gains its speed, s."""
 
 
 class Explorer:
@@ -121,8 +123,9 @@ class Explorer:
         settle = max(round(self.manner.settle / loop.dt), 1)
         rest = track.hold(self.row, max(settle, LENGTHS[0]))
         fall = 5 * self.manner.standoff / loop.law.approach_speed + 20 / loop.law.gamma
+        fall += self.manner.ramp
         last = machine.steps + int(np.ceil((1.0 + fall) / loop.dt))
-        self.phase, force = APPROACH, 0.0
+        self.phase, force, begin = APPROACH, 0.0, machine.steps
         while not force > 0:
             if machine.steps > last:
                 raise PlaceError(
@@ -130,16 +133,24 @@ class Explorer:
                     value=f"{(1.0 + fall):.2f} s of approach",
                     remedy="check indenter.position_m and exploration.standoff_m",
                 )
-            steps = machine.advance(rest, APPROACH, until_touch=True)
+            steps = self._press(rest, begin, until_touch=True)
             yield steps
             force = self._force(steps)[-1]
         self.phase, left = TOUCH, settle
         while left > 0:
-            steps = machine.advance(rest[:left], self.phase)
+            steps = self._press(rest[:left], begin)
             yield steps
             left -= len(steps.time)
             if abs(self._force(steps)[-1] / loop.law.force_reference - 1.0) < SETTLED:
                 self.phase = HOLD
+
+    def _press(self, rest: Track, begin: int, until_touch: bool = False) -> Steps:
+        """Steps of an approach begun at step `begin`: single ones while it gains its speed."""
+        machine = self.machine
+        pace = paced((machine.steps - begin) * machine.loop.dt, self.manner.ramp, machine.loop.dt)
+        return machine.advance(
+            rest if pace == 1.0 else rest[:1], self.phase, until_touch=until_touch, pace=pace
+        )
 
     def _slide(self, track: Track) -> Iterator[Steps]:
         """Follow the track from the row at hand, to its end or until contact is lost."""
@@ -224,6 +235,11 @@ class Explorer:
             value=f"t = {self.machine.steps * self.machine.loop.dt:.4f} s",
             remedy="explore slower, or take a larger law.gamma or law.rate",
         )
+
+
+def paced(t: float, ramp: float, dt: float) -> float:
+    """Part of the approach speed at t (s) after the approach's begin: it grows evenly."""
+    return min((t + dt) / max(ramp, dt), 1.0)
 
 
 def _raised(pose: Array, lift: float) -> Array:

@@ -94,3 +94,19 @@ def test_either_surface_of_the_law_holds_the_force_on_an_ellipsoid(sphere, surfa
         [s.outputs[:, 6] for s in run(scene, machine, path) if s.phase == phases.SLIDE]
     )
     assert force == pytest.approx(3.0, abs=0.03)
+
+
+def test_the_approach_gains_its_speed_evenly(prepared, sphere, track):
+    """Without an arm the body moves as it is asked to: v t / ramp, then v; the touch is later."""
+    heights, touched = {}, {}
+    for ramp in (0.0, 0.04):
+        machine, _ = prepared("quasi_static")
+        explorer = Explorer(machine, [track[:50]], replace(MANNER, ramp=ramp))
+        found = [steps for steps in explorer.run() if steps.phase == phases.APPROACH]
+        heights[ramp] = np.concatenate([steps.q[:, 2] for steps in found])
+        touched[ramp] = len(heights[ramp])
+    dt, speed = machine.loop.dt, sphere.law.approach_speed
+    fall = -np.diff(heights[0.04])
+    part = np.minimum((np.arange(len(fall)) + 1) * dt / 0.04, 1.0)
+    np.testing.assert_allclose(fall, part * speed * dt, rtol=1e-6)
+    assert touched[0.04] - touched[0.0] == pytest.approx(0.5 * 0.04 / dt, abs=2)
