@@ -205,6 +205,23 @@ class Problem:
         shared = np.asarray(np.linalg.inv(reduced.hessian))
         return inverse + lever @ shared @ np.swapaxes(lever, 1, 2), shared
 
+    def leverages(self, state: State, reduced: Reduced) -> Array:
+        """How much each reading (k,) moves its own prediction: it keeps 1 less this of its noise
+        as a residual."""
+        blocks, groups, local = self.blocks(state), np.arange(self.places.count), 3 + self.extra
+        inverse, shared = np.linalg.inv(blocks.hessian), np.linalg.inv(reduced.hessian)
+        lever = -inverse @ blocks.coupling
+        lift, own = self._lift(state.z, groups), self.places.group
+        full = np.empty((len(own), local + len(shared), local + len(shared)))
+        follows = lift @ lever[own]
+        full[:, :local, local:] = follows @ shared
+        full[:, local:, :local] = np.swapaxes(full[:, :local, local:], 1, 2)
+        full[:, local:, local:] = shared
+        full[:, :local, :local] = lift @ inverse[own] @ np.swapaxes(lift, 1, 2)
+        full[:, :local, :local] += full[:, :local, local:] @ np.swapaxes(follows, 1, 2)
+        extras, contacts = self.extras(state.z, groups), self.contacts.at(state.s)
+        return self.likelihood.leverages(self.points(state), extras, contacts, full)
+
     def points(self, state: State) -> Array:
         """Points (n, 3), m, of all taxels at the state."""
         group, size = self.places.group, self.places.size

@@ -22,7 +22,7 @@ from ..se3 import Array
 from . import chart, coactivation, faults, trilaterate
 from .doubt import doubt
 from .factors import module
-from .factors.pressure import SILENT
+from .factors.pressure import HEARD, SILENT
 from .fit import Fit, goodness
 from .measurements import Measurements
 from .nulls import undetermined
@@ -149,20 +149,19 @@ def estimate(
     return _result(run, start.why, again, clock)
 
 
-def _fit(run: Run) -> Fit:
+def _fit(run: Run, own: Array) -> Fit:
     """The chi-square test on readings that the model puts well inside the sensor's range.
 
-    The choice is the model's, not the reading's, so that the residuals are not censored.
+    The choice is the model's, not the reading's, so that the residuals are not censored. Each keeps
+    1 less its leverage `own` (k,) of the noise.
     """
     read, data = run.likelihood.readings, run.data
     r = run.residuals()
     mu = r + np.where(read.kind == SILENT, data.threshold, read.level) / data.sigma
     clear = (mu > data.threshold / data.sigma + 3) & (mu < data.saturation / data.sigma - 3)
-    weight = np.where(clear & ~run.broken[read.taxel], read.weight, 0.0)
-    unknowns, count = run.state.z.size + len(run.state.s), float(weight.sum())
-    share = count / max(int(np.sum(read.kind != SILENT)), 1)
+    clear &= ~run.broken[read.taxel]
     return goodness(
-        float(weight @ r**2), count - unknowns * min(share, 1.0),
+        float(read.weight[clear] @ r[clear] ** 2), float(np.sum((read.weight - own)[clear])),
         bool(data.noise), int(np.sum(faults.outlying(read))),
     )  # fmt: skip
 
@@ -186,9 +185,10 @@ def _result(run: Run, why: np.ndarray, again: np.ndarray, clock: float) -> Joint
     why[run.live[run.broken]] = BROKEN
     why[run.live[run.restless]] = RESTLESS
     points = np.where(lost[:, None], np.nan, places.points())
-    chi2, heard = run.chi2, int(np.sum(run.likelihood.readings.kind == 0))
-    freedom = heard - state.z.size - len(state.s)
-    scale = 1.0 if data.noise else float(state.moments.square.sum()) / max(freedom, 1)
+    chi2, own = run.chi2, problem.leverages(state, reduced)
+    kept = run.likelihood.readings.weight - own
+    freedom = float(kept[run.likelihood.readings.kind == HEARD].sum())
+    scale = 1.0 if data.noise else float(state.moments.square.sum()) / max(freedom, 1.0)
     information, gains = problem.information(state)
     groups = np.arange(places.count)
     six, tangential = None, scale * covariance[:, :2, :2]
@@ -215,7 +215,7 @@ def _result(run: Run, why: np.ndarray, again: np.ndarray, clock: float) -> Joint
         chi2=spread(chi2 / scale, np.nan),
         why=why,
         faults=run.faults,
-        fit=_fit(run),
+        fit=_fit(run, own),
         iterates=tuple(spread(p, np.nan) for p in run.iterates),
         restarted=run.live[again],
         data=data,

@@ -7,6 +7,7 @@ known here (places.py). Readings are sorted by taxel and taken in blocks that st
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -170,13 +171,33 @@ class Likelihood:
 
     def means(self, points: Array, extras: Array, contacts: Contacts) -> Array:
         """mu (k,), in units of the noise, of all readings; points (n, 3), extras (n, .)."""
+        parts = [mu for _, mu, _ in self._each(points, extras, contacts)]
+        return np.concatenate([np.empty(0), *parts])
+
+    def leverages(
+        self, points: Array, extras: Array, contacts: Contacts, covariance: Array
+    ) -> Array:
+        """How much each reading (k,) moves its own mu: the diagonal of the hat matrix.
+
+        covariance (n, C, C): of each taxel's unknowns and the shared ones. Source: Cook, Weisberg,
+        "Residuals and Influence in Regression" (1982).
+        """
+        read, parts = self.readings, [np.empty(0)]
+        for part, mu, jacobian in self._each(points, extras, contacts):
+            curvature = costs(mu, read.level[part] / self.data.sigma, read.kind[part])[2]
+            seen = np.einsum("kij,jk->ik", covariance[read.taxel[part]], jacobian)
+            parts.append(read.weight[part] * curvature * np.sum(jacobian * seen, axis=0))
+        return np.concatenate(parts)
+
+    def _each(
+        self, points: Array, extras: Array, contacts: Contacts
+    ) -> Iterator[tuple[slice, Array, Array]]:
+        """Blocks of readings, their mu and its derivatives (C, k)."""
         read = self.readings
-        parts = [np.empty(0)]
         for begin in range(0, len(read.taxel), BLOCK):
             part = slice(begin, begin + BLOCK)
             own = read.taxel[part]
-            parts.append(self.predict(read.contact[part], points[own], extras[own], contacts)[0])
-        return np.concatenate(parts)
+            yield part, *self.predict(read.contact[part], points[own], extras[own], contacts)
 
     def _block(
         self,
