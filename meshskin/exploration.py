@@ -1,7 +1,7 @@
 """Where to touch: the exploration of a scene, and of any skin region, planned for the arm.
 
-Caps of spheres are explored by the paper's parallels about the skin's axis, everything else by
-geodesic lanes (motion/plan.py).
+Caps of spheres are explored by the paper's parallels about the skin's axis, as far as the arm can
+turn them; everything else by geodesic lanes (motion/plan.py).
 """
 
 from __future__ import annotations
@@ -120,15 +120,21 @@ def route(scene: Scene) -> tuple[paths.Path, Array]:
     """The path of the scene's exploration by its pattern, and where it starts.
 
     The start: joint angles (n,) at the standoff over the first pose, or, without an arm, that pose
-    (4, 4). Raises ReachError if the arm cannot follow the path.
+    (4, 4). Raises ReachError if the arm cannot follow the path; with "auto", where it cannot follow
+    parallels it takes lanes, which it may leave for another posture.
     """
-    parallel = scene.exploration.pattern == "parallels"
-    parallel |= scene.exploration.pattern == "auto" and is_cap(scene)
-    if parallel:
+    pattern = scene.exploration.pattern
+    if pattern == "parallels" or (pattern == "auto" and is_cap(scene)):
         scene.judge(scene.body.closest(scene.skin.positions).curvature)
-    if parallel and scene.loop.mode == "arm":
-        return reachable_path(scene, scene.arm)
-    path = parallels(scene, 0.0, scene.loop.dt) if parallel else planned(scene).path
+        if scene.loop.mode != "arm":
+            path = parallels(scene, 0.0, scene.loop.dt)
+            return path, start_of(scene, path)
+        try:
+            return reachable_path(scene, scene.arm)
+        except ReachError:
+            if pattern == "parallels":
+                raise
+    path = planned(scene).path
     return path, start_of(scene, path)
 
 
@@ -166,10 +172,12 @@ def reachable_path(scene: Scene, arm: Arm) -> tuple[paths.Path, Array]:
     tip_body = inverse(scene.mount_pose)
     for heading in np.arange(HEADINGS) * 2 * np.pi / HEADINGS:
         coarse = parallels(scene, heading, scene.loop.dt * 50)
-        poses = coarse.poses[:: max(len(coarse.poses) // CHECKS, 1)] @ tip_body
+        rows = slice(None, None, max(len(coarse.poses) // CHECKS, 1))
+        poses = coarse.poses[rows] @ tip_body
+        middle = _middle(coarse.normals[rows], scene.axis)
         try:
-            seed = arm.solve(poses[len(poses) // 2])
-            first = arm.inverse_kinematics(_bridge(poses[len(poses) // 2], poses[0]), seed)[-1]
+            # back along the path itself: half a turn straight to its start has two ways round
+            first = arm.inverse_kinematics(poses[middle::-1], arm.solve(poses[middle]))[-1]
             q = arm.inverse_kinematics(poses, first)
             start = arm.inverse_kinematics(
                 above(scene, poses[0] @ inverse(tip_body))[None] @ tip_body, first
@@ -185,9 +193,18 @@ def reachable_path(scene: Scene, arm: Arm) -> tuple[paths.Path, Array]:
         raise ReachError(
             f"the arm {arm.name} cannot turn the skin over the indenter at "
             f"{tuple(round(float(x), 3) for x in scene.indenter.position)} m: {reason}",
-            remedy="move indenter.position_m or change the mount",
+            remedy="move indenter.position_m, change the mount, or take exploration.pattern lanes",
         ) from reason
     return parallels(scene, best_heading, scene.loop.dt), best[2]
+
+
+def _middle(normals: Array, axis: Array) -> int:
+    """The sample, of normals (k, 3) along parallels, whose turn about the axis is in the middle of
+    all turns, and that is about halfway: there the last joint has as far to go either way.
+    """
+    e1, e2 = paths.tangent_basis(axis)
+    turn, count = np.abs(np.arctan2(normals @ e2, normals @ e1)), len(normals)
+    return int(np.argmin(turn + np.abs(np.arange(count) / count - 0.5)))
 
 
 def parallels(scene: Scene, heading: float, dt: float) -> paths.Path:

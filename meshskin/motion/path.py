@@ -45,7 +45,7 @@ class Exploration:
     """Rest after the touch, before the contact point moves."""
     pattern: str = "auto"
     """"parallels": about the skin's axis, for convex caps; "lanes": geodesic lanes, for any region;
-    "auto": parallels where the skin is a cap of a sphere, lanes elsewhere."""
+    "auto": parallels where the skin is a cap of a sphere that the arm can turn, lanes elsewhere."""
     contacts: float | None = quantity("", None, above=0.0)
     """Contacts wanted of each taxel; sets the spacing of geodesic lanes in place of
     `lane_spacing`."""
