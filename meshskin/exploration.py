@@ -37,7 +37,7 @@ SITE_SPACING = 5e-3
 
 def explore(
     body: Body,
-    skin_region: Skin | Region,
+    skin_region: Skin | Region | str,
     *,
     arm: Arm | None = None,
     mount: Array | None = None,
@@ -54,8 +54,9 @@ def explore(
     another posture. arm: None for a body that moves freely; mount: T_tip_body (4, 4), which an arm
     needs. force, N, and material: of the contact, whose patch sets the depth and, with
     `exploration.contacts`, the spacing of the lanes. dt, s: of the path; frame, s: between
-    readings. A region is taken as places 5 mm apart, numbered. Raises ReachError where nothing can
-    be explored, SkinError for a region too small, ContactError where no contact model holds.
+    readings. A region (a patch by its name, or another part of the surface) is taken as places
+    5 mm apart, numbered. Raises ReachError where nothing can be explored, SkinError for a region
+    too small, ContactError where no contact model holds.
     """
     skin = skin_region
     if not isinstance(skin, Skin):

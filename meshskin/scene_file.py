@@ -19,7 +19,7 @@ from . import library
 from .config import build, check, merge, quantity, read_toml
 from .errors import ConfigError, UnknownNameError
 from .geometry.body import Body
-from .geometry.region import Cap
+from .geometry.region import Cap, Disc, Faces, HalfSpace, Patch, Region
 from .geometry.skin import Skin
 from .motion.arm import Arm
 from .motion.law import Law
@@ -113,6 +113,16 @@ _SHAPES: dict[str, type] = {
 }
 
 
+_REGIONS: dict[str, type] = {
+    "patch": Patch,
+    "direction": Cap,
+    "point": Disc,
+    "normal": HalfSpace,
+    "faces": Faces,
+}
+"""Kinds of a skin's region, by the key that each needs."""
+
+
 @dataclass(frozen=True)
 class _SkinTable:
     file: str | None = None
@@ -121,22 +131,43 @@ class _SkinTable:
     disc_radius: float = quantity("m", 2e-3, above=0.0)
     direction: tuple[float, ...] | None = quantity("", None)
     angle: float | None = quantity("rad", None, above=0.0, most=np.pi)
+    region: Any = None
+    """a table, as {patch = "palm"}; goes before `direction` and `angle`"""
     seed: int = quantity("", 0)
+
+    def part(self) -> Region | None:
+        """The part of the body that the skin is laid on. Raises ConfigError."""
+        table, where = self.region, "skin.region"
+        if table is None:
+            if self.direction is None:
+                return None
+            table, where = {"direction": list(self.direction)}, "skin"
+            table |= _given(angle_rad=self.angle)
+        if not isinstance(table, Mapping):
+            remedy = f'write region = {{patch = "{table}"}}' if isinstance(table, str) else None
+            raise ConfigError("skin.region must be a table", value=repr(table), remedy=remedy)
+        kinds = [k for k in _REGIONS if any(key == k or key.startswith(f"{k}_") for key in table)]
+        if len(kinds) != 1:
+            value = f"{' and '.join(kinds) or 'none'} in [skin.region]"
+            raise ConfigError(
+                "kind of a region", value=value, limit=f"one of {', '.join(_REGIONS)}"
+            )
+        for key in ("direction", "normal"):
+            if key in table and (len(table[key]) != 3 or not np.any(table[key])):
+                raise ConfigError(f"{where}.{key} must be a vector of 3", value=table[key])
+        found: Region = build(_REGIONS[kinds[0]], table, where)
+        check(found)
+        return found
 
     def make(self, body: Body, folder: Path) -> Skin:
         check(self)
         if self.file is not None:
             return Skin.load(folder / self.file)
-        region = None
-        if self.direction is not None:
-            if len(self.direction) != 3 or not np.any(self.direction):
-                raise ConfigError("skin.direction must be a vector of 3", value=self.direction)
-            region = Cap(direction=self.direction, **_given(angle=self.angle))
         return Skin.cover(
             body,
             spacing=self.spacing,
             count=self.count,
-            region=region,
+            region=self.part(),
             seed=self.seed,
             disc_radius=self.disc_radius,
         )
@@ -180,9 +211,22 @@ def tables(name: str | Path) -> tuple[dict[str, Any], Path]:
         if parent.resolve() in seen:
             raise ConfigError(f"{path.name} extends itself through {parent.name}")
         seen.add(parent.resolve())
-        data = merge(read_toml(parent), data)
+        data = merge(_without_rivals(read_toml(parent), data), data)
     data.setdefault("name", path.stem)
     return data, path.parent
+
+
+def _without_rivals(parent: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """A parent's tables without the body and region whose place those of `over` take."""
+    kept = dict(parent)
+    old, new = kept.get("body", {}), over.get("body", {})
+    if "mesh" in new or new.get("shape", old.get("shape")) != old.get("shape"):
+        kept.pop("body", None)
+    if "skin" in kept and any(
+        key.startswith(("region", "direction")) for key in over.get("skin", ())
+    ):
+        kept["skin"] = {k: v for k, v in kept["skin"].items() if k != "region"}
+    return kept
 
 
 def load(name: str | Path) -> Scene:
@@ -222,7 +266,9 @@ def check_tables(data: Mapping[str, Any]) -> None:
     """Check every key and bound of merged tables without making the scene. Raises ConfigError."""
     check_keys(data)
     check(_body(data["body"]))
-    check(build(_SkinTable, data["skin"], "skin"))
+    skin = build(_SkinTable, data["skin"], "skin")
+    check(skin)
+    skin.part()
     build(_ArmTable, data.get("arm", {}), "arm").pose()
     parts(data)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,7 +49,8 @@ def command(options: argparse.Namespace) -> int:
     if kind not in (None, ".html", *PICTURES):
         raise OutputError("kind of drawing", value=kind, limit=f".html, {', '.join(PICTURES)}")
     scale = mesh.unit(options.mesh, options.units)
-    found = survey(*mesh.read(options.mesh, scale), options.open)
+    raw = mesh.read(options.mesh, scale)
+    found = survey(raw.vertices, raw.faces, options.open)
     finite = found.vertices[np.isfinite(found.vertices).all(axis=1)]
     size = 1e3 * np.ptp(finite, axis=0) if len(finite) else np.zeros(3)
     print(f"{options.mesh.name}: {len(found.vertices)} vertices, {len(found.faces)} faces, "
@@ -59,6 +61,7 @@ def command(options: argparse.Namespace) -> int:
             print(f"  {'':9}   {place}")
         if finding.remedy and finding.verdict == "refused":
             print(f"  {'':9}   remedy: {finding.remedy}")
+    patches(found, raw.names)
     usable = not found.refused
     try:
         check_extent(finite if len(finite) else np.zeros((1, 3)))
@@ -71,6 +74,15 @@ def command(options: argparse.Namespace) -> int:
     elif kind:
         picture(found, options.mesh.name, options.out)
     return 0 if usable else 1
+
+
+def patches(found: Survey, names: Mapping[str, Any]) -> None:
+    """Print the named parts that a skin can be laid on."""
+    corners = 1e2 * found.vertices[found.faces] if names else np.zeros((0, 3, 3))
+    for name, rows in sorted(found.patches(names).items()):
+        a, b, c = np.swapaxes(corners[rows], 0, 1)
+        area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+        print(f"  {'patch':9} {name}: {len(rows)} faces, {area:.4g} cm2")
 
 
 def few(rows: Any) -> Any:

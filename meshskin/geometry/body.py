@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import MeshError
 from . import primitives, tessellate
+from .check import survey
 from .closest import Closest
 from .files import mesh as mesh_file
 from .heights import DEGREE
@@ -48,6 +50,9 @@ class Body:
     """the exact surface, of a primitive"""
     repairs: tuple[str, ...] = field(default=())
     """what was put right in the mesh when it was loaded"""
+    patches: Mapping[str, NDArray[np.intp]] = field(default_factory=dict)
+    """the faces (k,) of each named part of the file, a skin's regions by name: objects, groups and
+    materials of an OBJ, nodes, meshes and materials of a GLB, solids of an ASCII STL"""
     seams: NDArray[np.intp] | None = None
     """(k, 2) edges, by their vertices, over which the curvature is known to jump"""
     degree: int = DEGREE
@@ -124,12 +129,19 @@ class Body:
 
         `units` ("m", "cm", "mm", "in") is required but for GLB, which is in m by its standard.
         With `open`, a mesh with borders is taken. What is safe to repair is repaired and listed in
-        `.repairs`; the rest raises MeshError with the value at fault and the remedy.
+        `.repairs`; the rest raises MeshError with the value at fault and the remedy. What the file
+        calls its parts is kept in `.patches`.
         """
+        import trimesh
+
         path = Path(path)
-        loaded, repairs = mesh_file.load(path, mesh_file.unit(path, units), open)
-        check_extent(loaded.vertices)
-        return cls(path.stem, loaded, None, repairs)
+        raw = mesh_file.read(path, mesh_file.unit(path, units))
+        found = survey(raw.vertices, raw.faces, open)
+        for finding in found.refused:
+            raise finding.error()
+        check_extent(found.vertices)
+        mesh = trimesh.Trimesh(found.vertices, found.faces, process=False)
+        return cls(path.stem, mesh, repairs=found.repairs, patches=found.patches(raw.names))
 
     @classmethod
     def sphere(cls, radius: float = 0.1, faces: int = FACES) -> Body:

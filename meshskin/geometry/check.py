@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,11 +62,18 @@ class Survey:
     """(m, 3)"""
     findings: tuple[Finding, ...]
     """in the order of finding; a refused one may hide others that depend on it"""
+    row: Index
+    """(k,) where the k faces of the file are among `faces`, or what stands for them; -1: dropped"""
 
     @property
     def repairs(self) -> tuple[str, ...]:
         """What was put right, in words."""
         return tuple(f.what for f in self.findings if f.verdict == "repaired")
+
+    def patches(self, names: Mapping[str, Index]) -> dict[str, Index]:
+        """The rows of `faces` that carry each name, from their numbers in the file."""
+        rows = {name: np.unique(self.row[numbers]) for name, numbers in names.items()}
+        return {name: here[here >= 0] for name, here in rows.items()}
 
     @property
     def refused(self) -> tuple[Finding, ...]:
@@ -82,18 +90,18 @@ def survey(vertices: Array, faces: Index, open: bool = False) -> Survey:
     draft = mend.Draft(vertices, faces, np.arange(len(faces)))
     findings = _unusable(draft)
     if findings:
-        return Survey(vertices, faces, tuple(findings))
+        return _as_it_was(vertices, faces, tuple(findings))
     mend.drop_unreferenced(draft)
     if not np.max(np.ptp(draft.vertices, axis=0)) > 0.0:
         flat = _finding(draft, "the mesh is a point", np.arange(len(faces)), "check its export")
-        return Survey(vertices, faces, (flat,))
+        return _as_it_was(vertices, faces, (flat,))
     mend.merge(draft)
     mend.drop_points(draft)
     mend.drop_doubles(draft)
     if not len(draft.faces):
         empty = Finding("no face has an area", vertices[:1], np.zeros(0, dtype=np.intp), "refused",
                         "check its export")  # fmt: skip
-        return Survey(vertices, faces, (empty,))
+        return _as_it_was(vertices, faces, (empty,))
     across = mend.wind(draft)
     part = components(across)
     if not open and mend.turn_outward(draft, part):
@@ -107,7 +115,14 @@ def survey(vertices: Array, faces: Index, open: bool = False) -> Survey:
         words = f"{part.max() + 1} separate parts"
         findings.append(Finding(words, draft.middles(first), draft.number[first], "noted"))
     findings += _overlaps(draft, across, open)
-    return Survey(draft.vertices, np.ascontiguousarray(draft.faces), tuple(findings))
+    row = np.full(len(faces), -1)
+    row[draft.number] = np.arange(len(draft.faces))
+    row[draft.twins[:, 0]] = row[draft.twins[:, 1]]
+    return Survey(draft.vertices, np.ascontiguousarray(draft.faces), tuple(findings), row)
+
+
+def _as_it_was(vertices: Array, faces: Index, findings: tuple[Finding, ...]) -> Survey:
+    return Survey(vertices, faces, findings, np.arange(len(faces)))
 
 
 def _finding(

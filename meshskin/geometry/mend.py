@@ -29,6 +29,8 @@ class Draft:
     """(m, 3)"""
     number: Index
     """(m,) the faces' numbers in the file"""
+    twins: Index = field(default_factory=lambda: np.zeros((0, 2), dtype=np.intp))
+    """(k, 2) numbers of duplicate faces that were dropped, and of those that stayed"""
     repairs: list[str] = field(default_factory=list)
     """what was done, in words"""
     marks: list[tuple[str, Array]] = field(default_factory=list)
@@ -98,6 +100,10 @@ def drop_doubles(draft: Draft) -> None:
     double[order[1:][same]] = True
     if double.any():
         draft.note(f"{int(double.sum())} duplicate faces dropped", draft.middles(double))
+        first = order[np.maximum.accumulate(np.where(double[order], 0, np.arange(len(a))))]
+        stays = np.empty_like(first)
+        stays[order] = first
+        draft.twins = draft.number[np.stack([np.flatnonzero(double), stays[double]], axis=1)]
         draft.keep(~double)
 
 

@@ -104,15 +104,15 @@ def lay(
     body: Body,
     count: int | None = None,
     spacing: float = SPACING,
-    region: regions.Region | None = None,
+    region: regions.Region | str | None = None,
     seed: int = 0,
     disc_radius: float = 2e-3,
 ) -> Modules:
     """Modules on a body: as many as fit the region, or the `count` nearest to its centre.
 
-    `spacing` (m) is the distance of the middles of neighbours. A module belongs to a region that
-    holds all its taxels' closest points. `seed` turns and shifts the layout. Raises SkinError
-    where modules would overlap on a plane, or where too few fit.
+    `spacing` (m) is the distance of the middles of neighbours. A module belongs to a region (of
+    region.py, or a patch's name) that holds all its taxels' closest points. `seed` turns and shifts
+    the layout. Raises SkinError where modules would overlap on a plane, or where too few fit.
     """
     least = slots.SIDE / np.sqrt(3.0)
     if not spacing >= least:
@@ -121,7 +121,7 @@ def lay(
         )
     if count is not None and count < 1:
         raise SkinError("number of modules", value=count, limit=">= 1")
-    region = regions.Whole() if region is None else region
+    region = regions.of(region)
     first = lattice.first_site(body, region, spacing, random_stream(seed, "module layout"))
     poses = _grow(body, region, first, spacing, count)
     if len(poses) < (count or 1):

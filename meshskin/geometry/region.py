@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..config import quantity
 from ..errors import SkinError
 from .body import Body
 from .closest import Closest
 from .proximity import part_middles
 
 Array = NDArray[np.float64]
-Vector = tuple[float, float, float]
+SHOWN = 20
+"""names of patches in a message"""
 
 
 class Region(Protocol):
@@ -33,7 +37,7 @@ class Region(Protocol):
 class Whole:
     """The whole surface, about the point that the direction from the body's middle leaves by."""
 
-    direction: Vector = (0.0, 0.0, 1.0)
+    direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """body frame; need not be a unit vector"""
 
     def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
@@ -49,9 +53,9 @@ class Whole:
 class Cap:
     """The points seen from the body's middle within an angle of a direction."""
 
-    direction: Vector
+    direction: tuple[float, float, float] = quantity("")
     """body frame; need not be a unit vector"""
-    angle: float = np.pi
+    angle: float = quantity("rad", np.pi, above=0.0, most=np.pi)
     """half opening, in rad"""
 
     def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
@@ -69,9 +73,9 @@ class Cap:
 class Disc:
     """The points within a way over the surface of a point of it."""
 
-    point: Vector
+    point: tuple[float, float, float] = quantity("m")
     """body frame, m; its closest surface point counts"""
-    radius: float
+    radius: float = quantity("m", above=0.0)
     """geodesic radius, m"""
 
     def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
@@ -87,9 +91,9 @@ class Disc:
 class HalfSpace:
     """The points x with normal . x >= offset."""
 
-    normal: Vector
+    normal: tuple[float, float, float] = quantity("")
     """body frame; need not be a unit vector"""
-    offset: float
+    offset: float = quantity("m")
     """m, along the unit normal from the frame's origin"""
 
     def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
@@ -102,32 +106,83 @@ class HalfSpace:
         return body.closest(vertices[[np.argmax(vertices @ _unit(self.normal))]])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Faces:
-    """The faces of a mesh by their numbers."""
+    """Faces of a mesh: by their numbers in `body.mesh.faces`, or by a mask of all of them."""
 
-    faces: tuple[int, ...]
+    faces: Sequence[int] | NDArray[np.intp] | NDArray[np.bool_]
+    """(k,) numbers, or (m,) bool"""
 
     def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
         """The points on one of the faces."""
-        self._check(body)
-        return np.isin(at.face, self.faces)
+        return np.isin(at.face, self._numbers(body))
 
     def centre(self, body: Body) -> Closest:
         """The face middle nearest to the mean of the faces' middles."""
-        self._check(body)
-        middles = face_points(body, np.asarray(self.faces), 1)
+        middles = face_points(body, self._numbers(body), 1)
         off = np.linalg.norm(middles.point - middles.point.mean(axis=0), axis=1)
         k = int(np.argmin(off))
         return body.surface.at(middles.face[[k]], middles.uv[[k]])
 
-    def _check(self, body: Body) -> None:
-        last = len(body.surface.faces) - 1
-        if not self.faces:
+    def _numbers(self, body: Body) -> NDArray[np.intp]:
+        given, count = np.asarray(self.faces), len(body.surface.faces)
+        if given.dtype == bool:
+            if given.shape != (count,):
+                raise SkinError("shape of a face mask", value=given.shape, limit=f"({count},)")
+            given = np.flatnonzero(given)
+        if not given.size:
             raise SkinError("faces of a region", value="none", limit="one or more")
-        if min(self.faces) < 0 or max(self.faces) > last:
-            worst = min(self.faces) if min(self.faces) < 0 else max(self.faces)
-            raise SkinError("face of a region", value=worst, limit=f"0 to {last}")
+        if given.dtype.kind not in "iu" or given.min() < 0 or given.max() >= count:
+            wrong = given if given.dtype.kind not in "iu" else given[(given < 0) | (given >= count)]
+            raise SkinError("face of a region", value=wrong.flat[0], limit=f"0 to {count - 1}")
+        return given.astype(np.intp)
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A part of the body by the name that its mesh file gives it: see `Body.patches`."""
+
+    patch: str
+    """one of the body's patches"""
+
+    def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
+        """The points on the patch's faces."""
+        return self._faces(body).contains(body, at)
+
+    def centre(self, body: Body) -> Closest:
+        """The face middle nearest to the mean of the faces' middles."""
+        return self._faces(body).centre(body)
+
+    def _faces(self, body: Body) -> Faces:
+        found = body.patches.get(self.patch)
+        if found is None:
+            raise SkinError(
+                f"no patch {self.patch!r} on {body.name}",
+                remedy=_known(self.patch, [*body.patches]),
+            )
+        if not len(found):
+            raise SkinError(f"patch {self.patch!r} of {body.name} has no faces left after repairs")
+        return Faces(found)
+
+
+def _known(name: str, names: list[str]) -> str:
+    """What to do where a name is not among those of a body's patches."""
+    if not names:
+        return (
+            "its file names no parts: objects, groups and materials of an OBJ, nodes, meshes and "
+            "materials of a GLB are patches; or give a disc, a half-space or faces"
+        )
+    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    few, more = ", ".join(sorted(names)[:SHOWN]), len(names) - SHOWN
+    listed = f"it has {few}" + (f" and {more} more" if more > 0 else "")
+    return f"did you mean {near[0]}? {listed}" if near else listed
+
+
+def of(region: Region | str | None) -> Region:
+    """The region that is asked for: by a patch's name, or the whole surface without any."""
+    if isinstance(region, str):
+        return Patch(region)
+    return Whole() if region is None else region
 
 
 def middle(body: Body) -> Array:

@@ -62,7 +62,7 @@ class Skin:
         body: Body,
         spacing: float | None = None,
         count: int | None = None,
-        region: regions.Region | None = None,
+        region: regions.Region | str | None = None,
         seed: int = 0,
         disc_radius: float = 2e-3,
     ) -> Skin:
@@ -70,14 +70,15 @@ class Skin:
 
         With `spacing` (m, mean distance of nearest neighbours) alone the region is filled; with
         `count` alone the spacing follows from the region's area; with both, the `count` sites
-        nearest to the region's centre are kept. `seed` turns and shifts the lattice. Raises
-        SkinError where the discs would overlap or the region is too small.
+        nearest to the region's centre are kept. `region`: the name of one of the body's patches, or
+        a part of the surface as of region.py; without it, all. `seed` turns and shifts the lattice.
+        Raises SkinError where the discs would overlap or the region is too small.
         """
         if spacing is None and count is None:
             raise SkinError("a layout without spacing and count", remedy="give one or both")
         if count is not None and count < 1:
             raise SkinError("number of taxels", value=count, limit=">= 1")
-        region = regions.Whole() if region is None else region
+        region = regions.of(region)
         if spacing is None:
             assert count is not None
             sites = _sites_by_count(body, region, count, disc_radius, seed)
@@ -99,7 +100,7 @@ class Skin:
         body: Body,
         count: int | None = None,
         spacing: float = modules.SPACING,
-        region: regions.Region | None = None,
+        region: regions.Region | str | None = None,
         seed: int = 0,
         disc_radius: float = 2e-3,
     ) -> modules.Modules:

@@ -131,7 +131,8 @@ class SceneObject:
         parts = {f.name: getattr(scene, f.name) for f in dataclasses.fields(scene)}
         body, arm = parts.pop("body"), parts.pop("arm")
         mesh = (np.array(body.mesh.vertices), np.array(body.mesh.faces))
-        facts = {"name": body.name, "exact": body.exact, "repairs": body.repairs}
+        facts = {f.name: getattr(body, f.name) for f in dataclasses.fields(body)}
+        del facts["mesh"]
         joints = {f.name: getattr(arm, f.name) for f in dataclasses.fields(arm)}
         return _unpacked, (parts, mesh, facts, joints)
 

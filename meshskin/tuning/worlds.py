@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import ConfigError
-from ..geometry.body import Body
 from ..scene import Scene
 from ..se3 import Array, transform
 from .gains import Scenario
@@ -50,7 +49,7 @@ def _scaled(scene: Scene, scale: float, place: Array) -> Scene:
     poses[:, :3, 3] *= scale
     shift = transform(np.eye(3), (1.0 - scale) * np.asarray(place))
     return scene.with_(
-        body=Body(body.name, mesh, None, body.repairs, body.seams),
+        body=replace(body, mesh=mesh, exact=None),
         skin=replace(skin, poses=poses),
         mount=scene.mount_pose @ shift,
     )

@@ -1,7 +1,11 @@
-"""Mesh files: their formats and units."""
+"""Mesh files: their formats, units, triangles, and the names of their parts."""
 
 from __future__ import annotations
 
+import json
+import re
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import MeshError
-from ..check import survey
+from . import obj
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -19,6 +23,19 @@ UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
 FORMATS = ("stl", "obj", "ply", "off", "glb")
 METRES = ("glb",)
 """formats that are in m by their standard"""
+
+
+@dataclass(frozen=True)
+class Triangles:
+    """What is in a mesh file, before any repair."""
+
+    vertices: Array
+    """(n, 3) m"""
+    faces: Index
+    """(m, 3)"""
+    names: dict[str, Index] = field(default_factory=dict)
+    """the faces (k,) of each named part: objects, groups and materials of an OBJ; nodes, meshes and
+    materials of a GLB; solids of an ASCII STL that has several"""
 
 
 def unit(path: Path, units: str | None) -> float:
@@ -34,36 +51,79 @@ def unit(path: Path, units: str | None) -> float:
     return UNITS[units]
 
 
-def load(path: Path, scale: float, open: bool) -> tuple[Any, tuple[str, ...]]:
-    """A clean trimesh.Trimesh in m, and what was repaired. Raises MeshError."""
-    import trimesh
-
-    vertices, faces = read(path, scale)
-    found = survey(vertices, faces, open)
-    for finding in found.refused:
-        raise finding.error()
-    return trimesh.Trimesh(found.vertices, found.faces, process=False), found.repairs
-
-
-def read(path: Path, scale: float = 1.0) -> tuple[Array, Index]:
-    """Vertices (n, 3), times `scale`, and faces (m, 3) of a file. Raises MeshError."""
-    import trimesh
-
+def read(path: Path, scale: float = 1.0) -> Triangles:
+    """The triangles of a file, its lengths times `scale`. Raises MeshError."""
     kind = path.suffix.lower().lstrip(".")
     if kind not in FORMATS:
         raise MeshError("format of a mesh", value=repr(kind), limit=f"one of {', '.join(FORMATS)}")
     if not path.is_file():
         raise MeshError("no such mesh file", value=str(path))
     try:
-        mesh = trimesh.load_mesh(path, file_type=kind, process=False)
-    except (ValueError, KeyError, IndexError, TypeError, UnicodeDecodeError, OSError) as error:
+        if kind == "obj":
+            text = path.read_text(encoding="utf-8", errors="replace")
+            vertices, faces, names = obj.read(text, path.name)
+        else:
+            vertices, faces, names = _by_trimesh(path, kind)
+    except (ValueError, KeyError, IndexError, TypeError, OSError) as error:
         raise MeshError(f"{path.name} cannot be read", value=f"{error}") from error
-    if isinstance(mesh, trimesh.Scene):
-        mesh = mesh.to_mesh()
-    faces = np.array(getattr(mesh, "faces", np.zeros((0, 3))), dtype=np.intp)
     if not len(faces):
-        raise MeshError(
-            f"{path.name} has no faces",
-            remedy="check the file in a mesh viewer; one NaN in an OBJ can hide them all",
-        )
-    return np.array(mesh.vertices, dtype=float) * scale, faces
+        raise MeshError(f"{path.name} has no faces", remedy="check the file in a mesh viewer")
+    return Triangles(vertices * scale, faces, names)
+
+
+def _by_trimesh(path: Path, kind: str) -> tuple[Array, Index, dict[str, Index]]:
+    import trimesh
+
+    scene = trimesh.load_scene(path, file_type=kind, process=False)
+    known = _glb_names(path) if kind == "glb" else set(scene.geometry)
+    order = {name: k for k, name in enumerate(scene.geometry)}
+    nodes = [(*scene.graph[node], node) for node in scene.graph.nodes_geometry]
+    nodes.sort(key=lambda entry: (order[entry[1]], entry[2]))  # theirs is not that of the file
+    vertices: list[Array] = []
+    faces: list[Index] = []
+    named: dict[str, list[Index]] = {}
+    corner = first = 0
+    for pose, shape, node in nodes:
+        mesh = scene.geometry[shape]
+        if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+            continue
+        placed = mesh if np.array_equal(pose, np.eye(4)) else mesh.copy().apply_transform(pose)
+        vertices.append(np.array(placed.vertices, dtype=float))
+        faces.append(np.array(placed.faces, dtype=np.intp) + corner)
+        for name in dict.fromkeys(_names(scene, node, shape, mesh, known)):
+            named.setdefault(name, []).append(np.arange(first, first + len(mesh.faces)))
+        corner, first = corner + len(mesh.vertices), first + len(mesh.faces)
+    if not faces:
+        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.intp), {}
+    names = {name: np.concatenate(rows) for name, rows in named.items()}
+    lone = kind != "glb" and len(nodes) == 1  # trimesh calls it by the file
+    return np.concatenate(vertices), np.concatenate(faces), {} if lone else names
+
+
+def _glb_names(path: Path) -> set[str]:
+    """The names of nodes, meshes and materials in a GLB: trimesh adds its own to them."""
+    data = path.read_bytes()
+    content = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    entries = (e for kind in ("nodes", "meshes", "materials") for e in content.get(kind, []))
+    return {str(entry["name"]) for entry in entries if entry.get("name")}
+
+
+def _names(scene: Any, node: str, shape: str, mesh: Any, known: Collection[str]) -> Iterator[str]:
+    """What the file calls a mesh: its nodes upwards, its mesh, its material."""
+    parents = scene.graph.transforms.parents
+    material = getattr(getattr(mesh.visual, "material", None), "name", None)
+    while node is not None:
+        yield from _written(node, known)
+        node = parents.get(node)
+    yield from _written(shape, known)
+    if material in known:
+        yield str(material)
+
+
+def _written(name: str, known: Collection[str]) -> Iterator[str]:
+    """The name as it stands in the file: trimesh numbers names that are there twice."""
+    bare = re.sub(r"_\d+$", "", name)
+    if name in known:
+        yield name
+    elif bare in known:
+        yield bare
