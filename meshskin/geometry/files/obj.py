@@ -72,7 +72,7 @@ def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _corners(words: list[str], count: int) -> list[int]:
-    """The vertices of a face's corners "v/vt/vn", from 1; negative ones count back from the last."""
+    """The vertices of a face's corners "v/vt/vn", from 1; negative ones count from the last."""
     said = [word.partition("/")[0] for word in takewhile(lambda word: word[0] != "#", words)]
     numbers = [*map(int, said)]
     return (
