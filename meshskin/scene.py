@@ -19,10 +19,12 @@ from .config import check, quantity
 from .errors import ConfigError, ContactError
 from .geometry.body import Body
 from .geometry.skin import Skin
+from .motion import held
 from .motion.arm import Arm
 from .motion.law import Law
 from .motion.loop import COMPILE, INTEGRATORS, MODES, known
 from .motion.path import Exploration
+from .motion.ways import Setup
 from .physics.contact import BATCHED, Model, Patch, solve
 from .physics.effects import Context, Noise
 from .physics.indenter import Indenter
@@ -257,8 +259,17 @@ class Scene:
             skin=self.skin,
             body=self.body,
             pose=self.body_pose,
+            postures=lambda: self.postures,
             joints=len(self.arm.joint_names) if self.loop.mode == "arm" else 0,
         )
+
+    @cached_property
+    def postures(self) -> Array:
+        """Configurations (k, n) in which the arm may hold the skin on the indenter."""
+        if self.loop.mode != "arm":
+            return np.zeros((0, 0))
+        setup = Setup(self.body, self.indenter, self.patch.depth, 0.0, self.arm, self.mount_pose)
+        return held.postures(setup, self.skin.positions)
 
     @property
     def frame_steps(self) -> int:

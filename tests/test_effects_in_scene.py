@@ -12,8 +12,10 @@ from meshskin import simulation
 from meshskin.geometry.region import Cap
 from meshskin.physics import effects
 from meshskin.physics.effects.frames import Frames
+from meshskin.study.budget.rehearsal import Rehearsal
 
 DRAWING = ("gain_offset", "broken_taxels", "encoder", "force_sensor", "gaussian_noise")
+SLOW = pytest.mark.slow
 RECORDED = [k for k in effects.KINDS if effects.find(k).stage in ("geometry", "robot")]
 READ = [k for k in effects.KINDS if k not in RECORDED]
 
@@ -153,6 +155,25 @@ def test_leaving_an_effect_out_costs_no_more_than_its_bound(name, small, one, pl
     shift = np.linalg.norm(after - before, axis=1)
     assert np.nanmax(shift) <= effect.bound(small.context(1))
     assert np.nanmax(shift) > 1e-7
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["small", *(pytest.param(n, marks=SLOW) for n in ("ellipsoid", "capsule", "torus"))],
+)
+def test_the_encoders_bound_is_near_what_encoders_do(name, small):
+    """No seed's largest shift exceeds it, and the worst of six comes to more than a third."""
+    scene = small if name == "small" else ms.Scene.load(name)
+    encoder = effects.find("encoder")()
+    belief, bound = scene.belief(), encoder.bound(scene.context(0))
+    rehearsal, shifts = Rehearsal.of(scene), []
+    for seed in range(6):
+        worlds = scene.effects, (*scene.effects, encoder)
+        before, after = (
+            ms.calibrate(rehearsal.recording(world, seed), belief).positions for world in worlds
+        )
+        shifts.append(np.nanmax(np.linalg.norm(after - before, axis=1)))
+    assert bound / 3 < max(shifts) <= bound
 
 
 def test_an_effect_can_stand_in_a_scene_file(tmp_path):

@@ -102,6 +102,8 @@ class Context:
     body: Body = field(repr=False)
     pose: Callable[[Array], Array] = field(repr=False)
     """Configurations (k, n) -> T_w_body (k, 4, 4)."""
+    postures: Callable[[], Array] = field(repr=False)
+    """Configurations (k, n) in which an arm may hold the skin on the indenter, on any path."""
     joints: int = 0
     """Number of joints; 0 where the body moves without an arm."""
 

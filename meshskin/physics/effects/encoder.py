@@ -17,6 +17,11 @@ from ...se3 import Array
 from . import Context, Motion, Plain
 from .frames import Frames
 
+RARELY = 3.44
+"""Standard deviations beyond which a point of the plane is as rarely as a number is beyond 3."""
+STEP = 1e-4
+"""Of the differences that stand for derivatives, rad."""
+
 
 @dataclass(frozen=True)
 class Encoder(Plain):
@@ -32,11 +37,17 @@ class Encoder(Plain):
     cost: ClassVar[float] = 7e-8
 
     def bound(self, context: Context) -> float:
-        """At 3 standard deviations, m, with a lever to every joint of twice the distance from the
-        base to the indenter."""
-        spread = np.hypot(self.offset_spread, self.noise_spread)
-        lever = 2.0 * float(np.linalg.norm(context.indenter_position))
-        return float(3.0 * spread * np.sqrt(context.joints) * lever)
+        """At 3 standard deviations, m, whatever path the arm takes; infinite where none is known.
+
+        Angles off by dq move the recorded contact by J dq, J the Jacobian of the foot of the
+        indenter's centre on the body. Over the surface that is two-dimensional, and longer than
+        c sigma |J| (its largest singular value) with a chance below exp(-c^2 / 2). The noise is
+        taken as if it did not average out.
+        """
+        if not context.joints:
+            return 0.0
+        spread = float(np.hypot(self.offset_spread, self.noise_spread))
+        return RARELY * spread * lever(context)
 
     def build(self, context: Context) -> Motion:
         """A function; successive calls continue one stream. Raises ConfigError without an arm."""
@@ -47,15 +58,31 @@ class Encoder(Plain):
         stream = context.stream(self.name)
         offset = self.offset_spread * stream.standard_normal(context.joints)
 
-        def centres(q: Array) -> Array:
-            pose = context.pose(q)
-            return np.einsum(
-                "kji,kj->ki", pose[:, :3, :3], context.indenter_position - pose[:, :3, 3]
-            )
-
         def misread(frames: Frames) -> Frames:
             noise = self.noise_spread * stream.standard_normal(frames.q.shape)
-            shift = centres(frames.q + offset + noise) - centres(frames.q)
+            shift = centres(context, frames.q + offset + noise) - centres(context, frames.q)
             return frames.moved(frames.centres + shift)
 
         return misread
+
+
+def centres(context: Context, q: Array) -> Array:
+    """The indenter's centre (k, 3), body frame, in configurations (k, n)."""
+    pose = context.pose(q)
+    return np.einsum("kji,kj->ki", pose[:, :3, :3], context.indenter_position - pose[:, :3, 3])
+
+
+def lever(context: Context) -> float:
+    """Largest singular value, m, of the Jacobian of the contact point by the joint angles, over
+    all postures that hold the skin on the indenter.
+    """
+    q = context.postures()
+    if not len(q):
+        return np.inf
+
+    def foot(q: Array) -> Array:
+        return context.body.closest(centres(context, q)).point
+
+    columns = [foot(q + turn) - foot(q - turn) for turn in STEP * np.eye(context.joints)]
+    jacobian = np.stack(columns, axis=-1) / (2.0 * STEP)
+    return float(np.linalg.norm(jacobian, 2, axis=(1, 2)).max())

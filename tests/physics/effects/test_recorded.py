@@ -1,5 +1,6 @@
 """What is recorded of a contact: facets, poses, offsets, joint angles, forces, sampling."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -88,10 +89,25 @@ def test_an_indenter_offset_is_fixed_in_the_world(context, glide):
     np.testing.assert_allclose(none.points, frames.points, atol=1e-9)
 
 
-def test_encoder_offsets_act_through_the_jacobian(sphere, context, recording):
+def angles(recording):
+    """Joint angles (k, 6) of every 40th contact."""
     columns = [recording.motion.column(f"q{k + 1}").to_numpy() for k in range(6)]
     times = recording.motion.column("time").to_numpy()
-    q = np.stack(columns, axis=1)[np.searchsorted(times, recording.time[::40])]
+    return np.stack(columns, axis=1)[np.searchsorted(times, recording.time[::40])]
+
+
+def across(sphere, context, q, normals):
+    """How the indenter's centre moves over the surface, body frame, with the joints (k, 3, 6)."""
+    pose, jacobian = sphere.arm.pose(q), sphere.arm.jacobian(q)
+    lever = context.indenter_position - pose[:, :3, 3]
+    turning = np.cross(jacobian[:, 3:], lever[:, :, None], axis=1)
+    speed = -(jacobian[:, :3] + turning)  # of the indenter as the tip sees it
+    local = np.swapaxes(context.pose(q)[:, :3, :3], 1, 2) @ speed
+    return local - normals[:, :, None] * (normals[:, None, :] @ local)
+
+
+def test_encoder_offsets_act_through_the_jacobian(sphere, context, recording):
+    q = angles(recording)
     centres = recording.points[::40] + 0.008 * recording.normals[::40]
     effect = Encoder(offset_spread=1e-5, noise_spread=0.0)
     hit = sphere.body.closest(centres)
@@ -103,17 +119,26 @@ def test_encoder_offsets_act_through_the_jacobian(sphere, context, recording):
     frames = _frames(recording.time[::40], centres, hit, q, foot)
     got = effect.build(context)(frames)
     offset = 1e-5 * context.stream("encoder").standard_normal(6)
-    pose, jacobian = sphere.arm.pose(q), sphere.arm.jacobian(q)
-    lever = context.indenter_position - pose[:, :3, 3]
-    twist = jacobian @ offset
-    speed = -(twist[:, :3] + np.cross(twist[:, 3:], lever))  # of the indenter as the tip sees it
-    want = np.einsum("kji,kj->ki", context.pose(q)[:, :3, :3], speed)
-    across = want - np.einsum("ki,ki->k", want, hit.normal)[:, None] * hit.normal
+    want = across(sphere, context, q, hit.normal) @ offset
     shift = got.points - frames.points
-    np.testing.assert_allclose(shift, across * 0.1 / 0.108, atol=2e-8)
+    np.testing.assert_allclose(shift, want * 0.1 / 0.108, atol=2e-8)
     assert np.abs(shift).max() > 1e-6
     still = Encoder(offset_spread=0.0, noise_spread=0.0).build(context)(frames)
     np.testing.assert_allclose(still.points, frames.points, atol=1e-9)
+
+
+def test_the_encoders_bound_knows_the_jacobian_of_all_postures(sphere, context, recording):
+    """Over the path that was taken it is the largest singular value, or little more."""
+    moves = across(sphere, context, angles(recording), recording.normals[::40])
+    lever = np.linalg.norm(moves, 2, axis=(1, 2)).max() * 0.1 / 0.108
+    one, both = Encoder(1e-4, 0.0), Encoder(3e-4, 4e-4)
+    assert 1.0 <= one.bound(context) / (3.44e-4 * lever) <= 1.05
+    assert both.bound(context) == pytest.approx(5 * one.bound(context))
+    # 3.44 in two dimensions is as rare as 3 in one
+    assert np.exp(-(3.44**2) / 2) == pytest.approx(math.erfc(3 / np.sqrt(2)), rel=0.01)
+    nowhere = replace(context, postures=lambda: np.zeros((0, 6)))
+    assert one.bound(nowhere) == np.inf
+    assert one.bound(replace(context, joints=0)) == 0.0
 
 
 def _frames(time, centres, hit, q, foot):
