@@ -20,6 +20,8 @@ class Fit:
     """Probability of so large a sum where the model is right; NaN where the noise is not known."""
     words: str
     """What that means."""
+    left_out: int = 0
+    """Readings taken for outlying."""
 
     @property
     def reduced(self) -> float:
@@ -39,7 +41,7 @@ def goodness(chi2: float, freedom: float, noise_known: bool, outlying: int = 0) 
     left_out = f" ({outlying} outlying readings left out)" if outlying else ""
     if not noise_known or freedom <= 0:
         reason = "the noise is not known" if not noise_known else "too few readings"
-        return Fit(chi2, freedom, float("nan"), f"not tested: {reason}{left_out}")
+        return Fit(chi2, freedom, float("nan"), f"not tested: {reason}{left_out}", outlying)
     p, ratio = float(distribution.sf(chi2, freedom)), chi2 / freedom
     if p >= SURE:
         words = f"the model fits: residuals are {ratio**0.5:.3f} of the noise, p = {p:.2g}"
@@ -51,4 +53,4 @@ def goodness(chi2: float, freedom: float, noise_known: bool, outlying: int = 0) 
             "declare what may be unknown (modulus, gain, force, indenter), believe another contact "
             "model (elliptic, layered), or state the true noise"
         )
-    return Fit(chi2, freedom, p, words + left_out)
+    return Fit(chi2, freedom, p, words + left_out, outlying)

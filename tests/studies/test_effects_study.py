@@ -31,3 +31,20 @@ def test_effects(tmp_path, capsys):
     assert found["body_pose+friction"]["excess_mm"] < 0.02
     assert "quantisation+quantisation_16" not in found
     assert "pairs that add up worst" in capsys.readouterr().out
+
+
+def test_pairs_that_do_not_add_up(tmp_path):
+    """Sampling hides among outlying readings, unless the model is off anyway (see the study)."""
+    spec = importlib.util.spec_from_file_location("effects_study", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    asked = ["--seeds", "1", "--pairs", "--effects", "sampling", "capacitive"]
+    found = module.main([*asked, "--out", str(tmp_path)])
+    both = found["sampling+capacitive"]
+    assert found["sampling"]["left_out"] == pytest.approx(22.7, abs=1.0)
+    assert found["capacitive"]["left_out"] == 0.0
+    assert both["left_out"] < 8.0
+    assert found["sampling"]["median_mm"] == pytest.approx(0.014, rel=0.15)
+    assert both["median_mm"] == pytest.approx(0.053, rel=0.15)
+    assert both["excess_mm"] == pytest.approx(0.040, rel=0.15)
+    assert both["excess_from_all_mm"] < 0.1 * both["median_mm"]
