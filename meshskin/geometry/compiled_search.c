@@ -173,7 +173,7 @@ static void note(Rivals *rivals, const Surface *surface, Foot rival, double most
         int kept = 0;
         for (int k = 0; k < RIVALS; k++) {
             Foot one = rivals->foot[k];
-            if (one.gap - surface->lift[one.face] < most) rivals->foot[kept++] = one;
+            if (one.gap - surface->lift[one.face] <= most) rivals->foot[kept++] = one;
         }
         rivals->count = kept;
     }
@@ -222,7 +222,7 @@ static inline Foot nearest(const Tree *tree, const Surface *surface, const doubl
             if (!rivals) continue;
             Foot rival = {tree->face[k], u, v, sqrt(gap)};
             most = smaller(most, rival.gap + surface->lift[rival.face]);
-            if (rival.gap - surface->lift[rival.face] < most) note(rivals, surface, rival, most);
+            if (rival.gap - surface->lift[rival.face] <= most) note(rivals, surface, rival, most);
         }
     }
     best.gap = sqrt(gap2);

@@ -37,10 +37,12 @@ static double outside(const Cylinder *c, const double *p, double *reach)
     return above * above + beside * beside;
 }
 
-/* The squared distance from which a cylinder holds no patch nearer than `most`. */
+/* The squared distance from which a cylinder holds no patch nearer than `most`, nor as near but for
+   rounding. */
 static double limit2(const Cylinder *c, double most)
 {
-    return (most + c->lift) * (most + c->lift);
+    double reach = (1.0 + 1e-12) * (most + c->lift);
+    return reach * reach;
 }
 
 typedef struct {

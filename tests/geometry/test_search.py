@@ -105,6 +105,18 @@ def test_the_sharp_search_looks_at_every_face_that_may_be_nearer():
         assert np.all(found <= other * 1.0001)
 
 
+@needs_compiler
+def test_flat_faces_behind_nearer_curved_ones_are_looked_at():
+    """Within a coarse cylinder, where the cap is nearer than the side but not than its facets."""
+    surface = Body.cylinder(0.05, 0.2, faces=600).surface
+    rng = np.random.default_rng(0)
+    angle, depth = rng.uniform(0.0, 2.0 * np.pi, 400), rng.uniform(0.005, 0.03, 400)
+    radius = 0.05 - depth - rng.uniform(1e-4, 1e-3, 400)
+    points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), 0.1 - depth])
+    distance = surface.closest(points).distance
+    np.testing.assert_allclose(distance, -depth, rtol=1e-4)
+
+
 def test_a_face_of_no_mesh_is_refused():
     surface = Body.sphere(0.1, faces=320).surface
     for face in (-1, 320):
