@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 FLAGS = ("-O3", "-fno-math-errno", "-shared", "-fPIC")
-# No -march=native: a cache folder may be shared by machines with different processors.
+# No -march=native, of which the cache's key knows nothing: see `fused`.
 
 
 def compiled(function: ca.Function, flags: tuple[str, ...] = FLAGS) -> ca.Function:
@@ -52,16 +52,31 @@ def library(name: str, text: str, flags: tuple[str, ...] = FLAGS) -> ctypes.CDLL
     return _machine_code(name, lambda: text, _loaded, flags)
 
 
-def cached(function: ca.Function, flags: tuple[str, ...] = FLAGS) -> ca.Function | None:
-    """`function` as machine code if `compiled` left it in the cache before; else None."""
+def found(text: str, flags: tuple[str, ...] = FLAGS) -> ctypes.CDLL | None:
+    """The shared library of C source `text` if `library` left it in the cache before; else None."""
     compiler = _compiler()
     if compiler is None:
         return None
-    folder = cache_folder() / _key(source(function), compiler, flags)
     try:
-        return _cached(_external(function.name()), folder)
+        return _cached(_loaded, cache_folder() / _key(text, compiler, flags))
     except OSError:  # an unreadable cache is no cache
         return None
+
+
+@functools.cache
+def fused() -> tuple[str, ...]:
+    """Flags for fused multiply-add and vectors of four, where this processor has them.
+
+    Flags are part of the cache's key, so that a folder shared by several machines serves each.
+    """
+    if platform.machine() not in ("x86_64", "AMD64"):
+        return ()
+    try:
+        told = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="ignore")
+    except OSError:
+        return ()
+    flags = next((line.split() for line in told.splitlines() if line.startswith("flags")), [])
+    return ("-mavx2", "-mfma") if {"avx2", "fma"} <= set(flags) else ()
 
 
 def source(*functions: ca.Function) -> str:

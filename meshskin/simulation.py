@@ -16,9 +16,10 @@ from .motion import path as paths
 from .motion import stability
 from .motion.arm import Arm
 from .motion.loop import Loop
-from .motion.machine import LENGTHS, Machine, Steps
+from .motion.machine import Machine, Steps
 from .motion.phases import PHASES, Explorer, Manner
 from .motion.quasi_static import start as body_state
+from .motion.stretch import LENGTHS
 from .motion.track import Track
 from .physics import effects
 from .physics.effects.frames import Field, Frames

@@ -62,6 +62,15 @@ def test_cache_is_found_by_content(cache):
 
 
 @needs_compiler
+def test_a_library_is_found_only_after_it_was_built(cache):
+    text = "int answer(void) { return 42; }"
+    assert module.found(text) is None
+    module.library("answer", text)
+    assert module.found(text).answer() == 42
+    assert module.found(text, (*module.FLAGS, "-O1")) is None  # another processor's, say
+
+
+@needs_compiler
 @pytest.mark.parametrize("damage", ["half", "empty", "stranger"])
 def test_torn_file_is_rebuilt(cache, damage):
     # In a process of its own: the file must not be one that this process has mapped.

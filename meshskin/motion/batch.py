@@ -8,17 +8,19 @@ from __future__ import annotations
 
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SimulationError
 from ..geometry.body import Body
 from ..se3 import Array
-from .loop import REFERENCE, Loop, flat_anchor
-from .machine import SPARE
+from .loop import ANCHOR, REFERENCE, Loop
+from .machine_code import PATCH, machine_code
 from .quasi_static import start as body_state
 from .readings import PointReadings
-from .step import ready, step
+from .step import step
+from .stretch import SPARE
 from .track import STAY, Track, crossings
 
 
@@ -27,7 +29,7 @@ class Batch:
 
     rows (count,): where each starts on the track; starts (count, n): joint angles there, not needed
     without an arm; parameters (count, 9): rows of loop.Parameters, by default the loop's own;
-    `compile_` and `steps`: see step.ready; taxels (n, 3): read them all at every step.
+    `compile_` and `steps`: see machine_code; taxels (n, 3): read them all at every step.
     """
 
     def __init__(
@@ -46,30 +48,25 @@ class Batch:
         self.body, self.loop, self.track = body, loop, track
         self.rows = np.array(rows, dtype=np.intp)
         count = len(self.rows)
-        one = ready(step(loop), compile_, steps * count)
+        one = step(loop)
         references = track.references[self.rows]
         if starts is None:
             starts = np.array([body_state(_pose(row)) for row in references])
         own = np.tile(loop.parameters.values, (count, 1)) if parameters is None else parameters
         self.state = np.zeros((count, one.size1_in(0)))
         self.references = np.array(references)
-        self.anchors = np.tile(flat_anchor(np.zeros((21, 3))), (count, 1))
+        self.maps = np.tile(STAY, (count, 1))
         self.parameters = np.array(own, dtype=float)
         self.next = np.zeros_like(self.state)
         self.outputs = np.zeros((count, one.size1_out(1)))
-        function = one.map(count)
-        buffer: Any = function.buffer()
-        self._buffer, self._run = buffer
-        inputs: tuple[Any, ...] = (self.state, self.references, self.anchors, self.parameters)
-        results: tuple[Any, ...] = (self.next, self.outputs)
-        for k, array in enumerate(inputs):
-            self._buffer.set_arg(k, memoryview(array))
-        for k, array in enumerate(results):
-            self._buffer.set_res(k, memoryview(array))
-        self._reader = None if taxels is None else PointReadings(loop, taxels, np.float32)
+        self.faces = np.array(track.faces[self.rows])
+        self._code = machine_code(loop, one, body.surface.patches, compile_, steps * count)
+        self._fan = _Fan(one, self) if self._code is None else None
+        self._reader = None
+        if taxels is not None:
+            self._reader = PointReadings(loop, taxels, np.float32, self._code)
         self.readings = None if taxels is None else np.zeros((count, len(taxels)), np.float32)
         """Point pressures (count, taxels) of the last step, Pa, where they were asked for."""
-        self.faces = np.array(track.faces[self.rows])
         self._astray = np.zeros(count, dtype=bool)
         self.steps = 0
         self.state[:, : starts.shape[1]] = starts
@@ -88,12 +85,11 @@ class Batch:
         if self.rows.max() == last:
             self.references[self.rows == last, -6:] = 0.0
         faces = track.faces[self.rows]
-        maps = self.anchors[:, -len(STAY) :]
-        maps[:] = STAY
+        self.maps[:] = STAY
         new = np.flatnonzero((faces != self.faces) & ~self._astray)
         if len(new):
-            maps[new] = crossings(self.body.surface, self.faces[new], faces[new])
-            self._put(new, faces[new])
+            self.maps[new] = crossings(self.body.surface, self.faces[new], faces[new])
+            self.faces[new] = faces[new]
         self._run()
         if not np.isfinite(self.next.sum() + self.outputs.sum()):
             self._refuse()
@@ -112,17 +108,21 @@ class Batch:
         self.rows += 1
         return self.outputs
 
-    def _put(self, which: NDArray[np.intp], faces: NDArray[np.intp]) -> None:
-        """Anchor some episodes on faces."""
-        self.faces[which] = faces
-        patches = self.body.surface.patches[faces]
-        self.anchors[which, : -len(STAY)] = patches.swapaxes(1, 2).reshape(len(which), -1)
+    def _run(self) -> None:
+        """One step of every episode, from `state` to `next`."""
+        if self._fan is not None:
+            self._fan.run(self.faces, self.maps)
+        elif self._code is not None:
+            self._code.steps(
+                self.state, self.next, self.references, self.faces, self.maps, self.parameters,
+                self.outputs,
+            )  # fmt: skip
 
     def _locate(self, which: NDArray[np.intp], centres: Array) -> None:
         """Anchor some episodes at the foot of the indenter's centre (k, 3), body frame."""
         hit = self.body.closest(centres, face=self.faces[which])
         self.state[which, -2:] = hit.uv
-        self._put(which, hit.face)
+        self.faces[which] = hit.face
 
     def _rejoin(self, faces: NDArray[np.intp]) -> None:
         """Episodes whose foot lies well on the path's face run over the path's faces again."""
@@ -156,6 +156,31 @@ class Batch:
             value=f"dt = {self.parameters[k, 0]} s",
             remedy="take a smaller loop.dt_ms or lower gains",
         )
+
+
+class _Fan:
+    """One step of all episodes, interpreted: from a batch's arrays into its `next`, `outputs`."""
+
+    def __init__(self, one: ca.Function, batch: Batch) -> None:
+        self._patches, self._faces = batch.body.surface.patches, np.full(len(batch.rows), -1)
+        self._anchors = np.zeros((len(batch.rows), ANCHOR))
+        buffer: Any = one.map(len(batch.rows)).buffer()
+        self._buffer, self._call = buffer
+        inputs: tuple[Any, ...] = (batch.state, batch.references, self._anchors, batch.parameters)
+        for k, array in enumerate(inputs):
+            self._buffer.set_arg(k, memoryview(array))
+        results: tuple[Any, ...] = (batch.next, batch.outputs)
+        for k, array in enumerate(results):
+            self._buffer.set_res(k, memoryview(array))
+
+    def run(self, faces: NDArray[np.intp], maps: Array) -> None:
+        """Step on `faces` (count,), the feet carried there by `maps` (count, 6)."""
+        new = np.flatnonzero(self._faces != faces)
+        self._faces[new] = faces[new]
+        patches = self._patches[faces[new]].swapaxes(1, 2)
+        self._anchors[new, : -len(STAY)] = patches.reshape(len(new), PATCH)
+        self._anchors[:, -len(STAY) :] = maps
+        self._call()
 
 
 def _pose(reference: Array) -> Array:

@@ -14,6 +14,7 @@ import numpy as np
 
 from . import law as compliance
 from .delay import heard, kept
+from .factor import Factor
 from .loop import ANCHOR, PARAMETERS, REFERENCE, Loop, Parameters
 from .touch import Touch, touch
 
@@ -33,8 +34,8 @@ class Instant:
     touch: Touch
     mass: ca.SX
     """M (n, n)."""
-    root: ca.SX
-    """Its upper Cholesky factor."""
+    factor: Factor
+    """Its factors."""
     effort: ca.SX
     """tau + J^T f_c - bias - friction (n,), N m."""
     row: ca.SX
@@ -56,7 +57,7 @@ class Instant:
     @property
     def acceleration(self) -> ca.SX:
         """qdd (n,), rad/s^2."""
-        return solve(self.root, self.effort)
+        return self.factor.solve(self.effort)
 
 
 class Field:
@@ -122,7 +123,7 @@ class Field:
         return Instant(
             touch=t,
             mass=mass,
-            root=ca.chol(mass),
+            factor=Factor.of(mass),
             effort=torque - row * t.force - bias - self.friction(qdot),
             row=row,
             pull=pull,
@@ -163,8 +164,3 @@ class Field:
 def moved(jacobian: ca.SX, lever: ca.SX) -> ca.SX:
     """Jacobian (6, n), linear first, of the point displaced by `lever` (world axes)."""
     return ca.vertcat(jacobian[:3, :] - ca.skew(lever) @ jacobian[3:, :], jacobian[3:, :])
-
-
-def solve(root: ca.SX, right: ca.SX) -> ca.SX:
-    """A^-1 right for A = root^T root, root upper triangular."""
-    return ca.solve(root, ca.solve(root.T, right))

@@ -21,6 +21,7 @@ import casadi as ca
 
 from ..config import check, quantity
 from ..errors import UnknownNameError
+from .factor import Factor
 
 SURFACES = ("sphere", "exact")
 TORQUES = ("compensated", "paper", "off")
@@ -173,8 +174,7 @@ def damped_inverse(jacobian: Any, rows: Any, twist: Any) -> Any:
     jacobian (r, n), rows (r,) damping of each row, twist (r,).
     """
     gram = jacobian @ jacobian.T + ca.diag(rows**2)
-    upper = ca.chol(gram)
-    return jacobian.T @ ca.solve(upper, ca.solve(upper.T, twist))
+    return jacobian.T @ Factor.of(gram).solve(twist)
 
 
 def velocity_gain(shape: str, rate: Any, mass_matrix: Any) -> Any:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import PlaceError, ReachError, SimulationError
 from ..geometry.body import Body
@@ -16,17 +15,14 @@ from ..geometry.closest import Closest
 from ..se3 import Array
 from .carry import inverse_dynamics
 from .clear import EDGY
-from .loop import APPROACH_SPEED, Loop, flat_anchor
+from .loop import APPROACH_SPEED, REFERENCE, Loop, flat_anchor
+from .machine_code import machine_code
 from .quasi_static import pose
 from .readings import PointReadings
-from .step import Blocks, ready, step
+from .step import step
+from .stretch import SPARE, Compiled, Interpreted, Stretch
 from .track import STAY, Track, crossings
 
-LENGTHS = (32, 256)
-"""Steps a call: short where the run may be cut, long along the path."""
-CVODES_LENGTHS = (1, 8)
-SPARE = 0.25
-"""How far, in barycentric weight, the foot may leave its face."""
 BENDS = (-0.5, 1.0)
 """Curvatures, in parts of the indenter's, between which a force is told while a body lifts off."""
 ON_RIDGE = 1e-6
@@ -54,7 +50,7 @@ class Machine:
     """State of the closed loop, and the face whose patch it runs on.
 
     Starts at rest in the configuration `start` (joint angles, or position and quaternion of the
-    body) with the foot near `point` (3,), body frame. `compile_` and `steps`: see step.ready.
+    body) with the foot near `point` (3,), body frame. `compile_` and `steps`: see machine_code.
     `taxels` (n, 3): read them all at every step.
     """
 
@@ -70,14 +66,16 @@ class Machine:
         taxels: Array | None = None,
     ) -> None:
         self.body, self.loop = body, loop
-        self.function = ready(step(loop), compile_, steps)
-        lengths = CVODES_LENGTHS if loop.integrator == "cvodes" else LENGTHS
-        self.blocks = [Blocks(loop, length, self.function) for length in lengths]
-        self.readings = None if taxels is None else PointReadings(loop, taxels)
+        self.function = step(loop)
+        code = machine_code(loop, self.function, body.surface.patches, compile_, steps)
+        self.stretch: Stretch = (
+            Interpreted(loop, self.function, body.surface) if code is None else Compiled(code)
+        )
+        self.readings = None if taxels is None else PointReadings(loop, taxels, code=code)
         self.size = len(start)
-        self.state = np.zeros_like(self.blocks[0].state)
+        self.state = np.zeros(self.function.size1_in(0))
+        self._parameters = np.array(loop.parameters.values, dtype=float)
         self._start, self._foot = np.array(start), body.closest(point[None])
-        self._rows: dict[int, Array] = {}
         self.rewind()
 
     @property
@@ -91,7 +89,7 @@ class Machine:
         state[: self.size], state[-2:] = q, self._foot.uv[0]
         anchor = flat_anchor(self.body.surface.patches[int(self._foot.face[0])])
         if self.loop.delay:  # at rest, all readings are those of now
-            row = self.blocks[0].references[0]
+            row = np.zeros(REFERENCE)
             output = self.function(state, row, anchor, self.loop.parameters.values)[1].full()
             state[-2 - self.loop.memory : -2] = np.tile(
                 output[[self.loop.outputs[k].start for k in ("depth", "force")], 0], self.loop.delay
@@ -127,34 +125,28 @@ class Machine:
 
         until_touch: end with the first step in contact. free: follow the path along the normal too,
         instead of holding the force; pace: part of the approach speed that the law may ask for.
-        Raises SimulationError where a number is
-        not finite, ReachError where a joint leaves its range.
+        Raises SimulationError where a number is not finite, ReachError where a joint leaves its
+        range.
         """
         started = perf_counter()
-        short = until_touch or self._astray or len(track) <= self.blocks[0].length
-        blocks = self.blocks[0 if short else 1]
-        track = track[: blocks.length]
-        count = len(track)
-        faces = self._fill(blocks, track, free, pace)
+        short = until_touch or self._astray
+        track = track[: self.stretch.lengths[0 if short else 1]]
+        placed = self._placed(track)
+        self._parameters[APPROACH_SPEED] = pace * self.loop.law.approach_speed
+        self._parameters[-1] = free
         try:
-            blocks.run()
+            states, outputs = self.stretch.run(self.state, placed, self._parameters, until_touch)
         except RuntimeError as error:
             raise self._diverged(self.state, str(error).strip().splitlines()[-1]) from error
-        uv = blocks.states[:count, -2:]
-        spare = np.minimum(uv.min(axis=1), 1.0 - uv.sum(axis=1))
-        if not spare.min() >= -SPARE:
-            count = int(np.argmax(~(spare >= -SPARE))) + 1
-        if until_touch:
-            touching = blocks.outputs[:count, self.loop.outputs["force"].start] > 0
-            count = int(np.argmax(touching)) + 1 if touching.any() else count
-        states, outputs = blocks.states[:count], blocks.outputs[:count].copy()
-        self._check(states, outputs)
-        q = np.concatenate([self.state[None, : self.size], states[:-1, : self.size]])
+        count, outputs = len(outputs), outputs.copy()
+        self._check(states[1:], outputs)
+        q = states[:-1, : self.size].copy()
         time = np.asarray((self.steps + np.arange(count)) * self.loop.dt, dtype=float)
         self.steps += count
         self.state[:] = states[-1]
-        self.face = int(faces[count - 1])
-        if not spare[count - 1] >= (0.0 if self._astray else -SPARE):
+        self.face = int(placed.faces[count - 1])
+        u, v = self.state[-2:]
+        if not min(u, v, 1.0 - u - v) >= (0.0 if self._astray else -SPARE):
             self._hop()
         elif self._astray:
             self._rejoin(int(track.faces[count - 1]))
@@ -205,7 +197,7 @@ class Machine:
                 effective_modulus=loop.effective_modulus,
             )
         radius = 1.0 / (hit.curvature.mean(axis=1) + 1.0 / loop.indenter_radius)
-        outputs = np.zeros((len(q), self.blocks[0].outputs.shape[1]))
+        outputs = np.zeros((len(q), self.function.size1_out(1)))
         columns = {"point": hit.point, "normal": hit.normal, "force": force[:, None]}
         columns |= {"depth": depth[:, None], "radius": radius[:, None]}
         if loop.joints:
@@ -229,40 +221,21 @@ class Machine:
         self.state[:], self.face, self._astray = states[-1], int(hit.face[-1]), True
         return Steps(time, q, outputs, phase)
 
-    def _fill(self, blocks: Blocks, track: Track, free: bool, pace: float) -> NDArray[np.intp]:
-        """Set a block's inputs; returns the face of each row (k,)."""
-        count = len(track)
-        blocks.state[:] = self.state
-        blocks.parameters[-1] = free
-        blocks.parameters[APPROACH_SPEED] = pace * self.loop.law.approach_speed
-        blocks.references[:count] = track.references
-        faces, maps = track.faces, blocks.anchors[:, -len(STAY) :]
+    def _placed(self, track: Track) -> Track:
+        """The track as it is run: over the machine's face while astray, else from that face on."""
         if self._astray:
-            faces = np.full(count, self.face)
-            maps[:count] = STAY
-        else:
-            maps[:count] = track.maps
-            same = faces[0] == self.face
-            maps[0] = STAY if same else self._crossing(self.face, int(faces[0]))
-        first = 0
-        for end in [*(np.flatnonzero(np.diff(faces)) + 1).tolist(), count]:
-            blocks.anchors[first:end, : -len(STAY)] = self._row(int(faces[first]))
-            first = end
-        if count < blocks.length:  # the rest runs too, for nothing: let it run where it can
-            blocks.references[count:] = blocks.references[count - 1]
-            blocks.anchors[count:, : -len(STAY)] = self._row(int(faces[-1]))
-            maps[count:] = STAY
-        return faces
+            return replace(
+                track,
+                faces=np.full(len(track), self.face),
+                maps=np.tile(STAY, (len(track), 1)),
+            )
+        maps, first = track.maps.copy(), int(track.faces[0])
+        maps[0] = STAY if first == self.face else self._crossing(self.face, first)
+        return replace(track, maps=maps)
 
     @cached_property
     def _torques(self) -> Any:
         return inverse_dynamics(self.loop.arm)
-
-    def _row(self, face: int) -> Array:
-        """Patch of a face (63,), column-major."""
-        if face not in self._rows:
-            self._rows[face] = self.body.surface.patches[face].T.ravel()
-        return self._rows[face]
 
     def _crossing(self, before: int, after: int) -> Array:
         one = crossings(self.body.surface, np.array([before]), np.array([after]))

@@ -19,9 +19,10 @@ import numpy as np
 from ..errors import PlaceError, SimulationError
 from ..se3 import Array, exp_so3, inverse, log_so3, transform
 from . import carry
-from .machine import LENGTHS, Machine, Steps
+from .machine import Machine, Steps
 from .quasi_static import pose as body_pose
 from .quasi_static import start as body_state
+from .stretch import LENGTHS
 from .track import Track
 
 PHASES = ("approach", "touch", "hold", "slide", "leave", "next")

@@ -13,14 +13,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..compiled import cached, compiled
 from . import integrators, quasi_static
 from .loop import ANCHOR, PARAMETERS, REFERENCE, Loop, flat_anchor
 
-__all__ = ["ANCHOR", "PARAMETERS", "REFERENCE", "Blocks", "Loop", "ready", "step"]
-
-WORTHWHILE = 100_000
-"""Steps of a run above which a C compiler's second or two is won back."""
+__all__ = ["ANCHOR", "PARAMETERS", "REFERENCE", "Blocks", "Loop", "step"]
 
 
 def step(loop: Loop) -> ca.Function:
@@ -31,18 +27,6 @@ def step(loop: Loop) -> ca.Function:
     last foot's (u, v) are carried there; parameters (9,); output as Loop.outputs says.
     """
     return quasi_static.step(loop) if loop.mode == "quasi_static" else integrators.step(loop)
-
-
-def ready(function: ca.Function, compile_: str, steps: float) -> ca.Function:
-    """The step for a run of about `steps` steps: compiled if that pays ("auto"), always or never.
-
-    A machine code that an earlier run left in the cache is used by "auto" whatever the length.
-    """
-    if compile_ == "never" or not function.is_a("SXFunction"):
-        return function  # CVODES is SUNDIALS' own machine code
-    if compile_ == "always" or steps >= WORTHWHILE:
-        return compiled(function)
-    return cached(function) or function
 
 
 class Blocks:
@@ -81,7 +65,6 @@ class Blocks:
             self._buffer.set_arg(k, memoryview(array))
         for k, array in enumerate(results):
             self._buffer.set_res(k, memoryview(array))
-        self.instructions = one.n_instructions() if one.is_a("SXFunction") else 0
 
     @property
     def run(self) -> Callable[[], None]:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from meshskin import compiled as module
 from meshskin.errors import SimulationError
 from meshskin.motion.batch import Batch
 from meshskin.motion.loop import Parameters
@@ -30,6 +31,28 @@ def test_an_episode_of_the_batch_is_the_machine_alone(prepared, sphere, track, a
         alone = machine.advance(track[row : row + 200], 2).outputs
         np.testing.assert_allclose(found[: len(alone), k], alone, rtol=1e-6, atol=1e-9)
         assert len(alone) == 200
+
+
+@pytest.mark.skipif(module._compiler() is None, reason="no C compiler here")
+def test_a_compiled_batch_is_the_interpreted_one(prepared, sphere, track):
+    machine, _ = prepared("quasi_static")
+    rows = np.linspace(0, len(track) - 300, 40).astype(int)
+    wanted = np.linspace(1.0, 4.0, 40)
+    own = machine.loop.parameters
+    parameters = np.array([replace(own, force_reference=f).values for f in wanted])
+    one, other = (
+        Batch(
+            sphere.body, machine.loop, track, rows,
+            parameters=parameters, compile_=compile_, taxels=sphere.skin.positions,
+        )
+        for compile_ in ("never", "always")
+    )  # fmt: skip
+    for _ in range(250):
+        np.testing.assert_allclose(one.advance(), other.advance(), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(one.readings, other.readings, atol=1e-3 * one.readings.max())
+    other.state[3] = np.nan
+    with pytest.raises(SimulationError, match="episode 3 diverged"):
+        other.advance()
 
 
 def test_without_an_arm_every_episode_holds_the_force(prepared, sphere, track):

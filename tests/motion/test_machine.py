@@ -5,14 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from meshskin import compiled as module
 from meshskin.errors import ConfigError, SimulationError
 from meshskin.geometry.body import Body
 from meshskin.motion.loop import Loop
 from meshskin.motion.machine import Machine
+from meshskin.motion.machine_code import machine_code
+from meshskin.motion.readings import PointReadings
+from meshskin.motion.step import step
 from meshskin.motion.track import STAY, Track, crossings
 from meshskin.physics.contact import hertz
 from meshskin.scene import Loop as LoopTable
-from meshskin.simulation import prepare, run
+from meshskin.simulation import closed_loop, prepare, run
+
+needs_compiler = pytest.mark.skipif(module._compiler() is None, reason="no C compiler here")
 
 
 def outputs(scene, machine, path, count=3000):
@@ -61,13 +67,82 @@ def test_crossings_carry_a_point_of_the_common_edge_exactly():
     np.testing.assert_allclose(same[0], STAY, atol=1e-12)
 
 
-def test_compiled_and_interpreted_agree_to_the_last_digits(prepared, sphere, tmp_path, monkeypatch):
-    monkeypatch.setenv("MESHSKIN_CACHE", str(tmp_path))
+@pytest.fixture(scope="module")
+def compiled(sphere):
+    """A machine of the paper's scene in machine code that reads all taxels, by mode."""
+    made = {}
+
+    def get(mode="arm"):
+        if mode not in made:
+            scene = sphere.with_(loop=replace(sphere.loop, mode=mode, compile="always"))
+            made[mode] = prepare(scene, taxels=sphere.skin.positions)
+        made[mode][0].rewind()
+        return made[mode]
+
+    return get
+
+
+@needs_compiler
+@pytest.mark.parametrize("mode", ["arm", "quasi_static"])
+def test_compiled_and_interpreted_agree_to_the_last_digits(prepared, compiled, sphere, mode):
+    machine, path = prepared(mode)
+    fast, _ = compiled(mode)
+    one, other = (outputs(sphere, m, path, 1000) for m in (machine, fast))
+    # fused multiply-add rounds once where the interpreter rounds twice
+    assert (np.abs(one - other) <= 5e-12 * np.abs(one).max(axis=0)).all()
+
+
+@needs_compiler
+def test_compiled_readings_are_those_of_numpy(compiled, sphere):
+    machine, path = compiled()
+    found = outputs(sphere, machine, path, 2000)
+    taxels = np.vstack([sphere.skin.positions, -sphere.skin.positions])
+    slow = PointReadings(machine.loop, taxels)(found)
+    for dtype, error in ((np.float64, 1e-9), (np.float32, 1e-3)):
+        fast = PointReadings(machine.loop, taxels, dtype, machine.readings._code)(found)
+        assert fast.dtype == dtype
+        np.testing.assert_allclose(fast, slow, atol=error * slow.max())
+    assert np.count_nonzero(slow) > 1000
+
+
+@needs_compiler
+def test_machine_code_ends_where_the_interpreter_does(prepared, compiled, sphere):
+    """At the touch, where the foot leaves its face, and where a number is not finite."""
     machine, path = prepared()
-    compiled, _ = prepare(sphere.with_(loop=replace(sphere.loop, compile="always")))
-    one, other = (outputs(sphere, m, path, 1000) for m in (machine, compiled))
-    np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
-    assert list(tmp_path.iterdir())
+    fast, _ = compiled()
+    track = Track.of(path, sphere.body.surface)
+    first, ends = int(track.faces[0]), []
+    for one in (machine, fast):
+        steps = one.advance(track.hold(0, 32), 0, until_touch=True)
+        while not steps.outputs[-1, 6] > 0:
+            steps = one.advance(track.hold(0, 32), 0, until_touch=True)
+        touch, row = one.steps, 0
+        while one.hops == 0:
+            rows = slice(row, row + 256)
+            stay = np.tile(STAY, (256, 1))
+            part = replace(track[rows], faces=np.full(256, first), maps=stay)
+            row += len(one.advance(part, 2).time)
+        ends.append((touch, one.steps, *one.state))
+    assert ends[0][1] - ends[0][0] > 100
+    np.testing.assert_allclose(*ends, rtol=1e-6, atol=1e-8)
+    fast.state[3] = np.nan
+    with pytest.raises(SimulationError, match="a number is not finite"):
+        fast.advance(track.hold(0, 32), 0)
+
+
+@needs_compiler
+def test_auto_takes_what_an_earlier_run_built(sphere, tmp_path, monkeypatch):
+    monkeypatch.setenv("MESHSKIN_CACHE", str(tmp_path))
+    loop = closed_loop(sphere.with_(loop=replace(sphere.loop, mode="quasi_static")))
+    one, patches = step(loop), sphere.body.surface.patches
+
+    def get(compile_, steps=0.0):
+        return machine_code(loop, one, patches, compile_, steps)
+
+    assert get("auto") is None
+    assert get("auto", steps=1e6) is not None
+    assert get("auto") is not None
+    assert get("never", steps=1e6) is None
 
 
 def test_torques_stay_within_the_arms_limits_and_are_counted(prepared, sphere):

@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import casadi as ca
 
-from ..field import Field, Instant, solve
+from ..factor import Factor
+from ..field import Field, Instant
 from ..loop import Loop
 from . import NAMES
 
@@ -45,5 +46,5 @@ def _damped_solve(loop: Loop, now: Instant, gain: ca.SX, right: ca.SX) -> ca.SX:
     """(M + diag(free) gain L_1)^-1 right, with L_1 = M or I: symmetric in either case."""
     if loop.law.shape == "inertia":  # (I + gain diag(free)) M
         damping = 1.0 + gain * now.free
-        return solve(now.root, ca.horzcat(right[:, 0] / damping, right[:, 1] / damping))
-    return solve(ca.chol(now.mass + gain * ca.diag(now.free)), right)
+        return now.factor.solve(ca.horzcat(right[:, 0] / damping, right[:, 1] / damping))
+    return Factor.of(now.mass + gain * ca.diag(now.free)).solve(right)
