@@ -7,17 +7,16 @@ sides end on one curve, where the two sides' surfaces meet.
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import patch
+from .creases import INNER, Creases, crease_curves, tangents
 from .fans import Fans, face_normals
-from .heights import heights
+from .heights import DEGREE, heights
 from .jets import FAITHFUL, Jets
 
 Array = NDArray[np.float64]
@@ -30,15 +29,11 @@ LEAN, SHARE = np.radians(1.0), 0.4
 is half of it), or 3/4 of this share of the largest turn at the vertex"""
 FINE = np.radians(6.0)
 """the same for faithful jets: twice the largest turn at the vertex, but no more than this"""
-BOW = 0.2
-"""largest distance of a crease's curve from its chord, relative to the chord; nor may it be farther
-than the tangent planes at its ends"""
 FOLD, ROUNDS = 0.5, 6
 """cosine of the angle to its face from which a patch folds; rounds of unfolding"""
 CHUNK = 1024
-"""faces blended at once: bounds the memory"""
-WORKERS = min(os.cpu_count() or 1, 4)
-"""threads that blend; the result does not depend on their number"""
+"""faces blended at once: bounds the memory; products of more would wake BLAS's threads, which cost
+more than they save"""
 NODES = np.array(patch.POWERS) / patch.DEGREE
 """(21, 2) u, v of the points that fix a quintic"""
 WEIGHTS = np.column_stack([1.0 - NODES.sum(axis=1), NODES])
@@ -49,8 +44,6 @@ INVERSE = np.linalg.inv(BASIS)
 """(21, 21) from values at the nodes to coefficients"""
 SLOPE_U, SLOPE_V = patch.slopes(NODES[:, 0], NODES[:, 1])
 """(21, 21) each, from coefficients to derivatives in u and v at the nodes"""
-INNER = np.arange(1, patch.DEGREE) / patch.DEGREE
-"""(4,) weights of an edge's head at its inner nodes"""
 
 
 def _edge_tables() -> tuple[Index, Array]:
@@ -76,24 +69,26 @@ def _edge_tables() -> tuple[Index, Array]:
 EDGE_NODES, SPREAD = _edge_tables()
 
 
-@dataclass(frozen=True)
-class Creases:
-    """The curves of the creases, once for each of their two faces, in the order of the faces."""
+def _lift_tables() -> dict[int, tuple[Array, Array]]:
+    """For lifts of a degree: nodes (q, 2) that fix them, and patches (3, r, q) from values there.
 
-    face: Index
-    """(e,)"""
-    corner: Index
-    """(e,) the corner opposite the crease"""
-    curve: Array
-    """(e, 4, 3) inner points, m, from the edge's tail to its head in this face"""
+    The nodes are the weights of the corners after the lift's own; the patches, of a degree more,
+    are lifts times the weight of their corner.
+    """
+    tables = {}
+    for degree in range(1, DEGREE + 1):
+        q, r = ((d + 1) * (d + 2) // 2 for d in (degree, degree + 1))
+        nodes = np.array(patch.POWERS[:q]) / degree
+        fixed = np.linalg.inv(patch.monomials(*nodes.T)[:, :q])
+        values = [
+            WEIGHTS[:, [k]] * (patch.monomials(WEIGHTS[:, k - 2], WEIGHTS[:, k - 1])[:, :q] @ fixed)
+            for k in range(3)
+        ]
+        tables[degree] = nodes, (INVERSE @ np.array(values))[:, :r]
+    return tables
 
-    def of(self, rows: Index) -> tuple[Index, Index, Array]:
-        """Those of the sorted faces `rows` (k,): places in `rows`, corners, points."""
-        low, high = np.searchsorted(self.face, rows), np.searchsorted(self.face, rows, side="right")
-        count = high - low
-        place = np.repeat(np.arange(len(rows)), count)
-        pick = np.repeat(low - np.cumsum(count) + count, count) + np.arange(count.sum())
-        return place, self.corner[pick], self.curve[pick]
+
+LIFTS = _lift_tables()
 
 
 def settle(jets: Jets, fans: Fans, beyond: Index, slot: Index) -> tuple[Jets, Creases]:
@@ -145,19 +140,56 @@ def blend(jets: Jets, fans: Fans, creases: Creases, triangles: Array) -> tuple[A
     `triangles` (m, 3, 3): the flat faces; the distances are those at the nodes.
     """
     m = len(fans.corner)
-    out, lift2 = np.empty((m, len(NODES), 3)), np.empty(m)
-
-    def fill(start: int) -> None:
-        rows = np.arange(start, min(start + CHUNK, m))
-        corner = fans.corner[rows]
-        values, _ = node_values(jets, corner, creases.of(rows))
-        out[start : start + CHUNK] = INVERSE @ values
-        values -= WEIGHTS @ triangles[rows]
-        lift2[start : start + CHUNK] = np.einsum("mnc,mnc->mn", values, values).max(axis=1)
-
-    with ThreadPoolExecutor(WORKERS) as pool:  # NumPy lets go of the interpreter meanwhile
-        list(pool.map(fill, range(0, m, CHUNK)))
+    out, lift2 = np.zeros((m, len(NODES), 3)), np.empty(m)
+    for start in range(0, m, CHUNK):
+        some = slice(start, start + CHUNK)
+        flat, over = _flat_based(jets, fans.corner[some], triangles[some])
+        for axis, values in enumerate(flat):
+            out[some, : len(values), axis] = values.T
+        lift2[some] = np.einsum("ckm,ckm->km", over, over).max(axis=0)
+        place, k, curve = creases.of(np.arange(start, min(start + CHUNK, m)))
+        if len(place):
+            curved, owner = np.unique(place, return_inverse=True)
+            rows = start + curved
+            values, _ = node_values(jets, fans.corner[rows], (owner, k, curve))
+            out[rows] = INVERSE @ values
+            values -= WEIGHTS @ triangles[rows]
+            lift2[rows] = np.einsum("mnc,mnc->mn", values, values).max(axis=1)
     return out, np.sqrt(lift2)
+
+
+def _flat_based(jets: Jets, corner: Index, triangles: Array) -> tuple[Array, Array]:
+    """Patches (3, r, m) of faces with straight edges, and their nodes' offsets from `triangles`.
+
+    The place over a flat base is linear in u and v: a lift is a polynomial of its jet's degree, and
+    fixed by few of the nodes; coefficients beyond the first r are zero. The last axis is that of
+    the faces, in which NumPy is fast.
+    """
+    degree = jets.degree[corner]
+    most = max(1, int(degree.max(initial=0)))
+    nodes, to_patch = LIFTS[most]
+    places = np.moveaxis(jets.origin[corner], 0, 2)  # (corner, xyz, m)
+    out = np.zeros((3, to_patch.shape[1], len(corner)))
+    for k in range(3):
+        fan = corner[:, k]
+        frame, scale = np.moveaxis(jets.frame[fan], 0, 2).copy(), jets.scale[fan].T
+        sides = places[[k - 2, k - 1]] - places[k]
+        x, y, z = np.einsum("scm,acm->asm", sides, frame)
+        coefficients = jets.coefficients[fan].T.copy()
+        lift = heights(coefficients, nodes @ (x / scale[0]), nodes @ (y / scale[1]), most)
+        lift -= nodes @ z
+        lift *= degree[:, k] > 0
+        out += (to_patch[k] @ lift) * frame[2][:, None]
+    flat = np.moveaxis(triangles, 0, 2)
+    out[:, :3] += _linear(places - flat)  # an averaged jet does not start at its vertex
+    over = BASIS[:, : out.shape[1]] @ out
+    out[:, :3] += _linear(flat)
+    return out, over
+
+
+def _linear(corners: Array) -> Array:
+    """The first coefficients (3, 3, m) of flat faces with `corners` (corner, 3, m)."""
+    return np.stack([corners[0], corners[1] - corners[0], corners[2] - corners[0]], axis=1)
 
 
 def node_values(
@@ -180,102 +212,12 @@ def node_values(
         frame, scale = jets.frame[fan], jets.scale[fan]
         local = (base - places[:, [j]]) @ np.swapaxes(frame, 1, 2)
         x, y = local[..., 0] / scale[:, :1], local[..., 1] / scale[:, 1:]
-        lift = heights(jets.coefficients[fan], x, y, most) - local[..., 2]
+        lift = heights(jets.coefficients[fan].T[:, :, None], x, y, most) - local[..., 2]
         lift *= WEIGHTS[:, j] * (jets.degree[fan] > 0)[:, None]
         values += lift[..., None] * frame[:, None, 2]
     if curved is not None and len(curved[0]):
         values[face[:, None], nodes] = curve
     return values, base
-
-
-def crease_curves(
-    jets: Jets, fans: Fans, beyond: Index, slot: Index, chords: NDArray[np.bool_]
-) -> Creases:
-    """The curves of the creases, from where the surfaces of both sides meet.
-
-    Where those do not meet near the chord, and where `chords` (m, 3) says so, it is the chord.
-    """
-    edge = np.flatnonzero(fans.sharp.ravel())
-    face, k = np.divmod(edge, 3)
-    there, s = beyond[face, k], slot[face, k]
-    first = edge < 3 * there + s  # each edge once
-    a, ka, b, kb = face[first], k[first], there[first], s[first]
-    tail, head = fans.corner[a, (ka + 1) % 3], fans.corner[a, (ka + 2) % 3]
-    p, q = jets.origin[tail], jets.origin[head]
-    chord = p[:, None] + INNER[:, None] * (q - p)[:, None]
-    flat = face_normals(jets.origin, fans.corner[np.concatenate([a, b])])
-    sides = (
-        (tail, head, flat[: len(a)]),
-        (fans.corner[b, (kb + 2) % 3], fans.corner[b, (kb + 1) % 3], flat[len(a) :]),
-    )
-    length = np.linalg.norm(q - p, axis=1)
-    along = (q - p) / np.maximum(length, 1e-300)[:, None]
-    most = BOW * length
-    if len(a):
-        normals = tangents(jets)
-        ends = (tail, head, sides[1][0], sides[1][1])
-        rise = np.max([_rise(jets, normals, fan, chord) for fan in ends], axis=0)
-        meet = np.linalg.norm(np.cross(flat[: len(a)], flat[len(a) :]), axis=1)
-        most = np.minimum(most, rise / np.maximum(meet, 0.3))
-        for f, k in ((a, ka), (b, kb)):  # nor beyond the middle of the faces beside it
-            tip = jets.origin[fans.corner[f, k]] - p
-            most = np.minimum(most, 0.5 * np.linalg.norm(np.cross(along, tip), axis=1))
-    most = most[:, None, None]
-    curve = chord.copy()
-    for _ in range(8):
-        curve = chord + np.clip(curve + _towards(jets, sides, curve, along) - chord, -most, most)
-    bow = np.linalg.norm(curve - chord, axis=2).max(axis=1)
-    left = np.abs(_towards(jets, sides, curve, along)).max(axis=(1, 2))
-    straight = ~((bow < most[:, 0, 0]) & (left < 1e-3 * length))
-    straight |= chords[a, ka]
-    curve[straight] = chord[straight]
-    face, corner = np.concatenate([a, b]), np.concatenate([ka, kb])
-    order = np.argsort(face, kind="stable")
-    return Creases(face[order], corner[order], np.concatenate([curve, curve[:, ::-1]])[order])
-
-
-def tangents(jets: Jets) -> Array:
-    """Unit normals (j, 3) of the jets."""
-    slope = jets.coefficients[:, :2] / jets.scale
-    normals = jets.frame[:, 2] - np.einsum("jk,jkc->jc", slope, jets.frame[:, :2])
-    return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
-
-
-def _rise(jets: Jets, normals: Array, fan: Index, points: Array) -> Array:
-    """Largest distances (e,) of points (e, 4, 3) from the tangent planes of fans (e,)."""
-    offset = points - jets.origin[fan][:, None]
-    high = np.abs(np.einsum("etc,ec->et", offset, normals[fan])).max(axis=1)
-    return np.where(jets.degree[fan] > 0, high, 0.0)
-
-
-def _towards(
-    jets: Jets, sides: tuple[tuple[Index, Index, Array], ...], points: Array, along: Array
-) -> Array:
-    """Moves (e, 4, 3), across the edges, of points towards the surfaces of both sides.
-
-    Sides that are nearly tangent are met halfway (damped least squares).
-    """
-    normals, misses = [], []
-    for tail, head, flat in sides:
-        normal, miss = np.zeros_like(points), np.zeros(points.shape[:2])
-        for fan, weight in ((tail, 1.0 - INNER), (head, INNER)):
-            frame, scale = jets.frame[fan], jets.scale[fan]
-            up = np.where((jets.degree[fan] > 0)[:, None], frame[:, 2], flat)
-            offset = points - jets.origin[fan][:, None]
-            local = offset @ np.swapaxes(frame, 1, 2)
-            x, y = local[..., 0] / scale[:, :1], local[..., 1] / scale[:, 1:]
-            height = heights(jets.coefficients[fan], x, y) * (jets.degree[fan] > 0)[:, None]
-            miss += weight * (np.einsum("etc,ec->et", offset, up) - height)
-            normal += weight[:, None] * up[:, None]
-        normal -= np.einsum("etc,ec->et", normal, along)[..., None] * along[:, None]
-        normals.append(normal)
-        misses.append(miss)
-    (one, two), (r1, r2) = normals, misses
-    aa, ab, bb = (np.einsum("etc,etc->et", f, g) for f, g in ((one, one), (one, two), (two, two)))
-    aa, bb = aa + 1e-3, bb + 1e-3
-    det = aa * bb - ab * ab
-    u, v = (ab * r2 - bb * r1) / det, (ab * r1 - aa * r2) / det
-    return np.asarray(u[..., None] * one + v[..., None] * two)
 
 
 def flatten_bulges(jets: Jets, fans: Fans) -> Jets:

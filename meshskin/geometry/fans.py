@@ -57,12 +57,11 @@ def creases(
     a mesher takes short steps where the surface bends, so the curvature jumps there.
     """
     beyond, slot = across
-    normal = face_normals(vertices, faces)
     corners = vertices[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.sqrt(np.einsum("mc,mc->m", normal, normal))
+    normal /= np.maximum(area, 1e-300)[:, None]
     reach = np.empty(faces.shape)  # heights over the edges: twice the area over the side
-    area = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
     for k in range(3):
         side = corners[:, (k + 1) % 3] - corners[:, (k + 2) % 3]
         reach[:, k] = area / np.maximum(np.sqrt(np.einsum("mc,mc->m", side, side)), 1e-300)

@@ -28,16 +28,16 @@ MISS = 0.01
 def least_squares(
     local: Array, scale: Array, degree: int
 ) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Least-squares heights of rings (g, k, 3) by Cholesky: which to believe, coefficients, RSS.
+    """Least-squares heights of rings (g, 3, k) by Cholesky: which to believe, coefficients, RSS.
 
     The sums of squared residuals (g, degree - 1) are those of the degrees from 2: the columns are
     in the order of degree, so one factor serves all.
     """
-    columns = powers(local[..., 0], local[..., 1], degree)  # (g, c, k)
+    columns = powers(local[:, 0], local[:, 1], degree)  # (g, c, k)
     g, c, k = columns.shape
     if k - 1 < c:  # the fan itself, among the k, says nothing
         return np.zeros(g, dtype=bool), np.zeros((g, c)), np.zeros((g, degree - 1))
-    height = local[..., 2]
+    height = local[:, 2]
     length = np.sqrt(np.einsum("gck,gck->gc", columns, columns))
     length[length == 0.0] = 1.0
     columns /= length[:, :, None]
@@ -105,11 +105,11 @@ def powers(x: Array, y: Array, degree: int) -> Array:
 
 
 def heights(coefficients: Array, x: Array, y: Array, degree: int = DEGREE) -> Array:
-    """Heights h(x, y), m, of jets (m, 14) at x, y (m, k), which are relative to their scales.
+    """Heights h(x, y), m, of jets (14, ...) at x, y (...), which are relative to their scales.
 
     No coefficient beyond `degree` may count.
     """
-    c = {power: coefficients[:, k, None] for k, power in enumerate(POWERS)}
+    c = dict(zip(POWERS, coefficients, strict=True))
     total = np.zeros_like(x)
     for i in range(degree, -1, -1):  # Horner in x, whose coefficients are Horner in y
         row = np.zeros_like(x)

@@ -85,10 +85,9 @@ def vertex_normals(vertices: Array, faces: Index) -> Array:
     """Outward unit normals (n, 3) at the vertices, each face weighted by its area."""
     a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
     cross = np.cross(b - a, c - a)
-    weights = np.repeat(cross, 3, axis=0)
     flat = faces.ravel()
     total = np.stack(
-        [np.bincount(flat, weights[:, k], minlength=len(vertices)) for k in range(3)], axis=1
+        [np.bincount(flat, np.repeat(cross[:, k], 3), len(vertices)) for k in range(3)], axis=1
     )
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return np.where(length > 0, total / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
@@ -187,27 +186,27 @@ def _fit_rings(work: _Fit, rows: Index, reach: Any, degree: int) -> None:
         done = members[solved]
         work.rss[done, 2 : degree + 1] = rss[solved]
         work.dof[done, 2:] = [max(len(ring[0]) - 1 - TERMS[d], 0) for d in (2, 3, 4)]
-        work.floor[done] = EXACT * np.sum(local[solved, :, 2] ** 2, axis=1)
+        squares = np.sum(local[solved, 2] ** 2, axis=1)
+        work.floor[done] = EXACT * squares
         jets.coefficients[done] = 0.0
         jets.coefficients[done, : values.shape[1]] = values[solved]
         jets.degree[done] = degree
         if len(ring[0]) - 1 > TERMS[degree]:
-            squares = np.sum(local[solved, :, 2] ** 2, axis=1)
             jets.miss[done] = np.sqrt(rss[solved, -1] / np.maximum(squares, 1e-300))
 
 
 def _local(jets: Jets, members: Index, ring: Index) -> Array:
-    """Rings (g, k) in the fans' frames: x and y relative to the scales, the height in m (g, k, 3).
+    """Rings (g, k) in the fans' frames: x and y relative to the scales, the height in m (g, 3, k).
 
     Sets the scales.
     """
     frame = jets.frame[members]
-    local = (jets.origin[ring] - jets.origin[members][:, None]) @ np.swapaxes(frame, 1, 2)
-    scale = np.max(np.abs(local[..., :2]), axis=1)
+    local = frame @ np.swapaxes(jets.origin[ring] - jets.origin[members][:, None], 1, 2)
+    scale = np.max(np.abs(local[:, :2]), axis=2)
     longest = np.max(scale, axis=1, keepdims=True)
     scale = np.maximum(scale, np.where(longest > 0, 1e-6 * longest, 1.0))
     jets.scale[members] = scale
-    local[..., :2] /= scale[:, None]
+    local[:, :2] /= scale[:, :, None]
     return np.asarray(local)
 
 
@@ -258,13 +257,13 @@ def _average(
         members = rows[group]
         keep = jets.frame[members], jets.scale[members]
         local = _local(jets, members, index[start[group][:, None] + np.arange(size[group[0]])])
-        columns = powers(local[..., 0], local[..., 1], 2)
+        columns = powers(local[:, 0], local[:, 1], 2)
         constant = np.broadcast_to(moving[group][:, None, None], (*columns.shape[:1], 1, 1))
         columns = np.concatenate([columns, constant * np.ones((1, 1, columns.shape[2]))], axis=1)
         normal = columns @ np.swapaxes(columns, 1, 2)
         normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(6)
-        values = np.linalg.solve(normal, columns @ local[..., 2:])[..., 0]
-        miss = np.einsum("gck,gc->gk", columns, values) - local[..., 2]
+        values = np.linalg.solve(normal, columns @ local[:, 2, :, None])[..., 0]
+        miss = np.einsum("gck,gc->gk", columns, values) - local[:, 2]
         freedom = size[group[0]] - 6
         good = np.einsum("gk,gk->g", miss, miss) <= limit[group] * max(freedom, 0)
         good &= believable(np.asarray(values[:, :5], dtype=float), jets.scale[members])
@@ -290,12 +289,10 @@ def _fit_sparse(work: _Fit, rows: Index, reach: Any, degree: int) -> None:
     for group in size_groups(size):
         members = rows[group]
         local = _local(jets, members, index[start[group][:, None] + np.arange(size[group[0]])])
-        height, scale = local[..., 2], jets.scale[members]
+        height, scale = local[:, 2], jets.scale[members]
         extent = scale.min(axis=1)
         best = np.full(len(members), np.inf)
-        length, half, triangle, kept = in_order(
-            powers(local[..., 0], local[..., 1], degree), height
-        )
+        length, half, triangle, kept = in_order(powers(local[:, 0], local[:, 1], degree), height)
         for trial in range(degree, 0, -1):
             c = TERMS[trial]
             values = np.linalg.solve(triangle[:, :c, :c], half[:, :c, None])[..., 0] / length[:, :c]

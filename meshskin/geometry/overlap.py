@@ -6,6 +6,7 @@ double precision.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,8 @@ DEPTH = 1e-6
 """how far an edge must reach beyond a face at both ends, relative to the mesh's extent"""
 ROUNDS = 4
 """faces looked through along an edge"""
+CHUNK = 50_000
+"""edges looked along at once: what is known of them stays in the cache"""
 
 
 def piercings(vertices: Array, faces: Index, closed: bool = False) -> tuple[Index, Index, Array]:
@@ -31,34 +34,43 @@ def piercings(vertices: Array, faces: Index, closed: bool = False) -> tuple[Inde
     extent = float(np.max(np.ptp(vertices, axis=0)))
     places = (vertices - centre) / extent
     edges, owner = _one_way(faces) if closed else _edges(faces, len(vertices))
-    a, b = places[edges[:, 0]], places[edges[:, 1]]
-    way = b - a
-    length = np.linalg.norm(way, axis=1)
-    way /= np.maximum(length, 1e-300)[:, None]
     scene = ray_scene(places, faces)
-    at = END * length
-    rows = np.flatnonzero(length > 10.0 * DEPTH)
-    found: list[tuple[Index, Index, Array]] = []
-    for _ in range(ROUNDS):
-        if not len(rows):
-            break
-        start = (a[rows] + at[rows, None] * way[rows]).astype(np.float32)
-        left = ((1.0 - END) * length[rows] - at[rows]).astype(np.float32)
-        hits = scene.run(start, way[rows].astype(np.float32), dists=left, output=1)
-        face = np.asarray(hits["primID"] if isinstance(hits, dict) else hits, dtype=np.intp)
-        struck = face >= 0
-        rows, face = rows[struck], face[struck]
-        go = np.asarray(hits["tfar"], dtype=float)[struck]
-        real, where = _pierced(places, faces[face], a[rows], b[rows])
-        real &= ~np.any(faces[face][:, :, None] == edges[rows][:, None, :], axis=(1, 2))
-        found.append((owner[rows[real]], face[real], where[real] * extent + centre))
-        at[rows] += go + END * length[rows]
-        onward = ~real & (at[rows] < (1.0 - END) * length[rows])
-        rows = rows[onward]
-    if not found:
-        return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp), np.zeros((0, 3))
+    found = [(np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp), np.zeros((0, 3)))]
+    for start in range(0, len(edges), CHUNK):
+        some = slice(start, start + CHUNK)
+        for row, face, where in _along(scene, places, faces, edges[some]):
+            found.append((owner[start + row], face, where * extent + centre))
     one, two, where = (np.concatenate([f[k] for f in found]) for k in range(3))
     return one, two, where
+
+
+def _along(
+    scene: Any, vertices: Array, faces: Index, edges: Index
+) -> Iterator[tuple[Index, Index, Array]]:
+    """The edges (k,) of `edges` (e, 2) that pierce faces (k,), and where (k, 3)."""
+    a, b = vertices[edges[:, 0]], vertices[edges[:, 1]]
+    way = b - a
+    length = np.sqrt(np.einsum("ij,ij->i", way, way))
+    way /= np.maximum(length, 1e-300)[:, None]
+    at, end = END * length, (1.0 - END) * length
+    rows = np.flatnonzero(length > 10.0 * DEPTH)
+    for _ in range(ROUNDS):
+        if not len(rows):
+            return
+        start = (a[rows] + at[rows, None] * way[rows]).astype(np.float32)
+        left = (end[rows] - at[rows]).astype(np.float32)
+        hits = scene.run(start, way[rows].astype(np.float32), dists=left, output=1)
+        struck = np.flatnonzero(hits["primID"] >= 0)
+        rows, face = rows[struck], hits["primID"][struck].astype(np.intp)
+        corners = faces[face]
+        beside = np.any(corners[:, :, None] == edges[rows][:, None, :], axis=(1, 2))
+        real = ~beside
+        apart = np.flatnonzero(real)
+        crossed, where = _pierced(vertices, corners[apart], a[rows[apart]], b[rows[apart]])
+        real[apart] = crossed
+        yield rows[real], face[real], where[crossed]
+        at[rows] += hits["tfar"][struck] + END * length[rows]
+        rows = rows[~real & (at[rows] < end[rows])]
 
 
 def ray_scene(vertices: Array, faces: Index) -> Any:
@@ -67,15 +79,15 @@ def ray_scene(vertices: Array, faces: Index) -> Any:
     from embreex.mesh_construction import TriangleMesh
 
     scene = rtcore_scene.EmbreeScene()
-    TriangleMesh(scene, vertices.astype(np.float32)[faces])
+    TriangleMesh(scene, vertices.astype(np.float32), faces.astype(np.int32))
     return scene
 
 
 def _one_way(faces: Index) -> tuple[Index, Index]:
     """As `_edges`, of faces wound alike without a border: the edges as they run upwards."""
-    tail, head = faces.ravel(), faces[:, [1, 2, 0]].ravel()
-    first = np.flatnonzero(tail < head)
-    return np.stack([tail[first], head[first]], axis=1), first // 3
+    tail, head = faces, np.roll(faces, -1, axis=1)
+    upwards = tail < head
+    return np.stack([tail[upwards], head[upwards]], axis=1), np.nonzero(upwards)[0]
 
 
 def _edges(faces: Index, count: int) -> tuple[Index, Index]:

@@ -61,7 +61,9 @@ def thin_walled(vertices: Array, faces: Index) -> bool:
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     normal, middle = np.cross(b - a, c - a), (a + b + c) / 3.0
     some = slice(None, None, max(1, len(faces) // 20_000))
-    near = KDTree(middle - middle[0]).query((middle - middle[0])[some], k=min(24, len(faces)))[1]
+    middle -= middle[0]
+    tree = KDTree(middle, compact_nodes=False, balanced_tree=False)  # soon built, for few queries
+    near = tree.query(middle[some], k=min(24, len(faces)))[1]
     facing = np.einsum("nc,nkc->nk", normal[some], normal[near.reshape(len(near), -1)])
     return bool(np.any(facing < 0.0))
 

@@ -34,20 +34,20 @@ def neighbours(faces: Index) -> tuple[Index, Index]:
 
     -1 at a border, at an edge of more than two faces, and where the two faces' windings differ.
     """
-    m = len(faces)
     tail = faces[:, AFTER].ravel()  # edge opposite corner k runs from k + 1 to k + 2
     head = faces[:, BEFORE].ravel()
-    size = int(faces.max()) + 1 if m else 1
-    key, twin = tail * size + head, head * size + tail
+    size = int(faces.max(initial=-1)) + 1
+    key = np.minimum(tail, head) * size + np.maximum(tail, head)
     order = np.argsort(key)
-    ordered = key[order]
-    at = np.minimum(np.searchsorted(ordered, twin), len(key) - 1)
-    found = ordered[at] == twin
-    many = ordered[1:][ordered[1:] == ordered[:-1]]
-    if len(many):
-        found &= ~(np.isin(key, many) | np.isin(twin, many))
-    other = np.where(found, order[at], -1).reshape(m, 3)
-    return np.where(other >= 0, other // 3, -1), other % 3
+    alike = np.diff(key[order], prepend=-1, append=-1) == 0
+    first = np.flatnonzero(alike[1:-1] & ~alike[:-2] & ~alike[2:])  # of just two faces
+    one, two = order[first], order[first + 1]
+    opposed = tail[one] != tail[two]
+    one, two = one[opposed], two[opposed]
+    other = np.full(faces.size, -1)
+    other[one], other[two] = two, one
+    across = other.reshape(faces.shape)
+    return np.where(across >= 0, across // 3, -1), across % 3
 
 
 def walk(
