@@ -177,6 +177,7 @@ class _SkinTable:
 class _ArmTable:
     urdf: str = "puma560.urdf"
     tip: str = "tool0"
+    folders: tuple[str, ...] = ()
     payload: float = quantity("kg", 1.0, least=0.0, most=1e3)
     mount: tuple[float, ...] | None = quantity("m", None)
     mount_angles: tuple[float, ...] = quantity("rad", (0.0, 0.0, 0.0))
@@ -240,11 +241,11 @@ def from_tables(data: Mapping[str, Any], folder: Path) -> Scene:
     body = _body(data["body"]).make(folder)
     skin = build(_SkinTable, data["skin"], "skin").make(body, folder)
     table = build(_ArmTable, data.get("arm", {}), "arm")
-    urdf = folder / table.urdf
+    urdf = folder / table.urdf if (folder / table.urdf).is_file() else library.folder() / table.urdf
     return Scene(
         body=body,
         skin=skin,
-        arm=Arm.from_urdf(urdf if urdf.is_file() else library.folder() / table.urdf, tip=table.tip),
+        arm=Arm.from_urdf(urdf, tip=table.tip, folders=[folder / name for name in table.folders]),
         payload=table.payload,
         mount=table.pose(),
         **parts(data),

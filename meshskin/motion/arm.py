@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -79,11 +80,17 @@ class Arm:
     """Viscous friction of the joints (n,), N m s/rad; zero where the file gives none."""
     friction: Array
     """Coulomb friction of the joints (n,), N m; zero where the file gives none."""
+    folders: tuple[str, ...] = ()
+    """Where the meshes of the links are looked for; only collisions need them."""
 
     @classmethod
-    def from_urdf(cls, path: str | Path, tip: str = "tool0") -> Arm:
+    def from_urdf(
+        cls, path: str | Path, tip: str = "tool0", folders: Iterable[str | Path] = ()
+    ) -> Arm:
         """Read an arm from the URDF file at `path`; `tip` names the link whose pose is controlled.
 
+        folders: where the links' meshes (`package://...`) are, besides the file's own folder and
+        those that it lies in.
         Motors are read from `<transmission>` elements as Drake documents them: `rotor_inertia`
         (kg m^2) and `gear_ratio` under `actuator`. Moving joints beside the chain are held at zero,
         and so are those that drive a mimic joint of the chain from beside it.
@@ -94,7 +101,10 @@ class Arm:
             text = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
             raise ArmError(f"cannot read the arm {str(path)!r}: {error}") from error
-        return cls.from_text(text, tip, where=f" in {path.name}")
+        own = path.resolve().parents
+        every = (*folders, *own[:-1])
+        arm = cls.from_text(text, tip, where=f" in {path.name}")
+        return replace(arm, folders=tuple(str(folder) for folder in every))
 
     @classmethod
     def from_text(cls, urdf: str, tip: str = "tool0", where: str = "") -> Arm:

@@ -2,14 +2,14 @@
 
 The indenter is the tip of a thin vertical column, its support. It must fit the surface where it
 touches (one contact, no narrower hollow), and the column must keep clear of the body and of the
-arm; the arm's links must keep clear of the body. Links are capsules: about their collision or
-visual shapes where the URDF has any of boxes, cylinders and spheres, else straight from joint to
-joint with `LINK_RADIUS`. Links that meet the tip are left out within `WRIST` of it.
+arm; the arm's links must keep clear of the body. Links are capsules about their shapes
+(motion/shapes.py); where the URDF has none, or names a mesh that is not there, straight from joint
+to joint with `LINK_RADIUS`. Links that meet the tip are left out within `WRIST` of it.
 """
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
+import functools
 from dataclasses import dataclass
 
 import casadi as cs
@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from ..geometry.body import Body
 from ..physics.indenter import Indenter
-from ..se3 import Array, transform
+from ..se3 import Array
+from . import shapes
 from .arm import Arm
-from .urdf import chain, parse, rotation
+from .urdf import chain, parse
 
 LINK_RADIUS = 0.03
 """Radius of a link of which nothing but its joints is known, m."""
@@ -31,8 +32,10 @@ EDGY = np.cos(np.deg2rad(20.0))
 what turns less, as over the facets of a coarse mesh of something round."""
 ALONG = (0.1, 0.5, 0.9)
 """Parts of an edge at which its normals are compared."""
-SAMPLES = 9
-"""Points along a link at which its distance from the body is taken."""
+FINE = 0.5
+"""Distance of the balls that stand for a capsule, in its radii."""
+BATCH = 4096
+"""Configurations looked at together."""
 ROUND = 1e-3
 """Relative slack within which a sphere counts as touching at one point only."""
 
@@ -115,10 +118,13 @@ class Links:
     """The arm's links as capsules."""
 
     names: tuple[str, ...]
+    """(l,): the link of each; a link may have several."""
     radii: Array
     """(l,), m."""
     ends: cs.Function
-    """q (n,) -> (3, 2 l): the two ends of each link's axis, world."""
+    """q (n,) -> (3, 2 l): the two ends of each capsule's axis, world."""
+    notes: tuple[str, ...] = ()
+    """Which links are taken for a capsule from joint to joint though they have a shape, and why."""
 
     def at(self, q: Array) -> Array:
         """Ends (k, l, 2, 3), world, m, in configurations (k, n)."""
@@ -126,62 +132,27 @@ class Links:
         return np.asarray(flat.T.reshape(len(q), len(self.names), 2, 3))
 
 
+@functools.lru_cache(maxsize=16)
 def links(arm: Arm) -> Links:
-    """The links of `arm` that have a length or a shape."""
+    """The links of `arm` that have a length or a shape. Raises ArmError for a bad shape."""
     robot = parse(arm.urdf, "")
-    shapes = {e.get("name", ""): _capsule(e) for e in robot.findall("link")}
+    elements = {e.get("name", ""): e for e in robot.findall("link")}
     q = cs.SX.sym("q", len(arm.joint_names))
-    index = {name: k for k, name in enumerate(arm.joint_names)}
-    pose, ends, names, radii = cs.SX.eye(4), [], [], []
+    driven = {by.joint.name: by for by in arm.driven}
+    pose, ends, names, radii, notes = cs.SX.eye(4), [], [], [], []
     for joint in chain(robot, arm.tip, ""):
-        shape = shapes.get(joint.parent)
-        if shape is None and np.linalg.norm(joint.xyz) > 1e-6:
-            shape = np.zeros(3), joint.xyz, LINK_RADIUS
-        if shape is not None:
-            ends += [pose[:3, :3] @ end + pose[:3, 3] for end in shape[:2]]
+        found, missing = shapes.of_link(elements[joint.parent], arm.folders)
+        if (missing or not found) and np.linalg.norm(joint.xyz) > 1e-6:
+            found = [*found, shapes.Capsule(np.zeros(3), joint.xyz, LINK_RADIUS)]
+        notes += [f"link {joint.parent}: {why}" for why in missing]
+        for capsule in found:
+            ends += [pose[:3, :3] @ end + pose[:3, 3] for end in (capsule.start, capsule.end)]
             names.append(joint.parent)
-            radii.append(shape[2])
-        pose = pose @ joint.motion(q[index[joint.name]] if joint.name in index else 0.0)
+            radii.append(capsule.radius)
+        by = driven.get(joint.name)
+        pose = pose @ joint.motion(by.position(q) if by else 0.0)
     function = cs.Function("links", [q], [cs.densify(cs.horzcat(*ends))], {"cse": True})
-    return Links(tuple(names), np.array(radii), function)
-
-
-def _capsule(link: ET.Element) -> tuple[Array, Array, float] | None:
-    """The capsule (ends, radius), link frame, about a link's shapes; None without any."""
-    points = [
-        p for kind in ("collision", "visual") for e in link.findall(kind) for p in _corners(e)
-    ]
-    if not points:
-        return None
-    cloud = np.array(points)
-    middle = cloud.mean(axis=0)
-    way = np.linalg.svd(cloud - middle, full_matrices=False)[2][0]
-    along = (cloud - middle) @ way
-    radius = float(np.linalg.norm(cloud - middle - along[:, None] * way, axis=1).max())
-    low, high = min(along.min() + radius, 0.0), max(along.max() - radius, 0.0)
-    return middle + low * way, middle + high * way, radius
-
-
-def _corners(element: ET.Element) -> Array:
-    """Points (k, 3), link frame, whose hull holds a box, cylinder or sphere; none of a mesh."""
-
-    def numbers(e: ET.Element | None, key: str, default: str) -> Array:
-        return np.array([float(x) for x in (default if e is None else e.get(key, default)).split()])
-
-    box, cylinder, sphere = (element.find(f"geometry/{k}") for k in ("box", "cylinder", "sphere"))
-    if box is not None:
-        half = 0.5 * numbers(box, "size", "0 0 0")
-    elif cylinder is not None:
-        r = numbers(cylinder, "radius", "0")[0]
-        half = np.array([r, r, 0.5 * numbers(cylinder, "length", "0")[0]])
-    elif sphere is not None:
-        half = np.full(3, numbers(sphere, "radius", "0")[0])
-    else:
-        return np.zeros((0, 3))
-    origin = element.find("origin")
-    pose = transform(rotation(numbers(origin, "rpy", "0 0 0")), numbers(origin, "xyz", "0 0 0"))
-    signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
-    return np.asarray((signs * half) @ pose[:3, :3].T + pose[:3, 3])
+    return Links(tuple(names), np.array(radii), function, tuple(notes))
 
 
 def arm_reasons(
@@ -189,28 +160,51 @@ def arm_reasons(
 ) -> NDArray[np.object_]:
     """Why configurations `q` (k, n) with the body at T_w_b `poses` (k, 4, 4) collide; "" if not."""
     reason = np.full(len(q), "", dtype=object)
+    if links(arm).names:
+        for first in range(0, len(q), BATCH):
+            rows = slice(first, first + BATCH)
+            support, struck = _meets(arm, body, q[rows], poses[rows], indenter)
+            reason[rows][support] = ARM_SUPPORT
+            reason[rows][struck] = ARM_BODY
+    return reason
+
+
+def _meets(
+    arm: Arm, body: Body, q: Array, poses: Array, indenter: Indenter
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """In which configurations (k,) a link meets the indenter's support, and in which the body."""
     shape = links(arm)
-    if not len(q) or not shape.names:
-        return reason
     ends, tip = shape.at(q), arm.pose(q)[:, :3, 3]
     top = np.array(indenter.position)
     foot = top - [0.0, 0.0, indenter.radius + indenter.support_height]
     gap = _segments(ends[:, :, 0], ends[:, :, 1], top, foot) - shape.radii
-    reason[(gap < indenter.column_radius).any(axis=1)] = ARM_SUPPORT
-    part = np.linspace(0.0, 1.0, SAMPLES)[:, None]
-    points = ends[:, :, None, 0] * (1 - part) + ends[:, :, None, 1] * part  # (k, l, SAMPLES, 3)
-    local = np.einsum("kji,klsj->klsi", poses[:, :3, :3], points - poses[:, None, None, :3, 3])
+    owner, part, radius = _balls(ends[0], shape.radii)
+    points = ends[:, owner, 0] * (1 - part) + ends[:, owner, 1] * part  # (k, p, 3)
+    local = np.einsum("kji,kpj->kpi", poses[:, :3, :3], points - poses[:, None, :3, 3])
     bounds = body.mesh.bounds
     outside = np.linalg.norm(
         np.maximum(np.maximum(bounds[0] - local, local - bounds[1]), 0), axis=-1
     )
-    near = outside < shape.radii[:, None]
-    near &= np.linalg.norm(points - tip[:, None, None], axis=-1) > WRIST
+    near = outside < radius
+    near &= np.linalg.norm(points - tip[:, None], axis=-1) > WRIST
+    struck = np.zeros(len(q), dtype=bool)
     if near.any():
-        hit = body.closest(local[near]).distance
-        k, link, _ = np.nonzero(near)
-        reason[np.unique(k[hit < shape.radii[link]])] = ARM_BODY
-    return reason
+        k, ball = np.nonzero(near)
+        struck[k[body.closest(local[near]).distance < radius[ball]]] = True
+    return np.asarray((gap < indenter.column_radius).any(axis=1)), struck
+
+
+def _balls(ends: Array, radii: Array) -> tuple[NDArray[np.intp], Array, Array]:
+    """Balls that cover capsules of the given ends (l, 2, 3) and radii (l,): of which capsule each
+    is (p,), at which part (p, 1) of its axis, and how large (p,), m.
+    """
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    count = np.ceil(length / (FINE * radii)).astype(np.intp) + 1
+    owner = np.repeat(np.arange(len(radii)), count)
+    place = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+    gaps = np.maximum(count - 1, 1)
+    radius = np.hypot(radii, 0.5 * length / gaps)
+    return owner, (place / gaps[owner])[:, None], radius[owner]
 
 
 def _segments(a: Array, b: Array, c: Array, d: Array) -> Array:

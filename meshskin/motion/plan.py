@@ -43,6 +43,8 @@ class Plan:
     """Why each taxel (by id) that is not seen is not."""
     spacing: float
     """Distance between lanes, m."""
+    notes: tuple[str, ...] = ()
+    """What was taken for something simpler: links of the arm whose meshes could not be had."""
 
     @property
     def segments(self) -> list[Path]:
@@ -93,7 +95,8 @@ def plan(
             value=f"{len(sites)} taxels",
             remedy="move indenter.position_m, change the mount, or use a smaller indenter",
         )
-    return Plan(replace(Path.joined(segments), unreachable=missing), missing, spacing)
+    notes = clear.links(setup.arm).notes if setup.arm else ()
+    return Plan(replace(Path.joined(segments), unreachable=missing), missing, spacing, notes)
 
 
 def keep(sites: Array, margin: float) -> float:

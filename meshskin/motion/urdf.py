@@ -100,12 +100,12 @@ def check_links(robot: ET.Element, where: str) -> None:
     for element in robot.findall("link"):
         if (inertial := element.find("inertial")) is not None:
             here = f" of link {element.get('name')!r}{where}"
-            _vector(inertial.find("mass"), "value", "", 1, here)
+            vector(inertial.find("mass"), "value", "", 1, here)
             for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"):
-                _vector(inertial.find("inertia"), key, "", 1, here)
+                vector(inertial.find("inertia"), key, "", 1, here)
 
 
-def _vector(element: ET.Element | None, key: str, default: str, size: int, where: str) -> Array:
+def vector(element: ET.Element | None, key: str, default: str, size: int, where: str) -> Array:
     """Numbers (size,) of an attribute."""
     text = default if element is None else element.get(key, default)
     try:
@@ -136,7 +136,7 @@ def _joint(element: ET.Element, where: str) -> Joint:
         raise ArmError(f"no parent or child{here}")
     origin, limit = element.find("origin"), element.find("limit")
     dynamics = element.find("dynamics")
-    axis = _vector(element.find("axis"), "xyz", "1 0 0", 3, here)
+    axis = vector(element.find("axis"), "xyz", "1 0 0", 3, here)
     length, kind = np.linalg.norm(axis), element.get("type", "")
     if not length > 0.0:
         if kind != "fixed":
@@ -148,12 +148,12 @@ def _joint(element: ET.Element, where: str) -> Joint:
         kind=kind,
         parent=parent,
         child=child,
-        xyz=_vector(origin, "xyz", "0 0 0", 3, here),
-        rpy=_vector(origin, "rpy", "0 0 0", 3, here),
+        xyz=vector(origin, "xyz", "0 0 0", 3, here),
+        rpy=vector(origin, "rpy", "0 0 0", 3, here),
         axis=axis / length,
-        limits={key: float(_vector(limit, key, "", 1, here)[0]) for key in given},
+        limits={key: float(vector(limit, key, "", 1, here)[0]) for key in given},
         dynamics={
-            key: float(_vector(dynamics, key, "0", 1, here)[0]) for key in ("damping", "friction")
+            key: float(vector(dynamics, key, "0", 1, here)[0]) for key in ("damping", "friction")
         },
         mimic=_mimic(element.find("mimic"), here),
     )
@@ -163,8 +163,8 @@ def _mimic(element: ET.Element | None, where: str) -> Mimic | None:
     """What drives a joint, if another one does."""
     if element is None:
         return None
-    multiplier = _vector(element, "multiplier", "1", 1, where)[0]
-    offset = _vector(element, "offset", "0", 1, where)[0]
+    multiplier = vector(element, "multiplier", "1", 1, where)[0]
+    offset = vector(element, "offset", "0", 1, where)[0]
     return Mimic(element.get("joint", ""), float(multiplier), float(offset))
 
 
@@ -214,8 +214,8 @@ def reflected_inertias(robot: ET.Element, where: str) -> dict[str, float]:
         name = joint.get("name", "")
         found = {e.tag.rpartition("}")[2]: e for e in transmission.iter()}
         here = f" of the motor of {name!r}{where}"
-        rotor = _vector(found.get("rotor_inertia"), "value", "0", 1, here)[0]
-        gear = _vector(found.get("gear_ratio"), "value", "1", 1, here)[0]
+        rotor = vector(found.get("rotor_inertia"), "value", "0", 1, here)[0]
+        gear = vector(found.get("gear_ratio"), "value", "1", 1, here)[0]
         motors[name] = float(rotor * gear**2)
     return motors
 
@@ -224,7 +224,7 @@ def massless(robot: ET.Element, joint: Joint, moving: Iterable[str]) -> list[str
     """Links that `joint` moves rigidly, up to the next of the `moving`, if none has a mass."""
     joints, free = _joints(robot, ""), set(moving)
     mass = {
-        link.get("name", ""): float(_vector(link.find("inertial/mass"), "value", "0", 1, "")[0])
+        link.get("name", ""): float(vector(link.find("inertial/mass"), "value", "0", 1, "")[0])
         for link in robot.findall("link")
     }
     moved = [joint.child]
