@@ -90,9 +90,8 @@ def _capsules(element: ET.Element, folders: Iterable[str]) -> list[Capsule]:
         ring = np.stack([rim * np.cos(turn), rim * np.sin(turn), np.full(SIDES, half)], axis=1)
         clouds = [np.concatenate([ring, ring * [1.0, 1.0, -1.0]])]
     elif mesh is not None:
-        path = located(mesh.get("filename", ""), folders)
-        vertices, faces = files.read(path)
-        clouds = slabs(vertices * numbers(mesh, "scale", "1 1 1"), faces)
+        read = files.read(located(mesh.get("filename", ""), folders))
+        clouds = slabs(read.vertices * numbers(mesh, "scale", "1 1 1"), read.faces)
     else:
         return []
     return [about(cloud @ pose[:3, :3].T + pose[:3, 3]) for cloud in clouds]
