@@ -57,11 +57,14 @@ class Body:
     """(k, 2) edges, by their vertices, over which the curvature is known to jump"""
     degree: int = DEGREE
     """highest degree (2 to 4) of the polynomials that the surface is fitted with"""
+    crossed: NDArray[np.intp] | None = None
+    """faces (k,) at which the mesh is known to pass through itself, or to have edges of more than
+    two faces: about them the mesh's winding tells the sign of a distance"""
 
     @cached_property
     def surface(self) -> Surface:
         """The smooth surface; fitted when first asked for."""
-        return Surface(self.mesh, self.seams, self.degree)
+        return Surface(self.mesh, self.seams, self.degree, self.crossed)
 
     def closest(self, points: ArrayLike, face: ArrayLike | None = None) -> Closest:
         """Closest points of the smooth surface to `points` (n, 3), body frame, m.
@@ -141,7 +144,8 @@ class Body:
             raise finding.error()
         check_extent(found.vertices)
         mesh = trimesh.Trimesh(found.vertices, found.faces, process=False)
-        return cls(path.stem, mesh, repairs=found.repairs, patches=found.patches(raw.names))
+        patches = found.patches(raw.names)
+        return cls(path.stem, mesh, None, found.repairs, patches, crossed=found.crossed)
 
     @classmethod
     def sphere(cls, radius: float = 0.1, faces: int = FACES) -> Body:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,8 @@ class Finding:
     """"repaired", "refused" or "noted\""""
     remedy: str = ""
     """what would mend it, where it is refused"""
+    crossing: bool = False
+    """whether sheets of the mesh meet or cross there"""
 
     def error(self) -> MeshError:
         """The error that a refused finding is raised as."""
@@ -64,6 +66,8 @@ class Survey:
     """in the order of finding; a refused one may hide others that depend on it"""
     row: Index
     """(k,) where the k faces of the file are among `faces`, or what stands for them; -1: dropped"""
+    crossed: Index
+    """rows (l,) of `faces` at which the mesh crosses itself, or has edges of several faces"""
 
     @property
     def repairs(self) -> tuple[str, ...]:
@@ -118,11 +122,15 @@ def survey(vertices: Array, faces: Index, open: bool = False) -> Survey:
     row = np.full(len(faces), -1)
     row[draft.number] = np.arange(len(draft.faces))
     row[draft.twins[:, 0]] = row[draft.twins[:, 1]]
-    return Survey(draft.vertices, np.ascontiguousarray(draft.faces), tuple(findings), row)
+    numbers = np.concatenate([none, *(f.faces for f in findings if f.crossing)])
+    crossed = np.unique(row[numbers])
+    faces = np.ascontiguousarray(draft.faces)
+    return Survey(draft.vertices, faces, tuple(findings), row, crossed)
 
 
 def _as_it_was(vertices: Array, faces: Index, findings: tuple[Finding, ...]) -> Survey:
-    return Survey(vertices, faces, findings, np.arange(len(faces)))
+    none = np.zeros(0, dtype=np.intp)
+    return Survey(vertices, faces, findings, np.arange(len(faces)), none)
 
 
 def _finding(
@@ -201,7 +209,8 @@ def _edges(draft: mend.Draft, across: Index, open: bool) -> list[Finding]:
     ):
         if rows.any():
             edges = len(np.unique(place[rows]))
-            found.append(_finding(draft, f"{edges} {words}", face[rows], remedy, not open))
+            finding = _finding(draft, f"{edges} {words}", face[rows], remedy, not open)
+            found.append(replace(finding, crossing=bool(share[rows][0] > 2)))
     return found
 
 
@@ -242,5 +251,6 @@ def _overlaps(draft: mend.Draft, across: Index, open: bool) -> list[Finding]:
             faces,
             "noted" if open else "refused",
             "unite the parts in a mesh editor (boolean union), or open=True",
+            crossing=True,
         )
     ]

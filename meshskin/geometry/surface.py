@@ -37,16 +37,22 @@ class Surface:
     """
 
     def __init__(
-        self, mesh: Any, seams: ArrayLike | None = None, degree: int = heights.DEGREE
+        self,
+        mesh: Any,
+        seams: ArrayLike | None = None,
+        degree: int = heights.DEGREE,
+        crossed: ArrayLike | None = None,
     ) -> None:
         """`seams` (k, 2): pairs of vertices over whose edges the curvature jumps, where known.
 
-        `degree` (2 to 4): the highest of the height fields at the vertices.
+        `degree` (2 to 4): the highest of the height fields at the vertices. `crossed` (k,): faces
+        at which the mesh passes through itself, or has edges of more than two faces, where known.
         """
         self.vertices: Array = np.array(mesh.vertices, dtype=float)
         self.faces: Index = np.array(mesh.faces, dtype=np.intp)
         self.neighbours, self.slot = walk.neighbours(self.faces)
         self._seams = None if seams is None else np.asarray(seams, dtype=np.intp)
+        self._crossed = np.asarray([] if crossed is None else crossed, dtype=np.intp)
         self._degree = degree
 
     @cached_property
@@ -82,7 +88,7 @@ class Surface:
     @cached_property
     def smooth(self) -> bool:
         """Whether there is no crease, border, thin wall, or vertex that keeps its flat faces."""
-        if self.fans.creased or np.any(self.jets.degree == 0):
+        if self.fans.creased or len(self._crossed) or np.any(self.jets.degree == 0):
             return False
         return not thin_walled(self.vertices, self.faces)
 
@@ -203,11 +209,20 @@ class Surface:
         rows = np.flatnonzero(side == 0.0)
         outward = self._outward(hit.face[rows], hit.uv[rows], hit.normal[rows])
         side[rows] = np.einsum("ij,ij->i", points[rows] - hit.point[rows], outward)
-        return side
+        if not len(self._crossed):
+            return side
+        if flat is None:
+            far = np.abs(hit.distance) > self.lifts[hit.face]
+            return self._folds.settle(side, points, hit.face, hit.uv, far)
+        far = np.ones(len(points), dtype=bool)
+        far[rows] = False  # the patch told
+        at, uv = np.where(far, flat.face, hit.face), np.where(far[:, None], flat.uv, hit.uv)
+        return self._folds.settle(side, points, at, uv, far)
 
     @cached_property
     def _folds(self) -> Folds:
-        return Folds(self.vertices, self.faces, self._flat_normals)
+        normals = self._flat_normals
+        return Folds(self.vertices, self.faces, normals, self._crossed, self.neighbours)
 
     @cached_property
     def _flat_normals(self) -> Array:

@@ -1,14 +1,22 @@
 """Folds: told from edges of solids, and the side of a point by the mesh's winding."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
+from meshskin.geometry import winding
+from meshskin.geometry.body import Body
 from meshskin.geometry.folds import Folds
+from meshskin.geometry.mend import turns
+from meshskin.geometry.walk import neighbours
+from meshskin.geometry.winding import Winding
 
 
 def folds(mesh):
-    return Folds(np.asarray(mesh.vertices), np.asarray(mesh.faces), mesh.face_normals)
+    faces, none = np.asarray(mesh.faces), np.zeros(0, dtype=np.intp)
+    return Folds(np.asarray(mesh.vertices), faces, mesh.face_normals, none, neighbours(faces)[0])
 
 
 def test_no_edge_of_a_solid_is_doubtful():
@@ -51,3 +59,137 @@ def test_an_open_mesh_has_no_doubts():
     assert not fold.closed
     away = -ball.triangles_center[:1]
     assert not len(fold.doubtful(np.array([0]), np.array([[1.0, 0.0, 0.0]]), away))
+
+
+def ball(centre=(0.0, 0.0, 0.0), radius=0.1, subdivisions=4):
+    mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
+    mesh.apply_translation(centre)
+    return mesh
+
+
+@pytest.fixture(params=["compiled", "without a compiler"])
+def each_way(request, monkeypatch):
+    if request.param != "compiled":
+        monkeypatch.setattr(winding, "library", lambda: None)
+
+
+def test_turns_are_those_of_all_triangles(each_way):
+    """Two balls that overlap, and a smaller one within, wound inward: 0, 1 and 2 turns."""
+    hollow = ball(radius=0.04, subdivisions=2)
+    hollow.invert()
+    mesh = trimesh.util.concatenate([ball(subdivisions=3), ball((0.13, 0.01, 0.0), 0.08), hollow])
+    points = np.random.default_rng(0).uniform(-0.15, 0.25, size=(150, 3))
+    points = np.vstack([points, mesh.triangles_center[::40] + 1e-9 * mesh.face_normals[::40]])
+    expected = [round(turns(mesh.triangles, p)) for p in points]
+    found = Winding(mesh.vertices, mesh.faces).about(points)
+    assert set(expected) == {0, 1, 2}
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_holes_are_closed_far_away(each_way):
+    """Chimneys stand on a ball's holes, a well hangs below a dome, both to infinity."""
+    mesh = ball(subdivisions=3)
+    cut = Winding(mesh.vertices, mesh.faces[np.abs(mesh.triangles_center[:, 2]) < 0.09])
+    assert not cut.closed
+    points = [[0, 0, 0.0], [0.05, 0, 0.08], [0, 0, 3.0], [0, 0, -3.0], [0.2, 0, 0], [0.1, 0, 0.5]]
+    np.testing.assert_array_equal(cut.about(np.array(points)), [1, 1, 1, 1, 0, 0])
+    dome = Winding(mesh.vertices, mesh.faces[mesh.triangles_center[:, 2] > 0.05])
+    points = [[0, 0, 0.08], [0, 0, -3.0], [0, 0, 0.12], [0.2, 0, 0.07], [0.2, 0, -1.0]]
+    np.testing.assert_array_equal(dome.about(np.array(points)), [1, 1, 0, 0, 0])
+
+
+def test_every_soup_is_closed_to_whole_turns():
+    """Triangles dropped and turned at random, edges of several faces: whole numbers still."""
+    rng = np.random.default_rng(0)
+    mesh = trimesh.util.concatenate([ball(subdivisions=2), ball((0.1, 0.0, 0.0), subdivisions=2)])
+    faces = mesh.faces[rng.random(len(mesh.faces)) < 0.8]
+    turned = rng.random(len(faces)) < 0.2
+    faces = np.where(turned[:, None], faces[:, ::-1], faces)
+    soup = Winding(mesh.vertices, faces)
+    points = rng.uniform(-0.15, 0.25, size=(100, 3))
+    total = soup._exact(points) + soup._chimneys(points)
+    np.testing.assert_allclose(total, np.round(total), atol=1e-9)
+    np.testing.assert_array_equal(soup.about(points), np.round(total))
+
+
+def loaded(mesh, folder, **options):
+    mesh.export(folder / "mesh.ply")
+    return Body.load(folder / "mesh.ply", units="m", open=True, **options)
+
+
+def wrong(body, points, inside):
+    """How many signs are wrong of points that are farther off than the patches from the mesh."""
+    hit = body.closest(points)
+    clear = np.abs(hit.distance) > body.surface.lifts[hit.face]
+    assert clear.sum() > 0.4 * len(points)
+    return int(np.sum((hit.distance < 0.0)[clear] != inside[clear]))
+
+
+def crossed_balls():
+    """Two balls of 0.1 m that overlap, 0.12 m apart."""
+    return trimesh.util.concatenate([ball(), ball((0.12, 0.013, 0.007))])
+
+
+def around(mesh, reach, count, seed=0):
+    """Points at random, within reach (m) of the places on the mesh."""
+    rng = np.random.default_rng(seed)
+    places = mesh.triangles_center[rng.integers(len(mesh.faces), size=count)]
+    return places + rng.uniform(-reach, reach, size=(count, 3))
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("hole", [False, True])
+def test_parts_that_run_into_each_other_have_one_inside(tmp_path, hole, turned):
+    """Near the sheets within too; with a hole in one, away from it; inside out, all signs turn."""
+    mesh = crossed_balls()
+    if hole:
+        mesh.update_faces(mesh.triangles_center[:, 0] > -0.09)
+    if turned:
+        mesh.invert()
+    body = loaded(mesh, tmp_path)
+    points = around(mesh, 0.02, 4000)
+    points = points[points[:, 0] > -0.06]
+    first = np.linalg.norm(points, axis=1) < 0.1
+    second = np.linalg.norm(points - [0.12, 0.013, 0.007], axis=1) < 0.1
+    inside = (first | second) != turned
+    assert wrong(body, points, inside) == 0
+    near = np.flatnonzero(first & second)
+    warm = body.surface.closest(points[near], body.closest(points[near]).face)
+    np.testing.assert_array_equal(warm.distance < 0.0, inside[near])
+    assert wrong(replace(body, crossed=None), points, inside) > 50
+
+
+def rolled(height, count=300):
+    """A sheet along y over a curve in x, z with four loops; their height (m) is signed."""
+    t = np.linspace(-2.0, 2.0, count)
+    x, z = 0.04 * t + 0.016 * np.sin(2 * np.pi * t), -height * np.cos(2 * np.pi * t)
+    curve = np.column_stack([x, z])
+    y = np.linspace(-0.05, 0.05, 11)
+    n, k = len(curve), len(y)
+    vertices = np.column_stack(
+        [np.repeat(curve[:, 0], k), np.tile(y, n), np.repeat(curve[:, 1], k)]
+    )
+    i, j = (g.ravel() for g in np.meshgrid(range(n - 1), range(k - 1), indexing="ij"))
+    a, b, c, d = i * k + j, (i + 1) * k + j, (i + 1) * k + j + 1, i * k + j + 1
+    faces = np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    return curve, trimesh.Trimesh(vertices, faces, process=False)
+
+
+@pytest.mark.parametrize("height", [0.012, -0.012])
+def test_a_sheet_that_runs_through_itself(tmp_path, height):
+    """Signed crossings of a ray straight up tell how often the sheet winds about a point."""
+    curve, mesh = rolled(height)
+    body = loaded(mesh, tmp_path)
+    assert len(body.crossed)
+    assert body.mesh.face_normals[:, 2].mean() > 0.2
+    points = np.random.default_rng(1).uniform([-0.07, -0.04, -0.03], [0.07, 0.04, 0.03], (4000, 3))
+    ahead = curve[1:, 0] > curve[:-1, 0]
+    turn = np.zeros(len(points), dtype=int)
+    for p, q, way in zip(curve[:-1], curve[1:], ahead, strict=True):
+        t = (points[:, 0] - p[0]) / (q[0] - p[0])
+        above = p[1] + t * (q[1] - p[1]) > points[:, 2]
+        turn += np.where((t >= 0) & (t < 1) & above, 1 if way else -1, 0)
+    assert set(turn) >= {0, 1}
+    assert set(turn) & {-1, 2}
+    assert wrong(body, points, turn > 0) == 0
+    assert wrong(replace(body, crossed=None), points, turn > 0) > 20

@@ -1,0 +1,61 @@
+/* How often a surface winds about points: solid angles of its triangles, and of whole clusters of
+   them from afar. Barill, Dickson, Schmidt, Levin, Jacobson, "Fast winding numbers for soups and
+   clouds" (ACM Trans. Graphics 37, 2018), with the first term of the expansion. */
+
+#include <math.h>
+#include <stdint.h>
+
+#define STACK 128 /* more than twice the levels of any tree */
+#define PI 3.14159265358979323846
+
+typedef struct {
+    double centre[3], area[3], reach; /* area: vector sum; reach: the distance that counts as far */
+} Cluster;
+
+static double dot(const double *a, const double *b)
+{
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+/* Half the solid angle of a triangle: Van Oosterom and Strackee, "The Solid Angle of a Plane
+   Triangle" (1983). */
+static double half_angle(const double *corner, const double *p)
+{
+    double a[3], b[3], c[3];
+    for (int x = 0; x < 3; x++) {
+        a[x] = corner[x] - p[x], b[x] = corner[3 + x] - p[x], c[x] = corner[6 + x] - p[x];
+    }
+    double cross[3] = {b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2],
+                       b[0] * c[1] - b[1] * c[0]};
+    double la = sqrt(dot(a, a)), lb = sqrt(dot(b, b)), lc = sqrt(dot(c, c));
+    return atan2(dot(a, cross), la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb);
+}
+
+/* Turns (n,) about points (n, 3); triangles (leaves * size, 9), leaf by leaf, of which those that
+   fill up a leaf are points; node k of the clusters (2 leaves,) has the children 2 k and 2 k + 1. */
+void winding(int64_t leaves, int64_t size, const Cluster *node, const double *corner, int64_t n,
+             const double *points, double *turns)
+{
+    int64_t stack[STACK];
+    for (int64_t k = 0; k < n; k++) {
+        const double *p = points + 3 * k;
+        double near = 0.0, far = 0.0;
+        int depth = 0;
+        stack[depth++] = 1;
+        while (depth) {
+            int64_t here = stack[--depth];
+            const Cluster *c = node + here;
+            double q[3] = {c->centre[0] - p[0], c->centre[1] - p[1], c->centre[2] - p[2]};
+            double away2 = dot(q, q);
+            if (away2 > c->reach * c->reach) {
+                far += dot(c->area, q) / (away2 * sqrt(away2));
+            } else if (here < leaves) {
+                stack[depth++] = 2 * here, stack[depth++] = 2 * here + 1;
+            } else {
+                const double *first = corner + 9 * size * (here - leaves);
+                for (int64_t i = 0; i < size; i++) near += half_angle(first + 9 * i, p);
+            }
+        }
+        turns[k] = near / (2.0 * PI) + far / (4.0 * PI);
+    }
+}
