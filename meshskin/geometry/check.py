@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MeshError
-from . import mend, overlap
+from . import mend, overlap, sheets
 from .walk import AFTER, BEFORE, neighbours
 
 Array = NDArray[np.float64]
@@ -111,6 +111,10 @@ def survey(vertices: Array, faces: Index, open: bool = False) -> Survey:
     if not open and mend.turn_outward(draft, part):
         across, _ = neighbours(draft.faces)
     none = np.zeros(0, dtype=np.intp)
+    parted = sheets.part(draft) if np.any(across < 0) else none
+    if len(parted):
+        across, _ = neighbours(draft.faces)
+        part = components(across)
     findings = [Finding(words, points, none, "repaired") for words, points in draft.marks]
     findings += _edges(draft, across, open)
     findings += _slivers(draft)
@@ -122,7 +126,7 @@ def survey(vertices: Array, faces: Index, open: bool = False) -> Survey:
     row = np.full(len(faces), -1)
     row[draft.number] = np.arange(len(draft.faces))
     row[draft.twins[:, 0]] = row[draft.twins[:, 1]]
-    numbers = np.concatenate([none, *(f.faces for f in findings if f.crossing)])
+    numbers = np.concatenate([parted, *(f.faces for f in findings if f.crossing)])
     crossed = np.unique(row[numbers])
     faces = np.ascontiguousarray(draft.faces)
     return Survey(draft.vertices, faces, tuple(findings), row, crossed)
