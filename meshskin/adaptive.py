@@ -28,7 +28,7 @@ from .scene import Scene
 from .se3 import Array
 from .simulation import effect_chain, simulate
 
-FIRST_SPACING, FIRST_STEP = 1.0, 0.8
+FIRST_SPACING, FIRST_STEP = 0.9, 0.9
 """Distances between the first pass's lanes, and between contacts along them, in distances at which
 a contact is felt."""
 GAP = 0.5

@@ -7,9 +7,10 @@ Both explore the same skin, laid at each pitch: 5 mm is the paper's, 6.5 mm that
 A contact is one reading of the whole skin at rest under the reference force. Fixed: lanes at the
 scene's spacing, contacts at steps of 0.5 mm along them (what 100 Hz at 50 mm/s gives) to 1 mm.
 Adaptive: a sparse first pass, then rounds of `Calibration.next_contacts`. Prints, at the mean
-errors of the lanes, the contacts that adaptive needs of theirs, and the same for the worst stated
-uncertainty; draws the curves. --full: 12 seeds, and one adaptive run through the closed loop with
-the arm.
+errors of the lanes, the contacts that adaptive needs of theirs; the part below which no choice of
+contacts can come (estimation/design.py, which knows where the taxels are); and the same as the
+first for the worst stated uncertainty; draws the curves. --full: 12 seeds, and one adaptive run
+through the closed loop with the arm.
 """
 
 from __future__ import annotations
@@ -20,10 +21,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 import meshskin as ms
 from meshskin.adaptive import adapt, touched
-from meshskin.exploration import planned
+from meshskin.estimation import design
+from meshskin.exploration import planned, setup_of
 from meshskin.geometry.region import Cap
 from meshskin.report import figures, theme
 
@@ -55,10 +58,12 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
     rows, curves = {}, {}
     for pitch in options.pitch_mm:
         scene = laid(ms.Scene.load(options.scene), pitch * 1e-3, options.count)
-        fixed = lanes(scene, seeds)
+        passes = lane_contacts(scene)
+        fixed, least = lanes(scene, passes, seeds), best_of_all(scene)
         adaptive = rounds(scene, seeds, int(fixed["contacts"].max()))
-        rows[f"{pitch:g}"] = compared(fixed, adaptive)
-        curves[f"{pitch:g}"] = fixed, adaptive
+        floor = {"floor": floor_of(scene, passes, least)}
+        rows[f"{pitch:g}"] = compared(fixed, adaptive) | floor
+        curves[f"{pitch:g}"] = fixed, adaptive, least
     report(rows, f"{options.scene}, {len(seeds)} seeds: adaptive contacts over those of lanes")
     if options.full:
         rows["closed loop"] = through_the_loop(ms.Scene.load(options.scene))
@@ -76,20 +81,40 @@ def laid(scene: ms.Scene, pitch: float, count: int | None = None) -> ms.Scene:
     return scene.with_(skin=skin)
 
 
-def lanes(scene: ms.Scene, seeds: range) -> Curve:
-    """The curve of fixed lanes."""
+def lane_contacts(scene: ms.Scene) -> list[np.ndarray]:
+    """Contacts (k, 3) of fixed lanes, at each of the steps along them."""
     dense = replace(scene.exploration, pattern="lanes")
     free = replace(scene.loop, mode="quasi_static")
     path = planned(scene.with_(exploration=dense, loop=free)).path.points
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    return [path[np.searchsorted(along, np.arange(0.0, along[-1], step))] for step in STEPS]
+
+
+def lanes(scene: ms.Scene, passes: list[np.ndarray], seeds: range) -> Curve:
+    """The curve of fixed lanes."""
     belief, found = scene.belief(), []
-    for step in STEPS:
-        points = path[np.searchsorted(along, np.arange(0.0, along[-1], step))]
+    for points in passes:
         runs = [ms.calibrate(ms.press(scene, points, seed=seed), belief) for seed in seeds]
         errors = [error_mm(scene, run.positions) for run in runs]
         worst = [1e3 * run.position_sigma.max() for run in runs]
         found.append((len(points), np.mean(errors), np.mean(worst)))
     return curve(found)
+
+
+def best_of_all(scene: ms.Scene) -> float:
+    """Mean error, mm, times the root of the number of contacts, that no design is below."""
+    belief, reach = scene.belief(), setup_of(scene).reach
+    return 1e3 * design.best(belief, scene.skin.positions, reach).bound
+
+
+def floor_of(scene: ms.Scene, passes: list[np.ndarray], least: float) -> float:
+    """Part of the lanes' contacts that the best of all designs needs for the error they leave."""
+    errors = [
+        1e3 * design.expected_error(scene.belief(), scene.skin.positions, points)
+        for points in passes
+    ]
+    needed = [(least / e) ** 2 / len(points) for e, points in zip(errors, passes, strict=True)]
+    return float(np.exp(np.log(needed).mean()))
 
 
 def rounds(scene: ms.Scene, seeds: range, most: int) -> Curve:
@@ -148,26 +173,37 @@ def through_the_loop(scene: ms.Scene) -> dict[str, float]:
 def report(rows: dict[str, dict[str, float]], title: str) -> None:
     """Print the table."""
     print(title)
-    print(f"  {'pitch, mm':>10} {'at equal mean error':>24} {'at equal worst sigma':>24}")
+    print(
+        f"  {'pitch, mm':>10} {'at equal mean error':>24} {'no choice below':>16} "
+        f"{'at equal worst sigma':>24}"
+    )
     for pitch, r in rows.items():
         mean = f"{r['ratio']:.2f} ({r['ratio_low']:.2f} to {r['ratio_high']:.2f})"
         worst = (
             f"{r['worst_ratio']:.2f} ({r['worst_ratio_low']:.2f} to {r['worst_ratio_high']:.2f})"
         )
-        print(f"  {pitch:>10} {mean:>24} {worst:>24}")
+        print(f"  {pitch:>10} {mean:>24} {r['floor']:>16.2f} {worst:>24}")
 
 
 @theme.styled
-def drawn(curves: dict[str, tuple[Curve, Curve]]) -> object:
-    """Mean error against contacts, a panel a pitch."""
+def drawn(curves: dict[str, tuple[Curve, Curve, float]]) -> object:
+    """Mean error against contacts, a panel a pitch, and the line that no design is below."""
     figure = theme.canvas(3.6 * len(curves), 3.2)
-    for k, (pitch, (fixed, adaptive)) in enumerate(curves.items()):
+    for k, (pitch, (fixed, adaptive, least)) in enumerate(curves.items()):
         axes = figure.add_subplot(1, len(curves), k + 1)
         axes.loglog(fixed["contacts"], fixed["error_mm"], "s-", color=theme.MUTED, label="lanes")
         axes.loglog(
             adaptive["contacts"], adaptive["error_mm"], "o-", color=theme.ESTIMATE, label="adaptive"
         )
+        line = np.array([adaptive["contacts"].min(), fixed["contacts"].max()])
+        axes.loglog(
+            line, least / np.sqrt(line), "--", color=theme.MUTED, label="no choice is below"
+        )
         axes.set(xlabel="contacts", ylabel="mean error (mm)", title=f"taxels {pitch} mm apart")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+            axis.set_minor_formatter(NullFormatter())
         axes.legend()
     figure.tight_layout()
     return figure

@@ -1,7 +1,7 @@
 """What to touch next: the contacts that reduce the worst taxels' uncertainty most.
 
 Each candidate contact about a taxel adds the expected information of its readings to all taxels in
-reach; contacts are chosen one by one, each against the sum of the fourth powers of the taxels'
+reach; contacts are chosen one by one, each against the sum of the third powers of the taxels'
 variances, which the worst dominate. Shared unknowns are taken as known.
 """
 
@@ -32,7 +32,7 @@ RINGS = (0.3, 0.5, 0.7, 0.85, 1.0, 1.15, 1.3)
 """Radii of the candidates about a taxel, in contact radii."""
 DIRECTIONS = 8
 """Candidates on a ring."""
-POWER = 4
+POWER = 3
 """Power of the variances in what is minimised."""
 
 
@@ -73,7 +73,7 @@ def next_contacts(calibration: Calibration, belief: Belief, k: int = 1) -> NextC
     covariance = _turned(calibration, near, charts, covariance)
     candidates = _candidates(charts, np.trace(covariance, axis1=1, axis2=2), radius)
     hit = belief.body.closest(candidates)
-    contact, taxel, slope = _slopes(charts, hit, belief, modulus)
+    contact, taxel, slope = slopes(charts, hit, belief, modulus)
     chosen, served, worst = [], [], []
     for _ in range(k):
         along = np.einsum("pij,pj->pi", covariance[taxel], slope)
@@ -125,7 +125,7 @@ def _candidates(charts: chart.Charts, variance: Array, radius: float) -> Array:
     return charts[owner].at(np.tile(offsets, (len(worst), 1)))
 
 
-def _slopes(
+def slopes(
     charts: chart.Charts, hit: Closest, belief: Belief, modulus: float
 ) -> tuple[np.ndarray, np.ndarray, Array]:
     """Contacts (p,) and taxels (p,) in reach, and the derivative (p, 2), 1/m, of each reading, in
