@@ -38,6 +38,18 @@ def exp_so3(w: ArrayLike) -> Array:
     return np.eye(3) + s * k + c * (k @ k)
 
 
+def left_jacobian(w: ArrayLike) -> Array:
+    """J (..., 3, 3) with exp(w + dw) = exp(J dw) exp(w) to first order, of `w` (..., 3), rad."""
+    w = np.asarray(w, dtype=float)
+    angle2 = np.sum(w * w, axis=-1)[..., None, None]
+    small = angle2 < 1e-4
+    angle = np.sqrt(np.where(small, 1.0, angle2))
+    first = np.where(small, 1 / 2 - angle2 / 24, (1 - np.cos(angle)) / angle**2)
+    second = np.where(small, 1 / 6 - angle2 / 120, (angle - np.sin(angle)) / angle**3)
+    cross = hat(w)
+    return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))
+
+
 def quaternion(rotation: ArrayLike) -> Array:
     """Unit quaternions (..., 4), xyzw, w >= 0, of rotation matrices (..., 3, 3)."""
     from scipy.spatial.transform import Rotation

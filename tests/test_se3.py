@@ -12,6 +12,16 @@ def test_exponential_is_the_matrix_exponential():
     np.testing.assert_allclose(se3.exp_so3(w), expected, atol=1e-14)
 
 
+def test_left_jacobian_is_how_the_exponential_turns():
+    rng = np.random.default_rng(3)
+    w = rng.normal(size=(20, 3)) * np.logspace(-6, 0.3, 20)[:, None]
+    jacobian, step = se3.left_jacobian(w), 1e-6
+    for k, axis in enumerate(np.eye(3)):
+        ends = (se3.exp_so3(w + sign * step * axis) for sign in (1, -1))
+        turned = next(ends) @ np.swapaxes(next(ends), 1, 2)
+        np.testing.assert_allclose(se3.log_so3(turned) / (2 * step), jacobian[:, :, k], atol=1e-7)
+
+
 def test_logarithm_undoes_the_exponential_up_to_pi():
     axis = np.random.default_rng(2).normal(size=(8, 3))
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)

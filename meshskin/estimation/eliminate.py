@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..se3 import Array
-from .factors.shared import Anchored
+from .factors.contacts import Anchored
 from .likelihood import Likelihood, Moments
 from .places import Places
 

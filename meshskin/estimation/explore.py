@@ -16,8 +16,8 @@ from ..errors import CalibrationError
 from ..physics.contact import Model, Patches, hertz
 from ..se3 import Array
 from . import chart
+from .factors.contacts import Contacts
 from .factors.patches import MEANS
-from .factors.shared import Contacts
 from .measurements import NOMINAL_NOISE
 from .observe import censored_information
 

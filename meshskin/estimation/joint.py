@@ -3,10 +3,10 @@
 Unknown are two coordinates of every taxel in a chart of the surface, or the poses of rigid modules,
 gains and offsets where declared, and what all share (E*, force, indenter, body). The taxels are
 eliminated from the shared unknowns (eliminate.py), which IPOPT finds (solve.py). Charts and
-contacts are anchored anew at the solution until nothing moves, so that every taxel ends on the
-surface. The Hessian is Gauss-Newton throughout: the exact one finds wrong optima from starts as
-near as 0.7 mm. IPOPT's status is not believed: the Newton decrement and every taxel's chi-square
-are, and a taxel that misfits is started again from the centroid of its contacts.
+contacts are anchored anew at the solution until nothing moves, so that all end on the surface. The
+Hessian is Gauss-Newton throughout: the exact one finds wrong optima from starts as near as 0.7 mm.
+IPOPT's status is not believed: the Newton decrement and every taxel's chi-square are, and a taxel
+that misfits is started again from the centroid of its contacts.
 """
 
 from __future__ import annotations

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..se3 import Array
+from .factors.contacts import Contacts
 from .factors.patches import MEANS
 from .factors.pressure import HEARD, SATURATED, SILENT, costs
-from .factors.shared import Contacts, Shared
+from .factors.shared import Shared
 from .measurements import SPARE, Measurements, reach, silent_pairs
 
 CLEAR = 5.0
@@ -250,13 +251,16 @@ class Likelihood:
             jacobian[row] = mu if name == "gain" else 1.0
         first = 3 + len(names)
         by_shape = tuple(peak * by for by in by_shape)
+        if contacts.moves is not None:  # what moves the contact's frame moves the taxel back in it
+            wrench = np.concatenate([by_point, np.cross(offset, by_point)], 1) * peak[:, None]
         for row in range(len(self.shared.sigma)):
             jacobian[first + row] = mu * contacts.log_peak[contact, row]
             for by, slope in zip(by_shape, contacts.shape, strict=True):
                 jacobian[first + row] += by * slope[contact, row]
             if contacts.moves is not None:
-                moved = contacts.moves[contact, :, row]
-                jacobian[first + row] -= np.einsum("ik,ki->k", jacobian[:3], moved)
+                jacobian[first + row] -= np.einsum(
+                    "ki,ki->k", wrench, contacts.moves[contact, :, row]
+                )
         if "offset" in names:
             mu = mu + extras[:, names.index("offset")]
         return mu, jacobian

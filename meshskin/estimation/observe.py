@@ -15,7 +15,8 @@ from ..errors import CalibrationError
 from ..se3 import Array
 from . import chart
 from .displacements import lever
-from .factors.shared import Shared, anchored
+from .factors.contacts import Anchored
+from .factors.shared import Shared
 from .likelihood import Likelihood, Readings
 from .measurements import SPARE, Measurements, gather, near_pairs, reach
 
@@ -104,12 +105,13 @@ def _information(
     """
     charts = chart.about(body, points)
     shared = data.shared
-    contacts = anchored(shared, data, body, np.zeros(len(shared.sigma)))
+    nominal = np.zeros(len(shared.sigma))
+    contacts = Anchored(shared, data, body, nominal).at(nominal)
     order = np.argsort(taxel, kind="stable")
     contact, taxel = contact[order], taxel[order]
     model = Likelihood(data, Readings.none(), shared)
     extras = np.zeros((len(taxel), len(shared.local_names)))
-    mu, slope = model.predict(contact, points[taxel], extras, contacts.at(contacts.about))
+    mu, slope = model.predict(contact, points[taxel], extras, contacts)
     weight = censored_information(data.threshold / data.sigma - mu)
     slope = np.concatenate([np.einsum("kia,ik->ak", charts.tangents[taxel], slope[:3]), slope[3:]])
     size = len(slope)

@@ -14,8 +14,8 @@ from ..errors import CalibrationError
 from ..se3 import Array
 from . import faults
 from .eliminate import Problem, Reduced, State
+from .factors.contacts import Anchored
 from .factors.pressure import HEARD
-from .factors.shared import Anchored, anchored
 from .likelihood import Likelihood, select
 from .measurements import SPARE, Measurements
 from .places import Free, Places
@@ -28,6 +28,9 @@ PASSES = 8
 """Most anchorings; two are usual."""
 DECREMENT = 1e-6
 """Largest Newton decrement of the shared unknowns at which a solution is believed."""
+ROUGH = 1e-4
+"""Newton decrement at which an estimate rests whose contacts move: 0.014 standard deviations. On a
+mesh normals and curvatures jump a little from face to face, and with them what is anchored anew."""
 MISFIT = 4.0
 """Chi-square per degree of freedom, relative to the median's, that starts a taxel again."""
 MISFIT_NOMINAL = 25.0
@@ -48,7 +51,8 @@ class Run:
         tolerance: float = AT_REST,
     ) -> None:
         self.data, self.body, self.live, self.iterations = data, body, live, iterations
-        self.tolerance = tolerance
+        self.tolerance = max(tolerance, ROUGH) if data.shared.moving else tolerance
+        self.settled = tolerance / 10
         self.weight = weight
         self.silent_weight = np.ones(len(live))
         self.seconds = {"readings": 0.0, "solve": 0.0}
@@ -61,7 +65,7 @@ class Run:
         self, places: Places, s: Array, z: Array | None = None, select_anew: bool = False
     ) -> None:
         """Take up places and contacts anchored at s, with gains and offsets from z (G, D)."""
-        contacts = anchored(self.data.shared, self.data, self.body, s)
+        contacts = Anchored(self.data.shared, self.data, self.body, s)
         stretch = float(np.median(np.log(contacts.at(s).radii / self.data.radii)))
         if select_anew or not self._covers(places, contacts, stretch):
             clock = time.perf_counter()
@@ -72,7 +76,7 @@ class Run:
             self.likelihood = Likelihood(self.data, readings, self.data.shared)
             self.about = points, contacts.data.points, stretch
             self.seconds["readings"] += time.perf_counter() - clock
-        self.problem = Problem(self.likelihood, places, contacts, self.tolerance / 10)
+        self.problem = Problem(self.likelihood, places, contacts, self.settled)
         self.state = self.problem.start(s, z)
 
     def _covers(self, places: Places, contacts: Anchored, stretch: float) -> bool:

@@ -7,8 +7,8 @@ from meshskin.estimation import chart
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.eliminate import Problem
 from meshskin.estimation.factors import module
+from meshskin.estimation.factors.contacts import Anchored
 from meshskin.estimation.factors.pressure import SILENT, censored
-from meshskin.estimation.factors.shared import anchored
 from meshskin.estimation.likelihood import Likelihood, select
 from meshskin.estimation.measurements import gather
 from meshskin.estimation.places import Free
@@ -41,7 +41,7 @@ def prepared(world, rigid):
     weight = np.random.default_rng(0).uniform(0.2, 1.0, len(data.pressure))
     readings = select(data, live, places.points(), 0.0, weight, np.ones(len(live)))
     likelihood = Likelihood(data, readings, data.shared)
-    problem = Problem(likelihood, places, anchored(data.shared, data, world.body, np.zeros(2)))
+    problem = Problem(likelihood, places, Anchored(data.shared, data, world.body, np.zeros(2)))
     state = problem.start(np.zeros(2))
     problem.settle(state)
     return problem, state

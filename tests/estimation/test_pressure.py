@@ -5,8 +5,9 @@ import pytest
 from scipy.special import log_ndtr
 
 from meshskin.errors import CalibrationError, UnknownNameError
+from meshskin.estimation.factors.contacts import Anchored, Contacts
 from meshskin.estimation.factors.pressure import censored, costs, mean_pressure
-from meshskin.estimation.factors.shared import PRIORS, Contacts, anchored, declared
+from meshskin.estimation.factors.shared import PRIORS, declared
 from meshskin.estimation.likelihood import Likelihood, Readings
 from meshskin.estimation.measurements import gather, near_pairs, reach
 from meshskin.physics.contact.disc import disc_mean
@@ -44,7 +45,7 @@ def test_prediction_is_the_world_s_reading(world, case):
     data, contact, taxel = case
     model = Likelihood(data, Readings.none(), data.shared)
     s = np.zeros(len(data.shared.sigma))
-    contacts = anchored(data.shared, data, world.body, s).at(s)
+    contacts = Anchored(data.shared, data, world.body, s).at(s)
     mu, _ = model.predict(contact, world.truth[taxel], np.zeros((len(taxel), 2)), contacts)
     level = world.pressures()[contact, taxel]
     assert (level > 0).sum() > 100
@@ -58,7 +59,7 @@ def test_every_derivative(world, case, column):
     scale = np.concatenate([np.full(3, 1e-3), [0.1, 1.0], 0.1 * data.shared.sigma])
     rng = np.random.default_rng(column)
     about = 0.3 * scale * rng.normal(size=len(scale))
-    fixed = anchored(data.shared, data, world.body, about[5:])
+    fixed = Anchored(data.shared, data, world.body, about[5:])
 
     def predict(x):
         points = world.truth[taxel] + x[:3]
@@ -76,7 +77,7 @@ def test_modulus_force_and_gain_have_one_null_direction(world, case):
     data, contact, taxel = case
     model = Likelihood(data, Readings.none(), data.shared)
     s = np.zeros(len(data.shared.sigma))
-    contacts = anchored(data.shared, data, world.body, s).at(s)
+    contacts = Anchored(data.shared, data, world.body, s).at(s)
     _, jacobian = model.predict(contact, world.truth[taxel], np.zeros((len(taxel), 2)), contacts)
     at = {name: 5 + where.start for name, where in data.shared.columns.items()}
     null = jacobian[at["modulus"]] + jacobian[at["force_scale"]] - jacobian[3]
@@ -87,10 +88,10 @@ def test_contacts_move_with_the_indenter_and_the_body(world, case):
     data, _, _ = case
     shared = data.shared
     s = np.zeros(len(shared.sigma))
-    fixed = anchored(shared, data, world.body, s.copy())
+    fixed = Anchored(shared, data, world.body, s.copy())
     s[shared.columns["indenter_offset"]] = [2e-4, -1e-4, 1e-4]
     s[shared.columns["body_offset"]] = [1e-4, 2e-4, 0.0, 1e-3, 0.0, 2e-3]
-    there = anchored(shared, data, world.body, s).at(s)
+    there = Anchored(shared, data, world.body, s).at(s)
     assert np.linalg.norm(there.points - data.points, axis=1).mean() > 1e-4
     assert np.abs(fixed.at(s).points - there.points).max() < 3e-6
     assert np.allclose(world.body.closest(there.points).distance, 0, atol=1e-12)
@@ -102,7 +103,7 @@ def test_what_cannot_be_declared(world):
     assert len(declared(tuple(PRIORS), {"gain": 0.1}, 3.0, 1e5).sigma) == 12
     data = gather(world.record(), world.belief(unknown=("indenter_offset",)))
     with pytest.raises(CalibrationError, match="headings"):
-        anchored(data.shared, data, world.body, np.zeros(3))
+        Anchored(data.shared, data, world.body, np.zeros(3))
 
 
 def test_censored_cost_against_scipy():
@@ -130,7 +131,7 @@ def test_costs_and_their_derivatives(kind):
 
 def test_contacts_are_plain_without_moves(world, case):
     data = gather(world.record(), world.belief())
-    contacts = anchored(data.shared, data, world.body, np.zeros(1)).at(np.log([0.8]))
+    contacts = Anchored(data.shared, data, world.body, np.zeros(1)).at(np.log([0.8]))
     assert isinstance(contacts, Contacts)
     softer = gather(world.record(), world.belief(young=0.8 * 0.2e6))
     assert np.allclose(contacts.radii, softer.radii)

@@ -8,7 +8,7 @@ import pytest
 
 from meshskin.estimation import chart
 from meshskin.estimation.eliminate import Problem
-from meshskin.estimation.factors.shared import anchored
+from meshskin.estimation.factors.contacts import Anchored
 from meshskin.estimation.likelihood import Likelihood, select
 from meshskin.estimation.measurements import gather
 from meshskin.estimation.places import Free
@@ -24,7 +24,7 @@ def problem(world):
     readings = select(data, live, world.truth, 0.0, heard, silent)
     places = Free(chart.about(world.body, world.truth), 2e-3)
     likelihood = Likelihood(data, readings, data.shared)
-    return Problem(likelihood, places, anchored(data.shared, data, world.body, s))
+    return Problem(likelihood, places, Anchored(data.shared, data, world.body, s))
 
 
 def test_the_reduced_gradient_is_that_of_the_reduced_cost(problem):

@@ -9,6 +9,8 @@ from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.measurements import gather
 from meshskin.estimation.metrics import cramer_rao, nees, nees_band, position_errors
+from meshskin.geometry.primitives import Ellipsoid
+from meshskin.physics.contact import Model
 from meshskin.recording import CONTACTS, READINGS, Recording
 
 
@@ -105,6 +107,24 @@ def test_what_a_sphere_does_not_show_of_the_body_is_named(world):
     assert any("rotation z" in words for words in found.undetermined)
     assert found.unknowns["body_offset rotation z"][1] == pytest.approx(0.05, rel=0.05)
     assert found.fit.good
+
+
+def test_an_ellipsoid_shows_where_it_is(world):
+    body = Ellipsoid((0.06, 0.045, 0.1))
+    other = type(world)(extent=20e-3, step=1e-3, body=body, model=Model("elliptic"))
+    shift, turn = np.array([3e-4, -2e-4, 1e-4]), np.array([4e-3, -3e-3, 2e-3])
+    centre = other.points + (0.01 - other.patches.depth)[:, None] * other.normals
+    believed = other.body.closest((centre - shift) @ se3.exp_so3(turn)).point
+    recording = record(other, points=believed)
+    ignored = calibrate(recording, other.belief(0.01, 0.05))
+    assert position_errors(ignored, other.skin).mean() > 0.2e-3
+    found = calibrate(recording, other.belief(0.01, 0.05, unknown=("modulus", "body_offset")))
+    assert found.fit.good
+    for axis, truth in zip("xyz", shift, strict=True):
+        assert near(found, f"body_offset {axis}", truth) < 1e-3
+    for axis, truth in zip("xyz", turn, strict=True):
+        assert near(found, f"body_offset rotation {axis}", truth) < 0.04
+    assert found.undetermined == ()
 
 
 def test_nothing_unknown_but_the_taxels(world):

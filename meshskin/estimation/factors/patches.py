@@ -24,7 +24,7 @@ from .batch import BATCH, evaluate
 
 if TYPE_CHECKING:
     from ..measurements import Measurements
-    from .shared import Contacts
+    from .contacts import Contacts
 
 Means = Callable[[Array, np.ndarray, "Contacts", float], tuple[Array, Array, tuple[Array, ...]]]
 """What taxels read in units of the peak, and its derivatives by place and shape."""
@@ -49,7 +49,7 @@ def half_space(data: Measurements, log_force: Array, log_modulus: float) -> tupl
         peak=patch.peak * np.exp((log_force + 2 * log_modulus) / 3),
         depth=patch.depth * length**2,
     )
-    return found, Rates((1 / 3,), 1 / 3)
+    return found, Rates((1 / 3,) * (1 if data.model.name == "hertz" else 2), 1 / 3)
 
 
 def layer(data: Measurements, log_force: Array, log_modulus: float) -> tuple[Patches, Rates]:

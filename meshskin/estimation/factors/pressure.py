@@ -26,7 +26,7 @@ from ...se3 import Array
 from .batch import BATCH, evaluate
 
 if TYPE_CHECKING:
-    from .shared import Contacts
+    from .contacts import Contacts
 
 INPUTS = 8
 HEARD, SILENT, SATURATED = 0, 1, -1

@@ -18,17 +18,17 @@ from ...se3 import Array
 from .batch import BATCH, evaluate
 
 if TYPE_CHECKING:
-    from .shared import Contacts
+    from .contacts import Contacts
 
 
 @functools.cache
 def hertzian() -> ca.Function:
     """(d (3), n (3), t (3), a, b, s) by columns, m = 1/2 -> M, its gradient in d (3), its
-    derivative in the logarithm of both semi-axes.
+    derivatives in ln a and ln b.
     """
     x = ca.SX.sym("x", 12)
     mean, by_point, by_a, by_b, _ = _mean(x, 0.5)
-    return _mapped("pressure_elliptic", x, mean, by_point, by_a + by_b)
+    return _mapped("pressure_elliptic", x, mean, by_point, by_a, by_b)
 
 
 @functools.cache
@@ -56,9 +56,9 @@ def _mapped(name: str, x: ca.SX, *outputs: ca.SX) -> ca.Function:
 def ellipse(
     offset: Array, rows: np.ndarray, contacts: Contacts, disc: float
 ) -> tuple[Array, Array, tuple[Array, ...]]:
-    """As `pressure.circle` under elliptic Hertz patches; the shape: ln of both semi-axes."""
+    """As `pressure.circle` under elliptic Hertz patches; the shape: ln a, ln b."""
     out = evaluate(hertzian(), len(rows), *_columns(offset, rows, contacts), disc)
-    return out[:, 0], out[:, 1:4], (out[:, 4],)
+    return out[:, 0], out[:, 1:4], (out[:, 4], out[:, 5])
 
 
 def profile(

@@ -1,30 +1,18 @@
 """Unknowns shared by all readings: the contact modulus, the force, where the contacts are.
 
-    f = ln(F_true / F),  F_true = exp(h) F + b,  c = c_0 + B (s - s_0),
-
-e = ln(E* / nominal), h the force's scale, b its offset; patches.py tells how the patches follow f
-and e (on a half-space a ~ exp((f - e)/3), p_0 ~ exp((f + 2 e)/3)). B holds the moves of the
-contact points under an indenter offset, world frame, and a body offset (translation, rotation),
-body frame. Points are anchored anew on the surface, as the taxels are: B only speeds the way there.
+e = ln(E* / nominal), h the force's scale and b its offset, F_true = exp(h) F + b; an indenter
+offset, world frame, and a body offset (translation, rotation), body frame (contacts.py).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ... import se3
-from ...errors import CalibrationError, UnknownNameError
-from ...physics.contact import Patches
+from ...errors import UnknownNameError
 from ...se3 import Array
-from .patches import FOLLOW
-
-if TYPE_CHECKING:
-    from ...geometry.body import Body
-    from ..measurements import Measurements
 
 SIZES = {"modulus": 1, "force_scale": 1, "force_offset": 1, "indenter_offset": 3, "body_offset": 6}
 """Shared unknowns and their numbers."""
@@ -43,10 +31,6 @@ PRIORS = {
 force in reference forces, of the pressure in reference peaks, of indenter and body in m."""
 ROTATION = 10.0
 """Standard deviation of a body's rotation, rad, for every m of its translation's."""
-FAR = 20.0
-"""Standard deviations of a prior at which it ends."""
-FOOT_STEP = 1e-5
-"""Step over which a contact point's moves are told, m."""
 
 
 @dataclass(frozen=True)
@@ -130,128 +114,3 @@ def declared(
 
 MODULUS = Shared(("modulus",), np.ones(1))
 """The modulus alone, as by default."""
-
-
-@dataclass(frozen=True)
-class Contacts:
-    """m contacts as the shared unknowns say, and how they change with them."""
-
-    points: Array
-    """(m, 3), body frame, m."""
-    normals: Array
-    """(m, 3)."""
-    directions: Array
-    """Unit tangents (m, 3) along the patches' first semi-axes."""
-    patches: Patches
-    """Semi-axes, m, and peaks p_0, Pa, of m contacts."""
-    shape: tuple[Array, ...]
-    """Derivatives (m, ks) in s of what the contact model calls the shape (`patches.Means`)."""
-    log_peak: Array
-    """d ln p_0 / ds (m, ks)."""
-    moves: Array | None
-    """B (m, 3, ks); None where no contact moves."""
-
-    @property
-    def radii(self) -> Array:
-        """Radii (m,), m, of the circles of the patches' areas."""
-        return np.asarray(np.sqrt(self.patches.first * self.patches.second))
-
-    @property
-    def peaks(self) -> Array:
-        """p_0 (m,), Pa."""
-        return np.asarray(self.patches.peak)
-
-
-@dataclass(frozen=True)
-class Anchored:
-    """The contacts anchored on the body's surface at `about`, values of s (ks,)."""
-
-    shared: Shared
-    data: Measurements
-    about: Array
-    moves: Array | None = None
-
-    def at(self, s: Array) -> Contacts:
-        """The contacts at s (ks,)."""
-        data, shared, at = self.data, self.shared, self.shared.columns
-        within, force = self._within(s), self._force(s)
-        e, h = (shared.value(n, within) for n in ("modulus", "force_scale"))
-        f = np.log(force / data.force)
-        log_force = np.zeros((len(f), len(s)))
-        if "force_scale" in at:
-            log_force[:, at["force_scale"]] = (np.exp(h) * data.force / force)[:, None]
-        if "force_offset" in at:
-            log_force[:, at["force_offset"]] = 1 / force[:, None]
-        patches, rates = FOLLOW[data.model.name](data, f, e)
-        load = log_force  # of ln(F/E*)
-        if "modulus" in at:
-            load[:, at["modulus"]] = -1.0
-        log_peak = rates.peak * load
-        if "modulus" in at:
-            log_peak[:, at["modulus"]] += 1.0
-        points = (
-            data.points if self.moves is None else data.points + self.moves @ (within - self.about)
-        )
-        return Contacts(
-            points=points,
-            normals=data.normals,
-            directions=data.directions,
-            patches=patches,
-            shape=tuple(rate * load for rate in rates.shape),
-            log_peak=log_peak,
-            moves=self.moves,
-        )
-
-    def check(self, s: Array) -> None:
-        """Raise ContactError where the contacts at s (ks,) leave the contact model's series."""
-        data, e = self.data, self.shared.value("modulus", self._within(s))
-        data.model.patches(
-            force=self._force(s),
-            curvature=data.curvature,
-            indenter_radius=data.indenter_radius,
-            effective_modulus=data.modulus * np.exp(e),
-        )
-
-    def _within(self, s: Array) -> Array:
-        # Beyond its priors' far end a trial step of the optimiser changes no more.
-        return np.clip(s, -FAR * self.shared.sigma, FAR * self.shared.sigma)
-
-    def _force(self, s: Array) -> Array:
-        """True forces (m,), N."""
-        h, b = (self.shared.value(n, self._within(s)) for n in ("force_scale", "force_offset"))
-        return np.maximum(np.exp(h) * self.data.force + b, 0.01 * self.data.force)
-
-
-def anchored(shared: Shared, data: Measurements, body: Body, s: Array) -> Anchored:
-    """The contacts on the surface at s (ks,): nearest to the indenter's centre, as moved by s.
-
-    Raises CalibrationError if the indenter's offset is unknown and the headings are, too.
-    """
-    if not shared.moving:
-        return Anchored(shared, data, s)
-    at, centre = shared.columns, data.points + data.height[:, None] * data.normals
-    into = np.zeros((len(centre), 3, len(s)))  # moves of the centre in the body frame
-    moved = centre
-    if "body_offset" in at:
-        xi = s[at["body_offset"]]
-        moved = moved @ se3.exp_so3(xi[3:]).T + xi[:3]
-        into[:, :, at["body_offset"]] = np.concatenate(
-            [np.broadcast_to(np.eye(3), (len(centre), 3, 3)), -se3.hat(moved - xi[:3])], axis=2
-        )
-    if "indenter_offset" in at:
-        if data.headings is None:
-            raise CalibrationError(
-                "an unknown indenter offset needs the body's orientation in every contact",
-                value="belief.headings = None",
-                remedy="record qw qx qy qz of every contact, give belief.headings (m, 3, 3), world "
-                "from body, or leave it out",
-            )
-        back = np.swapaxes(data.headings, 1, 2)
-        moved = moved + back @ s[at["indenter_offset"]]
-        into[:, :, at["indenter_offset"]] = back
-    hit = body.closest(moved)
-    steps = moved[:, None] + FOOT_STEP * np.eye(3)
-    foot = body.closest(steps.reshape(-1, 3)).point.reshape(-1, 3, 3) - hit.point[:, None]
-    moves = np.swapaxes(foot, 1, 2) / FOOT_STEP @ into
-    # The recorded points are on the believed surface only as well as they were recorded.
-    return Anchored(shared, data.on(hit), s, moves)
