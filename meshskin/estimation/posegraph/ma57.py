@@ -31,7 +31,10 @@ class Plan(ctypes.Structure):
         ("free", ctypes.c_void_p),
         ("anchors", ctypes.c_void_p),
         ("x", ctypes.c_void_p),
-        ("factorised", ctypes.c_longlong),
+        ("work", ctypes.c_void_p),
+        *((name, ctypes.c_longlong) for name in ("alike", "factorised", "own", "eliminations")),
+        ("entries", ctypes.c_longlong),
+        *((name, ctypes.c_void_p) for name in ("rows", "columns", "goal", "values")),
     ]
 
 
@@ -42,6 +45,7 @@ class Door:
         self._cholesky = cholesky
         self._free, self._anchors = (np.ascontiguousarray(a, np.int64) for a in (free, anchors))
         self._x = np.empty(6 * cholesky.nodes)
+        self._work = np.empty(4 * 6 * cholesky.nodes)
 
     @property
     def options(self) -> dict[str, object]:
@@ -50,8 +54,12 @@ class Door:
         return _named(library) if library is not None and _comes_in() else {}
 
     @contextmanager
-    def open(self) -> Iterator[Plan]:
-        """While in here, the solver of this thread has these fronts."""
+    def open(self, alike: bool = False) -> Iterator[Plan]:
+        """While in here, the solver of this thread has these fronts.
+
+        alike: its matrices are positive semidefinite by their form, and little different from the
+        first, whose factors serve the others.
+        """
         library = self._cholesky.built
         with self._cholesky.lock:
             if library is None:
@@ -61,8 +69,8 @@ class Door:
                 ctypes.pointer(self._cholesky.structure),
                 len(self._free),
                 len(self._anchors),
-                *(a.ctypes.data for a in (self._free, self._anchors, self._x)),
-                0,
+                *(a.ctypes.data for a in (self._free, self._anchors, self._x, self._work)),
+                alike,
             )
             before = library.hand_to_ipopt(ctypes.byref(plan))
             try:

@@ -85,7 +85,9 @@ class Problem:
 
         `tolerance` is for the parameters' own scale. With `record`, the path is kept.
         """
-        with self._door.open():  # one thread at a time: graphs of a topology share the problem
+        gauss_newton = bool(parameters[-1] == 0.0)
+        # one thread at a time: graphs of a topology share the problem
+        with self._door.open(alike=gauss_newton):
             return self._run(parameters, tolerance, limit, record)
 
     def _run(self, parameters: Array, tolerance: float, limit: int, record: bool) -> Run:

@@ -1,6 +1,7 @@
 """The door for IPOPT: the convention of MA57, and what happens to one that does not come in."""
 
 import ctypes
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -32,29 +33,47 @@ def call(door, function, *arguments):
     getattr(door._cholesky.built, function)(*given)
 
 
+class Solver:
+    """The five functions for matrices (6 n, 6 n) of one pattern, given by one triangle."""
+
+    def __init__(self, door, dense):
+        n = len(dense)
+        # Each entry in two halves, one of them in the other triangle: both must be understood.
+        columns, rows = np.nonzero(np.triu(dense != 0))
+        self.door, self.n, self.places = door, n, (rows, columns)
+        rows, columns = np.concatenate([rows, columns]), np.concatenate([columns, rows])
+        self.rows, self.columns = ((p + 1).astype(np.int32) for p in (rows, columns))
+        self.info, self.unused = np.zeros(40, np.int32), np.zeros(40)
+        count = len(self.rows)
+        self.keep = np.zeros(5 * n + 2 * count + 42, np.int32)
+        self.aside = np.zeros(5 * n, np.int32)
+        call(
+            door, "ma57ad_", n, count, self.rows, self.columns, len(self.keep), self.keep,
+            self.aside, self.unused, self.info, self.unused,
+        )  # fmt: skip
+
+    def solved(self, dense, right):
+        """x, and INFO of the factorisation."""
+        if self.info[0]:
+            return None, self.info
+        self.values = np.concatenate([dense[self.places] / 2] * 2)
+        info, unused, n = np.zeros(40, np.int32), self.unused, self.n
+        sizes = (1, unused, 1)
+        call(
+            self.door, "ma57bd_", n, len(self.values), self.values, unused, *sizes, 1, self.keep,
+            self.aside, unused, unused, info, unused,
+        )  # fmt: skip
+        factored = info.copy()
+        call(
+            self.door, "ma57cd_", 1, n, unused, *sizes, len(right), right, n, unused, 1, self.aside,
+            unused, info,
+        )  # fmt: skip
+        return right, factored
+
+
 def solved(door, dense, right):
-    """x, and INFO of the factorisation, for a matrix (6 n, 6 n) given by one triangle."""
-    n = len(dense)
-    # Each entry in two halves, one of them in the other triangle: both must be understood.
-    columns, rows = np.nonzero(np.triu(dense != 0))
-    places = np.concatenate([rows, columns]), np.concatenate([columns, rows])
-    values = np.concatenate([dense[rows, columns] / 2] * 2)
-    rows, columns = ((p + 1).astype(np.int32) for p in places)
-    count, info, unused = len(rows), np.zeros(40, np.int32), np.zeros(40)
-    keep, aside = np.zeros(5 * n + 2 * count + 42, np.int32), np.zeros(5 * n, np.int32)
-    call(door, "ma57ad_", n, count, rows, columns, len(keep), keep, aside, unused, info, unused)
-    if info[0]:
-        return None, info
-    sizes = (1, unused, 1)
-    call(
-        door, "ma57bd_", n, count, values, unused, *sizes, 1, keep, aside, unused, unused, info,
-        unused,
-    )  # fmt: skip
-    factored = info.copy()
-    call(
-        door, "ma57cd_", 1, n, unused, *sizes, len(right), right, n, unused, 1, aside, unused, info
-    )
-    return right, factored
+    """x, and INFO of the factorisation, for one matrix."""
+    return Solver(door, dense).solved(dense, right)
 
 
 def matrix(door):
@@ -81,6 +100,68 @@ def test_an_indefinite_matrix_is_reported_and_never_solved(door):
         x, info = solved(door, dense, np.ones((1, len(dense))))
     assert info[23] == 1
     assert np.isnan(x).all()
+
+
+def test_factors_of_one_matrix_serve_those_that_are_like_it(door):
+    """To nine digits, in the matrix's norm; they are eliminated where that is asked for."""
+    dense = matrix(door)
+    other = dense * (1 + 0.1 * np.sin(np.arange(66.0)[:, None] + np.arange(66.0)))
+    right = np.random.default_rng(1).normal(size=(2, 66))
+    for alike, count in ((True, 1), (False, 2)):
+        with door.open(alike) as plan:
+            solver = Solver(door, dense)
+            for one in (dense, other):
+                x, info = solver.solved(one, right.copy())
+                assert info[0] == info[23] == 0
+                off = x.T - np.linalg.solve(one, right.T)
+                error = np.sum(off * (one @ off), axis=0)
+                size = np.sum(x * right, axis=1)
+                assert np.all(error <= (1e-8 if alike else 1e-12) ** 2 * size)
+            assert plan.eliminations == count
+
+
+def test_a_matrix_that_is_not_like_the_first_is_eliminated_after_all(door):
+    dense, random = matrix(door), np.random.default_rng(2).uniform(0.1, 10.0, 66)
+    other, right = random[:, None] * dense * random, np.ones((1, 66))
+    with door.open(alike=True) as plan:
+        solver = Solver(door, dense)
+        solver.solved(dense, right.copy())
+        x, info = solver.solved(other, right.copy())
+        assert plan.eliminations == 2
+        assert info[23] == 0
+        assert np.allclose(x, np.linalg.solve(other, right.T).T, rtol=1e-9)
+        x, _ = solver.solved(dense - 60 * np.eye(66), right.copy())
+        assert np.isnan(x).all()  # an indefinite one is not what was promised: never solved
+        _, info = solver.solved(dense - 60 * np.eye(66), right.copy())
+        assert info[23] == 1  # from then on each is eliminated, and IPOPT told
+        x, _ = solver.solved(dense, right.copy())
+        assert np.allclose(x, np.linalg.solve(dense, right.T).T, rtol=1e-9)
+        assert plan.eliminations == 5
+
+
+def test_gauss_newton_eliminates_once(skin_graph, monkeypatch):
+    """And ends where it ends with an elimination in every iteration."""
+    if not ma57._comes_in():
+        pytest.skip("no C compiler")
+    usual = ma57.Door.open
+
+    def solution(reuse):
+        plans = []
+
+        @contextmanager
+        def watched(door, alike=False):
+            with usual(door, alike and reuse) as plan:
+                plans.append(plan)
+                yield plan
+
+        monkeypatch.setattr(ma57.Door, "open", watched)
+        return skin_graph(60, seed=3)[0].solve(), [plan.eliminations for plan in plans]
+
+    (one, once), (other, every) = solution(True), solution(False)
+    assert one.iterations == other.iterations > 1
+    assert (once, every) == ([1], [other.iterations])
+    assert one.cost == pytest.approx(other.cost, rel=1e-12)
+    assert np.allclose(one.poses, other.poses, atol=1e-9)
 
 
 def test_without_a_plan_or_of_another_size_nothing_is_done(door):
