@@ -68,6 +68,16 @@ def test_off_means_that_no_module_is_imported_and_nothing_acts():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+def test_off_again_means_the_same_bits(small, plain, one):
+    """Effects that were on before, all of them imported and built, leave nothing behind."""
+    for name in effects.KINDS:
+        if name != "gaussian_noise":
+            one(name)
+    again = ms.simulate(small, seed=1)
+    for table_of in ("contacts", "readings", "motion"):
+        assert getattr(again, table_of).equals(getattr(plain, table_of))
+
+
 @pytest.mark.parametrize("name", RECORDED)
 def test_what_is_recorded_leaves_the_readings_bit_for_bit(name, one, plain):
     other = one(name)
