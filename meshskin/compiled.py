@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 FLAGS = ("-O3", "-fno-math-errno", "-shared", "-fPIC")
+PLAIN = ("-O0", "-shared", "-fPIC")
 # No -march=native, of which the cache's key knows nothing: see `fused`.
 
 
@@ -42,6 +43,18 @@ def compiled(function: ca.Function, flags: tuple[str, ...] = FLAGS) -> ca.Functi
     """
     name = function.name()
     return _machine_code(name, lambda: source(function), _external(name), flags) or function
+
+
+def differentiable(function: ca.Function, directions: int) -> ca.Function:
+    """`function` as machine code with forward derivatives in 1 and in `directions` directions.
+
+    Derivatives are long: the compiler is not asked to be clever, which would take it ten times as
+    long as it takes to translate. Without a C compiler, see `compiled`.
+    """
+    name = function.name()
+    slopes = [function.forward(count) for count in sorted({1, directions})]
+    made = _machine_code(name, lambda: source(function, *slopes), _external(name), PLAIN)
+    return made or function
 
 
 def library(name: str, text: str, flags: tuple[str, ...] = FLAGS) -> ctypes.CDLL | None:

@@ -13,7 +13,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from ..errors import PlaceError, SimulationError
@@ -238,9 +240,9 @@ class Explorer:
         )
 
 
-def paced(t: float, ramp: float, dt: float) -> float:
-    """Part of the approach speed at t (s) after the approach's begin: it grows evenly."""
-    return min((t + dt) / max(ramp, dt), 1.0)
+def paced(t: Any, ramp: Any, dt: Any) -> Any:
+    """Part of the approach speed at t (s) after the approach's begin, grown evenly; CasADi."""
+    return ca.fmin((t + dt) / ca.fmax(ramp, dt), 1.0)
 
 
 def _raised(pose: Array, lift: float) -> Array:

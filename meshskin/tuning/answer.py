@@ -51,7 +51,7 @@ class Tuned:
     exploration: Exploration
     """With the speeds found: approach (in the law), rest, slide and its ramps."""
     objective: str
-    """"time" or "force_error"."""
+    """"time", "force_error" or "settling"."""
     value: float
     """Worst of the scenarios: s, or RMS error of the force as a part of the force asked for."""
     trajectories: tuple[Trajectory, ...]

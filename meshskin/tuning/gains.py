@@ -29,6 +29,8 @@ class Gains:
     """N."""
     approach_speed: Any
     """m/s."""
+    approach_ramp: Any
+    """Time in which the approach gains its speed, s."""
     settle: Any
     """Rest after the touch, s."""
     speed: Any
@@ -45,6 +47,7 @@ class Gains:
             law.rate if law.shape == "inertia" else law.gain,
             law.force_reference,
             law.approach_speed,
+            way.approach_ramp,
             way.settle,
             way.speed,
             way.ramp,
@@ -63,7 +66,13 @@ class Gains:
 
     def exploration(self, exploration: Exploration) -> Exploration:
         """`exploration` with this speed profile."""
-        return replace(exploration, settle=self.settle, speed=self.speed, ramp=self.ramp)
+        return replace(
+            exploration,
+            approach_ramp=self.approach_ramp,
+            settle=self.settle,
+            speed=self.speed,
+            ramp=self.ramp,
+        )
 
     def applied(self, scene: Scene) -> Scene:
         """`scene` with these gains and speeds."""
@@ -80,6 +89,7 @@ SPAN: dict[str, tuple[float, float]] = {
     "gamma": (2.0, 1000.0),
     "rate": (10.0, 1000.0),
     "approach_speed": (1e-3, 1.0),
+    "approach_ramp": (1e-3, 0.5),
     "settle": (5e-3, 2.0),
     "speed": (1e-3, 0.5),
     "ramp": (5e-3, 1.0),
@@ -93,8 +103,9 @@ REFERENCE = 0.01
 class Demands:
     """Limits that hold in every scenario and, but for the settling, at every step."""
 
-    overshoot: float = quantity("", 0.01, above=0.0)
-    """Largest force over its reference, less one."""
+    overshoot: float = quantity("", 0.01, least=0.0)
+    """Largest force over its reference, less one, to 1e-5; with objective "settling" that of a rest
+    without end."""
     settled: float = quantity("", 0.02, above=0.0)
     """Largest error of the force when the slide begins, part of the reference."""
     force: float = quantity("", 0.05, above=0.0, most=1.0)
@@ -148,7 +159,7 @@ def scenarios(
 
 
 def span(bounds: Mapping[str, tuple[float, float]], target: float) -> Array:
-    """Lowest and highest gains (2, 7), SI: SPAN with `bounds` in it. Raises ConfigError."""
+    """Lowest and highest gains (2, 8), SI: SPAN with `bounds` in it. Raises ConfigError."""
     ranges = SPAN | {"force_reference": (target * (1.0 - REFERENCE), target * (1.0 + REFERENCE))}
     for name, (low, high) in bounds.items():
         if name not in NAMES or not 0.0 < low <= high:

@@ -15,8 +15,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..compiled import differentiable
 from ..motion import quasi_static
 from ..motion.loop import Loop
+from ..motion.phases import paced
 from ..motion.step import step
 from ..scene import Scene
 from ..se3 import Array
@@ -73,10 +75,16 @@ class Shot:
         return state
 
     def roll(self, gains: ca.MX, steps: int) -> ca.MX:
-        """Rows `ROWS` of every step (m, steps), of gains (7,)."""
-        several = self.one.mapaccum("shot", steps)
-        rolled: ca.MX = several(self.start, ca.repmat(gains, 1, steps))[1]
+        """Rows `rows` of every step (m, steps), of gains (8,)."""
+        one, compile_ = self.one, self.scene.loop.compile
+        one = one if compile_ == "never" else differentiable(one, len(NAMES))
+        several = one.mapaccum("shot", steps)
+        rolled: ca.MX = several(self.start, ca.repmat(gains, 1, steps), self.times(steps))[1]
         return rolled
+
+    def times(self, steps: int) -> Array:
+        """Time at each step (1, steps), s."""
+        return np.arange(steps, dtype=np.float64)[None] * self.loop.dt
 
     def rows(self) -> dict[str, slice]:
         """What the rows of `roll` are."""
@@ -89,11 +97,11 @@ class Shot:
         """The manoeuvre with these gains, to the end of its slide."""
         slide = self.manoeuvre.distance / gains.speed + gains.ramp
         dt, standoff = self.loop.dt, self.scene.exploration.standoff
-        fall = 2.0 * standoff / gains.approach_speed + 20.0 / gains.gamma
+        fall = 2.0 * standoff / gains.approach_speed + 20.0 / gains.gamma + gains.approach_ramp
         steps = int(np.ceil((fall + gains.settle + slide) / dt)) + 2
         several = self.one.mapaccum("shot", steps)
         values = np.tile(np.array(gains.values), (steps, 1)).T
-        rolled = several(self.start, values)[1].full()
+        rolled = several(self.start, values, self.times(steps))[1].full()
         rows = {k: rolled[s] for k, s in self.rows().items()}
         since = rows["since"][0]
         before = int(np.argmax(since > 0)) if since.any() else steps
@@ -113,10 +121,11 @@ class Shot:
 
 
 def _one(loop: Loop, manoeuvre: Manoeuvre) -> ca.Function:
-    """(state with clock and last depth, gains (7,)) -> (the same after the step, its row)."""
+    """(state with clock and last depth, gains (8,), time) -> (the same after the step, its row)."""
     inner = step(loop)
     size = inner.size1_in(0)
     state, vector = ca.SX.sym("state", size + 2), ca.SX.sym("gains", len(NAMES))
+    time = ca.SX.sym("time")
     clock, last = state[size], state[size + 1]
     gains = Gains(*(vector[k] for k in range(len(NAMES))))
     reference = _reference(manoeuvre, clock - gains.settle, gains, loop.dt)
@@ -125,7 +134,7 @@ def _one(loop: Loop, manoeuvre: Manoeuvre) -> ca.Function:
         gamma=gains.gamma,
         rate=gains.rate,
         force_reference=gains.force_reference,
-        approach_speed=gains.approach_speed,
+        approach_speed=gains.approach_speed * paced(time, gains.approach_ramp, loop.dt),
     )
     after, output = inner(
         state[:size], reference, ca.DM(manoeuvre.anchor), ca.vertcat(*parameters.values)
@@ -138,7 +147,7 @@ def _one(loop: Loop, manoeuvre: Manoeuvre) -> ca.Function:
         output[rows["force"]], depth, since, output[rows["torque"]], state[:n], state[n : 2 * n]
     )
     return ca.Function(
-        "one", [state, vector], [ca.vertcat(after, since, depth), row], {"cse": True}
+        "one", [state, vector, time], [ca.vertcat(after, since, depth), row], {"cse": True}
     )
 
 

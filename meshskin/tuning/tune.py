@@ -23,9 +23,10 @@ from ..scene import Scene
 from ..se3 import Array
 from . import manoeuvre as manoeuvres
 from .answer import Tuned, rounded
-from .gains import NAMES, Demands, Gains, Scenario, scenarios, span
+from .gains import Demands, Gains, Scenario, scenarios, span
+from .limits import OBJECTIVES, Limit
 from .manoeuvre import Manoeuvre
-from .problem import OBJECTIVES, Limit, Problem, Solution
+from .problem import Problem, Solution
 from .shooting import Shot
 from .worlds import world
 
@@ -35,8 +36,14 @@ LEEWAY = 1.2
 """Length of the rollout over the time of the start's manoeuvre."""
 ROUNDS, WORTH = 2, 1e-2
 """How often a search is taken up again, and the gain of the last one that calls for it."""
-REST = 1.5
-"""Rest at the start of the search, over the settling time there."""
+REST, HELD = 1.5, 3.0
+"""Rest at the start of the search, over the settling time there; that of a shot that is judged by
+its touch alone, over the one at the start."""
+SHARE = 0.99
+"""Most of the slide that its ramps may take, at the start."""
+GENTLE = 0.02
+"""Least time of the approach's ramp at the start of the search, s: shorter ones, of a step or two,
+have no slope."""
 
 
 def tune(
@@ -55,11 +62,14 @@ def tune(
 
     The body comes down from the standoff, touches the indenter, rests, and slides `distance` (m)
     along a geodesic from `place` (3,) in `direction` (3,), body frame; by default from the skin's
-    centre along its first principal direction. objective: "time", the least time of it all, or
+    centre along its first principal direction. objective: "time", the least time of it all;
     "force_error", the least RMS error of the force over the slide from the force that the scene
-    asks for; the worst of the scenarios `over` counts, and the demands hold in each (`scenarios`
-    makes them from ranges). bounds: ranges of single gains, SI. start: where the search begins; by
-    default from the scene's own gains. Delay, step, integrator and mode are those of `scene.loop`.
+    asks for; or "settling", the least time from the touch until the force stays within
+    `demands.settled` of its reference, the slide as the scene has it. The worst of the scenarios
+    `over` counts, and the demands hold in each (`scenarios` makes them from ranges). bounds: ranges
+    of single gains, SI. start: where the search begins; by default from the scene's own gains.
+    Delay, step, integrator and mode are those of `scene.loop`: a long step of low order damps, and
+    gains may come to count on it; "rk4" does not.
 
     Raises TuningError where no gains meet the demands, naming the limit to relax and how far;
     UnknownNameError, ConfigError for arguments that cannot be, ReachError where the arm cannot make
@@ -70,16 +80,19 @@ def tune(
     demands = demands or Demands()
     spot, ahead = where(scene, place, direction)
     shots = _shots(scene, over, spot, ahead, distance)
-    first = start or _rested(shots[0], Gains.of(scene))
     target = scene.law.force_reference
-    ranges = span(bounds or {}, target)
-    if shots[0].joints == 0:  # without an arm there is no velocity gain
-        ranges[:, NAMES.index("rate")] = first.rate
+    first = start or _rested(shots[0], Gains.of(scene))
+    ranges = _ranges(shots[0], objective, bounds or {}, first)
     first = Gains(*np.clip(first.values, *ranges).tolist())
     longest = max(shot.predict(first).duration for shot in shots)
     if objective == "force_error" and demands.time is None:
         demands = replace(demands, time=longest)
-    horizon = LEEWAY * max(longest, demands.time if demands.time and objective != "time" else 0.0)
+    horizon = LEEWAY * longest
+    if objective == "force_error" and demands.time:
+        horizon = max(horizon, LEEWAY * demands.time)
+    if objective == "settling":
+        slide = distance / first.speed + first.ramp
+        horizon -= LEEWAY * (slide - HELD * first.settle)
     steps = int(np.ceil(horizon / scene.loop.dt)) + 2
     problem = Problem(shots, demands, objective, first, ranges, steps, target)
     solution = _solved(problem)
@@ -145,7 +158,7 @@ def _infeasible(limits: Mapping[str, Limit], slacks: Mapping[str, float]) -> Tun
 
     def relaxed(name: str) -> str:
         limit = limits[name]
-        needed = limit.bound + limit.scale * slacks[name]
+        needed = limit.bound + limit.whole * slacks[name]
         return f"{name} of {needed:.4g} {limit.unit}".rstrip()
 
     worst, *others = sorted(slacks, key=lambda name: -slacks[name])
@@ -189,8 +202,30 @@ def _shots(
     return shots
 
 
+def _ranges(
+    shot: Shot, objective: str, bounds: Mapping[str, tuple[float, float]], first: Gains
+) -> Array:
+    """Lowest and highest gains (2, 8): one value for those that the objective does not call for."""
+    target, dt = shot.scene.law.force_reference, shot.loop.dt
+    fixed: dict[str, float] = {}
+    if shot.joints == 0:  # without an arm: neither a velocity gain nor a jerk of torques
+        own = shot.scene.exploration.approach_ramp
+        fixed |= {"rate": first.rate, "approach_ramp": max(own, dt)}
+    if objective == "settling":
+        fixed |= {"speed": first.speed, "ramp": first.ramp}
+        bounds = {"force_reference": (target, target)} | dict(bounds)
+    return span(dict(bounds) | {name: (value, value) for name, value in fixed.items()}, target)
+
+
 def _rested(shot: Shot, gains: Gains) -> Gains:
-    """`gains` with no more rest than their own settling calls for."""
+    """`gains` as a search begins: no more rest than their own settling calls for, an approach begun
+    gently, ramps of a slide that has room for them."""
+    longest = SHARE * shot.manoeuvre.distance / gains.speed
+    gains = replace(
+        gains,
+        approach_ramp=max(gains.approach_ramp, GENTLE),
+        ramp=min(gains.ramp, longest),
+    )
     foretold = shot.predict(gains)
     resting = foretold.since <= gains.settle
     response = force_response(

@@ -15,7 +15,7 @@ from meshskin.tuning.worlds import world
 
 BOTTOM = np.array([0.0, 0.0, -0.1])
 AHEAD = np.array([1.0, 0.0, 0.0])
-QUICK = {"settle": 0.05, "speed": 0.1, "ramp": 0.03}
+QUICK = {"settle": 0.05, "speed": 0.1, "ramp": 0.03, "approach_ramp": 0.02}
 
 
 def shot(scene, scenario=None, distance=0.005):
