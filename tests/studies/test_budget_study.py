@@ -33,6 +33,33 @@ def test_effects_are_drawn_between_a_third_and_three_times_their_size(study):
     assert 2 < max(sizes) <= 3
 
 
+def test_a_study_goes_on_where_it_was(study, tmp_path, capsys, monkeypatch):
+    """Rows of the same budget are kept; another budget measures anew."""
+    ran = []
+
+    def row(scene, error):
+        ran.append((scene.name, error))
+        found = {
+            "budget_mm": 1e3 * error,
+            "estimate_mm": 0.1,
+            "true_mm": 0.1,
+            "faster": 4.0,
+            "lost": 0,
+        }
+        return found | {"seconds": 1.0, "off": []}
+
+    monkeypatch.setattr(study, "row", row)
+    asked = ["--scenes", "sphere", "--random", "1", "--first", "9", "--out", str(tmp_path)]
+    asked += ["--json", str(tmp_path / "x.json")]
+    first = study.main(asked)
+    (tmp_path / "x.json").write_text(json.dumps({"random 9": first["random 9"]}))
+    assert study.main(asked) == first
+    assert [name for name, _ in ran] == ["sphere", "random 9", "sphere"]
+    study.main([*asked, "--budget-mm", "0.1"])
+    assert len(ran) == 5
+    assert "least 4.0 times faster" in capsys.readouterr().out
+
+
 @pytest.mark.slow
 def test_the_budget_keeps_its_word(study, tmp_path, capsys):
     file = tmp_path / "x.json"

@@ -13,6 +13,9 @@ from meshskin.geometry.region import Cap
 from meshskin.physics import effects
 from meshskin.report import sections
 from meshskin.study import base
+from meshskin.study import budget as budgets
+from meshskin.study.budget import check
+from meshskin.study.budget.choose import choose
 from meshskin.study.evaluate import evaluate
 
 KINDS = ("body_pose", "gain_offset", "cover_fabric", "gaussian_noise", "quantisation")
@@ -61,6 +64,30 @@ def test_the_estimate_is_checked_against_the_truth(ledger):
     assert ledger.check.shift <= ledger.budget
     assert 0.5 < ledger.estimate / ledger.check.shift < 2.0
     assert ledger.check.taxels >= 5
+
+
+def test_an_estimate_that_the_check_belies_is_not_believed(scene, ledger, monkeypatch):
+    """Where the truth is far beyond the estimate, more is added, though it is within the budget."""
+    limits = []
+
+    def chosen(items, limit, *others):
+        limits.append(limit)
+        return choose(items, limit, *others)
+
+    plain = check.Aside.check
+    monkeypatch.setattr(budgets, "choose", chosen)
+    monkeypatch.setattr(
+        check.Aside,
+        "check",
+        lambda *args: replace(plain(*args), shift=0.19e-3 if len(limits) == 1 else 0.0),
+    )
+    monkeypatch.setattr(budgets, "MARGIN", 0.4)
+    again = ms.budget(scene, 0.2e-3)
+    assert len(limits) == 2
+    assert limits[0] == pytest.approx(0.08e-3)
+    assert limits[1] <= 0.4 * limits[0]
+    assert again.estimate < 0.04e-3
+    assert ledger.estimate > again.estimate
 
 
 def test_the_ledger_prints_as_a_table(ledger):

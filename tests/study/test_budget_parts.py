@@ -16,11 +16,13 @@ from meshskin.physics.effects.indenter_offset import IndenterOffset
 from meshskin.physics.effects.quantisation import Quantisation
 from meshskin.physics.effects.relaxation import Relaxation
 from meshskin.study.budget.candidates import candidates
-from meshskin.study.budget.choose import Item, choose, left_out, size
-from meshskin.study.budget.knobs import knobs
+from meshskin.study.budget.check import Aside
+from meshskin.study.budget.choose import Item, choose, left_out, size, together
+from meshskin.study.budget.knobs import contact_models, knobs
 from meshskin.study.budget.linear import Solution, answering
 from meshskin.study.budget.rehearsal import Rehearsal, shortened
 from meshskin.study.budget.screen import NEGLIGIBLE, screened
+from meshskin.study.budget.trial import Trial
 
 
 @pytest.fixture(scope="module")
@@ -226,10 +228,59 @@ def test_knobs_are_ladders_from_cheap_to_fine(small):
         fine = small.with_(**rung.changes)
         assert fine.frame_steps * fine.loop.dt == pytest.approx(0.01)
     assert [r.label for r in found["contact model"].rungs] == ["hertz", "elliptic"]
-    thin = small.with_(material=replace(small.material, thickness=8e-3), contact="layered")
+    capsule = ms.Scene.load("capsule")  # a circle does not hold on its cylinder
+    assert "contact model" not in {k.name for k in knobs(capsule, 10_000, 1_000.0)}
     facets = small.with_(effects=(effects.find("mesh_facets")(),))
-    assert "mesh" not in {knob.name for knob in knobs(facets, 10_000, 1_000.0)}
+    (mesh,) = (knob for knob in knobs(facets, 10_000, 1_000.0) if knob.name == "mesh")
+    assert mesh.rungs[-1].changes["body"] is small.body, "facets that act are not refined"
     loaded = replace(small.body, exact=None)
-    found = {knob.name: knob for knob in knobs(thin.with_(body=loaded), 10_000, 1_000.0)}
+    found = {knob.name: knob for knob in knobs(small.with_(body=loaded), 10_000, 1_000.0)}
     assert set(found) == {"contact model", "time step"}
-    assert found["contact model"].rungs[-1].label == "layered"
+    for thickness, names in ((8e-3, []), (60e-3, ["hertz", "elliptic", "layered"])):
+        material = replace(small.material, thickness=thickness)
+        models = contact_models(small.with_(material=material, contact="layered"), 1_000.0)
+        assert [r.label for r in models.rungs] == (names or ["layered"])
+
+
+@pytest.fixture(scope="module")
+def trial(small):
+    """Noise, a threshold above it, and facets, on trial."""
+    names = ("gaussian_noise", "sensing_range", "mesh_facets")
+    return Trial(small, effects.ordered([effects.find(n)() for n in names]), 0.2e-3, (0,))
+
+
+def test_what_spares_readings_costs_less_than_nothing(trial):
+    """Noise makes every taxel answer in every contact; a threshold takes most of that away."""
+    assert trial.seconds["sensing_range"] < 0 < trial.seconds["gaussian_noise"]
+    assert "saves more readings" in trial.forced(1.0)["sensing_range"]
+    assert "gaussian_noise" not in trial.forced(1.0)
+
+
+def test_facets_that_act_keep_the_mesh(trial):
+    (facets,) = (item for item in trial.items if item.name == "mesh_facets")
+    assert facets.requires == ("mesh:0", "mesh:1")
+    with_them = trial.scene_of(together(["mesh_facets"], trial.items))
+    assert len(with_them.body.mesh.faces) == len(trial.scene.body.mesh.faces) == 5120
+    assert len(trial.scene_of(()).body.mesh.faces) == 320
+
+
+def test_the_tolerance_is_measured(trial, small):
+    knob, moves = trial.resting
+    assert [rung.label for rung in knob.rungs] == ["1", "0.01", "1e-08"]
+    assert [rung.seconds for rung in knob.rungs] == sorted(r.seconds for r in knob.rungs)
+    assert size(moves[-1]) == 0.0 < size(moves[0])
+    recording, belief = trial.trial.whole[0], trial.belief
+    loose, tight = (ms.calibrate(recording, belief, tolerance=t).positions for t in (1.0, 1e-8))
+    np.testing.assert_allclose(moves[0], (loose - tight)[trial.halves.taxels[0]])
+    assert trial.tolerance_of(()) == 1.0
+    assert trial.tolerance_of({"solver tolerance:0", "solver tolerance:1"}) == 1e-8
+
+
+def test_everything_on_is_calibrated_once(trial, monkeypatch):
+    aside = Aside(trial.everything, trial.belief, trial.path, trial.halves, (2,))
+    ran = []
+    plain = aside._calibrated
+    monkeypatch.setattr(aside, "_calibrated", lambda *args: ran.append(args) or plain(*args))
+    first, second = (aside.check(trial.scene_of(()), 1.0) for _ in range(2))
+    assert (first.shift, first.seconds[0]) == (second.shift, second.seconds[0])
+    assert len(ran) == 3

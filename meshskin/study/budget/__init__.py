@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING
 
 from ...errors import ConfigError
 from .candidates import candidates
-from .check import compare
-from .choose import choose
+from .check import Aside
+from .choose import choose, size
 from .ledger import Check, Entry, Ledger
+from .screen import NEGLIGIBLE
 from .trial import Trial
 
 if TYPE_CHECKING:
@@ -27,12 +28,13 @@ __all__ = ["DEFAULT", "Check", "Entry", "Ledger", "budget"]
 
 DEFAULT = 0.2e-3
 """Taxel error, m, that may be left out, where neither call nor scene says."""
-MARGIN = 0.8
+MARGIN = 0.7
 """Part of the budget that the estimate may take: other contacts and seeds give other errors."""
 SEEDS, ASIDE = 2, 1
 """Seeds that are tried, and seeds kept aside for the check."""
-CHECKS = 4
-"""Most checks: after one that exceeds the budget, more is added."""
+CHECKS = 8
+"""Most checks: after one that exceeds the budget, or the estimate by far, or loses a taxel, more
+is added."""
 
 Progress = Callable[[str, int, int], None]
 
@@ -65,19 +67,13 @@ def budget(
     effects, refused = candidates(scene, seed)
     trial = Trial(scene, effects, taxel_error, range(seed, seed + SEEDS), progress)
     aside, limit = range(seed + SEEDS, seed + SEEDS + ASIDE), MARGIN * taxel_error
+    kept = Aside(trial.everything, trial.belief, trial.path, trial.halves, aside)
     for _ in range(CHECKS):
         on, rest = choose(trial.items, limit, trial.forced(limit), trial.joint)
-        chosen = trial.scene_of(on)
-        check = compare(
-            trial.everything,
-            chosen,
-            trial.belief,
-            trial.path,
-            trial.halves,
-            aside,
-            trial.tolerance,
-        )
-        if check.shift <= taxel_error or len(on) == len(trial.items):
+        check = kept.check(trial.scene_of(on), trial.tolerance_of(on))
+        believed = check.shift <= max(2.0 * size(rest), NEGLIGIBLE * taxel_error)
+        fits = check.shift <= taxel_error and check.lost == 0
+        if (fits and believed) or len(on) == len(trial.items):
             break
-        limit *= MARGIN * taxel_error / check.shift
+        limit = MARGIN * min(limit, size(rest)) / max(check.shift / taxel_error, 1.0)
     return trial.ledger(on, rest, check, limit, refused)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from time import process_time
 from typing import TYPE_CHECKING
 
@@ -12,6 +12,7 @@ import numpy as np
 from ...estimation.calibrate import calibrate
 from ...estimation.solve import AT_REST
 from ...physics.effects import Noise
+from ...se3 import Array
 from ..cost.numerics import held_route
 from .choose import size
 from .ledger import Check
@@ -19,6 +20,7 @@ from .rehearsal import Halves, Rehearsal
 
 if TYPE_CHECKING:
     from ...motion.path import Path
+    from ...physics.effects import Effect
     from ...scene import Belief, Scene
 
 
@@ -36,31 +38,43 @@ def paired(everything: Scene, chosen: Scene) -> tuple[Scene, Scene]:
     return quiet(everything), quiet(chosen)
 
 
-def compare(
-    everything: Scene,
-    chosen: Scene,
-    belief: Belief,
-    path: Path,
-    halves: Halves,
-    seeds: Iterable[int],
-    tolerance: float,
-) -> Check:
-    """Everything on against what was chosen, over the half kept aside. Raises as simulation and
-    calibration do. tolerance: at which the calibration of what was chosen may rest.
-    """
-    seconds, positions = [], []
-    for scene, rest in zip(paired(everything, chosen), (AT_REST, tolerance), strict=True):
+@dataclass
+class Aside:
+    """Contacts and seeds that no estimate has seen, for checks."""
+
+    everything: Scene
+    belief: Belief
+    path: Path
+    halves: Halves
+    """The second one is kept aside."""
+    seeds: Sequence[int]
+    _known: dict[tuple[Effect, ...], tuple[Array, float]] = field(default_factory=dict, repr=False)
+    """What everything on gave, by what of it was on."""
+
+    def check(self, chosen: Scene, tolerance: float) -> Check:
+        """Everything on against what was chosen, whose calibration may rest at `tolerance`.
+
+        Raises as simulation and calibration do.
+        """
+        every, chosen = paired(self.everything, chosen)
+        if every.effects not in self._known:
+            self._known[every.effects] = self._calibrated(every, AT_REST)
+        truth, slow = self._known[every.effects]
+        found, fast = self._calibrated(chosen, tolerance)
+        shift = (found - truth)[:, self.halves.taxels[1]]
+        taxels = int(np.isfinite(shift[..., 0]).sum()) // max(len(shift), 1)
+        known, there = (np.isfinite(x[:, self.halves.taxels[1], 0]) for x in (truth, found))
+        return Check(size(shift), taxels, int((known & ~there).sum()), (slow, fast))
+
+    def _calibrated(self, scene: Scene, tolerance: float) -> tuple[Array, float]:
+        """Positions (seeds, n, 3), and the processor seconds of a run for them."""
         begin = process_time()
         # a body of its own: fitting its surface counts
         fresh = scene.with_(body=replace(scene.body))
         held_route(fresh)  # a run plans a path of its own
-        rehearsal = Rehearsal.of(fresh, path)
+        rehearsal = Rehearsal.of(fresh, self.path)
         found = []
-        for seed in seeds:
-            recording = rehearsal.recording(scene.effects, seed, halves, 1)
-            found.append(calibrate(recording, belief, tolerance=rest).positions)
-        positions.append(np.stack(found))
-        seconds.append(process_time() - begin)
-    shift = (positions[1] - positions[0])[:, halves.taxels[1]]
-    taxels = int(np.isfinite(shift[..., 0]).sum()) // max(len(shift), 1)
-    return Check(size(shift), taxels, (seconds[0], seconds[1]))
+        for seed in self.seeds:
+            recording = rehearsal.recording(scene.effects, seed, self.halves, 1)
+            found.append(calibrate(recording, self.belief, tolerance=tolerance).positions)
+        return np.stack(found), process_time() - begin

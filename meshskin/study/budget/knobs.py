@@ -6,21 +6,34 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from ...errors import ContactError
+import numpy as np
+
+from ...estimation.solve import AT_REST
 from ...geometry.body import Body
 from ...physics.contact import BATCHED
 
 if TYPE_CHECKING:
     from ...scene import Scene
 
-SECONDS = {"face": 21e-6, "step": 13e-6, "hertz": 1e-7, "elliptic": 1.5e-6, "layered": 2.0e-6}
-"""Seconds for each face of the body, each step of the loop with its planning, and each taxel and
-frame of a contact model (measured on one core, the paper's sphere)."""
+SECONDS = {
+    "face": 21e-6, "step": 13e-6, "hertz": 1e-7, "elliptic": 1.5e-6, "layered": 2.0e-6,
+    "reading": 3e-6,
+}  # fmt: skip
+"""Prices in seconds: of each face of the body, each step of the loop with its planning, each taxel
+and frame of a contact model, and each reading in each iterate of the calibration. They weigh counts
+that are the same on every machine: were seconds taken on the spot, two calls could decide
+differently, and a study would depend on its workers. `python studies/budget.py --prices` measures
+them anew."""
+TOLERANCES = (1.0, 1e-2, AT_REST)
+"""Newton decrements at which a calibration may rest, the loosest first; with everything on, at the
+last."""
 FACES = (1 / 16, 1 / 4, 1, 4)
 """Faces of a primitive, relative to the scene's."""
 FINER, COARSER = 4, (2, 5)
 """Steps from frame to frame: so many times the scene's, and parts of them that are whole."""
 FEWEST_FACES = 80
+FLAT = "mesh_facets"
+"""The effect for which the mesh is no matter of computing."""
 LONGEST_STEP = 0.01
 """s, as Loop allows."""
 
@@ -64,26 +77,29 @@ def contact_models(scene: Scene, frames: float) -> Knob:
 
 
 def _holds(scene: Scene, name: str) -> bool:
-    """Whether a contact model keeps to its range; a layer that is not there is no reason for it."""
+    """Whether a contact model holds at every taxel at which the scene's own does; a layer that is
+    not there is no reason for it.
+    """
     if name == "layered" and scene.material.thickness is None:
         return name == scene.contact
-    try:
-        return scene.with_(contact=name).model.name == name
-    except ContactError:
-        return False
+    curvature = scene.body.closest(scene.skin.positions).curvature
+    own, other = (s.refusals(curvature) == "" for s in (scene, scene.with_(contact=name)))
+    return bool(np.all(other | ~own))
 
 
 def mesh_resolution(scene: Scene) -> Knob:
     """Faces of a primitive; a mesh that was loaded is as it is.
 
-    So is one whose facets the robot takes for the surface: they are no matter of computing.
+    Where its facets may be taken for the surface it is not refined: they are no matter of
+    computing, and need the mesh as it is.
     """
     body = scene.body
     own = Rung(_faces(body), {"body": body}, SECONDS["face"] * len(body.mesh.faces))
-    if body.exact is None or any(effect.name == "mesh_facets" for effect in scene.effects):
+    if body.exact is None:
         return Knob("mesh", (own,), 0)
     rungs: dict[str, Rung] = {}
-    for factor in FACES:
+    flat = any(effect.name == FLAT for effect in scene.effects)
+    for factor in (f for f in FACES if f <= 1 or not flat):
         count = round(factor * len(body.mesh.faces))
         if count < FEWEST_FACES:
             continue

@@ -43,6 +43,8 @@ class Check:
     """How far the calibrated taxels move, m, mean: the true error of what was left out."""
     taxels: int
     """How many taxels were compared."""
+    lost: int
+    """How many were found with everything on only."""
     seconds: tuple[float, float]
     """Processor seconds of simulation and calibration, everything on, and as chosen."""
 
@@ -75,8 +77,8 @@ class Ledger:
 
     @property
     def fits(self) -> bool:
-        """Whether the true error of what was left out is within the budget."""
-        return self.check.shift <= self.budget
+        """Whether the true error of what was left out is within the budget, and no taxel lost."""
+        return self.check.shift <= self.budget and not self.check.lost
 
     @property
     def seconds(self) -> float:
@@ -87,13 +89,14 @@ class Ledger:
         """Estimate, truth and speed in sentences."""
         check, mm = self.check, 1e3
         ratio = self.estimate / check.shift if check.shift > 0 else float("inf")
+        lost = f" {check.lost} taxels were found with everything on only." if check.lost else ""
         seconds = " against ".join(f"{s:.2f}" for s in reversed(check.seconds))
         return (
             f"Budget {mm * self.budget:.4g} mm; estimated error of what is off: "
             f"{mm * self.estimate:.4f} mm.",
             f"Checked with everything on, over contacts and seeds kept aside: "
             f"{mm * check.shift:.4f} mm (mean over {check.taxels} taxels); the estimate is "
-            f"{ratio:.2f} times that.",
+            f"{ratio:.2f} times that." + lost,
             f"The chosen scene ran in {seconds} s with everything on: {check.faster:.1f} times "
             "faster.",
         )

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...errors import ContactError, ReachError, SimulationError
+from ...estimation.calibrate import calibrate
 from ...physics.effects import Effect
 from ...se3 import Array
-from .knobs import Knob, Rung
+from .knobs import SECONDS, TOLERANCES, Knob, Rung
 from .linear import Solution, answering
 from .rehearsal import Halves, Rehearsal
 
@@ -19,6 +20,19 @@ if TYPE_CHECKING:
     from ...motion.path import Path
     from ...recording import Recording
     from ...scene import Belief, Scene
+
+
+@dataclass(frozen=True)
+class Without:
+    """What leaving effects out does."""
+
+    shift: Array
+    """How it moves the taxels of the half (seeds, n, 3), m."""
+    changed: int
+    """How many of them answer without these effects and not with them, or the other way (most of a
+    seed)."""
+    fewer: float
+    """Part of the readings that are gone; negative where there are more."""
 
 
 @dataclass
@@ -33,34 +47,53 @@ class Effects:
     seeds: Sequence[int]
     solutions: list[Solution] = field(init=False)
     """Of each seed, with everything on."""
+    whole: list[Recording] = field(init=False)
+    """Of each seed, with everything on."""
 
     def __post_init__(self) -> None:
-        whole = [self._recording(self.every, seed) for seed in self.seeds]
+        self.whole = whole = [self._recording(self.every, seed) for seed in self.seeds]
         true = Solution.true(self.rehearsal.scene)
         self.solutions = [true.solved(recording, self.belief) for recording in whole]
         pairs = zip(self.solutions, whole, strict=True)
         steps = [solution.step(recording, self.belief) for solution, recording in pairs]
         self._at_rest = [step.move for step in steps]
         self._answering = [answering(recording, self.belief) for recording in whole]
-        self.sigma = float(np.nanmedian(steps[0].sigma[self.halves.taxels[0]]))
-        """Median standard deviation of a taxel's place, m."""
 
-    def without(self, off: Iterable[str]) -> tuple[Array, int]:
-        """How leaving effects out moves the taxels of the half (seeds, n, 3), m; and how many of
-        them answer without these effects and not with them, or the other way (most of a seed).
-        """
+    def without(self, off: Iterable[str]) -> Without:
+        """What leaving effects out does."""
         left = tuple(effect for effect in self.every if effect.name not in set(off))
-        rows, shifts, changed = self.halves.taxels[0], [], 0
+        rows, shifts, changed, fewer = self.halves.taxels[0], [], 0, 0.0
         for k, seed in enumerate(self.seeds):
             recording = self._recording(left, seed)
             step = self.solutions[k].step(recording, self.belief)
             shifts.append((step.move - self._at_rest[k])[rows])
             answers = answering(recording, self.belief) != self._answering[k]
             changed = max(changed, int(answers[rows].sum()))
-        return np.stack(shifts), changed
+            there = self.whole[k]
+            few = 1.0 - len(recording.pressure) / max(len(there.pressure), 1)
+            fewer += few / len(self.seeds)
+        return Without(np.stack(shifts), changed, fewer)
 
     def _recording(self, effects: tuple[Effect, ...], seed: int) -> Recording:
         return self.rehearsal.recording(effects, seed, self.halves)
+
+
+def tolerance(trial: Effects, contacts: float) -> tuple[Knob, list[Array]]:
+    """The tolerance as a knob, and how each of its settings moves the taxels (n, 3), m.
+
+    By full calibrations with everything on; contacts: of the whole run.
+    """
+    recording, rows = trial.whole[0], trial.halves.taxels[0]
+    readings = len(recording.pressure) / max(len(recording.time), 1) * contacts
+    rungs, places = [], []
+    for rest in TOLERANCES:
+        found = calibrate(recording, trial.belief, tolerance=rest)
+        turns = 1 if found.iterates is None else len(found.iterates)
+        seconds = SECONDS["reading"] * readings * turns
+        rungs.append(Rung(f"{rest:g}", {"tolerance": rest}, seconds))
+        places.append(found.positions[rows])
+    knob = Knob("solver tolerance", tuple(rungs), len(rungs) - 1)
+    return knob, [place - places[-1] for place in places]
 
 
 @dataclass(frozen=True)

@@ -9,23 +9,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...estimation.solve import AT_REST
 from ...physics.effects import Effect
 from ...se3 import Array
 from ..cost.numerics import held_route
 from .choose import Item, left_out, size
-from .knobs import Knob, finest_step, knobs
+from .knobs import FLAT, Knob, finest_step, knobs
 from .ledger import Check, Entry, Ledger
 from .rehearsal import Rehearsal
-from .screen import NEGLIGIBLE, screened
-from .shift import Effects, Rehearsed
+from .screen import screened
+from .shift import Effects, Rehearsed, tolerance
 
 if TYPE_CHECKING:
     from ...scene import Scene
-
-TOLERANCES = (1e-2, 1e-4, 1e-6, AT_REST)
-"""Newton decrements at which a calibration may rest, the loosest first; with everything on, at the
-last."""
 
 
 class Trial:
@@ -47,7 +42,7 @@ class Trial:
         self.halves = run.halves()
         self.frames = run.frames_in_all
         ladders = knobs(scene.with_(effects=effects), run.steps_in_all, self.frames)
-        total = sum(len(knob.rungs) for knob in ladders) + len(effects)
+        total = sum(len(knob.rungs) for knob in ladders) + len(effects) + 1
         done = 0
 
         def told() -> None:
@@ -66,22 +61,34 @@ class Trial:
         finest = {k: v for knob, _ in self.knobs for k, v in knob.rungs[-1].changes.items()}
         self.everything = scene.with_(effects=effects, budget=None, **finest)
         self.trial = Effects(run, self.halves, self.belief, effects, seeds)
+        self.resting = tolerance(self.trial, self.frames)
+        """The solver's tolerance, a knob of the calibration."""
+        told()
         self.changed: dict[str, int] = {}
         """Taxels that answer or fall silent for leaving an effect out."""
+        cells = self.frames * len(scene.skin.ids)
+        self.seconds = {effect.name: effect.cost * cells for effect in effects}
+        """What an effect costs in the whole run: what it states, and what the readings cost that it
+        adds or takes away."""
         items: list[Item] = []
         for effect in effects:
             if effect.name not in self.screened:
                 items.append(self._effect(effect))
             told()
-        for knob, shifts in self.knobs:
+        for knob, shifts in (*self.knobs, self.resting):
             items += steps_of(knob, shifts, len(seeds))
         self.items = tuple(items)
 
     def _effect(self, effect: Effect) -> Item:
-        gone = self._with_dependants(effect.name)
-        shift, self.changed[effect.name] = self.trial.without(gone)
+        name = effect.name
+        without = self.trial.without(self._with_dependants(name))
+        self.changed[name] = without.changed
+        self.seconds[name] += without.fewer * self.resting[0].rungs[0].seconds
         required = tuple(n for n in effect.requires if n not in self.screened)
-        return Item(effect.name, shift, self._seconds(effect), required)
+        if name == FLAT:  # needs the mesh as it is
+            meshes = [knob for knob, _ in self.knobs if knob.name == "mesh"]
+            required += tuple(_step(knob, k) for knob in meshes for k in range(knob.declared))
+        return Item(name, without.shift, self.seconds[name], required)
 
     def _with_dependants(self, name: str) -> set[str]:
         """The effect and those that require it."""
@@ -90,10 +97,6 @@ class Trial:
             before = set(out)
             out |= {e.name for e in self.effects if before & set(e.requires)}
         return out
-
-    def _seconds(self, effect: Effect) -> float:
-        """What an effect costs in the whole run, as it states."""
-        return effect.cost * len(self.scene.skin.ids) * self.frames
 
     def forced(self, limit: float) -> dict[str, str]:
         """What is on in any case, and why."""
@@ -105,8 +108,12 @@ class Trial:
                     "with it or without it only"
                 )
         for item in self.items:
-            if item.name not in out and size(item.shift) > limit:
+            if item.name in out:
+                continue
+            if size(item.shift) > limit:
                 out[item.name] = "alone more than may be left out"
+            elif item.seconds <= 0.0:
+                out[item.name] = "saves more readings to be calibrated than it costs"
         return out
 
     def joint(self, on: Iterable[str]) -> Array:
@@ -114,7 +121,7 @@ class Trial:
         on = set(on)
         off = {e.name for e in self.effects if e.name not in on}
         steps = [item for item in self.items if ":" in item.name]
-        return self.trial.without(off)[0] + left_out(on, steps)
+        return self.trial.without(off).shift + left_out(on, steps)
 
     def scene_of(self, on: Iterable[str]) -> Scene:
         """The scene with these items on."""
@@ -125,12 +132,10 @@ class Trial:
         effects = tuple(e for e in self.effects if e.name in on)
         return self.scene.with_(effects=effects, budget=None, **changes)
 
-    @property
-    def tolerance(self) -> float:
-        """The loosest Newton decrement t that stays negligible: a move of sqrt(2 t) sigma."""
-        least = NEGLIGIBLE * self.budget
-        fine = [t for t in TOLERANCES if np.sqrt(2 * t) * self.trial.sigma <= least]
-        return fine[0] if fine else AT_REST
+    def tolerance_of(self, on: Iterable[str]) -> float:
+        """The solver's tolerance with these items on."""
+        knob, _ = self.resting
+        return float(knob.rungs[rung(knob, on)].changes["tolerance"])
 
     def ledger(
         self, on: Iterable[str], rest: Array, check: Check, limit: float, refused: Mapping[str, str]
@@ -140,7 +145,7 @@ class Trial:
         shifts = {item.name: size(item.shift) for item in self.items}
         entries = []
         for effect in self.effects:
-            name, seconds = effect.name, self._seconds(effect)
+            name, seconds = effect.name, self.seconds[effect.name]
             if name in self.screened:
                 why = "screened: its bound is negligible"
                 entries.append(Entry(name, "off", False, self.screened[name], seconds, why))
@@ -152,8 +157,7 @@ class Trial:
             setting = "on" if name in on else "off"
             entries.append(Entry(name, setting, name in on, shifts[name], seconds, why))
         entries.sort(key=lambda entry: -entry.shift)
-        entries += [entry_of(knob, shifts, on) for knob, shifts in self.knobs]
-        entries.append(self._resting())
+        entries += [entry_of(knob, shifts, on) for knob, shifts in (*self.knobs, self.resting)]
         entries += [Entry(name, "off", False, 0.0, 0.0, why) for name, why in refused.items()]
         return Ledger(
             budget=self.budget,
@@ -163,14 +167,8 @@ class Trial:
             scene=self.scene_of(on),
             everything=self.everything,
             belief=replace(self.belief, body=self.scene_of(on).body),
-            tolerance=self.tolerance,
+            tolerance=self.tolerance_of(on),
         )
-
-    def _resting(self) -> Entry:
-        """The solver's tolerance, by what it says of itself."""
-        move = float(np.sqrt(2 * self.tolerance) * self.trial.sigma)
-        why = "rests sqrt(2 t) sigma from the optimum"
-        return Entry("solver tolerance", f"{self.tolerance:g}", True, move, 0.0, why)
 
 
 def steps_of(knob: Knob, shifts: Sequence[Array], seeds: int) -> list[Item]:
