@@ -176,7 +176,7 @@ def thin(body: Body, region: regions.Region, sites: Lattice, count: int) -> Latt
 
 def _halve(body: Body, region: regions.Region, coarse: Lattice, spacing: float) -> Lattice:
     """The lattice of a spacing (m) from that of twice the spacing."""
-    one, two = _ties(coarse, 2.0 * REACH * spacing)
+    one, two = ties(coarse, 2.0 * REACH * spacing)
     at = body.closest(0.5 * (coarse.at.point[one] + coarse.at.point[two]), face=coarse.at.face[one])
     tangent = onto(coarse.tangent[one], at.normal)
     way = 0.5 * (coarse.way[one] + coarse.way[two])
@@ -190,13 +190,13 @@ def _halve(body: Body, region: regions.Region, coarse: Lattice, spacing: float) 
 
 def _fill_gaps(body: Body, region: regions.Region, sites: Lattice, spacing: float) -> Lattice:
     """Sites added wherever one fits beside a site that has fewer than six neighbours."""
-    ends = np.concatenate(_ties(sites, REACH * spacing))
+    ends = np.concatenate(ties(sites, REACH * spacing))
     lacking = np.flatnonzero(np.bincount(ends, minlength=len(sites)) < 6)
     extra = _propose(body, sites.take(lacking), sites.at.point, spacing, GAP * spacing)
     return _join(sites, extra.take(region.contains(body, extra.at)))
 
 
-def _ties(sites: Lattice, reach: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def ties(sites: Lattice, reach: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Pairs of sites within reach (m) of each other and on the same side of the body."""
     one, two = _tree(sites.at.point).query_pairs(reach, output_type="ndarray").T
     facing = np.einsum("ij,ij->i", sites.at.normal[one], sites.at.normal[two]) > 0.0
@@ -252,7 +252,7 @@ def _propose(body: Body, sites: Lattice, taken: Array, spacing: float, clearance
 def _settle(body: Body, region: regions.Region, sites: Lattice, spacing: float) -> Lattice:
     """Moves under springs of the spacing's length between near sites; none leaves the region."""
     point, normal = sites.at.point, sites.at.normal
-    one, two = _ties(sites, REACH * spacing)
+    one, two = ties(sites, REACH * spacing)
     if not len(one):
         return sites
     ends = np.concatenate([one, two])

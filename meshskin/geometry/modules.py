@@ -4,7 +4,8 @@ A module is rigid: its taxels keep their offsets exactly, and its pose is the on
 nearest to the surface, in the mean of squares; on a curved surface they lie a little above and
 below it (`modules.skin.onto(body)` bends them onto it). Modules grow from the region's centre, each
 across the sides of those laid before; on a curved surface the rows do not close, and where a module
-would overlap another, there is a gap.
+would overlap another, there is a gap. So a whole region is also laid another way (packing.py), and
+of the two layouts the one with more modules is taken.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ from numpy.typing import NDArray
 from .. import se3
 from ..errors import SkinError
 from ..provenance import random_stream
-from . import jets, lattice, slots
+from . import lattice, packing, slots, tile
 from . import region as regions
 from .body import Body
-from .closest import Closest
+from .tile import MIDDLES, OUTLINE, overlapping
 
 if TYPE_CHECKING:
     from .skin import Skin
@@ -31,15 +32,8 @@ Array = NDArray[np.float64]
 
 SPACING = 18.3e-3
 """m, between the middles of neighbours: a triangle of 30 mm, and 1 mm between two"""
-MOST_OFF = 2.5e-3
-"""m, the most that a taxel may lie off the surface"""
-FITS = 3
-"""times a pose is brought nearer to the surface"""
-MIDDLES = slots.OFFSETS[list(slots.TAXELS)]
 MOST = 20_000
 """most modules of one layout"""
-OUTLINE = slots.SIDE / np.sqrt(3.0)
-"""m, from a triangle's middle to its corners"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +63,7 @@ class Modules:
     @property
     def corners(self) -> Array:
         """(m, 3, 3) corners of the triangles in m, counter-clockwise seen from outside."""
-        return np.asarray(
-            slots.CORNERS @ np.swapaxes(self.poses[:, :3, :3], 1, 2) + self.poses[:, None, :3, 3]
-        )
+        return tile.corners(self.poses)
 
     @classmethod
     def of(cls, skin: Skin, most_off: float = 1e-3) -> Modules:
@@ -124,6 +116,9 @@ def lay(
     region = regions.of(region)
     first = lattice.first_site(body, region, spacing, random_stream(seed, "module layout"))
     poses = _grow(body, region, first, spacing, count)
+    if count is None or len(poses) < count:
+        layouts = poses, packing.pack(body, region, first, spacing)
+        poses = max((_fill(body, region, first, spacing, p) for p in layouts), key=len)
     if len(poses) < (count or 1):
         raise SkinError(
             "number of modules",
@@ -139,19 +134,27 @@ def lay(
 def _grow(
     body: Body, region: regions.Region, first: lattice.Lattice, spacing: float, count: int | None
 ) -> Array:
-    """Poses (m, 4, 4) grown from a site ring by ring; then one wherever there is room left."""
+    """Poses (m, 4, 4) grown from a site ring by ring, to a ring more than `count`."""
     enough = MOST if count is None else count + 6 * round(np.sqrt(count)) + 6  # a ring more
     laid = _Laid()
-    front = laid.add(_fit(body, region, first.at.point, first.tangent))
+    front = laid.add(tile.fit(body, region, first.at.point, first.tangent))
     while len(front) and len(laid.poses) < enough:
-        front = laid.add(_fit(body, region, *_across(body, front, spacing)))
-    if count is None or len(laid.poses) < count:
-        sites = lattice.fill(body, region, 0.5 * spacing, first)
-        side = np.cross(sites.at.normal, sites.tangent)
-        for turn in np.radians([0.0, 60.0, 30.0, 90.0]):  # a third of a turn is the same triangle
-            heading = np.cos(turn) * sites.tangent + np.sin(turn) * side
-            room = laid.room(sites.at.point)
-            laid.add(_fit(body, region, sites.at.point[room], heading[room]))
+        front = laid.add(tile.fit(body, region, *_across(body, front, spacing)))
+    return np.array(laid.poses).reshape(-1, 4, 4)
+
+
+def _fill(
+    body: Body, region: regions.Region, first: lattice.Lattice, spacing: float, poses: Array
+) -> Array:
+    """The poses (m, 4, 4), and one more wherever there is room left."""
+    laid = _Laid()
+    laid.add(poses)
+    sites = lattice.fill(body, region, 0.5 * spacing, first)
+    side = np.cross(sites.at.normal, sites.tangent)
+    for turn in np.radians([0.0, 60.0, 30.0, 90.0]):  # a third of a turn is the same triangle
+        heading = np.cos(turn) * sites.tangent + np.sin(turn) * side
+        room = laid.room(sites.at.point)
+        laid.add(tile.fit(body, region, sites.at.point[room], heading[room]))
     return np.array(laid.poses).reshape(-1, 4, 4)
 
 
@@ -182,35 +185,6 @@ class _Laid:
         return np.flatnonzero(KDTree(middles).query(points)[0] >= OUTLINE)
 
 
-def overlapping(pose: Array, others: Array) -> NDArray[np.bool_]:
-    """Which of the modules at `others` (k, 4, 4) overlap that at `pose`, seen along both normals.
-
-    Triangles overlap where no side of the one or the other separates them (separating axes).
-    Modules that face away from each other do not count.
-    """
-    z = pose[:3, 2] + others[:, :3, 2]
-    near = np.linalg.norm(others[:, :3, 3] - pose[:3, 3], axis=1) < 2.0 * OUTLINE
-    near &= others[:, :3, 2] @ pose[:3, 2] > 0.0
-    found = np.zeros(len(others), dtype=bool)
-    rows = np.flatnonzero(near)
-    if not len(rows):
-        return found
-    frames = jets.tangent_frames(z[rows] / np.linalg.norm(z[rows], axis=1, keepdims=True))[:, :2]
-    corners = Modules(others[rows], rows).corners - pose[:3, 3]
-    own = np.broadcast_to(slots.CORNERS @ pose[:3, :3].T, corners.shape)
-    a, b = (np.einsum("kci,kji->kcj", c, frames) for c in (own, corners))
-    found[rows] = ~(_separated(a, b) | _separated(b, a))
-    return found
-
-
-def _separated(a: Array, b: Array) -> NDArray[np.bool_]:
-    """Whether a side of triangle a (k, 3, 2), counter-clockwise, has all of b on its far side."""
-    side = np.roll(a, -1, axis=1) - a
-    outward = np.stack([side[..., 1], -side[..., 0]], axis=2)
-    beyond = np.einsum("kscj,ksj->ksc", b[:, None] - a[:, :, None], outward)
-    return np.asarray(np.any(np.all(beyond >= 0.0, axis=2), axis=1))
-
-
 def _across(body: Body, poses: Array, spacing: float) -> tuple[Array, Array]:
     """Middles and headings, (3 k, 3) each, of the neighbours across the sides of k modules."""
     middles = slots.CORNERS + np.roll(slots.CORNERS, -1, axis=0)
@@ -220,37 +194,3 @@ def _across(body: Body, poses: Array, spacing: float) -> tuple[Array, Array]:
     heading, x = (lattice.onto(v, at.normal) for v in (heading, np.repeat(poses[:, :3, 0], 3, 0)))
     end, carried = lattice.march(body, at, heading, x, spacing)
     return end.point, -carried
-
-
-def _fit(body: Body, region: regions.Region, middles: Array, headings: Array) -> Array:
-    """Poses (k, 4, 4) on the surface near middles and headings (n, 3), of those that fit there."""
-    if not len(middles):
-        return np.zeros((0, 4, 4))
-    at = body.closest(middles)
-    poses = _poses(at.point, at.normal, headings)
-    plane = np.column_stack([np.ones(len(MIDDLES)), MIDDLES[:, :2]])
-    for _ in range(FITS):
-        _, feet, points = _feet(body, poses)
-        height = np.einsum("ksi,ki->ks", feet - points, poses[:, :3, 2])
-        lift, slope_x, slope_y = np.linalg.pinv(plane) @ height.T
-        x, y, z = (poses[:, :3, k] for k in range(3))
-        up = z - slope_x[:, None] * x - slope_y[:, None] * y
-        up /= np.linalg.norm(up, axis=1, keepdims=True)
-        poses = _poses(poses[:, :3, 3] + lift[:, None] * z, up, x)
-    hit, feet, points = _feet(body, poses)
-    off = np.linalg.norm(feet - points, axis=2).max(axis=1)
-    inside = region.contains(body, hit).reshape(len(poses), -1).all(axis=1)
-    return poses[(off < MOST_OFF) & inside]
-
-
-def _feet(body: Body, poses: Array) -> tuple[Closest, Array, Array]:
-    """Closest points (k, 10, 3) of the taxels (k, 10, 3) of modules at poses (k, 4, 4)."""
-    points = MIDDLES @ np.swapaxes(poses[:, :3, :3], 1, 2) + poses[:, None, :3, 3]
-    hit = body.closest(points.reshape(-1, 3))
-    return hit, hit.point.reshape(points.shape), points
-
-
-def _poses(origins: Array, normals: Array, headings: Array) -> Array:
-    x = lattice.onto(headings, normals)
-    rotation = np.stack([x, np.cross(normals, x), normals], axis=2)
-    return se3.transform(rotation, origins)
