@@ -5,9 +5,10 @@
 Each effect is on at its defaults, and the estimator does not know of it. Runs with and without it
 share their noise, so that the shift of the taxels is the effect's alone. Prints, for each effect,
 the mean error, the mean and largest shift, the bound that the effect states, E* over its nominal
-value, the chi-square that would give it away, and the readings that the estimator took for outlying
-and left out; draws the shifts. --full takes 5 seeds, and, with the first of them, all pairs: how
-far the shift of two together is from the sum of their shifts.
+value, the chi-square that would give it away, and what the estimator took for outlying and left
+out, in percent of the readings (silences that cannot be count, too); draws the shifts. --full takes
+5 seeds, and, with the first of them, all pairs: how far the shift of two together is from the sum
+of their shifts.
 
 Where pairs do not add up, it is mostly for what the estimator leaves out. `sampling` alone holds
 each contact for two frames, and is right in the first: of the second's readings 45 % are found to
@@ -51,7 +52,7 @@ class Found(NamedTuple):
     chi2: float
     """Median of the taxels' chi-square per degree of freedom."""
     left_out: float
-    """Readings taken for outlying, percent."""
+    """What is taken for outlying, silences too, in percent of the readings."""
     from_all: np.ndarray
     """(seeds, n, 3), m: estimated from all readings, none being taken for outlying."""
 
@@ -213,8 +214,10 @@ def shifts(rows: dict[str, dict[str, float]]) -> object:
     axes.barh(place, column("shift_mm"), color=theme.ESTIMATE, height=0.6, label="mean shift")
     axes.plot(column("largest_mm"), place, "|", color=theme.INK, label="largest shift")
     axes.plot(column("bound_mm"), place, ".", color=theme.BOUND, label="stated bound")
-    axes.axvline(rows["(none)"]["error_mm"], color=theme.MUTED, lw=0.8, label="mean error of noise")
-    axes.set(xscale="log", xlabel="shift of the taxels (mm)", title="Effects that one leaves out")
+    noise = rows["(none)"]["error_mm"]
+    axes.axvline(noise, color=theme.MUTED, lw=0.8, zorder=0, label="mean error by noise alone")
+    axes.set(xscale="log", xlabel="shift of the taxels (mm)")
+    axes.set_title("Effects that the estimator does not know of")
     axes.set_yticks(place, [name.replace("_", " ") for name in names])
     axes.legend(loc="upper center", bbox_to_anchor=(0.4, -0.5 / figure.get_figheight()), ncols=4)
     figure.tight_layout()

@@ -21,7 +21,7 @@ class Fit:
     words: str
     """What that means."""
     left_out: int = 0
-    """Readings taken for outlying."""
+    """Readings taken for outlying, silences that cannot be among them."""
 
     @property
     def reduced(self) -> float:
