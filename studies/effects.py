@@ -53,8 +53,8 @@ class Found(NamedTuple):
     """Median of the taxels' chi-square per degree of freedom."""
     left_out: float
     """What is taken for outlying, silences too, in percent of the readings."""
-    from_all: np.ndarray
-    """(seeds, n, 3), m: estimated from all readings, none being taken for outlying."""
+    first: ms.Recording
+    """What was recorded with the first seed."""
 
 
 def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
@@ -108,7 +108,7 @@ def find(scene: ms.Scene, more: Sequence[effects.Effect], seeds: range) -> Found
         float(np.mean([run.modulus for run in runs])) / nominal,
         float(np.mean([np.nanmedian(run.chi2) for run in runs])),
         float(np.mean([100 * run.fit.left_out / run.readings.sum() for run in runs])),
-        np.stack([from_all(recording, belief) for recording in recordings[:1]]),
+        recordings[0],
     )
 
 
@@ -155,16 +155,19 @@ def pairs(
     """Rows of all pairs: `excess_mm`, the median distance of their shift from the sum of the two,
     and `excess_from_all_mm`, the same where no reading is taken for outlying.
     """
-    first = plain._replace(positions=plain.positions[:1])
-    rows = {}
+    first, belief, rows = plain._replace(positions=plain.positions[:1]), scene.belief(), {}
+    whole = {name: from_all(found.first, belief) for name, found in single.items()}
+    none = from_all(plain.first, belief)
     for one, other in combinations(chosen, 2):
         if chosen[one].name == chosen[other].name:
             continue
         both = find(scene, (chosen[one], chosen[other]), seed)
         parts = single[one], single[other]
         rows[f"{one}+{other}"] = row(scene, first, both) | {
-            "excess_mm": excess([p.positions[:1] for p in (first, *parts, both)]),
-            "excess_from_all_mm": excess([p.from_all for p in (first, *parts, both)]),
+            "excess_mm": excess(*(p.positions[0] for p in (first, *parts, both))),
+            "excess_from_all_mm": excess(
+                none, whole[one], whole[other], from_all(both.first, belief)
+            ),
             "left_out_one": parts[0].left_out,
             "left_out_other": parts[1].left_out,
         }
@@ -180,12 +183,9 @@ def pairs(
     return rows
 
 
-def excess(positions: Sequence[np.ndarray]) -> float:
-    """Median distance, mm, of the shift of both from the sum of the two: of plain, one, other, both
-    (seeds, n, 3), m.
-    """
-    plain, one, other, both = positions
-    return 1e3 * float(np.nanmedian(np.linalg.norm(both - one - other + plain, axis=2)))
+def excess(plain: np.ndarray, one: np.ndarray, other: np.ndarray, both: np.ndarray) -> float:
+    """Median distance, mm, of the shift of both from the sum of the two: positions (n, 3), m."""
+    return 1e3 * float(np.nanmedian(np.linalg.norm(both - one - other + plain, axis=1)))
 
 
 def report(rows: dict[str, dict[str, float]], title: str) -> None:
