@@ -99,3 +99,18 @@ def test_diff_lists_the_worst_taxels(arm, tmp_path, capsys):
 def test_diff_of_what_cannot_be_read(arm, tmp_path, capsys):
     arm.save(tmp_path / "a.csv")
     assert "nowhere" in fails(capsys, "diff", tmp_path / "a.csv", tmp_path / "nowhere")
+
+
+def test_diff_shortens_a_long_list(tmp_path, capsys):
+    """Forty pairs of taxels exchanged, on a skin without modules."""
+    skin = Skin.cover(Body.sphere(), count=100, spacing=6e-3)
+    ids = np.concatenate([np.arange(80) ^ 1, np.arange(80, 100)])
+    skin.save(tmp_path / "a.csv")
+    Skin(skin.poses, ids).save(tmp_path / "b.csv")
+    line = ["diff", str(tmp_path / "a.csv"), str(tmp_path / "b.csv")]
+    assert cli.main(line) == 1
+    out = capsys.readouterr().out
+    assert out.count("exchanged\n") == 20
+    assert "and 20 more such lines (--all)\nthis explains the difference" in out
+    assert cli.main([*line, "--all"]) == 1
+    assert capsys.readouterr().out.count("exchanged\n") == 40

@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import MeshError, OutputError
 
 if TYPE_CHECKING:
-    from ..geometry.check import Survey
+    from ..geometry.check import Finding, Survey
 
 COLOURS = {"refused": "#c62828", "noted": "#ef6c00", "repaired": "#1565c0"}
 SIZES = {"refused": 5.0, "noted": 4.0, "repaired": 1.5}
@@ -60,7 +60,8 @@ def command(options: argparse.Namespace) -> int:
         if place := finding.where():
             print(f"  {'':9}   {place}")
         if finding.remedy and finding.verdict == "refused":
-            print(f"  {'':9}   remedy: {finding.remedy}")
+            remedy = finding.remedy.replace("open=True", "--open (open=True in Python)")
+            print(f"  {'':9}   remedy: {remedy}")
     patches(found, raw.names)
     usable = not found.refused
     try:
@@ -90,6 +91,18 @@ def few(rows: Any) -> Any:
     return rows[:: max(1, -(-len(rows) // DRAWN))]
 
 
+def shown(finding: Finding, found: Survey) -> Any:
+    """The places (k, 3) of a finding, m; none of a repair nearly everywhere (as of every STL)."""
+    everywhere = finding.verdict == "repaired" and len(finding.points) > 0.5 * len(found.vertices)
+    return finding.points[:0] if everywhere else finding.points
+
+
+def named(finding: Finding, found: Survey) -> str:
+    """A finding in a drawing's legend."""
+    hidden = len(finding.points) > len(shown(finding, found))
+    return f"{finding.verdict}: {finding.what}" + (" (all over, not drawn)" if hidden else "")
+
+
 def drawable(found: Survey) -> Any:
     """Faces (k, 3), few enough to draw and with finite vertices."""
     finite = np.asarray(np.isfinite(found.vertices).all(axis=1))
@@ -109,15 +122,17 @@ def picture(found: Survey, title: str, path: Path) -> None:
     mm, faces = 1e3 * found.vertices, drawable(found)
     if len(faces):
         axes.plot_trisurf(*mm.T, triangles=faces, color="#b0bec5", alpha=0.35, linewidth=0)
-    for finding in found.findings:
-        at = few(1e3 * finding.points)
-        if len(at):
+    axes.computed_zorder = False  # what is behind the mesh, or within, shows too
+    for finding in sorted(found.findings, key=lambda one: SIZES[one.verdict]):
+        at = few(1e3 * shown(finding, found))
+        if len(finding.points):
             axes.scatter(
                 *at.T,
                 s=SIZES[finding.verdict] ** 2,
                 color=COLOURS[finding.verdict],
                 depthshade=False,
-                label=f"{finding.verdict}: {finding.what}",
+                zorder=10,
+                label=named(finding, found),
             )
     axes.set(xlabel="x (mm)", ylabel="y (mm)", zlabel="z (mm)", title=title)
     axes.set_aspect("equal")
@@ -139,9 +154,9 @@ def page(found: Survey, title: str, path: Path) -> None:
     i, j, k = faces.T
     traces: list[Any] = [go.Mesh3d(x=x, y=y, z=z, i=i, j=j, k=k, **grey)]
     for finding in found.findings:
-        x, y, z = few(1e3 * finding.points).T
+        x, y, z = few(1e3 * shown(finding, found)).T
         marker = {"size": SIZES[finding.verdict], "color": COLOURS[finding.verdict]}
-        name = f"{finding.verdict}: {finding.what}"
+        name = named(finding, found)
         traces.append(go.Scatter3d(x=x, y=y, z=z, mode="markers", marker=marker, name=name))
     figure = go.Figure(traces)
     axes = {f"{a}axis_title": f"{a} (mm)" for a in "xyz"}

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
     from ..geometry.compare import Difference
 
+SHOWN = 20
+"""lines of what is exchanged"""
 SAME = 1e-6
 """m, within which two skins are the same"""
 
@@ -29,6 +31,7 @@ def add(commands: Any) -> None:
     parser.add_argument("a", type=Path, metavar="A", help="a skin file")
     parser.add_argument("b", type=Path, metavar="B", help="another one")
     parser.add_argument("--part", help="of URDFs with several skins")
+    parser.add_argument("--all", action="store_true", help="show every exchange of a long list")
     parser.add_argument("--worst", type=int, default=10, metavar="N", help="taxels to list (10)")
     parser.set_defaults(command=command)
 
@@ -41,7 +44,7 @@ def command(options: argparse.Namespace) -> int:
     a, b = (Skin.load(path, options.part) for path in (options.a, options.b))
     difference = compare(a, b)
     print(f"A: {options.a.name}, {len(a)} taxels\nB: {options.b.name}, {len(b)} taxels")
-    for line in lines(difference, options.worst):
+    for line in lines(difference, options.worst, None if options.all else SHOWN):
         print(line)
     return 0 if same(difference) else 1
 
@@ -52,7 +55,7 @@ def same(difference: Difference) -> bool:
     return not alone and float(difference.as_they_are.max(initial=0.0)) <= SAME
 
 
-def lines(difference: Difference, worst: int) -> Iterator[str]:
+def lines(difference: Difference, worst: int, shown: int | None) -> Iterator[str]:
     """The comparison in lines of text."""
     from .. import se3
 
@@ -73,7 +76,10 @@ def lines(difference: Difference, worst: int) -> Iterator[str]:
         + " ".join(f"{1e3 * value:.3f}" for value in shift)
         + " mm"
     )
-    yield from d.sentences()
+    said = d.sentences()
+    yield from said[:shown]
+    if len(left := said[len(said[:shown]) :]):
+        yield f"and {len(left)} more such lines (--all)"
     if d.permutation:
         yield f"this explains {'the difference' if d.explains else 'a part of the difference'}"
     else:

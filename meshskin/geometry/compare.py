@@ -8,7 +8,6 @@ are paired with the nearest unit of the other skin, both ways, and the motion fi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from .. import se3
 from ..errors import SkinError
-from . import slots
+from . import renumbered, slots
 
 if TYPE_CHECKING:
     from .skin import Skin
@@ -74,7 +73,7 @@ class Difference:
 
     def sentences(self) -> tuple[str, ...]:
         """The permutation in words: exchanges, cycles, renamed units."""
-        return _words(self.permutation, self.unit)
+        return renumbered.words(self.permutation, self.unit)
 
     def worst(self, count: int = 10) -> list[tuple[int, float]]:
         """The taxels farthest off, and their distances (m), after alignment and permutation."""
@@ -304,29 +303,3 @@ def _tree(points: Array) -> Any:
     from scipy.spatial import KDTree
 
     return KDTree(points)
-
-
-def _words(permutation: dict[int, int], unit: str) -> tuple[str, ...]:
-    """Exchanges, cycles and chains of a permutation, one sentence each."""
-    shifts = {there - here for here, there in permutation.items()}
-    if len(permutation) > 2 and len(shifts) == 1:
-        shift = shifts.pop()
-        return (
-            f"{unit} numbers of B are those of A {'plus' if shift > 0 else 'minus'} {abs(shift)}",
-        )
-    left, sentences = dict(permutation), []
-    targets = set(left.values())
-    for here in sorted(left, key=lambda number: (number in targets, number)):  # chains first
-        if here not in left:
-            continue
-        chain = [here]
-        while chain[-1] in left:
-            chain.append(left.pop(chain[-1]))
-        if chain[0] != chain[-1]:
-            pairs = pairwise(chain)
-            sentences += [f"{unit} {one} of A is {unit} {two} of B" for one, two in pairs]
-        elif len(chain) == 3:
-            sentences.append(f"{unit}s {chain[0]} and {chain[1]} exchanged")
-        else:
-            sentences.append(f"{unit}s permuted: {' -> '.join(map(str, chain))} (A -> B)")
-    return tuple(sentences)

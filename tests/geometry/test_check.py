@@ -5,6 +5,7 @@ import pytest
 import trimesh
 
 from meshskin import cli
+from meshskin.cli import check
 from meshskin.geometry.check import survey
 from meshskin.geometry.mend import turns
 from meshskin.geometry.overlap import piercings
@@ -135,3 +136,22 @@ def test_command_refuses_a_drawing_that_it_cannot_make(ball, tmp_path, capsys):
     line = ["check", str(tmp_path / "ball.ply"), "--units", "m", "--out", str(tmp_path / "a.gif")]
     assert cli.main(line) == 2
     assert "kind of drawing" in capsys.readouterr().err
+
+
+def test_command_names_its_own_option(ball, tmp_path, capsys):
+    trimesh.Trimesh(ball.vertices, ball.faces[1:], process=False).export(tmp_path / "hole.ply")
+    cli.main(["check", str(tmp_path / "hole.ply"), "--units", "m"])
+    assert "or --open (open=True in Python) if it is meant" in capsys.readouterr().out
+    assert cli.main(["check", str(tmp_path / "hole.ply")]) == 2
+    assert "(--units), one of m, cm, mm, in" in capsys.readouterr().err
+
+
+def test_a_drawing_leaves_out_repairs_all_over_the_mesh(ball):
+    """Every corner written by itself, as in an STL, and a hole: only the hole is shown."""
+    corners = ball.triangles[1:].reshape(-1, 3)
+    found = survey(corners, np.arange(len(corners)).reshape(-1, 3))
+    merged, hole = found.findings
+    assert len(check.shown(merged, found)) == 0
+    assert check.named(merged, found).endswith("duplicate vertices merged (all over, not drawn)")
+    assert len(check.shown(hole, found)) == 3
+    assert check.named(hole, found).startswith("refused: the mesh is not watertight")

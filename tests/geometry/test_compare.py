@@ -7,9 +7,11 @@ import pytest
 
 from meshskin import se3
 from meshskin.errors import SkinError
+from meshskin.geometry import slots
 from meshskin.geometry.body import Body
 from meshskin.geometry.compare import compare, rms
 from meshskin.geometry.region import Cap
+from meshskin.geometry.renumbered import words
 from meshskin.geometry.skin import Skin
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data" / "icub_skin"
@@ -103,6 +105,34 @@ def test_renamed_modules_are_named(arm):
     d = compare(arm, renamed(arm, {k: k + 1 for k in range(20)}))
     assert d.sentences() == ("module numbers of B are those of A plus 1",)
     assert d.explains
+
+
+def test_renumbered_chains_are_one_line():
+    assert words({1: 2, 2: 3, 3: 7, 4: 5, 5: 4, 6: 9}, "module") == (
+        "modules renumbered: 1 -> 2 -> 3 -> 7 (A -> B)",
+        "module 6 of A is module 9 of B",
+        "modules 4 and 5 exchanged",
+    )
+
+
+def test_taxels_that_went_with_their_modules_are_told_by_modules():
+    """Modules 4 and 6 exchanged with their slots 0 and 5, module 8 turned on its place."""
+    swap = {0: 5, 5: 0}
+    where = {4: 6, 6: 4, 8: 8, 9: 11, 11: 9}
+    permutation = {
+        12 * m + s: 12 * there + swap.get(s, s) * (m != 9) + s * (m == 9)
+        for m, there in where.items()
+        for s in slots.TAXELS
+    }
+    permutation = {a: b for a, b in permutation.items() if a != b}
+    assert words(permutation, "taxel") == (
+        "modules 4 and 6 exchanged",
+        "modules 9 and 11 exchanged",
+        "slots 0 1 2 3 4 5 7 8 9 11 are slots 5 1 2 3 4 0 7 8 9 11 of B "
+        "in modules 4, 6, 8, 11 of A",
+    )
+    permutation[12 * 4] = 1000  # a taxel that went elsewhere
+    assert all(line.startswith("taxel") for line in words(permutation, "taxel"))
 
 
 def test_exchanged_taxels_of_a_skin_without_modules(plain):

@@ -23,13 +23,15 @@ def read(path: Path, part: str | None = None) -> Table:
 
     Raises SkinError where it cannot be read.
     """
+    if not path.is_file():
+        raise SkinError("no such skin file", value=str(path))
     try:
         data = path.read_bytes()
         if data.startswith(b"glTF"):
             return glb.read(data, path.name)
         text = data.decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise SkinError("a skin file cannot be read", value=str(error)) from error
+        raise SkinError(f"{path.name} is no skin file", value=str(error)) from error
     if text.startswith("ply"):
         return ply.read(text, path.name)
     if text.lstrip().startswith("<"):

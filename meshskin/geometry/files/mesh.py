@@ -44,10 +44,11 @@ def unit(path: Path, units: str | None) -> float:
         if path.suffix.lower().lstrip(".") in METRES:
             return 1.0
         raise MeshError(
-            f"{path.name}: units are not in the file", remedy=f"give units=, one of {[*UNITS]}"
+            f"{path.name}: units are not in the file",
+            remedy=f"give units= (--units), one of {', '.join(UNITS)}",
         )
     if units not in UNITS:
-        raise MeshError("units of a mesh", value=repr(units), limit=f"one of {[*UNITS]}")
+        raise MeshError("units of a mesh", value=repr(units), limit=f"one of {', '.join(UNITS)}")
     return UNITS[units]
 
 

@@ -58,7 +58,10 @@ def read(text: str, name: str, part: str | None = None) -> Table:
         part = next(iter(frames))
     if part not in frames:
         raise SkinError(
-            f"part of {name}", value=part, limit=", ".join(frames), remedy="choose one with part="
+            f"part of {name}",
+            value=part,
+            limit=", ".join(frames),
+            remedy="choose one with part= (--part)",
         )
     poses = np.array([_pose(joint, name) for _, joint in frames[part]])
     radius = robot.find(f"link[@name='{part}_skin_{frames[part][0][0]}']/visual/geometry/cylinder")
