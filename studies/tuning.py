@@ -1,12 +1,14 @@
-"""Gains by optimal control: the force of figure 4 before and after, and what time costs in error.
+"""Gains by optimal control: figure 4 before and after, and what haste costs.
 
     python studies/tuning.py --out figures/ [--scenes sphere capsule] [--full] [--json FILE]
 
-Each scene's manoeuvre (approach, touch, rest, slide of 20 mm) is tuned for the least time, with no
-more overshoot than 0.5 % and at most half the settling time of the scene's own gains. Both are then
-simulated: the settling over a rest of 0.3 s, the manoeuvre against its prediction. The trade: least
-force error of the first scene within some times, its joints with friction. --full takes more times,
-and tunes over the corners of E* +- 20 % and 1 % of friction too. --quasi-static: without an arm.
+Each scene is tuned twice. For the least settling time, with no more overshoot than its own gains
+have: through RK4, whose steps damp nothing, and judged over a rest of 0.3 s by the scene's own loop
+and by CVODES (fig4_tuned_SCENE). And for the least time of a manoeuvre: approach, touch, rest,
+slide of 20 mm. On the first scene, what haste costs (tuning_trade): settling time against the
+overshoot that is allowed, force error against the time of the manoeuvre, the joints with friction.
+--full: more points, and the manoeuvre tuned over nine worlds at once, the corners of E*, curvature
+and friction, each of them simulated (tuning_corners). --quasi-static: without an arm.
 """
 
 from __future__ import annotations
@@ -22,19 +24,27 @@ import numpy as np
 import meshskin as ms
 from meshskin.motion.response import ForceResponse, force_response
 from meshskin.report import figures, theme
-from meshskin.tuning.answer import Tuned, respond
+from meshskin.tuning.answer import Confirmation, Tuned, respond
 from meshskin.tuning.gains import Gains
-from meshskin.tuning.manoeuvre import plan
-from meshskin.tuning.tune import Demands, Scenario, scenarios, where
+from meshskin.tuning.manoeuvre import Manoeuvre
+from meshskin.tuning.tune import Demands, Scenario, scenarios
 
-DEMANDS = Demands(overshoot=0.005)
 REST = 0.3
 """Rest over which the settling is judged, s."""
+HASTE = Demands(overshoot=0.005)
+"""Of the manoeuvre in the least time."""
 FRICTION = Scenario(friction=0.01)
+ALLOWED = {False: (5e-3, 2e-2), True: (1e-4, 1e-3, 5e-3, 1e-2, 2e-2)}
+"""Overshoots of the trade, beside none; more with --full."""
+CORNERS = {"modulus": (0.8, 1.2), "curvature": (0.8, 1.25), "friction": (0.0, 0.01)}
+ROUGH = Demands(overshoot=0.1, settled=0.05, force=0.1)
+"""What can be asked for in all the corners at once."""
+
+Touch = tuple[np.ndarray, np.ndarray, ForceResponse]
 
 
 def main(arguments: list[str] | None = None) -> dict[str, Any]:
-    """Run the study; return its numbers by scene, and the trade."""
+    """Run the study; return its numbers by scene, the trades, and the corners."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("figures"))
     parser.add_argument("--scenes", nargs="+", default=["sphere", "capsule"])
@@ -42,80 +52,133 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
     parser.add_argument("--points", type=int, default=None, help="times of the trade")
     parser.add_argument("--delay", type=float, default=0.0, help="age of the readings, ms")
     parser.add_argument("--quasi-static", action="store_true", help="without an arm")
-    parser.add_argument("--full", action="store_true", help="more times, more scenarios")
+    parser.add_argument("--full", action="store_true", help="more points, nine worlds at once")
     parser.add_argument("--json", type=Path, default=None)
     options = parser.parse_args(arguments)
 
     found: dict[str, Any] = {}
+    distance, worlds = options.distance * 1e-3, []
     for name in options.scenes:
         scene = ms.Scene.load(name)
         mode = "quasi_static" if options.quasi_static else scene.loop.mode
-        scene = scene.with_(
-            loop=replace(scene.loop, mode=mode, delay=options.delay * 1e-3), effects=()
-        )
-        found[name] = compare(scene, options.distance * 1e-3, options.full, options.out)
-    points = options.points or (8 if options.full else 4)
-    tuned = [row.pop("tuned") for row in found.values()]
-    found["trade"] = trade(tuned[0], options.distance * 1e-3, points, options.out)
+        loop = replace(scene.loop, mode=mode, delay=options.delay * 1e-3)
+        worlds.append(scene.with_(loop=loop, effects=()))
+        found[name] = settled(worlds[-1], distance, options.out)
+        found[name] |= hastened(worlds[-1], distance)
+    first = worlds[0]
+    found["overshoot"] = allowed(first, distance, ALLOWED[options.full])
+    found["trade"] = trade(first, distance, options.points or (8 if options.full else 4))
+    draw_trades(found["overshoot"], found["trade"], options.out)
+    if options.full:
+        found["corners"] = corners(first, distance, options.out)
     if options.json:
         options.json.write_text(json.dumps(found, indent=1), encoding="utf-8")
     return found
 
 
-def compare(scene: ms.Scene, distance: float, full: bool, out: Path) -> dict[str, Any]:
-    """One scene before and after: its numbers, its figure."""
-    over = scenarios(modulus=(0.8, 1.2), friction=(0.0, 0.01)) if full else scenarios()
-    before = settling(scene, scene, distance)
-    rest = 0.5 * before[2].settling
-    demands = DEMANDS if not full else replace(DEMANDS, overshoot=0.1, settled=0.05)
-    bounds = {} if full else {"settle": (5e-3, rest)}
-    tuned = ms.tune(scene, demands=demands, over=over, distance=distance, bounds=bounds)
-    after = settling(scene, scene.with_(law=tuned.law), distance)
-    seen = [tuned.confirm(k) for k in range(len(tuned.trajectories))]
-    own = respond(scene, tuned.manoeuvres[0])[0][-1]
-    draw(scene, tuned, before, after, out)
-    gains = dict(zip(Gains.__dataclass_fields__, Gains.of(tuned.tuned).values, strict=True))
+def settled(scene: ms.Scene, distance: float, out: Path) -> dict[str, Any]:
+    """The least settling time at no more overshoot, before and after: numbers and figure 4."""
+    tuned = quickest(scene, 0.0, distance)
+    made = tuned.manoeuvres[0]
+    before, after = touch(scene, made), touch(scene.with_(law=tuned.law), made, tuned)
+    exact = with_integrator(scene, "cvodes")
+    judged = [touch(exact, made)[2], touch(exact.with_(law=tuned.law), made, tuned)[2]]
+    draw_touch(scene, before, after, out)
+    responses = [before[2], after[2]]
     row: dict[str, Any] = {
-        "settling_ms": [1e3 * r[2].settling for r in (before, after)],
-        "overshoot": [r[2].overshoot for r in (before, after)],
-        "time_s": [float(own), float(seen[0].time[-1])],
-        "difference": max(s.difference for s in seen),
-        "gains": {k: float(v) for k, v in gains.items()},
+        "settling_ms": [1e3 * r.settling for r in responses],
+        "overshoot": [r.overshoot for r in responses],
+        "cvodes_settling_ms": [1e3 * r.settling for r in judged],
+        "cvodes_overshoot": [r.overshoot for r in judged],
+        "law": {k: float(v) for k, v in gains_of(tuned).items() if k != "speed"},
+        "holds_back": {k: tuned.multipliers[k] for k in tuned.binding[:5]},
+        "law_solve_s": tuned.solve_seconds,
+    }
+    print(f"{scene.name}: {told(responses)}; by CVODES {told(judged)}")
+    return row
+
+
+def told(pair: list[ForceResponse]) -> str:
+    """Two responses in words."""
+    one, two = pair
+    return (f"settling {1e3 * one.settling:.0f} -> {1e3 * two.settling:.0f} ms, overshoot "
+            f"{100 * one.overshoot:.3f} -> {100 * two.overshoot:.3f} %")  # fmt: skip
+
+
+def hastened(scene: ms.Scene, distance: float) -> dict[str, Any]:
+    """The manoeuvre in the least time, beside the scene's own."""
+    tuned = ms.tune(scene, demands=HASTE, distance=distance)
+    seen = tuned.confirm()
+    own = float(respond(scene, tuned.manoeuvres[0])[0][-1])
+    row: dict[str, Any] = {
+        "time_s": [own, float(seen.time[-1])],
+        "difference": seen.difference,
+        "gains": gains_of(tuned),
         "binding": {k: tuned.multipliers[k] for k in tuned.binding[:5]},
         "iterations": tuned.iterations,
         "solve_s": tuned.solve_seconds,
     }
-    print(f"{scene.name}: settling {row['settling_ms'][0]:.0f} -> {row['settling_ms'][1]:.0f} ms, "
-          f"overshoot {100 * before[2].overshoot:.2f} -> {100 * after[2].overshoot:.2f} %, "
-          f"manoeuvre {own:.3f} -> {row['time_s'][1]:.3f} s")  # fmt: skip
-    print("  " + ", ".join(f"{k} {v:.4g}" for k, v in gains.items()))
-    print(f"  predicted and simulated force agree to {100 * row['difference']:.2f} % of it; "
-          f"binding: {', '.join(row['binding'])}")  # fmt: skip
-    return row | {"tuned": tuned}
+    print(f"  manoeuvre {own:.3f} -> {seen.time[-1]:.3f} s; predicted and simulated force agree to "
+          f"{100 * seen.difference:.2f} % of it; binding: {', '.join(row['binding'])}")  # fmt: skip
+    return row
 
 
-def settling(
-    scene: ms.Scene, lived: ms.Scene, distance: float
-) -> tuple[np.ndarray, np.ndarray, ForceResponse]:
+def quickest(
+    scene: ms.Scene, overshoot: float, distance: float, start: Gains | None = None
+) -> Tuned:
+    """The least settling time at an overshoot, through RK4."""
+    return ms.tune(
+        with_integrator(scene, "rk4"),
+        objective="settling",
+        demands=Demands(overshoot=overshoot),
+        distance=distance,
+        start=start,
+    )
+
+
+def with_integrator(scene: ms.Scene, name: str) -> ms.Scene:
+    """The scene's loop by another integrator."""
+    return scene.with_(loop=replace(scene.loop, integrator=name))
+
+
+def touch(scene: ms.Scene, manoeuvre: Manoeuvre, tuned: Tuned | None = None) -> Touch:
     """Time from the touch, force, and response of a scene's law over a rest of REST."""
-    rested = lived.with_(exploration=replace(scene.exploration, settle=REST))
-    path = manoeuvre_of(rested, distance)
-    time, force = respond(rested, path)
-    resting = time <= time[np.argmax(force > 0)] + REST
-    response = force_response(time[resting], force[resting], lived.law.force_reference)
+    ramp = (tuned or scene).exploration.approach_ramp
+    rested = replace(scene.exploration, approach_ramp=ramp, settle=REST)
+    time, force = respond(scene.with_(exploration=rested), manoeuvre)
+    first = time <= time[np.argmax(force > 0)] + REST - 2 * scene.loop.dt
+    response = force_response(time[first], force[first], scene.law.force_reference)
     return time - response.touch, force, response
 
 
-def manoeuvre_of(scene: ms.Scene, distance: float) -> Any:
-    """The manoeuvre that `ms.tune` makes by default."""
-    return plan(scene, *where(scene, None, None), distance)
+def gains_of(tuned: Tuned) -> dict[str, float]:
+    """What was found, by name."""
+    gains = Gains.of(tuned.tuned)
+    return {name: float(getattr(gains, name)) for name in Gains.__dataclass_fields__}
 
 
-def trade(tuned: Tuned, distance: float, points: int, out: Path) -> list[dict[str, float]]:
+def allowed(scene: ms.Scene, distance: float, overshoots: tuple[float, ...]) -> list[Any]:
+    """Least settling times for some overshoots; the scene's own gains come first."""
+    exact, start, rows = with_integrator(scene, "rk4"), None, []
+    for overshoot in (0.0, *overshoots):
+        tuned = quickest(scene, overshoot, distance, start)
+        if not rows:
+            rows.append(_row(touch(exact, tuned.manoeuvres[0])[2]))
+        start = Gains.of(tuned.tuned)
+        rows.append(_row(touch(exact.with_(law=tuned.law), tuned.manoeuvres[0], tuned)[2]))
+        print(f"  overshoot up to {100 * overshoot:g} %: settled after "
+              f"{rows[-1]['settling_ms']:.0f} ms")  # fmt: skip
+    return rows
+
+
+def _row(response: ForceResponse) -> dict[str, float]:
+    return {"overshoot": response.overshoot, "settling_ms": 1e3 * response.settling}
+
+
+def trade(scene: ms.Scene, distance: float, points: int) -> list[dict[str, float]]:
     """Least force error within some times, from that of the fastest on."""
-    scene, rows = tuned.scene, []
     over = (FRICTION,) if scene.loop.mode == "arm" else (Scenario(),)
-    demands = replace(DEMANDS, overshoot=0.03)
+    demands, rows = replace(HASTE, overshoot=0.03), []
     fastest = ms.tune(scene, demands=demands, over=over, distance=distance)
     start = Gains.of(fastest.tuned)
     for factor in np.geomspace(1.03, 3.0, points):
@@ -128,27 +191,112 @@ def trade(tuned: Tuned, distance: float, points: int, out: Path) -> list[dict[st
                      "simulated_error": seen.error})  # fmt: skip
         print(f"  {rows[-1]['time_s']:.3f} s: force error {100 * best.value:.3f} % predicted, "
               f"{100 * seen.error:.3f} % simulated")  # fmt: skip
-    figure = theme.canvas(5.0, 3.6)
-    axes = theme.place(figure, 0.8, 0.6, 4.0, 2.8)
-    time, error = ([row[k] for row in rows] for k in ("time_s", "force_error"))
-    axes.plot(time, 100 * np.array(error), marker="o")
-    axes.set(xlabel="Time of the manoeuvre (s)", ylabel="RMS error of the force (%)", yscale="log")
-    figures.save(figure, out, "tuning_trade")
     return rows
 
 
-def draw(scene: ms.Scene, tuned: Tuned, before: Any, after: Any, out: Path) -> None:
-    """Figure 4 before and after, from the touch on."""
+def corners(scene: ms.Scene, distance: float, out: Path) -> list[dict[str, Any]]:
+    """One set of gains for all the corners, and the simulator's word on each."""
+    tuned = ms.tune(scene, demands=ROUGH, over=scenarios(**CORNERS), distance=distance)
+    seen = [tuned.confirm(k) for k in range(len(tuned.trajectories))]
+    rows = []
+    for one, foretold in zip(seen, tuned.trajectories, strict=True):
+        share = np.abs(foretold.torque) / scene.arm.effort_limit
+        rows.append(
+            {
+                "scenario": one.scenario.name,
+                "difference": one.difference,
+                "largest": float(one.simulated.max() / tuned.law.force_reference - 1.0),
+                "force_error": one.error,
+                "torque": float(share.max(initial=0.0)),
+            }
+        )
+        print(
+            "  {scenario}: predicted to {difference:.2%}, largest force {largest:+.1%}, force "
+            "error {force_error:.1%}, torque {torque:.0%} of its limit".format(**rows[-1])
+        )
+    draw_corners(scene, seen, tuned, out)
+    return rows
+
+
+@theme.styled
+def draw_touch(scene: ms.Scene, before: Touch, after: Touch, out: Path) -> None:
+    """Figure 4 before and after, from the touch on, with the band of the settling."""
     figure = theme.canvas(7.0, 3.2)
     axes = theme.place(figure, 0.6, 0.6, 6.2, 2.2)
-    for (time, force, response), label in ((before, "own gains"), (after, "tuned")):
+    reference = scene.law.force_reference
+    axes.axhspan(0.98 * reference, 1.02 * reference, color=theme.FAINT, linewidth=0)
+    axes.text(119, 1.03 * reference, "reference ± 2 %", ha="right", va="bottom", color=theme.MUTED)
+    lines = ((before, "the scene's own gains", theme.TRUTH), (after, "tuned", theme.ESTIMATE))
+    for (time, force, response), label, colour in lines:
         shown = (time > -0.01) & (time < 0.12)
-        text = f"{label}: settled after {1e3 * response.settling:.0f} ms"
-        axes.plot(1e3 * time[shown], force[shown], label=text)
-    axes.axhline(scene.law.force_reference, color="0.6", linewidth=0.8)
-    axes.set(xlabel="Time from the touch (ms)", ylabel="Force (N)", title=scene.name)
-    axes.legend(frameon=False, loc="lower right")
+        end = 1e3 * response.settling
+        text = f"{label}: settled after {end:.0f} ms, overshoot {100 * response.overshoot:.2f} %"
+        axes.plot(1e3 * time[shown], force[shown], label=text, color=colour)
+        axes.plot(end, np.interp(1e-3 * end, time, force), "o", color=colour)
+    axes.set(xlabel="Time from the touch (ms)", ylabel="Contact force (N)", xlim=(-10, 120),
+             ylim=(0, 1.18 * reference), title=f"Touch of the {scene.name}")  # fmt: skip
+    axes.legend(loc="lower right")
     figures.save(figure, out, f"fig4_tuned_{scene.name}")
+
+
+@theme.styled
+def draw_trades(overshoot: list[Any], rows: list[dict[str, float]], out: Path) -> None:
+    """What haste costs: overshoot for a quick touch, force error for a quick manoeuvre."""
+    figure = theme.canvas(8.6, 3.4)
+    axes = theme.place(figure, 0.7, 0.6, 3.4, 2.4)
+    own, *found = overshoot
+    axes.plot([100 * r["overshoot"] for r in found], [r["settling_ms"] for r in found], "o-",
+              color=theme.ESTIMATE, label="tuned")  # fmt: skip
+    axes.plot(100 * own["overshoot"], own["settling_ms"], "s", color=theme.TRUTH,
+              label="the scene's own gains")  # fmt: skip
+    most = max(100 * found[-1]["overshoot"], 0.5)
+    axes.set(xlabel="Overshoot (%)", ylabel="Settling time (ms)", ylim=(0, None),
+             xlim=(-0.05 * most, 1.1 * most),
+             title="Touch: settling against overshoot")  # fmt: skip
+    axes.legend(loc="center right")
+    axes = theme.place(figure, 5.0, 0.6, 3.4, 2.4)
+    time = [row["time_s"] for row in rows]
+    axes.plot(time, [100 * row["force_error"] for row in rows], "-", color=theme.ESTIMATE,
+              label="predicted")  # fmt: skip
+    axes.plot(time, [100 * row["simulated_error"] for row in rows], "o", color=theme.WARNING,
+              markerfacecolor="none", label="simulated")  # fmt: skip
+    axes.set(
+        xlabel="Time from standoff to the slide's end (s)",
+        yscale="log",
+        ylabel="Force error in the slide, RMS (%)",
+        title="Slide: force error against time",
+    )
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.legend(loc="upper right")
+    figures.save(figure, out, "tuning_trade")
+
+
+@theme.styled
+def draw_corners(scene: ms.Scene, seen: list[Confirmation], tuned: Tuned, out: Path) -> None:
+    """The force in every corner with one set of gains, simulated and predicted."""
+    figure = theme.canvas(7.0, 3.4)
+    axes = theme.place(figure, 0.6, 0.6, 4.1, 2.4)
+    target, part = scene.law.force_reference, ROUGH.force
+    axes.axhspan((1 - part) * target, (1 + part) * target, color=theme.FAINT, linewidth=0)
+    shades = [theme.INK, *theme.METHODS[:4]]
+    for k, one in enumerate(seen):
+        plain = replace(one.scenario, friction=0.0)
+        names = list(dict.fromkeys(replace(s.scenario, friction=0.0).name for s in seen))
+        colour = shades[names.index(plain.name)]
+        dashed = bool(one.scenario.friction)
+        time = 1e3 * (one.time - one.time[np.argmax(one.simulated > 0)])
+        axes.plot(time, one.simulated, "--" if dashed else "-", color=colour, linewidth=1.0,
+                  label=None if dashed else plain.name)  # fmt: skip
+        axes.plot(time[::8], one.predicted[::8], ".", color=colour, markersize=3)
+        if k == 0:
+            axes.axvline(1e3 * tuned.exploration.settle, color=theme.MUTED, linewidth=0.6)
+    axes.plot([], [], "--", color=theme.MUTED, label="with 1 % friction")
+    axes.plot([], [], ".", color=theme.MUTED, label="predicted")
+    axes.set(xlabel="Time from the touch (ms); the slide begins at the line",
+             ylabel="Contact force (N)", xlim=(-10, None), ylim=(0, None),
+             title=f"One set of gains in nine worlds ({scene.name})")  # fmt: skip
+    axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
+    figures.save(figure, out, "tuning_corners")
 
 
 if __name__ == "__main__":

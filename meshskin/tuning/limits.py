@@ -24,7 +24,7 @@ FINE, LEAST = 0.01, 1e-5
 """Scale of the overshoot, that it is kept to a hundredth of what other forces are, and the one that
 stands for none: the way to none at all is flat, a solver would not find it."""
 SAFE = 0.97
-"""Part of the touch's depth on which its step is judged, as Hertz scales it with the force."""
+"""Part of the touch's depth on which its step is judged."""
 FOREVER = 1e3
 """Rest of a manoeuvre that is judged by its touch alone, s."""
 
@@ -121,9 +121,9 @@ def step_limit(shot: Shot, gains: Gains) -> Iterator[Limit]:
     if not np.isfinite(part):
         return
     depth = ca.MX(float(shot.scene.patch.depth))
-    depth *= SAFE * (gains.force_reference / shot.scene.law.force_reference) ** (2.0 / 3.0)
+    depth *= (gains.force_reference / shot.scene.law.force_reference) ** (2.0 / 3.0)
     speed = ca.fmin(gains.approach_speed, 8.0 / 3.0 * gains.gamma * depth)
-    yield Limit("step of the loop", speed * shot.loop.dt / (part * depth), 1.0, 1.0, "")
+    yield Limit("step of the loop", speed * shot.loop.dt / (SAFE * part * depth), 1.0, 1.0, "")
 
 
 def joint_limits(shot: Shot, row: dict[str, ca.MX], demands: Demands) -> Iterator[Limit]:
