@@ -16,8 +16,10 @@ import numpy as np
 
 from . import library
 from .config import check, quantity
-from .errors import ConfigError, ContactError
+from .errors import ConfigError, ContactError, SkinError
+from .geometry import slots
 from .geometry.body import Body
+from .geometry.modules import Modules
 from .geometry.skin import Skin
 from .motion import held
 from .motion.arm import Arm
@@ -36,6 +38,8 @@ if TYPE_CHECKING:
 
 AUTO = "auto"
 """In place of a contact model's name: the first one that holds."""
+BENT = 1e-5
+"""Most that a taxel of a rigid module lies off its place, m: less than it is found to."""
 ADAPTER = 0.02
 """Length of the piece between flange and body when no mount is given, m."""
 
@@ -301,5 +305,16 @@ class Scene:
             force_reference=self.law.force_reference,
             noise_sigma=float(np.sqrt(np.sum(np.square(sigma)))) if sigma else None,
             threshold=self.threshold,
+            module_slots=self._module_slots(),
         )
         return replace(known, **changes)
+
+    def _module_slots(self) -> Array | None:
+        """What a data sheet says of rigid modules, where the skin is of such; not their poses."""
+        if not slots.is_modular(self.skin.ids):
+            return None
+        try:
+            Modules.of(self.skin, BENT)
+        except SkinError:
+            return None
+        return slots.OFFSETS

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import meshskin as ms
 from meshskin import se3
 from meshskin.errors import CalibrationError
 from meshskin.estimation import chart
@@ -109,3 +110,13 @@ def test_no_module_to_be_placed(tiled, clean, change):
     few = np.isin(recording.reading_taxel, [0, 12, 24])
     with pytest.raises(CalibrationError, match=r"no module has two taxels.*leave module_slots"):
         calibrate(change(recording, keep=few), tiled.belief)
+
+
+def test_a_scene_of_modules_tells_its_owner_their_layout_and_no_pose(tiled):
+    base = ms.Scene.load("sphere_noisy")
+    skin = ms.Skin.modules(base.body, 2).skin
+    scene = base.with_(skin=skin)
+    assert np.array_equal(scene.belief().module_slots, slots.OFFSETS)
+    assert scene.belief(module_slots=None).module_slots is None
+    assert scene.with_(skin=skin.onto(base.body)).belief().module_slots is None  # bent
+    assert base.belief().module_slots is None
