@@ -12,7 +12,9 @@ from scipy import sparse
 from .. import se3
 from ..se3 import Array
 from .posegraph import PoseGraph
-from .posegraph.marginals import marginals
+from .posegraph.cholesky import Cholesky
+from .posegraph.marginals import covariances as marginals
+from .posegraph.marginals import lower_blocks
 
 LEAST = 3
 """Fewest taxels of a part that can be aligned."""
@@ -45,12 +47,13 @@ def covariances(graph: PoseGraph, poses: Array) -> Array:
         free = (6 * rows[1:, None] + np.arange(6)).ravel()
         inner = information[free][:, free]
         s = np.zeros((len(rows), 6, 6))
-        s[1:] = marginals(inner.tocsr())
+        blocks = lower_blocks(sparse.csr_array(sparse.tril(inner)))
+        cholesky = Cholesky(len(rows) - 1, blocks.rows, blocks.columns)
+        s[1:] = marginals(cholesky, blocks)
         whole = _moves(poses[rows])
         shift = whole * np.repeat([1.0, 0.0], 3)[:, None]
         w = np.zeros((len(rows), 6, 6))
-        solver = sparse.linalg.splu(inner.tocsc())
-        w[1:] = solver.solve(shift[1:].reshape(-1, 6)).reshape(-1, 6, 6)
+        w[1:] = cholesky.solve(blocks, shift[1:])
         lever = whole @ np.linalg.inv(np.einsum("nij,nik->jk", shift, shift))
         back = lever @ np.swapaxes(w, 1, 2)
         ends = lever @ np.einsum("nij,nik->jk", shift, w) @ np.swapaxes(lever, 1, 2)
