@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from meshskin.geometry.body import Body
 from meshskin.geometry.region import Cap
 from meshskin.geometry.skin import Skin
-from meshskin.motion.lanes import cover, geodesic, spacing_for
+from meshskin.motion.lanes import WIDEST, cover, geodesic, spacing_for
 
 SPACING, KEEP, STEP = 3.5e-3, 4e-3, 2e-3
 BODIES = {
@@ -77,4 +77,4 @@ def test_spacing_gives_the_contacts_that_are_wanted():
     reach, step = 6e-3, 0.5e-3
     spacing = spacing_for(reach, 100.0, step)
     assert np.pi * reach**2 / (spacing * step) == pytest.approx(100.0)
-    assert spacing_for(reach, 4.0, step) == pytest.approx(0.9 * reach)
+    assert spacing_for(reach, 4.0, step) == pytest.approx(WIDEST * reach)
