@@ -119,19 +119,32 @@ def adapt(
 
     The uncertainty is `Calibration.position_sigma`. most: contacts in all. touch: `pressed`, or
     `touched` for the closed loop with the arm. points (k, 3): of the first pass; by default sparse
-    contacts on geodesic lanes. Raises ConfigError for a target that is not positive, ReachError
-    where nothing can be touched.
+    contacts on geodesic lanes. Raises ConfigError for a target that is not positive or that any
+    touch would meet, and for fewer contacts than the first pass has; ReachError where nothing can
+    be touched.
     """
-    if not target > 0:
-        raise ConfigError("the target of an adaptive exploration", value=f"{target} m", limit="> 0")
+    reach = setup_of(scene).reach
+    if not 0 < target < reach:
+        raise ConfigError(
+            "the target of an adaptive exploration",
+            value=f"{target} m",
+            limit=f"above 0, below the {reach:.2g} m at which a contact is felt",
+        )
     unreachable: Mapping[int, str] = {}
     if points is None:
         points, unreachable = first_pass(scene)
+    if len(points) > most:
+        raise ConfigError(
+            "the first pass takes all contacts allowed",
+            value=f"{len(points)} contacts",
+            limit=f"most={most}",
+            remedy="allow more, or give fewer points",
+        )
     belief, stand = scene.belief(), _Standing(target, dict(unreachable))
     chain = effect_chain(scene, seed)
     recording, _ = touch(scene, points, chain)
     if not calibrate(recording, belief).touched.all():
-        gaps = between(scene, recording.points)
+        gaps = between(scene, recording.points)[: most - len(recording.time)]
         recording = together(recording, touch(scene, gaps, chain)[0]) if len(gaps) else recording
     while True:
         calibration = calibrate(recording, belief)

@@ -31,6 +31,8 @@ ROUND = 0.02
 """Relative scatter of the curvatures up to which a body counts as a sphere."""
 ROUNDER = 0.9
 """Curvature of a hollow, in parts of the indenter's, up to which the indenter fits."""
+CONTACTS = 70.0
+"""Contacts of each taxel where nothing else is wanted: lanes 3.5 mm apart on the paper's sphere."""
 SITE_SPACING = 5e-3
 """Distance of the places that stand for a region given without taxels, m."""
 
@@ -88,7 +90,7 @@ def explore(
         mount,
         float(patch.semi_axes[0]),
     )
-    wanted = exploration or Exploration(pattern="lanes")
+    wanted = exploration or Exploration(pattern="lanes", contacts=CONTACTS)
     return plans.plan(setup, skin.positions, skin.ids, wanted, dt=dt, frame=frame)
 
 

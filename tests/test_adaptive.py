@@ -67,6 +67,10 @@ def test_a_dead_taxel_and_a_spent_budget_are_named(scene):
 def test_what_cannot_be_asked(scene):
     with pytest.raises(ConfigError, match="target"):
         adapt(scene, 0.0)
+    with pytest.raises(ConfigError, match=r"got 30 m, limit: above 0, below the 0.006"):
+        adapt(scene, 30)
+    with pytest.raises(ConfigError, match=r"first pass .* most=5; allow more"):
+        adapt(scene, TARGET, most=5)
     hollow = ms.Body.torus(0.06, 0.04)
     inside = np.array([[0.02, 0.0, 0.0]])
     ring = scene.with_(body=hollow)

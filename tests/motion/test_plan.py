@@ -79,6 +79,17 @@ def test_a_region_without_taxels_and_a_body_without_an_arm():
     assert len(wide.path.points) < len(plan.path.points)
 
 
+def test_lanes_lie_as_close_as_the_patch_asks():
+    body, region = ms.Body.sphere(0.05), HalfSpace((0.0, 0.0, 1.0), 0.045)
+    plain, small = (
+        ms.explore(body, region, indenter=ms.Indenter.sphere(radius), force=force)
+        for radius, force in ((0.01, 3.0), (0.004, 1.0))
+    )
+    assert plain.spacing == pytest.approx(3.5e-3, rel=0.15)
+    assert small.spacing < 0.5 * plain.spacing
+    assert plain.unreachable == small.unreachable == {}
+
+
 def test_a_body_far_from_the_arm_is_out_of_reach(sphere):
     far = sphere.with_(exploration=LANES, indenter=ms.Indenter.sphere(0.01, (2.0, 0.0, 0.7)))
     with pytest.raises(ReachError, match=f"nothing of the skin .*{FAR}.*80 taxels"):
