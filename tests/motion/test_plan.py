@@ -123,7 +123,7 @@ def test_the_inside_of_a_narrow_ring_is_left_out_with_the_reason():
     outward = (skin.normals * radial).sum(axis=1) / np.linalg.norm(radial, axis=1)
     inside, outside = set(skin.ids[outward < -0.97]), set(skin.ids[outward > 0.0])
     assert len(inside) > 4
-    small = ms.explore(body, skin, indenter=ms.Indenter.sphere(0.005), force=1.0)
+    small = ms.explore(body, skin, indenter=ms.Indenter.sphere(0.005), force=1.0, exploration=LANES)
     assert not outside & set(small.unreachable)
     assert {small.unreachable.get(k) for k in inside} == {clear.SUPPORT}  # the ring's far side
     large = ms.Indenter(radius=0.04, support_radius=1e-3, support_height=1e-3)
