@@ -1,6 +1,7 @@
 """Folds: told from edges of solids, and the side of a point by the mesh's winding."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from meshskin.geometry.folds import Folds
 from meshskin.geometry.mend import turns
 from meshskin.geometry.walk import neighbours
 from meshskin.geometry.winding import Winding
+
+MESHES = Path(__file__).parents[2] / ".." / "shared" / "data" / "icub_body" / "meshes"
 
 
 def folds(mesh):
@@ -193,3 +196,18 @@ def test_a_sheet_that_runs_through_itself(tmp_path, height):
     assert set(turn) & {-1, 2}
     assert wrong(body, points, turn > 0) == 0
     assert wrong(replace(body, crossed=None), points, turn > 0) > 20
+
+
+@pytest.mark.skipif(not MESHES.is_dir(), reason="../shared/data is absent")
+@pytest.mark.parametrize("part", ["l_forearm", "l_hand", "l_shank"])
+def test_links_of_a_robot_that_run_into_themselves(part):
+    """iCub's links, as they come: no wrong sign beyond the height of the patches."""
+    path = MESHES / f"sim_sea_2-5_{part}_prt-binary.stl"
+    body = Body.load(path, units="mm", open=True)
+    assert len(body.crossed)
+    places = body.mesh.triangles_center[body.crossed]
+    rng = np.random.default_rng(0)
+    near = np.concatenate([body.mesh.triangles_center, np.repeat(places, 20, axis=0)])
+    near = near[rng.integers(len(near), size=300)] + rng.uniform(-0.02, 0.02, size=(300, 3))
+    inside = np.array([turns(body.mesh.triangles, p) > 0.5 for p in near])
+    assert wrong(body, near, inside) == 0
