@@ -30,8 +30,10 @@ def add(commands: Any) -> None:
         description="Find what is wrong with a mesh. Exit code 0: it can be a body; 1: it cannot; "
         "2: it cannot be read.",
     )
-    parser.add_argument("mesh", type=Path, metavar="MESH", help="an STL, OBJ, PLY, OFF or GLB file")
-    parser.add_argument("--units", help="m, cm, mm or in; required but for GLB")
+    parser.add_argument(
+        "mesh", type=Path, metavar="MESH", help="an STL, OBJ, PLY, OFF or glTF file"
+    )
+    parser.add_argument("--units", help="m, cm, mm or in; required but for glTF")
     parser.add_argument("--open", action="store_true", help="the mesh is meant to be open")
     parser.add_argument(
         "--out", type=Path, metavar="FILE", help="draw where: a .png, .pdf, .svg or .html file"

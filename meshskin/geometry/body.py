@@ -128,9 +128,9 @@ class Body:
 
     @classmethod
     def load(cls, path: str | Path, units: str | None = None, open: bool = False) -> Body:
-        """A body from an STL, OBJ, PLY, OFF or GLB file.
+        """A body from an STL, OBJ, PLY, OFF, GLB or glTF file.
 
-        `units` ("m", "cm", "mm", "in") is required but for GLB, which is in m by its standard.
+        `units` ("m", "cm", "mm", "in") is required but for glTF, which is in m by its standard.
         With `open`, a mesh with borders is taken. What is safe to repair is repaired and listed in
         `.repairs`; the rest raises MeshError with the value at fault and the remedy. What the file
         calls its parts is kept in `.patches`.

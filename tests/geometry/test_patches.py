@@ -91,6 +91,16 @@ def test_a_glb_names_nodes_and_meshes(ball, tmp_path):
     assert not [n for n in body.patches if n not in {*parts(ball), "mesh0", "mesh1", "mesh2"}]
 
 
+def test_a_gltf_with_its_buffers_beside_it_is_a_glb(ball, tmp_path):
+    write_glb(tmp_path / "hand.glb", ball, parts(ball))
+    scene = trimesh.load_scene(tmp_path / "hand.glb", process=False)
+    for name, data in trimesh.exchange.gltf.export_gltf(scene).items():
+        (tmp_path / name).write_bytes(data)
+    body = Body.load(tmp_path / "model.gltf")
+    assert_parts(body, ball)
+    assert set(body.patches) == {*parts(ball), "mesh0", "mesh1", "mesh2"}
+
+
 def test_an_ascii_stl_names_solids(ball, tmp_path):
     write_stl(tmp_path / "hand.stl", ball, parts(ball))
     assert_parts(Body.load(tmp_path / "hand.stl", units="m"), ball)

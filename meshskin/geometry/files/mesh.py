@@ -20,8 +20,8 @@ Index = NDArray[np.intp]
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
 """units of a mesh file, in m"""
-FORMATS = ("stl", "obj", "ply", "off", "glb")
-METRES = ("glb",)
+FORMATS = ("stl", "obj", "ply", "off", "glb", "gltf")
+METRES = ("glb", "gltf")
 """formats that are in m by their standard"""
 
 
@@ -76,7 +76,7 @@ def _by_trimesh(path: Path, kind: str) -> tuple[Array, Index, dict[str, Index]]:
     import trimesh
 
     scene = trimesh.load_scene(path, file_type=kind, process=False)
-    known = _glb_names(path) if kind == "glb" else set(scene.geometry)
+    known = _gltf_names(path) if kind in METRES else set(scene.geometry)
     order = {name: k for k, name in enumerate(scene.geometry)}
     nodes = [(*scene.graph[node], node) for node in scene.graph.nodes_geometry]
     nodes.sort(key=lambda entry: (order[entry[1]], entry[2]))  # theirs is not that of the file
@@ -97,14 +97,16 @@ def _by_trimesh(path: Path, kind: str) -> tuple[Array, Index, dict[str, Index]]:
     if not faces:
         return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.intp), {}
     names = {name: np.concatenate(rows) for name, rows in named.items()}
-    lone = kind != "glb" and len(nodes) == 1  # trimesh calls it by the file
+    lone = kind not in METRES and len(nodes) == 1  # trimesh calls it by the file
     return np.concatenate(vertices), np.concatenate(faces), {} if lone else names
 
 
-def _glb_names(path: Path) -> set[str]:
-    """The names of nodes, meshes and materials in a GLB: trimesh adds its own to them."""
+def _gltf_names(path: Path) -> set[str]:
+    """The names of nodes, meshes and materials in a glTF: trimesh adds its own to them."""
     data = path.read_bytes()
-    content = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    if data.startswith(b"glTF"):  # binary: the text is the first chunk
+        data = data[20 : 20 + int.from_bytes(data[12:16], "little")]
+    content = json.loads(data)
     entries = (e for kind in ("nodes", "meshes", "materials") for e in content.get(kind, []))
     return {str(entry["name"]) for entry in entries if entry.get("name")}
 

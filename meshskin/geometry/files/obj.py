@@ -22,8 +22,8 @@ def read(text: str, file: str) -> tuple[Array, Index, dict[str, Index]]:
     Names are those of objects (`o`), groups (`g`, of which a face may have several) and materials
     (`usemtl`). Polygons are cut into fans from their first corner. Raises MeshError with the line.
     """
-    vertices: list[tuple[float, float, float]] = []
-    faces: list[list[int]] = []
+    places: list[float] = []  # three a vertex, as corners three a triangle
+    faces: list[int] = []
     spans: list[tuple[int, tuple[str, ...]]] = []  # first triangle, and its names from there on
     part: dict[str, tuple[str, ...]] = {}
     for number, words in _lines(text):
@@ -31,28 +31,25 @@ def read(text: str, file: str) -> tuple[Array, Index, dict[str, Index]]:
         try:
             if key == "v":
                 x, y, z = values[:3]
-                vertices.append((float(x), float(y), float(z)))
+                places += float(x), float(y), float(z)
             elif key == "f":
-                corner = _corners(values, len(vertices))
-                if len(corner) == 3:
-                    faces.append(corner)
-                elif len(corner) < 3:
-                    raise ValueError("a face of fewer than three corners")
-                else:
-                    faces += [[corner[0], b, c] for b, c in pairwise(corner[1:])]
+                corner = _corners(values, len(places) // 3)
+                faces += corner[:3]
+                for b, c in pairwise(corner[2:]):
+                    faces += corner[0], b, c
             elif key in ("o", "g", "usemtl"):
                 part[key] = tuple(values) if key == "g" else (" ".join(values),)
                 names = [name for kind in part.values() for name in kind if name]
-                spans.append((len(faces), tuple(dict.fromkeys(names))))
+                spans.append((len(faces) // 3, tuple(dict.fromkeys(names))))
         except ValueError as error:
             raise MeshError(f"{file} cannot be read", value=f"line {number}: {error}") from error
     named: dict[str, list[Index]] = {}
     for k, (first, names_here) in enumerate(spans):
-        last = spans[k + 1][0] if k + 1 < len(spans) else len(faces)
+        last = spans[k + 1][0] if k + 1 < len(spans) else len(faces) // 3
         for name in names_here if last > first else ():
             named.setdefault(name, []).append(np.arange(first, last))
     return (
-        np.array(vertices, dtype=float).reshape(-1, 3),
+        np.array(places, dtype=float).reshape(-1, 3),
         np.array(faces, dtype=np.intp).reshape(-1, 3) - 1,
         {name: np.concatenate(rows) for name, rows in named.items()},
     )
@@ -73,10 +70,11 @@ def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
 
 def _corners(words: list[str], count: int) -> list[int]:
     """The vertices of a face's corners "v/vt/vn", from 1; negative ones count from the last."""
-    said = [word.partition("/")[0] for word in takewhile(lambda word: word[0] != "#", words)]
-    numbers = [*map(int, said)]
-    return (
-        numbers
-        if min(numbers, default=0) > 0
-        else [k if k >= 0 else k + count + 1 for k in numbers]
-    )
+    try:
+        corner = [int(word.partition("/")[0]) for word in words]
+    except ValueError:
+        said = takewhile(lambda word: not word.startswith("#"), words)
+        corner = [int(word.partition("/")[0]) for word in said]
+    if len(corner) < 3:
+        raise ValueError("a face of fewer than three corners")
+    return corner if min(corner) > 0 else [k if k >= 0 else k + count + 1 for k in corner]
