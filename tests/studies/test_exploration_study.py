@@ -20,5 +20,6 @@ def test_exploration(tmp_path, capsys):
     # one seed and a small skin: the luck of a mean of 24 errors is some 15 %
     assert 0.3 < row["ratio"] < 0.85
     assert 0.4 < row["worst_ratio"] < 0.7
-    assert 0.4 < row["floor"] < 0.6
+    # without the luck: above what no choice of contacts is below
+    assert 0.4 < row["floor"] < row["expected_ratio"] < 0.7
     assert "at equal mean error" in capsys.readouterr().out
