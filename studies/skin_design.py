@@ -5,7 +5,8 @@
 One property at a time about the paper's sphere, moved without an arm along the same lanes, with the
 same transducers: their noise is 1 % of the original skin's peak pressure, in Pa. Prints and draws
 the mean error of the joint estimate beside its bound, and of the pose graph, whose displacements
-need neighbours under one patch; and, for thin layers, of a calibration that believes them thick.
+need neighbours under one patch (there is none where no two taxels are pressed together); and, for
+thin layers, of a calibration that believes them thick.
 --full takes 5 seeds and twice the values.
 """
 
@@ -158,14 +159,25 @@ def curves(rows: dict[str, list[dict[str, float]]]) -> Any:
             if key in found[0]:
                 axes.plot(x, [row[key] for row in found], label=label, ms=5, **style)
         axes.set(xscale="log", yscale="log", xlabel=LABELS[name])
+        for row in found:
+            if np.isnan(row["posegraph_mm"]):
+                axes.annotate(
+                    "no pose graph",
+                    (row[name], 0.97),
+                    xycoords=("data", "axes fraction"),
+                    ha="center",
+                    va="top",
+                    fontsize=8,
+                    color=theme.METHODS[1],
+                )
         if left < 1:
             axes.set_ylabel("mean error (mm)")
     limits = np.array([axes.get_ylim() for axes in figure.axes])
     handles = {}
-    for (name, found), axes in zip(rows.items(), figure.axes, strict=True):
+    for name, axes in zip(rows, figure.axes, strict=True):
         axes.set_ylim(limits[:, 0].min(), limits[:, 1].max())
         precision.plain_axes(axes)
-        axes.set_xticks([row[name] for row in found], [f"{row[name]:.4g}" for row in found])
+        axes.set_xticks(VALUES[name], [f"{value:g}" for value in VALUES[name]])
         axes.set_xticks([], minor=True)
         handles |= dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
     figure.legend(handles.values(), handles.keys(), loc="lower center", ncols=len(handles))
