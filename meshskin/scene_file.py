@@ -3,7 +3,11 @@
 Tables: body, skin, material, indenter, arm, law, exploration, loop, readout, and effects (a list).
 With `effects = "auto"`, or a `budget_mm`, an error budget decides what is on, among the effects
 and the `candidates` (a list, too; by default all there are).
-`extends = "sphere"` starts from another scene. Relative paths are taken from the file's own folder.
+`extends = "sphere"` starts from another scene; a body of another kind takes the place of its body.
+Relative paths are taken from the file's own folder. The part of a body that a skin is laid on is
+`region = {patch = "palm"}` in [skin], by a name in the mesh file (`meshskin check` lists them), or
+{direction = [0, 0, -1], angle_deg = 40}, {point_mm = [0, 0, 90], radius_mm = 30},
+{normal = [0, 0, 1], offset_mm = 20}, {faces = [0, 1, 2]}.
 """
 
 from __future__ import annotations
