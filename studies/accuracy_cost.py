@@ -6,20 +6,23 @@ Turns knobs of each scene (step, lanes, frame rate, estimator; --full: all, 3 se
 reference), prints the cheapest way to 1, 0.3, 0.1, 0.03 and 0.01 mm, how second routes confirm the
 reference, and draws all scenes' work-precision fronts. Then asks runs for an accuracy and for a
 time, and prints what they promised beside what they came to. Seconds are processor time, which
-other work on the machine moves, too.
+other work on the machine moves, too. What was measured is kept in the folder, scene by scene and
+request by request; --resume takes up from there (after a change of the code, measure anew).
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import meshskin as ms
 from meshskin import job, library
+from meshskin.atomic import write_text
 from meshskin.cli.cost import summary
 from meshskin.errors import StudyError
 from meshskin.report import figures, precision, theme
@@ -28,7 +31,10 @@ from meshskin.study.cost.request import Request
 
 FEW = ("dt", "lanes", "rate", "method")
 """Knobs of the default size."""
-ASKED = (Request(accuracy_mm=0.03), Request(accuracy_mm=0.008), Request(seconds=30.0))
+ASKED = (
+    *(Request(accuracy_mm=mm) for mm in (0.1, 0.03, 0.01)),
+    *(Request(seconds=s) for s in (5.0, 20.0)),
+)
 
 
 def main(arguments: list[str] | None = None) -> dict[str, Any]:
@@ -39,19 +45,22 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
     parser.add_argument("--knobs", nargs="*", default=None)
     parser.add_argument("--asked", nargs="*", default=("sphere_noisy",), help="scenes of requests")
     parser.add_argument("--full", action="store_true", help="all knobs, 3 seeds, finer reference")
+    parser.add_argument("--resume", action="store_true", help="keep what a run before measured")
     parser.add_argument("--json", type=Path, default=None)
     options = parser.parse_args(arguments)
     scenes = options.scenes or list(library.scenes())
     knobs = options.knobs or (KNOBS if options.full else FEW)
 
     found: dict[str, Costs] = {}
+    how = {"knobs": list(knobs), "seeds": 3 if options.full else 1}
+    how["finer"] = 8 if options.full else 4
     for name in scenes:
-        costs = ms.cost(
-            ms.Scene.load(name),
-            knobs=knobs,
-            seeds=3 if options.full else 1,
-            finer=8 if options.full else 4,
-        )
+
+        def measured(name: str = name) -> dict[str, Any]:
+            return ms.cost(ms.Scene.load(name), **how).stored()
+
+        file = options.out / f"accuracy_cost_{name}.json"
+        costs = Costs.restored(once(file, how, options.resume, measured))
         print(summary(costs), flush=True)
         found[name] = costs
     figures.save(fronts(found), options.out, "accuracy_cost")
@@ -59,12 +68,32 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
         figures.save(precision.figure(costs, TARGETS), options.out, f"accuracy_cost_{name}")
     numbers: dict[str, Any] = {name: row(costs) for name, costs in found.items()}
     asked = scenes if options.full else options.asked
-    numbers["requests"] = [kept(name, request) for name in asked for request in ASKED]
+    numbers["requests"] = []
+    for name, request in product(asked, ASKED):
+        file = options.out / f"request_{name}_{request.words.replace(' ', '_')}.json"
+
+        def came(name: str = name, request: Request = request) -> dict[str, Any]:
+            return kept(name, request)
+
+        numbers["requests"].append(once(file, {}, options.resume, came))
     if asked:
         report(numbers["requests"])
     if options.json:
         options.json.write_text(json.dumps(numbers, indent=2))
     return numbers
+
+
+def once(
+    file: Path, how: dict[str, Any], resume: bool, measure: Callable[[], dict[str, Any]]
+) -> dict[str, Any]:
+    """What `measure` returns, kept in a file; or what a run before measured in the same way."""
+    if resume and file.exists():
+        before: dict[str, Any] = json.loads(file.read_text())
+        if before["how"] == how:
+            return dict(before["found"])
+    found = measure()
+    write_text(file, json.dumps({"how": how, "found": found}))
+    return found
 
 
 def row(costs: Costs) -> dict[str, Any]:

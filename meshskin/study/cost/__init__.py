@@ -11,7 +11,7 @@ time of loading, simulating and calibrating on the machine at hand.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -66,6 +66,23 @@ class Costs:
         """The quickest measured row within `target_mm`; None: none is."""
         within = [row for row in self.whole if row.total_mm <= target_mm]
         return min(within, key=lambda row: row.time, default=None)
+
+    def stored(self) -> dict[str, Any]:
+        """All of it as plain values; `restored` makes it from them again."""
+        return asdict(self)
+
+    @classmethod
+    def restored(cls, stored: dict[str, Any]) -> Costs:
+        """What `stored` was made from."""
+        rows = (Row(**row | {"setting": Setting(**row["setting"])}) for row in stored["rows"])
+        return cls(
+            scene=stored["scene"],
+            base=Setting(**stored["base"]),
+            reference=Setting(**stored["reference"]),
+            rows=tuple(rows),
+            routes=tuple(Route(**route) for route in stored["routes"]),
+            seeds=stored["seeds"],
+        )
 
     def records(self) -> list[dict[str, Any]]:
         """The rows as plain values, for JSON and tables."""
