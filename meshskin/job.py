@@ -93,8 +93,8 @@ def run(
 ) -> Result:
     """Run a scene through the whole job and write everything into `folder`.
 
-    request: an accuracy or a time; a pilot run then chooses lanes and frame rate, and the metrics
-    hold what it promised. budget: taxel error, m, that may be left out, in place of the scene's
+    request: an accuracy or a time; a pilot run then chooses every setting, and the metrics hold
+    what it promised. budget: taxel error, m, that may be left out, in place of the scene's
     own; `ms.budget` then decides what is on. Raises MeshskinError kinds: what is wrong, the value,
     the limit, and what to do.
     """
@@ -109,15 +109,15 @@ def run(
         with clock.stage("budget"):
             ledger = decide(scene, budget, seed=seed, progress=progress)
             scene = ledger.scene
-    path, promise = None, None
+    path, promise, rest = None, None, AT_REST
     if request is not None:
         with clock.stage("pilot"):
-            scene, path, promise = _promised(scene, request, seed, clock)
+            scene, path, rest, promise = _promised(scene, request, seed, clock)
     with clock.stage("simulate"):
         recording = simulate(scene, seed, path=path, out=folder / "recording", progress=progress)
     with clock.stage("calibrate"):
         belief = scene.belief() if ledger is None else ledger.belief
-        tolerance = AT_REST if ledger is None else ledger.tolerance
+        tolerance = rest if ledger is None else ledger.tolerance
         calibration = calibrate(recording, belief, tolerance=tolerance)
         calibration.save(folder / "calibration")
     with clock.stage("compare"):
@@ -145,8 +145,9 @@ def run(
 
 def _promised(
     scene: Scene, request: Request, seed: int, clock: Clock
-) -> tuple[Scene, Way, dict[str, Any]]:
-    """The scene at the setting that keeps a request best, its path, and what is promised.
+) -> tuple[Scene, Way, float, dict[str, Any]]:
+    """The scene at the setting that keeps a request best, its path, the tolerance of its estimate,
+    and what is promised.
 
     Raises StudyError where nothing keeps it.
     """
@@ -156,7 +157,7 @@ def _promised(
     tried = pilot(scene, request, METHODS, _drawing(scene), seed, clock.began)
     reason: ReachError | None = None
     for promise in tried.choose(request):
-        made = promise.setting.scene(scene, scene.body)
+        made = promise.setting.scene(scene, promise.setting.body(scene.body))
         try:
             path = held_route(made)
         except ReachError as error:
@@ -170,7 +171,7 @@ def _promised(
             "seconds": promise.seconds,
             "processor_seconds": promise.processor_seconds,
         }
-        return made, path, said
+        return made, path, promise.setting.tolerance, said
     assert reason is not None
     raise reason
 

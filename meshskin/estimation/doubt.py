@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..errors import CalibrationError
 from . import faults, trilaterate
 from .factors.pressure import HEARD, SILENT
 from .places import Free
@@ -23,7 +24,10 @@ def doubt(run: Run) -> None:
         suspects = faults.suspects(run.likelihood.readings, run.residuals(), scale)
         if not len(suspects):
             return
-        left = _sift(run, suspects, scale, known)
+        try:
+            left = _sift(run, suspects, scale, known)
+        except CalibrationError:  # without a fit nothing can be called outlying
+            left = np.inf
         if left <= faults.TAKEN * scale:
             _name(run, scale)
             return

@@ -4,6 +4,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from meshskin.errors import CalibrationError
+from meshskin.estimation import doubt as doubts
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.metrics import nees, position_errors
@@ -125,6 +127,24 @@ def test_a_wrong_model_is_no_outlier(world, clean):
     assert not found.fit.good
     assert "does not fit" in found.fit.words
     assert not any(found.faults)
+
+
+def test_a_doubt_that_does_not_converge_is_dropped(world, clean, change, monkeypatch):
+    """What was believed before is the answer, not an error."""
+    recording = clean[0]
+    hit = np.random.default_rng(5).random(len(recording.pressure)) < 0.02
+    bent = change(recording, pressure=np.where(hit, 0.5 * world.peak_reference, recording.pressure))
+
+    def lost(run, *_):
+        run.weigh(np.full_like(run.likelihood.readings.weight, 0.5))
+        raise CalibrationError("the joint estimate did not converge")
+
+    monkeypatch.setattr(doubts, "_sift", lambda *_: np.inf)
+    plain = calibrate(bent, clean[1])
+    monkeypatch.setattr(doubts, "_sift", lost)
+    found = calibrate(bent, clean[1])
+    np.testing.assert_array_equal(found.positions, plain.positions)
+    assert not found.fit.good
 
 
 def test_the_test_of_fit_is_calibrated(world):

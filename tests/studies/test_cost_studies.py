@@ -33,6 +33,21 @@ def test_accuracy_cost(tmp_path, capsys):
     assert "cheapest setting" in capsys.readouterr().out
 
 
+def test_what_was_measured_is_kept(tmp_path):
+    """A resumed study measures nothing again, unless it is asked for something else."""
+    module, ran = study("accuracy_cost"), []
+
+    def measure():
+        ran.append(1)
+        return {"x": float("nan"), "n": len(ran)}
+
+    file = tmp_path / "out" / "x.json"
+    assert module.once(file, {"seeds": 1}, True, measure)["n"] == 1
+    assert module.once(file, {"seeds": 1}, True, measure)["n"] == 1
+    assert module.once(file, {"seeds": 3}, True, measure)["n"] == 2
+    assert module.once(file, {"seeds": 3}, False, measure)["n"] == 3
+
+
 def test_skin_design(tmp_path, capsys):
     asked = ["--seeds", "1", "--only", "thickness_mm", "young_kpa"]
     file = tmp_path / "x.json"

@@ -93,6 +93,14 @@ def test_records_are_plain(costs):
     assert sum(r["front"] for r in records) == len(costs.front)
 
 
+def test_what_is_stored_is_restored(costs):
+    again = type(costs).restored(json.loads(json.dumps(costs.stored())))
+    assert str(again) == str(costs)
+    assert again.cheapest(0.1) == costs.cheapest(0.1)
+    assert again.routes == costs.routes
+    assert again.stored().keys() == costs.stored().keys()
+
+
 def test_models_give_back_what_was_measured(costs):
     single = [row for row in costs.rows if row.knob in ("scene", "dt", "rate", "method")]
     models = Models.fit(single)

@@ -1,10 +1,16 @@
 """An accuracy or a time asked for: what the pilot's numbers promise, and what the run comes to."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+import meshskin as ms
 from meshskin import cli, job
 from meshskin.errors import ConfigError, StudyError
+from meshskin.geometry.region import Cap
+from meshskin.study.cost.levels import Level, loops, models, surfaces, tolerances, worth
+from meshskin.study.cost.numerics import Numerics
 from meshskin.study.cost.request import Pilot, Request
 from meshskin.study.cost.setting import Setting
 
@@ -15,7 +21,7 @@ def pilot(**changes):
     """A pilot of round numbers, on the scene's own lanes."""
     numbers = {
         "base": BASE, "setting": BASE, "steps": 1000, "contacts": 100, "readings": 400,
-        "bound_mm": 0.1, "systematic_mm": 0.0, "numerical_mm": {}, "fixed": 1.0, "each_step": 1e-4,
+        "bound_mm": 0.1, "systematic_mm": 0.0, "knobs": (), "fixed": 1.0, "each_step": 1e-4,
         "each_contact": 1e-3, "estimating": (0.2, 1e-3), "spent": (3.0, 1.5),
     }  # fmt: skip
     return Pilot(**(numbers | changes))
@@ -28,8 +34,6 @@ def test_seconds_add_up():
 
 
 def test_errors_go_with_the_contacts_and_stop_at_what_noise_is_not():
-    from dataclasses import replace
-
     four = replace(BASE, rate=400.0)
     assert pilot().promise(four).error_mm == pytest.approx(0.05)
     assert pilot(systematic_mm=0.3).promise(four).error_mm == pytest.approx(np.hypot(0.05, 0.3))
@@ -54,9 +58,73 @@ def test_a_time_is_used_for_the_most_accurate_setting():
 
 
 def test_runge_kutta_is_taken_where_the_step_would_spoil_the_accuracy():
-    tried = pilot(numerical_mm={"semi_implicit": 0.2, "rk4": 1e-5})
+    own = Level({"integrator": "semi_implicit"}, 0.2, along=0.1)
+    tried = pilot(knobs=((own, Level({"integrator": "rk4"}, 1e-5, along=0.4)),))
     assert tried.choose(Request(accuracy_mm=0.1))[0].setting.integrator == "rk4"
     assert tried.choose(Request(accuracy_mm=1.0))[0].setting.integrator == "semi_implicit"
+
+
+def test_every_knob_is_turned_where_it_pays():
+    """Levels add their parts in squares, and their seconds with lanes, readings, or once."""
+    knobs = (
+        (Level({"dt": 1e-3}, along=0.1), Level({"dt": 2e-3}, 0.03, along=0.05)),
+        (Level({"tolerance": 1e-8}, reading=0.4), Level({"tolerance": 1.0}, 0, 0.04, reading=0.1)),
+        (Level({"faces": 5120}, 0.01), Level({"faces": 20480}, once=0.4)),
+    )
+    tried = pilot(knobs=knobs)
+    cheap = tried.choose(Request(accuracy_mm=1.0))[0]
+    assert (cheap.setting.dt, cheap.setting.tolerance, cheap.setting.faces) == (2e-3, 1.0, 5120)
+    assert cheap.numerical_mm == pytest.approx(np.hypot(0.03, 0.01))
+    assert cheap.error_mm > 0.04
+    fine = tried.choose(Request(accuracy_mm=0.03))[0]
+    assert (fine.setting.dt, fine.setting.tolerance) == (1e-3, 1e-8)
+    half = replace(BASE, lane_spacing=2e-3)
+    plain = tried.promise(half).processor_seconds
+    turned = tried.promise(half, [level[1] for level in knobs]).processor_seconds
+    assert turned - plain == pytest.approx(2 * -0.05 + 2 * -0.3 + 0.4)
+
+
+def test_a_level_that_errs_more_must_spare_more_than_chance():
+    own = Level({"dt": 1e-3}, 0.01, along=1.0)
+    chance, spared = (replace(own, numerical_mm=0.02, along=x) for x in (0.9, 0.5))
+    better = replace(own, numerical_mm=0.001, along=4.0)
+    assert worth((own, chance, spared, better)) == (own, spared, better)
+
+
+@pytest.mark.slow
+def test_levels_are_tried_on_the_reference_path():
+    """Twice the step moves the taxels further, Runge-Kutta hardly; what cannot run is left out."""
+    whole = ms.Scene.load("sphere_noisy")
+    region = Cap(direction=(0.0, 0.0, -1.0))
+    skin = ms.Skin.cover(whole.body, spacing=6e-3, count=30, region=region)
+    scene = whole.with_(skin=skin)
+    fine = scene.with_(loop=replace(scene.loop, dt=5e-4, integrator="rk4"))
+    numerics = Numerics(fine, 1e-10, "auto")
+    found = {(x.changes["dt"], x.changes["integrator"]): x.numerical_mm
+             for x in loops(numerics, scene, (1, 2, 5))}  # fmt: skip
+    assert next(iter(found)) == (1e-3, "semi_implicit")
+    own, twice = found[1e-3, "semi_implicit"], found[2e-3, "semi_implicit"]
+    assert twice / own == pytest.approx(2.0, rel=0.15)
+    assert found[1e-3, "rk4"] < 0.1 * own
+    assert (5e-3, "semi_implicit") not in found
+    names = [level.changes["contact"] for level in models(numerics, scene)]
+    assert names == ["hertz", "elliptic"]
+    (surface,) = surfaces(numerics, scene, 0.01)
+    assert surface.changes == {"faces": 5120, "degree": 4}
+    assert surface.numerical_mm < 1e-5
+    tight, _, loose = tolerances(ms.simulate(scene), scene.belief())
+    assert tight.error_mm == 0.0 < loose.error_mm < 0.005
+
+
+@pytest.mark.slow
+def test_finer_faces_are_tried_where_the_own_ones_err_too_much():
+    scene = ms.Scene.load("sphere_noisy")
+    scene = scene.with_(body=ms.Body.sphere(0.1, 320), loop=replace(scene.loop, integrator="rk4"))
+    numerics = Numerics(scene, 1e-10, "auto")
+    own, _, finer = surfaces(numerics, scene, 1e-5)
+    assert finer.changes["faces"] == 4 * own.changes["faces"]
+    assert finer.numerical_mm < 0.1 * own.numerical_mm
+    assert finer.once > 0
 
 
 def test_what_cannot_be_kept_names_the_best():
@@ -83,6 +151,7 @@ def test_a_run_keeps_its_promise(tmp_path):
     assert promise["error_mm"] / 1.5 < came < min(1.5 * promise["error_mm"], 0.05)
     assert result.metrics["readings"] < 4000, "fewer than the scene's own 8,000"
     assert 0 < promise["numerical_mm"] < 0.002
+    assert np.hypot(promise["error_mm"], promise["numerical_mm"]) < 0.05
     assert result.metrics["seconds"]["pilot"] > 0
 
 

@@ -41,7 +41,7 @@ class Numerics:
 
     def __init__(self, scene: Scene, tolerance: float, compile_: str = "always") -> None:
         self.tolerance, self.compile = tolerance, compile_
-        self.scene = self._bare(scene)
+        self.scene = self.bare(scene)
         self.path = held_route(self.scene)
         self.frames = self.drive(self.scene)
         known = scene.belief().noise_sigma
@@ -54,10 +54,10 @@ class Numerics:
 
         Raises SimulationError where the loop fails or loses contact, ContactError.
         """
-        scene = self._bare(scene)
+        scene = self.bare(scene)
         return self.calibrate(self.read(scene, self.drive(scene))) - self.positions
 
-    def _bare(self, scene: Scene) -> Scene:
+    def bare(self, scene: Scene) -> Scene:
         """A scene without effects."""
         return scene.with_(effects=(), loop=replace(scene.loop, compile=self.compile))
 

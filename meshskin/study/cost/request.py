@@ -3,7 +3,8 @@
 The pilot runs the scene on its coarsest lanes and times each part: what is paid once, for each
 step, each frame and each reading. Errors follow from its Cramér-Rao bound, which goes with the
 contacts to the power -1/2, from what the scene's effects leave behind without noise, and from the
-numerical part. Nothing is kept from machine to machine, or from run to run.
+numerical parts of the levels of every other knob, which are tried on its path (levels.py). Nothing
+is kept from machine to machine, or from run to run.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -19,10 +21,12 @@ import pyarrow as pa
 from ...errors import ConfigError, StudyError
 from ...estimation import metrics
 from ...estimation.calibrate import calibrate
+from ...physics.contact import BATCHED
 from ...physics.effects import Noise
 from ...recording import Recording
 from ...simulation import contact_frames, effect_chain, prepare, run, sensor_tables, simulate
-from .numerics import Numerics, mean_mm
+from .levels import COARSER, Level, loops, models, surfaces, tolerances, worth
+from .numerics import Numerics
 from .setting import RATES, Setting
 
 if TYPE_CHECKING:
@@ -37,6 +41,8 @@ WIDEST = 0.8
 """Largest spacing of lanes over the distance at which a taxel feels a contact."""
 THIN = 4
 """Every so many readings are calibrated again, to tell fixed costs from those of a reading."""
+TRYING = 0.2
+"""Part of the seconds asked for within which a pilot goes on to try steps, models and surfaces."""
 SAFE = 0.9
 """Part of the accuracy asked for that a promise may use up: errors scatter from run to run."""
 
@@ -73,7 +79,8 @@ class Promise:
     error_mm: float
     """Mean error of the taxels against the truth."""
     numerical_mm: float
-    """Shift of the taxels by the integration; 0 where it was not asked for."""
+    """Shift of the taxels by step, integrator, contact model and surface, as far as they were
+    tried."""
     seconds: float
     """Of the whole run by the clock on the wall, what is already spent included."""
     processor_seconds: float
@@ -94,8 +101,8 @@ class Pilot:
     """Mean error at the Cramér-Rao bound; 0 without noise."""
     systematic_mm: float
     """Mean error without noise."""
-    numerical_mm: dict[str, float]
-    """Shift of the taxels by each integrator that was tried, at the scene's step."""
+    knobs: tuple[tuple[Level, ...], ...]
+    """The levels of every knob beside lanes and rate that was tried, the scene's own first."""
     fixed: float
     """Making the loop, writing, and drawing the report."""
     each_step: float
@@ -112,18 +119,23 @@ class Pilot:
         """Seconds on the wall for each of the processor, as the machine was under the pilot."""
         return max(self.spent[0] / max(self.spent[1], 1e-9), 1.0)
 
-    def promise(self, setting: Setting) -> Promise:
-        """Of a setting that differs in lanes, rate and integrator."""
+    def promise(self, setting: Setting, levels: Sequence[Level] = ()) -> Promise:
+        """Of a setting of lanes and rate, with these levels of other knobs."""
         lanes = self.setting.lane_spacing / setting.lane_spacing
         many = lanes * setting.rate / self.setting.rate
         error = float(np.hypot(self.bound_mm / np.sqrt(many), self.systematic_mm))
         once, each = self.estimating
         more = self.fixed + self.each_step * self.steps * lanes
         more += self.each_contact * self.contacts * many + once + each * self.readings * many
+        for level, (own, *_) in zip(levels, self.knobs, strict=bool(levels)):
+            more += level.once - own.once + (level.along - own.along) * lanes
+            more += (level.reading - own.reading) * many
+            setting = replace(setting, **level.changes)
+            error = float(np.hypot(error, level.error_mm))
         return Promise(
             setting,
             error,
-            self.numerical_mm.get(setting.integrator, 0.0),
+            float(np.sqrt(sum(level.numerical_mm**2 for level in levels))),
             self.spent[0] + more * self.slowdown,
             self.spent[1] + more,
         )
@@ -133,23 +145,22 @@ class Pilot:
         widest = self.setting.lane_spacing * (1 + 1e-9)
         lanes = [self.base.lane_spacing * factor for factor in LANES]
         lanes = [x for x in lanes if x < widest] + [self.setting.lane_spacing]
-        integrators = list(self.numerical_mm) or [self.base.integrator]
         made = [
-            replace(self.base, lane_spacing=x, rate=self.base.rate * r, integrator=i)
+            self.promise(replace(self.base, lane_spacing=x, rate=self.base.rate * r), levels)
             for x in dict.fromkeys(lanes)
             for r in RATES
-            for i in integrators
+            for levels in product(*self.knobs)
         ]
-        return [self.promise(setting) for setting in made if setting.whole_frames]
+        return [promise for promise in made if promise.setting.whole_frames]
 
     def choose(self, request: Request) -> list[Promise]:
         """The settings that keep a request, the best first. Raises StudyError if none does."""
         promises = self.promises()
+
+        def total(p: Promise) -> float:
+            return float(np.hypot(p.error_mm, p.numerical_mm))
+
         if request.accuracy_mm is not None:
-
-            def total(p: Promise) -> float:
-                return float(np.hypot(p.error_mm, p.numerical_mm))
-
             kept = [p for p in promises if total(p) <= SAFE * request.accuracy_mm]
             if kept:
                 return sorted(kept, key=lambda p: p.processor_seconds)
@@ -163,12 +174,12 @@ class Pilot:
         assert request.seconds is not None
         kept = [p for p in promises if p.seconds <= request.seconds]
         if kept:
-            return sorted(kept, key=lambda p: (p.error_mm, p.seconds))
+            return sorted(kept, key=lambda p: (total(p), p.seconds))
         quick = min(promises, key=lambda p: p.seconds)
         raise StudyError(
             "the time is too short",
             value=request.words,
-            limit=f"{quick.seconds:.3g} s for {quick.error_mm:.3g} mm at least",
+            limit=f"{quick.seconds:.3g} s for {total(quick):.3g} mm at least",
             remedy="give more seconds",
         )
 
@@ -191,15 +202,15 @@ def pilot(
     own = base.lane_spacing
     coarse = replace(base, lane_spacing=max(min(LANES[-1] * own, WIDEST * reach), own))
     small = coarse.scene(scene, scene.body)
-    (machine, path), preparing = _timed(lambda: prepare(small))
-    steps, looping = _timed(lambda: list(run(small, machine, path)))
+    (machine, path), preparing = timed(lambda: prepare(small))
+    steps, looping = timed(lambda: list(run(small, machine, path)))
 
     def read() -> Recording:
         frames = contact_frames(small, machine.loop, steps)
         return Recording(*sensor_tables(small, frames, effect_chain(small, seed)), _header(small))
 
-    recording, _ = _timed(read)  # the first time pays for what the next ones find
-    _, reading = _timed(read)
+    recording, _ = timed(read)  # the first time pays for what the next ones find
+    _, reading = timed(read)
     belief = small.belief()
     found = calibrate(recording, belief)  # the first one, again
     few = _thinned(recording)
@@ -210,20 +221,52 @@ def pilot(
         bound = 1e3 * metrics.cramer_rao(recording, belief, small.skin).mean
     systematic = _systematic(small, found, seed)
     count = sum(len(part.time) for part in steps)
-    numerical = _numerical(small) if request.accuracy_mm is not None else {}
     making = 0.3 * preparing  # the loop's functions; planning goes with the path
-    return Pilot(
+    tried = Pilot(
         base, coarse, count, len(recording.time), len(recording.pressure), bound, systematic,
-        numerical,
+        (worth(tolerances(recording, belief)),),
         fixed=making + drawing(found),
         each_step=(preparing - making + looping) / count,
         each_contact=reading / max(len(recording.time), 1),
         estimating=(max(cost - each * len(recording.pressure), 0.0), each),
-        spent=(time.perf_counter() - began[0], time.process_time() - began[1]),
+        spent=_since(began),
     )  # fmt: skip
+    if request.seconds is None or tried.spent[0] < TRYING * request.seconds:
+        tried = _turned(tried, small, request)
+    return replace(tried, spent=_since(began))
 
 
-def _timed(work: Callable[[], T]) -> tuple[T, float]:
+def _since(began: tuple[float, float]) -> tuple[float, float]:
+    return time.perf_counter() - began[0], time.process_time() - began[1]
+
+
+def _turned(tried: Pilot, scene: Scene, request: Request) -> Pilot:
+    """The pilot with levels of loop, contact model and surface, from Runge-Kutta at half the step.
+
+    Other steps and models are tried where the run would take longer over them than trying does.
+    """
+    loop = replace(scene.loop, integrator="rk4")
+    fine = scene.with_(loop=replace(loop, dt=loop.dt / 2))
+    numerics = Numerics(fine, 1e-10, scene.loop.compile)
+    own = loops(numerics, scene, (1,))
+    knobs = [*tried.knobs, worth(own)]
+    if request.accuracy_mm is not None:
+        knobs.append(surfaces(numerics, scene, request.accuracy_mm))
+    tried = replace(tried, knobs=tuple(knobs))
+    try:
+        best = tried.choose(request)[0].setting
+    except StudyError:
+        return tried
+    lanes = tried.setting.lane_spacing / best.lane_spacing
+    if lanes > 2 * len(COARSER) * len(own):
+        knobs[1] = worth(own + loops(numerics, scene, COARSER))
+    frames = lanes * best.rate / tried.setting.rate
+    if frames > 2 * len(BATCHED):
+        knobs.append(worth(models(numerics, scene)))
+    return replace(tried, knobs=tuple(knobs))
+
+
+def timed(work: Callable[[], T]) -> tuple[T, float]:
     """What comes out, and its processor seconds."""
     begin = time.process_time()
     return work(), time.process_time() - begin
@@ -267,12 +310,3 @@ def _systematic(scene: Scene, found: Calibration, seed: int) -> float:
         quiet = simulate(scene.with_(effects=rest), seed)
         error = metrics.position_errors(calibrate(quiet, scene.belief()), scene.skin)
     return 1e3 * float(np.nanmean(error))
-
-
-def _numerical(scene: Scene) -> dict[str, float]:
-    """Mean shift, mm, by the scene's integrator and by Runge-Kutta, from half the step."""
-    loop = replace(scene.loop, integrator="rk4")
-    fine = scene.with_(loop=replace(loop, dt=loop.dt / 2))
-    numerics = Numerics(fine, 1e-10, scene.loop.compile)
-    own = {scene.loop.integrator: mean_mm(numerics.shift(scene))}
-    return own | {"rk4": mean_mm(numerics.shift(scene.with_(loop=loop)))}
