@@ -92,7 +92,8 @@ def plan(
         reasons = Counter(missing.values()).most_common(1)
         raise ReachError(
             f"nothing of the skin can be explored: {reasons[0][0] if reasons else UNSEEN}",
-            value=f"{len(sites)} taxels",
+            value=f"{len(sites)} taxels, the indenter at "
+            f"{tuple(round(float(x), 3) for x in setup.indenter.position)} m",
             remedy="move indenter.position_m, change the mount, or use a smaller indenter",
         )
     notes = clear.links(setup.arm).notes if setup.arm else ()
