@@ -1,10 +1,12 @@
 """Folds: where a mesh passes through itself, no normal tells inside from outside.
 
 Of the faces that meet at the nearest point of a solid's edge, all face a point outside, and none a
-point inside. Where some do and others do not, the mesh is folded there (or the nearest point is a
-saddle's corner), and how often the mesh winds about the point tells. Where parts of a mesh run into
-each other, sheets lie within it that have inside on both sides: every face knows how often the mesh
-winds about the points before it, and where sheets cross, it is counted for the point itself.
+point inside. Where some do and others do not, the mesh is folded there, unless the faces that meet
+look about the same way: then the nearest point is a saddle's corner, such as the rim of a coarse
+cylinder has, and the normals tell. At a fold, how often the mesh winds about the point tells. Where
+parts of a mesh run into each other, sheets lie within it that have inside on both sides: every face
+knows how often the mesh winds about the points before it, and where sheets cross, it is counted for
+the point itself.
 """
 
 from __future__ import annotations
@@ -22,6 +24,9 @@ Index = NDArray[np.intp]
 
 ON_EDGE = 1e-9
 """barycentric weight below which a foot lies on an edge"""
+ALIKE = 0.65
+"""cosine of the angle from their middle up to which the normals of faces that meet show no fold: a
+little over half a right angle, as at the rim of a cylinder"""
 GRAZING = 1e-6
 """sine of the angle over a face's plane, up to which a face neither faces a point nor turns away"""
 BEFORE = 1e-7
@@ -70,7 +75,14 @@ class Folds:
         sine = np.einsum("ij,ij->i", self.normals[owner], unit[row])
         facing = np.bincount(row[sine > GRAZING], minlength=len(rows))
         turned = np.bincount(row[sine < -GRAZING], minlength=len(rows))
-        return np.asarray(rows[(facing > 0) & (turned > 0)])
+        some = np.flatnonzero(((facing > 0) & (turned > 0))[row])
+        normal, row = self.normals[owner[some]], row[some]
+        means = np.zeros((2, len(rows), 3))  # of those that face the point, and of the others
+        np.add.at(means, ((sine[some] < 0.0).astype(int), row), normal)
+        means /= np.maximum(np.linalg.norm(means, axis=2, keepdims=True), 1e-300)
+        middle = means.sum(axis=0)[row]
+        away = np.einsum("ij,ij->i", normal, middle) < ALIKE * np.linalg.norm(middle, axis=1)
+        return np.asarray(rows[np.unique(row[away])])
 
     @cached_property
     def _winding(self) -> Winding:

@@ -45,6 +45,21 @@ def test_an_edge_folded_back_is_doubtful():
     assert list(fold.doubtful(np.array([0]), corner, np.array([[-1.0, -1.0, 0.4]]))) == [0]
 
 
+def test_the_rim_of_a_coarse_cylinder_is_not_doubtful():
+    """Its vertices are corners of saddles: by a cap, the cap turns away, the side does not."""
+    body = Body.cylinder(0.05, 0.2, faces=600)
+    vertex = body.mesh.vertices
+    rim = vertex[(vertex[:, 2] > 0.0999) & (np.hypot(vertex[:, 0], vertex[:, 1]) > 0.0499)]
+    points = rim * [1.4, 1.4, 1.0] - [0.0, 0.0, 1e-5]
+    foot, _, face = trimesh.proximity.closest_point(body.mesh, points)
+    weight = trimesh.triangles.points_to_barycentric(body.mesh.triangles[face], foot)
+    weight[weight < 1e-6] = 0.0
+    fold, way = folds(body.mesh), points - foot
+    assert not len(fold.doubtful(face, weight, way))
+    np.testing.assert_array_equal(fold.side(points), 1.0)
+    assert np.all(body.closest(points).distance > 0.0)
+
+
 @pytest.mark.parametrize("turned", [False, True])
 def test_the_winding_tells_the_side(turned):
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.1)
