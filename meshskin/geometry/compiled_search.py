@@ -35,10 +35,12 @@ _WHOLE, _REAL, _ADDRESS = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 
 class _Tree(ctypes.Structure):
     _fields_ = (
+        ("levels", _WHOLE),
         ("leaves", _WHOLE),
-        ("size", _WHOLE),
+        ("faces", _WHOLE),
         ("node", _ADDRESS),
         ("corner", _ADDRESS),
+        ("lift", _ADDRESS),
         ("face", _ADDRESS),
     )
 
@@ -46,7 +48,6 @@ class _Tree(ctypes.Structure):
 class _Surface(ctypes.Structure):
     _fields_ = (
         ("patch", _ADDRESS),
-        ("lift", _ADDRESS),
         ("beyond", _ADDRESS),
         ("slot", _ADDRESS),
         ("quadratic", _REAL),
@@ -75,17 +76,12 @@ class CompiledSearch:
         beyond = np.ascontiguousarray(surface.neighbours, dtype=np.int64)
         slot = np.ascontiguousarray(surface.slot, dtype=np.int64)
         nodes = tree(built, surface)
-        self._kept = (
-            patches,
-            surface.lifts,
-            beyond,
-            slot,
-            *nodes,
-        )  # the addresses below are theirs
+        self._kept = patches, beyond, slot, *nodes  # the addresses below are theirs
         ends = (walk.QUADRATIC, walk.STILL, walk.FAR, walk.HOPS, walk.STEPS)
-        self._surface = _Surface(*(a.ctypes.data for a in self._kept[:4]), *ends)
+        self._surface = _Surface(*(a.ctypes.data for a in self._kept[:3]), *ends)
         leaves = len(nodes[0]) // 2
-        self._tree = _Tree(leaves, len(nodes[2]) // leaves, *(a.ctypes.data for a in nodes))
+        count = leaves.bit_length() - 1, leaves, len(nodes[3])
+        self._tree = _Tree(*count, *(a.ctypes.data for a in nodes))
 
     def closest(self, p: Array, face: Index | None) -> Feet:
         """The feet of p (n, 3), m; `face` (n,): faces to start from, if known."""
@@ -116,25 +112,31 @@ class CompiledSearch:
         return foot, uv
 
 
-def tree(built: ctypes.CDLL, surface: Surface) -> tuple[Array, Array, Long]:
+def tree(built: ctypes.CDLL, surface: Surface) -> tuple[Array, Array, Array, Long]:
     """A balanced tree of cylinders over the faces of a surface.
 
-    Gives the cylinders (2 leaves, 10), and corners (k, 3, 3) and numbers (k,) of the faces, leaf by
-    leaf; some faces are there twice, to fill all leaves alike.
+    Gives the cylinders (2 leaves, 8), and corners (m, 3, 3), lifts (m,) and numbers (m,) of the
+    faces, leaf by leaf.
     """
     m = len(surface.faces)
-    leaves = 1 << max(0, int(np.ceil(np.log2(m / LEAF))))
-    size = -(-m // leaves)
-    face = np.arange(leaves * size, dtype=np.int64) * m // (leaves * size)
-    spots = np.empty(len(face), dtype=[("at", np.float64, 3), ("face", np.int64)])
-    spots["at"], spots["face"] = surface.vertices[surface.faces].mean(axis=1)[face], face
-    count = (_WHOLE(leaves), _WHOLE(size))
+    levels = max(0, int(np.ceil(np.log2(m / LEAF))))
+    spots = np.empty(m, dtype=[("at", np.float64, 3), ("face", np.int64)])
+    spots["at"], spots["face"] = surface.vertices[surface.faces].mean(axis=1), np.arange(m)
+    count = (_WHOLE(levels), _WHOLE(m))
     built.order(*count, *_addresses(spots))
     face = spots["face"].copy()
-    corners, lifts = surface.vertices[surface.faces[face]], surface.lifts[face]
-    node = np.empty((2 * leaves, 10))
+    corners = surface.vertices[surface.faces[face]]
+    lifts = np.zeros(len(face)) if surface.smooth else surface.lifts[face]
+    node = _in_lines(2 << levels, 8)
     built.enclose(*count, *_addresses(corners, lifts, node))
-    return node, corners, face
+    return node, corners, lifts, face
+
+
+def _in_lines(rows: int, columns: int) -> Array:
+    """An empty array that starts where a line of the cache does, 64 bytes."""
+    room = np.empty(rows * columns + 8)
+    first = -room.ctypes.data // 8 % 8
+    return room[first : first + rows * columns].reshape(rows, columns)
 
 
 def along_curve(points: Array) -> Long:

@@ -5,16 +5,19 @@
 #include <stdint.h>
 
 typedef struct {
-    double centre[3], normal[3], radius, low, high; /* high: along the normal, from the centre */
-    double lift;                                    /* the largest of the patches within */
+    double centre[3], normal[3], radius, half; /* half: of its height; 64 bytes, a line of cache */
 } Cylinder;
 
 typedef struct {
-    int64_t leaves, size;   /* leaves, a power of two, and faces in each */
+    int64_t levels, leaves, faces; /* 2^levels leaves share the faces */
     const Cylinder *node;   /* (2 leaves,) hulls; node k has the children 2 k and 2 k + 1 */
-    const double *corner;   /* (leaves * size, 9) corners of the faces, leaf by leaf */
-    const int64_t *face;    /* (leaves * size,) their numbers */
+    const double *corner;   /* (faces, 9) corners of the faces, leaf by leaf */
+    const double *lift;     /* (faces,) how far their patches may be from them */
+    const int64_t *face;    /* (faces,) their numbers */
 } Tree;
+
+/* Where part k of 2^levels begins among n faces; parts of parts begin where they do. */
+static inline int64_t start(int64_t k, int64_t levels, int64_t n) { return k * n >> levels; }
 
 static inline double larger(double a, double b) { return a > b ? a : b; }
 
@@ -31,18 +34,10 @@ static double outside(const Cylinder *c, const double *p, double *reach)
 {
     double q[3] = {p[0] - c->centre[0], p[1] - c->centre[1], p[2] - c->centre[2]};
     double along = dot(q, c->normal), whole = dot(q, q), across2 = whole - along * along;
-    double above = larger(larger(c->low - along, along - c->high), 0.0);
+    double above = larger(fabs(along) - c->half, 0.0);
     double beside = across2 > c->radius * c->radius ? sqrt(across2) - c->radius : 0.0;
     *reach = above * above + beside * beside + whole;
     return above * above + beside * beside;
-}
-
-/* The squared distance from which a cylinder holds no patch nearer than `most`, nor as near but for
-   rounding. */
-static double limit2(const Cylinder *c, double most)
-{
-    double reach = (1.0 + 1e-12) * (most + c->lift);
-    return reach * reach;
 }
 
 typedef struct {
@@ -70,14 +65,16 @@ static void halve(Spot *spot, int64_t n, int64_t half, int x)
     }
 }
 
-/* Put the middles of faces (leaves * size,) in the order of the leaves of a balanced tree: halved,
-   from the whole down, across their longest extent. */
-void order(int64_t leaves, int64_t size, Spot *spot)
+/* Put the middles of faces (faces,) in the order of the leaves of a balanced tree: halved, from the
+   whole down, across their longest extent. */
+void order(int64_t levels, int64_t faces, Spot *spot)
 {
-    for (int64_t blocks = 1; blocks < leaves; blocks *= 2) {
-        int64_t n = leaves / blocks * size;
-        for (int64_t block = 0; block < blocks; block++) {
-            Spot *here = spot + block * n;
+    for (int64_t level = 0; level < levels; level++)
+        for (int64_t block = 0; block < (int64_t)1 << level; block++) {
+            int64_t first = start(block, level, faces);
+            int64_t half = start(2 * block + 1, level + 1, faces) - first;
+            int64_t n = start(block + 1, level, faces) - first;
+            Spot *here = spot + first;
             double low[3] = {INFINITY, INFINITY, INFINITY}, extent[3], high[3];
             for (int x = 0; x < 3; x++) high[x] = -INFINITY;
             for (int64_t k = 0; k < n; k++)
@@ -88,15 +85,16 @@ void order(int64_t leaves, int64_t size, Spot *spot)
             for (int x = 0; x < 3; x++) extent[x] = high[x] - low[x];
             int longest = extent[1] > extent[0];
             if (extent[2] > extent[longest]) longest = 2;
-            halve(here, n, n / 2, longest);
+            halve(here, n, half, longest);
         }
-    }
 }
 
-/* The cylinder about n triangles (n, 9): its axis is the mean of their normals. */
+/* The cylinder about n triangles (n, 9) and what is within `lift` of them: its axis is the mean of
+   their normals. */
 static Cylinder hull(const double *corner, int64_t n, double lift)
 {
-    Cylinder c = {{0.0}, {0.0}, 0.0, INFINITY, -INFINITY, lift};
+    Cylinder c = {{0.0}, {0.0}, 0.0, 0.0};
+    double low = INFINITY, high = -INFINITY, radius2 = 0.0;
     for (int64_t k = 0; k < n; k++) {
         const double *a = corner + 9 * k, *b = a + 3, *d = a + 6;
         for (int x = 0; x < 3; x++) {
@@ -112,23 +110,25 @@ static Cylinder hull(const double *corner, int64_t n, double lift)
         double q[3], along;
         for (int x = 0; x < 3; x++) q[x] = corner[3 * k + x] - c.centre[x];
         along = dot(q, c.normal);
-        c.low = smaller(c.low, along), c.high = larger(c.high, along);
+        low = smaller(low, along), high = larger(high, along);
         for (int x = 0; x < 3; x++) q[x] -= along * c.normal[x];
-        c.radius = larger(c.radius, dot(q, q));
+        radius2 = larger(radius2, dot(q, q));
     }
-    c.radius = sqrt(c.radius);
+    for (int x = 0; x < 3; x++) c.centre[x] += 0.5 * (low + high) * c.normal[x];
+    c.radius = sqrt(radius2) + lift, c.half = 0.5 * (high - low) + lift;
     return c;
 }
 
 /* The cylinders of a tree from the corners and lifts of its faces, leaf by leaf. */
-void enclose(int64_t leaves, int64_t size, const double *corner, const double *lift,
+void enclose(int64_t levels, int64_t faces, const double *corner, const double *lift,
              Cylinder *node)
 {
-    for (int64_t blocks = leaves, n = size; blocks; blocks /= 2, n *= 2)
-        for (int64_t block = 0; block < blocks; block++) {
+    for (int64_t level = levels; level >= 0; level--)
+        for (int64_t block = 0, blocks = (int64_t)1 << level; block < blocks; block++) {
+            int64_t first = start(block, level, faces), last = start(block + 1, level, faces);
             double most = 0.0;
-            for (int64_t k = block * n; k < (block + 1) * n; k++) most = larger(most, lift[k]);
-            node[blocks + block] = hull(corner + 9 * block * n, n, most);
+            for (int64_t k = first; k < last; k++) most = larger(most, lift[k]);
+            node[blocks + block] = hull(corner + 9 * first, last - first, most);
         }
     node[0] = node[1];
 }
