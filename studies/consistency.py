@@ -59,6 +59,8 @@ SHIFT, TURN = (3e-4, -2e-4, 2e-4), (4e-3, -3e-3, 2e-3)
 """Of the body on the arm, m and rad."""
 RMS = 1.05
 """Most RMS error over the Cramer-Rao bound."""
+FEW = 20
+"""Seeds below which their scatter tells nothing: all squares of a seed count as one, then."""
 LEVEL = 0.05
 """Probability that the verdict is wrong where all covariances hold."""
 SEEN = 0.5
@@ -271,8 +273,8 @@ def design_effect(parts: list[np.ndarray]) -> float:
     """
     means = np.array([part.mean() for part in parts if part.size])
     size = np.mean([part.size for part in parts if part.size])
-    if size <= 1 or len(means) < 2:
-        return 1.0
+    if len(means) < FEW:
+        return float(size)
     return float(max(np.var(means, ddof=1) * size / 2, 1.0))
 
 

@@ -30,6 +30,40 @@ def test_outlying_readings_cost_little_more_than_leaving_just_them_out(study, wo
     assert 0.9 < found["named"] < 1.05
 
 
+def test_outlying_readings_of_some_taxels_spare_the_others(study, world):
+    found = study.outlying(world, 0.2, range(1), 0.2)
+    assert found["others"] < 1.02
+    assert found["error"] < 1.06 * found["limit"]
+    assert found["named"] > 0.9
+
+
+def test_the_limit_of_who_is_not_told(study):
+    assert study.efficiency(1e-9) == pytest.approx(1.0, abs=1e-6)
+    rng, share = np.random.default_rng(0), 0.2  # the score's variance is the information
+    width = (study.WILD - study.THRESHOLD) / study.NOISE
+    out = rng.random(2_000_000) < share
+    r = np.where(out, width * (rng.random(len(out)) - 0.5), rng.normal(size=len(out)))
+    sound = (1 - share) * np.exp(-(r**2) / 2) / np.sqrt(2 * np.pi)
+    information = np.mean((r * sound / (sound + share / width)) ** 2)
+    assert study.efficiency(share) == pytest.approx(information / (1 - share), abs=2e-3)
+
+
+def test_the_largest_share_within_ten_per_cent(study):
+    errors = {e: 1 / np.sqrt(1 - e) for e in (0.05, 0.1, 0.15, 0.2)}
+    assert study.largest(errors) == pytest.approx(1 - 1.1**-2)
+    assert study.largest({0.05: 1.01, 0.2: 1.05}) == 0.2
+
+
+def test_what_is_short_of_its_bar_is_said(study):
+    alone = {"error": 1.12, "limit": 1.11, "others": float("nan"), "named": 1.0}
+    spared = {"error": 1.2, "limit": 1.1, "others": 1.01, "named": 1.0}
+    fault = {"others": 1.05, "named": 1.0}
+    good = {"outlying 0.2": alone, "outlying 0.2 on 20%": spared, "2 dead": fault}
+    assert study.short(good | {"largest share": {"share": 0.1}}) == []
+    assert len(study.short({"outlying 0.2": alone | {"error": 1.15}})) == 1
+    assert len(study.short({"2 dead": {"others": 1.2, "named": 0.5}})) == 2
+
+
 @pytest.mark.parametrize("name", ["dead", "dies", "stuck", "swapped", "thermal"])
 def test_a_fifth_of_all_taxels(study, world, name):
     found = study.faulty(world, study.FAULTS[name], 16, range(1))
