@@ -9,12 +9,14 @@ out, how much faster the chosen scene ran (processor time of planning, simulatin
 the chosen scene before and after the other), and how many taxels are found with everything on only;
 draws one error against the other. --full takes 20 random scenes. With --json FILE each scene's row
 is kept there as it comes; the next run takes up from it (remove it after a change of the code).
+--prices measures instead, on the paper's sphere, what the budget's counts are priced by.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from math import isclose
 from pathlib import Path
@@ -31,9 +33,10 @@ from meshskin.geometry.region import Cap
 from meshskin.motion.path import Path as Way
 from meshskin.physics import effects
 from meshskin.report import figures, theme
-from meshskin.simulation import prepare
+from meshskin.simulation import effect_chain, prepare
 from meshskin.study.budget.check import paired
-from meshskin.study.budget.rehearsal import along
+from meshskin.study.budget.knobs import SECONDS
+from meshskin.study.budget.rehearsal import Rehearsal, along
 from meshskin.study.cost.numerics import held_route
 
 FRESH = 100
@@ -68,7 +71,10 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
     parser.add_argument("--budget-mm", type=float, default=0.2)
     parser.add_argument("--json", type=Path, default=None)
     parser.add_argument("--full", action="store_true", help="20 random scenes")
+    parser.add_argument("--prices", action="store_true", help="measure the budget's prices")
     options = parser.parse_args(arguments)
+    if options.prices:
+        return {"prices": prices()}
 
     shipped = library.scenes() if options.scenes is None else options.scenes
     count = 20 if options.full else options.random
@@ -90,6 +96,38 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
           f"budget; least {slowest:.1f} times faster")  # fmt: skip
     figures.save(against(rows, options.budget_mm), options.out, "budget")
     return rows
+
+
+def prices() -> dict[str, float]:
+    """Seconds of each thing that the budget counts, beside those that it reckons with."""
+    scene = ms.Scene.load("sphere_noisy")
+    scene = scene.with_(loop=replace(scene.loop, compile="always"))
+    path = held_route(scene)
+    recording = ms.simulate(scene, path=path)  # the first time pays for what is built once
+    found, faces = {}, len(scene.body.mesh.faces)
+    found["face"] = seconds(lambda: replace(scene.body).closest(scene.skin.positions)) / faces
+    steps, taxels = len(path.points), len(scene.skin.ids)
+    found["step"] = seconds(lambda: [held_route(scene), Rehearsal.of(scene, path)]) / steps
+    frames = Rehearsal.of(scene, path).frames
+    for name in ("hertz", "elliptic", "layered"):
+        read = effect_chain(scene.with_(contact=name, effects=()), 0).read
+        found[name] = seconds(lambda r=read: r(frames, scene.skin.poses)) / len(frames) / taxels  # type: ignore[misc]
+    turns = len(ms.calibrate(recording, scene.belief()).iterates)
+    every = turns * len(recording.pressure)
+    found["reading"] = seconds(lambda: ms.calibrate(recording, scene.belief())) / every
+    for name, value in found.items():
+        print(f"{name:10}{value:10.2g} s, reckoned with {SECONDS[name]:.2g}")
+    return found
+
+
+def seconds(work: Callable[[], Any]) -> float:
+    """Processor seconds, the best of three."""
+    took = []
+    for _ in range(3):
+        begin = process_time()
+        work()
+        took.append(process_time() - begin)
+    return min(took)
 
 
 def kept(file: Path | None, budget_mm: float) -> dict[str, dict[str, Any]]:

@@ -36,6 +36,8 @@ SAID = {
     "chosen": "combinations",
 }
 """Knob -> its name for people."""
+LABEL = (90.0, 8.0)
+"""Width and height that a label takes, points."""
 RANKED = tuple(SAID[k] for k in ("faces", "degree", "dt", "lanes", "rate", "tolerance"))
 """Knobs whose levels have an order: their points are joined."""
 SIMULATED = tuple(
@@ -107,10 +109,6 @@ def work_precision(
             if axes is left or s.name in SIMULATED:
                 line = "-" if s.name in RANKED else ""
                 axes.plot(s.seconds, values, ls=line, lw=0.9, ms=5, label=s.name, **style)
-        if s.name == SAID["method"]:
-            for x, y, text in zip(s.seconds, s.total, s.labels, strict=True):
-                left.annotate(text.replace("_", " "), (x, y), (5, 2), textcoords="offset points",
-                              fontsize=7, color=theme.MUTED)  # fmt: skip
     for axes, value in ((left, own[1]), (right, own[2])):
         axes.plot(own[0], value, "*", ms=12, color=theme.INK, label="the scene as it is", zorder=5)
         axes.set(xscale="log", yscale="log", xlabel="processor time (s): load, simulate, calibrate")
@@ -121,6 +119,9 @@ def work_precision(
     for target in targets:
         if low < target < high:
             left.axhline(target, color=theme.FAINT, lw=0.8, zorder=0)
+    for s in measured:
+        if s.name == SAID["method"]:
+            named(left, s)
     left.set(ylabel="mean error of the taxels (mm)", title="Error, numerical part included")
     right.set(ylabel="mean shift of the taxels (mm)", title="Numerical part, without noise")
     for axes in (left, right):
@@ -128,6 +129,31 @@ def work_precision(
     handles, labels = left.get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncols=6, fontsize=8)
     return figure
+
+
+def named(axes: Axes, series: Series) -> None:
+    """Write the settings' names beside their points, those of near points above each other."""
+    from matplotlib.patheffects import withStroke
+
+    points = axes.transData.transform(np.stack([series.seconds, series.total], axis=1))
+    points *= 72.0 / axes.figure.dpi
+    taken: list[tuple[float, float]] = []
+    for k in np.argsort(points[:, 1]):
+        x, y = points[k] + [6.0, 5.0]
+        for left, low in taken:
+            if abs(left - x) < LABEL[0] and y - low < LABEL[1]:
+                y = low + LABEL[1]
+        taken.append((x, y))
+        axes.annotate(
+            series.labels[k].replace("_", " "),
+            (series.seconds[k], series.total[k]),
+            tuple(np.array([x, y]) - points[k]),
+            textcoords="offset points",
+            fontsize=7,
+            color=theme.MUTED,
+            zorder=6,
+            path_effects=[withStroke(linewidth=1.5, foreground="white")],
+        )
 
 
 @theme.styled

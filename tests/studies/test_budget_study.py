@@ -61,6 +61,15 @@ def test_a_study_goes_on_where_it_was(study, tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.slow
+def test_prices_are_measured(study, capsys):
+    """What the budget reckons with is in proportion to what things take."""
+    found = study.main(["--prices"])["prices"]
+    assert set(found) == set(study.SECONDS)
+    assert all(value > 0 for value in found.values())
+    assert capsys.readouterr().out.count("reckoned with") == len(found)
+
+
+@pytest.mark.slow
 def test_the_budget_keeps_its_word(study, tmp_path, capsys):
     file = tmp_path / "x.json"
     asked = ["--scenes", "sphere_noisy", "--first", "8", "--random", "2"]

@@ -147,6 +147,20 @@ def test_the_command_writes_page_figure_and_settings(costs, tmp_path):
     assert [line.split()[0] for line in lines[2:7]] == ["1", "0.3", "0.1", "0.03", "0.01"]
 
 
+def test_names_of_estimators_that_err_alike_do_not_overlap():
+    from meshskin.report import precision
+
+    names = ("trilateration", "three_circles", "posegraph", "posegraph_paper")
+    alike = precision.Series("estimator", np.array([0.4, 0.41, 0.42, 3.0]), np.full(4, 1e-6),
+                             np.zeros(4), names)  # fmt: skip
+    figure = precision.work_precision([alike], (0.5, 1e-6, 1e-6), [(0.4, 1e-6)])
+    figure.canvas.draw()
+    texts = [t.get_window_extent() for t in figure.axes[0].texts]
+    assert [t.get_text() for t in figure.axes[0].texts] == [n.replace("_", " ") for n in names]
+    for k, one in enumerate(texts):
+        assert not any(one.overlaps(other) for other in texts[:k])
+
+
 def test_the_skin_stays_where_it_is(scene):
     coarse = replace(Setting.of(scene), faces=1280)
     made = coarse.scene(scene, coarse.body(scene.body))
