@@ -27,7 +27,7 @@ Index = NDArray[np.intp]
 Long = NDArray[np.int64]
 
 LEAF = 4
-"""faces in a leaf of the tree, at most"""
+"""faces in a leaf of the tree, at most, as in compiled_search.c"""
 FEW = 100
 """queries, at most, that are taken as they come: more are sorted by place, for the cache"""
 _WHOLE, _REAL, _ADDRESS = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p

@@ -339,7 +339,7 @@ print(seconds, memory, worst, len(body.mesh.faces))
 
 @pytest.mark.slow
 def test_a_million_faces(tmp_path):
-    """Loads and answers within 2 GB and 10 s of an idle core; 15 s are granted to a busy one."""
+    """Loads and answers within 2 GB and 10 s of processor time."""
     vertices, faces = tessellate.torus(0.1, 0.04, 1_000_000)
     trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / "big.ply")
     line = [sys.executable, "-c", BIG, str(tmp_path / "big.ply")]
@@ -348,4 +348,4 @@ def test_a_million_faces(tmp_path):
     assert count > 990_000
     assert gigabytes < 2.0
     assert worst < 0.1e-6
-    assert seconds < 15.0
+    assert seconds < 10.0
