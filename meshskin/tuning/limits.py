@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..errors import ConfigError
 from ..motion.stability import TOUCH
 from .gains import Demands, Gains
 from .shooting import Shot
@@ -141,6 +142,13 @@ def joint_limits(shot: Shot, row: dict[str, ca.MX], demands: Demands) -> Iterato
         low, high = arm.lower[j] + demands.position, arm.upper[j] - demands.position
         if np.isfinite(low) and np.isfinite(high):
             middle, half = 0.5 * (low + high), 0.5 * (high - low)
+            if half <= 0.0:
+                raise ConfigError(
+                    f"nothing is left of the range of {name}",
+                    value=f"{demands.position:g} rad from its ends",
+                    limit=f"less than {demands.position + half:.3g} rad",
+                    remedy="ask for a smaller Demands.position",
+                )
             away = windows(ca.fabs(row["q"][j, :].T - middle))
             yield Limit(f"position of {name}", away, float(half), float(half), "rad")
 
