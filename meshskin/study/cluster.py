@@ -86,6 +86,17 @@ def _perform(bench: str, task: Task) -> Outcome | None:
     return None if plugin is None else plugin.perform(task)
 
 
+class _Client(distributed.Client):
+    """A client that is closed by hand only.
+
+    Dask's closes itself as garbage, in whatever thread that is collected: in the one of the next
+    client's loop it waits for a lock that the next client holds while it waits for that thread.
+    """
+
+    def __del__(self) -> None:
+        pass
+
+
 class Cluster:
     """A connection to a Dask scheduler; a context manager that takes back what is not done.
 
@@ -100,9 +111,9 @@ class Cluster:
         self._count = itertools.count()
         self._last_seen = time.monotonic()
         try:
-            self._client = distributed.Client(address, timeout=CONNECT, set_as_default=False)
+            self._client = _Client(address, timeout=CONNECT, set_as_default=False)
         except (OSError, ValueError, AssertionError) as error:
-            # AssertionError: on a starved machine Dask's own thread did not start in its 10 s
+            # AssertionError: Dask's own thread did not start in its 10 s
             raise StudyError(
                 "no Dask scheduler answers", value=address, remedy="check --scheduler"
             ) from error

@@ -1,9 +1,11 @@
 """Sweeps on a Dask cluster, with faults for real."""
 
+import gc
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -127,6 +129,20 @@ def test_where_no_scheduler_is_is_one_line(tmp_path, monkeypatch):
     for address in ("nonsense://x", "tcp://127.0.0.1:1"):
         with pytest.raises(StudyError, match="no Dask scheduler answers"):
             study.sweep(tmp_path / "out", scheduler=address)
+
+
+def test_a_client_that_failed_waits_for_no_lock_when_it_is_collected():
+    """Garbage is collected in any thread, that of the next client's loop, too."""
+    utils = pytest.importorskip("distributed.utils", reason="needs dask[distributed]")
+    from meshskin.study import cluster
+
+    with pytest.raises(StudyError, match="no Dask scheduler answers"):
+        cluster.Cluster(None, "nonsense://x")
+    with utils.LoopRunner._lock:  # a client that starts holds it
+        thread = threading.Thread(target=gc.collect, daemon=True)
+        thread.start()
+        thread.join(10)
+        assert not thread.is_alive()
 
 
 def test_without_dask_the_pip_line_is_named(tmp_path, monkeypatch):
