@@ -10,7 +10,7 @@ import pyarrow as pa
 import pytest
 
 from meshskin.errors import CalibrationError, ContactError, RecordingError
-from meshskin.estimation import joint
+from meshskin.estimation import joint, run
 from meshskin.estimation.calibrate import METHODS, calibrate
 from meshskin.estimation.measurements import gather
 from meshskin.estimation.metrics import nees, position_errors
@@ -196,6 +196,17 @@ def test_an_iteration_limit_of_one(world, noisy):
     with pytest.raises(CalibrationError, match=r"did not converge.*raise the iteration limit"):
         joint.estimate(far, world.body, iterations=1)
     assert joint.estimate(far, world.body).modulus == pytest.approx(world.modulus, rel=0.01)
+
+
+def test_ipopt_in_restoration_failure(world, noisy, monkeypatch):
+    data = gather(noisy[0], world.belief(0.01, 0.05, young=2.5 * world.young))
+    whole = run.minimise
+    monkeypatch.setattr(run, "minimise", lambda *a: (whole(*a)[0], "Restoration_Failed"))
+    found = joint.estimate(data, world.body)  # at the optimum, whatever the status says
+    assert found.modulus == pytest.approx(world.modulus, rel=0.01)
+    monkeypatch.setattr(run, "minimise", lambda problem, state, *a: (state, "Restoration_Failed"))
+    with pytest.raises(CalibrationError, match=r"did not converge.*Restoration_Failed.*check the"):
+        joint.estimate(data, world.body)
 
 
 def test_a_modulus_far_off(world, noisy, clean):
