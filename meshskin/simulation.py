@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -103,7 +104,9 @@ def prepare(
         steps=len(path.points),
         taxels=taxels,
     )
-    stability.check(machine, rest, path.references[0] * ([1.0] * 12 + [0.0] * 6))
+    still = path.references[0] * ([1.0] * 12 + [0.0] * 6)
+    stability.check(machine, rest, still)
+    machine.touch_error = partial(stability.touch_error, machine, rest, still)
     return machine, path
 
 
@@ -125,10 +128,11 @@ def closed_loop(scene: Scene) -> Loop:
 
 
 def _performance(machine: Machine) -> dict[str, Any]:
-    """How the loop ran: its rate, and how often each joint's torque was at its limit."""
+    """How the loop ran: its rate, its stated error, how often each torque was at its limit."""
     names = machine.loop.arm.joint_names[: machine.loop.joints]
     return {
         "steps_per_second": machine.steps_per_second,
+        "force_error": machine.touch_error() if machine.touch_error else None,
         "torque_limited_steps": dict(zip(names, machine.saturated.tolist(), strict=True)),
     }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
@@ -75,7 +76,9 @@ class Machine:
         self.size = len(start)
         self.state = np.zeros(self.function.size1_in(0))
         self._parameters = np.array(loop.parameters.values, dtype=float)
-        self._start, self._foot = np.array(start), body.closest(point[None])
+        self.start, self._foot = np.array(start), body.closest(point[None])
+        self.touch_error: Callable[[], float] | None = None
+        """Stated error of the force at the touch, part of its peak: see stability.touch_error."""
         self.rewind()
 
     @property
@@ -104,7 +107,7 @@ class Machine:
         self.hops = 0
         """How often the foot left the path's faces."""
         self.state[:] = 0.0
-        self.state[: self.size], self.state[-2:] = self._start, self._foot.uv[0]
+        self.state[: self.size], self.state[-2:] = self.start, self._foot.uv[0]
         self.face = int(self._foot.face[0])
         self._astray = False
 

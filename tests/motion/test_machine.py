@@ -171,7 +171,7 @@ def test_point_readings_are_hertz_in_the_tangent_plane(prepared, sphere):
     machine, path = prepared("quasi_static")
     x = sphere.skin.positions
     reader = Machine(
-        sphere.body, machine.loop, machine._start, path.points[0], taxels=np.vstack([x, -x])
+        sphere.body, machine.loop, machine.start, path.points[0], taxels=np.vstack([x, -x])
     )
     for steps in run(sphere, reader, path):
         if steps.phase == 3:
