@@ -179,19 +179,27 @@ def trade(scene: ms.Scene, distance: float, points: int) -> list[dict[str, float
     """Least force error within some times, from that of the fastest on."""
     over = (FRICTION,) if scene.loop.mode == "arm" else (Scenario(),)
     demands, rows = replace(HASTE, overshoot=0.03), []
-    fastest = ms.tune(scene, demands=demands, over=over, distance=distance)
-    start = Gains.of(fastest.tuned)
+    best = fastest = ms.tune(scene, demands=demands, over=over, distance=distance)
     for factor in np.geomspace(1.03, 3.0, points):
-        within = replace(demands, time=float(factor * fastest.value))
+        time = float(factor * fastest.value)
+        within = replace(demands, time=time)
+        start = slowed(best, time - best.trajectories[0].duration, distance)
         best = ms.tune(scene, objective="force_error", demands=within, over=over,
                        distance=distance, start=start)  # fmt: skip
-        start = Gains.of(best.tuned)
         seen = best.confirm()
         rows.append({"time_s": float(seen.time[-1]), "force_error": best.value,
                      "simulated_error": seen.error})  # fmt: skip
         print(f"  {rows[-1]['time_s']:.3f} s: force error {100 * best.value:.3f} % predicted, "
               f"{100 * seen.error:.3f} % simulated")  # fmt: skip
     return rows
+
+
+def slowed(tuned: Tuned, spare: float, distance: float) -> Gains:
+    """The gains found, the slide slower by the time to spare: where the next search begins."""
+    gains = Gains.of(tuned.tuned)
+    slide = distance / gains.speed + gains.ramp
+    slower = 1.0 + max(spare, 0.0) / slide
+    return replace(gains, speed=gains.speed / slower, ramp=gains.ramp * slower)
 
 
 def corners(scene: ms.Scene, distance: float, out: Path) -> list[dict[str, Any]]:
