@@ -92,7 +92,8 @@ def test_the_belief_holds_no_taxel_pose(noisy):
 
 def test_an_arm_that_cannot_reach_says_so(sphere):
     far = sphere.with_(indenter=ms.Indenter.sphere(0.01, (3.0, 0.0, 0.7)))
-    with pytest.raises(ReachError, match=r"out of the arm's reach.* \(3.0, 0.0, 0.7\) m.*indenter.position_m"):
+    words = r"out of the arm's reach.* \(3.0, 0.0, 0.7\) m.*indenter.position_m"
+    with pytest.raises(ReachError, match=words):
         ms.simulate(far)
 
 
