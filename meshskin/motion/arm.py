@@ -265,5 +265,5 @@ class Arm:
 
     @cached_property
     def newton(self) -> reach.Newton:
-        """The iterations of inverse kinematics as CasADi functions, built once."""
+        """The iterations of inverse kinematics, built once."""
         return reach.newton(self)

@@ -122,14 +122,21 @@ class Links:
     radii: Array
     """(l,), m."""
     ends: cs.Function
-    """q (n,) -> (3, 2 l): the two ends of each capsule's axis, world."""
+    """q (n,) -> (3, 2 l + 1): the two ends of each capsule's axis, and the arm's tip, world."""
     notes: tuple[str, ...] = ()
     """Which links are taken for a capsule from joint to joint though they have a shape, and why."""
 
+    def points(self, q: Array) -> Array:
+        """The columns of `ends` (k, 2 l + 1, 3), world, m, in configurations (k, n)."""
+        return np.asarray(self.ends(q.T).full().T.reshape(len(q), -1, 3))
+
     def at(self, q: Array) -> Array:
         """Ends (k, l, 2, 3), world, m, in configurations (k, n)."""
-        flat = self.ends(q.T).full()  # (3, k 2 l)
-        return np.asarray(flat.T.reshape(len(q), len(self.names), 2, 3))
+        return self.capsules(self.points(q))
+
+    def capsules(self, points: Array) -> Array:
+        """Ends (k, l, 2, 3) among `points` (k, 2 l + 1, 3)."""
+        return points[:, :-1].reshape(len(points), len(self.names), 2, 3)
 
 
 @functools.lru_cache(maxsize=16)
@@ -151,7 +158,8 @@ def links(arm: Arm) -> Links:
             radii.append(capsule.radius)
         by = driven.get(joint.name)
         pose = pose @ joint.motion(by.position(q) if by else 0.0)
-    function = cs.Function("links", [q], [cs.densify(cs.horzcat(*ends))], {"cse": True})
+    every = cs.densify(cs.horzcat(*ends, pose[:3, 3]))
+    function = cs.Function("links", [q], [every], {"cse": True})
     return Links(tuple(names), np.array(radii), function, tuple(notes))
 
 
@@ -159,52 +167,71 @@ def arm_reasons(
     arm: Arm, body: Body, q: Array, poses: Array, indenter: Indenter
 ) -> NDArray[np.object_]:
     """Why configurations `q` (k, n) with the body at T_w_b `poses` (k, 4, 4) collide; "" if not."""
-    reason = np.full(len(q), "", dtype=object)
-    if links(arm).names:
+    reason, shape = np.full(len(q), "", dtype=object), links(arm)
+    if shape.names:
         for first in range(0, len(q), BATCH):
             rows = slice(first, first + BATCH)
-            support, struck = _meets(arm, body, q[rows], poses[rows], indenter)
-            reason[rows][support] = ARM_SUPPORT
-            reason[rows][struck] = ARM_BODY
+            points, pose = shape.points(q[rows]), poses[rows]
+            local = (points - pose[:, None, :3, 3]) @ pose[:, :3, :3]
+            reason[rows][_meets_support(shape, points, indenter)] = ARM_SUPPORT
+            reason[rows][_meets_body(shape, local, body)] = ARM_BODY
     return reason
 
 
-def _meets(
-    arm: Arm, body: Body, q: Array, poses: Array, indenter: Indenter
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """In which configurations (k,) a link meets the indenter's support, and in which the body."""
-    shape = links(arm)
-    ends, tip = shape.at(q), arm.pose(q)[:, :3, 3]
+def _meets_support(shape: Links, points: Array, indenter: Indenter) -> NDArray[np.bool_]:
+    """In which configurations (k,), with links at `points` (k, 2 l + 1, 3), world, one of them
+    meets the indenter's support.
+    """
+    ends, out = shape.capsules(points), np.zeros(len(points), dtype=bool)
     top = np.array(indenter.position)
     foot = top - [0.0, 0.0, indenter.radius + indenter.support_height]
-    gap = _segments(ends[:, :, 0], ends[:, :, 1], top, foot) - shape.radii
-    owner, part, radius = _balls(ends[0], shape.radii)
-    points = ends[:, owner, 0] * (1 - part) + ends[:, owner, 1] * part  # (k, p, 3)
-    local = np.einsum("kji,kpj->kpi", poses[:, :3, :3], points - poses[:, None, :3, 3])
-    bounds = body.mesh.bounds
-    outside = np.linalg.norm(
-        np.maximum(np.maximum(bounds[0] - local, local - bounds[1]), 0), axis=-1
-    )
-    near = outside < radius
-    near &= np.linalg.norm(points - tip[:, None], axis=-1) > WRIST
-    struck = np.zeros(len(q), dtype=bool)
-    if near.any():
-        k, ball = np.nonzero(near)
-        struck[k[body.closest(local[near]).distance < radius[ball]]] = True
-    return np.asarray((gap < indenter.column_radius).any(axis=1)), struck
+    thick = shape.radii + indenter.column_radius
+    k, link = np.nonzero(_apart(ends, np.stack([foot, top])) < thick)
+    gap = _segments(ends[k, link, 0], ends[k, link, 1], top, foot)
+    out[k[gap < thick[link]]] = True
+    return out
 
 
-def _balls(ends: Array, radii: Array) -> tuple[NDArray[np.intp], Array, Array]:
-    """Balls that cover capsules of the given ends (l, 2, 3) and radii (l,): of which capsule each
-    is (p,), at which part (p, 1) of its axis, and how large (p,), m.
+def _meets_body(shape: Links, points: Array, body: Body) -> NDArray[np.bool_]:
+    """In which configurations (k,), with links at `points` (k, 2 l + 1, 3) in the body's frame, one
+    of them meets the body.
     """
-    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    ends, out = shape.capsules(points), np.zeros(len(points), dtype=bool)
+    counts, radii = _balls(np.linalg.norm(ends[0, :, 1] - ends[0, :, 0], axis=1), shape.radii)
+    k, link = np.nonzero(_apart(ends, body.mesh.bounds) < radii)
+    owner, part = _spread(counts[link])
+    k, link = k[owner], link[owner]
+    balls = ends[k, link, 0] * (1 - part) + ends[k, link, 1] * part
+    near = _apart(balls[:, None], body.mesh.bounds) < radii[link]
+    near &= np.linalg.norm(balls - points[k, -1], axis=-1) > WRIST
+    if near.any():
+        out[k[near][body.closest(balls[near]).distance < radii[link[near]]]] = True
+    return out
+
+
+def _apart(ends: Array, box: Array) -> Array:
+    """Distances (...), m, of the boxes about segments (..., 2, 3), which are no nearer, or of
+    points (..., 1, 3), from a box (2, 3).
+    """
+    first, last = ends[..., 0, :], ends[..., -1, :]
+    low, high = np.minimum(first, last), np.maximum(first, last)
+    x, y, z = np.moveaxis(np.maximum(np.maximum(box[0] - high, low - box[1]), 0.0), -1, 0)
+    return np.asarray(np.sqrt(x * x + y * y + z * z))
+
+
+def _balls(length: Array, radii: Array) -> tuple[NDArray[np.intp], Array]:
+    """How many balls (l,) cover capsules of the given lengths and radii (l,), m, and how large they
+    are (l,), m.
+    """
     count = np.ceil(length / (FINE * radii)).astype(np.intp) + 1
-    owner = np.repeat(np.arange(len(radii)), count)
+    return count, np.hypot(radii, 0.5 * length / np.maximum(count - 1, 1))
+
+
+def _spread(count: NDArray[np.intp]) -> tuple[NDArray[np.intp], Array]:
+    """Of which of (k,) axes each ball (p,) is, `count` (k,) on each, and at which part (p, 1)."""
+    owner = np.repeat(np.arange(len(count)), count)
     place = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
-    gaps = np.maximum(count - 1, 1)
-    radius = np.hypot(radii, 0.5 * length / gaps)
-    return owner, (place / gaps[owner])[:, None], radius[owner]
+    return owner, (place / np.maximum(count - 1, 1)[owner])[:, None]
 
 
 def _segments(a: Array, b: Array, c: Array, d: Array) -> Array:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,12 +78,14 @@ def nodes(arm: Arm, targets: Array, stretch: int = STRETCH, seed: int = 0) -> No
     rng = np.random.default_rng(seed)
     for k in anchors:
         q[k] = _anchor(arm, rows[k], rng)
-    for first, last in pairwise(anchors):
-        half = (first + last) // 2
-        for k in range(first + 1, half + 1):
-            q[k] = _follow(arm, q[k - 1], rows[k])
-        for k in range(last - 1, half, -1):
-            q[k] = _follow(arm, q[k + 1], rows[k])
+    middles = (anchors[:-1] + anchors[1:]) // 2
+    for away in range(1, stretch + 1):  # from all anchors at once
+        on, back = anchors[:-1] + away, anchors[1:] - away
+        on, back = on[on <= middles], back[back > middles]
+        here, there = np.concatenate([on, back]), np.concatenate([on - 1, back + 1])
+        if len(here):
+            moved = _follow(arm, q[there].reshape(-1, POSTURES, n), rows[here].reshape(-1, 12))
+            q[here] = moved.reshape(-1, s, POSTURES, n)
     q = _whole_turns(arm, q)
     solved = np.isfinite(q[..., 0])
     room = np.minimum(q - arm.lower, arm.upper - q)
@@ -130,15 +131,8 @@ def _follow(arm: Arm, q: Array, rows: Array) -> Array:
 
 def _newton(arm: Arm, q: Array, targets: Array, rounds: int) -> Array:
     """Newton from `q` (k, n) to `targets` (k, 12); NaN where it did not arrive."""
-    q, open_ = q.copy(), np.arange(len(q))
-    for _ in range(rounds + 1):
-        if not len(open_):
-            return q
-        stepped, error = (o.full().T for o in arm.newton.step(q[open_].T, targets[open_].T))
-        far = error[:, 0] >= TOLERANCE
-        open_ = open_[far]
-        q[open_] = stepped[far]
-    q[open_] = np.nan
+    q, residual = arm.newton.arrive(q, targets, rounds + 1)
+    q[residual >= TOLERANCE] = np.nan
     return q
 
 
@@ -188,48 +182,53 @@ def choose(arm: Arm, found: Nodes, usable: NDArray[np.bool_], starts: NDArray[np
     """
     q, spins = found.q, found.q.shape[1]
     price = NEAR_PRICE * np.maximum(0.0, 1.0 - found.spare / NEAR) ** 2
-    price = np.where(usable, price, np.inf)
-    turning = endless(arm)
+    q, price = _packed(q, np.where(usable, price, np.inf))
+    turning, width = endless(arm), price.shape[2]
     cost = price[0]
-    parents = np.zeros((len(q), *cost.shape), dtype=np.intp)
-    fresh = np.zeros((len(q), *cost.shape), dtype=bool)
-    fresh[0] = True
+    parents: NDArray[np.intp] = np.zeros(price.shape, dtype=np.intp)
+    fresh = np.ones(price.shape, dtype=bool)
+    turns = np.array([-1, 0, 1])
+    rows = (np.arange(spins)[:, None] - turns) % spins  # (s, 3): the spins that one is turned from
+    sources = (rows[:, :, None] * width + np.arange(width)).reshape(spins, -1)  # (s, 3 b): nodes
+    spun = np.repeat(SPIN_PRICE * np.abs(turns), width)
     for k in range(1, len(q)):
-        before = int(np.argmin(cost))
         best = np.full(cost.shape, cost.min() + (0.0 if starts[k] else BREAK_PRICE))
-        parent = np.full(cost.shape, before)
-        fresh[k] = True
-        for turn in () if starts[k] else (-1, 0, 1):
-            total = np.roll(cost, turn, axis=0)[:, None, :] + _move(
-                q[k], np.roll(q[k - 1], turn, axis=0), turning
-            )
-            total += SPIN_PRICE * abs(turn)
+        parents[k] = int(np.argmin(cost))
+        if not starts[k]:
+            there = q[k - 1, rows].reshape(spins, 3 * width, -1)
+            total = cost.ravel()[sources][:, None] + _move(q[k], there, turning) + spun
             from_ = np.argmin(total, axis=2)
             least = np.take_along_axis(total, from_[:, :, None], axis=2)[:, :, 0]
-            better = least < best
-            best = np.where(better, least, best)
-            row = (np.arange(spins)[:, None] - turn) % spins
-            parent = np.where(better, row * cost.shape[1] + from_, parent)
-            fresh[k] &= ~better
-        cost, parents[k] = best + price[k], parent
-    return _trace(found, cost, parents, fresh)
+            fresh[k] = least >= best
+            best = np.minimum(best, least)
+            before = np.take_along_axis(sources, from_, axis=1)
+            parents[k] = np.where(fresh[k], parents[k], before)
+        cost = best + price[k]
+    return _trace(q, cost, parents, fresh)
+
+
+def _packed(q: Array, price: Array) -> tuple[Array, Array]:
+    """`q` (m, s, b, n) and `price` (m, s, b) with what is usable (of finite price) first, in order,
+    and only as many of each as are usable anywhere.
+    """
+    usable = np.isfinite(price)
+    width = int(usable.sum(axis=2).max())
+    order = np.argsort(~usable, axis=2, kind="stable")[:, :, :width]
+    packed = np.take_along_axis(q, order[..., None], axis=2)
+    return packed, np.take_along_axis(price, order, axis=2)
 
 
 def _move(here: Array, there: Array, turning: NDArray[np.bool_]) -> Array:
     """Price (s, b, c) of moving from postures `there` (s, c, n) to `here` (s, b, n)."""
-    price = np.zeros((*here.shape[:2], there.shape[1]))
-    worst = np.zeros_like(price)
-    for j, turns in enumerate(turning):
-        move = np.abs(here[:, :, None, j] - there[:, None, :, j])
-        if turns:
-            move %= 2 * math.pi
-            move = np.minimum(move, 2 * math.pi - move)
-        np.maximum(worst, move, out=worst)
-        price += move * move
-    return np.where(worst <= JUMP, MOVE_PRICE * price, np.inf)
+    here, there = np.moveaxis(here, -1, 0), np.moveaxis(there, -1, 0)
+    move = np.abs(here[:, :, :, None] - there[:, :, None, :])
+    around = move[turning] % (2 * math.pi)
+    move[turning] = np.minimum(around, 2 * math.pi - around)
+    price = MOVE_PRICE * np.square(move).sum(axis=0)
+    return np.where(move.max(axis=0) <= JUMP, price, np.inf)
 
 
-def _trace(found: Nodes, cost: Array, parents: Array, fresh: NDArray[np.bool_]) -> Choice:
+def _trace(q: Array, cost: Array, parents: NDArray[np.intp], fresh: NDArray[np.bool_]) -> Choice:
     """Back along the parents from the cheapest end."""
     count, spins = len(parents), cost.shape[0]
     at = int(np.argmin(cost))
@@ -245,7 +244,7 @@ def _trace(found: Nodes, cost: Array, parents: Array, fresh: NDArray[np.bool_]) 
     for k in range(1, count):
         step = (s[k] - s[k - 1] + spins // 2) % spins - spins // 2
         spin[k] = s[k] if breaks[k] else spin[k - 1] + step
-    return Choice(found.q[np.arange(count), s, b], spin, breaks)
+    return Choice(q[np.arange(count), s, b], spin, breaks)
 
 
 def nearest(

@@ -8,14 +8,17 @@ Source: Sugihara, "Solvability-unconcerned inverse kinematics by the Levenberg-M
 
 from __future__ import annotations
 
+import ctypes
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import casadi as cs
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .. import compiled
 from ..errors import ArmError, ReachError
 from ..se3 import Array
 
@@ -25,20 +28,63 @@ if TYPE_CHECKING:
 TOLERANCE = 1e-10  # largest residual of a solution, m and rad
 LARGEST_STEP = 0.5  # rad, of one joint in one Newton step
 TRACKING_STEPS = 2  # Newton steps per sample while following a path
+ROUNDS, SEEDED_ROUNDS = 30, 100  # most looks at a pose, from near it and from a seed
+_WHOLE, _REAL, _ADDRESS = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 
 
 @dataclass(frozen=True)
 class Newton:
-    """An arm's Newton iterations; targets (12,) are rows of `flat`."""
+    """An arm's Newton iterations; targets (k, 12) are rows of `flat`."""
 
     step: cs.Function
     """(q (n,), target (12,)) -> (q after one step, residual before it)."""
-    follow: cs.Function
-    """(q (n,) of the sample before, target (12,)) -> (q, q), the form that `mapaccum` takes."""
+    code: ctypes.CDLL | None = None
+    """The step as machine code, with what newton.c adds; None: it is interpreted."""
+
+    def arrive(self, q: Array, targets: Array, rounds: int) -> tuple[Array, Array]:
+        """Angles (k, n) and residuals (k,) after at most `rounds` looks at the way from `q` (k, n).
+
+        A residual below TOLERANCE is that of the angles; any other, of those a step before.
+        """
+        q, targets = np.array(q, order="C"), np.ascontiguousarray(targets)
+        residual = np.full(len(q), np.inf)
+        if self.code is not None:
+            self.code.arrive(
+                _WHOLE(len(q)), _address(q), _address(targets), _WHOLE(rounds),
+                _REAL(TOLERANCE), _address(residual),
+            )  # fmt: skip
+            return q, residual
+        open_ = np.arange(len(q))
+        for _ in range(rounds):
+            stepped, error = (o.full().T for o in self.step(q[open_].T, targets[open_].T))
+            residual[open_] = error[:, 0]
+            unfinished = error[:, 0] >= TOLERANCE
+            open_ = open_[unfinished]
+            if not len(open_):
+                break
+            q[open_] = stepped[unfinished]
+        return q, residual
+
+    def track(self, q: Array, targets: Array) -> Array:
+        """Angles (k, n), a few steps to each target in order from those before it; `q` (n,)."""
+        if self.code is not None:
+            state, out = np.array(q), np.empty((len(targets), len(q)))
+            self.code.track(
+                _WHOLE(len(out)), _address(state), _address(np.ascontiguousarray(targets)),
+                _WHOLE(TRACKING_STEPS), _address(out),
+            )  # fmt: skip
+            return out
+        start, target = cs.SX.sym("q", len(q)), cs.SX.sym("target", 12)
+        after = start
+        for _ in range(TRACKING_STEPS):
+            after = self.step(after, target)[0]
+        follow = cs.Function("follow", [start, target], [after, after])
+        followed = follow.mapaccum("track", len(targets))(q, targets.T)
+        return np.asarray(followed[0].full().T)
 
 
 def newton(arm: Arm) -> Newton:
-    """The Newton iterations of `arm`.
+    """The Newton iterations of `arm`, compiled where there is a C compiler.
 
     Levenberg-Marquardt: dq = J^T (J J^T + mu I)^-1 e with mu of the order of |e|^2, so that it is
     cautious far away and converges quadratically.
@@ -51,10 +97,13 @@ def newton(arm: Arm) -> Newton:
     change = jacobian.T @ cs.ldl_solve(error, *cs.ldl(normal))
     change *= cs.fmin(1.0, LARGEST_STEP / (cs.norm_inf(change) + 1e-12))
     step = cs.Function("newton", [q, target], [q + change, cs.sqrt(size)], {"cse": True})
-    following = q
-    for _ in range(TRACKING_STEPS):
-        following = step(following, target)[0]
-    return Newton(step, cs.Function("follow", [q, target], [following, following]))
+    before, after = (
+        Path(__file__).with_name(name).read_text(encoding="utf-8")
+        for name in ("inline.h", "newton.c")
+    )
+    sizes = f"#define JOINTS {q.numel()}\n#define TARGET {target.numel()}"
+    text = "\n".join([before, compiled.source(step), sizes, after])
+    return Newton(step, compiled.library("inverse kinematics", text))
 
 
 def inverse_kinematics(arm: Arm, poses: ArrayLike, seed: ArrayLike) -> Array:
@@ -64,9 +113,8 @@ def inverse_kinematics(arm: Arm, poses: ArrayLike, seed: ArrayLike) -> Array:
     """
     targets = flat(shaped("poses", poses, (4, 4), batch=1))
     start = shaped("seed", seed, (len(arm.joint_names),))
-    first, _ = _converge(arm, start[None], targets[:1])
-    track = arm.newton.follow.mapaccum("track", len(targets))
-    q, residual = _converge(arm, track(first.T, targets.T)[0].full().T, targets)
+    first, _ = arm.newton.arrive(start[None], targets[:1], ROUNDS)
+    q, residual = arm.newton.arrive(arm.newton.track(first[0], targets), targets, ROUNDS)
     if not np.all(residual < TOLERANCE):
         k = int(np.argmin(residual < TOLERANCE))
         raise ReachError(
@@ -87,7 +135,7 @@ def solve(arm: Arm, pose: ArrayLike, seeds: ArrayLike | None = None) -> Array:
         high = np.where(np.isfinite(arm.upper), arm.upper, math.pi)
         seeds = np.random.default_rng(0).uniform(low, high, (200, len(low)))
     start = np.atleast_2d(shaped("seeds", seeds, (len(arm.joint_names),), batch=1))
-    q, residual = _converge(arm, start, np.repeat(target, len(start), axis=0), rounds=100)
+    q, residual = arm.newton.arrive(start, np.repeat(target, len(start), axis=0), SEEDED_ROUNDS)
     reached = residual < TOLERANCE
     if not reached.any():
         raise ReachError(
@@ -148,20 +196,6 @@ def _check_limits(arm: Arm, q: Array) -> None:
         )
 
 
-def _converge(arm: Arm, q: Array, targets: Array, rounds: int = 30) -> tuple[Array, Array]:
-    """Newton from all `q` (k, n) at once to `targets` (k, 12): angles, residuals (k,)."""
-    q, residual, open_ = q.copy(), np.full(len(q), np.inf), np.arange(len(q))
-    for _ in range(rounds):
-        stepped, error = (o.full().T for o in arm.newton.step(q[open_].T, targets[open_].T))
-        residual[open_] = error[:, 0]
-        unfinished = error[:, 0] >= TOLERANCE
-        open_ = open_[unfinished]
-        if not len(open_):
-            break
-        q[open_] = stepped[unfinished]
-    return q, residual
-
-
 def _pose_error(pose: cs.SX, rotation: cs.SX, origin: cs.SX) -> cs.SX:
     """Displacement (6,) in world axes from `pose` to the target: m, then rotation vector."""
     now = pose[:3, :3]
@@ -169,3 +203,7 @@ def _pose_error(pose: cs.SX, rotation: cs.SX, origin: cs.SX) -> cs.SX:
     sine = cs.sqrt(cs.dot(turn, turn) + 1e-40)
     cosine = 0.5 * (cs.dot(now, rotation) - 1.0)
     return cs.vertcat(origin - pose[:3, 3], turn * (cs.atan2(sine, cosine) / sine))
+
+
+def _address(array: Array) -> ctypes.c_void_p:
+    return _ADDRESS(array.ctypes.data)
