@@ -20,9 +20,13 @@ POSIX = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POS
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="memory limits of Linux")
 
 SCRIPT = """
+import signal
 import sys
 import meshskin as ms
 import study_runs
+
+# a shell's background jobs, and what they start, are born deaf to it
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 def study(marks, sleep):
     grid = {"run.marks": [marks], "run.sleep": [float(sleep)]}
