@@ -43,8 +43,9 @@ MOST = 0.35
 """Share of outlying readings, of the mean taxel, from which it is the model that is wrong."""
 MUTE = 3
 """Contacts that press a taxel and that it does not answer, from which its silence is no reading."""
-SCATTER = 2.0
-"""Spread of a stuck taxel's contacts, relative to the reach of one."""
+SCATTER = 1.5
+"""Spread of a stuck taxel's contacts, relative to their reach. A sound one's comes to 0.7 where it
+is pressed evenly, to 1 on a ring at most, there to 1.44 if E* is believed three times too high."""
 
 
 @dataclass(frozen=True)
@@ -89,8 +90,8 @@ def stuck(data: Measurements) -> Stuck:
     points = data.points[data.contact]
     centre = np.stack([np.bincount(data.taxel, x, len(count)) / count for x in points.T], axis=1)
     gap = np.sum((points - centre[data.taxel]) ** 2, axis=1)
-    spread = np.sqrt(np.bincount(data.taxel, gap, len(count)) / count)
-    far = spread > SCATTER * float(np.median(reach(data)))
+    limit = (SCATTER * reach(data)[data.contact]) ** 2
+    far = np.bincount(data.taxel, gap - limit, len(count)) > 0
     rows = np.flatnonzero(far & (deviation < 3 * data.sigma) & (mean > 3 * deviation))
     return Stuck(rows, mean[rows])
 

@@ -6,8 +6,10 @@ import pytest
 
 from meshskin.errors import CalibrationError
 from meshskin.estimation import doubt as doubts
+from meshskin.estimation import faults
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.calibration import Calibration
+from meshskin.estimation.measurements import gather
 from meshskin.estimation.metrics import nees, position_errors
 from meshskin.recording import READINGS, Recording
 
@@ -72,6 +74,31 @@ def test_a_stuck_taxel(world, clean):
     assert not found.observed[7].any()
     assert np.isnan(found.positions[7]).all()
     assert others(position_errors(found, world.skin), [7], reference) < 1.05
+
+
+def test_a_taxel_stuck_on_a_small_skin(world):
+    recording, id_ = world.record(0.01, 0.05), world.ids[7]
+    away = np.linalg.norm(world.points - world.truth[7], axis=1)
+    small = away < 15e-3  # contacts spread 1.7 times as far as one is felt
+    time = recording.time[small]
+    others = small[recording.reading_contact] & (recording.reading_taxel != id_)
+    constant = np.full(len(time), 0.5 * world.peak_reference)
+    spoilt = pa.table([time, np.full(len(time), id_, np.int32), constant], schema=READINGS)
+    table = pa.concat_tables([recording.readings.filter(pa.array(others)), spoilt])
+    bent = Recording(recording.contacts, table, recording.metadata)
+    assert list(faults.stuck(gather(bent, world.belief(0.01, 0.05))).rows) == [7]
+
+
+def test_a_taxel_touched_on_a_ring_is_not_stuck(world, change):
+    """All its readings are alike, and the belief has it feel less far than it does."""
+    recording, belief = world.record(0.01, 0.05), world.belief(0.01, 0.05, young=3 * world.young)
+    away = np.linalg.norm(world.points - world.truth[7], axis=1)[recording.reading_contact]
+    own = recording.reading_taxel == world.ids[7]
+    ring = own & (np.abs(away - 5e-3) < 0.3e-3)
+    alike = recording.pressure[ring]
+    assert alike.std() < 3 * belief.noise_sigma
+    assert alike.mean() > 3 * alike.std()
+    assert not len(faults.stuck(gather(change(recording, keep=ring | ~own), belief)).rows)
 
 
 def test_a_taxel_that_dies_on_the_way(world, clean, change):
