@@ -220,7 +220,8 @@ def _packed(q: Array, price: Array) -> tuple[Array, Array]:
 
 def _move(here: Array, there: Array, turning: NDArray[np.bool_]) -> Array:
     """Price (s, b, c) of moving from postures `there` (s, c, n) to `here` (s, b, n)."""
-    here, there = np.moveaxis(here, -1, 0), np.moveaxis(there, -1, 0)
+    # joint by joint in memory, so that sums over the joints run along the pairs
+    here, there = (np.ascontiguousarray(np.moveaxis(x, -1, 0)) for x in (here, there))
     move = np.abs(here[:, :, :, None] - there[:, :, None, :])
     around = move[turning] % (2 * math.pi)
     move[turning] = np.minimum(around, 2 * math.pi - around)

@@ -56,12 +56,12 @@ class Newton:
             return q, residual
         open_ = np.arange(len(q))
         for _ in range(rounds):
+            if not len(open_):
+                break
             stepped, error = (o.full().T for o in self.step(q[open_].T, targets[open_].T))
             residual[open_] = error[:, 0]
             unfinished = error[:, 0] >= TOLERANCE
             open_ = open_[unfinished]
-            if not len(open_):
-                break
             q[open_] = stepped[unfinished]
         return q, residual
 

@@ -28,6 +28,8 @@ def test_machine_code_takes_the_steps_of_the_interpreter(sphere):
     assert 20 < there.sum() < 40
     np.testing.assert_allclose(reach.flat(arm.pose(made[0]))[there], targets[there], atol=1e-9)
     way = reach.flat(arm.pose(np.linspace(goals[1], goals[1] + 0.1, 30)))
+    for n in (arm.newton, interpreted):
+        assert [x.shape for x in n.arrive(q[:0], targets[:0], 9)] == [(0, 6), (0,)]
     tracked = [n.track(goals[1], way) for n in (arm.newton, interpreted)]
     np.testing.assert_allclose(tracked[0], tracked[1], atol=1e-10)
 
