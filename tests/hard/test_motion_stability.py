@@ -143,7 +143,10 @@ def test_over_the_whole_grid_the_true_error_is_within_the_stated_one(place, youn
     """Impacts from 1 mm/s to 0.5 m/s with steps from 10 us to 10 ms: kept, or refused."""
     kept = 0
     for speed in (1e-3, 0.01, 0.05, 0.2, 0.5):
+        most = longest(place, young, speed, integrator)
         for dt in (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2):
+            if dt > most:  # refused before the run: an eighth of it may leap over the touch, too
+                continue
             stated, true = judged(place, young, speed, integrator, dt)
             if true is not None:
                 assert true <= stated, (speed, dt)
