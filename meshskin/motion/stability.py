@@ -15,7 +15,8 @@ What a run's force is good for is stated apart, by running its touch ahead with 
 with steps an eighth as long. A method of order p errs by 8^p / (8^p - 1) of their difference, at
 most 8/7; SAFETY times the difference is stated. For steps within the two limits it bounds the true
 error, against CVODES, from E = 10 kPa to 200 GPa, from 10 us to 10 ms, to 0.5 m/s of impact; far
-longer ones may leap over the touch. Source: Richardson's extrapolation; Hairer, Norsett, Wanner, "Solving Ordinary Differential Equations I" (1993), II.4.
+longer ones may leap over the touch. Source: Richardson's extrapolation; Hairer, Norsett, Wanner,
+"Solving Ordinary Differential Equations I" (1993), II.4.
 """
 
 from __future__ import annotations
