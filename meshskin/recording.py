@@ -85,6 +85,14 @@ class Recording:
                 "contact times must increase", value=f"{self.time[k]} s after {self.time[k - 1]} s"
             )
 
+    def __repr__(self) -> str:
+        taxels = len(self.metadata.get("taxel_ids", ()))
+        span = f"{self.time[-1] - self.time[0]:.4g} s" if len(self.time) else "nothing"
+        return (
+            f"<Recording: {len(self.time)} contacts over {span}, {len(self.readings)} readings of "
+            f"{taxels} taxels, {'without' if self.motion is None else 'with'} the arm's motion>"
+        )
+
     @cached_property
     def time(self) -> Array:
         """Times of the contacts (m,), s."""

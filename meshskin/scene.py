@@ -156,6 +156,10 @@ class Scene:
     name: str = "scene"
     description: str = ""
 
+    def __repr__(self) -> str:
+        on = ", ".join(type(effect).__name__ for effect in self.effects) or "no effects"
+        return f"<Scene {self.name!r}: {self.body!r}, {self.skin!r}, {self.arm!r}, {on}>"
+
     @classmethod
     def load(cls, name: str | Path) -> Scene:
         """A shipped scene by name, or a scene from a TOML file. Raises ConfigError."""

@@ -61,6 +61,10 @@ class Body:
     """faces (k,) at which the mesh is known to pass through itself, or to have edges of more than
     two faces: about them the mesh's winding tells the sign of a distance"""
 
+    def __repr__(self) -> str:
+        size = " x ".join(f"{1e3 * x:.4g}" for x in self.mesh.extents)
+        return f"<Body {self.name!r}: {len(self.mesh.faces)} faces, {size} mm>"
+
     @cached_property
     def surface(self) -> Surface:
         """The smooth surface; fitted when first asked for."""

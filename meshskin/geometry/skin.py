@@ -56,6 +56,9 @@ class Skin:
     def __len__(self) -> int:
         return len(self.ids)
 
+    def __repr__(self) -> str:
+        return f"<Skin: {len(self)} taxels, discs of {1e3 * self.disc_radius:.4g} mm radius>"
+
     @classmethod
     def cover(
         cls,

@@ -83,6 +83,9 @@ class Arm:
     folders: tuple[str, ...] = ()
     """Where the meshes of the links are looked for; only collisions need them."""
 
+    def __repr__(self) -> str:
+        return f"<Arm {self.name!r}: {len(self.joint_names)} joints, tip {self.tip!r}>"
+
     @classmethod
     def from_urdf(
         cls, path: str | Path, tip: str = "tool0", folders: Iterable[str | Path] = ()

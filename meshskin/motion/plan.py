@@ -46,6 +46,13 @@ class Plan:
     notes: tuple[str, ...] = ()
     """What was taken for something simpler: links of the arm whose meshes could not be had."""
 
+    def __repr__(self) -> str:
+        path, lost = self.path, len(self.unreachable)
+        return (
+            f"<Plan: {len(path.breaks) + 1} places, {path.dt * len(path.points):.4g} s of sliding, "
+            f"lanes {1e3 * self.spacing:.4g} mm apart, {lost} taxels not seen>"
+        )
+
     @property
     def segments(self) -> list[Path]:
         """The places in order, a path each."""

@@ -1,0 +1,35 @@
+"""What is printed of the objects that hold arrays: one line each."""
+
+import numpy as np
+
+from meshskin.motion.path import Path
+from meshskin.motion.plan import Plan
+from meshskin.recording import CONTACTS, READINGS, Recording
+
+
+def test_scenes_and_their_parts_print_one_line(sphere):
+    for thing in (sphere, sphere.body, sphere.skin, sphere.arm):
+        text = repr(thing)
+        assert "array" not in text
+        assert "\n" not in text
+        assert len(text) < 300
+    assert f"{len(sphere.skin)} taxels" in repr(sphere.skin)
+    assert repr(sphere.skin) in repr(sphere)
+    assert sphere.arm.name in repr(sphere.arm)
+
+
+def test_recordings_print_their_size():
+    empty = Recording(CONTACTS.empty_table(), READINGS.empty_table(), {"taxel_ids": np.arange(3)})
+    assert "0 contacts" in repr(empty)
+    assert "of 3 taxels, without" in repr(empty)
+
+
+def test_plans_print_how_long_they_are():
+    points = np.zeros((5, 3))
+    path = Path(
+        0.5, points, points, np.tile(np.eye(4), (5, 1, 1)), np.zeros((5, 6)), np.zeros(5, int)
+    )
+    text = repr(Plan(path, {7: "joint limit"}, 2e-3))
+    assert "1 places, 2.5 s" in text
+    assert "1 taxels not seen" in text
+    assert "array" not in text
