@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -19,6 +19,19 @@ from .worlds import world
 
 BINDING = 1e-3
 """Multiplier, part of the objective, from which on a limit counts as binding."""
+
+
+UNITS = {
+    "gamma": "1/s",
+    "force_reference": "N",
+    "approach_speed": "m/s",
+    "approach_ramp": "s",
+    "settle": "s",
+    "speed": "m/s",
+    "ramp": "s",
+}
+"""Units of the gains; that of the velocity gain depends on the law's shape."""
+RATES = {"inertia": "1/s", "identity": "N m s/rad"}
 
 
 @dataclass(frozen=True)
@@ -79,6 +92,28 @@ class Tuned:
     def tuned(self) -> Scene:
         """The scene with what was found."""
         return self.scene.with_(law=self.law, exploration=self.exploration)
+
+    def __str__(self) -> str:
+        """Objective, gains before and after, what binds, and the times foretold."""
+        units = UNITS | {"rate": RATES[self.law.shape]}
+        names = [field.name for field in fields(Gains)]
+        pairs = zip(names, Gains.of(self.scene).values, Gains.of(self.tuned).values, strict=True)
+        gains = [f"  {n:16}{a:>10.4g} -> {b:<10.4g}{units[n]}" for n, a, b in pairs]
+        if self.objective == "force_error":
+            value = f"{100 * self.value:.3g} % of the force asked for (RMS)"
+        else:
+            value = f"{self.value:.4g} s"
+        times = (f"{t.scenario.name} {t.duration:.4g} s" for t in self.trajectories)
+        return "\n".join(
+            (
+                f"Least {self.objective.replace('_', ' ')} of {self.scene.name}: {value}",
+                *gains,
+                f"Held back by: {', '.join(self.binding) or 'no limit'}",
+                f"Foretold from the start to the end of the slide: {', '.join(times)}",
+            )
+        )
+
+    __repr__ = __str__
 
     def confirm(self, which: int = 0) -> Confirmation:
         """Simulate the manoeuvre in scenario number `which`, on the body's own surface.

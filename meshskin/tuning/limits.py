@@ -7,7 +7,7 @@ stand for thousands; between steps, values are interpolated.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
@@ -48,6 +48,29 @@ class Limit:
         return self.scale if self.unit else 1.0
 
 
+@dataclass(frozen=True)
+class Aim:
+    """What is to become small in one scenario."""
+
+    value: ca.MX
+    residuals: ca.MX = field(default_factory=ca.MX)
+    """What `value` is the weighted RMS of (k,); empty where it is no such thing."""
+    weights: ca.MX = field(default_factory=ca.MX)
+    """Theirs (k,), of sum 1."""
+
+    def curvature(self, x: ca.MX) -> ca.MX:
+        """Second derivative of log `value` by x, without the part that is not positive.
+
+        With value^2 = sum w r^2 it is J^T W J / value^2, J = dr/dx, as of Gauss and Newton. Where
+        the residuals can be made to vanish it is as large as 1 / value^2, and all that counts.
+        """
+        if not self.residuals.numel():
+            return ca.MX(x.shape[0], x.shape[0])
+        slopes = ca.jacobian(self.residuals, x)
+        scaled = slopes * ca.repmat(self.weights, 1, x.shape[0])
+        return slopes.T @ scaled / self.value**2
+
+
 class Judge:
     """Objective and limits of a manoeuvre `steps` steps long; target: the force asked for, N."""
 
@@ -55,7 +78,7 @@ class Judge:
         self.demands, self.objective = demands, objective
         self.steps, self.target = steps, target
 
-    def __call__(self, shot: Shot, gains: Gains) -> tuple[ca.MX, list[Limit]]:
+    def __call__(self, shot: Shot, gains: Gains) -> tuple[Aim, list[Limit]]:
         """The objective of one scenario, and its limits."""
         still = self.objective == "settling"
         lived = replace(gains, settle=FOREVER) if still else gains
@@ -76,13 +99,14 @@ class Judge:
             *joint_limits(shot, row, self.demands),
         ]
         if self.objective == "time":
-            return duration, found
+            return Aim(duration), found
         if still:
-            return gains.settle, found
+            return Aim(ca.MX(gains.settle)), found
         t = since - gains.settle
         sliding = _step(t / dt) * _step((slide - t) / dt)
-        squares = ca.sum1(sliding * (force / self.target - 1.0) ** 2) / ca.sum1(sliding)
-        return ca.sqrt(squares + 1e-12), found
+        apart, whole = force / self.target - 1.0, ca.sum1(sliding)
+        squares = ca.sum1(sliding * apart**2) / whole
+        return Aim(ca.sqrt(squares + 1e-12), apart, sliding / whole), found
 
     def _settled(
         self, error: ca.MX, since: ca.MX, gains: Gains, still: bool, dt: float

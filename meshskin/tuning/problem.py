@@ -21,8 +21,9 @@ import numpy as np
 from scipy.optimize import nnls
 
 from ..se3 import Array
+from .descent import descend
 from .gains import NAMES, Demands, Gains
-from .limits import WINDOW, Judge, Limit
+from .limits import WINDOW, Aim, Judge, Limit
 from .shooting import Shot
 from .watch import BROKEN, Watch
 
@@ -89,16 +90,17 @@ class Problem:
         gains = Gains(*(ca.exp(x[k]) for k in range(len(NAMES))))
         judge = Judge(demands, objective, steps + -steps % WINDOW, target)
         limits: dict[str, list[Limit]] = {}
-        values = []
+        aims: list[Aim] = []
         for shot in shots:
-            value, found = judge(shot, gains)
-            values.append(value)
+            aim, found = judge(shot, gains)
+            aims.append(aim)
             for limit in found:
                 limits.setdefault(limit.name, []).append(limit)
         self.limits = {name: found[0] for name, found in limits.items()}
         self.names = list(limits)
         slack, worst = ca.MX.sym("slack", len(self.names)), ca.MX.sym("worst")
         weight = ca.MX.sym("weight", 2)
+        values = [aim.value for aim in aims]
         self._unit = self._first_value(values, x)
         g = [ca.log(value / self._unit) - worst for value in values]
         rows = [-1] * len(values)
@@ -121,6 +123,9 @@ class Problem:
             [nlp["x"], nlp["p"]],
             [ca.gradient(nlp["f"], nlp["x"]), ca.jacobian(nlp["g"], nlp["x"])],
         )
+        self._limits = ca.Function("limits", [nlp["x"], nlp["p"]], [nlp["g"]])
+        bends = [aim.curvature(x) for aim in aims]
+        self._bends = ca.Function("bends", [nlp["x"]], [sum(bends[1:], bends[0]) / len(bends)])
         self.watch = Watch(nlp["x"].shape[0], nlp["g"].shape[0])
         made: dict[str, Any] = {"iteration_callback": self.watch}
         if objective != "force_error":
@@ -147,11 +152,42 @@ class Problem:
         )
         stats, best = self.solver.stats(), self.watch.best
         assert best is not None  # the start is an iterate
-        size = len(NAMES)
-        over, pulls = self._broken(best.x, best.g), self._multipliers(best.x, best.g)
-        value = self._value(best.x, best.g) * self._unit
+        count = int(stats["iter_count"])
+        return self._solution(best.x, best.g, stats["return_status"], count, began)
+
+    def descend(self, solution: Solution) -> Solution:
+        """Downhill from a solution that meets the limits, never leaving them."""
+        began = perf_counter()
+        many = len(self.names)
+        x = np.concatenate([np.log(solution.gains.values), np.zeros(1 + many)])
+        x[len(NAMES)] = np.log(solution.value / self._unit)
+
+        def model(x: Array) -> tuple[Array, Array, Array]:
+            slope, slopes = (np.array(s) for s in self._slopes(x, [1.0, 0.0]))
+            return slope.ravel(), slopes, self._bent(x)
+
+        x, g, count = descend(
+            x,
+            lambda x: np.array(self._limits(x, [1.0, 0.0])).ravel(),
+            model,
+            self._merit,
+            np.concatenate([self.low, [-np.inf], np.zeros(many)]),
+            np.concatenate([self.high, [np.inf], np.zeros(many)]),
+        )
+        return self._solution(x, g, solution.status, count, began)
+
+    def _bent(self, x: Array) -> Array:
+        """Curvature of the objective at an iterate, with DAMPING."""
+        bent = DAMPING * np.eye(len(x))
+        bent[: len(NAMES), : len(NAMES)] += np.array(self._bends(x))
+        return bent
+
+    def _solution(self, x: Array, g: Array, status: str, iterations: int, began: float) -> Solution:
+        """What an iterate (x, g) says."""
+        over, pulls = self._broken(x, g), self._multipliers(x, g)
+        value = self._value(x, g) * self._unit
         return Solution(
-            gains=Gains(*np.clip(np.exp(best.x[:size]), *self.span).tolist()),
+            gains=Gains(*np.clip(np.exp(x[: len(NAMES)]), *self.span).tolist()),
             value=value,
             slacks={
                 n: float(v * self.limits[n].scale / self.limits[n].whole)
@@ -159,8 +195,8 @@ class Problem:
                 if v > TOLERANCE
             },
             multipliers={n: float(v * value) for n, v in pulls.items()},
-            status=stats["return_status"],
-            iterations=int(stats["iter_count"]),
+            status=status,
+            iterations=iterations,
             seconds=perf_counter() - began,
         )
 
@@ -168,7 +204,8 @@ class Problem:
         """Multipliers of the limits and ranges that an iterate touches, in the program's units.
 
         By non-negative least squares on the stationarity of the Lagrangian, so that they depend
-        neither on the solver's barrier nor on where it stopped.
+        neither on the solver's barrier nor on where it stopped: the residual is measured by the
+        step that it calls for, that a slope which a hair's breadth would level counts for little.
         """
         size = len(NAMES)
         cost, slopes = (np.array(s) for s in self._slopes(x, [1.0, 0.0]))
@@ -181,7 +218,8 @@ class Problem:
         walls = np.concatenate([-np.eye(size), np.eye(size)])[ends]
         walls = np.concatenate([walls, np.zeros((len(walls), 1))], axis=1)
         columns = np.concatenate([slopes[touched, : size + 1], walls]).T
-        pull = nnls(columns, -cost.ravel()[: size + 1])[0]
+        root = np.linalg.cholesky(self._bent(x)[: size + 1, : size + 1])
+        pull = nnls(*(np.linalg.solve(root, b) for b in (columns, -cost.ravel()[: size + 1])))[0]
         names = [self.names[k] if k >= 0 else "" for k in self._rows[touched]]
         names += [f"range of {name}" for name in np.array([*NAMES, *NAMES])[ends]]
         found: dict[str, float] = {}

@@ -59,6 +59,16 @@ def test_the_simulator_confirms_what_was_predicted(small, tuned):
     assert seen.time[-1] == pytest.approx(tuned.value, abs=3e-3)
 
 
+def test_it_prints_what_was_found_in_a_few_lines(tuned):
+    text = str(tuned)
+    assert repr(tuned) == text
+    assert len(text.splitlines()) <= 12
+    assert "array" not in text
+    assert f"{tuned.value:.4g} s" in text.splitlines()[0]
+    assert f"{tuned.scene.law.gamma:.4g} -> {tuned.law.gamma:.4g}" in text
+    assert ", ".join(tuned.binding) in text
+
+
 def touched(scene, manoeuvre, rest=0.3):
     """The response of a scene's law over a rest, before the slide."""
     rested = scene.with_(exploration=replace(scene.exploration, settle=rest))
