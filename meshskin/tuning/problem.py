@@ -124,6 +124,7 @@ class Problem:
             [ca.gradient(nlp["f"], nlp["x"]), ca.jacobian(nlp["g"], nlp["x"])],
         )
         self._limits = ca.Function("limits", [nlp["x"], nlp["p"]], [nlp["g"]])
+        self.bent = objective == "force_error"
         bends = [aim.curvature(x) for aim in aims]
         self._bends = ca.Function("bends", [nlp["x"]], [sum(bends[1:], bends[0]) / len(bends)])
         self.watch = Watch(nlp["x"].shape[0], nlp["g"].shape[0])

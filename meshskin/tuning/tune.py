@@ -139,7 +139,7 @@ def _polished(problem: Problem, solution: Solution) -> Solution:
     for _ in range(ROUNDS):
         if solution.status == "Solve_Succeeded":
             break
-        again = problem.descend(solution)
+        again = problem.descend(solution) if problem.bent else problem.solve(solution.gains)
         if again.slacks or again.value > solution.value:
             break
         gain = 1.0 - again.value / solution.value
