@@ -205,7 +205,8 @@ class Surface:
             way = points[rows] - foot
             side[rows] = np.einsum("ij,ij->i", way, outward)
             doubtful = rows[self._folds.doubtful(face, weight, way)]
-            side[doubtful] = self._folds.side(points[doubtful])
+            if len(doubtful):  # the first asking builds a tree over the whole mesh
+                side[doubtful] = self._folds.side(points[doubtful])
         rows = np.flatnonzero(side == 0.0)
         outward = self._outward(hit.face[rows], hit.uv[rows], hit.normal[rows])
         side[rows] = np.einsum("ij,ij->i", points[rows] - hit.point[rows], outward)
