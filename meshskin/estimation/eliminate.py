@@ -93,8 +93,6 @@ class Problem:
     contacts: Anchored
     settled: float = SETTLED
     """Newton decrement, in units of the cost, at which a group rests."""
-    sweeps: float = 0.0
-    """Evaluations of all readings so far."""
 
     def __post_init__(self) -> None:
         group = self.places.group
@@ -243,7 +241,6 @@ class Problem:
         """Of the taxels of `groups` at z (g, D) and s."""
         rows, owner = self._taxels(groups)
         points, _ = self.places.at(z[owner, : self.places.size], groups[owner], rows)
-        self.sweeps += len(rows) / max(len(self.places.group), 1)
         contacts = self.contacts.at(s)
         return self.likelihood.moments(rows, points, self.extras(z, groups), contacts)
 
