@@ -36,6 +36,7 @@ GAP = 0.5
 BATCH = 0.2
 """Contacts of a round, relative to all so far."""
 LEAST_BATCH = 8
+"""Contacts of a round at least."""
 FRUITLESS = 0.98
 """Part to which a round must bring down the worst uncertainty to be worth another one."""
 PATIENCE = 3

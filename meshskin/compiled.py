@@ -30,8 +30,9 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 FLAGS = ("-O3", "-fno-math-errno", "-shared", "-fPIC")
+"""Of the compiler. No -march=native, of which the cache's key knows nothing: see `fused`."""
 PLAIN = ("-O0", "-shared", "-fPIC")
-# No -march=native, of which the cache's key knows nothing: see `fused`.
+"""For long code that is run a few times."""
 
 
 def compiled(function: ca.Function, flags: tuple[str, ...] = FLAGS) -> ca.Function:
@@ -67,7 +68,7 @@ def library(name: str, text: str, flags: tuple[str, ...] = FLAGS) -> ctypes.CDLL
 
 def found(text: str, flags: tuple[str, ...] = FLAGS) -> ctypes.CDLL | None:
     """The shared library of C source `text` if `library` left it in the cache before; else None."""
-    compiler = _compiler()
+    compiler = find_compiler()
     if compiler is None:
         return None
     try:
@@ -115,7 +116,7 @@ def cache_folder() -> Path:
     return base / "meshskin"
 
 
-def _compiler() -> str | None:
+def find_compiler() -> str | None:
     """The C compiler to use, or None; `MESHSKIN_COMPILER` names another, or none."""
     chosen = os.environ.get("MESHSKIN_COMPILER", "")
     if chosen.lower() == "none":
@@ -128,7 +129,7 @@ def _machine_code(
     name: str, text: Callable[[], str], load: Callable[[str], T], flags: tuple[str, ...]
 ) -> T | None:
     """What `load` makes of the shared library of C source `text`; None where there is none."""
-    compiler = _compiler()
+    compiler = find_compiler()
     if compiler is None:
         _warn("no C compiler found: functions are interpreted, several times slower")
         return None
@@ -181,17 +182,18 @@ def _key(source: str, compiler: str, flags: tuple[str, ...]) -> str:
         *flags,
     )
     machine = (sys.platform, platform.machine())
-    return _hash("\0".join(parts + machine).encode())
+    return content_hash("\0".join(parts + machine).encode())
 
 
-def _hash(data: bytes) -> str:
+def content_hash(data: bytes) -> str:
+    """The name that a library with these bytes has in the cache."""
     return hashlib.sha256(data).hexdigest()[:32]
 
 
 def _cached(load: Callable[[str], T], folder: Path) -> T | None:
     """What `load` makes of the first whole library in `folder`; torn ones are removed."""
     for file in sorted(folder.glob("*.so")):
-        if _hash(file.read_bytes()) == file.stem:
+        if content_hash(file.read_bytes()) == file.stem:
             try:
                 return load(str(file))
             except RuntimeError:  # whole, but not loadable here: build it again
@@ -207,7 +209,7 @@ def _built(source: str, folder: Path, compiler: str, flags: tuple[str, ...]) -> 
         code.write_text(source, encoding="utf-8")
         command = [compiler, *flags, str(code), "-o", str(made), "-lm"]
         subprocess.run(command, check=True, capture_output=True)
-        goal = folder / f"{_hash(made.read_bytes())}.so"
+        goal = folder / f"{content_hash(made.read_bytes())}.so"
         os.replace(made, goal)
     return goal
 

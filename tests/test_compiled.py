@@ -13,7 +13,7 @@ import pytest
 from meshskin import compiled as module
 from meshskin.compiled import cache_folder, compiled
 
-needs_compiler = pytest.mark.skipif(module._compiler() is None, reason="no C compiler here")
+needs_compiler = pytest.mark.skipif(module.find_compiler() is None, reason="no C compiler here")
 
 
 @pytest.fixture
@@ -79,11 +79,11 @@ def test_torn_file_is_rebuilt(cache, damage):
     whole = library.read_bytes()
     library.unlink()
     torn = {"half": whole[: len(whole) // 2], "empty": b"", "stranger": b"no library"}[damage]
-    name = module._hash(torn) if damage == "stranger" else library.stem
+    name = module.content_hash(torn) if damage == "stranger" else library.stem
     library.with_name(f"{name}.so").write_bytes(torn)
     assert call(cache) == "External 4.0"
     (rebuilt,) = cache.rglob("*.so")
-    assert module._hash(rebuilt.read_bytes()) == rebuilt.stem
+    assert module.content_hash(rebuilt.read_bytes()) == rebuilt.stem
 
 
 @needs_compiler

@@ -37,6 +37,7 @@ PITCH = 1.0 / 30.0
 FIRST = 9
 """Of how many places one is in the first design."""
 POWER = 0.7
+"""Exponent of the multiplicative steps xi <- xi d^power."""
 ROUNDS, STEPS = 6, 1000
 """Most designs, each of the last one's places and of those that would tell more; steps of each."""
 GAP = 2e-3
@@ -64,11 +65,15 @@ class Information:
     """What contacts at c places tell of n taxels: p pairs."""
 
     contact: np.ndarray
+    """Row (p,) of the place that each pair's contact is at."""
     taxel: np.ndarray
+    """Row (p,) of each pair's taxel."""
     slope: Array
     """(p, 2), 1/m: the pair's information is its square."""
     places: int
+    """c."""
     taxels: int
+    """n."""
 
     def at(self, rows: np.ndarray) -> Information:
         """What the contacts at some of the places tell."""
@@ -115,7 +120,7 @@ def expected_error(belief: Belief, taxels: Array, points: Array) -> float:
     not determined.
     """
     told = information(belief, taxels, points)
-    return _mean(told.total(np.ones(len(points))))[0]
+    return mean_error(told.total(np.ones(len(points))))[0]
 
 
 def best(belief: Belief, taxels: Array, reach: float) -> Design:
@@ -129,7 +134,7 @@ def best(belief: Belief, taxels: Array, reach: float) -> Design:
     rows, weights, bound = np.arange(0, len(points), FIRST), np.ones(0), 0.0
     for _ in range(ROUNDS):
         start = np.concatenate([weights, np.full(len(rows) - len(weights), 1.0 / len(rows))])
-        weights, error, slope = _shared_out(told.at(rows), start / start.sum())
+        weights, error, slope = shared_out(told.at(rows), start / start.sum())
         gain = told.gain(slope)
         bound = max(bound, _bound(error, gain))
         if bound > (1.0 - GAP) * error:
@@ -140,10 +145,10 @@ def best(belief: Belief, taxels: Array, reach: float) -> Design:
     return Design(points[rows], weights, error, bound)
 
 
-def _shared_out(told: Information, weights: Array) -> tuple[Array, float, Array]:
+def shared_out(told: Information, weights: Array) -> tuple[Array, float, Array]:
     """The best weights (c,) of given places, their Phi, m, and -dPhi/dM (n, 2, 2)."""
     for _ in range(STEPS):
-        error, slope = _mean(told.total(weights))
+        error, slope = mean_error(told.total(weights))
         if not np.isfinite(error):
             raise CalibrationError(
                 "no contact determines some taxel", remedy="lower the threshold or the noise"
@@ -161,7 +166,7 @@ def _bound(error: float, gain: Array) -> float:
     return float(error * np.sqrt(0.5 * error / gain.max()))
 
 
-def _mean(total: Array) -> tuple[float, Array]:
+def mean_error(total: Array) -> tuple[float, Array]:
     """Phi, m, of information M (n, 2, 2), and -dPhi/dM (n, 2, 2).
 
     Of the standard deviations s_1 >= s_2, E|M^(-1/2) z| is sqrt(2/pi) s_1 E(1 - (s_2/s_1)^2).

@@ -42,7 +42,7 @@ def covariances(graph: PoseGraph, poses: Array) -> Array:
     this is a lower bound.
     """
     out = np.tile(np.diag([np.inf] * 6), (len(poses), 1, 1))
-    information = _information(graph, poses)
+    information = gauss_newton_information(graph, poses)
     for rows in _parts(graph):
         free = (6 * rows[1:, None] + np.arange(6)).ravel()
         inner = information[free][:, free]
@@ -76,7 +76,7 @@ def _moves(poses: Array) -> Array:
     return out
 
 
-def _information(graph: PoseGraph, poses: Array) -> sparse.csr_array:
+def gauss_newton_information(graph: PoseGraph, poses: Array) -> sparse.csr_array:
     """Gauss-Newton information (6 n, 6 n) on local increments of the poses."""
     i, j = graph.edges.T
     relative = se3.inverse(poses[i]) @ poses[j]

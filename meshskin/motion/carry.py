@@ -58,7 +58,7 @@ def way(arm: Arm, mount: Array, body: Body, place: Array, radius: float, start: 
         line = PchipInterpolator(seconds, points)  # never beyond its points
         look = line(np.linspace(0.0, seconds[-1], LOOKS))
         within = (look >= arm.lower).all() and (look <= arm.upper).all()
-        if within and _gap(arm, mount, body, place, look) > radius + min(GAP, height + 1e-4):
+        if within and clearance(arm, mount, body, place, look) > radius + min(GAP, height + 1e-4):
             return np.asarray(line(timed(seconds[-1], RAMP, dt) * seconds[-1]))
     raise ReachError(
         f"{arm.name} cannot get over the indenter from one posture to the next",
@@ -78,7 +78,7 @@ def _lifted(arm: Arm, q: Array, height: float) -> Array:
     return np.concatenate([q[None], arm.inverse_kinematics(poses, q)[1:]])
 
 
-def _gap(arm: Arm, mount: Array, body: Body, place: Array, q: Array) -> float:
+def clearance(arm: Arm, mount: Array, body: Body, place: Array, q: Array) -> float:
     """Least distance, m, of the body's surface from a point in configurations (k, n)."""
     there = np.einsum("kij,j->ki", inverse(arm.pose(q) @ mount), [*place, 1.0])[:, :3]
     return float(body.closest(there).distance.min())

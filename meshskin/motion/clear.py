@@ -187,7 +187,7 @@ def _meets_support(shape: Links, points: Array, indenter: Indenter) -> NDArray[n
     foot = top - [0.0, 0.0, indenter.radius + indenter.support_height]
     thick = shape.radii + indenter.column_radius
     k, link = np.nonzero(_apart(ends, np.stack([foot, top])) < thick)
-    gap = _segments(ends[k, link, 0], ends[k, link, 1], top, foot)
+    gap = segment_distance(ends[k, link, 0], ends[k, link, 1], top, foot)
     out[k[gap < thick[link]]] = True
     return out
 
@@ -234,7 +234,7 @@ def _spread(count: NDArray[np.intp]) -> tuple[NDArray[np.intp], Array]:
     return owner, (place / np.maximum(count - 1, 1)[owner])[:, None]
 
 
-def _segments(a: Array, b: Array, c: Array, d: Array) -> Array:
+def segment_distance(a: Array, b: Array, c: Array, d: Array) -> Array:
     """Distances (...) of segments a b (..., 3) from the one segment c d (3,).
 
     Source: Ericson, "Real-Time Collision Detection" (2005), section 5.1.9.

@@ -28,12 +28,14 @@ from .stretch import LENGTHS
 from .track import Track
 
 PHASES = ("approach", "touch", "hold", "slide", "leave", "next")
+"""Names of the phases, as recordings hold them, in order."""
 APPROACH, TOUCH, HOLD, SLIDE, LEAVE, NEXT = range(6)
 SETTLED = 0.05
 """Part of the reference force within which a touch counts as settled."""
 PATIENCE = 0.02
 """Time without contact after which it counts as lost, s."""
 RETRIES = 5
+"""Contacts that may be lost in one place before it is given up."""
 HIGHEST, SIGHT = 10, 16.0
 """Doublings of the standoff that a way over may take; steps between looks ahead on it."""
 SKIP = 0.2

@@ -45,7 +45,7 @@ def test_the_slope_is_that_of_the_mean_error():
     root = rng.normal(size=(5, 2, 2))
     total = root @ np.swapaxes(root, 1, 2) + 0.1 * np.eye(2)
     total[0] = np.eye(2) * 3.0  # round: the elliptic integrals' limit
-    value, slope = design._mean(total)
+    value, slope = design.mean_error(total)
     assert value == pytest.approx(mean_distance(np.linalg.inv(total)).mean())
     for _ in range(5):
         way = rng.normal(size=(5, 2, 2))
@@ -61,7 +61,7 @@ def test_the_bound_is_met_and_no_design_is_below_it(scene, belief, found):
     assert found.weights.sum() == pytest.approx(1.0)
     assert found.error * (1 - 2 * design.GAP) < found.bound <= found.error
     told = design.information(belief, taxels, found.points)
-    assert design._mean(told.total(found.weights))[0] == pytest.approx(found.error)
+    assert design.mean_error(told.total(found.weights))[0] == pytest.approx(found.error)
     rng = np.random.default_rng(2)
     for _ in range(20):  # drawn from the best one, and blind
         drawn = found.points[rng.choice(len(found.points), 200, p=found.weights)]
@@ -82,7 +82,7 @@ def test_the_best_weights_are_those_of_a_general_solver(scene, belief):
     rng = np.random.default_rng(3)
     places = taxels[rng.integers(0, 3, 24)] + rng.uniform(-4e-3, 4e-3, (24, 3))
     told = design.information(belief, taxels, places)
-    mine = design._shared_out(told, np.full(24, 1.0 / 24))
+    mine = design.shared_out(told, np.full(24, 1.0 / 24))
 
     def error(weights):
         return 1e3 * mean_distance(np.linalg.inv(told.total(weights))).mean()

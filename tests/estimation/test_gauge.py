@@ -36,7 +36,7 @@ def test_covariance_against_linearised_alignment(graph):
     told = gauge.covariances(graph, graph.poses)
     assert np.isinf(np.diag(told[11])).all()
     rows, free = np.arange(7), np.arange(6, 42)
-    inner = gauge._information(graph, graph.poses).toarray()[:42, :42]
+    inner = gauge.gauss_newton_information(graph, graph.poses).toarray()[:42, :42]
     s = np.zeros((42, 42))
     s[np.ix_(free, free)] = np.linalg.inv(inner[np.ix_(free, free)])
     # The alignment, linearised by finite differences of `aligned` itself.
@@ -71,4 +71,6 @@ def test_information_is_the_curvature_of_the_cost(graph):
     h = 1e-4
     curvature = (cost(h) + cost(-h)) / h**2
     x = direction.ravel()
-    assert x @ gauge._information(graph, graph.poses) @ x == pytest.approx(curvature, rel=1e-4)
+    assert x @ gauge.gauss_newton_information(graph, graph.poses) @ x == pytest.approx(
+        curvature, rel=1e-4
+    )

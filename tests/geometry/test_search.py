@@ -15,7 +15,7 @@ from meshskin.geometry.proximity import triangle_distance2
 from meshskin.geometry.search import Search
 from meshskin.geometry.surface import Surface
 
-needs_compiler = pytest.mark.skipif(compiled._compiler() is None, reason="no C compiler here")
+needs_compiler = pytest.mark.skipif(compiled.find_compiler() is None, reason="no C compiler here")
 BODIES = {
     "ellipsoid": lambda: Body.ellipsoid((0.1, 0.07, 0.05), faces=1280).surface,
     "torus": lambda: Body.torus(0.1, 0.04, faces=1500).surface,

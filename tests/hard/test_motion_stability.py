@@ -26,7 +26,7 @@ CURVATURE = np.array([10.0, 10.0])  # of the sphere
 INTEGRATORS = ("semi_implicit", "linearly_implicit", "rk4")
 KEPT = 0.1
 """Stated error up to which a step is compared with the reference."""
-needs_compiler = pytest.mark.skipif(compiled._compiler() is None, reason="no C compiler here")
+needs_compiler = pytest.mark.skipif(compiled.find_compiler() is None, reason="no C compiler here")
 
 
 @pytest.fixture(scope="module")

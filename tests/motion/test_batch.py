@@ -33,7 +33,7 @@ def test_an_episode_of_the_batch_is_the_machine_alone(prepared, sphere, track, a
         assert len(alone) == 200
 
 
-@pytest.mark.skipif(module._compiler() is None, reason="no C compiler here")
+@pytest.mark.skipif(module.find_compiler() is None, reason="no C compiler here")
 def test_a_compiled_batch_is_the_interpreted_one(prepared, sphere, track):
     machine, _ = prepared("quasi_static")
     rows = np.linspace(0, len(track) - 300, 40).astype(int)

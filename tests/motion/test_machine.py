@@ -18,7 +18,7 @@ from meshskin.physics.contact import hertz
 from meshskin.scene import Loop as LoopTable
 from meshskin.simulation import closed_loop, prepare, run
 
-needs_compiler = pytest.mark.skipif(module._compiler() is None, reason="no C compiler here")
+needs_compiler = pytest.mark.skipif(module.find_compiler() is None, reason="no C compiler here")
 
 
 def outputs(scene, machine, path, count=3000):

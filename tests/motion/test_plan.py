@@ -183,6 +183,6 @@ def test_capsules_part_by_the_distance_of_their_segments():
         - (c * (1 - part) + d * part)[None, None],
         axis=-1,
     ).min(axis=(1, 2))
-    got = clear._segments(a, b, c, d)
+    got = clear.segment_distance(a, b, c, d)
     assert (got <= dense + 1e-12).all()
     np.testing.assert_allclose(got, dense, atol=0.05)

@@ -99,7 +99,7 @@ def test_the_way_between_postures_keeps_off_the_indenter(islands):
         lifted.append(arm.inverse_kinematics(above @ inverse(mount), seed)[-1])
     q = carry.way(arm, mount, islands.body, place, 0.01, *lifted, 1e-3)
     np.testing.assert_allclose(q[-1], lifted[1], atol=1e-9)
-    assert carry._gap(arm, mount, islands.body, place, q[::10]) > 0.01
+    assert carry.clearance(arm, mount, islands.body, place, q[::10]) > 0.01
     assert (np.abs(np.diff(q, axis=0)) / 1e-3).max() <= carry.SLOWEST * 1.6
     with pytest.raises(ReachError, match="cannot get over the indenter"):
         carry.way(arm, mount, islands.body, place, 0.5, *lifted, 1e-3)

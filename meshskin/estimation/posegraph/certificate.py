@@ -20,9 +20,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from meshskin.estimation.posegraph.cholesky import Blocks
-from meshskin.estimation.posegraph.graph import PoseGraph
-from meshskin.se3 import Array
+from ...se3 import Array
+from .cholesky import Blocks
+from .graph import PoseGraph
 
 GAPS = 0.5 * 10.0 ** np.arange(-10, 0.5, 1.0)
 """Relative gaps that are tried, the smallest first."""
@@ -116,12 +116,12 @@ def _is_positive(graph: PoseGraph, slack: Blocks, delta: float) -> bool:
     """
     n = len(graph.poses)
     diagonal = slack.diagonal(n) + delta * np.array([0.0, 1.0, 1.0, 1.0])
-    held = np.zeros((n, 4))
-    held[graph.anchors, 0] = 1.0
-    if (diagonal[held == 0.0] <= 0.0).any():
+    held = np.zeros((n, 4), dtype=bool)
+    held[graph.anchors, 0] = True
+    if (diagonal[~held] <= 0.0).any():
         return False
-    scale = np.where(held == 0.0, diagonal, 1.0) ** -0.5 * (1.0 - held)
-    added = held
+    scale = np.where(held, 0.0, np.where(held, 1.0, diagonal) ** -0.5)
+    added = held.astype(float)
     added[:, 1:] = delta * scale[:, 1:] ** 2
     scaled = slack.values * scale[slack.rows][:, :, None] * scale[slack.columns][:, None, :]
     matrix = Blocks(slack.rows, slack.columns, scaled)

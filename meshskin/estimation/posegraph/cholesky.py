@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from meshskin import compiled
-from meshskin.estimation.posegraph import frontal
-from meshskin.estimation.posegraph.fronts import Fronts, fronts
-from meshskin.estimation.posegraph.ordering import Integers
-from meshskin.se3 import Array
+from ... import compiled
+from ...se3 import Array
+from . import frontal
+from .fronts import Fronts, fronts
+from .ordering import Integers
 
 LARGEST = 6
 """Blocks up to this size have room."""

@@ -6,20 +6,21 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from meshskin import se3
-from meshskin.errors import GraphError
-from meshskin.estimation.posegraph.graph import PoseGraph
-from meshskin.estimation.posegraph.kernel import EDGE, RELATIVE, ROOT
-from meshskin.estimation.posegraph.ordering import Integers
-from meshskin.estimation.posegraph.problem import Problem
-from meshskin.estimation.posegraph.sweep import displacements
-from meshskin.se3 import Array
+from ... import se3
+from ...errors import GraphError
+from ...se3 import Array
+from .graph import PoseGraph
+from .kernel import EDGE, RELATIVE, ROOT
+from .ordering import Integers
+from .problem import Problem
+from .sweep import displacements
 
 ACCURACY = 1e-9
 """A solution is optimal if a Newton step would lower the cost by less than this share of it."""
 ROUNDING = 1e-13
 """Relative error of a residual that rounding alone makes: no gain below its cost can be seen."""
 SUCCEEDED = "Solve_Succeeded"
+"""What IPOPT says where its own tolerance is met."""
 TIGHTER = 0.03
 """The gradient's tolerance after a run that stopped too early, as a share of what it was."""
 STAGES = ((0.0, 3), (1.0, 60), (1.0, 60), (1.0, 60))
@@ -27,6 +28,7 @@ STAGES = ((0.0, 3), (1.0, 60), (1.0, 60), (1.0, 60))
 FAR_STAGES = ((1.0, 15),) * 20
 """From the origin: exact Hessian throughout, relinearised often (a Cayley step cannot reach pi)."""
 UPPER = np.triu_indices(6)
+"""Entries of W among the kernel's numbers, row by row."""
 
 
 @dataclass

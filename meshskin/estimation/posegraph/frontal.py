@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import lapack, solve_triangular
 
-from meshskin.estimation.posegraph.fronts import Fronts, Long
-from meshskin.se3 import Array
+from ...se3 import Array
+from .fronts import Fronts
+from .ordering import Long
 
 
 def add(fronts: Fronts, size: int, rows: Long, columns: Long, blocks: Array, panels: Array) -> None:

@@ -11,12 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
-from meshskin.estimation.posegraph.ordering import Integers, elimination_order
-
-Long = NDArray[np.int64]
+from .ordering import Integers, Long, elimination_order
 
 WASTE = 0.3
 """Share of zeros that a front may hold for the sake of fewer, larger fronts."""

@@ -11,14 +11,17 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from meshskin import se3
-from meshskin.errors import GraphError
-from meshskin.estimation.posegraph.graph import PoseGraph
-from meshskin.se3 import Array
+from ... import se3
+from ...errors import GraphError
+from ...se3 import Array
+from .graph import PoseGraph
 
 FIELDS = {"VERTEX_SE3:QUAT": 8, "EDGE_SE3:QUAT": 30}
+"""Tags that are read, and their numbers a line."""
 IGNORED = {"FIX"}
+"""Tags that are passed over: the anchors follow from the edges."""
 UPPER = np.triu_indices(6)
+"""Entries of an information matrix in the order of the file."""
 
 
 def load(path: str | Path) -> PoseGraph:
@@ -26,36 +29,23 @@ def load(path: str | Path) -> PoseGraph:
 
     Raises GraphError with the line's number for what it cannot read.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise GraphError(f"cannot read {path}", value=error) from error
-    rows: dict[str, list[list[float]]] = {tag: [] for tag in FIELDS}
-    lines: dict[str, list[int]] = {tag: [] for tag in FIELDS}
-    for number, line in enumerate(text.splitlines(), start=1):
-        words = line.split()
-        if not words or words[0].startswith("#") or words[0] in IGNORED:
-            continue
-        rows_of = _fields(words, path, number)
-        rows[words[0]].append(rows_of)
-        lines[words[0]].append(number)
-    vertices = np.array(rows["VERTEX_SE3:QUAT"], dtype=float).reshape(-1, 8)
-    edges = np.array(rows["EDGE_SE3:QUAT"], dtype=float).reshape(-1, 30)
+    tables = _tables(path)
+    (vertices, vertex_lines), (edges, edge_lines) = (tables[tag] for tag in FIELDS)
     if not len(vertices):
         raise GraphError(f"{path} has no VERTEX_SE3:QUAT line")
     ids, first = np.unique(vertices[:, 0].astype(np.int64), return_index=True)
     if len(ids) < len(vertices):
         again = np.setdiff1d(np.arange(len(vertices)), first)[0]
-        where = lines["VERTEX_SE3:QUAT"][again]
-        raise GraphError(f"{path}, line {where}: a vertex defined twice", value=vertices[again, 0])
+        raise GraphError(
+            f"{path}, line {vertex_lines[again]}: a vertex defined twice", value=vertices[again, 0]
+        )
     ends = edges[:, :2].astype(np.int64)
     index = np.minimum(np.searchsorted(ids, ends), len(ids) - 1)
     stray = (ids[index] != ends).any(axis=1) | (ends[:, 0] == ends[:, 1])
     if stray.any():
         row = int(np.argmax(stray))
-        where = lines["EDGE_SE3:QUAT"][row]
         raise GraphError(
-            f"{path}, line {where}: an edge must join two vertices of the file",
+            f"{path}, line {edge_lines[row]}: an edge must join two vertices of the file",
             value=tuple(ends[row].tolist()),
         )
     information = np.zeros((len(edges), 6, 6))
@@ -79,6 +69,27 @@ def save(graph: PoseGraph, path: str | Path) -> None:
     for (i, j), row, info in zip(ends, rows, upper, strict=True):
         out.append(f"EDGE_SE3:QUAT {i} {j} {_text(row)} {_text(info)}")
     Path(path).write_text("\n".join(out) + "\n", encoding="utf-8")
+
+
+def _tables(path: str | Path) -> dict[str, tuple[Array, list[int]]]:
+    """By tag: the numbers (k, FIELDS) of the file's lines, and where they stand in it."""
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise GraphError(f"cannot read {path}", value=error) from error
+    rows: dict[str, list[list[float]]] = {tag: [] for tag in FIELDS}
+    lines: dict[str, list[int]] = {tag: [] for tag in FIELDS}
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.split()
+        if not words or words[0].startswith("#") or words[0] in IGNORED:
+            continue
+        fields = _fields(words, path, number)
+        rows[words[0]].append(fields)
+        lines[words[0]].append(number)
+    return {
+        tag: (np.array(rows[tag], dtype=float).reshape(-1, width), lines[tag])
+        for tag, width in FIELDS.items()
+    }
 
 
 def _fields(words: list[str], path: str | Path, number: int) -> list[float]:

@@ -11,17 +11,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from meshskin.errors import GraphError
-from meshskin.se3 import Array
+from ...errors import GraphError
+from ...se3 import Array
 
 if TYPE_CHECKING:
-    from meshskin.estimation.posegraph.problem import Problem
-    from meshskin.estimation.posegraph.solve import Solution
-    from meshskin.estimation.posegraph.topology import Topology
+    from .problem import Problem
+    from .solve import Solution
+    from .topology import Topology
 
 ROTATION_LIMIT = 1e-6
+"""Largest entry by which R^T R may differ from the identity, as files with few digits do."""
 NEGATIVE_LIMIT = 1e-9
+"""Rounding of an information matrix, asymmetric or below zero, relative to its largest entry."""
 LARGEST = 1e100
+"""Largest entry of an information matrix: beyond, its squares leave double precision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +88,7 @@ class PoseGraph:
     @property
     def topology(self) -> Topology:
         """What follows from the edges alone, shared by all graphs that have them."""
-        from meshskin.estimation.posegraph import topology
+        from . import topology
 
         return topology.kept.get(len(self.poses), self.edges, self.anchors)
 
@@ -96,13 +99,13 @@ class PoseGraph:
     @classmethod
     def load(cls, path: str | Path) -> PoseGraph:
         """The graph in a g2o file (VERTEX_SE3:QUAT, EDGE_SE3:QUAT); GraphError names bad lines."""
-        from meshskin.estimation.posegraph import g2o
+        from . import g2o
 
         return g2o.load(path)
 
     def save(self, path: str | Path) -> None:
         """Write a g2o file, all digits."""
-        from meshskin.estimation.posegraph import g2o
+        from . import g2o
 
         g2o.save(self, path)
 
@@ -116,7 +119,7 @@ class PoseGraph:
         limit: int | None = None,
     ) -> Solution:
         """The poses that minimise the objective; arguments as in `posegraph.solve.solve`."""
-        from meshskin.estimation.posegraph.solve import solve
+        from .solve import solve
 
         return solve(self, objective, start, robust, keep_iterates, certify, limit)
 

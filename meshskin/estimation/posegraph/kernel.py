@@ -21,13 +21,16 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from meshskin import se3
+from ... import se3
 
-RESIDUALS = ("log", "vec")
-RELATIVE = 7  # numbers of a displacement: translation (3) in m, quaternion (4) xyzw
-ROOT = 21  # entries of the upper triangle of W, row by row
-EDGE = 2 * RELATIVE + ROOT  # numbers of an edge: displacement now, displacement measured, W
-LOWER = [(r, c) for r in range(6) for c in range(r + 1)]  # lower triangle of a block, row by row
+RELATIVE = 7
+"""Numbers of a displacement: translation (3) in m, quaternion (4) xyzw."""
+ROOT = 21
+"""Entries of the upper triangle of W, row by row."""
+EDGE = 2 * RELATIVE + ROOT
+"""Numbers of an edge: displacement now, displacement measured, W."""
+LOWER = [(r, c) for r in range(6) for c in range(r + 1)]
+"""Lower triangle of a block, row by row."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,7 @@ def kernel(residual: str) -> Kernel:
     """The kernel of a `residual`, "log" or "vec"."""
     x, edge, scale = ca.SX.sym("x", 12), ca.SX.sym("edge", EDGE), ca.SX.sym("s", 2)
     blend, fixed = ca.SX.sym("blend"), ca.SX.sym("fixed", 6)
-    e = _error(residual, x, edge[:RELATIVE], edge[RELATIVE : 2 * RELATIVE], scale)
+    e = error(residual, x, edge[:RELATIVE], edge[RELATIVE : 2 * RELATIVE], scale)
     root = _upper(edge[2 * RELATIVE :])
     weighted = ca.mtimes(root, e)
     cost = ca.dot(weighted, weighted) / 2
@@ -77,7 +80,7 @@ def _blocks(hessian: ca.SX) -> list[ca.SX]:
     ]
 
 
-def _error(residual: str, x: ca.SX, relative: ca.SX, measured: ca.SX, scale: ca.SX) -> ca.SX:
+def error(residual: str, x: ca.SX, relative: ca.SX, measured: ca.SX, scale: ca.SX) -> ca.SX:
     """e (6,) of the displacement D(x_i)^-1 T_ij D(x_j) against the measured one."""
     p_i, p_j = scale[0] * x[:3], scale[0] * x[6:9]
     c_i, c_j = se3.casadi_cayley(scale[1] * x[3:6]), se3.casadi_cayley(scale[1] * x[9:])

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from meshskin.se3 import Array
+from ...se3 import Array
 
 Operator = Callable[[Array], Array]
 

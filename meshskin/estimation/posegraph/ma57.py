@@ -17,8 +17,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from meshskin.estimation.posegraph.cholesky import Cholesky, Structure
-from meshskin.estimation.posegraph.ordering import Integers
+from .cholesky import Cholesky, Structure
+from .ordering import Integers
 
 
 class Plan(ctypes.Structure):
@@ -51,7 +51,7 @@ class Door:
     def options(self) -> dict[str, object]:
         """For IPOPT; none where its own MUMPS has to do."""
         library = self._cholesky.built
-        return _named(library) if library is not None and _comes_in() else {}
+        return _named(library) if library is not None and comes_in() else {}
 
     @contextmanager
     def open(self, alike: bool = False) -> Iterator[Plan]:
@@ -88,7 +88,7 @@ def _named(library: ctypes.CDLL) -> dict[str, object]:
 
 
 @functools.cache
-def _comes_in() -> bool:
+def comes_in() -> bool:
     """Whether this IPOPT uses the library: tried with a problem of one pose."""
     none, one = np.empty(0, dtype=np.int64), np.zeros(1, dtype=np.int64)
     door, x = Door(Cholesky(1, none, none), one, none), ca.MX.sym("x", 6)

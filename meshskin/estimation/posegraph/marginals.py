@@ -12,10 +12,11 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from meshskin.estimation.posegraph.cholesky import Blocks, Cholesky, SingularError
-from meshskin.se3 import Array
+from ...se3 import Array
+from .cholesky import Blocks, Cholesky, SingularError
 
 BLOCK = 6
+"""Degrees of freedom of a pose."""
 SINGULAR = 1e-13
 """A pivot below this share of its diagonal entry is zero up to rounding."""
 PRIOR = 1e-10

@@ -13,8 +13,12 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 Integers = NDArray[np.integer]
+"""Whole numbers of any width."""
+Long = NDArray[np.int64]
+"""Those that C reads as they are."""
 
 METIS = "libcoinmetis.so.2"
+"""METIS 4, as CasADi's wheel for Linux names it."""
 
 
 def elimination_order(pattern: sparse.csr_array) -> Integers:

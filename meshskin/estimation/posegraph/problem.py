@@ -14,17 +14,18 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from meshskin.estimation.posegraph import linear
-from meshskin.estimation.posegraph.cholesky import Blocks, Cholesky
-from meshskin.estimation.posegraph.functions import Call, Function, Recorder
-from meshskin.estimation.posegraph.kernel import EDGE
-from meshskin.estimation.posegraph.ma57 import Door
-from meshskin.estimation.posegraph.marginals import lower_blocks
-from meshskin.estimation.posegraph.ordering import Integers
-from meshskin.estimation.posegraph.sweep import Sweep
-from meshskin.se3 import Array
+from ...se3 import Array
+from . import linear
+from .cholesky import Blocks, Cholesky
+from .functions import Call, Function, Recorder
+from .kernel import EDGE
+from .ma57 import Door
+from .marginals import lower_blocks
+from .ordering import Integers
+from .sweep import Sweep
 
 METIS = 5
+"""MUMPS' number for an order by METIS (ICNTL(7))."""
 OPTIONS: dict[str, object] = {
     # The kernel is scaled, and the Hessian positive definite in all but a few iterations: what
     # MUMPS does for indefinite or badly scaled matrices only costs time here.

@@ -11,25 +11,27 @@ from collections.abc import Callable
 import numpy as np
 from scipy.special import gammaincinv
 
-from meshskin.estimation.posegraph.descent import (
+from ...se3 import Array
+from .descent import (
     State,
     edge_numbers,
     minimise,
     weighted_errors,
 )
-from meshskin.estimation.posegraph.graph import PoseGraph
-from meshskin.estimation.posegraph.problem import Problem
-from meshskin.se3 import Array
+from .graph import PoseGraph
+from .problem import Problem
 
 QUANTILE = 0.99
 """An inlier's chi-square is below its limit with this probability."""
 STEP = 1.4
 """By how much graduated non-convexity approaches the full robust cost, a round."""
 ROUNDS = 100
+"""Most rounds of reweighting."""
 SETTLED = 1e-4
 """Largest change of a weight at which reweighting ends."""
 
 Weight = Callable[[Array, Array, float], Array]
+"""(chi-squares (m,), their limits (m,), looseness) -> weights (m,) in (0, 1]."""
 
 
 def geman_mcclure(chi2: Array, limit: Array, looseness: float) -> Array:

@@ -9,11 +9,12 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import ArrayLike
 
-from meshskin.errors import GraphError, UnknownNameError
-from meshskin.estimation.posegraph import certificate as certificates
-from meshskin.estimation.posegraph import marginals
-from meshskin.estimation.posegraph import start as starts
-from meshskin.estimation.posegraph.descent import (
+from ...errors import GraphError, UnknownNameError
+from ...se3 import Array
+from . import certificate as certificates
+from . import marginals
+from . import start as starts
+from .descent import (
     FAR_STAGES,
     STAGES,
     State,
@@ -23,17 +24,16 @@ from meshskin.estimation.posegraph.descent import (
     minimise,
     parameter_vector,
 )
-from meshskin.estimation.posegraph.graph import PoseGraph
-from meshskin.estimation.posegraph.problem import Problem
-from meshskin.estimation.posegraph.robust import ROBUST, reweight
-from meshskin.se3 import Array
+from .graph import PoseGraph
+from .problem import Problem
+from .robust import ROBUST, reweight
 
 OBJECTIVES = {"geodesic": "log", "chordal": "vec"}
+"""Objective -> the kernel's residual."""
 POLISH = 1e-18
 """Accuracy of the minimum that a certificate examines: its gap grows with the gradient."""
-
-
 FREEDOMS = ("x", "y", "z", "rx", "ry", "rz")
+"""Degrees of freedom of a pose, translation first."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,12 +7,12 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from meshskin import se3
-from meshskin.errors import GraphError, UnknownNameError
-from meshskin.estimation.posegraph.cholesky import Blocks, SingularError, summed
-from meshskin.estimation.posegraph.graph import PoseGraph, transforms
-from meshskin.estimation.posegraph.ordering import Integers
-from meshskin.se3 import Array
+from ... import se3
+from ...errors import GraphError, UnknownNameError
+from ...se3 import Array
+from .cholesky import Blocks, SingularError, summed
+from .graph import PoseGraph, transforms
+from .ordering import Integers
 
 LITTLE = 1e-12
 """Share of a pose's weight that holds it to the tree's, so that what no displacement determines is

@@ -12,15 +12,12 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
-from meshskin import compiled, se3
-from meshskin.estimation.posegraph.kernel import EDGE, LOWER, Kernel, kernel
-from meshskin.estimation.posegraph.ordering import Integers
-from meshskin.se3 import Array
-
-Long = NDArray[np.int64]
+from ... import compiled, se3
+from ...se3 import Array
+from .kernel import EDGE, LOWER, Kernel, kernel
+from .ordering import Integers, Long
 
 
 class Sweep:

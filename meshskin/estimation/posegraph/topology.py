@@ -9,9 +9,9 @@ from collections import OrderedDict
 
 import numpy as np
 
-from meshskin.estimation.posegraph.cholesky import Cholesky
-from meshskin.estimation.posegraph.ordering import Integers
-from meshskin.estimation.posegraph.problem import Problem
+from .cholesky import Cholesky
+from .ordering import Integers
+from .problem import Problem
 
 
 class Topology:

@@ -32,6 +32,7 @@ FACES = (1 / 16, 1 / 4, 1, 4)
 FINER, COARSER = 4, (2, 5)
 """Steps from frame to frame: so many times the scene's, and parts of them that are whole."""
 FEWEST_FACES = 80
+"""Faces below which a mesh is no stand-in for a primitive (an icosphere divided once)."""
 FLAT = "mesh_facets"
 """The effect for which the mesh is no matter of computing."""
 LONGEST_STEP = 0.01

@@ -6,7 +6,8 @@ import pytest
 
 from meshskin import se3
 from meshskin.estimation.posegraph.descent import weighted_errors
-from meshskin.estimation.posegraph.kernel import LOWER, RESIDUALS, _error, kernel
+from meshskin.estimation.posegraph.kernel import LOWER, error, kernel
+from meshskin.estimation.posegraph.solve import OBJECTIVES
 
 SCALE = np.array([1e-2, 0.3])
 
@@ -40,7 +41,7 @@ def whole_hessian(one, x, edge, blend):
     return matrix
 
 
-@pytest.mark.parametrize("residual", RESIDUALS)
+@pytest.mark.parametrize("residual", OBJECTIVES.values())
 def test_gradient_and_hessian_are_the_derivatives(residual):
     one, rng = kernel(residual), np.random.default_rng(1)
     for _ in range(5):
@@ -61,17 +62,19 @@ def test_gradient_and_hessian_are_the_derivatives(residual):
         assert np.allclose(exact, curvature, atol=1e-6 * np.abs(curvature).max())
 
 
-@pytest.mark.parametrize("residual", RESIDUALS)
+@pytest.mark.parametrize("residual", OBJECTIVES.values())
 def test_gauss_newton_at_blend_zero(residual):
     one, rng = kernel(residual), np.random.default_rng(2)
     edge, x = random_edge(rng), 0.1 * rng.normal(size=12)
     root = np.zeros((6, 6))
     root[np.triu_indices(6)] = edge[14:]
 
-    def error(at):
+    def residual_of(at):
         return root @ error_of(residual)(at, edge, SCALE).full()[:, 0]
 
-    jacobian = np.array([(error(x + s) - error(x - s)) / 2e-5 for s in 1e-5 * np.eye(12)]).T
+    jacobian = np.array(
+        [(residual_of(x + s) - residual_of(x - s)) / 2e-5 for s in 1e-5 * np.eye(12)]
+    ).T
     hessian = whole_hessian(one, x, edge, 0.0)
     assert np.allclose(hessian, jacobian.T @ jacobian, atol=1e-7 * np.abs(hessian).max())
     cheaper = one.gauss_newton.call([x, edge, SCALE])
@@ -82,18 +85,20 @@ def test_gauss_newton_at_blend_zero(residual):
 def error_of(residual):
     """The kernel's residual e (6,) as a function of its inputs."""
     x, edge, scale = ca.SX.sym("x", 12), ca.SX.sym("edge", 35), ca.SX.sym("scale", 2)
-    return ca.Function("e", [x, edge, scale], [_error(residual, x, edge[:7], edge[7:14], scale)])
+    return ca.Function("e", [x, edge, scale], [error(residual, x, edge[:7], edge[7:14], scale)])
 
 
 def test_errors_are_those_of_the_definition():
     rng = np.random.default_rng(3)
     for angle in (1e-9, 0.5, 3.0):
         edge = random_edge(rng, angle)
-        log, vec = (error_of(r)(np.zeros(12), edge, SCALE).full()[:, 0] for r in RESIDUALS)
+        log, vec = (
+            error_of(r)(np.zeros(12), edge, SCALE).full()[:, 0] for r in OBJECTIVES.values()
+        )
         assert np.allclose(log[:3], edge[:3] - edge[7:10])
         assert np.isclose(np.linalg.norm(log[3:]), angle, rtol=1e-6)
         assert np.isclose(np.linalg.norm(vec[3:]), 2 * np.sin(angle / 2), rtol=1e-6)
-        for residual in RESIDUALS:  # NumPy's, of many edges, is the kernel's
+        for residual in OBJECTIVES.values():  # NumPy's, of many edges, is the kernel's
             weighted = weighted_errors(edge[None], residual)
             cost = kernel(residual).gradient.call([np.zeros(12), edge, SCALE])[0]
             assert np.isclose(0.5 * np.sum(weighted**2), float(cost), rtol=1e-12)

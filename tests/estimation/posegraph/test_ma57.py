@@ -141,7 +141,7 @@ def test_a_matrix_that_is_not_like_the_first_is_eliminated_after_all(door):
 
 def test_gauss_newton_eliminates_once(skin_graph, monkeypatch):
     """And ends where it ends with an elimination in every iteration."""
-    if not ma57._comes_in():
+    if not ma57.comes_in():
         pytest.skip("no C compiler")
     usual = ma57.Door.open
 
@@ -173,7 +173,7 @@ def test_without_a_plan_or_of_another_size_nothing_is_done(door):
 
 def test_an_ipopt_that_stays_outside_keeps_mumps(skin_graph, monkeypatch):
     inside = skin_graph(40, seed=1)[0].solve()
-    monkeypatch.setattr(ma57, "_comes_in", lambda: False)
+    monkeypatch.setattr(ma57, "comes_in", lambda: False)
     monkeypatch.setattr(topology, "kept", topology.Kept(1))
     graph = skin_graph(40, seed=1)[0]
     assert graph.problem("log")._door.options == {}
@@ -187,14 +187,14 @@ def test_plans_are_handed_back(door):
     """A solver that is tried while another waits: the other's plan is there again."""
     dense = matrix(door)
     with door.open():
-        assert ma57._comes_in.__wrapped__()
+        assert ma57.comes_in.__wrapped__()
         _, info = solved(door, dense, np.ones((1, len(dense))))
     assert info[0] == 0
     assert solved(door, dense, np.ones((1, len(dense))))[1][0] == -1
 
 
 def test_ipopt_does_come_in(door, monkeypatch):
-    assert ma57._comes_in()
+    assert ma57.comes_in()
     assert door.options["linear_solver"] == "ma57"
     monkeypatch.setattr(ma57, "_named", lambda library: {"linear_solver": "no such solver"})
-    assert not ma57._comes_in.__wrapped__()
+    assert not ma57.comes_in.__wrapped__()
