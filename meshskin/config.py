@@ -11,6 +11,8 @@ import dataclasses
 import functools
 import math
 import tomllib
+import types
+import typing
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,6 +20,8 @@ from typing import Any, TypeVar
 from .errors import ConfigError, UnknownNameError
 
 T = TypeVar("T")
+ANY = -1
+"""Number of values of a tuple of any length."""
 
 UNITS: dict[str, dict[str, float]] = {
     "m": {"m": 1.0, "mm": 1e-3, "um": 1e-6},
@@ -48,13 +52,40 @@ def quantity(
 
 
 def check(config: Any) -> None:
-    """Check every bounded field of a dataclass; for use in `__post_init__`. Raises ConfigError."""
+    """Check every bounded field of a dataclass; for use in `__post_init__`. Raises ConfigError.
+
+    A field declared as a tuple of n numbers must be one, a field declared as `int` a whole number.
+    """
+    cls: Any = type(config)
+    forms = _forms(cls)
     for field in dataclasses.fields(config):
         m, value = field.metadata, getattr(config, field.name)
         if "unit" not in m or value is None:
             continue
-        for number in value if isinstance(value, tuple) else (value,):
-            _check_number(f"{type(config).__name__.lower()}.{field.name}", number, m)
+        name = f"{cls.__name__.lower()}.{field.name}"
+        kind, count = forms[field.name]
+        if count is not None and (not isinstance(value, tuple) or count not in (ANY, len(value))):
+            many = "" if count == ANY else f"{count} "
+            raise ConfigError(f"{name} must be a tuple of {many}numbers", value=repr(value))
+        for number in (value,) if count is None else value:
+            _check_number(name, number, m)
+            if kind is int and not isinstance(number, int):
+                raise ConfigError(f"{name} must be a whole number", value=repr(number))
+
+
+@functools.cache
+def _forms(cls: type) -> dict[str, tuple[Any, int | None]]:
+    """Of each field: the type of its numbers, and how many it has (None: one, and no tuple)."""
+    out: dict[str, tuple[Any, int | None]] = {}
+    for name, hint in typing.get_type_hints(cls).items():
+        if isinstance(hint, types.UnionType) or typing.get_origin(hint) is typing.Union:
+            hint = next(part for part in typing.get_args(hint) if part is not type(None))
+        parts = typing.get_args(hint)
+        if typing.get_origin(hint) is tuple:
+            out[name] = parts[0], ANY if parts[-1] is Ellipsis else len(parts)
+        else:
+            out[name] = hint, None
+    return out
 
 
 def _check_number(name: str, number: Any, m: Mapping[str, Any]) -> None:

@@ -14,6 +14,8 @@ class Ball:
     radius: float = config.quantity("m", above=0.0)
     place: tuple[float, ...] = config.quantity("m", (0.0, 0.0))
     angle: float = config.quantity("rad", 0.0, most=math.pi)
+    centre: tuple[float, float, float] = config.quantity("m", (0.0, 0.0, 0.0))
+    spots: int | None = config.quantity("", None, least=1)
     colour: str = "red"
 
     def __post_init__(self) -> None:
@@ -36,6 +38,11 @@ def test_units_are_converted():
         ({"radius_mm": 1, "radius_m": 1}, ConfigError, "given twice"),
         ({"radius_mm": 1, "angle_deg": 200}, ConfigError, "at most 3.14159 rad"),
         ({}, ConfigError, "lacks radius; add radius_m or radius_mm"),
+        ({"radius_m": [1, 2]}, ConfigError, r"ball.radius must be a finite number, got \(1, 2\)"),
+        ({"radius_m": 1, "centre_m": 2}, ConfigError, "must be a tuple of 3 numbers, got 2"),
+        ({"radius_m": 1, "centre_m": [1, 2]}, ConfigError, "of 3 numbers, got \\(1, 2\\)"),
+        ({"radius_m": 1, "place_m": 2}, ConfigError, "must be a tuple of numbers, got 2"),
+        ({"radius_m": 1, "spots": 8.5}, ConfigError, "spots must be a whole number, got 8.5"),
     ],
 )
 def test_a_wrong_table_is_named(table, error, message):
