@@ -14,16 +14,19 @@ from .run import Run
 def doubt(run: Run) -> None:
     """Take out outlying readings, where taxels cannot be right, and name what they show.
 
-    First by the known noise; where that does not leave a fit, the model is off, and what is
-    outlying is judged by how far off it is for most.
+    Taxels are suspected that are further off than most: a misfit that all of them share is the
+    model's, and says nothing against any of them. What is outlying is judged by the known noise
+    first; where that does not leave a fit, the model is off, too, and it is judged by how far off
+    most readings are.
     """
+    readings, residuals = run.likelihood.readings, run.residuals()
     known = bool(run.data.noise)
-    typical = faults.typical(run.likelihood.readings, run.residuals())
+    typical = max(faults.typical(readings, residuals), 1.0 if known else faults.LEAST)
+    suspects = faults.suspects(readings, residuals, typical)
+    if not len(suspects):
+        return
     plain = run.problem, run.state, run.weight.copy(), run.restless
-    for scale in (1.0, typical) if known else (max(typical, faults.LEAST),):
-        suspects = faults.suspects(run.likelihood.readings, run.residuals(), scale)
-        if not len(suspects):
-            return
+    for scale in (1.0, typical) if known and typical > 1.0 else (typical,):
         try:
             left = _sift(run, suspects, scale, known)
         except CalibrationError:  # without a fit nothing can be called outlying
@@ -39,7 +42,8 @@ def doubt(run: Run) -> None:
 def _sift(run: Run, suspects: np.ndarray, scale: float, fixed: bool) -> float:
     """Weigh the readings of suspects until no weight changes; the scale of what is left.
 
-    Infinite where too much is left out. The scale of the noise is `scale`, if `fixed`.
+    Infinite where too much is left out, or where it does not help. The scale of the noise is
+    `scale`, if `fixed`.
     """
     places = run.problem.places
     if isinstance(places, Free):  # from where most of their readings are
@@ -53,6 +57,8 @@ def _sift(run: Run, suspects: np.ndarray, scale: float, fixed: bool) -> float:
         if not fixed:
             scale = max(faults.typical(readings, r), faults.LEAST)
         if not stage:
+            if fixed and faults.typical(readings, r) > faults.TAKEN * scale:
+                return np.inf  # without what the suspects read the others do not fit either
             suspects = np.union1d(suspects, faults.suspects(readings, r, scale))
         own = (readings.kind == HEARD) & np.isin(readings.taxel, suspects)
         cut = faults.CUT if stage else faults.even_odds(r[own], scale)

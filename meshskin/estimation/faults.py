@@ -105,9 +105,17 @@ def residuals(readings: Readings, mu: Array, sigma: float) -> Array:
 
 
 def typical(readings: Readings, r: Array) -> float:
-    """Scale of the residuals, by the median, which few outlying ones do not move."""
-    r = r[(readings.kind == HEARD) & ~outlying(readings)]
-    return float(np.median(np.abs(r))) / 0.6745 if len(r) else 1.0
+    """Scale of the residuals, by their median, which few outlying ones do not move.
+
+    Every taxel counts as much as any other: one that answers always is but one.
+    """
+    counted = (readings.kind == HEARD) & ~outlying(readings)
+    if not counted.any():
+        return 1.0
+    size, taxel = np.abs(r[counted]), readings.taxel[counted]
+    order = np.argsort(size)
+    share = np.cumsum(1.0 / np.bincount(taxel)[taxel[order]])
+    return float(size[order[np.searchsorted(share, 0.5 * share[-1])]]) / 0.6745
 
 
 def suspects(readings: Readings, r: Array, scale: float) -> np.ndarray:

@@ -121,6 +121,34 @@ def test_many_taxels_with_a_loose_wire_leave_a_model_that_fits(world, clean, cha
     assert others(position_errors(found, world.skin), dying, reference) < 1.05
 
 
+def test_a_misfit_that_all_share_says_nothing_against_any_taxel(world, monkeypatch):
+    """With noise of twice what is believed no taxel is further off than most: none is tried."""
+    tried = []
+    monkeypatch.setattr(doubts, "_sift", lambda run, suspects, *_: tried.append(suspects) or np.inf)
+    found = calibrate(world.record(0.02, 0.05), world.belief(0.01, 0.05))
+    assert not tried
+    assert not any(found.faults)
+    assert not found.fit.good
+
+
+def test_taxels_that_warm_up_and_always_answer_do_not_speak_for_most(world, clean):
+    """A fifth of the taxels gives three quarters of the readings: the typical taxel is sound."""
+    recording, belief, reference, _ = clean
+    warm, time = np.arange(0, len(world.ids), 5), recording.time
+    drift = 0.2 * world.peak_reference * np.arange(len(time)) / len(time)
+    sound = ~np.isin(recording.reading_taxel, world.ids[warm])
+    parts = [recording.readings.filter(pa.array(sound))]
+    for k in warm:
+        mine = recording.reading_taxel == world.ids[k]
+        pressure = drift.copy()
+        pressure[recording.reading_contact[mine]] += recording.pressure[mine]
+        ids = np.full(len(time), world.ids[k], dtype=np.int32)
+        parts.append(pa.table([time, ids, pressure], schema=READINGS))
+    found = calibrate(Recording(recording.contacts, pa.concat_tables(parts), {}), belief)
+    assert np.array_equal(np.flatnonzero(found.faults != ""), warm)
+    assert others(position_errors(found, world.skin), warm, reference) < 1.05
+
+
 def test_two_taxels_that_exchange_their_ids(world, clean, change, tmp_path):
     recording, belief, reference, _ = clean
     taxel, sometimes = recording.reading_taxel.copy(), recording.reading_contact % 10 > 6
