@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import library
 from .config import check, quantity
@@ -214,14 +215,23 @@ class Scene:
             self._solve(self.model.name, curvature[k])
 
     def _refusals(self, name: str, curvature: Array) -> Array:
-        pairs, inverse = np.unique(np.round(curvature, 2), axis=0, return_inverse=True)
-        why = np.full(len(pairs), "", dtype=object)
+        why = np.full(len(curvature), "", dtype=object)
+        rows = np.flatnonzero(~self._holds(name, curvature))
+        pairs, inverse = np.unique(np.round(curvature[rows], 2), axis=0, return_inverse=True)
         for k, pair in enumerate(pairs):
             try:
                 self._solve(name, pair)
             except ContactError as error:
-                why[k] = f"{name} contact does not hold: {error.what}"
-        return np.asarray(why[inverse.ravel()])
+                why[rows[inverse.ravel() == k]] = f"{name} contact does not hold: {error.what}"
+        return why
+
+    def _holds(self, name: str, curvature: Array) -> NDArray[np.bool_]:
+        return Model(name, self.material.poisson, self.material.thickness).holds(
+            force=self.law.force_reference,
+            curvature=curvature,
+            indenter_radius=self.indenter.radius,
+            effective_modulus=self.material.effective_modulus,
+        )
 
     def _solve(self, name: str, curvature: Array) -> Patch:
         return solve(

@@ -14,9 +14,13 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ...errors import ContactError, UnknownNameError
+from ...se3 import Array
 from .patch import Patch, Patches
-from .setting import Setting
+from .setting import MAX_LAYER_RATIO, MAX_WIDTH, Setting, width
 
 MODELS = ("hertz", "elliptic", "layered", "field")
 """Names of the contact models, each a module of this folder."""
@@ -123,6 +127,33 @@ class Model:
         at = ca.SX.sym("depth")
         force = self._law.force(at, curvature, indenter_radius, effective_modulus)
         return ca.substitute(ca.gradient(force, at), at, depth)
+
+    def holds(
+        self, *, force: float, curvature: Array, indenter_radius: float, effective_modulus: float
+    ) -> NDArray[np.bool_]:
+        """Whether `solve` has a patch (k,) at `curvature` (k, 2), 1/m.
+
+        Other arguments as `patches`. All limits of the model, for many contacts at once; `solve`
+        says which one it is that does not hold.
+        """
+        pairs = np.sort(np.asarray(curvature, dtype=float), axis=1)
+        try:
+            module, law = _module(self.name), self._law
+        except ContactError:  # a layer that the table does not know
+            return np.zeros(len(pairs), dtype=bool)
+        relative = pairs + 1 / indenter_radius
+        good = np.isfinite(pairs).all(axis=1) & (relative[:, 0] > 0)
+        good[good] = relative[good, 1] <= module.MAX_CURVATURE_RATIO * relative[good, 0]
+        if self.name == "layered":
+            chi = law.chi(force, pairs[good], indenter_radius, effective_modulus)
+            good[good] = chi <= module.MAX_CHI
+        found = law.patches(force, pairs[good], indenter_radius, effective_modulus)
+        axes = np.stack([found.first, found.second], axis=1)
+        fits = width(axes, pairs[good], indenter_radius) <= MAX_WIDTH
+        if self.thickness is not None and self.name != "layered":
+            fits &= axes.max(axis=1) <= MAX_LAYER_RATIO * self.thickness
+        good[good] = fits
+        return good
 
     @property
     def _law(self) -> Any:

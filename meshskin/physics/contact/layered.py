@@ -73,16 +73,20 @@ class Layer:
         radius, peak, depth, aspect = series.evaluate(_factors(self.poisson), y)
         return f.exp(radius), f.exp(peak), f.exp(depth), f.exp(aspect)
 
+    def chi(self, force: Any, curvature: Any, indenter_radius: Any, modulus: Any) -> Any:
+        """a_Hertz / t of many contacts; arguments as `elliptic.patches`."""
+        whole = elliptic.patches(force, curvature, indenter_radius, modulus)
+        return _size(whole) / self.thickness
+
     def patches(self, force: Any, curvature: Any, indenter_radius: Any, modulus: Any) -> Patches:
         """Patches of many contacts; arguments as `elliptic.patches`, `modulus` is E*, Pa.
 
         Raises ContactError for NumPy values outside the range of the table.
         """
         whole = elliptic.patches(force, curvature, indenter_radius, modulus)
-        f = series.mathematics(whole.first, whole.second)
-        size = f.sqrt(whole.first * whole.second)
+        size = _size(whole)
         chi = size / self.thickness
-        if f is np:
+        if series.mathematics(size) is np:
             refuse_chi(float(np.max(chi, initial=0.0)))
         radius, peak, depth, aspect = self.factors(chi)
         stretch = elliptic.stretch(curvature, indenter_radius) ** aspect
@@ -139,6 +143,11 @@ def solve(
     return Patch(
         axes, float(found.peak), float(found.depth), "layered", exponent=float(found.exponent)
     )
+
+
+def _size(whole: Patches) -> Any:
+    """sqrt(a b), m."""
+    return series.mathematics(whole.first, whole.second).sqrt(whole.first * whole.second)
 
 
 def refuse_chi(chi: float) -> None:

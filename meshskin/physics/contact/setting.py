@@ -90,13 +90,8 @@ class Setting:
         return float(2 / self.relative.sum())
 
     def refuse_wide(self, axes: Array, model: str) -> None:
-        """Raise ContactError where semi-axes (2,), larger first, leave the parabolic gap.
-
-        True arcs add r^4 (k_1^3 + k_2^3) / 8 to the gap r^2 (k_1 + k_2) / 2 of two curvatures, so
-        the error goes with a^2 (k_1^2 - k_1 k_2 + k_2^2) / 4.
-        """
-        tip, body = 1 / self.indenter_radius, np.sort(self.pair)
-        widest = float(np.max(axes * np.sqrt(tip**2 - tip * body + body**2)))
+        """Raise ContactError where semi-axes (2,), larger first, leave the parabolic gap."""
+        widest = float(width(axes, np.sort(self.pair), self.indenter_radius))
         if widest > MAX_WIDTH:
             raise ContactError(
                 f"the contact is too wide for the parabolic gap of {model}",
@@ -114,6 +109,18 @@ class Setting:
                 limit=MAX_LAYER_RATIO,
                 remedy="use layered, or leave thickness out to accept the half-space",
             )
+
+
+def width(axes: Array, curvature: Array, indenter_radius: float) -> Array:
+    """a/R_s (...), the larger along the semi-axes (..., 2), m, at curvature (..., 2), 1/m.
+
+    True arcs add r^4 (k_1^3 + k_2^3) / 8 to the gap r^2 (k_1 + k_2) / 2 of two curvatures, so
+    the error goes with a^2 (k_1^2 - k_1 k_2 + k_2^2) / 4.
+    """
+    tip = 1 / indenter_radius
+    return np.asarray(
+        np.max(axes * np.sqrt(tip**2 - tip * curvature + curvature**2), axis=-1), dtype=float
+    )
 
 
 def relative_curvatures(curvature: Any, indenter_radius: Any) -> tuple[Any, Any]:

@@ -186,3 +186,28 @@ def test_in_a_closed_loop_on_a_sphere(model):
     push = -(slope[0] - slope[1]) / 2e-7 * centre / np.linalg.norm(centre)
     assert gradient.full()[:, 0] == pytest.approx(push, rel=1e-2, abs=1.0)
     assert np.isfinite(hessian.full()).all()
+
+
+@pytest.mark.parametrize("poisson", [-0.2, 0.45])
+@pytest.mark.parametrize("thickness", [None, 3e-3, 0.05])
+@pytest.mark.parametrize("model", contact.BATCHED)
+def test_a_model_holds_for_many_contacts_where_it_solves_each(model, thickness, poisson):
+    rng = np.random.default_rng(2)
+    curvature = rng.uniform(-120, 300, (300, 2)) * 10.0 ** rng.uniform(-3, 0, (300, 1))
+    curvature[0] = np.nan
+    curvature[1] = curvature[1, 0]
+    for force, modulus in [(1.0, 0.5e6), (3.0, 0.05e6)]:
+        case = {"force": force, "indenter_radius": 0.01}
+        soft = {"modulus": modulus, "poisson": poisson, "thickness": thickness}
+        many = contact.Model(model, poisson, thickness).holds(
+            curvature=curvature, effective_modulus=modulus / (1 - poisson**2), **case
+        )
+        each = []
+        for pair in curvature:
+            try:
+                contact.solve(model, curvature=tuple(pair), **case, **soft)
+            except ContactError:
+                each.append(False)
+            else:
+                each.append(True)
+        assert np.array_equal(many, each)
