@@ -8,6 +8,8 @@ Relative paths are taken from the file's own folder. The part of a body that a s
 `region = {patch = "palm"}` in [skin], by a name in the mesh file (`meshskin check` lists them), or
 {direction = [0, 0, -1], angle_deg = 40}, {point_mm = [0, 0, 90], radius_mm = 30},
 {normal = [0, 0, 1], offset_mm = 20}, {faces = [0, 1, 2]}.
+In the world z is up. [indenter] direction = [1, 0, 0] is from its support to its tip; [arm] base_m
+is where the arm's root link stands, base_angles_deg the rotation vector by which it is turned.
 """
 
 from __future__ import annotations
@@ -183,8 +185,10 @@ class _ArmTable:
     tip: str = "tool0"
     folders: tuple[str, ...] = ()
     payload: float = quantity("kg", 1.0, least=0.0, most=1e3)
-    mount: tuple[float, ...] | None = quantity("m", None)
-    mount_angles: tuple[float, ...] = quantity("rad", (0.0, 0.0, 0.0))
+    mount: tuple[float, float, float] | None = quantity("m", None)
+    mount_angles: tuple[float, float, float] = quantity("rad", (0.0, 0.0, 0.0))
+    base: tuple[float, float, float] = quantity("m", (0.0, 0.0, 0.0), least=-10, most=10)
+    base_angles: tuple[float, float, float] = quantity("rad", (0.0, 0.0, 0.0))
 
     def pose(self) -> Array | None:
         """T_tip_body from a position and a rotation vector, or None."""
@@ -192,6 +196,11 @@ class _ArmTable:
         if self.mount is None:
             return None
         return transform(exp_so3(self.mount_angles), self.mount)
+
+    def stand(self) -> Array:
+        """T_w_base from a position and a rotation vector."""
+        check(self)
+        return transform(exp_so3(self.base_angles), self.base)
 
 
 @dataclass(frozen=True)
@@ -246,10 +255,11 @@ def from_tables(data: Mapping[str, Any], folder: Path) -> Scene:
     skin = build(_SkinTable, data["skin"], "skin").make(body, folder)
     table = build(_ArmTable, data.get("arm", {}), "arm")
     urdf = folder / table.urdf if (folder / table.urdf).is_file() else library.folder() / table.urdf
+    arm = Arm.from_urdf(urdf, tip=table.tip, folders=[folder / name for name in table.folders])
     return Scene(
         body=body,
         skin=skin,
-        arm=Arm.from_urdf(urdf, tip=table.tip, folders=[folder / name for name in table.folders]),
+        arm=arm.standing(table.stand()),
         payload=table.payload,
         mount=table.pose(),
         **parts(data),
@@ -274,7 +284,7 @@ def check_tables(data: Mapping[str, Any]) -> None:
     skin = build(_SkinTable, data["skin"], "skin")
     check(skin)
     skin.part()
-    build(_ArmTable, data.get("arm", {}), "arm").pose()
+    check(build(_ArmTable, data.get("arm", {}), "arm"))
     parts(data)
 
 

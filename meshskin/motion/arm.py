@@ -1,8 +1,8 @@
 """Robot arms from URDF files: limits, kinematics, dynamics.
 
-World = base: the root link is fixed at the world's origin, z up, gravity along -z. `T_w_tip` is the
-pose of the tip link. Jacobians stack the tip's linear velocity over its angular velocity, both in
-world axes (m/rad, rad/rad).
+The root link is fixed in the world at the pose `base`, by default the world's own frame; z of the
+world is up, gravity along -z. `T_w_tip` is the pose of the tip link. Jacobians stack the tip's
+linear velocity over its angular velocity, both in world axes (m/rad, rad/rad).
 
 Source: Featherstone, "Rigid Body Dynamics Algorithms" (2008).
 """
@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ArmError
-from ..se3 import Array
+from ..se3 import Array, inverse
 from . import reach
 from .dynamics import Dynamics
 from .urdf import Joint, chain, check_links, drive, numbers, parse, reflected_inertias
@@ -82,6 +82,8 @@ class Arm:
     """Coulomb friction of the joints (n,), N m; zero where the file gives none."""
     folders: tuple[str, ...] = ()
     """Where the meshes of the links are looked for; only collisions need them."""
+    base: Array = field(default_factory=lambda: np.eye(4))
+    """T_w_base (4, 4): where the root link stands."""
 
     def __repr__(self) -> str:
         return f"<Arm {self.name!r}: {len(self.joint_names)} joints, tip {self.tip!r}>"
@@ -183,6 +185,14 @@ class Arm:
         ET.SubElement(inertial, "inertia", entries)
         return replace(self, urdf=ET.tostring(robot, encoding="unicode"))
 
+    def standing(self, base: ArrayLike) -> Arm:
+        """This arm with its root link at `base`, T_w_base (4, 4). Raises ArmError for no pose."""
+        pose = np.array(base, dtype=float)
+        rigid = pose.shape == (4, 4) and np.allclose(pose @ inverse(pose), np.eye(4), atol=1e-9)
+        if not rigid or np.linalg.det(pose) < 0.0:
+            raise ArmError("base of an arm", value=pose.tolist(), limit="a pose T_w_base (4, 4)")
+        return replace(self, base=pose)
+
     def dynamics(self) -> Dynamics:
         """The arm's dynamics as CasADi expressions, built once."""
         return self._dynamics
@@ -198,7 +208,7 @@ class Arm:
         """
         if q.shape != (len(self.joint_names), 1):
             raise ArmError("q of wrong shape", value=q.shape, limit=f"({len(self.joint_names)}, 1)")
-        pose, moved = cs.SX.eye(4), []
+        pose, moved = cs.SX(cs.sparsify(cs.DM(self.base))), []
         driven = {d.joint.name: d for d in self.driven}
         for joint in chain(parse(self.urdf, ""), self.tip, ""):
             by = driven.get(joint.name)

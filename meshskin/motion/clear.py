@@ -146,7 +146,7 @@ def links(arm: Arm) -> Links:
     elements = {e.get("name", ""): e for e in robot.findall("link")}
     q = cs.SX.sym("q", len(arm.joint_names))
     driven = {by.joint.name: by for by in arm.driven}
-    pose, ends, names, radii, notes = cs.SX.eye(4), [], [], [], []
+    pose, ends, names, radii, notes = cs.SX(cs.sparsify(cs.DM(arm.base))), [], [], [], []
     for joint in chain(robot, arm.tip, ""):
         found, missing = shapes.of_link(elements[joint.parent], arm.folders)
         if (missing or not found) and np.linalg.norm(joint.xyz) > 1e-6:

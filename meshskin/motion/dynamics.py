@@ -16,7 +16,7 @@ from .urdf import bare, massless, parse, rotation
 if TYPE_CHECKING:
     from .arm import Arm
 
-GRAVITY = 9.80665  # m/s^2, standard gravity
+GRAVITY = np.array([0.0, 0.0, -9.80665])  # m/s^2, standard gravity, world
 
 
 class Dynamics:
@@ -36,6 +36,8 @@ class Dynamics:
             if by.column is not None:
                 gather[row, by.column] = by.multiplier
         self._gather = cs.sparsify(cs.DM(gather))
+        # in the base's axes, in which adam works; + 0.0: no zero is negative
+        self._gravity = arm.base[:3, :3].T @ GRAVITY + 0.0
 
     def mass_matrix(self, q: cs.SX) -> cs.SX:
         """Mass matrix (n, n), kg m^2, with the motors' reflected inertia, at angles `q` (n,)."""
@@ -45,7 +47,7 @@ class Dynamics:
 
     def bias(self, q: cs.SX, qd: cs.SX) -> cs.SX:
         """Coriolis, centrifugal and gravity torques (n,), N m, at `q` and velocities `qd` (n,)."""
-        gravity = cs.SX([0.0, 0.0, -GRAVITY, 0.0, 0.0, 0.0])
+        gravity = cs.SX([*self._gravity, 0.0, 0.0, 0.0])
         rates = self._gather @ qd
         torque = self._adam.rnea(cs.SX.eye(4), self._all(q), cs.SX(6, 1), rates, gravity).array
         return cs.densify(self._gather.T @ torque[6:])

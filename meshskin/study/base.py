@@ -121,6 +121,7 @@ class SceneObject:
             np.asarray(scene.body.mesh.faces),
             repr(scene.body.exact),
             *(np.asarray(a) for a in (scene.skin.poses, scene.skin.ids, scene.mount_pose)),
+            scene.arm.base,
             repr((scene.skin.disc_radius, scene.arm.tip, scene.arm.folders, scene.payload)),
             scene.arm.urdf,
         )

@@ -2,15 +2,20 @@
 
 import pickle
 import re
+import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as cs
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from meshskin.errors import ArmError, ReachError, UnknownNameError
 from meshskin.motion.arm import Arm
+from meshskin.motion.clear import links
 from meshskin.motion.dynamics import GRAVITY
+from meshskin.motion.urdf import chain
 from meshskin.se3 import exp_so3, transform
 
 PUMA = Path(__file__).parents[2] / "bodies" / "puma560.urdf"
@@ -64,7 +69,7 @@ def oracle(arm, q, qd):
     beside = [j for j in range(1, full.njoints) if full.names[j] not in arm.joint_names]
     m = pin.buildReducedModel(full, beside, pin.neutral(full))
     m.armature = arm.reflected_inertia
-    m.gravity.linear = np.array([0.0, 0.0, -GRAVITY])
+    m.gravity.linear = GRAVITY
     x = []
     for name, value in zip(arm.joint_names, q, strict=True):
         endless = m.joints[m.getJointId(name)].nq == 2
@@ -88,6 +93,41 @@ def test_puma_agrees_with_pinocchio(puma, payloads):
         q, qd = rng.uniform(arm.lower, arm.upper), rng.uniform(-3.0, 3.0, 6)
         for ours, theirs in zip(f(q, qd), oracle(arm, q, qd), strict=True):
             np.testing.assert_allclose(ours.full(), theirs, rtol=0, atol=1e-10)
+
+
+def test_an_arm_on_a_wall_agrees_with_pinocchio(puma):
+    """Its base as a fixed joint of the URDF: poses, Jacobians and gravity are the world's."""
+    xyz, rpy = (0.3, -0.2, 1.1), (0.4, 1.2, -0.7)
+    arm = puma.with_payload(1.5, COM, INERTIA).standing(
+        transform(Rotation.from_euler("xyz", rpy).as_matrix(), xyz)
+    )
+    robot = ET.fromstring(arm.urdf)
+    root = chain(robot, arm.tip, "")[0].parent
+    ET.SubElement(robot, "link", name="ground")
+    joint = ET.SubElement(robot, "joint", name="stand", type="fixed")
+    ET.SubElement(joint, "origin", xyz="0.3 -0.2 1.1", rpy="0.4 1.2 -0.7")
+    ET.SubElement(joint, "parent", link="ground")
+    ET.SubElement(joint, "child", link=root)
+    walled = replace(puma, urdf=ET.tostring(robot, encoding="unicode"))
+    f, rng = model(arm), np.random.default_rng(5)
+    for _ in range(10):
+        q, qd = rng.uniform(arm.lower, arm.upper), rng.uniform(-3.0, 3.0, 6)
+        for ours, theirs in zip(f(q, qd), oracle(walled, q, qd), strict=True):
+            np.testing.assert_allclose(ours.full(), theirs, rtol=0, atol=1e-10)
+    q = rng.uniform(arm.lower, arm.upper, (5, 6))
+    np.testing.assert_allclose(arm.pose(q), arm.base @ puma.pose(q), atol=1e-12)
+    placed = links(puma).points(q) @ arm.base[:3, :3].T + arm.base[:3, 3]
+    np.testing.assert_allclose(links(arm).points(q), placed, atol=1e-12)
+    found = arm.solve(arm.pose(q[0]))
+    np.testing.assert_allclose(arm.pose(found), arm.pose(q[0]), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "base", [np.eye(3), 2.0 * np.eye(4), np.diag([1.0, 1.0, -1.0, 1.0]), np.full((4, 4), np.nan)]
+)
+def test_a_base_that_is_no_pose_is_refused(puma, base):
+    with pytest.raises(ArmError, match=r"base of an arm, got .*T_w_base"):
+        puma.standing(base)
 
 
 def test_odd_arm_agrees_with_pinocchio():
@@ -185,7 +225,7 @@ def test_gravity_torque_of_the_stretched_puma(puma):
     bias = cs.Function("bias", [q], [puma.dynamics().bias(q, qd)])
     levers = {17.4: 0.068, 4.8: 0.4318 + 0.07, 0.82: 0.4318 + 0.4508}
     levers |= {0.34: 0.8636, 0.09: 0.8636 + 0.032}
-    expected = GRAVITY * sum(mass * lever for mass, lever in levers.items())
+    expected = -GRAVITY[2] * sum(mass * lever for mass, lever in levers.items())
     assert float(bias([0, 0, -np.pi / 2, 0, 0, 0])[1]) == pytest.approx(expected, rel=1e-12)
 
 

@@ -6,6 +6,7 @@ import study_runs
 
 import meshskin as ms
 from meshskin.errors import ConfigError, StudyError, UnknownNameError
+from meshskin.se3 import transform
 from meshskin.study.base import changed
 from meshskin.study.case import checked
 
@@ -139,6 +140,8 @@ def test_a_scene_made_in_python_is_a_base(sphere):
         again.scene({}).body.closest([[0.0, 0.02, 0.13]]).point,
         sphere.body.closest([[0.0, 0.02, 0.13]]).point,
     )
+    raised = sphere.with_(arm=sphere.arm.standing(transform(np.eye(3), [0.0, 0.0, 0.1])))
+    assert ms.Study("s", base=raised, grid=study.grid).cases()[0].key != first.key
     with pytest.raises(ConfigError, match="keeps its skin"):
         ms.Study("s", base=sphere, grid={"skin.spacing_mm": [5]}).cases()
 
