@@ -24,7 +24,7 @@ from .scene import Scene
 from .se3 import Array, exp_so3, inverse, log_so3, transform
 
 HEADINGS = 8
-"""World directions tried for the skin's first meridian."""
+"""Directions about the indenter's tried for the skin's first meridian."""
 CHECKS = 400
 """Samples of the path whose joint angles are solved for each heading."""
 ROUND = 0.02
@@ -160,14 +160,14 @@ def is_cap(scene: Scene) -> bool:
 def above(scene: Scene, pose: Array) -> Array:
     """A pose at the reference depth, lifted to the standoff."""
     above = pose.copy()
-    above[2, 3] += scene.exploration.standoff + scene.patch.depth
+    above[:3, 3] += (scene.exploration.standoff + scene.patch.depth) * scene.indenter.up
     return above
 
 
 def reachable_path(scene: Scene, arm: Arm) -> tuple[paths.Path, Array]:
     """The exploration path and the joint angles (n,) at its standoff, with the best heading.
 
-    Of the headings about the vertical, the one that stays farthest from the joint limits is taken.
+    Of the headings about the indenter, the one that stays farthest from the joint limits is taken.
     Raises ReachError with the best heading's reason if none works.
     """
     best: tuple[float, paths.Path, Array] | None = None
@@ -211,14 +211,14 @@ def _middle(normals: Array, axis: Array) -> int:
 
 
 def parallels(scene: Scene, heading: float, dt: float) -> paths.Path:
-    """The paper's path, its first meridian along a world direction, rad."""
+    """The paper's path, its first meridian at an angle about the indenter's direction, rad."""
     cosine = np.clip(scene.skin.normals @ scene.axis, -1.0, 1.0)
     return paths.plan(
         scene.body,
         scene.axis,
         float(np.arccos(cosine.min())),
         scene.exploration,
-        indenter_position=np.array(scene.indenter.position),
+        indenter=scene.indenter,
         gap=scene.indenter.radius - scene.patch.depth,
         heading=heading,
         dt=dt,

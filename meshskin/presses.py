@@ -35,7 +35,7 @@ def press(
     """The recording of the indenter pressed on the body at `points` (m, 3), body frame, m.
 
     force (m,), N: the reference force by default. spin (m,), rad: how far the body is turned about
-    the vertical; its skin faces down on the indenter. All effects of the scene act, as in
+    the indenter's direction; its skin faces the indenter. All effects of the scene act, as in
     `simulate`; those of an arm's joints find none. chain: effects of presses before, to go on with
     in place of fresh ones of the seed. Raises RecordingError without points.
     """
@@ -54,6 +54,7 @@ def press(
     )
     centres = hit.point + (scene.indenter.radius - patches.depth)[:, None] * hit.normal
     turned = exp_so3(np.broadcast_to(spin, count)[:, None] * [0.0, 0.0, 1.0]) @ _down(hit.normal)
+    turned = scene.indenter.frame @ turned
     place = np.array(scene.indenter.position) - np.einsum("kij,kj->ki", turned, centres)
 
     time = scene.frame_steps * scene.loop.dt * np.arange(float(count))
@@ -78,7 +79,7 @@ def press(
 
 
 def _down(normals: Array) -> Array:
-    """The least rotations (m, 3, 3) that turn unit normals (m, 3) straight down."""
+    """The least rotations (m, 3, 3) that turn unit normals (m, 3) to -z."""
     axis = np.cross(normals, [0.0, 0.0, -1.0])
     sine = np.linalg.norm(axis, axis=1)
     angle = np.arctan2(sine, -normals[:, 2])

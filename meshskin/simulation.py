@@ -117,6 +117,7 @@ def closed_loop(scene: Scene) -> Loop:
         mount=scene.mount_pose,
         indenter_position=np.array(scene.indenter.position),
         indenter_radius=scene.indenter.radius,
+        indenter_direction=scene.indenter.up,
         effective_modulus=scene.material.effective_modulus,
         law=scene.law,
         dt=scene.loop.dt,

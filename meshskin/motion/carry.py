@@ -1,5 +1,7 @@
 """Moves through the air from one posture to another: up, over in joint space, and down.
 
+Up is where the indenter points.
+
 Between places the arm is not under the compliance law but under its own joint controllers, which
 follow a smooth way between the joint angles; their torque is that of inverse dynamics.
 """
@@ -13,6 +15,7 @@ from ..errors import ReachError
 from ..geometry.body import Body
 from ..se3 import Array, inverse
 from .arm import Arm
+from .loop import Loop
 from .path import timed
 
 HEIGHTS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3)
@@ -31,19 +34,19 @@ LOOKS = 60
 """Poses of the way at which the distance is taken."""
 
 
-def way(arm: Arm, mount: Array, body: Body, place: Array, radius: float, start: Array, goal: Array,
-        dt: float) -> Array:  # fmt: skip
+def way(loop: Loop, body: Body, start: Array, goal: Array) -> Array:
     """Joint angles (k, n), one row a step, from `start` (n,) to `goal` (n,), both in the air.
 
-    The lowest way that keeps the body off an indenter of `radius` (m) centred at `place` (3,), and
-    the joints within their limits. Raises ReachError if none does.
+    The lowest way that keeps the body off the loop's indenter, and the joints within their limits.
+    Raises ReachError if none does.
     """
     from scipy.interpolate import PchipInterpolator
 
+    arm = loop.arm
     rate = np.minimum(SHARE * arm.velocity_limit, SLOWEST)
     for height in HEIGHTS:
         try:
-            up, down = (_lifted(arm, q, height) for q in (start, goal))
+            up, down = (lifted_off(loop, q, height) for q in (start, goal))
         except ReachError:
             continue
         points = np.concatenate([up, down[::-1]])
@@ -58,8 +61,8 @@ def way(arm: Arm, mount: Array, body: Body, place: Array, radius: float, start: 
         line = PchipInterpolator(seconds, points)  # never beyond its points
         look = line(np.linspace(0.0, seconds[-1], LOOKS))
         within = (look >= arm.lower).all() and (look <= arm.upper).all()
-        if within and clearance(arm, mount, body, place, look) > radius + min(GAP, height + 1e-4):
-            return np.asarray(line(timed(seconds[-1], RAMP, dt) * seconds[-1]))
+        if within and clearance(loop, body, look) > loop.indenter_radius + min(GAP, height + 1e-4):
+            return np.asarray(line(timed(seconds[-1], RAMP, loop.dt) * seconds[-1]))
     raise ReachError(
         f"{arm.name} cannot get over the indenter from one posture to the next",
         value=f"joint angles {start.round(3).tolist()} to {goal.round(3).tolist()} rad",
@@ -68,19 +71,21 @@ def way(arm: Arm, mount: Array, body: Body, place: Array, radius: float, start: 
     )
 
 
-def _lifted(arm: Arm, q: Array, height: float) -> Array:
+def lifted_off(loop: Loop, q: Array, height: float) -> Array:
     """Joint angles (k, n) from `q` (n,) with the tip carried straight up by `height`, m."""
+    arm = loop.arm
     if height == 0.0:
         return q[None]
     rise = np.linspace(0.0, height, max(int(np.ceil(height / RISE)), 1) + 1)
     poses = np.repeat(arm.pose(q)[None], len(rise), axis=0)
-    poses[:, 2, 3] += rise
+    poses[:, :3, 3] += rise[:, None] * loop.indenter_direction
     return np.concatenate([q[None], arm.inverse_kinematics(poses, q)[1:]])
 
 
-def clearance(arm: Arm, mount: Array, body: Body, place: Array, q: Array) -> float:
-    """Least distance, m, of the body's surface from a point in configurations (k, n)."""
-    there = np.einsum("kij,j->ki", inverse(arm.pose(q) @ mount), [*place, 1.0])[:, :3]
+def clearance(loop: Loop, body: Body, q: Array) -> float:
+    """Least distance, m, of the body's surface from the indenter's centre in q (k, n)."""
+    centre = np.append(loop.indenter_position, 1.0)
+    there = np.einsum("kij,j->ki", inverse(loop.arm.pose(q) @ loop.mount), centre)[:, :3]
     return float(body.closest(there).distance.min())
 
 

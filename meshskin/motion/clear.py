@@ -1,10 +1,10 @@
 """What must not meet while a body is pressed on its indenter.
 
-The indenter is the tip of a thin vertical column, its support. It must fit the surface where it
-touches (one contact, no narrower hollow), and the column must keep clear of the body and of the
-arm; the arm's links must keep clear of the body. Links are capsules about their shapes
-(motion/shapes.py); where the URDF has none, or names a mesh that is not there, straight from joint
-to joint with `LINK_RADIUS`. Links that meet the tip are left out within `WRIST` of it.
+The indenter is the tip of a thin column, its support. It must fit the surface where it touches (one
+contact, no narrower hollow), and the column must keep clear of the body and of the arm; the arm's
+links must keep clear of the body. Links are capsules about their shapes (motion/shapes.py); where
+the URDF has none, or names a mesh that is not there, straight from joint to joint with
+`LINK_RADIUS`. Links that meet the tip are left out within `WRIST` of it.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ ARM_BODY = "collision: the arm meets the body"
 
 def fits(body: Body, points: Array, normals: Array, indenter: Indenter, depth: float) -> Array:
     """Why the indenter cannot be pressed `depth` (m) in at `points` (k, 3): strings, "" where it
-    can. normals (k, 3): outward; the support stands along them, as they face straight down.
+    can. normals (k, 3): outward; the support stands along them, as they face straight against it.
 
     A sphere larger than the indenter by the depth must touch the body there and nowhere else.
     """
@@ -108,7 +108,7 @@ def on_edges(points: Array, brink: Array, patch: float) -> NDArray[np.bool_]:
 
 
 def column(indenter: Indenter) -> Array:
-    """Distances (k,), m, from the contact point down the support's axis at which it is sampled."""
+    """Distances (k,), m, from the contact point along the support's axis at which it is sampled."""
     count = max(int(np.ceil(indenter.support_height / indenter.column_radius)), 1)
     return np.asarray(indenter.radius + np.linspace(0.0, indenter.support_height, count + 1))
 
@@ -184,9 +184,9 @@ def _meets_support(shape: Links, points: Array, indenter: Indenter) -> NDArray[n
     """
     ends, out = shape.capsules(points), np.zeros(len(points), dtype=bool)
     top = np.array(indenter.position)
-    foot = top - [0.0, 0.0, indenter.radius + indenter.support_height]
+    foot = top - (indenter.radius + indenter.support_height) * indenter.up
     thick = shape.radii + indenter.column_radius
-    k, link = np.nonzero(_apart(ends, np.stack([foot, top])) < thick)
+    k, link = np.nonzero(_apart(ends, np.sort([foot, top], axis=0)) < thick)
     gap = segment_distance(ends[k, link, 0], ends[k, link, 1], top, foot)
     out[k[gap < thick[link]]] = True
     return out

@@ -90,6 +90,8 @@ class Loop:
     """Contact model that gives the force."""
     delay: int = 0
     """Steps by which the reading of the contact that the law hears is old."""
+    indenter_direction: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    """Unit vector (3,), world, in which the indenter points and the body is lifted off."""
 
     def __post_init__(self) -> None:
         known("integrator", self.integrator, INTEGRATORS)

@@ -3,7 +3,7 @@
 The contact point runs along parallels of the surface normal about the skin's axis. The arm makes
 the polar angle, the spin about the skin's axis the azimuth, which runs from -180 to 180 degrees on
 one lane and back on the next, so that the last joint never winds up. At every sample the body's
-normal at the contact point faces the indenter (straight down on the indenter's tip).
+normal at the contact point faces the indenter (straight against its tip).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..config import check, quantity
 from ..errors import SimulationError, UnknownNameError
 from ..geometry.body import Body
+from ..physics.indenter import Indenter
 from ..se3 import Array, exp_so3, log_so3, transform
 
 PATTERNS = ("auto", "parallels", "lanes")
@@ -177,10 +178,10 @@ def _rotation(axis: Array, angle: Array) -> Array:
 
 
 def body_rotations(normals: Array, axis: Array, heading: float) -> Array:
-    """R_w_b (k, 3, 3) that turn the normals (k, 3) straight down.
+    """Rotations (k, 3, 3) of the body in the indenter's frame, the normals (k, 3) along its -z.
 
     First the spin about the skin's axis brings the normal into one meridian, then the tilt lowers
-    it; `heading` (rad) is the world direction of that meridian.
+    it; `heading` (rad) is the direction of that meridian about the frame's z.
     """
     e1, e2 = tangent_basis(axis)
     polar = np.arctan2(np.hypot(normals @ e1, normals @ e2), normals @ axis)
@@ -188,7 +189,7 @@ def body_rotations(normals: Array, axis: Array, heading: float) -> Array:
     h = np.array([np.cos(heading), np.sin(heading), 0.0])
     down = np.array([0.0, 0.0, -1.0])
     side = np.cross(down, h)
-    # columns: where e1, e2, axis go in the world with no tilt
+    # columns: where e1, e2, axis go with no tilt
     base = np.stack([h, side, down], axis=1) @ np.stack([e1, e2, axis])
     tilt = _rotation(side, -polar)
     return np.asarray(tilt @ base @ _rotation(axis, -azimuth))
@@ -200,7 +201,7 @@ def plan(
     extent: float,
     exploration: Exploration,
     *,
-    indenter_position: Array,
+    indenter: Indenter,
     gap: float,
     heading: float,
     dt: float,
@@ -229,9 +230,9 @@ def plan(
     )
     # seen from far away along a direction, the closest point of a convex body has about that normal
     hit = body.closest(centre + 10 * size * wanted)
-    rotations = body_rotations(hit.normal, axis, heading)
+    rotations = indenter.frame @ body_rotations(hit.normal, axis, heading)
     reach = hit.point + gap * hit.normal
-    positions = indenter_position - np.einsum("kij,kj->ki", rotations, reach)
+    positions = np.array(indenter.position) - np.einsum("kij,kj->ki", rotations, reach)
     poses = transform(rotations, positions)
     return Path(dt, hit.point, hit.normal, poses, twists(poses, dt), hit.face)
 

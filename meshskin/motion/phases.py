@@ -119,8 +119,7 @@ class Explorer:
         rows = max(round(SKIP / self.machine.loop.dt), 1)
         self.row = len(track) if self.machine.loop.joints else self.row + rows
         if self.row < len(track):
-            up = np.array([0.0, 0.0, self.manner.standoff])
-            yield from self._drift(_pose(track.references[self.row], up), up)
+            yield from self._drift(self._above(track.references[self.row]))
 
     def _make_contact(self, track: Track) -> Iterator[Steps]:
         """Come down, let the force settle, rest."""
@@ -179,13 +178,12 @@ class Explorer:
     def _travel(self, track: Track, goal: Track) -> Iterator[Steps]:
         """Lift off the end of a track and move to above the start of the next."""
         machine, dt = self.machine, self.machine.loop.dt
-        up = np.array([0.0, 0.0, self.manner.standoff])
         if not machine.loop.joints:
-            yield from self._drift(_pose(goal.references[0], up), up)
+            yield from self._drift(self._above(goal.references[0]))
             return
-        ways = [_pose(track.references[-1]), _pose(track.references[-1], up)]
+        ways = [_pose(track.references[-1]), self._above(track.references[-1])]
         if self.postures is None:
-            ways += [_pose(goal.references[0], up)]
+            ways += [self._above(goal.references[0])]
         for self.phase, start, end in zip((LEAVE, NEXT), ways[:-1], ways[1:], strict=False):
             face = machine.face
             way = Track.through(_blend(start, end, dt), dt, face)
@@ -197,9 +195,9 @@ class Explorer:
             self.phase = NEXT
             yield machine.carry(self._over(goal, self.postures[self.place + 1]), NEXT)
 
-    def _drift(self, goal: Array, up: Array) -> Iterator[Steps]:
-        """Without an arm: up, as far as it takes to turn, and over to the pose `goal` (4, 4)."""
-        machine = self.machine
+    def _drift(self, goal: Array) -> Iterator[Steps]:
+        """Without an arm: up, as far as it takes to turn, and over to `goal` (4, 4), in the air."""
+        machine, standoff, up = self.machine, self.manner.standoff, self._up
         low = body_pose(machine.state[None])[0]
         middle = np.append(machine.body.mesh.bounds.mean(axis=0), 1.0)
         if np.linalg.norm((low - goal) @ middle) > ASTRAY * machine.body.surface.scale:
@@ -208,8 +206,8 @@ class Explorer:
                 value=f"position {np.round(low[:3, 3], 3).tolist()} m",
                 remedy="keep the exploration to smooth parts of the body",
             )
-        for lift in up[2] * 2.0 ** np.arange(HIGHEST):
-            high, over = _raised(low, lift), _raised(goal, lift - up[2])
+        for lift in standoff * 2.0 ** np.arange(HIGHEST):
+            high, over = _raised(low, lift * up), _raised(goal, (lift - standoff) * up)
             if machine.clears(_blend(high, over, SIGHT * machine.loop.dt)):
                 break
         ways = ((LEAVE, low, high), (NEXT, high, over), (NEXT, over, goal))
@@ -221,15 +219,21 @@ class Explorer:
         """Joint angles (k, n) from where the arm is to above the start of a track."""
         machine, loop = self.machine, self.machine.loop
         low = _pose(goal.references[0])
-        high = _pose(goal.references[0], np.array([0.0, 0.0, self.manner.standoff]))
+        high = self._above(goal.references[0])
         poses = _blend(low, high, loop.dt)[:: LENGTHS[0]] @ inverse(loop.mount)
         above = loop.arm.inverse_kinematics(
             np.concatenate([poses, high[None] @ inverse(loop.mount)]), posture
         )[-1]
-        return carry.way(
-            loop.arm, loop.mount, machine.body, loop.indenter_position, loop.indenter_radius,
-            machine.state[: machine.size].copy(), above, loop.dt,
-        )  # fmt: skip
+        return carry.way(loop, machine.body, machine.state[: machine.size].copy(), above)
+
+    @property
+    def _up(self) -> Array:
+        """Unit vector (3,), world, in which the body is lifted off."""
+        return self.machine.loop.indenter_direction
+
+    def _above(self, reference: Array) -> Array:
+        """T_w_b (4, 4) at the standoff over a reference row."""
+        return _raised(_pose(reference), self.manner.standoff * self._up)
 
     def _force(self, steps: Steps) -> Array:
         return np.asarray(steps.outputs[:, self.machine.loop.outputs["force"].start])
@@ -247,17 +251,16 @@ def paced(t: Any, ramp: Any, dt: Any) -> Any:
     return ca.fmin((t + dt) / ca.fmax(ramp, dt), 1.0)
 
 
-def _raised(pose: Array, lift: float) -> Array:
-    """A pose (4, 4) `lift` m higher."""
-    up = pose.copy()
-    up[2, 3] += lift
-    return up
+def _raised(pose: Array, shift: Array) -> Array:
+    """A pose (4, 4) shifted by (3,), world, m."""
+    raised = pose.copy()
+    raised[:3, 3] += shift
+    return raised
 
 
-def _pose(reference: Array, shift: Array | None = None) -> Array:
-    """T_w_b (4, 4) of a reference row, shifted in the world."""
-    position = reference[:3] if shift is None else reference[:3] + shift
-    return transform(reference[3:12].reshape(3, 3).T, position)
+def _pose(reference: Array) -> Array:
+    """T_w_b (4, 4) of a reference row."""
+    return transform(reference[3:12].reshape(3, 3).T, reference[:3])
 
 
 def _blend(start: Array, end: Array, dt: float) -> Array:

@@ -130,12 +130,12 @@ def touch_limit(loop: Loop, mass: float, curvature: Array, v: float) -> float:
 
 
 def inertia(loop: Loop, q: Array) -> float:
-    """Mass of the arm along the vertical at the body's origin, kg; 0 without an arm."""
+    """Mass of the arm along the indenter at the body's origin, kg; 0 without an arm."""
     if loop.mode == "quasi_static":
         return 0.0
     angles = ca.SX.sym("q", loop.joints)
     mass = ca.Function("mass", [angles], [loop.arm.dynamics().mass_matrix(angles)])(q).full()
-    row = loop.arm.jacobian(q)[2]
+    row = loop.indenter_direction @ loop.arm.jacobian(q)[:3]
     return float(1.0 / (row @ np.linalg.solve(mass, row)))
 
 
@@ -249,15 +249,16 @@ def _gap(machine: Machine) -> float:
 
 
 def _above(machine: Machine, q: Array, lift: float) -> Array:
-    """State at rest with the body `lift` (m) above configuration q."""
+    """State at rest with the body lifted off the indenter by `lift` (m) from configuration q."""
     loop, (state, _) = machine.loop, machine.at_start(q)
+    up = lift * loop.indenter_direction
     if not loop.joints:
-        state[2] += lift
+        state[:3] += up
     else:
         tip = loop.arm.pose(q)
         jacobian = loop.arm.jacobian(q)
         jacobian[:3] -= hat((tip @ loop.mount)[:3, 3] - tip[:3, 3]) @ jacobian[3:]
-        state[: len(q)] += lift * np.linalg.pinv(jacobian, rcond=1e-6)[:, 2]
+        state[: len(q)] += np.linalg.pinv(jacobian, rcond=1e-6)[:, :3] @ up
     if loop.delay:  # readings of the gap so far
         depth = reference_depth(loop, machine.curvature) - lift
         state[-2 - loop.memory : -2] = np.tile([depth, 0.0], loop.delay)

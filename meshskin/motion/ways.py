@@ -63,15 +63,16 @@ class Setup:
         return np.asarray(points + self.gap * normals)
 
     def poses(self, tips: Array, normals: Array, headings: Array) -> Array:
-        """T_w_b (..., 4, 4) with the normals (..., 3) straight down on the indenter.
+        """T_w_b (..., 4, 4) with the normals (..., 3) straight against the indenter.
 
         tips (..., 3): where the indenter's centre is in the body frame;
-        headings (..., 3): unit tangents that come to lie along world x.
+        headings (..., 3): unit tangents that come to lie along x of the indenter's frame.
         """
         tips, normals, headings = np.broadcast_arrays(tips, normals, headings)
         down, x = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0])
         local = np.stack([headings, np.cross(normals, headings), normals], axis=-1)
-        rotation = np.stack([x, np.cross(down, x), down], axis=-1) @ np.swapaxes(local, -1, -2)
+        held = self.indenter.frame @ np.stack([x, np.cross(down, x), down], axis=-1)
+        rotation = held @ np.swapaxes(local, -1, -2)
         place = np.array(self.indenter.position) - np.einsum("...ij,...j->...i", rotation, tips)
         return np.asarray(transform(rotation, place))
 

@@ -1,7 +1,7 @@
 """One manoeuvre: down from the standoff, touch, settle, slide along a geodesic of the surface.
 
 The contact point runs over a geodesic; the body turns so that the normal there always faces the
-indenter straight down and the way ahead keeps its heading in the world. Everything that depends on
+indenter straight on and the way ahead keeps its heading in the world. Everything that depends on
 the way s is a polynomial in s: what the optimisation differentiates is what the simulator follows.
 The surface about the slide is one quintic patch fitted to the body's surface; `misfit` is its
 largest distance from it.
@@ -33,7 +33,7 @@ STRIP = 1e-3
 MISFIT = 0.01
 """Largest distance of the patch from the surface, part of the reference depth."""
 HEADINGS = 8
-"""World directions of the slide that are tried for the arm."""
+"""Directions of the slide about the indenter's that are tried for the arm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class Manoeuvre:
     distance: float
     """m."""
     heading: float
-    """Direction of the slide in the world, rad about the vertical."""
+    """Direction of the slide in the indenter's frame, rad about its z axis."""
     way: Array
     """Polynomials (DEGREE + 1, 15) of s / distance: contact point (3, body frame), position (3) and
     rotation (9, columns) of the body in the world."""
@@ -110,8 +110,8 @@ def plan(
 ) -> Manoeuvre:
     """The slide from `place` (3,) on the scene's body along `direction` (3,), body frame.
 
-    heading: of the slide in the world, rad; None: the one farthest from the joints' limits. Raises
-    ReachError where the arm cannot follow, TuningError where the surface is no smooth patch.
+    heading: of the slide, rad about the indenter; None: the one farthest from the joints' limits.
+    Raises ReachError where the arm cannot follow, TuningError where the surface is no smooth patch.
     """
     s, points, frames = geodesic(scene.body, place, direction, distance)
     anchor, foot, misfit = fitted(scene.body, points, frames)
@@ -131,7 +131,7 @@ def plan(
     reason: ReachError | None = None
     for angle in headings:
         ahead, down = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([0.0, 0.0, -1.0])
-        world = np.stack([ahead, np.cross(down, ahead), down], axis=1)
+        world = scene.indenter.frame @ np.stack([ahead, np.cross(down, ahead), down], axis=1)
         rotation = world @ frames.swapaxes(1, 2)
         position = np.array(scene.indenter.position) - np.einsum("kij,kj->ki", rotation, centres)
         rows = np.concatenate([points, position, rotation.swapaxes(1, 2).reshape(-1, 9)], axis=1)

@@ -5,6 +5,7 @@ import pytest
 
 from meshskin.geometry.body import Body
 from meshskin.motion.path import Exploration, lanes, parallels, plan
+from meshskin.physics.indenter import Indenter
 
 DT = 0.01
 AXIS = np.array([0.0, 0.0, -1.0])
@@ -17,8 +18,9 @@ EXTENT = np.radians(13.0)
 def path():
     body = Body.sphere(0.1)
     return plan(
-        body, AXIS, EXTENT, Exploration(), indenter_position=PLACE, gap=GAP, heading=0.3, dt=DT
-    )
+        body, AXIS, EXTENT, Exploration(), indenter=Indenter(position=tuple(PLACE.tolist())),
+        gap=GAP, heading=0.3, dt=DT,
+    )  # fmt: skip
 
 
 def test_the_indenter_stays_at_its_gap_under_the_contact_point(path):

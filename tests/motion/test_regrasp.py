@@ -13,7 +13,9 @@ from meshskin.geometry.region import Cap
 from meshskin.motion import carry
 from meshskin.motion.phases import PHASES, SLIDE
 from meshskin.se3 import inverse
-from meshskin.simulation import prepare, run
+from meshskin.simulation import closed_loop, prepare, run
+
+WALL = ms.Indenter(position=(-0.6, -0.15, 0.5), direction=(1.0, 0.0, 0.0))
 
 
 @pytest.fixture(scope="module")
@@ -32,8 +34,9 @@ def islands():
     )
 
 
-def test_the_arm_lifts_off_takes_the_posture_of_the_next_place_and_touches_again(islands):
-    scene = islands.with_(loop=replace(islands.loop, compile="never"))
+@pytest.mark.parametrize("indenter", [ms.Indenter(), WALL])
+def test_the_arm_lifts_off_takes_the_posture_of_the_next_place_and_touches_again(islands, indenter):
+    scene = islands.with_(indenter=indenter, loop=replace(islands.loop, compile="never"))
     machine, path = prepare(scene)
     assert len(path.places) == len(path.postures) == 2
     found = list(run(scene, machine, path))
@@ -88,18 +91,23 @@ def test_a_joint_that_cannot_go_on_breaks_the_lane_instead():
     assert broken
 
 
-def test_the_way_between_postures_keeps_off_the_indenter(islands):
+@pytest.mark.parametrize("indenter", [ms.Indenter(), WALL])
+def test_the_way_between_postures_keeps_off_the_indenter(islands, indenter):
+    islands = islands.with_(indenter=indenter)
     arm, mount = islands.arm, islands.mount_pose
     plan = planned(islands)
-    place = np.array(islands.indenter.position)
+    loop = closed_loop(islands)
     lifted = []
     for segment, seed in zip(plan.segments, plan.path.postures, strict=True):
         above = np.repeat(segment.poses[:1], 8, axis=0)
-        above[:, 2, 3] += np.linspace(0.0, 7e-3, 8)
+        above[:, :3, 3] += np.linspace(0.0, 7e-3, 8)[:, None] * indenter.up
         lifted.append(arm.inverse_kinematics(above @ inverse(mount), seed)[-1])
-    q = carry.way(arm, mount, islands.body, place, 0.01, *lifted, 1e-3)
+    q = carry.way(loop, islands.body, *lifted)
     np.testing.assert_allclose(q[-1], lifted[1], atol=1e-9)
-    assert carry.clearance(arm, mount, islands.body, place, q[::10]) > 0.01
+    assert carry.clearance(loop, islands.body, q[::10]) > 0.01
     assert (np.abs(np.diff(q, axis=0)) / 1e-3).max() <= carry.SLOWEST * 1.6
+    high = arm.pose(carry.lifted_off(loop, lifted[0], 0.03)) - arm.pose(lifted[0])
+    np.testing.assert_allclose(high[-1, :3, 3], 0.03 * indenter.up, atol=1e-8)
+    assert np.abs(high[:, :3, :3]).max() < 1e-8
     with pytest.raises(ReachError, match="cannot get over the indenter"):
-        carry.way(arm, mount, islands.body, place, 0.5, *lifted, 1e-3)
+        carry.way(replace(loop, indenter_radius=0.5), islands.body, *lifted)
