@@ -21,8 +21,7 @@ from .motion.path import Path
 from .motion.phases import PHASES, SLIDE
 from .motion.plan import UNSEEN
 from .motion.visits import tour, visits
-from .physics.effects import Chain
-from .presses import press
+from .presses import APART, floating, press
 from .recording import Recording
 from .scene import Scene
 from .se3 import Array
@@ -48,9 +47,11 @@ NEVER = "never read"
 STUCK = "further contacts tell nothing more"
 SPENT = "the contacts allowed are used up"
 
-Touch = Callable[[Scene, Array, Chain], tuple[Recording, Array]]
-"""(scene, points (k, 3), effects) -> the recording of one contact a point that can be touched, and
-why each (k,) that cannot be is left out ("" where it is not)."""
+Touch = Callable[[Array], tuple[Recording, Array]]
+"""points (k, 3) -> the recording of one contact a point that can be touched, and why each (k,) that
+cannot be is left out ("" where it is not)."""
+Toucher = Callable[[Scene, int], Touch]
+"""(scene, seed) -> what touches; its effects go on from call to call."""
 
 
 @dataclass(frozen=True)
@@ -82,24 +83,41 @@ class Adaptive:
     """Why each taxel (by id) above the target is so."""
 
 
-def pressed(scene: Scene, points: Array, chain: Chain) -> tuple[Recording, Array]:
-    """Contacts at rest, without the closed loop: in milliseconds. A `Touch`."""
-    hit = scene.body.closest(points)
-    why = setup_of(scene).fits(hit.point, hit.normal)
-    good = why == ""
-    _some(good, why)
-    return press(scene, points[good], chain=chain), why
+def pressed(scene: Scene, seed: int) -> Touch:
+    """Contacts at rest, without arm and closed loop: in milliseconds. A `Toucher`.
+
+    Raises ConfigError for an effect of an arm's joints.
+    """
+    chain = effect_chain(floating(scene), seed)
+
+    def touch(points: Array) -> tuple[Recording, Array]:
+        hit = scene.body.closest(points)
+        why = setup_of(scene).fits(hit.point, hit.normal)
+        good = why == ""
+        _some(good, why)
+        recording = press(scene, points[good], chain=chain)
+        chain.rest(APART)
+        return recording, why
+
+    return touch
 
 
-def touched(scene: Scene, points: Array, chain: Chain) -> tuple[Recording, Array]:
-    """Contacts made by the closed loop: set down, settled, read once, lifted off. A `Touch`."""
-    order = tour(points)
-    dwell = max(round(DWELL / scene.loop.dt), scene.frame_steps)
-    found, reasons = visits(setup_of(scene), points[order], dwell, scene.loop.dt)
-    why = np.empty_like(reasons)
-    why[order] = reasons
-    _some(why == "", why)
-    return last_of_each(simulate(scene, path=Path.joined(found), chain=chain)), why
+def touched(scene: Scene, seed: int) -> Touch:
+    """Contacts made by the closed loop: set down, settled, read once, lifted off. A `Toucher`."""
+    chain = effect_chain(scene, seed)
+
+    def touch(points: Array) -> tuple[Recording, Array]:
+        order = tour(points)
+        dwell = max(round(DWELL / scene.loop.dt), scene.frame_steps)
+        found, reasons = visits(setup_of(scene), points[order], dwell, scene.loop.dt)
+        why = np.empty_like(reasons)
+        why[order] = reasons
+        _some(why == "", why)
+        recording = simulate(scene, path=Path.joined(found), chain=chain)
+        chain.rest(APART)
+        return last_of_each(recording), why
+
+    return touch
 
 
 def _some(good: Array, why: Array) -> None:
@@ -113,7 +131,7 @@ def adapt(
     *,
     seed: int = 0,
     most: int = 2000,
-    touch: Touch = pressed,
+    touch: Toucher = pressed,
     points: Array | None = None,
 ) -> Adaptive:
     """Explore until the stated uncertainty of every taxel is at most `target` (m) or cannot be.
@@ -142,11 +160,11 @@ def adapt(
             remedy="allow more, or give fewer points",
         )
     belief, stand = scene.belief(), _Standing(target, dict(unreachable))
-    chain = effect_chain(scene, seed)
-    recording, _ = touch(scene, points, chain)
+    reach_out = touch(scene, seed)
+    recording, _ = reach_out(points)
     if not calibrate(recording, belief).touched.all():
         gaps = between(scene, recording.points)[: most - len(recording.time)]
-        recording = together(recording, touch(scene, gaps, chain)[0]) if len(gaps) else recording
+        recording = together(recording, reach_out(gaps)[0]) if len(gaps) else recording
     while True:
         calibration = calibrate(recording, belief)
         left = stand.judge(calibration, len(recording.time), most)
@@ -156,7 +174,7 @@ def adapt(
         wanted = _without(calibration, stand.unmet).next_contacts(batch)
         enough = int(np.argmax(wanted.worst <= target)) + 1 if wanted.worst[-1] <= target else batch
         try:
-            more, why = touch(scene, wanted.points[:enough], chain)
+            more, why = reach_out(wanted.points[:enough])
         except ReachError:
             stand.give_up(wanted.taxel[:enough], "no contact that would tell more can be made")
             continue
@@ -270,7 +288,7 @@ def last_of_each(recording: Recording) -> Recording:
 
 def together(first: Recording, second: Recording) -> Recording:
     """Two recordings of the same skin, one after the other."""
-    shift = float(first.time[-1] - second.time[0]) + 1.0
+    shift = float(first.time[-1] - second.time[0]) + APART
 
     def later(table: Any) -> Any:
         times = pa.array(table.column("time").to_numpy() + shift)

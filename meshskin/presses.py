@@ -1,7 +1,8 @@
 """Presses: the recording of chosen contacts without the closed loop, in milliseconds.
 
 For studies of what a set of contacts tells, and for trying an exploration before a robot runs it.
-Each contact is at rest at its force, and one follows the other at the readout's rate.
+Each contact is at rest at its force, a touch of its own: they are APART, so that effects that look
+back (shear, old readings) find the contact lost in between, not slid.
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
     from .physics.effects import Chain
     from .scene import Scene
 
+APART = 1.0
+"""Time from one press to the next, s, as an arm would take it."""
+
 
 def press(
     scene: Scene,
@@ -36,16 +40,16 @@ def press(
 
     force (m,), N: the reference force by default. spin (m,), rad: how far the body is turned about
     the indenter's direction; its skin faces the indenter. All effects of the scene act, as in
-    `simulate`; those of an arm's joints find none. chain: effects of presses before, to go on with
-    in place of fresh ones of the seed. Raises RecordingError without points.
+    `simulate`; those of an arm's joints find none, and are refused (ConfigError). chain: effects of
+    presses before, of the scene as `floating` has it, to go on with in place of fresh ones of the
+    seed. Raises RecordingError without points, or for forces that are not positive.
     """
-    floating = scene.with_(loop=replace(scene.loop, mode="quasi_static"))
+    world = floating(scene)
     where = np.asarray(points, dtype=float).reshape(-1, 3)
     if not len(where):
         raise RecordingError("nothing to press", remedy="give one contact point or more")
     hit, count = scene.body.closest(where), len(where)
-    forces = np.broadcast_to(scene.law.force_reference if force is None else force, count)
-    forces = np.array(forces, dtype=float)
+    forces = _forces(scene.law.force_reference if force is None else force, count)
     patches = scene.model.patches(
         force=forces,
         curvature=hit.curvature,
@@ -57,14 +61,13 @@ def press(
     turned = scene.indenter.frame @ turned
     place = np.array(scene.indenter.position) - np.einsum("kij,kj->ki", turned, centres)
 
-    time = scene.frame_steps * scene.loop.dt * np.arange(float(count))
+    time = APART * np.arange(float(count))
     q = np.concatenate([place, quaternion(turned)[:, [3, 0, 1, 2]]], axis=1)
-    frames = frames_at(floating, time, hit.point, hit.normal, forces, centres, q)
-    chain = chain or effect_chain(floating, seed)
+    frames = frames_at(world, time, hit.point, hit.normal, forces, centres, q)
+    chain = chain or effect_chain(world, seed)
     size = max(int(FRAME_CELLS / len(scene.skin)), 1)
     batches = [
-        sensor_tables(floating, frames.rows(slice(k, k + size)), chain)
-        for k in range(0, count, size)
+        sensor_tables(world, frames.rows(slice(k, k + size)), chain) for k in range(0, count, size)
     ]
     contacts, readings = (pa.concat_tables(part) for part in zip(*batches, strict=True))
     header = {
@@ -76,6 +79,24 @@ def press(
         "provenance": provenance(scene=scene.name, seed=seed, presses=count),
     }
     return Recording(contacts, readings, header)
+
+
+def floating(scene: Scene) -> Scene:
+    """The scene as presses have it: the body moves freely, without the arm."""
+    return scene.with_(loop=replace(scene.loop, mode="quasi_static"))
+
+
+def _forces(force: ArrayLike, count: int) -> Array:
+    """The forces (count,) of as many presses. Raises RecordingError."""
+    given = np.asarray(force, dtype=float)
+    if given.shape not in ((), (count,)):
+        raise RecordingError(
+            "the forces are not one a press", value=f"shape {given.shape}", limit=f"({count},)"
+        )
+    bad = given[~((given > 0) & np.isfinite(given))]
+    if bad.size:
+        raise RecordingError("a press needs a force", value=f"{bad[0]:g} N", limit="above 0 N")
+    return np.array(np.broadcast_to(given, count))
 
 
 def _down(normals: Array) -> Array:

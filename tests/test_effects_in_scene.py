@@ -61,7 +61,7 @@ def test_off_means_that_no_module_is_imported_and_nothing_acts():
         "import sys, meshskin as ms; from meshskin.physics import effects; "
         "s = ms.Scene.load('sphere'); field = lambda f, p: None; "
         "chain = effects.Chain.of(s.effects, s.context(1), field); "
-        "assert chain == effects.Chain((), field, (), ()); "
+        "assert chain == effects.Chain((), field, (), (), effects.Clock()); "
         "names = [m for m in sys.modules if m.startswith('meshskin.physics.effects.')]; "
         "assert names == ['meshskin.physics.effects.frames'], names"
     )

@@ -78,3 +78,17 @@ def test_batches_make_no_difference_and_nothing_is_refused(scene, monkeypatch):
     assert parts.contacts.equals(whole.contacts)
     with pytest.raises(RecordingError, match="nothing to press"):
         press(scene, [])
+
+
+@pytest.mark.parametrize(
+    ("force", "message"),
+    [
+        (-1.0, "got -1 N, limit: above 0 N"),
+        ([3.0, np.nan], "got nan N"),
+        (0.0, "got 0 N"),
+        ([1.0, 2.0, 3.0], r"one a press, got shape \(3,\), limit: \(2,\)"),
+    ],
+)
+def test_what_is_no_force_is_refused(scene, force, message):
+    with pytest.raises(RecordingError, match=message):
+        press(scene, scene.skin.positions[:2], force)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from dataclasses import Field as Field_
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, cast, runtime_checkable
@@ -21,7 +21,7 @@ from ... import config
 from ...errors import ConfigError, UnknownNameError
 from ...provenance import random_stream
 from ...se3 import Array
-from .frames import Field, Frames
+from .frames import Clock, Field, Frames
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -270,6 +270,7 @@ class Chain:
     field: Field
     readings: tuple[Pressures, ...]
     recorded: tuple[Motion, ...]
+    clock: Clock
 
     @classmethod
     def of(cls, effects: Iterable[Effect], context: Context, field: Field) -> Chain:
@@ -282,10 +283,12 @@ class Chain:
             field,
             build(effects, context, "pressure") + build(effects, context, "transducer"),
             build(effects, context, "geometry") + build(effects, context, "robot"),
+            Clock(),
         )
 
     def read(self, frames: Frames, poses: Array) -> Array:
         """What taxels at `poses` (n, 4, 4) say, (m, n), Pa, in the next frames in time."""
+        frames = self.clock.tell(frames)
         for act in self.contact:
             frames = act(frames)
         pressures = self.field(frames, poses)
@@ -297,6 +300,14 @@ class Chain:
         """The next frames in time as they are written into the recording."""
         if not len(frames):
             return frames
+        recorded = self.clock.tell(frames)
         for act in self.recorded:
-            frames = act(frames)
-        return frames
+            recorded = act(recorded)
+        return replace(recorded, time=frames.time)
+
+    def rest(self, seconds: float) -> None:
+        """End a run: the next one, whose times begin anew, starts `seconds` after its last frame.
+
+        What drifts drifts on, and what looks back finds no contact of that run.
+        """
+        self.clock.start = self.clock.now + seconds

@@ -53,7 +53,9 @@ class Encoder(Plain):
         """A function; successive calls continue one stream. Raises ConfigError without an arm."""
         if not context.joints:
             raise ConfigError(
-                "the effect encoder needs the joints of an arm", remedy='set loop.mode = "arm"'
+                "the effect encoder needs the joints of an arm",
+                remedy='set loop.mode = "arm"; where contacts are pressed without an arm, touch by '
+                "the closed loop (simulate, adapt(touch=touched))",
             )
         stream = context.stream(self.name)
         offset = self.offset_spread * stream.standard_normal(context.joints)

@@ -68,6 +68,22 @@ COLUMNS = tuple(f.name for f in fields(Frames) if f.name != "foot")
 
 
 @dataclass
+class Clock:
+    """The time that effects live in, over runs whose own times all begin anew."""
+
+    start: float = 0.0
+    """Of the present run, s."""
+    now: float = 0.0
+    """Of the last frame so far, s."""
+
+    def tell(self, frames: Frames) -> Frames:
+        """The frames in the effects' time."""
+        time = frames.time + self.start
+        self.now = float(max(self.now, time.max(initial=0.0)))
+        return replace(frames, time=time)
+
+
+@dataclass
 class Memory:
     """The last frames of the batches before, so that one may look back over a seam."""
 
@@ -94,7 +110,9 @@ class Memory:
         """
         known = self.known
         assert known is not None, "extend comes first"
-        after = np.clip(np.searchsorted(known.time, time), 0, len(known) - 1)
+        # a time that is a frame's own but for rounding is not after it
+        after = np.searchsorted(known.time, time - 1e-6 * self.period)
+        after = np.clip(after, 0, len(known) - 1)
         before = np.maximum(after - 1, 0)
         step = known.time[after] - known.time[before]
         whole = (step > 1.5 * self.period) | (step <= 0)

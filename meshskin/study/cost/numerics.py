@@ -20,6 +20,7 @@ from ...exploration import route
 from ...motion.path import Path, twists
 from ...motion.phases import SLIDE
 from ...physics import effects
+from ...physics.effects.frames import Clock
 from ...recording import Recording
 from ...se3 import Array, inverse
 from ...simulation import contact_frames, effect_chain, prepare, run, sensor_tables
@@ -95,7 +96,7 @@ class Numerics:
 
     def calibrate(self, pressures: Array) -> Array:
         """Positions (n, 3) by pressures (m, n) in the reference's contacts."""
-        chain = effects.Chain((), lambda frames, poses: pressures, (), ())
+        chain = effects.Chain((), lambda frames, poses: pressures, (), (), Clock())
         contacts, readings = sensor_tables(self.scene, self.frames, chain)
         known = {
             "taxel_ids": np.asarray(self.scene.skin.ids).tolist(),

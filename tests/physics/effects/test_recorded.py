@@ -215,3 +215,13 @@ def test_directions_between_frames_are_unit_tangents_whatever_their_sign(glide):
     at = memory.at(np.linspace(0.0, 0.05, 37))
     np.testing.assert_allclose(np.linalg.norm(at.directions, axis=1), 1.0, rtol=1e-12)
     np.testing.assert_allclose(np.sum(at.directions * at.normals, axis=1), 0.0, atol=1e-12)
+
+
+def test_a_sample_at_a_frames_own_time_is_that_frame_before_a_loss_of_contact(glide):
+    """Rounding above the last frame of a touch must not give the first of the next one."""
+    frames = glide(5e-4 * np.arange(6))
+    time = np.array([0.0, 0.01, 0.02, 0.5, 0.51, 0.52])
+    memory = Memory(0.1, 0.01)
+    memory.extend(replace(frames, time=time))
+    at = memory.at(np.nextafter(time, 1.0))
+    np.testing.assert_allclose(at.points, frames.points, atol=1e-12)
