@@ -1,5 +1,6 @@
 """Bodies: what is loaded, what is repaired, what is refused, and rays."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,28 @@ def test_the_likely_unit_is_named(ball, tmp_path):
     ball.export(tmp_path / "small.stl")
     with pytest.raises(MeshError, match=r"0.0002 m, .*units='m'"):
         Body.load(tmp_path / "small.stl", units="mm")
+
+
+def test_a_torn_stl_is_named(ball, tmp_path):
+    whole = ball.export(file_type="stl")
+    (tmp_path / "torn.stl").write_bytes(whole[:20_000])
+    limit = rf"is torn, or no STL, got 20000 bytes, limit: {len(whole)} by its header"
+    with pytest.raises(MeshError, match=limit):
+        Body.load(tmp_path / "torn.stl", units="mm")
+    (tmp_path / "text.stl").write_text("no mesh")
+    with pytest.raises(MeshError, match="got 7 bytes, limit: a header of 84"):
+        Body.load(tmp_path / "text.stl", units="mm")
+
+
+@pytest.mark.parametrize("suffix", ["stl", "off"])
+def test_text_in_another_encoding(ball, tmp_path, monkeypatch, suffix):
+    monkeypatch.setitem(sys.modules, "charset_normalizer", None)  # which trimesh would ask for
+    text = ball.export(file_type="stl_ascii" if suffix == "stl" else "off")
+    first, rest = text.split("\n", 1)
+    title = "solid Träger" if suffix == "stl" else f"{first}\n# Träger"
+    (tmp_path / f"a.{suffix}").write_bytes(f"{title}\n{rest}".encode("latin-1"))
+    body = Body.load(tmp_path / f"a.{suffix}", units="mm")
+    assert len(body.mesh.faces) == len(ball.faces)
 
 
 def test_a_faceless_or_missing_file_is_refused(tmp_path):

@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +76,8 @@ def read(path: Path, scale: float = 1.0) -> Triangles:
 def _by_trimesh(path: Path, kind: str) -> tuple[Array, Index, dict[str, Index]]:
     import trimesh
 
-    scene = trimesh.load_scene(path, file_type=kind, process=False)
+    source = _text(path, kind) or path
+    scene = trimesh.load_scene(source, file_type=kind, process=False)
     known = _gltf_names(path) if kind in METRES else set(scene.geometry)
     order = {name: k for k, name in enumerate(scene.geometry)}
     nodes = [(*scene.graph[node], node) for node in scene.graph.nodes_geometry]
@@ -99,6 +101,30 @@ def _by_trimesh(path: Path, kind: str) -> tuple[Array, Index, dict[str, Index]]:
     names = {name: np.concatenate(rows) for name, rows in named.items()}
     lone = kind not in METRES and len(nodes) == 1  # trimesh calls it by the file
     return np.concatenate(vertices), np.concatenate(faces), {} if lone else names
+
+
+def _text(path: Path, kind: str) -> BytesIO | None:
+    """The text of an OFF or ASCII STL file in UTF-8, whatever it is written in; None for others.
+
+    Raises MeshError for a binary STL of another length than it says.
+    """
+    if kind not in ("stl", "off"):
+        return None
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(84)
+    if kind == "stl" and head:
+        whole = 84 + 50 * int.from_bytes(head[80:84], "little")
+        if len(head) == 84 and size == whole:
+            return None
+        if not head.lstrip().lower().startswith(b"solid"):
+            raise MeshError(
+                f"{path.name} is torn, or no STL",
+                value=f"{size} bytes",
+                limit=f"{whole} by its header" if len(head) == 84 else "a header of 84",
+                remedy="copy or export it again",
+            )
+    return BytesIO(path.read_text(encoding="utf-8", errors="replace").encode())
 
 
 def _gltf_names(path: Path) -> set[str]:
