@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import numbers
 import tomllib
 import types
 import typing
@@ -90,7 +91,8 @@ def _forms(cls: type) -> dict[str, tuple[Any, int | None]]:
 
 def _check_number(name: str, number: Any, m: Mapping[str, Any]) -> None:
     unit = f" {m['unit']}" if m["unit"] else ""
-    if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
+    real = isinstance(number, numbers.Real) and not isinstance(number, bool)
+    if not real or not math.isfinite(number):
         raise ConfigError(f"{name} must be a finite number", value=repr(number))
     if m["above"] is not None and number <= m["above"]:
         raise ConfigError(

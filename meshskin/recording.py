@@ -26,8 +26,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from . import logs
 from .atomic import atomic
-from .config import UNITS
 from .errors import RecordingError
 from .se3 import Array
 
@@ -37,11 +37,6 @@ CONTACTS = pa.schema(
 HEADING = ("qw", "qx", "qy", "qz")
 """Columns of `contacts` that a recording may lack."""
 READINGS = pa.schema([("time", pa.float64()), ("taxel", pa.int32()), ("pressure", pa.float64())])
-SUFFIXES = {
-    "": 1.0,
-    **{name: factor for unit in ("m", "s", "N", "Pa") for name, factor in UNITS[unit].items()},
-}
-"""Units that a column of a CSV log may name, in SI."""
 _KEY = b"meshskin"
 _PARTS = ("contacts", "readings", "motion")
 
@@ -82,7 +77,9 @@ class Recording:
         if len(self.time) > 1 and not np.all(np.diff(self.time) > 0):
             k = int(np.argmin(np.diff(self.time) > 0)) + 1
             raise RecordingError(
-                "contact times must increase", value=f"{self.time[k]} s after {self.time[k - 1]} s"
+                "contact times must increase",
+                value=f"{self.time[k]} s after {self.time[k - 1]} s in row {k} of contacts",
+                remedy="sort the rows by time, one row a frame",
             )
 
     def __repr__(self) -> str:
@@ -172,14 +169,14 @@ class Recording:
         PATH.contacts.csv and PATH.readings.csv. Raises RecordingError if a table is missing, torn,
         or belongs to another recording.
         """
-        if not part_path(path, "contacts").exists() and (logs := _logs(Path(path))):
-            contacts, readings = (_read_csv(file) for file in logs)
+        if not part_path(path, "contacts").exists() and (files := logs.find(Path(path))):
+            contacts, readings = (logs.read(*each) for each in zip(files, _PARTS, strict=False))
             for name in ("nx", "ny", "nz"):
                 if name not in contacts.column_names:
                     contacts = contacts.append_column(
                         name, pa.array(np.full(len(contacts), np.nan))
                     )
-            return cls(contacts, readings, {"source": [file.name for file in logs]})
+            return cls(contacts, readings, {"source": [file.name for file in files]})
         tables: dict[str, pa.Table] = {}
         headers: dict[str, dict[str, Any]] = {}
         for part in _PARTS:
@@ -212,48 +209,6 @@ class Recording:
         header = headers["contacts"]
         header.pop("recording_id", None)
         return cls(tables["contacts"], tables["readings"], header, tables.get("motion"))
-
-
-def _logs(path: Path) -> tuple[Path, Path] | None:
-    """The CSV files of contacts and of readings at `path`, where both are there."""
-    for contacts, readings in (
-        (path / "contacts.csv", path / "readings.csv"),
-        (path.with_name(f"{path.name}.contacts.csv"), path.with_name(f"{path.name}.readings.csv")),
-    ):
-        if contacts.is_file() and readings.is_file():
-            return contacts, readings
-    return None
-
-
-def _read_csv(file: Path) -> pa.Table:
-    """The table of a CSV log, its columns in SI units. Raises RecordingError."""
-    from pyarrow import csv
-
-    try:
-        table = csv.read_csv(file)
-    except (pa.ArrowInvalid, OSError) as error:
-        raise RecordingError(
-            f"{file} cannot be read: {str(error).splitlines()[0]}",
-            remedy="write one header line and numbers with commas between",
-        ) from error
-    columns: dict[str, pa.Array] = {}
-    for label in table.column_names:
-        name, _, suffix = label.partition("_")
-        factor = SUFFIXES.get(suffix.lower())
-        if factor is None or name in columns:
-            raise RecordingError(
-                f"a column of {file.name} that is unknown or twice there",
-                value=label,
-                limit=f"units {', '.join(filter(None, SUFFIXES))}",
-            )
-        try:
-            values = np.asarray(table.column(label).to_numpy(), dtype=float)
-        except ValueError as error:
-            raise RecordingError(
-                f"a column of {file.name} is not of numbers", value=label
-            ) from error
-        columns[name] = pa.array(values.astype(np.int32) if name == "taxel" else values * factor)
-    return pa.table(columns)
 
 
 class RecordingWriter:

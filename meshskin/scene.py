@@ -28,7 +28,7 @@ from .motion.law import Law
 from .motion.loop import COMPILE, INTEGRATORS, MODES, known
 from .motion.path import Exploration
 from .motion.ways import Setup
-from .physics.contact import BATCHED, Model, Patch, solve
+from .physics.contact import AUTO, BATCHED, Model, Patch, solve
 from .physics.effects import Context, Noise
 from .physics.indenter import Indenter
 from .physics.material import Material
@@ -37,8 +37,6 @@ from .se3 import Array, transform
 if TYPE_CHECKING:
     from .physics.effects import Effect
 
-AUTO = "auto"
-"""In place of a contact model's name: the first one that holds."""
 BENT = 1e-5
 """Most that a taxel of a rigid module lies off its place, m: less than it is found to."""
 ADAPTER = 0.02
@@ -104,17 +102,17 @@ class Belief:
     """Nominal material; the joint estimator estimates E* with the taxels."""
     taxel_ids: np.ndarray
     """Ids (n,) of all taxels of the skin."""
-    disc_radius: float = 2e-3
+    disc_radius: float = quantity("m", 2e-3, above=0.0, most=0.05)
     """Radius of a taxel's disc, m."""
     contact: str = "hertz"
-    """Name of the contact model."""
-    force_reference: float | None = None
+    """Name of the contact model, or "auto": the first that holds in the recording's contacts."""
+    force_reference: float | None = quantity("N", None, above=0.0)
     """Force of a usual contact, N; None: the median of the recording's."""
-    noise_sigma: float | None = None
+    noise_sigma: float | None = quantity("Pa", None, least=0.0)
     """Standard deviation of a reading's noise, Pa; None: unknown, taken from the residuals."""
-    threshold: float = 0.0
+    threshold: float = quantity("Pa", 0.0, least=0.0)
     """Pressures up to this are not reported, Pa."""
-    saturation: float | None = None
+    saturation: float | None = quantity("Pa", None, least=0.0)
     """Readings of this and more are at the end of the sensor's range, Pa."""
     unknown: tuple[str, ...] = ("modulus",)
     """What is estimated beside the taxels: any of "modulus" (E*), "gain" and "offset" (of each
@@ -127,6 +125,9 @@ class Belief:
     module_slots: Array | None = None
     """Places (slots, 3) of a rigid module's taxels in the module's frame, m (z = outward normal);
     taxel ids are then slots * module + slot. None: every taxel by itself."""
+
+    def __post_init__(self) -> None:
+        check(self)
 
 
 @dataclass(frozen=True)
@@ -147,9 +148,9 @@ class Scene:
     """What an error budget may put on beside `effects`; None: every registered effect."""
     budget: float | None = None
     """Taxel error, m, that may be left out: `ms.budget` decides what is on. None: it is decided."""
-    contact: str = "hertz"
-    """Contact model: of physics.contact.BATCHED, or "auto", the first of them that holds for every
-    place of the skin."""
+    contact: str = AUTO
+    """Contact model: of physics.contact.BATCHED, or "auto", the first of them that holds at every
+    taxel where any does."""
     payload: float = 1.0
     """Mass of the body, kg, spread evenly over its volume."""
     mount: Array | None = None

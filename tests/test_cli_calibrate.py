@@ -84,7 +84,9 @@ def test_a_recording_with_a_scene(recording, tmp_path, capsys):
         (["--scene", "sphere_noisy", "--method", "guess"], "guess"),
         (["--scene", "sphere_noisy", "--unknown", "gains"], "gains"),
         (["--scene", "sphere_noisy", "--contact", "hertzian"], "hertzian"),
-        (["--scene", "sphere_noisy", "--noise-kpa", "-1"], r"got -1000.0, limit: >= 0"),
+        (["--scene", "sphere_noisy", "--noise-kpa", "-1"], "belief.noise_sigma is out of range"),
+        (["--scene", "sphere_noisy", "--disc-radius-mm", "0"], "belief.disc_radius is out of"),
+        (["--scene", "sphere_noisy", "--units", "mm"], "got --units beside --scene; leave one"),
         (["--scene", "sphere_noisy", "--export", "map.xyz"], "format of a skin file"),
     ],
 )
@@ -94,6 +96,25 @@ def test_what_cannot_be_calibrated(log, tmp_path, capsys, monkeypatch, options, 
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1
     assert words in lines[0]
+    assert not (tmp_path / "out" / "calibration.parquet").exists()
+
+
+def test_a_body_that_is_no_sphere_needs_no_contact_model_named(tmp_path):
+    scene = ms.Scene.load("ellipsoid")
+    mesh = scene.body.mesh.copy()
+    mesh.apply_scale(1e3)
+    mesh.export(tmp_path / "handle.stl")
+    near = np.random.default_rng(0).normal(scale=8e-3, size=(300, 3))
+    recording = ms.press(scene, scene.skin.positions.mean(axis=0) + near, seed=1)
+    recording.save(tmp_path / "log")
+    asked = ["calibrate", str(tmp_path / "log"), "--body", str(tmp_path / "handle.stl")]
+    asked += ["--units", "mm", "--indenter-radius-mm", "10", "--young-kpa", "150"]
+    assert cli.main([*asked, "--out", str(tmp_path / "out")]) == 0
+    found = ms.Calibration.load(tmp_path / "out" / "calibration")
+    seen = np.isfinite(found.positions[:, 0])
+    assert seen.sum() > 5
+    off = np.linalg.norm(found.positions[seen] - scene.skin.positions[seen], axis=1)
+    assert np.median(off) < 0.05e-3
 
 
 def test_no_log(tmp_path, capsys):

@@ -23,6 +23,7 @@ WINGS = [
     "motion",
     "scene",
     "scene_file",
+    "logs",
     "recording",
     "exploration",
     "simulation",

@@ -122,14 +122,31 @@ def test_logs_in_csv(tmp_path):
     assert np.array_equal(Recording.load(tmp_path / "arm").points, log.points)
 
 
+def test_half_a_log_is_named(tmp_path):
+    (tmp_path / "contacts.csv").write_text("time,px,py,pz,force\n0,1,2,3,2.5\n")
+    with pytest.raises(RecordingError, match=r"readings.csv is missing; put it beside"):
+        Recording.load(tmp_path)
+
+
+def test_headers_may_have_blanks_and_capitals(tmp_path):
+    (tmp_path / "contacts.csv").write_text("Time, PX_mm, py, pz, Force\n0,1,2,3,2.5\n")
+    (tmp_path / "readings.csv").write_text("time, taxel ,Pressure_kPa\n0,1,2\n")
+    log = Recording.load(tmp_path)
+    assert log.points.tolist() == [[1e-3, 2.0, 3.0]]
+    assert log.pressure.tolist() == [2000.0]
+
+
 @pytest.mark.parametrize(
     ("readings", "words"),
     [
         ("time,taxel,pressure_psi\n0,1,2\n", "unknown or twice there, got pressure_psi.*kpa"),
         ("time,taxel,pressure,pressure_kpa\n0,1,2,3\n", "unknown or twice there, got pressure_kpa"),
-        ("time,taxel,pressure\n0,1,soft\n", "not of numbers, got pressure"),
+        ("time,taxel,pressure\n0,1,2\n0,2,soft\n", "not of numbers, got pressure = soft in row 1"),
+        ("time;taxel;pressure\n0;1;2\n", "commas between"),
+        ("time,taxel,pressure\n0,1,2\n0,2.5,2\n", "no whole number, got 2.5 in row 1"),
+        ("time,taxel,pressure\n0,,2\n", "no whole number, got nan in row 0"),
         ("time,taxel,pressure\n0,1\n", "cannot be read"),
-        ("time,pressure\n0,1\n", "readings table lacks taxel"),
+        ("time,pressure\n0,1\n", "readings.csv lacks taxel, got columns time, pressure; it needs"),
     ],
 )
 def test_logs_that_cannot_be_read(tmp_path, readings, words):

@@ -26,6 +26,10 @@ theirs: px_mm, pressure_kpa, time_ms.
 """
 
 
+KNOWN = ("body", "units", "indenter_radius_mm", "young_kpa", "poisson", "thickness_mm")
+"""Options that a scene takes the place of."""
+
+
 def add(commands: Any) -> None:
     """Add the command to the parser's commands."""
     parser = commands.add_parser(
@@ -33,15 +37,20 @@ def add(commands: Any) -> None:
     )
     parser.add_argument("recording", type=Path, metavar="RECORDING", help="the log, see above")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="for the results")
-    parser.add_argument("--scene", help="a scene's name or file, in place of what follows")
+    parser.add_argument(
+        "--scene", help="a scene's name or file, in place of body, indenter and material"
+    )
     known = parser.add_argument_group("what is known of the robot")
     known.add_argument("--body", type=Path, metavar="MESH", help="mesh that the skin covers")
     known.add_argument("--units", help="of the mesh: m, cm, mm or in")
     known.add_argument("--indenter-radius-mm", type=float, metavar="R", help="of the sphere")
     known.add_argument("--young-kpa", type=float, metavar="E", help="Young's modulus, roughly")
-    known.add_argument("--poisson", type=float, default=0.49, help="of the skin (default 0.49)")
+    known.add_argument("--poisson", type=float, help="of the skin (default 0.49)")
     known.add_argument("--thickness-mm", type=float, help="of the soft layer on rigid ground")
-    known.add_argument("--contact", help="contact model (default hertz; layered with a thickness)")
+    known.add_argument(
+        "--contact",
+        help="contact model: hertz, elliptic, layered, or the first of these that holds",
+    )
     known.add_argument("--disc-radius-mm", type=float, help="of a taxel (default 2)")
     known.add_argument("--noise-kpa", type=float, help="standard deviation of a reading")
     known.add_argument("--threshold-kpa", type=float, help="pressures up to this are not reported")
@@ -66,10 +75,13 @@ def command(options: argparse.Namespace) -> int:
     """Calibrate, write the results, and print the summary."""
     from ..atomic import write_text
     from ..estimation.calibrate import calibrate
+    from ..geometry.files import check_format
     from ..job import check_folder, finite
     from ..provenance import provenance
     from ..recording import Recording
 
+    if options.export is not None:
+        check_format(options.export.suffix.lstrip("."))
     clock = perf_counter()
     recording = Recording.load(options.recording)
     belief = believed(options, recording)
@@ -96,9 +108,8 @@ def command(options: argparse.Namespace) -> int:
 def believed(options: argparse.Namespace, recording: Recording) -> Belief:
     """What the options say of the robot. Raises ConfigError for what they lack."""
     from ..geometry import slots
-    from ..scene import Scene
 
-    belief = Scene.load(options.scene).belief() if options.scene else _by_options(options)
+    belief = _by_scene(options) if options.scene else _by_options(options)
     kilo = {
         "noise_sigma": options.noise_kpa,
         "threshold": options.threshold_kpa,
@@ -120,15 +131,27 @@ def believed(options: argparse.Namespace, recording: Recording) -> Belief:
     elif not options.scene:
         every = recording.metadata.get("taxel_ids") or np.unique(recording.reading_taxel)
         changes["taxel_ids"] = np.array(every, dtype=int)
-    for value, limit in ((v, 0.0) for v in changes.values() if isinstance(v, float)):
-        if not value >= limit:
-            raise ConfigError("a quantity of the robot", value=value, limit=">= 0")
     return replace(belief, **changes)
+
+
+def _by_scene(options: argparse.Namespace) -> Belief:
+    """The belief of a scene, which knows body, indenter and material."""
+    from ..scene import Scene
+
+    twice = [name for name in KNOWN if getattr(options, name) is not None]
+    if twice:
+        named = ", ".join(f"--{name.replace('_', '-')}" for name in twice)
+        raise ConfigError(
+            "the scene knows body, indenter and material", value=f"{named} beside --scene",
+            remedy="leave one of the two out",
+        )  # fmt: skip
+    return Scene.load(options.scene).belief()
 
 
 def _by_options(options: argparse.Namespace) -> Belief:
     """A belief without a scene."""
     from ..geometry.body import Body
+    from ..physics.contact import AUTO
     from ..physics.indenter import Indenter
     from ..physics.material import Material
     from ..scene import Belief
@@ -144,13 +167,14 @@ def _by_options(options: argparse.Namespace) -> Belief:
             f"what is known of the robot lacks {', '.join(missing)}",
             remedy="give a --scene, or all of --body, --indenter-radius-mm and --young-kpa",
         )
+    poisson = 0.49 if options.poisson is None else options.poisson
     thickness = None if options.thickness_mm is None else 1e-3 * options.thickness_mm
     return Belief(
         body=Body.load(options.body, units=options.units),
         indenter=Indenter.sphere(1e-3 * options.indenter_radius_mm),
-        material=Material(1e3 * options.young_kpa, options.poisson, thickness),
+        material=Material(1e3 * options.young_kpa, poisson, thickness),
         taxel_ids=np.empty(0, dtype=int),
-        contact="hertz" if thickness is None else "layered",
+        contact=AUTO,
     )
 
 

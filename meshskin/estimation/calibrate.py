@@ -12,7 +12,8 @@ from ..errors import CalibrationError, UnknownNameError
 from ..provenance import digest, provenance
 from . import chart, displacements, gauge, joint, observe, trilaterate
 from .calibration import Calibration
-from .measurements import Measurements, gather, settled
+from .measurements import Measurements, gather
+from .settled import settled
 from .solve import AT_REST
 
 if TYPE_CHECKING:

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import CalibrationError, ContactError, RecordingError
+from ..errors import CalibrationError, RecordingError
 from ..physics import contact
 from ..physics.contact import hertz
 from ..physics.contact.disc import disc_slope, invert_disc_mean
 from ..se3 import Array
 from . import units
 from .factors.shared import MODULUS, Shared, declared
+from .settled import holding, settled
 
 if TYPE_CHECKING:
     from ..geometry.closest import Closest
@@ -28,8 +29,6 @@ SPARE = 0.4e-3
 """Reach beyond patch and disc within which a taxel may be read, m."""
 QUIET = 4.0
 """Sigmas below the threshold beyond which a silent reading says nothing: 1e-3 of a heard one."""
-MOST_OUT = 0.05
-"""Part of the contacts that may leave the contact model's range; they are left out."""
 CHUNK = 8192
 """Taxels whose contacts are looked for at once."""
 
@@ -148,22 +147,25 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     """The measurements of a recording under a belief.
 
     Contacts without force (approach) have no patch and are left out, with their readings.
-    Raises RecordingError for values that are not finite, CalibrationError for no readings or taxel
-    ids that the belief does not know, ContactError where the contact model leaves its range.
+    Raises RecordingError for values that are not finite or there twice, CalibrationError for no
+    readings or taxel ids that the belief does not know, ContactError where the contact model leaves
+    its range.
     """
     _check_finite(recording)
     index = _taxel_index(recording.reading_taxel, np.asarray(belief.taxel_ids))
+    _check_once(recording, index, len(belief.taxel_ids))
     hit = belief.body.closest(recording.points)
     units.check_place(hit.distance)
+    belief = settled(belief, recording)
     material = belief.material
     model = contact.Model(belief.contact, material.poisson, material.thickness)
     modulus = hertz.effective_modulus(material.young, material.poisson)
     pressed = recording.force > 0
     heard = pressed[recording.reading_contact] & (recording.pressure > 0)
     _require(heard, recording, pressed)
-    reference = settled(belief, recording).force_reference or 1.0
+    reference = belief.force_reference or 1.0
     units.check_force(recording.force[pressed], reference)
-    holds = _holding(recording.force[pressed], hit.curvature[pressed], belief)
+    holds = holding(recording.force[pressed], hit.curvature[pressed], belief)
     pressed[pressed] = holds
     heard &= pressed[recording.reading_contact]
     force, curvature = recording.force[pressed], hit.curvature[pressed]
@@ -203,15 +205,14 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     )
 
 
-def settled(belief: Belief, recording: Recording) -> Belief:
-    """The belief with the recording's median force as its reference, where it has none."""
-    if belief.force_reference is not None:
-        return belief
-    pressed = recording.force[recording.force > 0]
-    return replace(belief, force_reference=float(np.median(pressed)) if len(pressed) else 1.0)
-
-
 def _require(heard: np.ndarray, recording: Recording, pressed: np.ndarray) -> None:
+    if not np.any(pressed) and len(recording.force):
+        raise CalibrationError(
+            "no contact is pressed",
+            value=f"{len(recording.force)} forces of at most {recording.force.max():.4g} N",
+            limit="above 0 N",
+            remedy="a force is positive where it presses: check its sign",
+        )
     if not np.any(heard):
         raise CalibrationError(
             "the recording has no readings of a pressed contact",
@@ -238,6 +239,22 @@ def _check_finite(recording: Recording) -> None:
             )
 
 
+def _check_once(recording: Recording, index: np.ndarray, taxels: int) -> None:
+    """Refuse a taxel that is read twice in one contact: a copy would count as other noise."""
+    number = recording.reading_contact * taxels + index
+    if np.all(np.diff(number) > 0):
+        return
+    _, first, count = np.unique(number, return_index=True, return_counts=True)
+    if len(first) < len(number):
+        k = int(first[np.argmax(count > 1)])
+        raise RecordingError(
+            "a taxel is read twice in one contact",
+            value=f"taxel {recording.reading_taxel[k]} at "
+            f"{recording.time[recording.reading_contact[k]]:g} s, {np.sum(count > 1)} in all",
+            remedy="drop the copies",
+        )
+
+
 def _taxel_index(taxels: np.ndarray, ids: np.ndarray) -> np.ndarray:
     """Row in `ids` of each taxel id."""
     order = np.argsort(ids, kind="stable")
@@ -252,44 +269,6 @@ def _taxel_index(taxels: np.ndarray, ids: np.ndarray) -> np.ndarray:
             remedy="use the skin that was recorded",
         )
     return index
-
-
-def _holding(force: Array, curvature: Array, belief: Belief) -> np.ndarray:
-    """In which contacts (m,) the contact model holds: all, or all but `MOST_OUT` of them.
-
-    The contacts nearest to the model's limits are judged first, and if they pass no other. Raises
-    the ContactError of the worst where more leave its range.
-    """
-    if not len(force):
-        return np.ones(0, dtype=bool)
-    relative = curvature + 1 / belief.indenter.radius
-    width = force / np.maximum(relative.mean(axis=1), 0.0) ** -2  # rises with a/R
-    ends = {int(np.argmax(width)), int(np.argmax(relative[:, 0] / relative[:, 1]))}
-    ends |= {int(np.argmin(relative[:, 1]))}
-    worst = next((error for k in ends if (error := _refusal(force[k], curvature[k], belief))), None)
-    if worst is None:
-        return np.ones(len(force), dtype=bool)
-    holds = [_refusal(f, pair, belief) is None for f, pair in zip(force, curvature, strict=True)]
-    if np.mean(holds) < 1.0 - MOST_OUT:
-        raise worst
-    return np.array(holds)
-
-
-def _refusal(force: float, curvature: Array, belief: Belief) -> ContactError | None:
-    """Why the contact model does not hold in one contact; None where it does."""
-    try:
-        contact.solve(
-            belief.contact,
-            force=float(force),
-            curvature=tuple(curvature),
-            indenter_radius=belief.indenter.radius,
-            modulus=belief.material.young,
-            poisson=belief.material.poisson,
-            thickness=belief.material.thickness,
-        )
-    except ContactError as error:
-        return error
-    return None
 
 
 def reach(data: Measurements, stretch: float = 1.0) -> Array:

@@ -51,6 +51,7 @@ def test_auto_takes_the_first_model_that_holds():
     body = ms.Body.capsule(0.03, 0.2)
     skin = ms.Skin.cover(body, count=40, seed=1)
     assert sphere.with_(contact="auto", body=body, skin=skin).model.name == "elliptic"
+    assert ms.Scene(body, skin).model.name == "elliptic"  # where none is named
     with pytest.raises(UnknownNameError, match="elliptic"):
         sphere.with_(contact="eliptic").model  # noqa: B018
 
@@ -64,7 +65,7 @@ def test_a_model_that_does_not_hold_is_refused_or_its_places_left_out():
     skin = ms.Skin.cover(body, spacing=12e-3, seed=1)
     scene = sphere.with_(
         body=body, skin=skin, loop=replace(sphere.loop, mode="quasi_static"),
-        material=replace(sphere.material, young=8e5),
+        material=replace(sphere.material, young=8e5), contact="hertz",
     )  # fmt: skip
     side = scene.refusals(np.array([[33.3, 0.0], [33.3, 33.3]]))
     assert side[0].startswith("hertz contact does not hold: hertz is for circular patches")

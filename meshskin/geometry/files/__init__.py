@@ -45,14 +45,19 @@ def read(path: Path, part: str | None = None) -> Table:
     return csv.read(text, path.name)
 
 
+def check_format(kind: str) -> None:
+    """Raise SkinError if `kind` is none of FORMATS."""
+    if kind.lower() not in FORMATS:
+        raise SkinError(
+            "format of a skin file", value=kind, remedy=f"formats: {', '.join(FORMATS)}"
+        )
+
+
 def write(
     path: Path, kind: str, poses: NDArray[np.float64], ids: NDArray[np.int64], disc_radius: float
 ) -> None:
     """Write a skin in one stroke, as `kind`: one of FORMATS. Raises SkinError."""
-    if kind not in FORMATS:
-        raise SkinError(
-            "format of a skin file", value=kind, remedy=f"formats: {', '.join(FORMATS)}"
-        )
+    check_format(kind)
     name = FORMATS[kind]
     bare = int(np.isnan(poses).any(axis=(1, 2)).sum())
     if bare and name not in UNTURNED:

@@ -26,6 +26,8 @@ MODELS = ("hertz", "elliptic", "layered", "field")
 """Names of the contact models, each a module of this folder."""
 BATCHED = MODELS[:3]
 """Names of the models that `patches` and `force` know."""
+AUTO = "auto"
+"""In place of a name, of a scene or a belief: the first of BATCHED that holds."""
 
 __all__ = ["BATCHED", "MODELS", "Model", "Patch", "Patches", "force", "patches", "solve"]
 

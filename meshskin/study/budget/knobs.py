@@ -82,7 +82,7 @@ def _holds(scene: Scene, name: str) -> bool:
     not there is no reason for it.
     """
     if name == "layered" and scene.material.thickness is None:
-        return name == scene.contact
+        return name == scene.model.name
     curvature = scene.body.closest(scene.skin.positions).curvature
     own, other = (s.refusals(curvature) == "" for s in (scene, scene.with_(contact=name)))
     return bool(np.all(other | ~own))

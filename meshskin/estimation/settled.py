@@ -1,0 +1,90 @@
+"""What a belief leaves to the recording: the usual force, the contact model that holds in it."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import ContactError
+from ..physics import contact
+from ..se3 import Array
+
+if TYPE_CHECKING:
+    from ..recording import Recording
+    from ..scene import Belief
+
+MOST_OUT = 0.05
+"""Part of the contacts that may leave the contact model's range; they are left out."""
+SOME = 500
+"""Contacts, evenly, that choose the model."""
+
+
+def settled(belief: Belief, recording: Recording) -> Belief:
+    """The belief with the recording's median force as its reference, where it has none, and for
+    "auto" with the first contact model that holds in the recording's contacts.
+
+    Raises ContactError, of the most general model, where none does.
+    """
+    pressed = recording.force > 0
+    if belief.force_reference is None:
+        force = recording.force[pressed]
+        belief = replace(belief, force_reference=float(np.median(force)) if len(force) else 1.0)
+    if belief.contact != contact.AUTO:
+        return belief
+    rows = np.flatnonzero(pressed)
+    rows = rows[:: max(1, len(rows) // SOME)]
+    if not len(rows):
+        return replace(belief, contact=contact.BATCHED[0])
+    curvature = belief.body.closest(recording.points[rows]).curvature
+    *others, last = (
+        replace(belief, contact=name)
+        for name in contact.BATCHED
+        if name != "layered" or belief.material.thickness is not None
+    )
+    for chosen in others:
+        with suppress(ContactError):
+            holding(recording.force[rows], curvature, chosen)
+            return chosen
+    holding(recording.force[rows], curvature, last)
+    return last
+
+
+def holding(force: Array, curvature: Array, belief: Belief) -> np.ndarray:
+    """In which contacts (m,) the contact model holds: all, or all but `MOST_OUT` of them.
+
+    The contacts nearest to the model's limits are judged first, and if they pass no other. Raises
+    the ContactError of the worst where more leave its range.
+    """
+    if not len(force):
+        return np.ones(0, dtype=bool)
+    relative = curvature + 1 / belief.indenter.radius
+    width = force / np.maximum(relative.mean(axis=1), 0.0) ** -2  # rises with a/R
+    ends = {int(np.argmax(width)), int(np.argmax(relative[:, 0] / relative[:, 1]))}
+    ends |= {int(np.argmin(relative[:, 1]))}
+    worst = next((error for k in ends if (error := _refusal(force[k], curvature[k], belief))), None)
+    if worst is None:
+        return np.ones(len(force), dtype=bool)
+    holds = [_refusal(f, pair, belief) is None for f, pair in zip(force, curvature, strict=True)]
+    if np.mean(holds) < 1.0 - MOST_OUT:
+        raise worst
+    return np.array(holds)
+
+
+def _refusal(force: float, curvature: Array, belief: Belief) -> ContactError | None:
+    """Why the contact model does not hold in one contact; None where it does."""
+    try:
+        contact.solve(
+            belief.contact,
+            force=float(force),
+            curvature=tuple(curvature),
+            indenter_radius=belief.indenter.radius,
+            modulus=belief.material.young,
+            poisson=belief.material.poisson,
+            thickness=belief.material.thickness,
+        )
+    except ContactError as error:
+        return error
+    return None

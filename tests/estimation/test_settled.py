@@ -1,0 +1,102 @@
+"""What a belief leaves to the recording, and what no recording may hold."""
+
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+import meshskin as ms
+from meshskin.errors import CalibrationError, ConfigError, ContactError, RecordingError
+from meshskin.estimation.measurements import gather
+from meshskin.estimation.settled import settled
+from meshskin.geometry.primitives import Ellipsoid, Sphere
+from meshskin.physics.contact import Model
+from meshskin.recording import Recording
+
+YOUNG = 0.2e6
+
+
+def belief(world, thickness=None, **changes):
+    """What an owner knows who leaves contact model and force to the recording."""
+    material = ms.Material(YOUNG, 0.49, thickness)
+    indenter = ms.Indenter.sphere(0.01)
+    return ms.Belief(world.body, indenter, material, world.ids, contact="auto", **changes)
+
+
+@pytest.mark.parametrize(
+    ("body", "thickness", "name"),
+    [
+        (Sphere(0.1), None, "hertz"),
+        (Ellipsoid((0.1, 0.04, 0.1)), None, "elliptic"),
+        (Sphere(0.1), 4e-3, "layered"),
+    ],
+)
+def test_the_first_contact_model_that_holds(world, body, thickness, name):
+    model = Model(name, 0.49, thickness)
+    seen = type(world)(extent=9e-3, body=body, model=model)
+    recording = seen.record()
+    found = settled(belief(seen, thickness), recording)
+    assert found.contact == name
+    assert found.force_reference == pytest.approx(np.median(seen.force))
+    positions = ms.calibrate(recording, belief(seen, thickness)).positions
+    assert np.array_equal(positions, ms.calibrate(recording, found).positions)
+    assert np.nanmax(np.linalg.norm(positions - seen.truth, axis=1)) < 1e-6
+
+
+def test_where_no_contact_model_holds(world):
+    body = Ellipsoid((0.1, 0.04, 0.1))
+    seen = type(world)(extent=9e-3, body=body, model=Model("elliptic"))
+    soft = replace(belief(seen), material=ms.Material(2e3, 0.49))
+    with pytest.raises(ContactError, match="too wide for the parabolic gap of elliptic"):
+        settled(soft, seen.record())
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"disc_radius": 0.0},
+        {"disc_radius": 0.5},
+        {"noise_sigma": -1.0},
+        {"threshold": np.nan},
+        {"force_reference": 0.0},
+    ],
+)
+def test_a_belief_out_of_range(world, wrong):
+    with pytest.raises(ConfigError, match=rf"belief\.{next(iter(wrong))} "):
+        belief(world, **wrong)
+
+
+def test_numbers_of_numpy_are_numbers(world):
+    assert belief(world, noise_sigma=np.float32(400.0), threshold=np.int64(3)).threshold == 3
+
+
+def test_a_taxel_read_twice_in_one_contact(world):
+    recording = world.record()
+    table = recording.readings
+    gather(
+        Recording(recording.contacts, table.take(np.arange(len(table))[::-1]), {}), world.belief()
+    )
+    twice = pa.concat_tables([table, table.slice(7, 2)])
+    taxel = recording.reading_taxel[7]
+    with pytest.raises(RecordingError, match=rf"taxel {taxel} at .* s, 2 in all; drop the copies"):
+        gather(Recording(recording.contacts, twice, {}), world.belief())
+
+
+def test_forces_that_pull(world):
+    recording = world.record()
+    contacts = recording.contacts.set_column(7, "force", pa.array(-recording.force))
+    with pytest.raises(CalibrationError, match=r"forces of at most -2\.9.* N.*check its sign"):
+        gather(Recording(contacts, recording.readings, {}), world.belief())
+
+
+def test_one_contact_is_not_taken_for_other_units(world):
+    """Pressed beside the taxels it reads, it is weak, not in kPa."""
+    recording = world.record()
+    strong = np.zeros(len(recording.time))
+    np.maximum.at(strong, recording.reading_contact, recording.pressure)
+    weak = int(np.argmin(np.where(strong > 0, strong, np.inf)))
+    rows = pa.array(recording.reading_contact == weak)
+    one = Recording(recording.contacts.slice(weak, 1), recording.readings.filter(rows), {})
+    with pytest.raises(CalibrationError, match="fewer than three readings"):
+        ms.calibrate(one, world.belief())
