@@ -22,7 +22,7 @@ from .estimation.calibration import Calibration
 from .estimation.demonstration import Demonstration, demonstrate
 from .estimation.solve import AT_REST
 from .motion.response import ForceResponse, force_response
-from .provenance import provenance
+from .provenance import check_seed, provenance
 from .recording import Recording
 from .scene import Belief, Scene
 from .simulation import Progress, simulate
@@ -59,6 +59,16 @@ class Clock:
             yield
         finally:
             self.seconds[name] = self.seconds.get(name, 0.0) + perf_counter() - start
+
+
+@contextmanager
+def _stage(name: str, progress: Progress | None) -> Iterator[None]:
+    """Show a stage whose length is not known before it ends."""
+    if progress is not None:
+        progress(name, 0, 1)
+    yield
+    if progress is not None:
+        progress(name, 1, 1)
 
 
 @dataclass(frozen=True)
@@ -100,6 +110,7 @@ def run(
     """
     from .study.budget import budget as decide
 
+    check_seed(seed)
     folder, clock = Path(folder), Clock()
     with clock.stage("load"):
         scene = Scene.load(name)
@@ -111,7 +122,7 @@ def run(
             scene = ledger.scene
     path, promise, rest = None, None, AT_REST
     if request is not None:
-        with clock.stage("pilot"):
+        with clock.stage("pilot"), _stage("pilot", progress):
             scene, path, rest, promise = _promised(scene, request, seed, clock)
     with clock.stage("simulate"):
         recording = simulate(scene, seed, path=path, out=folder / "recording", progress=progress)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from .errors import UnknownNameError
+from .errors import ConfigError, UnknownNameError
 
 
 def folder() -> Path:
@@ -20,11 +20,18 @@ def scenes() -> dict[str, Path]:
 
 
 def find_scene(name: str | Path) -> Path:
-    """The TOML file of a scene, by shipped name or by path. Raises UnknownNameError."""
+    """The TOML file of a scene, by shipped name or by path. Raises ConfigError."""
     path = Path(name)
     if path.suffix == ".toml" and path.is_file():
         return path
     known = scenes()
+    if path.is_file() and str(name) not in known:
+        raise ConfigError(
+            "a scene is a TOML file", value=str(name),
+            remedy="give a mesh to it as [body] mesh = ..., units = ...",
+        )  # fmt: skip
+    if path.suffix == ".toml":
+        raise ConfigError("no such scene file", value=str(name))
     if str(name) not in known:
         raise UnknownNameError("scene", str(name), known)
     return known[str(name)]

@@ -7,9 +7,12 @@ import hashlib
 import platform
 from datetime import UTC, datetime
 from importlib import metadata
+from numbers import Integral
 from typing import Any
 
 import numpy as np
+
+from .errors import ConfigError
 
 _PACKAGES = ("meshskin", "casadi", "numpy", "scipy", "trimesh", "embreex", "adam-robotics")
 
@@ -49,7 +52,17 @@ def provenance(**inputs: Any) -> dict[str, Any]:
     }
 
 
+def check_seed(seed: object) -> None:
+    """Raise ConfigError for what is no seed."""
+    if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
+        raise ConfigError("a seed is a whole number from 0", value=repr(seed))
+
+
 def random_stream(seed: int, name: str) -> np.random.Generator:
-    """An independent random stream for one named consumer (an effect, a sampler) of one seed."""
+    """An independent random stream for one named consumer (an effect, a sampler) of one seed.
+
+    Raises ConfigError for what is no seed.
+    """
+    check_seed(seed)
     key = [int.from_bytes(hashlib.sha256(name.encode()).digest()[k : k + 4]) for k in (0, 4, 8)]
     return np.random.default_rng(np.random.SeedSequence(entropy=seed, spawn_key=key))

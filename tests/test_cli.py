@@ -78,6 +78,27 @@ def test_unknown_scene(capsys, tmp_path):
     line = fails(capsys, "run", "sfere", "--out", str(tmp_path))
     assert "unknown scene 'sfere'" in line
     assert "did you mean sphere" in line
+    line = fails(capsys, "run", "nosuch.toml", "--out", str(tmp_path))
+    assert "no such scene file, got nosuch.toml" in line
+    (tmp_path / "handle.stl").write_text("")
+    line = fails(capsys, "run", str(tmp_path / "handle.stl"), "--out", str(tmp_path))
+    assert "a scene is a TOML file" in line
+    assert "[body] mesh" in line
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["run", "sphere", "--seed", "-1"], "a seed is a whole number from 0, got -1"),
+        (["run", "sphere", "--accuracy-mm", "nan"], "an accuracy that is asked for must be finite"),
+        (["run", "sphere", "--seconds", "0"], "got 0 s, limit: above 0"),
+        (["cost", "sphere", "--seeds", "0"], "seeds is out of range, got 0, limit: at least 1"),
+    ],
+)
+def test_a_number_out_of_range_is_refused_before_anything_runs(capsys, tmp_path, options, words):
+    out = tmp_path / "out"
+    assert words in fails(capsys, *options, "--out", str(out))
+    assert not [file for file in out.glob("*") if file.is_file()]
 
 
 @pytest.mark.parametrize(

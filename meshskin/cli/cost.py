@@ -25,7 +25,7 @@ def add(commands: Any) -> None:
     parser.add_argument("--seeds", type=int, default=1, help="runs of each setting (default 1)")
     parser.add_argument(
         "--knobs",
-        nargs="*",
+        nargs="+",
         default=None,
         metavar="KNOB",
         help="only these of faces, degree, contact, dt, integrator, lanes, rate, method, tolerance",

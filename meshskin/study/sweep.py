@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from ..errors import ConfigError, StudyError
-from ..provenance import versions
+from ..provenance import check_seed, versions
 from . import base as bases
 from . import table as tabling
 from .case import Case, Grid, Run, check, expand, lists, runner_identity
@@ -96,8 +96,7 @@ class Study:
         if self.memory_limit is not None and sys.platform != "linux":
             raise ConfigError("a memory limit works on Linux only", remedy="leave it out")
         for seed in self._seeds:
-            if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-                raise ConfigError("a seed is a whole number from 0", value=repr(seed))
+            check_seed(seed)
 
     @classmethod
     def load(cls, path: str | Path) -> Study:
@@ -136,6 +135,8 @@ class Study:
         found = list(expand(self._base, self.grid, self._seeds, self.method, runner))
         if not found:
             raise ConfigError(f"the study {self.name} has no cases", remedy="give it seeds")
+        if self.run is None and isinstance(self._base, bases.Nothing):
+            raise ConfigError(f"the study {self.name} has no scene", remedy="give it a base")
         return found
 
     def table(self, out: str | Path) -> pa.Table:

@@ -101,6 +101,11 @@ def test_a_grid_that_does_not_fit_the_scene_is_refused_before_anything_runs(grid
         keys(grid=grid)
 
 
+def test_a_study_without_a_scene_is_refused_before_anything_runs():
+    with pytest.raises(ConfigError, match="has no scene; give it a base"):
+        ms.Study("bare", grid={"a": [1]}).cases()
+
+
 def test_effects_are_changed_put_in_and_taken_out():
     noise = {"kind": "gaussian_noise", "sigma_relative": 0.01}
     assert changed({}, {NOISE: 0.01})["effects"] == [noise]

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from ...errors import UnknownNameError
+from ...errors import ConfigError, UnknownNameError
 from .models import Models
 from .numerics import Numerics
 from .reference import Route, routes
@@ -128,12 +128,14 @@ def cost(
 
     seeds: runs a setting, the same random numbers for all. finer: how much finer the reference's
     mesh and step are. progress(stage, done, total) is called as it goes. Raises UnknownNameError
-    for an unknown knob, and what the reference and the scene itself raise; other settings that fail
-    are rows that say why.
+    for an unknown knob, ConfigError without seeds, and what the reference and the scene itself
+    raise; other settings that fail are rows that say why.
     """
     for knob in knobs:
         if knob not in KNOBS:
             raise UnknownNameError("knob", knob, KNOBS)
+    if seeds < 1:
+        raise ConfigError("seeds is out of range", value=seeds, limit="at least 1")
     base = Setting.of(scene)
     finest = reference(base, scene, finer)
 
@@ -142,12 +144,14 @@ def cost(
 
     bench = Bench(scene, seeds, numerics)
     asked = [(k, s) for k, s in ladders(base, scene) if k == "scene" or (k in knobs and s != base)]
+    targets = tuple(targets)
+    total = len(asked) + len(targets)
+    if progress is not None:
+        progress("cost", 0, total)
     confirmed = routes(bench.numerics)
     bench.run("scene", base)  # what the first run pays once, no row should pay
     bench.forget()
     rows: list[Row] = []
-    targets = tuple(targets)
-    total = len(asked) + len(targets)
     for done, (knob, setting) in enumerate(asked):
         rows.append(bench.measure(knob, setting))
         if progress is not None:

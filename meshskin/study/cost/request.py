@@ -61,7 +61,10 @@ class Request:
         if len(given) != 1:
             raise ConfigError("an accuracy or a time can be asked for", remedy="give one of them")
         if not (np.isfinite(given[0]) and given[0] > 0):
-            raise ConfigError("what is asked of a run", value=given[0], limit="above 0")
+            what = "an accuracy" if self.seconds is None else "a time"
+            raise ConfigError(
+                f"{what} that is asked for must be finite", value=self.words, limit="above 0"
+            )
 
     @property
     def words(self) -> str:
