@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .errors import ReachError, SkinError
+from .errors import ConfigError, ReachError, SkinError
 from .geometry.body import Body
 from .geometry.region import Region
 from .geometry.skin import Skin
@@ -21,7 +21,7 @@ from .physics import contact as models
 from .physics.indenter import Indenter
 from .physics.material import Material
 from .scene import Scene
-from .se3 import Array, exp_so3, inverse, log_so3, transform
+from .se3 import Array, exp_so3, inverse, is_rigid, log_so3, transform
 
 HEADINGS = 8
 """Directions about the indenter's tried for the skin's first meridian."""
@@ -58,13 +58,22 @@ def explore(
     `exploration.contacts`, the spacing of the lanes. dt, s: of the path; frame, s: between
     readings. A region (a patch by its name, or another part of the surface) is taken as places
     5 mm apart, numbered. Raises ReachError where nothing can be explored, SkinError for a region
-    too small, ContactError where no contact model holds.
+    too small, ContactError where no contact model holds, ConfigError for numbers that cannot be.
     """
+    for name, value, unit in (("force", force, "N"), ("dt", dt, "s"), ("frame", frame, "s")):
+        if not 0.0 < value < np.inf:
+            raise ConfigError(f"{name} of an exploration", value=f"{value} {unit}", limit="above 0")
     skin = skin_region
     if not isinstance(skin, Skin):
         skin = Skin.cover(body, spacing=SITE_SPACING, region=skin)
     if arm is not None and mount is None:
         raise SkinError("an arm without a mount", remedy="give mount=, T_tip_body (4, 4)")
+    if mount is not None and not is_rigid(mount):
+        raise ConfigError(
+            "the mount is no rigid transform",
+            value=np.asarray(mount).tolist(),
+            limit="a finite (4, 4) with a rotation in it",
+        )
     indenter, material = indenter or Indenter(), material or Material()
     curvature = body.closest(skin.positions).curvature
     # what is too hollow for the indenter is left out by the plan: a typical place of the rest

@@ -82,6 +82,18 @@ def inverse(pose: ArrayLike) -> Array:
     return transform(rt, -(rt @ pose[..., :3, 3:])[..., 0])
 
 
+def is_rigid(pose: ArrayLike) -> bool:
+    """Whether `pose` is one finite (4, 4) transform that neither scales nor mirrors, to 1e-6."""
+    given = np.asarray(pose, dtype=float)
+    if given.shape != (4, 4) or not np.isfinite(given).all():
+        return False
+    turn = given[:3, :3]
+    rows = np.abs(given[3] - [0.0, 0.0, 0.0, 1.0]).max()
+    return bool(
+        np.abs(turn @ turn.T - np.eye(3)).max() < 1e-6 and rows < 1e-6 and np.linalg.det(turn) > 0
+    )
+
+
 def align(source: ArrayLike, target: ArrayLike) -> Array:
     """The rigid transform (4, 4) that best maps points `source` (n, 3) onto `target` (n, 3).
 

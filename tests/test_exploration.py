@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import meshskin as ms
-from meshskin.errors import ReachError
+from meshskin.errors import ConfigError, ReachError
 from meshskin.exploration import reachable_path, route
 from meshskin.geometry.region import Cap
 from meshskin.se3 import inverse
@@ -42,3 +42,19 @@ def test_a_half_ball_is_explored_in_lanes_where_the_arm_cannot_turn_its_parallel
     paths = replace(scene.exploration, pattern="parallels")
     with pytest.raises(ReachError, match=r"past its limit.*pattern lanes"):
         route(scene.with_(exploration=paths))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"force": 0.0}, "force of an exploration, got 0.0 N, limit: above 0"),
+        ({"dt": -1e-3}, "dt of an exploration, got -0.001 s"),
+        ({"frame": np.nan}, "frame of an exploration, got nan s"),
+        ({"mount": np.eye(3)}, "no rigid transform"),
+        ({"mount": np.diag([1.0, 1.0, -1.0, 1.0])}, "no rigid transform"),
+        ({"mount": np.full((4, 4), np.nan)}, "no rigid transform"),
+    ],
+)
+def test_numbers_that_no_exploration_has_are_refused(sphere, wrong, message):
+    with pytest.raises(ConfigError, match=message):
+        ms.explore(sphere.body, DOWN, **({"arm": sphere.arm, "mount": np.eye(4)} | wrong))

@@ -45,3 +45,12 @@ def test_align_never_mirrors():
     a = np.random.default_rng(4).normal(size=(10, 3))
     found = se3.align(a, a * [1, 1, -1])
     assert np.linalg.det(found[:3, :3]) > 0
+
+
+def test_a_rigid_transform_neither_scales_nor_mirrors_nor_shears():
+    pose = se3.transform(se3.exp_so3([0.3, -2.0, 1.0]), [1.0, 2.0, -3.0])
+    assert se3.is_rigid(pose)
+    wrong = [1.001 * pose, pose[:3], pose * np.nan, np.diag([-1.0, 1.0, 1.0, 1.0])]
+    sheared = pose.copy()
+    sheared[0] += 0.01 * sheared[1]
+    assert not any(map(se3.is_rigid, [*wrong, sheared]))
