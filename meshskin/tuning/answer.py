@@ -72,8 +72,14 @@ class Tuned:
     multipliers: dict[str, float]
     """What a limit costs: decrease of the objective for a limit relaxed by its whole (overshoot and
     forces: by the reference force), and, for the range of a gain, for a range wider by e."""
+    one_sided: dict[str, tuple[float, float]]
+    """Limits at which the objective has a kink: what relaxing gains, and what tightening costs, in
+    the multipliers' unit. The one multiplier of such a limit lies between the two, or beside."""
+    left: float
+    """What the slopes promise beyond the gains found, part of the objective. Where it is not small
+    (0.002) the search ended in a tooth of the objective, and multipliers are no prices."""
     status: str
-    """What the solver said in the end."""
+    """How the search ended: "solved", or where it stopped and why."""
     iterations: int
     build_seconds: float
     solve_seconds: float
@@ -94,7 +100,7 @@ class Tuned:
         return self.scene.with_(law=self.law, exploration=self.exploration)
 
     def __str__(self) -> str:
-        """Objective, gains before and after, what binds, and the times foretold."""
+        """Objective, gains before and after, what binds, how the search ended, times foretold."""
         units = UNITS | {"rate": RATES[self.law.shape]}
         names = [field.name for field in fields(Gains)]
         pairs = zip(names, Gains.of(self.scene).values, Gains.of(self.tuned).values, strict=True)
@@ -104,11 +110,13 @@ class Tuned:
         else:
             value = f"{self.value:.4g} s"
         times = (f"{t.scenario.name} {t.duration:.4g} s" for t in self.trajectories)
+        held = [f"{k} (one-sided)" if k in self.one_sided else k for k in self.binding]
         return "\n".join(
             (
                 f"Least {self.objective.replace('_', ' ')} of {self.scene.name}: {value}",
                 *gains,
-                f"Held back by: {', '.join(self.binding) or 'no limit'}",
+                f"Held back by: {', '.join(held) or 'no limit'}",
+                f"The search: {self.status}",
                 f"Foretold from the start to the end of the slide: {', '.join(times)}",
             )
         )

@@ -1,7 +1,8 @@
 """The limits of a manoeuvre as expressions of the gains, and what is to become small.
 
-Each limit is the largest of a quantity in windows of WINDOW steps, so that a handful of constraints
-stand for thousands; between steps, values are interpolated.
+Each limit holds at every step. For the solver it is the largest in windows of WINDOW steps, so that
+a handful of constraints stand for thousands; what a limit costs is judged by all of them, as the
+largest of several has a slope to one side only. Between steps, values are interpolated.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ class Limit:
 
     name: str
     quantity: ca.MX
+    """(k,), of every step or of none in particular."""
     bound: float
     scale: float
     """In which it is kept to."""
@@ -46,6 +48,16 @@ class Limit:
         """What a slack of 1 adds to the bound, and what multipliers are told for: its scale, or 1
         where it has no unit."""
         return self.scale if self.unit else 1.0
+
+    @property
+    def excess(self) -> ca.MX:
+        """(k,) above the bound, in the scale."""
+        return (self.quantity - self.bound) / self.scale
+
+    @property
+    def peaks(self) -> ca.MX:
+        """The largest of `excess` in each window; where there are no steps, itself."""
+        return self.excess if self.quantity.shape[0] < WINDOW else windows(self.excess)
 
 
 @dataclass(frozen=True)
@@ -90,7 +102,7 @@ class Judge:
         duration = end - since[-1] + gains.settle + slide
         error = force / gains.force_reference - 1.0
         found = [
-            Limit("overshoot", windows(error), max(self.demands.overshoot, LEAST), FINE, ""),
+            Limit("overshoot", error, max(self.demands.overshoot, LEAST), FINE, ""),
             *self._settled(error, since, gains, still, dt),
             *self._slid(force, since, gains, lived, dt),
             *self._length(duration, slide, end, still),
@@ -113,10 +125,10 @@ class Judge:
     ) -> Iterator[Limit]:
         """The force is there when the rest is over; where nothing follows it, it stays there."""
         at, within = interpolated(error, since, gains.settle, dt), self.demands.settled
-        there = ca.vertcat(at, -at)
+        yield Limit("settled", ca.vertcat(at, -at), within, 1.0, "")
         if still:
-            there = ca.vertcat(there, windows(ca.fabs(error) - _before(since, gains.settle, dt)))
-        yield Limit("settled", there, within, 1.0, "")
+            after = ca.fabs(error) - _before(since, gains.settle, dt)
+            yield Limit("settled", after, within, 1.0, "")
 
     def _slid(
         self, force: ca.MX, since: ca.MX, gains: Gains, lived: Gains, dt: float
@@ -125,8 +137,8 @@ class Judge:
         rising, part = _before(since, lived.settle, dt), self.demands.force
         apart = force / self.target - 1.0
         if lived is gains:
-            yield Limit("least force", windows(-apart - rising), part, 1.0, "")
-            yield Limit("largest force", windows(apart - rising), part, 1.0, "")
+            yield Limit("least force", -apart - rising, part, 1.0, "")
+            yield Limit("largest force", apart - rising, part, 1.0, "")
 
     def _length(self, duration: ca.MX, slide: Any, end: float, still: bool) -> Iterator[Limit]:
         """The manoeuvre ends before the shot does, and in time."""
@@ -161,8 +173,8 @@ def joint_limits(shot: Shot, row: dict[str, ca.MX], demands: Demands) -> Iterato
         ):
             if np.isfinite(limit):
                 unit = "N m" if kind == "torque" else "rad/s"
-                most = windows(ca.fabs(row[key][j, :].T))
-                yield Limit(f"{kind} of {name}", most, float(share * limit), float(limit), unit)
+                size = ca.fabs(row[key][j, :].T)
+                yield Limit(f"{kind} of {name}", size, float(share * limit), float(limit), unit)
         low, high = arm.lower[j] + demands.position, arm.upper[j] - demands.position
         if np.isfinite(low) and np.isfinite(high):
             middle, half = 0.5 * (low + high), 0.5 * (high - low)
@@ -173,7 +185,7 @@ def joint_limits(shot: Shot, row: dict[str, ca.MX], demands: Demands) -> Iterato
                     limit=f"less than {demands.position + half:.3g} rad",
                     remedy="ask for a smaller Demands.position",
                 )
-            away = windows(ca.fabs(row["q"][j, :].T - middle))
+            away = ca.fabs(row["q"][j, :].T - middle)
             yield Limit(f"position of {name}", away, float(half), float(half), "rad")
 
 

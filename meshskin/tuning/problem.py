@@ -11,21 +11,22 @@ Source of the elastic mode: Gill, Murray, Saunders, "SNOPT", SIAM Review 47(1), 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.optimize import nnls
+from numpy.typing import NDArray
 
 from ..se3 import Array
-from .descent import descend
+from .descent import LEAST, STEPS, Model, descend
 from .gains import NAMES, Demands, Gains
 from .limits import WINDOW, Aim, Judge, Limit
+from .prices import MOVED, TOUCHED, apart, promised, pulls, sided
 from .shooting import Shot
-from .watch import BROKEN, Watch
+from .watch import BROKEN, GAIN, Watch
 
 WEIGHT = 1e-5
 """Pull towards the start, that gains which matter to nothing rest."""
@@ -37,10 +38,11 @@ logarithms of the gains, the solution is a corner of limits, and a plain proxima
 fewer steps than quasi-Newton or exact second derivatives (measured: 50, 100 and over 100)."""
 TOLERANCE = 1e-3
 """Largest violation of a limit, in its scale, of a solution that is taken."""
-TOUCHED = 2e-3
-"""Distance from a limit, in its scale, or from the end of a range, below which it is touched."""
-FLAT = 1e-2
-"""Change of a limit, in its scale, by gains e times as large, below which none holds it."""
+SOLVED = "solved"
+LEFT = 2e-3
+"""Largest promise of the slopes, part of the objective, of a search that is at its end."""
+ONE_SIDED = 0.1
+"""Difference of a limit's two prices, part of the larger, from which on it has no one price."""
 OPTIONS: dict[str, Any] = {
     "print_time": False,
     "show_eval_warnings": False,  # a step too far is unstable: IPOPT takes a shorter one
@@ -64,7 +66,12 @@ class Solution:
     multipliers: dict[str, float]
     """By limit: what a relaxation by its whole gains in the objective; by gain: what its bound
     holds back, for a change by the factor e."""
+    one_sided: dict[str, tuple[float, float]]
+    """Limits whose relaxing gains less than their tightening costs: the two, as the multipliers."""
+    left: float
+    """What the slopes promise beyond, part of the objective."""
     status: str
+    """How the search ended, in words."""
     iterations: int
     seconds: float
 
@@ -102,31 +109,25 @@ class Problem:
         weight = ca.MX.sym("weight", 2)
         values = [aim.value for aim in aims]
         self._unit = self._first_value(values, x)
-        g = [ca.log(value / self._unit) - worst for value in values]
-        rows = [-1] * len(values)
-        for k, found in enumerate(limits.values()):
-            for one in found:
-                g.append((one.quantity - one.bound - one.whole * slack[k]) / one.scale)
-                rows += [k] * one.quantity.shape[0]
-        self._rows = np.array(rows)
-        self._some = self._rows >= 0  # the others are the objectives
-        cost = weight[0] * (worst + WEIGHT * ca.sumsqr(x - self.first))
+        above = [ca.log(value / self._unit) - worst for value in values]
+        self._rows, peaks = _listed(above, limits, "peaks")
+        self._fine, excess = _listed(above, limits, "excess")
+        self._whole = np.array([limit.whole / limit.scale for limit in self.limits.values()])
+        own = ca.DM(np.append(self._whole, 0.0)[self._rows])  # -1, of the objectives: the last
+        slacked = ca.vertcat(slack, 0.0)[self._rows.tolist()]
+        cost = worst + WEIGHT * ca.sumsqr(x - self.first)
         nlp = {
             "x": ca.vertcat(x, worst, slack),
             "p": weight,
-            "f": cost + weight[1] * ca.sum1(slack),
-            "g": ca.vertcat(*g),
+            "f": weight[0] * cost + weight[1] * ca.sum1(slack),
+            "g": peaks - own * slacked,
         }
-        self.nlp = nlp
-        self._slopes = ca.Function(
-            "slopes",
-            [nlp["x"], nlp["p"]],
-            [ca.gradient(nlp["f"], nlp["x"]), ca.jacobian(nlp["g"], nlp["x"])],
-        )
-        self._limits = ca.Function("limits", [nlp["x"], nlp["p"]], [nlp["g"]])
-        self.bent = objective == "force_error"
+        self.nlp, base = nlp, ca.vertcat(x, worst)
+        slopes = [ca.gradient(cost, base), excess, ca.jacobian(excess, base)]
+        self._slopes = ca.Function("slopes", [base], slopes)
+        self._limits = ca.Function("limits", [base], [excess])
         bends = [aim.curvature(x) for aim in aims]
-        self._bends = ca.Function("bends", [nlp["x"]], [sum(bends[1:], bends[0]) / len(bends)])
+        self._bends = ca.Function("bends", [base], [sum(bends[1:], bends[0]) / len(bends)])
         self.watch = Watch(nlp["x"].shape[0], nlp["g"].shape[0])
         made: dict[str, Any] = {"iteration_callback": self.watch}
         if objective != "force_error":
@@ -142,7 +143,15 @@ class Problem:
         many = len(self.names)
         first = self.first if start is None else np.log(np.array(start.values, dtype=float))
         guess = np.concatenate([first, [0.0], np.full(many, 0.1 if elastic else 0.0)])
-        self.watch.begin((lambda x, g: float(self._broken(x, g).sum())) if elastic else self._merit)
+
+        def broken(x: Array, g: Array) -> Array:
+            slack = np.append(self._whole * x[len(NAMES) + 1 :], 0.0)
+            return self._broken(g + slack[self._rows], self._rows)
+
+        def merit(x: Array, g: Array) -> float:
+            return float(broken(x, g).sum()) if elastic else self._merit(x, g, self._rows)
+
+        self.watch.begin(merit)
         self.solver(
             x0=guess,
             p=[1.0 / ELASTIC, 1.0] if elastic else [1.0, 0.0],
@@ -153,106 +162,124 @@ class Problem:
         )
         stats, best = self.solver.stats(), self.watch.best
         assert best is not None  # the start is an iterate
-        count = int(stats["iter_count"])
-        return self._solution(best.x, best.g, stats["return_status"], count, began)
+        status = ended(stats["return_status"], best.merit < BROKEN or elastic, self.watch.patience)
+        return self._solution(best.x[: len(guess) - many], status, int(stats["iter_count"]), began)
 
     def descend(self, solution: Solution) -> Solution:
         """Downhill from a solution that meets the limits, never leaving them."""
         began = perf_counter()
-        many = len(self.names)
-        x = np.concatenate([np.log(solution.gains.values), np.zeros(1 + many)])
-        x[len(NAMES)] = np.log(solution.value / self._unit)
-
-        def model(x: Array) -> tuple[Array, Array, Array]:
-            slope, slopes = (np.array(s) for s in self._slopes(x, [1.0, 0.0]))
-            return slope.ravel(), slopes, self._bent(x)
-
-        x, g, count = descend(
-            x,
-            lambda x: np.array(self._limits(x, [1.0, 0.0])).ravel(),
-            model,
-            self._merit,
-            np.concatenate([self.low, [-np.inf], np.zeros(many)]),
-            np.concatenate([self.high, [np.inf], np.zeros(many)]),
+        x = np.log([*solution.gains.values, solution.value / self._unit])
+        x, count = descend(
+            x, self._model, self._limited, lambda x, g: self._merit(x, g, self._fine)
         )
-        return self._solution(x, g, solution.status, count, began)
+        return self._solution(x, descended(count), count, began)
 
-    def _bent(self, x: Array) -> Array:
-        """Curvature of the objective at an iterate, with DAMPING."""
+    def _limited(self, x: Array) -> Array:
+        """The limits at every step, at (gains, worst) `x`."""
+        return np.array(self._limits(x)).ravel()
+
+    def _model(self, x: Array) -> Model:
+        """Objective and limits about (gains, worst) `x`."""
+        slope, limits, slopes = (np.array(part) for part in self._slopes(x))
         bent = DAMPING * np.eye(len(x))
         bent[: len(NAMES), : len(NAMES)] += np.array(self._bends(x))
-        return bent
+        low, high = np.append(self.low, -np.inf), np.append(self.high, np.inf)
+        return Model(
+            slope.ravel(), limits.ravel(), slopes, bent,
+            np.minimum(low - x, 0.0), np.maximum(high - x, 0.0),
+        )  # fmt: skip
 
-    def _solution(self, x: Array, g: Array, status: str, iterations: int, began: float) -> Solution:
-        """What an iterate (x, g) says."""
-        over, pulls = self._broken(x, g), self._multipliers(x, g)
-        value = self._value(x, g) * self._unit
+    def _solution(self, x: Array, status: str, iterations: int, began: float) -> Solution:
+        """What a point (gains, worst) says."""
+        g = self._limited(x)
+        x = np.append(x[: len(NAMES)], x[len(NAMES)] + g[: len(self.shots)].max())
+        value = float(np.exp(x[-1])) * self._unit
+        model = self._model(x)
+        over = self._broken(model.limits, self._fine)
+        multipliers, one_sided = self._prices(model, value)
+        left = promised(model)
+        more = f", where slopes still promise {100 * left:.2g} %" if left > LEFT else ""
         return Solution(
             gains=Gains(*np.clip(np.exp(x[: len(NAMES)]), *self.span).tolist()),
             value=value,
             slacks={
-                n: float(v * self.limits[n].scale / self.limits[n].whole)
-                for n, v in zip(self.names, over, strict=True)
+                n: float(v / self._whole[k])
+                for k, (n, v) in enumerate(zip(self.names, over, strict=True))
                 if v > TOLERANCE
             },
-            multipliers={n: float(v * value) for n, v in pulls.items()},
-            status=status,
+            multipliers=multipliers,
+            one_sided=one_sided,
+            left=left,
+            status=status + more,
             iterations=iterations,
             seconds=perf_counter() - began,
         )
 
-    def _multipliers(self, x: Array, g: Array) -> dict[str, float]:
-        """Multipliers of the limits and ranges that an iterate touches, in the program's units.
-
-        By non-negative least squares on the stationarity of the Lagrangian, so that they depend
-        neither on the solver's barrier nor on where it stopped: the residual is measured by the
-        step that it calls for, that a slope which a hair's breadth would level counts for little.
-        """
-        size = len(NAMES)
-        cost, slopes = (np.array(s) for s in self._slopes(x, [1.0, 0.0]))
-        worst = len(self.shots)
-        above = g.copy()
-        above[:worst] -= g[:worst].max()  # the worst scenario counts, wherever its bound was left
-        moved = np.abs(slopes[:, :size]).max(axis=1) > FLAT
-        touched = np.flatnonzero((above > -TOUCHED) & moved)
-        ends = np.concatenate([self.low - x[:size], x[:size] - self.high]) > -TOUCHED
-        walls = np.concatenate([-np.eye(size), np.eye(size)])[ends]
-        walls = np.concatenate([walls, np.zeros((len(walls), 1))], axis=1)
-        columns = np.concatenate([slopes[touched, : size + 1], walls]).T
-        root = np.linalg.cholesky(self._bent(x)[: size + 1, : size + 1])
-        pull = nnls(*(np.linalg.solve(root, b) for b in (columns, -cost.ravel()[: size + 1])))[0]
-        names = [self.names[k] if k >= 0 else "" for k in self._rows[touched]]
-        names += [f"range of {name}" for name in np.array([*NAMES, *NAMES])[ends]]
+    def _prices(
+        self, model: Model, value: float
+    ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
+        """Multipliers by limit and range, and limits with two prices, in the objective's unit."""
+        limits, ranges = pulls(model)
         found: dict[str, float] = {}
-        for name, value in zip(names, pull, strict=True):
-            limit = self.limits.get(name)
-            told = limit.whole / limit.scale if limit else 1.0
-            found[name] = found.get(name, 0.0) + told * float(value)
-        found.pop("", None)  # the scenarios' shares of the objective
-        for name in np.array(NAMES)[self.low == self.high]:  # a gain that was given
-            found.pop(f"range of {name}", None)
-        return found
+        sides: dict[str, tuple[float, float]] = {}
+        for k, (name, limit) in enumerate(self.limits.items()):
+            rows, told = self._fine == k, value * float(self._whole[k])
+            if model.limits[rows].max() > -TOUCHED:
+                found[name] = told * float(limits[rows].sum())
+                both = sided(model, rows, MOVED * limit.bound / limit.scale)
+                if both:
+                    sides[name] = float(told * both[0]), float(told * both[1])
+        held = self.low < self.high  # the others are gains that were given
+        for end in ranges.reshape(2, -1)[:, : len(NAMES)]:
+            pulled = np.flatnonzero(held & (end > 0.0))
+            found |= {f"range of {NAMES[k]}": value * float(end[k]) for k in pulled}
+        return found, apart(sides, ONE_SIDED)
 
-    def _value(self, x: Array, g: Array) -> float:
-        """The objective, in its unit, at an iterate: the worst of the scenarios."""
-        return float(np.exp(x[len(NAMES)] + g[: len(self.shots)].max()))
-
-    def _broken(self, x: Array, g: Array) -> Array:
-        """How far each limit is broken at an iterate, in its scale; at least 0."""
-        over, rows = np.zeros(len(self.names)), self._rows[self._some]
-        own = np.array([limit.whole / limit.scale for limit in self.limits.values()])
-        np.maximum.at(over, rows, g[self._some] + (own * x[len(NAMES) + 1 :])[rows])
+    def _broken(self, g: Array, rows: NDArray[np.intp]) -> Array:
+        """How far each limit is broken where `rows` are `g`, in its scale; at least 0."""
+        over, some = np.zeros(len(self.names)), rows >= 0
+        np.maximum.at(over, rows[some], g[some])
         return over
 
-    def _merit(self, x: Array, g: Array) -> float:
+    def _merit(self, x: Array, g: Array, rows: NDArray[np.intp]) -> float:
         """Of a point on the way to the solution: any that meets the limits is better than none."""
-        over = float(self._broken(x, g).max())
-        return self._value(x, g) if over < 0.5 * TOLERANCE else BROKEN * (1.0 + over)
+        over = float(self._broken(g, rows).max())
+        value = float(np.exp(x[len(NAMES)] + g[: len(self.shots)].max())) * self._unit
+        return value if over < 0.5 * TOLERANCE else BROKEN * (1.0 + over)
 
     def _first_value(self, values: Sequence[ca.MX], x: ca.MX) -> float:
         """The objective at the start: its unit in the program."""
         at = ca.Function("values", [x], [ca.vertcat(*values)])(self.first)
         return float(np.abs(at.full()).max())
+
+
+def ended(word: str, feasible: bool, patience: int) -> str:
+    """How IPOPT's search ended, in words: `word` is its return status."""
+    if word == "Solve_Succeeded":
+        return SOLVED
+    why = f"IPOPT says {word}"
+    if word == "User_Requested_Stop":  # the user is Watch
+        why = f"no gain of {100 * GAIN:g} % in {patience} iterations"
+    if feasible:
+        return f"stopped at the best gains that meet the limits: {why}"
+    return f"stopped before any gains met the limits: {why}"
+
+
+def descended(count: int) -> str:
+    """How the descent along the limits ended, in words."""
+    why = f"no change of the gains by more than {100 * LEAST:g} % makes it less"
+    if count >= STEPS:
+        why = f"{STEPS} steps were taken"
+    return f"stopped at the best gains that meet the limits, downhill along them: {why}"
+
+
+def _listed(
+    above: list[ca.MX], limits: Mapping[str, list[Limit]], what: str
+) -> tuple[NDArray[np.intp], ca.MX]:
+    """Which limit (-1: none) each row is of, and the rows: the objectives, `what` of the limits."""
+    parts = [(k, getattr(one, what)) for k, found in enumerate(limits.values()) for one in found]
+    owner = [-1] * len(above) + [k for k, part in parts for _ in range(part.shape[0])]
+    return np.array(owner, dtype=np.intp), ca.vertcat(*above, *(part for _, part in parts))
 
 
 def _damping(nlp: dict[str, ca.MX]) -> ca.Function:

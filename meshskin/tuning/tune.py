@@ -26,7 +26,7 @@ from .answer import Tuned, rounded
 from .gains import Demands, Gains, Scenario, scenarios, span
 from .limits import OBJECTIVES, Limit
 from .manoeuvre import Manoeuvre
-from .problem import Problem, Solution
+from .problem import LEFT, SOLVED, Problem, Solution
 from .shooting import Shot
 from .worlds import world
 
@@ -107,6 +107,8 @@ def tune(
         value=solution.value,
         trajectories=tuple(shot.predict(gains) for shot in finals),
         multipliers=solution.multipliers,
+        one_sided=solution.one_sided,
+        left=solution.left,
         status=solution.status,
         iterations=solution.iterations,
         build_seconds=problem.build_seconds,
@@ -127,7 +129,7 @@ def _solved(problem: Problem) -> Solution:
     again = problem.solve(nearest.gains)
     if again.slacks:
         raise TuningError(
-            f"the solver stopped before it met the demands: {again.status}",
+            f"the demands are not met: the search {again.status}",
             value=f"{max(again.slacks, key=lambda k: again.slacks[k])} broken",
             remedy="give start= nearer to the solution, or relax a limit",
         )
@@ -135,22 +137,29 @@ def _solved(problem: Problem) -> Solution:
 
 
 def _polished(problem: Problem, solution: Solution) -> Solution:
-    """A solution that was left for want of progress, searched on from where it was."""
+    """A solution that was left for want of progress, searched on from where it was.
+
+    Downhill along the limits, and by searches that leave the tooth in which that ends.
+    """
+    best = _lower(solution, problem.descend(solution)) if solution.left > LEFT else solution
     for _ in range(ROUNDS):
-        if solution.status == "Solve_Succeeded":
+        if best.status == SOLVED:
             break
-        again = problem.descend(solution) if problem.bent else problem.solve(solution.gains)
-        if again.slacks or again.value > solution.value:
+        before = best.value
+        again = problem.solve(best.gains)
+        best = _lower(best, again)
+        if not again.slacks and again.left > LEFT:
+            best = _lower(best, problem.descend(again))
+        if best.value > (1.0 - WORTH) * before:
             break
-        gain = 1.0 - again.value / solution.value
-        solution = replace(
-            again,
-            iterations=solution.iterations + again.iterations,
-            seconds=solution.seconds + again.seconds,
-        )
-        if gain < WORTH:
-            break
-    return solution
+    return best
+
+
+def _lower(one: Solution, other: Solution) -> Solution:
+    """The better of two solutions, with the iterations and the time of both."""
+    best = other if not other.slacks and other.value < one.value else one
+    iterations, seconds = one.iterations + other.iterations, one.seconds + other.seconds
+    return replace(best, iterations=iterations, seconds=seconds)
 
 
 def _infeasible(limits: Mapping[str, Limit], slacks: Mapping[str, float]) -> TuningError:

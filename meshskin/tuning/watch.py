@@ -78,5 +78,9 @@ class Watch(ca.Callback):
         gained = merit < (1.0 - GAIN) * self.mark
         self.mark = merit if gained else self.mark
         self.idle = 0 if gained else self.idle + 1
-        patience = PATIENCE if self.mark < BROKEN else LONG
-        return [int((self.count > LEAST and self.idle >= patience) or merit == 0.0)]
+        return [int((self.count > LEAST and self.idle >= self.patience) or merit == 0.0)]
+
+    @property
+    def patience(self) -> int:
+        """Iterations without gain after which the search ends."""
+        return PATIENCE if self.mark < BROKEN else LONG

@@ -11,7 +11,7 @@ from meshskin.motion.response import force_response
 from meshskin.tuning.answer import respond
 from meshskin.tuning.gains import Gains
 from meshskin.tuning.limits import LEAST, interpolated
-from meshskin.tuning.problem import TOLERANCE
+from meshskin.tuning.problem import TOLERANCE, descended, ended
 from meshskin.tuning.shooting import Shot
 from meshskin.tuning.tune import Demands, Scenario, scenarios
 
@@ -67,6 +67,7 @@ def test_it_prints_what_was_found_in_a_few_lines(tuned):
     assert f"{tuned.value:.4g} s" in text.splitlines()[0]
     assert f"{tuned.scene.law.gamma:.4g} -> {tuned.law.gamma:.4g}" in text
     assert ", ".join(tuned.binding) in text
+    assert f"The search: {tuned.status}" in text
 
 
 def touched(scene, manoeuvre, rest=0.3):
@@ -153,6 +154,36 @@ def test_least_force_error_costs_time(small, tuned):
     seen = exact.confirm()
     assert seen.error < 0.5 * tuned.confirm().error
     assert seen.error <= 1.05 * exact.value
+
+
+def test_how_the_search_ended_is_said_in_words(tuned):
+    assert tuned.status == "solved"
+    assert tuned.left < 1e-6
+    assert tuned.one_sided == {}
+    assert ended("User_Requested_Stop", True, 25) == (
+        "stopped at the best gains that meet the limits: no gain of 0.1 % in 25 iterations"
+    )
+    assert ended("Restoration_Failed", False, 50).endswith("IPOPT says Restoration_Failed")
+    assert "40 steps were taken" in descended(40)
+    assert "no change of the gains by more than 0.01 %" in descended(39)
+
+
+def test_the_price_of_time_is_right_for_the_least_force_error(small, tuned):
+    """0.3 % of it more or less, searched from the solution, which is at its end, in no tooth."""
+
+    def least(part, start):
+        demands = replace(DEMANDS, time=part * 1.1 * tuned.value)
+        return ms.tune(
+            small, objective="force_error", demands=demands, distance=DISTANCE, bounds=CALM,
+            start=start,
+        )  # fmt: skip
+
+    found = least(1.0, gains_of(tuned))
+    assert "User_Requested" not in found.status
+    assert found.left < 1e-3
+    for part in (0.997, 1.003):
+        gained = found.value - least(part, gains_of(found)).value
+        assert gained == pytest.approx((part - 1.0) * found.multipliers["time"], rel=0.15)
 
 
 def test_every_scenario_keeps_the_demands(small):
@@ -244,6 +275,20 @@ def test_each_limit_of_the_joints_binds_and_is_named_where_it_cannot_be_kept(lim
     never = {"torque": 0.1, "velocity": 1e-4, "position": spare + 0.1}[name]
     with pytest.raises(TuningError, match=f"relax the .*{what}"):
         ms.tune(scene, demands=Demands(**{name: never}), distance=DISTANCE)
+
+
+@pytest.mark.slow
+def test_where_tightening_costs_more_than_relaxing_gains_both_prices_are_right():
+    """The largest speed of the ellipsoid's arm, re-solved with 0.5 % more and less of it."""
+    scene = ms.Scene.load("ellipsoid")
+    tuned = ms.tune(scene)
+    ((name, (wide, tight)),) = ((k, v) for k, v in tuned.one_sided.items() if "speed of" in k)
+    assert f"{name} (one-sided)" in str(tuned)
+    assert tight > 1.2 * wide
+    for part, price in ((1.005, wide), (0.995, tight)):
+        again = ms.tune(scene, demands=Demands(velocity=part), start=gains_of(tuned))
+        gained = (tuned.value - again.value) / (part - 1.0)
+        assert gained == pytest.approx(price, rel=0.15)
 
 
 @pytest.mark.slow
