@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MeshError
+from ..geometry.files import dae
 from ..geometry.files import mesh as files
 from ..se3 import Array, transform
 from .urdf import rotation, vector
@@ -90,7 +91,8 @@ def _capsules(element: ET.Element, folders: Iterable[str]) -> list[Capsule]:
         ring = np.stack([rim * np.cos(turn), rim * np.sin(turn), np.full(SIDES, half)], axis=1)
         clouds = [np.concatenate([ring, ring * [1.0, 1.0, -1.0]])]
     elif mesh is not None:
-        read = files.read(located(mesh.get("filename", ""), folders))
+        path = located(mesh.get("filename", ""), folders)
+        read = dae.read(path) if path.suffix.lower() == ".dae" else files.read(path)
         clouds = slabs(read.vertices * numbers(mesh, "scale", "1 1 1"), read.faces)
     else:
         return []

@@ -1,5 +1,6 @@
 """The capsules of an arm's links hold its shapes, meshes too, and no more than they must."""
 
+import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
@@ -92,6 +93,28 @@ def test_a_mesh_is_found_by_its_package_and_cut_into_slabs(toy):
     for name in ("file://" + str(toy.parents[1] / "meshes" / "bar.stl"), "meshes/bar.stl"):
         elsewhere.write_text(TOY.replace("package://toy/meshes/bar.stl", name))
         assert not clear.links(ms.Arm.from_urdf(elsewhere, "tool", [toy.parents[1]])).notes
+
+
+def test_a_collada_mesh_is_held_as_the_stl_of_the_same_shape(toy):
+    pytest.importorskip("collada")
+    bar = trimesh.load_mesh(toy.parents[1] / "meshes" / "bar.stl")
+    (toy.parents[1] / "meshes" / "bar.dae").write_bytes(trimesh.exchange.dae.export_collada(bar))
+    stl = clear.links(ms.Arm.from_urdf(toy, tip="tool"))
+    toy.write_text(TOY.replace("bar.stl", "bar.dae"))
+    found = clear.links(ms.Arm.from_urdf(toy, tip="tool"))
+    assert found.notes == ()
+    np.testing.assert_allclose(found.radii, stl.radii, rtol=1e-5)
+    q = np.zeros((1, 1))
+    np.testing.assert_allclose(found.at(q), stl.at(q), atol=1e-5)
+
+
+def test_a_collada_mesh_without_its_reader_says_in_a_note_how_to_get_it(toy, monkeypatch):
+    monkeypatch.setitem(sys.modules, "collada", None)
+    (toy.parents[1] / "meshes" / "arm.dae").write_text("<COLLADA/>")
+    toy.write_text(TOY.replace("bar.stl", "arm.dae").replace("<sphere", "<cone"))
+    (note,) = clear.links(ms.Arm.from_urdf(toy, tip="tool")).notes
+    assert note.startswith("link bar: the mesh 'arm.dae' is a Collada file")
+    assert "pip install pycollada" in note
 
 
 def test_a_scene_file_names_the_folders(toy):
