@@ -1,7 +1,7 @@
 """Scan order: the taxels of a module are read one after another, and a frame bears one time.
 
-The taxel in slot s of S is read (S - 1 - s)/S of the scan before the frame's time; slots go by the
-taxels' order, all modules being scanned at once.
+The taxel in slot s of S is read (S - 1 - s)/S of the scan before the frame's time. Its slot is its
+id modulo S, ids being S * module + slot; all modules are scanned at once.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class ScanOrder(Plain):
 
     def build(self, context: Context) -> Callable[[Field], Field]:
         """A field that looks back, over the seams of batches too."""
-        lags = self.lags(context)
+        lags, mine = self.lags(context), np.asarray(context.skin.ids) % self.slots
         memory = Memory(float(lags.max()), context.period)
 
         def wrap(field: Field) -> Field:
@@ -52,9 +52,8 @@ class ScanOrder(Plain):
                 memory.extend(frames)
                 out = np.empty((len(frames), len(poses)))
                 for slot, lag in enumerate(lags):
-                    out[:, slot :: self.slots] = field(
-                        memory.at(frames.time - lag), poses[slot :: self.slots]
-                    )
+                    rows = mine == slot
+                    out[:, rows] = field(memory.at(frames.time - lag), poses[rows])
                 return out
 
             return scan

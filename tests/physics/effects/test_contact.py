@@ -1,5 +1,7 @@
 """Friction, relaxation, cover and scan: what presses a taxel, and when it is read."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -211,6 +213,23 @@ def test_each_slot_reads_the_contact_of_its_own_time(context, glide):
     np.testing.assert_allclose(behind, np.tile(0.05 * np.tile(lag, 20), (17, 1)), rtol=1e-4)
     assert np.all(got[0] == arc(frames)[0])
     assert effect.bound(context) == pytest.approx(0.05 * 9.5e-3)
+
+
+def test_slots_are_those_of_the_ids_where_modules_have_gaps(context, glide):
+    """iCub's modules have no taxel in slots 6 and 10: the next module begins at slot 0 again."""
+
+    def where(frames, poses):
+        return np.tile(arc(frames)[:, None], (1, len(poses)))
+
+    slots = np.delete(np.arange(12), [6, 10])
+    ids = (12 * np.arange(8)[:, None] + slots).ravel()
+    modular = replace(context, skin=replace(context.skin, ids=ids))
+    frames = glide(STEP * np.arange(20))
+    effect = ScanOrder()
+    got = effect.build(modular)(where)(frames, modular.skin.poses)
+    behind = arc(frames)[3:, None] - got[3:]
+    lag = np.tile(effect.lags(modular)[slots], 8)
+    np.testing.assert_allclose(behind, np.tile(0.05 * lag, (17, 1)), rtol=1e-4, atol=1e-12)
 
 
 def test_a_scan_does_not_depend_on_the_batches(sphere, context, glide, split):
