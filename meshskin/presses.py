@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 APART = 1.0
 """Time from one press to the next, s, as an arm would take it."""
+FAR_OFF = 0.05
+"""Most by which points to press may typically lie off the surface, m; they are put on it."""
 
 
 def press(
@@ -42,13 +44,15 @@ def press(
     the indenter's direction; its skin faces the indenter. All effects of the scene act, as in
     `simulate`; those of an arm's joints find none, and are refused (ConfigError). chain: effects of
     presses before, of the scene as `floating` has it, to go on with in place of fresh ones of the
-    seed. Raises RecordingError without points, or for forces that are not positive.
+    seed. Raises RecordingError without points, for points nowhere near the body, or for forces that
+    are not positive.
     """
     world = floating(scene)
     where = np.asarray(points, dtype=float).reshape(-1, 3)
     if not len(where):
         raise RecordingError("nothing to press", remedy="give one contact point or more")
     hit, count = scene.body.closest(where), len(where)
+    _near(hit.distance)
     forces = _forces(scene.law.force_reference if force is None else force, count)
     patches = scene.model.patches(
         force=forces,
@@ -97,6 +101,18 @@ def _forces(force: ArrayLike, count: int) -> Array:
     if bad.size:
         raise RecordingError("a press needs a force", value=f"{bad[0]:g} N", limit="above 0 N")
     return np.array(np.broadcast_to(given, count))
+
+
+def _near(distance: Array) -> None:
+    """Refuse points to press that are nowhere near the surface: `distance` (m,), m, from it."""
+    typical = float(np.median(np.abs(distance)))
+    if not typical <= FAR_OFF:
+        raise RecordingError(
+            "the points to press are not on the body",
+            value=f"typically {typical:.3g} m off its surface",
+            limit=f"{FAR_OFF} m",
+            remedy="give them in m, in the body's frame",
+        )
 
 
 def _down(normals: Array) -> Array:

@@ -80,6 +80,11 @@ def test_batches_make_no_difference_and_nothing_is_refused(scene, monkeypatch):
         press(scene, [])
 
 
+def test_points_in_other_units_are_refused(scene):
+    with pytest.raises(RecordingError, match=r"typically 99\.9 m off its surface, limit: 0.05 m"):
+        press(scene, 1e3 * scene.skin.positions)
+
+
 @pytest.mark.parametrize(
     ("force", "message"),
     [

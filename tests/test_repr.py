@@ -2,6 +2,7 @@
 
 import numpy as np
 
+import meshskin as ms
 from meshskin.motion.path import Path
 from meshskin.motion.plan import Plan
 from meshskin.recording import CONTACTS, READINGS, Recording
@@ -16,6 +17,14 @@ def test_scenes_and_their_parts_print_one_line(sphere):
     assert f"{len(sphere.skin)} taxels" in repr(sphere.skin)
     assert repr(sphere.skin) in repr(sphere)
     assert sphere.arm.name in repr(sphere.arm)
+
+
+def test_calibrations_print_what_was_found(sphere):
+    recording = ms.press(sphere, sphere.skin.positions)
+    text = repr(ms.calibrate(recording, sphere.belief()))
+    assert "array" not in text
+    assert f"of {len(sphere.skin)} taxels, " in text
+    assert f"{len(recording.pressure)} readings" in text
 
 
 def test_recordings_print_their_size():

@@ -94,6 +94,15 @@ class Calibration:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     """Inputs, versions, time."""
 
+    def __repr__(self) -> str:
+        found = np.isfinite(self.poses).all(axis=(1, 2))
+        sigma = 1e3 * self.position_sigma[found]
+        spread = f", {np.median(sigma):.3g} mm sigma" if found.any() else ""
+        return (
+            f"<Calibration by {self.method}: {found.sum()} of {len(self.ids)} taxels{spread}, "
+            f"{self.readings.sum()} readings>"
+        )
+
     @property
     def positions(self) -> Array:
         """Positions (n, 3), body frame, m; NaN where not determined."""

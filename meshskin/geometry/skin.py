@@ -43,6 +43,12 @@ class Skin:
     disc_radius: float = 2e-3
     """radius in m of the disc over which a taxel averages pressure"""
 
+    def __post_init__(self) -> None:
+        if not 0 < self.disc_radius < np.inf:
+            raise SkinError(
+                "radius of a taxel's disc", value=f"{1e3 * self.disc_radius:g} mm", limit="above 0"
+            )
+
     @property
     def positions(self) -> Array:
         """(n, 3) taxel centres, m."""

@@ -112,6 +112,15 @@ def test_no_module_to_be_placed(tiled, clean, change):
         calibrate(change(recording, keep=few), tiled.belief)
 
 
+def test_taxels_that_lie_in_no_such_modules_are_refused(tiled, clean, change):
+    recording, _ = clean
+    ids = tiled.world.ids
+    other = ids[np.random.default_rng(0).permutation(len(ids))]
+    wrong = change(recording, taxel=other[np.searchsorted(ids, recording.reading_taxel)])
+    with pytest.raises(CalibrationError, match=r"do not lie as in the rigid.* mm off.*12 module"):
+        calibrate(wrong, tiled.belief)
+
+
 def test_a_scene_of_modules_tells_its_owner_their_layout_and_no_pose(tiled):
     base = ms.Scene.load("sphere_noisy")
     skin = ms.Skin.modules(base.body, 2).skin

@@ -135,6 +135,8 @@ def test_outermost_point_of_a_direction():
         ({}, "without spacing and count"),
         ({"spacing": 3e-3}, "spacing of taxels, got 3 mm, limit: >= 4 mm"),
         ({"spacing": 5.0}, "lengths are in m"),
+        ({"spacing": 20e-3, "count": 5, "disc_radius": 0.0}, "taxel's disc, got 0 mm"),
+        ({"spacing": 20e-3, "count": 5, "disc_radius": -1.0}, "got -1000 mm, limit: above 0"),
         ({"spacing": float("nan")}, "spacing"),
         ({"count": 0}, "number of taxels"),
         ({"count": 50_000}, "spacing of taxels"),

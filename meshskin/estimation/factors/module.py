@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 SURFACE = 1e-4
 """Standard deviation of a taxel's height over the surface, m."""
+ELSEWHERE = 3e-3
+"""Most by which single taxels typically lie off their places in their modules, m: half their
+distance from each other."""
 LEVER = 8e-3
 """Length that turns a limit on moves into one on rotations, m."""
 
@@ -123,30 +126,38 @@ def start(
     """Modules where at least two of their taxels are `found` (n,) at `points` (n, 3), m.
 
     Returns them, and the rows of all their taxels. A pose is aligned with points and normals.
-    Raises CalibrationError if there is no such module.
+    Raises CalibrationError if there is no such module, or the taxels lie in no such modules.
     """
     module, slot = np.divmod(ids, len(slots))
     normals = np.full_like(points, np.nan)
     normals[found] = body.closest(points[found]).normal
-    poses, rows = [], []
+    poses, rows, off = [], [], []
     for number in np.unique(module[found]):
         own = np.flatnonzero(module == number)
         seen = own[found[own]]
         if len(seen) < 2:
             continue
         o, up = slots[slot[seen]], np.array([0.0, 0.0, LEVER])
-        poses.append(
-            se3.align(
-                np.concatenate([o, o + up]),
-                np.concatenate([points[seen], points[seen] + LEVER * normals[seen]]),
-            )
+        pose = se3.align(
+            np.concatenate([o, o + up]),
+            np.concatenate([points[seen], points[seen] + LEVER * normals[seen]]),
         )
+        off.append(np.linalg.norm(points[seen] - o @ pose[:3, :3].T - pose[:3, 3], axis=1))
+        poses.append(pose)
         rows.append(own)
     if not rows:
         raise CalibrationError(
             "no module has two taxels that are determined by the recording",
             value=f"{found.sum()} taxels determined, {len(np.unique(module))} modules",
             remedy="touch more taxels, or leave module_slots out of the belief",
+        )
+    typical = float(np.median(np.concatenate(off)))
+    if typical > ELSEWHERE:
+        raise CalibrationError(
+            "the taxels do not lie as in the rigid modules that are believed",
+            value=f"typically {1e3 * typical:.2g} mm off their places",
+            limit=f"{1e3 * ELSEWHERE:g} mm",
+            remedy=f"check that ids are {len(slots)} module + slot, or leave the modules out",
         )
     group = np.repeat(np.arange(len(rows)), [len(own) for own in rows])
     every = np.concatenate(rows)
