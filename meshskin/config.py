@@ -31,6 +31,7 @@ UNITS: dict[str, dict[str, float]] = {
     "1/s": {"per_s": 1.0},
     "Hz": {"hz": 1.0},
     "N": {"n": 1.0},
+    "N m": {"n_m": 1.0},
     "Pa": {"pa": 1.0, "kpa": 1e3, "mpa": 1e6, "gpa": 1e9},
     "kg": {"kg": 1.0, "g": 1e-3},
     "m/s": {"m_per_s": 1.0, "mm_per_s": 1e-3},

@@ -32,6 +32,7 @@ from .physics.contact import AUTO, BATCHED, Model, Patch, solve
 from .physics.effects import Context, Noise
 from .physics.indenter import Indenter
 from .physics.material import Material
+from .physics.reading import Ideal
 from .se3 import Array, transform
 
 if TYPE_CHECKING:
@@ -262,6 +263,16 @@ class Scene:
         """Pressure up to which a reading is not reported, Pa."""
         return self.readout.threshold_relative * self.patch.peak
 
+    @property
+    def ideal(self) -> Ideal:
+        """How contacts become pressures where no effect changes it."""
+        return Ideal(
+            self.model,
+            self.skin.disc_radius,
+            self.indenter.radius,
+            self.material.effective_modulus,
+        )
+
     def context(self, seed: int) -> Context:
         """What the effects may know when they are built."""
         return Context(
@@ -277,6 +288,7 @@ class Scene:
             speed=self.exploration.speed,
             skin=self.skin,
             body=self.body,
+            ideal=self.ideal,
             pose=self.body_pose,
             postures=lambda: self.postures,
             joints=len(self.arm.joint_names) if self.loop.mode == "arm" else 0,

@@ -23,8 +23,7 @@ from .motion.quasi_static import start as body_state
 from .motion.stretch import LENGTHS
 from .motion.track import Track
 from .physics import effects
-from .physics.effects.frames import Field, Frames
-from .physics.reading import disc_pressures
+from .physics.effects.frames import Frames
 from .provenance import provenance
 from .recording import Recording, RecordingWriter
 from .scene import Scene
@@ -206,27 +205,7 @@ def _tables(
 
 def effect_chain(scene: Scene, seed: int) -> effects.Chain:
     """The scene's effects on frames that follow one another."""
-    return effects.Chain.of(scene.effects, scene.context(seed), _field(scene))
-
-
-def _field(scene: Scene) -> Field:
-    """The ideal relation of contacts and pressures."""
-
-    def field(frames: Frames, poses: Array) -> Array:
-        return disc_pressures(
-            frames.points,
-            frames.normals,
-            frames.directions,
-            frames.force,
-            frames.curvature,
-            positions=poses[:, :3, 3],
-            disc_radius=scene.skin.disc_radius,
-            indenter_radius=scene.indenter.radius,
-            effective_modulus=scene.material.effective_modulus,
-            model=scene.model,
-        )
-
-    return field
+    return effects.Chain.of(scene.effects, scene.context(seed), scene.ideal)
 
 
 def contact_frames(scene: Scene, loop: Loop, batch: Sequence[Steps], before: int = 0) -> Frames:

@@ -12,10 +12,10 @@ of their shifts.
 
 Where pairs do not add up, it is mostly for what the estimator leaves out. `sampling` alone holds
 each contact for two frames, and is right in the first: of the second's readings 45 % are found to
-be outlying, the rest fits, and most of the shift is gone. With `capacitive`, too, nothing fits
-whatever is left out: the model is judged wrong, most of those readings stay, and the shift of
-`sampling` comes back. So every pair is also estimated from all readings, none being taken for
-outlying: then the shifts of two effects are nearly those of both.
+be outlying, the rest fits, and most of the shift is gone. With `capacitive`, too, no taxel fits,
+and few are further off than most: the model is judged wrong, nearly all of those readings stay,
+and the shift of `sampling` comes back. So every pair is also estimated from all readings, none
+being taken for outlying: then the shifts of two effects are nearly those of both.
 """
 
 from __future__ import annotations
@@ -38,8 +38,13 @@ from meshskin.estimation.solve import ITERATIONS
 from meshskin.physics import effects
 from meshskin.report import figures, theme
 
-EXTRA = {"quantisation_16": ("quantisation", {"bits": 16})}
-"""Rows beside those of the effects at their defaults."""
+EXTRA: dict[str, tuple[str, dict[str, float]]] = {
+    "quantisation_16": ("quantisation", {"bits": 16}),
+    "layer": ("layer", {"thickness_mm": 20.0}),
+    "disc_averaging": ("disc_averaging", {"radius_mm": 1.5}),
+    "joint_friction": ("joint_friction", {"torque_n_m": 0.05}),
+}
+"""Rows beside those of the effects that have defaults."""
 
 
 class Found(NamedTuple):
@@ -72,7 +77,10 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
 
     scene = ms.Scene.load(options.scene)
     known = {e.name for e in scene.effects}
-    chosen = {name: made(name) for name in options.effects or [*effects.KINDS, *EXTRA]}
+    chosen = {
+        name: made(name)
+        for name in options.effects or [*(e.name for e in effects.registered()), *EXTRA]
+    }
     chosen = {name: effect for name, effect in chosen.items() if effect.name not in known}
     plain = find(scene, (), seeds)
     single = {name: find(scene, (effect,), seeds) for name, effect in chosen.items()}

@@ -15,9 +15,17 @@ from meshskin.physics.effects.frames import Frames
 from meshskin.study.budget.rehearsal import Rehearsal
 
 DRAWING = ("gain_offset", "broken_taxels", "encoder", "force_sensor", "gaussian_noise")
+OPTIONS = {
+    "broken_taxels": {"dead": 0.1, "stuck": 0.1},
+    "layer": {"thickness": 0.02},
+    "disc_averaging": {"radius": 1e-3},
+    "joint_friction": {"torque": 0.1},
+}
 SLOW = pytest.mark.slow
 RECORDED = [k for k in effects.KINDS if effects.find(k).stage in ("geometry", "robot")]
 READ = [k for k in effects.KINDS if k not in RECORDED]
+IDLE = ("gaussian_noise", "elliptic_patch")
+"""On in the scene without being asked for, and without anything to do on a sphere."""
 
 
 @pytest.fixture(scope="module")
@@ -34,9 +42,8 @@ def plain(small):
 
 
 def make(name):
-    """An effect at its defaults, but with enough broken taxels for 19."""
-    options = {"dead": 0.1, "stuck": 0.1} if name == "broken_taxels" else {}
-    return effects.find(name)(**options)
+    """An effect at its defaults, but with enough broken taxels for 19, and what some need."""
+    return effects.find(name)(**OPTIONS.get(name, {}))
 
 
 def run(scene, *names):
@@ -86,7 +93,7 @@ def test_what_is_recorded_leaves_the_readings_bit_for_bit(name, one, plain):
     assert other.motion.equals(plain.motion)
 
 
-@pytest.mark.parametrize("name", [k for k in READ if k != "gaussian_noise"])
+@pytest.mark.parametrize("name", [k for k in READ if k not in IDLE])
 def test_what_is_read_leaves_the_contacts_bit_for_bit(name, one, plain):
     other = one(name)
     assert other.contacts.equals(plain.contacts)
@@ -112,9 +119,7 @@ def test_toggling_one_leaves_the_noise_of_another(name, small):
 
 
 def test_no_effect_depends_on_the_batches(small, monkeypatch):
-    names = [
-        k for k in effects.KINDS if k not in ("gaussian_noise", "cover_fabric")
-    ]  # slow, no state
+    names = [k for k in effects.KINDS if k not in (*IDLE, "cover_fabric")]  # slow, no state
     whole = run(small, *names)
     monkeypatch.setattr(simulation, "FRAME_CELLS", 19 * 40)
     parts = run(small, *names)
@@ -155,7 +160,7 @@ def test_the_frames_of_a_scene_are_contacts_with_the_indenter(small):
                 np.testing.assert_allclose(world - context.indenter_position, 0.0, atol=1e-7)
 
 
-@pytest.mark.parametrize("name", [k for k in effects.KINDS if k != "gaussian_noise"])
+@pytest.mark.parametrize("name", [k for k in effects.KINDS if k not in IDLE])
 def test_leaving_an_effect_out_costs_no_more_than_its_bound(name, small, one, plain):
     """The shift of the joint estimate that does not know of the effect; an estimate loses taxels
     to broken ones."""

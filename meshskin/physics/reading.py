@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from ..se3 import Array
 from .contact import Model
 from .contact.disc import disc_mean
+
+if TYPE_CHECKING:
+    from .effects.frames import Frames
 
 NODES = 32
 """Nodes of the disc mean on circular Hertz patches: finer than the estimators', so that theirs is
@@ -15,8 +21,84 @@ EDGE_NODES = 192
 """Nodes of the disc mean on other patches, finer than the estimators' too: 3e-6 of the peak."""
 LEAST = 1e-5
 """Readings on other patches, in parts of the peak, that the nodes cannot tell from none."""
+SAMPLES = 100
+"""Places along each axis at which two relations are compared."""
 CHUNK = 20_000
 """Readings computed at once."""
+
+
+@dataclass(frozen=True)
+class Ideal:
+    """The ideal relation of contacts and pressures: a `Field` of the effects, which wrap it."""
+
+    model: Model
+    """Of contact."""
+    disc_radius: float
+    """Of the taxels, m."""
+    indenter_radius: float
+    """m."""
+    effective_modulus: float
+    """E*, Pa."""
+
+    def __call__(self, frames: Frames, poses: Array) -> Array:
+        """Pressures (m, n), Pa, of taxels at `poses` (n, 4, 4) in m frames."""
+        return self._read(
+            frames.points,
+            frames.normals,
+            frames.directions,
+            frames.force,
+            frames.curvature,
+            poses[:, :3, 3],
+        )
+
+    def apart(self, other: Ideal, force: float, curvature: Array) -> float:
+        """Largest difference of what both read in contacts under `force`, N, in parts of p_0.
+
+        At principal curvatures (k, 2), 1/m, along both axes of the patch; at most 1.
+        """
+        k = len(curvature)
+        flat, up, across = (
+            np.zeros((k, 3)),
+            np.tile(np.eye(3)[2], (k, 1)),
+            np.tile(np.eye(3)[0], (k, 1)),
+        )
+        place = {
+            "indenter_radius": self.indenter_radius,
+            "effective_modulus": self.effective_modulus,
+        }
+        found = [
+            m.patches(force=force, curvature=curvature, **place) for m in (self.model, other.model)
+        ]
+        longest = max(float(np.max([p.first, p.second])) for p in found)
+        steps = np.linspace(0.0, longest + max(self.disc_radius, other.disc_radius), SAMPLES)
+        places = np.concatenate([np.outer(steps, np.eye(3)[axis]) for axis in (0, 1)])
+        read = [
+            one._read(flat, up, across, np.full(k, force), curvature, places)
+            for one in (self, other)
+        ]
+        return min(float(np.abs(read[1] - read[0]).max() / np.min(found[0].peak)), 1.0)
+
+    def _read(
+        self,
+        points: Array,
+        normals: Array,
+        directions: Array,
+        force: Array,
+        curvature: Array,
+        positions: Array,
+    ) -> Array:
+        return disc_pressures(
+            points,
+            normals,
+            directions,
+            force,
+            curvature,
+            positions=positions,
+            disc_radius=self.disc_radius,
+            indenter_radius=self.indenter_radius,
+            effective_modulus=self.effective_modulus,
+            model=self.model,
+        )
 
 
 def disc_pressures(

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from ...geometry.body import Body
     from ...geometry.skin import Skin
+    from ..reading import Ideal
 
 STAGES = ("contact", "field", "pressure", "transducer", "geometry", "robot")
 """Where an effect acts, in the order of the flow, and what it builds:
@@ -42,6 +43,9 @@ robot       Frames -> Frames: what is recorded of the robot's pose and force
 
 KINDS = {
     "friction": "Friction",
+    "layer": "Layer",
+    "elliptic_patch": "EllipticPatch",
+    "disc_averaging": "DiscAveraging",
     "cover_fabric": "CoverFabric",
     "scan_order": "ScanOrder",
     "relaxation": "Relaxation",
@@ -60,6 +64,7 @@ KINDS = {
     "sampling": "Sampling",
     "encoder": "Encoder",
     "gravity_error": "GravityError",
+    "joint_friction": "JointFriction",
     "force_sensor": "ForceSensor",
 }
 """Name of each effect (and of its module in this folder) -> its class, in the signal's order:
@@ -100,6 +105,8 @@ class Context:
     """Speed of the contact over the skin, m/s."""
     skin: Skin = field(repr=False)
     body: Body = field(repr=False)
+    ideal: Ideal
+    """How contacts become pressures where no effect changes it."""
     pose: Callable[[Array], Array] = field(repr=False)
     """Configurations (k, n) -> T_w_body (k, 4, 4)."""
     postures: Callable[[], Array] = field(repr=False)

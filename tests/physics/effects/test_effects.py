@@ -12,6 +12,13 @@ from meshskin.errors import ConfigError, UnknownNameError
 from meshskin.physics import effects
 from meshskin.physics.effects.gaussian_noise import GaussianNoise
 
+NEEDED = {
+    "layer": {"thickness_mm": 20},
+    "disc_averaging": {"radius_mm": 1},
+    "joint_friction": {"torque_n_m": 0.1},
+}
+"""What effects without defaults are given."""
+
 
 def test_noise_has_its_standard_deviation_and_no_mean(context, glide):
     frames, sigma = glide(np.zeros(500)), 0.02 * context.peak_pressure
@@ -96,18 +103,26 @@ def test_effects_act_in_the_order_of_the_signal_whatever_the_list():
 
 @pytest.mark.parametrize("name", effects.KINDS)
 def test_every_effect_keeps_the_form(name, context):
-    effect = effects.find(name)()
+    table = {"kind": name, **NEEDED.get(name, {})}
+    effect = effects.from_table(table)
     assert effect.name == name
     assert effect.stage in effects.STAGES
-    assert effect.requires == effect.excludes == ()
+    assert effect.requires == ()
+    assert set(effect.excludes) <= set(effects.KINDS)
     assert 0 < effect.bound(context) < 0.1
     assert 0 < effect.cost < 1e-3
     assert len(effects.build((effect,), context, effect.stage)) == 1
-    assert effects.from_table({"kind": name}) == effect
-    assert effect == effects.find(name)()
+    assert effects.from_table(table) == effect
+    assert name in NEEDED or effect == effects.find(name)()
     assert not [
         e for e in effects.STAGES if e != effect.stage and effects.build((effect,), context, e)
     ]
+
+
+def test_what_must_be_known_of_a_robot_or_a_skin_is_not_registered_by_itself(context):
+    assert set(NEEDED) == set(effects.KINDS) - {e.name for e in effects.registered()}
+    with pytest.raises(ConfigError, match="thickness"):
+        effects.from_table({"kind": "layer"})
 
 
 def test_the_order_of_the_stages_is_the_order_of_the_registry():

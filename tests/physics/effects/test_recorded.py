@@ -15,9 +15,10 @@ from meshskin.physics.effects.force_sensor import ForceSensor
 from meshskin.physics.effects.frames import Memory
 from meshskin.physics.effects.gravity_error import GravityError
 from meshskin.physics.effects.indenter_offset import IndenterOffset
+from meshskin.physics.effects.joint_friction import SLOW, JointFriction, levers
 from meshskin.physics.effects.mesh_facets import MeshFacets, closest_on_triangle
 from meshskin.physics.effects.sampling import Sampling
-from meshskin.se3 import exp_so3
+from meshskin.se3 import exp_so3, transform
 
 STEP = 5e-4
 
@@ -225,3 +226,49 @@ def test_a_sample_at_a_frames_own_time_is_that_frame_before_a_loss_of_contact(gl
     memory.extend(replace(frames, time=time))
     at = memory.at(np.nextafter(time, 1.0))
     np.testing.assert_allclose(at.points, frames.points, atol=1e-12)
+
+
+def test_the_friction_of_one_joint_is_felt_over_its_lever(context, glide):
+    """A joint about the y axis, 0.4 m beside the contact: T over that, signed as it turns."""
+
+    def swing(q):
+        turn = exp_so3(np.outer(q[:, 0], [0.0, 1.0, 0.0]))
+        middle = np.array([0.4, 0.0, 0.0])
+        return transform(turn, middle - turn @ middle)
+
+    one = replace(context, joints=1, pose=swing)
+    for rate in (0.3, -0.3, 0.0):
+        frames = glide(np.zeros(20), q=rate * 0.01 * np.arange(20)[:, None] - 1e-9)
+        more = JointFriction(0.2).build(one)(frames).force - frames.force
+        # n points down, and turning on lifts what lies at 0.4 m less x: h = -0.4 cos(q)
+        lever = levers(one, frames.q, frames.points, frames.normals)[:, 0]
+        want = np.sign(rate) * np.tanh(0.3 / SLOW) * 0.2 / lever
+        np.testing.assert_allclose(more[1:], want[1:], rtol=1e-9)
+        assert abs(lever[0]) == pytest.approx(0.4, rel=1e-6)
+        assert more[0] == 0.0  # not known to move yet
+
+
+def test_levers_are_the_jacobian_along_the_normal(context, sphere, frames):
+    """By the arm's own Jacobian at the tip, carried to the contact point."""
+    rng = np.random.default_rng(4)
+    q = rng.uniform(-1.0, 1.0, (len(frames), 6))
+    pose, jacobian = context.pose(q), np.stack([sphere.arm.jacobian(one) for one in q])
+    tip = sphere.arm.pose(q)[:, :3, 3]
+    place = np.einsum("kij,kj->ki", pose[:, :3, :3], frames.points) + pose[:, :3, 3]
+    normal = np.einsum("kij,kj->ki", pose[:, :3, :3], frames.normals)
+    arm = np.cross(np.swapaxes(jacobian[:, 3:], 1, 2), (place - tip)[:, None])
+    want = np.einsum("kij,kj->ki", np.swapaxes(jacobian[:, :3], 1, 2) + arm, normal)
+    np.testing.assert_allclose(levers(context, q, frames.points, frames.normals), want, atol=1e-9)
+
+
+def test_joint_friction_needs_an_arm(context):
+    with pytest.raises(ConfigError, match="joints of an arm"):
+        JointFriction(0.1).build(replace(context, joints=0))
+    assert JointFriction(0.2).bound(context) == pytest.approx(2 * JointFriction(0.1).bound(context))
+
+
+def test_joint_friction_does_not_depend_on_the_batches(context, glide, split):
+    frames = glide(STEP * np.arange(30), q=np.cumsum(np.full((30, 6), 1e-3), axis=0))
+    whole = JointFriction(0.1).build(context)(frames).force
+    parts = split(JointFriction(0.1).build(context), frames)
+    np.testing.assert_allclose(np.concatenate([p.force for p in parts]), whole, rtol=1e-12)
