@@ -204,10 +204,14 @@ class Calibration:
         return "\n".join(rows) + "\n"
 
     def report(self, path: str | Path, **options: Any) -> list[Path]:
-        """Write the report page; options (truth=skin, body=, recording=, ...) as `report.page`."""
+        """Write the report page; options (truth=skin, recording=, ...) as `report.page`.
+
+        body: by default that of the belief; a calibration that was loaded has none.
+        """
         from ..report.page import report
 
-        return report(path, **{"body": None, "calibration": self, **options})
+        body = None if self.belief is None else self.belief.body
+        return report(path, **{"body": body, "calibration": self, **options})
 
 
 def _part(path: Path, suffix: str) -> Path:

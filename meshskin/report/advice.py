@@ -75,9 +75,11 @@ def missing(findings: Findings) -> list[str]:
     reasons = sorted(set(why[~findings.located].tolist()))
     if not reasons:
         return ["Every taxel was touched and located."]
+    many = {reason: int((why == reason).sum()) for reason in reasons}
     return [
-        f"{int((why == reason).sum())} of {findings.count} taxels have no estimate "
-        f"({reason or 'no reason given'}): {listed(np.asarray(c.ids)[why == reason])}."
+        f"{many[reason]} of {findings.count} taxels {'have' if many[reason] > 1 else 'has'} "
+        f"no estimate ({reason or 'no reason given'}): "
+        f"{listed(np.asarray(c.ids)[why == reason])}."
         for reason in reasons
     ]
 

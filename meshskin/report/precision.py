@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ..study.cost import Costs, Row
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
-COLOURS = (*theme.METHODS, theme.WARNING, theme.TRUTH, "#b59f00", "#7b4fa3")
+COLOURS = (*theme.METHODS, theme.WARNING, theme.TRUTH, "#b59f00")
 SAID = {
     "faces": "faces of the mesh",
     "degree": "degree of the surface",
@@ -244,7 +244,12 @@ def page(costs: Costs, targets: Sequence[float], png: Path, svg: Path) -> Conten
         Number("The scene as it is", number(own.error_mm), "mm", f"in {own.time:.2f} s"),
         Number("Its numerical part", number(own.numerical_mm), "mm", "by discretisation alone"),
         Number("Most accurate", number(best.total_mm), "mm", f"in {best.time:.2f} s"),
-        Number("Settings", str(len(costs.rows)), "", f"{costs.seeds} seeds each"),
+        Number(
+            "Settings",
+            str(len(costs.rows)),
+            "",
+            f"{costs.seeds} seed{'s' * (costs.seeds != 1)} each",
+        ),
     )
     picture = Picture(png, svg, "Error against processor time", CAPTION, "Work-precision plot")
     reach = Table(HEADER, tuple(table(costs, targets)), numeric=(0, 2, 3, 4))

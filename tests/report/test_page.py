@@ -213,6 +213,28 @@ def test_the_least_that_can_be_given(case: SimpleNamespace, tmp_path: Path) -> N
     assert page.report(tmp_path / "b.html", body=None, calibration=c, truth=case.skin())
 
 
+def test_a_calibration_knows_its_body(case: SimpleNamespace, tmp_path: Path, body: Body) -> None:
+    c = case.calibration()
+    assert "body (drawn" not in c.report(tmp_path / "bare.html")[0].read_text(encoding="utf-8")
+    known = replace(c, belief=SimpleNamespace(body=body))
+    assert "body (drawn" in known.report(tmp_path / "body.html")[0].read_text(encoding="utf-8")
+
+
+def test_one_taxel_has_no_estimate(case: SimpleNamespace, tmp_path: Path, body: Body) -> None:
+    c = case.calibration()
+    first = int(np.flatnonzero(~c.touched)[0])
+    c.why[first] = "fewer than three readings"
+    shown, _ = write(case, tmp_path, body, calibration=c)
+    assert "1 of 80 taxels has no estimate (fewer than three readings)" in shown.text
+
+
+def test_every_method_has_a_colour_of_its_own() -> None:
+    from meshskin.job import METHODS
+    from meshskin.report import theme
+
+    assert len(set(theme.METHODS)) >= len(METHODS) + 1  # and the joint estimate's
+
+
 def test_a_skin_that_was_never_touched_still_gets_its_page(
     case: SimpleNamespace, tmp_path: Path, body: Body
 ) -> None:
