@@ -82,6 +82,12 @@ class Adaptive:
     unmet: Mapping[int, str]
     """Why each taxel (by id) above the target is so."""
 
+    def __repr__(self) -> str:
+        return (
+            f"<Adaptive: {len(self.rounds)} rounds, {len(self.recording.time)} contacts, "
+            f"{len(self.unmet)} of {len(self.calibration.ids)} taxels above the target>"
+        )
+
 
 def pressed(scene: Scene, seed: int) -> Touch:
     """Contacts at rest, without arm and closed loop: in milliseconds. A `Toucher`.

@@ -3,6 +3,7 @@
 import numpy as np
 
 import meshskin as ms
+from meshskin.adaptive import Adaptive
 from meshskin.motion.path import Path
 from meshskin.motion.plan import Plan
 from meshskin.recording import CONTACTS, READINGS, Recording
@@ -42,3 +43,14 @@ def test_plans_print_how_long_they_are():
     assert "1 places, 2.5 s" in text
     assert "1 taxels not seen" in text
     assert "array" not in text
+
+
+def test_estimates_print_what_came_of_them(sphere):
+    found = ms.calibrate(ms.press(sphere, sphere.skin.positions), sphere.belief())
+    recording = ms.press(sphere, sphere.skin.positions[:2])
+    adaptive = repr(Adaptive(recording, found, (), {3: "never read"}))
+    assert adaptive == "<Adaptive: 0 rounds, 2 contacts, 1 of 80 taxels above the target>"
+    eyes = np.tile(np.eye(4), (3, 1, 1))
+    graph = ms.PoseGraph(eyes, np.array([[0, 1], [1, 2]]), eyes[:2], np.tile(np.eye(6), (2, 1, 1)))
+    assert repr(graph) == "<PoseGraph: 3 poses, 2 displacements>"
+    assert repr(graph.solve()).startswith(f"<Solution of {graph!r}: optimal, geodesic cost")

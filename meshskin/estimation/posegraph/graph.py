@@ -47,6 +47,9 @@ class PoseGraph:
     ids: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     """(n,) names of the poses in files; 0 to n - 1 if not given."""
 
+    def __repr__(self) -> str:
+        return f"<PoseGraph: {len(self.poses)} poses, {len(self.edges)} displacements>"
+
     def __post_init__(self) -> None:
         poses = transforms("poses", self.poses)
         edges = _edges(self.edges, len(poses))

@@ -69,6 +69,12 @@ class Solution:
     iterates: Array | None = None
     """(k, n, 4, 4) the estimates along the iterations, the start first; if they were kept."""
 
+    def __repr__(self) -> str:
+        return (
+            f"<Solution of {self.graph!r}: {self.status}, {self.objective} cost {self.cost:.9g} in "
+            f"{self.iterations} iterations>"
+        )
+
     @property
     def is_optimal(self) -> bool:
         """Whether the poses are a minimum, at least a local one."""
