@@ -18,6 +18,7 @@ WINGS = [
     "provenance",
     "compiled",
     "library",
+    "ragged",
     "geometry",
     "physics",
     "motion",

@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import CalibrationError
-from ..physics.contact import hertz
 from ..se3 import Array
 from . import chart
 from .explore import slopes
@@ -108,10 +107,8 @@ class Information:
 
 def information(belief: Belief, taxels: Array, points: Array) -> Information:
     """What contacts at `points` (c, 3) under the reference force tell of `taxels` (n, 3), m."""
-    material = belief.material
-    modulus = float(hertz.effective_modulus(material.young, material.poisson))
     charts, hit = chart.about(belief.body, taxels), belief.body.closest(points)
-    contact, taxel, slope = slopes(charts, hit, belief, modulus)
+    contact, taxel, slope = slopes(charts, hit, belief, belief.material.effective_modulus)
     return Information(contact, taxel, slope, len(points), len(taxels))
 
 

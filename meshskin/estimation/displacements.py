@@ -16,6 +16,7 @@ import numpy as np
 
 from .. import se3
 from ..errors import CalibrationError
+from ..ragged import ranges
 from ..se3 import Array
 from . import chart, trilaterate
 from .chart import Charts
@@ -36,6 +37,8 @@ NORMAL_FLOOR = 0.1
 """Least standard deviation along the normal, relative to the one along the surface."""
 ROTATION_FLOOR = 3.0
 """Least standard deviation of a rotation, rad for every m along the surface."""
+_BLOCKS = (slice(0, 3), slice(3, 6))
+"""Translation and rotation of a residual."""
 
 
 def displacements(
@@ -75,32 +78,32 @@ def displacements(
             value=f"{len(good)} pairs, all with contacts near a line or circles that do not meet",
             remedy="explore along lanes closer to each other",
         )
-    covariance = np.full_like(information, np.nan)
-    covariance[np.repeat(good, 2)] = np.linalg.inv(information[np.repeat(good, 2)])
+    both = np.repeat(good, 2)
+    covariance = np.asarray(np.linalg.inv(information[both]), dtype=float)
     if data.noise is None:
         covariance *= max(float(np.nanmedian(chi2)), 1e-12)  # three exact circles leave nothing
-    return _graph(data, body, fit, charts, charts.at(y), pairs, good, covariance, isotropic)
+    charts = charts[both]
+    hit = body.closest(charts.at(y[both]))
+    poses = se3.transform(chart.carry(trilaterate.frames_of(charts), hit.normal), hit.point)
+    return _graph(fit, data.ids, pairs[good], poses, charts.shape, covariance, isotropic)
 
 
 def _graph(
-    data: Measurements,
-    body: Body,
     fit: Fit,
-    charts: Charts,
-    points: Array,
+    ids: np.ndarray,
     pairs: np.ndarray,
-    good: np.ndarray,
+    poses: Array,
+    shape: Array,
     covariance: Array,
     isotropic: bool,
 ) -> PoseGraph:
-    hit = body.closest(points)
-    poses = se3.transform(chart.carry(trilaterate.frames_of(charts), hit.normal), hit.point)
-    both = [np.flatnonzero(np.repeat(good, 2))[k::2] for k in (0, 1)]
-    i, j = (poses[b] for b in both)
-    measured = se3.inverse(i) @ j
-    spread = error_covariance(
-        measured, *(charts.shape[b] for b in both), *(covariance[b] for b in both)
-    )
+    """The graph of g `pairs` (g, 2) of taxels, rows of `fit` and `ids`.
+
+    Of both taxels of each pair, one after the other: poses (2 g, 4, 4) and the shape operators
+    (2 g, 2, 2), 1/m, and tangential covariances (2 g, 2, 2), m^2, there.
+    """
+    measured = se3.inverse(poses[::2]) @ poses[1::2]
+    spread = error_covariance(measured, shape[::2], shape[1::2], covariance[::2], covariance[1::2])
     if isotropic:
         level = [np.median(np.trace(spread[:, s, s], axis1=1, axis2=2)) / 3 for s in _BLOCKS]
         spread = np.broadcast_to(np.diag(np.repeat(level, 3)), spread.shape)
@@ -109,14 +112,11 @@ def _graph(
     place[live] = np.arange(len(live))
     return PoseGraph(
         poses=se3.transform(fit.rotations[live], fit.points[live]),
-        edges=place[pairs[good]],
+        edges=place[pairs],
         measurements=measured,
         information=np.asarray(np.linalg.inv(spread), dtype=float),
-        ids=np.asarray(data.ids)[live],
+        ids=np.asarray(ids)[live],
     )
-
-
-_BLOCKS = (slice(0, 3), slice(3, 6))
 
 
 def error_covariance(
@@ -164,8 +164,7 @@ def _shared(data: Measurements, found: np.ndarray) -> tuple[np.ndarray, np.ndarr
     first = np.searchsorted(contact, contact, side="left")
     number = np.searchsorted(contact, contact, side="right") - first  # readings in its contact
     one = np.repeat(np.arange(len(use)), number)
-    within = np.arange(len(one)) - np.repeat(np.cumsum(number) - number, number)
-    other = np.repeat(first, number) + within
+    other = ranges(first, number)
     ahead = data.taxel[use[one]] < data.taxel[use[other]]
     a, b = use[one[ahead]], use[other[ahead]]
     key = data.taxel[a] * len(data.ids) + data.taxel[b]

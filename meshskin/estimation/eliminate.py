@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..ragged import ranges
 from ..se3 import Array
 from .factors.contacts import Anchored
 from .likelihood import Likelihood, Moments
@@ -234,8 +235,7 @@ class Problem:
     def _taxels(self, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Taxels (r,) of the groups, and the place in `groups` of each."""
         count = self.first[groups + 1] - self.first[groups]
-        shift = np.repeat(self.first[groups] - np.cumsum(count) + count, count)
-        return shift + np.arange(count.sum()), np.repeat(np.arange(len(groups)), count)
+        return ranges(self.first[groups], count), np.repeat(np.arange(len(groups)), count)
 
     def _moments(self, z: Array, s: Array, groups: np.ndarray) -> Moments:
         """Of the taxels of `groups` at z (g, D) and s."""

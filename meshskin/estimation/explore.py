@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import CalibrationError
-from ..physics.contact import Model, Patches, hertz
+from ..physics.contact import Model, Patches
 from ..se3 import Array
 from . import chart
 from .factors.contacts import Contacts
 from .factors.patches import MEANS
 from .measurements import NOMINAL_NOISE
 from .observe import censored_information
+from .pairs import SLANT
 
 if TYPE_CHECKING:
     from ..geometry.closest import Closest
@@ -59,8 +60,7 @@ def next_contacts(calibration: Calibration, belief: Belief, k: int = 1) -> NextC
     """
     if k < 1:
         raise CalibrationError("the number of contacts must be positive", value=k, limit=">= 1")
-    nominal = hertz.effective_modulus(belief.material.young, belief.material.poisson)
-    modulus = calibration.modulus or float(nominal)
+    modulus = calibration.modulus or belief.material.effective_modulus
     radius = float(_patches(np.zeros((1, 2)), belief, modulus).first[0])
     points, covariance = _known(calibration, belief, radius)
     near = np.flatnonzero(np.isfinite(points[:, 0]))
@@ -136,7 +136,7 @@ def slopes(
     patches = _patches(hit.curvature, belief, modulus)
     sigma = belief.noise_sigma or NOMINAL_NOISE * float(np.median(patches.peak))
     longest = np.maximum(patches.first, patches.second)
-    reach = 1.25 * float(longest.max() + belief.disc_radius)
+    reach = SLANT * float(longest.max() + belief.disc_radius)
     pairs = cKDTree(hit.point).sparse_distance_matrix(
         cKDTree(charts.points), reach, output_type="ndarray"
     )

@@ -12,12 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..ragged import ranges
 from ..se3 import Array
 from .factors.contacts import Contacts
 from .factors.patches import MEANS
 from .factors.pressure import HEARD, SATURATED, SILENT, costs
 from .factors.shared import Shared
-from .measurements import SPARE, Measurements, reach, silent_pairs
+from .measurements import Measurements, reach
+from .pairs import SPARE, silent_pairs
 
 CLEAR = 5.0
 """Pressure, relative to the noise, above which a reading out of reach is kept: it is a misfit."""
@@ -53,8 +55,7 @@ class Readings:
     def of(self, taxels: np.ndarray) -> np.ndarray:
         """Rows of the readings of some taxels, in their order."""
         count = self.starts[taxels + 1] - self.starts[taxels]
-        shift = np.repeat(self.starts[taxels] - np.cumsum(count) + count, count)
-        return np.asarray(shift + np.arange(count.sum()))
+        return ranges(self.starts[taxels], count)
 
 
 def select(
@@ -153,9 +154,11 @@ class Likelihood:
         while begin < len(rows):
             before = ends[begin] - count[begin]
             end = max(int(np.searchsorted(ends, before + BLOCK, side="right")), begin + 1)
-            part = slice(begin, end)
-            self._block(out, part, self.readings.of(rows[part]), count[part], points, extras,
-                        contacts)  # fmt: skip
+            part = np.arange(begin, end)
+            heard = part[count[part] > 0]
+            if len(heard):
+                found = self._block(rows[heard], points[heard], extras[heard], contacts)
+                out.put(heard, found)
             begin = end
         for k, sigma in enumerate(self.local_sigma):
             out.cost += (extras[:, k] / sigma) ** 2 / 2
@@ -200,38 +203,27 @@ class Likelihood:
             own = read.taxel[part]
             yield part, *self.predict(read.contact[part], points[own], extras[own], contacts)
 
-    def _block(
-        self,
-        out: Moments,
-        part: slice,
-        k: np.ndarray,
-        count: np.ndarray,
-        points: Array,
-        extras: Array,
-        contacts: Contacts,
-    ) -> None:
-        """Add the readings `k` of the taxels `part` of `out`."""
-        some = np.flatnonzero(count)
-        if not len(some):
-            return
-        owner = np.repeat(np.arange(len(count)), count)
+    def _block(self, rows: np.ndarray, points: Array, extras: Array, contacts: Contacts) -> Moments:
+        """What the readings of the taxels `rows` say, each of which has some; priors apart."""
         read = self.readings
-        mu, jacobian = self.predict(read.contact[k], points[part][owner], extras[part][owner],
-                                    contacts)  # fmt: skip
-        level = read.level[k] / self.data.sigma
+        k, count = read.of(rows), read.starts[rows + 1] - read.starts[rows]
+        owner, starts = np.repeat(np.arange(len(rows)), count), np.cumsum(count) - count
+        mu, jacobian = self.predict(read.contact[k], points[owner], extras[owner], contacts)
+        level, weight = read.level[k] / self.data.sigma, read.weight[k]
         cost, rate, curvature = costs(mu, level, read.kind[k])
-        weight = read.weight[k]
-        starts = (np.cumsum(count) - count)[some]
         square = np.where(read.kind[k] == HEARD, (mu - level) ** 2, 0.0)
-        rows = np.arange(part.start, part.stop)[some]
-        out.cost[rows] += np.add.reduceat(weight * cost, starts)
-        out.square[rows] += np.add.reduceat(weight * square, starts)
-        out.gradient[rows] += np.add.reduceat(jacobian * (weight * rate), starts, axis=1).T
+        hessian = np.empty((len(rows), len(jacobian), len(jacobian)))
         scaled = jacobian * (weight * curvature)
         for r in range(len(jacobian)):
             lower = np.add.reduceat(scaled[: r + 1] * jacobian[r], starts, axis=1).T
-            out.hessian[rows, r, : r + 1] += lower
-            out.hessian[rows, :r, r] += lower[:, :r]
+            hessian[:, r, : r + 1] = lower
+            hessian[:, :r, r] = lower[:, :r]
+        return Moments(
+            cost=np.add.reduceat(weight * cost, starts),
+            gradient=np.add.reduceat(jacobian * (weight * rate), starts, axis=1).T,
+            hessian=hessian,
+            square=np.add.reduceat(weight * square, starts),
+        )
 
     def predict(
         self, contact: np.ndarray, points: Array, extras: Array, contacts: Contacts

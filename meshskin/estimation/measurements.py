@@ -10,7 +10,6 @@ import numpy as np
 
 from ..errors import CalibrationError, RecordingError
 from ..physics import contact
-from ..physics.contact import hertz
 from ..physics.contact.disc import disc_slope, invert_disc_mean
 from ..se3 import Array
 from . import units
@@ -24,13 +23,6 @@ if TYPE_CHECKING:
 
 NOMINAL_NOISE = 0.01
 """Standard deviation that weights the readings when none is known, relative to the median peak."""
-
-SPARE = 0.4e-3
-"""Reach beyond patch and disc within which a taxel may be read, m."""
-QUIET = 4.0
-"""Sigmas below the threshold beyond which a silent reading says nothing: 1e-3 of a heard one."""
-CHUNK = 8192
-"""Taxels whose contacts are looked for at once."""
 
 
 @dataclass(frozen=True)
@@ -157,9 +149,6 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     hit = belief.body.closest(recording.points)
     units.check_place(hit.distance)
     belief = settled(belief, recording)
-    material = belief.material
-    model = contact.Model(belief.contact, material.poisson, material.thickness)
-    modulus = hertz.effective_modulus(material.young, material.poisson)
     pressed = recording.force > 0
     heard = pressed[recording.reading_contact] & (recording.pressure > 0)
     _require(heard, recording, pressed)
@@ -168,14 +157,15 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     holds = holding(recording.force[pressed], hit.curvature[pressed], belief)
     pressed[pressed] = holds
     heard &= pressed[recording.reading_contact]
-    force, curvature = recording.force[pressed], hit.curvature[pressed]
-    row = np.cumsum(pressed) - 1
+    hit, force, row = hit.take(pressed), recording.force[pressed], np.cumsum(pressed) - 1
     headings = recording.headings if belief.headings is None else belief.headings
+    material = belief.material
+    model = contact.Model(belief.contact, material.poisson, material.thickness)
     patches = model.patches(
         force=force,
-        curvature=curvature,
+        curvature=hit.curvature,
         indenter_radius=belief.indenter.radius,
-        effective_modulus=modulus,
+        effective_modulus=material.effective_modulus,
     )
     units.check_pressure(recording.pressure[heard], index[heard], patches.peak)
     heard &= recording.pressure > belief.threshold
@@ -183,13 +173,13 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     return Measurements(
         ids=np.asarray(belief.taxel_ids),
         points=recording.points[pressed],
-        normals=hit.normal[pressed],
-        directions=hit.direction[pressed],
-        curvature=curvature,
+        normals=hit.normal,
+        directions=hit.direction,
+        curvature=hit.curvature,
         patches=patches,
         model=model,
         indenter_radius=belief.indenter.radius,
-        modulus=float(modulus),
+        modulus=material.effective_modulus,
         disc=belief.disc_radius,
         contact=row[recording.reading_contact][heard],
         taxel=index[heard],
@@ -277,46 +267,3 @@ def reach(data: Measurements, stretch: float = 1.0) -> Array:
     `stretch`: contact radii relative to those at nominal E*.
     """
     return np.asarray(stretch * data.longest + data.disc)
-
-
-def near_pairs(data: Measurements, points: Array, radius: Array) -> tuple[np.ndarray, np.ndarray]:
-    """Contacts and taxels (rows of `points`) less than `radius` (m,) apart across the normal, m."""
-    from scipy.spatial import cKDTree
-
-    # The distance in space exceeds the one across: a quarter as much again suffices.
-    furthest = 1.25 * float(radius.max())
-    tree = cKDTree(data.points)
-    found: list[tuple[np.ndarray, np.ndarray]] = []
-    for begin in range(0, len(points), CHUNK):
-        part = cKDTree(points[begin : begin + CHUNK])
-        pairs = part.sparse_distance_matrix(tree, furthest, output_type="ndarray")
-        taxel, contact = pairs["i"] + begin, pairs["j"]
-        offset = points[taxel] - data.points[contact]
-        height = np.einsum("ki,ki->k", offset, data.normals[contact])
-        keep = pairs["v"] ** 2 - height**2 < radius[contact] ** 2
-        found.append((contact[keep], taxel[keep]))
-    contacts, taxels = zip(*found, strict=True)
-    return np.concatenate(contacts), np.concatenate(taxels)
-
-
-def silent_pairs(
-    data: Measurements, live: np.ndarray, points: Array, stretch: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Contacts and taxels (rows of `live`, at `points`) whose silence says something.
-
-    Where the pressure to expect is more than `QUIET` sigma below the threshold, it says nothing.
-    """
-    level = np.maximum(data.threshold - QUIET * data.sigma, 0.0) / (data.peaks * stretch**-2)
-    if "offset" in data.shared.local_names:  # where a taxel falls silent is not known, then
-        level = np.zeros_like(level)
-    a = stretch * data.longest
-    # A circle of the longer semi-axis under Hertz's profile has at least the patch's pressure.
-    radius = a * invert_disc_mean(level, data.disc / a, tolerance=1e-3) + SPARE
-    contact, taxel = near_pairs(data, points, radius)
-    number = live[taxel] * len(data.points) + contact
-    heard = np.sort(data.taxel * len(data.points) + data.contact)
-    if len(heard):
-        found = heard[np.minimum(np.searchsorted(heard, number), len(heard) - 1)]
-        quiet = found != number
-        contact, taxel = contact[quiet], taxel[quiet]
-    return contact, taxel

@@ -9,7 +9,7 @@ import numpy as np
 from .. import se3
 from ..errors import CalibrationError
 from ..se3 import Array
-from .observe import Bound, cramer_rao, mean_distance
+from .observe import Bound, cramer_rao, mean_distance, true_positions
 
 if TYPE_CHECKING:
     from ..geometry.skin import Skin
@@ -27,24 +27,13 @@ __all__ = [
 ]
 
 
-def true_positions(calibration: Calibration, skin: Skin) -> Array:
-    """True positions (n, 3), m, in the calibration's order. Raises CalibrationError for lacking
-    taxels.
-    """
-    row = {int(k): r for r, k in enumerate(skin.ids)}
-    missing = [int(k) for k in calibration.ids if int(k) not in row]
-    if missing:
-        raise CalibrationError("the true skin lacks taxels", value=f"ids {missing[:5]}")
-    return np.asarray(skin.positions)[[row[int(k)] for k in calibration.ids]]
-
-
 def position_errors(calibration: Calibration, skin: Skin, gauge: bool = False) -> Array:
     """Distances (n,), m, from the truth; NaN for a taxel that is not determined.
 
     `gauge`: after the rigid alignment that fits best, for a method that leaves the whole's pose
     free. Raises CalibrationError if fewer than three taxels could be aligned.
     """
-    truth, found = true_positions(calibration, skin), calibration.positions
+    truth, found = true_positions(skin, calibration.ids), calibration.positions
     if gauge:
         good = np.isfinite(found).all(axis=1)
         if good.sum() < 3:
@@ -73,7 +62,7 @@ def nees(calibration: Calibration, skin: Skin) -> Array:
 
     NaN for a taxel whose place along the surface is not determined.
     """
-    error = true_positions(calibration, skin) - calibration.positions
+    error = true_positions(skin, calibration.ids) - calibration.positions
     out = np.full(len(error), np.nan)
     good = calibration.observed[:, :2].all(axis=1)
     local = np.einsum("nji,nj->ni", calibration.poses[good, :3, :3], error[good])[:, :2]

@@ -18,7 +18,8 @@ from .displacements import lever
 from .factors.contacts import Anchored
 from .factors.shared import Shared
 from .likelihood import Likelihood, Readings
-from .measurements import SPARE, Measurements, gather, near_pairs, reach
+from .measurements import Measurements, gather, reach
+from .pairs import SPARE, near_pairs
 
 if TYPE_CHECKING:
     from ..geometry.body import Body
@@ -87,14 +88,21 @@ def cramer_rao(recording: Recording, belief: Belief, skin: Skin) -> Bound:
             value="belief.noise_sigma = None",
             remedy="give the belief a noise_sigma",
         )
-    order = {int(k): row for row, k in enumerate(skin.ids)}
-    missing = [int(k) for k in data.ids if int(k) not in order]
-    if missing:
-        raise CalibrationError("the true skin lacks taxels", value=f"ids {missing[:5]}")
-    points = skin.positions[[order[int(k)] for k in data.ids]]
+    points = true_positions(skin, data.ids)
     contact, taxel = near_pairs(data, points, reach(data) + SPARE)
     h = _information(data, belief.body, points, contact, taxel)
     return _bound(h, data.shared)
+
+
+def true_positions(skin: Skin, ids: np.ndarray) -> Array:
+    """Positions (n, 3), m, of the taxels `ids` (n,) of a skin. Raises CalibrationError for taxels
+    that it lacks.
+    """
+    row = {int(k): r for r, k in enumerate(skin.ids)}
+    missing = [int(k) for k in ids if int(k) not in row]
+    if missing:
+        raise CalibrationError("the true skin lacks taxels", value=f"ids {missing[:5]}")
+    return np.asarray(skin.positions)[[row[int(k)] for k in ids]]
 
 
 def _information(

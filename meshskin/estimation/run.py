@@ -17,7 +17,8 @@ from .eliminate import Problem, Reduced, State
 from .factors.contacts import Anchored
 from .factors.pressure import HEARD
 from .likelihood import Likelihood, select
-from .measurements import SPARE, Measurements
+from .measurements import Measurements
+from .pairs import SPARE
 from .places import Free, Places
 from .solve import AT_REST, minimise
 

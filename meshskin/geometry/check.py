@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MeshError
-from . import mend, overlap, sheets
+from . import connected, mend, overlap, sheets
 from .walk import AFTER, BEFORE, neighbours
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ class Finding:
     faces: Index
     """(k,) faces at fault, by their numbers in the file; empty where vertices are"""
     verdict: str
-    """"repaired", "refused" or "noted\""""
+    """one of "repaired", "refused" and "noted" """
     remedy: str = ""
     """what would mend it, where it is refused"""
     crossing: bool = False
@@ -170,14 +170,8 @@ def _unusable(draft: mend.Draft) -> list[Finding]:
 
 def components(across: Index) -> Index:
     """The connected part (m,) of each face, by the faces `across` its edges."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    m = len(across)
     face, k = np.nonzero(across >= 0)
-    ones = np.ones(len(face), dtype=np.int8)
-    graph = coo_array((ones, (face, across[face, k])), shape=(m, m))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.intp)
+    return connected.parts(face, across[face, k], len(across))
 
 
 def _edges(draft: mend.Draft, across: Index, open: bool) -> list[Finding]:
@@ -220,12 +214,7 @@ def _edges(draft: mend.Draft, across: Index, open: bool) -> list[Finding]:
 
 def _loops(tail: Index, head: Index, vertices: Array) -> tuple[int, float]:
     """Number of loops of border edges, and the longest's length in m."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    n = len(vertices)
-    graph = coo_array((np.ones(len(tail), dtype=np.int8), (tail, head)), shape=(n, n))
-    label = connected_components(graph, directed=False)[1][tail]
+    label = connected.parts(tail, head, len(vertices))[tail]
     length = np.bincount(label, np.linalg.norm(vertices[head] - vertices[tail], axis=1))
     return len(np.unique(label)), float(length.max())
 

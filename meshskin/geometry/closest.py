@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,3 +30,12 @@ class Closest:
     """(n,) faces of the mesh; -1 where a ray missed (its other entries are NaN)"""
     uv: Array
     """(n, 2) barycentric weights of the face's second and third vertex"""
+
+    def take(self, rows: Any) -> Closest:
+        """The answers of some rows: a slice, a mask or indices."""
+        return Closest(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Closest]) -> Closest:
+        """The answers of several, one after the other."""
+        return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))

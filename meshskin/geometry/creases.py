@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..ragged import ranges
 from . import patch
 from .fans import Fans, face_normals
 from .heights import heights
@@ -38,7 +39,7 @@ class Creases:
         low, high = np.searchsorted(self.face, rows), np.searchsorted(self.face, rows, side="right")
         count = high - low
         place = np.repeat(np.arange(len(rows)), count)
-        pick = np.repeat(low - np.cumsum(count) + count, count) + np.arange(count.sum())
+        pick = ranges(low, count)
         return place, self.corner[pick], self.curve[pick]
 
 

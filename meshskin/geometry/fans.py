@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from . import connected
+
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
@@ -107,9 +109,6 @@ def _number(
     faces: Index, cut: NDArray[np.bool_], beyond: Index, slot: Index, at: NDArray[np.bool_]
 ) -> tuple[Index, Index]:
     """Vertices (j,) of the fans and the fans (m, 3) of the corners; `at`: vertices to split."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     here = np.flatnonzero(at[faces].ravel())  # corners 3 f + k at such vertices
     place = np.full(faces.size, -1)
     place[here] = np.arange(len(here))
@@ -124,9 +123,8 @@ def _number(
             links.append((one[both], two[both]))
     i = np.concatenate([a for a, _ in links])
     j = np.concatenate([b for _, b in links])
-    graph = coo_array((np.ones(len(i), dtype=np.int8), (i, j)), shape=(len(here),) * 2)
-    count, label = connected_components(graph, directed=False)
-    owner = np.empty(count, dtype=np.intp)
+    label = connected.parts(i, j, len(here))
+    owner = np.empty(label.max(initial=-1) + 1, dtype=np.intp)
     owner[label] = faces.ravel()[here]
     whole = np.flatnonzero(~at)
     number = np.empty(len(at), dtype=np.intp)

@@ -16,6 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ..ragged import ranges
 from .check import components
 from .winding import Winding
 
@@ -67,7 +68,7 @@ class Folds:
         end = 2 - np.argmax(on[rows][:, ::-1], axis=1)
         tail, head = self.faces[face[rows], start], self.faces[face[rows], end]
         size = self.first[tail + 1] - self.first[tail]
-        place = np.repeat(self.first[tail] - np.cumsum(size) + size, size) + np.arange(size.sum())
+        place = ranges(self.first[tail], size)
         owner, row = self.order[place] // 3, np.repeat(np.arange(len(rows)), size)
         meets = np.any(self.faces[owner] == head[row, None], axis=1)  # at a corner all do
         owner, row = owner[meets], row[meets]

@@ -9,7 +9,7 @@ length, gaps are filled and crowded sites removed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -52,7 +52,7 @@ class Lattice:
 
     def take(self, rows: Any) -> Lattice:
         """The sites of some rows."""
-        return Lattice(_rows(self.at, rows), self.tangent[rows], self.way[rows])
+        return Lattice(self.at.take(rows), self.tangent[rows], self.way[rows])
 
     def spacing(self) -> tuple[float, float]:
         """Mean distance of nearest neighbours in m, and its scatter relative to the mean."""
@@ -97,16 +97,16 @@ def fill(
         return _halve(body, region, coarse, spacing)
     sites = grow(body, region, spacing, first)
     faces = regions.face_points(body, np.arange(len(body.surface.faces)), 1)
-    faces = _rows(faces, region.contains(body, faces))
+    faces = faces.take(region.contains(body, faces))
     while len(faces.face):
         gap = _tree(sites.at.point).query(faces.point)[0]
         bare = gap > 1.5 * spacing
         if not bare.any():
             break
-        at = _rows(faces, [int(np.argmax(gap))])
+        at = faces.take([int(np.argmax(gap))])
         island = Lattice(at, jets.tangent_frames(at.normal)[:, 0], np.zeros(1))
         sites = _join(sites, grow(body, region, spacing, island, taken=sites.at.point))
-        faces = _rows(faces, bare)
+        faces = faces.take(bare)
     return sites
 
 
@@ -231,11 +231,9 @@ def _propose(body: Body, sites: Lattice, taken: Array, spacing: float, clearance
     flat = sites.at.point[parent] + spacing * heading
     maybe = np.flatnonzero(tree.query(flat)[0] > 0.5 * clearance)
     parent = parent[maybe]
-    at, tangent = march(
-        body, _rows(sites.at, parent), heading[maybe], sites.tangent[parent], spacing
-    )
+    at, tangent = march(body, sites.at.take(parent), heading[maybe], sites.tangent[parent], spacing)
     free = np.flatnonzero(tree.query(at.point)[0] > clearance) if len(maybe) else maybe
-    at, tangent = _rows(at, free), tangent[free]
+    at, tangent = at.take(free), tangent[free]
     if not len(free):
         return Lattice(at, tangent, np.zeros(0))
     leader = _leaders(at.point, clearance)
@@ -310,12 +308,9 @@ def _tree(points: Array) -> Any:
     return KDTree(points)
 
 
-def _rows(at: Closest, rows: Any) -> Closest:
-    return Closest(*(getattr(at, f.name)[rows] for f in fields(Closest)))
-
-
 def _join(a: Lattice, b: Lattice) -> Lattice:
-    x, y = a.at, b.at
-    both = ((getattr(x, f.name), getattr(y, f.name)) for f in fields(Closest))
-    at = Closest(*map(np.concatenate, both))
-    return Lattice(at, np.concatenate([a.tangent, b.tangent]), np.concatenate([a.way, b.way]))
+    return Lattice(
+        Closest.joined([a.at, b.at]),
+        np.concatenate([a.tangent, b.tangent]),
+        np.concatenate([a.way, b.way]),
+    )

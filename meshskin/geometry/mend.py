@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ..ragged import ranges
 from .walk import neighbours
 
 Array = NDArray[np.float64]
@@ -31,14 +32,11 @@ class Draft:
     """(m,) the faces' numbers in the file"""
     twins: Index = field(default_factory=lambda: np.zeros((0, 2), dtype=np.intp))
     """(k, 2) numbers of duplicate faces that were dropped, and of those that stayed"""
-    repairs: list[str] = field(default_factory=list)
-    """what was done, in words"""
     marks: list[tuple[str, Array]] = field(default_factory=list)
-    """the same, and the points (k, 3), m, where it was done"""
+    """what was done, in words, and the points (k, 3), m, where"""
 
     def note(self, words: str, points: Array) -> None:
         """Add a repair, done at `points`."""
-        self.repairs.append(words)
         self.marks.append((words, np.array(points, dtype=float).reshape(-1, 3)))
 
     def keep(self, rows: NDArray[np.bool_]) -> None:
@@ -189,8 +187,7 @@ def _minority(
         part[seed], front = seed, np.array([seed])
         while len(front):
             sizes = first[front + 1] - first[front]
-            steps = np.repeat(first[front] - np.cumsum(sizes) + sizes, sizes)
-            steps += np.arange(sizes.sum())
+            steps = ranges(first[front], sizes)
             source = np.repeat(front, sizes)
             fresh = part[to[steps]] < 0
             steps, source = steps[fresh], source[fresh]

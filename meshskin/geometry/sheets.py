@@ -13,6 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from . import connected
 from .mend import Draft
 
 Array = NDArray[np.float64]
@@ -82,9 +83,6 @@ def _split(
     draft: Draft, edges: list[tuple[int, int, Index]], pairs: list[Index]
 ) -> tuple[Index, Index]:
     """Faces with a vertex for every fan at the edges' ends, and which vertex each one was."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     faces = draft.faces
     ends = np.unique([e[:2] for e in edges])
     rows = np.flatnonzero(np.isin(faces, ends).any(axis=1))
@@ -103,8 +101,7 @@ def _split(
     i, j = np.concatenate([one, _next(one)]), np.concatenate([_next(two), two])
     same = near.ravel()[i] == near.ravel()[j]  # not where both run the same way
     i, j = i[same], j[same]
-    graph = coo_array((np.ones(len(i), dtype=np.int8), (i, j)), shape=(near.size,) * 2)
-    fan = connected_components(graph, directed=False)[1]
+    fan = connected.parts(i, j, near.size)
     at = np.isin(near.ravel(), ends)
     fans, lead = np.unique(fan[at], return_index=True)
     owner = near.ravel()[at][lead]

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import compiled
+from . import connected
 from .compiled_search import along_curve
 from .mend import turns
 
@@ -107,9 +108,6 @@ def _border(vertices: Array, faces: Index) -> tuple[Array, Array, Array]:
     An edge that is run more often one way than the other is there as often as that. Third, the
     triangles (k, 3, 3) that close each loop from the middle of its corners.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     n = len(vertices)
     tail, head = faces.ravel(), faces[:, [1, 2, 0]].ravel()
     low, high = np.minimum(tail, head), np.maximum(tail, head)
@@ -121,8 +119,7 @@ def _border(vertices: Array, faces: Index) -> tuple[Array, Array, Array]:
     ends = np.repeat(ends, np.abs(excess), axis=0)
     if not len(ends):
         return np.zeros((0, 2, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3))
-    link = coo_array((np.ones(len(ends), dtype=np.int8), (ends[:, 0], ends[:, 1])), shape=(n, n))
-    loop = connected_components(link, directed=False)[1][ends[:, 0]]
+    loop = connected.parts(ends[:, 0], ends[:, 1], n)[ends[:, 0]]
     _, loop = np.unique(loop, return_inverse=True)
     along = vertices[ends]
     count = np.bincount(loop)

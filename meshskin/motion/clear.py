@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..geometry.body import Body
 from ..physics.indenter import Indenter
+from ..ragged import ranges
 from ..se3 import Array
 from . import shapes
 from .arm import Arm
@@ -87,7 +88,7 @@ def edges(body: Body, spacing: float) -> Array:
     ends = [surface.vertices[surface.faces[face, (corner + k) % 3]] for k in (1, 2)]
     count = np.ceil(np.linalg.norm(ends[1] - ends[0], axis=1) / spacing).astype(int) + 1
     row = np.repeat(np.arange(len(count)), count)
-    part = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)) / count[row]
+    part = ranges(np.zeros_like(count), count) / count[row]
     return np.asarray(ends[0][row] + part[:, None] * (ends[1] - ends[0])[row])
 
 
@@ -230,7 +231,7 @@ def _balls(length: Array, radii: Array) -> tuple[NDArray[np.intp], Array]:
 def _spread(count: NDArray[np.intp]) -> tuple[NDArray[np.intp], Array]:
     """Of which of (k,) axes each ball (p,) is, `count` (k,) on each, and at which part (p, 1)."""
     owner = np.repeat(np.arange(len(count)), count)
-    place = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+    place = ranges(np.zeros_like(count), count)
     return owner, (place / np.maximum(count - 1, 1)[owner])[:, None]
 
 

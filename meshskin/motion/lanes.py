@@ -10,7 +10,7 @@ Source: do Carmo, "Differential Geometry of Curves and Surfaces", section 4.6 (F
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -231,7 +231,7 @@ def _fresh(lane: list[Closest], passed: list[Array], apart: float) -> list[Close
         near = cKDTree(np.concatenate(passed)).query(chain.point)[0] < apart
         for run in runs(~near):
             if run.stop - run.start > 2:
-                out.append(Closest(*(getattr(chain, f.name)[run] for f in fields(Closest))))
+                out.append(chain.take(run))
         passed.append(chain.point)
     return out
 

@@ -10,8 +10,9 @@ import pytest
 from meshskin import se3
 from meshskin.errors import ContactError
 from meshskin.estimation.calibrate import calibrate
-from meshskin.estimation.measurements import gather, silent_pairs
+from meshskin.estimation.measurements import gather
 from meshskin.estimation.metrics import cramer_rao, nees, nees_band, position_errors
+from meshskin.estimation.pairs import silent_pairs
 from meshskin.geometry.primitives import Ellipsoid
 from meshskin.physics.contact import Model
 

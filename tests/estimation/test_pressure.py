@@ -9,7 +9,8 @@ from meshskin.estimation.factors.contacts import Anchored, Contacts
 from meshskin.estimation.factors.pressure import censored, costs, mean_pressure
 from meshskin.estimation.factors.shared import PRIORS, declared
 from meshskin.estimation.likelihood import Likelihood, Readings
-from meshskin.estimation.measurements import gather, near_pairs, reach
+from meshskin.estimation.measurements import gather, reach
+from meshskin.estimation.pairs import near_pairs
 from meshskin.physics.contact.disc import disc_mean
 
 EVERY = ("modulus", "gain", "offset", "force_scale", "force_offset", "indenter_offset")

@@ -8,7 +8,8 @@ from meshskin.estimation.factors.patches import FOLLOW, MEANS
 from meshskin.estimation.factors.pressure import mean_pressure
 from meshskin.estimation.factors.pressure_elliptic import ellipse, profile
 from meshskin.estimation.likelihood import Likelihood, Readings
-from meshskin.estimation.measurements import gather, near_pairs, reach
+from meshskin.estimation.measurements import gather, reach
+from meshskin.estimation.pairs import near_pairs
 from meshskin.geometry.primitives import Ellipsoid
 from meshskin.physics.contact import Model, Patches
 

@@ -138,14 +138,7 @@ class Anchored:
         )
         goal = np.einsum("mai,mi->ma", frame, centre - fixed.points)
         along_up = np.einsum("mai,mi->ma", frame, up)
-        flat, lift = np.zeros((len(goal), 2)), np.zeros(len(goal))
-        for _ in range(FEET):  # flat + height * normal = goal + lift * up, on z = -(k . flat^2) / 2
-            normal = np.column_stack([k * flat, np.ones(len(flat))])
-            normal /= np.linalg.norm(normal, axis=1)[:, None]
-            off = goal + lift[:, None] * along_up - height[:, None] * normal
-            flat = flat + (off[:, :2] - flat) / (1 + height[:, None] * k)
-            lift = lift - (off[:, 2] + np.sum(k * flat**2, axis=1) / 2) / along_up[:, 2]
-        foot = np.column_stack([flat, -np.sum(k * flat**2, axis=1) / 2])
+        foot, normal, lift = _foot(k, goal, along_up, height)
         step, normal = (np.einsum("mai,ma->mi", frame, part) for part in (foot, normal))
         along = fixed.directions - normal * np.einsum("mi,mi->m", normal, fixed.directions)[:, None]
         along /= np.linalg.norm(along, axis=1)[:, None]
@@ -227,3 +220,19 @@ class Anchored:
         """True forces (m,), N."""
         h, b = (self.shared.value(n, self._within(s)) for n in ("force_scale", "force_offset"))
         return np.maximum(np.exp(h) * self.recorded.force + b, 0.01 * self.recorded.force)
+
+
+def _foot(curvature: Array, goal: Array, up: Array, height: Array) -> tuple[Array, Array, Array]:
+    """Feet (m, 3), m, on paraboloids z = -(k_1 x^2 + k_2 y^2) / 2, normals (m, 3) and lifts (m,).
+
+    Of centres at `height` (m,), m, over their feet, k being the `curvature` (m, 2), 1/m: each is
+    where foot + height * normal = `goal` (m, 3) + lift * `up` (m, 3), in its contact's frame.
+    """
+    flat, lift = np.zeros((len(goal), 2)), np.zeros(len(goal))
+    for _ in range(FEET):
+        normal = np.column_stack([curvature * flat, np.ones(len(flat))])
+        normal /= np.linalg.norm(normal, axis=1)[:, None]
+        off = goal + lift[:, None] * up - height[:, None] * normal
+        flat = flat + (off[:, :2] - flat) / (1 + height[:, None] * curvature)
+        lift = lift - (off[:, 2] + np.sum(curvature * flat**2, axis=1) / 2) / up[:, 2]
+    return np.column_stack([flat, -np.sum(curvature * flat**2, axis=1) / 2]), normal, lift
