@@ -67,6 +67,18 @@ def log_so3(rotation: ArrayLike) -> Array:
     return np.asarray(2.0 * np.arctan2(n, w) / n * v)
 
 
+def from_rpy(rpy: ArrayLike) -> Array:
+    """Rotation (3, 3) of a URDF's fixed-axis angles (3,), rad: Rz(yaw) Ry(pitch) Rx(roll)."""
+    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
 def transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
     """Homogeneous transforms (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3)."""
     r, t = np.asarray(rotation, dtype=float), np.asarray(translation, dtype=float)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import patch
-from .creases import INNER, Creases, crease_curves, tangents
+from .creases import INNER, Creases, crease_curves
 from .fans import Fans, face_normals
 from .heights import DEGREE, heights
 from .jets import FAITHFUL, Jets
@@ -231,7 +231,7 @@ def flatten_bulges(jets: Jets, fans: Fans) -> Jets:
     turn = np.zeros(len(degree))
     for k in range(3):
         np.maximum.at(turn, fans.corner[:, k], fans.turn)
-    normals = tangents(jets)
+    normals = jets.normals
     suspect = np.flatnonzero(np.any(jets.miss[fans.corner] >= FAITHFUL, axis=1))
     for start in range(0, len(suspect), CHUNK):
         rows = suspect[start : start + CHUNK]

@@ -67,7 +67,7 @@ def crease_curves(
     along = (q - p) / np.maximum(length, 1e-300)[:, None]
     most = BOW * length
     if len(a):
-        normals = tangents(jets)
+        normals = jets.normals
         ends = (tail, head, sides[1][0], sides[1][1])
         rise = np.max([_rise(jets, normals, fan, chord) for fan in ends], axis=0)
         meet = np.linalg.norm(np.cross(flat[: len(a)], flat[len(a) :]), axis=1)
@@ -87,13 +87,6 @@ def crease_curves(
     face, corner = np.concatenate([a, b]), np.concatenate([ka, kb])
     order = np.argsort(face, kind="stable")
     return Creases(face[order], corner[order], np.concatenate([curve, curve[:, ::-1]])[order])
-
-
-def tangents(jets: Jets) -> Array:
-    """Unit normals (j, 3) of the jets."""
-    slope = jets.coefficients[:, :2] / jets.scale
-    normals = jets.frame[:, 2] - np.einsum("jk,jkc->jc", slope, jets.frame[:, :2])
-    return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
 def _rise(jets: Jets, normals: Array, fan: Index, points: Array) -> Array:

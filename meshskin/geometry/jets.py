@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .fans import Fans
+from .frames import fan_frames
 from .heights import (
     DEGREE,
     MISS,
@@ -70,6 +71,13 @@ class Jets:
     miss: Array
     """(j,) residual of the fit over its heights, RMS; 1 where the ring had no points to spare"""
 
+    @property
+    def normals(self) -> Array:
+        """(j, 3) unit normals of the height fields where x and y are zero."""
+        slope = self.coefficients[:, :2] / self.scale
+        normals = self.frame[:, 2] - np.einsum("jk,jkc->jc", slope, self.frame[:, :2])
+        return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
+
 
 @dataclass
 class _Fit:
@@ -79,50 +87,6 @@ class _Fit:
     rss: Array  # (j, 5) sum of squares of the residual by degree; row's NaN: not fitted
     dof: Array  # (j, 5) its degrees of freedom
     floor: Array  # (j,) sum of squares that rounding explains
-
-
-def vertex_normals(vertices: Array, faces: Index) -> Array:
-    """Outward unit normals (n, 3) at the vertices, each face weighted by its area."""
-    a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
-    cross = np.cross(b - a, c - a)
-    flat = faces.ravel()
-    total = np.stack(
-        [np.bincount(flat, np.repeat(cross[:, k], 3), len(vertices)) for k in range(3)], axis=1
-    )
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    return np.where(length > 0, total / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
-
-
-def tangent_frames(normals: Array) -> Array:
-    """Right-handed frames (n, 3, 3), rows t1, t2, normal, of unit normals (n, 3).
-
-    Source: Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6 (2017).
-    """
-    x, y, z = normals.T
-    sign = np.where(z >= 0, 1.0, -1.0)
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    t1 = np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=1)
-    t2 = np.stack([b, sign + y * y * a, -y], axis=1)
-    return np.stack([t1, t2, normals], axis=1)
-
-
-def _frames(points: Array, fans: Fans) -> Array:
-    """Frames (j, 3, 3) of the fans, with t1 along the creases where there are some."""
-    frame = tangent_frames(vertex_normals(points, fans.corner))
-    face, k = np.nonzero(fans.sharp)
-    tail, head = fans.corner[face, (k + 1) % 3], fans.corner[face, (k + 2) % 3]
-    way = points[head] - points[tail]
-    way /= np.maximum(np.linalg.norm(way, axis=1), 1e-300)[:, None]
-    along = np.zeros_like(points)
-    np.add.at(along, np.concatenate([tail, head]), np.concatenate([way, way]))
-    normal = frame[:, 2]
-    along -= np.einsum("ji,ji->j", along, normal)[:, None] * normal
-    length = np.linalg.norm(along, axis=1)
-    rows = np.flatnonzero(length > 0.1)
-    frame[rows, 0] = along[rows] / length[rows, None]
-    frame[rows, 1] = np.cross(normal[rows], frame[rows, 0])
-    return frame
 
 
 def steps(faces: Index, count: int) -> Any:
@@ -146,7 +110,7 @@ def fit(vertices: Array, fans: Fans, degree: int = DEGREE, order: int = 2) -> Je
     if count > MANY:
         degree = 2
     step = steps(fans.corner, count)
-    frame = _frames(points, fans)
+    frame = fan_frames(points, fans)
     jets = Jets(
         points.copy(), frame, np.ones((count, 2)), np.zeros((count, len(POWERS))),
         np.zeros(count, dtype=np.int64), np.ones(count),

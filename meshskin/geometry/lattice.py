@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SkinError
-from . import jets
 from . import region as regions
 from .body import Body
 from .closest import Closest
+from .frames import tangent_frames
+from .geodesics import march, onto
 
 Array = NDArray[np.float64]
 
@@ -72,7 +73,7 @@ def first_site(
     centre = region.centre(body)
     if not region.contains(body, centre)[0]:
         raise SkinError("a region without surface", value=region, remedy="move or widen it")
-    tangent = jets.tangent_frames(centre.normal)[:, 0]
+    tangent = tangent_frames(centre.normal)[:, 0]
     side = np.cross(centre.normal, tangent)
     a, b = rng.uniform(-0.5, 0.5, size=2)
     turn = rng.uniform(0.0, np.pi / 3.0)
@@ -104,7 +105,7 @@ def fill(
         if not bare.any():
             break
         at = faces.take([int(np.argmax(gap))])
-        island = Lattice(at, jets.tangent_frames(at.normal)[:, 0], np.zeros(1))
+        island = Lattice(at, tangent_frames(at.normal)[:, 0], np.zeros(1))
         sites = _join(sites, grow(body, region, spacing, island, taken=sites.at.point))
         faces = faces.take(bare)
     return sites
@@ -203,23 +204,6 @@ def ties(sites: Lattice, reach: float) -> tuple[NDArray[np.intp], NDArray[np.int
     return one[facing], two[facing]
 
 
-def march(
-    body: Body, at: Closest, heading: Array, carried: Array, length: float
-) -> tuple[Closest, Array]:
-    """Walk a length (m) from n points along geodesics with unit headings (n, 3).
-
-    Gives the ends, and the tangents `carried` (n, 3) transported there. Steps are straight, each
-    followed by the closest point: off by (kappa ds)^2 / 3 of the length.
-    """
-    steps = int(np.clip(np.ceil(length * np.max(np.abs(at.curvature), initial=0.0) / 0.05), 2, 10))
-    for _ in range(steps):
-        after = body.closest(at.point + length / steps * heading, face=at.face)
-        heading = _transport(heading, at.normal, after.normal)
-        carried = _transport(carried, at.normal, after.normal)
-        at = after
-    return at, carried
-
-
 def _propose(body: Body, sites: Lattice, taken: Array, spacing: float, clearance: float) -> Lattice:
     """New sites around `sites` (way unset) farther than the clearance (m) from those taken."""
     angle = np.arange(6) * np.pi / 3.0
@@ -288,18 +272,6 @@ def _uncrowded(points: Array, radius: float) -> NDArray[np.intp]:
         return np.zeros(0, dtype=np.intp)
     leader = _leaders(points, radius)
     return np.flatnonzero(leader == np.arange(len(points)))
-
-
-def _transport(vectors: Array, before: Array, after: Array) -> Array:
-    """Tangents (n, 3) turned by the smallest rotation that takes normals `before` to `after`."""
-    along = np.sum(vectors * after, axis=1) / (1.0 + np.sum(before * after, axis=1))
-    return onto(vectors - along[:, None] * (before + after), after)
-
-
-def onto(vectors: Array, normals: Array) -> Array:
-    """Unit tangents (n, 3): the vectors' parts across the normals."""
-    flat = vectors - np.sum(vectors * normals, axis=1, keepdims=True) * normals
-    return flat / np.linalg.norm(flat, axis=1, keepdims=True)
 
 
 def _tree(points: Array) -> Any:

@@ -23,6 +23,7 @@ from ..provenance import random_stream
 from . import lattice, packing, slots, tile
 from . import region as regions
 from .body import Body
+from .geodesics import march, onto
 from .tile import MIDDLES, OUTLINE, overlapping
 
 if TYPE_CHECKING:
@@ -191,6 +192,6 @@ def _across(body: Body, poses: Array, spacing: float) -> tuple[Array, Array]:
     out = middles / np.linalg.norm(middles, axis=1, keepdims=True)
     heading = (out @ np.swapaxes(poses[:, :3, :3], 1, 2)).reshape(-1, 3)
     at = body.closest(np.repeat(poses[:, :3, 3], 3, axis=0))
-    heading, x = (lattice.onto(v, at.normal) for v in (heading, np.repeat(poses[:, :3, 0], 3, 0)))
-    end, carried = lattice.march(body, at, heading, x, spacing)
+    heading, x = (onto(v, at.normal) for v in (heading, np.repeat(poses[:, :3, 0], 3, 0)))
+    end, carried = march(body, at, heading, x, spacing)
     return end.point, -carried

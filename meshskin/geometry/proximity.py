@@ -111,11 +111,6 @@ def part_middles(count: int) -> Array:
     return np.column_stack([1.0 - uv.sum(axis=1), uv])
 
 
-def triangle_distance2(p: Array, a: Array, ab: Array, ac: Array) -> Array:
-    """Squared distances from points p to triangles a, a + ab, a + ac (all (..., 3))."""
-    return triangle_foot(p, a, ab, ac)[0]
-
-
 def triangle_foot(p: Array, a: Array, ab: Array, ac: Array) -> tuple[Array, Array]:
     """Squared distances of points p to triangles a, a + ab, a + ac (all (..., 3)), and their feet.
 

@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from .. import se3
 from ..errors import SkinError
 from ..provenance import random_stream
-from . import jets, lattice, modules
+from . import lattice, modules
 from . import region as regions
 from .body import Body
 from .files.mesh import UNITS
+from .frames import tangent_frames
 
 Array = NDArray[np.float64]
 
@@ -173,7 +174,7 @@ class Skin:
                 remedy="the skin in the body's frame, its file's units (Skin.load(path, "
                 "units='mm')), or a larger `within`",
             )
-        x = jets.tangent_frames(at.normal)[:, 0]
+        x = tangent_frames(at.normal)[:, 0]
         cosine = np.einsum("ij,ij->i", self.normals, at.normal)
         turned = np.flatnonzero(cosine > HEADLONG)  # not where a rotation is NaN
         across = np.cross(self.normals[turned], at.normal[turned])

@@ -42,12 +42,7 @@ def cylinder(radius: float, length: float, faces: int) -> tuple[Array, Index]:
     heights += [-0.5 * length] * n
     counts += [6 * n] * rows + counts[:n][::-1]
     reach += [radius] * rows + reach[:n][::-1]
-    rings = []
-    for k, (z, r, count) in enumerate(zip(heights, reach, counts, strict=True)):
-        shift = 0.5 * ((k - n) % 2) if n < k <= n + rows else 0.0  # every other row of the side
-        a = (np.arange(count) + shift) * 2.0 * np.pi / count
-        rings.append(np.column_stack([r * np.cos(a), r * np.sin(a), np.full(count, z)]))
-    return _stitch(rings)
+    return _stitch(_rings(heights, reach, counts, range(n, n + rows + 1)))
 
 
 def capsule(radius: float, length: float, faces: int) -> tuple[Array, Index, Index]:
@@ -68,13 +63,9 @@ def capsule(radius: float, length: float, faces: int) -> tuple[Array, Index, Ind
     heights += [-0.5 * length] * n
     latitude += list(np.linspace(0.0, -0.5 * np.pi, n + 1)[1:])
     counts += counts[:n][::-1]
-    rings = []
-    for k, (z, angle, count) in enumerate(zip(heights, latitude, counts, strict=True)):
-        shift = 0.5 * ((k - n) % 2) if n < k <= n + rows else 0.0  # every other row of the side
-        a = (np.arange(count) + shift) * 2.0 * np.pi / count
-        flat = radius * np.cos(angle)
-        up = np.full(count, z + radius * np.sin(angle))
-        rings.append(np.column_stack([flat * np.cos(a), flat * np.sin(a), up]))
+    reach = (radius * np.cos(latitude)).tolist()
+    heights = (heights + radius * np.sin(latitude)).tolist()
+    rings = _rings(heights, reach, counts, range(n, n + rows + 1))
     starts = np.concatenate([[0], np.cumsum(counts)])
     around = np.arange(4 * n)
     seam = np.column_stack([around, (around + 1) % (4 * n)])
@@ -101,6 +92,19 @@ def torus(major: float, minor: float, faces: int) -> tuple[Array, Index]:
         lean[..., None], np.stack([here, east_up, up], -1), np.stack([east, east_up, up], -1)
     )
     return vertices.reshape(-1, 3), np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
+
+
+def _rings(heights: list[float], reach: list[float], counts: list[int], side: range) -> list[Array]:
+    """Closed rings of points (count, 3), each at a height and a reach from the axis, m.
+
+    Every other one of those of the `side` is turned by half a step, for even triangles.
+    """
+    rings = []
+    for k, (z, r, count) in enumerate(zip(heights, reach, counts, strict=True)):
+        shift = 0.5 * ((k - side.start) % 2) if k in side else 0.0
+        a = (np.arange(count) + shift) * 2.0 * np.pi / count
+        rings.append(np.column_stack([r * np.cos(a), r * np.sin(a), np.full(count, z)]))
+    return rings
 
 
 def _stitch(rings: list[Array]) -> tuple[Array, Index]:

@@ -6,19 +6,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
-from . import jets, lattice, slots
 from . import region as regions
+from . import slots
 from .body import Body
 from .closest import Closest
+from .frames import tangent_frames
+from .geodesics import onto
 
 Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 MOST_OFF = 2.5e-3
 """m, the most that a taxel may lie off the surface"""
 FITS = 3
 """times a pose is brought nearer to the surface"""
 MIDDLES = slots.OFFSETS[list(slots.TAXELS)]
+"""(10, 3) taxels in the module's frame, m"""
 OUTLINE = slots.SIDE / np.sqrt(3.0)
 """m, from a triangle's middle to its corners, and twice as far as to its sides"""
 
@@ -61,7 +63,7 @@ def nearer(body: Body, poses: Array) -> Array:
 
 def posed(origins: Array, normals: Array, headings: Array) -> Array:
     """Poses (k, 4, 4) at origins, z the unit normals, x along headings (k, 3 each)."""
-    x = lattice.onto(headings, normals)
+    x = onto(headings, normals)
     rotation = np.stack([x, np.cross(normals, x), normals], axis=2)
     return se3.transform(rotation, origins)
 
@@ -96,7 +98,7 @@ def apart(one: Array, two: Array) -> tuple[Array, Array, Array]:
     the second, and the corner (k, 3), m, that comes nearest.
     """
     z = one[:, :3, 2] + two[:, :3, 2]
-    frames = jets.tangent_frames(z / np.linalg.norm(z, axis=1, keepdims=True))[:, :2]
+    frames = tangent_frames(z / np.linalg.norm(z, axis=1, keepdims=True))[:, :2]
     origin = one[:, None, :3, 3]
     a, b = (np.einsum("kci,kji->kcj", corners(p) - origin, frames) for p in (one, two))
     gap, way, corner = _beyond(a, b)

@@ -6,7 +6,7 @@ a point, or to a ray.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,15 @@ from . import patch
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+Step = Callable[[tuple[Array, ...], Array], tuple[Array, Array, Mask]]
+"""(derivatives of the patches at n feet, what each walks towards) -> gradients (n, 2), Hessians
+(n, 3), and which rows (n,) make a Newton step"""
 
 AFTER, BEFORE = np.array([1, 2, 0]), np.array([2, 0, 1])
 """corner numbers after and before corner k of a face"""
-CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])  # (u, v) of a face's vertices
+CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+"""(u, v) of a face's vertices"""
 QUADRATIC = 1e-5
 """a Newton step this small (barycentric) leaves an error of its square"""
 STILL = 1e-11
@@ -55,7 +60,7 @@ def walk(
     across: tuple[Index, Index],
     target: Array,
     face: Index,
-    step: Any,
+    step: Step,
     start: Array | None = None,
 ) -> tuple[Index, Array, Index]:
     """Iterate `step` on `face` (n,) from `start` (n, 2), or the middles, until every row is still.
@@ -111,7 +116,7 @@ def _dot(a: Array, b: Array) -> Array:
     return np.einsum("ij,ij->i", a, b)
 
 
-def closest_step(derivatives: tuple[Array, ...], points: Array) -> tuple[Array, Array, Any]:
+def closest_step(derivatives: tuple[Array, ...], points: Array) -> tuple[Array, Array, Mask]:
     """Gradient (n, 2) and Hessian (n, 3) of half the squared distance, and which is Newton's.
 
     Beyond a focal point the Hessian is not positive; there the first fundamental form serves
@@ -127,7 +132,7 @@ def closest_step(derivatives: tuple[Array, ...], points: Array) -> tuple[Array, 
     return gradient, np.where(newton[:, None], full, first), newton
 
 
-def ray_step(derivatives: tuple[Array, ...], rays: Array) -> tuple[Array, Array, Any]:
+def ray_step(derivatives: tuple[Array, ...], rays: Array) -> tuple[Array, Array, Mask]:
     """Gauss-Newton on the offset from a ray, in the two directions across it."""
     s, su, sv = derivatives[:3]
     origin, e1, e2 = rays[:, 0], rays[:, 1], rays[:, 2]

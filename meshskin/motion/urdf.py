@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ArmError, UnknownNameError
-from ..se3 import Array
+from ..se3 import Array, from_rpy
 
 
 @dataclass(frozen=True)
@@ -54,18 +54,11 @@ class Joint:
 
 
 def rotation(rpy: ArrayLike) -> Array:
-    """Rotation matrix (3, 3) of URDF angles (rad), Rz(yaw) Ry(pitch) Rx(roll).
+    """Rotation matrix (3, 3) of URDF angles (3,), rad: as `se3.from_rpy`.
 
     Entries within rounding of -1, 0, 1 are made exact: quarter turns then cost no instructions.
     """
-    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
-    r = np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
+    r = from_rpy(rpy)
     return np.where(np.abs(r - np.round(r)) < 1e-15, np.round(r), r)
 
 

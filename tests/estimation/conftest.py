@@ -14,6 +14,7 @@ import pytest
 from meshskin.geometry.primitives import Sphere
 from meshskin.physics.contact import Model, hertz
 from meshskin.physics.contact.disc import disc_mean
+from meshskin.physics.material import Material
 from meshskin.recording import CONTACTS, READINGS, Recording
 
 RADIUS, INDENTER, DISC, YOUNG, POISSON, FORCE = 0.1, 0.01, 2e-3, 0.2e6, 0.49, 3.0
@@ -105,9 +106,7 @@ class World:
         fields = {
             "body": self.body,
             "indenter": SimpleNamespace(radius=INDENTER),
-            "material": SimpleNamespace(
-                young=young, poisson=POISSON, thickness=self.model.thickness
-            ),
+            "material": Material(young=young, poisson=POISSON, thickness=self.model.thickness),
             "contact": self.model.name,
             "taxel_ids": self.ids,
             "disc_radius": DISC,

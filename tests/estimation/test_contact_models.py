@@ -2,7 +2,7 @@
 where the belief has another contact model than the world.
 """
 
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from meshskin.estimation.metrics import cramer_rao, nees, nees_band, position_er
 from meshskin.estimation.pairs import silent_pairs
 from meshskin.geometry.primitives import Ellipsoid
 from meshskin.physics.contact import Model
+from meshskin.physics.material import Material
 
 MODELS = {"elliptic": Model("elliptic"), "layered": Model("layered", 0.49, 4e-3)}
 SEEDS = 20
@@ -75,7 +76,7 @@ def test_a_softer_belief(worlds, name):
 
 def half_space(world, **changes):
     """The belief of one who knows of no layer."""
-    material = SimpleNamespace(young=world.young, poisson=0.49, thickness=None)
+    material = Material(young=world.young, poisson=0.49, thickness=None)
     return world.belief(0.01, 0.05, contact="hertz", material=material, **changes)
 
 
@@ -178,7 +179,7 @@ def test_an_estimate_outside_the_model_is_refused(world):
     assert found.modulus == pytest.approx(thin.modulus, rel=5e-3)
     thin = type(world)(extent=9e-3, model=Model("layered", 0.49, 0.45e-3))
     belief = thin.belief(young=3e6)
-    belief.material.thickness = 0.4e-3
+    belief.material = replace(belief.material, thickness=0.4e-3)
     with pytest.raises(ContactError, match="thinner than the table"):
         calibrate(thin.record(), belief)
 
@@ -187,10 +188,10 @@ def test_what_leaves_the_model_is_refused(worlds):
     world = worlds["elliptic"]
     with pytest.raises(ContactError, match=r"hertz is for circular patches.*use elliptic"):
         gather(world.record(), world.belief(contact="hertz"))
-    layer = SimpleNamespace(young=world.young, poisson=0.49, thickness=4e-3)
+    layer = Material(young=world.young, poisson=0.49, thickness=4e-3)
     with pytest.raises(ContactError, match="too thin for the half-space of elliptic"):
         gather(world.record(), world.belief(material=layer))
-    layer.thickness = 0.2e-3
+    layer = replace(layer, thickness=0.2e-3)
     with pytest.raises(ContactError, match="thinner than the table of layered"):
         gather(world.record(), world.belief(contact="layered", material=layer))
 

@@ -11,7 +11,7 @@ from meshskin.errors import MeshError
 from meshskin.geometry import compiled_search
 from meshskin.geometry.body import Body
 from meshskin.geometry.compiled_search import CompiledSearch
-from meshskin.geometry.proximity import triangle_distance2
+from meshskin.geometry.proximity import triangle_foot
 from meshskin.geometry.search import Search
 from meshskin.geometry.surface import Surface
 
@@ -69,6 +69,17 @@ def test_both_searches_find_the_same_distances(name):
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-13)
 
 
+def test_the_closest_point_of_a_triangle_agrees_with_trimesh():
+    rng = np.random.default_rng(0)
+    corners, points = rng.random((500, 3, 3)), 2 * rng.random((500, 3)) - 0.5
+    a, b, c = np.swapaxes(corners, 0, 1)
+    gap2, weight = triangle_foot(points, a, b - a, c - a)
+    foot = a + weight[:, :1] * (b - a) + weight[:, 1:] * (c - a)
+    want = trimesh.triangles.closest_point(corners, points)
+    np.testing.assert_allclose(foot, want, atol=1e-12)
+    np.testing.assert_allclose(np.sqrt(gap2), np.linalg.norm(points - want, axis=1), atol=1e-12)
+
+
 @needs_compiler
 @pytest.mark.parametrize("name", BODIES)
 def test_the_nearest_flat_face_is_the_nearest(name):
@@ -77,7 +88,7 @@ def test_the_nearest_flat_face_is_the_nearest(name):
     points = np.vstack([cloud(surface, 300, 0.02), cloud(surface, 50, 3.0)])
     search = both(surface)[0]
     a, b, c = np.swapaxes(surface.vertices[surface.faces], 0, 1)
-    gap2 = triangle_distance2(points[:, None], a, b - a, c - a)
+    gap2 = triangle_foot(points[:, None], a, b - a, c - a)[0]
     search.sharp = True  # all are told of their flat faces
     flat = search.closest(points, None).flat
     np.testing.assert_allclose(flat.gap, np.sqrt(gap2.min(axis=1)), rtol=1e-12, atol=1e-15)

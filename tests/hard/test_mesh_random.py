@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from meshskin.errors import MeshError
 from meshskin.geometry.check import survey
 from meshskin.geometry.mend import turns
-from meshskin.geometry.proximity import triangle_distance2
+from meshskin.geometry.proximity import triangle_foot
 from meshskin.geometry.surface import Surface
 
 SPOILS = ("nothing", "flip", "drop", "double", "split", "nan", "spare", "collapse", "invert")
@@ -64,7 +64,7 @@ def a_right_answer_or_a_named_error(mesh):
     assert np.linalg.norm(points - hit.point, axis=1) == pytest.approx(np.abs(hit.distance))
     corners = (found.vertices - offset)[found.faces]
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    gap = np.sqrt(triangle_distance2((points - offset)[:, None], a, b - a, c - a).min(axis=1))
+    gap = np.sqrt(triangle_foot((points - offset)[:, None], a, b - a, c - a)[0].min(axis=1))
     height = surface.lifts.max()
     assert np.all(np.abs(hit.distance) <= gap + height + 1e-9)
     clear = gap > height + 1e-9

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ... import se3
 from ...errors import SkinError
-from ..jets import tangent_frames
+from ..frames import tangent_frames
 from ..slots import CENTRE, PER_MODULE, THERMAL, module, slot
 
 Array = NDArray[np.float64]

@@ -80,16 +80,8 @@ def _pose(joint: ET.Element, name: str) -> Array:
     origin = joint.find("origin")
     given = {} if origin is None else origin.attrib
     xyz = _numbers(given.get("xyz", "0 0 0"), 3, where)
-    (sr, sp, sy), (cr, cp, cy) = (f(_numbers(given.get("rpy", "0 0 0"), 3, where)) for f in _TRIG)
-    rotation = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
-    return se3.transform(rotation, xyz)
-
-
-_TRIG = (np.sin, np.cos)
+    rpy = _numbers(given.get("rpy", "0 0 0"), 3, where)
+    return se3.transform(se3.from_rpy(rpy), xyz)
 
 
 def _angles(r: Array) -> Array:
