@@ -1,13 +1,10 @@
-"""One source for NumPy and CasADi: the functions whose names or behaviour differ between them."""
+"""One source for NumPy and CasADi: the formulas are written once and take either."""
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-
-_NUMPY = SimpleNamespace(sqrt=np.sqrt, fmin=np.fmin, fmax=np.fmax, atan2=np.arctan2)
 
 
 def is_casadi(*values: Any) -> bool:
@@ -16,9 +13,9 @@ def is_casadi(*values: Any) -> bool:
 
 
 def functions(*values: Any) -> Any:
-    """A namespace with sqrt, fmin, fmax, atan2 for `values`: CasADi's if any is CasADi's."""
+    """The module whose sqrt, exp, log, fmin, fmax, atan2 take `values`: casadi or numpy."""
     if not is_casadi(*values):
-        return _NUMPY
+        return np
     import casadi
 
     return casadi

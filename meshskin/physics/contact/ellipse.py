@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...se3 import Array
-from .series import mathematics
+from ..both import functions
 
 NODES = 48
 """Default nodes; largest error in parts of the peak, m = 1/2, 0.2 < s/sqrt(ab) < 1.6:
@@ -40,7 +40,7 @@ def ellipse_mean(
     along x and y, in either order. Value and gradient are finite everywhere. The error is given
     at `NODES`.
     """
-    f = mathematics(x, y, a, b, s, exponent)
+    f = functions(x, y, a, b, s, exponent)
     hertzian = _is_hertzian(exponent)
     total = 0.0
     for k in range(nodes):
@@ -60,7 +60,7 @@ def ellipse_gradient(
     So cost and gradient of an estimate belong together, whatever the sum's own error (to 2e-6 of
     the derivative, by the floors of what is rooted). Arguments as `ellipse_mean`.
     """
-    f = mathematics(x, y, a, b, s, exponent)
+    f = functions(x, y, a, b, s, exponent)
     total: list[Any] = [0.0] * 8
     for k in range(nodes):
         angle = 2 * math.pi * (k + 0.5) / nodes

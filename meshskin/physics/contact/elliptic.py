@@ -26,6 +26,7 @@ import numpy as np
 
 from ...errors import ContactError
 from ...se3 import Array
+from ..both import functions
 from . import hertz, series
 from .patch import Patch, Patches
 from .setting import Setting, relative_curvatures
@@ -130,7 +131,7 @@ def exact(log_ratio: float) -> tuple[float, float, float]:
 def _geometry(curvature: Any, indenter_radius: Any) -> tuple[Any, Any, Any, Any]:
     """R, sqrt(a/b), sqrt(a b)/a_0, delta/delta_0; a lies along the first principal direction."""
     k1, k2 = relative_curvatures(curvature, indenter_radius)
-    f = series.mathematics(k1, k2)
+    f = functions(k1, k2)
     log_ratio = f.log(k2 / k1)
     square = log_ratio**2
     if f is np:

@@ -24,6 +24,9 @@ from .setting import Setting
 CELLS = 96
 """Cells along each side of the grid."""
 _COARSE = 48
+"""Cells along each side of the grids that find the patch's size."""
+ITERATIONS = 500
+"""Most iterations of the conjugate gradients."""
 MAX_SINK = 0.8
 """Largest semi-axis, in indenter radii: beyond, a sphere's flank is no gap over a plane."""
 _ROOM = 1.12
@@ -93,7 +96,7 @@ def press(
     p = np.ones_like(h) if start is None else np.maximum(start, 0.0)
     p *= total / p.sum()
     way, before, keep = np.zeros_like(h), 1.0, 0.0
-    for iteration in range(1, 501):
+    for iteration in range(1, ITERATIONS + 1):
         g = influence(p) + h
         contact = p > 0
         approach = float(g[contact].mean())
@@ -120,7 +123,7 @@ def press(
     raise ContactError(
         "the boundary elements do not converge",
         value=f"change {moved / total:.2g} of the force",
-        limit=f"{tolerance:g} in 500 iterations",
+        limit=f"{tolerance:g} in {ITERATIONS} iterations",
         remedy="take a smoother gap or a finer grid",
     )
 

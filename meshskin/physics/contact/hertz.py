@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from ...errors import ContactError
-from ..both import functions, is_casadi
+from ..both import functions
 from .patch import Patch, Patches
-from .setting import Setting
+from .setting import Setting, principal_curvatures
 
 MAX_CURVATURE_RATIO = 1.05
 """Largest ratio of relative curvatures taken for a circle."""
@@ -36,21 +36,10 @@ def effective_modulus(
 def relative_radius(curvature: Any, indenter_radius: Any) -> Any:
     """Radius R, m, of the equivalent sphere: 1/R = mean principal curvature + 1/indenter radius.
 
-    `curvature`, 1/m, positive where convex: NumPy (..., 2) or a CasADi column of two. Raises
-    ContactError for another shape.
+    `curvature`, 1/m, positive where convex: as `setting.principal_curvatures`.
     """
-    if is_casadi(curvature):
-        mean = (curvature[0] + curvature[1]) / 2
-    else:
-        pairs = np.asarray(curvature, dtype=float)
-        if not pairs.shape or pairs.shape[-1] != 2:
-            raise ContactError(
-                "both principal curvatures are needed",
-                value=f"shape {pairs.shape}",
-                limit="(..., 2)",
-            )
-        mean = pairs.mean(axis=-1)
-    return 1 / (mean + 1 / indenter_radius)
+    k1, k2 = principal_curvatures(curvature)
+    return 1 / ((k1 + k2) / 2 + 1 / indenter_radius)
 
 
 def contact_radius(force: Any, radius: Any, modulus: Any) -> Any:

@@ -29,6 +29,7 @@ import numpy as np
 
 from ...errors import ContactError
 from ...se3 import Array
+from ..both import functions
 from . import elliptic, series
 from .patch import Patch, Patches
 from .setting import Setting
@@ -68,7 +69,7 @@ class Layer:
 
         NumPy arrays, or CasADi expressions (there held at the end of the table).
         """
-        f = series.mathematics(chi)
+        f = functions(chi)
         y = f.fmin(2 / _END * chi / (1 + chi), 2.0) - 1
         radius, peak, depth, aspect = series.evaluate(_factors(self.poisson), y)
         return f.exp(radius), f.exp(peak), f.exp(depth), f.exp(aspect)
@@ -86,7 +87,7 @@ class Layer:
         whole = elliptic.patches(force, curvature, indenter_radius, modulus)
         size = _size(whole)
         chi = size / self.thickness
-        if series.mathematics(size) is np:
+        if functions(size) is np:
             refuse_chi(float(np.max(chi, initial=0.0)))
         radius, peak, depth, aspect = self.factors(chi)
         stretch = elliptic.stretch(curvature, indenter_radius) ** aspect
@@ -104,11 +105,11 @@ class Layer:
         Other arguments as `patches`. Beyond the table the force grows like Hertz's from its end.
         """
         # the depth that a half-space would take under the same force
-        f = series.mathematics(depth, curvature, indenter_radius, modulus)
+        f = functions(depth, curvature, indenter_radius, modulus)
         sunk = f.fmax(depth, 0.0)
         one = elliptic.patches(1.0, curvature, indenter_radius, modulus)
         # a = a_1 (d/d_1)^(1/2) on the half-space; the square root is finite at 0 by its floor
-        mean = f.sqrt(one.first * one.second) / self.thickness
+        mean = _size(one) / self.thickness
         reach = mean * f.sqrt(f.fmax(sunk / one.depth, 1e-12))
         y = f.fmin(2 * reach / (1 + reach) / _sunken_end(self.poisson), 2.0) - 1
         (stiffer,) = series.evaluate(_sunken(self.poisson), y)
@@ -147,7 +148,7 @@ def solve(
 
 def _size(whole: Patches) -> Any:
     """sqrt(a b), m."""
-    return series.mathematics(whole.first, whole.second).sqrt(whole.first * whole.second)
+    return functions(whole.first, whole.second).sqrt(whole.first * whole.second)
 
 
 def refuse_chi(chi: float) -> None:

@@ -7,16 +7,6 @@ from typing import Any
 import numpy as np
 
 from ...se3 import Array
-from ..both import is_casadi
-
-
-def mathematics(*values: Any) -> Any:
-    """The module whose sqrt, exp, log, fmin, fmax, atan2 take `values`: casadi or numpy."""
-    if not is_casadi(*values):
-        return np
-    import casadi
-
-    return casadi
 
 
 def nodes(count: int) -> Array:

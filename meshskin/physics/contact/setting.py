@@ -12,7 +12,7 @@ import numpy as np
 
 from ...errors import ContactError
 from ...se3 import Array
-from ..both import is_casadi
+from ..both import functions, is_casadi
 
 MAX_WIDTH = 0.52
 """Largest a/R_s of a parabolic gap, 1/R_s^2 = 1/r^2 - k/r + k^2 for a sphere of radius r on the
@@ -123,29 +123,38 @@ def width(axes: Array, curvature: Array, indenter_radius: float) -> Array:
     )
 
 
-def relative_curvatures(curvature: Any, indenter_radius: Any) -> tuple[Any, Any]:
-    """Relative curvatures, 1/m, along the two principal directions, in the order of `curvature`.
+def principal_curvatures(curvature: Any) -> tuple[Any, Any]:
+    """The two columns of `curvature`: NumPy (..., 2), or a CasADi column of two.
 
-    CasADi's are held above zero: a step of the closed loop stays finite in a hollow.
-
-    `curvature`, 1/m, positive where convex: NumPy (..., 2) or a CasADi column of two. Raises
-    ContactError for another shape, and where the body is more hollow than the indenter is round.
+    Raises ContactError for another shape.
     """
     if is_casadi(curvature):
-        import casadi as ca
-
-        tip = 1 / indenter_radius
-        return tuple(ca.fmax(curvature[k] + tip, HOLLOWEST * tip) for k in range(2))
+        return curvature[0], curvature[1]
     pairs = np.asarray(curvature, dtype=float)
     if not pairs.shape or pairs.shape[-1] != 2:
         raise ContactError(
             "both principal curvatures are needed", value=f"shape {pairs.shape}", limit="(..., 2)"
         )
-    first, second = pairs[..., 0] + 1 / indenter_radius, pairs[..., 1] + 1 / indenter_radius
+    return pairs[..., 0], pairs[..., 1]
+
+
+def relative_curvatures(curvature: Any, indenter_radius: Any) -> tuple[Any, Any]:
+    """Relative curvatures, 1/m, along the two principal directions, in the order of `curvature`.
+
+    `curvature`, 1/m, positive where convex, as `principal_curvatures`. CasADi's are held above
+    zero: a step of the closed loop stays finite in a hollow. Raises ContactError where the body is
+    more hollow than the indenter is round.
+    """
+    k1, k2 = principal_curvatures(curvature)
+    tip = 1 / indenter_radius
+    first, second = k1 + tip, k2 + tip
+    if is_casadi(curvature):
+        f = functions(curvature)
+        return f.fmax(first, HOLLOWEST * tip), f.fmax(second, HOLLOWEST * tip)
     if not (np.all(first > 0) and np.all(second > 0)):
         raise ContactError(
             "the body is more hollow than the indenter is round: no single contact point",
-            value=f"curvature {np.min(pairs):.4g} 1/m",
+            value=f"curvature {min(np.min(k1), np.min(k2)):.4g} 1/m",
             limit="> -1/indenter radius",
             remedy="use a smaller indenter",
         )

@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...geometry.proximity import Proximity
+from ...geometry.proximity import Proximity, triangle_foot
 from ...se3 import Array
 from . import Context, Motion, Plain
 from .frames import Foot, Frames
@@ -50,27 +50,10 @@ def facets(context: Context) -> Foot:
 
     def foot(centres: Array) -> tuple[Array, Array]:
         corners = surface.vertices[surface.faces[proximity.exact(centres)]]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        start, ab, ac = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        _, weight = triangle_foot(centres, start, ab, ac)
+        normals = np.cross(ab, ac)
         normals /= np.linalg.norm(normals, axis=1)[:, None]
-        return closest_on_triangle(centres, corners), normals
+        return start + weight[:, :1] * ab + weight[:, 1:] * ac, normals
 
     return foot
-
-
-def closest_on_triangle(points: Array, corners: Array) -> Array:
-    """The points of triangles (k, 3, 3) closest to points (k, 3)."""
-    a = corners[:, 0]
-    edges = corners[:, 1:] - corners[:, :1]
-    gram = edges @ edges.swapaxes(1, 2)
-    weight = np.linalg.solve(gram, edges @ (points - a)[:, :, None])[:, :, 0]
-    best = a + np.einsum("ij,ijk->ik", weight, edges)
-    inside = (weight.min(axis=1) >= 0) & (weight.sum(axis=1) <= 1)
-    gap = np.where(inside, np.sum((points - best) ** 2, axis=1), np.inf)
-    for k in range(3):
-        start, way = corners[:, k], corners[:, (k + 1) % 3] - corners[:, k]
-        part = np.einsum("ij,ij->i", points - start, way) / np.einsum("ij,ij->i", way, way)
-        on = start + np.clip(part, 0.0, 1.0)[:, None] * way
-        other = np.sum((points - on) ** 2, axis=1)
-        best = np.where((other < gap)[:, None], on, best)
-        gap = np.minimum(gap, other)
-    return np.asarray(best)

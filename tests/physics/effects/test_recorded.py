@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import trimesh
 
 from meshskin.errors import ConfigError
 from meshskin.geometry.body import Body
@@ -16,7 +15,7 @@ from meshskin.physics.effects.frames import Memory
 from meshskin.physics.effects.gravity_error import GravityError
 from meshskin.physics.effects.indenter_offset import IndenterOffset
 from meshskin.physics.effects.joint_friction import SLOW, JointFriction, levers
-from meshskin.physics.effects.mesh_facets import MeshFacets, closest_on_triangle
+from meshskin.physics.effects.mesh_facets import MeshFacets
 from meshskin.physics.effects.sampling import Sampling
 from meshskin.se3 import exp_so3, transform
 
@@ -27,13 +26,6 @@ STEP = 5e-4
 def frames(glide):
     """40 contacts along 20 mm."""
     return glide(STEP * np.arange(40))
-
-
-def test_the_closest_point_of_a_triangle_agrees_with_trimesh():
-    rng = np.random.default_rng(0)
-    corners, points = rng.random((500, 3, 3)), 2 * rng.random((500, 3)) - 0.5
-    want = trimesh.triangles.closest_point(corners, points)
-    np.testing.assert_allclose(closest_on_triangle(points, corners), want, atol=1e-12)
 
 
 def test_facets_lie_inside_the_sphere_and_improve_with_the_mesh(context, frames):
