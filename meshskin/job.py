@@ -163,7 +163,7 @@ def _promised(
     Raises StudyError where nothing keeps it.
     """
     from .study.cost.numerics import held_route
-    from .study.cost.request import pilot
+    from .study.cost.pilot import pilot
 
     tried = pilot(scene, request, METHODS, _drawing(scene), seed, clock.began)
     reason: ReachError | None = None

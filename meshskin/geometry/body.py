@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
@@ -151,6 +151,13 @@ class Body:
         patches = found.patches(raw.names)
         return cls(path.stem, mesh, None, found.repairs, patches, crossed=found.crossed)
 
+    def remeshed(self, faces: int) -> Body:
+        """The same primitive as about `faces` triangles. Raises MeshError where it is none."""
+        if self.exact is None:
+            raise MeshError(f"{self.name} is a mesh of its own, of no known surface to mesh anew")
+        make = _PRIMITIVES[type(self.exact)]
+        return replace(make(**vars(self.exact), faces=faces), degree=self.degree)
+
     @classmethod
     def sphere(cls, radius: float = 0.1, faces: int = FACES) -> Body:
         """Sphere about the origin, radius in m, as an icosphere.
@@ -210,6 +217,16 @@ class Body:
         check_extent(vertices)
         mesh = trimesh.Trimesh(vertices, faces, process=False)
         return cls(name, mesh, exact, seams=seams)
+
+
+_PRIMITIVES: dict[type, Callable[..., Body]] = {
+    primitives.Sphere: Body.sphere,
+    primitives.Ellipsoid: Body.ellipsoid,
+    primitives.Cylinder: Body.cylinder,
+    primitives.Capsule: Body.capsule,
+    primitives.Torus: Body.torus,
+}
+"""Exact surface -> what makes its mesh from the surface's fields and a number of faces"""
 
 
 def check_extent(vertices: Array) -> None:

@@ -9,7 +9,7 @@ normal at the contact point faces the indenter (straight against its tip).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -113,6 +113,41 @@ class Path:
             faces=self.faces[rows],
             postures=None if self.postures is None else self.postures[place : place + 1],
         )
+
+    def first(self, count: int) -> Path:
+        """Its first `count` rows."""
+        rows = slice(0, count)
+        breaks = tuple(row for row in self.breaks if row < count)
+        return replace(
+            self,
+            points=self.points[rows],
+            normals=self.normals[rows],
+            poses=self.poses[rows],
+            twists=self.twists[rows],
+            faces=self.faces[rows],
+            breaks=breaks,
+            postures=None if self.postures is None else self.postures[: len(breaks) + 1],
+        )
+
+    def thinned(self, dt: float, body: Body) -> Path:
+        """The rows of each place that are `dt`, s, a multiple of its own, apart; with the faces
+        of `body`, another mesh of the same surface.
+        """
+        every, places = round(dt / self.dt), []
+        for place in self.places:
+            points, poses = place.points[::every], place.poses[::every]
+            places.append(
+                replace(
+                    place,
+                    dt=dt,
+                    points=points,
+                    normals=place.normals[::every],
+                    poses=poses,
+                    twists=twists(poses, dt),
+                    faces=body.closest(points).face,
+                )
+            )
+        return Path.joined(places)
 
     @property
     def references(self) -> Array:

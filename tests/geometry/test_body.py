@@ -1,6 +1,7 @@
 """Bodies: what is loaded, what is repaired, what is refused, and rays."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -200,6 +201,29 @@ def test_primitives_are_closed_and_outward(body):
     assert body.mesh.is_winding_consistent
     assert body.mesh.volume > 0
     np.testing.assert_allclose(body.exact.closest(body.surface.vertices).distance, 0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        Body.sphere(0.08),
+        Body.ellipsoid((0.1, 0.07, 0.05)),
+        Body.capsule(0.05, 0.2),
+        Body.cylinder(0.04, 0.1),
+        Body.torus(0.1, 0.04),
+    ],
+)
+def test_a_primitive_is_meshed_anew(body):
+    fine = replace(body, degree=2).remeshed(20_480)
+    assert len(fine.mesh.faces) == pytest.approx(20_480, rel=0.3)
+    assert fine.exact == body.exact
+    assert fine.degree == 2
+
+
+def test_a_mesh_of_its_own_is_not_meshed_anew(ball, tmp_path):
+    ball.export(tmp_path / "ball.stl")
+    with pytest.raises(MeshError, match="no known surface"):
+        Body.load(tmp_path / "ball.stl", units="mm").remeshed(320)
 
 
 def test_rays_hit_the_smooth_surface():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from meshskin.geometry.body import Body
-from meshskin.motion.path import Exploration, lanes, parallels, plan
+from meshskin.motion.path import Exploration, Path, lanes, parallels, plan
 from meshskin.physics.indenter import Indenter
 
 DT = 0.01
@@ -59,3 +59,28 @@ def test_the_spin_comes_back():
     angles = parallels(lanes(EXTENT, 0.1, Exploration()), 0.1, Exploration(), DT)
     assert np.abs(angles[:, 1]).max() <= np.pi + 1e-12
     assert np.all(np.diff(angles[:, 0]) >= 0)
+
+
+def test_a_long_path_is_shortened_place_by_place():
+    rows = np.arange(30.0).reshape(10, 3)
+    whole = Path(
+        1e-3, rows, rows, np.tile(np.eye(4), (10, 1, 1)), np.zeros((10, 6)), np.arange(10),
+        breaks=(4, 7), postures=np.arange(3.0)[:, None],
+    )  # fmt: skip
+    short = whole.first(6)
+    assert len(short.points) == len(short.poses) == len(short.faces) == 6
+    assert short.breaks == (4,)
+    np.testing.assert_array_equal(short.postures, [[0.0], [1.0]])
+    assert [len(place.points) for place in short.places] == [4, 2]
+
+
+def test_a_thinned_path_goes_the_same_way_in_longer_steps_on_another_mesh(path):
+    coarse = Body.sphere(0.1, faces=320)
+    thin = path.thinned(5 * DT, coarse)
+    np.testing.assert_array_equal(thin.poses, path.poses[::5])
+    corners = coarse.mesh.vertices[coarse.mesh.faces[thin.faces]]
+    assert (
+        np.linalg.norm(corners.mean(axis=1) - thin.points, axis=1).max() < 0.02
+    )  # an edge is 35 mm
+    moved = thin.poses[:-1, :3, 3] + 5 * DT * thin.twists[:-1, :3]
+    np.testing.assert_allclose(moved, thin.poses[1:, :3, 3], atol=1e-12)

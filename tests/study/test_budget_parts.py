@@ -7,7 +7,6 @@ import pytest
 
 import meshskin as ms
 from meshskin.geometry.region import Cap
-from meshskin.motion.path import Path
 from meshskin.physics import effects
 from meshskin.physics.effects.body_pose import BodyPose
 from meshskin.physics.effects.gain_offset import GainOffset
@@ -20,7 +19,7 @@ from meshskin.study.budget.check import Aside
 from meshskin.study.budget.choose import Item, choose, left_out, size, together
 from meshskin.study.budget.knobs import contact_models, knobs
 from meshskin.study.budget.linear import Solution, answering
-from meshskin.study.budget.rehearsal import Rehearsal, shortened
+from meshskin.study.budget.rehearsal import Rehearsal
 from meshskin.study.budget.screen import NEGLIGIBLE, screened
 from meshskin.study.budget.trial import Trial
 
@@ -99,19 +98,6 @@ def test_halves_hold_every_contact_of_their_taxels(small):
             )
             assert len(mine)
             np.testing.assert_allclose(mine, there)
-
-
-def test_a_long_path_is_shortened_place_by_place():
-    rows = np.arange(30.0).reshape(10, 3)
-    whole = Path(
-        1e-3, rows, rows, np.tile(np.eye(4), (10, 1, 1)), np.zeros((10, 6)), np.arange(10),
-        breaks=(4, 7), postures=np.arange(3.0)[:, None],
-    )  # fmt: skip
-    short = shortened(whole, 6)
-    assert len(short.points) == len(short.poses) == len(short.faces) == 6
-    assert short.breaks == (4,)
-    np.testing.assert_array_equal(short.postures, [[0.0], [1.0]])
-    assert [len(place.points) for place in short.places] == [4, 2]
 
 
 def test_a_small_skin_is_not_cut(rehearsal):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from ...errors import MeshskinError
@@ -45,13 +44,3 @@ def candidates(scene: Scene, seed: int = 0) -> tuple[tuple[Effect, ...], dict[st
 
 def _exclude(one: Effect, other: Effect) -> bool:
     return other.name in one.excludes or one.name in other.excludes
-
-
-def closed(names: Iterable[str], among: Iterable[Effect]) -> set[str]:
-    """The names with all that they require."""
-    requires = {e.name: e.requires for e in among}
-    out, new = set(), set(names)
-    while new:
-        out |= new
-        new = {other for name in new for other in requires.get(name, ())} - out
-    return out

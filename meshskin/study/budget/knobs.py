@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -104,7 +104,7 @@ def mesh_resolution(scene: Scene) -> Knob:
         count = round(factor * len(body.mesh.faces))
         if count < FEWEST_FACES:
             continue
-        made = body if factor == 1 else _remade(body, count)
+        made = body if factor == 1 else body.remeshed(count)
         rungs[_faces(made)] = Rung(
             _faces(made), {"body": made}, SECONDS["face"] * len(made.mesh.faces)
         )
@@ -113,12 +113,6 @@ def mesh_resolution(scene: Scene) -> Knob:
 
 def _faces(body: Body) -> str:
     return f"{len(body.mesh.faces)} faces"
-
-
-def _remade(body: Body, faces: int) -> Body:
-    """The same primitive of about so many faces."""
-    make = getattr(Body, body.name)
-    return replace(make(**asdict(body.exact), faces=faces), degree=body.degree)  # type: ignore[call-overload]
 
 
 def time_step(scene: Scene, steps: int) -> Knob:

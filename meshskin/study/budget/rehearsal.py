@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...motion.path import twists
 from ...physics.effects import Chain, Effect, ordered
 from ...physics.effects.frames import Frames
 from ...recording import Recording
@@ -80,12 +79,13 @@ class Rehearsal:
     @classmethod
     def of(cls, scene: Scene, path: Path | None = None) -> Rehearsal:
         """Run the first part of a scene's exploration, or of `path`. Raises as `simulate`."""
-        machine, path = prepare(scene, path=None if path is None else along(path, scene))
+        if path is not None:
+            path = path.thinned(scene.loop.dt, scene.body)
+        machine, path = prepare(scene, path=path)
         taxels, step = max(len(scene.skin.ids), 1), scene.loop.dt
         longest = min(LONGEST, CELLS / taxels * scene.frame_steps * step)
         count = min(len(path.points), max(int(longest / step), 2))
-        short = shortened(path, count)
-        steps = list(run(scene, machine, short))
+        steps = list(run(scene, machine, path.first(count)))
         frames = contact_frames(scene, machine.loop, steps)
         whole = len(path.points) / scene.frame_steps
         return cls(scene, frames, whole, len(path.points), path.points, count)
@@ -150,34 +150,6 @@ class Rehearsal:
         if min(map(len, cut)) < FEWEST:
             return Halves(origin, normal, (ready, ready), False)
         return Halves(origin, normal, cut, True)
-
-
-def along(path: Path, scene: Scene) -> Path:
-    """A path at the scene's time step, a multiple of its own, and on the scene's mesh."""
-    every, places = round(scene.loop.dt / path.dt), []
-    for place in path.places:
-        points, poses = place.points[::every], place.poses[::every]
-        places.append(
-            replace(
-                place,
-                dt=scene.loop.dt,
-                points=points,
-                normals=place.normals[::every],
-                poses=poses,
-                twists=twists(poses, scene.loop.dt),
-                faces=scene.body.closest(points).face,
-            )
-        )
-    return type(path).joined(places)
-
-
-def shortened(path: Path, count: int) -> Path:
-    """The first rows of a path."""
-    rows = ("points", "normals", "poses", "twists", "faces")
-    breaks = tuple(row for row in path.breaks if row < count)
-    postures = None if path.postures is None else path.postures[: len(breaks) + 1]
-    cut = {name: getattr(path, name)[:count] for name in rows}
-    return replace(path, **cut, breaks=breaks, postures=postures)
 
 
 def _far(places: Array, path: Array, reach: float) -> np.ndarray:

@@ -10,11 +10,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 
 from .setting import Setting
 from .trial import Row
+
+ONCE = 0.5
+"""Part of a calibration's seconds that does not grow with its readings."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +53,9 @@ class Models:
         found = nnls(terms / scale / seconds[:, None], np.ones(len(used)))[0] / scale
         return cls(base, good, *(float(x) for x in found))
 
-    def near(self, **knobs: object) -> Row | None:
+    def near(self, **knobs: Any) -> Row | None:
         """The row at the base's setting but for some knobs; None if it was not measured."""
-        wanted = replace(self.base.setting, **knobs)  # type: ignore[arg-type]
+        wanted = replace(self.base.setting, **knobs)
         return next((row for row in self.rows if row.setting == wanted), None)
 
     def seconds(self, setting: Setting) -> float:
@@ -70,7 +74,7 @@ class Models:
             method = self.near(tolerance=own.tolerance)
         load = (surface or base).seconds["load"]
         simulate += (surface or base).seconds["simulate"] - base.seconds["simulate"]
-        calibrate = (method or base).seconds["calibrate"] * (0.5 + 0.5 * frames)
+        calibrate = (method or base).seconds["calibrate"] * (ONCE + (1 - ONCE) * frames)
         if contact is not None:
             calibrate *= contact.seconds["calibrate"] / base.seconds["calibrate"]
             simulate += (contact.seconds["simulate"] - base.seconds["simulate"]) * frames

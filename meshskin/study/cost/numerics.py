@@ -17,7 +17,7 @@ import numpy as np
 from ...errors import SimulationError
 from ...estimation.calibrate import calibrate
 from ...exploration import route
-from ...motion.path import Path, twists
+from ...motion.path import Path
 from ...motion.phases import SLIDE
 from ...physics import effects
 from ...physics.effects.frames import Clock
@@ -75,17 +75,18 @@ class Numerics:
             raise SimulationError(
                 "the step is no multiple of the reference's", value=f"{scene.loop.dt} s"
             )
-        places = _thinned(self.path, every, rows, scene)
-        path = Path.joined(places)
+        whole = self.path if rows is None else self.path.places[0].first(rows)
+        path = whole.thinned(scene.loop.dt, scene.body)
+        lengths = [len(place.points) for place in path.places]
         machine, _ = prepare(scene, path=path)
         steps = [part for part in run(scene, machine, path) if part.phase == SLIDE]
         ends = np.cumsum([len(part.time) for part in steps])
         frames: list[Frames] = []
-        for end in np.cumsum([len(place.points) for place in places]):
+        for end in np.cumsum(lengths):
             count = int(np.searchsorted(ends, end)) + 1
             frames.append(contact_frames(scene, machine.loop, steps[:count]))
             steps, ends = steps[count:], ends[count:]
-        wanted = sum(-(-len(place.points) // scene.frame_steps) for place in places)
+        wanted = sum(-(-length // scene.frame_steps) for length in lengths)
         if steps or sum(map(len, frames)) != wanted:
             raise SimulationError("the loop lost contact on the reference's path")
         return functools.reduce(lambda one, next_: one.followed_by(next_), frames)
@@ -117,22 +118,6 @@ def held_route(scene: Scene) -> Path:
         return path
     tip = path.poses[:1] @ inverse(scene.mount_pose)
     return replace(path, postures=scene.arm.inverse_kinematics(tip, start))
-
-
-def _thinned(path: Path, every: int, rows: int | None, scene: Scene) -> list[Path]:
-    """Every so many rows of each place, of the first one's first `rows` only if given."""
-    out = []
-    for place in path.places[: 1 if rows else None]:
-        part = slice(0, rows, every)
-        points, poses = place.points[part], place.poses[part]
-        faces = scene.body.closest(points).face
-        moving = twists(poses, scene.loop.dt)
-        out.append(
-            Path(
-                scene.loop.dt, points, place.normals[part], poses, moving, faces, (), place.postures
-            )
-        )
-    return out
 
 
 def mean_mm(shift: Array) -> float:

@@ -1,48 +1,25 @@
-"""An accuracy or a time asked for: a short pilot run, and what it promises of every setting.
+"""An accuracy or a time asked for, and what a pilot run (pilot.py) promises of every setting.
 
-The pilot runs the scene on its coarsest lanes and times each part: what is paid once, for each
-step, each frame and each reading. Errors follow from its Cramér-Rao bound, which goes with the
-contacts to the power -1/2, from what the scene's effects leave behind without noise, and from the
-numerical parts of the levels of every other knob, which are tried on its path (levels.py). Nothing
-is kept from machine to machine, or from run to run.
+Errors follow from the pilot's Cramér-Rao bound, which goes with the contacts to the power -1/2,
+from what the scene's effects leave behind without noise, and from the numerical parts of the levels
+of every other knob, which are tried on its path (levels.py). Nothing is kept from machine to
+machine, or from run to run.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-import pyarrow as pa
 
 from ...errors import ConfigError, StudyError
-from ...estimation import metrics
-from ...estimation.calibrate import calibrate
-from ...physics.contact import BATCHED
-from ...physics.effects import Noise
-from ...recording import Recording
-from ...simulation import contact_frames, effect_chain, prepare, run, sensor_tables, simulate
-from .levels import COARSER, Level, loops, models, surfaces, tolerances, worth
-from .numerics import Numerics
+from .levels import Level
 from .setting import RATES, Setting
-
-if TYPE_CHECKING:
-    from ...estimation.calibration import Calibration
-    from ...scene import Belief, Scene
-
-    T = TypeVar("T")
 
 LANES = tuple(2.0 ** (k / 2) for k in range(-6, 2))
 """Spacings of lanes that may be chosen, over the scene's own."""
-WIDEST = 0.8
-"""Largest spacing of lanes over the distance at which a taxel feels a contact."""
-THIN = 4
-"""Every so many readings are calibrated again, to tell fixed costs from those of a reading."""
-TRYING = 0.2
-"""Part of the seconds asked for within which a pilot goes on to try steps, models and surfaces."""
 SAFE = 0.9
 """Part of the accuracy asked for that a promise may use up: errors scatter from run to run."""
 
@@ -185,131 +162,3 @@ class Pilot:
             limit=f"{quick.seconds:.3g} s for {total(quick):.3g} mm at least",
             remedy="give more seconds",
         )
-
-
-def pilot(
-    scene: Scene,
-    request: Request,
-    methods: Sequence[str],
-    drawing: Callable[[Calibration], float],
-    seed: int,
-    began: tuple[float, float],
-) -> Pilot:
-    """A short run of a scene.
-
-    methods: run beside the joint estimate; drawing: tells the processor seconds of a report; began:
-    perf_counter and process_time when the run was begun. Raises what a run raises.
-    """
-    base = Setting.of(scene)
-    reach = float(scene.patch.semi_axes[-1]) + scene.skin.disc_radius
-    own = base.lane_spacing
-    coarse = replace(base, lane_spacing=max(min(LANES[-1] * own, WIDEST * reach), own))
-    small = coarse.scene(scene, scene.body)
-    (machine, path), preparing = timed(lambda: prepare(small))
-    steps, looping = timed(lambda: list(run(small, machine, path)))
-
-    def read() -> Recording:
-        frames = contact_frames(small, machine.loop, steps)
-        return Recording(*sensor_tables(small, frames, effect_chain(small, seed)), _header(small))
-
-    recording, _ = timed(read)  # the first time pays for what the next ones find
-    _, reading = timed(read)
-    belief = small.belief()
-    found = calibrate(recording, belief)  # the first one, again
-    few = _thinned(recording)
-    cost, less = (_estimates(data, belief, methods) for data in (recording, few))
-    each = max(cost - less, 0.0) / max(len(recording.pressure) - len(few.pressure), 1)
-    bound = 0.0
-    if belief.noise_sigma is not None:
-        bound = 1e3 * metrics.cramer_rao(recording, belief, small.skin).mean
-    systematic = _systematic(small, found, seed)
-    count = sum(len(part.time) for part in steps)
-    making = 0.3 * preparing  # the loop's functions; planning goes with the path
-    tried = Pilot(
-        base, coarse, count, len(recording.time), len(recording.pressure), bound, systematic,
-        (worth(tolerances(recording, belief)),),
-        fixed=making + drawing(found),
-        each_step=(preparing - making + looping) / count,
-        each_contact=reading / max(len(recording.time), 1),
-        estimating=(max(cost - each * len(recording.pressure), 0.0), each),
-        spent=_since(began),
-    )  # fmt: skip
-    if request.seconds is None or tried.spent[0] < TRYING * request.seconds:
-        tried = _turned(tried, small, request)
-    return replace(tried, spent=_since(began))
-
-
-def _since(began: tuple[float, float]) -> tuple[float, float]:
-    return time.perf_counter() - began[0], time.process_time() - began[1]
-
-
-def _turned(tried: Pilot, scene: Scene, request: Request) -> Pilot:
-    """The pilot with levels of loop, contact model and surface, from Runge-Kutta at half the step.
-
-    Other steps and models are tried where the run would take longer over them than trying does.
-    """
-    loop = replace(scene.loop, integrator="rk4")
-    fine = scene.with_(loop=replace(loop, dt=loop.dt / 2))
-    numerics = Numerics(fine, 1e-10, scene.loop.compile)
-    own = loops(numerics, scene, (1,))
-    knobs = [*tried.knobs, worth(own)]
-    if request.accuracy_mm is not None:
-        knobs.append(surfaces(numerics, scene, request.accuracy_mm))
-    tried = replace(tried, knobs=tuple(knobs))
-    try:
-        best = tried.choose(request)[0].setting
-    except StudyError:
-        return tried
-    lanes = tried.setting.lane_spacing / best.lane_spacing
-    if lanes > 2 * len(COARSER) * len(own):
-        knobs[1] = worth(own + loops(numerics, scene, COARSER))
-    frames = lanes * best.rate / tried.setting.rate
-    if frames > 2 * len(BATCHED):
-        knobs.append(worth(models(numerics, scene)))
-    return replace(tried, knobs=tuple(knobs))
-
-
-def timed(work: Callable[[], T]) -> tuple[T, float]:
-    """What comes out, and its processor seconds."""
-    begin = time.process_time()
-    return work(), time.process_time() - begin
-
-
-def _header(scene: Scene) -> dict[str, Any]:
-    return {
-        "taxel_ids": np.asarray(scene.skin.ids).tolist(),
-        "disc_radius_m": scene.skin.disc_radius,
-        "threshold_pa": scene.threshold,
-        "force_reference_n": scene.law.force_reference,
-    }
-
-
-def _estimates(recording: Recording, belief: Belief, methods: Sequence[str]) -> float:
-    """Processor seconds of the joint estimate and of all methods."""
-    begin = time.process_time()
-    for method in ("joint", *methods):
-        calibrate(recording, belief, method=method)
-    return time.process_time() - begin
-
-
-def _thinned(recording: Recording) -> Recording:
-    """Every fourth contact of a recording."""
-    keep = np.arange(len(recording.time)) % THIN == 0
-    return Recording(
-        recording.contacts.filter(pa.array(keep)),
-        recording.readings.filter(pa.array(keep[recording.reading_contact])),
-        recording.metadata,
-    )
-
-
-def _systematic(scene: Scene, found: Calibration, seed: int) -> float:
-    """Mean error, mm, that is left without noise."""
-    rest = tuple(effect for effect in scene.effects if not isinstance(effect, Noise))
-    if len(rest) == len(scene.effects):  # there is none: the pilot's own error
-        error = metrics.position_errors(found, scene.skin)
-    elif not rest:
-        return 0.0
-    else:
-        quiet = simulate(scene.with_(effects=rest), seed)
-        error = metrics.position_errors(calibrate(quiet, scene.belief()), scene.skin)
-    return 1e3 * float(np.nanmean(error))

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from ...estimation.calibrate import METHODS
 from ...estimation.solve import AT_REST
-from ...geometry import primitives
 from ...geometry.body import Body
 from ...physics.contact import BATCHED
 
@@ -16,14 +15,6 @@ if TYPE_CHECKING:
     from ...motion.path import Exploration
     from ...scene import Scene
 
-MADE: dict[type, Callable[[Any, int], Body]] = {
-    primitives.Sphere: lambda exact, faces: Body.sphere(exact.radius, faces),
-    primitives.Ellipsoid: lambda exact, faces: Body.ellipsoid(exact.radii, faces),
-    primitives.Capsule: lambda exact, faces: Body.capsule(exact.radius, exact.length, faces),
-    primitives.Cylinder: lambda exact, faces: Body.cylinder(exact.radius, exact.length, faces),
-    primitives.Torus: lambda exact, faces: Body.torus(exact.major, exact.minor, faces),
-}
-"""Exact surface -> its mesh of some number of faces."""
 FACES = (1 / 16, 1 / 4, 1, 4)
 STEPS = (0.5, 1.0, 2.0, 5.0)
 INTEGRATORS = ("semi_implicit", "linearly_implicit", "rk4")
@@ -59,7 +50,7 @@ class Setting:
     def of(cls, scene: Scene) -> Setting:
         """The scene's own."""
         return cls(
-            faces=len(scene.body.mesh.faces) if type(scene.body.exact) in MADE else None,
+            faces=len(scene.body.mesh.faces) if scene.body.exact is not None else None,
             degree=scene.body.degree,
             contact=scene.model.name,
             dt=scene.loop.dt,
@@ -80,8 +71,8 @@ class Setting:
 
     def body(self, base: Body) -> Body:
         """The body with these faces and this degree."""
-        if self.faces not in (None, len(base.mesh.faces)):
-            base = MADE[type(base.exact)](base.exact, int(self.faces or 0))
+        if self.faces is not None and self.faces != len(base.mesh.faces):
+            base = base.remeshed(self.faces)
         return base if base.degree == self.degree else replace(base, degree=self.degree)
 
     def scene(self, base: Scene, body: Body) -> Scene:
