@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -14,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .atomic import atomic, write_text
+from .atomic import atomic, write_json
 from .errors import ReachError
 from .estimation import metrics as truth
 from .estimation.calibrate import calibrate
@@ -28,6 +26,7 @@ from .scene import Belief, Scene
 from .simulation import Progress, simulate
 
 if TYPE_CHECKING:
+    from .geometry.skin import Skin
     from .motion.path import Path as Way
     from .study.budget import Ledger
     from .study.cost.request import Request
@@ -150,7 +149,7 @@ def run(
             "processor_seconds": clock.processor,
         }
     result.metrics["seconds"] = {k: round(v, 4) for k, v in clock.seconds.items()}
-    write_text(folder / "metrics.json", json.dumps(finite(result.metrics), indent=2) + "\n")
+    write_json(folder / "metrics.json", result.metrics)
     return result
 
 
@@ -215,18 +214,14 @@ def _assess(
     demonstration: Demonstration,
 ) -> Result:
     """Compare the estimates with the truth, and the force with its reference."""
-    assert recording.motion is not None
+    motion, skin = recording.motion, scene.skin
+    assert motion is not None
     force = force_response(
-        np.asarray(recording.motion.column("time")),
-        np.asarray(recording.motion.column("force")),
+        np.asarray(motion.column("time")),
+        np.asarray(motion.column("force")),
         scene.law.force_reference,
-        recording.motion.column("phase").to_pylist(),
+        motion.column("phase").to_pylist(),
     )
-    skin = scene.skin
-    bound = {"mean": 0.0, "rms": 0.0}  # without noise nothing keeps an estimate from the truth
-    if belief.noise_sigma is not None:
-        limit = truth.cramer_rao(recording, belief, skin)
-        bound = {"mean": 1e3 * limit.mean, "rms": 1e3 * limit.rms}
     metrics: dict[str, Any] = {
         "scene": scene.name,
         "taxels": len(calibration.ids),
@@ -234,23 +229,15 @@ def _assess(
         "contacts": len(recording.time),
         "readings": len(recording.pressure),
         "position_error_mm": truth.summary_mm(truth.position_errors(calibration, skin)),
-        "crlb_mm": bound,
+        "crlb_mm": _bound(recording, belief, skin),
         "nees": float(np.nanmean(truth.nees(calibration, skin))),
         "nees_band": list(truth.nees_band(int(calibration.observed[:, :2].all(axis=1).sum()))),
         "undetermined": undetermined(calibration),
         "modulus_pa": calibration.modulus,
         "modulus_sigma_pa": calibration.modulus_sigma,
-        "force": {
-            "reference_n": force.reference,
-            "mean_n": force.mean,
-            "std_n": force.std,
-            "overshoot": force.overshoot,
-            "settling_s": force.settling,
-            "disturbance": force.disturbance,
-            "lost_contact_steps": force.lost,
-        },
+        "force": _force_metrics(force),
         "demonstration_mm": 1e3 * demonstration.mean_error,
-        "steps": recording.motion.num_rows,
+        "steps": motion.num_rows,
         "steps_per_second": recording.metadata["steps_per_second"],
     }
     for method, other in comparisons.items():
@@ -258,6 +245,26 @@ def _assess(
         errors = truth.position_errors(other, skin, gauge=method.startswith("posegraph"))
         metrics[method] = truth.summary_mm(errors)
     return Result(scene, recording, calibration, comparisons, demonstration, force, metrics)
+
+
+def _bound(recording: Recording, belief: Belief, skin: Skin) -> dict[str, float]:
+    """Mean and rms error, mm, to expect of any unbiased estimate."""
+    if belief.noise_sigma is None:  # nothing keeps an estimate from the truth
+        return {"mean": 0.0, "rms": 0.0}
+    limit = truth.cramer_rao(recording, belief, skin)
+    return {"mean": 1e3 * limit.mean, "rms": 1e3 * limit.rms}
+
+
+def _force_metrics(force: ForceResponse) -> dict[str, float]:
+    return {
+        "reference_n": force.reference,
+        "mean_n": force.mean,
+        "std_n": force.std,
+        "overshoot": force.overshoot,
+        "settling_s": force.settling,
+        "disturbance": force.disturbance,
+        "lost_contact_steps": force.lost,
+    }
 
 
 def undetermined(calibration: Calibration) -> str:
@@ -293,14 +300,3 @@ def _report(result: Result, folder: Path, seed: int, seconds: dict[str, float]) 
         ledger=result.ledger,
         provenance=provenance(scene=result.scene.name, seed=seed),
     )
-
-
-def finite(value: Any) -> Any:
-    """The value with null in place of numbers that JSON does not know."""
-    if isinstance(value, dict):
-        return {key: finite(v) for key, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(v) for v in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

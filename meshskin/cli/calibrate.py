@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -73,10 +72,10 @@ def add(commands: Any) -> None:
 
 def command(options: argparse.Namespace) -> int:
     """Calibrate, write the results, and print the summary."""
-    from ..atomic import write_text
+    from ..atomic import write_json
     from ..estimation.calibrate import calibrate
     from ..geometry.files import check_format
-    from ..job import check_folder, finite
+    from ..job import check_folder
     from ..provenance import provenance
     from ..recording import Recording
 
@@ -100,7 +99,7 @@ def command(options: argparse.Namespace) -> int:
         provenance=provenance(recording=str(options.recording)),
     )
     metrics["seconds"] = {**found.seconds, "all": perf_counter() - clock}
-    write_text(options.out / "metrics.json", json.dumps(finite(metrics), indent=2) + "\n")
+    write_json(options.out / "metrics.json", metrics)
     print(summary(found, metrics, options.out))
     return 0
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -62,8 +61,7 @@ def command(options: argparse.Namespace) -> int:
 
 def write(costs: Costs, folder: Path) -> None:
     """The page cost.html, the figure, and every setting in cost.json."""
-    from ..atomic import write_text
-    from ..job import finite
+    from ..atomic import write_json
     from ..provenance import provenance
     from ..report import page, precision, theme
     from ..study.cost import TARGETS
@@ -77,7 +75,7 @@ def write(costs: Costs, folder: Path) -> None:
         "settings": costs.records(),
         "provenance": provenance(scene=costs.scene, seeds=costs.seeds),
     }
-    write_text(folder / "cost.json", json.dumps(finite(record), indent=2) + "\n")
+    write_json(folder / "cost.json", record)
 
 
 def summary(costs: Costs) -> str:

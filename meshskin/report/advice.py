@@ -25,6 +25,8 @@ NO_NOISE = 1e-4
 """Stated uncertainties (mm) below this come from ideal data."""
 SUSPECT_CHI2 = 3.0
 """Residuals this many times the typical taxel's are not noise."""
+FAR_FROM_BOUND = 1.5
+"""Errors this many times the Cramér-Rao expectation are not noise alone."""
 
 
 def listed(ids: Iterable[object], most: int = 20) -> str:
@@ -99,9 +101,24 @@ def _comment(freedom: int, count: int, touched: int) -> str:
 
 def next_steps(findings: Findings) -> Sequence[str]:
     """Advice that follows from the numbers, most urgent first."""
+    steps = [*_contacts(findings), *_misfit(findings), *_noise(findings)]
+    if not np.asarray(findings.calibration.observed, dtype=bool)[:, 5].any():
+        steps.append(
+            "If the headings matter, take them from the known layout of the skin's modules: "
+            "no contact with a round taxel shows them."
+        )
+    if findings.truth is None:
+        steps.append(
+            "To see what error to expect, simulate this body, path and noise, and compare that "
+            "report's errors with the uncertainty stated here."
+        )
+    return tuple(steps)
+
+
+def _contacts(findings: Findings) -> list[str]:
+    """Where contacts are missing."""
     c = findings.calibration
-    ids, readings = np.asarray(c.ids), np.asarray(c.readings)
-    steps = []
+    ids, steps = np.asarray(c.ids), []
     if not findings.touched.all():
         steps.append(
             f"Extend the contact path to taxels {listed(ids[~findings.touched])}, "
@@ -113,47 +130,49 @@ def next_steps(findings: Findings) -> Sequence[str]:
             f"Pass taxels {listed(ids[weak])} on both sides: they were touched, but from too few "
             "sides to determine their place along the skin."
         )
-    few = findings.touched & ~weak & (readings < FEW_READINGS)
+    few = findings.touched & ~weak & (np.asarray(c.readings) < FEW_READINGS)
     if few.any():
         steps.append(
             f"Press these taxels more often (fewer than {FEW_READINGS} readings each): "
             f"{listed(ids[few])}."
         )
+    return steps
+
+
+def _misfit(findings: Findings) -> list[str]:
+    """What the readings say that the model does not."""
+    steps = []
     bad = suspects(findings)
     if bad.any():
         steps.append(
-            f"Check taxels {listed(ids[bad])}: their residuals are far above the others' "
-            "(a wrong gain, a neighbour's wiring, or an estimate caught in a wrong place)."
+            f"Check taxels {listed(np.asarray(findings.calibration.ids)[bad])}: their residuals "
+            "are far above the others' (a wrong gain, a neighbour's wiring, or an estimate caught "
+            "in a wrong place)."
         )
     ratio = bound_ratio(findings)
-    if ratio is not None and ratio > 1.5:
+    if ratio is not None and ratio > FAR_FROM_BOUND:
         steps.append(
             f"The error is {number(ratio)} times the Cramér-Rao expectation: look for what the "
             "model leaves out (contact model, indenter offset, gains) before recording more."
         )
+    return steps
+
+
+def _noise(findings: Findings) -> list[str]:
+    """What the stated uncertainty calls for."""
     s = findings.sigma[np.isfinite(findings.sigma)] * MM
-    if len(s) and np.median(s) < NO_NOISE:
-        steps.append(
+    if not len(s):
+        return []
+    if np.median(s) < NO_NOISE:
+        return [
             "These data are all but free of noise: simulate with the noise of the sensor, to see "
             "what error to expect."
-        )
-    elif len(s):
-        steps += _consistency(findings)
-        steps.append(
-            f"To halve the uncertainty of {number(float(np.median(s)))} mm, record four times as "
-            "many readings, or halve the sensor noise."
-        )
-    if not np.asarray(c.observed, dtype=bool)[:, 5].any():
-        steps.append(
-            "If the headings matter, take them from the known layout of the skin's modules: "
-            "no contact with a round taxel shows them."
-        )
-    if findings.truth is None:
-        steps.append(
-            "To see what error to expect, simulate this body, path and noise, and compare that "
-            "report's errors with the uncertainty stated here."
-        )
-    return tuple(steps)
+        ]
+    return [
+        *_consistency(findings),
+        f"To halve the uncertainty of {number(float(np.median(s)))} mm, record four times as "
+        "many readings, or halve the sensor noise.",
+    ]
 
 
 def _consistency(findings: Findings) -> list[str]:

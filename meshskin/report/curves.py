@@ -159,18 +159,7 @@ def errors(distances: Mapping[str, ArrayLike], bound: float | None = None) -> Fi
         counts, _, _ = axes.hist(np.clip(values, low, high), bins.tolist(), color=colour)
         top = max(top, float(np.max(counts, initial=0)))
         _decade_axis(axes, low, high, minor=k == len(rows) - 1)
-        mean = values.mean() if len(values) else float("nan")
-        axes.text(
-            -0.09,
-            0.5,
-            f"{fill(name, 26)}\nmean {number(mean)} mm",
-            transform=axes.transAxes,
-            ha="right",
-            va="center",
-            linespacing=1.5,
-        )
-        if bound is not None and np.isfinite(bound):
-            axes.axvline(bound * MM, color=theme.INK, lw=1.0, ls="--")
+        _name_row(axes, name, values)
         axes.tick_params(labelbottom=k == len(rows) - 1)
         if k == len(rows) // 2:
             axes.set_ylabel("taxels")
@@ -179,16 +168,36 @@ def errors(distances: Mapping[str, ArrayLike], bound: float | None = None) -> Fi
     for axes in figure.axes:
         axes.set_ylim(0, 1.1 * top or 1.0)
     if bound is not None and np.isfinite(bound) and figure.axes:
-        right = np.log10(bound * MM / low) > 0.6 * np.log10(high / low)
-        figure.axes[0].annotate(
-            f"Cramér-Rao expectation {number(bound * MM)} mm",
-            (bound * MM, 1.0),
-            (-4 if right else 4, 3),
-            xycoords=("data", "axes fraction"),
-            textcoords="offset points",
-            ha="right" if right else "left",
-        )
+        _draw_bound(figure, bound * MM, on_right=bound * MM > low**0.4 * high**0.6)
     return figure
+
+
+def _name_row(axes: Axes, name: str, errors: Array) -> None:
+    """The method's name and its mean error, mm, left of its histogram."""
+    mean = errors.mean() if len(errors) else float("nan")
+    axes.text(
+        -0.09,
+        0.5,
+        f"{fill(name, 26)}\nmean {number(mean)} mm",
+        transform=axes.transAxes,
+        ha="right",
+        va="center",
+        linespacing=1.5,
+    )
+
+
+def _draw_bound(figure: Figure, bound: float, on_right: bool) -> None:
+    """A line at the bound, mm, through all rows; its label is left of it where it is far right."""
+    for axes in figure.axes:
+        axes.axvline(bound, color=theme.INK, lw=1.0, ls="--")
+    figure.axes[0].annotate(
+        f"Cramér-Rao expectation {number(bound)} mm",
+        (bound, 1.0),
+        (-4 if on_right else 4, 3),
+        xycoords=("data", "axes fraction"),
+        textcoords="offset points",
+        ha="right" if on_right else "left",
+    )
 
 
 def _decade_axis(axes: Axes, low: float, high: float, minor: bool) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from ..se3 import Array
 from . import theme
-from .plane import MM, Plane, exaggeration, spacing, tangent_plane
+from .plane import MM, ON_ROUTE, Plane, exaggeration, spacing, tangent_plane
 from .theme import count, number
 
 if TYPE_CHECKING:
@@ -229,7 +229,7 @@ def coverage(
     axes = _map_axes(figure, view, 0.65, 0.6, 5.0)
     handles = []
     if len(route):
-        line = route[:: max(len(route) // 4000, 1)]
+        line = route[:: max(len(route) // ON_ROUTE, 1)]
         axes.plot(*line.T, color=theme.MUTED, lw=0.5, alpha=0.7, zorder=3)
         handles.append(_line("path of the contact", color=theme.MUTED, lw=0.8))
     discs = _discs(axes, xy[touched], 2 * disc_radius * MM, cmap=theme.SEQUENTIAL, linewidths=0)
@@ -242,8 +242,8 @@ def coverage(
     bar.ax.yaxis.set_minor_locator(NullLocator())
     missed = ~touched & np.isfinite(xy).all(axis=1)
     if missed.any():
-        radius = 2 * disc_radius * MM
-        _discs(axes, xy[missed], radius, facecolors="white", edgecolors=theme.WARNING)
+        diameter = 2 * disc_radius * MM
+        _discs(axes, xy[missed], diameter, facecolors="white", edgecolors=theme.WARNING)
         axes.plot(*xy[missed].T, "x", ms=6, color=theme.WARNING)
         handles.append(_line("never touched", ls="", marker="x", color=theme.WARNING))
     _legend(axes, handles)

@@ -1,4 +1,4 @@
-"""The tangent plane at the skin's centre, on which maps are drawn."""
+"""The tangent plane at the skin's centre, on which maps are drawn, and what pictures share."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike
 from ..se3 import Array
 
 MM = 1e3
+"""mm in a metre."""
+ON_ROUTE = 4000
+"""The most points that the path of a contact is drawn with."""
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,15 @@ from numpy.typing import ArrayLike
 
 from ..se3 import Array
 from . import theme
-from .plane import MM, exaggeration, spacing, tangent_plane
+from .plane import MM, ON_ROUTE, exaggeration, spacing, tangent_plane
 from .theme import count, number
 from .thin import thin
 
 FACES = 5000
 """The most faces of the body that the page carries."""
 
+FRAME = 0.4
+"""Length of a drawn frame's axes, in parts of the distance between taxels."""
 _AXES = (("x", "#d62728"), ("y", "#2ca02c"), ("z", "#1f77b4"))
 _MANY = 400
 """The most taxels that get a frame and an ellipsoid; larger skins show every k-th."""
@@ -150,33 +152,20 @@ def view(
     """
     names, estimate = np.asarray(ids), np.asarray(poses, dtype=float)
     cov = np.asarray(covariances, dtype=float)
-    positions = estimate[:, :3, 3]
     true = None if truth is None else np.asarray(truth, dtype=float)
-    skin = positions if true is None else true[:, :3, 3]
+    skin = (estimate if true is None else true)[:, :3, 3]
     pitch = spacing(skin) or 5e-3
     data: list[dict[str, Any]] = []
     if mesh is not None:
         data.append(body(*mesh, focus=skin, inward=0.06 * pitch))
-    route = np.zeros((0, 3)) if path is None else np.asarray(path, dtype=float)
-    if len(route):
-        line = {"color": theme.MUTED, "width": 2}
-        data.append(
-            {"type": "scatter3d", "mode": "lines", "name": "path of the contact", "line": line}
-            | {"hoverinfo": "skip", **_xyz(route[:: max(len(route) // 4000, 1)])}
-        )
+    if path is not None and len(route := np.asarray(path, dtype=float)):
+        data.append(_route(route))
     if true is not None:
-        texts = [f"true taxel {k}" for k in names]
-        style = {"symbol": "circle-open", "size": 7, "color": theme.TRUTH, "line": {"width": 2}}
-        data.append(_markers("true taxels", skin, texts, **style))
-        data += frames(true, 0.4 * pitch, "true frames", visible=False)
-    good = np.isfinite(positions).all(axis=1)
-    texts = _texts(names[good], positions[good], None if true is None else skin[good], cov[good])
-    data.append(
-        _markers("estimated taxels", positions[good], texts, size=3.2, color=theme.ESTIMATE)
-    )
+        data += _true_taxels(names, true, pitch)
+    data.append(_estimated_taxels(names, estimate, cov, true))
     label = "estimated frames" + ("" if heading_observed else " (heading: by convention)")
-    data += frames(estimate, 0.4 * pitch, label)
-    if (balls := ellipsoids(positions, cov, 0.3 * pitch)) is not None:
+    data += frames(estimate, FRAME * pitch, label)
+    if (balls := ellipsoids(estimate[:, :3, 3], cov, 0.3 * pitch)) is not None:
         data.append(balls)
     extent = skin if mesh is None else np.concatenate([skin, np.asarray(mesh[0], dtype=float)])
     normals = estimate[:, :3, 2] if true is None else true[:, :3, 2]
@@ -185,6 +174,34 @@ def view(
         if trace["type"] == "mesh3d":
             trace["lightposition"] = layout["meta"]["light"]
     return {"data": data, "layout": layout}
+
+
+def _route(points: Array) -> dict[str, Any]:
+    line = {"color": theme.MUTED, "width": 2}
+    return {
+        "type": "scatter3d",
+        "mode": "lines",
+        "name": "path of the contact",
+        "line": line,
+        "hoverinfo": "skip",
+        **_xyz(points[:: max(len(points) // ON_ROUTE, 1)]),
+    }
+
+
+def _true_taxels(ids: Array, poses: Array, pitch: float) -> list[dict[str, Any]]:
+    """Marks at the true taxels; their frames (n, 4, 4) until asked for are hidden."""
+    style = {"symbol": "circle-open", "size": 7, "color": theme.TRUTH, "line": {"width": 2}}
+    marks = _markers("true taxels", poses[:, :3, 3], [f"true taxel {k}" for k in ids], **style)
+    return [marks, *frames(poses, FRAME * pitch, "true frames", visible=False)]
+
+
+def _estimated_taxels(ids: Array, poses: Array, cov: Array, true: Array | None) -> dict[str, Any]:
+    """Marks at the estimates, which tell their uncertainty and, if the truth is known, error."""
+    positions = poses[:, :3, 3]
+    good = np.isfinite(positions).all(axis=1)
+    truth = None if true is None else true[good, :3, 3]
+    texts = _texts(ids[good], positions[good], truth, cov[good])
+    return _markers("estimated taxels", positions[good], texts, size=3.2, color=theme.ESTIMATE)
 
 
 def _texts(ids: Array, positions: Array, truth: Array | None, cov: Array) -> list[str]:

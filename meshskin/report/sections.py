@@ -1,4 +1,4 @@
-"""What the page says: verdict, big numbers, sections."""
+"""What the page says, section by section."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import numpy as np
 from . import advice, scene3d
 from .album import ACCURACY_TIME
 from .findings import Findings, readable
-from .markup import Block, Content, Number, Picture, Section, Table, Text, View
+from .markup import Block, Content, Picture, Section, Table, Text, View
 from .plane import MM
+from .summary import main_errors, numbers, verdict
 from .theme import count, number
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ def content(findings: Findings, pictures: Sequence[Picture], body: Body | None) 
             Section("The skin in space", (_view(findings, body),)),
             Section("Figures", tuple(p for p in pictures if p.png.stem != ACCURACY_TIME)),
             Section("Numbers", _numbers(findings)),
-            *_budget(findings),
+            *budget(findings),
             Section("Accuracy against time", _accuracy_time(findings, pictures)),
             Section("Taxels", (_taxels(findings),)),
             Section("Provenance", _provenance(findings)),
@@ -77,86 +78,6 @@ def content(findings: Findings, pictures: Sequence[Picture], body: Body | None) 
 
 def _metadata(findings: Findings) -> Mapping[str, Any]:
     return {} if findings.recording is None else findings.recording.metadata
-
-
-def main_errors(findings: Findings) -> dict[str, float] | None:
-    """Mean, rms and max error (mm) of the calibration: from the metrics, or else computed."""
-    if findings.truth is None:
-        return None
-    given = findings.metrics.get("position_error_mm")
-    return dict(given) if given else findings.error_summary(findings.calibration.method)
-
-
-def verdict(findings: Findings) -> str:
-    """One sentence that says how it went."""
-    located = int(findings.located.sum())
-    whole = located == findings.count
-    found = f"All {located}" if whole else f"{located} of {findings.count}"
-    errors = main_errors(findings)
-    if errors is None:
-        typical = np.nanmedian(findings.sigma) * MM if np.isfinite(findings.sigma).any() else np.nan
-        return (
-            f"{found} taxels were located; the stated uncertainty is {number(typical)} mm (median "
-            "standard deviation). There is no truth to compare with."
-        )
-    mean = number(errors["mean"])
-    text = f"{found} taxels were located with a mean error of {mean} mm"
-    ratio = advice.bound_ratio(findings)
-    if ratio is not None:
-        text += f", {number(ratio)} times what the Cramér-Rao bound lets one expect"
-    return text + "."
-
-
-def numbers(findings: Findings) -> tuple[Number, ...]:
-    """The tiles: what a person reads in ten seconds."""
-    c = findings.calibration
-    touched = int(findings.touched.sum())
-    readings = int(np.sum(c.readings))
-    tiles = [
-        Number(
-            "Taxels touched",
-            f"{touched}",
-            f"of {findings.count}",
-            f"{count(readings)} readings",
-        )
-    ]
-    errors = main_errors(findings)
-    if errors is not None:
-        note = f"rms {number(errors['rms'])}, max {number(errors['max'])} mm"
-        tiles.append(Number("Mean position error", number(errors["mean"]), "mm", note))
-        bound = findings.metrics.get("crlb_mm", {}).get("mean")
-        if bound:
-            note = "mean error that the readings allow at best"
-            tiles.append(Number("Cramér-Rao bound", number(bound), "mm", note))
-    s = findings.sigma[np.isfinite(findings.sigma)] * MM
-    if len(s):
-        note = f"standard deviation, median; largest {number(s.max())} mm"
-        tiles.append(Number("Stated uncertainty", number(float(np.median(s))), "mm", note))
-    tiles += _force(findings)
-    if findings.seconds:
-        slowest = max(findings.seconds, key=lambda k: findings.seconds[k])
-        note = f"most of it: {slowest}"
-        tiles.append(Number("Time", number(sum(findings.seconds.values())), "s", note))
-    return tuple(tiles)
-
-
-def _force(findings: Findings) -> list[Number]:
-    force = findings.metrics.get("force") or {}
-    if not force and findings.recording is not None and len(findings.recording.force):
-        f = findings.recording.force
-        note = f"standard deviation {number(float(f.std()), 2)} N"
-        return [Number("Mean contact force", f"{f.mean():.3f}", "N", note)]
-    if not force:
-        return []
-    notes = [f"reference {number(force['reference_n'])} N"] if "reference_n" in force else []
-    if force.get("settling_s") is not None:
-        notes.append(f"settled in {number(force['settling_s'] * 1e3)} ms")
-    if force.get("overshoot") is not None:
-        over = 100 * force["overshoot"]
-        notes.append(f"overshoot {over:.1f} %" if over >= 0.05 else "no overshoot")
-    mean = force.get("mean_n")
-    shown = "–" if mean is None else f"{mean:.3f}"
-    return [Number("Mean contact force", shown, "N", ", ".join(notes))]
 
 
 def _view(findings: Findings, body: Body | None) -> View:
@@ -252,7 +173,7 @@ def _accuracy_time(findings: Findings, pictures: Sequence[Picture]) -> tuple[Blo
     return (*blocks, _seconds(findings.seconds), Text((MORE,)))
 
 
-def _budget(findings: Findings) -> tuple[Section, ...]:
+def budget(findings: Findings) -> tuple[Section, ...]:
     """What an error budget decided, where there was one."""
     if findings.ledger is None:
         return ()
