@@ -21,7 +21,7 @@ from .physics import contact as models
 from .physics.indenter import Indenter
 from .physics.material import Material
 from .scene import Scene
-from .se3 import Array, exp_so3, inverse, is_rigid, log_so3, transform
+from .se3 import Array, blend, inverse, is_rigid, log_so3
 
 HEADINGS = 8
 """Directions about the indenter's tried for the skin's first meridian."""
@@ -35,6 +35,8 @@ CONTACTS = 70.0
 """Contacts of each taxel where nothing else is wanted: lanes 3.5 mm apart on the paper's sphere."""
 SITE_SPACING = 5e-3
 """Distance of the places that stand for a region given without taxels, m."""
+FOLLOWED = 0.05
+"""Turns from pose to pose over which inverse kinematics goes on with the posture, rad."""
 
 
 def explore(
@@ -235,10 +237,6 @@ def parallels(scene: Scene, heading: float, dt: float) -> paths.Path:
 
 
 def _bridge(start: Array, goal: Array) -> Array:
-    """Poses (k, 4, 4) from one to the other by a straight screw-free blend in small steps."""
-    turn = log_so3(goal[:3, :3] @ start[:3, :3].T)
-    count = 2 + int(np.ceil(np.linalg.norm(turn) / 0.05))
-    part = np.linspace(0.0, 1.0, count)
-    rotation = exp_so3(part[:, None] * turn) @ start[:3, :3]
-    shift = goal[:3, 3] - start[:3, 3]
-    return transform(rotation, start[:3, 3] + part[:, None] * shift)
+    """Poses (k, 4, 4) from one to the other, each turned by at most FOLLOWED to the next."""
+    angle = np.linalg.norm(log_so3(goal[:3, :3] @ start[:3, :3].T))
+    return blend(start, goal, np.linspace(0.0, 1.0, 2 + int(np.ceil(angle / FOLLOWED))))

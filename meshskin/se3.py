@@ -106,6 +106,17 @@ def is_rigid(pose: ArrayLike) -> bool:
     )
 
 
+def blend(start: ArrayLike, goal: ArrayLike, part: ArrayLike) -> Array:
+    """Poses (k, 4, 4) at parts (k,) of the way between two (4, 4).
+
+    The origin goes straight, the rotation about one axis of the world, each in proportion.
+    """
+    a, b = np.asarray(start, dtype=float), np.asarray(goal, dtype=float)
+    s = np.asarray(part, dtype=float)[:, None]
+    rotation = exp_so3(s * log_so3(b[:3, :3] @ a[:3, :3].T)) @ a[:3, :3]
+    return transform(rotation, a[:3, 3] + s * (b[:3, 3] - a[:3, 3]))
+
+
 def align(source: ArrayLike, target: ArrayLike) -> Array:
     """The rigid transform (4, 4) that best maps points `source` (n, 3) onto `target` (n, 3).
 

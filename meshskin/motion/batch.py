@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from ..errors import SimulationError
 from ..geometry.body import Body
 from ..se3 import Array
-from .loop import ANCHOR, REFERENCE, Loop
+from .loop import ANCHOR, Loop
 from .machine_code import PATCH, machine_code
 from .quasi_static import start as body_state
 from .readings import PointReadings
 from .step import step
 from .stretch import SPARE
-from .track import STAY, Track, crossings
+from .track import STAY, Track, crossings, reference_poses
 
 
 class Batch:
@@ -51,7 +51,7 @@ class Batch:
         one = step(loop)
         references = track.references[self.rows]
         if starts is None:
-            starts = np.array([body_state(_pose(row)) for row in references])
+            starts = np.array([body_state(pose) for pose in reference_poses(references)])
         own = np.tile(loop.parameters.values, (count, 1)) if parameters is None else parameters
         self.state = np.zeros((count, one.size1_in(0)))
         self.references = np.array(references)
@@ -138,7 +138,7 @@ class Batch:
         if self.loop.mode == "arm":
             poses = self.loop.arm.pose(starts) @ self.loop.mount
         else:
-            poses = np.array([_pose(row) for row in self.track.references[self.rows]])
+            poses = reference_poses(self.track.references[self.rows])
         reach = self.loop.indenter_position - poses[:, :3, 3]
         return np.einsum("kji,kj->ki", poses[:, :3, :3], reach)
 
@@ -181,11 +181,3 @@ class _Fan:
         self._anchors[new, : -len(STAY)] = patches.reshape(len(new), PATCH)
         self._anchors[:, -len(STAY) :] = maps
         self._call()
-
-
-def _pose(reference: Array) -> Array:
-    """T_w_b (4, 4) of a reference row (REFERENCE,)."""
-    assert len(reference) == REFERENCE
-    pose = np.eye(4)
-    pose[:3, 3], pose[:3, :3] = reference[:3], reference[3:12].reshape(3, 3).T
-    return pose

@@ -19,13 +19,13 @@ import casadi as ca
 import numpy as np
 
 from ..errors import PlaceError, SimulationError
-from ..se3 import Array, exp_so3, inverse, log_so3, transform
+from ..se3 import Array, blend, inverse, log_so3
 from . import carry
 from .machine import Machine, Steps
 from .quasi_static import pose as body_pose
 from .quasi_static import start as body_state
 from .stretch import LENGTHS
-from .track import Track
+from .track import Track, reference_poses
 
 PHASES = ("approach", "touch", "hold", "slide", "leave", "next")
 """Names of the phases, as recordings hold them, in order."""
@@ -181,7 +181,7 @@ class Explorer:
         if not machine.loop.joints:
             yield from self._drift(self._above(goal.references[0]))
             return
-        ways = [_pose(track.references[-1]), self._above(track.references[-1])]
+        ways = [reference_poses(track.references[-1]), self._above(track.references[-1])]
         if self.postures is None:
             ways += [self._above(goal.references[0])]
         for self.phase, start, end in zip((LEAVE, NEXT), ways[:-1], ways[1:], strict=False):
@@ -218,7 +218,7 @@ class Explorer:
     def _over(self, goal: Track, posture: Array) -> Array:
         """Joint angles (k, n) from where the arm is to above the start of a track."""
         machine, loop = self.machine, self.machine.loop
-        low = _pose(goal.references[0])
+        low = reference_poses(goal.references[0])
         high = self._above(goal.references[0])
         poses = _blend(low, high, loop.dt)[:: LENGTHS[0]] @ inverse(loop.mount)
         above = loop.arm.inverse_kinematics(
@@ -233,7 +233,7 @@ class Explorer:
 
     def _above(self, reference: Array) -> Array:
         """T_w_b (4, 4) at the standoff over a reference row."""
-        return _raised(_pose(reference), self.manner.standoff * self._up)
+        return _raised(reference_poses(reference), self.manner.standoff * self._up)
 
     def _force(self, steps: Steps) -> Array:
         return np.asarray(steps.outputs[:, self.machine.loop.outputs["force"].start])
@@ -258,11 +258,6 @@ def _raised(pose: Array, shift: Array) -> Array:
     return raised
 
 
-def _pose(reference: Array) -> Array:
-    """T_w_b (4, 4) of a reference row."""
-    return transform(reference[3:12].reshape(3, 3).T, reference[:3])
-
-
 def _blend(start: Array, end: Array, dt: float) -> Array:
     """Poses (k, 4, 4) from one to another, half a cosine in time."""
     turn = log_so3(end[:3, :3] @ start[:3, :3].T)
@@ -273,5 +268,4 @@ def _blend(start: Array, end: Array, dt: float) -> Array:
         * max(float(np.linalg.norm(shift)) / AIR_SPEED, float(np.linalg.norm(turn)) / AIR_TURN)
     )
     part = 0.5 - 0.5 * np.cos(np.pi * np.linspace(0.0, 1.0, max(int(np.ceil(time / dt)), 2)))
-    rotation = exp_so3(part[:, None] * turn) @ start[:3, :3]
-    return transform(rotation, start[:3, 3] + part[:, None] * shift)
+    return blend(start, end, part)

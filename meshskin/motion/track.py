@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.surface import Surface
-from ..se3 import Array
+from ..se3 import Array, transform
 from .path import Path, twists
 
 STAY = np.eye(2, 3).T.ravel()
@@ -59,6 +59,12 @@ class Track:
         still = np.concatenate([self.references[row, :12], np.zeros(6)])
         faces = np.full(count, self.faces[row])
         return Track(np.tile(still, (count, 1)), faces, np.tile(STAY, (count, 1)))
+
+
+def reference_poses(references: Array) -> Array:
+    """T_w_b (..., 4, 4) of reference rows (..., 18)."""
+    rotation = np.swapaxes(references[..., 3:12].reshape(*references.shape[:-1], 3, 3), -1, -2)
+    return transform(rotation, references[..., :3])
 
 
 def crossings(surface: Surface, before: NDArray[np.intp], after: NDArray[np.intp]) -> Array:
