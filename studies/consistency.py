@@ -176,13 +176,11 @@ def contacts(scene: ms.Scene) -> dict[str, np.ndarray]:
 
 def study(case: Case, seeds: range) -> dict[str, dict[str, float]]:
     """Rows of quantities: mean normalised square, its band, how many squares it is a mean of."""
-    world, belief = case.world, case.world.belief(**case.belief)
-    right = replace(belief, material=world.material)  # the bound is that at the truth
-    pressed = contacts(world)
+    belief = case.world.belief(**case.belief)
+    right = replace(belief, material=case.world.material)  # the bound is that at the truth
+    pressed = contacts(case.world)
     squares: dict[str, list[np.ndarray]] = defaultdict(list)
     errors, bounds, chances = [], [], []
-    modular = belief.module_slots is not None
-    one = np.flatnonzero(slots.slot(world.skin.ids) == slots.CENTRE) if modular else slice(None)
     for seed in seeds:
         world, truth = case.world, case.truth
         if case.draw is not None:
@@ -190,25 +188,14 @@ def study(case: Case, seeds: range) -> dict[str, dict[str, float]]:
             truth = truth | drawn
         recording = scaled(ms.press(world, **pressed, seed=seed), case.recorded_force)
         found = ms.calibrate(recording, belief)
-        off = pose_errors(found, world.skin)[one]
-        if not modular:  # the surface is as true as it is trusted to be
-            off[:, 3:5] += np.random.default_rng(seed).normal(scale=TILT_SIGMA, size=(len(off), 2))
-        seen, covariance = found.observed[one], found.covariances[one]
-        for name, columns in (("position", [0, 1]), ("tilt", [3, 4]), ("spin", [5])):
-            good = seen[:, columns].all(axis=1)
-            part = covariance[np.ix_(good, columns, columns)]
-            solved = np.linalg.solve(part, off[good][:, columns, None])[:, :, 0]
-            squares[name].append(off[good][:, columns] * solved)
-        for label, true in truth.items():
-            value, sigma = found.unknowns[label]
-            if sigma < SEEN * prior(label, belief):
-                squares[label].append(np.array([((value - true) / sigma) ** 2]))
-        for name, true in taxels(world, seed).items():
-            if name in found.taxel_unknowns:
-                value, sigma = found.taxel_unknowns[name].T
-                squares[name].append(((value - true) / sigma) ** 2)
+        for name, part in (
+            pose_squares(found, world.skin, belief, seed)
+            | shared_squares(found, truth, belief)
+            | taxel_squares(found, taxels(world, seed))
+        ).items():
+            squares[name].append(part)
         chances.append(found.fit.p)
-        if not modular:
+        if belief.module_slots is None:
             errors.append(np.mean(metrics.position_errors(found, world.skin) ** 2))
             bounds.append(metrics.cramer_rao(recording, right, world.skin).rms ** 2)
     rows = {}
@@ -220,6 +207,51 @@ def study(case: Case, seeds: range) -> dict[str, dict[str, float]]:
     if errors:
         rows["fit"]["rms_over_bound"] = float(np.sqrt(np.mean(errors) / np.mean(bounds)))
     return {name: {key: float(v) for key, v in row.items()} for name, row in rows.items()}
+
+
+def pose_squares(
+    found: ms.Calibration, skin: ms.Skin, belief: ms.Belief, seed: int
+) -> dict[str, np.ndarray]:
+    """Squared errors (n, freedoms) over their variance: along the surface, tilt and spin.
+
+    The sum over a row's freedoms is chi-square. Of rigid modules their central taxels stand for
+    them.
+    """
+    off, seen, covariance = pose_errors(found, skin), found.observed, found.covariances
+    if belief.module_slots is None:  # the surface is as true as it is trusted to be
+        off[:, 3:5] += np.random.default_rng(seed).normal(scale=TILT_SIGMA, size=(len(off), 2))
+    else:
+        one = slots.slot(skin.ids) == slots.CENTRE
+        off, seen, covariance = off[one], seen[one], covariance[one]
+    out = {}
+    for name, columns in (("position", [0, 1]), ("tilt", [3, 4]), ("spin", [5])):
+        good = seen[:, columns].all(axis=1)
+        part = covariance[np.ix_(good, columns, columns)]
+        solved = np.linalg.solve(part, off[good][:, columns, None])[:, :, 0]
+        out[name] = off[good][:, columns] * solved
+    return out
+
+
+def shared_squares(
+    found: ms.Calibration, truth: dict[str, float], belief: ms.Belief
+) -> dict[str, np.ndarray]:
+    """The same (1,) of each shared unknown that the data determine."""
+    out = {}
+    for label, true in truth.items():
+        value, sigma = found.unknowns[label]
+        if sigma < SEEN * prior(label, belief):
+            out[label] = np.array([((value - true) / sigma) ** 2])
+    return out
+
+
+def taxel_squares(found: ms.Calibration, truth: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The same (n,) of the gains and offsets, where they were estimated."""
+    out = {}
+    for name, true in truth.items():
+        if name in found.taxel_unknowns:
+            value, sigma = found.taxel_unknowns[name].T
+            out[name] = ((value - true) / sigma) ** 2
+    return out
 
 
 def taxels(world: ms.Scene, seed: int) -> dict[str, np.ndarray]:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
 from ..errors import CalibrationError, UnknownNameError
 from ..provenance import digest, provenance
+from ..se3 import Array
 from . import chart, displacements, gauge, joint, observe, trilaterate
 from .calibration import Calibration
+from .fit import Fit
 from .measurements import Measurements, gather
 from .settled import settled
 from .solve import AT_REST
@@ -27,6 +30,41 @@ SURFACE = "body surface: position along the normal and tilt"
 MODULES = "rigid modules: the known places of their taxels"
 MODULE_SURFACE = "body surface: modules lie on it to 0.1 mm a taxel"
 CONTACTS = "contact points in the body frame"
+
+
+class Told(TypedDict, total=False):
+    """What some methods tell beside the poses: fields of a Calibration."""
+
+    modulus: float | None
+    modulus_sigma: float | None
+    unknowns: Mapping[str, tuple[float, float]]
+    undetermined: tuple[str, ...]
+    taxel_unknowns: Mapping[str, Array]
+    faults: np.ndarray
+    fit: Fit
+    iterates: Array
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a method says of n taxels."""
+
+    points: Array
+    """Positions (n, 3), body frame, m; NaN where there is none."""
+    rotations: Array
+    """(n, 3, 3), taxel frame to body frame."""
+    why: np.ndarray
+    """Why a taxel has no position (n,) str; "" where it has."""
+    chi2: Array
+    """(n,), as in a Calibration."""
+    anchor: str
+    factors: tuple[str, ...]
+    covariances: Array | None = None
+    """(n, 6, 6) of the poses, as in a Calibration; None: they follow from `tangential`."""
+    tangential: Array | None = None
+    """(n, 2, 2) in the tangent plane, m^2, of taxels that lie on the body's surface."""
+    told: Told = field(default_factory=Told)
+    seconds: Mapping[str, float] = field(default_factory=dict)
 
 
 def calibrate(
@@ -51,13 +89,13 @@ def calibrate(
     belief = settled(belief, recording)
     gathered = time.perf_counter()
     options = {"tolerance": tolerance} if method == "joint" else {}
-    values = METHODS[method](data, belief, **options)
-    seconds = {"gather": gathered - begin, **values.pop("seconds", {})}
+    answer = METHODS[method](data, belief, **options)
+    seconds = {"gather": gathered - begin, **answer.seconds}
     return _assemble(
         data,
         belief,
         method,
-        values,
+        answer,
         seconds | {"total": time.perf_counter() - begin},
         provenance(
             method=method,
@@ -71,18 +109,18 @@ def _assemble(
     data: Measurements,
     belief: Belief,
     method: str,
-    values: dict[str, Any],
+    answer: Answer,
     seconds: dict[str, float],
     source: dict[str, Any],
 ) -> Calibration:
     """Fill in what all methods share, and take back what is too weak to be an estimate."""
-    points, rotations = values.pop("points"), values.pop("rotations")
-    covariance, tangential = values.pop("covariances", None), values.pop("tangential", None)
+    points, rotations, covariance = answer.points, answer.rotations, answer.covariances
     if covariance is None:
+        assert answer.tangential is not None
         shape = observe.shape_operators(belief.body, points, rotations)
-        covariance = observe.pose_covariance(tangential, shape)
+        covariance = observe.pose_covariance(answer.tangential, shape)
     observed = observe.degrees_of_freedom(covariance, float(np.median(data.radii)))
-    why = np.array(values.pop("why"), dtype=object)
+    why = np.array(answer.why, dtype=object)
     why[(data.counts == 0) & (why != "")] = UNTOUCHED
     lost = np.asarray(~observed.any(axis=1))
     why[lost & (why == "")] = WEAK
@@ -95,16 +133,19 @@ def _assemble(
         touched=data.counts > 0,
         readings=data.counts,
         method=method,
+        anchor=answer.anchor,
+        factors=answer.factors,
+        chi2=answer.chi2,
         why=why,
         seconds=seconds,
         provenance=source,
         middles=trilaterate.centroids(data, belief.body),
         belief=belief,
-        **values,
+        **answer.told,
     )
 
 
-def _joint(data: Measurements, belief: Belief, tolerance: float = AT_REST) -> dict[str, Any]:
+def _joint(data: Measurements, belief: Belief, tolerance: float = AT_REST) -> Answer:
     found = joint.estimate(data, belief.body, tolerance=tolerance)
     silent: tuple[str, ...] = ()
     if data.noise:
@@ -114,49 +155,47 @@ def _joint(data: Measurements, belief: Belief, tolerance: float = AT_REST) -> di
         silent += (f"without {data.left_out} contacts in which the contact model does not hold",)
     if found.covariances is not None:
         surface = (MODULES, MODULE_SURFACE)
-    return {
-        "points": found.points,
-        "rotations": found.rotations,
-        "covariances": found.covariances,
-        "tangential": found.covariance,
-        "why": found.why,
-        "chi2": found.chi2,
-        "faults": found.faults,
-        "modulus": found.modulus,
-        "modulus_sigma": found.modulus_sigma,
-        "unknowns": found.unknowns,
-        "undetermined": found.undetermined,
-        "taxel_unknowns": {
-            name: np.stack([found.extras[:, k], found.extras_sigma[:, k]], axis=1)
-            for k, name in enumerate(found.data.shared.local_names)
+    shared = found.data.shared
+    return Answer(
+        points=found.points,
+        rotations=found.rotations,
+        covariances=found.covariances,
+        tangential=found.covariance,
+        why=found.why,
+        chi2=found.chi2,
+        anchor=CONTACTS,
+        factors=("pressure of each reading", *silent, *surface, *shared.prior_words()),
+        seconds=found.seconds,
+        told={
+            "faults": found.faults,
+            "modulus": found.modulus,
+            "modulus_sigma": found.modulus_sigma,
+            "unknowns": found.unknowns,
+            "undetermined": found.undetermined,
+            "taxel_unknowns": {
+                name: np.stack([found.extras[:, k], found.extras_sigma[:, k]], axis=1)
+                for k, name in enumerate(shared.local_names)
+            },
+            "fit": found.fit,
+            "iterates": np.stack(found.iterates),
         },
-        "fit": found.fit,
-        "iterates": np.stack(found.iterates),
-        "seconds": found.seconds,
-        "anchor": CONTACTS,
-        "factors": (
-            "pressure of each reading",
-            *silent,
-            *surface,
-            *found.data.shared.prior_words(),
-        ),
-    }
+    )
 
 
-def _trilateration(estimator: Callable[..., trilaterate.Fit]) -> Callable[..., dict[str, Any]]:
-    def run(data: Measurements, belief: Belief) -> dict[str, Any]:
+def _trilateration(estimator: Callable[..., trilaterate.Fit]) -> Callable[..., Answer]:
+    def run(data: Measurements, belief: Belief) -> Answer:
         fit = estimator(data, belief.body)
         _require(fit)
         scale = 1.0 if data.noise else float(np.nanmedian(fit.chi2))
-        return {
-            "points": fit.points,
-            "rotations": fit.rotations,
-            "tangential": fit.covariance * (scale if np.isfinite(scale) else 1.0),
-            "why": fit.why,
-            "chi2": fit.chi2,
-            "anchor": CONTACTS,
-            "factors": ("distance of each reading, at the nominal E*", SURFACE),
-        }
+        return Answer(
+            points=fit.points,
+            rotations=fit.rotations,
+            tangential=fit.covariance * (scale if np.isfinite(scale) else 1.0),
+            why=fit.why,
+            chi2=fit.chi2,
+            anchor=CONTACTS,
+            factors=("distance of each reading, at the nominal E*", SURFACE),
+        )
 
     return run
 
@@ -172,8 +211,8 @@ def _require(fit: trilaterate.Fit) -> None:
 
 def _posegraph(
     isotropic: bool, trilateration: displacements.Trilateration = trilaterate.solve
-) -> Callable[..., dict[str, Any]]:
-    def run(data: Measurements, belief: Belief) -> dict[str, Any]:
+) -> Callable[..., Answer]:
+    def run(data: Measurements, belief: Belief) -> Answer:
         begin = time.perf_counter()
         fit = trilaterate.least_squares(data, belief.body)
         _require(fit)
@@ -193,31 +232,31 @@ def _posegraph(
         iterates = np.full((len(steps), len(why), 3), np.nan)
         for k, step in enumerate(steps):
             iterates[k, row[linked]] = gauge.aligned(graph, step)[0][linked, :3, 3]
-        return {
-            "points": poses[:, :3, 3],
-            "rotations": poses[:, :3, :3],
-            "covariances": covariances,
-            "why": why,
-            "chi2": np.full(len(why), np.nan),
-            "iterates": iterates,
-            "seconds": {
+        return Answer(
+            points=poses[:, :3, 3],
+            rotations=poses[:, :3, :3],
+            covariances=covariances,
+            why=why,
+            chi2=np.full(len(why), np.nan),
+            told={"iterates": iterates},
+            seconds={
                 "graph": time.perf_counter() - begin,
                 "build": solution.build_time,
                 "solve": solution.solve_time,
             },
-            "anchor": "rigid alignment of each connected part with the trilaterated positions",
-            "factors": (
+            anchor="rigid alignment of each connected part with the trilaterated positions",
+            factors=(
                 f"{len(graph.edges)} displacements of taxels active together, "
                 f"{'isotropic' if isotropic else 'full'} information, taken as independent "
                 "(the covariance is a lower bound)",
                 "spin of each frame: a convention",
             ),
-        }
+        )
 
     return run
 
 
-METHODS: dict[str, Callable[..., dict[str, Any]]] = {
+METHODS: dict[str, Callable[..., Answer]] = {
     "joint": _joint,
     "posegraph": _posegraph(isotropic=False),
     "posegraph_isotropic": _posegraph(isotropic=True),
