@@ -148,13 +148,7 @@ def adapt(
     touch would meet, and for fewer contacts than the first pass has; ReachError where nothing can
     be touched.
     """
-    reach = setup_of(scene).reach
-    if not 0 < target < reach:
-        raise ConfigError(
-            "the target of an adaptive exploration",
-            value=f"{target} m",
-            limit=f"above 0, below the {reach:.2g} m at which a contact is felt",
-        )
+    _check_target(target, setup_of(scene).reach)
     unreachable: Mapping[int, str] = {}
     if points is None:
         points, unreachable = first_pass(scene)
@@ -189,6 +183,15 @@ def adapt(
             mine = why[wanted.taxel[:enough] == taxel]
             if (mine != "").all():
                 stand.give_up(np.array([taxel]), str(mine[0]))
+
+
+def _check_target(target: float, reach: float) -> None:
+    if not 0 < target < reach:
+        raise ConfigError(
+            "the target of an adaptive exploration",
+            value=f"{target} m",
+            limit=f"above 0, below the {reach:.2g} m at which a contact is felt",
+        )
 
 
 class _Standing:

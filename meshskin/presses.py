@@ -21,7 +21,9 @@ from .se3 import Array, exp_so3, quaternion
 from .simulation import FRAME_CELLS, effect_chain, frames_at, sensor_tables
 
 if TYPE_CHECKING:
+    from .geometry.closest import Closest
     from .physics.effects import Chain
+    from .physics.effects.frames import Frames
     from .scene import Scene
 
 APART = 1.0
@@ -54,20 +56,7 @@ def press(
     hit, count = scene.body.closest(where), len(where)
     _near(hit.distance)
     forces = _forces(scene.law.force_reference if force is None else force, count)
-    patches = scene.model.patches(
-        force=forces,
-        curvature=hit.curvature,
-        indenter_radius=scene.indenter.radius,
-        effective_modulus=scene.material.effective_modulus,
-    )
-    centres = hit.point + (scene.indenter.radius - patches.depth)[:, None] * hit.normal
-    turned = exp_so3(np.broadcast_to(spin, count)[:, None] * [0.0, 0.0, 1.0]) @ _down(hit.normal)
-    turned = scene.indenter.frame @ turned
-    place = np.array(scene.indenter.position) - np.einsum("kij,kj->ki", turned, centres)
-
-    time = APART * np.arange(float(count))
-    q = np.concatenate([place, quaternion(turned)[:, [3, 0, 1, 2]]], axis=1)
-    frames = frames_at(world, time, hit.point, hit.normal, forces, centres, q)
+    frames = _at_rest(world, hit, forces, np.broadcast_to(spin, count))
     chain = chain or effect_chain(world, seed)
     size = max(int(FRAME_CELLS / len(scene.skin)), 1)
     batches = [
@@ -113,6 +102,23 @@ def _near(distance: Array) -> None:
             limit=f"{FAR_OFF} m",
             remedy="give them in m, in the body's frame",
         )
+
+
+def _at_rest(scene: Scene, hit: Closest, forces: Array, spin: Array) -> Frames:
+    """Frames at contacts (m), pressed by forces (m,), N, the body turned by `spin` (m,), rad."""
+    patches = scene.model.patches(
+        force=forces,
+        curvature=hit.curvature,
+        indenter_radius=scene.indenter.radius,
+        effective_modulus=scene.material.effective_modulus,
+    )
+    centres = hit.point + (scene.indenter.radius - patches.depth)[:, None] * hit.normal
+    turned = exp_so3(spin[:, None] * [0.0, 0.0, 1.0]) @ _down(hit.normal)
+    turned = scene.indenter.frame @ turned
+    place = np.array(scene.indenter.position) - np.einsum("kij,kj->ki", turned, centres)
+    time = APART * np.arange(float(len(forces)))
+    q = np.concatenate([place, quaternion(turned)[:, [3, 0, 1, 2]]], axis=1)
+    return frames_at(scene, time, hit.point, hit.normal, forces, centres, q)
 
 
 def _down(normals: Array) -> Array:

@@ -6,8 +6,7 @@ qz (unit quaternion of the body's rotation, world from body). `readings`, sparse
 (id), pressure (Pa), only pressures above the threshold. `motion`, from simulations only, one row a
 step.
 
-A robot's own log may be two CSV files with the same columns (contacts.csv, readings.csv), in SI
-units or with the unit after the name: px_mm, pressure_kpa, time_ms. Normals may be left out there.
+A robot's own log may be two CSV files with the same columns (logs.py).
 """
 
 from __future__ import annotations
@@ -181,26 +180,13 @@ class Recording:
         headers: dict[str, dict[str, Any]] = {}
         for part in _PARTS:
             file = part_path(path, part)
-            if not file.exists():
-                if part == "motion":
-                    continue
+            if file.exists():
+                tables[part], headers[part] = _read_table(file)
+            elif part != "motion":
                 raise RecordingError(
                     f"no recording at {path}: {file.name} is missing",
                     remedy="check the path; a log may be contacts.csv and readings.csv in a folder",
                 )
-            try:
-                tables[part] = pq.read_table(file, memory_map=True)
-                headers[part] = json.loads((pq.read_metadata(file).metadata or {})[_KEY])
-            except (pa.ArrowInvalid, OSError) as error:
-                raise RecordingError(
-                    f"{file} cannot be read: {str(error).splitlines()[0]}",
-                    remedy="record it again",
-                ) from error
-            except (KeyError, ValueError) as error:
-                raise RecordingError(
-                    f"{file} has no meshskin metadata",
-                    remedy="write it with Recording.save or RecordingWriter",
-                ) from error
         if len({header.get("recording_id") for header in headers.values()}) > 1:
             raise RecordingError(
                 f"the tables at {path} come from different recordings",
@@ -209,6 +195,23 @@ class Recording:
         header = headers["contacts"]
         header.pop("recording_id", None)
         return cls(tables["contacts"], tables["readings"], header, tables.get("motion"))
+
+
+def _read_table(file: Path) -> tuple[pa.Table, dict[str, Any]]:
+    """A table of a recording, memory-mapped, and its metadata. Raises RecordingError."""
+    try:
+        table = pq.read_table(file, memory_map=True)
+        return table, json.loads((pq.read_metadata(file).metadata or {})[_KEY])
+    except (pa.ArrowInvalid, OSError) as error:
+        raise RecordingError(
+            f"{file} cannot be read: {str(error).splitlines()[0]}",
+            remedy="record it again",
+        ) from error
+    except (KeyError, ValueError) as error:
+        raise RecordingError(
+            f"{file} has no meshskin metadata",
+            remedy="write it with Recording.save or RecordingWriter",
+        ) from error
 
 
 class RecordingWriter:
