@@ -13,31 +13,21 @@ from meshskin.physics.effects.indenter_offset import IndenterOffset
 from meshskin.presses import press
 
 
-@pytest.fixture(scope="module")
-def scene():
-    return ms.Scene.load("sphere")
+def test_as_the_closed_loop(sphere, recording):
+    pressed = press(sphere, recording.points, recording.force)
+    assert np.allclose(pressed.points, recording.points, atol=1e-12)
+    assert np.allclose(pressed.normals, recording.normals, atol=5e-6)  # the loop's are jets
+    dense = np.zeros((2, len(recording.time), int(max(sphere.skin.ids)) + 1))
+    for table, found in zip(dense, (pressed, recording), strict=True):
+        table[found.reading_contact, found.reading_taxel] = found.pressure
+    assert np.abs(dense[0] - dense[1]).max() < 1e-5 * sphere.patch.peak
+    assert pressed.metadata["taxel_ids"] == recording.metadata["taxel_ids"]
 
 
-@pytest.fixture(scope="module")
-def simulated(scene):
-    return ms.simulate(scene, seed=1)
-
-
-def test_as_the_closed_loop(scene, simulated):
-    pressed = press(scene, simulated.points, simulated.force)
-    assert np.allclose(pressed.points, simulated.points, atol=1e-12)
-    assert np.allclose(pressed.normals, simulated.normals, atol=5e-6)  # the loop's are jets
-    dense = np.zeros((2, len(simulated.time), int(max(scene.skin.ids)) + 1))
-    for table, recording in zip(dense, (pressed, simulated), strict=True):
-        table[recording.reading_contact, recording.reading_taxel] = recording.pressure
-    assert np.abs(dense[0] - dense[1]).max() < 1e-5 * scene.patch.peak
-    assert pressed.metadata["taxel_ids"] == simulated.metadata["taxel_ids"]
-
-
-def test_the_body_stands_on_the_indenter(scene):
-    points = scene.body.closest(scene.skin.positions[:4]).point
-    pressed = press(scene, points, spin=[0.0, 0.0, 1.0, -2.0])
-    turned, force = pressed.headings, scene.law.force_reference
+def test_the_body_stands_on_the_indenter(sphere):
+    points = sphere.body.closest(sphere.skin.positions[:4]).point
+    pressed = press(sphere, points, spin=[0.0, 0.0, 1.0, -2.0])
+    turned, force = pressed.headings, sphere.law.force_reference
     down = np.einsum("kij,kj->ki", turned, pressed.normals)
     assert np.allclose(down, [0, 0, -1], atol=1e-9)
     across = turned[0] @ turned[1].T
@@ -46,43 +36,43 @@ def test_the_body_stands_on_the_indenter(scene):
     assert np.allclose(pressed.force, force)
 
 
-def test_effects_act_and_a_heading_that_varies_shows_the_indenters_offset(scene):
+def test_effects_act_and_a_heading_that_varies_shows_the_indenters_offset(sphere):
     offset = (8e-4, -3e-4, 0.0)
-    world = scene.with_(
+    world = sphere.with_(
         effects=(GaussianNoise(0.01), IndenterOffset(offset)),
         readout=ms.Readout(threshold_relative=0.05),
     )
-    centre = scene.skin.positions.mean(axis=0)
+    centre = sphere.skin.positions.mean(axis=0)
     near = np.random.default_rng(0).normal(scale=15e-3, size=(1500, 3))
     recording = press(world, centre + near, spin=np.linspace(-3, 3, 1500), seed=4)
     belief = world.belief(unknown=("modulus", "indenter_offset"))
     found = ms.calibrate(recording, belief)
-    apart = 0.1 + scene.indenter.radius - scene.patch.depth
+    apart = 0.1 + sphere.indenter.radius - sphere.patch.depth
     for axis, true in zip("xy", offset, strict=False):
         value, sigma = found.unknowns[f"indenter_offset {axis}"]
         assert value == pytest.approx(-true, abs=4 * sigma)
         # the offset along the believed normal is not seen; the offset itself tilts that normal
         assert sigma < np.hypot(5e-6, PRIORS["indenter_offset"] * abs(true) / apart)
-    bound = metrics.cramer_rao(recording, belief, scene.skin)
-    assert np.nanmean(metrics.position_errors(found, scene.skin)) < 1.2 * bound.mean
+    bound = metrics.cramer_rao(recording, belief, sphere.skin)
+    assert np.nanmean(metrics.position_errors(found, sphere.skin)) < 1.2 * bound.mean
     again = press(world, centre + near, spin=np.linspace(-3, 3, 1500), seed=4)
     assert np.array_equal(again.pressure, recording.pressure)
 
 
-def test_batches_make_no_difference_and_nothing_is_refused(scene, monkeypatch):
-    noisy = scene.with_(effects=(GaussianNoise(0.01),))
-    whole = press(noisy, scene.skin.positions, seed=2)
-    monkeypatch.setattr(presses, "FRAME_CELLS", 7 * len(scene.skin))
-    parts = press(noisy, scene.skin.positions, seed=2)
+def test_batches_make_no_difference_and_nothing_is_refused(sphere, monkeypatch):
+    noisy = sphere.with_(effects=(GaussianNoise(0.01),))
+    whole = press(noisy, sphere.skin.positions, seed=2)
+    monkeypatch.setattr(presses, "FRAME_CELLS", 7 * len(sphere.skin))
+    parts = press(noisy, sphere.skin.positions, seed=2)
     assert parts.readings.equals(whole.readings)
     assert parts.contacts.equals(whole.contacts)
     with pytest.raises(RecordingError, match="nothing to press"):
-        press(scene, [])
+        press(sphere, [])
 
 
-def test_points_in_other_units_are_refused(scene):
+def test_points_in_other_units_are_refused(sphere):
     with pytest.raises(RecordingError, match=r"typically 99\.9 m off its surface, limit: 0.05 m"):
-        press(scene, 1e3 * scene.skin.positions)
+        press(sphere, 1e3 * sphere.skin.positions)
 
 
 @pytest.mark.parametrize(
@@ -94,6 +84,6 @@ def test_points_in_other_units_are_refused(scene):
         ([1.0, 2.0, 3.0], r"one a press, got shape \(3,\), limit: \(2,\)"),
     ],
 )
-def test_what_is_no_force_is_refused(scene, force, message):
+def test_what_is_no_force_is_refused(sphere, force, message):
     with pytest.raises(RecordingError, match=message):
-        press(scene, scene.skin.positions[:2], force)
+        press(sphere, sphere.skin.positions[:2], force)

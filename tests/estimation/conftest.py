@@ -11,6 +11,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from meshskin.estimation.factors.contacts import Anchored
+from meshskin.estimation.likelihood import Likelihood, Readings
 from meshskin.geometry.primitives import Sphere
 from meshskin.physics.contact import Model, hertz
 from meshskin.physics.contact.disc import disc_mean
@@ -144,3 +146,32 @@ def changed(recording, **columns):
 def change():
     """`changed`, for the tests."""
     return changed
+
+
+@pytest.fixture(scope="session")
+def derivative_holds():
+    """Asserts one column of the prediction's Jacobian against a central difference.
+
+    At a random place about the truth; columns: position (3), ln gain, offset, shared unknowns.
+    """
+
+    def check(world, case, column):
+        data, contact, taxel = case
+        model = Likelihood(data, Readings.none(), data.shared)
+        scale = np.concatenate([np.full(3, 1e-3), [0.1, 1.0], 0.1 * data.shared.sigma])
+        rng = np.random.default_rng(column)
+        about = 0.3 * scale * rng.normal(size=len(scale))
+        fixed = Anchored(data.shared, data, world.body, about[5:])
+
+        def predict(x):
+            points = world.truth[taxel] + x[:3]
+            extras = np.broadcast_to(x[3:5], (len(taxel), 2))
+            return model.predict(contact, points, extras, fixed.at(x[5:]))
+
+        step = 1e-4 * scale[column] * np.eye(len(scale))[column]
+        jacobian = predict(about)[1][column]
+        numeric = (predict(about + step)[0] - predict(about - step)[0]) / (2 * step[column])
+        assert np.abs(jacobian).max() > 0
+        assert np.allclose(jacobian, numeric, atol=5e-3 * np.abs(numeric).max())
+
+    return check

@@ -5,7 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from meshskin import library
+from meshskin.geometry.body import Body
+from meshskin.motion.arm import Arm
 from meshskin.simulation import prepare
+
+
+@pytest.fixture(scope="session")
+def body():
+    """The paper's body by itself."""
+    return Body.sphere(0.1)
+
+
+@pytest.fixture(scope="session")
+def arm():
+    """The paper's arm by itself."""
+    return Arm.from_urdf(library.folder() / "puma560.urdf")
 
 
 @pytest.fixture(scope="session")

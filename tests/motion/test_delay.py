@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from meshskin import library
 from meshskin.errors import ConfigError, SimulationError
-from meshskin.geometry.body import Body
 from meshskin.motion.arm import Arm
 from meshskin.motion.law import Law
 from meshskin.motion.loop import INTEGRATORS, Loop, flat_anchor
@@ -20,16 +18,6 @@ from meshskin.simulation import prepare
 LAW = Law(gamma=20.0)
 PLACE = np.array([0.424, -0.424, 0.7])
 MOUNT = transform(exp_so3([np.pi, 0, 0]), [0, 0, 0.12])
-
-
-@pytest.fixture(scope="module")
-def body():
-    return Body.sphere(0.1)
-
-
-@pytest.fixture(scope="module")
-def arm():
-    return Arm.from_urdf(library.folder() / "puma560.urdf")
 
 
 def pressed(arm, body, law, depth):

@@ -4,9 +4,6 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from meshskin import library
-from meshskin.geometry.body import Body
-from meshskin.motion.arm import Arm
 from meshskin.motion.law import Law
 from meshskin.motion.loop import Loop, flat_anchor
 from meshskin.motion.step import Blocks, step
@@ -15,16 +12,6 @@ from meshskin.se3 import exp_so3, transform
 E_STAR = 0.2e6 / (1 - 0.49**2)
 PLACE = np.array([0.424, -0.424, 0.7])
 MOUNT = transform(exp_so3([np.pi, 0, 0]), [0, 0, 0.12])
-
-
-@pytest.fixture(scope="module")
-def body():
-    return Body.sphere(0.1)
-
-
-@pytest.fixture(scope="module")
-def arm():
-    return Arm.from_urdf(library.folder() / "puma560.urdf")
 
 
 def pressed(arm, body, law, depth, dt=1e-3):

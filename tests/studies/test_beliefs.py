@@ -1,17 +1,10 @@
 """The study of wrong beliefs with one seed: refused, and mended by declaring the unknown."""
 
-import importlib.util
 import json
-from pathlib import Path
-
-SCRIPT = Path(__file__).parents[2] / "studies" / "beliefs.py"
 
 
-def test_beliefs(tmp_path, capsys):
-    spec = importlib.util.spec_from_file_location("beliefs_study", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    found = module.main(["--seeds", "1", "--json", str(tmp_path / "x.json")])
+def test_beliefs(script, tmp_path, capsys):
+    found = script("beliefs").main(["--seeds", "1", "--json", str(tmp_path / "x.json")])
     assert json.loads((tmp_path / "x.json").read_text()) == found
     assert len(found) == 4
     for row in found.values():

@@ -1,21 +1,14 @@
 """The study of the error budget: its scenes, and, at a small size, whether it keeps its word."""
 
-import importlib.util
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-SCRIPT = Path(__file__).parents[2] / "studies" / "budget.py"
-
 
 @pytest.fixture(scope="module")
-def study():
-    spec = importlib.util.spec_from_file_location("budget_study", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def study(script):
+    return script("budget")
 
 
 def test_random_scenes_are_the_same_every_time(study):

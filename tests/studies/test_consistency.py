@@ -1,23 +1,16 @@
 """The study of consistency with few seeds: no unknown is missing or refused; its statistics."""
 
-import importlib.util
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from meshskin.estimation.factors.shared import LOCAL, SIZES
 
-SCRIPT = Path(__file__).parents[2] / "studies" / "consistency.py"
-
 
 @pytest.fixture(scope="module")
-def study():
-    spec = importlib.util.spec_from_file_location("consistency_study", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def study(script):
+    return script("consistency")
 
 
 def test_few_seeds(study, tmp_path, capsys):

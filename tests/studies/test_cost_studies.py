@@ -1,26 +1,14 @@
 """Studies of accuracy against time and of the skin's design, at a small size."""
 
-import importlib.util
 import json
-from pathlib import Path
 
 import pytest
 
-STUDIES = Path(__file__).parents[2] / "studies"
-
-
-def study(name):
-    """The script as a module."""
-    spec = importlib.util.spec_from_file_location(f"{name}_study", STUDIES / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
 
 @pytest.mark.slow
-def test_accuracy_cost(tmp_path, capsys):
+def test_accuracy_cost(script, tmp_path, capsys):
     asked = ["--scenes", "sphere_noisy", "--knobs", "dt", "--asked"]
-    found = study("accuracy_cost").main([*asked, "--out", str(tmp_path)])["sphere_noisy"]
+    found = script("accuracy_cost").main([*asked, "--out", str(tmp_path)])["sphere_noisy"]
     assert found["error_mm"] == pytest.approx(0.0100, rel=0.05)
     assert found["bound_mm"] == pytest.approx(0.00964, rel=0.02)
     # semi-implicit Euler at 1 ms: a twentieth of the noise
@@ -33,9 +21,9 @@ def test_accuracy_cost(tmp_path, capsys):
     assert "cheapest setting" in capsys.readouterr().out
 
 
-def test_what_was_measured_is_kept(tmp_path):
+def test_what_was_measured_is_kept(script, tmp_path):
     """A resumed study measures nothing again, unless it is asked for something else."""
-    module, ran = study("accuracy_cost"), []
+    module, ran = script("accuracy_cost"), []
 
     def measure():
         ran.append(1)
@@ -48,10 +36,10 @@ def test_what_was_measured_is_kept(tmp_path):
     assert module.once(file, {"seeds": 3}, False, measure)["n"] == 3
 
 
-def test_skin_design(tmp_path, capsys):
+def test_skin_design(script, tmp_path, capsys):
     asked = ["--seeds", "1", "--only", "thickness_mm", "young_kpa"]
     file = tmp_path / "x.json"
-    module = study("skin_design")
+    module = script("skin_design")
     module.VALUES = {"thickness_mm": (3.0, 20.0), "young_kpa": (100.0, 800.0)}
     found = module.main([*asked, "--out", str(tmp_path), "--json", str(file)])
     assert json.loads(file.read_text()) == found

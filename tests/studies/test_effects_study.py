@@ -1,21 +1,14 @@
 """The study of effects at a small size, pinned to what it is for."""
 
-import importlib.util
 import json
-from pathlib import Path
 
 import pytest
 
-SCRIPT = Path(__file__).parents[2] / "studies" / "effects.py"
 
-
-def test_effects(tmp_path, capsys):
-    spec = importlib.util.spec_from_file_location("effects_study", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+def test_effects(script, tmp_path, capsys):
     names = ["body_pose", "friction", "quantisation", "quantisation_16"]
     asked = ["--seeds", "1", "--pairs", "--effects", *names, "--json", str(tmp_path / "x.json")]
-    found = module.main([*asked, "--out", str(tmp_path)])
+    found = script("effects").main([*asked, "--out", str(tmp_path)])
     assert json.loads((tmp_path / "x.json").read_text()) == found
     for name in ("effects", "effect_pairs"):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
@@ -33,13 +26,10 @@ def test_effects(tmp_path, capsys):
     assert "pairs that add up worst" in capsys.readouterr().out
 
 
-def test_pairs_that_do_not_add_up(tmp_path):
+def test_pairs_that_do_not_add_up(script, tmp_path):
     """Sampling hides among outlying readings, unless the model is off anyway (see the study)."""
-    spec = importlib.util.spec_from_file_location("effects_study", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
     asked = ["--seeds", "1", "--pairs", "--effects", "sampling", "capacitive"]
-    found = module.main([*asked, "--out", str(tmp_path)])
+    found = script("effects").main([*asked, "--out", str(tmp_path)])
     both = found["sampling+capacitive"]
     assert found["sampling"]["left_out"] == pytest.approx(22.7, abs=1.0)
     assert found["capacitive"]["left_out"] == 0.0

@@ -1,22 +1,15 @@
 """The study of the estimators at a small size, pinned to what it is for."""
 
-import importlib.util
 import json
-from pathlib import Path
 
 import pytest
 
 import meshskin as ms
 
-SCRIPT = Path(__file__).parents[2] / "studies" / "estimators.py"
-
 
 @pytest.fixture(scope="module")
-def study():
-    spec = importlib.util.spec_from_file_location("estimators_study", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def study(script):
+    return script("estimators")
 
 
 @pytest.fixture(scope="module")

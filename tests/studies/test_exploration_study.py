@@ -1,18 +1,13 @@
 """The study of exploration at a small size, pinned to what it is for."""
 
-import importlib.util
 import json
-from pathlib import Path
-
-SCRIPT = Path(__file__).parents[2] / "studies" / "exploration.py"
 
 
-def test_exploration(tmp_path, capsys):
-    spec = importlib.util.spec_from_file_location("exploration_study", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+def test_exploration(script, tmp_path, capsys):
     asked = ["--pitch-mm", "6.5", "--count", "24", "--seeds", "1"]
-    found = module.main([*asked, "--out", str(tmp_path), "--json", str(tmp_path / "x.json")])
+    found = script("exploration").main(
+        [*asked, "--out", str(tmp_path), "--json", str(tmp_path / "x.json")]
+    )
     assert json.loads((tmp_path / "x.json").read_text()) == found
     assert (tmp_path / "exploration.png").stat().st_size > 10_000
     row = found["6.5"]

@@ -1,6 +1,5 @@
 """The study of real bodies on a few taxels of one of them; skips where the meshes are absent."""
 
-import importlib.util
 from pathlib import Path
 
 import pytest
@@ -10,11 +9,8 @@ DATA = ROOT / ".." / "shared" / "data"
 
 
 @pytest.fixture
-def study():
-    spec = importlib.util.spec_from_file_location("real", ROOT / "studies" / "real_bodies.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def study(script):
+    return script("real_bodies")
 
 
 def test_taxels_on_the_ur3e_are_found_to_their_bound(study, monkeypatch, tmp_path):

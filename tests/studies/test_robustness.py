@@ -1,20 +1,12 @@
 """The study of robustness with one seed: the others keep their accuracy, the faulty are named."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-SCRIPT = Path(__file__).parents[2] / "studies" / "robustness.py"
-
 
 @pytest.fixture(scope="module")
-def study():
-    spec = importlib.util.spec_from_file_location("robustness_study", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def study(script):
+    return script("robustness")
 
 
 @pytest.fixture(scope="module")

@@ -1,23 +1,10 @@
 """Every study runs at a small size and is pinned to the numbers that it is for."""
 
-import importlib.util
-from pathlib import Path
-
 import pytest
 
-STUDIES = Path(__file__).parents[2] / "studies"
 
-
-def study(name):
-    """The main function of a study's script."""
-    spec = importlib.util.spec_from_file_location(name, STUDIES / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.main
-
-
-def test_paper_figures(tmp_path, capsys):
-    found = study("paper_figures")(["--out", str(tmp_path), "--seeds", "2"])
+def test_paper_figures(script, tmp_path, capsys):
+    found = script("paper_figures").main(["--out", str(tmp_path), "--seeds", "2"])
     assert {f"fig{k}.{kind}" for k in range(4, 10) for kind in ("png", "svg")} == {
         file.name for file in tmp_path.iterdir()
     }

@@ -1,19 +1,12 @@
 """The study of the tuning at a small size: without an arm, readings 4 ms late."""
 
-import importlib.util
 import json
-from pathlib import Path
-
-STUDY = Path(__file__).parents[2] / "studies" / "tuning.py"
 
 
-def test_tuning(tmp_path, capsys):
-    spec = importlib.util.spec_from_file_location("tuning_study", STUDY)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+def test_tuning(script, tmp_path, capsys):
     small = ["--scenes", "sphere", "--quasi-static", "--delay", "4", "--distance", "5"]
     rest = ["--points", "2", "--out", str(tmp_path), "--json", str(tmp_path / "found.json")]
-    found = module.main([*small, *rest])
+    found = script("tuning").main([*small, *rest])
     assert json.loads((tmp_path / "found.json").read_text()) == found
     sphere, trade = found["sphere"], found["trade"]
     before, after = sphere["settling_ms"]

@@ -76,31 +76,8 @@ def test_file_round_trip(skin_graph, tmp_path):
 
 
 VERTEX = "VERTEX_SE3:QUAT {} 0 0 0 0 0 0 1\n"
-INFORMATION = " ".join(
-    [
-        "1",
-        "0",
-        "0",
-        "0",
-        "0",
-        "0",
-        "1",
-        "0",
-        "0",
-        "0",
-        "0",
-        "1",
-        "0",
-        "0",
-        "0",
-        "1",
-        "0",
-        "0",
-        "1",
-        "0",
-        "1",
-    ]
-)
+INFORMATION = "1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1"
+"""The upper triangle of the identity (6, 6), row by row."""
 EDGE = "EDGE_SE3:QUAT {} {} 1 0 0 0 0 0 1 " + INFORMATION + "\n"
 GOOD = VERTEX.format(7) + VERTEX.format(3) + EDGE.format(7, 3)
 
