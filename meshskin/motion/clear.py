@@ -4,7 +4,12 @@ The indenter is the tip of a thin column, its support. It must fit the surface w
 contact, no narrower hollow), and the column must keep clear of the body and of the arm; the arm's
 links must keep clear of the body. Links are capsules about their shapes (motion/shapes.py); where
 the URDF has none, or names a mesh that is not there, straight from joint to joint with
-`LINK_RADIUS`. Links that meet the tip are left out within `WRIST` of it.
+`LINK_RADIUS`. Links that are rigid with the tip, and what is in the body in every posture, are its
+mount and not judged; nor is, within `WRIST` of the tip, a link that meets it in every posture.
+
+Source of the mount: Coleman, Sucan, Chitta, Correll, "Reducing the barrier to entry of complex
+robotic software: a MoveIt! case study" (Journal of Software Engineering for Robotics 5(1), 2014),
+whose setup leaves out pairs of links that meet in every one of some random postures.
 """
 
 from __future__ import annotations
@@ -22,19 +27,21 @@ from ..ragged import ranges
 from ..se3 import Array
 from . import shapes
 from .arm import Arm
+from .capsules import apart, covering, segment_distance, spread
 from .urdf import chain, parse
 
 LINK_RADIUS = 0.03
 """Radius of a link of which nothing but its joints is known, m."""
 WRIST = 0.12
-"""Distance from the tip within which the arm is taken for part of the mount, m."""
+"""Distance from the tip, m, within which a link that always meets the body is taken for part of its
+mount, that the guess of a link's thickness may not forbid to bend the wrist."""
+POSTURES = 200
+"""Random postures in which the arm is looked at for what always meets the body."""
 EDGY = np.cos(np.deg2rad(20.0))
 """Cosine of the turn of the surface's normal from which a crease is an edge: the indenter runs over
 what turns less, as over the facets of a coarse mesh of something round."""
 ALONG = (0.1, 0.5, 0.9)
 """Parts of an edge at which its normals are compared."""
-FINE = 0.5
-"""Distance of the balls that stand for a capsule, in its radii."""
 BATCH = 4096
 """Configurations looked at together."""
 ROUND = 1e-3
@@ -127,6 +134,12 @@ class Links:
     notes: tuple[str, ...] = ()
     """Which links are taken for a capsule from joint to joint though they have a shape, and why."""
 
+    @functools.cached_property
+    def balls(self) -> tuple[NDArray[np.intp], Array]:
+        """How many balls (l,) stand for each capsule, and their radii (l,), m."""
+        ends = self.at(np.zeros((1, self.ends.size1_in(0))))[0]
+        return covering(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), self.radii)
+
     def points(self, q: Array) -> Array:
         """The columns of `ends` (k, 2 l + 1, 3), world, m, in configurations (k, n)."""
         return np.asarray(self.ends(q.T).full().T.reshape(len(q), -1, 3))
@@ -164,19 +177,71 @@ def links(arm: Arm) -> Links:
     return Links(tuple(names), np.array(radii), function, tuple(notes))
 
 
+@dataclass(frozen=True)
+class Mounted:
+    """What of an arm's links, as balls in order (p,), is not judged against the body on its tip."""
+
+    inside: NDArray[np.bool_]
+    """(p,): in the body in every posture, or of a link that is rigid with the tip."""
+    joined: NDArray[np.bool_]
+    """(p,): of a link that meets the body in every posture; left out within WRIST of the tip."""
+    names: tuple[str, ...] = ()
+    """The links that meet the body in every posture though a joint moves them."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was left out, in words."""
+        why = f"meets the body in every posture; within {WRIST:g} m of the tip it counts as mount"
+        return tuple(f"link {name}: {why}" for name in self.names)
+
+
+def mounted(arm: Arm, body: Body, mount: Array) -> Mounted:
+    """What of the arm can never be clear of a body at T_tip_b `mount` (4, 4)."""
+    shape = links(arm)
+    low = np.where(np.isfinite(arm.lower), arm.lower, -np.pi)
+    high = np.where(np.isfinite(arm.upper), arm.upper, np.pi)
+    q = np.random.default_rng(0).uniform(low, high, (POSTURES, len(low)))
+    points = _seen_from(arm.pose(q) @ mount, shape.points(q))
+    counts = shape.balls[0]
+    owner = np.repeat(np.arange(len(counts)), counts)
+    meets = np.zeros((POSTURES, len(owner)), dtype=bool)
+    meets[_meeting(shape, points, body, None)] = True
+    names = np.array(shape.names, dtype=object)[owner]
+    fixed = np.isin(names, _rigid(arm))
+    met = [k for k in dict.fromkeys(names[~fixed]) if meets[:, names == k].any(axis=1).all()]
+    return Mounted(fixed | meets.all(axis=0), np.isin(names, met), tuple(met))
+
+
+def _rigid(arm: Arm) -> list[str]:
+    """The links behind which no joint moves, up to the tip."""
+    links = [arm.tip]
+    for joint in reversed(chain(parse(arm.urdf, ""), arm.tip, "")):
+        if joint.kind != "fixed":
+            break
+        links.append(joint.parent)
+    return links
+
+
 def arm_reasons(
-    arm: Arm, body: Body, q: Array, poses: Array, indenter: Indenter
+    arm: Arm, body: Body, q: Array, poses: Array, indenter: Indenter, held: Mounted | None = None
 ) -> NDArray[np.object_]:
-    """Why configurations `q` (k, n) with the body at T_w_b `poses` (k, 4, 4) collide; "" if not."""
+    """Why configurations `q` (k, n) with the body at T_w_b `poses` (k, 4, 4) collide; "" if not.
+
+    held: what of the arm is not judged against the body; None: all of it is.
+    """
     reason, shape = np.full(len(q), "", dtype=object), links(arm)
     if shape.names:
         for first in range(0, len(q), BATCH):
             rows = slice(first, first + BATCH)
             points, pose = shape.points(q[rows]), poses[rows]
-            local = (points - pose[:, None, :3, 3]) @ pose[:, :3, :3]
             reason[rows][_meets_support(shape, points, indenter)] = ARM_SUPPORT
-            reason[rows][_meets_body(shape, local, body)] = ARM_BODY
+            reason[rows][_meeting(shape, _seen_from(pose, points), body, held)[0]] = ARM_BODY
     return reason
+
+
+def _seen_from(poses: Array, points: Array) -> Array:
+    """Points (k, p, 3) in frames that are at `poses` (k, 4, 4)."""
+    return np.asarray((points - poses[:, None, :3, 3]) @ poses[:, :3, :3])
 
 
 def _meets_support(shape: Links, points: Array, indenter: Indenter) -> NDArray[np.bool_]:
@@ -187,67 +252,28 @@ def _meets_support(shape: Links, points: Array, indenter: Indenter) -> NDArray[n
     top = np.array(indenter.position)
     foot = top - (indenter.radius + indenter.support_height) * indenter.up
     thick = shape.radii + indenter.column_radius
-    k, link = np.nonzero(_apart(ends, np.sort([foot, top], axis=0)) < thick)
+    k, link = np.nonzero(apart(ends, np.sort([foot, top], axis=0)) < thick)
     gap = segment_distance(ends[k, link, 0], ends[k, link, 1], top, foot)
     out[k[gap < thick[link]]] = True
     return out
 
 
-def _meets_body(shape: Links, points: Array, body: Body) -> NDArray[np.bool_]:
-    """In which configurations (k,), with links at `points` (k, 2 l + 1, 3) in the body's frame, one
-    of them meets the body.
+def _meeting(
+    shape: Links, points: Array, body: Body, held: Mounted | None
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """In which configurations which balls meet the body, a pair each, of those that are judged,
+    with links at `points` (k, 2 l + 1, 3) in the body's frame.
     """
-    ends, out = shape.capsules(points), np.zeros(len(points), dtype=bool)
-    counts, radii = _balls(np.linalg.norm(ends[0, :, 1] - ends[0, :, 0], axis=1), shape.radii)
-    k, link = np.nonzero(_apart(ends, body.mesh.bounds) < radii)
-    owner, part = _spread(counts[link])
+    ends, (counts, radii) = shape.capsules(points), shape.balls
+    k, link = np.nonzero(apart(ends, body.mesh.bounds) < radii)
+    owner, place, part = spread(counts[link])
     k, link = k[owner], link[owner]
-    balls = ends[k, link, 0] * (1 - part) + ends[k, link, 1] * part
-    near = _apart(balls[:, None], body.mesh.bounds) < radii[link]
-    near &= np.linalg.norm(balls - points[k, -1], axis=-1) > WRIST
+    ball = (np.cumsum(counts) - counts)[link] + place
+    at = ends[k, link, 0] * (1 - part) + ends[k, link, 1] * part
+    near = apart(at[:, None], body.mesh.bounds) < radii[link]
+    if held is not None:
+        wrist = np.linalg.norm(at - points[k, -1], axis=-1) <= WRIST
+        near &= ~(held.inside[ball] | (held.joined[ball] & wrist))
     if near.any():
-        out[k[near][body.closest(balls[near]).distance < radii[link[near]]]] = True
-    return out
-
-
-def _apart(ends: Array, box: Array) -> Array:
-    """Distances (...), m, of the boxes about segments (..., 2, 3), which are no nearer, or of
-    points (..., 1, 3), from a box (2, 3).
-    """
-    first, last = ends[..., 0, :], ends[..., -1, :]
-    low, high = np.minimum(first, last), np.maximum(first, last)
-    x, y, z = np.moveaxis(np.maximum(np.maximum(box[0] - high, low - box[1]), 0.0), -1, 0)
-    return np.asarray(np.sqrt(x * x + y * y + z * z))
-
-
-def _balls(length: Array, radii: Array) -> tuple[NDArray[np.intp], Array]:
-    """How many balls (l,) cover capsules of the given lengths and radii (l,), m, and how large they
-    are (l,), m.
-    """
-    count = np.ceil(length / (FINE * radii)).astype(np.intp) + 1
-    return count, np.hypot(radii, 0.5 * length / np.maximum(count - 1, 1))
-
-
-def _spread(count: NDArray[np.intp]) -> tuple[NDArray[np.intp], Array]:
-    """Of which of (k,) axes each ball (p,) is, `count` (k,) on each, and at which part (p, 1)."""
-    owner = np.repeat(np.arange(len(count)), count)
-    place = ranges(np.zeros_like(count), count)
-    return owner, (place / np.maximum(count - 1, 1)[owner])[:, None]
-
-
-def segment_distance(a: Array, b: Array, c: Array, d: Array) -> Array:
-    """Distances (...) of segments a b (..., 3) from the one segment c d (3,).
-
-    Source: Ericson, "Real-Time Collision Detection" (2005), section 5.1.9.
-    """
-    u, v, w = b - a, d - c, a - c
-    uu, vv, uv = np.sum(u * u, -1), float(v @ v), u @ v
-    uw, vw = np.sum(u * w, -1), w @ v
-    det = uu * vv - uv * uv
-    s = np.clip(
-        np.where(det > 1e-12 * vv, (uv * vw - uw * vv) / np.where(det > 0, det, 1), 0), 0, 1
-    )
-    t = np.clip((uv * s + vw) / vv, 0, 1)
-    s = np.clip(np.where(uu > 0, (t * uv - uw) / np.where(uu > 0, uu, 1), 0), 0, 1)
-    t = np.clip((uv * s + vw) / vv, 0, 1)
-    return np.asarray(np.linalg.norm(w + s[..., None] * u - t[..., None] * v, axis=-1))
+        near[near] = body.closest(at[near]).distance < radii[link[near]]
+    return k[near], ball[near]

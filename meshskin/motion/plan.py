@@ -44,7 +44,8 @@ class Plan:
     spacing: float
     """Distance between lanes, m."""
     notes: tuple[str, ...] = ()
-    """What was taken for something simpler: links of the arm whose meshes could not be had."""
+    """What was taken for something simpler: links of the arm whose meshes could not be had, or that
+    are part of the mount."""
 
     def __repr__(self) -> str:
         path, lost = self.path, len(self.unreachable)
@@ -104,6 +105,7 @@ def plan(
             remedy="move indenter.position_m, change the mount, or use a smaller indenter",
         )
     notes = clear.links(setup.arm).notes if setup.arm else ()
+    notes += setup.mounted.notes if setup.mounted else ()
     return Plan(replace(Path.joined(segments), unreachable=missing), missing, spacing, notes)
 
 
@@ -191,7 +193,8 @@ def usable_nodes(
     assert arm is not None
     usable = found.good.copy()
     m, s, b = np.nonzero(usable)
-    collision = clear.arm_reasons(arm, setup.body, found.q[m, s, b], poses[m, s], setup.indenter)
+    q, held = found.q[m, s, b], setup.mounted
+    collision = clear.arm_reasons(arm, setup.body, q, poses[m, s], setup.indenter, held)
     usable[m, s, b] = collision == ""
     why = np.full(len(usable), "", dtype=object)
     for k in np.flatnonzero(~usable.any(axis=(1, 2))):

@@ -44,6 +44,13 @@ class Setup:
         """Points (k, 3) on the body's edges."""
         return clear.edges(self.body, 0.2 * self.patch) if self.patch else np.zeros((0, 3))
 
+    @cached_property
+    def mounted(self) -> clear.Mounted | None:
+        """What of the arm is not judged against the body; None: no arm."""
+        if self.arm is None or self.mount is None:
+            return None
+        return clear.mounted(self.arm, self.body, self.mount)
+
     def fits(self, points: Array, normals: Array) -> Array:
         """Why the indenter cannot be pressed in at points (k, 3): see `clear.fits`, and `holds`."""
         why = clear.fits(self.body, points, normals, self.indenter, self.depth)

@@ -7,6 +7,56 @@ import pytest
 
 import meshskin as ms
 from meshskin.motion import clear
+from meshskin.se3 import transform
+
+BENT = """<robot name="bent"><link name="base"/>
+  <joint name="turn" type="revolute"><parent link="base"/><child link="forearm"/>
+    <axis xyz="0 0 1"/><limit lower="-2" upper="2"/></joint>
+  <link name="forearm"><collision><origin xyz="0 0 0.15"/>
+    <geometry><cylinder radius="0.02" length="0.26"/></geometry></collision></link>
+  <joint name="wrist" type="revolute"><parent link="forearm"/><child link="hand"/>
+    <origin xyz="0 0 0.3"/><axis xyz="AXIS"/><limit lower="-2.9" upper="2.9"/></joint>
+  <link name="hand"/>
+  <joint name="flange" type="fixed"><parent link="hand"/><child link="tool"/>
+    <origin xyz="0 0 0.02"/></joint><link name="tool"/></robot>"""
+AWAY = ms.Indenter(position=(5.0, 5.0, 5.0))
+
+
+def judged(body, along, angles, axis="0 1 0"):
+    """Why a body `along` the tip's axis, m, collides with a forearm of 0.3 m at wrist angles, and
+    what counts as its mount.
+    """
+    arm = ms.Arm.from_text(BENT.replace("AXIS", axis), "tool")
+    mount = transform(np.eye(3), (0.0, 0.0, along))
+    q = np.stack([np.zeros(len(angles)), angles], axis=1)
+    held = clear.mounted(arm, body, mount)
+    return list(clear.arm_reasons(arm, body, q, arm.pose(q) @ mount, AWAY, held)), held
+
+
+def test_a_link_that_can_be_clear_of_the_body_is_judged_up_to_the_tip():
+    """A ball of 3 cm, 10 cm before the joint: folded back it lies on the forearm."""
+    why, held = judged(ms.Body.sphere(0.03), 0.08, [0.0, 1.5, 2.8])
+    assert why == ["", "", clear.ARM_BODY]
+    assert held.notes == ()
+    assert not held.joined.any()
+
+
+def test_what_is_always_in_the_body_is_its_mount_however_far_from_the_tip():
+    """A sleeve about the forearm that rolls: nothing could be explored were it judged."""
+    sleeve = ms.Body.capsule(0.05, 0.2)
+    why, held = judged(sleeve, -0.17, [-2.0, 0.0, 2.0], axis="0 0 1")
+    assert why == [""] * 3
+    assert held.inside.all()
+    (note,) = held.notes
+    assert note.startswith("link forearm: meets the body in every posture")
+
+
+def test_of_a_link_that_always_meets_the_body_the_rest_is_judged():
+    """A rod through the wrist: it lies along the forearm, or across it."""
+    why, held = judged(ms.Body.capsule(0.03, 0.4), 0.0, [0.0, 1.5])
+    assert why == [clear.ARM_BODY, ""]
+    assert held.names == ("forearm",)
+    assert not held.inside.all()
 
 
 @pytest.mark.parametrize("way", [(0.0, 0.0, 1.0), (0.48, -0.64, 0.6), (-1.0, 0.0, 0.0)])
@@ -25,9 +75,7 @@ def test_nothing_that_meets_is_passed_over(sphere, way):
 
     ends, part = shape.at(q), np.linspace(0.0, 1.0, 100)[:, None]
     points = ends[:, :, None, 0] * (1 - part) + ends[:, :, None, 1] * part  # (k, l, p, 3)
-    outer = np.linalg.norm(points - arm.pose(q)[:, None, None, :3, 3], axis=-1) > clear.WRIST
-    far = np.linalg.norm(points - poses[:, None, None, :3, 3], axis=-1) - size
-    far = np.where(outer, far, np.inf).min(axis=2)
+    far = (np.linalg.norm(points - poses[:, None, None, :3, 3], axis=-1) - size).min(axis=2)
     top = np.array(place.position)
     below = np.clip((top - points) @ way, 0.0, place.radius + place.support_height)
     aside = points - top + below[..., None] * way

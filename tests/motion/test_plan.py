@@ -10,7 +10,7 @@ import meshskin as ms
 from meshskin.errors import ReachError, UnknownNameError
 from meshskin.exploration import is_cap, planned
 from meshskin.geometry.region import Cap, HalfSpace
-from meshskin.motion import clear
+from meshskin.motion import capsules, clear
 from meshskin.motion.plan import FAR, LIMIT
 from meshskin.se3 import inverse
 
@@ -136,20 +136,19 @@ def test_the_arm_keeps_off_the_support_and_the_body(sphere):
     plan = planned(sphere.with_(exploration=LANES))
     q = np.concatenate(list(angles(sphere, plan)))[::20]
     poses = sphere.arm.pose(q) @ sphere.mount_pose
-    assert not clear.arm_reasons(sphere.arm, sphere.body, q, poses, sphere.indenter).any()
+    held = clear.mounted(sphere.arm, sphere.body, sphere.mount_pose)
+    assert not clear.arm_reasons(sphere.arm, sphere.body, q, poses, sphere.indenter, held).any()
     wall = ms.Indenter(support_radius=0.004, support_height=0.6)
     # a column through the forearm: the indenter's place moved onto a link
     ends = clear.links(sphere.arm).at(q[:1])[0]
     middle = ends[-1].mean(axis=0)
     pierced = replace(wall, position=(middle[0], middle[1], middle[2] + 0.3))
-    assert clear.arm_reasons(sphere.arm, sphere.body, q[:1], poses[:1], pierced)[0] == (
-        clear.ARM_SUPPORT
-    )
+    why = clear.arm_reasons(sphere.arm, sphere.body, q[:1], poses[:1], pierced, held)
+    assert why[0] == clear.ARM_SUPPORT
     shifted = poses[:1].copy()
     shifted[0, :3, 3] = ends[0].mean(axis=0)  # the body about the upper arm
-    assert clear.arm_reasons(sphere.arm, sphere.body, q[:1], shifted, sphere.indenter)[0] == (
-        clear.ARM_BODY
-    )
+    why = clear.arm_reasons(sphere.arm, sphere.body, q[:1], shifted, sphere.indenter, held)
+    assert why[0] == clear.ARM_BODY
 
 
 def test_links_are_capsules_about_their_shapes():
@@ -183,6 +182,6 @@ def test_capsules_part_by_the_distance_of_their_segments():
         - (c * (1 - part) + d * part)[None, None],
         axis=-1,
     ).min(axis=(1, 2))
-    got = clear.segment_distance(a, b, c, d)
+    got = capsules.segment_distance(a, b, c, d)
     assert (got <= dense + 1e-12).all()
     np.testing.assert_allclose(got, dense, atol=0.05)

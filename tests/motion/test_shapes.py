@@ -149,7 +149,7 @@ def test_a_mesh_that_is_not_there_is_named_in_the_plan(toy, sphere):
     plan = ms.explore(
         sphere.body, sphere.skin, arm=puma, mount=sphere.mount_pose, indenter=sphere.indenter
     )
-    assert [note.partition(":")[0] for note in plan.notes] == ["link link3"]
+    assert [note.partition(":")[0] for note in plan.notes] == ["link link3", "link link4"]
 
 
 def test_a_thick_link_meets_what_a_thin_one_would_not(toy):
