@@ -20,7 +20,7 @@ from meshskin.motion.stability import inertia
 from meshskin.motion.stretch import Compiled
 from meshskin.scene_file import from_tables, tables
 from meshskin.se3 import exp_so3, transform
-from meshskin.simulation import closed_loop, effect_chain, prepare, run
+from meshskin.simulation import closed_loop, prepare, run
 from meshskin.tuning.manoeuvre import plan
 
 WALL = ms.Indenter(position=(-0.6, -0.15, 0.5), direction=(1.0, 0.0, 0.0))
@@ -174,8 +174,8 @@ def test_between_places_the_body_is_lifted_the_way_the_indenter_points(sphere):
 
 def test_single_touches_and_presses_are_made_from_the_side(ellipsoid):
     points = ellipsoid.skin.positions[::6]
-    for touch in (pressed, touched):
-        recording, why = touch(ellipsoid, points, effect_chain(ellipsoid, 0))
+    for toucher in (pressed, touched):
+        recording, why = toucher(ellipsoid, 0)(points)
         assert set(why) == {""}
         assert len(recording.time) == len(points)
         np.testing.assert_allclose(faced(recording) @ SLANT.up, -1.0, atol=1e-4)
