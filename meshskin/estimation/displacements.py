@@ -18,7 +18,7 @@ from .. import se3
 from ..errors import CalibrationError
 from ..ragged import ranges
 from ..se3 import Array
-from . import chart, trilaterate
+from . import chart, coactivation, trilaterate
 from .chart import Charts
 from .circles import Circles, circles
 from .measurements import Measurements
@@ -56,6 +56,7 @@ def displacements(
     paper's three.
     Raises CalibrationError if no two taxels share enough contacts.
     """
+    data = coactivation.plausible(data)
     fit = fit or trilaterate.least_squares(data, body)
     pairs, rows, owner = _shared(data, fit.found)
     if not len(pairs):

@@ -6,8 +6,10 @@ import pytest
 from meshskin import se3
 from meshskin.errors import CalibrationError
 from meshskin.estimation import chart, trilaterate
+from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.displacements import displacements, error_covariance
 from meshskin.estimation.measurements import gather
+from meshskin.estimation.metrics import position_errors
 from meshskin.geometry.primitives import Ellipsoid
 
 
@@ -94,3 +96,17 @@ def test_no_neighbours_is_refused(world):
     assert trilaterate.least_squares(data, lonely.body).found.all()
     with pytest.raises(CalibrationError, match=r"no two taxels.*denser skin"):
         displacements(data, lonely.body)
+
+
+def test_noise_above_a_low_threshold_makes_no_pairs(world):
+    """Half of all readings are noise above a threshold of zero: everyone answers everywhere."""
+    recording, belief = world.record(0.02), world.belief(0.02)
+    data = gather(recording, belief)
+    n = len(data.ids)
+    assert len(data.pressure) > 0.4 * n * len(data.points)
+    graph = displacements(data, belief.body)
+    apart = np.linalg.norm(world.truth[graph.edges[:, 0]] - world.truth[graph.edges[:, 1]], axis=1)
+    assert apart.max() < 3 * (world.a.max() + belief.disc_radius)  # 1.5 of them about each
+    found = calibrate(recording, belief, method="posegraph")
+    assert np.isfinite(found.positions).all()
+    assert position_errors(found, world.skin, gauge=True).mean() < 0.1e-3
