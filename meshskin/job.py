@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .atomic import atomic, write_json
-from .errors import ReachError
+from .errors import CalibrationError, GraphError, ReachError
 from .estimation import metrics as truth
 from .estimation.calibrate import calibrate
 from .estimation.calibration import Calibration
@@ -78,7 +78,7 @@ class Result:
     recording: Recording
     calibration: Calibration
     comparisons: dict[str, Calibration]
-    demonstration: Demonstration
+    demonstration: Demonstration | None
     force: ForceResponse
     metrics: dict[str, Any]
     ledger: Ledger | None = None
@@ -131,10 +131,11 @@ def run(
         calibration = calibrate(recording, belief, tolerance=tolerance)
         calibration.save(folder / "calibration")
     with clock.stage("compare"):
-        comparisons = {method: calibrate(recording, belief, method=method) for method in METHODS}
-        demonstration = demonstrate(scene.skin.poses, scene.skin.ids, recording, seed)
+        comparisons, missing = _compared(recording, belief)
+        demonstration = _demonstrated(scene, recording, seed)
     with clock.stage("metrics"):
         result = _assess(scene, belief, recording, calibration, comparisons, demonstration)
+        result.metrics.update(missing)
     if ledger is not None:
         result = replace(result, ledger=ledger)
         result.metrics["budget"] = ledger.metrics()
@@ -186,6 +187,28 @@ def _promised(
     raise reason
 
 
+def _compared(
+    recording: Recording, belief: Belief
+) -> tuple[dict[str, Calibration], dict[str, dict[str, Any]]]:
+    """What the other methods find, and the metrics of those that find nothing, with the reason."""
+    found: dict[str, Calibration] = {}
+    missing: dict[str, dict[str, Any]] = {}
+    for method in METHODS:
+        try:
+            found[method] = calibrate(recording, belief, method=method)
+        except (CalibrationError, GraphError) as error:
+            missing[method] = {"mean": None, "rms": None, "max": None, "why": str(error)}
+    return found, missing
+
+
+def _demonstrated(scene: Scene, recording: Recording, seed: int) -> Demonstration | None:
+    """The paper's own demonstration, where taxels share contacts."""
+    try:
+        return demonstrate(scene.skin.poses, scene.skin.ids, recording, seed)
+    except (CalibrationError, GraphError):
+        return None
+
+
 def _drawing(scene: Scene) -> Callable[[Calibration], float]:
     """Tells the processor seconds that a report takes on this machine, by those of one map."""
     from .report import figures
@@ -211,7 +234,7 @@ def _assess(
     recording: Recording,
     calibration: Calibration,
     comparisons: dict[str, Calibration],
-    demonstration: Demonstration,
+    demonstration: Demonstration | None,
 ) -> Result:
     """Compare the estimates with the truth, and the force with its reference."""
     motion, skin = recording.motion, scene.skin
@@ -236,7 +259,7 @@ def _assess(
         "modulus_pa": calibration.modulus,
         "modulus_sigma_pa": calibration.modulus_sigma,
         "force": _force_metrics(force),
-        "demonstration_mm": 1e3 * demonstration.mean_error,
+        "demonstration_mm": None if demonstration is None else 1e3 * demonstration.mean_error,
         "steps": motion.num_rows,
         "steps_per_second": recording.metadata["steps_per_second"],
     }

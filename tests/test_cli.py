@@ -163,3 +163,18 @@ def test_ctrl_c_leaves_no_half_written_file(tmp_path):
         assert not [name for name in left if name.endswith((".part", ".probe"))]
         parts = [name for name in left if name.startswith("recording.")]
         assert len(parts) in (0, 3)
+
+
+def test_a_method_that_finds_nothing_is_left_out_of_the_comparison(tmp_path, capsys):
+    """One taxel alone has no displacements; its own place is found as ever."""
+    text = 'extends = "sphere"\n[skin]\ncount = 1'
+    out = tmp_path / "out"
+    assert cli.main(["run", toml(tmp_path, text), "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "1 of 1 taxels calibrated" in said
+    assert "pose graph none" in said
+    m = json.loads((out / "metrics.json").read_text())
+    assert m["posegraph"]["mean"] is None
+    assert "no two taxels are active together" in m["posegraph"]["why"]
+    assert m["position_error_mm"]["max"] < 1e-3
+    assert (out / "report.html").stat().st_size > 1e5

@@ -102,7 +102,7 @@ def summary(result: Result, folder: Path) -> str:
         f"max {error['max']:.4g}" + (f"  (bound: mean {bound['mean']:.4g})" if bound else ""),
         "  beside it          "
         + ", ".join(
-            f"{label} {m[key]['mean']:.3g} mm"
+            f"{label} " + ("none" if m[key]["mean"] is None else f"{m[key]['mean']:.3g} mm")
             for key, label in (
                 ("trilateration", "trilateration"),
                 ("three_circles", "three circles"),
