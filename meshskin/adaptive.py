@@ -152,6 +152,11 @@ def adapt(
     unreachable: Mapping[int, str] = {}
     if points is None:
         points, unreachable = first_pass(scene)
+    points = np.asarray(points, dtype=float)
+    if points.ndim != 2 or points.shape[1] != 3 or not len(points):
+        raise ConfigError(
+            "the points of the first pass", value=f"shape {points.shape}", limit="(k, 3), k > 0"
+        )
     if len(points) > most:
         raise ConfigError(
             "the first pass takes all contacts allowed",

@@ -76,6 +76,9 @@ def test_what_cannot_be_asked(scene):
         adapt(scene, 30)
     with pytest.raises(ConfigError, match=r"first pass .* most=5; allow more"):
         adapt(scene, TARGET, most=5)
+    for points in (np.zeros((0, 3)), np.zeros((4, 2))):
+        with pytest.raises(ConfigError, match=r"points of the first pass, got shape \(\d, \d\)"):
+            adapt(scene, TARGET, points=points)
     hollow = ms.Body.torus(0.06, 0.04)
     inside = np.array([[0.02, 0.0, 0.0]])
     ring = scene.with_(body=hollow)

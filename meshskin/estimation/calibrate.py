@@ -79,11 +79,17 @@ def calibrate(
     tolerance: the Newton decrement at which the joint estimate rests (a move of sqrt(2 tolerance)
     standard deviations); the other methods have no use for it.
     Raises UnknownNameError for another method, RecordingError for values that are not finite,
-    CalibrationError for no readings, unknown taxels or nothing determined, ContactError where the
-    believed contact model leaves its range.
+    CalibrationError for a scene in place of a belief, no readings, unknown taxels or nothing
+    determined, ContactError where the believed contact model leaves its range.
     """
     if method not in METHODS:
         raise UnknownNameError("method", method, METHODS)
+    if not hasattr(belief, "taxel_ids"):
+        raise CalibrationError(
+            "no belief",
+            value=type(belief).__name__,
+            remedy="give what the robot's owner knows: scene.belief()",
+        )
     begin = time.perf_counter()
     data = gather(recording, belief)
     belief = settled(belief, recording)

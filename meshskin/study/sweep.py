@@ -114,6 +114,12 @@ class Study:
     def _seeds(self) -> Sequence[int]:
         if isinstance(self.seeds, int):
             return range(self.seeds)
+        if isinstance(self.seeds, str) or not isinstance(self.seeds, Iterable):
+            raise ConfigError(
+                "seeds are whole numbers, or how many",
+                value=repr(self.seeds),
+                remedy="give 5 or [1, 7]",
+            )
         return [s.item() if isinstance(s, np.integer) else s for s in self.seeds]
 
     @cached_property

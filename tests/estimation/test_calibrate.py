@@ -124,6 +124,8 @@ def test_other_bad_input_is_named(world):
         calibrate(recording, belief, method="joynt")
     with pytest.raises(CalibrationError, match=r"ids 7, limit.*use the skin that was recorded"):
         calibrate(changed(recording, "readings", "taxel", 7), belief)
+    with pytest.raises(CalibrationError, match=r"no belief, got World; .*scene\.belief"):
+        calibrate(recording, world)
     empty = replace(recording, readings=recording.readings.slice(0, 0))
     with pytest.raises(CalibrationError, match=r"no readings.*0 readings"):
         calibrate(empty, belief)

@@ -194,3 +194,9 @@ def test_the_shipped_study_has_its_cases():
 
     study = ms.Study.load(Path(__file__).parents[2] / "studies" / "noise.toml")
     assert len(study.cases()) == 45
+
+
+@pytest.mark.parametrize("seeds", [2.5, "12", None])
+def test_seeds_that_are_none_are_refused(seeds):
+    with pytest.raises(ConfigError, match="seeds are whole numbers, or how many, got"):
+        ms.Study("s", grid=X, seeds=seeds, run=study_runs.plain)

@@ -54,6 +54,10 @@ class Setting:
             raise ContactError(
                 "Poisson's ratio is outside its range", value=self.poisson, limit="(-1, 0.5]"
             )
+        if np.shape(self.curvature) not in ((), (1,), (2,)):
+            raise ContactError(
+                "a surface has two principal curvatures", value=self.curvature, limit="one or two"
+            )
         if not np.isfinite(self.pair).all():
             raise ContactError("a curvature is not finite", value=self.curvature)
         if not self.relative[0] > 0:

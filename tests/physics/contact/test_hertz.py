@@ -73,6 +73,7 @@ def test_zero_force_is_an_empty_patch():
         ({"force": float("nan")}, "nan"),
         ({"curvature": (20.0, 10.0)}, "ratio 1.091"),
         ({"curvature": -120.0}, "hollow"),
+        ({"curvature": (10.0, 10.0, 10.0)}, "two principal curvatures"),
         ({"modulus": 0.02e6}, "a/R"),
         ({"modulus": 0.0}, "modulus"),
         ({"indenter_radius": -0.01}, "-0.01 m"),
