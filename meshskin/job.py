@@ -26,7 +26,6 @@ from .scene import Belief, Scene
 from .simulation import Progress, simulate
 
 if TYPE_CHECKING:
-    from .geometry.skin import Skin
     from .motion.path import Path as Way
     from .study.budget import Ledger
     from .study.cost.request import Request
@@ -252,10 +251,10 @@ def _assess(
         "contacts": len(recording.time),
         "readings": len(recording.pressure),
         "position_error_mm": truth.summary_mm(truth.position_errors(calibration, skin)),
-        "crlb_mm": _bound(recording, belief, skin),
+        "crlb_mm": truth.bound_mm(recording, belief, skin),
         "nees": float(np.nanmean(truth.nees(calibration, skin))),
         "nees_band": list(truth.nees_band(int(calibration.observed[:, :2].all(axis=1).sum()))),
-        "undetermined": undetermined(calibration),
+        "undetermined": truth.undetermined(calibration),
         "modulus_pa": calibration.modulus,
         "modulus_sigma_pa": calibration.modulus_sigma,
         "force": _force_metrics(force),
@@ -270,14 +269,6 @@ def _assess(
     return Result(scene, recording, calibration, comparisons, demonstration, force, metrics)
 
 
-def _bound(recording: Recording, belief: Belief, skin: Skin) -> dict[str, float]:
-    """Mean and rms error, mm, to expect of any unbiased estimate."""
-    if belief.noise_sigma is None:  # nothing keeps an estimate from the truth
-        return {"mean": 0.0, "rms": 0.0}
-    limit = truth.cramer_rao(recording, belief, skin)
-    return {"mean": 1e3 * limit.mean, "rms": 1e3 * limit.rms}
-
-
 def _force_metrics(force: ForceResponse) -> dict[str, float]:
     return {
         "reference_n": force.reference,
@@ -288,22 +279,6 @@ def _force_metrics(force: ForceResponse) -> dict[str, float]:
         "disturbance": force.disturbance,
         "lost_contact_steps": force.lost,
     }
-
-
-def undetermined(calibration: Calibration) -> str:
-    """What the data did not determine, in words."""
-    missing = ~calibration.observed
-    whole = missing.all(axis=1)
-    parts = []
-    if whole.any():
-        ids = ", ".join(str(k) for k in calibration.ids[whole][:10])
-        parts.append(f"{int(whole.sum())} taxels ({ids}{', ...' if whole.sum() > 10 else ''})")
-    names = ("x", "y", "z", "tilt about x", "tilt about y", "rotation about the normal")
-    for k, name in enumerate(names):
-        count = int((missing[:, k] & ~whole).sum())
-        if count:
-            parts.append(f"{name} of {'every taxel' if count == (~whole).sum() else count}")
-    return "; ".join(parts) if parts else "nothing"
 
 
 def _report(result: Result, folder: Path, seed: int, seconds: dict[str, float]) -> None:

@@ -189,7 +189,7 @@ def export(found: Calibration, belief: Belief, path: Path) -> None:
 
 def assess(found: Calibration, recording: Recording) -> dict[str, Any]:
     """The numbers of metrics.json: what is known without the truth."""
-    from ..job import undetermined
+    from ..estimation.metrics import undetermined
 
     good = found.observed[:, :2].all(axis=1)
     sigma = 1e3 * found.position_sigma[good]

@@ -13,10 +13,13 @@ from .observe import Bound, cramer_rao, mean_distance, true_positions
 
 if TYPE_CHECKING:
     from ..geometry.skin import Skin
+    from ..recording import Recording
+    from ..scene import Belief
     from .calibration import Calibration
 
 __all__ = [
     "Bound",
+    "bound_mm",
     "cramer_rao",
     "mean_distance",
     "nees",
@@ -24,6 +27,7 @@ __all__ = [
     "position_errors",
     "summary_mm",
     "true_positions",
+    "undetermined",
 ]
 
 
@@ -81,3 +85,27 @@ def nees_band(count: int, confidence: float = 0.95) -> tuple[float, float]:
 
     tail = (1 - confidence) / 2
     return float(chi2.ppf(tail, 2 * count) / count), float(chi2.ppf(1 - tail, 2 * count) / count)
+
+
+def bound_mm(recording: Recording, belief: Belief, skin: Skin) -> dict[str, float]:
+    """Mean and rms error, mm, to expect of any unbiased estimate, at the truth `skin`."""
+    if belief.noise_sigma is None:  # nothing keeps an estimate from the truth
+        return {"mean": 0.0, "rms": 0.0}
+    limit = cramer_rao(recording, belief, skin)
+    return {"mean": 1e3 * limit.mean, "rms": 1e3 * limit.rms}
+
+
+def undetermined(calibration: Calibration) -> str:
+    """What the data did not determine, in words."""
+    missing = ~calibration.observed
+    whole = missing.all(axis=1)
+    parts = []
+    if whole.any():
+        ids = ", ".join(str(k) for k in calibration.ids[whole][:10])
+        parts.append(f"{int(whole.sum())} taxels ({ids}{', ...' if whole.sum() > 10 else ''})")
+    names = ("x", "y", "z", "tilt about x", "tilt about y", "rotation about the normal")
+    for k, name in enumerate(names):
+        count = int((missing[:, k] & ~whole).sum())
+        if count:
+            parts.append(f"{name} of {'every taxel' if count == (~whole).sum() else count}")
+    return "; ".join(parts) if parts else "nothing"

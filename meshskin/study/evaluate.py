@@ -38,11 +38,8 @@ def evaluate(case: Case) -> dict[str, Value]:
         "readings": len(recording.pressure),
     }
     out |= {f"position_error_mm.{k}": v for k, v in metrics.summary_mm(errors).items()}
-    world, bound = scene.belief(), None
-    if world.noise_sigma is not None:
-        bound = metrics.cramer_rao(recording, world, scene.skin)
-    out["crlb_mm.mean"] = 1e3 * bound.mean if bound else 0.0
-    out["crlb_mm.rms"] = 1e3 * bound.rms if bound else 0.0
+    bound = metrics.bound_mm(recording, scene.belief(), scene.skin)
+    out |= {f"crlb_mm.{k}": v for k, v in bound.items()}
     spread = metrics.nees(found, scene.skin)
     spread = spread[np.isfinite(spread)]
     out["nees"] = float(spread.mean()) if len(spread) else None

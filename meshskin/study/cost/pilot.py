@@ -75,9 +75,7 @@ def pilot(
     few = _thinned(recording)
     cost, less = (_estimates(data, belief, methods) for data in (recording, few))
     each = max(cost - less, 0.0) / max(len(recording.pressure) - len(few.pressure), 1)
-    bound = 0.0
-    if belief.noise_sigma is not None:
-        bound = 1e3 * metrics.cramer_rao(recording, belief, small.skin).mean
+    bound = metrics.bound_mm(recording, belief, small.skin)["mean"]
     systematic = _systematic(small, found, seed)
     count = sum(len(part.time) for part in steps)
     making = MAKING * preparing

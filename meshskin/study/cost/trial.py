@@ -114,9 +114,7 @@ class Bench:
             if setting.method == "joint" and setting.tolerance > AT_REST:
                 tight = calibrate(recording, belief, tolerance=self.numerics.tolerance)
                 off += mean_mm(found.positions - tight.positions) / len(recordings)
-        count, bound = len(recordings), 0.0
-        if belief.noise_sigma is not None:
-            bound = 1e3 * metrics.cramer_rao(recordings[0], belief, truth).mean
+        count, bound = len(recordings), metrics.bound_mm(recordings[0], belief, truth)["mean"]
         return Row(
             knob,
             setting,
