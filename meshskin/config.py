@@ -11,6 +11,7 @@ import dataclasses
 import functools
 import math
 import numbers
+import re
 import tomllib
 import types
 import typing
@@ -64,7 +65,7 @@ def check(config: Any) -> None:
         m, value = field.metadata, getattr(config, field.name)
         if "unit" not in m or value is None:
             continue
-        name = f"{cls.__name__.lower()}.{field.name}"
+        name = f"{_written(cls)}.{field.name}"
         kind, count = forms[field.name]
         if count is not None and (not isinstance(value, tuple) or count not in (ANY, len(value))):
             many = "" if count == ANY else f"{count} "
@@ -73,6 +74,12 @@ def check(config: Any) -> None:
             _check_number(name, number, m)
             if kind is int and not isinstance(number, int):
                 raise ConfigError(f"{name} must be a whole number", value=repr(number))
+
+
+def _written(cls: type) -> str:
+    """What a configuration calls a class: _ArmTable arm, GaussianNoise gaussian_noise."""
+    bare = cls.__name__.strip("_").removesuffix("Table")
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", bare).lower()
 
 
 @functools.cache

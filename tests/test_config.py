@@ -7,6 +7,7 @@ import pytest
 
 from meshskin import config
 from meshskin.errors import ConfigError, UnknownNameError
+from meshskin.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -69,3 +70,14 @@ def test_merge_lets_another_unit_replace_a_quantity():
         "radius_m": 3,
         "rate_hz": 2,
     }
+
+
+def test_a_class_is_named_as_in_the_file(tmp_path):
+    wrong = {"[arm]\npayload_kg = -1": "arm.payload is out of range"}
+    wrong['[[effects]]\nkind = "gaussian_noise"\nsigma_relative = -1'] = (
+        "gaussian_noise.sigma_relative is out of range"
+    )
+    for text, words in wrong.items():
+        (tmp_path / "wrong.toml").write_text(f'extends = "sphere"\n{text}')
+        with pytest.raises(ConfigError, match=f"^{words}"):
+            Scene.load(tmp_path / "wrong.toml")
