@@ -36,7 +36,7 @@ from meshskin.report import figures, theme
 from meshskin.simulation import effect_chain, prepare
 from meshskin.study.budget.check import paired
 from meshskin.study.budget.knobs import SECONDS
-from meshskin.study.budget.rehearsal import Rehearsal, along
+from meshskin.study.budget.rehearsal import Rehearsal
 from meshskin.study.cost.numerics import held_route
 
 FRESH = 100
@@ -233,7 +233,7 @@ def calibrated(
     begin = process_time()
     fresh = scene.with_(body=replace(scene.body))  # fitting its surface counts
     held_route(fresh)  # a run plans its own path, which is not what is compared here
-    recording = ms.simulate(fresh, FRESH, path=along(path, fresh))
+    recording = ms.simulate(fresh, FRESH, path=path.thinned(fresh.loop.dt, fresh.body))
     found = ms.calibrate(recording, belief, **options)
     return found, process_time() - begin
 
