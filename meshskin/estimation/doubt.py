@@ -14,29 +14,41 @@ from .run import Run
 def doubt(run: Run) -> None:
     """Take out outlying readings, where taxels cannot be right, and name what they show.
 
-    Taxels are suspected that are further off than most: a misfit that all of them share is the
-    model's, and says nothing against any of them. What is outlying is judged by the known noise
-    first; where that does not leave a fit, the model is off, too, and it is judged by how far off
-    most readings are.
+    Taxels are suspected that are further off than most readings, or than most taxels: a misfit that
+    all of them share is the model's, and says nothing against any of them. What is outlying is
+    judged by the known noise first; where that does not leave a fit, or would take more for
+    outlying than is plausible, the model is off, too, and it is judged by how far off most are.
     """
     readings, residuals = run.likelihood.readings, run.residuals()
     known = bool(run.data.noise)
-    typical = max(faults.typical(readings, residuals), 1.0 if known else faults.LEAST)
-    suspects = faults.suspects(readings, residuals, typical)
-    if not len(suspects):
+    for scale_of in (faults.typical, faults.typical_taxel):
+        typical = max(scale_of(readings, residuals), 1.0 if known else faults.LEAST)
+        suspects = faults.suspects(readings, residuals, typical)
+        if len(suspects):
+            break
+    else:
         return
     plain = run.problem, run.state, run.weight.copy(), run.restless
+    believed = _plausibility(run, typical, np.abs(residuals) > faults.CUT * typical)
     for scale in (1.0, typical) if known and typical > 1.0 else (typical,):
         try:
             left = _sift(run, suspects, scale, known)
         except CalibrationError:  # without a fit nothing can be called outlying
             left = np.inf
-        if left <= faults.TAKEN * scale:
+        fits = left <= faults.TAKEN * scale
+        if fits and scale < typical:
+            fits = _plausibility(run, scale, faults.outlying(run.likelihood.readings)) > believed
+        if fits:
             _name(run, scale)
             return
         run.problem, run.state, _, run.restless = plain
         run.weight, run.silent_weight[:] = plain[2].copy(), 1.0
         run.likelihood = run.problem.likelihood
+
+
+def _plausibility(run: Run, scale: float, out: np.ndarray) -> float:
+    width = float(run.data.pressure.max() / run.data.sigma)
+    return faults.plausibility(run.likelihood.readings, run.residuals(), scale, out, width)
 
 
 def _sift(run: Run, suspects: np.ndarray, scale: float, fixed: bool) -> float:

@@ -63,6 +63,23 @@ def outlying(readings: Readings) -> np.ndarray:
     return np.asarray(readings.weight < 0.5)
 
 
+def plausibility(
+    readings: Readings, r: Array, scale: float, out: np.ndarray, width: float
+) -> float:
+    """Log-likelihood of what was heard, the mean reading's of the mean taxel, where the readings
+    `out` (k,) are outlying: these lie evenly over `width`, the residuals r (k,) of the others are
+    normal with standard deviation `scale`, all in units of the noise.
+    """
+    heard = readings.kind != SILENT
+    size, out, taxel = r[heard], out[heard], readings.taxel[heard]
+    share = 1.0 / np.bincount(taxel)[taxel]
+    share /= share.sum()
+    wild = float(share[out].sum())
+    sound = -0.5 * (size[~out] / scale) ** 2 - np.log(scale * np.sqrt(2 * np.pi))
+    odds = wild * np.log(max(wild, 1e-300) / width) + (1 - wild) * np.log(max(1 - wild, 1e-300))
+    return odds + float(share[~out] @ sound)
+
+
 def lost(readings: Readings) -> float:
     """Share of outlying readings, the mean of the taxels': one that answers always is but one."""
     heard, n = readings.kind != SILENT, len(readings.starts) - 1
@@ -105,10 +122,13 @@ def residuals(readings: Readings, mu: Array, sigma: float) -> Array:
 
 
 def typical(readings: Readings, r: Array) -> float:
-    """Scale of the residuals, by their median, which few outlying ones do not move.
+    """Scale of the residuals, by the median, which few outlying ones do not move."""
+    r = r[(readings.kind == HEARD) & ~outlying(readings)]
+    return float(np.median(np.abs(r))) / 0.6745 if len(r) else 1.0
 
-    Every taxel counts as much as any other: one that answers always is but one.
-    """
+
+def typical_taxel(readings: Readings, r: Array) -> float:
+    """The same where all taxels count alike: one that answers always is but one."""
     counted = (readings.kind == HEARD) & ~outlying(readings)
     if not counted.any():
         return 1.0

@@ -3,12 +3,15 @@
 import numpy as np
 import pyarrow as pa
 import pytest
+from scipy.stats import norm
 
 from meshskin.errors import CalibrationError
 from meshskin.estimation import doubt as doubts
 from meshskin.estimation import faults
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.calibration import Calibration
+from meshskin.estimation.factors.pressure import HEARD, SILENT
+from meshskin.estimation.likelihood import Readings
 from meshskin.estimation.measurements import gather
 from meshskin.estimation.metrics import nees, position_errors
 from meshskin.recording import READINGS, Recording
@@ -208,3 +211,35 @@ def test_the_test_of_fit_is_calibrated(world):
     mean = np.mean([fit.reduced for fit in fits])
     assert abs(mean - 1) < 4 * np.sqrt(2 / fits[0].freedom / len(fits))
     assert calibrate(world.record(0.01, 0.05), world.belief(None, 0.05)).fit.good is None
+
+
+def test_the_plausibility_is_the_likelihood_of_a_mixture():
+    """Against scipy's densities, two taxels of two and of one readings."""
+    kind, taxel = np.array([HEARD, HEARD, HEARD, SILENT]), np.array([0, 0, 1, 1])
+    one = np.zeros(4)
+    readings = Readings(taxel, taxel, one, kind, taxel, one, np.array([0, 2, 4]))
+    r, out = np.array([0.5, 30.0, -2.0, 0.0]), np.array([False, True, False, False])
+    wild = 0.25  # half of the first taxel's readings, none of the second's
+    sound = np.log((1 - wild) * norm.pdf([0.5, -2.0], scale=2.0))
+    want = 0.25 * sound[0] + 0.25 * np.log(wild / 200.0) + 0.5 * sound[1]
+    got = faults.plausibility(readings, r, 2.0, out, 200.0)
+    assert got == pytest.approx(want, rel=1e-12)
+
+
+def test_more_outlying_readings_than_plausible_are_a_misfit(world, monkeypatch):
+    """What a weighing by the known noise leaves must explain what was heard better than a misfit."""
+    recording = world.record(0.01, 0.05)
+    seen = []
+
+    def sift(run, suspects, scale, fixed):
+        seen.append(scale)
+        half = np.arange(len(run.likelihood.readings.weight)) % 2
+        run.weigh(half.astype(float))  # every other reading for outlying
+        return scale
+
+    monkeypatch.setattr(doubts, "_sift", sift)
+    monkeypatch.setattr(doubts.faults, "suspects", lambda *_: np.arange(5))
+    calibrate(recording, world.belief(0.005, 0.05))
+    assert len(seen) == 2
+    assert seen[0] == 1.0
+    assert seen[1] > 1.5
