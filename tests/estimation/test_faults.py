@@ -227,7 +227,7 @@ def test_the_plausibility_is_the_likelihood_of_a_mixture():
 
 
 def test_more_outlying_readings_than_plausible_are_a_misfit(world, monkeypatch):
-    """What a weighing by the known noise leaves must explain what was heard better than a misfit."""
+    """What is left must explain what was heard better than a misfit does."""
     recording = world.record(0.01, 0.05)
     seen = []
 
