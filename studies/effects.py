@@ -12,10 +12,10 @@ of their shifts.
 
 Where pairs do not add up, it is mostly for what the estimator leaves out. `sampling` alone holds
 each contact for two frames, and is right in the first: of the second's readings 45 % are found to
-be outlying, the rest fits, and most of the shift is gone. With `capacitive`, too, no taxel fits,
-and few are further off than most: the model is judged wrong, nearly all of those readings stay,
-and the shift of `sampling` comes back. So every pair is also estimated from all readings, none
-being taken for outlying: then the shifts of two effects are nearly those of both.
+be outlying, the rest fits, and most of the shift is gone. With `capacitive`, too, nothing fits
+whatever is left out: the model is judged wrong, most of those readings stay, and the shift of
+`sampling` comes back. So every pair is also estimated from all readings, none being taken for
+outlying: then the shifts of two effects are nearly those of both.
 """
 
 from __future__ import annotations

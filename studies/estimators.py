@@ -236,8 +236,7 @@ def draw(found: dict[str, dict[str, dict[str, float]]]) -> object:
             axes.set_title("From how far the optimum is found")
         else:
             x = [100 * float(key) if sweep == "noise" else float(key) for key in rows]
-            for colour, (key, words) in zip((*theme.METHODS, theme.WARNING), WORDS.items(),
-                                            strict=True):  # fmt: skip
+            for colour, (key, words) in zip(theme.METHODS, WORDS.items(), strict=True):
                 y = [r[key] / r["bound"] for r in rows.values()]
                 axes.plot(x, y, "o-", ms=3, color=colour, label=words)
             axes.axhline(1.0, color=theme.MUTED, lw=0.8)

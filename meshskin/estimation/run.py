@@ -33,9 +33,10 @@ ROUGH = 1e-4
 """Newton decrement at which an estimate rests whose contacts move: 0.014 standard deviations. On a
 mesh normals and curvatures jump a little from face to face, and with them what is anchored anew."""
 MISFIT = 4.0
-"""Chi-square per degree of freedom, relative to the median's, that starts a taxel again."""
+"""Chi-square per degree of freedom that starts a taxel again: all of them, if all began far off."""
 MISFIT_NOMINAL = 25.0
-"""The same where the noise is not known: residuals of 5 % of the peak pressure."""
+"""The same where the noise is not known: residuals of 5 % of the peak pressure; but no less than
+MISFIT times the median's."""
 
 
 class Run:
@@ -152,7 +153,7 @@ class Run:
         places, before = self.problem.places, self.chi2
         known = before[np.isfinite(before)]
         typical = float(np.median(known)) if len(known) else 1.0
-        limit = max(MISFIT if self.data.noise else MISFIT_NOMINAL, MISFIT * typical)
+        limit = MISFIT if self.data.noise else max(MISFIT_NOMINAL, MISFIT * typical)
         bad = np.flatnonzero((before > limit) | self.restless)
         if not len(bad) or not isinstance(places, Free):
             return bad[:0]

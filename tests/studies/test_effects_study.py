@@ -33,8 +33,8 @@ def test_pairs_that_do_not_add_up(script, tmp_path):
     both = found["sampling+capacitive"]
     assert found["sampling"]["left_out"] == pytest.approx(22.7, abs=1.0)
     assert found["capacitive"]["left_out"] == 0.0
-    assert both["left_out"] < 2.0
+    assert both["left_out"] < 8.0
     assert found["sampling"]["median_mm"] == pytest.approx(0.014, rel=0.15)
-    assert both["median_mm"] == pytest.approx(0.055, rel=0.15)
-    assert both["excess_mm"] == pytest.approx(0.053, rel=0.15)
+    assert both["median_mm"] == pytest.approx(0.053, rel=0.15)
+    assert both["excess_mm"] == pytest.approx(0.040, rel=0.15)
     assert both["excess_from_all_mm"] < 0.1 * both["median_mm"]
