@@ -34,6 +34,8 @@ ROUGH = 1e-4
 mesh normals and curvatures jump a little from face to face, and with them what is anchored anew."""
 MISFIT = 4.0
 """Chi-square per degree of freedom that starts a taxel again: all of them, if all began far off."""
+ELSEWHERE = 0.99
+"""Part of its chi-square to which a fresh start must bring a taxel: else it came back."""
 MISFIT_NOMINAL = 25.0
 """The same where the noise is not known: residuals of 5 % of the peak pressure; but no less than
 MISFIT times the median's."""
@@ -158,6 +160,7 @@ class Run:
         if not len(bad) or not isinstance(places, Free):
             return bad[:0]
         kept, restless = self.state, self.restless
+        standing = self.problem, self.likelihood, self.about
         points = places.points().copy()
         points[bad] = centroids[bad]
         z = kept.z.copy()
@@ -167,7 +170,10 @@ class Run:
         self.problem.settle(self.state, bad)
         settled = self.state.decrement[bad] <= self.problem.settled
         # The cost counts silent readings, too; readings of other places are other readings.
-        better = bad[(self.chi2[bad] < before[bad]) | (settled & restless[bad])]
+        better = bad[(self.chi2[bad] < ELSEWHERE * before[bad]) | (settled & restless[bad])]
+        if not len(better):
+            (self.problem, self.likelihood, self.about), self.state = standing, kept
+            return better
         points = places.points().copy()
         points[better] = self.problem.points(self.state)[better]
         self.anchor(places.about(self.body, points), kept.s, z, select_anew=True)
