@@ -11,7 +11,7 @@ line-search algorithm" (Math. Programming 106, 2006).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -94,8 +94,17 @@ def tune(
         slide = distance / first.speed + first.ramp
         horizon -= LEEWAY * (slide - HELD * first.settle)
     steps = int(np.ceil(horizon / scene.loop.dt)) + 2
-    problem = Problem(shots, demands, objective, first, ranges, steps, target)
-    solution = _solved(problem)
+
+    def posed(demands: Demands, objective: str) -> Problem:
+        return Problem(shots, demands, objective, first, ranges, steps, target)
+
+    problem = posed(demands, objective)
+    if demands.time is None or objective == "settling":
+        solution = _solved(problem)
+    else:
+        solution = _in_time(
+            problem, demands.time, lambda: posed(replace(demands, time=None), "time")
+        )
     gains = rounded(solution.gains, scene.loop.dt)
     applied = gains.applied(scene)
     finals = _shots(applied, over, spot, ahead, distance, shots[0].manoeuvre.heading)
@@ -126,14 +135,38 @@ def _solved(problem: Problem) -> Solution:
     nearest = problem.solve(elastic=True)
     if nearest.slacks:
         raise _infeasible(problem.limits, nearest.slacks)
-    again = problem.solve(nearest.gains)
-    if again.slacks:
+    return _from(problem, nearest.gains)
+
+
+def _from(problem: Problem, gains: Gains) -> Solution:
+    """The solution that is found from other gains than the first. Raises TuningError."""
+    found = problem.solve(gains)
+    if found.slacks:
         raise TuningError(
-            f"the demands are not met: the search {again.status}",
-            value=f"{max(again.slacks, key=lambda k: again.slacks[k])} broken",
+            f"the demands are not met: the search {found.status}",
+            value=f"{max(found.slacks, key=lambda k: found.slacks[k])} broken",
             remedy="give start= nearer to the solution, or relax a limit",
         )
-    return _polished(problem, again)
+    return _polished(problem, found)
+
+
+def _in_time(problem: Problem, longest: float, timeless: Callable[[], Problem]) -> Solution:
+    """The solution of a problem with a longest time, s: found from the least time that there is,
+    where the way to it is not found at once. Raises TuningError where that is longer.
+    """
+    solution = problem.solve()
+    if not solution.slacks:
+        return _polished(problem, solution)
+    quickest = _solved(timeless())
+    if quickest.value > longest:
+        raise TuningError(
+            "no gains meet the demands",
+            value=f"at best time of {quickest.value:.4g} s",
+            limit=f"{longest:.4g} s",
+            remedy="relax the time, or what binds it: "
+            + ", ".join(name for name, price in quickest.multipliers.items() if price > 0),
+        )
+    return _from(problem, quickest.gains)
 
 
 def _polished(problem: Problem, solution: Solution) -> Solution:

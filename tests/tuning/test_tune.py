@@ -201,6 +201,10 @@ def test_what_cannot_be_met_says_what_to_relax(small):
     with pytest.raises(TuningError, match="relax the time") as raised:
         ms.tune(small, demands=replace(DEMANDS, time=0.02), distance=DISTANCE, bounds=CALM)
     assert raised.value.limit == "0.02 s"
+    best = ms.tune(small, demands=DEMANDS, distance=DISTANCE, bounds=CALM).value
+    assert raised.value.value == f"at best time of {best:.4g} s"
+    met = ms.tune(small, demands=replace(DEMANDS, time=1.01 * best), distance=DISTANCE, bounds=CALM)
+    assert met.value <= 1.01 * best
 
 
 @pytest.mark.slow
