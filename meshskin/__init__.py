@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .adaptive import adapt
+    from .belief import Belief
     from .estimation.calibrate import calibrate
     from .estimation.calibration import Calibration
     from .estimation.posegraph import PoseGraph
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from .physics.material import Material
     from .presses import press
     from .recording import Recording, RecordingWriter
-    from .scene import Belief, Readout, Scene
+    from .scene import Readout, Scene
     from .simulation import simulate
     from .study.budget import budget
     from .study.cost import cost
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "Arm": "motion.arm",
-    "Belief": "scene",
+    "Belief": "belief",
     "Body": "geometry.body",
     "Calibration": "estimation.calibration",
     "Exploration": "motion.path",

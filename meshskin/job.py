@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .atomic import atomic, write_json
+from .belief import Belief
 from .errors import CalibrationError, GraphError, ReachError
 from .estimation import metrics as truth
 from .estimation.calibrate import calibrate
@@ -22,7 +23,7 @@ from .estimation.solve import AT_REST
 from .motion.response import ForceResponse, force_response
 from .provenance import check_seed, provenance
 from .recording import Recording
-from .scene import Belief, Scene
+from .scene import Scene
 from .simulation import Progress, simulate
 
 if TYPE_CHECKING:

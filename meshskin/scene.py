@@ -6,7 +6,6 @@ which is what `calibrate` gets: no taxel's pose is in it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import library
+from .belief import Belief
 from .config import check, quantity
 from .errors import ConfigError, ContactError, SkinError
 from .geometry import slots
@@ -94,44 +94,6 @@ class Loop:
 
 
 @dataclass(frozen=True)
-class Belief:
-    """What the robot's owner knows: everything that calibration may use besides the recording."""
-
-    body: Body
-    indenter: Indenter
-    material: Material
-    """Nominal material; the joint estimator estimates E* with the taxels."""
-    taxel_ids: np.ndarray
-    """Ids (n,) of all taxels of the skin."""
-    disc_radius: float = quantity("m", 2e-3, above=0.0, most=0.05)
-    """Radius of a taxel's disc, m."""
-    contact: str = "hertz"
-    """Name of the contact model, or "auto": the first that holds in the recording's contacts."""
-    force_reference: float | None = quantity("N", None, above=0.0)
-    """Force of a usual contact, N; None: the median of the recording's."""
-    noise_sigma: float | None = quantity("Pa", None, least=0.0)
-    """Standard deviation of a reading's noise, Pa; None: unknown, taken from the residuals."""
-    threshold: float = quantity("Pa", 0.0, least=0.0)
-    """Pressures up to this are not reported, Pa."""
-    saturation: float | None = quantity("Pa", None, least=0.0)
-    """Readings of this and more are at the end of the sensor's range, Pa."""
-    unknown: tuple[str, ...] = ("modulus",)
-    """What is estimated beside the taxels: any of "modulus" (E*), "gain" and "offset" (of each
-    taxel), "force_scale", "force_offset", "indenter_offset" (3), "body_offset" (6)."""
-    priors: Mapping[str, float] = field(default_factory=dict)
-    """Standard deviations of unknowns before any data, where they are not the defaults."""
-    headings: Array | None = None
-    """Rotations (m, 3, 3), world from body, of the recording's contacts: an unknown indenter offset
-    needs them. None: those that the recording itself may hold."""
-    module_slots: Array | None = None
-    """Places (slots, 3) of a rigid module's taxels in the module's frame, m (z = outward normal);
-    taxel ids are then slots * module + slot. None: every taxel by itself."""
-
-    def __post_init__(self) -> None:
-        check(self)
-
-
-@dataclass(frozen=True)
 class Scene:
     """A skinned body on an arm over a fixed indenter."""
 
@@ -158,6 +120,21 @@ class Scene:
     """T_tip_body (4, 4); None: the skin faces along the tip's z axis, behind a 20 mm adapter."""
     name: str = "scene"
     description: str = ""
+
+    def __post_init__(self) -> None:
+        if self.arm is None:
+            raise ConfigError(
+                "a scene without an arm",
+                remedy="leave it out for the default one, which a quasi-static loop does not use",
+            )
+        if self.mount is not None and np.shape(self.mount) != (4, 4):
+            raise ConfigError("a mount is T_tip_body", value=np.shape(self.mount), limit="(4, 4)")
+        for effect in (*self.effects, *(self.candidates or ())):
+            if not hasattr(effect, "stage"):
+                raise ConfigError(
+                    "an effect of a scene is none", value=repr(effect),
+                    remedy="give objects, such as physics.effects.find(NAME)()",
+                )  # fmt: skip
 
     def __repr__(self) -> str:
         on = ", ".join(type(effect).__name__ for effect in self.effects) or "no effects"

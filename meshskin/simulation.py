@@ -11,8 +11,8 @@ import numpy as np
 import pyarrow as pa
 
 from . import recording as files
-from .errors import ConfigError
-from .exploration import route, start_of
+from .errors import ConfigError, SkinError
+from .exploration import route, setup_of, start_of
 from .motion import path as paths
 from .motion import stability
 from .motion.arm import Arm
@@ -85,9 +85,11 @@ def prepare(
     """The machine at the start of the scene's exploration, and the path that it will follow.
 
     taxels (n, 3): read these at every step; path: follow this one instead. Raises ReachError if
-    the arm cannot follow the path.
+    the arm cannot follow the path, ConfigError for a path of other steps than the loop's, SkinError
+    for a skin that lies off the body.
     """
     quasi_static = scene.loop.mode == "quasi_static"
+    _check(scene, path)
     loop = closed_loop(scene)
     path, start = route(scene) if path is None else (path, start_of(scene, path))
     if quasi_static:
@@ -107,6 +109,27 @@ def prepare(
     stability.check(machine, rest, still)
     machine.touch_error = partial(stability.touch_error, machine, rest, still)
     return machine, path
+
+
+def _check(scene: Scene, path: paths.Path | None) -> None:
+    if path is not None and not isinstance(path, paths.Path):
+        raise ConfigError("what is to be followed is no path", value=type(path).__name__,
+                          remedy="of a plan give plan.path")  # fmt: skip
+    if path is not None and abs(path.dt - scene.loop.dt) > 1e-6 * scene.loop.dt:
+        raise ConfigError(
+            "the path was planned for other steps than the loop's",
+            value=f"{1e3 * path.dt:g} ms",
+            limit=f"{1e3 * scene.loop.dt:g} ms",
+            remedy="plan it with dt=scene.loop.dt",
+        )
+    off = float(np.abs(scene.body.closest(scene.skin.positions).distance).min())
+    if off > (reach := setup_of(scene).reach):
+        raise SkinError(
+            "the skin lies off the body: no contact would be felt",
+            value=f"{1e3 * off:.3g} mm at the nearest taxel",
+            limit=f"{1e3 * reach:.3g} mm",
+            remedy="put it on with skin.onto(body), or look at the units of both",
+        )
 
 
 def closed_loop(scene: Scene) -> Loop:

@@ -22,6 +22,7 @@ WINGS = [
     "geometry",
     "physics",
     "motion",
+    "belief",
     "scene",
     "scene_file",
     "logs",

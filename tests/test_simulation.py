@@ -1,12 +1,15 @@
 """The simulated exploration: force, coverage, noise, streaming, and named failures."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import meshskin as ms
-from meshskin.errors import ReachError, SimulationError
+from meshskin.errors import ConfigError, ReachError, SimulationError, SkinError
 from meshskin.motion.response import force_response
 from meshskin.physics.effects.gaussian_noise import GaussianNoise
+from meshskin.se3 import transform
 
 
 def motion(recording, name):
@@ -101,3 +104,32 @@ def test_a_step_that_would_diverge_is_refused_with_one_that_works(sphere):
     stiff = sphere.with_(material=ms.Material(young=1e9), law=ms.Law(shape="identity", gain=5000.0))
     with pytest.raises(SimulationError, match=r"too long to be stable, .* set loop\.dt_ms = 0\.0"):
         ms.simulate(stiff)
+
+
+@pytest.mark.parametrize(
+    ("changes", "what"),
+    [
+        ({"mount": np.eye(3)}, r"T_tip_body, got \(3, 3\)"),
+        ({"arm": None}, "without an arm"),
+        ({"effects": ("gaussian_noise",)}, "got 'gaussian_noise'"),
+        ({"candidates": (3,)}, "an effect of a scene is none, got 3"),
+    ],
+)
+def test_a_scene_of_what_is_no_part_of_one_is_refused(sphere, changes, what):
+    with pytest.raises(ConfigError, match=what):
+        sphere.with_(**changes)
+
+
+def test_a_path_that_is_none_or_of_other_steps_is_refused(sphere):
+    scene = sphere.with_(loop=replace(sphere.loop, mode="quasi_static"))
+    plan = ms.explore(scene.body, scene.skin, dt=2e-3)
+    with pytest.raises(ConfigError, match=r"give plan\.path"):
+        ms.simulate(scene, path=plan)
+    with pytest.raises(ConfigError, match="got 2 ms, limit: 1 ms"):
+        ms.simulate(scene, path=plan.path)
+
+
+def test_a_skin_off_the_body_is_refused(sphere):
+    far = sphere.skin.moved(transform(np.eye(3), [0.0, 0.0, -0.05]))
+    with pytest.raises(SkinError, match="got 49.1 mm at the nearest taxel"):
+        ms.simulate(sphere.with_(skin=far))

@@ -13,9 +13,9 @@ import numpy as np
 from ..errors import CalibrationError, ConfigError
 
 if TYPE_CHECKING:
+    from ..belief import Belief
     from ..estimation.calibration import Calibration
     from ..recording import Recording
-    from ..scene import Belief
 
 LOG = """
 RECORDING is the common part of its files' names, or a folder with contacts.csv (time, px, py, pz,
@@ -149,11 +149,11 @@ def _by_scene(options: argparse.Namespace) -> Belief:
 
 def _by_options(options: argparse.Namespace) -> Belief:
     """A belief without a scene."""
+    from ..belief import Belief
     from ..geometry.body import Body
     from ..physics.contact import AUTO
     from ..physics.indenter import Indenter
     from ..physics.material import Material
-    from ..scene import Belief
 
     needed = {
         "--body": options.body,

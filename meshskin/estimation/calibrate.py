@@ -20,8 +20,8 @@ from .settled import settled
 from .solve import AT_REST
 
 if TYPE_CHECKING:
+    from ..belief import Belief
     from ..recording import Recording
-    from ..scene import Belief
 
 UNTOUCHED = "never touched"
 ALONE = "shares too few contacts with other taxels"

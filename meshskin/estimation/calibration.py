@@ -18,7 +18,7 @@ from ..se3 import Array
 from .fit import Fit
 
 if TYPE_CHECKING:
-    from ..scene import Belief
+    from ..belief import Belief
     from .explore import NextContacts
 
 _KEY = b"meshskin-calibration"

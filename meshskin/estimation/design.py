@@ -28,8 +28,8 @@ from .explore import slopes
 from .observe import mean_distance
 
 if TYPE_CHECKING:
+    from ..belief import Belief
     from ..geometry.body import Body
-    from ..scene import Belief
 
 PITCH = 1.0 / 30.0
 """Distance of the places, in distances at which a contact is felt."""

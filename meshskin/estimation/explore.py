@@ -23,8 +23,8 @@ from .observe import censored_information
 from .pairs import SLANT
 
 if TYPE_CHECKING:
+    from ..belief import Belief
     from ..geometry.closest import Closest
-    from ..scene import Belief
     from .calibration import Calibration
 
 WORST = 200

@@ -17,9 +17,9 @@ from .factors.shared import MODULUS, Shared, declared
 from .settled import holding, settled
 
 if TYPE_CHECKING:
+    from ..belief import Belief
     from ..geometry.closest import Closest
     from ..recording import Recording
-    from ..scene import Belief
 
 NOMINAL_NOISE = 0.01
 """Standard deviation that weights the readings when none is known, relative to the median peak."""

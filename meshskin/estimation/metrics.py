@@ -12,9 +12,9 @@ from ..se3 import Array
 from .observe import Bound, cramer_rao, mean_distance, true_positions
 
 if TYPE_CHECKING:
+    from ..belief import Belief
     from ..geometry.skin import Skin
     from ..recording import Recording
-    from ..scene import Belief
     from .calibration import Calibration
 
 __all__ = [

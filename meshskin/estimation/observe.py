@@ -22,10 +22,10 @@ from .measurements import Measurements, gather, reach
 from .pairs import SPARE, near_pairs
 
 if TYPE_CHECKING:
+    from ..belief import Belief
     from ..geometry.body import Body
     from ..geometry.skin import Skin
     from ..recording import Recording
-    from ..scene import Belief
 
 SURFACE_SIGMA = 1e-6
 """Standard deviation to which the believed surface is trusted along its normal, m."""

@@ -13,8 +13,8 @@ from ..physics import contact
 from ..se3 import Array
 
 if TYPE_CHECKING:
+    from ..belief import Belief
     from ..recording import Recording
-    from ..scene import Belief
 
 MOST_OUT = 0.05
 """Part of the contacts that may leave the contact model's range; they are left out."""

@@ -16,7 +16,8 @@ from ..provenance import digest, versions
 from .base import Base, canonical
 
 if TYPE_CHECKING:
-    from ..scene import Belief, Scene
+    from ..belief import Belief
+    from ..scene import Scene
 
 Run = Callable[["Case"], Mapping[str, Any]]
 """What computes a case: its numbers (or texts) by name."""

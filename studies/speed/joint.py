@@ -36,13 +36,13 @@ def world(taxels: int, seed: int = 0, contact: str = "hertz"):
     import pyarrow as pa
     from scipy.spatial import cKDTree
 
+    from meshskin.belief import Belief
     from meshskin.geometry.body import Body
     from meshskin.physics.contact import Model, hertz
     from meshskin.physics.indenter import Indenter
     from meshskin.physics.material import Material
     from meshskin.physics.reading import disc_pressures
     from meshskin.recording import CONTACTS, READINGS, Recording
-    from meshskin.scene import Belief
 
     rng = np.random.default_rng(seed)
     radius = max(0.1, SPACING * np.sqrt(taxels / np.pi))

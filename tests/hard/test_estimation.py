@@ -9,12 +9,12 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from meshskin.belief import Belief
 from meshskin.errors import CalibrationError, ContactError, RecordingError
 from meshskin.estimation import joint, run
 from meshskin.estimation.calibrate import METHODS, calibrate
 from meshskin.estimation.measurements import gather
 from meshskin.estimation.metrics import nees, position_errors
-from meshskin.scene import Belief
 
 SPEC = importlib.util.spec_from_file_location(
     "small_world", Path(__file__).parents[1] / "estimation" / "conftest.py"

@@ -19,9 +19,10 @@ from .ledger import Check
 from .rehearsal import Halves, Rehearsal
 
 if TYPE_CHECKING:
+    from ...belief import Belief
     from ...motion.path import Path
     from ...physics.effects import Effect
-    from ...scene import Belief, Scene
+    from ...scene import Scene
 
 
 def paired(everything: Scene, chosen: Scene) -> tuple[Scene, Scene]:

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ...scene import Belief, Scene
+    from ...belief import Belief
+    from ...scene import Scene
 
 HEADER = ("effect", "", "mm", "seconds", "why")
 

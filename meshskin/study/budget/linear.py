@@ -22,9 +22,10 @@ from ...estimation.run import Run
 from ...se3 import Array
 
 if TYPE_CHECKING:
+    from ...belief import Belief
     from ...estimation.calibration import Calibration
     from ...recording import Recording
-    from ...scene import Belief, Scene
+    from ...scene import Scene
 
 
 FAR = 5e-3

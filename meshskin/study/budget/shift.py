@@ -17,9 +17,10 @@ from .linear import Solution, answering
 from .rehearsal import Halves, Rehearsal
 
 if TYPE_CHECKING:
+    from ...belief import Belief
     from ...motion.path import Path
     from ...recording import Recording
-    from ...scene import Belief, Scene
+    from ...scene import Scene
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,9 @@ from .reference import geometry
 from .setting import INTEGRATORS, Setting
 
 if TYPE_CHECKING:
+    from ...belief import Belief
     from ...recording import Recording
-    from ...scene import Belief, Scene
+    from ...scene import Scene
 
 COARSER = (2, 5)
 """Steps of the loop, over the scene's own."""

@@ -27,8 +27,9 @@ from .request import LANES, Pilot, Request
 from .setting import Setting
 
 if TYPE_CHECKING:
+    from ...belief import Belief
     from ...estimation.calibration import Calibration
-    from ...scene import Belief, Scene
+    from ...scene import Scene
 
     T = TypeVar("T")
 
