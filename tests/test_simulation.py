@@ -131,5 +131,5 @@ def test_a_path_that_is_none_or_of_other_steps_is_refused(sphere):
 
 def test_a_skin_off_the_body_is_refused(sphere):
     far = sphere.skin.moved(transform(np.eye(3), [0.0, 0.0, -0.05]))
-    with pytest.raises(SkinError, match="got 49.1 mm at the nearest taxel"):
+    with pytest.raises(SkinError, match=r"got 49\.1 mm at the nearest taxel"):
         ms.simulate(sphere.with_(skin=far))

@@ -11,6 +11,7 @@ from meshskin.errors import ConfigError, StudyError
 from meshskin.geometry.region import Cap
 from meshskin.study.cost.levels import Level, loops, models, surfaces, tolerances, worth
 from meshskin.study.cost.numerics import Numerics
+from meshskin.study.cost.pilot import at_length
 from meshskin.study.cost.request import Pilot, Request
 from meshskin.study.cost.setting import Setting
 
@@ -162,3 +163,32 @@ def test_out_of_reach_is_one_line(capsys, tmp_path):
     assert line.count("\n") == 0
     assert "mm in" in line
     assert "at best" in line
+
+
+def test_the_prices_of_a_reading_are_those_of_a_long_recording(recording):
+    """Caches hold the pilot's readings, and no longer the run's; what is paid once stays."""
+    readings = len(recording.pressure)
+    resting = Level({"tolerance": 1e-8}, reading=0.3), Level({"tolerance": 0.01}, reading=0.1)
+    tried = pilot(readings=readings, estimating=(0.1, 1e-6), fixed=20.0, knobs=(resting,))
+    lengths = []
+
+    def whole(data):
+        lengths.append(len(data.pressure))
+        return 0.1 + 1e-6 * readings + 3e-6 * (len(data.pressure) - readings)
+
+    def joint(data, rest):
+        more = len(data.pressure) / readings - 1
+        return 0.3 + 0.04 * more if rest < 1e-3 else 0.1 + 0.03 * more
+
+    wanted = Request(seconds=1e4)
+    best = tried.choose(wanted)[0].setting
+    many = tried.setting.lane_spacing / best.lane_spacing * best.rate / tried.setting.rate
+    longer = at_length(tried, recording, wanted, whole, joint)
+    assert lengths == [round(many) * readings]
+    once, each = longer.estimating
+    assert each == pytest.approx(3e-6)
+    assert once == pytest.approx(max(0.1 - 2e-6 * readings, 0.0))
+    tight, loose = longer.knobs[0]
+    assert (tight.once, tight.reading) == pytest.approx((0.26, 0.04))
+    assert (loose.once, loose.reading) == pytest.approx((0.07, 0.03))
+    assert at_length(tried, recording, Request(accuracy_mm=1e-9), whole, joint) is tried

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 import pyarrow as pa
 
+from ...adaptive import together
 from ...errors import StudyError
 from ...estimation import metrics
 from ...estimation.calibrate import calibrate
@@ -39,6 +40,8 @@ THIN = 4
 """Every so many readings are calibrated again, to tell fixed costs from those of a reading."""
 TRYING = 0.2
 """Part of the seconds asked for within which a pilot goes on to try steps, models and surfaces."""
+LONGER = 0.05
+"""Part of a run's seconds within which its estimates are tried at length."""
 MAKING = 0.3
 """Part of a preparation's seconds that makes the loop's functions: the rest, planning, goes with
 the path's length."""
@@ -91,6 +94,13 @@ def pilot(
     )  # fmt: skip
     if request.seconds is None or tried.spent[0] < TRYING * request.seconds:
         tried = _with_levels(tried, small, request)
+    tried = at_length(
+        tried,
+        recording,
+        request,
+        lambda data: _estimates(data, belief, methods),
+        lambda data, rest: timed(lambda: calibrate(data, belief, tolerance=rest))[1],
+    )
     return replace(tried, spent=_since(began))
 
 
@@ -122,6 +132,51 @@ def _with_levels(tried: Pilot, scene: Scene, request: Request) -> Pilot:
     if frames > 2 * len(BATCHED):
         knobs.append(worth(models(numerics, scene)))
     return replace(tried, knobs=tuple(knobs))
+
+
+def at_length(
+    tried: Pilot,
+    recording: Recording,
+    request: Request,
+    whole: Callable[[Recording], float],
+    joint: Callable[[Recording, float], float],
+) -> Pilot:
+    """The pilot with the prices of a reading in a long recording, where caches hold it no more and
+    what is paid once counts for little.
+
+    The pilot's recording is estimated from several times over: as often as the run that would be
+    chosen is longer, and as takes up to LONGER of its seconds. whole: processor seconds of all
+    estimates; joint: of the joint one at a tolerance.
+    """
+    try:
+        best = tried.choose(request)[0]
+    except StudyError:
+        return tried
+    once, each = tried.estimating
+    lanes = tried.setting.lane_spacing / best.setting.lane_spacing
+    longest = min(
+        tried.readings * lanes * best.setting.rate / tried.setting.rate,
+        LONGER * best.processor_seconds / max(each, 1e-9),
+    )
+    times = round(longest / max(tried.readings, 1))
+    if times < 2:
+        return tried
+    long = recording
+    for _ in range(times - 1):
+        long = together(long, recording)
+
+    def split(short: float, long: float) -> tuple[float, float]:
+        """What is paid once, and for the pilot's readings."""
+        grown = max(long - short, 0.0) / (times - 1)
+        return max(short - grown, 0.0), grown
+
+    once, grown = split(once + each * tried.readings, whole(long))
+    resting, *others = tried.knobs
+    levels = []
+    for level in resting:
+        first, later = split(level.reading, joint(long, level.changes["tolerance"]))
+        levels.append(replace(level, once=first, reading=later))
+    return replace(tried, estimating=(once, grown / tried.readings), knobs=(tuple(levels), *others))
 
 
 def timed(work: Callable[[], T]) -> tuple[T, float]:
