@@ -169,7 +169,7 @@ def test_the_prices_of_a_reading_are_those_of_a_long_recording(recording):
     """Caches hold the pilot's readings, and no longer the run's; what is paid once stays."""
     readings = len(recording.pressure)
     resting = Level({"tolerance": 1e-8}, reading=0.3), Level({"tolerance": 0.01}, reading=0.1)
-    tried = pilot(readings=readings, estimating=(0.1, 1e-6), fixed=20.0, knobs=(resting,))
+    tried = pilot(readings=readings, estimating=(0.1, 1e-6), fixed=200.0, knobs=(resting,))
     lengths = []
 
     def whole(data):
