@@ -167,9 +167,10 @@ def pairs(
     whole = {name: from_all(found.first, belief) for name, found in single.items()}
     none = from_all(plain.first, belief)
     for one, other in combinations(chosen, 2):
-        if chosen[one].name == chosen[other].name:
+        two = chosen[one], chosen[other]
+        if two[0].name == two[1].name or two[0].name in two[1].excludes:
             continue
-        both = find(scene, (chosen[one], chosen[other]), seed)
+        both = find(scene, two, seed)
         parts = single[one], single[other]
         rows[f"{one}+{other}"] = row(scene, first, both) | {
             "excess_mm": excess(*(p.positions[0] for p in (first, *parts, both))),
