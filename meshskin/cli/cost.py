@@ -40,11 +40,14 @@ def command(options: argparse.Namespace) -> int:
     """Measure, write the page, and print the table."""
     from ..job import check_folder
     from ..scene import Scene
+    from ..study.budget import budget
     from ..study.cost import KNOBS, cost
 
     scene = Scene.load(options.scene)
     check_folder(options.out)
     with bar(options.quiet) as progress:
+        if scene.budget is not None:  # it says what is on, as in a run
+            scene = budget(scene, progress=progress).scene
         costs = cost(
             scene,
             knobs=KNOBS if options.knobs is None else options.knobs,

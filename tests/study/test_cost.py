@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import meshskin as ms
+from meshskin import cli
 from meshskin.errors import UnknownNameError
 from meshskin.geometry.region import Cap
 from meshskin.study.cost import Row, Setting, cost, front
@@ -171,3 +172,13 @@ def test_the_skin_stays_where_it_is(scene):
 def test_an_unknown_knob(scene):
     with pytest.raises(UnknownNameError, match="did you mean rate"):
         cost(scene, knobs=("rat",))
+
+
+def test_the_command_lets_a_budget_decide_first(scene, costs, tmp_path, monkeypatch):
+    """Of a scene whose effects a budget chooses, what it calls for is measured, as it would run."""
+    seen = []
+    monkeypatch.setattr(ms.Scene, "load", lambda name: scene.with_(budget=1.0, candidates=()))
+    monkeypatch.setattr("meshskin.study.cost.cost", lambda of, **_: seen.append(of) or costs)
+    assert cli.main(["cost", "any", "--out", str(tmp_path), "--quiet"]) == 0
+    assert seen[0].budget is None
+    assert seen[0].effects == ()  # noise of 1 % moves no taxel by a metre
