@@ -42,14 +42,14 @@ class Ideal:
 
     def __call__(self, frames: Frames, poses: Array) -> Array:
         """Pressures (m, n), Pa, of taxels at `poses` (n, 4, 4) in m frames."""
-        return self._read(
+        contacts = (
             frames.points,
             frames.normals,
             frames.directions,
             frames.force,
             frames.curvature,
-            poses[:, :3, 3],
         )
+        return self._read(*contacts, positions=poses[:, :3, 3])
 
     def apart(self, other: Ideal, force: float, curvature: Array) -> float:
         """Largest difference of what both read in contacts under `force`, N, in parts of p_0.
@@ -73,26 +73,14 @@ class Ideal:
         steps = np.linspace(0.0, longest + max(self.disc_radius, other.disc_radius), SAMPLES)
         places = np.concatenate([np.outer(steps, np.eye(3)[axis]) for axis in (0, 1)])
         read = [
-            one._read(flat, up, across, np.full(k, force), curvature, places)
+            one._read(flat, up, across, np.full(k, force), curvature, positions=places)
             for one in (self, other)
         ]
         return min(float(np.abs(read[1] - read[0]).max() / np.min(found[0].peak)), 1.0)
 
-    def _read(
-        self,
-        points: Array,
-        normals: Array,
-        directions: Array,
-        force: Array,
-        curvature: Array,
-        positions: Array,
-    ) -> Array:
+    def _read(self, *contacts: Array, positions: Array) -> Array:
         return disc_pressures(
-            points,
-            normals,
-            directions,
-            force,
-            curvature,
+            *contacts,
             positions=positions,
             disc_radius=self.disc_radius,
             indenter_radius=self.indenter_radius,

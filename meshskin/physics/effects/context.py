@@ -65,6 +65,11 @@ class Context:
         """
         return 2.0 * relative * self.contact_radius
 
+    def misread_as(self, other: Ideal) -> float:
+        """How far, m, where taxels read what `other` says: from the reading that differs most."""
+        curvature = self.body.closest(self.skin.positions).curvature
+        return self.misread(self.ideal.apart(other, self.force, curvature))
+
     def misjudged(self, force: float) -> float:
         """How far, m, by a force off by `force`, N: p_0 and a go with its cube root (Hertz)."""
         return 2.0 / 3.0 * force / self.force * self.contact_radius

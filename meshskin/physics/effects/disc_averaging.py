@@ -27,10 +27,7 @@ class DiscAveraging(Plain):
 
     def bound(self, context: Context) -> float:
         """From the reading that the other disc changes most, m."""
-        curvature = context.body.closest(context.skin.positions).curvature
-        return context.misread(
-            context.ideal.apart(self._with(context.ideal), context.force, curvature)
-        )
+        return context.misread_as(self._with(context.ideal))
 
     def build(self, context: Context) -> Callable[[Ideal], Ideal]:
         """A field without memory."""

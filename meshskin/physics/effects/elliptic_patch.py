@@ -26,9 +26,7 @@ class EllipticPatch(Plain):
 
     def bound(self, context: Context) -> float:
         """From the reading that the ellipse changes most, m."""
-        curvature = context.body.closest(context.skin.positions).curvature
-        other = _stretched(context.ideal)
-        return context.misread(context.ideal.apart(other, context.force, curvature))
+        return context.misread_as(_stretched(context.ideal))
 
     def build(self, context: Context) -> Callable[[Ideal], Ideal]:
         """A field without memory."""

@@ -31,9 +31,7 @@ class Layer(Plain):
 
     def bound(self, context: Context) -> float:
         """From the reading that the layer changes most, m."""
-        curvature = context.body.closest(context.skin.positions).curvature
-        other = self._on(context.ideal, context.poisson)
-        return context.misread(context.ideal.apart(other, context.force, curvature))
+        return context.misread_as(self._on(context.ideal, context.poisson))
 
     def build(self, context: Context) -> Callable[[Ideal], Ideal]:
         """A field without memory. Raises ContactError where the layer leaves the model's range."""
