@@ -60,10 +60,17 @@ class Body:
     crossed: NDArray[np.intp] | None = None
     """faces (k,) at which the mesh is known to pass through itself, or to have edges of more than
     two faces: about them the mesh's winding tells the sign of a distance"""
+    told: Any | None = field(default=None, repr=False)
+    """the mesh (trimesh.Trimesh) that a robot's software has of the body; None: `mesh`"""
 
     def __repr__(self) -> str:
         size = " x ".join(f"{1e3 * x:.4g}" for x in self.mesh.extents)
         return f"<Body {self.name!r}: {len(self.mesh.faces)} faces, {size} mm>"
+
+    @property
+    def facets(self) -> Any:
+        """The flat mesh, trimesh.Trimesh in m, that a robot's software has of the body."""
+        return self.mesh if self.told is None else self.told
 
     @cached_property
     def surface(self) -> Surface:
@@ -152,11 +159,15 @@ class Body:
         return cls(path.stem, mesh, None, found.repairs, patches, crossed=found.crossed)
 
     def remeshed(self, faces: int) -> Body:
-        """The same primitive as about `faces` triangles. Raises MeshError where it is none."""
+        """The same primitive as about `faces` triangles; its `facets` stay what they are.
+
+        Raises MeshError where it is none.
+        """
         if self.exact is None:
             raise MeshError(f"{self.name} is a mesh of its own, of no known surface to mesh anew")
         make = _PRIMITIVES[type(self.exact)]
-        return replace(make(**vars(self.exact), faces=faces), degree=self.degree)
+        made = make(**vars(self.exact), faces=faces)
+        return replace(made, degree=self.degree, told=self.facets)
 
     @classmethod
     def sphere(cls, radius: float = 0.1, faces: int = FACES) -> Body:

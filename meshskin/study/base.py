@@ -116,10 +116,10 @@ class SceneObject:
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._tables = _tables_of(scene)
+        body = scene.body
         self._fixed = digest(
-            np.asarray(scene.body.mesh.vertices),
-            np.asarray(scene.body.mesh.faces),
-            repr(scene.body.exact),
+            *(np.asarray(a) for m in (body.mesh, body.facets) for a in (m.vertices, m.faces)),
+            repr((body.exact, body.degree)),
             *(np.asarray(a) for a in (scene.skin.poses, scene.skin.ids, scene.mount_pose)),
             scene.arm.base,
             repr((scene.skin.disc_radius, scene.arm.tip, scene.arm.folders, scene.payload)),

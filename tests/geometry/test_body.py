@@ -218,6 +218,7 @@ def test_a_primitive_is_meshed_anew(body):
     assert len(fine.mesh.faces) == pytest.approx(20_480, rel=0.3)
     assert fine.exact == body.exact
     assert fine.degree == 2
+    assert fine.facets is fine.remeshed(320).facets is body.mesh
 
 
 def test_a_mesh_of_its_own_is_not_meshed_anew(ball, tmp_path):

@@ -12,6 +12,7 @@ from meshskin.physics.effects.body_pose import BodyPose
 from meshskin.physics.effects.gain_offset import GainOffset
 from meshskin.physics.effects.gaussian_noise import GaussianNoise
 from meshskin.physics.effects.indenter_offset import IndenterOffset
+from meshskin.physics.effects.mesh_facets import facets
 from meshskin.physics.effects.quantisation import Quantisation
 from meshskin.physics.effects.relaxation import Relaxation
 from meshskin.study.budget.candidates import candidates
@@ -216,9 +217,8 @@ def test_knobs_are_ladders_from_cheap_to_fine(small):
     assert [r.label for r in found["contact model"].rungs] == ["hertz", "elliptic"]
     capsule = ms.Scene.load("capsule")  # a circle does not hold on its cylinder
     assert "contact model" not in {k.name for k in knobs(capsule, 10_000, 1_000.0)}
-    facets = small.with_(effects=(effects.find("mesh_facets")(),))
-    (mesh,) = (knob for knob in knobs(facets, 10_000, 1_000.0) if knob.name == "mesh")
-    assert mesh.rungs[-1].changes["body"] is small.body, "facets that act are not refined"
+    for rung in mesh.rungs:
+        assert rung.changes["body"].facets is small.body.mesh, "the robot's mesh is what it is"
     loaded = replace(small.body, exact=None)
     found = {knob.name: knob for knob in knobs(small.with_(body=loaded), 10_000, 1_000.0)}
     assert set(found) == {"contact model", "time step"}
@@ -242,12 +242,16 @@ def test_what_spares_readings_costs_less_than_nothing(trial):
     assert "gaussian_noise" not in trial.forced(1.0)
 
 
-def test_facets_that_act_keep_the_mesh(trial):
-    (facets,) = (item for item in trial.items if item.name == "mesh_facets")
-    assert facets.requires == ("mesh:0", "mesh:1")
+def test_facets_that_act_are_those_of_the_declared_mesh(trial):
+    """However coarse or fine the mesh that the smooth surface is fitted to."""
     with_them = trial.scene_of(together(["mesh_facets"], trial.items))
-    assert len(with_them.body.mesh.faces) == len(trial.scene.body.mesh.faces) == 5120
-    assert len(trial.scene_of(()).body.mesh.faces) == 320
+    assert len(with_them.body.mesh.faces) == 320
+    assert len(trial.everything.body.mesh.faces) == 20_480
+    centres = 0.105 * with_them.skin.normals
+    feet = [facets(scene.context(0))(centres) for scene in (trial.scene, with_them)]
+    np.testing.assert_array_equal(feet[0], feet[1])
+    coarse = with_them.with_(body=replace(with_them.body, told=None))
+    assert np.linalg.norm(facets(coarse.context(0))(centres)[0] - feet[0][0], axis=1).max() > 1e-4
 
 
 def test_the_tolerance_is_measured(trial, small):

@@ -1,5 +1,7 @@
 """Cases: what they are made of, and what their hash sees."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import study_runs
@@ -134,6 +136,7 @@ def test_parameters_reach_the_scene_and_the_belief():
 def test_a_scene_made_in_python_is_a_base(sphere):
     import pickle
 
+    finer = ms.Body.sphere(0.1, faces=20_480)
     study = ms.Study("s", base=sphere, grid={"material.young_kpa": [200, 300], NOISE: [0.01]})
     first, second = study.cases()
     assert second.scene.material.young == pytest.approx(300e3)
@@ -147,6 +150,9 @@ def test_a_scene_made_in_python_is_a_base(sphere):
     )
     raised = sphere.with_(arm=sphere.arm.standing(transform(np.eye(3), [0.0, 0.0, 0.1])))
     assert ms.Study("s", base=raised, grid=study.grid).cases()[0].key != first.key
+    for body in (replace(sphere.body, degree=3), replace(sphere.body, told=finer.mesh)):
+        other = ms.Study("s", base=sphere.with_(body=body), grid=study.grid)
+        assert other.cases()[0].key != first.key, "degree and facets change results"
     with pytest.raises(ConfigError, match="keeps its skin"):
         ms.Study("s", base=sphere, grid={"skin.spacing_mm": [5]}).cases()
 

@@ -44,12 +44,13 @@ class MeshFacets(Plain):
 
 
 def facets(context: Context) -> Foot:
-    """Closest points of the body's flat mesh."""
-    surface = context.body.surface
-    proximity = Proximity(surface.vertices, surface.faces)
+    """Closest points of the flat mesh that the robot's software has."""
+    mesh = context.body.facets
+    vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces)
+    proximity = Proximity(vertices, faces)
 
     def foot(centres: Array) -> tuple[Array, Array]:
-        corners = surface.vertices[surface.faces[proximity.exact(centres)]]
+        corners = vertices[faces[proximity.exact(centres)]]
         start, ab, ac = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
         _, weight = triangle_foot(centres, start, ab, ac)
         normals = np.cross(ab, ac)

@@ -33,8 +33,6 @@ FINER, COARSER = 4, (2, 5)
 """Steps from frame to frame: so many times the scene's, and parts of them that are whole."""
 FEWEST_FACES = 80
 """Faces below which a mesh is no stand-in for a primitive (an icosphere divided once)."""
-FLAT = "mesh_facets"
-"""The effect for which the mesh is no matter of computing."""
 LONGEST_STEP = 0.01
 """s, as Loop allows."""
 
@@ -89,18 +87,16 @@ def _holds(scene: Scene, name: str) -> bool:
 
 
 def mesh_resolution(scene: Scene) -> Knob:
-    """Faces of a primitive; a mesh that was loaded is as it is.
+    """Faces that the smooth surface of a primitive is fitted to; a loaded mesh is as it is.
 
-    Where its facets may be taken for the surface it is not refined: they are no matter of
-    computing, and need the mesh as it is.
+    The flat facets that a robot's software has are no matter of computing, and stay.
     """
     body = scene.body
     own = Rung(_faces(body), {"body": body}, SECONDS["face"] * len(body.mesh.faces))
     if body.exact is None:
         return Knob("mesh", (own,), 0)
     rungs: dict[str, Rung] = {}
-    flat = any(effect.name == FLAT for effect in scene.effects)
-    for factor in (f for f in FACES if f <= 1 or not flat):
+    for factor in FACES:
         count = round(factor * len(body.mesh.faces))
         if count < FEWEST_FACES:
             continue

@@ -13,7 +13,7 @@ from ...physics.effects import Effect
 from ...se3 import Array
 from ..cost.numerics import held_route
 from .choose import Item, left_out, size
-from .knobs import FLAT, Knob, finest_step, knobs
+from .knobs import Knob, finest_step, knobs
 from .ledger import Check, Entry, Ledger
 from .rehearsal import Rehearsal
 from .screen import screened
@@ -85,9 +85,6 @@ class Trial:
         self.changed[name] = without.changed
         self.seconds[name] += without.fewer * self.resting[0].rungs[0].seconds
         required = tuple(n for n in effect.requires if n not in self.screened)
-        if name == FLAT:  # needs the mesh as it is
-            meshes = [knob for knob, _ in self.knobs if knob.name == "mesh"]
-            required += tuple(_step(knob, k) for knob in meshes for k in range(knob.declared))
         return Item(name, without.shift, self.seconds[name], required)
 
     def _with_dependants(self, name: str) -> set[str]:
