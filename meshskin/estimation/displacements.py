@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 Trilateration = Callable[[Circles, Charts], tuple[Array, Array, Array]]
 """Circles and charts -> coordinates (n, 2), m, information (n, 2, 2), chi2 (n,)."""
 
+SINGULAR = 1e-9
+"""Least determinant of a trilateration's information, relative to the square of its trace."""
 SHARED = 4
 """Fewest contacts that a pair must share."""
 NORMAL_FLOOR = 0.1
@@ -72,6 +74,7 @@ def displacements(
     sane = (trilaterate.width(found, charts) > trilaterate.NARROW) & (
         np.linalg.norm(y, axis=1) < data.disc
     )
+    sane &= np.linalg.det(information) > SINGULAR * np.trace(information, axis1=1, axis2=2) ** 2
     good = sane.reshape(-1, 2).all(axis=1)
     if not good.any():
         raise CalibrationError(

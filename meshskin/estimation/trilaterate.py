@@ -124,7 +124,7 @@ def three_circles(data: Measurements, body: Body) -> Fit:
     seen = np.isfinite(start[:, 0])
     start[~seen] = data.points[0]
     near, charts = _within_reach(data, start), chart.about(body, start)
-    three = _three(circles(near, charts.points)).reading
+    three = _three(circles(near, charts.points), charts).reading
     for _ in range(3):
         found = circles(near, charts.points, three)
         y, information = _linear(found, charts, equal=True)
@@ -140,7 +140,7 @@ def three_circles(data: Measurements, body: Body) -> Fit:
 
 def intersect(found: Circles, charts: Charts) -> tuple[Array, Array, Array]:
     """The radical centre of three well-separated circles of each point, as `solve` gives it."""
-    three = _three(found)
+    three = _three(found, charts)
     y, _ = _linear(three, charts, equal=True)
     residual, jacobian = _residuals(three, charts, y)
     information = three.sum(jacobian[:, :, None] * jacobian[:, None, :])
@@ -251,15 +251,22 @@ def width(found: Circles, charts: Charts) -> Array:
     return np.sqrt(np.maximum(np.linalg.eigvalsh(scatter)[:, 0], 0.0))
 
 
-def _three(found: Circles) -> Circles:
-    """Three well-separated circles of each point, steep ones where there are enough of them."""
+def _three(found: Circles, charts: Charts) -> Circles:
+    """Three well-separated circles of each point, steep ones where these are not near a line.
+
+    A contact at rest is recorded again and again: three of its circles are no three circles.
+    """
     steep = found.steepness > STEEP
-    enough = np.bincount(found.owner[steep], minlength=found.count) >= 3
+    best = _well_separated(found.select(steep))
+    enough = np.bincount(best.owner, minlength=found.count) == 3
+    enough &= width(best, charts) > NARROW
     return _well_separated(found.select(steep | ~enough[found.owner]))
 
 
 def _well_separated(found: Circles) -> Circles:
     """Three circles of each point: far from the mean, far from the first, far from their line."""
+    if not len(found.owner):
+        return found
     number = np.maximum(np.bincount(found.owner, minlength=found.count), 1)
     mean = (found.sum(found.centres) / number[:, None])[found.owner]
     first = _farthest(found, np.linalg.norm(found.centres - mean, axis=1))
@@ -269,12 +276,15 @@ def _well_separated(found: Circles) -> Circles:
     off = np.linalg.norm(np.cross(found.centres - one, line), axis=1)
     third = _farthest(found, off)
     keep = np.zeros(len(found.owner), dtype=bool)
-    keep[first], keep[second], keep[third] = True, True, True
+    rows = np.stack([first, second, third])
+    keep[rows[found.owner[rows] == np.arange(found.count)]] = True
     return found.select(keep)
 
 
 def _farthest(found: Circles, distance: Array) -> np.ndarray:
-    """Row (n,) of the circle of each point with the largest distance (k,); any for no circle."""
+    """Row (n,) of the circle of each point with the largest distance (k,); for no circle one of
+    another point.
+    """
     order = np.lexsort((distance, found.owner))
     last = np.searchsorted(found.owner[order], np.arange(found.count), side="right") - 1
     return np.asarray(order[np.maximum(last, 0)])

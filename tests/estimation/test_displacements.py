@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from meshskin import se3
+from meshskin.adaptive import together
 from meshskin.errors import CalibrationError
 from meshskin.estimation import chart, trilaterate
 from meshskin.estimation.calibrate import calibrate
@@ -11,6 +12,7 @@ from meshskin.estimation.displacements import displacements, error_covariance
 from meshskin.estimation.measurements import gather
 from meshskin.estimation.metrics import position_errors
 from meshskin.geometry.primitives import Ellipsoid
+from meshskin.recording import Recording
 
 
 def residuals(graph, poses):
@@ -96,6 +98,21 @@ def test_no_neighbours_is_refused(world):
     assert trilaterate.least_squares(data, lonely.body).found.all()
     with pytest.raises(CalibrationError, match=r"no two taxels.*denser skin"):
         displacements(data, lonely.body)
+
+
+@pytest.mark.parametrize("trilateration", [trilaterate.solve, trilaterate.intersect])
+def test_a_contact_that_is_recorded_again_is_no_other_one(world, trilateration):
+    """Of few contacts, each recorded four times, three steep circles may all be the same."""
+    whole = world.record()
+    keep = np.arange(len(whole.time)) % 12 == 0
+    few = Recording(
+        whole.contacts.filter(keep), whole.readings.filter(keep[whole.reading_contact]),
+        whole.metadata,
+    )  # fmt: skip
+    often = together(together(few, few), together(few, few))
+    graph = displacements(gather(often, world.belief()), world.body, trilateration=trilateration)
+    assert len(graph.edges) > 20
+    assert np.abs(residuals(graph, true_poses(world, graph))[:, :3]).max() < 1e-5
 
 
 def test_noise_above_a_low_threshold_makes_no_pairs(world):

@@ -192,3 +192,12 @@ def test_the_prices_of_a_reading_are_those_of_a_long_recording(recording):
     assert (tight.once, tight.reading) == pytest.approx((0.26, 0.04))
     assert (loose.once, loose.reading) == pytest.approx((0.07, 0.03))
     assert at_length(tried, recording, Request(accuracy_mm=1e-9), whole, joint) is tried
+
+
+def test_a_method_that_finds_nothing_does_not_end_a_pilot(tmp_path):
+    """Taxels too far apart for displacements: a run leaves the pose graphs out, and so must it."""
+    sparse = tmp_path / "sparse.toml"
+    sparse.write_text('extends = "sphere_noisy"\n[skin]\nspacing_mm = 20\ncount = 3\n')
+    result = job.run(sparse, tmp_path / "out", seed=2, request=Request(accuracy_mm=0.1))
+    assert "two taxels" in result.metrics["posegraph"]["why"]
+    assert result.metrics["position_error_mm"]["mean"] < 0.1
