@@ -9,7 +9,7 @@ import numpy as np
 from .findings import Findings, has_gauge
 from .markup import Block, Table, Text
 from .plane import MM
-from .theme import number
+from .theme import measured
 
 FREEDOMS = (
     "position along the skin, taxel x",
@@ -152,10 +152,16 @@ def _misfit(findings: Findings) -> list[str]:
     ratio = bound_ratio(findings)
     if ratio is not None and ratio > FAR_FROM_BOUND:
         steps.append(
-            f"The error is {number(ratio)} times the Cramér-Rao expectation: look for what the "
+            f"The error is {measured(ratio)} times the Cramér-Rao expectation: look for what the "
             "model leaves out (contact model, indenter offset, gains) before recording more."
         )
     return steps
+
+
+def is_noiseless(findings: Findings) -> bool:
+    """Whether the stated uncertainty is next to nothing."""
+    s = findings.sigma[np.isfinite(findings.sigma)] * MM
+    return bool(len(s) and np.median(s) < NO_NOISE)
 
 
 def _noise(findings: Findings) -> list[str]:
@@ -163,14 +169,14 @@ def _noise(findings: Findings) -> list[str]:
     s = findings.sigma[np.isfinite(findings.sigma)] * MM
     if not len(s):
         return []
-    if np.median(s) < NO_NOISE:
+    if is_noiseless(findings):
         return [
             "These data are all but free of noise: simulate with the noise of the sensor, to see "
             "what error to expect."
         ]
     return [
         *_consistency(findings),
-        f"To halve the uncertainty of {number(float(np.median(s)))} mm, record four times as "
+        f"To halve the uncertainty of {measured(float(np.median(s)))} mm, record four times as "
         "many readings, or halve the sensor noise.",
     ]
 
@@ -189,9 +195,9 @@ def _consistency(findings: Findings) -> list[str]:
         return []
     side = "too small" if mean > high else "too large"
     return [
-        f"The stated uncertainty is {side}: NEES {number(float(mean))} lies outside its 95 % band "
-        f"{number(low)} to {number(high)} (by chance in 1 run of 20). Check the noise that the "
-        "calibration was told, and what its model leaves out."
+        f"The stated uncertainty is {side}: NEES {measured(float(mean))} lies outside its 95 % "
+        f"band {measured(low)} to {measured(high)} (by chance in 1 run of 20). Check the noise "
+        "that the calibration was told, and what its model leaves out."
     ]
 
 

@@ -14,7 +14,7 @@ from ..motion.response import BAND
 from ..se3 import Array
 from . import theme
 from .plane import MM
-from .theme import number
+from .theme import measured, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -125,7 +125,7 @@ def _hold(axes: Axes, force: Array, goal: float) -> None:
         off = float(np.max(np.abs(force - goal), initial=0.0))
         half = 1.3 * off or BAND * goal
         axes.set_ylim(goal - half, goal + half)
-        axes.set_title(f"Force held, within {number(off, 2)} N")
+        axes.set_title(f"Force held, within {measured(off, 2)} N")
 
 
 def _force_legend(figure: Figure, with_reference: bool) -> None:
@@ -178,7 +178,7 @@ def _name_row(axes: Axes, name: str, errors: Array) -> None:
     axes.text(
         -0.09,
         0.5,
-        f"{fill(name, 26)}\nmean {number(mean)} mm",
+        f"{fill(name, 26)}\nmean {measured(mean)} mm",
         transform=axes.transAxes,
         ha="right",
         va="center",
@@ -191,7 +191,7 @@ def _draw_bound(figure: Figure, bound: float, on_right: bool) -> None:
     for axes in figure.axes:
         axes.axvline(bound, color=theme.INK, lw=1.0, ls="--")
     figure.axes[0].annotate(
-        f"Cramér-Rao expectation {number(bound)} mm",
+        f"Cramér-Rao expectation {measured(bound)} mm",
         (bound, 1.0),
         (-4 if on_right else 4, 3),
         xycoords=("data", "axes fraction"),

@@ -31,6 +31,21 @@ NAMES = {
 """Readable names of methods; others keep their own, with spaces for underscores."""
 
 
+METHODS = {
+    "joint": "all readings at once, the taxels on the surface",
+    "trilateration": "least squares over all circles on which the readings put a taxel",
+    "three_circles": "three of these circles for each taxel",
+    "posegraph": "displacements between taxels that were pressed together",
+    "posegraph_isotropic": "the same, every direction taken as equally well known",
+    "posegraph_paper": "displacements from three circles a taxel, as the paper has it",
+}
+"""What each method makes of the readings."""
+PAPER = (
+    "The paper is Cannata, Denei, Mastrogiovanni, Towards automated self-calibration of robot skin "
+    "(ICRA 2010)."
+)
+
+
 def readable(method: str) -> str:
     """A method's name for people."""
     return NAMES.get(method, method.replace("_", " "))

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from ..se3 import Array
 from . import theme
 from .plane import MM, ON_ROUTE, Plane, exaggeration, spacing, tangent_plane
-from .theme import count, number
+from .theme import count, measured, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -182,7 +182,7 @@ def iterations(
         axes = _map_axes(figure, view, 0.65 + (size + 0.25) * column, 0.55, size)
         error = np.linalg.norm(all_iterates[chosen[k]] - t, axis=1)
         mean = float(np.nanmean(error)) * MM if np.isfinite(error).any() else float("nan")
-        _iteration_panel(axes, a, flat[k], f"Iteration {chosen[k]}: mean {number(mean)} mm off")
+        _iteration_panel(axes, a, flat[k], f"Iteration {chosen[k]}: mean {measured(mean)} mm off")
         axes.set_xlabel("first axis (mm)")
         if column:
             axes.set_ylabel("")

@@ -13,7 +13,7 @@ import numpy as np
 from ..se3 import Array
 from . import theme
 from .markup import Block, Content, Number, Picture, Section, Table, Text
-from .theme import number
+from .theme import measured, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -178,7 +178,7 @@ def accuracy_time(
         )
     if bound is not None and np.isfinite(bound):
         left.axhline(bound, color=theme.INK, lw=1.0, ls="--")
-        left.annotate(f"Cramér-Rao expectation {number(bound)} mm", (1.0, bound), (0, -10),
+        left.annotate(f"Cramér-Rao expectation {measured(bound)} mm", (1.0, bound), (0, -10),
                       xycoords=("axes fraction", "data"), textcoords="offset points", ha="right",
                       fontsize=8)  # fmt: skip
     left.set(xscale="log", yscale="log", xlabel="time of the estimate (s)")
@@ -221,7 +221,7 @@ def table(costs: Costs, targets: Sequence[float]) -> list[tuple[str, ...]]:
         row = costs.cheapest(target)
         if row is None:
             best = min(costs.whole, key=lambda r: r.total_mm)
-            said = f"none; best {number(best.total_mm)}: {best.setting.words(costs.base)}"
+            said = f"none; best {measured(best.total_mm)}: {best.setting.words(costs.base)}"
             rows.append((f"{target:g}", said, "", "", ""))
             continue
         rows.append(
@@ -229,8 +229,8 @@ def table(costs: Costs, targets: Sequence[float]) -> list[tuple[str, ...]]:
                 f"{target:g}",
                 row.setting.words(costs.base),
                 f"{row.time:.2f}",
-                number(row.error_mm),
-                number(row.numerical_mm),
+                measured(row.error_mm),
+                measured(row.numerical_mm),
             )
         )
     return rows
@@ -241,9 +241,9 @@ def page(costs: Costs, targets: Sequence[float], png: Path, svg: Path) -> Conten
     own = next(row for row in costs.rows if row.knob == "scene")
     best = min(costs.whole, key=lambda r: r.total_mm)
     numbers = (
-        Number("The scene as it is", number(own.error_mm), "mm", f"in {own.time:.2f} s"),
-        Number("Its numerical part", number(own.numerical_mm), "mm", "by discretisation alone"),
-        Number("Most accurate", number(best.total_mm), "mm", f"in {best.time:.2f} s"),
+        Number("The scene as it is", measured(own.error_mm), "mm", f"in {own.time:.2f} s"),
+        Number("Its numerical part", measured(own.numerical_mm), "mm", "by discretisation alone"),
+        Number("Most accurate", measured(best.total_mm), "mm", f"in {best.time:.2f} s"),
         Number(
             "Settings",
             str(len(costs.rows)),
@@ -255,8 +255,8 @@ def page(costs: Costs, targets: Sequence[float], png: Path, svg: Path) -> Conten
     reach = Table(HEADER, tuple(table(costs, targets)), numeric=(0, 2, 3, 4))
     return Content(
         title=f"What accuracy costs: {costs.scene}",
-        verdict=f"The scene as it is: {number(own.error_mm)} mm in {own.time:.2f} s of processor "
-        f"time; {number(own.numerical_mm)} mm of it by discretisation.",
+        verdict=f"The scene as it is: {measured(own.error_mm)} mm in {own.time:.2f} s of processor "
+        f"time; {measured(own.numerical_mm)} mm of it by discretisation.",
         numbers=numbers,
         sections=(
             Section("The cheapest way to an accuracy", (reach,)),
@@ -277,7 +277,7 @@ CAPTION = (
 def _routes(costs: Costs) -> tuple[Block, ...]:
     words = costs.reference.words(costs.base)
     text = Text((f"Numerical parts are counted from {words}. Computed otherwise, it moves by:",))
-    rows = [(r.name, number(r.mean_mm), number(r.largest_mm)) for r in costs.routes]
+    rows = [(r.name, measured(r.mean_mm), measured(r.largest_mm)) for r in costs.routes]
     return text, Table(("second route", "mean (mm)", "largest (mm)"), tuple(rows), numeric=(1, 2))
 
 
@@ -292,7 +292,7 @@ def _settings(rows: Sequence[Row], costs: Costs) -> Table:
         values: Mapping[str, float] = {
             "error": row.error_mm, "bound": row.bound_mm, "numerical": row.numerical_mm
         }  # fmt: skip
-        cells = (number(v) for v in values.values())
+        cells = (measured(v) for v in values.values())
         readings = "" if row.failure else str(row.readings)
         seconds = "" if row.failure else f"{row.time:.3f}"
         said = row.setting.words(costs.base)

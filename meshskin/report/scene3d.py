@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ..se3 import Array
 from . import theme
 from .plane import MM, ON_ROUTE, exaggeration, spacing, tangent_plane
-from .theme import count, number
+from .theme import count, measured, number
 from .thin import thin
 
 FACES = 5000
@@ -206,10 +206,10 @@ def _estimated_taxels(ids: Array, poses: Array, cov: Array, true: Array | None) 
 
 def _texts(ids: Array, positions: Array, truth: Array | None, cov: Array) -> list[str]:
     sigma = np.sqrt(np.maximum(np.trace(cov, axis1=1, axis2=2), 0.0)) * MM
-    texts = [f"taxel {k}<br>sigma {number(s)} mm" for k, s in zip(ids, sigma, strict=True)]
+    texts = [f"taxel {k}<br>sigma {measured(s)} mm" for k, s in zip(ids, sigma, strict=True)]
     if truth is not None:
         error = np.linalg.norm(positions - truth, axis=1) * MM
-        texts = [f"{t}<br>error {number(e)} mm" for t, e in zip(texts, error, strict=True)]
+        texts = [f"{t}<br>error {measured(e)} mm" for t, e in zip(texts, error, strict=True)]
     return texts
 
 

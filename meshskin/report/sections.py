@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -9,11 +10,11 @@ import numpy as np
 
 from . import advice, scene3d
 from .album import ACCURACY_TIME
-from .findings import Findings, readable
+from .findings import METHODS, PAPER, Findings, readable
 from .markup import Block, Content, Picture, Section, Table, Text, View
 from .plane import MM
 from .summary import main_errors, numbers, verdict
-from .theme import count, number
+from .theme import count, measured, number
 
 if TYPE_CHECKING:
     from ..geometry.body import Body
@@ -36,14 +37,22 @@ MORE = (
     "estimator) buys and costs; meshskin run SCENE --accuracy-mm 0.1 takes the cheapest way there."
 )
 EXPLAINED = {
+    "touched": "taxels that answered at all",
+    "contacts": "frames in which the indenter touched",
+    "readings": "of single taxels, above the threshold",
     "crlb_mm.mean": "least mean error to expect of any unbiased estimate (Cramér-Rao)",
     "crlb_mm.rms": "the same, root mean square",
     "nees": "squared error over stated variance: 2 where the stated uncertainty is right",
     "nees.mean": "squared error over stated variance: 2 where the stated uncertainty is right",
+    "nees_band": "where it lies in 95 of 100 runs",
     "force.mean_n": "after settling",
     "force.std_n": "after settling",
     "force.overshoot": "largest force over the reference, less one",
     "force.settling_s": "from touch until the force stays near the reference",
+    "force.disturbance": "largest error while sliding, over the reference",
+    "force.lost_contact_steps": "steps without contact after the first touch",
+    "demonstration_mm": "mean error of the pose graph on perturbed true displacements",
+    "steps": "of the closed loop",
     "steps_per_second": "closed loop with arm dynamics",
 }
 """What well-known metrics mean."""
@@ -58,7 +67,9 @@ def content(findings: Findings, pictures: Sequence[Picture], body: Body | None) 
     return Content(
         title=f"Skin calibration: {scene}" if isinstance(scene, str) else "Skin calibration",
         subtitle=" · ".join(
-            part for part in (kind, readable(findings.calibration.method), str(created)) if part
+            part
+            for part in (kind, readable(findings.calibration.method), _moment(str(created)))
+            if part
         ),
         verdict=verdict(findings),
         numbers=numbers(findings),
@@ -74,6 +85,11 @@ def content(findings: Findings, pictures: Sequence[Picture], body: Body | None) 
             Section("Provenance", _provenance(findings)),
         ),
     )
+
+
+def _moment(created: str) -> str:
+    """A time of ISO 8601 for people: 2026-11-22T02:47:05+00:00 as 2026-11-22 02:47 UTC."""
+    return re.sub(r"(\d)T(\d\d:\d\d):\d\d\+00:00$", r"\1 \2 UTC", created)
 
 
 def _metadata(findings: Findings) -> Mapping[str, Any]:
@@ -109,13 +125,16 @@ def _numbers(findings: Findings) -> tuple[Block, ...]:
             summary = findings.error_summary(method)
             given = findings.metrics.get("position_error_mm" if k == 0 else method) or {}
             summary |= {name: given[name] for name in summary if name in given}
-            rows.append((readable(method), *(number(summary[s]) for s in ("mean", "rms", "max"))))
-        header = ("position error of", "mean (mm)", "rms (mm)", "max (mm)")
+            values = (measured(summary[s]) for s in ("mean", "rms", "max"))
+            rows.append((readable(method), *values, METHODS.get(method, "")))
+        header = ("position error of", "mean (mm)", "rms (mm)", "max (mm)", "")
         blocks.append(Table(header, tuple(rows), numeric=(1, 2, 3)))
+        if "posegraph_paper" in findings.errors:
+            blocks.append(Text((PAPER,)))
     c = findings.calibration
     if c.modulus is not None:
-        sigma = "" if c.modulus_sigma is None else f" ± {number(c.modulus_sigma / 1e3)} (1 sigma)"
-        value = f"{number(c.modulus / 1e3, 6)}{sigma} kPa"
+        sigma = "" if c.modulus_sigma is None else f" ± {measured(c.modulus_sigma / 1e3)} (1 sigma)"
+        value = f"{measured(c.modulus / 1e3, 6)}{sigma} kPa"
         blocks.append(Text((f"Effective modulus E*, estimated with the taxels: {value}.",)))
     shown = {*SAID, *findings.errors}
     rest = flatten({k: v for k, v in findings.metrics.items() if k not in shown})
@@ -156,17 +175,17 @@ def _accuracy_time(findings: Findings, pictures: Sequence[Picture]) -> tuple[Blo
     if promise:
         text = (
             f"Asked for {promise['asked']}. The pilot run chose {promise['setting']} and promised "
-            f"{number(promise['error_mm'])} mm in {number(promise['seconds'])} s"
+            f"{measured(promise['error_mm'])} mm in {measured(promise['seconds'])} s"
         )
         errors = main_errors(findings)
-        text += f"; the taxels came to {number(errors['mean'])} mm." if errors else "."
+        text += f"; the taxels came to {measured(errors['mean'])} mm." if errors else "."
         blocks.append(Text((text,)))
     bound = findings.metrics.get("crlb_mm", {}).get("mean") or None
     rows = []
     for name, seconds in findings.estimating.items():
         error = findings.error_summary(name)["mean"] if name in findings.errors else None
-        ratio = number(error / bound) if error is not None and bound else "–"
-        rows.append((readable(name), number(error), ratio, f"{seconds:.3f}"))
+        ratio = measured(error / bound) if error is not None and bound else "–"
+        rows.append((readable(name), measured(error), ratio, f"{seconds:.3f}"))
     if rows:
         header = ("estimator", "mean error (mm)", "times the bound", "seconds")
         blocks.append(Table(header, tuple(rows), numeric=(1, 2, 3)))
@@ -201,10 +220,10 @@ def _taxels(findings: Findings) -> Block:
     rows = []
     for k in range(min(findings.count, ROWS)):
         place = (f"{v * MM:.4f}" if np.isfinite(v) else "–" for v in c.positions[k])
-        row = [str(c.ids[k]), str(c.readings[k]), *place, number(findings.sigma[k] * MM)]
-        row.append(number(float(c.chi2[k])))
+        row = [str(c.ids[k]), str(c.readings[k]), *place, measured(findings.sigma[k] * MM)]
+        row.append(measured(float(c.chi2[k])))
         if error is not None:
-            row.append(number(error[k] * MM))
+            row.append(measured(error[k] * MM))
         rows.append((*row, str(c.why[k])))
     shown = "" if findings.count <= ROWS else f" (the first {ROWS} of {findings.count})"
     return Table(

@@ -8,7 +8,7 @@ from . import advice
 from .findings import Findings
 from .markup import Number
 from .plane import MM
-from .theme import count, number
+from .theme import count, measured, number
 
 
 def main_errors(findings: Findings) -> dict[str, float] | None:
@@ -28,14 +28,16 @@ def verdict(findings: Findings) -> str:
     if errors is None:
         typical = np.nanmedian(findings.sigma) * MM if np.isfinite(findings.sigma).any() else np.nan
         return (
-            f"{found} taxels were located; the stated uncertainty is {number(typical)} mm (median "
-            "standard deviation). There is no truth to compare with."
+            f"{found} taxels were located; the stated uncertainty is {measured(typical)} mm "
+            "(median standard deviation). There is no truth to compare with."
         )
-    mean = number(errors["mean"])
+    mean = measured(errors["mean"])
     text = f"{found} taxels were located with a mean error of {mean} mm"
+    if advice.is_noiseless(findings):
+        text += ", from readings without noise"
     ratio = advice.bound_ratio(findings)
     if ratio is not None:
-        text += f", {number(ratio)} times what the Cramér-Rao bound lets one expect"
+        text += f", {measured(ratio)} times what the Cramér-Rao bound lets one expect"
     return text + "."
 
 
@@ -48,21 +50,21 @@ def numbers(findings: Findings) -> tuple[Number, ...]:
     tiles = [Number("Taxels touched", f"{touched}", f"of {findings.count}", note)]
     errors = main_errors(findings)
     if errors is not None:
-        note = f"rms {number(errors['rms'])}, max {number(errors['max'])} mm"
-        tiles.append(Number("Mean position error", number(errors["mean"]), "mm", note))
+        note = f"rms {measured(errors['rms'])}, max {measured(errors['max'])} mm"
+        tiles.append(Number("Mean position error", measured(errors["mean"]), "mm", note))
         bound = findings.metrics.get("crlb_mm", {}).get("mean")
         if bound:
             note = "mean error that the readings allow at best"
-            tiles.append(Number("Cramér-Rao bound", number(bound), "mm", note))
+            tiles.append(Number("Cramér-Rao bound", measured(bound), "mm", note))
     s = findings.sigma[np.isfinite(findings.sigma)] * MM
     if len(s):
-        note = f"standard deviation, median; largest {number(s.max())} mm"
-        tiles.append(Number("Stated uncertainty", number(float(np.median(s))), "mm", note))
+        note = f"standard deviation, median; largest {measured(s.max())} mm"
+        tiles.append(Number("Stated uncertainty", measured(float(np.median(s))), "mm", note))
     tiles += _force(findings)
     if findings.seconds:
         slowest = max(findings.seconds, key=lambda k: findings.seconds[k])
         note = f"most of it: {slowest}"
-        tiles.append(Number("Time", number(sum(findings.seconds.values())), "s", note))
+        tiles.append(Number("Time", measured(sum(findings.seconds.values())), "s", note))
     return tuple(tiles)
 
 
@@ -70,7 +72,7 @@ def _force(findings: Findings) -> list[Number]:
     force = findings.metrics.get("force") or {}
     if not force and findings.recording is not None and len(findings.recording.force):
         f = findings.recording.force
-        note = f"standard deviation {number(float(f.std()), 2)} N"
+        note = f"standard deviation {measured(float(f.std()), 2)} N"
         return [Number("Mean contact force", f"{f.mean():.3f}", "N", note)]
     if not force:
         return []

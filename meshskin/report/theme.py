@@ -6,6 +6,7 @@ used, and matplotlib is imported only when a figure is made.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
@@ -113,28 +114,46 @@ def save(figure: Figure, folder: str | Path, name: str) -> tuple[Path, Path]:
     return png, svg
 
 
+PLAIN = 4
+"""Digits of whole numbers that need no space between the thousands."""
+
+
 def count(value: float) -> str:
     """A whole number, thousands apart by a space that does not break."""
     return f"{value:,.0f}".replace(",", "\u00a0").replace("-", "−")
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number with `digits` significant digits, in decimal notation where that stays readable."""
-    import math
+    """A number with up to `digits` significant digits, in decimal notation where that stays
+    readable."""
+    return _written(value, digits, zeros=False)
 
-    import numpy as np
 
+def measured(value: float | None, digits: int = 3) -> str:
+    """A measured number: always `digits` significant digits, zeros at the end too."""
+    return _written(value, digits, zeros=True)
+
+
+def _written(value: float | None, digits: int, zeros: bool) -> str:
+    """A number; zeros: whether those at its end are kept."""
     if value is None or math.isnan(value):
         return "–"
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
-    if value != 0 and not 1e-4 <= abs(value) < 1e7:
-        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-        mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
+    if value == 0:
+        return "0"
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+    if not 1e-4 <= abs(value) < 1e7:
         sign = "⁻" if exponent[0] == "-" else ""
         power = exponent[1:].lstrip("0").translate(str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹"))
+        mantissa = mantissa if zeros else _bare(mantissa)
         return f"{mantissa} × 10{sign}{power}".replace("-", "−")
-    if abs(value) >= 10**digits:
+    if abs(value) >= 10 ** min(digits, PLAIN):
         return count(value)
-    text = np.format_float_positional(value, precision=digits, fractional=False, trim="-")
-    return text.replace("-", "−")
+    text = f"{value:.{max(digits - 1 - int(exponent), 0)}f}"
+    return (text if zeros else _bare(text)).replace("-", "−")
+
+
+def _bare(text: str) -> str:
+    """Digits without zeros at the end of their fraction."""
+    return text.rstrip("0").rstrip(".") if "." in text else text

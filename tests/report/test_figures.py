@@ -15,7 +15,7 @@ from meshskin.errors import OutputError
 from meshskin.report import figures
 from meshskin.report.curves import envelope, settling_time
 from meshskin.report.maps import ellipse_axes, pick_iterations
-from meshskin.report.theme import number
+from meshskin.report.theme import measured, number
 
 
 def texts(figure: object) -> str:
@@ -101,12 +101,12 @@ def test_iterations_give_first_middle_and_last_with_their_mean_error(case: Simpl
     steps = truth[None] + np.array([9e-3, 5e-3, 3e-3, 2e-3, 1e-3])[:, None, None] * [0.0, 0.0, 1.0]
     figure = figures.iterations(truth, steps)
     assert [a.get_title(loc="left") for a in figure.axes] == [
-        "Iteration 0: mean 9 mm off",
-        "Iteration 1: mean 5 mm off",
-        "Iteration 4: mean 1 mm off",
+        "Iteration 0: mean 9.00 mm off",
+        "Iteration 1: mean 5.00 mm off",
+        "Iteration 4: mean 1.00 mm off",
     ]
     alone = figures.iterations(truth, steps, only=1)
-    assert [a.get_title(loc="left") for a in alone.axes] == ["Iteration 1: mean 5 mm off"]
+    assert [a.get_title(loc="left") for a in alone.axes] == ["Iteration 1: mean 5.00 mm off"]
     assert pick_iterations(steps[:1]) == (0, 0, 0)
 
 
@@ -117,7 +117,7 @@ def test_errors_count_every_taxel_once_and_mark_the_bound() -> None:
     figure = figures.errors(rows, 4.2e-6)
     counts = [sum(p.get_height() for p in a.patches) for a in figure.axes]
     assert counts == [78, 80]
-    assert "Cramér-Rao expectation 0.0042 mm" in texts(figure)
+    assert "Cramér-Rao expectation 0.00420 mm" in texts(figure)
     assert len({a.get_xlim() for a in figure.axes}) == 1
     figures.errors({"exact": np.zeros(5)})
     figures.errors({"nothing": np.full(5, np.nan)}, np.nan)
@@ -168,3 +168,15 @@ def test_initial_error_draws_the_claims_beside() -> None:
 )  # fmt: skip
 def test_numbers_read_well(value: float | None, text: str) -> None:
     assert number(value) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.01, "0.0100"), (0.0108, "0.0108"), (0.3, "0.300"), (9.0, "9.00"), (0.00999999, "0.0100"),
+        (99.96, "100"), (999.7, "1000"), (18288.0, "18\u00a0288"), (-0.5, "−0.500"), (0.0, "0"),
+        (1e-9, "1.00 × 10⁻⁹"), (float("nan"), "–"),
+    ],
+)  # fmt: skip
+def test_measured_numbers_keep_their_last_zeros(value: float, text: str) -> None:
+    assert measured(value) == text

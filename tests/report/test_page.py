@@ -128,14 +128,15 @@ def test_the_page_says_the_numbers(full: Written) -> None:
         "Cramér-Rao bound 0.0121 mm",
         "3.001 N",
         "settled in 44.9 ms",
-        "263.158 ± 0.12 (1 sigma) kPa",
+        "263.158 ± 0.120 (1 sigma) kPa",
         "simulate 2.250",
         "Accuracy against time, of this run",
         "estimator mean error (mm) times the bound seconds joint maximum likelihood",
         "0.120 trilateration",
         "versions.numpy 2.1.0",
-        "trilateration 0.251 0.3 0.9",
+        "trilateration 0.251 0.300 0.900",
         "pose graph 0.0871",
+        "0.900 least squares over all circles",
     ):
         assert part in text, part
 
@@ -144,7 +145,7 @@ def test_a_promise_stands_beside_what_it_came_to(case: SimpleNamespace, tmp_path
     promise = {"asked": "0.05 mm", "setting": "25 frames/s", "error_mm": 0.02, "seconds": 4.5}
     shown = write(case, tmp_path, None, metrics=case.METRICS | {"promise": promise})[0]
     assert (
-        "Asked for 0.05 mm. The pilot run chose 25 frames/s and promised 0.02 mm in 4.5 s; the "
+        "Asked for 0.05 mm. The pilot run chose 25 frames/s and promised 0.0200 mm in 4.50 s; the "
         "taxels came to 0.0123 mm." in shown.text
     )
 
