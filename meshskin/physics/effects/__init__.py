@@ -8,6 +8,7 @@ package, one entry point in the group "meshskin.effects": `name = "module:Class"
 
 from __future__ import annotations
 
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
@@ -133,9 +134,9 @@ def find(name: str) -> type[Effect]:
         raise UnknownNameError("effect", name, {*KINDS, *outside})
     try:
         found = outside[name].load()
-    except (ImportError, AttributeError) as error:
+    except Exception as error:  # another package's module runs here, and may raise anything
         raise ConfigError(
-            f"the effect {name} of another package cannot be loaded: {error}",
+            f"the effect {name} of another package cannot be loaded: {_said(error)}",
             value=outside[name].value,
             remedy="install that package again, or take the effect out",
         ) from error
@@ -154,10 +155,39 @@ def _outside() -> dict[str, EntryPoint]:
 def registered() -> tuple[Effect, ...]:
     """All effects that can be had, those of other packages too, at their defaults, in order.
 
-    One that has no defaults is left out. Raises as `find`.
+    One that has no defaults is left out, and, with a warning that names it, one of another package
+    that cannot be loaded.
     """
-    kinds = [find(name) for name in (*KINDS, *sorted(set(_outside()) - set(KINDS)))]
-    return tuple(kind() for kind in kinds if all(map(_has_default, fields(cast(Any, kind)))))
+    kinds = [find(name) for name in KINDS]
+    found = [kind() for kind in kinds if _has_defaults(kind)]
+    for name in sorted(set(_outside()) - set(KINDS)):
+        try:
+            found += _made(name)
+        except ConfigError as error:
+            warnings.warn(f"{error}: it is left out", stacklevel=2)
+    return tuple(found)
+
+
+def _made(name: str) -> tuple[Effect, ...]:
+    """The effect of another package at its defaults, where it has them. Raises ConfigError."""
+    kind = find(name)
+    if not _has_defaults(kind):
+        return ()
+    try:
+        return (kind(),)
+    except Exception as error:
+        raise ConfigError(
+            f"the effect {name} of another package cannot be made: {_said(error)}"
+        ) from error
+
+
+def _said(error: Exception) -> str:
+    """What an error of another package says, on one line."""
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+def _has_defaults(kind: type[Effect]) -> bool:
+    return all(map(_has_default, fields(cast(Any, kind))))
 
 
 def _has_default(field: DataField[Any]) -> bool:

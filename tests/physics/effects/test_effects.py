@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -162,7 +163,9 @@ def toy(tmp_path, monkeypatch):
     (info / "entry_points.txt").write_text(
         "[meshskin.effects]\ntoy = toy_effects:Toy\n"
         "gone = toy_effects:Gone\nlost = no_such_module:Lost\nnumber = math:pi\n"
+        "raising = raising_effects:Toy\n"
     )
+    (tmp_path / "raising_effects.py").write_text("raise RuntimeError('no licence\\nfound')\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     yield
     sys.modules.pop("toy_effects", None)
@@ -179,11 +182,28 @@ def test_another_package_adds_an_effect(toy, sphere, recording):
 
 @pytest.mark.parametrize(
     ("name", "why"),
-    [("gone", "cannot be loaded"), ("lost", "no_such_module"), ("number", "no dataclass")],
+    [
+        ("gone", "cannot be loaded"),
+        ("lost", "no_such_module"),
+        ("number", "no dataclass"),
+        ("raising", "RuntimeError: no licence found"),
+    ],
 )
 def test_a_broken_entry_point_is_one_line(toy, name, why):
-    with pytest.raises(ConfigError, match=why):
+    with pytest.raises(ConfigError, match=why) as caught:
         effects.find(name)
+    assert "\n" not in str(caught.value)
+
+
+def test_broken_entry_points_are_named_and_left_out(toy):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = [effect.name for effect in effects.registered()]
+    assert found[-1] == "toy"
+    assert "gaussian_noise" in found
+    said = [str(w.message) for w in caught]
+    assert [line.split()[2] for line in said] == ["gone", "lost", "number", "raising"]
+    assert all("it is left out" in line and "\n" not in line for line in said)
 
 
 def test_without_that_package_there_is_no_such_effect():
