@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from .arguments import needs, real, whole
 from .errors import CalibrationError, ConfigError, ReachError
 from .estimation.calibrate import calibrate
 from .estimation.calibration import Calibration
@@ -148,6 +149,9 @@ def adapt(
     touch would meet, and for fewer contacts than the first pass has; ReachError where nothing can
     be touched.
     """
+    needs(Scene, scene, "what is explored")
+    real("target of an adaptive exploration", target)
+    whole("most contacts", most, least=1)
     _check_target(target, setup_of(scene).reach)
     unreachable: Mapping[int, str] = {}
     if points is None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from .arguments import needs, shown
 from .config import check, quantity
+from .errors import ConfigError, UnknownNameError
 from .geometry.body import Body
+from .physics.contact import AUTO, BATCHED
 from .physics.indenter import Indenter
 from .physics.material import Material
 from .se3 import Array
@@ -50,3 +53,13 @@ class Belief:
 
     def __post_init__(self) -> None:
         check(self)
+        for name, kind in {"body": Body, "indenter": Indenter, "material": Material}.items():
+            needs(kind, getattr(self, name), f"the {name} of a belief")
+        if self.contact not in (*BATCHED, AUTO):
+            raise UnknownNameError("contact model", str(self.contact), (*BATCHED, AUTO))
+        if isinstance(self.unknown, str) or not isinstance(self.unknown, Collection):
+            raise ConfigError(
+                "what is unknown to a belief is a list of names",
+                value=shown(self.unknown),
+                remedy=f'write unknown=("{self.unknown}",)',
+            )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .arguments import needs, real, shown
 from .errors import ConfigError, ReachError, SkinError
 from .geometry.body import Body
 from .geometry.region import Region
@@ -63,8 +64,10 @@ def explore(
     too small, ContactError where no contact model holds, ConfigError for numbers that cannot be.
     """
     for name, value, unit in (("force", force, "N"), ("dt", dt, "s"), ("frame", frame, "s")):
-        if not 0.0 < value < np.inf:
-            raise ConfigError(f"{name} of an exploration", value=f"{value} {unit}", limit="above 0")
+        real(f"{name} of an exploration", value, unit, above=0.0)
+    needs(Body, body, "what is explored")
+    if arm is not None:
+        needs(Arm, arm, "the arm of an exploration")
     skin = skin_region
     if not isinstance(skin, Skin):
         skin = Skin.cover(body, spacing=SITE_SPACING, region=skin)
@@ -73,7 +76,7 @@ def explore(
     if mount is not None and not is_rigid(mount):
         raise ConfigError(
             "the mount is no rigid transform",
-            value=np.asarray(mount).tolist(),
+            value=shown(mount),
             limit="a finite (4, 4) with a rotation in it",
         )
     indenter, material = indenter or Indenter(), material or Material()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from .arguments import shown
 from .errors import ConfigError, UnknownNameError
 
 
@@ -21,6 +22,8 @@ def scenes() -> dict[str, Path]:
 
 def find_scene(name: str | Path) -> Path:
     """The TOML file of a scene, by shipped name or by path. Raises ConfigError."""
+    if not isinstance(name, str | Path):
+        raise ConfigError("a scene is loaded by its name or its TOML file", value=shown(name))
     path = Path(name)
     if path.suffix == ".toml" and path.is_file():
         return path

@@ -14,9 +14,11 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike
 
+from .arguments import array, needs, vectors
 from .errors import RecordingError
 from .provenance import provenance
 from .recording import Recording
+from .scene import Scene
 from .se3 import Array, exp_so3, quaternion
 from .simulation import FRAME_CELLS, effect_chain, frames_at, sensor_tables
 
@@ -24,7 +26,6 @@ if TYPE_CHECKING:
     from .geometry.closest import Closest
     from .physics.effects import Chain
     from .physics.effects.frames import Frames
-    from .scene import Scene
 
 APART = 1.0
 """Time from one press to the next, s, as an arm would take it."""
@@ -49,8 +50,9 @@ def press(
     seed. Raises RecordingError without points, for points nowhere near the body, or for forces that
     are not positive.
     """
+    needs(Scene, scene, "what is pressed")
     world = floating(scene)
-    where = np.asarray(points, dtype=float).reshape(-1, 3)
+    where = vectors("points to press", points, error=RecordingError)
     if not len(where):
         raise RecordingError("nothing to press", remedy="give one contact point or more")
     hit, count = scene.body.closest(where), len(where)
@@ -81,7 +83,7 @@ def floating(scene: Scene) -> Scene:
 
 def _forces(force: ArrayLike, count: int) -> Array:
     """The forces (count,) of as many presses. Raises RecordingError."""
-    given = np.asarray(force, dtype=float)
+    given = array("forces of presses", force, error=RecordingError)
     if given.shape not in ((), (count,)):
         raise RecordingError(
             "the forces are not one a press", value=f"shape {given.shape}", limit=f"({count},)"

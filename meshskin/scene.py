@@ -6,7 +6,8 @@ which is what `calibrate` gets: no taxel's pose is in it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import library
+from .arguments import altered, needs, real, shown
 from .belief import Belief
 from .config import check, quantity
 from .errors import ConfigError, ContactError, SkinError
@@ -33,7 +35,7 @@ from .physics.effects import Context, Noise
 from .physics.indenter import Indenter
 from .physics.material import Material
 from .physics.reading import Ideal
-from .se3 import Array, transform
+from .se3 import Array, is_rigid, transform
 
 if TYPE_CHECKING:
     from .physics.effects import Effect
@@ -93,6 +95,13 @@ class Loop:
         return round(self.delay / self.dt)
 
 
+PARTS: dict[str, type] = {
+    "body": Body, "skin": Skin, "indenter": Indenter, "arm": Arm, "material": Material,
+    "law": Law, "exploration": Exploration, "readout": Readout, "loop": Loop,
+}  # fmt: skip
+"""Parts that every scene has."""
+
+
 @dataclass(frozen=True)
 class Scene:
     """A skinned body on an arm over a fixed indenter."""
@@ -127,8 +136,17 @@ class Scene:
                 "a scene without an arm",
                 remedy="leave it out for the default one, which a quasi-static loop does not use",
             )
-        if self.mount is not None and np.shape(self.mount) != (4, 4):
-            raise ConfigError("a mount is T_tip_body", value=np.shape(self.mount), limit="(4, 4)")
+        for name, kind in PARTS.items():
+            needs(kind, getattr(self, name), f"the {name} of a scene")
+        if self.mount is not None and not is_rigid(self.mount):
+            limit = "a finite (4, 4) with a rotation in it"
+            shape = np.shape(self.mount)
+            value = shape if shape != (4, 4) else shown(self.mount)
+            raise ConfigError("a mount is T_tip_body", value=value, limit=limit)
+        real("payload of a scene", self.payload, "kg", least=0.0)
+        if self.budget is not None:
+            real("budget of a scene", self.budget, "m", above=0.0)
+        needs(Iterable, self.effects, "what is on in a scene")
         for effect in (*self.effects, *(self.candidates or ())):
             if not hasattr(effect, "stage"):
                 raise ConfigError(
@@ -148,8 +166,8 @@ class Scene:
         return load(name)
 
     def with_(self, **changes: Any) -> Scene:
-        """This scene with other parts."""
-        return replace(self, **changes)
+        """This scene with other parts. Raises ConfigError."""
+        return altered(self, changes)
 
     @cached_property
     def axis(self) -> Array:
@@ -296,7 +314,10 @@ class Scene:
         return transform(turn, q[:, :3])
 
     def belief(self, **changes: Any) -> Belief:
-        """What the owner of this scene knows; `changes` replace fields (a softer material, ...)."""
+        """What the owner of this scene knows; `changes` replace fields (a softer material, ...).
+
+        Raises ConfigError for what is no field of a Belief, or no value of it.
+        """
         context = self.context(0)
         sigma = [e.sigma(context) for e in self.effects if isinstance(e, Noise)]
         known = Belief(
@@ -311,7 +332,7 @@ class Scene:
             threshold=self.threshold,
             module_slots=self._module_slots(),
         )
-        return replace(known, **changes)
+        return altered(known, changes)
 
     def _module_slots(self) -> Array | None:
         """What a data sheet says of rigid modules, where the skin is of such; not their poses."""

@@ -96,7 +96,10 @@ def inverse(pose: ArrayLike) -> Array:
 
 def is_rigid(pose: ArrayLike) -> bool:
     """Whether `pose` is one finite (4, 4) transform that neither scales nor mirrors, to 1e-6."""
-    given = np.asarray(pose, dtype=float)
+    try:
+        given = np.asarray(pose, dtype=float)
+    except (TypeError, ValueError):
+        return False
     if given.shape != (4, 4) or not np.isfinite(given).all():
         return False
     turn = given[:3, :3]

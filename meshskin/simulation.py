@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from . import recording as files
+from .arguments import needs
 from .errors import ConfigError, SkinError
 from .exploration import route, setup_of, start_of
 from .motion import path as paths
@@ -56,6 +57,7 @@ def simulate(
     Raises ReachError if the arm cannot follow the path, SimulationError if the loop fails,
     ConfigError for a scene whose budget has not decided what is on.
     """
+    needs(Scene, scene, "what is simulated")
     if scene.budget is not None:
         raise ConfigError(
             f"what is on in the scene {scene.name} has not been decided",

@@ -47,9 +47,9 @@ def test_a_half_ball_is_explored_in_lanes_where_the_arm_cannot_turn_its_parallel
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"force": 0.0}, "force of an exploration, got 0.0 N, limit: above 0"),
-        ({"dt": -1e-3}, "dt of an exploration, got -0.001 s"),
-        ({"frame": np.nan}, "frame of an exploration, got nan s"),
+        ({"force": 0.0}, "force of an exploration is out of range, got 0 N, limit: above 0 N"),
+        ({"dt": -1e-3}, "dt of an exploration is out of range, got -0.001 s, limit: above 0 s"),
+        ({"frame": np.nan}, "frame of an exploration must be a finite number, got nan"),
         ({"mount": np.eye(3)}, "no rigid transform"),
         ({"mount": np.diag([1.0, 1.0, -1.0, 1.0])}, "no rigid transform"),
         ({"mount": np.full((4, 4), np.nan)}, "no rigid transform"),

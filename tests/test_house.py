@@ -15,6 +15,7 @@ WINGS = [
     "se3",
     "atomic",
     "config",
+    "arguments",
     "provenance",
     "compiled",
     "library",

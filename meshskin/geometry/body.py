@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..arguments import real, vector, vectors, whole
 from ..errors import MeshError
 from . import primitives, tessellate
 from .check import survey
@@ -28,6 +29,8 @@ ON_RAY = 1e-7
 """largest offset from its ray, relative to the body's extent, of a hit"""
 FACES = 5120
 """default number of faces of a primitive"""
+MOST_FACES, SLENDER = 5_000_000, 1e4
+"""most faces of a primitive, and ratio of its lengths"""
 
 
 class Exact(Protocol):
@@ -92,8 +95,8 @@ class Body:
         but passes the smooth surface, has face -1, and NaN in its other entries. The face is found
         on the flat mesh (embree, single precision), the hit on the patch. Raises MeshError.
         """
-        o = np.array(origins, dtype=float).reshape(-1, 3)
-        d = np.array(directions, dtype=float).reshape(-1, 3)
+        o = vectors("origins of rays", origins, error=MeshError)
+        d = vectors("directions of rays", directions, error=MeshError).copy()
         length = np.linalg.norm(d, axis=1)
         if not (np.isfinite(o).all() and np.isfinite(d).all() and np.all(length > 0)):
             raise MeshError("a ray is not finite or has no direction")
@@ -176,39 +179,36 @@ class Body:
         The default of 5,120 faces is by measurement on the 0.1 m sphere: contact point off by
         at most 0.01 um, distance 0.004 um, normal 7e-5 deg, curvature 6e-5 of its value.
         """
-        _positive("radius", radius)
+        _check_sizes(faces, radius=radius)
         vertices, triangles = tessellate.sphere(faces)
         return cls._of("sphere", radius * vertices, triangles, primitives.Sphere(radius))
 
     @classmethod
     def ellipsoid(cls, radii: ArrayLike, faces: int = FACES) -> Body:
         """Ellipsoid about the origin with semi-axes `radii` (3,) along x, y, z, in m."""
-        a, b, c = (float(r) for r in np.asarray(radii, dtype=float).reshape(3))
-        for r in (a, b, c):
-            _positive("semi-axis", r)
+        a, b, c = vector("semi-axes of a primitive", radii, error=MeshError).tolist()
+        _check_sizes(faces, a=a, b=b, c=c)
         vertices, triangles = tessellate.ellipsoid(np.array([a, b, c]), faces)
         return cls._of("ellipsoid", vertices, triangles, primitives.Ellipsoid((a, b, c)))
 
     @classmethod
     def cylinder(cls, radius: float, length: float, faces: int = FACES) -> Body:
         """Cylinder along z of `length` with flat caps, in m."""
-        _positive("radius", radius)
-        _positive("length", length)
+        _check_sizes(faces, radius=radius, length=length)
         vertices, triangles = tessellate.cylinder(radius, length, faces)
         return cls._of("cylinder", vertices, triangles, primitives.Cylinder(radius, length))
 
     @classmethod
     def capsule(cls, radius: float, length: float, faces: int = FACES) -> Body:
         """Cylinder along z of `length` with half spheres of `radius` on its ends, in m."""
-        _positive("radius", radius)
-        _positive("length", length)
+        _check_sizes(faces, radius=radius, length=length)
         vertices, triangles, seams = tessellate.capsule(radius, length, faces)
         return cls._of("capsule", vertices, triangles, primitives.Capsule(radius, length), seams)
 
     @classmethod
     def torus(cls, major: float, minor: float, faces: int = FACES) -> Body:
         """Torus about z: radius `major` of the ring, `minor` of the tube, in m."""
-        _positive("minor radius", minor)
+        _check_sizes(faces, minor=minor, major=major)
         if not major > minor:
             raise MeshError("the torus meets itself", value=f"{major} m", limit=f"> minor {minor}")
         vertices, triangles = tessellate.torus(major, minor, faces)
@@ -258,6 +258,16 @@ def check_extent(vertices: Array) -> None:
     raise MeshError("largest extent", value=f"{extent:.4g} m", limit=limit, remedy=remedy)
 
 
-def _positive(what: str, value: float) -> None:
-    if not (np.isfinite(value) and value > 0):
-        raise MeshError(f"{what} of a primitive", value=f"{value} m", limit="> 0")
+def _check_sizes(faces: int, **lengths: float) -> None:
+    """Refuse lengths, m, and numbers of faces that no mesh can be made of."""
+    whole("number of faces", faces, least=1, most=MOST_FACES, error=MeshError)
+    for name, value in lengths.items():
+        real(f"{name} of a primitive", value, "m", above=0.0, error=MeshError)
+    slender = max(lengths.values()) / min(lengths.values())
+    if slender > SLENDER:
+        raise MeshError(
+            "a primitive is too slender to be meshed",
+            value=f"{' : '.join(lengths)} of {slender:.3g}",
+            limit=f"{SLENDER:g}",
+            remedy="correct the lengths or their units",
+        )

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arguments import needs
 from ..errors import SkinError
 from . import renumbered, slots
 from .pairing import Ids, moved, pair
@@ -106,6 +107,9 @@ def compare(a: Skin, b: Skin) -> Difference:
 
 def _places(skin: Skin, name: str) -> tuple[Ids, Array]:
     """Ids and positions of the taxels that have one, by id."""
+    from .skin import Skin
+
+    needs(Skin, skin, f"skin {name}")
     order = np.argsort(skin.ids, kind="stable")
     order = order[np.isfinite(skin.positions[order]).all(axis=1)]
     ids = np.asarray(skin.ids[order], dtype=np.int64)

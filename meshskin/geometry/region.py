@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,7 @@ SHOWN = 20
 """names of patches in a message"""
 
 
+@runtime_checkable
 class Region(Protocol):
     """A part of a surface, with a centre on it."""
 
@@ -182,6 +183,10 @@ def of(region: Region | str | None) -> Region:
     """The region that is asked for: by a patch's name, or the whole surface without any."""
     if isinstance(region, str):
         return Patch(region)
+    if region is not None and not isinstance(region, Region):
+        raise SkinError(
+            "a region of a body is none", value=repr(region), limit="a patch's name, or a Region"
+        )
     return Whole() if region is None else region
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import se3
+from ..arguments import needs, real, whole
 from ..errors import SkinError
 from ..provenance import random_stream
 from . import lattice, modules
@@ -45,9 +46,17 @@ class Skin:
     """radius in m of the disc over which a taxel averages pressure"""
 
     def __post_init__(self) -> None:
-        if not 0 < self.disc_radius < np.inf:
+        real("radius of a taxel's disc", self.disc_radius, error=SkinError)
+        if not self.disc_radius > 0:
             raise SkinError(
                 "radius of a taxel's disc", value=f"{1e3 * self.disc_radius:g} mm", limit="above 0"
+            )
+        shape = np.shape(self.poses)
+        if len(shape) != 3 or shape[1:] != (4, 4) or np.shape(self.ids) != shape[:1]:
+            raise SkinError(
+                "a skin's poses and ids",
+                value=f"shapes {shape} and {np.shape(self.ids)}",
+                limit="(n, 4, 4) and (n,)",
             )
 
     @property
@@ -84,15 +93,18 @@ class Skin:
         a part of the surface as of region.py; without it, all. `seed` turns and shifts the lattice.
         Raises SkinError where the discs would overlap or the region is too small.
         """
+        needs(Body, body, "the body of a skin")
         if spacing is None and count is None:
             raise SkinError("a layout without spacing and count", remedy="give one or both")
-        if count is not None and count < 1:
-            raise SkinError("number of taxels", value=count, limit=">= 1")
+        if count is not None:
+            count = whole("number of taxels", count, least=1, error=SkinError)
+        real("radius of a taxel's disc", disc_radius, error=SkinError)
         region = regions.of(region)
         if spacing is None:
             assert count is not None
             sites = _sites_by_count(body, region, count, disc_radius, seed)
         else:
+            real("spacing of taxels", spacing, error=SkinError)
             _check_spacing(body, spacing, disc_radius)
             sites = _sites(body, region, spacing, seed, count)
         if count is not None:

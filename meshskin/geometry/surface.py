@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..arguments import vectors
 from ..errors import MeshError
 from . import blend, compiled_search, fans, heights, jets, patch, walk
 from .closest import Closest
@@ -243,7 +244,7 @@ class Surface:
 
 
 def _finite(points: ArrayLike) -> Array:
-    p = np.ascontiguousarray(points, dtype=float).reshape(-1, 3)
+    p = np.ascontiguousarray(vectors("query points", points, error=MeshError))
     bad = ~np.isfinite(p).all(axis=1)
     if bad.any():
         row = int(np.argmax(bad))

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from .. import config, library
+from ..arguments import needs
 from ..errors import ConfigError, StudyError, UnknownNameError
 from ..provenance import digest
 
@@ -183,7 +184,12 @@ def find(base: str | Path | Scene | None) -> Base:
     """The base of a study: a scene's name or file, a Scene, or nothing."""
     if base is None:
         return Nothing()
-    return SceneTables.load(base) if isinstance(base, str | Path) else SceneObject(base)
+    if isinstance(base, str | Path):
+        return SceneTables.load(base)
+    from ..scene import Scene
+
+    needs(Scene, base, "the base of a study")
+    return SceneObject(base)
 
 
 def changed(data: Tables, parameters: Tables) -> dict[str, Any]:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import inspect
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..arguments import needs
 from ..errors import ConfigError, StudyError, UnknownNameError
 from ..provenance import digest, versions
 from .base import Base, canonical
@@ -81,7 +82,11 @@ def _scene_part(parameters: Mapping[str, Any]) -> dict[str, Any]:
 def lists(grid: Grid | Sequence[Grid]) -> list[dict[str, list[Any]]]:
     """A grid, or several, with plain lists of plain values. Raises ConfigError."""
     out = []
+    needs(Iterable, grid, "the grid of a study")
     for one in [grid] if isinstance(grid, Mapping) else grid:
+        needs(Mapping, one, "a grid of a study")
+        for key in one:
+            needs(str, key, "a key of a grid")
         out.append(plain := {key: _list(key, values) for key, values in one.items()})
         for key in RESERVED:
             if key in plain and key != "method":

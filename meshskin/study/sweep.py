@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from ..arguments import real, whole
 from ..errors import ConfigError, StudyError
 from ..provenance import check_seed, versions
 from . import base as bases
@@ -91,8 +92,8 @@ class Study:
     def __post_init__(self) -> None:
         for name in ("time_limit", "memory_limit"):
             value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise ConfigError(f"{name} is out of range", value=value, limit="above 0")
+            if value is not None:
+                real(name, value, above=0.0)
         if self.memory_limit is not None and sys.platform != "linux":
             raise ConfigError("a memory limit works on Linux only", remedy="leave it out")
         for seed in self._seeds:
@@ -173,8 +174,8 @@ class Study:
                 "a worker imports this script, which starts the study again",
                 remedy='put what starts it under if __name__ == "__main__":',
             )
-        if workers is not None and workers < 1:
-            raise ConfigError("workers is out of range", value=workers, limit="at least 1")
+        if workers is not None:
+            whole("workers", workers, least=1)
         setup = Setup(Reference.to(self._run), self._base, self.limits)
         cases, store = self.cases(), Store(out)
         with store.lock():

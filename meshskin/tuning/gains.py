@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from ..arguments import vector
 from ..config import check, quantity
-from ..errors import ConfigError
+from ..errors import ConfigError, UnknownNameError
 from ..motion.law import Law
 from ..motion.path import Exploration
 from ..scene import Scene
@@ -161,11 +162,11 @@ def scenarios(
 def span(bounds: Mapping[str, tuple[float, float]], target: float) -> Array:
     """Lowest and highest gains (2, 8), SI: SPAN with `bounds` in it. Raises ConfigError."""
     ranges = SPAN | {"force_reference": (target * (1.0 - REFERENCE), target * (1.0 + REFERENCE))}
-    for name, (low, high) in bounds.items():
-        if name not in NAMES or not 0.0 < low <= high:
-            raise ConfigError(
-                f"bounds of {name!r}", value=(low, high),
-                limit=f"0 < low <= high for any of {', '.join(NAMES)}",
-            )  # fmt: skip
+    for name, pair in bounds.items():
+        if name not in NAMES:
+            raise UnknownNameError("gain", str(name), NAMES, " in bounds")
+        low, high = vector(f"bounds of {name}", pair, 2).tolist()
+        if not 0.0 < low <= high:
+            raise ConfigError(f"bounds of {name}", value=(low, high), limit="0 < low <= high")
         ranges[name] = (low, high)
     return np.array([ranges[name] for name in NAMES]).T

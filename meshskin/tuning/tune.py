@@ -17,7 +17,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import TuningError, UnknownNameError
+from ..arguments import needs, real, shown, vector
+from ..errors import ConfigError, TuningError, UnknownNameError
 from ..motion.response import force_response
 from ..scene import Scene
 from ..se3 import Array
@@ -32,6 +33,8 @@ from .worlds import world
 
 __all__ = ["Demands", "Scenario", "Tuned", "scenarios", "tune", "where"]
 
+NOMINAL = Scenario()
+"""The world that the scene itself describes."""
 LEEWAY = 1.2
 """Length of the rollout over the time of the start's manoeuvre."""
 ROUNDS, WORTH = 2, 1e-2
@@ -51,7 +54,7 @@ def tune(
     *,
     objective: str = "time",
     demands: Demands | None = None,
-    over: Sequence[Scenario] = (Scenario(),),
+    over: Scenario | Sequence[Scenario] = NOMINAL,
     distance: float = 0.02,
     place: ArrayLike | None = None,
     direction: ArrayLike | None = None,
@@ -77,7 +80,13 @@ def tune(
     """
     if objective not in OBJECTIVES:
         raise UnknownNameError("objective", objective, OBJECTIVES)
+    needs(Scene, scene, "what is tuned")
+    real("distance of the slide", distance, "m", above=0.0)
+    over = worlds(over)
     demands = demands or Demands()
+    needs(Demands, demands, "demands")
+    if start is not None:
+        needs(Gains, start, "start")
     spot, ahead = where(scene, place, direction)
     shots = _shots(scene, over, spot, ahead, distance)
     target = scene.law.force_reference
@@ -125,6 +134,20 @@ def tune(
         manoeuvres=tuple(shot.manoeuvre for shot in finals),
         place=spot,
     )
+
+
+def worlds(over: Scenario | Sequence[Scenario]) -> tuple[Scenario, ...]:
+    """The worlds that gains must serve. Raises ConfigError where there is none."""
+    if isinstance(over, Scenario):
+        return (over,)
+    if not isinstance(over, Sequence) or not over or not all(isinstance(w, Scenario) for w in over):
+        raise ConfigError(
+            "the worlds to tune over",
+            value=shown(over),
+            limit="one Scenario or more",
+            remedy="leave over= out for the scene alone, or give scenarios(modulus=(0.8, 1.2))",
+        )
+    return tuple(over)
 
 
 def _solved(problem: Problem) -> Solution:
@@ -218,9 +241,9 @@ def where(
     scene: Scene, place: ArrayLike | None, direction: ArrayLike | None
 ) -> tuple[Array, Array]:
     """Where the slide begins and where it goes, body frame."""
-    wanted = scene.skin.positions.mean(axis=0) if place is None else np.asarray(place, dtype=float)
+    wanted = scene.skin.positions.mean(axis=0) if place is None else vector("place", place)
     hit = scene.body.closest(wanted[None])
-    ahead = hit.direction[0] if direction is None else np.asarray(direction, dtype=float)
+    ahead = hit.direction[0] if direction is None else vector("direction", direction)
     return hit.point[0], ahead
 
 

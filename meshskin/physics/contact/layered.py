@@ -32,7 +32,7 @@ from ...se3 import Array
 from ..both import functions
 from . import elliptic, series
 from .patch import Patch, Patches
-from .setting import Setting
+from .setting import FIELD, Setting
 
 MAX_CHI = 10.0
 """Largest a_Hertz / thickness of the table."""
@@ -59,7 +59,7 @@ class Layer:
                 "Poisson's ratio is outside the table of layered",
                 value=self.poisson,
                 limit="[0, 0.5]",
-                remedy="use field",
+                remedy=f'without a layer take "elliptic"; {FIELD}',
             )
         if not self.thickness > 0:
             raise ContactError("thickness must be positive", value=f"{self.thickness} m")
@@ -135,7 +135,7 @@ def solve(
             "the patch is too long for the factors of layered",
             value=f"ratio of relative curvatures {setting.ratio:.3g}",
             limit=f"{MAX_CURVATURE_RATIO:g}",
-            remedy="use field, or a smaller indenter",
+            remedy=f"use a smaller indenter; {FIELD}",
         )
     layer = Layer(poisson, math.inf if thickness is None else thickness)
     found = layer.patches(force, setting.pair, indenter_radius, setting.e_star)
@@ -158,7 +158,7 @@ def refuse_chi(chi: float) -> None:
             "the layer is thinner than the table of layered goes",
             value=f"a_Hertz/thickness = {chi:.3g}",
             limit=f"{MAX_CHI:g}",
-            remedy="lower the force, or use field",
+            remedy=f"lower the force, or take a thicker layer; {FIELD}",
         )
 
 

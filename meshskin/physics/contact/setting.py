@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ...arguments import array, shown
 from ...errors import ContactError
 from ...se3 import Array
 from ..both import functions, is_casadi
@@ -20,6 +22,8 @@ curvature k: there, boundary elements on true arcs are 4 % off in a and 2.5 % in
 MAX_LAYER_RATIO = 0.1
 """Largest a/thickness taken for a half-space: there, a bonded layer is 7.6 % less deep."""
 
+FIELD = 'contact.solve(model="field") holds for a single contact'
+"""Of a remedy: scenes and estimators do not take boundary elements."""
 HOLLOWEST = 1e-3
 """Least relative curvature of CasADi expressions, in parts of the indenter's."""
 
@@ -39,6 +43,11 @@ class Setting:
     thickness: float | None = None
 
     def __post_init__(self) -> None:
+        for what in ("force", "indenter_radius", "modulus", "poisson", "thickness"):
+            value = getattr(self, what)
+            if value is not None and not isinstance(value, numbers.Real | np.ndarray):
+                raise ContactError(f"{what} must be a number", value=shown(value))
+        array("curvature", self.curvature, error=ContactError)
         for what, value, unit in (
             ("indenter radius", self.indenter_radius, "m"),
             ("modulus", self.modulus, "Pa"),
@@ -101,7 +110,7 @@ class Setting:
                 f"the contact is too wide for the parabolic gap of {model}",
                 value=f"a/R = {widest:.2f} (1/R^2 = 1/r^2 - k/r + k^2)",
                 limit=MAX_WIDTH,
-                remedy="lower the force, raise the modulus or the radii, or use field",
+                remedy=f"lower the force, or raise the modulus or the radii; {FIELD}",
             )
 
     def refuse_layer(self, axes: Array, model: str) -> None:
@@ -111,7 +120,7 @@ class Setting:
                 f"the layer is too thin for the half-space of {model}",
                 value=f"a/thickness = {axes[0] / self.thickness:.2f}",
                 limit=MAX_LAYER_RATIO,
-                remedy="use layered, or leave thickness out to accept the half-space",
+                remedy='take contact = "layered", or leave thickness out to accept the half-space',
             )
 
 

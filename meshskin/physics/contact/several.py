@@ -94,7 +94,7 @@ def contacts(body: Body, centre: ArrayLike, indenter_radius: float) -> Contacts:
             "the indenter touches along a curve: no single contact point",
             value=f"1 + curvature * distance = {bend[keep].min():.2g}",
             limit=f"> {CONFORMING:g}",
-            remedy="use a smaller indenter, or solve the gap by field",
+            remedy="use a smaller indenter",
         )
     keep = _distinct(hit.point, keep[np.argsort(distance[keep])], SAME * indenter_radius)
     return Contacts(
@@ -195,5 +195,5 @@ def _refuse_meeting(found: Contacts, patches: list[Patch]) -> None:
                     "the patches of two contacts meet",
                     value=f"{apart * 1e3:.3g} mm apart",
                     limit=f"> {together * 1e3:.3g} mm",
-                    remedy="lower the force, use a smaller indenter, or solve the gap by field",
+                    remedy="lower the force, or use a smaller indenter",
                 )

@@ -13,17 +13,16 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from ...errors import ConfigError, UnknownNameError
+from ...arguments import needs, real, whole
+from ...errors import UnknownNameError
+from ...scene import Scene
 from .models import Models
 from .numerics import Numerics
 from .reference import Route, routes
 from .setting import Setting, ladders, reference
 from .trial import Bench, Row
-
-if TYPE_CHECKING:
-    from ...scene import Scene
 
 __all__ = ["KNOBS", "TARGETS", "Costs", "Route", "Row", "Setting", "cost", "front"]
 
@@ -131,11 +130,14 @@ def cost(
     for an unknown knob, ConfigError without seeds, and what the reference and the scene itself
     raise; other settings that fail are rows that say why.
     """
+    needs(Scene, scene, "what is measured")
     for knob in knobs:
         if knob not in KNOBS:
             raise UnknownNameError("knob", knob, KNOBS)
-    if seeds < 1:
-        raise ConfigError("seeds is out of range", value=seeds, limit="at least 1")
+    whole("seeds", seeds, least=1)
+    whole("finer", finer, least=1)
+    needs(Iterable, targets, "targets, mm,")
+    targets = tuple(real("a target", target, "mm", above=0.0) for target in targets)
     base = Setting.of(scene)
     finest = reference(base, scene, finer)
 
@@ -144,7 +146,6 @@ def cost(
 
     bench = Bench(scene, seeds, numerics)
     asked = [(k, s) for k, s in ladders(base, scene) if k == "scene" or (k in knobs and s != base)]
-    targets = tuple(targets)
     total = len(asked) + len(targets)
     if progress is not None:
         progress("cost", 0, total)
