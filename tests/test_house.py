@@ -19,6 +19,7 @@ WINGS = [
     "provenance",
     "compiled",
     "library",
+    "once",
     "ragged",
     "geometry",
     "physics",

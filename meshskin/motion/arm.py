@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ArmError
+from ..once import once
 from ..se3 import Array, inverse
 from . import reach
 from .dynamics import Dynamics
@@ -254,8 +255,7 @@ class Arm:
 
     @cached_property
     def _kinematics_function(self) -> cs.Function:
-        q = cs.SX.sym("q", len(self.joint_names))
-        return cs.Function("kinematics", [q], self.kinematics(q), {"cse": True})
+        return _kinematics(self)
 
     def inverse_kinematics(self, poses: ArrayLike, seed: ArrayLike) -> Array:
         """Joint angles (k, n) whose tip follows `poses` T_w_tip (k, 4, 4), in order.
@@ -280,3 +280,10 @@ class Arm:
     def newton(self) -> reach.Newton:
         """The iterations of inverse kinematics, built once."""
         return reach.newton(self)
+
+
+@once
+def _kinematics(arm: Arm) -> cs.Function:
+    """Joint angles (n,) -> T_w_tip (4, 4), Jacobian (6, n)."""
+    q = cs.SX.sym("q", len(arm.joint_names))
+    return cs.Function("kinematics", [q], arm.kinematics(q), {"cse": True})

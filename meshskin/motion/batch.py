@@ -60,7 +60,7 @@ class Batch:
         self.next = np.zeros_like(self.state)
         self.outputs = np.zeros((count, one.size1_out(1)))
         self.faces = np.array(track.faces[self.rows])
-        self._code = machine_code(loop, one, body.surface.patches, compile_, steps * count)
+        self._code = machine_code(loop, body.surface.patches, compile_, steps * count)
         self._fan = _Fan(one, self) if self._code is None else None
         self._reader = None
         if taxels is not None:

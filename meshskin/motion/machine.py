@@ -68,7 +68,7 @@ class Machine:
     ) -> None:
         self.body, self.loop = body, loop
         self.function = step(loop)
-        code = machine_code(loop, self.function, body.surface.patches, compile_, steps)
+        code = machine_code(loop, body.surface.patches, compile_, steps)
         self.stretch: Stretch = (
             Interpreted(loop, self.function, body.surface) if code is None else Compiled(code)
         )

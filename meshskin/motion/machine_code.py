@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from .. import compiled
 from ..geometry.patch import POWERS
+from ..once import once
 from ..se3 import Array
 from .loop import PARAMETERS, REFERENCE, Loop
+from .step import step
 
 FLAGS = (*compiled.FLAGS, "-fno-trapping-math", *compiled.fused())
 PATCH, MAP = 3 * len(POWERS), 6
@@ -72,27 +74,28 @@ class MachineCode:
         read(_WHOLE(len(outputs)), _WHOLE(taxels.shape[1]), *addresses)
 
 
-def machine_code(
-    loop: Loop, step: ca.Function, patches: Array, compile_: str, steps: float
-) -> MachineCode | None:
+def machine_code(loop: Loop, patches: Array, compile_: str, steps: float) -> MachineCode | None:
     """The step for a run of about `steps` steps: compiled if that pays ("auto"), always or never.
 
     A machine code that an earlier run left in the cache is used by "auto" whatever the length.
     """
-    if compile_ == "never" or not step.is_a("SXFunction"):
+    one = step(loop)
+    if compile_ == "never" or not one.is_a("SXFunction"):
         return None  # CVODES is SUNDIALS' own machine code
-    text = source(loop, step)
+    text = source(loop)
     pays = compile_ == "always" or steps >= WORTHWHILE
     library = compiled.library("step", text, FLAGS) if pays else compiled.found(text, FLAGS)
-    return None if library is None else MachineCode(library, step, patches)
+    return None if library is None else MachineCode(library, one, patches)
 
 
-def source(loop: Loop, step: ca.Function) -> str:
+@once
+def source(loop: Loop) -> str:
     """C source of a loop's step over many states, and of the readings."""
+    one = step(loop)
     inputs: Any = [
         ca.SX.sym(name, *shape)
         for name, shape in (
-            ("state", (step.size1_in(0),)),
+            ("state", (one.size1_in(0),)),
             ("reference", (REFERENCE,)),
             ("patch", (3, len(POWERS))),  # a row of the surface's patches, column-major
             ("map", (MAP,)),
@@ -101,13 +104,13 @@ def source(loop: Loop, step: ca.Function) -> str:
     ]
     state, reference, patch, change, parameters = inputs
     anchor = ca.vertcat(ca.vec(patch.T), change)
-    one = ca.Function("step", inputs, step(state, reference, anchor, parameters))
+    flat = ca.Function("step", inputs, one(state, reference, anchor, parameters))
     rows = {name.upper(): rows.start for name, rows in loop.outputs.items()}
-    sizes = {"STATE": step.size1_in(0), "OUTPUT": step.size1_out(1), "REFERENCE": REFERENCE}
+    sizes = {"STATE": one.size1_in(0), "OUTPUT": one.size1_out(1), "REFERENCE": REFERENCE}
     sizes |= {"PATCH": PATCH, "MAP": MAP, "PARAMETERS": PARAMETERS}
     before, after, read = (
         Path(__file__).with_name(name).read_text(encoding="utf-8")
         for name in ("inline.h", "steps.c", "readings.c")
     )
     layout = [f"#define {name} {value}" for name, value in (rows | sizes | {"TINY": TINY}).items()]
-    return "\n".join([before, compiled.source(one), *layout, after, read])
+    return "\n".join([before, compiled.source(flat), *layout, after, read])

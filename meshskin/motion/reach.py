@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from .. import compiled
 from ..errors import ArmError, ReachError
+from ..once import once
 from ..se3 import Array
 
 if TYPE_CHECKING:
@@ -83,6 +84,7 @@ class Newton:
         return np.asarray(followed[0].full().T)
 
 
+@once
 def newton(arm: Arm) -> Newton:
     """The Newton iterations of `arm`, compiled where there is a C compiler.
 

@@ -29,12 +29,14 @@ import casadi as ca
 import numpy as np
 
 from ..errors import SimulationError
+from ..once import once
 from ..se3 import Array, hat
 from . import law as compliance
 from .loop import Loop, Parameters
 from .step import Blocks, step
 
 if TYPE_CHECKING:
+    from .arm import Arm
     from .machine import Machine
 
 ERROR = 0.2
@@ -133,10 +135,15 @@ def inertia(loop: Loop, q: Array) -> float:
     """Mass of the arm along the indenter at the body's origin, kg; 0 without an arm."""
     if loop.mode == "quasi_static":
         return 0.0
-    angles = ca.SX.sym("q", loop.joints)
-    mass = ca.Function("mass", [angles], [loop.arm.dynamics().mass_matrix(angles)])(q).full()
+    mass = _mass_matrix(loop.arm)(q).full()
     row = loop.indenter_direction @ loop.arm.jacobian(q)[:3]
     return float(1.0 / (row @ np.linalg.solve(mass, row)))
+
+
+@once
+def _mass_matrix(arm: Arm) -> ca.Function:
+    q = ca.SX.sym("q", len(arm.joint_names))
+    return ca.Function("mass", [q], [arm.dynamics().mass_matrix(q)])
 
 
 def touch_error(machine: Machine, q: Array, reference: Array, parts: int = 1) -> float:

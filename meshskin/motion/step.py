@@ -13,12 +13,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..once import once
 from . import integrators, quasi_static
 from .loop import ANCHOR, PARAMETERS, REFERENCE, Loop, flat_anchor
 
 __all__ = ["ANCHOR", "PARAMETERS", "REFERENCE", "Blocks", "Loop", "step"]
 
 
+@once
 def step(loop: Loop) -> ca.Function:
     """(state, reference, anchor, parameters) -> (next state, output).
 

@@ -12,7 +12,6 @@ from meshskin.motion.loop import Loop
 from meshskin.motion.machine import Machine
 from meshskin.motion.machine_code import machine_code
 from meshskin.motion.readings import PointReadings
-from meshskin.motion.step import step
 from meshskin.motion.track import STAY, Track, crossings
 from meshskin.physics.contact import hertz
 from meshskin.scene import Loop as LoopTable
@@ -134,10 +133,10 @@ def test_machine_code_ends_where_the_interpreter_does(prepared, compiled, sphere
 def test_auto_takes_what_an_earlier_run_built(sphere, tmp_path, monkeypatch):
     monkeypatch.setenv("MESHSKIN_CACHE", str(tmp_path))
     loop = closed_loop(sphere.with_(loop=replace(sphere.loop, mode="quasi_static")))
-    one, patches = step(loop), sphere.body.surface.patches
+    patches = sphere.body.surface.patches
 
     def get(compile_, steps=0.0):
-        return machine_code(loop, one, patches, compile_, steps)
+        return machine_code(loop, patches, compile_, steps)
 
     assert get("auto") is None
     assert get("auto", steps=1e6) is not None
