@@ -41,7 +41,8 @@ class Belief:
     """Readings of this and more are at the end of the sensor's range, Pa."""
     unknown: tuple[str, ...] = ("modulus",)
     """What is estimated beside the taxels: any of "modulus" (E*), "gain" and "offset" (of each
-    taxel), "force_scale", "force_offset", "indenter_offset" (3), "body_offset" (6)."""
+    taxel), "force_scale", "force_offset", "indenter_offset" (3), "body_offset" (6). Gain and offset
+    are estimated undeclared, too, where without them taxels misfit that are none the worse."""
     priors: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations of unknowns before any data, where they are not the defaults."""
     headings: Array | None = None

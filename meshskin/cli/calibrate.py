@@ -230,6 +230,9 @@ def summary(found: Calibration, metrics: dict[str, Any], folder: Path) -> str:
     if found.modulus is not None:
         deviation = (found.modulus_sigma or 0.0) / 1e3
         lines.append(f"  E*               {found.modulus / 1e3:.4g} kPa +- {deviation:.2g}")
+    if "gain" in found.taxel_unknowns:
+        gains = found.taxel_unknowns["gain"][:, 0]
+        lines.append(f"  gains            {100 * np.nanstd(gains):.2g} % apart (1 sigma)")
     if found.fit is not None:
         lines.append(f"  test of fit      {found.fit.words}")
     lines.append(f"  not determined   {metrics['undetermined']}")

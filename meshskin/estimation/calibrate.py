@@ -162,6 +162,8 @@ def _joint(data: Measurements, belief: Belief, tolerance: float = AT_REST) -> An
     if found.covariances is not None:
         surface = (MODULES, MODULE_SURFACE)
     shared = found.data.shared
+    if shared.local_names != data.shared.local_names:
+        surface += ("gain and offset of each taxel, undeclared: without them taxels misfit",)
     return Answer(
         points=found.points,
         rotations=found.rotations,

@@ -2,48 +2,114 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..errors import CalibrationError
 from . import faults, trilaterate
 from .factors.pressure import HEARD, SILENT
+from .likelihood import Likelihood
 from .places import Free
 from .run import Run
 
+ACQUITTED = 0.5
+"""Most of the suspects, relative, that may be left where taxels differ in gain and offset."""
+ODD = 3.0
+"""Gain or offset, in standard deviations before any data, from which a taxel is not sound."""
 
-def doubt(run: Run) -> None:
-    """Take out outlying readings, where taxels cannot be right, and name what they show.
+
+def doubt(run: Run) -> Run:
+    """The run without outlying readings, where taxels cannot be right, and with what they show.
 
     Taxels are suspected that are further off than most readings, or than most taxels: a misfit that
-    all of them share is the model's, and says nothing against any of them. What is outlying is
-    judged by the known noise first; where that does not leave a fit, or would take more for
-    outlying than is plausible, the model is off, too, and it is judged by how far off most are.
+    all of them share is the model's, and says nothing against any of them. Those that only differ
+    from the others in gain and offset are acquitted. What is outlying is judged by the known noise
+    first; where that does not leave a fit, or would take more for outlying than is plausible, the
+    model is off, too, and it is judged by how far off most are.
     """
-    readings, residuals = run.likelihood.readings, run.residuals()
+    typical, suspects = _suspects(run)
+    if not len(suspects):
+        return run
+    run = unlike(run, suspects)
+    typical, suspects = _suspects(run)
     known = bool(run.data.noise)
-    for scale_of in (faults.typical, faults.typical_taxel):
-        typical = max(scale_of(readings, residuals), 1.0 if known else faults.LEAST)
-        suspects = faults.suspects(readings, residuals, typical)
-        if len(suspects):
-            break
-    else:
-        return
-    plain = run.problem, run.state, run.weight.copy(), run.restless
-    believed = _plausibility(run, typical, np.abs(residuals) > faults.CUT * typical)
+    believed = _plausibility(run, typical, np.abs(run.residuals()) > faults.CUT * typical)
     for scale in (1.0, typical) if known and typical > 1.0 else (typical,):
+        if not len(suspects):
+            break
+        trial = run.trial()
         try:
-            left = _sift(run, suspects, scale, known)
+            left = _sift(trial, suspects, scale, known)
         except CalibrationError:  # without a fit nothing can be called outlying
             left = np.inf
         fits = left <= faults.TAKEN * scale
         if fits and scale < typical:
-            fits = _plausibility(run, scale, faults.outlying(run.likelihood.readings)) > believed
+            out = faults.outlying(trial.likelihood.readings)
+            fits = _plausibility(trial, scale, out) > believed
         if fits:
-            _name(run, scale)
-            return
-        run.problem, run.state, _, run.restless = plain
-        run.weight, run.silent_weight[:] = plain[2].copy(), 1.0
-        run.likelihood = run.problem.likelihood
+            _name(trial, scale)
+            return trial
+    return run
+
+
+def unlike(run: Run, suspects: np.ndarray) -> Run:
+    """The run with a gain and an offset of each taxel, if these acquit most of the suspects.
+
+    A taxel whose readings are all too large or too small alike is none that is broken. First only
+    the taxels settle; what they all share follows where that is worth it.
+    """
+    shared = run.data.shared.unlike(float(np.median(run.data.peaks)))
+    if shared.local_names == run.data.shared.local_names:
+        return run
+    trial = run.trial()
+    trial.data = replace(run.data, shared=shared)
+    trial.likelihood = Likelihood(trial.data, run.likelihood.readings, shared)
+    trial.anchor(run.problem.places, run.state.s)
+    trial.problem.settle(trial.state)
+    odd, left = np.flatnonzero(_odd(trial)), _suspects(trial)[1]
+    if len(np.union1d(left, np.intersect1d(odd, suspects))) > ACQUITTED * len(suspects):
+        return run
+    places = trial.problem.places  # with an offset other readings count
+    trial.anchor(places, trial.state.s, trial.state.z, select_anew=True)
+    try:
+        trial.converge()
+    except CalibrationError:
+        return run
+    gains = trial.problem.extras(trial.state.z, np.arange(trial.problem.places.count))[:, 0]
+    for k in np.flatnonzero(_odd(trial)):
+        words = (
+            f"gain of {np.exp(gains[k]):.2g}" if _heard(trial)[k] else "silent in all that press it"
+        )
+        trial.faults[trial.live[k]] = words
+    return trial
+
+
+def _odd(run: Run) -> np.ndarray:
+    """Taxels (n,) that are never heard, or whose gain or offset is too far from the prior to be a
+    sound one's.
+    """
+    extras = run.problem.extras(run.state.z, np.arange(run.problem.places.count))
+    far = (np.abs(extras) > ODD * np.array(run.likelihood.local_sigma)).any(axis=1)
+    return np.asarray(far | ~_heard(run))
+
+
+def _heard(run: Run) -> np.ndarray:
+    """Taxels (n,) that have a reading."""
+    readings = run.likelihood.readings
+    return np.bincount(readings.taxel[readings.kind != SILENT], minlength=len(run.live)) > 0
+
+
+def _suspects(run: Run) -> tuple[float, np.ndarray]:
+    """How far off most readings are, or most taxels, and the taxels that are further off."""
+    readings, residuals = run.likelihood.readings, run.residuals()
+    least = 1.0 if run.data.noise else faults.LEAST
+    for scale_of in (faults.typical, faults.typical_taxel):
+        typical = max(scale_of(readings, residuals), least)
+        suspects = faults.suspects(readings, residuals, typical)
+        if len(suspects):
+            break
+    return typical, suspects
 
 
 def _plausibility(run: Run, scale: float, out: np.ndarray) -> float:
@@ -115,6 +181,6 @@ def _name(run: Run, scale: float) -> None:
             words.append(f"silent in {mute[k]} contacts that press it")
         if int(k) in pairs:
             words.insert(0, f"swapped with {run.data.ids[run.live[pairs[int(k)]]]}")
-        run.faults[run.live[k]] = ", ".join(words)
+        run.faults[run.live[k]] = ", ".join(filter(None, [run.faults[run.live[k]], *words]))
     if isinstance(run.problem.places, Free):  # else its module places a taxel, whatever it reads
         run.broken = (wild > faults.BROKEN * heard) | (mute > np.maximum(heard, 1))

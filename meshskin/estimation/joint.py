@@ -137,7 +137,7 @@ def estimate(
     run = Run(data, body, live, places, weight, iterations, tolerance)
     run.converge()
     again = run.restart(trilaterate.centroids(near, body)[live])
-    doubt(run)
+    run = doubt(run)
     for row, level in zip(stuck.rows, stuck.level, strict=True):
         run.faults[row] = f"stuck at {level / 1e3:.3g} kPa"
     if run.restless.all():

@@ -22,7 +22,8 @@ from .measurements import Measurements, reach
 from .pairs import SPARE, silent_pairs
 
 CLEAR = 5.0
-"""Pressure, relative to the noise, above which a reading out of reach is kept: it is a misfit."""
+"""Pressure, relative to the noise, above which a reading out of reach is kept: it is a misfit. With
+an unknown offset, above what the taxel reads in most contacts."""
 BLOCK = 8192
 """Readings of a block."""
 
@@ -83,8 +84,8 @@ def select(
         height = np.einsum("ki,ki->k", offset, data.normals[contact])
         across2 = np.einsum("ki,ki->k", offset, offset) - height**2
         inside = across2 < (reach(data, stretch)[contact] + SPARE) ** 2
-        if "offset" not in data.shared.local_names:
-            inside |= data.pressure[mine] > CLEAR * data.noise
+        rest = data.rest if "offset" in data.shared.local_names else np.zeros(len(data.ids))
+        inside |= data.pressure[mine] > rest[data.taxel[mine]] + CLEAR * data.noise
         mine = mine[inside]
         silent_contact, silent_taxel = silent_pairs(data, live, points, stretch)
     none = np.full(len(silent_contact), -1)

@@ -120,6 +120,16 @@ class Measurements:
         return np.bincount(self.taxel, minlength=len(self.ids))
 
     @cached_property
+    def rest(self) -> Array:
+        """What each taxel (n,) reads in most contacts, Pa; the threshold where it is silent."""
+        order, middle = np.lexsort((-self.pressure, self.taxel)), len(self.points) // 2
+        often = self.counts > middle
+        starts = np.cumsum(self.counts) - self.counts
+        level = np.full(len(self.ids), self.threshold)
+        level[often] = self.pressure[order[starts[often] + middle]]
+        return level
+
+    @cached_property
     def distance(self) -> Array:
         """Distance (k,), m, from contact to taxel that each reading says (paper, eq. 15), under
         circular patches.

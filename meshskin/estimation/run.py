@@ -5,6 +5,7 @@ renewed until nothing moves, and misfits started again.
 from __future__ import annotations
 
 import time
+from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -64,6 +65,13 @@ class Run:
         self.faults = np.full(len(data.ids), "", dtype=object)
         self.broken = np.zeros(len(live), dtype=bool)
         self.anchor(places, np.zeros(len(data.shared.sigma)), select_anew=True)
+
+    def trial(self) -> Run:
+        """Another run from the same point: what is tried in it leaves this one as it is."""
+        other = copy(self)
+        other.weight, other.silent_weight = self.weight.copy(), self.silent_weight.copy()
+        other.iterates, other.faults = list(self.iterates), self.faults.copy()
+        return other
 
     def anchor(
         self, places: Places, s: Array, z: Array | None = None, select_anew: bool = False

@@ -93,6 +93,21 @@ def test_a_dead_taxel_is_placed_and_named(tiled, clean, change):
     assert sum(fault != "" for fault in found.faults) == 1
 
 
+def test_a_dead_taxel_among_unlike_ones_is_named(tiled, clean, change):
+    recording = clean[0]
+    gain = np.exp(0.1 * np.random.default_rng(3).normal(size=70))
+    place = np.argsort(tiled.belief.taxel_ids)[
+        np.searchsorted(np.sort(tiled.belief.taxel_ids), recording.reading_taxel)
+    ]
+    pressure = recording.pressure * gain[place]
+    keep = (recording.reading_taxel != 14) & (pressure > tiled.belief.threshold)
+    bent = change(recording, pressure=pressure)
+    found = calibrate(change(bent, keep=keep), tiled.belief)
+    assert list(found.ids[found.faults != ""]) == [14]
+    assert "silent in" in found.faults[found.ids == 14][0]
+    assert "gain" in found.taxel_unknowns
+
+
 def test_taxels_exchanged_from_the_start_are_named(tiled, clean, change):
     recording = clean[0]
     taxel = recording.reading_taxel.copy()

@@ -7,7 +7,7 @@ offset, world frame, and a body offset (translation, rotation), body frame (cont
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -84,6 +84,14 @@ class Shared:
             for name, text in words.items()
             if name in sigma
         )
+
+    def unlike(self, peak: float) -> Shared:
+        """The same with a gain and an offset of each taxel, where they are not declared under the
+        usual priors; `peak`, Pa, is that of reference.
+        """
+        sigma = {"gain": PRIORS["gain"], "offset": PRIORS["offset"] * peak}
+        sigma |= zip(self.local_names, self.local_sigma, strict=True)
+        return replace(self, local_names=LOCAL, local_sigma=tuple(sigma[name] for name in LOCAL))
 
     def value(self, name: str, s: Array, missing: float = 0.0) -> float:
         """The entry of a scalar unknown, `missing` where it is not declared."""
