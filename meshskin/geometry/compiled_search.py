@@ -75,13 +75,12 @@ class CompiledSearch:
         patches = np.ascontiguousarray(surface.patches)
         beyond = np.ascontiguousarray(surface.neighbours, dtype=np.int64)
         slot = np.ascontiguousarray(surface.slot, dtype=np.int64)
-        nodes = tree(built, surface)
+        lifts = None if surface.smooth else surface.lifts
+        nodes = tree(built, surface.vertices, surface.faces, lifts)
         self._kept = patches, beyond, slot, *nodes  # the addresses below are theirs
         ends = (walk.QUADRATIC, walk.STILL, walk.FAR, walk.HOPS, walk.STEPS)
         self._surface = _Surface(*(a.ctypes.data for a in self._kept[:3]), *ends)
-        leaves = len(nodes[0]) // 2
-        count = leaves.bit_length() - 1, leaves, len(nodes[3])
-        self._tree = _Tree(*count, *(a.ctypes.data for a in nodes))
+        self._tree = _pointers(nodes)
 
     def closest(self, p: Array, face: Index | None) -> Feet:
         """The feet of p (n, 3), m; `face` (n,): faces to start from, if known."""
@@ -112,24 +111,50 @@ class CompiledSearch:
         return foot, uv
 
 
-def tree(built: ctypes.CDLL, surface: Surface) -> tuple[Array, Array, Array, Long]:
-    """A balanced tree of cylinders over the faces of a surface.
+class CompiledFlat:
+    """The flat faces (m, 3) of a mesh of vertices (n, 3), m, nearest to points."""
 
-    Gives the cylinders (2 leaves, 8), and corners (m, 3, 3), lifts (m,) and numbers (m,) of the
-    faces, leaf by leaf.
+    def __init__(self, vertices: Array, faces: Index, built: ctypes.CDLL) -> None:
+        self._library, self._kept = built, tree(built, vertices, faces)
+        self._tree = _pointers(self._kept)
+
+    def closest(self, p: Array) -> Flat:
+        """The nearest faces of p (n, 3), m, and where on them."""
+        n = len(p)
+        found = Flat(np.empty(n, dtype=np.int64), np.empty((n, 2)), np.empty(n))
+        queue = along_curve(p) if n > FEW else np.arange(n)
+        points = np.ascontiguousarray(p, dtype=float)
+        self._library.flat(ctypes.byref(self._tree), _WHOLE(n), *_addresses(queue, points, *found))
+        return found
+
+
+def _pointers(nodes: tuple[Array, Array, Array, Long]) -> _Tree:
+    """What C sees of a tree; the arrays must be kept."""
+    leaves = len(nodes[0]) // 2
+    count = leaves.bit_length() - 1, leaves, len(nodes[3])
+    return _Tree(*count, *(a.ctypes.data for a in nodes))
+
+
+def tree(
+    built: ctypes.CDLL, vertices: Array, faces: Index, lifts: Array | None = None
+) -> tuple[Array, Array, Array, Long]:
+    """A balanced tree of cylinders over the faces (m, 3) of vertices (n, 3), m.
+
+    lifts (m,), m: how far what belongs to a face is from it, 0 if None. Gives the cylinders
+    (2 leaves, 8), and corners (m, 3, 3), lifts (m,) and numbers (m,) of the faces, leaf by leaf.
     """
-    m = len(surface.faces)
+    m = len(faces)
     levels = max(0, int(np.ceil(np.log2(m / LEAF))))
     spots = np.empty(m, dtype=[("at", np.float64, 3), ("face", np.int64)])
-    spots["at"], spots["face"] = surface.vertices[surface.faces].mean(axis=1), np.arange(m)
+    spots["at"], spots["face"] = vertices[faces].mean(axis=1), np.arange(m)
     count = (_WHOLE(levels), _WHOLE(m))
     built.order(*count, *_addresses(spots))
     face = spots["face"].copy()
-    corners = surface.vertices[surface.faces[face]]
-    lifts = np.zeros(len(face)) if surface.smooth else surface.lifts[face]
+    corners = vertices[faces[face]]
+    high = np.zeros(m) if lifts is None else lifts[face]
     node = _in_lines(2 << levels, 8)
-    built.enclose(*count, *_addresses(corners, lifts, node))
-    return node, corners, lifts, face
+    built.enclose(*count, *_addresses(corners, high, node))
+    return node, corners, high, face
 
 
 def _in_lines(rows: int, columns: int) -> Array:
