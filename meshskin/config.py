@@ -17,11 +17,13 @@ import types
 import typing
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from .errors import ConfigError, UnknownNameError
 
 T = TypeVar("T")
+KINDS: dict[type, str] = {str: "text in quotes", bool: "true or false"}
+"""Kinds of values without a unit that are checked, and what they are called."""
 ANY = -1
 """Number of values of a tuple of any length."""
 
@@ -139,14 +141,21 @@ def _scaled(value: Any, factor: float, where: str) -> Any:
     return value if factor == 1.0 else value * factor
 
 
+def check_table(table: Any, where: str) -> None:
+    """Raise ConfigError for what is no table."""
+    if not isinstance(table, Mapping):
+        raise ConfigError(f"{where} must be a table", value=repr(table), remedy=f"write [{where}]")
+
+
 def build(cls: type[T], table: Mapping[str, Any], where: str) -> T:
     """Make the dataclass `cls` from a TOML table; `where` names the table in errors.
 
     Raises UnknownNameError for an unknown key, ConfigError for a missing or wrong value.
     """
+    check_table(table, where)
     fields = {f.name: f for f in dataclasses.fields(cls) if f.init}  # type: ignore[arg-type]
     known = {key: (f, factor) for f in fields.values() for key, factor in _keys(f).items()}
-    values: dict[str, Any] = {}
+    forms, values = _forms(cast(Any, cls)), dict[str, Any]()
     for key, value in table.items():
         if key in fields and key not in known:
             units = ", ".join(_keys(fields[key]))
@@ -156,14 +165,12 @@ def build(cls: type[T], table: Mapping[str, Any], where: str) -> T:
         field, factor = known[key]
         if field.name in values:
             raise ConfigError(f"{where}.{field.name} is given twice", remedy=f"keep one of {key}")
-        numeric = "unit" in field.metadata
-        values[field.name] = (
-            _scaled(value, factor, f"{where}.{key}")
-            if numeric
-            else tuple(value)
-            if isinstance(value, list)
-            else value
-        )
+        if "unit" in field.metadata:
+            values[field.name] = _scaled(value, factor, f"{where}.{key}")
+        else:
+            given = tuple(value) if isinstance(value, list) else value
+            _check_kind(forms[field.name], given, f"{where}.{key}")
+            values[field.name] = given
     for field in fields.values():
         required = (
             field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
@@ -173,6 +180,18 @@ def build(cls: type[T], table: Mapping[str, Any], where: str) -> T:
                 f"[{where}] lacks {field.name}", remedy=f"add {' or '.join(_keys(field))}"
             )
     return cls(**values)
+
+
+def _check_kind(form: tuple[Any, int | None], value: Any, where: str) -> None:
+    """Check words and switches; of other kinds of values their classes know. Raises ConfigError."""
+    kind, count = form
+    if kind not in KINDS:
+        return
+    listed = count is not None
+    each = (value if isinstance(value, tuple) else [None]) if listed else [value]
+    if not all(isinstance(v, kind) for v in each):
+        wanted = f"a list, each of them {KINDS[kind]}" if listed else KINDS[kind]
+        raise ConfigError(f"{where} must be {wanted}", value=repr(value))
 
 
 def read_toml(path: Path) -> dict[str, Any]:

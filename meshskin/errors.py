@@ -33,9 +33,9 @@ class ConfigError(MeshskinError):
 class UnknownNameError(ConfigError):
     """A name that does not exist; carries the nearest known names."""
 
-    def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "") -> None:
+    def __init__(self, kind: str, name: object, known: Iterable[str], where: str = "") -> None:
         self.known = sorted(known)
-        near = difflib.get_close_matches(name, self.known, n=3, cutoff=0.5)
+        near = difflib.get_close_matches(str(name), self.known, n=3, cutoff=0.5)
         remedy = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(self.known)}"
         super().__init__(f"unknown {kind} {name!r}{where}", remedy=remedy)
 

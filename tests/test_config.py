@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import pytest
 
 from meshskin import config
-from meshskin.errors import ConfigError, UnknownNameError
+from meshskin.errors import ConfigError, MeshskinError, UnknownNameError
 from meshskin.scene import Scene
 
 
@@ -81,3 +81,35 @@ def test_a_class_is_named_as_in_the_file(tmp_path):
         (tmp_path / "wrong.toml").write_text(f'extends = "sphere"\n{text}')
         with pytest.raises(ConfigError, match=f"^{words}"):
             Scene.load(tmp_path / "wrong.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("arm = 3", r"arm must be a table, got 3; write \[arm\]"),
+        ("skin = 'a'", r"skin must be a table, got 'a'; write \[skin\]"),
+        ("law = [[1]]", "law must be a table"),
+        ("[arm]\nurdf = 1.5", "arm.urdf must be text in quotes, got 1.5"),
+        ("[arm]\nfolders = [1]", "arm.folders must be a list, each of them text in quotes"),
+        ("[skin]\nfile = inf", "skin.file must be text in quotes, got inf"),
+        ("[body]\nshape = [1, 2]", r"unknown shape '\(1, 2\)'|unknown shape \[1, 2\]"),
+        ("contact = false", "scene.contact must be text in quotes, got False"),
+        ("effects = [1, 2]", r"effects must be a list of tables, got \[1, 2\]; write \[\[effects"),
+        ("effects = 3", "effects must be a list of tables, got 3"),
+        ("effects = 'auto'\ncandidates = 3", "candidates must be a list of tables, got 3"),
+        ("[skin]\ncount = 1000000000000000000000000000000", "at most 1e.06"),
+        ("[indenter]\nradius_mm = 1e-300", "limit: at least 1e-06 m"),
+        ("[loop]\nintegrator = 4", "loop.integrator must be text in quotes, got 4"),
+    ],
+)
+def test_values_of_another_kind_are_named(tmp_path, text, message):
+    (tmp_path / "wrong.toml").write_text(f'extends = "sphere"\n{text}')
+    with pytest.raises(MeshskinError, match=message):
+        Scene.load(tmp_path / "wrong.toml")
+
+
+@pytest.mark.parametrize("parent", ["3", "[1]", "nan", "'nope'"])
+def test_a_parent_that_is_none_is_named(tmp_path, parent):
+    (tmp_path / "wrong.toml").write_text(f"extends = {parent}\n")
+    with pytest.raises(ConfigError, match=r"unknown scene 'nope'|name or its TOML file, got"):
+        Scene.load(tmp_path / "wrong.toml")

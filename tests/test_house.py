@@ -26,6 +26,7 @@ WINGS = [
     "motion",
     "belief",
     "scene",
+    "scene_tables",
     "scene_file",
     "logs",
     "recording",

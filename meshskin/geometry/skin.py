@@ -30,6 +30,8 @@ FARTHEST = 0.05
 """m, from the body's surface to a taxel that is put on it, at most, unless asked for"""
 HEADLONG = -0.999
 """cosine between old and new normal below which a frame does not say how to turn it"""
+MOST = 1_000_000
+"""taxels of a lattice"""
 TRIES = 3
 """lattices grown again, each wider by what the last one missed"""
 
@@ -97,7 +99,7 @@ class Skin:
         if spacing is None and count is None:
             raise SkinError("a layout without spacing and count", remedy="give one or both")
         if count is not None:
-            count = whole("number of taxels", count, least=1, error=SkinError)
+            count = whole("number of taxels", count, least=1, most=MOST, error=SkinError)
         real("radius of a taxel's disc", disc_radius, error=SkinError)
         region = regions.of(region)
         if spacing is None:

@@ -15,7 +15,7 @@ from ..se3 import Array, exp_so3
 class Indenter:
     """A rigid sphere, fixed in the world."""
 
-    radius: float = quantity("m", 0.01, above=0.0, most=1.0)
+    radius: float = quantity("m", 0.01, above=0.0, least=1e-6, most=1.0)
     """Radius r_e."""
     position: tuple[float, float, float] = quantity("m", (0.424, -0.424, 0.7), least=-10, most=10)
     """Centre, world; the default lies well inside the reach of a Puma 560."""

@@ -108,7 +108,7 @@ class Setting:
         if widest > MAX_WIDTH:
             raise ContactError(
                 f"the contact is too wide for the parabolic gap of {model}",
-                value=f"a/R = {widest:.2f} (1/R^2 = 1/r^2 - k/r + k^2)",
+                value=f"a/R = {widest:.3g} (1/R^2 = 1/r^2 - k/r + k^2)",
                 limit=MAX_WIDTH,
                 remedy=f"lower the force, or raise the modulus or the radii; {FIELD}",
             )
@@ -118,7 +118,7 @@ class Setting:
         if self.thickness is not None and axes[0] > MAX_LAYER_RATIO * self.thickness:
             raise ContactError(
                 f"the layer is too thin for the half-space of {model}",
-                value=f"a/thickness = {axes[0] / self.thickness:.2f}",
+                value=f"a/thickness = {axes[0] / self.thickness:.3g}",
                 limit=MAX_LAYER_RATIO,
                 remedy='take contact = "layered", or leave thickness out to accept the half-space',
             )
