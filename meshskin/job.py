@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 METHODS = ("trilateration", "three_circles", "posegraph", "posegraph_isotropic", "posegraph_paper")
 """Methods that run on the same recording beside the joint estimate."""
+FLOATING = 3
+"""Taxels by which a whole that floats is laid on the truth."""
 MAPS = 16
 """A report takes as much processor time as this many maps of the estimates."""
 
@@ -195,10 +198,24 @@ def _compared(
     missing: dict[str, dict[str, Any]] = {}
     for method in METHODS:
         try:
-            found[method] = calibrate(recording, belief, method=method)
+            other = calibrate(recording, belief, method=method)
+            _check_placed(other, FLOATING if method.startswith("posegraph") else 1)
         except (CalibrationError, GraphError) as error:
             missing[method] = {"mean": None, "rms": None, "max": None, "why": str(error)}
+        else:
+            found[method] = other
     return found, missing
+
+
+def _check_placed(found: Calibration, fewest: int) -> None:
+    """Raise CalibrationError where fewer taxels are placed than can be compared with the truth."""
+    placed = np.isfinite(found.positions).all(axis=1)
+    if placed.sum() < fewest:
+        reasons = Counter(map(str, np.asarray(found.why)[~placed])).most_common(1)
+        why = reasons[0][0] if reasons else "there are no more taxels"
+        raise CalibrationError(
+            f"too few taxels to compare: {why}", value=f"{placed.sum()} placed", limit=fewest
+        )
 
 
 def _demonstrated(scene: Scene, recording: Recording, seed: int) -> Demonstration | None:

@@ -8,6 +8,7 @@ import sys
 import time
 
 import pytest
+import trimesh
 
 from meshskin import cli
 
@@ -178,3 +179,27 @@ def test_a_method_that_finds_nothing_is_left_out_of_the_comparison(tmp_path, cap
     assert "no two taxels are active together" in m["posegraph"]["why"]
     assert m["position_error_mm"]["max"] < 1e-3
     assert (out / "report.html").stat().st_size > 1e5
+
+
+def test_a_method_that_places_nothing_is_left_out_of_the_comparison(tmp_path, capsys):
+    """Noise that is reported everywhere leaves the paper's pose graph no pair of taxels."""
+    mesh = trimesh.creation.capsule(height=80, radius=30, count=[32, 32])
+    mesh.export(tmp_path / "handle.stl")
+    text = """
+        [body]
+        mesh = "handle.stl"
+        units = "mm"
+        [skin]
+        spacing_mm = 6
+        count = 30
+        [[effects]]
+        kind = "gaussian_noise"
+        sigma_relative = 0.02
+    """
+    out = tmp_path / "out"
+    assert cli.main(["run", toml(tmp_path, text), "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "30 of 30 taxels calibrated" in said
+    assert "the paper's none" in said
+    m = json.loads((out / "metrics.json").read_text())
+    assert "shares too few contacts" in m["posegraph_paper"]["why"]

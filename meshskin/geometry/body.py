@@ -250,7 +250,7 @@ def check_extent(vertices: Array) -> None:
     if extent > LARGEST and likely:
         unit = likely[0]
         remedy = f"likely {names[unit]}: units='{unit}', in a scene radius_{unit} and the like"
-    elif extent < SMALLEST:
+    elif extent < SMALLEST and extent >= mesh_file.UNITS["mm"] * SMALLEST:
         remedy = "likely scaled to m already, or given in m twice: units='m'"
     else:
         remedy = "give lengths in m, or the file's units"

@@ -273,3 +273,18 @@ def test_a_real_link_answers_near_its_flat_mesh(name):
     flat = trimesh.proximity.closest_point(in_mm, 1e3 * points)[1] * 1e-3
     assert np.abs(np.abs(hit.distance) - flat).max() < 5e-3
     assert np.median(np.abs(np.abs(hit.distance) - flat)) < 0.1e-3
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("version.glb", b"glTF" + bytes(50), "version.glb cannot be read"),
+        ("short.obj", b"v 1 2\nf 1 2 3\n", "line 1: a vertex of fewer than three coordinates"),
+        ("torn.ply", b"ply\nformat ascii 1.0\nelement vertex 3\n", "torn.ply"),
+    ],
+)
+def test_damaged_files_are_one_line(tmp_path, name, content, message):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(MeshError, match=message) as caught:
+        Body.load(tmp_path / name, units="mm")
+    assert "\n" not in str(caught.value)

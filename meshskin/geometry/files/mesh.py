@@ -66,8 +66,13 @@ def read(path: Path, scale: float = 1.0) -> Triangles:
             vertices, faces, names = obj.read(text, path.name)
         else:
             vertices, faces, names = _by_trimesh(path, kind)
-    except (ValueError, KeyError, IndexError, TypeError, OSError) as error:
-        raise MeshError(f"{path.name} cannot be read", value=f"{error}") from error
+    except MeshError:
+        raise
+    except Exception as error:  # readers of damaged files raise anything
+        said = " ".join(f"{error}".split()) or type(error).__name__
+        raise MeshError(
+            f"{path.name} cannot be read", value=said[:200], remedy="copy or export it again"
+        ) from error
     if not len(faces):
         raise MeshError(f"{path.name} has no faces", remedy="check the file in a mesh viewer")
     return Triangles(vertices * scale, faces, names)

@@ -30,8 +30,9 @@ def read(text: str, file: str) -> tuple[Array, Index, dict[str, Index]]:
         key, values = words[0], words[1:]
         try:
             if key == "v":
-                x, y, z = values[:3]
-                places += float(x), float(y), float(z)
+                if len(values) < 3:
+                    raise ValueError("a vertex of fewer than three coordinates")
+                places += map(float, values[:3])
             elif key == "f":
                 corner = _corners(values, len(places) // 3)
                 faces += corner[:3]
