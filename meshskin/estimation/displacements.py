@@ -1,6 +1,7 @@
 """Displacements between taxels active together: the edges of the pose graph (paper, eq. 1).
 
-For each pair, both taxels are trilaterated from those contacts alone in which both read. The
+For each pair, both taxels are trilaterated from those contacts alone in which both read, and are
+expected to, where trilateration from all readings has put them. The
 displacement is delta_t = R_i^T (p_j - p_i), delta_R = R_i^T R_j, with frames that continue one
 frame per taxel (z = surface normal, turned the least way): so the spin, which no reading shows, is
 the same convention in every edge. The information comes from both trilaterations' covariances,
@@ -10,6 +11,7 @@ carried through the body's curvature to the rotations.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,10 +20,10 @@ from .. import se3
 from ..errors import CalibrationError
 from ..ragged import ranges
 from ..se3 import Array
-from . import chart, coactivation, trilaterate
+from . import chart, trilaterate
 from .chart import Charts
 from .circles import Circles, circles
-from .measurements import Measurements
+from .measurements import Measurements, reach
 from .posegraph import PoseGraph
 from .trilaterate import Fit
 
@@ -35,6 +37,10 @@ SINGULAR = 1e-9
 """Least determinant of a trilateration's information, relative to the square of its trace."""
 SHARED = 4
 """Fewest contacts that a pair must share."""
+ABOVE, LEAST = 0.5, 2.0
+"""Pressure to be expected of a reading that counts, in standard deviations: over the threshold, and
+over nothing. More leaves too few readings, less a bias of those that noise raised over the limit.
+"""
 NORMAL_FLOOR = 0.1
 """Least standard deviation along the normal, relative to the one along the surface."""
 ROTATION_FLOOR = 3.0
@@ -58,8 +64,8 @@ def displacements(
     paper's three.
     Raises CalibrationError if no two taxels share enough contacts.
     """
-    data = coactivation.plausible(data)
     fit = fit or trilaterate.least_squares(data, body)
+    data = clear(data, fit)
     pairs, rows, owner = _shared(data, fit.found)
     if not len(pairs):
         raise CalibrationError(
@@ -90,6 +96,25 @@ def displacements(
     hit = body.closest(charts.at(y[both]))
     poses = se3.transform(chart.carry(trilaterate.frames_of(charts), hit.normal), hit.point)
     return _graph(fit, data.ids, pairs[good], poses, charts.shape, covariance, isotropic)
+
+
+def clear(data: Measurements, fit: Fit) -> Measurements:
+    """The readings that are no mere noise, where the taxels are as `fit` says.
+
+    Pressures to be expected are ABOVE standard deviations over the threshold, LEAST over nothing.
+    The choice is not the reading's: those that noise has raised over a limit all seem nearer than
+    they are, and of many pairs no averaging takes that out.
+    """
+    noise = data.sigma * (1.0 if data.noise else float(np.sqrt(np.nanmedian(fit.chi2))))
+    across = fit.points[data.taxel] - data.points[data.contact]
+    along = data.directions[data.contact]
+    x = np.einsum("ki,ki->k", across, along)
+    y = np.einsum("ki,ki->k", across, np.cross(data.normals[data.contact], along))
+    near = np.flatnonzero(np.hypot(x, y) < reach(data)[data.contact])  # NaN is not near
+    patches = data.patches.take(data.contact[near])
+    expected = patches.reading(x[near], y[near], data.disc)
+    keep = near[expected > max(data.threshold + ABOVE * noise, LEAST * noise)]
+    return replace(data, **{k: getattr(data, k)[keep] for k in ("contact", "taxel", "pressure")})
 
 
 def _graph(

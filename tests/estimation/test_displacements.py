@@ -8,7 +8,7 @@ from meshskin.adaptive import together
 from meshskin.errors import CalibrationError
 from meshskin.estimation import chart, trilaterate
 from meshskin.estimation.calibrate import calibrate
-from meshskin.estimation.displacements import displacements, error_covariance
+from meshskin.estimation.displacements import clear, displacements, error_covariance
 from meshskin.estimation.measurements import gather
 from meshskin.estimation.metrics import position_errors
 from meshskin.geometry.primitives import Ellipsoid
@@ -128,3 +128,29 @@ def test_noise_above_a_low_threshold_makes_no_pairs(world):
     assert np.isfinite(found.positions).all()
     # what noise is left about a taxel draws it outwards, and the graph adds that up
     assert position_errors(found, world.skin, gauge=True).mean() < 1e-3
+
+
+@pytest.mark.parametrize(("noise", "threshold"), [(0.02, 0.0), (0.05, 0.1)])
+def test_readings_that_are_nearly_noise_do_not_shorten_displacements(world, noise, threshold):
+    """Of readings that noise has raised over a limit all seem nearer than they are."""
+    longer = []
+    for seed in range(4):
+        data = gather(world.record(noise, threshold, seed), world.belief(noise, threshold))
+        graph = displacements(data, world.body)
+        i, j = graph.edges.T
+        apart = np.linalg.norm(world.truth[i] - world.truth[j], axis=1)
+        found = np.linalg.norm(graph.measurements[:, :3, 3], axis=1)
+        spread = np.sqrt(np.trace(np.linalg.inv(graph.information)[:, :3, :3], axis1=1, axis2=2))
+        longer.append(np.average(found / apart - 1, weights=spread**-2))
+    assert abs(np.mean(longer)) < 2e-3
+
+
+def test_only_readings_that_are_expected_make_displacements(world):
+    data = gather(world.record(0.02, 0.0), world.belief(0.02))
+    fit = trilaterate.least_squares(data, world.body)
+    kept = clear(data, fit)
+    expected = (world.pressures()[kept.contact, kept.taxel]) / data.sigma
+    assert expected.min() > 1.0  # LEAST, at the estimated places
+    assert kept.pressure.min() < 2 * data.sigma < np.median(kept.pressure)
+    lost = np.setdiff1d(data.contact * 1000 + data.taxel, kept.contact * 1000 + kept.taxel)
+    assert world.pressures()[lost // 1000, lost % 1000].max() < 3.0 * data.sigma
