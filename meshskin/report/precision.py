@@ -132,23 +132,30 @@ def work_precision(
 
 
 def named(axes: Axes, series: Series) -> None:
-    """Write the settings' names beside their points, those of near points above each other."""
+    """Write the settings' names beside their points, those of near points above each other.
+
+    To the right, and to the left where they would run out of the axes.
+    """
     from matplotlib.patheffects import withStroke
 
     points = axes.transData.transform(np.stack([series.seconds, series.total], axis=1))
     points *= 72.0 / axes.figure.dpi
+    end = axes.bbox.x1 * 72.0 / axes.figure.dpi
     taken: list[tuple[float, float]] = []
     for k in np.argsort(points[:, 1]):
-        x, y = points[k] + [6.0, 5.0]
+        inwards = points[k, 0] + LABEL[0] > end
+        x, y = points[k] + [-6.0 if inwards else 6.0, 5.0]
+        start = x - LABEL[0] if inwards else x
         for left, low in taken:
-            if abs(left - x) < LABEL[0] and y - low < LABEL[1]:
+            if abs(left - start) < LABEL[0] and y - low < LABEL[1]:
                 y = low + LABEL[1]
-        taken.append((x, y))
+        taken.append((start, y))
         axes.annotate(
             series.labels[k].replace("_", " "),
             (series.seconds[k], series.total[k]),
             tuple(np.array([x, y]) - points[k]),
             textcoords="offset points",
+            ha="right" if inwards else "left",
             fontsize=7,
             color=theme.MUTED,
             zorder=6,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from meshskin.errors import OutputError
-from meshskin.report import figures
+from meshskin.report import figures, precision
 from meshskin.report.curves import envelope, settling_time
 from meshskin.report.maps import ellipse_axes, pick_iterations
 from meshskin.report.theme import measured, number
@@ -180,3 +180,17 @@ def test_numbers_read_well(value: float | None, text: str) -> None:
 )  # fmt: skip
 def test_measured_numbers_keep_their_last_zeros(value: float, text: str) -> None:
     assert measured(value) == text
+
+
+def test_names_of_settings_stay_in_their_axes() -> None:
+    seconds, error = np.array([0.1, 0.5, 2.0]), np.array([0.1, 0.02, 0.05])
+    names = ("trilateration", "posegraph", "posegraph isotropic")
+    made = precision.Series("estimator", seconds, error, error, names)
+    figure = precision.work_precision([made], (0.3, 0.01, 1e-4), [(0.1, 0.1), (0.5, 0.02)])
+    figure.draw_without_rendering()
+    left = figure.axes[0]
+    written = [text for text in left.texts if text.get_text() in names]
+    assert len(written) == 3
+    for text in written:
+        assert text.get_window_extent().x1 <= left.bbox.x1 + 1.0
+        assert text.get_window_extent().x0 >= left.bbox.x0 - 1.0
