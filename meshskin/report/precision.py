@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..se3 import Array
 from . import theme
@@ -36,8 +37,8 @@ SAID = {
     "chosen": "combinations",
 }
 """Knob -> its name for people."""
-LABEL = (90.0, 8.0)
-"""Width and height that a label takes, points."""
+WIDTH, HEIGHT = 0.55, 1.15
+"""Width of a letter and height of a line, in sizes of the type."""
 RANKED = tuple(SAID[k] for k in ("faces", "degree", "dt", "lanes", "rate", "tolerance"))
 """Knobs whose levels have an order: their points are joined."""
 SIMULATED = tuple(
@@ -121,7 +122,8 @@ def work_precision(
             left.axhline(target, color=theme.FAINT, lw=0.8, zorder=0)
     for s in measured:
         if s.name == SAID["method"]:
-            named(left, s)
+            names = [label.replace("_", " ") for label in s.labels]
+            named(left, np.stack([s.seconds, s.total], axis=1), names, 7.0, theme.MUTED)
     left.set(ylabel="mean error of the taxels (mm)", title="Error, numerical part included")
     right.set(ylabel="mean shift of the taxels (mm)", title="Numerical part, without noise")
     for axes in (left, right):
@@ -131,33 +133,36 @@ def work_precision(
     return figure
 
 
-def named(axes: Axes, series: Series) -> None:
-    """Write the settings' names beside their points, those of near points above each other.
+def named(
+    axes: Axes, points: ArrayLike, names: Sequence[str], size: float, color: str = theme.INK
+) -> None:
+    """Write names beside points (n, 2), in data, those of near points above each other.
 
-    To the right, and to the left where they would run out of the axes.
+    To the right, and to the left where they would run out of the axes. size: of the type, points.
     """
     from matplotlib.patheffects import withStroke
 
-    points = axes.transData.transform(np.stack([series.seconds, series.total], axis=1))
-    points *= 72.0 / axes.figure.dpi
+    data = np.asarray(points, dtype=float)
+    places = axes.transData.transform(data) * 72.0 / axes.figure.dpi
     end = axes.bbox.x1 * 72.0 / axes.figure.dpi
-    taken: list[tuple[float, float]] = []
-    for k in np.argsort(points[:, 1]):
-        inwards = points[k, 0] + LABEL[0] > end
-        x, y = points[k] + [-6.0 if inwards else 6.0, 5.0]
-        start = x - LABEL[0] if inwards else x
-        for left, low in taken:
-            if abs(left - start) < LABEL[0] and y - low < LABEL[1]:
-                y = low + LABEL[1]
-        taken.append((start, y))
+    taken: list[tuple[float, float, float]] = []
+    for k in np.argsort(places[:, 1]):
+        width = WIDTH * size * len(names[k])
+        inwards = places[k, 0] + width > end
+        x, y = places[k] + [-6.0 if inwards else 6.0, 5.0]
+        start = x - width if inwards else x
+        for left, right, low in taken:
+            if left < start + width and start < right and y - low < HEIGHT * size:
+                y = low + HEIGHT * size
+        taken.append((start, start + width, y))
         axes.annotate(
-            series.labels[k].replace("_", " "),
-            (series.seconds[k], series.total[k]),
-            tuple(np.array([x, y]) - points[k]),
+            names[k],
+            tuple(data[k]),
+            tuple(np.array([x, y]) - places[k]),
             textcoords="offset points",
             ha="right" if inwards else "left",
-            fontsize=7,
-            color=theme.MUTED,
+            fontsize=size,
+            color=color,
             zorder=6,
             path_effects=[withStroke(linewidth=1.5, foreground="white")],
         )
@@ -176,13 +181,8 @@ def accuracy_time(
     """
     figure = theme.canvas(9.0, 3.4)
     left, right = (theme.place(figure, x, 0.6, w, 2.4) for x, w in ((0.95, 4.4), (6.7, 2.0)))
-    middle = float(np.median([x for x, _ in points.values()]))
-    for k, (name, (x, y)) in enumerate(points.items()):
+    for k, (x, y) in enumerate(points.values()):
         left.plot(x, y, "o", color=COLOURS[k % len(COLOURS)], ms=8 if k == 0 else 5)
-        away = (-7, "right") if x > middle else (7, "left")
-        left.annotate(
-            name, (x, y), (away[0], 3), textcoords="offset points", ha=away[1], fontsize=8
-        )
     if bound is not None and np.isfinite(bound):
         left.axhline(bound, color=theme.INK, lw=1.0, ls="--")
         left.annotate(f"Cramér-Rao expectation {measured(bound)} mm", (1.0, bound), (0, -10),
@@ -192,6 +192,7 @@ def accuracy_time(
     left.set(ylabel="mean error of the taxels (mm)", title="Estimators on this recording")
     left.margins(x=0.25, y=0.2)
     plain_axes(left)
+    named(left, list(points.values()), list(points), 8.0)
     names = list(stages)[::-1]
     right.barh(names, [stages[name] for name in names], color=theme.ESTIMATE, height=0.6)
     right.tick_params(axis="y", length=0)

@@ -102,7 +102,7 @@ def _view(findings: Findings, body: Body | None) -> View:
         ids=c.ids,
         poses=c.poses,
         covariances=findings.covariances,
-        mesh=None if body is None else (body.mesh.vertices, body.mesh.faces),
+        mesh=None if body is None else (body.facets.vertices, body.facets.faces),
         truth=findings.truth,
         path=None if findings.recording is None else findings.recording.points,
         heading_observed=bool(np.any(np.asarray(c.observed)[:, 5])),
@@ -112,8 +112,8 @@ def _view(findings: Findings, body: Body | None) -> View:
         "taxel for its numbers. Frames: x red, y green, z (outward) blue. Ellipsoids are the "
         "stated 1 sigma along the skin, enlarged as the legend says."
     )
-    if body is not None and len(body.mesh.faces) > scene3d.FACES:
-        caption += " Away from the skin the body is drawn more coarsely than it was computed."
+    if body is not None and len(body.facets.faces) > scene3d.FACES:
+        caption += " Away from the skin the body is drawn more coarsely than it is."
     return View(figure, caption)
 
 

@@ -194,3 +194,18 @@ def test_names_of_settings_stay_in_their_axes() -> None:
     for text in written:
         assert text.get_window_extent().x1 <= left.bbox.x1 + 1.0
         assert text.get_window_extent().x0 >= left.bbox.x0 - 1.0
+
+
+def test_names_of_estimators_do_not_cover_each_other() -> None:
+    points = {
+        "joint": (0.22, 0.55), "trilateration": (0.052, 1.01), "three circles": (0.039, 1.08),
+        "pose graph": (1.231, 1.0), "pose graph, isotropic": (1.178, 1.1), "paper": (1.114, 3.7),
+    }  # fmt: skip
+    figure = precision.accuracy_time(points, {"simulate": 1.0}, 0.0095)
+    figure.draw_without_rendering()
+    left = figure.axes[0]
+    boxes = [text.get_window_extent() for text in left.texts if text.get_text() in points]
+    assert len(boxes) == len(points)
+    for k, box in enumerate(boxes):
+        assert box.x1 <= left.bbox.x1 + 1.0
+        assert not any(box.overlaps(other) for other in boxes[:k])

@@ -32,7 +32,7 @@ class Entry:
         """In words: name, setting, mm, seconds, why."""
         return (
             self.name.replace("_", " "), self.setting, f"{1e3 * self.shift:.4f}",
-            f"{self.seconds:.3f}", self.why,
+            f"{round(self.seconds, 3) + 0.0:.3f}", self.why,
         )  # fmt: skip
 
 
