@@ -30,6 +30,8 @@ SURFACE = "body surface: position along the normal and tilt"
 MODULES = "rigid modules: the known places of their taxels"
 MODULE_SURFACE = "body surface: modules lie on it to 0.1 mm a taxel"
 CONTACTS = "contact points in the body frame"
+DRAWN = 640
+"""Taxels, at least, whose errors are drawn to see what displacements share."""
 
 
 class Told(TypedDict, total=False):
@@ -224,7 +226,8 @@ def _posegraph(
         begin = time.perf_counter()
         fit = trilaterate.least_squares(data, belief.body)
         _require(fit)
-        graph = displacements.displacements(data, belief.body, fit, isotropic, trilateration)
+        draws = -(-DRAWN // max(int(fit.found.sum()), 1))
+        graph, errors = displacements.drawn(data, belief.body, fit, isotropic, trilateration, draws)
         solution = graph.solve(keep_iterates=True)
         placed, linked = gauge.aligned(graph, solution.poses)
         row = np.flatnonzero(fit.found)
@@ -233,7 +236,7 @@ def _posegraph(
         why = fit.why.copy()
         why[row[~linked]] = ALONE
         covariances = np.tile(np.diag([np.inf] * 6), (len(why), 1, 1))
-        covariances[row[linked]] = gauge.covariances(graph, placed)[linked]
+        covariances[row[linked]] = gauge.covariances(graph, placed, errors)[linked]
         covariances[:, observe.SPIN, :] = covariances[:, :, observe.SPIN] = 0.0
         covariances[:, observe.SPIN, observe.SPIN] = np.inf
         steps = solution.iterates if solution.iterates is not None else poses[None]
@@ -255,8 +258,8 @@ def _posegraph(
             anchor="rigid alignment of each connected part with the trilaterated positions",
             factors=(
                 f"{len(graph.edges)} displacements of taxels active together, "
-                f"{'isotropic' if isotropic else 'full'} information, taken as independent "
-                "(the covariance is a lower bound)",
+                f"{'isotropic' if isotropic else 'full'} information, taken as independent; "
+                "the covariance is scaled by what readings that they share do",
                 "spin of each frame: a convention",
             ),
         )

@@ -64,6 +64,21 @@ def displacements(
     paper's three.
     Raises CalibrationError if no two taxels share enough contacts.
     """
+    return drawn(data, body, fit, isotropic, trilateration, draws=0)[0]
+
+
+def drawn(
+    data: Measurements,
+    body: Body,
+    fit: Fit | None = None,
+    isotropic: bool = False,
+    trilateration: Trilateration = trilaterate.solve,
+    draws: int = 1,
+) -> tuple[PoseGraph, Array]:
+    """`displacements`, and errors (m, 6, draws) of its m edges as errors of the readings make them.
+
+    A reading errs alike in all pairs that it serves: so do the edges of a taxel with each other.
+    """
     fit = fit or trilaterate.least_squares(data, body)
     data = clear(data, fit)
     pairs, rows, owner = _shared(data, fit.found)
@@ -80,7 +95,6 @@ def displacements(
     sane = (trilaterate.width(found, charts) > trilaterate.NARROW) & (
         np.linalg.norm(y, axis=1) < data.disc
     )
-    sane &= np.linalg.det(information) > SINGULAR * np.trace(information, axis1=1, axis2=2) ** 2
     good = sane.reshape(-1, 2).all(axis=1)
     if not good.any():
         raise CalibrationError(
@@ -90,12 +104,32 @@ def displacements(
         )
     both = np.repeat(good, 2)
     covariance = np.asarray(np.linalg.inv(information[both]), dtype=float)
-    if data.noise is None:
-        covariance *= max(float(np.nanmedian(chi2)), 1e-12)  # three exact circles leave nothing
-    charts = charts[both]
-    hit = body.closest(charts.at(y[both]))
+    # three exact circles leave nothing
+    level = 1.0 if data.noise else max(float(np.nanmedian(chi2)), 1e-12) ** 0.5
+    measured = _measured(body, charts[both], y[both])
+    graph = _graph(
+        fit, data.ids, pairs[good], measured, charts[both].shape, level**2 * covariance, isotropic
+    )
+    rng, errors = np.random.default_rng(0), np.empty((len(measured), 6, draws))
+    for k in range(draws):
+        noise = level * data.sigma * rng.standard_normal(len(data.pressure))
+        off = circles(replace(data, pressure=data.pressure + noise), fit.points, rows, owner)
+        there = trilateration(off, charts)[0][both]
+        moved = _measured(body, charts[both], there)
+        turned = np.swapaxes(measured[:, :3, :3], 1, 2) @ moved[:, :3, :3]
+        errors[:, :3, k] = moved[:, :3, 3] - measured[:, :3, 3]
+        errors[:, 3:, k] = se3.log_so3(turned)
+        wild = np.linalg.norm(there, axis=1) > data.disc  # would have been left out
+        errors[wild.reshape(-1, 2).any(axis=1), :, k] = 0.0
+    return graph, errors
+
+
+def _measured(body: Body, charts: Charts, y: Array) -> Array:
+    """Displacements (g, 4, 4) of pairs of taxels at y (2 g, 2) in their charts, one after the
+    other."""
+    hit = body.closest(charts.at(y))
     poses = se3.transform(chart.carry(trilaterate.frames_of(charts), hit.normal), hit.point)
-    return _graph(fit, data.ids, pairs[good], poses, charts.shape, covariance, isotropic)
+    return np.asarray(se3.inverse(poses[::2]) @ poses[1::2])
 
 
 def clear(data: Measurements, fit: Fit) -> Measurements:
@@ -121,17 +155,16 @@ def _graph(
     fit: Fit,
     ids: np.ndarray,
     pairs: np.ndarray,
-    poses: Array,
+    measured: Array,
     shape: Array,
     covariance: Array,
     isotropic: bool,
 ) -> PoseGraph:
     """The graph of g `pairs` (g, 2) of taxels, rows of `fit` and `ids`.
 
-    Of both taxels of each pair, one after the other: poses (2 g, 4, 4) and the shape operators
-    (2 g, 2, 2), 1/m, and tangential covariances (2 g, 2, 2), m^2, there.
+    Their displacements are `measured` (g, 4, 4). Of both taxels of each pair, one after the other:
+    the shape operators (2 g, 2, 2), 1/m, and tangential covariances (2 g, 2, 2), m^2, there.
     """
-    measured = se3.inverse(poses[::2]) @ poses[1::2]
     spread = error_covariance(measured, shape[::2], shape[1::2], covariance[::2], covariance[1::2])
     if isotropic:
         level = [np.median(np.trace(spread[:, s, s], axis1=1, axis2=2)) / 3 for s in _BLOCKS]

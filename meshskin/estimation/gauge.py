@@ -33,16 +33,18 @@ def aligned(graph: PoseGraph, poses: Array) -> tuple[Array, np.ndarray]:
     return out, linked
 
 
-def covariances(graph: PoseGraph, poses: Array) -> Array:
+def covariances(graph: PoseGraph, poses: Array, errors: Array | None = None) -> Array:
     """Covariances (n, 6, 6) of aligned `poses` (n, 4, 4), taxel frames; inf where not aligned.
 
     With S the covariance given the part's first pose and N (6 n, 6) the moves of the whole, of
     which N_t are the translations, the alignment leaves (I - A) S (I - A)^T with
-    A = N (N_t^T N_t)^-1 N_t^T. Displacements are taken as independent; where they share readings
-    this is a lower bound.
+    A = N (N_t^T N_t)^-1 N_t^T. S takes displacements as independent, with the graph's information.
+    They are not, where they share readings: `errors` (m, 6, draws) of the m displacements, as they
+    may come together, say by how much the part's S is too small on average.
     """
     out = np.tile(np.diag([np.inf] * 6), (len(poses), 1, 1))
     information = gauss_newton_information(graph, poses)
+    pull = None if errors is None else _pull(graph, poses, errors)
     for rows in _parts(graph):
         free = (6 * rows[1:, None] + np.arange(6)).ravel()
         inner = information[free][:, free]
@@ -58,6 +60,25 @@ def covariances(graph: PoseGraph, poses: Array) -> Array:
         back = lever @ np.swapaxes(w, 1, 2)
         ends = lever @ np.einsum("nij,nik->jk", shift, w) @ np.swapaxes(lever, 1, 2)
         out[rows] = s - back - np.swapaxes(back, 1, 2) + ends
+        if pull is not None:
+            moves = np.zeros_like(pull[rows])
+            moves[1:] = cholesky.solve(blocks, pull[rows[1:]])
+            moves -= lever @ np.einsum("nij,nik->jk", shift, moves)
+            out[rows] *= max(_excess(moves, out[rows]), 1.0)
+    return out
+
+
+def _excess(moves: Array, covariance: Array) -> float:
+    """Mean square of `moves` (n, 6, draws) along the surface over that of (n, 6, 6)."""
+    along = moves[:, :2]
+    return float(np.mean(along * np.linalg.solve(covariance[:, :2, :2], along)))
+
+
+def _pull(graph: PoseGraph, poses: Array, errors: Array) -> Array:
+    """What errors (m, 6, draws) of the displacements add to the cost's gradient (n, 6, draws)."""
+    out = np.zeros((len(poses), 6, errors.shape[2]))
+    for end, jacobian in zip(graph.edges.T, _jacobians(graph, poses), strict=True):
+        np.add.at(out, end, np.swapaxes(jacobian, 1, 2) @ graph.information @ errors)
     return out
 
 
@@ -76,8 +97,8 @@ def _moves(poses: Array) -> Array:
     return out
 
 
-def gauss_newton_information(graph: PoseGraph, poses: Array) -> sparse.csr_array:
-    """Gauss-Newton information (6 n, 6 n) on local increments of the poses."""
+def _jacobians(graph: PoseGraph, poses: Array) -> tuple[Array, Array]:
+    """Derivatives (m, 6, 6) of the residuals by the local increments of both ends of each edge."""
     i, j = graph.edges.T
     relative = se3.inverse(poses[i]) @ poses[j]
     rotation = relative[:, :3, :3]
@@ -86,7 +107,12 @@ def gauss_newton_information(graph: PoseGraph, poses: Array) -> sparse.csr_array
     into_i[:, :3, 3:] = se3.hat(relative[:, :3, 3])
     into_i[:, 3:, 3:] = -np.swapaxes(rotation, 1, 2)
     into_j[:, :3, :3], into_j[:, 3:, 3:] = rotation, np.eye(3)
-    ends = ((i, into_i), (j, into_j))
+    return into_i, into_j
+
+
+def gauss_newton_information(graph: PoseGraph, poses: Array) -> sparse.csr_array:
+    """Gauss-Newton information (6 n, 6 n) on local increments of the poses."""
+    ends = tuple(zip(graph.edges.T, _jacobians(graph, poses), strict=True))
     blocks = [np.swapaxes(a, 1, 2) @ graph.information @ b for _, a in ends for _, b in ends]
     rows = np.concatenate([a for a, _ in ends for _ in ends])
     columns = np.concatenate([b for _ in ends for b, _ in ends])

@@ -8,9 +8,9 @@ from meshskin.adaptive import together
 from meshskin.errors import CalibrationError
 from meshskin.estimation import chart, trilaterate
 from meshskin.estimation.calibrate import calibrate
-from meshskin.estimation.displacements import clear, displacements, error_covariance
+from meshskin.estimation.displacements import clear, displacements, drawn, error_covariance
 from meshskin.estimation.measurements import gather
-from meshskin.estimation.metrics import position_errors
+from meshskin.estimation.metrics import nees, position_errors
 from meshskin.geometry.primitives import Ellipsoid
 from meshskin.recording import Recording
 
@@ -154,3 +154,35 @@ def test_only_readings_that_are_expected_make_displacements(world):
     assert kept.pressure.min() < 2 * data.sigma < np.median(kept.pressure)
     lost = np.setdiff1d(data.contact * 1000 + data.taxel, kept.contact * 1000 + kept.taxel)
     assert world.pressures()[lost // 1000, lost % 1000].max() < 3.0 * data.sigma
+
+
+def test_errors_are_drawn_as_the_information_says(world):
+    data = gather(world.record(0.01, 0.05), world.belief(0.01, 0.05))
+    graph, errors = drawn(data, world.body, draws=40)
+    again, none = drawn(data, world.body, draws=0)
+    assert np.array_equal(graph.measurements, again.measurements)
+    assert none.shape == (len(graph.edges), 6, 0)
+    spread = np.linalg.inv(graph.information)
+    size = np.mean(errors[:, :2] ** 2, axis=(1, 2))
+    told = np.trace(spread[:, :2, :2], axis1=1, axis2=2) / 2
+    assert np.median(size / told) == pytest.approx(1.0, abs=0.1)
+
+
+def test_errors_of_a_reading_are_the_same_in_all_its_pairs(world):
+    """Of a taxel's displacements to others, the errors agree: in information they would not."""
+    data = gather(world.record(0.01, 0.05), world.belief(0.01, 0.05))
+    graph, errors = drawn(data, world.body, draws=200)
+    i = graph.edges[:, 0]
+    a, b = np.nonzero(np.triu(i[:, None] == i, 1))
+    alike = [np.corrcoef(errors[k, 0], errors[m, 0])[0, 1] for k, m in zip(a, b, strict=True)]
+    assert np.mean(alike) > 0.1
+
+
+@pytest.mark.parametrize("method", ["posegraph", "posegraph_isotropic"])
+@pytest.mark.parametrize(("noise", "threshold"), [(0.02, 0.0), (0.01, 0.05)])
+def test_the_graph_says_how_certain_it_is(world, noise, threshold, method):
+    square = []
+    for seed in range(6):
+        recording, belief = world.record(noise, threshold, seed), world.belief(noise, threshold)
+        square.append(nees(calibrate(recording, belief, method=method), world.skin))
+    assert 1.3 < np.mean(square) < 2.9  # 2 where the covariance holds

@@ -55,6 +55,20 @@ def test_covariance_against_linearised_alignment(graph):
     assert np.allclose(told[:7], blocks, atol=2e-3 * np.abs(blocks).max())
 
 
+def test_errors_that_come_together_widen_the_covariance(graph):
+    rng, told = np.random.default_rng(2), gauge.covariances(graph, graph.poses)
+    root = np.linalg.cholesky(np.linalg.inv(graph.information))
+    apart = root @ rng.normal(size=(len(graph.edges), 6, 4000))
+    found = gauge.covariances(graph, graph.poses, apart)
+    assert np.allclose(found[:7], told[:7], rtol=0.05)  # independent, as S takes them
+    together = 3.0 * apart
+    wide = gauge.covariances(graph, graph.poses, together)
+    assert np.allclose(wide[:7], told[:7] * 9, rtol=0.05)
+    assert np.isinf(np.diag(wide[11])).all()
+    narrow = gauge.covariances(graph, graph.poses, 0.1 * apart)
+    assert np.array_equal(narrow[:11], told[:11])  # never less than the information says
+
+
 def test_information_is_the_curvature_of_the_cost(graph):
     rng = np.random.default_rng(1)
     direction = rng.normal(size=(12, 6))
