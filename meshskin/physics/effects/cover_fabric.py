@@ -20,6 +20,8 @@ from .frames import Field, Frames
 
 NODES = 5
 """Nodes along each axis."""
+CELLS = 500_000
+"""Most readings, at all nodes of all taxels, that are asked for at once."""
 SAMPLES = 200
 """Distances from the patch's middle at which the bound looks at readings."""
 
@@ -55,12 +57,16 @@ class CoverFabric(Plain):
 
         def wrap(field: Field) -> Field:
             def blur(frames: Frames, poses: Array) -> Array:
-                out = np.zeros((len(frames), len(poses)))
-                for x, w_x in zip(node, weight, strict=True):
-                    for y, w_y in zip(node, weight, strict=True):
-                        beside = poses.copy()
-                        beside[:, :3, 3] += self.width * (x * poses[:, :3, 0] + y * poses[:, :3, 1])
-                        out += w_x * w_y * field(frames, beside)
+                x, y = (self.width * at.ravel()[:, None, None] for at in np.meshgrid(node, node))
+                beside = np.tile(poses, (len(x), 1, 1, 1))
+                beside[..., :3, 3] += x * poses[:, :3, 0] + y * poses[:, :3, 1]
+                beside = beside.reshape(-1, 4, 4)
+                out = np.empty((len(frames), len(poses)))
+                few = max(CELLS // max(len(beside), 1), 1)  # a call is dear, and so is memory
+                for k in range(0, len(frames), few):
+                    rows = slice(k, k + few)
+                    read = field(frames.rows(rows), beside).reshape(-1, len(x), len(poses))
+                    out[rows] = np.einsum("mkn,k->mn", read, np.outer(weight, weight).ravel())
                 return out
 
             return blur
