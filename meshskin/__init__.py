@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from .physics.material import Material
     from .presses import press
     from .recording import Recording, RecordingWriter
-    from .scene import Readout, Scene
+    from .scene import Scene
+    from .scene_parts import Readout
     from .simulation import simulate
     from .study.budget import budget
     from .study.cost import cost
@@ -45,7 +46,7 @@ _HOMES = {
     "Law": "motion.law",
     "Material": "physics.material",
     "PoseGraph": "estimation.posegraph",
-    "Readout": "scene",
+    "Readout": "scene_parts",
     "Recording": "recording",
     "RecordingWriter": "recording",
     "Scene": "scene",

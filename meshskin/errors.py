@@ -10,6 +10,11 @@ import difflib
 from collections.abc import Iterable
 
 
+def _printable(text: str) -> str:
+    """The text on one line: of a damaged file it may repeat any bytes."""
+    return "".join(c if c.isprintable() else " " if c.isspace() else "?" for c in text)
+
+
 class MeshskinError(Exception):
     """Base of all errors: what is wrong, the value at fault, the limit it breaks, the remedy."""
 
@@ -23,7 +28,7 @@ class MeshskinError(Exception):
         if limit is not None:
             parts.append(f"limit: {limit}")
         line = ", ".join(parts)
-        super().__init__(f"{line}; {remedy}" if remedy else line)
+        super().__init__(_printable(f"{line}; {remedy}" if remedy else line))
 
 
 class ConfigError(MeshskinError):

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 METHODS = ("trilateration", "three_circles", "posegraph", "posegraph_isotropic", "posegraph_paper")
 """Methods that run on the same recording beside the joint estimate."""
+RESULTS = ("calibration.parquet", "calibration.csv", "metrics.json", "report.html")
+"""Files that follow from a recording."""
 FLOATING = 3
 """Taxels by which a whole that floats is laid on the truth."""
 MAPS = 16
@@ -90,9 +92,21 @@ class Result:
 
 def check_folder(folder: Path) -> None:
     """Make the output folder and try it, before any work is done. Raises OutputError."""
-    with atomic(folder / "metrics.json.probe"):
+    check_place(folder / "metrics.json")
+
+
+def check_place(path: Path) -> None:
+    """Make a file's folder and try it, before any work is done. Raises OutputError."""
+    probe = path.with_name(f"{path.name}.probe")
+    with atomic(probe):
         pass
-    (folder / "metrics.json.probe").unlink()
+    probe.unlink()
+
+
+def forget(folder: Path) -> None:
+    """Take out what an earlier run found: it is not of the new recording."""
+    for name in RESULTS:
+        (folder / name).unlink(missing_ok=True)
 
 
 def run(
@@ -116,11 +130,13 @@ def run(
     folder, clock = Path(folder), Clock()
     with clock.stage("load"):
         scene = Scene.load(name)
+        if budget is not None:
+            scene = scene.with_(budget=budget)
         check_folder(folder)
     ledger = None
-    if budget is not None or scene.budget is not None:
+    if scene.budget is not None:
         with clock.stage("budget"):
-            ledger = decide(scene, budget, seed=seed, progress=progress)
+            ledger = decide(scene, seed=seed, progress=progress)
             scene = ledger.scene
     path, promise, rest = None, None, AT_REST
     if request is not None:
@@ -128,6 +144,7 @@ def run(
             scene, path, rest, promise = _promised(scene, request, seed, clock)
     with clock.stage("simulate"):
         recording = simulate(scene, seed, path=path, out=folder / "recording", progress=progress)
+    forget(folder)
     with clock.stage("calibrate"):
         belief = scene.belief() if ledger is None else ledger.belief
         tolerance = rest if ledger is None else ledger.tolerance

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from . import library
 from .arguments import altered, needs, real, shown
 from .belief import Belief
-from .config import check, quantity
 from .errors import ConfigError, ContactError, SkinError
 from .geometry import slots
 from .geometry.body import Body
@@ -27,7 +26,7 @@ from .geometry.skin import Skin
 from .motion import held
 from .motion.arm import Arm
 from .motion.law import Law
-from .motion.loop import COMPILE, INTEGRATORS, MODES, known
+from .motion.loop import known
 from .motion.path import Exploration
 from .motion.ways import Setup
 from .physics.contact import AUTO, BATCHED, Model, Patch, solve
@@ -35,6 +34,7 @@ from .physics.effects import Context, Noise
 from .physics.indenter import Indenter
 from .physics.material import Material
 from .physics.reading import Ideal
+from .scene_parts import Loop, Readout
 from .se3 import Array, is_rigid, transform
 
 if TYPE_CHECKING:
@@ -46,55 +46,8 @@ ADAPTER = 0.02
 """Length of the piece between flange and body when no mount is given, m."""
 
 
-@dataclass(frozen=True)
-class Readout:
-    """How the skin is read."""
-
-    rate: float = quantity("Hz", 100.0, above=0.0, most=1e5)
-    """Frames a second."""
-    threshold_relative: float = quantity("", 0.0, least=0.0, most=1.0)
-    """Pressures up to this part of the peak pressure at the reference force are not reported."""
-
-    def __post_init__(self) -> None:
-        check(self)
-
-
-@dataclass(frozen=True)
-class Loop:
-    """How the closed loop is integrated."""
-
-    dt: float = quantity("s", 1e-3, above=0.0, most=0.01)
-    """Step of the integration."""
-    integrator: str = "semi_implicit"
-    """"semi_implicit", "linearly_implicit" (stiff contact, high gains), "rk4" (accurate where the
-    contact is soft) or "cvodes" (the slow reference)."""
-    mode: str = "arm"
-    """"arm": with the arm's dynamics; "quasi_static": the body moves as the law asks."""
-    delay: float = quantity("s", 0.0, least=0.0, most=0.1)
-    """Age of the reading of the contact that the law hears: a whole number of steps."""
-    compile: str = "auto"
-    """The step through the C compiler: "always", "never", or "auto", where a long run pays for it
-    or the machine code is in the cache."""
-
-    def __post_init__(self) -> None:
-        check(self)
-        known("integrator", self.integrator, INTEGRATORS)
-        known("mode of the closed loop", self.mode, MODES)
-        known("choice of loop.compile", self.compile, COMPILE)
-        if abs(self.delay_steps * self.dt - self.delay) > 1e-6 * self.dt:
-            raise ConfigError(
-                "loop.delay is no whole number of steps",
-                value=f"{1e3 * self.delay:g} ms",
-                limit=f"steps of {1e3 * self.dt:g} ms",
-                remedy=f"set loop.delay_ms = {1e3 * self.delay_steps * self.dt:g}",
-            )
-
-    @property
-    def delay_steps(self) -> int:
-        """Age of the readings in steps."""
-        return round(self.delay / self.dt)
-
-
+LEAST_BUDGET = 1e-9
+"""Least error budget, m: so far apart do models that agree put the taxels, by rounding."""
 PARTS: dict[str, type] = {
     "body": Body, "skin": Skin, "indenter": Indenter, "arm": Arm, "material": Material,
     "law": Law, "exploration": Exploration, "readout": Readout, "loop": Loop,
@@ -146,6 +99,12 @@ class Scene:
         real("payload of a scene", self.payload, "kg", least=0.0)
         if self.budget is not None:
             real("budget of a scene", self.budget, "m", above=0.0)
+            if self.budget < LEAST_BUDGET:
+                raise ConfigError(
+                    "a budget that no setting resolves", value=f"{1e3 * self.budget:g} mm",
+                    limit=f"at least {1e3 * LEAST_BUDGET:g} mm",
+                    remedy="for everything on, list the effects in the scene and give no budget",
+                )  # fmt: skip
         needs(Iterable, self.effects, "what is on in a scene")
         for effect in (*self.effects, *(self.candidates or ())):
             if not hasattr(effect, "stage"):

@@ -28,7 +28,8 @@ from .motion.path import Exploration
 from .physics import effects
 from .physics.indenter import Indenter
 from .physics.material import Material
-from .scene import Loop, Readout, Scene
+from .scene import Scene
+from .scene_parts import Loop, Readout
 from .scene_tables import ArmTable, BudgetTable, SkinTable, WordsTable, body_table, given
 
 _PLAIN: dict[str, type] = {
@@ -149,7 +150,7 @@ def _effects(data: Mapping[str, Any]) -> dict[str, Any]:
                 "effects must be a list of tables", value=repr(tables), remedy=f'or "{AUTO}"'
             )
         tables, budget = [], budget or BUDGET
-    _check_listed("effects", tables)
+    check_listed("effects", tables)
     if "candidates" in data and budget is None:
         raise ConfigError(
             "candidates need a budget that chooses from them", remedy='add effects = "auto"'
@@ -157,12 +158,12 @@ def _effects(data: Mapping[str, Any]) -> dict[str, Any]:
     found: dict[str, Any] = {"effects": effects.ordered(map(effects.from_table, tables))}
     if "candidates" in data:
         listed = data["candidates"]
-        _check_listed("candidates", listed)
+        check_listed("candidates", listed)
         found["candidates"] = tuple(effects.from_table(e, "candidates") for e in listed)
     return found | {"budget": budget}
 
 
-def _check_listed(key: str, tables: Any) -> None:
+def check_listed(key: str, tables: Any) -> None:
     """Raise ConfigError for what is no list of tables."""
     if not isinstance(tables, list) or not all(isinstance(table, Mapping) for table in tables):
         raise ConfigError(

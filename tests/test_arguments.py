@@ -110,3 +110,8 @@ def test_remedies_name_contact_models_that_a_scene_takes(scene):
     with pytest.raises(MeshskinError, match="too wide") as caught:
         ms.simulate(wide)
     assert 'contact.solve(model="field") holds for a single contact' in str(caught.value)
+
+
+def test_an_error_is_one_line_whatever_it_repeats():
+    error = MeshskinError("a bad row", value="1\x00\n2\t\x1b[31m", remedy="write it\nanew")
+    assert str(error) == "a bad row, got 1? 2 ?[31m; write it anew"

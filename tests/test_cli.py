@@ -203,3 +203,28 @@ def test_a_method_that_places_nothing_is_left_out_of_the_comparison(tmp_path, ca
     assert "the paper's none" in said
     m = json.loads((out / "metrics.json").read_text())
     assert "shares too few contacts" in m["posegraph_paper"]["why"]
+
+
+def test_a_budget_that_nothing_resolves_is_refused_at_once(tmp_path, capsys):
+    out = tmp_path / "out"
+    assert cli.main(["run", "sphere_noisy", "--out", str(out), "--budget-mm", "1e-9"]) == 2
+    assert "got 1e-09 mm, limit: at least 1e-06 mm" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_what_an_earlier_run_found_is_not_left_beside_another_recording(tmp_path, monkeypatch):
+    from meshskin import job
+    from meshskin.errors import CalibrationError
+
+    def fails(*_, **__):
+        raise CalibrationError("nothing to see")
+
+    for name in ("report.html", "metrics.json", "calibration.csv", "notes.txt"):
+        (tmp_path / name).write_text("of an earlier run")
+    monkeypatch.setattr(job, "calibrate", fails)
+    text = 'extends = "sphere"\n[skin]\ncount = 3'
+    assert cli.main(["run", toml(tmp_path, text), "--out", str(tmp_path), "--quiet"]) == 2
+    kept = {file.name for file in tmp_path.iterdir()}
+    assert "recording.contacts.parquet" in kept
+    assert "notes.txt" in kept
+    assert not {"report.html", "metrics.json", "calibration.csv"} & kept

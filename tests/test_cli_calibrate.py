@@ -121,3 +121,18 @@ def test_no_log(tmp_path, capsys):
     asked = ["calibrate", str(tmp_path / "none"), "--scene", "sphere", "--out", str(tmp_path)]
     assert cli.main(asked) == 2
     assert "no recording at" in capsys.readouterr().err
+
+
+def test_an_export_that_cannot_be_written_is_refused_before_the_work(log, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    asked = ["calibrate", str(log), *known(log), "--young-kpa", "150"]
+    asked += ["--out", str(tmp_path / "out"), "--export", str(tmp_path / "file" / "map.csv")]
+    assert cli.main(asked) == 2
+    assert "cannot write" in capsys.readouterr().err
+    assert not list((tmp_path / "out").glob("*"))
+
+
+def test_why_taxels_are_left_out_is_said(log, tmp_path, capsys):
+    asked = ["calibrate", str(log), *known(log), "--young-kpa", "150", "--disc-radius-mm", "40"]
+    assert cli.main([*asked, "--out", str(tmp_path / "out")]) == 0
+    assert "left out         80 taxels: too weakly determined" in capsys.readouterr().out

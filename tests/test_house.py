@@ -25,6 +25,7 @@ WINGS = [
     "physics",
     "motion",
     "belief",
+    "scene_parts",
     "scene",
     "scene_tables",
     "scene_file",

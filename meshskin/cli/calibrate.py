@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -75,7 +76,7 @@ def command(options: argparse.Namespace) -> int:
     from ..atomic import write_json
     from ..estimation.calibrate import calibrate
     from ..geometry.files import check_format
-    from ..job import check_folder
+    from ..job import check_folder, check_place, forget
     from ..provenance import provenance
     from ..recording import Recording
 
@@ -85,7 +86,10 @@ def command(options: argparse.Namespace) -> int:
     recording = Recording.load(options.recording)
     belief = believed(options, recording)
     check_folder(options.out)
+    if options.export is not None:
+        check_place(options.export)
     found = calibrate(recording, belief, method=options.method)
+    forget(options.out)
     found.save(options.out / "calibration")
     if options.export is not None:
         export(found, belief, options.export)
@@ -211,6 +215,12 @@ def assess(found: Calibration, recording: Recording) -> dict[str, Any]:
     }
 
 
+def reasons(found: Calibration) -> list[tuple[str, int]]:
+    """Why taxels have no estimate, and how many for each reason, the most frequent first."""
+    lost = ~np.isfinite(found.positions).all(axis=1)
+    return Counter(map(str, np.asarray(found.why)[lost])).most_common()
+
+
 def faults(found: Calibration) -> dict[str, str]:
     """What is wrong with taxels, by id."""
     if found.faults is None:
@@ -236,6 +246,7 @@ def summary(found: Calibration, metrics: dict[str, Any], folder: Path) -> str:
     if found.fit is not None:
         lines.append(f"  test of fit      {found.fit.words}")
     lines.append(f"  not determined   {metrics['undetermined']}")
+    lines += [f"  left out         {n} taxels: {why}" for why, n in reasons(found)]
     named = list(metrics["faults"].items())
     lines += [f"  taxel {k:>6}     {words}" for k, words in named[:8]]
     if len(named) > 8:

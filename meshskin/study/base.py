@@ -220,6 +220,9 @@ def _with_effect(effects: Any, rest: str, value: Any) -> list[dict[str, Any]]:
             value=f"effects = {effects!r}",
             remedy="list the effects in the scene",
         )
+    from ..scene_file import check_listed
+
+    check_listed("effects", effects)
     listed = [dict(effect) for effect in effects]
     found = next((effect for effect in listed if effect.get("kind") == kind), None)
     if not quantity and not isinstance(value, bool):

@@ -70,6 +70,8 @@ class Reference:
                     f"cannot import the run function: {error}",
                     remedy="install its package or set PYTHONPATH",
                 ) from error
+            except Exception as error:  # the user's own code, which may raise anything
+                raise _broken(str(self.module), error) from error
             found = getattr(home, self.name, None)
         if not callable(found):
             raise StudyError(f"no function {self.name} in {self.script or self.module}")
@@ -84,5 +86,16 @@ def _imported(script: str) -> ModuleType:
         raise StudyError("cannot read the script of the run function", value=script)
     module = importlib.util.module_from_spec(spec)
     sys.modules[SCRIPT] = module
-    spec.loader.exec_module(module)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # the user's own code, which may raise anything
+        raise _broken(script, error) from error
     return module
+
+
+def _broken(home: str, error: Exception) -> StudyError:
+    return StudyError(
+        f"cannot import the run function from {home}",
+        value=f"{type(error).__name__}: {error}",
+        remedy="run it by itself with python, and mend what it says",
+    )

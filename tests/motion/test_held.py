@@ -30,7 +30,7 @@ def test_the_arm_has_several_postures_at_all_spins(sphere):
 
 
 def test_without_an_arm_there_is_no_posture(sphere):
-    from meshskin.scene import Loop
+    from meshskin.scene_parts import Loop
 
     assert len(sphere.with_(loop=Loop(mode="quasi_static")).postures) == 0
 

@@ -14,7 +14,7 @@ from meshskin.motion.machine_code import machine_code
 from meshskin.motion.readings import PointReadings
 from meshskin.motion.track import STAY, Track, crossings
 from meshskin.physics.contact import hertz
-from meshskin.scene import Loop as LoopTable
+from meshskin.scene_parts import Loop as LoopTable
 from meshskin.simulation import closed_loop, prepare, run
 
 needs_compiler = pytest.mark.skipif(module.find_compiler() is None, reason="no C compiler here")

@@ -59,3 +59,14 @@ def test_a_mistake_is_one_line(study, tmp_path, capsys, grid, head, line):
 def test_a_missing_file_is_one_line(tmp_path, capsys):
     assert cli.main(["study", str(tmp_path / "no.toml"), "--out", str(tmp_path)]) == 2
     assert "cannot read" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("head", ['base = "broken.toml"', 'run = "broken.py:case"'])
+def test_what_a_study_starts_from_may_be_broken(study, tmp_path, capsys, head):
+    (tmp_path / "broken.toml").write_text('extends = "sphere"\neffects = [1]\n')
+    (tmp_path / "broken.py").write_text("raise RuntimeError('not\\nhere')\n")
+    file = study("effects.gaussian_noise.sigma_relative = [0.01]", head)
+    assert cli.main(["study", file, "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "effects must be a list of tables, got [1]" in said or "RuntimeError: not here" in said
+    assert said.count("\n") == 1
