@@ -98,13 +98,15 @@ class Scene:
             raise ConfigError("a mount is T_tip_body", value=value, limit=limit)
         real("payload of a scene", self.payload, "kg", least=0.0)
         if self.budget is not None:
-            real("budget of a scene", self.budget, "m", above=0.0)
+            real("budget of a scene", self.budget)
             if self.budget < LEAST_BUDGET:
+                small = "no setting resolves so small an error budget"
                 raise ConfigError(
-                    "a budget that no setting resolves", value=f"{1e3 * self.budget:g} mm",
+                    small if self.budget > 0 else "an error budget must be positive",
+                    value=f"{1e3 * self.budget:g} mm",
                     limit=f"at least {1e3 * LEAST_BUDGET:g} mm",
                     remedy="for everything on, list the effects in the scene and give no budget",
-                )  # fmt: skip
+                )
         needs(Iterable, self.effects, "what is on in a scene")
         for effect in (*self.effects, *(self.candidates or ())):
             if not hasattr(effect, "stage"):

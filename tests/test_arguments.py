@@ -62,7 +62,10 @@ CALLS = {
     "a scene of names": (lambda s: ms.Scene(body="sphere", skin=s.skin), "body of a scene must"),
     "an arm of a name": (lambda s: s.with_(arm="puma"), "must be an Arm, got 'puma'"),
     "a negative payload": (lambda s: s.with_(payload=-1), "payload .*got -1 kg, limit: at least 0"),
-    "a budget of nothing": (lambda s: s.with_(budget=0.0), "budget .*got 0 m, limit: above 0 m"),
+    "a budget of nothing": (
+        lambda s: s.with_(budget=0.0),
+        "must be positive, got 0 mm",
+    ),
     "a mount of nothing": (lambda s: s.with_(mount=np.full((4, 4), np.nan)), "a mount .*finite"),
     "effects of a number": (lambda s: s.with_(effects=3), "what is on .*got 3"),
     "a part that is none": (lambda s: s.with_(nam="x"), "unknown field 'nam'.*did you mean name"),

@@ -333,3 +333,12 @@ def test_the_sole_in_three_files_is_one():
     b = Skin.load(DATA / "icub_skin/cad/left_foot_mesh.txt")
     np.testing.assert_array_equal(a.ids, b.ids + 12)  # one counts from 1, the other from 0
     np.testing.assert_allclose(a.positions, b.positions, atol=2e-6)
+
+
+def test_a_torn_ply_file_is_named(tmp_path):
+    skin = Skin.cover(Body.sphere(0.1), spacing=6e-3, count=9)
+    skin.save(tmp_path / "skin.ply")
+    text = (tmp_path / "skin.ply").read_text()
+    (tmp_path / "torn.ply").write_text(text[:-20])
+    with pytest.raises(SkinError, match="rows of different lengths: the file is torn"):
+        Skin.load(tmp_path / "torn.ply")

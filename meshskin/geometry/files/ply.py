@@ -58,7 +58,10 @@ def read(text: str, name: str) -> Table:
     try:
         count = [int(line.split()[2]) for line in lines if line.startswith("element taxel ")]
         radius = [float(line[len(_COMMENT) :]) for line in lines if line.startswith(_COMMENT)]
-        rows = np.array([[float(v) for v in r.split()] for r in body.splitlines()[-count[0] :]])
+        listed = [[float(v) for v in r.split()] for r in body.splitlines()[-count[0] :]]
+        if len({len(row) for row in listed}) > 1:
+            raise ValueError("rows of different lengths: the file is torn")
+        rows = np.array(listed)
     except (ValueError, IndexError) as error:
         raise SkinError(f"{name}: rows of taxels", value=str(error)) from error
     if rows.shape != (count[0], 1 + len(NUMBERS)):
