@@ -1,6 +1,7 @@
 """Calibration of a robot's own log from the command line."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -71,6 +72,15 @@ def test_a_recording_with_a_scene(recording, tmp_path, capsys):
     assert cli.main([*asked, str(tmp_path / "out"), "--unknown", "modulus", "gain"]) == 0
     found = ms.Calibration.load(tmp_path / "out" / "calibration")
     assert "gain" in found.taxel_unknowns
+    said = capsys.readouterr().out
+    assert " kPa +- " in said
+    assert "% apart (1 sigma)" in said
+    assert cli.main([*asked, str(tmp_path / "given"), "--unknown", "gain"]) == 0
+    assert re.search(r"E\*  .* kPa, given\n", capsys.readouterr().out)
+    given = ms.Calibration.load(tmp_path / "given" / "calibration")
+    assert given.modulus_sigma is None
+    page = (tmp_path / "given" / "report.html").read_text()
+    assert "Effective modulus E*, given: 263.193 kPa" in page
     assert cli.main([*asked, str(tmp_path / "other"), "--method", "trilateration"]) == 0
     assert ms.Calibration.load(tmp_path / "other" / "calibration").method == "trilateration"
     assert "80 taxels" in capsys.readouterr().out

@@ -228,6 +228,13 @@ def faults(found: Calibration) -> dict[str, str]:
     return {str(k): f for k, f in zip(found.ids, found.faults, strict=True) if f}
 
 
+def certainty(found: Calibration) -> str:
+    """How certain E* is, behind its number in kPa."""
+    if found.modulus_sigma is None:
+        return ", given"
+    return f" +- {found.modulus_sigma / 1e3:.2g}"
+
+
 def summary(found: Calibration, metrics: dict[str, Any], folder: Path) -> str:
     """What a person wants to read."""
     lines = [
@@ -238,8 +245,7 @@ def summary(found: Calibration, metrics: dict[str, Any], folder: Path) -> str:
         spread = metrics["sigma_mm"]
         lines.append(f"  sigma            mean {spread['mean']:.4g} mm, max {spread['max']:.4g}")
     if found.modulus is not None:
-        deviation = (found.modulus_sigma or 0.0) / 1e3
-        lines.append(f"  E*               {found.modulus / 1e3:.4g} kPa +- {deviation:.2g}")
+        lines.append(f"  E*               {found.modulus / 1e3:.4g} kPa{certainty(found)}")
     if "gain" in found.taxel_unknowns:
         gains = found.taxel_unknowns["gain"][:, 0]
         lines.append(f"  gains            {100 * np.nanstd(gains):.2g} % apart (1 sigma)")

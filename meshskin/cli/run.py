@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .calibrate import certainty
+
 if TYPE_CHECKING:
     from ..job import Result
     from ..simulation import Progress
@@ -115,10 +117,8 @@ def summary(result: Result, folder: Path) -> str:
         f"then within {100 * force['disturbance']:.2g} %",
     ]
     if calibration.modulus is not None:
-        lines.append(
-            f"  E*                 {calibration.modulus / 1e3:.3f} kPa "
-            f"+- {(calibration.modulus_sigma or 0.0) / 1e3:.2g}"
-        )
+        value = f"{calibration.modulus / 1e3:.3f} kPa{certainty(calibration)}"
+        lines.append(f"  E*                 {value}")
     if "promise" in m:
         p = m["promise"]
         came = p["came_to"]

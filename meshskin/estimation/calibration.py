@@ -69,9 +69,9 @@ class Calibration:
     why: np.ndarray
     """Why a taxel is not determined (n,) str; "" where it is."""
     modulus: float | None = None
-    """E*, Pa, where it was estimated."""
+    """E*, Pa, that the pressures were read under."""
     modulus_sigma: float | None = None
-    """Its standard deviation, Pa."""
+    """Its standard deviation, Pa; None: it was given, not estimated."""
     unknowns: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Shared unknowns that were estimated: value and standard deviation, SI units; of modulus and
     force scale the natural logarithm of the factor to the nominal one."""

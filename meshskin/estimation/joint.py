@@ -92,11 +92,11 @@ class Joint:
         return self.data.modulus * float(np.exp(self.data.shared.value("modulus", self.shared)))
 
     @property
-    def modulus_sigma(self) -> float:
-        """Its standard deviation, Pa; 0 where it was not estimated."""
+    def modulus_sigma(self) -> float | None:
+        """Its standard deviation, Pa; None where it was not estimated."""
         columns = self.data.shared.columns
         if "modulus" not in columns:
-            return 0.0
+            return None
         k = columns["modulus"].start
         return self.modulus * float(np.sqrt(self.shared_covariance[k, k]))
 

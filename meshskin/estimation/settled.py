@@ -55,36 +55,26 @@ def settled(belief: Belief, recording: Recording) -> Belief:
 def holding(force: Array, curvature: Array, belief: Belief) -> np.ndarray:
     """In which contacts (m,) the contact model holds: all, or all but `MOST_OUT` of them.
 
-    The contacts nearest to the model's limits are judged first, and if they pass no other. Raises
-    the ContactError of the worst where more leave its range.
+    Raises the ContactError of the widest that leaves its range, where more do.
     """
-    if not len(force):
-        return np.ones(0, dtype=bool)
-    relative = curvature + 1 / belief.indenter.radius
-    width = force / np.maximum(relative.mean(axis=1), 0.0) ** -2  # rises with a/R
-    ends = {int(np.argmax(width)), int(np.argmax(relative[:, 0] / relative[:, 1]))}
-    ends |= {int(np.argmin(relative[:, 1]))}
-    worst = next((error for k in ends if (error := _refusal(force[k], curvature[k], belief))), None)
-    if worst is None:
-        return np.ones(len(force), dtype=bool)
-    holds = [_refusal(f, pair, belief) is None for f, pair in zip(force, curvature, strict=True)]
-    if np.mean(holds) < 1.0 - MOST_OUT:
-        raise worst
-    return np.array(holds)
-
-
-def _refusal(force: float, curvature: Array, belief: Belief) -> ContactError | None:
-    """Why the contact model does not hold in one contact; None where it does."""
-    try:
+    material = belief.material
+    holds = contact.Model(belief.contact, material.poisson, material.thickness).holds(
+        force=force,
+        curvature=curvature,
+        indenter_radius=belief.indenter.radius,
+        effective_modulus=material.effective_modulus,
+    )
+    out = np.flatnonzero(~holds)
+    if len(out) > MOST_OUT * len(holds):
+        relative = np.maximum(curvature[out].mean(axis=1) + 1 / belief.indenter.radius, 0.0)
+        worst = out[np.argmax(force[out] * relative**2)]  # rises with a/R
         contact.solve(
             belief.contact,
-            force=float(force),
-            curvature=tuple(curvature),
+            force=float(force[worst]),
+            curvature=tuple(curvature[worst]),
             indenter_radius=belief.indenter.radius,
-            modulus=belief.material.young,
-            poisson=belief.material.poisson,
-            thickness=belief.material.thickness,
+            modulus=material.young,
+            poisson=material.poisson,
+            thickness=material.thickness,
         )
-    except ContactError as error:
-        return error
-    return None
+    return holds

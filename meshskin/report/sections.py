@@ -133,9 +133,14 @@ def _numbers(findings: Findings) -> tuple[Block, ...]:
             blocks.append(Text((PAPER,)))
     c = findings.calibration
     if c.modulus is not None:
-        sigma = "" if c.modulus_sigma is None else f" ± {measured(c.modulus_sigma / 1e3)} (1 sigma)"
+        how, sigma = "given", ""
+        if c.modulus_sigma is not None:
+            how, sigma = (
+                "estimated with the taxels",
+                f" ± {measured(c.modulus_sigma / 1e3)} (1 sigma)",
+            )
         value = f"{measured(c.modulus / 1e3, 6)}{sigma} kPa"
-        blocks.append(Text((f"Effective modulus E*, estimated with the taxels: {value}.",)))
+        blocks.append(Text((f"Effective modulus E*, {how}: {value}.",)))
     shown = {*SAID, *findings.errors}
     rest = flatten({k: v for k, v in findings.metrics.items() if k not in shown})
     if rest:

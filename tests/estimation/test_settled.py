@@ -9,8 +9,7 @@ import pytest
 import meshskin as ms
 from meshskin.errors import CalibrationError, ConfigError, ContactError, RecordingError
 from meshskin.estimation.measurements import gather
-from meshskin.estimation.settled import settled
-from meshskin.geometry.primitives import Ellipsoid, Sphere
+from meshskin.estimation.settled import holding, settled
 from meshskin.physics.contact import Model
 from meshskin.recording import Recording
 
@@ -27,9 +26,9 @@ def belief(world, thickness=None, **changes):
 @pytest.mark.parametrize(
     ("body", "thickness", "name"),
     [
-        (Sphere(0.1), None, "hertz"),
-        (Ellipsoid((0.1, 0.04, 0.1)), None, "elliptic"),
-        (Sphere(0.1), 4e-3, "layered"),
+        (ms.Body.sphere(0.1), None, "hertz"),
+        (ms.Body.ellipsoid((0.1, 0.04, 0.1)), None, "elliptic"),
+        (ms.Body.sphere(0.1), 4e-3, "layered"),
     ],
 )
 def test_the_first_contact_model_that_holds(world, body, thickness, name):
@@ -44,8 +43,28 @@ def test_the_first_contact_model_that_holds(world, body, thickness, name):
     assert np.nanmax(np.linalg.norm(positions - seen.truth, axis=1)) < 1e-6
 
 
+def test_contacts_in_which_the_model_does_not_hold():
+    """As `solve` says one by one, up to a twentieth of them; the widest is refused, with reason."""
+    told = replace(ms.Scene.load("sphere").belief(), contact="hertz")
+    rng = np.random.default_rng(0)
+    force = 3.0 * np.exp(0.1 * rng.normal(size=100))
+    curvature = 10.0 + np.sort(0.5 * rng.normal(size=(100, 2)), axis=1)[:, ::-1]
+    assert holding(force, curvature, told).all()
+    force[[7, 40]] *= 60.0
+    assert np.array_equal(np.flatnonzero(~holding(force, curvature, told)), [7, 40])
+    force[:10] *= 60.0
+    with pytest.raises(ContactError, match="too wide") as error:
+        holding(force, curvature, told)
+    alone = {"curvature": tuple(curvature[7]), "indenter_radius": told.indenter.radius}
+    law = {"modulus": told.material.young, "poisson": told.material.poisson}
+    with pytest.raises(ContactError) as own:
+        ms.contact.solve("hertz", force=force[7], **alone, **law)
+    assert str(error.value) == str(own.value)
+    assert len(holding(np.empty(0), np.empty((0, 2)), told)) == 0
+
+
 def test_where_no_contact_model_holds(world):
-    body = Ellipsoid((0.1, 0.04, 0.1))
+    body = ms.Body.ellipsoid((0.1, 0.04, 0.1))
     seen = type(world)(extent=9e-3, body=body, model=Model("elliptic"))
     soft = replace(belief(seen), material=ms.Material(2e3, 0.49))
     with pytest.raises(ContactError, match="too wide for the parabolic gap of elliptic"):
@@ -68,6 +87,7 @@ def test_a_belief_out_of_range(world, wrong):
 
 
 def test_numbers_of_numpy_are_numbers(world):
+    world = type(world)(extent=9e-3, body=ms.Body.sphere(0.1))
     assert belief(world, noise_sigma=np.float32(400.0), threshold=np.int64(3)).threshold == 3
 
 

@@ -15,6 +15,8 @@ from meshskin.estimation import joint, run
 from meshskin.estimation.calibrate import METHODS, calibrate
 from meshskin.estimation.measurements import gather
 from meshskin.estimation.metrics import nees, position_errors
+from meshskin.geometry.body import Body
+from meshskin.physics.indenter import Indenter
 
 SPEC = importlib.util.spec_from_file_location(
     "small_world", Path(__file__).parents[1] / "estimation" / "conftest.py"
@@ -179,15 +181,17 @@ def test_nan_in_a_recording(noisy, method):
 def test_a_belief_without_a_reference_force_takes_the_recordings(world, noisy, clean):
     recording, belief = noisy
     silent = Belief(
-        body=belief.body,
-        indenter=belief.indenter,
+        body=Body.sphere(0.1),
+        indenter=Indenter.sphere(belief.indenter.radius),
         material=belief.material,
         taxel_ids=belief.taxel_ids,
         noise_sigma=belief.noise_sigma,
         threshold=belief.threshold,
     )
     found = calibrate(recording, silent)
-    assert np.allclose(position_errors(found, world.skin), clean, atol=1e-9)
+    told = calibrate(recording, replace(silent, force_reference=3.0))
+    assert np.allclose(found.positions, told.positions, atol=1e-9)
+    assert np.allclose(position_errors(found, world.skin), clean, atol=1e-7)  # facets' error
     assert found.belief.force_reference == pytest.approx(3.0, rel=0.01)
 
 

@@ -131,14 +131,20 @@ class Model:
         return ca.substitute(ca.gradient(force, at), at, depth)
 
     def holds(
-        self, *, force: float, curvature: Array, indenter_radius: float, effective_modulus: float
+        self,
+        *,
+        force: float | Array,
+        curvature: Array,
+        indenter_radius: float,
+        effective_modulus: float,
     ) -> NDArray[np.bool_]:
         """Whether `solve` has a patch (k,) at `curvature` (k, 2), 1/m.
 
-        Other arguments as `patches`. All limits of the model, for many contacts at once; `solve`
-        says which one it is that does not hold.
+        `force` is one or (k,); other arguments as `patches`. All limits of the model, for many
+        contacts at once; `solve` says which one it is that does not hold.
         """
         pairs = np.sort(np.asarray(curvature, dtype=float), axis=1)
+        force = np.broadcast_to(np.asarray(force, dtype=float), len(pairs))
         try:
             module, law = _module(self.name), self._law
         except ContactError:  # a layer that the table does not know
@@ -147,9 +153,9 @@ class Model:
         good = np.isfinite(pairs).all(axis=1) & (relative[:, 0] > 0)
         good[good] = relative[good, 1] <= module.MAX_CURVATURE_RATIO * relative[good, 0]
         if self.name == "layered":
-            chi = law.chi(force, pairs[good], indenter_radius, effective_modulus)
+            chi = law.chi(force[good], pairs[good], indenter_radius, effective_modulus)
             good[good] = chi <= module.MAX_CHI
-        found = law.patches(force, pairs[good], indenter_radius, effective_modulus)
+        found = law.patches(force[good], pairs[good], indenter_radius, effective_modulus)
         axes = np.stack([found.first, found.second], axis=1)
         fits = width(axes, pairs[good], indenter_radius) <= MAX_WIDTH
         if self.thickness is not None and self.name != "layered":
