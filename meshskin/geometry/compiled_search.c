@@ -355,15 +355,14 @@ void closest(const Tree *tree, const Surface *surface, int64_t n, const int64_t 
 }
 
 /* The nearest flat faces of n points, one after the other in `sequence` (n,): faces (n,), uv (n, 2),
-   distances (n,). */
+   distances (n,). Each is searched from the same place: where two faces are as near, at an edge, it
+   must not be the points before that decide. */
 void flat(const Tree *tree, int64_t n, const int64_t *sequence, const double *points,
           int64_t *face, double *uv, double *gap)
 {
-    int64_t place = 0;
     for (int64_t row = 0; row < n; row++) {
         int64_t k = sequence[row];
-        Near near = nearest(tree, points + 3 * k, place, 0);
-        place = near.place;
+        Near near = nearest(tree, points + 3 * k, 0, 0);
         face[k] = near.foot.face, gap[k] = near.foot.gap;
         uv[2 * k] = near.foot.u, uv[2 * k + 1] = near.foot.v;
     }

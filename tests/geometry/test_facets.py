@@ -47,3 +47,13 @@ def every_foot(mesh, points):
 def test_no_points_have_no_faces():
     found, normals = Facets(MESHES["box"]()).closest(np.zeros((0, 3)))
     assert found.shape == normals.shape == (0, 3)
+
+
+def test_the_face_at_an_edge_does_not_depend_on_the_points_before():
+    """Over a convex mesh many points are as near to two faces."""
+    made = Facets(MESHES["sphere"]())
+    points = np.random.default_rng(0).normal(size=(3000, 3))
+    points *= 0.11 / np.linalg.norm(points, axis=1)[:, None]
+    whole = made.closest(points)[1]
+    parts = np.concatenate([made.closest(part)[1] for part in np.split(points, 300)])
+    np.testing.assert_array_equal(parts, whole)
