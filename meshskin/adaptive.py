@@ -6,27 +6,21 @@ taxel is below a target, or nothing that can be touched brings it there.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from .arguments import needs, real, whole
-from .errors import CalibrationError, ConfigError, ReachError
+from .errors import ConfigError, ReachError
 from .estimation.calibrate import calibrate
 from .estimation.calibration import Calibration
 from .exploration import planned, setup_of
-from .motion.path import Path
-from .motion.phases import PHASES, SLIDE
 from .motion.plan import UNSEEN
-from .motion.visits import tour, visits
-from .presses import APART, floating, press
 from .recording import Recording
 from .scene import Scene
 from .se3 import Array
-from .simulation import effect_chain, simulate
+from .touching import Toucher, pressed, together
 
 FIRST_SPACING, FIRST_STEP = 0.9, 0.9
 """Distances between the first pass's lanes, and between contacts along them, in distances at which
@@ -41,18 +35,10 @@ FRUITLESS = 0.98
 """Part to which a round must bring down the worst uncertainty to be worth another one."""
 PATIENCE = 3
 """Rounds without that after which the worst taxel is given up."""
-DWELL = 0.05
-"""Rest of a touch after the force has settled, s."""
 
 NEVER = "never read"
 STUCK = "further contacts tell nothing more"
 SPENT = "the contacts allowed are used up"
-
-Touch = Callable[[Array], tuple[Recording, Array]]
-"""points (k, 3) -> the recording of one contact a point that can be touched, and why each (k,) that
-cannot be is left out ("" where it is not)."""
-Toucher = Callable[[Scene, int], Touch]
-"""(scene, seed) -> what touches; its effects go on from call to call."""
 
 
 @dataclass(frozen=True)
@@ -90,48 +76,6 @@ class Adaptive:
         )
 
 
-def pressed(scene: Scene, seed: int) -> Touch:
-    """Contacts at rest, without arm and closed loop: in milliseconds. A `Toucher`.
-
-    Raises ConfigError for an effect of an arm's joints.
-    """
-    chain = effect_chain(floating(scene), seed)
-
-    def touch(points: Array) -> tuple[Recording, Array]:
-        hit = scene.body.closest(points)
-        why = setup_of(scene).fits(hit.point, hit.normal)
-        good = why == ""
-        _some(good, why)
-        recording = press(scene, points[good], chain=chain)
-        chain.rest(APART)
-        return recording, why
-
-    return touch
-
-
-def touched(scene: Scene, seed: int) -> Touch:
-    """Contacts made by the closed loop: set down, settled, read once, lifted off. A `Toucher`."""
-    chain = effect_chain(scene, seed)
-
-    def touch(points: Array) -> tuple[Recording, Array]:
-        order = tour(points)
-        dwell = max(round(DWELL / scene.loop.dt), scene.frame_steps)
-        found, reasons = visits(setup_of(scene), points[order], dwell, scene.loop.dt)
-        why = np.empty_like(reasons)
-        why[order] = reasons
-        _some(why == "", why)
-        recording = simulate(scene, path=Path.joined(found), chain=chain)
-        chain.rest(APART)
-        return last_of_each(recording), why
-
-    return touch
-
-
-def _some(good: Array, why: Array) -> None:
-    if not good.any():
-        raise ReachError(f"none of the contacts can be made: {why[0]}", value=len(why))
-
-
 def adapt(
     scene: Scene,
     target: float,
@@ -156,18 +100,7 @@ def adapt(
     unreachable: Mapping[int, str] = {}
     if points is None:
         points, unreachable = first_pass(scene)
-    points = np.asarray(points, dtype=float)
-    if points.ndim != 2 or points.shape[1] != 3 or not len(points):
-        raise ConfigError(
-            "the points of the first pass", value=f"shape {points.shape}", limit="(k, 3), k > 0"
-        )
-    if len(points) > most:
-        raise ConfigError(
-            "the first pass takes all contacts allowed",
-            value=f"{len(points)} contacts",
-            limit=f"most={most}",
-            remedy="allow more, or give fewer points",
-        )
+    points = _checked(points, most)
     belief, stand = scene.belief(), _Standing(target, dict(unreachable))
     reach_out = touch(scene, seed)
     recording, _ = reach_out(points)
@@ -201,6 +134,23 @@ def _check_target(target: float, reach: float) -> None:
             value=f"{target} m",
             limit=f"above 0, below the {reach:.2g} m at which a contact is felt",
         )
+
+
+def _checked(points: Array, most: int) -> Array:
+    """The points (k, 3) of the first pass. Raises ConfigError."""
+    points = np.asarray(points, dtype=float)
+    if points.ndim != 2 or points.shape[1] != 3 or not len(points):
+        raise ConfigError(
+            "the points of the first pass", value=f"shape {points.shape}", limit="(k, 3), k > 0"
+        )
+    if len(points) > most:
+        raise ConfigError(
+            "the first pass takes all contacts allowed",
+            value=f"{len(points)} contacts",
+            limit=f"most={most}",
+            remedy="allow more, or give fewer points",
+        )
+    return points
 
 
 class _Standing:
@@ -284,36 +234,3 @@ def _without(calibration: Calibration, given_up: Mapping[int, str]) -> Calibrati
     if middles is not None:
         middles[rows] = np.nan
     return replace(calibration, poses=poses, observed=observed, middles=middles)
-
-
-def last_of_each(recording: Recording) -> Recording:
-    """The last contact of every stretch of sliding: one settled contact a touch."""
-    if recording.motion is None:
-        raise CalibrationError("a recording without motion does not tell its touches apart")
-    motion = recording.motion
-    slide = np.asarray(motion.column("phase").to_pylist()) == PHASES[SLIDE]
-    time = motion.column("time").to_numpy()
-    ends = time[np.flatnonzero(slide & ~np.append(slide[1:], False))]
-    rows = np.unique(np.searchsorted(recording.time, ends, side="right") - 1)
-    kept = recording.time[rows]
-    heard = np.isin(recording.readings.column("time").to_numpy(), kept)
-    return Recording(
-        recording.contacts.take(pa.array(rows)),
-        recording.readings.filter(pa.array(heard)),
-        recording.metadata,
-    )
-
-
-def together(first: Recording, second: Recording) -> Recording:
-    """Two recordings of the same skin, one after the other."""
-    shift = float(first.time[-1] - second.time[0]) + APART
-
-    def later(table: Any) -> Any:
-        times = pa.array(table.column("time").to_numpy() + shift)
-        return table.set_column(0, table.schema.field(0), times)
-
-    return Recording(
-        pa.concat_tables([first.contacts, later(second.contacts)]),
-        pa.concat_tables([first.readings, later(second.readings)]),
-        first.metadata,
-    )

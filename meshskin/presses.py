@@ -20,7 +20,7 @@ from .provenance import provenance
 from .recording import Recording
 from .scene import Scene
 from .se3 import Array, exp_so3, quaternion
-from .simulation import FRAME_CELLS, effect_chain, frames_at, sensor_tables
+from .sensing import FRAME_CELLS, effect_chain, frames_at, header, sensor_tables
 
 if TYPE_CHECKING:
     from .geometry.closest import Closest
@@ -65,15 +65,10 @@ def press(
         sensor_tables(world, frames.rows(slice(k, k + size)), chain) for k in range(0, count, size)
     ]
     contacts, readings = (pa.concat_tables(part) for part in zip(*batches, strict=True))
-    header = {
-        "scene": scene.name,
-        "taxel_ids": np.asarray(scene.skin.ids).tolist(),
-        "disc_radius_m": scene.skin.disc_radius,
-        "threshold_pa": scene.threshold,
-        "force_reference_n": scene.law.force_reference,
-        "provenance": provenance(scene=scene.name, seed=seed, presses=count),
+    metadata = header(scene) | {
+        "provenance": provenance(scene=scene.name, seed=seed, presses=count)
     }
-    return Recording(contacts, readings, header)
+    return Recording(contacts, readings, metadata)
 
 
 def floating(scene: Scene) -> Scene:

@@ -13,12 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import library
 from .arguments import altered, needs, real, shown
 from .belief import Belief
-from .errors import ConfigError, ContactError, SkinError
+from .errors import ConfigError, SkinError
 from .geometry import slots
 from .geometry.body import Body
 from .geometry.modules import Modules
@@ -29,10 +28,11 @@ from .motion.law import Law
 from .motion.loop import known
 from .motion.path import Exploration
 from .motion.ways import Setup
-from .physics.contact import AUTO, BATCHED, Model, Patch, solve
+from .physics.contact import AUTO, BATCHED, Model, Patch
 from .physics.effects import Context, Noise
 from .physics.indenter import Indenter
 from .physics.material import Material
+from .physics.pressing import Pressing
 from .physics.reading import Ideal
 from .scene_parts import Loop, Readout
 from .se3 import Array, is_rigid, transform
@@ -147,6 +147,11 @@ class Scene:
         back = -float((self.body.mesh.vertices @ self.axis).min())
         return transform(rotation, [0.0, 0.0, back + ADAPTER])
 
+    @property
+    def pressing(self) -> Pressing:
+        """The indenter on the skin's material under the reference force."""
+        return Pressing(self.law.force_reference, self.indenter.radius, self.material)
+
     @cached_property
     def model(self) -> Model:
         """The contact model; of "auto", the first that holds at every taxel where any does.
@@ -156,51 +161,19 @@ class Scene:
         known("contact model of a scene", self.contact, (*BATCHED, AUTO))
         name = self.contact
         if name == AUTO:
-            curvature = self.body.closest(self.skin.positions).curvature
-            good = [int(np.sum(self._refusals(n, curvature) == "")) for n in BATCHED]
-            name = BATCHED[int(np.argmax(good))]
-        return Model(name, self.material.poisson, self.material.thickness)
+            name = self.pressing.first_to_hold(self.body.closest(self.skin.positions).curvature)
+        return self.pressing.model(name)
 
     def refusals(self, curvature: Array) -> Array:
         """Why the contact model does not hold (k,) at principal curvatures (k, 2), 1/m: strings, ""
         where it does.
         """
-        return self._refusals(self.model.name, curvature)
+        return self.pressing.refusals(self.model.name, curvature)
 
     def judge(self, curvature: Array) -> None:
         """Raise ContactError if the contact model leaves its range at one of (k, 2) curvatures."""
         for k in np.flatnonzero(self.refusals(curvature) != "")[:1]:
-            self._solve(self.model.name, curvature[k])
-
-    def _refusals(self, name: str, curvature: Array) -> Array:
-        why = np.full(len(curvature), "", dtype=object)
-        rows = np.flatnonzero(~self._holds(name, curvature))
-        pairs, inverse = np.unique(np.round(curvature[rows], 2), axis=0, return_inverse=True)
-        for k, pair in enumerate(pairs):
-            try:
-                self._solve(name, pair)
-            except ContactError as error:
-                why[rows[inverse.ravel() == k]] = f"{name} contact does not hold: {error.what}"
-        return why
-
-    def _holds(self, name: str, curvature: Array) -> NDArray[np.bool_]:
-        return Model(name, self.material.poisson, self.material.thickness).holds(
-            force=self.law.force_reference,
-            curvature=curvature,
-            indenter_radius=self.indenter.radius,
-            effective_modulus=self.material.effective_modulus,
-        )
-
-    def _solve(self, name: str, curvature: Array) -> Patch:
-        return solve(
-            name,
-            force=self.law.force_reference,
-            curvature=tuple(curvature),
-            indenter_radius=self.indenter.radius,
-            modulus=self.material.young,
-            poisson=self.material.poisson,
-            thickness=self.material.thickness,
-        )
+            self.pressing.patch(self.model.name, curvature[k])
 
     @cached_property
     def patch(self) -> Patch:
@@ -212,7 +185,7 @@ class Scene:
         places = np.concatenate([positions.mean(axis=0)[None], positions[near]])
         curvature = self.body.closest(places).curvature
         good = np.flatnonzero(self.refusals(curvature) == "")
-        return self._solve(self.model.name, curvature[good[0] if len(good) else 0])
+        return self.pressing.patch(self.model.name, curvature[good[0] if len(good) else 0])
 
     @property
     def threshold(self) -> float:
@@ -269,10 +242,9 @@ class Scene:
         """
         if self.loop.mode == "arm":
             return np.asarray(self.arm.pose(q) @ self.mount_pose)
-        from scipy.spatial.transform import Rotation
+        from .motion.quasi_static import pose
 
-        turn = Rotation.from_quat(q[:, [4, 5, 6, 3]]).as_matrix()
-        return transform(turn, q[:, :3])
+        return pose(q)
 
     def belief(self, **changes: Any) -> Belief:
         """What the owner of this scene knows; `changes` replace fields (a softer material, ...).

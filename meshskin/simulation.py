@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from . import recording as files
 from .arguments import needs
 from .errors import ConfigError, SkinError
 from .exploration import route, setup_of, start_of
@@ -18,20 +17,19 @@ from .motion import path as paths
 from .motion import stability
 from .motion.arm import Arm
 from .motion.loop import Loop
-from .motion.machine import Machine, Steps
+from .motion.machine import Machine
 from .motion.phases import PHASES, Explorer, Manner
 from .motion.quasi_static import start as body_state
+from .motion.steps import Steps
 from .motion.stretch import LENGTHS
 from .motion.track import Track
 from .physics import effects
-from .physics.effects.frames import Frames
 from .provenance import provenance
 from .recording import Recording, RecordingWriter
 from .scene import Scene
-from .se3 import Array, inverse, quaternion
+from .se3 import Array, inverse
+from .sensing import FRAME_CELLS, contact_frames, effect_chain, header, sensor_tables
 
-FRAME_CELLS = 2e6
-"""Largest number of pressures (frames times taxels) held at once."""
 BODY = ("x", "y", "z", "qw", "qx", "qy", "qz")
 """Columns of the body's pose, where there is no arm."""
 
@@ -68,17 +66,17 @@ def simulate(
     batches = _tables(
         scene, chain or effect_chain(scene, seed), machine.loop, run(scene, machine, path, progress)
     )
-    header = _metadata(scene, seed)
-    header["unreachable"] = {str(k): why for k, why in path.unreachable.items()}
+    metadata = _metadata(scene, seed)
+    metadata["unreachable"] = {str(k): why for k, why in path.unreachable.items()}
     if out is not None:
-        with RecordingWriter(out, header) as writer:
+        with RecordingWriter(out, metadata) as writer:
             for contacts, readings, motion in batches:
                 writer.write(contacts=contacts, readings=readings, motion=motion)
             writer.metadata |= _performance(machine)
         return Recording.load(out)
     tables = [pa.concat_tables(part) for part in zip(*batches, strict=True)]
-    header |= _performance(machine)
-    return Recording(tables[0], tables[1], header, tables[2])
+    metadata |= _performance(machine)
+    return Recording(tables[0], tables[1], metadata, tables[2])
 
 
 def prepare(
@@ -175,12 +173,8 @@ def _loaded_arm(scene: Scene) -> Arm:
 
 
 def _metadata(scene: Scene, seed: int) -> dict[str, Any]:
-    return {
-        "scene": scene.name,
-        "taxel_ids": np.asarray(scene.skin.ids).tolist(),
-        "disc_radius_m": scene.skin.disc_radius,
-        "threshold_pa": scene.threshold,
-        "force_reference_n": scene.law.force_reference,
+    """What a recording says of itself before the loop has run."""
+    return header(scene) | {
         "dt_s": scene.loop.dt,
         "provenance": provenance(
             seed=seed, scene=scene.name, effects=[repr(effect) for effect in scene.effects]
@@ -226,73 +220,6 @@ def _tables(
         count += sum(len(s.time) for s in batch)
         contacts, readings = sensor_tables(scene, seen, chain)
         yield contacts, readings, _motion_table(scene, loop, batch)
-
-
-def effect_chain(scene: Scene, seed: int) -> effects.Chain:
-    """The scene's effects on frames that follow one another."""
-    return effects.Chain.of(scene.effects, scene.context(seed), scene.ideal)
-
-
-def contact_frames(scene: Scene, loop: Loop, batch: Sequence[Steps], before: int = 0) -> Frames:
-    """The contacts when the skin is read, among consecutive steps that follow `before` others.
-
-    Those in which the contact model does not hold are left out: what would be read is not known.
-    """
-    outputs, rows = np.concatenate([s.outputs for s in batch]), loop.outputs
-    frame = (before + np.arange(len(outputs))) % scene.frame_steps == 0
-    frame &= outputs[:, rows["force"].start] > 0
-    outputs = outputs[frame]
-    time = np.concatenate([s.time for s in batch])[frame]
-    q = np.concatenate([s.q for s in batch])[frame]
-    points, normals = outputs[:, rows["point"]], outputs[:, rows["normal"]]
-    centres = points + (scene.indenter.radius - outputs[:, rows["depth"]]) * normals
-    frames = frames_at(scene, time, points, normals, outputs[:, rows["force"].start], centres, q)
-    return frames.rows(scene.refusals(frames.curvature) == "")
-
-
-def frames_at(
-    scene: Scene, time: Array, points: Array, normals: Array, force: Array, centres: Array, q: Array
-) -> Frames:
-    """The frames of m contacts, their columns as in Frames."""
-
-    def foot(moved: Array) -> tuple[Array, Array]:
-        hit = scene.body.closest(moved)
-        return hit.point, hit.normal
-
-    hit = scene.body.closest(points if len(time) else np.zeros((1, 3)))
-    return Frames(
-        time=time,
-        points=points,
-        normals=normals,
-        force=force,
-        centres=centres,
-        curvature=hit.curvature[: len(time)],
-        directions=hit.direction[: len(time)],
-        q=q,
-        foot=foot,
-    )
-
-
-def sensor_tables(scene: Scene, frames: Frames, chain: effects.Chain) -> tuple[pa.Table, pa.Table]:
-    """Contacts and readings as they are recorded."""
-    recorded = chain.record(frames)
-    columns = (recorded.time, *recorded.points.T, *recorded.normals.T, recorded.force)
-    contacts = pa.Table.from_arrays([pa.array(c) for c in columns], schema=files.CONTACTS)
-    headings = np.zeros((0, 4))
-    if len(frames):
-        headings = quaternion(scene.body_pose(frames.q)[:, :3, :3])[:, [3, 0, 1, 2]]
-    for name, column in zip(files.HEADING, headings.T, strict=True):
-        contacts = contacts.append_column(name, pa.array(column))
-    if not len(frames):
-        return contacts, files.READINGS.empty_table()
-    pressures = chain.read(frames, scene.skin.poses)
-    row, col = np.nonzero(pressures > scene.threshold)
-    ids = np.asarray(scene.skin.ids, dtype=np.int32)[col]
-    readings = pa.Table.from_arrays(
-        [pa.array(frames.time[row]), pa.array(ids), pa.array(pressures[row, col])],
-        schema=files.READINGS,
-    )
-    return contacts, readings
 
 
 def _motion_table(scene: Scene, loop: Loop, batch: Sequence[Steps]) -> pa.Table:

@@ -33,7 +33,8 @@ from meshskin.geometry.region import Cap
 from meshskin.motion.path import Path as Way
 from meshskin.physics import effects
 from meshskin.report import figures, theme
-from meshskin.simulation import effect_chain, prepare
+from meshskin.sensing import effect_chain
+from meshskin.simulation import prepare
 from meshskin.study.budget.check import paired
 from meshskin.study.budget.knobs import SECONDS
 from meshskin.study.budget.rehearsal import Rehearsal

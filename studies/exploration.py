@@ -25,11 +25,12 @@ import numpy as np
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 import meshskin as ms
-from meshskin.adaptive import adapt, touched
+from meshskin.adaptive import adapt
 from meshskin.estimation import design
 from meshskin.exploration import planned, setup_of
 from meshskin.geometry.region import Cap
 from meshskin.report import figures, theme
+from meshskin.touching import touched
 
 STEPS = (1e-3, 0.7e-3, 0.5e-3)
 """Distances of contacts along the fixed lanes, m."""

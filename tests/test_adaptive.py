@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import meshskin as ms
-from meshskin.adaptive import NEVER, SPENT, adapt, last_of_each, pressed, together, touched
+from meshskin.adaptive import NEVER, SPENT, adapt
 from meshskin.errors import ConfigError, ReachError
 from meshskin.geometry.region import Cap
 from meshskin.motion import clear
@@ -17,6 +17,7 @@ from meshskin.physics.effects.gravity_error import GravityError
 from meshskin.physics.effects.sampling import Sampling
 from meshskin.physics.effects.scan_order import ScanOrder
 from meshskin.physics.effects.temperature_drift import TemperatureDrift
+from meshskin.touching import last_of_each, pressed, together, touched
 
 TARGET = 45e-6
 

@@ -8,7 +8,6 @@ import pytest
 
 import meshskin as ms
 from meshskin import compiled
-from meshskin.adaptive import pressed, touched
 from meshskin.errors import ConfigError, ReachError
 from meshskin.estimation import metrics
 from meshskin.exploration import planned
@@ -21,6 +20,7 @@ from meshskin.motion.stretch import Compiled
 from meshskin.scene_file import from_tables, tables
 from meshskin.se3 import exp_so3, transform
 from meshskin.simulation import closed_loop, prepare, run
+from meshskin.touching import pressed, touched
 from meshskin.tuning.manoeuvre import plan
 
 WALL = ms.Indenter(position=(-0.6, -0.15, 0.5), direction=(1.0, 0.0, 0.0))

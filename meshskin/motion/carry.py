@@ -13,8 +13,10 @@ import numpy as np
 
 from ..errors import ReachError
 from ..geometry.body import Body
-from ..se3 import Array, inverse
+from ..geometry.closest import Closest
+from ..se3 import Array
 from .arm import Arm
+from .depth import centres, poses
 from .loop import Loop
 from .path import timed
 
@@ -32,6 +34,8 @@ GAP = 1e-3
 """Least distance of body and indenter on the way, m."""
 LOOKS = 60
 """Poses of the way at which the distance is taken."""
+BENDS = (-0.5, 1.0)
+"""Curvatures, in parts of the indenter's, between which a force is told while a body lifts off."""
 
 
 def way(loop: Loop, body: Body, start: Array, goal: Array) -> Array:
@@ -84,9 +88,44 @@ def lifted_off(loop: Loop, q: Array, height: float) -> Array:
 
 def clearance(loop: Loop, body: Body, q: Array) -> float:
     """Least distance, m, of the body's surface from the indenter's centre in q (k, n)."""
-    centre = np.append(loop.indenter_position, 1.0)
-    there = np.einsum("kij,j->ki", inverse(loop.arm.pose(q) @ loop.mount), centre)[:, :3]
-    return float(body.closest(there).distance.min())
+    return float(body.closest(centres(loop, poses(loop, q))).distance.min())
+
+
+def pressed(loop: Loop, hit: Closest, depth: Array) -> Array:
+    """Outputs (k, m), see Loop.outputs, of the contact where the body is carried; no torques.
+
+    hit: the body's points (k) next to the indenter; depth (k,), m: how deep it is in.
+    """
+    force = np.zeros(len(depth))
+    rows = np.flatnonzero(depth > 0)
+    if len(rows):  # over a hollow or an edge the lifting passes, no model holds
+        force[rows] = loop.contact.force(
+            depth=depth[rows],
+            curvature=np.clip(hit.curvature[rows], *np.array(BENDS) / loop.indenter_radius),
+            indenter_radius=loop.indenter_radius,
+            effective_modulus=loop.effective_modulus,
+        )
+    columns = {
+        "point": hit.point,
+        "normal": hit.normal,
+        "force": force[:, None],
+        "depth": depth[:, None],
+        "radius": 1.0 / (hit.curvature.mean(axis=1) + 1.0 / loop.indenter_radius)[:, None],
+    }
+    outputs = np.zeros((len(depth), loop.outputs["torque"].stop))
+    for name, column in columns.items():
+        outputs[:, loop.outputs[name]] = column
+    return outputs
+
+
+def torques(loop: Loop, dynamics: cs.Function, q: Array) -> Array:
+    """Joint torques (k, n), N m, along joint angles (k, n), one row a step, within their limits.
+
+    dynamics: see `inverse_dynamics`.
+    """
+    rates = np.gradient(q, loop.dt, axis=0)
+    wanted = dynamics(q.T, rates.T, np.gradient(rates, loop.dt, axis=0).T).full().T
+    return np.clip(wanted, -loop.arm.effort_limit, loop.arm.effort_limit)
 
 
 def inverse_dynamics(arm: Arm) -> cs.Function:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,37 +14,24 @@ from ..errors import PlaceError, ReachError, SimulationError
 from ..geometry.body import Body
 from ..geometry.closest import Closest
 from ..se3 import Array
-from .carry import inverse_dynamics
+from . import carry
 from .clear import EDGY
+from .depth import centres, poses, under
 from .loop import APPROACH_SPEED, REFERENCE, Loop, flat_anchor
 from .machine_code import machine_code
-from .quasi_static import pose
 from .readings import PointReadings
 from .step import step
+from .steps import Steps
 from .stretch import SPARE, Compiled, Interpreted, Stretch
 from .track import STAY, Track, crossings
 
-BENDS = (-0.5, 1.0)
-"""Curvatures, in parts of the indenter's, between which a force is told while a body lifts off."""
+if TYPE_CHECKING:
+    import casadi as cs
+
 ON_RIDGE = 1e-6
 """Barycentric weight below which a foot is on a side of its face."""
 FULL = 1.0 - 1e-9
 """Part of the torque limit that counts as being at it."""
-
-
-@dataclass(frozen=True)
-class Steps:
-    """A run of consecutive steps."""
-
-    time: Array
-    """(k,), s."""
-    q: Array
-    """Configuration (k, n): joint angles, or position and quaternion of the body."""
-    outputs: Array
-    """(k, m), see Loop.outputs."""
-    phase: int
-    readings: Array | None = None
-    """Point pressures (k, taxels), Pa, where they were asked for."""
 
 
 class Machine:
@@ -144,7 +131,7 @@ class Machine:
         count, outputs = len(outputs), outputs.copy()
         self._check(states[1:], outputs)
         q = states[:-1, : self.size].copy()
-        time = np.asarray((self.steps + np.arange(count)) * self.loop.dt, dtype=float)
+        time = self._times(count)
         self.steps += count
         self.state[:] = states[-1]
         self.face = int(placed.faces[count - 1])
@@ -159,25 +146,7 @@ class Machine:
 
     def clears(self, poses: Array) -> bool:
         """Whether the body at T_w_b (k, 4, 4) nowhere meets the indenter."""
-        return bool(self._under(poses)[1].max() < 0.0)
-
-    def _poses(self, q: Array) -> Array:
-        """T_w_b (k, 4, 4) in configurations (k, n)."""
-        return self.loop.arm.pose(q) @ self.loop.mount if self.loop.joints else pose(q)
-
-    def _tips(self, poses: Array) -> Array:
-        """The indenter's centre (k, 3), body frame, at T_w_b (k, 4, 4)."""
-        way = self.loop.indenter_position - poses[:, :3, 3]
-        return np.asarray(np.einsum("kji,kj->ki", poses[:, :3, :3], way))
-
-    def _under(self, poses: Array) -> tuple[Closest, Array]:
-        """The body's points next to the indenter at T_w_b (k, 4, 4), and how deep it is in (k,).
-
-        An open surface has no inside to be in: far from it, signs mean nothing.
-        """
-        hit = self.body.closest(self._tips(poses))
-        far = hit.distance if self.body.mesh.is_watertight else np.abs(hit.distance)
-        return hit, self.loop.indenter_radius - far
+        return bool(under(self.loop, self.body, poses)[1].max() < 0.0)
 
     def carry(self, q: Array, phase: int) -> Steps:
         """Move exactly along configurations `q` (k, n), one row a step, as the joints' own
@@ -186,29 +155,11 @@ class Machine:
         Raises SimulationError where the body meets the indenter on the way, ReachError where a
         joint leaves its range.
         """
-        loop, dt = self.loop, self.loop.dt
-        poses = self._poses(q)
-        hit, depth = self._under(poses)
-        force = np.zeros(len(q))
-        pressed = np.flatnonzero(depth > 0)
-        if len(pressed):  # over a hollow or an edge the lifting passes, no model holds
-            bend = np.clip(hit.curvature[pressed], *np.array(BENDS) / loop.indenter_radius)
-            force[pressed] = loop.contact.force(
-                depth=depth[pressed],
-                curvature=bend,
-                indenter_radius=loop.indenter_radius,
-                effective_modulus=loop.effective_modulus,
-            )
-        radius = 1.0 / (hit.curvature.mean(axis=1) + 1.0 / loop.indenter_radius)
-        outputs = np.zeros((len(q), self.function.size1_out(1)))
-        columns = {"point": hit.point, "normal": hit.normal, "force": force[:, None]}
-        columns |= {"depth": depth[:, None], "radius": radius[:, None]}
+        loop = self.loop
+        hit, depth = under(loop, self.body, poses(loop, q))
+        outputs = carry.pressed(loop, hit, depth)
         if loop.joints:
-            rates = np.gradient(q, dt, axis=0)
-            torque = self._torques(q.T, rates.T, np.gradient(rates, dt, axis=0).T).full().T
-            columns["torque"] = np.clip(torque, -loop.arm.effort_limit, loop.arm.effort_limit)
-        for name, column in columns.items():
-            outputs[:, loop.outputs[name]] = column
+            outputs[:, loop.outputs["torque"]] = carry.torques(loop, self._inverse_dynamics, q)
         states = np.zeros((len(q), len(self.state)))
         states[:, : self.size], states[:, -2:] = q, hit.uv
         self._check(states, outputs)
@@ -219,7 +170,7 @@ class Machine:
                 value=f"{depth[met].max() * 1e3:.3g} mm deep",
                 remedy="raise exploration.standoff_mm",
             )
-        time = np.asarray((self.steps + np.arange(len(q))) * dt, dtype=float)
+        time = self._times(len(q))
         self.steps += len(q)
         self.state[:], self.face, self._astray = states[-1], int(hit.face[-1]), True
         return Steps(time, q, outputs, phase)
@@ -237,8 +188,12 @@ class Machine:
         return replace(track, maps=maps)
 
     @cached_property
-    def _torques(self) -> Any:
-        return inverse_dynamics(self.loop.arm)
+    def _inverse_dynamics(self) -> cs.Function:
+        return carry.inverse_dynamics(self.loop.arm)
+
+    def _times(self, count: int) -> Array:
+        """Times (count,) of the next steps, s."""
+        return np.asarray((self.steps + np.arange(count)) * self.loop.dt, dtype=float)
 
     def _crossing(self, before: int, after: int) -> Array:
         one = crossings(self.body.surface, np.array([before]), np.array([after]))
@@ -246,7 +201,7 @@ class Machine:
 
     def _hop(self) -> None:
         """Go on from the foot of the indenter's centre, found on the mesh."""
-        centre = self._tips(self._poses(self.state[None, : self.size]))[0]
+        centre = centres(self.loop, poses(self.loop, self.state[None, : self.size]))[0]
         hit = self.body.closest(centre[None])
         offset = centre - hit.point[0]
         if hit.normal[0] @ offset < EDGY * np.linalg.norm(offset):

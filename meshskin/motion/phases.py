@@ -21,9 +21,10 @@ import numpy as np
 from ..errors import PlaceError, SimulationError
 from ..se3 import Array, blend, inverse, log_so3
 from . import carry
-from .machine import Machine, Steps
+from .machine import Machine
 from .quasi_static import pose as body_pose
 from .quasi_static import start as body_state
+from .steps import Steps
 from .stretch import LENGTHS
 from .track import Track, reference_poses
 

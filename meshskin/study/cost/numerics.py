@@ -21,9 +21,9 @@ from ...motion.path import Path
 from ...motion.phases import SLIDE
 from ...physics import effects
 from ...physics.effects.frames import Clock
-from ...recording import Recording
 from ...se3 import Array, inverse
-from ...simulation import contact_frames, effect_chain, prepare, run, sensor_tables
+from ...sensing import contact_frames, effect_chain, recorded
+from ...simulation import prepare, run
 
 if TYPE_CHECKING:
     from ...physics.effects.frames import Frames
@@ -98,13 +98,7 @@ class Numerics:
     def calibrate(self, pressures: Array) -> Array:
         """Positions (n, 3) by pressures (m, n) in the reference's contacts."""
         chain = effects.Chain((), lambda frames, poses: pressures, (), (), Clock())
-        contacts, readings = sensor_tables(self.scene, self.frames, chain)
-        known = {
-            "taxel_ids": np.asarray(self.scene.skin.ids).tolist(),
-            "disc_radius_m": self.scene.skin.disc_radius,
-            "threshold_pa": self.scene.threshold,
-        }
-        recording = Recording(contacts, readings, known)
+        recording = recorded(self.scene, self.frames, chain)
         return calibrate(recording, self.belief, tolerance=self.tolerance).positions
 
 

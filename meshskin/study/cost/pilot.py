@@ -10,19 +10,20 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import pyarrow as pa
 
-from ...adaptive import together
 from ...errors import CalibrationError, GraphError, StudyError
 from ...estimation import metrics
 from ...estimation.calibrate import calibrate
 from ...physics.contact import BATCHED
 from ...physics.effects import Noise
 from ...recording import Recording
-from ...simulation import contact_frames, effect_chain, prepare, run, sensor_tables, simulate
+from ...sensing import contact_frames, effect_chain, recorded
+from ...simulation import prepare, run, simulate
+from ...touching import together
 from .levels import COARSER, loops, models, surfaces, tolerances, worth
 from .numerics import Numerics
 from .request import LANES, Pilot, Request
@@ -71,7 +72,7 @@ def pilot(
 
     def read() -> Recording:
         frames = contact_frames(small, machine.loop, steps)
-        return Recording(*sensor_tables(small, frames, effect_chain(small, seed)), _header(small))
+        return recorded(small, frames, effect_chain(small, seed))
 
     recording, _ = timed(read)  # the first time pays for what the next ones find
     _, reading = timed(read)
@@ -184,15 +185,6 @@ def timed(work: Callable[[], T]) -> tuple[T, float]:
     """What comes out, and its processor seconds."""
     begin = time.process_time()
     return work(), time.process_time() - begin
-
-
-def _header(scene: Scene) -> dict[str, Any]:
-    return {
-        "taxel_ids": np.asarray(scene.skin.ids).tolist(),
-        "disc_radius_m": scene.skin.disc_radius,
-        "threshold_pa": scene.threshold,
-        "force_reference_n": scene.law.force_reference,
-    }
 
 
 def _estimates(recording: Recording, belief: Belief, methods: Sequence[str]) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...errors import ContactError
 from ...physics.contact import solve
-from ...simulation import frames_at
+from ...sensing import frames_at
 from .numerics import Numerics
 
 if TYPE_CHECKING:
