@@ -14,6 +14,15 @@ from typing import Any
 from .errors import OutputError
 
 
+def unwritable(path: Path, error: OSError) -> OutputError:
+    """What to say of a file or folder that the system does not let one make."""
+    return OutputError(
+        f"cannot write {path}",
+        value=error.strerror,
+        remedy="choose a folder that you may write to (--out)",
+    )
+
+
 @contextmanager
 def atomic(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`; move it to `path` on success, delete it otherwise.
@@ -26,11 +35,7 @@ def atomic(path: str | Path) -> Iterator[Path]:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
         os.close(handle)
     except OSError as error:
-        raise OutputError(
-            f"cannot write {path}",
-            value=error.strerror,
-            remedy="choose a folder that you may write to (--out)",
-        ) from error
+        raise unwritable(path, error) from error
     temporary = Path(name)
     try:
         yield temporary
@@ -46,6 +51,19 @@ def atomic(path: str | Path) -> Iterator[Path]:
         ) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_folder(folder: Path) -> None:
+    """Make the output folder and try it, before any work is done. Raises OutputError."""
+    check_place(folder / "metrics.json")
+
+
+def check_place(path: Path) -> None:
+    """Make a file's folder and try it, before any work is done. Raises OutputError."""
+    probe = path.with_name(f"{path.name}.probe")
+    with atomic(probe):
+        pass
+    probe.unlink()
 
 
 def write_text(path: str | Path, text: str) -> None:

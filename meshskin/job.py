@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from time import perf_counter, process_time
+from time import process_time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .atomic import atomic, write_json
+from .atomic import check_folder, write_json
 from .belief import Belief
+from .clock import Clock
 from .errors import CalibrationError, GraphError, ReachError
 from .estimation import metrics as truth
 from .estimation.calibrate import calibrate
@@ -28,6 +29,7 @@ from .scene import Scene
 from .simulation import Progress, simulate
 
 if TYPE_CHECKING:
+    from .geometry.skin import Skin
     from .motion.path import Path as Way
     from .study.budget import Ledger
     from .study.cost.request import Request
@@ -40,29 +42,6 @@ FLOATING = 3
 """Taxels by which a whole that floats is laid on the truth."""
 MAPS = 16
 """A report takes as much processor time as this many maps of the estimates."""
-
-
-@dataclass
-class Clock:
-    """Seconds of every stage."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-    began: tuple[float, float] = field(default_factory=lambda: (perf_counter(), process_time()))
-    """On the wall and of the processor."""
-
-    @property
-    def processor(self) -> float:
-        """Processor seconds since the beginning."""
-        return process_time() - self.began[1]
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Measure the time spent inside."""
-        start = perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + perf_counter() - start
 
 
 @contextmanager
@@ -88,19 +67,6 @@ class Result:
     metrics: dict[str, Any]
     ledger: Ledger | None = None
     """What an error budget decided, where there was one."""
-
-
-def check_folder(folder: Path) -> None:
-    """Make the output folder and try it, before any work is done. Raises OutputError."""
-    check_place(folder / "metrics.json")
-
-
-def check_place(path: Path) -> None:
-    """Make a file's folder and try it, before any work is done. Raises OutputError."""
-    probe = path.with_name(f"{path.name}.probe")
-    with atomic(probe):
-        pass
-    probe.unlink()
 
 
 def forget(folder: Path) -> None:
@@ -154,23 +120,26 @@ def run(
         comparisons, missing = _compared(recording, belief)
         demonstration = _demonstrated(scene, recording, seed)
     with clock.stage("metrics"):
-        result = _assess(scene, belief, recording, calibration, comparisons, demonstration)
-        result.metrics.update(missing)
-    if ledger is not None:
-        result = replace(result, ledger=ledger)
-        result.metrics["budget"] = ledger.metrics()
-    if promise is not None:
-        result.metrics["promise"] = promise
+        force = _force(recording, scene)
+        metrics = _assess(scene, belief, recording, calibration, force, demonstration)
+        metrics |= _errors(comparisons, scene.skin) | missing
+        if ledger is not None:
+            metrics["budget"] = ledger.metrics()
+        if promise is not None:
+            metrics["promise"] = promise
+    result = Result(
+        scene, recording, calibration, comparisons, demonstration, force, metrics, ledger
+    )
     with clock.stage("report"):
         _report(result, folder, seed, clock.seconds)
     if promise is not None:
         promise["came_to"] = {
-            "error_mm": result.metrics["position_error_mm"]["mean"],
+            "error_mm": metrics["position_error_mm"]["mean"],
             "seconds": sum(clock.seconds.values()),
             "processor_seconds": clock.processor,
         }
-    result.metrics["seconds"] = {k: round(v, 4) for k, v in clock.seconds.items()}
-    write_json(folder / "metrics.json", result.metrics)
+    metrics["seconds"] = {k: round(v, 4) for k, v in clock.seconds.items()}
+    write_json(folder / "metrics.json", metrics)
     return result
 
 
@@ -262,24 +231,30 @@ def _drawing(scene: Scene) -> Callable[[Calibration], float]:
     return drawing
 
 
-def _assess(
-    scene: Scene,
-    belief: Belief,
-    recording: Recording,
-    calibration: Calibration,
-    comparisons: dict[str, Calibration],
-    demonstration: Demonstration | None,
-) -> Result:
-    """Compare the estimates with the truth, and the force with its reference."""
-    motion, skin = recording.motion, scene.skin
+def _force(recording: Recording, scene: Scene) -> ForceResponse:
+    """How the force of a simulated recording follows its reference."""
+    motion = recording.motion
     assert motion is not None
-    force = force_response(
+    return force_response(
         np.asarray(motion.column("time")),
         np.asarray(motion.column("force")),
         scene.law.force_reference,
         motion.column("phase").to_pylist(),
     )
-    metrics: dict[str, Any] = {
+
+
+def _assess(
+    scene: Scene,
+    belief: Belief,
+    recording: Recording,
+    calibration: Calibration,
+    force: ForceResponse,
+    demonstration: Demonstration | None,
+) -> dict[str, Any]:
+    """The metrics of the joint estimate against the truth, and of the force."""
+    motion, skin = recording.motion, scene.skin
+    assert motion is not None
+    return {
         "scene": scene.name,
         "taxels": len(calibration.ids),
         "touched": int(calibration.touched.sum()),
@@ -297,11 +272,16 @@ def _assess(
         "steps": motion.num_rows,
         "steps_per_second": recording.metadata["steps_per_second"],
     }
+
+
+def _errors(comparisons: dict[str, Calibration], skin: Skin) -> dict[str, dict[str, Any]]:
+    """The position errors of what the other methods found, mm."""
+    errors = {}
     for method, other in comparisons.items():
         # displacements say nothing about the pose of the whole
-        errors = truth.position_errors(other, skin, gauge=method.startswith("posegraph"))
-        metrics[method] = truth.summary_mm(errors)
-    return Result(scene, recording, calibration, comparisons, demonstration, force, metrics)
+        gauge = method.startswith("posegraph")
+        errors[method] = truth.summary_mm(truth.position_errors(other, skin, gauge=gauge))
+    return errors
 
 
 def _force_metrics(force: ForceResponse) -> dict[str, float]:

@@ -14,6 +14,7 @@ WINGS = [
     "errors",
     "se3",
     "atomic",
+    "clock",
     "config",
     "arguments",
     "provenance",

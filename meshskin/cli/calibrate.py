@@ -73,10 +73,10 @@ def add(commands: Any) -> None:
 
 def command(options: argparse.Namespace) -> int:
     """Calibrate, write the results, and print the summary."""
-    from ..atomic import write_json
+    from ..atomic import check_folder, check_place, write_json
     from ..estimation.calibrate import calibrate
     from ..geometry.files import check_format
-    from ..job import check_folder, check_place, forget
+    from ..job import forget
     from ..provenance import provenance
     from ..recording import Recording
 

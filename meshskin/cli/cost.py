@@ -38,7 +38,7 @@ def add(commands: Any) -> None:
 
 def command(options: argparse.Namespace) -> int:
     """Measure, write the page, and print the table."""
-    from ..job import check_folder
+    from ..atomic import check_folder
     from ..scene import Scene
     from ..study.budget import budget
     from ..study.cost import KNOBS, cost

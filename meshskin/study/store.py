@@ -21,7 +21,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ..atomic import write_text
+from ..atomic import unwritable, write_text
 from ..errors import OutputError, StudyError
 from ..provenance import digest
 from .outcome import Limits, Outcome
@@ -93,11 +93,7 @@ class Store:
             self.folder.mkdir(parents=True, exist_ok=True)
             file = path.open("a+", encoding="utf-8")
         except OSError as error:
-            raise OutputError(
-                f"cannot write {self.folder}",
-                value=error.strerror,
-                remedy="choose a folder that you may write to (--out)",
-            ) from error
+            raise unwritable(self.folder, error) from error
         with file:
             try:
                 _lock(file.fileno())
