@@ -6,6 +6,8 @@ turn them; everything else by geodesic lanes (motion/plan.py).
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from .arguments import needs, real, shown
@@ -19,6 +21,7 @@ from .motion.arm import Arm
 from .motion.path import Exploration
 from .motion.ways import Setup
 from .physics import contact as models
+from .physics.contact import Patch
 from .physics.indenter import Indenter
 from .physics.material import Material
 from .scene import Scene
@@ -80,45 +83,55 @@ def explore(
             limit="a finite (4, 4) with a rotation in it",
         )
     indenter, material = indenter or Indenter(), material or Material()
-    curvature = body.closest(skin.positions).curvature
-    # what is too hollow for the indenter is left out by the plan: a typical place of the rest
-    fitting = curvature[curvature[:, 1] * indenter.radius > -ROUNDER]
-    curvature = fitting if len(fitting) else curvature
-    mean = curvature.mean(axis=1)
     patch = models.solve(
         "hertz",
         force=force,
-        curvature=tuple(curvature[np.argmin(np.abs(mean - np.median(mean)))]),
+        curvature=_typical(body.closest(skin.positions).curvature, indenter),
         indenter_radius=indenter.radius,
         modulus=material.young,
         poisson=material.poisson,
         thickness=material.thickness,
         upgrade=True,
     )
-    setup = Setup(
-        body,
-        indenter,
-        patch.depth,
-        float(patch.semi_axes[-1]) + skin.disc_radius,
-        arm,
-        mount,
-        float(patch.semi_axes[0]),
-    )
+    setup = _setup(body, indenter, patch, skin.disc_radius, arm, mount)
     wanted = exploration or Exploration(pattern="lanes", contacts=CONTACTS)
     return plans.plan(setup, skin.positions, skin.ids, wanted, dt=dt, frame=frame)
 
 
+def _typical(curvature: Array, indenter: Indenter) -> tuple[float, float]:
+    """The principal curvatures, 1/m, among (k, 2), of a place in the middle of those that the
+    indenter fits: what is too hollow for it is left out by the plan.
+    """
+    fitting = curvature[curvature[:, 1] * indenter.radius > -ROUNDER]
+    curvature = fitting if len(fitting) else curvature
+    mean = curvature.mean(axis=1)
+    first, second = curvature[np.argmin(np.abs(mean - np.median(mean)))]
+    return first, second
+
+
+def _setup(
+    body: Body,
+    indenter: Indenter,
+    patch: Patch,
+    disc_radius: float,
+    arm: Arm | None,
+    mount: Array | None,
+    holds: Callable[[Array], Array] | None = None,
+) -> Setup:
+    """What explores, by the patch of a usual contact; holds: as in Setup."""
+    least, most = float(patch.semi_axes[-1]), float(patch.semi_axes[0])
+    return Setup(body, indenter, patch.depth, least + disc_radius, arm, mount, most, holds)
+
+
 def setup_of(scene: Scene) -> Setup:
     """What explores in a scene."""
-    patch = scene.patch
-    return Setup(
+    return _setup(
         scene.body,
         scene.indenter,
-        patch.depth,
-        float(patch.semi_axes[-1]) + scene.skin.disc_radius,
+        scene.patch,
+        scene.skin.disc_radius,
         scene.arm if scene.loop.mode == "arm" else None,
         scene.mount_pose,
-        float(patch.semi_axes[0]),
         scene.refusals,
     )
 

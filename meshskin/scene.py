@@ -30,9 +30,9 @@ from .motion.path import Exploration
 from .motion.ways import Setup
 from .physics.contact import AUTO, BATCHED, Model, Patch
 from .physics.effects import Context, Noise
+from .physics.indentation import Indentation
 from .physics.indenter import Indenter
 from .physics.material import Material
-from .physics.pressing import Pressing
 from .physics.reading import Ideal
 from .scene_parts import Loop, Readout
 from .se3 import Array, is_rigid, transform
@@ -148,9 +148,9 @@ class Scene:
         return transform(rotation, [0.0, 0.0, back + ADAPTER])
 
     @property
-    def pressing(self) -> Pressing:
+    def indentation(self) -> Indentation:
         """The indenter on the skin's material under the reference force."""
-        return Pressing(self.law.force_reference, self.indenter.radius, self.material)
+        return Indentation(self.law.force_reference, self.indenter.radius, self.material)
 
     @cached_property
     def model(self) -> Model:
@@ -161,19 +161,19 @@ class Scene:
         known("contact model of a scene", self.contact, (*BATCHED, AUTO))
         name = self.contact
         if name == AUTO:
-            name = self.pressing.first_to_hold(self.body.closest(self.skin.positions).curvature)
-        return self.pressing.model(name)
+            name = self.indentation.first_to_hold(self.body.closest(self.skin.positions).curvature)
+        return self.indentation.model(name)
 
     def refusals(self, curvature: Array) -> Array:
         """Why the contact model does not hold (k,) at principal curvatures (k, 2), 1/m: strings, ""
         where it does.
         """
-        return self.pressing.refusals(self.model.name, curvature)
+        return self.indentation.refusals(self.model.name, curvature)
 
     def judge(self, curvature: Array) -> None:
         """Raise ContactError if the contact model leaves its range at one of (k, 2) curvatures."""
         for k in np.flatnonzero(self.refusals(curvature) != "")[:1]:
-            self.pressing.patch(self.model.name, curvature[k])
+            self.indentation.patch(self.model.name, curvature[k])
 
     @cached_property
     def patch(self) -> Patch:
@@ -185,7 +185,7 @@ class Scene:
         places = np.concatenate([positions.mean(axis=0)[None], positions[near]])
         curvature = self.body.closest(places).curvature
         good = np.flatnonzero(self.refusals(curvature) == "")
-        return self.pressing.patch(self.model.name, curvature[good[0] if len(good) else 0])
+        return self.indentation.patch(self.model.name, curvature[good[0] if len(good) else 0])
 
     @property
     def threshold(self) -> float:

@@ -221,10 +221,10 @@ def coverage(
     p, counts = np.asarray(positions, dtype=float), np.asarray(readings, dtype=float)
     plane = plane or tangent_plane(p)
     xy = plane.project(p)
-    touched = (counts > 0) & np.isfinite(xy).all(axis=1)
+    drawn = np.isfinite(xy).all(axis=1)
+    touched = (counts > 0) & drawn
     figure = theme.canvas(6.6, 6.1)
     route = plane.project(np.zeros((0, 3)) if path is None else path)
-    drawn = np.isfinite(xy).all(axis=1)
     view = _view(xy[drawn], route, 0.2) if drawn.any() else route
     axes = _map_axes(figure, view, 0.65, 0.6, 5.0)
     handles = []
@@ -240,7 +240,7 @@ def coverage(
     bar.ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: number(value)))
     bar.ax.yaxis.set_minor_locator(NullLocator())
-    missed = ~touched & np.isfinite(xy).all(axis=1)
+    missed = ~touched & drawn
     if missed.any():
         diameter = 2 * disc_radius * MM
         _discs(axes, xy[missed], diameter, facecolors="white", edgecolors=theme.WARNING)

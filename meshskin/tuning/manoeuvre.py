@@ -21,6 +21,7 @@ from ..geometry import patch as patches
 from ..geometry.body import Body
 from ..motion.loop import flat_anchor
 from ..motion.path import Exploration, Path, twists
+from ..physics.indenter import Indenter
 from ..scene import Scene
 from ..se3 import Array, inverse, transform
 
@@ -124,16 +125,12 @@ def plan(
             remedy="take a shorter distance or another place",
         )
     basis = np.vander(s / distance, DEGREE + 1, increasing=True)
-    gap = scene.indenter.radius - depth
-    centres = points + gap * frames[:, :, 2]
+    tips = points + (scene.indenter.radius - depth) * frames[:, :, 2]
     headings = np.arange(HEADINGS) * 2 * np.pi / HEADINGS if heading is None else [heading]
     best: tuple[float, Manoeuvre] | None = None
     reason: ReachError | None = None
     for angle in headings:
-        ahead, down = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([0.0, 0.0, -1.0])
-        world = scene.indenter.frame @ np.stack([ahead, np.cross(down, ahead), down], axis=1)
-        rotation = world @ frames.swapaxes(1, 2)
-        position = np.array(scene.indenter.position) - np.einsum("kij,kj->ki", rotation, centres)
+        rotation, position = _on_heading(scene.indenter, frames, tips, angle)
         rows = np.concatenate([points, position, rotation.swapaxes(1, 2).reshape(-1, 9)], axis=1)
         way = np.linalg.lstsq(basis, rows, rcond=None)[0]
         poses = transform(rotation, position)
@@ -151,6 +148,20 @@ def plan(
             remedy="take another place or distance, or move indenter.position_m",
         ) from reason
     return best[1]
+
+
+def _on_heading(
+    indenter: Indenter, frames: Array, tips: Array, angle: float
+) -> tuple[Array, Array]:
+    """Rotations (k, 3, 3) and positions (k, 3) of the body, world, that bring the frames (k, 3, 3)
+    of a slide onto the indenter, its way ahead at `angle`, rad, about it.
+
+    tips (k, 3): the indenter's centre in the body frame, m.
+    """
+    ahead, down = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([0.0, 0.0, -1.0])
+    world = indenter.frame @ np.stack([ahead, np.cross(down, ahead), down], axis=1)
+    rotation = world @ frames.swapaxes(1, 2)
+    return rotation, np.array(indenter.position) - np.einsum("kij,kj->ki", rotation, tips)
 
 
 def _posture(scene: Scene, poses: Array) -> tuple[Array | None, Array, float]:

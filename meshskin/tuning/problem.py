@@ -96,13 +96,7 @@ class Problem:
         x = ca.MX.sym("x", len(NAMES))
         gains = Gains(*(ca.exp(x[k]) for k in range(len(NAMES))))
         judge = Judge(demands, objective, steps + -steps % WINDOW, target)
-        limits: dict[str, list[Limit]] = {}
-        aims: list[Aim] = []
-        for shot in shots:
-            aim, found = judge(shot, gains)
-            aims.append(aim)
-            for limit in found:
-                limits.setdefault(limit.name, []).append(limit)
+        aims, limits = _judged(judge, shots, gains)
         self.limits = {name: found[0] for name, found in limits.items()}
         self.names = list(limits)
         slack, worst = ca.MX.sym("slack", len(self.names)), ca.MX.sym("worst")
@@ -129,12 +123,7 @@ class Problem:
         bends = [aim.curvature(x) for aim in aims]
         self._bends = ca.Function("bends", [base], [sum(bends[1:], bends[0]) / len(bends)])
         self.watch = Watch(nlp["x"].shape[0], nlp["g"].shape[0])
-        made: dict[str, Any] = {"iteration_callback": self.watch}
-        if objective != "force_error":
-            made["hess_lag"] = _damping(nlp)
-        else:  # the logarithm of an error that may vanish is bent: it needs its curvature
-            made["ipopt.hessian_approximation"] = "limited-memory"
-        self.solver = ca.nlpsol("tune", "ipopt", nlp, OPTIONS | made)
+        self.solver = _solver(nlp, objective, self.watch)
         self.build_seconds = perf_counter() - began
 
     def solve(self, start: Gains | None = None, elastic: bool = False) -> Solution:
@@ -271,6 +260,30 @@ def descended(count: int) -> str:
     if count >= STEPS:
         why = f"{STEPS} steps were taken"
     return f"stopped at the best gains that meet the limits, downhill along them: {why}"
+
+
+def _judged(
+    judge: Judge, shots: Sequence[Shot], gains: Gains
+) -> tuple[list[Aim], dict[str, list[Limit]]]:
+    """The aim of each shot, and the limits of all of them by name."""
+    aims: list[Aim] = []
+    limits: dict[str, list[Limit]] = {}
+    for shot in shots:
+        aim, found = judge(shot, gains)
+        aims.append(aim)
+        for limit in found:
+            limits.setdefault(limit.name, []).append(limit)
+    return aims, limits
+
+
+def _solver(nlp: dict[str, ca.MX], objective: str, watch: Watch) -> ca.Function:
+    """IPOPT on the program, under watch."""
+    made: dict[str, Any] = {"iteration_callback": watch}
+    if objective != "force_error":
+        made["hess_lag"] = _damping(nlp)
+    else:  # the logarithm of an error that may vanish is bent: it needs its curvature
+        made["ipopt.hessian_approximation"] = "limited-memory"
+    return ca.nlpsol("tune", "ipopt", nlp, OPTIONS | made)
 
 
 def _listed(

@@ -96,12 +96,7 @@ def tune(
     longest = max(shot.predict(first).duration for shot in shots)
     if objective == "force_error" and demands.time is None:
         demands = replace(demands, time=longest)
-    horizon = LEEWAY * longest
-    if objective == "force_error" and demands.time:
-        horizon = max(horizon, LEEWAY * demands.time)
-    if objective == "settling":
-        slide = distance / first.speed + first.ramp
-        horizon -= LEEWAY * (slide - HELD * first.settle)
+    horizon = _horizon(objective, demands, longest, distance / first.speed + first.ramp, first)
     steps = int(np.ceil(horizon / scene.loop.dt)) + 2
 
     def posed(demands: Demands, objective: str) -> Problem:
@@ -280,6 +275,18 @@ def _ranges(
         fixed |= {"speed": first.speed, "ramp": first.ramp}
         bounds = {"force_reference": (target, target)} | dict(bounds)
     return span(dict(bounds) | {name: (value, value) for name, value in fixed.items()}, target)
+
+
+def _horizon(objective: str, demands: Demands, longest: float, slide: float, first: Gains) -> float:
+    """Length of the rollout, s: with leeway over the start's manoeuvre, s, and a time demanded; a
+    search that is judged by the touch ends soon after it, without the slide, s.
+    """
+    horizon = LEEWAY * longest
+    if objective == "force_error" and demands.time:
+        horizon = max(horizon, LEEWAY * demands.time)
+    if objective == "settling":
+        horizon -= LEEWAY * (slide - HELD * first.settle)
+    return horizon
 
 
 def _rested(shot: Shot, gains: Gains) -> Gains:

@@ -78,14 +78,7 @@ def contacts(body: Body, centre: ArrayLike, indenter_radius: float) -> Contacts:
     # seen from inside: the far side of a thin wall, or the centre is in the body
     outside = np.linalg.norm(normal + hit.normal, axis=1) > ON_EDGE
     if not outside.any() and (len(starts) or body.mesh.is_watertight):
-        signed = float(body.closest(c[None]).distance[0])
-        if signed <= 0:
-            raise ContactError(
-                "the indenter's centre lies inside the body",
-                value=f"signed distance {signed:.4g} m",
-                limit="> 0 m",
-                remedy="start farther out, or check the body's orientation",
-            )
+        _refuse_inside(body, c)
     bend = np.where(smooth, 1 + hit.curvature[:, 1] * distance, 1.0)
     # where the distance bends down it has a saddle or a maximum, which is no contact
     keep = np.flatnonzero(outside & (bend > -CONFORMING) & (distance < indenter_radius))
@@ -105,6 +98,18 @@ def contacts(body: Body, centre: ArrayLike, indenter_radius: float) -> Contacts:
         face=hit.face[keep],
         smooth=smooth[keep],
     )
+
+
+def _refuse_inside(body: Body, centre: Array) -> None:
+    """Raise ContactError if the indenter's centre (3,), body frame, m, lies in the body."""
+    signed = float(body.closest(centre[None]).distance[0])
+    if signed <= 0:
+        raise ContactError(
+            "the indenter's centre lies inside the body",
+            value=f"signed distance {signed:.4g} m",
+            limit="> 0 m",
+            remedy="start farther out, or check the body's orientation",
+        )
 
 
 def press(

@@ -18,6 +18,7 @@ import pyarrow as pa
 from ...errors import CalibrationError, GraphError, StudyError
 from ...estimation import metrics
 from ...estimation.calibrate import calibrate
+from ...exploration import setup_of
 from ...physics.contact import BATCHED
 from ...physics.effects import Noise
 from ...recording import Recording
@@ -63,9 +64,7 @@ def pilot(
     perf_counter and process_time when the run was begun. Raises what a run raises.
     """
     base = Setting.of(scene)
-    reach = float(scene.patch.semi_axes[-1]) + scene.skin.disc_radius
-    own = base.lane_spacing
-    coarse = replace(base, lane_spacing=max(min(LANES[-1] * own, WIDEST * reach), own))
+    coarse = _coarse(base, setup_of(scene).reach)
     small = coarse.scene(scene, scene.body)
     (machine, path), preparing = timed(lambda: prepare(small))
     steps, looping = timed(lambda: list(run(small, machine, path)))
@@ -104,6 +103,12 @@ def pilot(
         lambda data, rest: timed(lambda: calibrate(data, belief, tolerance=rest))[1],
     )
     return replace(tried, spent=_since(began))
+
+
+def _coarse(base: Setting, reach: float) -> Setting:
+    """The setting with the widest lanes on which taxels still feel contacts, at `reach`, m."""
+    own = base.lane_spacing
+    return replace(base, lane_spacing=max(min(LANES[-1] * own, WIDEST * reach), own))
 
 
 def _since(began: tuple[float, float]) -> tuple[float, float]:

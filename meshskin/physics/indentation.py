@@ -13,7 +13,7 @@ from .material import Material
 
 
 @dataclass(frozen=True)
-class Pressing:
+class Indentation:
     """A rigid spherical indenter pressed on a material under one force.
 
     Contact models are given by name, of physics.contact.BATCHED.
