@@ -14,11 +14,11 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, TypedDict
 
 import meshskin as ms
 from meshskin import job, library
@@ -37,6 +37,14 @@ ASKED = (
 )
 
 
+class How(TypedDict):
+    """How the costs of a scene are measured: arguments of `ms.cost`."""
+
+    knobs: list[str]
+    seeds: int
+    finer: int
+
+
 def main(arguments: list[str] | None = None) -> dict[str, Any]:
     """Run the study; return its numbers by scene."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -52,8 +60,11 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
     knobs = options.knobs or (KNOBS if options.full else FEW)
 
     found: dict[str, Costs] = {}
-    how = {"knobs": list(knobs), "seeds": 3 if options.full else 1}
-    how["finer"] = 8 if options.full else 4
+    how: How = {
+        "knobs": list(knobs),
+        "seeds": 3 if options.full else 1,
+        "finer": 8 if options.full else 4,
+    }
     for name in scenes:
 
         def measured(name: str = name) -> dict[str, Any]:
@@ -84,7 +95,7 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
 
 
 def once(
-    file: Path, how: dict[str, Any], resume: bool, measure: Callable[[], dict[str, Any]]
+    file: Path, how: Mapping[str, object], resume: bool, measure: Callable[[], dict[str, Any]]
 ) -> dict[str, Any]:
     """What `measure` returns, kept in a file; or what a run before measured in the same way."""
     if resume and file.exists():

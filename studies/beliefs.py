@@ -76,7 +76,9 @@ def study(case: Case, seeds: int) -> dict[str, float]:
         "declared": case.world.belief(**case.declared),
     }
     right = case.world.belief(**case.right)
-    totals = {f"{name}_{what}": [] for name in beliefs for what in ("error", "refused")}
+    totals: dict[str, list[float]] = {
+        f"{name}_{what}": [] for name in beliefs for what in ("error", "refused")
+    }
     bounds = []
     for seed in range(seeds):
         recording = ms.press(case.world, points, spin=spins, seed=seed)

@@ -18,10 +18,11 @@ import argparse
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from math import isclose
 from pathlib import Path
 from time import process_time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,6 +30,7 @@ import meshskin as ms
 from meshskin import library
 from meshskin.atomic import write_text
 from meshskin.errors import ReachError
+from meshskin.estimation.solve import AT_REST
 from meshskin.geometry.region import Cap
 from meshskin.motion.path import Path as Way
 from meshskin.physics import effects
@@ -39,6 +41,9 @@ from meshskin.study.budget.check import paired
 from meshskin.study.budget.knobs import SECONDS
 from meshskin.study.budget.rehearsal import Rehearsal
 from meshskin.study.cost.numerics import held_route
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FRESH = 100
 """A seed that the budget has not seen."""
@@ -112,9 +117,10 @@ def prices() -> dict[str, float]:
     frames = Rehearsal.of(scene, path).frames
     for name in ("hertz", "elliptic", "layered"):
         read = effect_chain(scene.with_(contact=name, effects=()), 0).read
-        found[name] = seconds(lambda r=read: r(frames, scene.skin.poses)) / len(frames) / taxels  # type: ignore[misc]
-    turns = len(ms.calibrate(recording, scene.belief()).iterates)
-    every = turns * len(recording.pressure)
+        found[name] = seconds(partial(read, frames, scene.skin.poses)) / len(frames) / taxels
+    iterates = ms.calibrate(recording, scene.belief()).iterates
+    assert iterates is not None  # a joint estimate has them
+    every = len(iterates) * len(recording.pressure)
     found["reading"] = seconds(lambda: ms.calibrate(recording, scene.belief())) / every
     for name, value in found.items():
         print(f"{name:10}{value:10.2g} s, reckoned with {SECONDS[name]:.2g}")
@@ -228,19 +234,19 @@ def line(name: str, row: dict[str, Any]) -> str:
 
 
 def calibrated(
-    scene: ms.Scene, path: Way, belief: ms.Belief, **options: float
+    scene: ms.Scene, path: Way, belief: ms.Belief, tolerance: float = AT_REST
 ) -> tuple[ms.Calibration, float]:
     """The calibration of a scene's recording, and its processor seconds, simulation included."""
     begin = process_time()
     fresh = scene.with_(body=replace(scene.body))  # fitting its surface counts
     held_route(fresh)  # a run plans its own path, which is not what is compared here
     recording = ms.simulate(fresh, FRESH, path=path.thinned(fresh.loop.dt, fresh.body))
-    found = ms.calibrate(recording, belief, **options)
+    found = ms.calibrate(recording, belief, tolerance=tolerance)
     return found, process_time() - begin
 
 
 @theme.styled
-def against(rows: dict[str, dict[str, float]], budget_mm: float) -> object:
+def against(rows: dict[str, dict[str, float]], budget_mm: float) -> Figure:
     """Estimate against truth, with a factor of two to either side."""
     figure = theme.canvas(4.6, 4.2)
     axes = figure.add_subplot()

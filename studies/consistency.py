@@ -153,7 +153,7 @@ def cases() -> dict[str, Case]:
     }
 
 
-def contacts(scene: ms.Scene) -> dict[str, np.ndarray]:
+def contacts(scene: ms.Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points (m, 3), m, over the skin and a patch's radius beyond, forces (m,), N, spins, rad."""
     rng, positions = np.random.default_rng(7), scene.skin.positions
     reach, count = scene.patch.semi_axes[0], round(CONTACTS * len(scene.skin) / TAXELS)
@@ -167,18 +167,15 @@ def contacts(scene: ms.Scene) -> dict[str, np.ndarray]:
     else:  # all round: about the taxels
         near = positions[np.arange(count) % len(positions)]
         points = near + rng.uniform(-2 * reach, 2 * reach, (count, 3))
-    return {
-        "points": scene.body.closest(points).point,
-        "force": rng.uniform(2.0, 4.0, count),
-        "spin": rng.uniform(-np.pi, np.pi, count),
-    }
+    force, spin = rng.uniform(2.0, 4.0, count), rng.uniform(-np.pi, np.pi, count)
+    return scene.body.closest(points).point, force, spin
 
 
 def study(case: Case, seeds: range) -> dict[str, dict[str, float]]:
     """Rows of quantities: mean normalised square, its band, how many squares it is a mean of."""
     belief = case.world.belief(**case.belief)
     right = replace(belief, material=case.world.material)  # the bound is that at the truth
-    pressed = contacts(case.world)
+    points, force, spin = contacts(case.world)
     squares: dict[str, list[np.ndarray]] = defaultdict(list)
     errors, bounds, chances = [], [], []
     for seed in seeds:
@@ -186,7 +183,7 @@ def study(case: Case, seeds: range) -> dict[str, dict[str, float]]:
         if case.draw is not None:
             world, drawn = case.draw(case.world, np.random.default_rng(seed))
             truth = truth | drawn
-        recording = scaled(ms.press(world, **pressed, seed=seed), case.recorded_force)
+        recording = scaled(ms.press(world, points, force, spin, seed), case.recorded_force)
         found = ms.calibrate(recording, belief)
         for name, part in (
             pose_squares(found, world.skin, belief, seed)
@@ -194,6 +191,7 @@ def study(case: Case, seeds: range) -> dict[str, dict[str, float]]:
             | taxel_squares(found, taxels(world, seed))
         ).items():
             squares[name].append(part)
+        assert found.fit is not None  # a joint estimate has one
         chances.append(found.fit.p)
         if belief.module_slots is None:
             errors.append(np.mean(metrics.position_errors(found, world.skin) ** 2))
@@ -224,9 +222,10 @@ def pose_squares(
         one = slots.slot(skin.ids) == slots.CENTRE
         off, seen, covariance = off[one], seen[one], covariance[one]
     out = {}
-    for name, columns in (("position", [0, 1]), ("tilt", [3, 4]), ("spin", [5])):
+    for name, freedoms in (("position", [0, 1]), ("tilt", [3, 4]), ("spin", [5])):
+        columns = np.array(freedoms)
         good = seen[:, columns].all(axis=1)
-        part = covariance[np.ix_(good, columns, columns)]
+        part = covariance[np.ix_(np.flatnonzero(good), columns, columns)]
         solved = np.linalg.solve(part, off[good][:, columns, None])[:, :, 0]
         out[name] = off[good][:, columns] * solved
     return out
@@ -265,8 +264,9 @@ def taxels(world: ms.Scene, seed: int) -> dict[str, np.ndarray]:
 def displaced(scene: ms.Scene, rng: np.random.Generator) -> tuple[ms.Scene, dict[str, float]]:
     """The indenter stands off."""
     offset = STANDS * rng.standard_normal(3)
+    x, y, z = map(float, offset)
     labels = (f"indenter_offset {axis}" for axis in "xyz")
-    world = scene.with_(effects=(*scene.effects, IndenterOffset(tuple(map(float, offset)))))
+    world = scene.with_(effects=(*scene.effects, IndenterOffset((x, y, z))))
     return world, {label: -float(value) for label, value in zip(labels, offset, strict=True)}
 
 

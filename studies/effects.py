@@ -25,7 +25,7 @@ import json
 from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -37,6 +37,9 @@ from meshskin.estimation.run import Run
 from meshskin.estimation.solve import ITERATIONS
 from meshskin.physics import effects
 from meshskin.report import figures, theme
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 EXTRA: dict[str, tuple[str, dict[str, float]]] = {
     "quantisation_16": ("quantisation", {"bits": 16}),
@@ -115,9 +118,15 @@ def find(scene: ms.Scene, more: Sequence[effects.Effect], seeds: range) -> Found
         np.stack([run.positions for run in runs]),
         float(np.mean([run.modulus for run in runs])) / nominal,
         float(np.mean([np.nanmedian(run.chi2) for run in runs])),
-        float(np.mean([100 * run.fit.left_out / run.readings.sum() for run in runs])),
+        float(np.mean([left_out(run) for run in runs])),
         recordings[0],
     )
+
+
+def left_out(run: ms.Calibration) -> float:
+    """Readings taken for outlying, silences too, in percent."""
+    assert run.fit is not None  # a joint estimate has one
+    return float(100 * run.fit.left_out / run.readings.sum())
 
 
 def from_all(recording: ms.Recording, belief: ms.Belief) -> np.ndarray:
@@ -210,7 +219,7 @@ def report(rows: dict[str, dict[str, float]], title: str) -> None:
 
 
 @theme.styled
-def shifts(rows: dict[str, dict[str, float]]) -> object:
+def shifts(rows: dict[str, dict[str, float]]) -> Figure:
     """Bars of the mean shift, with the largest and the bound, on a logarithmic scale."""
     names = sorted((n for n in rows if n != "(none)"), key=lambda name: rows[name]["shift_mm"])
     figure = theme.canvas(6.4, 1.2 + 0.24 * len(names))
@@ -234,7 +243,7 @@ def shifts(rows: dict[str, dict[str, float]]) -> object:
 
 
 @theme.styled
-def excesses(rows: dict[str, dict[str, float]], names: list[str]) -> object:
+def excesses(rows: dict[str, dict[str, float]], names: list[str]) -> Figure:
     """Map of how far pairs are from the sum of their shifts: below the diagonal as estimated, above
     it with no reading taken for outlying.
     """

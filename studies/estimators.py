@@ -21,6 +21,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 from time import process_time
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -35,6 +36,9 @@ from meshskin.estimation.run import Run
 from meshskin.estimation.solve import ITERATIONS
 from meshskin.physics.effects.gaussian_noise import GaussianNoise
 from meshskin.report import figures, theme
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 NOISE = (0.001, 0.003, 0.01, 0.02, 0.05, 0.1, 0.2)
 START_MM = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0)
@@ -218,7 +222,7 @@ def spiral(n: int, taxels: float, radius: float) -> np.ndarray:
 
 
 @theme.styled
-def draw(found: dict[str, dict[str, dict[str, float]]]) -> object:
+def draw(found: dict[str, dict[str, dict[str, float]]]) -> Figure:
     """One panel a sweep that was run."""
     figure = theme.canvas(5.0 * len(found), 4.2)
     for axes, (sweep, rows) in zip(

@@ -20,6 +20,7 @@ import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
@@ -31,6 +32,9 @@ from meshskin.exploration import planned, setup_of
 from meshskin.geometry.region import Cap
 from meshskin.report import figures, theme
 from meshskin.touching import touched
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 STEPS = (1e-3, 0.7e-3, 0.5e-3)
 """Distances of contacts along the fixed lanes, m."""
@@ -94,12 +98,14 @@ def lane_contacts(scene: ms.Scene) -> list[np.ndarray]:
 
 def lanes(scene: ms.Scene, seeds: range) -> Curve:
     """The curve of fixed lanes."""
-    belief, found = scene.belief(), []
+    belief = scene.belief()
+    found: list[tuple[float, ...]] = []
     for points in lane_contacts(scene):
         runs = [ms.calibrate(ms.press(scene, points, seed=seed), belief) for seed in seeds]
         errors = [error_mm(scene, run.positions) for run in runs]
         worst = [1e3 * run.position_sigma.max() for run in runs]
-        found.append((len(points), np.mean(errors), np.mean(worst), expected_mm(scene, points)))
+        mean, widest = float(np.mean(errors)), float(np.mean(worst))
+        found.append((len(points), mean, widest, expected_mm(scene, points)))
     return curve(found)
 
 
@@ -147,7 +153,7 @@ def error_mm(scene: ms.Scene, positions: np.ndarray) -> float:
 
 def compared(fixed: Curve, adaptive: Curve) -> dict[str, float]:
     """Contacts of adaptive over those of lanes, at equal mean error and at equal worst sigma."""
-    row = {}
+    row: dict[str, float] = {}
     for key, name in COMPARED.items():
         levels = np.geomspace(fixed[key].min(), fixed[key].max(), LEVELS)
         near = adaptive[key] <= MARGIN * levels[-1]
@@ -191,7 +197,7 @@ def report(rows: dict[str, dict[str, float]], title: str) -> None:
 
 
 @theme.styled
-def drawn(curves: dict[str, tuple[Curve, Curve, float]]) -> object:
+def drawn(curves: dict[str, tuple[Curve, Curve, float]]) -> Figure:
     """Mean error against contacts, a panel a pitch, and the line that no design is below."""
     figure = theme.canvas(3.6 * len(curves), 3.2)
     for k, (pitch, (fixed, adaptive, least)) in enumerate(curves.items()):

@@ -17,7 +17,7 @@ import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,6 +27,9 @@ from meshskin.estimation import metrics
 from meshskin.geometry.region import Cap
 from meshskin.physics.effects.gaussian_noise import GaussianNoise
 from meshskin.report import figures, precision, theme
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
 
 COUNT = 40
 """Taxels of every skin."""
@@ -173,7 +176,7 @@ def curves(rows: dict[str, list[dict[str, float]]]) -> Any:
         if left < 1:
             axes.set_ylabel("mean error (mm)")
     limits = np.array([axes.get_ylim() for axes in figure.axes])
-    handles = {}
+    handles: dict[str, Artist] = {}
     for name, axes in zip(rows, figure.axes, strict=True):
         axes.set_ylim(limits[:, 0].min(), limits[:, 1].max())
         precision.plain_axes(axes)

@@ -208,7 +208,7 @@ def corners(scene: ms.Scene, distance: float, out: Path) -> list[dict[str, Any]]
     """One set of gains for all the corners, and the simulator's word on each."""
     tuned = ms.tune(scene, demands=ROUGH, over=scenarios(**CORNERS), distance=distance)
     seen = [tuned.confirm(k) for k in range(len(tuned.trajectories))]
-    rows = []
+    rows: list[dict[str, Any]] = []
     for one, foretold in zip(seen, tuned.trajectories, strict=True):
         share = np.abs(foretold.torque) / scene.arm.effort_limit
         rows.append(

@@ -23,6 +23,7 @@ from time import process_time
 import numpy as np
 
 import meshskin as ms
+from meshskin.geometry.region import Cap
 from meshskin.motion.batch import Batch
 from meshskin.motion.track import Track
 from meshskin.simulation import prepare, run
@@ -55,10 +56,8 @@ def scenes() -> dict[str, ms.Scene]:
     return made
 
 
-def cap() -> object:
+def cap() -> Cap:
     """The bottom of the body."""
-    from meshskin.geometry.region import Cap
-
     return Cap(direction=(0.0, 0.0, -1.0))
 
 

@@ -12,8 +12,10 @@ query on a torus of 20,000 faces; discs: the mean over the taxel.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from importlib.util import find_spec
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -41,15 +43,15 @@ def batches(rng: np.random.Generator) -> dict[str, float]:
     curvature = rng.uniform(-20.0, 30.0, (COUNT, 2))
     out = {}
     for model in contact.BATCHED:
-        given = {
+        given: dict[str, Any] = {
             "curvature": curvature,
             "indenter_radius": 0.01,
             "effective_modulus": E_STAR,
             "poisson": 0.45,
             "thickness": 2e-3,
         }
-        patch = best(lambda m=model, g=given: contact.patches(m, force=force, **g))
-        push = best(lambda m=model, g=given: contact.force(m, depth=depth, **g))
+        patch = best(partial(contact.patches, model, force=force, **given))
+        push = best(partial(contact.force, model, depth=depth, **given))
         out[f"{model}: patch, us a contact"] = 1e6 * patch / COUNT
         out[f"{model}: force of a depth, us a contact"] = 1e6 * push / COUNT
     return out
@@ -96,7 +98,7 @@ def table_errors() -> np.ndarray:
 
 def tamaas_error(n: int = 256) -> float:
     """Relative difference of the elliptic peak from tamaas' at the same places."""
-    import tamaas  # type: ignore[import-untyped]
+    import tamaas
 
     tamaas.set_log_level(tamaas.LogLevel.error)
     exact = contact.solve("elliptic", curvature=(60.0, -20.0), **CASE)
@@ -125,7 +127,7 @@ def fields() -> dict[str, float]:
             else field.solve(**case, cells=288).peak
         )
         out[f"field: error in p_0, {name}"] = abs(found.peak / peak - 1)
-        out[f"field: ms, {name}"] = 1e3 * best(lambda c=case: field.solve(**c), 5)
+        out[f"field: ms, {name}"] = 1e3 * best(partial(field.solve, **case), 5)
     return out
 
 
@@ -147,7 +149,7 @@ def queries() -> dict[str, float]:
     several.contacts(body, [0.079, 0.0, 0.0], 0.01)
     return {
         f"several: ms a query, {depth} mm deep": 1e3
-        * best(lambda d=depth: several.contacts(body, [0.08 - 1e-3 * d, 0.0, 0.0], 0.01), 20)
+        * best(partial(several.contacts, body, [0.08 - 1e-3 * depth, 0.0, 0.0], 0.01), 20)
         for depth in (0.3, 1.0, 5.0)
     }
 

@@ -20,8 +20,13 @@ import subprocess
 import sys
 from pathlib import Path
 from time import perf_counter, process_time
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from meshskin.belief import Belief
+    from meshskin.recording import Recording
 
 LIMITS = {80: (0.2, 2.0), 10_000: (15.0, 2.0), 100_000: (240.0, 16.0)}
 """Seconds (build and solve) and GB at each size."""
@@ -31,7 +36,9 @@ LAYER = 6e-3
 """Thickness under `--contact layered`, m."""
 
 
-def world(taxels: int, seed: int = 0, contact: str = "hertz"):
+def world(
+    taxels: int, seed: int = 0, contact: str = "hertz"
+) -> tuple[Recording, Belief, np.ndarray]:
     """A recording of a skin of so many taxels, its belief, and the true positions (n, 3), m."""
     import pyarrow as pa
     from scipy.spatial import cKDTree
@@ -72,11 +79,11 @@ def world(taxels: int, seed: int = 0, contact: str = "hertz"):
         value = p[row, column] + NOISE * peak * rng.normal(size=len(row))
         heard = value > THRESHOLD * peak
         pairs.append((begin + row[heard], near[column[heard]], value[heard]))
-    contact, taxel, value = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    press, taxel, value = (np.concatenate(part) for part in zip(*pairs, strict=True))
     time = 0.01 * np.arange(len(contacts))
     recording = Recording(
         pa.table([time, *hit.point.T, *hit.normal.T, force], schema=CONTACTS),
-        pa.table([time[contact], taxel.astype(np.int32), value], schema=READINGS),
+        pa.table([time[press], taxel.astype(np.int32), value], schema=READINGS),
         {"taxel_ids": list(range(taxels)), "disc_radius_m": DISC},
     )
     belief = Belief(

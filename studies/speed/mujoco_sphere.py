@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 import meshskin as ms
+from meshskin.geometry.primitives import Sphere
 from meshskin.simulation import prepare
 
 RESET = 200
@@ -76,7 +77,7 @@ class Peer:
         reach = self.loop.indenter_position - centre
         distance = np.sqrt(reach @ reach)
         normal = reach / distance
-        radius = self.scene.body.exact.radius
+        radius = _radius(self.scene)
         depth = radius + self.loop.indenter_radius - distance
         lever = radius * normal
         point = centre + lever
@@ -116,6 +117,13 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.array([a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1])
 
 
+def _radius(scene: ms.Scene) -> float:
+    """Radius of the scene's body, m, which is a sphere."""
+    exact = scene.body.exact
+    assert isinstance(exact, Sphere)
+    return exact.radius
+
+
 def _model(scene: ms.Scene, arm: ms.Arm) -> mujoco.MjModel:
     """The arm's URDF with the sphere, its taxels as touch sensors, and the indenter."""
     # the published inertias of links 1 and 3 are none of a rigid body: MuJoCo mends what it refuses
@@ -143,7 +151,7 @@ def _model(scene: ms.Scene, arm: ms.Arm) -> mujoco.MjModel:
         "condim": 1, "solref": [-stiffness, -10.0], "solimp": [0.01, 0.01, 1e-3, 0.5, 2.0]
     }  # fmt: skip
     kind = mujoco.mjtGeom.mjGEOM_SPHERE
-    radius = scene.body.exact.radius
+    radius = _radius(scene)
     tip.add_geom(name="body", type=kind, size=[radius, 0, 0], pos=pose[:3, 3], mass=0, **contact)
     spec.worldbody.add_geom(
         name="indenter", type=kind, size=[scene.indenter.radius, 0, 0],

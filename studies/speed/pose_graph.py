@@ -32,6 +32,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import process_time
+from typing import TypeVar
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -40,6 +41,8 @@ from meshskin import PoseGraph, se3
 from meshskin.estimation.posegraph import topology
 from meshskin.estimation.posegraph.start import chordal
 from meshskin.estimation.posegraph.sweep import library
+
+T = TypeVar("T")
 
 SPACING = 5e-3
 NEIGHBOURS = 9
@@ -121,7 +124,7 @@ def gtsam_solver(graph: PoseGraph, start: np.ndarray) -> Callable[[], tuple[floa
     return optimise
 
 
-def timed(function: Callable[[], object]) -> tuple[float, object]:
+def timed(function: Callable[[], T]) -> tuple[float, T]:
     began = process_time()
     result = function()
     return process_time() - began, result

@@ -16,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +49,7 @@ def values(seed: int) -> dict[str, float]:
 
 def many(cases: int) -> ms.Study:
     """A study of a scene with about that many cases."""
-    grid = {
+    grid: dict[str, Sequence[float]] = {
         "material.young_kpa": [100 + 10 * k for k in range(20)],
         "effects.gaussian_noise.sigma_relative": [0.001 * (k + 1) for k in range(20)],
         "skin.spacing_mm": [4, 4.5, 5, 5.5, 6],

@@ -19,6 +19,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from time import process_time
 
@@ -27,6 +28,7 @@ import trimesh
 
 from meshskin import Body
 from meshskin.geometry import blend, jets, primitives
+from meshskin.geometry.body import Exact
 from meshskin.geometry.surface import Surface
 
 SIZES = (1_280, 5_120, 20_480, 81_920, 200_000, 327_680)
@@ -121,7 +123,7 @@ def compare(name: str, body: Body, count: int) -> Iterator[Row]:
         surface.closest(points[:1])
         prepared = process_time() - started
         hit = surface.closest(points)
-        seconds = best(lambda ask=surface.closest: ask(points))
+        seconds = best(partial(surface.closest, points))
         turn, bend = hit.normal, hit.curvature
         yield judge(name, body, method, points, (hit.point, turn, bend), seconds, prepared)
     yield from flat_rows(name, body, points)
@@ -165,7 +167,7 @@ def judge(
     prepared: float,
 ) -> Row:
     """The row of feet, normals and curvatures that a method gave for points."""
-    exact = body.exact.closest(points)
+    exact = known(body).closest(points)
     foot, turn, bend = answer
     on_face = np.ones(len(points), dtype=bool)
     if name == "cylinder":  # the normal on a rim is a matter of taste
@@ -184,14 +186,20 @@ def judge(
     )  # fmt: skip
 
 
+def known(body: Body) -> Exact:
+    """The exact surface of a body that has one."""
+    assert body.exact is not None
+    return body.exact
+
+
 def near(body: Body, count: int) -> np.ndarray:
     """Points (count, 3) off the exact surface, over all faces, that have one nearest point."""
     rng = np.random.default_rng(0)
     corners = body.mesh.triangles[rng.integers(len(body.mesh.faces), size=count)]
-    on = body.exact.closest(np.einsum("nk,nkc->nc", rng.dirichlet((1, 1, 1), count), corners))
-    height = min(HEIGHT, 0.5 / float(np.abs(on.curvature).max()))
-    height = rng.uniform(-height, height, size=(count, 1))
-    beyond = body.exact.closest(on.point + 1.05 * height * on.normal)
+    on = known(body).closest(np.einsum("nk,nkc->nc", rng.dirichlet((1, 1, 1), count), corners))
+    most = min(HEIGHT, 0.5 / float(np.abs(on.curvature).max()))
+    height = rng.uniform(-most, most, size=(count, 1))
+    beyond = known(body).closest(on.point + 1.05 * height * on.normal)
     height[np.linalg.norm(beyond.point - on.point, axis=1) > 1e-9] *= 0.02  # inside, by a rim
     return on.point + height * on.normal
 
