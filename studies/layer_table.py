@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from meshskin.physics.contact import elliptic, field, layered, series
+from meshskin.physics.contact import Setting, elliptic, field, layered, series
 
 CASE: dict = {"force": 1.0, "indenter_radius": 0.01, "modulus": 1e6}
 
@@ -56,9 +56,9 @@ def factors(chi: float, poisson: float, cells: int = 192) -> tuple[float, ...]:
 def press(curvature: float, chi: float, poisson: float, cells: int) -> field.GridPatch:
     """The patch for curvatures (`curvature`, 0), 1/m, on a layer of sqrt(a b)_Hertz / chi."""
     case = CASE | {"poisson": poisson, "curvature": (curvature, 0.0)}
-    size = float(np.sqrt(np.prod(elliptic.solve(**case).semi_axes)))
+    size = float(np.sqrt(np.prod(elliptic.solve(Setting(**case)).semi_axes)))
     thickness = size / chi if chi > 0 else None
-    return field.solve(**case, thickness=thickness, cells=cells, parabolic=True)
+    return field.solve(Setting(**case, thickness=thickness), cells=cells, parabolic=True)
 
 
 def edge(patch: field.GridPatch) -> float:

@@ -17,7 +17,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import casadi as cs
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -48,7 +48,7 @@ class Driven:
     multiplier: float
     offset: float
 
-    def position(self, q: cs.SX) -> cs.SX | float:
+    def position(self, q: ca.SX) -> ca.SX | float:
         """Its position at the arm's joint angles `q` (n,)."""
         return self.offset + (0.0 if self.column is None else self.multiplier * q[self.column])
 
@@ -202,28 +202,28 @@ class Arm:
     def _dynamics(self) -> Dynamics:
         return Dynamics(self)
 
-    def kinematics(self, q: cs.SX) -> tuple[cs.SX, cs.SX]:
+    def kinematics(self, q: ca.SX) -> tuple[ca.SX, ca.SX]:
         """CasADi expressions of T_w_tip (4, 4) and the Jacobian (6, n) at joint angles (n,).
 
         Raises ArmError for `q` of the wrong shape.
         """
         if q.shape != (len(self.joint_names), 1):
             raise ArmError("q of wrong shape", value=q.shape, limit=f"({len(self.joint_names)}, 1)")
-        pose, moved = cs.SX(cs.sparsify(cs.DM(self.base))), []
+        pose, moved = ca.SX(ca.sparsify(ca.DM(self.base))), []
         driven = {d.joint.name: d for d in self.driven}
         for joint in chain(parse(self.urdf, ""), self.tip, ""):
             by = driven.get(joint.name)
             pose = pose @ joint.motion(by.position(q) if by else 0.0)
             if by:  # the axis is the same before and after the joint's own motion
                 moved.append((by, pose[:3, :3] @ joint.axis, pose[:3, 3]))
-        jacobian = cs.SX.zeros(6, len(self.joint_names))
+        jacobian = ca.SX.zeros(6, len(self.joint_names))
         for by, axis, point in moved:
             if by.column is not None:
                 slides = by.joint.kind == "prismatic"
-                way = axis if slides else cs.cross(axis, pose[:3, 3] - point)
-                turn = cs.SX.zeros(3) if slides else axis
-                jacobian[:, by.column] += by.multiplier * cs.vertcat(way, turn)
-        return cs.densify(pose), cs.densify(jacobian)
+                way = axis if slides else ca.cross(axis, pose[:3, 3] - point)
+                turn = ca.SX.zeros(3) if slides else axis
+                jacobian[:, by.column] += by.multiplier * ca.vertcat(way, turn)
+        return ca.densify(pose), ca.densify(jacobian)
 
     @cached_property
     def driven(self) -> tuple[Driven, ...]:
@@ -254,7 +254,7 @@ class Arm:
         return np.ascontiguousarray(stacked).reshape(*q.shape[:-1], a, b)
 
     @cached_property
-    def _kinematics_function(self) -> cs.Function:
+    def _kinematics_function(self) -> ca.Function:
         return _kinematics(self)
 
     def inverse_kinematics(self, poses: ArrayLike, seed: ArrayLike) -> Array:
@@ -283,7 +283,7 @@ class Arm:
 
 
 @once
-def _kinematics(arm: Arm) -> cs.Function:
+def _kinematics(arm: Arm) -> ca.Function:
     """Joint angles (n,) -> T_w_tip (4, 4), Jacobian (6, n)."""
-    q = cs.SX.sym("q", len(arm.joint_names))
-    return cs.Function("kinematics", [q], arm.kinematics(q), {"cse": True})
+    q = ca.SX.sym("q", len(arm.joint_names))
+    return ca.Function("kinematics", [q], arm.kinematics(q), {"cse": True})

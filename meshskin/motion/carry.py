@@ -8,7 +8,7 @@ follow a smooth way between the joint angles; their torque is that of inverse dy
 
 from __future__ import annotations
 
-import casadi as cs
+import casadi as ca
 import numpy as np
 
 from ..errors import ReachError
@@ -118,7 +118,7 @@ def pressed(loop: Loop, hit: Closest, depth: Array) -> Array:
     return outputs
 
 
-def torques(loop: Loop, dynamics: cs.Function, q: Array) -> Array:
+def torques(loop: Loop, dynamics: ca.Function, q: Array) -> Array:
     """Joint torques (k, n), N m, along joint angles (k, n), one row a step, within their limits.
 
     dynamics: see `inverse_dynamics`.
@@ -128,10 +128,10 @@ def torques(loop: Loop, dynamics: cs.Function, q: Array) -> Array:
     return np.clip(wanted, -loop.arm.effort_limit, loop.arm.effort_limit)
 
 
-def inverse_dynamics(arm: Arm) -> cs.Function:
+def inverse_dynamics(arm: Arm) -> ca.Function:
     """(q, qd, qdd) -> joint torques (n,), N m, of a motion in the air."""
     n = len(arm.joint_names)
-    q, qd, qdd = (cs.SX.sym(name, n) for name in ("q", "qd", "qdd"))
+    q, qd, qdd = (ca.SX.sym(name, n) for name in ("q", "qd", "qdd"))
     model = arm.dynamics()
     torque = model.mass_matrix(q) @ qdd + model.bias(q, qd)
-    return cs.Function("inverse_dynamics", [q, qd, qdd], [torque], {"cse": True})
+    return ca.Function("inverse_dynamics", [q, qd, qdd], [torque], {"cse": True})

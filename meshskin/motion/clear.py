@@ -17,7 +17,7 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass
 
-import casadi as cs
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -129,7 +129,7 @@ class Links:
     """(l,): the link of each; a link may have several."""
     radii: Array
     """(l,), m."""
-    ends: cs.Function
+    ends: ca.Function
     """q (n,) -> (3, 2 l + 1): the two ends of each capsule's axis, and the arm's tip, world."""
     notes: tuple[str, ...] = ()
     """Which links are taken for a capsule from joint to joint though they have a shape, and why."""
@@ -158,9 +158,9 @@ def links(arm: Arm) -> Links:
     """The links of `arm` that have a length or a shape. Raises ArmError for a bad shape."""
     robot = parse(arm.urdf, "")
     elements = {e.get("name", ""): e for e in robot.findall("link")}
-    q = cs.SX.sym("q", len(arm.joint_names))
+    q = ca.SX.sym("q", len(arm.joint_names))
     driven = {by.joint.name: by for by in arm.driven}
-    pose, ends, names, radii, notes = cs.SX(cs.sparsify(cs.DM(arm.base))), [], [], [], []
+    pose, ends, names, radii, notes = ca.SX(ca.sparsify(ca.DM(arm.base))), [], [], [], []
     for joint in chain(robot, arm.tip, ""):
         found, missing = shapes.of_link(elements[joint.parent], arm.folders)
         if (missing or not found) and np.linalg.norm(joint.xyz) > 1e-6:
@@ -172,8 +172,8 @@ def links(arm: Arm) -> Links:
             radii.append(capsule.radius)
         by = driven.get(joint.name)
         pose = pose @ joint.motion(by.position(q) if by else 0.0)
-    every = cs.densify(cs.horzcat(*ends, pose[:3, 3]))
-    function = cs.Function("links", [q], [every], {"cse": True})
+    every = ca.densify(ca.horzcat(*ends, pose[:3, 3]))
+    function = ca.Function("links", [q], [every], {"cse": True})
     return Links(tuple(names), np.array(radii), function, tuple(notes))
 
 

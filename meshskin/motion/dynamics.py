@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import casadi as cs
+import casadi as ca
 import numpy as np
 
 from ..errors import ArmError
@@ -35,34 +35,34 @@ class Dynamics:
         for row, by in enumerate(arm.driven):
             if by.column is not None:
                 gather[row, by.column] = by.multiplier
-        self._gather = cs.sparsify(cs.DM(gather))
+        self._gather = ca.sparsify(ca.DM(gather))
         # in the base's axes, in which adam works; + 0.0: no zero is negative
         self._gravity = arm.base[:3, :3].T @ GRAVITY + 0.0
 
-    def mass_matrix(self, q: cs.SX) -> cs.SX:
+    def mass_matrix(self, q: ca.SX) -> ca.SX:
         """Mass matrix (n, n), kg m^2, with the motors' reflected inertia, at angles `q` (n,)."""
-        m = self._adam.crba(cs.SX.eye(4), self._all(q))[0].array[6:, 6:]
+        m = self._adam.crba(ca.SX.eye(4), self._all(q))[0].array[6:, 6:]
         m = self._gather.T @ m @ self._gather
-        return cs.densify(m + cs.diag(cs.DM(self._arm.reflected_inertia)))
+        return ca.densify(m + ca.diag(ca.DM(self._arm.reflected_inertia)))
 
-    def bias(self, q: cs.SX, qd: cs.SX) -> cs.SX:
+    def bias(self, q: ca.SX, qd: ca.SX) -> ca.SX:
         """Coriolis, centrifugal and gravity torques (n,), N m, at `q` and velocities `qd` (n,)."""
-        gravity = cs.SX([*self._gravity, 0.0, 0.0, 0.0])
+        gravity = ca.SX([*self._gravity, 0.0, 0.0, 0.0])
         rates = self._gather @ qd
-        torque = self._adam.rnea(cs.SX.eye(4), self._all(q), cs.SX(6, 1), rates, gravity).array
-        return cs.densify(self._gather.T @ torque[6:])
+        torque = self._adam.rnea(ca.SX.eye(4), self._all(q), ca.SX(6, 1), rates, gravity).array
+        return ca.densify(self._gather.T @ torque[6:])
 
-    def pose(self, q: cs.SX) -> cs.SX:
+    def pose(self, q: ca.SX) -> ca.SX:
         """T_w_tip (4, 4)."""
         return self._arm.kinematics(q)[0]
 
-    def jacobian(self, q: cs.SX) -> cs.SX:
+    def jacobian(self, q: ca.SX) -> ca.SX:
         """Jacobian (6, n) of the tip, linear over angular velocity, world axes."""
         return self._arm.kinematics(q)[1]
 
-    def _all(self, q: cs.SX) -> cs.SX:
+    def _all(self, q: ca.SX) -> ca.SX:
         """Positions of all moving joints of the chain."""
-        return cs.vertcat(*(by.position(q) for by in self._arm.driven))
+        return ca.vertcat(*(by.position(q) for by in self._arm.driven))
 
 
 def _check_masses(arm: Arm) -> None:
@@ -92,8 +92,8 @@ def _adam(urdf: str, names: list[str]) -> Any:
         joints that slide along their own axis (adam 0.5 takes it for the parent link's)."""
 
         def R_from_RPY(self, rpy: Any) -> Any:
-            angles = cs.DM(rpy.array).full().ravel()
-            return self.factory.asarray(cs.sparsify(cs.SX(rotation(angles))))
+            angles = ca.DM(rpy.array).full().ravel()
+            return self.factory.asarray(ca.sparsify(ca.SX(rotation(angles))))
 
         def H_prismatic_joint(self, xyz: Any, rpy: Any, axis: Any, q: Any) -> Any:
             turn = self.R_from_RPY(rpy)

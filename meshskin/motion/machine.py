@@ -26,7 +26,7 @@ from .stretch import SPARE, Compiled, Interpreted, Stretch
 from .track import STAY, Track, crossings
 
 if TYPE_CHECKING:
-    import casadi as cs
+    import casadi as ca
 
 ON_RIDGE = 1e-6
 """Barycentric weight below which a foot is on a side of its face."""
@@ -188,7 +188,7 @@ class Machine:
         return replace(track, maps=maps)
 
     @cached_property
-    def _inverse_dynamics(self) -> cs.Function:
+    def _inverse_dynamics(self) -> ca.Function:
         return carry.inverse_dynamics(self.loop.arm)
 
     def _times(self, count: int) -> Array:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import casadi as cs
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -37,7 +37,7 @@ _WHOLE, _REAL, _ADDRESS = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 class Newton:
     """An arm's Newton iterations; targets (k, 12) are rows of `flat`."""
 
-    step: cs.Function
+    step: ca.Function
     """(q (n,), target (12,)) -> (q after one step, residual before it)."""
     code: ctypes.CDLL | None = None
     """The step as machine code, with what newton.c adds; None: it is interpreted."""
@@ -75,11 +75,11 @@ class Newton:
                 _WHOLE(TRACKING_STEPS), _address(out),
             )  # fmt: skip
             return out
-        start, target = cs.SX.sym("q", len(q)), cs.SX.sym("target", 12)
+        start, target = ca.SX.sym("q", len(q)), ca.SX.sym("target", 12)
         after = start
         for _ in range(TRACKING_STEPS):
             after = self.step(after, target)[0]
-        follow = cs.Function("follow", [start, target], [after, after])
+        follow = ca.Function("follow", [start, target], [after, after])
         followed = follow.mapaccum("track", len(targets))(q, targets.T)
         return np.asarray(followed[0].full().T)
 
@@ -91,14 +91,14 @@ def newton(arm: Arm) -> Newton:
     Levenberg-Marquardt: dq = J^T (J J^T + mu I)^-1 e with mu of the order of |e|^2, so that it is
     cautious far away and converges quadratically.
     """
-    q, target = cs.SX.sym("q", len(arm.joint_names)), cs.SX.sym("target", 12)
+    q, target = ca.SX.sym("q", len(arm.joint_names)), ca.SX.sym("target", 12)
     pose, jacobian = arm.kinematics(q)
-    error = _pose_error(pose, cs.reshape(target[:9], 3, 3), target[9:])
-    size = cs.dot(error, error)
-    normal = jacobian @ jacobian.T + (0.01 * size + 1e-12) * cs.SX.eye(6)
-    change = jacobian.T @ cs.ldl_solve(error, *cs.ldl(normal))
-    change *= cs.fmin(1.0, LARGEST_STEP / (cs.norm_inf(change) + 1e-12))
-    step = cs.Function("newton", [q, target], [q + change, cs.sqrt(size)], {"cse": True})
+    error = _pose_error(pose, ca.reshape(target[:9], 3, 3), target[9:])
+    size = ca.dot(error, error)
+    normal = jacobian @ jacobian.T + (0.01 * size + 1e-12) * ca.SX.eye(6)
+    change = jacobian.T @ ca.ldl_solve(error, *ca.ldl(normal))
+    change *= ca.fmin(1.0, LARGEST_STEP / (ca.norm_inf(change) + 1e-12))
+    step = ca.Function("newton", [q, target], [q + change, ca.sqrt(size)], {"cse": True})
     before, after = (
         Path(__file__).with_name(name).read_text(encoding="utf-8")
         for name in ("inline.h", "newton.c")
@@ -198,13 +198,13 @@ def _check_limits(arm: Arm, q: Array) -> None:
         )
 
 
-def _pose_error(pose: cs.SX, rotation: cs.SX, origin: cs.SX) -> cs.SX:
+def _pose_error(pose: ca.SX, rotation: ca.SX, origin: ca.SX) -> ca.SX:
     """Displacement (6,) in world axes from `pose` to the target: m, then rotation vector."""
     now = pose[:3, :3]
-    turn = 0.5 * sum((cs.cross(now[:, k], rotation[:, k]) for k in range(3)), cs.SX(3, 1))
-    sine = cs.sqrt(cs.dot(turn, turn) + 1e-40)
-    cosine = 0.5 * (cs.dot(now, rotation) - 1.0)
-    return cs.vertcat(origin - pose[:3, 3], turn * (cs.atan2(sine, cosine) / sine))
+    turn = 0.5 * sum((ca.cross(now[:, k], rotation[:, k]) for k in range(3)), ca.SX(3, 1))
+    sine = ca.sqrt(ca.dot(turn, turn) + 1e-40)
+    cosine = 0.5 * (ca.dot(now, rotation) - 1.0)
+    return ca.vertcat(origin - pose[:3, 3], turn * (ca.atan2(sine, cosine) / sine))
 
 
 def _address(array: Array) -> ctypes.c_void_p:

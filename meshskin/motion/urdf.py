@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import casadi as cs
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -39,9 +39,9 @@ class Joint:
     dynamics: dict[str, float]  # damping, friction: those that the file gives
     mimic: Mimic | None = None
 
-    def motion(self, q: cs.SX | float) -> cs.SX:
+    def motion(self, q: ca.SX | float) -> ca.SX:
         """Pose (4, 4) of the child link in the parent link at joint position `q` (rad or m)."""
-        origin, move = np.eye(4), cs.SX.eye(4)
+        origin, move = np.eye(4), ca.SX.eye(4)
         origin[:3, :3], origin[:3, 3] = rotation(self.rpy), self.xyz
         if self.kind == "prismatic":
             move[:3, 3] = self.axis * q
@@ -49,8 +49,8 @@ class Joint:
             x, y, z = self.axis
             along = np.outer(self.axis, self.axis)
             across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-            move[:3, :3] = along + cs.cos(q) * (np.eye(3) - along) + cs.sin(q) * across
-        return cs.sparsify(cs.SX(origin)) @ cs.sparsify(move)
+            move[:3, :3] = along + ca.cos(q) * (np.eye(3) - along) + ca.sin(q) * across
+        return ca.sparsify(ca.SX(origin)) @ ca.sparsify(move)
 
 
 def rotation(rpy: ArrayLike) -> Array:

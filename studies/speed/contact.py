@@ -83,9 +83,9 @@ def table_errors() -> np.ndarray:
     for _ in range(12):
         chi, poisson = float(np.exp(rng.uniform(np.log(0.1), np.log(10)))), rng.uniform(0.0, 0.5)
         case = CASE | {"poisson": poisson, "curvature": 0.0}
-        a = float(elliptic.solve(**case).semi_axes[0])
-        whole = field.solve(**case, parabolic=True, cells=192)
-        thin = field.solve(**case, thickness=a / chi, parabolic=True, cells=192)
+        a = float(elliptic.solve(contact.Setting(**case)).semi_axes[0])
+        whole = field.solve(contact.Setting(**case), parabolic=True, cells=192)
+        thin = field.solve(contact.Setting(**case, thickness=a / chi), parabolic=True, cells=192)
         made = (
             thin.semi_axes[0] / whole.semi_axes[0],
             thin.peak / whole.peak,
@@ -119,15 +119,15 @@ def fields() -> dict[str, float]:
     """Error in p_0 and milliseconds of one boundary-element solve, the grid's search included."""
     out = {}
     for name, thickness in (("half-space", None), ("layer", 2e-3)):
-        case = CASE | {"curvature": (60.0, 0.0), "thickness": thickness, "parabolic": True}
-        found = field.solve(**case)
+        case = contact.Setting(curvature=(60.0, 0.0), thickness=thickness, **CASE)
+        found = field.solve(case, parabolic=True)
         peak = (
             contact.solve("elliptic", curvature=(60.0, 0.0), **CASE).peak
             if thickness is None
-            else field.solve(**case, cells=288).peak
+            else field.solve(case, parabolic=True, cells=288).peak
         )
         out[f"field: error in p_0, {name}"] = abs(found.peak / peak - 1)
-        out[f"field: ms, {name}"] = 1e3 * best(partial(field.solve, **case), 5)
+        out[f"field: ms, {name}"] = 1e3 * best(partial(field.solve, case, parabolic=True), 5)
     return out
 
 

@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
 
-import casadi as cs
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -56,10 +56,10 @@ def puma():
 
 def model(arm):
     """M, bias, pose and Jacobian of the arm's expressions as one function."""
-    q, qd = (cs.SX.sym(name, len(arm.joint_names)) for name in ("q", "qd"))
+    q, qd = (ca.SX.sym(name, len(arm.joint_names)) for name in ("q", "qd"))
     d = arm.dynamics()
     outputs = [d.mass_matrix(q), d.bias(q, qd), d.pose(q), d.jacobian(q)]
-    return cs.Function("model", [q, qd], outputs, {"cse": True})
+    return ca.Function("model", [q, qd], outputs, {"cse": True})
 
 
 def oracle(arm, q, qd):
@@ -221,8 +221,8 @@ def test_published_puma(puma):
 
 def test_gravity_torque_of_the_stretched_puma(puma):
     """In qs the arm lies along x: the shoulder carries every weight times its lever."""
-    q, qd = cs.SX.sym("q", 6), cs.SX(6, 1)
-    bias = cs.Function("bias", [q], [puma.dynamics().bias(q, qd)])
+    q, qd = ca.SX.sym("q", 6), ca.SX(6, 1)
+    bias = ca.Function("bias", [q], [puma.dynamics().bias(q, qd)])
     levers = {17.4: 0.068, 4.8: 0.4318 + 0.07, 0.82: 0.4318 + 0.4508}
     levers |= {0.34: 0.8636, 0.09: 0.8636 + 0.032}
     expected = -GRAVITY[2] * sum(mass * lever for mass, lever in levers.items())
@@ -333,7 +333,7 @@ def test_angles_of_wrong_shape(puma, shape):
 @pytest.mark.parametrize("shape", [(5, 1), (7, 1), (1, 6)])
 def test_symbols_of_wrong_shape(puma, shape):
     with pytest.raises(ArmError, match=re.escape(f"q of wrong shape, got {shape}")):
-        puma.kinematics(cs.SX.sym("q", *shape))
+        puma.kinematics(ca.SX.sym("q", *shape))
 
 
 def test_poses_and_seeds_of_wrong_shape(puma):

@@ -1,9 +1,9 @@
 """Contact models, one a file, and their doors for one contact and for many.
 
-A model is a module with a function `solve`; those in `BATCHED` also answer for many contacts at
-once and as CasADi expressions, through `patches` and `force`. In the order of `MODELS` each takes
-in what the one before it cannot: circles, ellipses, thin layers, any gap. `several` finds the
-contacts of a sphere with a hollow body.
+A model is a module with a function `solve` of a `Setting`; those in `BATCHED` also answer for many
+contacts at once and as CasADi expressions, through `patches` and `force`. In the order of `MODELS`
+each takes in what the one before it cannot: circles, ellipses, thin layers, any gap. `several`
+finds the contacts of a sphere with a hollow body.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ BATCHED = MODELS[:3]
 AUTO = "auto"
 """In place of a name, of a scene or a belief: the first of BATCHED that holds."""
 
-__all__ = ["BATCHED", "MODELS", "Model", "Patch", "Patches", "force", "patches", "solve"]
+__all__ = ["BATCHED", "MODELS", "Model", "Patch", "Patches", "Setting", "force", "patches", "solve"]
 
 
 def solve(
@@ -53,22 +53,15 @@ def solve(
     the range of the model (with `upgrade`, of all from it up).
     """
     _known(model, MODELS)
-    case: dict[str, Any] = {
-        "force": force,
-        "curvature": curvature,
-        "indenter_radius": indenter_radius,
-        "modulus": modulus,
-        "poisson": poisson,
-        "thickness": thickness,
-    }
-    Setting(**case)  # what is no contact at all is refused here, before any model is tried
+    # what is no contact at all is refused here, before any model is tried
+    setting = Setting(force, curvature, indenter_radius, modulus, poisson, thickness)
     for name in MODELS[MODELS.index(model) : -1] if upgrade else ():
         try:
-            patch: Patch = _module(name).solve(**case)
+            patch: Patch = _module(name).solve(setting)
         except ContactError:
             continue
         return patch
-    patch = _module(MODELS[-1] if upgrade else model).solve(**case)
+    patch = _module(MODELS[-1] if upgrade else model).solve(setting)
     return patch
 
 

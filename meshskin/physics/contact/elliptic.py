@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -74,23 +73,14 @@ def stretch(curvature: Any, indenter_radius: Any) -> Any:
     return _geometry(curvature, indenter_radius)[1]
 
 
-def solve(
-    *,
-    force: float,
-    curvature: float | Sequence[float],
-    indenter_radius: float,
-    modulus: float,
-    poisson: float,
-    thickness: float | None = None,
-) -> Patch:
-    """The elliptic Hertz patch of a rigid sphere on a body; arguments as `contact.solve`.
+def solve(setting: Setting) -> Patch:
+    """The elliptic Hertz patch of a rigid sphere on a body.
 
     The patch's x axis lies along the body's principal direction of smaller curvature. Raises
     ContactError for what leaves the model's range.
     """
-    setting = Setting(force, curvature, indenter_radius, modulus, poisson, thickness)
     refuse_ratio(setting.ratio)
-    found = patches(force, setting.pair, indenter_radius, setting.e_star)
+    found = patches(setting.force, setting.pair, setting.indenter_radius, setting.e_star)
     axes = np.sort([found.first, found.second])[::-1]
     setting.refuse_wide(axes, "elliptic")
     setting.refuse_layer(axes, "elliptic")

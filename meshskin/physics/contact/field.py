@@ -8,7 +8,6 @@ FFT on a doubled grid, so that the surroundings are free.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -128,39 +127,30 @@ def press(
     )
 
 
-def solve(
-    *,
-    force: float,
-    curvature: float | Sequence[float],
-    indenter_radius: float,
-    modulus: float,
-    poisson: float,
-    thickness: float | None = None,
-    cells: int = CELLS,
-    parabolic: bool = False,
-) -> GridPatch:
-    """The patch of a rigid sphere on a body by boundary elements; arguments as `contact.solve`.
+def solve(setting: Setting, *, cells: int = CELLS, parabolic: bool = False) -> GridPatch:
+    """The patch of a rigid sphere on a body by boundary elements.
 
     `cells` along a side of the grid. The gap is that of a true sphere on a body whose normal
     sections are circles, or with `parabolic` that of Hertz. Raises ContactError for what leaves
     the model's range: a patch nearly as wide as the indenter, a layer thinner than two cells.
     """
-    setting = Setting(force, curvature, indenter_radius, modulus, poisson, thickness)
     elliptic.refuse_ratio(setting.ratio)
-    if force == 0:
+    if setting.force == 0:
         return GridPatch(np.zeros(2), 0.0, 0.0, "field")
     low, high = np.sort(setting.pair)
-    guess = elliptic.patches(force, np.array([low, high]), indenter_radius, setting.e_star)
+    guess = elliptic.patches(
+        setting.force, np.array([low, high]), setting.indenter_radius, setting.e_star
+    )
     axes, seen = np.array([guess.first, guess.second]), np.zeros(2)
     for _ in range(10):  # coarse grids, until one fits the patch
         if np.allclose(axes, seen, rtol=0.03):
             break
         seen, (axes, _, _) = axes, _press(setting, axes, _COARSE, parabolic)
     axes, spacing, found = _press(setting, axes, cells, parabolic)
-    if axes[0] > MAX_SINK * indenter_radius:
+    if axes[0] > MAX_SINK * setting.indenter_radius:
         raise ContactError(
             "the patch is nearly as wide as the indenter",
-            value=f"a/indenter radius = {axes[0] / indenter_radius:.2f}",
+            value=f"a/indenter radius = {axes[0] / setting.indenter_radius:.2f}",
             limit=MAX_SINK,
             remedy="lower the force, or raise the modulus or the indenter's radius",
         )

@@ -11,7 +11,6 @@ Source: K. L. Johnson, "Contact Mechanics" (1985), section 4.2; Cannata, Denei, 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -80,20 +79,11 @@ def patches(force: Any, curvature: Any, indenter_radius: Any, modulus: Any) -> P
     return Patches(a, a, 2 / math.pi * modulus * a / radius, depth(a, radius))
 
 
-def solve(
-    *,
-    force: float,
-    curvature: float | Sequence[float],
-    indenter_radius: float,
-    modulus: float,
-    poisson: float,
-    thickness: float | None = None,
-) -> Patch:
-    """The circular Hertz patch of a rigid sphere on a body; arguments as `contact.solve`.
+def solve(setting: Setting) -> Patch:
+    """The circular Hertz patch of a rigid sphere on a body.
 
     Raises ContactError for what leaves the model's range.
     """
-    setting = Setting(force, curvature, indenter_radius, modulus, poisson, thickness)
     if setting.ratio > MAX_CURVATURE_RATIO:
         raise ContactError(
             "hertz is for circular patches, and the relative curvatures are unequal",
@@ -101,9 +91,9 @@ def solve(
             limit=f"{MAX_CURVATURE_RATIO}",
             remedy="use elliptic, or a smaller indenter",
         )
-    a = contact_radius(force, setting.radius, setting.e_star)
+    a = contact_radius(setting.force, setting.radius, setting.e_star)
     axes = np.array([a, a])
     setting.refuse_wide(axes, "hertz")
     setting.refuse_layer(axes, "hertz")
-    peak = peak_pressure(force, a) if a > 0 else 0.0
+    peak = peak_pressure(setting.force, a) if a > 0 else 0.0
     return Patch(axes, float(peak), float(depth(a, setting.radius)), "hertz")

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -116,20 +115,11 @@ class Layer:
         return elliptic.force(sunk * f.exp(stiffer), curvature, indenter_radius, modulus)
 
 
-def solve(
-    *,
-    force: float,
-    curvature: float | Sequence[float],
-    indenter_radius: float,
-    modulus: float,
-    poisson: float,
-    thickness: float | None = None,
-) -> Patch:
-    """The patch of a rigid sphere on a bonded layer; arguments as `contact.solve`.
+def solve(setting: Setting) -> Patch:
+    """The patch of a rigid sphere on a bonded layer.
 
     Without a thickness, of a half-space. Raises ContactError for what leaves the model's range.
     """
-    setting = Setting(force, curvature, indenter_radius, modulus, poisson, thickness)
     if setting.ratio > MAX_CURVATURE_RATIO:
         raise ContactError(
             "the patch is too long for the factors of layered",
@@ -137,8 +127,8 @@ def solve(
             limit=f"{MAX_CURVATURE_RATIO:g}",
             remedy=f"use a smaller indenter; {FIELD}",
         )
-    layer = Layer(poisson, math.inf if thickness is None else thickness)
-    found = layer.patches(force, setting.pair, indenter_radius, setting.e_star)
+    layer = Layer(setting.poisson, math.inf if setting.thickness is None else setting.thickness)
+    found = layer.patches(setting.force, setting.pair, setting.indenter_radius, setting.e_star)
     axes = np.sort([found.first, found.second])[::-1]
     setting.refuse_wide(axes, "layered")
     return Patch(

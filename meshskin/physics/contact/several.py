@@ -21,6 +21,7 @@ from ...geometry.proximity import triangle_foot
 from ...se3 import Array
 from . import elliptic, layered
 from .patch import Patch
+from .setting import Setting
 
 SAME = 1e-2
 """Distance, in indenter radii, up to which two minima are one contact."""
@@ -143,14 +144,7 @@ def press(
         force = layer.force(found.depth, found.curvature, indenter_radius, e_star)
     model = elliptic if thickness is None else layered
     patches = [
-        model.solve(
-            force=float(f),
-            curvature=tuple(k),
-            indenter_radius=indenter_radius,
-            modulus=modulus,
-            poisson=poisson,
-            thickness=thickness,
-        )
+        model.solve(Setting(float(f), tuple(k), indenter_radius, modulus, poisson, thickness))
         for f, k in zip(force, found.curvature, strict=True)
     ]
     _refuse_meeting(found, patches)

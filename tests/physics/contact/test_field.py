@@ -15,7 +15,7 @@ PAIRS = [(10.0, 10.0), (60.0, -20.0), (300.0, 0.0)]
 @pytest.mark.parametrize("pair", PAIRS)
 def test_parabolic_gap_is_the_ellipse(pair):
     exact = contact.solve("elliptic", curvature=pair, **CASE)
-    found = field.solve(curvature=pair, parabolic=True, **CASE)
+    found = field.solve(contact.Setting(curvature=pair, **CASE), parabolic=True)
     assert found.peak == pytest.approx(exact.peak, rel=1e-3)
     assert found.depth == pytest.approx(exact.depth, rel=1e-3)
     assert found.semi_axes == pytest.approx(exact.semi_axes, rel=6e-3)
@@ -93,12 +93,13 @@ def test_layer_factor_keeps_its_digits():
 
 
 def test_thick_layer_is_the_half_space_and_thin_is_stiffer():
-    whole = field.solve(curvature=10.0, parabolic=True, **CASE)
+    whole = field.solve(contact.Setting(curvature=10.0, **CASE), parabolic=True)
     a = whole.semi_axes[0]
-    thick = field.solve(curvature=10.0, parabolic=True, thickness=300 * a, **CASE)
+    thick = field.solve(contact.Setting(curvature=10.0, thickness=300 * a, **CASE), parabolic=True)
     assert thick.peak == pytest.approx(whole.peak, rel=1e-3)
     assert thick.depth == pytest.approx(whole.depth, rel=5e-3)
-    depths = [field.solve(curvature=10.0, thickness=t * a, **CASE).depth for t in (2, 1, 0.5, 0.2)]
+    layers = (contact.Setting(curvature=10.0, thickness=t * a, **CASE) for t in (2, 1, 0.5, 0.2))
+    depths = [field.solve(layer).depth for layer in layers]
     assert np.all(np.diff(depths) < 0)
 
 
@@ -144,4 +145,5 @@ def test_zero_force_is_an_empty_patch():
     assert (patch.peak, patch.depth) == (0.0, 0.0)
     assert patch.pressure([[0.0, 0.0]]) == 0.0
     assert patch.reading([[0.0, 0.0]], 1e-3) == 0.0
-    assert elliptic.solve(curvature=0.0, **CASE | {"force": 0.0}).peak == patch.peak
+    idle = contact.Setting(curvature=0.0, **CASE | {"force": 0.0})
+    assert elliptic.solve(idle).peak == patch.peak

@@ -138,7 +138,7 @@ def test_pressure_carries_the_force():
 def test_against_boundary_elements_on_ellipses(pair, poisson, thickness):
     case = CASE | {"poisson": poisson, "force": 0.1, "curvature": pair, "thickness": thickness}
     patch = contact.solve("layered", **case)
-    whole = field.solve(**case, parabolic=True)
+    whole = field.solve(contact.Setting(**case), parabolic=True)
     assert patch.semi_axes == pytest.approx(whole.semi_axes, rel=0.02)
     assert [patch.peak, patch.depth] == pytest.approx([whole.peak, whole.depth], rel=0.02)
     xy = np.random.default_rng(0).uniform(-1.2, 1.2, (100, 2)) * patch.semi_axes
