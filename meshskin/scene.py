@@ -269,8 +269,6 @@ class Scene:
 
     def _module_slots(self) -> Array | None:
         """What a data sheet says of rigid modules, where the skin is of such; not their poses."""
-        if not slots.is_modular(self.skin.ids):
-            return None
         try:
             Modules.of(self.skin, BENT)
         except SkinError:

@@ -89,3 +89,11 @@ def descend(
         x, now, radius = x + step, then, 2.0 * radius
         here = model(x)
     return x, count
+
+
+def descended(count: int) -> str:
+    """How the descent along the limits ended, in words."""
+    why = f"no change of the gains by more than {100 * LEAST:g} % makes it less"
+    if count >= STEPS:
+        why = f"{STEPS} steps were taken"
+    return f"stopped at the best gains that meet the limits, downhill along them: {why}"

@@ -14,7 +14,9 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
+from ..arguments import vector
 from ..errors import ReachError, TuningError
 from ..exploration import above
 from ..geometry import patch as patches
@@ -104,6 +106,16 @@ def travelled(t: Any, speed: Any, ramp: Any, distance: Any) -> Any:
 
     middle = ca.fmin(ca.fmax(t - ramp, 0.0), total - 2.0 * ramp)
     return speed * (started(t) + middle + 0.5 * ramp - started(total - t))
+
+
+def where(
+    scene: Scene, place: ArrayLike | None, direction: ArrayLike | None
+) -> tuple[Array, Array]:
+    """Where the slide begins and where it goes, body frame."""
+    wanted = scene.skin.positions.mean(axis=0) if place is None else vector("place", place)
+    hit = scene.body.closest(wanted[None])
+    ahead = hit.direction[0] if direction is None else vector("direction", direction)
+    return hit.point[0], ahead
 
 
 def plan(

@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..se3 import Array
-from .descent import LEAST, STEPS, Model, descend
+from .descent import Model, descend, descended
 from .gains import NAMES, Demands, Gains
 from .limits import WINDOW, Aim, Judge, Limit
 from .prices import MOVED, TOUCHED, apart, promised, pulls, sided
 from .shooting import Shot
-from .watch import BROKEN, GAIN, Watch
+from .watch import BROKEN, Watch, ended
 
 WEIGHT = 1e-5
 """Pull towards the start, that gains which matter to nothing rest."""
@@ -38,7 +38,6 @@ logarithms of the gains, the solution is a corner of limits, and a plain proxima
 fewer steps than quasi-Newton or exact second derivatives (measured: 50, 100 and over 100)."""
 TOLERANCE = 1e-3
 """Largest violation of a limit, in its scale, of a solution that is taken."""
-SOLVED = "solved"
 LEFT = 2e-3
 """Largest promise of the slopes, part of the objective, of a search that is at its end."""
 ONE_SIDED = 0.1
@@ -240,26 +239,6 @@ class Problem:
         """The objective at the start: its unit in the program."""
         at = ca.Function("values", [x], [ca.vertcat(*values)])(self.first)
         return float(np.abs(at.full()).max())
-
-
-def ended(word: str, feasible: bool, patience: int) -> str:
-    """How IPOPT's search ended, in words: `word` is its return status."""
-    if word == "Solve_Succeeded":
-        return SOLVED
-    why = f"IPOPT says {word}"
-    if word == "User_Requested_Stop":  # the user is Watch
-        why = f"no gain of {100 * GAIN:g} % in {patience} iterations"
-    if feasible:
-        return f"stopped at the best gains that meet the limits: {why}"
-    return f"stopped before any gains met the limits: {why}"
-
-
-def descended(count: int) -> str:
-    """How the descent along the limits ended, in words."""
-    why = f"no change of the gains by more than {100 * LEAST:g} % makes it less"
-    if count >= STEPS:
-        why = f"{STEPS} steps were taken"
-    return f"stopped at the best gains that meet the limits, downhill along them: {why}"
 
 
 def _judged(

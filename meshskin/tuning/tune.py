@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arguments import needs, real, shown, vector
+from ..arguments import needs, real, shown
 from ..errors import ConfigError, TuningError, UnknownNameError
 from ..motion.response import force_response
 from ..scene import Scene
@@ -27,11 +27,12 @@ from .answer import Tuned, rounded
 from .gains import Demands, Gains, Scenario, scenarios, span
 from .limits import OBJECTIVES, Limit
 from .manoeuvre import Manoeuvre
-from .problem import LEFT, SOLVED, Problem, Solution
+from .problem import LEFT, Problem, Solution
 from .shooting import Shot
+from .watch import SOLVED
 from .worlds import world
 
-__all__ = ["Demands", "Scenario", "Tuned", "scenarios", "tune", "where"]
+__all__ = ["Demands", "Scenario", "Tuned", "scenarios", "tune"]
 
 NOMINAL = Scenario()
 """The world that the scene itself describes."""
@@ -87,7 +88,7 @@ def tune(
     needs(Demands, demands, "demands")
     if start is not None:
         needs(Gains, start, "start")
-    spot, ahead = where(scene, place, direction)
+    spot, ahead = manoeuvres.where(scene, place, direction)
     shots = _shots(scene, over, spot, ahead, distance)
     target = scene.law.force_reference
     first = start or _rested(shots[0], Gains.of(scene))
@@ -230,16 +231,6 @@ def _infeasible(limits: Mapping[str, Limit], slacks: Mapping[str, float]) -> Tun
         limit=bound,
         remedy=f"relax the {worst}{also}",
     )
-
-
-def where(
-    scene: Scene, place: ArrayLike | None, direction: ArrayLike | None
-) -> tuple[Array, Array]:
-    """Where the slide begins and where it goes, body frame."""
-    wanted = scene.skin.positions.mean(axis=0) if place is None else vector("place", place)
-    hit = scene.body.closest(wanted[None])
-    ahead = hit.direction[0] if direction is None else vector("direction", direction)
-    return hit.point[0], ahead
 
 
 def _shots(

@@ -21,6 +21,8 @@ GAIN = 1e-3
 """Least decrease of the merit, part of it, that counts as a gain."""
 BROKEN = 1e3
 """Merit from which on a point does not meet the limits."""
+SOLVED = "solved"
+"""How a search ended that IPOPT takes for the solution."""
 
 
 @dataclass(frozen=True)
@@ -84,3 +86,15 @@ class Watch(ca.Callback):
     def patience(self) -> int:
         """Iterations without gain after which the search ends."""
         return PATIENCE if self.mark < BROKEN else LONG
+
+
+def ended(word: str, feasible: bool, patience: int) -> str:
+    """How IPOPT's search ended, in words: `word` is its return status."""
+    if word == "Solve_Succeeded":
+        return SOLVED
+    why = f"IPOPT says {word}"
+    if word == "User_Requested_Stop":  # the user is Watch
+        why = f"no gain of {100 * GAIN:g} % in {patience} iterations"
+    if feasible:
+        return f"stopped at the best gains that meet the limits: {why}"
+    return f"stopped before any gains met the limits: {why}"

@@ -9,11 +9,13 @@ import meshskin as ms
 from meshskin.errors import ConfigError, TuningError, UnknownNameError
 from meshskin.motion.response import force_response
 from meshskin.tuning.answer import respond
+from meshskin.tuning.descent import descended
 from meshskin.tuning.gains import Gains
 from meshskin.tuning.limits import LEAST, interpolated
-from meshskin.tuning.problem import TOLERANCE, descended, ended
+from meshskin.tuning.problem import TOLERANCE
 from meshskin.tuning.shooting import Shot
 from meshskin.tuning.tune import Demands, Scenario, scenarios
+from meshskin.tuning.watch import ended
 
 DISTANCE = 5e-3
 DEMANDS = Demands(overshoot=0.01)
