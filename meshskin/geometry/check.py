@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..errors import MeshError
 from . import connected, mend, overlap, sheets
+from .edges import edge_of
 from .walk import AFTER, BEFORE, neighbours
 
 Array = NDArray[np.float64]
@@ -180,8 +181,8 @@ def _edges(draft: mend.Draft, across: Index, open: bool) -> list[Finding]:
     if not len(face):
         return []
     tail, head = draft.faces[face, AFTER[k]], draft.faces[face, BEFORE[k]]
-    key = np.minimum(tail, head) * len(draft.vertices) + np.maximum(tail, head)
-    _, place, count = np.unique(key, return_inverse=True, return_counts=True)
+    edge = edge_of(tail, head, len(draft.vertices))
+    _, place, count = np.unique(edge, return_inverse=True, return_counts=True)
     share = count[place]
     found = []
     border = share == 1

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import connected
+from .edges import edge_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -91,9 +92,9 @@ def split(
     creased = bool(sharp.any() or np.any(beyond < 0))
     if seams is not None and len(seams):
         tail, head = np.roll(faces, -1, axis=1), np.roll(faces, -2, axis=1)
-        low, high = np.sort(np.asarray(seams, dtype=np.intp), axis=1).T
-        keys = np.minimum(tail, head) * n + np.maximum(tail, head)
-        sharp |= np.isin(keys, low * n + high) & (beyond >= 0)
+        first, second = np.asarray(seams, dtype=np.intp).T
+        seamed = np.isin(edge_of(tail, head, n), edge_of(first, second, n))
+        sharp |= seamed & (beyond >= 0)
     turn = np.where(sharp, 0.0, turns).max(axis=1)
     cut = sharp | (beyond < 0)
     at = np.zeros(n, dtype=bool)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..ragged import ranges
+from .edges import edge_of, twins
 from .walk import neighbours
 
 Array = NDArray[np.float64]
@@ -161,13 +162,7 @@ def against(faces: Index) -> NDArray[np.bool_]:
     """Which faces (m,) are wound against the larger share of their connected part."""
     tail, head = faces.ravel(), faces[:, [1, 2, 0]].ravel()
     owner = np.repeat(np.arange(len(faces)), 3)
-    low, high = np.minimum(tail, head), np.maximum(tail, head)
-    order = np.lexsort((high, low))
-    key = np.column_stack([low, high])[order]
-    same = np.all(key[1:] == key[:-1], axis=1)
-    lone = np.concatenate([[False], same, [False]])
-    pair = np.flatnonzero(same & ~lone[:-2] & ~lone[2:])  # edges of just two faces
-    one, two = order[pair], order[pair + 1]
+    one, two = twins(edge_of(tail, head, int(faces.max(initial=-1)) + 1))
     opposed = tail[one] == tail[two]  # both run along the edge the same way
     link = np.concatenate([owner[one], owner[two]]), np.concatenate([owner[two], owner[one]])
     return _minority(len(faces), link, np.concatenate([opposed, opposed]))

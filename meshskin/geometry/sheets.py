@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import connected
+from .edges import edge_of, twins
 from .mend import Draft
 
 Array = NDArray[np.float64]
@@ -88,16 +89,13 @@ def _split(
     rows = np.flatnonzero(np.isin(faces, ends).any(axis=1))
     near = faces[rows]
     tail, head = near.ravel(), near[:, [1, 2, 0]].ravel()
-    key = np.minimum(tail, head) * len(draft.vertices) + np.maximum(tail, head)
-    order = np.argsort(key, kind="stable")
-    alike = np.diff(key[order], prepend=-1, append=-1) == 0
-    first = np.flatnonzero(alike[1:-1] & ~alike[:-2] & ~alike[2:])  # of just two faces
+    first, second = twins(edge_of(tail, head, len(draft.vertices)))
     place = np.full(len(faces), -1)
     place[rows] = np.arange(len(rows))
     paired = np.concatenate(pairs)
     paired = 3 * place[paired // 3] + paired % 3
-    one = np.concatenate([order[first], paired[:, 0]])
-    two = np.concatenate([order[first + 1], paired[:, 1]])
+    one = np.concatenate([first, paired[:, 0]])
+    two = np.concatenate([second, paired[:, 1]])
     i, j = np.concatenate([one, _next(one)]), np.concatenate([_next(two), two])
     same = near.ravel()[i] == near.ravel()[j]  # not where both run the same way
     i, j = i[same], j[same]

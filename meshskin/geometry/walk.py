@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import patch
+from .edges import edge_of, twins
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -41,12 +42,7 @@ def neighbours(faces: Index) -> tuple[Index, Index]:
     """
     tail = faces[:, AFTER].ravel()  # edge opposite corner k runs from k + 1 to k + 2
     head = faces[:, BEFORE].ravel()
-    size = int(faces.max(initial=-1)) + 1
-    key = np.minimum(tail, head) * size + np.maximum(tail, head)
-    order = np.argsort(key)
-    alike = np.diff(key[order], prepend=-1, append=-1) == 0
-    first = np.flatnonzero(alike[1:-1] & ~alike[:-2] & ~alike[2:])  # of just two faces
-    one, two = order[first], order[first + 1]
+    one, two = twins(edge_of(tail, head, int(faces.max(initial=-1)) + 1))
     opposed = tail[one] != tail[two]
     one, two = one[opposed], two[opposed]
     other = np.full(faces.size, -1)

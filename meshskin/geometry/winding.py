@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from .. import compiled
 from . import connected
 from .compiled_search import along_curve
+from .edges import edge_of
 from .mend import turns
 
 Array = NDArray[np.float64]
@@ -110,8 +111,7 @@ def _border(vertices: Array, faces: Index) -> tuple[Array, Array, Array]:
     """
     n = len(vertices)
     tail, head = faces.ravel(), faces[:, [1, 2, 0]].ravel()
-    low, high = np.minimum(tail, head), np.maximum(tail, head)
-    edge, place = np.unique(low * n + high, return_inverse=True)
+    edge, place = np.unique(edge_of(tail, head, n), return_inverse=True)
     excess = np.bincount(place.ravel(), np.where(tail < head, 1, -1), minlength=len(edge))
     excess = excess.astype(np.intp)
     ends = np.stack([edge // n, edge % n], axis=1)

@@ -26,10 +26,14 @@ from ..se3 import Array
 if TYPE_CHECKING:
     from .arm import Arm
 
-TOLERANCE = 1e-10  # largest residual of a solution, m and rad
-LARGEST_STEP = 0.5  # rad, of one joint in one Newton step
-TRACKING_STEPS = 2  # Newton steps per sample while following a path
-ROUNDS, SEEDED_ROUNDS = 30, 100  # most looks at a pose, from near it and from a seed
+TOLERANCE = 1e-10
+"""Largest residual of a solution, m and rad."""
+LARGEST_STEP = 0.5
+"""Largest step of one joint in one Newton step, rad."""
+TRACKING_STEPS = 2
+"""Newton steps a sample while a path is followed."""
+ROUNDS, SEEDED_ROUNDS = 30, 100
+"""Most looks at a pose, from near it and from a seed."""
 _WHOLE, _REAL, _ADDRESS = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 
 
