@@ -2,7 +2,6 @@
 
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ import trimesh
 from meshskin.errors import MeshError
 from meshskin.geometry.body import FACES, Body
 
-DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
+from ..real_data import DATA, needs_ur3e
 
 
 @pytest.fixture
@@ -258,7 +257,7 @@ def test_a_body_far_from_its_origin_is_as_exact(tmp_path):
     np.testing.assert_allclose(hit.distance, exact, atol=0.1e-6)
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="../shared/data is absent")
+@needs_ur3e
 @pytest.mark.parametrize("name", ["forearm", "wrist3", "shoulder"])
 def test_a_real_link_answers_near_its_flat_mesh(name):
     """Creased, coarse CAD meshes: finite answers, within the facets' sag of the flat answer."""

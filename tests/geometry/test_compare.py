@@ -1,7 +1,5 @@
 """Two skins: rigid motion, distances, exchanged and renamed modules and taxels."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,8 @@ from meshskin.geometry.region import Cap
 from meshskin.geometry.renumbered import words
 from meshskin.geometry.skin import Skin
 
-DATA = Path(__file__).parents[2] / ".." / "shared" / "data" / "icub_skin"
+from ..real_data import DATA, needs_skin
+
 MOTION = se3.transform(se3.exp_so3([0.3, -0.5, 1.0]), [0.1, 0.2, -0.05])
 
 
@@ -163,15 +162,15 @@ def test_skins_that_cannot_be_compared(plain):
         compare(Skin(plain.poses, np.zeros(80, dtype=np.int64)), plain)
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="../shared/data is absent")
+@needs_skin
 def test_real_files():
-    mesh = Skin.load(DATA / "positions/left_forearm_mesh.txt")
-    free = Skin.load(DATA / "positions/left_forearm_nomesh.txt")
+    mesh = Skin.load(DATA / "icub_skin/positions/left_forearm_mesh.txt")
+    free = Skin.load(DATA / "icub_skin/positions/left_forearm_nomesh.txt")
     d = compare(mesh, free)
     assert rms(d.aligned) == pytest.approx(3.7e-3, rel=0.02)
     assert d.permutation == {}
     assert len(d.only_a) == 1
-    sole = Skin.load(DATA / "cad/left_foot_mesh.txt")
-    d = compare(sole, Skin.load(DATA / "cad/l_sole_transforms.txt"))
+    sole = Skin.load(DATA / "icub_skin/cad/left_foot_mesh.txt")
+    d = compare(sole, Skin.load(DATA / "icub_skin/cad/l_sole_transforms.txt"))
     assert d.sentences() == ("module numbers of B are those of A plus 1",)
     assert d.paired.max() < 1e-6

@@ -1,7 +1,6 @@
 """Folds: told from edges of solids, and the side of a point by the mesh's winding."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from meshskin.geometry.mend import turns
 from meshskin.geometry.walk import neighbours
 from meshskin.geometry.winding import Winding
 
-MESHES = Path(__file__).parents[2] / ".." / "shared" / "data" / "icub_body" / "meshes"
+from ..real_data import DATA, needs_icub
 
 
 def folds(mesh):
@@ -213,11 +212,11 @@ def test_a_sheet_that_runs_through_itself(tmp_path, height):
     assert wrong(replace(body, crossed=None), points, turn > 0) > 20
 
 
-@pytest.mark.skipif(not MESHES.is_dir(), reason="../shared/data is absent")
+@needs_icub
 @pytest.mark.parametrize("part", ["l_forearm", "l_hand", "l_shank"])
 def test_links_of_a_robot_that_run_into_themselves(part):
     """iCub's links, as they come: no wrong sign beyond the height of the patches."""
-    path = MESHES / f"sim_sea_2-5_{part}_prt-binary.stl"
+    path = DATA / "icub_body" / "meshes" / f"sim_sea_2-5_{part}_prt-binary.stl"
     body = Body.load(path, units="mm", open=True)
     assert len(body.crossed)
     places = body.mesh.triangles_center[body.crossed]

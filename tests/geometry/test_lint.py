@@ -1,7 +1,5 @@
 """Defects of skin files: each is found where it was made, and nothing in a sound file."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,9 +11,9 @@ from meshskin.geometry.lint import lint
 from meshskin.geometry.region import Cap
 from meshskin.geometry.skin import Skin
 
-DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
+from ..real_data import DATA, needs_skin
+
 POSITIONS = DATA / "icub_skin" / "positions"
-real = pytest.mark.skipif(not POSITIONS.is_dir(), reason="../shared/data is absent")
 
 
 @pytest.fixture(scope="module")
@@ -233,14 +231,14 @@ KNOWN = {
 }
 
 
-@real
+@needs_skin
 @pytest.mark.parametrize("name", sorted(KNOWN))
 def test_the_defects_of_real_files(name):
     """Those of the data's own list, and others that are there as well."""
     assert set(kinds(lint(POSITIONS / f"{name}.txt"))) == KNOWN[name]
 
 
-@real
+@needs_skin
 def test_the_numbers_of_the_known_defects():
     def what(name, kind):
         return next(f.what for f in lint(POSITIONS / f"{name}.txt") if f.kind == kind)
@@ -251,7 +249,7 @@ def test_the_numbers_of_the_known_defects():
     assert "275 of 275 normals are (0, 0, 0)" in what("left_forearm_nomesh", "constant normals")
 
 
-@real
+@needs_skin
 def test_the_mirrored_modules_of_the_forearm_are_of_the_half_that_its_layout_mirrors():
     from meshskin.geometry.files import icub_layout
 
@@ -262,7 +260,7 @@ def test_the_mirrored_modules_of_the_forearm_are_of_the_half_that_its_layout_mir
     assert len(found.modules) == 10
 
 
-@real
+@needs_skin
 def test_nothing_is_found_in_sound_real_files():
     assert lint(DATA / "icub_skin/cad/left_foot_mesh.txt") == ()
     assert lint(DATA / "icub_skin/cad/l_sole_transforms.txt") == ()

@@ -1,7 +1,5 @@
 """Triangular modules: rigid, on the surface, side by side, addressed by 12 * module + slot."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
@@ -15,7 +13,8 @@ from meshskin.geometry.region import Disc, Faces, HalfSpace, Whole, area
 from meshskin.geometry.skin import Skin
 from meshskin.geometry.tile import MOST_OFF, overlapping
 
-DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
+from ..real_data import DATA, needs_skin
+
 TRIANGLE = np.sqrt(3.0) / 4.0 * slots.SIDE**2
 
 
@@ -163,7 +162,7 @@ def test_a_body_too_curved_for_a_rigid_module_is_refused():
         Skin.modules(Body.capsule(0.01, 0.2))
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="../shared/data is absent")
+@needs_skin
 @pytest.mark.parametrize("name", ["left_leg_lower", "left_leg_upper", "left_arm", "left_foot"])
 def test_real_modules_have_a_pose_each(name):
     """Files whose normals are one constant vector: the modules' own positions tell them."""

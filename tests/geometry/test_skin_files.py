@@ -1,7 +1,6 @@
 """Skin files: what each format says, round trips, refusals; real files where they are present."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,9 +13,9 @@ from meshskin.geometry.files import icub, icub_layout
 from meshskin.geometry.region import Cap
 from meshskin.geometry.skin import Skin
 
-DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
+from ..real_data import DATA, needs_skin
+
 ICUB = sorted(DATA.glob("icub_skin/*/*"))
-real = pytest.mark.skipif(not ICUB, reason="../shared/data is absent")
 FORMATS = ("csv", "txt", "urdf", "ply", "glb")
 HANDS = {"left_hand_R1.ini", "left_hand_V2.ini", "left_hand_V2_1.ini", "left_hand_V2_2.ini"}
 
@@ -147,7 +146,7 @@ def test_a_position_file_in_millimetres_with_constant_normals_is_put_on_a_body(t
     np.testing.assert_allclose(placed.positions, skin.positions, atol=1e-8)
 
 
-@real
+@needs_skin
 def test_a_real_skin_with_constant_normals_is_put_on_its_real_link():
     """The shank's file, in the link's frame, lies within millimetres of the link's mesh."""
     mesh = DATA / "icub_body/meshes/sim_sea_2-5_l_shank_prt-binary.stl"
@@ -165,7 +164,7 @@ def test_a_real_skin_with_constant_normals_is_put_on_its_real_link():
     assert np.median(np.sum(placed.normals * there.normals, axis=1)) < 0.95  # not the file's
 
 
-@real
+@needs_skin
 def test_a_real_skin_without_normals_is_put_on_its_real_link():
     mesh = DATA / "icub_body/meshes/sim_sea_2-5_l_forearm_prt-binary.stl"
     body = Body.load(mesh, units="mm", open=True)
@@ -279,7 +278,7 @@ def test_spoiled_glb_files_are_refused(skin, tmp_path):
             Skin.load(path)
 
 
-@real
+@needs_skin
 @pytest.mark.parametrize("path", ICUB, ids=lambda p: p.name)
 def test_every_icub_file_is_read_and_written_to_the_printed_digits(path, tmp_path):
     if path.name in HANDS:
@@ -294,7 +293,7 @@ def test_every_icub_file_is_read_and_written_to_the_printed_digits(path, tmp_pat
         assert_same(Skin.load(tmp_path / f"again.{kind}"), skin, atol=0.7e-9)
 
 
-@real
+@needs_skin
 def test_the_rows_of_a_real_file_are_those_written():
     path = DATA / "icub_skin/positions/left_forearm_mesh.txt"
     file = icub.parse(path.read_text(), path.name)
@@ -306,7 +305,7 @@ def test_the_rows_of_a_real_file_are_those_written():
     assert counts["left_forearm_V2.txt"] == 240
 
 
-@real
+@needs_skin
 def test_the_urdf_of_icub_agrees_with_its_derived_table():
     import csv
 
@@ -326,7 +325,7 @@ def test_the_urdf_of_icub_agrees_with_its_derived_table():
             assert abs(se3.quaternion(pose[:3, :3]) @ turn) == pytest.approx(1.0, abs=1e-8)
 
 
-@real
+@needs_skin
 def test_the_sole_in_three_files_is_one():
     """Transforms of its triangles and rows of its taxels place the same modules."""
     a = Skin.load(DATA / "icub_skin/cad/l_sole_transforms.txt")

@@ -1,7 +1,6 @@
 """The smooth surface against exact ones: accuracy, order, hops, signs, creases and borders."""
 
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,7 +14,7 @@ from meshskin.geometry.proximity import Proximity, triangle_foot
 from meshskin.geometry.surface import Surface
 from meshskin.geometry.walk import neighbours
 
-LINKS = Path(__file__).parents[2] / ".." / "shared" / "data" / "ur3e_meshes"
+from ..real_data import DATA, needs_ur3e
 
 
 def rms(x):
@@ -173,10 +172,10 @@ def test_noise_lowers_the_degree_and_widens_the_rings():
 
 
 @pytest.mark.parametrize("name", ["forearm", "wrist3", "base"])
-@pytest.mark.skipif(not LINKS.is_dir(), reason="../shared/data is absent")
+@needs_ur3e
 def test_no_query_ends_in_a_local_minimum(name):
     """On creased links every end of a walk from 20 other faces is as far away or farther."""
-    surface = Surface(trimesh.load_mesh(LINKS / f"{name}.stl"))
+    surface = Surface(trimesh.load_mesh(DATA / "ur3e_meshes" / f"{name}.stl"))
     points = near(surface, 1000, 3e-3)
     found = np.abs(surface.closest(points).distance)
     proximity = Proximity(surface.vertices, surface.faces, least=20_000)

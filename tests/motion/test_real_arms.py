@@ -1,6 +1,6 @@
 """Arms of real robots against pinocchio, at random states.
 
-The URDF files are the iCub's of ../shared/data and those of the wheel `example-robot-data` (the
+The URDF files are the iCub's of real_data.py and those of the wheel `example-robot-data` (the
 extra `robots`).
 """
 
@@ -13,9 +13,9 @@ import pytest
 from meshskin.errors import UnknownNameError
 from meshskin.motion.arm import Arm
 
+from ..real_data import DATA, needs_icub
 from .test_arm import model, oracle
 
-ICUB = Path(__file__).parents[2] / ".." / "shared" / "data" / "icub_body"
 ROBOTS = {
     "panda.urdf": "panda_hand_tcp",
     "ur5_robot.urdf": "tool0",
@@ -52,12 +52,10 @@ def test_real_arm_agrees_with_pinocchio(name):
     agrees(Arm.from_urdf(urdf(name), tip=ROBOTS[name]))
 
 
+@needs_icub
 @pytest.mark.parametrize("tip", ["l_forearm", "l_lower_leg", "chest"])
 def test_icub_agrees_with_pinocchio(tip):
-    path = ICUB / "iCubGazeboV2_5.urdf"
-    if not path.is_file():
-        pytest.skip("needs ../shared/data/icub_body")
-    agrees(Arm.from_urdf(path, tip=tip))
+    agrees(Arm.from_urdf(DATA / "icub_body" / "iCubGazeboV2_5.urdf", tip=tip))
 
 
 def test_a_finger_driven_from_beside_the_chain_is_held():

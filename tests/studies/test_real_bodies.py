@@ -1,11 +1,8 @@
 """The study of real bodies on a few taxels of one of them; skips where the meshes are absent."""
 
-from pathlib import Path
-
 import pytest
 
-ROOT = Path(__file__).parents[2]
-DATA = ROOT / ".." / "shared" / "data"
+from ..real_data import DATA, needs_ur3e
 
 
 @pytest.fixture
@@ -13,10 +10,8 @@ def study(script):
     return script("real_bodies")
 
 
+@needs_ur3e
 def test_taxels_on_the_ur3e_are_found_to_their_bound(study, monkeypatch, tmp_path):
-    if not (DATA / study.MESHES["UR3e forearm"]).is_file():
-        pytest.skip("needs ../shared/data/ur3e_meshes")
-
     def few(data, full):
         body, skin = study.ur3e(data, full)
         keep = skin.ids < 40

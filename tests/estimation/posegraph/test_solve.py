@@ -1,7 +1,5 @@
 """Solving: the known optima, every start, what IPOPT's status does not say, disconnected graphs."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,8 @@ from meshskin import se3
 from meshskin.errors import GraphError, UnknownNameError
 from meshskin.estimation.posegraph import PoseGraph
 
-DATA = Path(__file__).parents[4] / "shared" / "data" / "g2o"
+from ...real_data import DATA
+
 OPTIMA = {  # file: certified optimum, cost of the chordal start (see the data's README)
     "tinyGrid3D": (18.51936642, 28.6765),
     "smallGrid3D": (1025.398056, 1561.38),
@@ -19,7 +18,7 @@ OPTIMA = {  # file: certified optimum, cost of the chordal start (see the data's
 
 
 def standard(name):
-    path = DATA / f"{name}.g2o"
+    path = DATA / "g2o" / f"{name}.g2o"
     if not path.exists():
         pytest.skip(f"needs the g2o benchmark {name}.g2o, not found at {path}")
     return PoseGraph.load(path)
