@@ -14,6 +14,7 @@ import numpy as np
 from ..errors import ReachError
 from ..geometry.body import Body
 from ..geometry.closest import Closest
+from ..once import once
 from ..se3 import Array
 from .arm import Arm
 from .depth import centres, poses
@@ -118,16 +119,15 @@ def pressed(loop: Loop, hit: Closest, depth: Array) -> Array:
     return outputs
 
 
-def torques(loop: Loop, dynamics: ca.Function, q: Array) -> Array:
-    """Joint torques (k, n), N m, along joint angles (k, n), one row a step, within their limits.
-
-    dynamics: see `inverse_dynamics`.
-    """
+def torques(loop: Loop, q: Array) -> Array:
+    """Joint torques (k, n), N m, along joint angles (k, n), one row a step, within their limits."""
     rates = np.gradient(q, loop.dt, axis=0)
-    wanted = dynamics(q.T, rates.T, np.gradient(rates, loop.dt, axis=0).T).full().T
+    bends = np.gradient(rates, loop.dt, axis=0)
+    wanted = inverse_dynamics(loop.arm)(q.T, rates.T, bends.T).full().T
     return np.clip(wanted, -loop.arm.effort_limit, loop.arm.effort_limit)
 
 
+@once
 def inverse_dynamics(arm: Arm) -> ca.Function:
     """(q, qd, qdd) -> joint torques (n,), N m, of a motion in the air."""
     n = len(arm.joint_names)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,9 +22,6 @@ from .step import step
 from .steps import Steps
 from .stretch import SPARE, Compiled, Interpreted, Stretch
 from .track import STAY, Track, crossings
-
-if TYPE_CHECKING:
-    import casadi as ca
 
 ON_RIDGE = 1e-6
 """Barycentric weight below which a foot is on a side of its face."""
@@ -159,7 +154,7 @@ class Machine:
         hit, depth = under(loop, self.body, poses(loop, q))
         outputs = carry.pressed(loop, hit, depth)
         if loop.joints:
-            outputs[:, loop.outputs["torque"]] = carry.torques(loop, self._inverse_dynamics, q)
+            outputs[:, loop.outputs["torque"]] = carry.torques(loop, q)
         states = np.zeros((len(q), len(self.state)))
         states[:, : self.size], states[:, -2:] = q, hit.uv
         self._check(states, outputs)
@@ -186,10 +181,6 @@ class Machine:
         maps, first = track.maps.copy(), int(track.faces[0])
         maps[0] = STAY if first == self.face else self._crossing(self.face, first)
         return replace(track, maps=maps)
-
-    @cached_property
-    def _inverse_dynamics(self) -> ca.Function:
-        return carry.inverse_dynamics(self.loop.arm)
 
     def _times(self, count: int) -> Array:
         """Times (count,) of the next steps, s."""
