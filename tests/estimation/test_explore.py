@@ -3,13 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-import pyarrow as pa
 import pytest
 
 from meshskin.errors import CalibrationError
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.calibration import Calibration
-from meshskin.recording import CONTACTS, READINGS, Recording
+from meshskin.touching import together
 
 
 def thinned(world, taxel, contacts, sigma=0.01):
@@ -33,17 +32,6 @@ def pressed(world, points, sigma=0.01, seed=1):
     return other.record(sigma, 0.05, seed)
 
 
-def joined(world, first, second):
-    """Two recordings, one after the other."""
-    shift = first.time[-1] + 1
-    tables = []
-    for name, schema in (("contacts", CONTACTS), ("readings", READINGS)):
-        a, b = getattr(first, name), getattr(second, name)
-        late = pa.array(b.column("time").to_numpy() + shift)
-        tables.append(pa.concat_tables([a, b.set_column(0, schema.field(0), late)]))
-    return Recording(*tables, {})
-
-
 def sigma_of(found, row):
     return float(np.sqrt(np.trace(found.covariances[row, :2, :2])))
 
@@ -59,14 +47,14 @@ def test_the_worst_taxel_is_aimed_at_and_gains_what_is_promised(world):
     assert (np.diff(plan.worst) <= 1e-12).all()
     assert plan.worst[-1] < 0.75 * sigma_of(found, 18)
     assert np.abs(world.body.closest(plan.points).distance).max() < 1e-9
-    more = calibrate(joined(world, recording, pressed(world, plan.points)), belief)
+    more = calibrate(together(recording, pressed(world, plan.points)), belief)
     worst = more.position_sigma.max()
     assert worst == pytest.approx(plan.worst[-1], rel=0.25)
     rng = np.random.default_rng(0)
     blind = []
     for _ in range(5):
         anywhere = world.points[rng.choice(len(world.points), 3, replace=False)]
-        again = calibrate(joined(world, recording, pressed(world, anywhere)), belief)
+        again = calibrate(together(recording, pressed(world, anywhere)), belief)
         blind.append(again.position_sigma.max())
     assert worst < 0.85 * np.mean(blind)
 
@@ -79,7 +67,7 @@ def test_a_taxel_touched_too_seldom_is_determined_afterwards(world):
     assert found.touched[18]
     plan = found.next_contacts(4)
     assert (plan.taxel == world.ids[18]).sum() >= 2
-    more = calibrate(joined(world, recording, pressed(world, plan.points)), belief)
+    more = calibrate(together(recording, pressed(world, plan.points)), belief)
     assert more.observed[18, :2].all()
     assert np.linalg.norm(more.positions[18] - world.truth[18]) < 0.2e-3
 

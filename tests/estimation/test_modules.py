@@ -136,7 +136,7 @@ def test_taxels_that_lie_in_no_such_modules_are_refused(tiled, clean, change):
         calibrate(wrong, tiled.belief)
 
 
-def test_a_scene_of_modules_tells_its_owner_their_layout_and_no_pose(tiled):
+def test_a_scene_of_modules_tells_its_owner_their_layout_and_no_pose():
     base = ms.Scene.load("sphere_noisy")
     skin = ms.Skin.modules(base.body, 2).skin
     scene = base.with_(skin=skin)

@@ -114,7 +114,7 @@ def test_costs_and_their_derivatives(kind):
     assert (far < 1e-8) == (kind != 0)
 
 
-def test_contacts_are_plain_without_moves(world, case):
+def test_contacts_are_plain_without_moves(world):
     data = gather(world.record(), world.belief())
     contacts = Anchored(data.shared, data, world.body, np.zeros(1)).at(np.log([0.8]))
     assert isinstance(contacts, Contacts)

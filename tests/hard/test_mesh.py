@@ -284,7 +284,7 @@ def test_a_saddle(load):
     np.testing.assert_allclose(hit.distance, [0.005, -0.005], atol=1e-7)
 
 
-def test_a_closed_thin_shell(load, ball):
+def test_a_closed_thin_shell(load):
     """A hollow ball of 0.2 mm wall: each side of the wall answers for itself."""
     fine = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
     vertices = np.vstack([fine.vertices, 0.998 * fine.vertices])

@@ -76,7 +76,7 @@ def solved(door, dense, right):
     return Solver(door, dense).solved(dense, right)
 
 
-def matrix(door):
+def matrix():
     """A positive definite matrix over the free poses, linked as in the ring."""
     free = np.delete(np.arange(POSES), HELD)
     near = np.abs(free[:, None] - free) % (POSES - 2) <= 1
@@ -86,7 +86,7 @@ def matrix(door):
 
 
 def test_a_system_is_solved(door):
-    dense = matrix(door)
+    dense = matrix()
     right = np.random.default_rng(1).normal(size=(2, len(dense)))
     with door.open():
         x, info = solved(door, dense, right.copy())
@@ -95,7 +95,7 @@ def test_a_system_is_solved(door):
 
 
 def test_an_indefinite_matrix_is_reported_and_never_solved(door):
-    dense = matrix(door) - 60 * np.eye(66)
+    dense = matrix() - 60 * np.eye(66)
     with door.open():
         x, info = solved(door, dense, np.ones((1, len(dense))))
     assert info[23] == 1
@@ -104,7 +104,7 @@ def test_an_indefinite_matrix_is_reported_and_never_solved(door):
 
 def test_factors_of_one_matrix_serve_those_that_are_like_it(door):
     """To nine digits, in the matrix's norm; they are eliminated where that is asked for."""
-    dense = matrix(door)
+    dense = matrix()
     other = dense * (1 + 0.1 * np.sin(np.arange(66.0)[:, None] + np.arange(66.0)))
     right = np.random.default_rng(1).normal(size=(2, 66))
     for alike, count in ((True, 1), (False, 2)):
@@ -121,7 +121,7 @@ def test_factors_of_one_matrix_serve_those_that_are_like_it(door):
 
 
 def test_a_matrix_that_is_not_like_the_first_is_eliminated_after_all(door):
-    dense, random = matrix(door), np.random.default_rng(2).uniform(0.1, 10.0, 66)
+    dense, random = matrix(), np.random.default_rng(2).uniform(0.1, 10.0, 66)
     other, right = random[:, None] * dense * random, np.ones((1, 66))
     with door.open(alike=True) as plan:
         solver = Solver(door, dense)
@@ -165,7 +165,7 @@ def test_gauss_newton_eliminates_once(skin_graph, monkeypatch):
 
 
 def test_without_a_plan_or_of_another_size_nothing_is_done(door):
-    dense = matrix(door)
+    dense = matrix()
     assert solved(door, dense, np.ones((1, len(dense))))[1][0] == -1
     with door.open():
         assert solved(door, dense[:60, :60], np.ones((1, 60)))[1][0] == -1
@@ -185,7 +185,7 @@ def test_an_ipopt_that_stays_outside_keeps_mumps(skin_graph, monkeypatch):
 
 def test_plans_are_handed_back(door):
     """A solver that is tried while another waits: the other's plan is there again."""
-    dense = matrix(door)
+    dense = matrix()
     with door.open():
         assert ma57.comes_in.__wrapped__()
         _, info = solved(door, dense, np.ones((1, len(dense))))
