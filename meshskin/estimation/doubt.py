@@ -54,10 +54,12 @@ def doubt(run: Run) -> Run:
 
 
 def unlike(run: Run, suspects: np.ndarray) -> Run:
-    """The run with a gain and an offset of each taxel, if these acquit most of the suspects.
+    """The run with a gain and an offset of each taxel, if these acquit most of the suspects, and
+    only noise is left.
 
-    A taxel whose readings are all too large or too small alike is none that is broken. First only
-    the taxels settle; what they all share follows where that is worth it.
+    A taxel whose readings are all too large or too small alike is none that is broken. Where more
+    than noise is left, gains would stand in for what is wrong with the model. First only the taxels
+    settle; what they all share follows where that is worth it.
     """
     shared = run.data.shared.unlike(float(np.median(run.data.peaks)))
     if shared.local_names == run.data.shared.local_names:
@@ -76,6 +78,8 @@ def unlike(run: Run, suspects: np.ndarray) -> Run:
         trial.converge()
     except CalibrationError:
         return run
+    if not _noise_is_left(trial):
+        return run
     gains = trial.problem.extras(trial.state.z, np.arange(trial.problem.places.count))[:, 0]
     for k in np.flatnonzero(_odd(trial)):
         words = (
@@ -83,6 +87,13 @@ def unlike(run: Run, suspects: np.ndarray) -> Run:
         )
         trial.faults[trial.live[k]] = words
     return trial
+
+
+def _noise_is_left(run: Run) -> bool:
+    """Whether residuals are the noise, if it is known, or as large from one contact to the next."""
+    readings, residuals = run.likelihood.readings, run.residuals()
+    noise = 1.0 if run.data.noise else faults.scatter(readings, residuals)
+    return faults.typical(readings, residuals) <= faults.TAKEN * noise
 
 
 def _odd(run: Run) -> np.ndarray:

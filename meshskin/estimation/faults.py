@@ -138,6 +138,17 @@ def typical_taxel(readings: Readings, r: Array) -> float:
     return float(size[order[np.searchsorted(share, 0.5 * share[-1])]]) / 0.6745
 
 
+def scatter(readings: Readings, r: Array) -> float:
+    """Scale of what the residuals of a taxel change by from one contact to the next: noise, and
+    little of what a wrong model does to them all alike.
+    """
+    heard = np.flatnonzero((readings.kind == HEARD) & ~outlying(readings))
+    heard = heard[np.lexsort((readings.contact[heard], readings.taxel[heard]))]
+    same = np.diff(readings.taxel[heard]) == 0
+    change = np.abs(np.diff(r[heard]))[same]
+    return float(np.median(change)) / (np.sqrt(2.0) * 0.6745) if len(change) else 1.0
+
+
 def suspects(readings: Readings, r: Array, scale: float) -> np.ndarray:
     """Taxels whose residuals cannot be chance, with noise of `scale`."""
     from scipy.stats import chi2

@@ -219,6 +219,9 @@ def test_knobs_are_ladders_from_cheap_to_fine(small):
     assert "contact model" not in {k.name for k in knobs(capsule, 10_000, 1_000.0)}
     for rung in mesh.rungs:
         assert rung.changes["body"].facets is small.body.mesh, "the robot's mesh is what it is"
+    sharp = small.with_(body=ms.Body.ellipsoid((0.09, 0.075, 0.06)))  # 320 faces: flat at its ends
+    (mesh,) = (knob for knob in knobs(sharp, 10_000, 1_000.0) if knob.name == "mesh")
+    assert [len(r.changes["body"].mesh.faces) for r in mesh.rungs] == [1280, 5120, 20480]
     loaded = replace(small.body, exact=None)
     found = {knob.name: knob for knob in knobs(small.with_(body=loaded), 10_000, 1_000.0)}
     assert set(found) == {"contact model", "time step"}

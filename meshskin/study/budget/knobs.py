@@ -89,7 +89,8 @@ def _holds(scene: Scene, name: str) -> bool:
 def mesh_resolution(scene: Scene) -> Knob:
     """Faces that the smooth surface of a primitive is fitted to; a loaded mesh is as it is.
 
-    The flat facets that a robot's software has are no matter of computing, and stay.
+    The flat facets that a robot's software has are no matter of computing, and stay. Where faces
+    are so few that a smooth body gets creases or flat places, they do not stand in for it.
     """
     body = scene.body
     own = Rung(_faces(body), {"body": body}, SECONDS["face"] * len(body.mesh.faces))
@@ -101,6 +102,8 @@ def mesh_resolution(scene: Scene) -> Knob:
         if count < FEWEST_FACES:
             continue
         made = body if factor == 1 else body.remeshed(count)
+        if body.surface.smooth and not made.surface.smooth:
+            continue
         rungs[_faces(made)] = Rung(
             _faces(made), {"body": made}, SECONDS["face"] * len(made.mesh.faces)
         )
