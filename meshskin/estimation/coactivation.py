@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..se3 import Array
 from . import chart, trilaterate
 from .measurements import Measurements, reach
 
@@ -30,6 +31,14 @@ SHY = 3.0
 """Contacts without an answer that are added to each neighbourhood, so that few prove little."""
 CHUNK = 64
 """Taxels whose neighbourhoods are counted at once."""
+CHANCE = 1e-4
+"""Probability that noise alone makes a taxel's largest reading, below which it is more than noise.
+"""
+ABOVE, WITHIN = 7.0, 0.7
+"""Standard deviations by which the sum of a taxel's readings about its place is above that of noise
+where it was pressed, though none of them is; and how far about it, in reaches of a contact."""
+NOISE = "no reading above the noise"
+"""Why a taxel is then undetermined."""
 EVERYWHERE = "answers to contacts all over"
 """Why a taxel is then undetermined."""
 
@@ -65,6 +74,35 @@ def alone(data: Measurements, body: Body) -> trilaterate.Fit:
     bad = why != ""
     points[bad], flat[bad] = np.nan, np.diag([np.inf, np.inf])
     return trilaterate.Fit(points, rotations, flat, np.full(n, np.nan), why)
+
+
+def heard(data: Measurements, points: Array) -> np.ndarray:
+    """Which taxels (n,), about at `points` (n, 3), read more than noise, where that is known.
+
+    The others were read and never pressed: there is a place for them, too, where their noise is a
+    little larger, and it would be stated to a fraction of a millimetre.
+    """
+    from scipy.spatial import cKDTree
+    from scipy.stats import norm
+
+    largest = np.zeros(len(data.ids))
+    np.maximum.at(largest, data.taxel, data.pressure)
+    if not data.noise:
+        return largest > 0.0
+    more = norm.sf(largest / data.noise) * len(data.points) < CHANCE
+    doubtful = np.flatnonzero(~more & np.isfinite(points[:, 0]))
+    if not len(doubtful):
+        return np.asarray(more)
+    radius = WITHIN * float(np.median(reach(data)))
+    off = np.linalg.norm(data.points[data.contact] - points[data.taxel], axis=1)
+    level = data.pressure * (off < radius) / data.noise  # off is NaN where there is no place
+    total = np.bincount(data.taxel, level, len(more))[doubtful]
+    count = cKDTree(data.points).query_ball_point(points[doubtful], radius, return_length=True)
+    least = data.threshold / data.noise  # of noise that is told: its mean and variance
+    mean = norm.pdf(least)
+    variance = least * mean + norm.sf(least) - mean**2
+    more[doubtful] = total - count * mean > ABOVE * np.sqrt(count * variance)
+    return np.asarray(more)
 
 
 def plausible(data: Measurements) -> Measurements:

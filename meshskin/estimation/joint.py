@@ -118,12 +118,14 @@ def estimate(
     clock = time.perf_counter()
     near = coactivation.plausible(data)
     start = start or coactivation.start(near, body)
+    heard = coactivation.heard(data, start.points)
+    why = np.where(start.found & ~heard, coactivation.NOISE, start.why)
     stuck = faults.stuck(data)
-    live = np.setdiff1d(np.flatnonzero(start.found), stuck.rows)
+    live = np.setdiff1d(np.flatnonzero(why == ""), stuck.rows)
     if not len(live):
         raise CalibrationError(
             "no taxel is determined by the recording",
-            value=", ".join(sorted(set(map(str, start.why)))),
+            value=", ".join(sorted(set(map(str, why)))),
             remedy="touch every taxel from at least three contacts that are not on a line",
         )
     step = float(np.median(data.radii)) / 2
@@ -146,7 +148,7 @@ def estimate(
             value=f"{len(live)} taxels still move after {PASSES} anchorings",
             remedy="check the contact model and the units of force and pressure",
         )
-    return _result(run, start.why, again, clock)
+    return _result(run, why, again, clock)
 
 
 def _fit(run: Run, own: Array) -> Fit:
