@@ -34,6 +34,8 @@ def doubt(run: Run) -> Run:
     run = unlike(run, suspects)
     typical, suspects = _suspects(run)
     known = bool(run.data.noise)
+    if known and typical <= faults.TAKEN:
+        typical = 1.0  # most readings fit: what is outlying is so by the noise
     believed = _plausibility(run, typical, np.abs(run.residuals()) > faults.CUT * typical)
     for scale in (1.0, typical) if known and typical > 1.0 else (typical,):
         if not len(suspects):

@@ -41,6 +41,10 @@ MISFIT_NOMINAL = 25.0
 """The same where the noise is not known: residuals of 5 % of the peak pressure; but no less than
 MISFIT times the median's."""
 
+NEARBY = 0.25
+"""Distance from its centroid, in contact radii, within which a taxel has not gone astray: from
+there it would come back to where it is."""
+
 
 class Run:
     """One estimation under way."""
@@ -156,7 +160,8 @@ class Run:
         return np.asarray(square / np.where(freedom > 0, freedom, np.nan))
 
     def restart(self, centroids: Array) -> np.ndarray:
-        """Start misfitting taxels again from `centroids` (n, 3); keep what fits better.
+        """Start misfitting taxels again from `centroids` (n, 3), where they have gone away from
+        these; keep what fits better.
 
         Returns the rows of the taxels that were moved.
         """
@@ -164,7 +169,9 @@ class Run:
         known = before[np.isfinite(before)]
         typical = float(np.median(known)) if len(known) else 1.0
         limit = MISFIT if self.data.noise else max(MISFIT_NOMINAL, MISFIT * typical)
-        bad = np.flatnonzero((before > limit) | self.restless)
+        off = np.linalg.norm(self.problem.points(self.state) - centroids, axis=1)
+        astray = (before > limit) & ~(off <= NEARBY * float(np.median(self.data.radii)))
+        bad = np.flatnonzero(astray | self.restless)
         if not len(bad) or not isinstance(places, Free):
             return bad[:0]
         kept, restless = self.state, self.restless
