@@ -30,7 +30,7 @@ SURFACE = "body surface: position along the normal and tilt"
 MODULES = "rigid modules: the known places of their taxels"
 MODULE_SURFACE = "body surface: modules lie on it to 0.1 mm a taxel"
 CONTACTS = "contact points in the body frame"
-DRAWN = 640
+DRAWN = 240
 """Taxels, at least, whose errors are drawn to see what displacements share."""
 
 
