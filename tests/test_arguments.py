@@ -37,6 +37,7 @@ def test_wrong_bodies(call, message):
 NAMES = {
     "simulate": lambda name: ms.simulate(name),
     "cost": lambda name: ms.cost(name),
+    "budget": lambda name: ms.budget(name),
     "tune": lambda name: ms.tune(name),
     "adapt": lambda name: ms.adapt(name, 1e-4),
     "press": lambda name: ms.press(name, [[0.0, 0.0, 0.1]]),
@@ -80,6 +81,11 @@ CALLS = {
     "bounds of one": (lambda s: ms.tune(s, bounds={"gamma": 3}), "bounds of gamma must be 2 num"),
     "a gain of a name": (lambda s: ms.tune(s, bounds={"gama": (1, 2)}), "did you mean gamma"),
     "a force of a word": (lambda s: ms.explore(s.body, s.skin, force="a"), "force .*got 'a'"),
+    "a budget in words": (lambda s: ms.budget(s, "a"), "error budget must be a Real, got 'a'"),
+    "a recording of a name": (
+        lambda s: ms.calibrate("rec", s.belief()),
+        r"Recording.load\('rec'\)",
+    ),
     "finer than nothing": (lambda s: ms.cost(s, finer=0), "finer .*got 0, limit: at least 1"),
     "a target of nothing": (lambda s: ms.cost(s, targets=[0]), "target .*got 0 mm, limit: above 0"),
     "targets of a number": (lambda s: ms.cost(s, targets=3), "targets.*got 3"),

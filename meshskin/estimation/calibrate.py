@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
+from ..arguments import needs
 from ..errors import CalibrationError, UnknownNameError
 from ..provenance import digest, provenance
+from ..recording import Recording
 from ..se3 import Array
 from . import chart, displacements, gauge, joint, observe, trilaterate
 from .calibration import Calibration
@@ -21,7 +23,6 @@ from .solve import AT_REST
 
 if TYPE_CHECKING:
     from ..belief import Belief
-    from ..recording import Recording
 
 UNTOUCHED = "never touched"
 ALONE = "shares too few contacts with other taxels"
@@ -86,6 +87,7 @@ def calibrate(
     """
     if method not in METHODS:
         raise UnknownNameError("method", method, METHODS)
+    needs(Recording, recording, "what is calibrated")
     if not hasattr(belief, "taxel_ids"):
         raise CalibrationError(
             "no belief",

@@ -95,6 +95,7 @@ def drawn(
     sane = (trilaterate.width(found, charts) > trilaterate.NARROW) & (
         np.linalg.norm(y, axis=1) < data.disc
     )
+    sane &= np.linalg.det(information) > SINGULAR * np.trace(information, axis1=1, axis2=2) ** 2
     good = sane.reshape(-1, 2).all(axis=1)
     if not good.any():
         raise CalibrationError(

@@ -115,6 +115,19 @@ def test_a_contact_that_is_recorded_again_is_no_other_one(world, trilateration):
     assert np.abs(residuals(graph, true_poses(world, graph))[:, :3]).max() < 1e-5
 
 
+def test_what_leaves_a_direction_open_is_no_displacement(world):
+    """Circles whose centres are the same, or lie behind each other, inform of one direction."""
+
+    def one_way(found, charts):
+        y, information, chi2 = trilaterate.solve(found, charts)
+        information[:, 1, :] = information[:, :, 1] = 0.0
+        return y, information, chi2
+
+    data = gather(world.record(), world.belief())
+    with pytest.raises(CalibrationError, match="no displacement can be trilaterated"):
+        displacements(data, world.body, trilateration=one_way)
+
+
 def test_noise_above_a_low_threshold_makes_no_pairs(world):
     """Half of all readings are noise above a threshold of zero: everyone answers everywhere."""
     recording, belief = world.record(0.02), world.belief(0.02)

@@ -11,18 +11,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from numbers import Real
 
+from ...arguments import needs
 from ...errors import ConfigError
+from ...scene import Scene
 from .candidates import candidates
 from .check import Aside
 from .choose import choose, size
 from .ledger import Check, Entry, Ledger
 from .screen import NEGLIGIBLE
 from .trial import Trial
-
-if TYPE_CHECKING:
-    from ...scene import Scene
 
 __all__ = ["DEFAULT", "Check", "Entry", "Ledger", "budget"]
 
@@ -55,8 +54,10 @@ def budget(
     are tried. Raises ConfigError for a budget that is not positive, else as `simulate` and
     `calibrate`.
     """
+    needs(Scene, scene, "what is budgeted")
     if taxel_error is None:
         taxel_error = DEFAULT if scene.budget is None else scene.budget
+    needs(Real, taxel_error, "an error budget")
     if not (math.isfinite(taxel_error) and taxel_error > 0):
         raise ConfigError(
             "an error budget must be positive",
