@@ -17,7 +17,8 @@ from ...physics.effects import Chain, Effect, ordered
 from ...physics.effects.frames import Frames
 from ...recording import Recording
 from ...se3 import Array
-from ...simulation import contact_frames, effect_chain, prepare, run, sensor_tables
+from ...sensing import contact_frames, effect_chain, sensor_tables
+from ...simulation import prepare, run
 
 if TYPE_CHECKING:
     from ...motion.path import Path
