@@ -10,57 +10,55 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .adaptive import adapt
-    from .belief import Belief
+    from . import contact
+    from .contact.indenter import Indenter
+    from .contact.material import Material
+    from .estimation.adaptive import adapt
     from .estimation.calibrate import calibrate
     from .estimation.calibration import Calibration
     from .estimation.posegraph import PoseGraph
-    from .exploration import explore
+    from .exploration.explore import explore
     from .geometry.body import Body
-    from .geometry.compare import compare
-    from .geometry.lint import lint
-    from .geometry.skin import Skin
-    from .motion.arm import Arm
-    from .motion.law import Law
-    from .motion.path import Exploration
-    from .physics import contact
-    from .physics.indenter import Indenter
-    from .physics.material import Material
-    from .presses import press
-    from .recording import Recording, RecordingWriter
-    from .scene import Scene
-    from .scene_parts import Readout
-    from .simulation import simulate
-    from .study.budget import budget
-    from .study.cost import cost
-    from .study.sweep import Study
+    from .recording.recording import Recording, RecordingWriter
+    from .robot.arm import Arm
+    from .scene.belief import Belief
+    from .scene.scene import Scene
+    from .scene.settings import Exploration, Law, Readout
+    from .simulation.simulate import simulate
+    from .simulation.static_contacts import press
+    from .skin.compare import compare
+    from .skin.lint import lint
+    from .skin.skin import Skin
+    from .study.sensitivity.budget import budget
+    from .study.sensitivity.cost import cost
+    from .study.sweep.study import Study
     from .tuning.tune import tune
 
 _HOMES = {
-    "Arm": "motion.arm",
-    "Belief": "belief",
+    "Arm": "robot.arm",
+    "Belief": "scene.belief",
     "Body": "geometry.body",
     "Calibration": "estimation.calibration",
-    "Exploration": "motion.path",
-    "Indenter": "physics.indenter",
-    "Law": "motion.law",
-    "Material": "physics.material",
+    "Exploration": "scene.settings",
+    "Indenter": "contact.indenter",
+    "Law": "scene.settings",
+    "Material": "contact.material",
     "PoseGraph": "estimation.posegraph",
-    "Readout": "scene_parts",
-    "Recording": "recording",
-    "RecordingWriter": "recording",
-    "Scene": "scene",
-    "Skin": "geometry.skin",
-    "Study": "study.sweep",
-    "adapt": "adaptive",
-    "budget": "study.budget",
+    "Readout": "scene.settings",
+    "Recording": "recording.recording",
+    "RecordingWriter": "recording.recording",
+    "Scene": "scene.scene",
+    "Skin": "skin.skin",
+    "Study": "study.sweep.study",
+    "adapt": "estimation.adaptive",
+    "budget": "study.sensitivity.budget",
     "calibrate": "estimation.calibrate",
-    "compare": "geometry.compare",
-    "cost": "study.cost",
-    "explore": "exploration",
-    "lint": "geometry.lint",
-    "press": "presses",
-    "simulate": "simulation",
+    "compare": "skin.compare",
+    "cost": "study.sensitivity.cost",
+    "explore": "exploration.explore",
+    "lint": "skin.lint",
+    "press": "simulation.static_contacts",
+    "simulate": "simulation.simulate",
     "tune": "tuning.tune",
 }
 
@@ -96,7 +94,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name == "contact":
-        return import_module(".physics.contact", __name__)
+        return import_module(".contact", __name__)
     if name not in _HOMES:
         raise AttributeError(f"module 'meshskin' has no attribute {name!r}")
     return getattr(import_module(f".{_HOMES[name]}", __name__), name)

@@ -21,13 +21,14 @@ from tempfile import TemporaryDirectory
 from typing import Any, TypedDict
 
 import meshskin as ms
-from meshskin import job, library
-from meshskin.atomic import write_text
+from meshskin import pipeline
 from meshskin.cli.cost import summary
-from meshskin.errors import StudyError
+from meshskin.core.atomic_io import write_text
+from meshskin.core.errors import StudyError
 from meshskin.report import figures, precision, theme
-from meshskin.study.cost import KNOBS, TARGETS, Costs
-from meshskin.study.cost.request import Request
+from meshskin.scene import shipped_scenes
+from meshskin.study.sensitivity.cost import KNOBS, TARGETS, Costs
+from meshskin.study.sensitivity.cost.request import Request
 
 FEW = ("dt", "lanes", "rate", "method")
 """Knobs of the default size."""
@@ -56,7 +57,7 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
     parser.add_argument("--resume", action="store_true", help="keep what a run before measured")
     parser.add_argument("--json", type=Path, default=None)
     options = parser.parse_args(arguments)
-    scenes = options.scenes or list(library.scenes())
+    scenes = options.scenes or list(shipped_scenes.scenes())
     knobs = options.knobs or (KNOBS if options.full else FEW)
 
     found: dict[str, Costs] = {}
@@ -126,7 +127,7 @@ def kept(name: str, request: Request, seed: int = 1) -> dict[str, Any]:
     """What a run promised, and came to over it; or why it refused."""
     try:
         with TemporaryDirectory() as place:
-            promise = job.run(name, place, seed=seed, request=request).metrics["promise"]
+            promise = pipeline.run(name, place, seed=seed, request=request).metrics["promise"]
     except StudyError as error:
         return {"scene": name, "asked": request.words, "refused": str(error)}
     came = promise["came_to"]

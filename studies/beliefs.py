@@ -20,9 +20,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import meshskin as ms
-from meshskin.errors import MeshskinError
-from meshskin.estimation import metrics
-from meshskin.physics.effects.indenter_offset import IndenterOffset
+from meshskin.core.errors import MeshskinError
+from meshskin.effects.indenter_offset import IndenterOffset
+from meshskin.estimation.uncertainty import metrics
 
 CONTACTS = 2000
 

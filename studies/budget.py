@@ -27,20 +27,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import meshskin as ms
-from meshskin import library
-from meshskin.atomic import write_text
-from meshskin.errors import ReachError
-from meshskin.estimation.solve import AT_REST
+from meshskin import effects
+from meshskin.core.atomic_io import write_text
+from meshskin.core.errors import ReachError
+from meshskin.estimation.joint.newton import AT_REST
+from meshskin.exploration.path import Path as Way
 from meshskin.geometry.region import Cap
-from meshskin.motion.path import Path as Way
-from meshskin.physics import effects
 from meshskin.report import figures, theme
-from meshskin.sensing import effect_chain
-from meshskin.simulation import prepare
-from meshskin.study.budget.check import paired
-from meshskin.study.budget.knobs import SECONDS
-from meshskin.study.budget.rehearsal import Rehearsal
-from meshskin.study.cost.numerics import held_route
+from meshskin.scene import shipped_scenes
+from meshskin.simulation.readout import effect_chain
+from meshskin.simulation.simulate import prepare
+from meshskin.study.sensitivity.budget.holdout import paired
+from meshskin.study.sensitivity.budget.knobs import SECONDS
+from meshskin.study.sensitivity.budget.replay import Replay
+from meshskin.study.sensitivity.cost.numerics import held_route
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -82,7 +82,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
     if options.prices:
         return {"prices": prices()}
 
-    shipped = library.scenes() if options.scenes is None else options.scenes
+    shipped = shipped_scenes.scenes() if options.scenes is None else options.scenes
     count = 20 if options.full else options.random
     print(f"{'scene':22}{'estimate':>10}{'true':>10}{'ratio':>8}{'faster':>8}{'lost':>6}"
           f"{'took (s)':>10}  off")  # fmt: skip
@@ -113,8 +113,8 @@ def prices() -> dict[str, float]:
     found, faces = {}, len(scene.body.mesh.faces)
     found["face"] = seconds(lambda: replace(scene.body).closest(scene.skin.positions)) / faces
     steps, taxels = len(path.points), len(scene.skin.ids)
-    found["step"] = seconds(lambda: [held_route(scene), Rehearsal.of(scene, path)]) / steps
-    frames = Rehearsal.of(scene, path).frames
+    found["step"] = seconds(lambda: [held_route(scene), Replay.of(scene, path)]) / steps
+    frames = Replay.of(scene, path).frames
     for name in ("hertz", "elliptic", "layered"):
         read = effect_chain(scene.with_(contact=name, effects=()), 0).read
         found[name] = seconds(partial(read, frames, scene.skin.poses)) / len(frames) / taxels

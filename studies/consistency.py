@@ -35,18 +35,18 @@ import pyarrow as pa
 from scipy.stats import chi2
 
 import meshskin as ms
-from meshskin import se3
-from meshskin.estimation import metrics
-from meshskin.estimation.factors.module import SURFACE
-from meshskin.estimation.factors.shared import PRIORS, ROTATION
-from meshskin.estimation.observe import TILT_SIGMA
-from meshskin.geometry import slots
+from meshskin.core import se3
+from meshskin.effects.body_pose import BodyPose
+from meshskin.effects.force_sensor import ForceSensor
+from meshskin.effects.gain_offset import GainOffset
+from meshskin.effects.gaussian_noise import GaussianNoise
+from meshskin.effects.indenter_offset import IndenterOffset
+from meshskin.estimation.data.global_parameters import PRIORS, ROTATION
+from meshskin.estimation.joint.module import SURFACE
+from meshskin.estimation.uncertainty import metrics
+from meshskin.estimation.uncertainty.observability import TILT_SIGMA
 from meshskin.geometry.region import Cap
-from meshskin.physics.effects.body_pose import BodyPose
-from meshskin.physics.effects.force_sensor import ForceSensor
-from meshskin.physics.effects.gain_offset import GainOffset
-from meshskin.physics.effects.gaussian_noise import GaussianNoise
-from meshskin.physics.effects.indenter_offset import IndenterOffset
+from meshskin.skin import slots
 
 NOISE, TAXELS, CONTACTS = 0.01, 40, 800
 STANDS = 3e-4

@@ -30,12 +30,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 import meshskin as ms
-from meshskin.estimation import chart, coactivation, faults, trilaterate
-from meshskin.estimation.measurements import gather
-from meshskin.estimation.places import Free
-from meshskin.estimation.run import Run
-from meshskin.estimation.solve import ITERATIONS
-from meshskin.physics import effects
+from meshskin import effects
+from meshskin.estimation import chart
+from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.joint import faults
+from meshskin.estimation.joint.joint_estimator import JointEstimator
+from meshskin.estimation.joint.newton import ITERATIONS
+from meshskin.estimation.joint.parametrization import SurfaceParametrization
+from meshskin.estimation.trilateration import coactivation, trilaterate
 from meshskin.report import figures, theme
 
 if TYPE_CHECKING:
@@ -136,8 +138,8 @@ def from_all(recording: ms.Recording, belief: ms.Belief) -> np.ndarray:
     start = coactivation.start(near, body)
     live = np.setdiff1d(np.flatnonzero(start.found), faults.stuck(data).rows)
     frames = chart.about(body, start.points[live], start.rotations[live])
-    places = Free(frames, float(np.median(data.radii)) / 2)
-    run = Run(data, body, live, places, np.ones(len(data.pressure)), ITERATIONS)
+    places = SurfaceParametrization(frames, float(np.median(data.radii)) / 2)
+    run = JointEstimator(data, body, live, places, np.ones(len(data.pressure)), ITERATIONS)
     run.converge()
     run.restart(trilaterate.centroids(near, body)[live])
     points = np.full(start.points.shape, np.nan)

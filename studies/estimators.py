@@ -26,15 +26,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import meshskin as ms
-from meshskin import se3
-from meshskin.errors import MeshskinError
-from meshskin.estimation import chart, coactivation, displacements, joint, metrics, trilaterate
+from meshskin.core import se3
+from meshskin.core.errors import MeshskinError
+from meshskin.effects.gaussian_noise import GaussianNoise
+from meshskin.estimation import chart
 from meshskin.estimation.calibrate import METHODS
-from meshskin.estimation.measurements import Measurements, gather
-from meshskin.estimation.places import Free
-from meshskin.estimation.run import Run
-from meshskin.estimation.solve import ITERATIONS
-from meshskin.physics.effects.gaussian_noise import GaussianNoise
+from meshskin.estimation.data.measurements import Measurements, gather
+from meshskin.estimation.joint import joint
+from meshskin.estimation.joint.joint_estimator import JointEstimator
+from meshskin.estimation.joint.newton import ITERATIONS
+from meshskin.estimation.joint.parametrization import SurfaceParametrization
+from meshskin.estimation.trilateration import coactivation, displacements, trilaterate
+from meshskin.estimation.uncertainty import metrics
 from meshskin.report import figures, theme
 
 if TYPE_CHECKING:
@@ -128,7 +131,7 @@ def by_start(points: np.ndarray, seeds: range, levels: tuple[float, ...]) -> dic
             row = shares(data, scene, fit, best) | {"error_mm": level}
             row["posegraph"] = float(abs(graph_cost / least - 1) < SAME)
             rows.setdefault(f"{level:g}", []).append(row)
-        alone = coactivation.alone(data, scene.body)
+        alone = coactivation.contact_centroid_start(data, scene.body)
         off = 1e3 * float(np.linalg.norm(alone.points - best, axis=1).mean())
         row = shares(data, scene, alone, best) | {"error_mm": off}
         rows.setdefault("co-activation", []).append(row)
@@ -180,8 +183,10 @@ def shares(
 def steps_only(data: Measurements, scene: ms.Scene, start: trilaterate.Fit) -> np.ndarray:
     """Points (n, 3) of the joint estimate without restarts and without doubt."""
     live, step = np.flatnonzero(start.found), float(np.median(data.radii)) / 2
-    places = Free(chart.about(scene.body, start.points[live], start.rotations[live]), step)
-    run = Run(data, scene.body, live, places, np.ones(len(data.pressure)), ITERATIONS)
+    places = SurfaceParametrization(
+        chart.about(scene.body, start.points[live], start.rotations[live]), step
+    )
+    run = JointEstimator(data, scene.body, live, places, np.ones(len(data.pressure)), ITERATIONS)
     run.converge()
     return run.problem.points(run.state)
 

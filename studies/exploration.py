@@ -26,12 +26,12 @@ import numpy as np
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 import meshskin as ms
-from meshskin.adaptive import adapt
-from meshskin.estimation import design
-from meshskin.exploration import planned, setup_of
+from meshskin.estimation import contact_design
+from meshskin.estimation.adaptive import adapt
+from meshskin.exploration.explore import planned, setup_of
 from meshskin.geometry.region import Cap
 from meshskin.report import figures, theme
-from meshskin.touching import touched
+from meshskin.simulation.contact_samplers import touched
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -112,7 +112,7 @@ def lanes(scene: ms.Scene, seeds: range) -> Curve:
 def best_of_all(scene: ms.Scene) -> float:
     """Mean error, mm, times the root of the number of contacts, that no design is below."""
     belief, reach = scene.belief(), setup_of(scene).reach
-    return 1e3 * design.best(belief, scene.skin.positions, reach).bound
+    return 1e3 * contact_design.best(belief, scene.skin.positions, reach).bound
 
 
 def floor_of(fixed: Curve, least: float) -> float:
@@ -143,7 +143,7 @@ def curve(found: list[tuple[float, ...]]) -> Curve:
 
 def expected_mm(scene: ms.Scene, points: np.ndarray) -> float:
     """Mean error, mm, that the bound lets one expect of contacts at points (k, 3)."""
-    return 1e3 * design.expected_error(scene.belief(), scene.skin.positions, points)
+    return 1e3 * contact_design.expected_error(scene.belief(), scene.skin.positions, points)
 
 
 def error_mm(scene: ms.Scene, positions: np.ndarray) -> float:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from meshskin.physics.contact import Setting, elliptic, field, layered, series
+from meshskin.contact import ContactProblem, boundary_elements, chebyshev, elliptic, layered
 
 CASE: dict = {"force": 1.0, "indenter_radius": 0.01, "modulus": 1e6}
 
@@ -28,8 +28,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--cells", type=int, default=192)
     parser.add_argument("--out", type=Path, default=layered.TABLE)
     options = parser.parse_args(arguments)
-    y = layered.MAX_CHI / (1 + layered.MAX_CHI) * (1 + series.nodes(layered.CHIS)) / 2
-    ratios = 0.25 * (1 + series.nodes(layered.POISSONS))
+    y = layered.MAX_CHI / (1 + layered.MAX_CHI) * (1 + chebyshev.nodes(layered.CHIS)) / 2
+    ratios = 0.25 * (1 + chebyshev.nodes(layered.POISSONS))
     lines = ["chi,poisson,radius,peak,depth,aspect"]
     for chi in y / (1 - y):
         for poisson in ratios:
@@ -53,15 +53,17 @@ def factors(chi: float, poisson: float, cells: int = 192) -> tuple[float, ...]:
     )
 
 
-def press(curvature: float, chi: float, poisson: float, cells: int) -> field.GridPatch:
+def press(curvature: float, chi: float, poisson: float, cells: int) -> boundary_elements.GridPatch:
     """The patch for curvatures (`curvature`, 0), 1/m, on a layer of sqrt(a b)_Hertz / chi."""
     case = CASE | {"poisson": poisson, "curvature": (curvature, 0.0)}
-    size = float(np.sqrt(np.prod(elliptic.solve(Setting(**case)).semi_axes)))
+    size = float(np.sqrt(np.prod(elliptic.solve(ContactProblem(**case)).semi_axes)))
     thickness = size / chi if chi > 0 else None
-    return field.solve(Setting(**case, thickness=thickness), cells=cells, parabolic=True)
+    return boundary_elements.solve(
+        ContactProblem(**case, thickness=thickness), cells=cells, parabolic=True
+    )
 
 
-def edge(patch: field.GridPatch) -> float:
+def edge(patch: boundary_elements.GridPatch) -> float:
     """Contact radius, m, finer than a cell: where p^2, a polynomial in r^2 there, goes to zero."""
     assert patch.grid is not None
     (n, m), (dx, dy) = patch.grid.shape, patch.spacing

@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 
 import meshskin as ms
-from meshskin.estimation import demonstration, metrics
+from meshskin.estimation import demonstration
+from meshskin.estimation.uncertainty import metrics
 from meshskin.report import figures
 
 LEVELS = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0]) * 1e-3

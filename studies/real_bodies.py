@@ -30,11 +30,11 @@ from xml.etree import ElementTree
 import numpy as np
 
 import meshskin as ms
-from meshskin.estimation import metrics
-from meshskin.exploration import planned
-from meshskin.geometry.modules import Modules
+from meshskin.estimation.uncertainty import metrics
+from meshskin.exploration.explore import planned
 from meshskin.geometry.region import Cap
 from meshskin.report import theme
+from meshskin.skin.modules import Modules
 
 MESHES = {
     "UR3e forearm": "ur3e_meshes/forearm.stl",

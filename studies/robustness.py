@@ -28,12 +28,14 @@ import numpy as np
 import pyarrow as pa
 
 import meshskin as ms
-from meshskin.estimation import chart, metrics, trilaterate
-from meshskin.estimation.measurements import gather
-from meshskin.estimation.places import Free
-from meshskin.estimation.run import Run
-from meshskin.estimation.solve import ITERATIONS
-from meshskin.recording import READINGS
+from meshskin.estimation import chart
+from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.joint.joint_estimator import JointEstimator
+from meshskin.estimation.joint.newton import ITERATIONS
+from meshskin.estimation.joint.parametrization import SurfaceParametrization
+from meshskin.estimation.trilateration import trilaterate
+from meshskin.estimation.uncertainty import metrics
+from meshskin.recording.recording import READINGS
 
 CONTACTS, NOISE, THRESHOLD = 2000, 0.01, 0.05
 SHARES, PART = (0.05, 0.1, 0.15, 0.2), 0.2
@@ -178,10 +180,10 @@ def left_out(world: World, recording: ms.Recording, hit: np.ndarray) -> np.ndarr
     """Errors (n,), m, where the readings `hit` (k,) weigh nothing, and nothing is doubted."""
     data, body = gather(recording, world.belief), world.scene.body
     start, live = trilaterate.least_squares(data, body), np.arange(len(data.ids))
-    places = Free(
+    places = SurfaceParametrization(
         chart.about(body, start.points, start.rotations), float(np.median(data.radii)) / 2
     )
-    run = Run(data, body, live, places, np.where(hit, 0.0, 1.0), ITERATIONS)
+    run = JointEstimator(data, body, live, places, np.where(hit, 0.0, 1.0), ITERATIONS)
     run.converge()
     return np.linalg.norm(run.problem.points(run.state) - world.skin.positions, axis=1)
 

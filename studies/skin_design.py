@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import meshskin as ms
-from meshskin.errors import MeshskinError
-from meshskin.estimation import metrics
+from meshskin.core.errors import MeshskinError
+from meshskin.effects.gaussian_noise import GaussianNoise
+from meshskin.estimation.uncertainty import metrics
 from meshskin.geometry.region import Cap
-from meshskin.physics.effects.gaussian_noise import GaussianNoise
 from meshskin.report import figures, precision, theme
 
 if TYPE_CHECKING:

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 
 import meshskin as ms
-from meshskin.motion.response import ForceResponse, force_response
 from meshskin.report import figures, theme
+from meshskin.simulation.response import ForceResponse, force_response
 from meshskin.tuning.answer import Confirmation, Tuned, respond
 from meshskin.tuning.gains import Gains
 from meshskin.tuning.manoeuvre import Manoeuvre

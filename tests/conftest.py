@@ -1,8 +1,15 @@
-"""Scenes and recordings that several tests look at."""
+"""Scenes, recordings and simulators that tests of several folders share."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 import meshskin as ms
+from meshskin.geometry.body import Body
+from meshskin.robot.arm import Arm
+from meshskin.scene import shipped_scenes
+from meshskin.simulation.simulate import prepare
 
 
 @pytest.fixture(scope="session")
@@ -27,3 +34,41 @@ def noisy():
 def noisy_recording(noisy):
     """Its recording."""
     return ms.simulate(noisy, seed=1)
+
+
+@pytest.fixture(scope="session")
+def body():
+    """The paper's body by itself."""
+    return Body.sphere(0.1)
+
+
+@pytest.fixture(scope="session")
+def arm():
+    """The paper's arm by itself."""
+    return Arm.from_urdf(shipped_scenes.folder() / "puma560.urdf")
+
+
+@pytest.fixture(scope="session")
+def prepared(sphere):
+    """Machine and path of the paper's scene, by mode."""
+    made = {}
+
+    def get(mode="arm", **loop):
+        key = (mode, *sorted(loop.items()))
+        if key not in made:
+            scene = sphere.with_(loop=replace(sphere.loop, mode=mode, compile="never", **loop))
+            made[key] = prepare(scene)
+        machine, path = made[key]
+        machine.rewind()
+        return machine, path
+
+    return get
+
+
+@pytest.fixture(scope="session")
+def along(prepared, sphere):
+    """Joint angles (k, 6) along the path of the paper's scene."""
+    machine, path = prepared()
+    machine.rewind()
+    poses = path.poses @ np.linalg.inv(sphere.mount_pose)
+    return machine.loop.arm.inverse_kinematics(poses, machine.state[:6])

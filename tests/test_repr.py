@@ -3,10 +3,10 @@
 import numpy as np
 
 import meshskin as ms
-from meshskin.adaptive import Adaptive
-from meshskin.motion.path import Path
-from meshskin.motion.plan import Plan
-from meshskin.recording import CONTACTS, READINGS, Recording
+from meshskin.estimation.adaptive import Adaptive
+from meshskin.exploration.path import Path
+from meshskin.exploration.plan import Plan
+from meshskin.recording.recording import CONTACTS, READINGS, Recording
 
 
 def test_scenes_and_their_parts_print_one_line(sphere):

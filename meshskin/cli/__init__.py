@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import TextIO
 
-from ..errors import MeshskinError
+from ..core.errors import MeshskinError
 from . import calibrate, check, cost, diff, lint, run, scenes, study
 
 COMMANDS = (run, calibrate, scenes, cost, study, check, lint, diff)
@@ -72,7 +72,7 @@ def _interruptions() -> Iterator[list[int]]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    from ..provenance import versions
+    from ..core.provenance import versions
 
     parser = argparse.ArgumentParser(
         prog="meshskin", description="Self-calibration of robot skin on any body mesh."

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import CalibrationError, ConfigError
+from ..core.errors import CalibrationError, ConfigError
 
 if TYPE_CHECKING:
-    from ..belief import Belief
     from ..estimation.calibration import Calibration
-    from ..recording import Recording
+    from ..recording.recording import Recording
+    from ..scene.belief import Belief
 
 LOG = """
 RECORDING is the common part of its files' names, or a folder with contacts.csv (time, px, py, pz,
@@ -73,12 +73,12 @@ def add(commands: Any) -> None:
 
 def command(options: argparse.Namespace) -> int:
     """Calibrate, write the results, and print the summary."""
-    from ..atomic import check_folder, check_place, write_json
+    from ..core.atomic_io import check_folder, check_place, write_json
+    from ..core.provenance import provenance
     from ..estimation.calibrate import calibrate
-    from ..geometry.files import check_format
-    from ..job import forget
-    from ..provenance import provenance
-    from ..recording import Recording
+    from ..pipeline import forget
+    from ..recording.recording import Recording
+    from ..skin.files import check_format
 
     if options.export is not None:
         check_format(options.export.suffix.lstrip("."))
@@ -110,7 +110,7 @@ def command(options: argparse.Namespace) -> int:
 
 def believed(options: argparse.Namespace, recording: Recording) -> Belief:
     """What the options say of the robot. Raises ConfigError for what they lack."""
-    from ..geometry import slots
+    from ..skin import slots
 
     belief = _by_scene(options) if options.scene else _by_options(options)
     kilo = {
@@ -128,7 +128,7 @@ def believed(options: argparse.Namespace, recording: Recording) -> Belief:
     if options.modules:
         changes["module_slots"] = slots.OFFSETS
     if options.taxels is not None:
-        from ..geometry.skin import Skin
+        from ..skin.skin import Skin
 
         changes["taxel_ids"] = np.array(Skin.load(options.taxels).ids)
     elif not options.scene:
@@ -139,7 +139,7 @@ def believed(options: argparse.Namespace, recording: Recording) -> Belief:
 
 def _by_scene(options: argparse.Namespace) -> Belief:
     """The belief of a scene, which knows body, indenter and material."""
-    from ..scene import Scene
+    from ..scene.scene import Scene
 
     twice = [name for name in KNOWN if getattr(options, name) is not None]
     if twice:
@@ -153,11 +153,11 @@ def _by_scene(options: argparse.Namespace) -> Belief:
 
 def _by_options(options: argparse.Namespace) -> Belief:
     """A belief without a scene."""
-    from ..belief import Belief
+    from ..contact import AUTO
+    from ..contact.indenter import Indenter
+    from ..contact.material import Material
     from ..geometry.body import Body
-    from ..physics.contact import AUTO
-    from ..physics.indenter import Indenter
-    from ..physics.material import Material
+    from ..scene.belief import Belief
 
     needed = {
         "--body": options.body,
@@ -183,7 +183,7 @@ def _by_options(options: argparse.Namespace) -> Belief:
 
 def export(found: Calibration, belief: Belief, path: Path) -> None:
     """Write the map of the taxels that are determined. Raises SkinError, OutputError."""
-    from ..geometry.skin import Skin
+    from ..skin.skin import Skin
 
     good = np.isfinite(found.poses).all(axis=(1, 2))
     if not good.any():
@@ -193,7 +193,7 @@ def export(found: Calibration, belief: Belief, path: Path) -> None:
 
 def assess(found: Calibration, recording: Recording) -> dict[str, Any]:
     """The numbers of metrics.json: what is known without the truth."""
-    from ..estimation.metrics import undetermined
+    from ..estimation.uncertainty.metrics import undetermined
 
     good = found.observed[:, :2].all(axis=1)
     sigma = 1e3 * found.position_sigma[good]

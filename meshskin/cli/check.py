@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import MeshError, OutputError
+from ..core.errors import MeshError, OutputError
 
 if TYPE_CHECKING:
-    from ..geometry.check import Finding, Survey
+    from ..geometry.mesh.check import Finding, Survey
 
 COLOURS = {"refused": "#c62828", "noted": "#ef6c00", "repaired": "#1565c0"}
 SIZES = {"refused": 5.0, "noted": 4.0, "repaired": 1.5}
@@ -44,14 +44,14 @@ def add(commands: Any) -> None:
 def command(options: argparse.Namespace) -> int:
     """Print the findings, and draw them if asked."""
     from ..geometry.body import check_extent
-    from ..geometry.check import survey
-    from ..geometry.files import mesh
+    from ..geometry.mesh import mesh_file
+    from ..geometry.mesh.check import survey
 
     kind = None if options.out is None else options.out.suffix.lower()
     if kind not in (None, ".html", *PICTURES):
         raise OutputError("kind of drawing", value=kind, limit=f".html, {', '.join(PICTURES)}")
-    scale = mesh.unit(options.mesh, options.units)
-    raw = mesh.read(options.mesh, scale)
+    scale = mesh_file.unit(options.mesh, options.units)
+    raw = mesh_file.read(options.mesh, scale)
     found = survey(raw.vertices, raw.faces, options.open)
     finite = found.vertices[np.isfinite(found.vertices).all(axis=1)]
     size = 1e3 * np.ptp(finite, axis=0) if len(finite) else np.zeros(3)
@@ -117,7 +117,7 @@ def picture(found: Survey, title: str, path: Path) -> None:
     """Draw the mesh and the places of the findings with matplotlib."""
     from matplotlib.figure import Figure
 
-    from ..atomic import atomic
+    from ..core.atomic_io import atomic
 
     figure = Figure(figsize=(9, 7), layout="constrained")
     axes: Any = figure.add_subplot(projection="3d")
@@ -148,7 +148,7 @@ def page(found: Survey, title: str, path: Path) -> None:
     """Draw the same as a page to turn, with plotly."""
     import plotly.graph_objects as go
 
-    from ..atomic import atomic
+    from ..core.atomic_io import atomic
 
     faces, mm = drawable(found), 1e3 * found.vertices
     grey = {"color": "#b0bec5", "opacity": 0.5, "name": "mesh", "hoverinfo": "skip"}

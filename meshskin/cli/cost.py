@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from .run import bar
 
 if TYPE_CHECKING:
-    from ..study.cost import Costs
+    from ..study.sensitivity.cost import Costs
 
 
 def add(commands: Any) -> None:
@@ -38,10 +38,10 @@ def add(commands: Any) -> None:
 
 def command(options: argparse.Namespace) -> int:
     """Measure, write the page, and print the table."""
-    from ..atomic import check_folder
-    from ..scene import Scene
-    from ..study.budget import budget
-    from ..study.cost import KNOBS, cost
+    from ..core.atomic_io import check_folder
+    from ..scene.scene import Scene
+    from ..study.sensitivity.budget import budget
+    from ..study.sensitivity.cost import KNOBS, cost
 
     scene = Scene.load(options.scene)
     check_folder(options.out)
@@ -64,10 +64,10 @@ def command(options: argparse.Namespace) -> int:
 
 def write(costs: Costs, folder: Path) -> None:
     """The page cost.html, the figure, and every setting in cost.json."""
-    from ..atomic import write_json
-    from ..provenance import provenance
+    from ..core.atomic_io import write_json
+    from ..core.provenance import provenance
     from ..report import page, precision, theme
-    from ..study.cost import TARGETS
+    from ..study.sensitivity.cost import TARGETS
 
     png, svg = theme.save(precision.figure(costs, TARGETS), folder / "figures", "work_precision")
     page.write(folder / "cost.html", precision.page(costs, TARGETS, png, svg))
@@ -84,7 +84,7 @@ def write(costs: Costs, folder: Path) -> None:
 def summary(costs: Costs) -> str:
     """The table for people."""
     from ..report import precision
-    from ..study.cost import TARGETS
+    from ..study.sensitivity.cost import TARGETS
 
     rows = [precision.HEADER, *precision.table(costs, TARGETS)]
     width = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]

@@ -12,7 +12,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from ..geometry.compare import Difference
+    from ..skin.compare import Difference
 
 SHOWN = 20
 """lines of what is exchanged"""
@@ -38,8 +38,8 @@ def add(commands: Any) -> None:
 
 def command(options: argparse.Namespace) -> int:
     """Print the comparison."""
-    from ..geometry.compare import compare
-    from ..geometry.skin import Skin
+    from ..skin.compare import compare
+    from ..skin.skin import Skin
 
     a, b = (Skin.load(path, options.part) for path in (options.a, options.b))
     difference = compare(a, b)
@@ -57,7 +57,7 @@ def same(difference: Difference) -> bool:
 
 def lines(difference: Difference, worst: int, shown: int | None) -> Iterator[str]:
     """The comparison in lines of text."""
-    from .. import se3
+    from ..core import se3
 
     d = difference
     yield f"{len(d.ids)} in both, {len(d.only_a)} only in A, {len(d.only_b)} only in B"
@@ -91,7 +91,7 @@ def lines(difference: Difference, worst: int, shown: int | None) -> Iterator[str
 
 def row(name: str, distance: NDArray[np.float64]) -> str:
     """One line of the table."""
-    from ..geometry.compare import rms
+    from ..skin.compare import rms
 
     if not len(distance):
         return f"{name:28}{0:>8}"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ..geometry.lint import Finding
+    from ..skin.lint import Finding
 
 SHOWN = 12
 """stretches of numbers that a line shows"""
@@ -30,8 +30,8 @@ def add(commands: Any) -> None:
 
 def command(options: argparse.Namespace) -> int:
     """Print the findings."""
-    from ..geometry import files
-    from ..geometry.lint import check
+    from ..skin import files
+    from ..skin.lint import check
 
     table = files.read(options.file, options.part)
     findings = check(table)

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 from .calibrate import certainty
 
 if TYPE_CHECKING:
-    from ..job import Result
-    from ..simulation import Progress
-    from ..study.cost.request import Request
+    from ..pipeline import Result
+    from ..simulation.simulate import Progress
+    from ..study.sensitivity.cost.request import Request
 
 
 def add(commands: Any) -> None:
@@ -42,7 +42,7 @@ def add(commands: Any) -> None:
 
 def command(options: argparse.Namespace) -> int:
     """Run the scene and print the summary."""
-    from ..job import run
+    from ..pipeline import run
 
     with bar(options.quiet) as progress:
         result = run(
@@ -64,7 +64,7 @@ def _request(options: argparse.Namespace) -> Request | None:
     """The accuracy or the time that is asked for."""
     if options.accuracy_mm is None and options.seconds is None:
         return None
-    from ..study.cost.request import Request
+    from ..study.sensitivity.cost.request import Request
 
     return Request(options.accuracy_mm, options.seconds)
 

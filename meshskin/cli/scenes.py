@@ -14,9 +14,9 @@ def add(commands: Any) -> None:
 
 def command(options: argparse.Namespace) -> int:
     """Print every scene's name and description."""
-    from .. import library
-    from ..config import read_toml
+    from ..core.config import read_toml
+    from ..scene import shipped_scenes
 
-    for name, path in library.scenes().items():
+    for name, path in shipped_scenes.scenes().items():
         print(f"{name:16} {read_toml(path).get('description', '')}")
     return 0

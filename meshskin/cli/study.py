@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     import pyarrow as pa
 
-    from ..study.sweep import Progress
+    from ..study.sweep.study import Progress
 
 SHOWN = 5
 """Failed cases that the summary lists."""
@@ -39,7 +39,7 @@ def add(commands: Any) -> None:
 
 def command(options: argparse.Namespace) -> int:
     """Run the study and print the summary: 0 when every case is done, 1 when some failed."""
-    from ..study.sweep import Study
+    from ..study.sweep.study import Study
 
     study = Study.load(options.file)
     with _bar(options.quiet) as progress:

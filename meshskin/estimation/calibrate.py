@@ -9,20 +9,23 @@ from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
-from ..arguments import needs
-from ..errors import CalibrationError, UnknownNameError
-from ..provenance import digest, provenance
-from ..recording import Recording
-from ..se3 import Array
-from . import chart, displacements, gauge, joint, observe, trilaterate
+from ..core.arguments import needs
+from ..core.errors import CalibrationError, UnknownNameError
+from ..core.provenance import digest, provenance
+from ..core.se3 import Array
+from ..recording.recording import Recording
+from . import chart
 from .calibration import Calibration
-from .fit import Fit
-from .measurements import Measurements, gather
-from .settled import settled
-from .solve import AT_REST
+from .data.measurements import Measurements, gather
+from .data.resolve_belief import resolve_belief
+from .joint import joint
+from .joint.newton import AT_REST
+from .trilateration import displacements, trilaterate
+from .uncertainty import gauge, observability
+from .uncertainty.fit import Fit
 
 if TYPE_CHECKING:
-    from ..belief import Belief
+    from ..scene.belief import Belief
 
 UNTOUCHED = "never touched"
 ALONE = "shares too few contacts with other taxels"
@@ -96,7 +99,7 @@ def calibrate(
         )
     begin = time.perf_counter()
     data = gather(recording, belief)
-    belief = settled(belief, recording)
+    belief = resolve_belief(belief, recording)
     gathered = time.perf_counter()
     options = {"tolerance": tolerance} if method == "joint" else {}
     answer = METHODS[method](data, belief, **options)
@@ -127,9 +130,9 @@ def _assemble(
     points, rotations, covariance = answer.points, answer.rotations, answer.covariances
     if covariance is None:
         assert answer.tangential is not None
-        shape = observe.shape_operators(belief.body, points, rotations)
-        covariance = observe.pose_covariance(answer.tangential, shape)
-    observed = observe.degrees_of_freedom(covariance, float(np.median(data.radii)))
+        shape = observability.shape_operators(belief.body, points, rotations)
+        covariance = observability.pose_covariance(answer.tangential, shape)
+    observed = observability.degrees_of_freedom(covariance, float(np.median(data.radii)))
     why = np.array(answer.why, dtype=object)
     why[(data.counts == 0) & (why != "")] = UNTOUCHED
     lost = np.asarray(~observed.any(axis=1))
@@ -239,8 +242,8 @@ def _posegraph(
         why[row[~linked]] = ALONE
         covariances = np.tile(np.diag([np.inf] * 6), (len(why), 1, 1))
         covariances[row[linked]] = gauge.covariances(graph, placed, errors)[linked]
-        covariances[:, observe.SPIN, :] = covariances[:, :, observe.SPIN] = 0.0
-        covariances[:, observe.SPIN, observe.SPIN] = np.inf
+        covariances[:, observability.SPIN, :] = covariances[:, :, observability.SPIN] = 0.0
+        covariances[:, observability.SPIN, observability.SPIN] = np.inf
         steps = solution.iterates if solution.iterates is not None else poses[None]
         iterates = np.full((len(steps), len(why), 3), np.nan)
         for k, step in enumerate(steps):

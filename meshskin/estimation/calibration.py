@@ -12,14 +12,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ..atomic import atomic, write_text
-from ..errors import CalibrationError
-from ..se3 import Array
-from .fit import Fit
+from ..core.atomic_io import atomic, write_text
+from ..core.errors import CalibrationError
+from ..core.se3 import Array
+from .uncertainty.fit import Fit
 
 if TYPE_CHECKING:
-    from ..belief import Belief
-    from .explore import NextContacts
+    from ..scene.belief import Belief
+    from .next_contact import NextContacts
 
 _KEY = b"meshskin-calibration"
 _COLUMNS = ("ids", "poses", "covariances", "observed", "touched", "readings", "chi2", "why")
@@ -120,7 +120,7 @@ class Calibration:
         `belief` as in `calibrate`; only a calibration that was loaded from a file needs it. Raises
         CalibrationError without one, for k < 1, or if no taxel was read.
         """
-        from .explore import next_contacts
+        from .next_contact import next_contacts
 
         belief = belief or self.belief
         if belief is None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..se3 import Array, transform
+from ..core.se3 import Array, transform
 
 if TYPE_CHECKING:
     from ..geometry.body import Body

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import se3
-from ..errors import CalibrationError
-from ..provenance import random_stream
-from ..recording import Recording
-from ..se3 import Array
+from ..core import se3
+from ..core.errors import CalibrationError
+from ..core.provenance import random_stream
+from ..core.se3 import Array
+from ..recording.recording import Recording
 from .posegraph import PoseGraph
 
 TOGETHER = 3

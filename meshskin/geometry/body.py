@@ -11,15 +11,15 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..arguments import real, vector, vectors, whole
-from ..errors import MeshError
+from ..core.arguments import real, vector, vectors, whole
+from ..core.errors import MeshError
 from . import primitives, tessellate
-from .check import survey
-from .closest import Closest
-from .files import mesh as mesh_file
-from .heights import DEGREE
-from .overlap import ray_scene
-from .surface import Surface
+from .mesh import mesh_file
+from .mesh.check import survey
+from .mesh.self_intersection import ray_scene
+from .surface.closest_point import Closest
+from .surface.heights import DEGREE
+from .surface.surface import Surface
 
 Array = NDArray[np.float64]
 

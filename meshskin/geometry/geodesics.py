@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..core.se3 import Array
 from .body import Body
-from .closest import Closest
-
-Array = NDArray[np.float64]
+from .surface.closest_point import Closest
 
 
 def march(
@@ -38,3 +36,20 @@ def onto(vectors: Array, normals: Array) -> Array:
     """Unit tangents (n, 3): the vectors' parts across the normals."""
     flat = vectors - np.sum(vectors * normals, axis=1, keepdims=True) * normals
     return flat / np.linalg.norm(flat, axis=1, keepdims=True)
+
+
+def transported(normals: Array, first: Array | None = None) -> Array:
+    """Unit tangents (k, 3) carried along the normals (k, 3) without turning about them."""
+    out = np.empty_like(normals)
+    way = np.eye(3)[np.argmin(np.abs(normals[0]))] if first is None else first
+    for k, n in enumerate(normals):
+        way = way - n * (n @ way)
+        way = way / np.linalg.norm(way)
+        out[k] = way
+    return out
+
+
+def turned(tangents: Array, normals: Array, angle: Array) -> Array:
+    """Tangents (..., 3) turned about the normals by `angle` (...), rad."""
+    cosine, sine = np.cos(angle)[..., None], np.sin(angle)[..., None]
+    return np.asarray(cosine * tangents + sine * np.cross(normals, tangents))

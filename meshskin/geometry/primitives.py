@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .closest import Closest
+from .surface.closest_point import Closest
 
 Array = NDArray[np.float64]
 

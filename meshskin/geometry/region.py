@@ -10,11 +10,11 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..config import quantity
-from ..errors import SkinError
+from ..core.config import quantity
+from ..core.errors import SkinError
 from .body import Body
-from .closest import Closest
-from .proximity import part_middles
+from .surface.closest_point import Closest
+from .surface.proximity import part_middles
 
 Array = NDArray[np.float64]
 SHOWN = 20

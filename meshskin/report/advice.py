@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from .findings import Findings, has_gauge
+from .data import ReportData, has_gauge
 from .markup import Block, Table, Text
 from .plane import MM
 from .theme import measured
@@ -36,7 +36,7 @@ def listed(ids: Iterable[object], most: int = 20) -> str:
     return ", ".join(names[:most]) + more
 
 
-def bound_ratio(findings: Findings) -> float | None:
+def bound_ratio(findings: ReportData) -> float | None:
     """Mean error over the Cramér-Rao expectation; None if one of them is not known."""
     bound = (findings.metrics.get("crlb_mm") or {}).get("mean")
     given = findings.metrics.get("position_error_mm") or {}
@@ -46,7 +46,7 @@ def bound_ratio(findings: Findings) -> float | None:
     return float(mean / bound)
 
 
-def determined(findings: Findings) -> tuple[Block, ...]:
+def determined(findings: ReportData) -> tuple[Block, ...]:
     """Degrees of freedom, factors, anchor, and the taxels that are not there."""
     c = findings.calibration
     observed = np.asarray(c.observed, dtype=bool)
@@ -70,7 +70,7 @@ def determined(findings: Findings) -> tuple[Block, ...]:
     return (Table(header, rows, numeric=(1,)), Text(tuple(lines)))
 
 
-def missing(findings: Findings) -> list[str]:
+def missing(findings: ReportData) -> list[str]:
     """Which taxels have no estimate, and why."""
     c = findings.calibration
     why = np.where(findings.located, "", np.asarray(c.why, dtype=str))
@@ -99,7 +99,7 @@ def _comment(freedom: int, count: int, touched: int) -> str:
     return f"not determined for {touched - count} taxels"
 
 
-def next_steps(findings: Findings) -> Sequence[str]:
+def next_steps(findings: ReportData) -> Sequence[str]:
     """Advice that follows from the numbers, most urgent first."""
     steps = [*_contacts(findings), *_misfit(findings), *_noise(findings)]
     if not np.asarray(findings.calibration.observed, dtype=bool)[:, 5].any():
@@ -115,7 +115,7 @@ def next_steps(findings: Findings) -> Sequence[str]:
     return tuple(steps)
 
 
-def _contacts(findings: Findings) -> list[str]:
+def _contacts(findings: ReportData) -> list[str]:
     """Where contacts are missing."""
     c = findings.calibration
     ids, steps = np.asarray(c.ids), []
@@ -139,7 +139,7 @@ def _contacts(findings: Findings) -> list[str]:
     return steps
 
 
-def _misfit(findings: Findings) -> list[str]:
+def _misfit(findings: ReportData) -> list[str]:
     """What the readings say that the model does not."""
     steps = []
     bad = suspects(findings)
@@ -158,13 +158,13 @@ def _misfit(findings: Findings) -> list[str]:
     return steps
 
 
-def is_noiseless(findings: Findings) -> bool:
+def is_noiseless(findings: ReportData) -> bool:
     """Whether the stated uncertainty is next to nothing."""
     s = findings.sigma[np.isfinite(findings.sigma)] * MM
     return bool(len(s) and np.median(s) < NO_NOISE)
 
 
-def _noise(findings: Findings) -> list[str]:
+def _noise(findings: ReportData) -> list[str]:
     """What the stated uncertainty calls for."""
     s = findings.sigma[np.isfinite(findings.sigma)] * MM
     if not len(s):
@@ -181,9 +181,9 @@ def _noise(findings: Findings) -> list[str]:
     ]
 
 
-def _consistency(findings: Findings) -> list[str]:
+def _consistency(findings: ReportData) -> list[str]:
     """What to do where the errors do not match the stated uncertainty."""
-    from ..estimation.metrics import nees_band
+    from ..estimation.uncertainty.metrics import nees_band
 
     given = findings.metrics.get("nees")
     mean = given.get("mean") if isinstance(given, Mapping) else given
@@ -201,7 +201,7 @@ def _consistency(findings: Findings) -> list[str]:
     ]
 
 
-def suspects(findings: Findings) -> np.ndarray:
+def suspects(findings: ReportData) -> np.ndarray:
     """Taxels (n,) whose chi-square lies far above the others'."""
     chi2 = np.asarray(findings.calibration.chi2, dtype=float)
     good = np.isfinite(chi2) & findings.touched

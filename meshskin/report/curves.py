@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..motion.response import BAND
-from ..se3 import Array
+from ..core.se3 import Array
+from ..simulation.response import BAND
 from . import theme
 from .plane import MM
 from .theme import measured, number

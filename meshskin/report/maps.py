@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..se3 import Array
+from ..core.se3 import Array
 from . import theme
 from .plane import MM, ON_ROUTE, Plane, exaggeration, spacing, tangent_plane
 from .theme import count, measured, number

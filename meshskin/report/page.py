@@ -11,7 +11,7 @@ from string import Template
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-from ..atomic import write_text
+from ..core.atomic_io import write_text
 from . import markup
 from .markup import Content, Section
 
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from ..estimation.calibration import Calibration
     from ..estimation.demonstration import Demonstration
     from ..geometry.body import Body
-    from ..geometry.skin import Skin
-    from ..recording import Recording
-    from ..study.budget import Ledger
+    from ..recording.recording import Recording
+    from ..skin.skin import Skin
+    from ..study.sensitivity.budget import BudgetReport
 
 
 def write(path: str | Path, content: Content) -> Path:
@@ -75,7 +75,7 @@ def report(
     metrics: Mapping[str, Any] | None = None,
     seconds: Mapping[str, float] | None = None,
     provenance: Mapping[str, Any] | None = None,
-    ledger: Ledger | None = None,
+    ledger: BudgetReport | None = None,
 ) -> list[Path]:
     """Write the page and, in the folder figures/ beside it, every figure as PNG and SVG.
 
@@ -86,12 +86,12 @@ def report(
 
     Returns the paths written, the page first. Raises OutputError if a place cannot be written.
     """
-    from .album import album
-    from .findings import Findings
+    from .data import ReportData
+    from .figure_set import album
     from .sections import content
 
     started = perf_counter()
-    findings = Findings.collect(
+    findings = ReportData.collect(
         calibration,
         recording=recording,
         truth=truth,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..se3 import Array
+from ..core.se3 import Array
 
 MM = 1e3
 """mm in a metre."""

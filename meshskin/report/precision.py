@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..se3 import Array
+from ..core.se3 import Array
 from . import theme
 from .markup import Block, Content, Number, Picture, Section, Table, Text
 from .theme import measured, number
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ..study.cost import Costs, Row
+    from ..study.sensitivity.cost import Costs, Row
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
 COLOURS = (*theme.METHODS, theme.WARNING, theme.TRUTH, "#b59f00")

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..se3 import Array
+from ..core.se3 import Array
 from . import theme
+from .decimate import decimate
 from .plane import MM, ON_ROUTE, exaggeration, spacing, tangent_plane
 from .theme import count, measured, number
-from .thin import thin
 
 FACES = 5000
 """The most faces of the body that the page carries."""
@@ -62,7 +62,7 @@ def _markers(name: str, points: Array, texts: list[str], **marker: Any) -> dict[
 
 def body(vertices: ArrayLike, faces: ArrayLike, focus: ArrayLike, inward: float) -> dict[str, Any]:
     """The body, drawn `inward` (m) along its normals so that points on it stay visible."""
-    v, f = thin(vertices, faces, focus, FACES)
+    v, f = decimate(vertices, faces, focus, FACES)
     a, b, c = (v[f[:, k]] for k in range(3))
     normals = np.zeros_like(v)
     for k in range(3):

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import advice, scene3d
-from .album import ACCURACY_TIME
-from .findings import METHODS, PAPER, Findings, readable
+from .data import METHODS, PAPER, ReportData, readable
+from .figure_set import ACCURACY_TIME
 from .markup import Block, Content, Picture, Section, Table, Text, View
 from .plane import MM
 from .summary import main_errors, numbers, verdict
@@ -58,7 +58,7 @@ EXPLAINED = {
 """What well-known metrics mean."""
 
 
-def content(findings: Findings, pictures: Sequence[Picture], body: Body | None) -> Content:
+def content(findings: ReportData, pictures: Sequence[Picture], body: Body | None) -> Content:
     """The whole page."""
     provenance = findings.provenance
     scene = provenance.get("scene") or _metadata(findings).get("scene")
@@ -92,11 +92,11 @@ def _moment(created: str) -> str:
     return re.sub(r"(\d)T(\d\d:\d\d):\d\d\+00:00$", r"\1 \2 UTC", created)
 
 
-def _metadata(findings: Findings) -> Mapping[str, Any]:
+def _metadata(findings: ReportData) -> Mapping[str, Any]:
     return {} if findings.recording is None else findings.recording.metadata
 
 
-def _view(findings: Findings, body: Body | None) -> View:
+def _view(findings: ReportData, body: Body | None) -> View:
     c = findings.calibration
     figure = scene3d.view(
         ids=c.ids,
@@ -117,7 +117,7 @@ def _view(findings: Findings, body: Body | None) -> View:
     return View(figure, caption)
 
 
-def _numbers(findings: Findings) -> tuple[Block, ...]:
+def _numbers(findings: ReportData) -> tuple[Block, ...]:
     blocks: list[Block] = []
     if findings.errors:
         rows = []
@@ -173,7 +173,7 @@ def _plain(value: object) -> str:
     return "–" if value is None else str(value)
 
 
-def _accuracy_time(findings: Findings, pictures: Sequence[Picture]) -> tuple[Block, ...]:
+def _accuracy_time(findings: ReportData, pictures: Sequence[Picture]) -> tuple[Block, ...]:
     """What this run's accuracy cost, from its own figures."""
     blocks: list[Block] = [p for p in pictures if p.png.stem == ACCURACY_TIME]
     promise = findings.metrics.get("promise")
@@ -197,7 +197,7 @@ def _accuracy_time(findings: Findings, pictures: Sequence[Picture]) -> tuple[Blo
     return (*blocks, _seconds(findings.seconds), Text((MORE,)))
 
 
-def budget(findings: Findings) -> tuple[Section, ...]:
+def budget(findings: ReportData) -> tuple[Section, ...]:
     """What an error budget decided, where there was one."""
     if findings.ledger is None:
         return ()
@@ -218,7 +218,7 @@ def _seconds(seconds: Mapping[str, float]) -> Block:
     return Table(("stage", "seconds", "share"), tuple(rows), numeric=(1, 2))
 
 
-def _taxels(findings: Findings) -> Block:
+def _taxels(findings: ReportData) -> Block:
     c, error = findings.calibration, findings.errors.get(findings.calibration.method)
     header = ["taxel", "readings", "x (mm)", "y (mm)", "z (mm)", "sigma (mm)", "chi²"]
     header += ["note"] if error is None else ["error (mm)", "note"]
@@ -239,7 +239,7 @@ def _taxels(findings: Findings) -> Block:
     )
 
 
-def _provenance(findings: Findings) -> tuple[Block, ...]:
+def _provenance(findings: ReportData) -> tuple[Block, ...]:
     rows = flatten(findings.provenance)
     keep = ("seed", "disc_radius_m", "threshold_pa")
     rows += [(f"recording.{k}", _plain(v)) for k, v in _metadata(findings).items() if k in keep]

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from . import advice
-from .findings import Findings
+from .data import ReportData
 from .markup import Number
 from .plane import MM
 from .theme import count, measured, number
 
 
-def main_errors(findings: Findings) -> dict[str, float] | None:
+def main_errors(findings: ReportData) -> dict[str, float] | None:
     """Mean, rms and max error (mm) of the calibration: from the metrics, or else computed."""
     if findings.truth is None:
         return None
@@ -19,7 +19,7 @@ def main_errors(findings: Findings) -> dict[str, float] | None:
     return dict(given) if given else findings.error_summary(findings.calibration.method)
 
 
-def verdict(findings: Findings) -> str:
+def verdict(findings: ReportData) -> str:
     """One sentence that says how it went."""
     located = int(findings.located.sum())
     whole = located == findings.count
@@ -41,7 +41,7 @@ def verdict(findings: Findings) -> str:
     return text + "."
 
 
-def numbers(findings: Findings) -> tuple[Number, ...]:
+def numbers(findings: ReportData) -> tuple[Number, ...]:
     """The tiles."""
     c = findings.calibration
     touched = int(findings.touched.sum())
@@ -68,7 +68,7 @@ def numbers(findings: Findings) -> tuple[Number, ...]:
     return tuple(tiles)
 
 
-def _force(findings: Findings) -> list[Number]:
+def _force(findings: ReportData) -> list[Number]:
     force = findings.metrics.get("force") or {}
     if not force and findings.recording is not None and len(findings.recording.force):
         f = findings.recording.force

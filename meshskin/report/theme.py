@@ -12,7 +12,7 @@ from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from ..atomic import atomic
+from ..core.atomic_io import atomic
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,16 +6,15 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from ..motion.law import Law
-from ..motion.path import Exploration
-from ..motion.response import ForceResponse, force_response
-from ..scene import Scene
-from ..se3 import Array
-from ..simulation import simulate
+from ..core.se3 import Array
+from ..scene.scene import Scene
+from ..scene.settings import Exploration, Law
+from ..simulation.response import ForceResponse, force_response
+from ..simulation.simulate import simulate
 from .gains import Gains, Scenario
 from .manoeuvre import Manoeuvre
+from .scenarios import world
 from .shooting import Trajectory
-from .worlds import world
 
 BINDING = 1e-3
 """Multiplier, part of the objective, from which on a limit counts as binding."""

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from ..se3 import Array
+from ..core.se3 import Array
 
 RADIUS, LEAST = 0.05, 1e-4
 """Largest change of a variable in the first step, and below which there is no further one."""

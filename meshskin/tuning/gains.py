@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from ..arguments import vector
-from ..config import check, quantity
-from ..errors import ConfigError, UnknownNameError
-from ..motion.law import Law
-from ..motion.path import Exploration
-from ..scene import Scene
-from ..se3 import Array
+from ..core.arguments import vector
+from ..core.config import check, quantity
+from ..core.errors import ConfigError, UnknownNameError
+from ..core.se3 import Array
+from ..scene.scene import Scene
+from ..scene.settings import Exploration, Law
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..errors import ConfigError
-from ..motion.stability import TOUCH
+from ..core.errors import ConfigError
+from ..simulation.stability import TOUCH
 from .gains import Demands, Gains
-from .shooting import Shot
+from .shooting import ShootingInterval
 
 OBJECTIVES = ("time", "force_error", "settling")
 WINDOW = 20
@@ -90,7 +90,7 @@ class Judge:
         self.demands, self.objective = demands, objective
         self.steps, self.target = steps, target
 
-    def __call__(self, shot: Shot, gains: Gains) -> tuple[Aim, list[Limit]]:
+    def __call__(self, shot: ShootingInterval, gains: Gains) -> tuple[Aim, list[Limit]]:
         """The objective of one scenario, and its limits."""
         still = self.objective == "settling"
         lived = replace(gains, settle=FOREVER) if still else gains
@@ -152,7 +152,7 @@ class Judge:
         yield Limit("time", duration, longest, longest, "s")
 
 
-def step_limit(shot: Shot, gains: Gains) -> Iterator[Limit]:
+def step_limit(shot: ShootingInterval, gains: Gains) -> Iterator[Limit]:
     """The touch must be resolved by the steps: stability.touch_limit, on its safe side."""
     part = TOUCH[shot.loop.integrator if shot.joints else "semi_implicit"]
     if not np.isfinite(part):
@@ -163,7 +163,9 @@ def step_limit(shot: Shot, gains: Gains) -> Iterator[Limit]:
     yield Limit("step of the loop", speed * shot.loop.dt / (SAFE * part * depth), 1.0, 1.0, "")
 
 
-def joint_limits(shot: Shot, row: dict[str, ca.MX], demands: Demands) -> Iterator[Limit]:
+def joint_limits(
+    shot: ShootingInterval, row: dict[str, ca.MX], demands: Demands
+) -> Iterator[Limit]:
     """Torque, speed and position of every joint that has such a limit."""
     arm = shot.arm
     for j, name in enumerate(arm.joint_names[: shot.joints]):

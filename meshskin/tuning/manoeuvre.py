@@ -16,16 +16,17 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arguments import vector
-from ..errors import ReachError, TuningError
-from ..exploration import above
-from ..geometry import patch as patches
+from ..contact.indenter import Indenter
+from ..core.arguments import vector
+from ..core.errors import ReachError, TuningError
+from ..core.se3 import Array, inverse, transform
+from ..exploration.explore import above
+from ..exploration.path import Path, twists
 from ..geometry.body import Body
-from ..motion.loop import flat_anchor
-from ..motion.path import Exploration, Path, twists
-from ..physics.indenter import Indenter
-from ..scene import Scene
-from ..se3 import Array, inverse, transform
+from ..geometry.surface import patch as patches
+from ..scene.scene import Scene
+from ..scene.settings import Exploration
+from ..simulation.closed_loop_model import flat_anchor
 
 DEGREE = 9
 """Degree of the polynomials in the way."""

@@ -20,13 +20,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..se3 import Array
+from ..core.se3 import Array
+from .convergence import BROKEN, ConvergenceMonitor, ended
 from .descent import Model, descend, descended
 from .gains import NAMES, Demands, Gains
 from .limits import WINDOW, Aim, Judge, Limit
-from .prices import MOVED, TOUCHED, apart, promised, pulls, sided
-from .shooting import Shot
-from .watch import BROKEN, Watch, ended
+from .multipliers import MOVED, TOUCHED, apart, promised, pulls, sided
+from .shooting import ShootingInterval
 
 WEIGHT = 1e-5
 """Pull towards the start, that gains which matter to nothing rest."""
@@ -54,7 +54,7 @@ OPTIONS: dict[str, Any] = {
 
 
 @dataclass(frozen=True)
-class Solution:
+class TuningSolution:
     """Where the solver ended."""
 
     gains: Gains
@@ -75,12 +75,12 @@ class Solution:
     seconds: float
 
 
-class Problem:
+class TuningProblem:
     """The program for some shots (scenarios), `steps` steps of the closed loop long."""
 
     def __init__(
         self,
-        shots: Sequence[Shot],
+        shots: Sequence[ShootingInterval],
         demands: Demands,
         objective: str,
         start: Gains,
@@ -121,11 +121,11 @@ class Problem:
         self._limits = ca.Function("limits", [base], [excess])
         bends = [aim.curvature(x) for aim in aims]
         self._bends = ca.Function("bends", [base], [sum(bends[1:], bends[0]) / len(bends)])
-        self.watch = Watch(nlp["x"].shape[0], nlp["g"].shape[0])
+        self.watch = ConvergenceMonitor(nlp["x"].shape[0], nlp["g"].shape[0])
         self.solver = _solver(nlp, objective, self.watch)
         self.build_seconds = perf_counter() - began
 
-    def solve(self, start: Gains | None = None, elastic: bool = False) -> Solution:
+    def solve(self, start: Gains | None = None, elastic: bool = False) -> TuningSolution:
         """The solution from `start`; elastic: with slacks, at the least sum of them."""
         began = perf_counter()
         many = len(self.names)
@@ -153,7 +153,7 @@ class Problem:
         status = ended(stats["return_status"], best.merit < BROKEN or elastic, self.watch.patience)
         return self._solution(best.x[: len(guess) - many], status, int(stats["iter_count"]), began)
 
-    def descend(self, solution: Solution) -> Solution:
+    def descend(self, solution: TuningSolution) -> TuningSolution:
         """Downhill from a solution that meets the limits, never leaving them."""
         began = perf_counter()
         x = np.log([*solution.gains.values, solution.value / self._unit])
@@ -177,7 +177,7 @@ class Problem:
             np.minimum(low - x, 0.0), np.maximum(high - x, 0.0),
         )  # fmt: skip
 
-    def _solution(self, x: Array, status: str, iterations: int, began: float) -> Solution:
+    def _solution(self, x: Array, status: str, iterations: int, began: float) -> TuningSolution:
         """What a point (gains, worst) says."""
         g = self._limited(x)
         x = np.append(x[: len(NAMES)], x[len(NAMES)] + g[: len(self.shots)].max())
@@ -187,7 +187,7 @@ class Problem:
         multipliers, one_sided = self._prices(model, value)
         left = promised(model)
         more = f", where slopes still promise {100 * left:.2g} %" if left > LEFT else ""
-        return Solution(
+        return TuningSolution(
             gains=Gains(*np.clip(np.exp(x[: len(NAMES)]), *self.span).tolist()),
             value=value,
             slacks={
@@ -242,7 +242,7 @@ class Problem:
 
 
 def _judged(
-    judge: Judge, shots: Sequence[Shot], gains: Gains
+    judge: Judge, shots: Sequence[ShootingInterval], gains: Gains
 ) -> tuple[list[Aim], dict[str, list[Limit]]]:
     """The aim of each shot, and the limits of all of them by name."""
     aims: list[Aim] = []
@@ -255,7 +255,7 @@ def _judged(
     return aims, limits
 
 
-def _solver(nlp: dict[str, ca.MX], objective: str, watch: Watch) -> ca.Function:
+def _solver(nlp: dict[str, ca.MX], objective: str, watch: ConvergenceMonitor) -> ca.Function:
     """IPOPT on the program, under watch."""
     made: dict[str, Any] = {"iteration_callback": watch}
     if objective != "force_error":

@@ -15,14 +15,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..compiled import differentiable
-from ..motion import quasi_static
-from ..motion.loop import Loop
-from ..motion.phases import paced
-from ..motion.step import step
-from ..scene import Scene
-from ..se3 import Array
-from ..simulation import closed_loop
+from ..core.codegen import differentiable
+from ..core.se3 import Array
+from ..scene.scene import Scene
+from ..simulation import quasi_static
+from ..simulation.closed_loop_model import ClosedLoopModel
+from ..simulation.simulate import closed_loop
+from ..simulation.state_machine import paced
+from ..simulation.step import step
 from .gains import NAMES, Gains, Scenario
 from .manoeuvre import Manoeuvre, travelled
 
@@ -53,7 +53,7 @@ class Trajectory:
     """From the start to the end of the slide, s."""
 
 
-class Shot:
+class ShootingInterval:
     """One scenario of the problem: its world, its manoeuvre, the step that is shot through."""
 
     def __init__(self, scene: Scene, scenario: Scenario, manoeuvre: Manoeuvre) -> None:
@@ -120,7 +120,7 @@ class Shot:
         )
 
 
-def _one(loop: Loop, manoeuvre: Manoeuvre) -> ca.Function:
+def _one(loop: ClosedLoopModel, manoeuvre: Manoeuvre) -> ca.Function:
     """(state with clock and last depth, gains (8,), time) -> (the same after the step, its row)."""
     inner = step(loop)
     size = inner.size1_in(0)

@@ -17,20 +17,20 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arguments import needs, real, shown
-from ..errors import ConfigError, TuningError, UnknownNameError
-from ..motion.response import force_response
-from ..scene import Scene
-from ..se3 import Array
+from ..core.arguments import needs, real, shown
+from ..core.errors import ConfigError, TuningError, UnknownNameError
+from ..core.se3 import Array
+from ..scene.scene import Scene
+from ..simulation.response import force_response
 from . import manoeuvre as manoeuvres
 from .answer import Tuned, rounded
+from .convergence import SOLVED
 from .gains import Demands, Gains, Scenario, scenarios, span
 from .limits import OBJECTIVES, Limit
 from .manoeuvre import Manoeuvre
-from .problem import LEFT, Problem, Solution
-from .shooting import Shot
-from .watch import SOLVED
-from .worlds import world
+from .problem import LEFT, TuningProblem, TuningSolution
+from .scenarios import world
+from .shooting import ShootingInterval
 
 __all__ = ["Demands", "Scenario", "Tuned", "scenarios", "tune"]
 
@@ -100,8 +100,8 @@ def tune(
     horizon = _horizon(objective, demands, longest, distance / first.speed + first.ramp, first)
     steps = int(np.ceil(horizon / scene.loop.dt)) + 2
 
-    def posed(demands: Demands, objective: str) -> Problem:
-        return Problem(shots, demands, objective, first, ranges, steps, target)
+    def posed(demands: Demands, objective: str) -> TuningProblem:
+        return TuningProblem(shots, demands, objective, first, ranges, steps, target)
 
     problem = posed(demands, objective)
     if demands.time is None or objective == "settling":
@@ -146,7 +146,7 @@ def worlds(over: Scenario | Sequence[Scenario]) -> tuple[Scenario, ...]:
     return tuple(over)
 
 
-def _solved(problem: Problem) -> Solution:
+def _solved(problem: TuningProblem) -> TuningSolution:
     """The solution of a problem that has one. Raises TuningError where it has none."""
     solution = problem.solve()
     if not solution.slacks:
@@ -157,7 +157,7 @@ def _solved(problem: Problem) -> Solution:
     return _from(problem, nearest.gains)
 
 
-def _from(problem: Problem, gains: Gains) -> Solution:
+def _from(problem: TuningProblem, gains: Gains) -> TuningSolution:
     """The solution that is found from other gains than the first. Raises TuningError."""
     found = problem.solve(gains)
     if found.slacks:
@@ -169,7 +169,9 @@ def _from(problem: Problem, gains: Gains) -> Solution:
     return _polished(problem, found)
 
 
-def _in_time(problem: Problem, longest: float, timeless: Callable[[], Problem]) -> Solution:
+def _in_time(
+    problem: TuningProblem, longest: float, timeless: Callable[[], TuningProblem]
+) -> TuningSolution:
     """The solution of a problem with a longest time, s: found from the least time that there is,
     where the way to it is not found at once. Raises TuningError where that is longer.
     """
@@ -188,7 +190,7 @@ def _in_time(problem: Problem, longest: float, timeless: Callable[[], Problem]) 
     return _from(problem, quickest.gains)
 
 
-def _polished(problem: Problem, solution: Solution) -> Solution:
+def _polished(problem: TuningProblem, solution: TuningSolution) -> TuningSolution:
     """A solution that was left for want of progress, searched on from where it was.
 
     Downhill along the limits, and by searches that leave the tooth in which that ends.
@@ -207,7 +209,7 @@ def _polished(problem: Problem, solution: Solution) -> Solution:
     return best
 
 
-def _lower(one: Solution, other: Solution) -> Solution:
+def _lower(one: TuningSolution, other: TuningSolution) -> TuningSolution:
     """The better of two solutions, with the iterations and the time of both."""
     best = other if not other.slacks and other.value < one.value else one
     iterations, seconds = one.iterations + other.iterations, one.seconds + other.seconds
@@ -240,21 +242,21 @@ def _shots(
     direction: Array,
     distance: float,
     heading: float | None = None,
-) -> list[Shot]:
+) -> list[ShootingInterval]:
     """The manoeuvre in each scenario, on the same heading."""
-    shots: list[Shot] = []
+    shots: list[ShootingInterval] = []
     for scenario in dict.fromkeys(over):
         lived = world(scene, scenario, place)
         made: Manoeuvre = manoeuvres.plan(
             lived, place / scenario.curvature, direction, distance, heading
         )
         heading = made.heading
-        shots.append(Shot(lived, scenario, made))
+        shots.append(ShootingInterval(lived, scenario, made))
     return shots
 
 
 def _ranges(
-    shot: Shot, objective: str, bounds: Mapping[str, tuple[float, float]], first: Gains
+    shot: ShootingInterval, objective: str, bounds: Mapping[str, tuple[float, float]], first: Gains
 ) -> Array:
     """Lowest and highest gains (2, 8): one value for those that the objective does not call for."""
     target, dt = shot.scene.law.force_reference, shot.loop.dt
@@ -280,7 +282,7 @@ def _horizon(objective: str, demands: Demands, longest: float, slide: float, fir
     return horizon
 
 
-def _rested(shot: Shot, gains: Gains) -> Gains:
+def _rested(shot: ShootingInterval, gains: Gains) -> Gains:
     """`gains` as a search begins: no more rest than their own settling calls for, an approach begun
     gently, ramps of a slide that has room for them."""
     longest = SHARE * shot.manoeuvre.distance / gains.speed

@@ -24,9 +24,9 @@ import numpy as np
 
 import meshskin as ms
 from meshskin.geometry.region import Cap
-from meshskin.motion.batch import Batch
-from meshskin.motion.track import Track
-from meshskin.simulation import prepare, run
+from meshskin.simulation.batch import Batch
+from meshskin.simulation.simulate import prepare, run
+from meshskin.simulation.track import Track
 
 DEMANDED = {
     "arm, interpreted": 50e3,

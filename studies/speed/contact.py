@@ -19,9 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from meshskin import Body
-from meshskin.physics import contact
-from meshskin.physics.contact import disc, ellipse, elliptic, field, layered, several
+from meshskin import Body, contact
+from meshskin.contact import boundary_elements, disc, ellipse, elliptic, layered, multi_contact
 
 COUNT = 10_000
 CASE: dict = {"force": 1.0, "indenter_radius": 0.01, "modulus": 1e6, "poisson": 0.45}
@@ -83,9 +82,11 @@ def table_errors() -> np.ndarray:
     for _ in range(12):
         chi, poisson = float(np.exp(rng.uniform(np.log(0.1), np.log(10)))), rng.uniform(0.0, 0.5)
         case = CASE | {"poisson": poisson, "curvature": 0.0}
-        a = float(elliptic.solve(contact.Setting(**case)).semi_axes[0])
-        whole = field.solve(contact.Setting(**case), parabolic=True, cells=192)
-        thin = field.solve(contact.Setting(**case, thickness=a / chi), parabolic=True, cells=192)
+        a = float(elliptic.solve(contact.ContactProblem(**case)).semi_axes[0])
+        whole = boundary_elements.solve(contact.ContactProblem(**case), parabolic=True, cells=192)
+        thin = boundary_elements.solve(
+            contact.ContactProblem(**case, thickness=a / chi), parabolic=True, cells=192
+        )
         made = (
             thin.semi_axes[0] / whole.semi_axes[0],
             thin.peak / whole.peak,
@@ -104,7 +105,7 @@ def tamaas_error(n: int = 256) -> float:
     exact = contact.solve("elliptic", curvature=(60.0, -20.0), **CASE)
     side = 2.3 * float(exact.semi_axes[0])
     x = ((np.arange(n) + 0.5) / n - 0.5) * side
-    gap = field.sphere_gap(x[:, None], x[None], (-20.0, 60.0), 0.01, True)
+    gap = boundary_elements.sphere_gap(x[:, None], x[None], (-20.0, 60.0), 0.01, True)
     model = tamaas.ModelFactory.createModel(tamaas.model_type.basic_2d, [side, side], [n, n])
     model.E, model.nu = CASE["modulus"], CASE["poisson"]
     tamaas.ModelFactory.registerNonPeriodic(model, "dcfft")
@@ -119,15 +120,17 @@ def fields() -> dict[str, float]:
     """Error in p_0 and milliseconds of one boundary-element solve, the grid's search included."""
     out = {}
     for name, thickness in (("half-space", None), ("layer", 2e-3)):
-        case = contact.Setting(curvature=(60.0, 0.0), thickness=thickness, **CASE)
-        found = field.solve(case, parabolic=True)
+        case = contact.ContactProblem(curvature=(60.0, 0.0), thickness=thickness, **CASE)
+        found = boundary_elements.solve(case, parabolic=True)
         peak = (
             contact.solve("elliptic", curvature=(60.0, 0.0), **CASE).peak
             if thickness is None
-            else field.solve(case, parabolic=True, cells=288).peak
+            else boundary_elements.solve(case, parabolic=True, cells=288).peak
         )
         out[f"field: error in p_0, {name}"] = abs(found.peak / peak - 1)
-        out[f"field: ms, {name}"] = 1e3 * best(partial(field.solve, case, parabolic=True), 5)
+        out[f"field: ms, {name}"] = 1e3 * best(
+            partial(boundary_elements.solve, case, parabolic=True), 5
+        )
     return out
 
 
@@ -146,10 +149,10 @@ def discs(rng: np.random.Generator) -> dict[str, float]:
 def queries() -> dict[str, float]:
     """Milliseconds to find the contacts of a sphere, shallow and deep."""
     body = Body.torus(0.05, 0.02, faces=20_000)
-    several.contacts(body, [0.079, 0.0, 0.0], 0.01)
+    multi_contact.contacts(body, [0.079, 0.0, 0.0], 0.01)
     return {
         f"several: ms a query, {depth} mm deep": 1e3
-        * best(partial(several.contacts, body, [0.08 - 1e-3 * depth, 0.0, 0.0], 0.01), 20)
+        * best(partial(multi_contact.contacts, body, [0.08 - 1e-3 * depth, 0.0, 0.0], 0.01), 20)
         for depth in (0.3, 1.0, 5.0)
     }
 

@@ -25,8 +25,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from meshskin.belief import Belief
-    from meshskin.recording import Recording
+    from meshskin.recording.recording import Recording
+    from meshskin.scene.belief import Belief
 
 LIMITS = {80: (0.2, 2.0), 10_000: (15.0, 2.0), 100_000: (240.0, 16.0)}
 """Seconds (build and solve) and GB at each size."""
@@ -43,13 +43,13 @@ def world(
     import pyarrow as pa
     from scipy.spatial import cKDTree
 
-    from meshskin.belief import Belief
+    from meshskin.contact import Model, hertz
+    from meshskin.contact.indenter import Indenter
+    from meshskin.contact.material import Material
+    from meshskin.contact.reading import disc_pressures
     from meshskin.geometry.body import Body
-    from meshskin.physics.contact import Model, hertz
-    from meshskin.physics.indenter import Indenter
-    from meshskin.physics.material import Material
-    from meshskin.physics.reading import disc_pressures
-    from meshskin.recording import CONTACTS, READINGS, Recording
+    from meshskin.recording.recording import CONTACTS, READINGS, Recording
+    from meshskin.scene.belief import Belief
 
     rng = np.random.default_rng(seed)
     radius = max(0.1, SPACING * np.sqrt(taxels / np.pi))
@@ -107,9 +107,9 @@ def measure(taxels: int, contact: str = "hertz") -> dict[str, float]:
     """Numbers of one size, in this process."""
     import resource
 
-    from meshskin.estimation import trilaterate
-    from meshskin.estimation.joint import estimate
-    from meshskin.estimation.measurements import gather
+    from meshskin.estimation.data.measurements import gather
+    from meshskin.estimation.joint.joint import estimate
+    from meshskin.estimation.trilateration import trilaterate
 
     if taxels <= 1000:  # the small sizes as in a running program: kernel loaded, libraries imported
         small, belief, _ = world(60, seed=1, contact=contact)

@@ -10,7 +10,7 @@ import numpy as np
 
 import meshskin as ms
 from meshskin.geometry.primitives import Sphere
-from meshskin.simulation import prepare
+from meshskin.simulation.simulate import prepare
 
 RESET = 200
 """Steps after which the bare simulation starts again, so that it stays in contact."""

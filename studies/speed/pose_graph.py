@@ -37,10 +37,11 @@ from typing import TypeVar
 import numpy as np
 from scipy.spatial import cKDTree
 
-from meshskin import PoseGraph, se3
+from meshskin import PoseGraph
+from meshskin.core import se3
 from meshskin.estimation.posegraph import topology
+from meshskin.estimation.posegraph.edge_assembly import library
 from meshskin.estimation.posegraph.start import chordal
-from meshskin.estimation.posegraph.sweep import library
 
 T = TypeVar("T")
 
@@ -138,7 +139,7 @@ def measure(taxels: int, repeats: int, peer: bool) -> Row:
     seconds = []
     cost, iterations, theirs, built = np.nan, 0, np.nan, np.nan
     for _ in range(repeats):
-        topology.kept = topology.Kept(edges=2 * len(graph.edges))  # nothing known
+        topology.kept = topology.TopologyCache(edges=2 * len(graph.edges))  # nothing known
         everything, _ = timed(lambda: PoseGraph(*arrays).solve())
         known = PoseGraph(*arrays)
         again, _ = timed(known.solve)

@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Any
 
 import meshskin as ms
-from meshskin.study.case import Case
-from meshskin.study.outcome import Outcome
-from meshskin.study.store import Store
-from meshskin.study.sweep import Progress, cores
+from meshskin.study.sweep.case import Case
+from meshskin.study.sweep.outcome import Outcome
+from meshskin.study.sweep.store import Store
+from meshskin.study.sweep.study import Progress, cores
 
 NAMES = [f"result_{k}" for k in range(17)]
 

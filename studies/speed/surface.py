@@ -27,9 +27,10 @@ import numpy as np
 import trimesh
 
 from meshskin import Body
-from meshskin.geometry import blend, jets, primitives
+from meshskin.geometry import primitives
 from meshskin.geometry.body import Exact
-from meshskin.geometry.surface import Surface
+from meshskin.geometry.surface import blend, jets
+from meshskin.geometry.surface.surface import Surface
 
 SIZES = (1_280, 5_120, 20_480, 81_920, 200_000, 327_680)
 RADII = (0.1, 0.07, 0.05)

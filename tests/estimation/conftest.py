@@ -11,13 +11,13 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from meshskin.estimation.factors.contacts import Anchored
-from meshskin.estimation.likelihood import Likelihood, Readings
+from meshskin.contact import Model, hertz
+from meshskin.contact.disc import disc_mean
+from meshskin.contact.material import Material
+from meshskin.estimation.joint.contacts import LinearizedContacts
+from meshskin.estimation.joint.likelihood import Likelihood, Readings
 from meshskin.geometry.primitives import Sphere
-from meshskin.physics.contact import Model, hertz
-from meshskin.physics.contact.disc import disc_mean
-from meshskin.physics.material import Material
-from meshskin.recording import CONTACTS, READINGS, Recording
+from meshskin.recording.recording import CONTACTS, READINGS, Recording
 
 RADIUS, INDENTER, DISC, YOUNG, POISSON, FORCE = 0.1, 0.01, 2e-3, 0.2e6, 0.49, 3.0
 
@@ -161,7 +161,7 @@ def derivative_holds():
         scale = np.concatenate([np.full(3, 1e-3), [0.1, 1.0], 0.1 * data.shared.sigma])
         rng = np.random.default_rng(column)
         about = 0.3 * scale * rng.normal(size=len(scale))
-        fixed = Anchored(data.shared, data, world.body, about[5:])
+        fixed = LinearizedContacts(data.shared, data, world.body, about[5:])
 
         def predict(x):
             points = world.truth[taxel] + x[:3]

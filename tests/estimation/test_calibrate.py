@@ -7,10 +7,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from meshskin.errors import CalibrationError, ContactError, RecordingError, UnknownNameError
+from meshskin.core.errors import CalibrationError, ContactError, RecordingError, UnknownNameError
 from meshskin.estimation.calibrate import METHODS, UNTOUCHED, calibrate
 from meshskin.estimation.calibration import Calibration
-from meshskin.estimation.metrics import position_errors
+from meshskin.estimation.uncertainty.metrics import position_errors
 
 
 @pytest.fixture(scope="module")

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from meshskin import se3
-from meshskin.errors import ContactError
+from meshskin.contact import Model
+from meshskin.contact.material import Material
+from meshskin.core import se3
+from meshskin.core.errors import ContactError
 from meshskin.estimation.calibrate import calibrate
-from meshskin.estimation.measurements import gather
-from meshskin.estimation.metrics import cramer_rao, nees, nees_band, position_errors
-from meshskin.estimation.pairs import silent_pairs
+from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.pairs import silent_pairs
+from meshskin.estimation.uncertainty.metrics import cramer_rao, nees, nees_band, position_errors
 from meshskin.geometry.primitives import Ellipsoid
-from meshskin.physics.contact import Model
-from meshskin.physics.material import Material
 
 MODELS = {"elliptic": Model("elliptic"), "layered": Model("layered", 0.49, 4e-3)}
 SEEDS = 20

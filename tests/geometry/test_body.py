@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from meshskin.errors import MeshError
+from meshskin.core.errors import MeshError
 from meshskin.geometry.body import FACES, Body
 
 from ..real_data import DATA, needs_ur3e

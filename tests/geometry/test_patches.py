@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from meshskin import cli, explore, scene_file
-from meshskin.errors import ConfigError, MeshError, SkinError
+from meshskin import cli, explore
+from meshskin.core.errors import ConfigError, MeshError, SkinError
 from meshskin.geometry.body import Body
-from meshskin.geometry.files import mesh as mesh_file
-from meshskin.geometry.files import obj
+from meshskin.geometry.mesh import mesh_file, obj
 from meshskin.geometry.region import Cap, Disc, Faces, HalfSpace, Patch, area
-from meshskin.geometry.skin import Skin
+from meshskin.scene import file
+from meshskin.skin.skin import Skin
 
 RADIUS = 0.1
 CAP = np.radians(40.0)
@@ -267,7 +267,7 @@ def scene_tables(folder, region):
         'extends = "sphere"\n[body]\nmesh = "hand.obj"\nunits = "m"\n'
         f"[skin]\nspacing_mm = 8\nregion = {region}\n"
     )
-    return scene_file.tables(folder / "scene.toml")
+    return file.tables(folder / "scene.toml")
 
 
 @pytest.mark.parametrize(
@@ -284,8 +284,8 @@ def test_every_region_can_be_given_in_a_scene(ball, tmp_path, table, region):
     write_obj(tmp_path / "hand.obj", ball.vertices, ball.faces, parts(ball))
     data, folder = scene_tables(tmp_path, table)
     del data["skin"]["count"]
-    scene_file.check_tables(data)
-    scene = scene_file.from_tables(data, folder)
+    file.check_tables(data)
+    scene = file.from_tables(data, folder)
     expected = Skin.cover(scene.body, spacing=8e-3, region=region)
     np.testing.assert_allclose(scene.skin.positions, expected.positions, atol=1e-12)
 
@@ -306,7 +306,7 @@ def test_every_region_can_be_given_in_a_scene(ball, tmp_path, table, region):
 def test_wrong_regions_in_a_scene_are_refused(tmp_path, table, match):
     data, _ = scene_tables(tmp_path, table)
     with pytest.raises(ConfigError, match=match):
-        scene_file.check_tables(data)
+        file.check_tables(data)
 
 
 def test_the_command_lists_the_patches_with_their_areas(ball, tmp_path, capsys):

@@ -9,14 +9,14 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from meshskin.belief import Belief
-from meshskin.errors import CalibrationError, ContactError, RecordingError
-from meshskin.estimation import joint, run
+from meshskin.contact.indenter import Indenter
+from meshskin.core.errors import CalibrationError, ContactError, RecordingError
 from meshskin.estimation.calibrate import METHODS, calibrate
-from meshskin.estimation.measurements import gather
-from meshskin.estimation.metrics import nees, position_errors
+from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.joint import joint, joint_estimator
+from meshskin.estimation.uncertainty.metrics import nees, position_errors
 from meshskin.geometry.body import Body
-from meshskin.physics.indenter import Indenter
+from meshskin.scene.belief import Belief
 
 SPEC = importlib.util.spec_from_file_location(
     "small_world", Path(__file__).parents[1] / "estimation" / "conftest.py"
@@ -204,11 +204,15 @@ def test_an_iteration_limit_of_one(world, noisy):
 
 def test_ipopt_in_restoration_failure(world, noisy, monkeypatch):
     data = gather(noisy[0], world.belief(0.01, 0.05, young=2.5 * world.young))
-    whole = run.minimise
-    monkeypatch.setattr(run, "minimise", lambda *a: (whole(*a)[0], "Restoration_Failed"))
+    whole = joint_estimator.minimise
+    monkeypatch.setattr(
+        joint_estimator, "minimise", lambda *a: (whole(*a)[0], "Restoration_Failed")
+    )
     found = joint.estimate(data, world.body)  # at the optimum, whatever the status says
     assert found.modulus == pytest.approx(world.modulus, rel=0.01)
-    monkeypatch.setattr(run, "minimise", lambda problem, state, *a: (state, "Restoration_Failed"))
+    monkeypatch.setattr(
+        joint_estimator, "minimise", lambda problem, state, *a: (state, "Restoration_Failed")
+    )
     with pytest.raises(CalibrationError, match=r"did not converge.*Restoration_Failed.*check the"):
         joint.estimate(data, world.body)
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from meshskin.errors import MeshError
+from meshskin.contact.multi_contact import contacts, press
+from meshskin.core.errors import MeshError
 from meshskin.geometry import primitives, tessellate
 from meshskin.geometry.body import Body
-from meshskin.geometry.mend import turns
-from meshskin.physics.contact.several import contacts, press
+from meshskin.geometry.mesh.repair import turns
 
 
 @pytest.fixture

@@ -6,11 +6,11 @@ import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from meshskin.errors import MeshError
-from meshskin.geometry.check import survey
-from meshskin.geometry.mend import turns
-from meshskin.geometry.proximity import triangle_foot
-from meshskin.geometry.surface import Surface
+from meshskin.core.errors import MeshError
+from meshskin.geometry.mesh.check import survey
+from meshskin.geometry.mesh.repair import turns
+from meshskin.geometry.surface.proximity import triangle_foot
+from meshskin.geometry.surface.surface import Surface
 
 SPOILS = ("nothing", "flip", "drop", "double", "split", "nan", "spare", "collapse", "invert")
 

@@ -9,16 +9,18 @@ import pytest
 import trimesh
 from scipy.linalg import eigh
 
-from meshskin import Body, Law, Material, compiled, library
-from meshskin.errors import ReachError, SimulationError
-from meshskin.motion import stability
-from meshskin.motion.arm import Arm
-from meshskin.motion.loop import Loop
-from meshskin.motion.machine import Machine
-from meshskin.motion.phases import SLIDE
-from meshskin.motion.track import STAY, Track
-from meshskin.se3 import hat
-from meshskin.simulation import prepare, run
+from meshskin import Body, Law, Material
+from meshskin.core import codegen
+from meshskin.core.errors import ReachError, SimulationError
+from meshskin.core.se3 import hat
+from meshskin.robot.arm import Arm
+from meshskin.scene import shipped_scenes
+from meshskin.simulation import stability
+from meshskin.simulation.closed_loop_model import ClosedLoopModel
+from meshskin.simulation.simulate import prepare, run
+from meshskin.simulation.simulator import Simulator
+from meshskin.simulation.state_machine import SLIDE
+from meshskin.simulation.track import STAY, Track
 
 NU = 0.49
 RADIUS = 1 / 110  # relative, of the sphere and the indenter
@@ -26,7 +28,7 @@ CURVATURE = np.array([10.0, 10.0])  # of the sphere
 INTEGRATORS = ("semi_implicit", "linearly_implicit", "rk4")
 KEPT = 0.1
 """Stated error up to which a step is compared with the reference."""
-needs_compiler = pytest.mark.skipif(compiled.find_compiler() is None, reason="no C compiler here")
+needs_compiler = pytest.mark.skipif(codegen.find_compiler() is None, reason="no C compiler here")
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +57,7 @@ def place(base, sphere):
         lever = pose[:3, 3] - arm.pose(q)[:3, 3]
         jacobian = arm.jacobian(q)
         jacobian[:3] -= hat(lever) @ jacobian[3:]
-        machine = Machine(body or sphere.body, made, q, path.points[0])
+        machine = Simulator(body or sphere.body, made, q, path.points[0])
         machine.state[6:12] = np.linalg.solve(jacobian, [0, 0, -speed, 0, 0, 0])
         stiffness = 4 / 3 * made.effective_modulus * np.sqrt(RADIUS)
         row = path.references[:1].copy()
@@ -255,10 +257,10 @@ def test_energy_does_not_drift_over_10000_contact_periods(sphere):
     depth = (weight / 0.5 / stiffness) ** (2 / 3)
     omega = np.sqrt(1.5 * stiffness * np.sqrt(depth) * 0.5**2 / inertia)
     dt = 2 * np.pi / omega / 64
-    loop = Loop(
+    loop = ClosedLoopModel(
         arm, np.eye(4), np.array([0.5, 0.0, 0.89 + depth]), 0.01, modulus, Law(torque="off"), dt
     )
-    machine = Machine(sphere.body, loop, np.array([-depth]), np.array([0.0, 0.0, -0.1]))
+    machine = Simulator(sphere.body, loop, np.array([-depth]), np.array([0.0, 0.0, -0.1]))
     track = Track(np.zeros((1, 18)), np.array([machine.face]), STAY[None]).hold(0, 256)
     means, values = [], np.array(loop.parameters.values)
     while machine.steps < 10_000 * 64:
@@ -284,7 +286,7 @@ def hanging():
     (6, 6) of unit energy, and (q, qdot) -> total energy above rest, depth, each by itself.
     """
     floor, wall = (f'xyz="0 0 0.672" rpy="0 {turn} 0"' for turn in ("0", np.pi / 2))
-    text = (library.folder() / "puma560.urdf").read_text(encoding="utf-8")
+    text = (shipped_scenes.folder() / "puma560.urdf").read_text(encoding="utf-8")
     assert floor in text
     arm = Arm.from_text(text.replace(floor, wall, 1))
     arm = replace(arm, lower=np.full(6, -50.0), upper=np.full(6, 50.0))
@@ -324,7 +326,7 @@ def hanging():
     energy = potential + 0.5 * ca.dot(qdot, model.mass_matrix(q) @ qdot)
     energy -= float(ca.Function("home", [q], [potential])(home))
     period = 2 * np.pi / np.sqrt(squares[-1])
-    loop = Loop(arm, mount, indenter, 0.01, modulus, Law(torque="off"), period / FINE)
+    loop = ClosedLoopModel(arm, mount, indenter, 0.01, modulus, Law(torque="off"), period / FINE)
     return loop, home, modes, ca.Function("energy", [q, qdot], [energy, depth])
 
 
@@ -336,7 +338,7 @@ def drift(body, hanging, periods):
     """Energies (10,), J, of the tenths of a swing of the hanging arm, and the least depth, m."""
     loop, home, modes, energy = hanging
     pose = loop.arm.pose(home) @ loop.mount
-    machine = Machine(
+    machine = Simulator(
         body,
         loop,
         home,
@@ -416,7 +418,7 @@ def test_a_singular_posture_stays_finite_and_holds_the_force(sphere, base):
     down = pose[:3, :3].T @ [0, 0, -1.0]
     foot = pose[:3, 3] + pose[:3, :3] @ (0.1 * down)
     loop = replace(machine.loop, law=law, indenter_position=foot - np.array([0, 0, 0.012]), dt=1e-3)
-    there = Machine(sphere.body, loop, q, 0.1 * down)
+    there = Simulator(sphere.body, loop, q, 0.1 * down)
     row = np.concatenate([pose[:3, 3], pose[:3, :3].T.ravel(), np.zeros(6)])
     track = Track(row[None], np.array([there.face]), STAY[None]).hold(0, 32)
     found = forces(there, track, 1500)
@@ -427,7 +429,7 @@ def test_a_joint_limit_is_named_with_time_and_posture(place):
     machine, track = place(gap=1e-3)
     machine.state[11] = 60.0  # the last joint spins, as fast as nothing brakes
     free = replace(machine.loop, law=Law(torque="off"))
-    spun = Machine(machine.body, free, machine.state[:6], machine.body.mesh.vertices[0])
+    spun = Simulator(machine.body, free, machine.state[:6], machine.body.mesh.vertices[0])
     spun.state[:] = machine.state
     with pytest.raises(ReachError, match=r"joint6 left its range at t = 0\.\d+ s, q = .*rad"):
         forces(spun, track, 2000)

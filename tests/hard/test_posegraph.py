@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from meshskin import se3
-from meshskin.errors import GraphError
+from meshskin.core import se3
+from meshskin.core.errors import GraphError
 from meshskin.estimation.posegraph import PoseGraph, problem, start, topology
 
 SIGMA = np.repeat([1e-4, 0.02], 3)
@@ -207,7 +207,7 @@ def test_information_of_condition_1e12():
 @pytest.fixture
 def fresh_problems(monkeypatch):
     """Problems built in a test are not handed to others."""
-    monkeypatch.setattr(topology, "kept", topology.Kept(1))
+    monkeypatch.setattr(topology, "kept", topology.TopologyCache(1))
 
 
 def test_ipopt_in_restoration_failure(fresh_problems, monkeypatch):

@@ -8,10 +8,10 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from meshskin.core.se3 import transform
 from meshskin.estimation.calibration import Calibration
-from meshskin.geometry.skin import Skin
-from meshskin.recording import Recording
-from meshskin.se3 import transform
+from meshskin.recording.recording import Recording
+from meshskin.skin.skin import Skin
 
 RADIUS = 0.1
 COUNT = 80

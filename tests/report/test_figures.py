@@ -11,7 +11,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-from meshskin.errors import OutputError
+from meshskin.core.errors import OutputError
 from meshskin.report import figures, precision
 from meshskin.report.curves import envelope, settling_time
 from meshskin.report.maps import ellipse_axes, pick_iterations

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from meshskin.errors import OutputError
+from meshskin.core.errors import OutputError
 from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.demonstration import Demonstration
 from meshskin.geometry.body import Body
-from meshskin.geometry.skin import Skin
 from meshskin.report import markup, page
 from meshskin.report.advice import next_steps, suspects
-from meshskin.report.findings import Findings
+from meshskin.report.data import ReportData
+from meshskin.skin.skin import Skin
 
 
 class Page(HTMLParser):
@@ -230,7 +230,7 @@ def test_one_taxel_has_no_estimate(case: SimpleNamespace, tmp_path: Path, body: 
 
 
 def test_every_method_has_a_colour_of_its_own() -> None:
-    from meshskin.job import METHODS
+    from meshskin.pipeline import METHODS
     from meshskin.report import theme
 
     assert len(set(theme.METHODS)) >= len(METHODS) + 1  # and the joint estimate's
@@ -297,8 +297,8 @@ def test_write_puts_down_any_content(tmp_path: Path) -> None:
     assert "x < y" in Page(path).text
 
 
-def collect(c: Calibration, truth: Skin | None, shown: Demonstration | None = None) -> Findings:
-    return Findings.collect(
+def collect(c: Calibration, truth: Skin | None, shown: Demonstration | None = None) -> ReportData:
+    return ReportData.collect(
         c, recording=None, truth=truth, comparisons={}, demonstration=shown, metrics={},
         seconds={}, provenance={},
     )  # fmt: skip

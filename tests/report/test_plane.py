@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from meshskin.geometry.body import Body
+from meshskin.report.decimate import decimate
 from meshskin.report.plane import exaggeration, spacing, tangent_plane
-from meshskin.report.thin import thin
 
 
 def test_the_plane_keeps_lengths_in_it_and_is_seen_from_outside(case: SimpleNamespace) -> None:
@@ -54,7 +54,7 @@ def test_exaggeration_is_a_round_factor_and_never_shrinks(length: float, factor:
 def test_thinning_keeps_the_skin_and_the_shape(case: SimpleNamespace) -> None:
     mesh = Body.sphere(radius=case.RADIUS, faces=20480).mesh
     focus = case.skin().positions
-    v, f = thin(mesh.vertices, mesh.faces, focus, 5000)
+    v, f = decimate(mesh.vertices, mesh.faces, focus, 5000)
     assert 2500 < len(f) <= 5000
     assert f.max() < len(v)
     radius = np.linalg.norm(v, axis=1)
@@ -69,7 +69,7 @@ def test_thinning_keeps_the_skin_and_the_shape(case: SimpleNamespace) -> None:
 
 def test_thinning_under_a_skin_all_around_is_even_and_faces_outwards() -> None:
     mesh = Body.sphere(radius=0.1, faces=20480).mesh
-    v, f = thin(mesh.vertices, mesh.faces, mesh.vertices[::20], 5000)
+    v, f = decimate(mesh.vertices, mesh.faces, mesh.vertices[::20], 5000)
     assert 1000 < len(f) <= 5000
     a, b, c = (v[f[:, k]] for k in range(3))
     assert np.mean(np.einsum("fi,fi->f", np.cross(b - a, c - a), a) > 0) > 0.99
@@ -78,6 +78,6 @@ def test_thinning_under_a_skin_all_around_is_even_and_faces_outwards() -> None:
 
 def test_a_small_mesh_is_left_alone() -> None:
     mesh = Body.sphere(radius=0.1, faces=320).mesh
-    v, f = thin(mesh.vertices, mesh.faces, np.zeros((0, 3)))
+    v, f = decimate(mesh.vertices, mesh.faces, np.zeros((0, 3)))
     assert len(f) == len(mesh.faces)
     assert np.array_equal(v, mesh.vertices)

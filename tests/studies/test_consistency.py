@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from meshskin.estimation.factors.shared import LOCAL, SIZES
+from meshskin.estimation.data.global_parameters import LOCAL, SIZES
 
 
 @pytest.fixture(scope="module")

@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 
 import meshskin as ms
-from meshskin import cli, job
-from meshskin.errors import ConfigError
+from meshskin import cli, effects, pipeline
+from meshskin.core.errors import ConfigError
 from meshskin.geometry.region import Cap
-from meshskin.physics import effects
 from meshskin.report import sections
-from meshskin.study import base
-from meshskin.study import budget as budgets
-from meshskin.study.budget import check
-from meshskin.study.budget.choose import choose
-from meshskin.study.evaluate import evaluate
+from meshskin.study.sensitivity import budget as budgets
+from meshskin.study.sensitivity.budget import holdout
+from meshskin.study.sensitivity.budget.choose import choose
+from meshskin.study.sweep import base
+from meshskin.study.sweep.evaluate import evaluate
 
 KINDS = ("body_pose", "gain_offset", "cover_fabric", "gaussian_noise", "quantisation")
 
@@ -74,10 +73,10 @@ def test_an_estimate_that_the_check_belies_is_not_believed(scene, ledger, monkey
         limits.append(limit)
         return choose(items, limit, *others)
 
-    plain = check.Aside.check
+    plain = holdout.Holdout.check
     monkeypatch.setattr(budgets, "choose", chosen)
     monkeypatch.setattr(
-        check.Aside,
+        holdout.Holdout,
         "check",
         lambda *args: replace(plain(*args), shift=0.19e-3 if len(limits) == 1 else 0.0),
     )
@@ -188,7 +187,7 @@ def test_a_study_cannot_change_an_effect_that_a_budget_decides_on():
 
 def test_the_command_line_hands_the_budget_on(tmp_path, monkeypatch):
     seen = {}
-    monkeypatch.setattr(job, "run", lambda *args, **options: seen.update(options))
+    monkeypatch.setattr(pipeline, "run", lambda *args, **options: seen.update(options))
     assert cli.main(["run", "sphere", "--out", str(tmp_path), "--quiet", "--budget-mm", "0.3"]) == 0
     assert seen["budget"] == pytest.approx(0.3e-3)
     with pytest.raises(SystemExit):
@@ -202,7 +201,7 @@ def test_the_command_line_refuses_a_negative_budget(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_a_whole_run_with_a_budget(tmp_path):
-    result = job.run("sphere_noisy", tmp_path, budget=0.2e-3)
+    result = pipeline.run("sphere_noisy", tmp_path, budget=0.2e-3)
     assert result.ledger.fits
     assert result.ledger.check.faster > 3.0
     assert result.metrics["budget"]["budget_mm"] == pytest.approx(0.2)

@@ -6,23 +6,23 @@ import numpy as np
 import pytest
 
 import meshskin as ms
+from meshskin import effects
+from meshskin.effects.body_pose import BodyPose
+from meshskin.effects.gain_offset import GainOffset
+from meshskin.effects.gaussian_noise import GaussianNoise
+from meshskin.effects.indenter_offset import IndenterOffset
+from meshskin.effects.mesh_facets import facets
+from meshskin.effects.quantisation import Quantisation
+from meshskin.effects.relaxation import Relaxation
 from meshskin.geometry.region import Cap
-from meshskin.physics import effects
-from meshskin.physics.effects.body_pose import BodyPose
-from meshskin.physics.effects.gain_offset import GainOffset
-from meshskin.physics.effects.gaussian_noise import GaussianNoise
-from meshskin.physics.effects.indenter_offset import IndenterOffset
-from meshskin.physics.effects.mesh_facets import facets
-from meshskin.physics.effects.quantisation import Quantisation
-from meshskin.physics.effects.relaxation import Relaxation
-from meshskin.study.budget.candidates import candidates
-from meshskin.study.budget.check import Aside
-from meshskin.study.budget.choose import Item, choose, left_out, size, together
-from meshskin.study.budget.knobs import contact_models, knobs
-from meshskin.study.budget.linear import Solution, answering
-from meshskin.study.budget.rehearsal import Rehearsal
-from meshskin.study.budget.screen import NEGLIGIBLE, screened
-from meshskin.study.budget.trial import Trial
+from meshskin.study.sensitivity.budget.candidates import candidates
+from meshskin.study.sensitivity.budget.choose import Item, choose, left_out, size, together
+from meshskin.study.sensitivity.budget.holdout import Holdout
+from meshskin.study.sensitivity.budget.knobs import contact_models, knobs
+from meshskin.study.sensitivity.budget.linear import Solution, answering
+from meshskin.study.sensitivity.budget.replay import Replay
+from meshskin.study.sensitivity.budget.screen import NEGLIGIBLE, screened
+from meshskin.study.sensitivity.budget.trial import Trial
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def small():
 
 @pytest.fixture(scope="module")
 def rehearsal(small):
-    return Rehearsal.of(small)
+    return Replay.of(small)
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def test_a_rehearsal_records_what_a_simulation_does(small, rehearsal):
 
 def test_halves_hold_every_contact_of_their_taxels(small):
     skin = ms.Skin.cover(small.body, spacing=5e-3, count=60, region=Cap((0.0, 0.0, -1.0)))
-    rehearsal, noisy = Rehearsal.of(small.with_(skin=skin)), (GaussianNoise(), Relaxation())
+    rehearsal, noisy = Replay.of(small.with_(skin=skin)), (GaussianNoise(), Relaxation())
     whole, halves = rehearsal.recording(noisy, 1), rehearsal.halves()
     assert halves.cut
     assert not set(halves.taxels[0]) & set(halves.taxels[1])
@@ -115,7 +115,7 @@ def test_dead_taxels_do_not_answer(small, rehearsal):
     assert set(np.flatnonzero(lost)) == set(broken.chosen(small.context(2))[0])
 
 
-class Stub(effects.Plain):
+class Stub(effects.BaseEffect):
     """An effect that is only a bound."""
 
     stage, cost = "transducer", 1e-9
@@ -270,7 +270,7 @@ def test_the_tolerance_is_measured(trial, small):
 
 
 def test_everything_on_is_calibrated_once(trial, monkeypatch):
-    aside = Aside(trial.everything, trial.belief, trial.path, trial.halves, (2,))
+    aside = Holdout(trial.everything, trial.belief, trial.path, trial.halves, (2,))
     ran = []
     plain = aside._calibrated
     monkeypatch.setattr(aside, "_calibrated", lambda *args: ran.append(args) or plain(*args))

@@ -7,10 +7,10 @@ import pytest
 import study_runs
 
 import meshskin as ms
-from meshskin.errors import ConfigError, StudyError, UnknownNameError
-from meshskin.se3 import transform
-from meshskin.study.base import changed
-from meshskin.study.case import checked
+from meshskin.core.errors import ConfigError, StudyError, UnknownNameError
+from meshskin.core.se3 import transform
+from meshskin.study.sweep.base import changed
+from meshskin.study.sweep.case import checked
 
 NOISE = "effects.gaussian_noise.sigma_relative"
 

@@ -13,7 +13,7 @@ import pytest
 import study_runs
 
 import meshskin as ms
-from meshskin.errors import StudyError
+from meshskin.core.errors import StudyError
 
 HERE = Path(__file__).parent
 
@@ -124,7 +124,7 @@ def test_kill_9_of_the_scheduler_is_one_line_and_a_second_run_goes_on(dask, tmp_
 
 def test_where_no_scheduler_is_is_one_line(tmp_path, monkeypatch):
     pytest.importorskip("distributed", reason="needs dask[distributed]")
-    monkeypatch.setattr("meshskin.study.cluster.CONNECT", 1.0)
+    monkeypatch.setattr("meshskin.study.sweep.cluster.CONNECT", 1.0)
     study = ms.Study("s", run=study_runs.plain)
     for address in ("nonsense://x", "tcp://127.0.0.1:1"):
         with pytest.raises(StudyError, match="no Dask scheduler answers"):
@@ -134,7 +134,7 @@ def test_where_no_scheduler_is_is_one_line(tmp_path, monkeypatch):
 def test_a_client_that_failed_waits_for_no_lock_when_it_is_collected():
     """Garbage is collected in any thread, that of the next client's loop, too."""
     utils = pytest.importorskip("distributed.utils", reason="needs dask[distributed]")
-    from meshskin.study import cluster
+    from meshskin.study.sweep import cluster
 
     with pytest.raises(StudyError, match="no Dask scheduler answers"):
         cluster.Cluster(None, "nonsense://x")
@@ -147,6 +147,6 @@ def test_a_client_that_failed_waits_for_no_lock_when_it_is_collected():
 
 def test_without_dask_the_pip_line_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    monkeypatch.delitem(sys.modules, "meshskin.study.cluster", raising=False)
+    monkeypatch.delitem(sys.modules, "meshskin.study.sweep.cluster", raising=False)
     with pytest.raises(StudyError, match=r'pip install "meshskin\[cluster\]"'):
         ms.Study("s", run=study_runs.plain).sweep(tmp_path / "out", scheduler="tcp://x:1")

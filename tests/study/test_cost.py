@@ -8,11 +8,11 @@ import pytest
 
 import meshskin as ms
 from meshskin import cli
-from meshskin.errors import UnknownNameError
+from meshskin.core.errors import UnknownNameError
 from meshskin.geometry.region import Cap
-from meshskin.study.cost import Row, Setting, cost, front
-from meshskin.study.cost.models import Models
-from meshskin.study.cost.setting import ladders
+from meshskin.study.sensitivity.cost import Row, Setting, cost, front
+from meshskin.study.sensitivity.cost.models import Models
+from meshskin.study.sensitivity.cost.setting import ladders
 
 
 @pytest.fixture(scope="module")
@@ -178,7 +178,9 @@ def test_the_command_lets_a_budget_decide_first(scene, costs, tmp_path, monkeypa
     """Of a scene whose effects a budget chooses, what it calls for is measured, as it would run."""
     seen = []
     monkeypatch.setattr(ms.Scene, "load", lambda name: scene.with_(budget=1.0, candidates=()))
-    monkeypatch.setattr("meshskin.study.cost.cost", lambda of, **_: seen.append(of) or costs)
+    monkeypatch.setattr(
+        "meshskin.study.sensitivity.cost.cost", lambda of, **_: seen.append(of) or costs
+    )
     assert cli.main(["cost", "any", "--out", str(tmp_path), "--quiet"]) == 0
     assert seen[0].budget is None
     assert seen[0].effects == ()  # noise of 1 % moves no taxel by a metre

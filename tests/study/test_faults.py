@@ -12,8 +12,8 @@ import pytest
 import study_runs
 
 import meshskin as ms
-from meshskin.errors import OutputError, StudyError
-from meshskin.study import crew
+from meshskin.core.errors import OutputError, StudyError
+from meshskin.study.sweep import pool
 
 HERE = Path(__file__).parent
 POSIX = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
@@ -331,4 +331,4 @@ def test_no_thread_and_no_process_is_left(out):
     if sys.platform == "linux":
         children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
         commands = [Path(f"/proc/{pid}/cmdline").read_text() for pid in children]
-        assert not [c for c in commands if crew.main.__module__ in c]
+        assert not [c for c in commands if pool.main.__module__ in c]

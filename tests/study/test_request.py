@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 import meshskin as ms
-from meshskin import cli, job
-from meshskin.errors import ConfigError, StudyError
+from meshskin import cli, pipeline
+from meshskin.core.errors import ConfigError, StudyError
 from meshskin.geometry.region import Cap
-from meshskin.study.cost.levels import Level, loops, models, surfaces, tolerances, worth
-from meshskin.study.cost.numerics import Numerics
-from meshskin.study.cost.pilot import at_length
-from meshskin.study.cost.request import Pilot, Request
-from meshskin.study.cost.setting import Setting
+from meshskin.study.sensitivity.cost.levels import Level, loops, models, surfaces, tolerances, worth
+from meshskin.study.sensitivity.cost.numerics import Numerics
+from meshskin.study.sensitivity.cost.pilot import at_length
+from meshskin.study.sensitivity.cost.request import Pilot, Request
+from meshskin.study.sensitivity.cost.setting import Setting
 
 BASE = Setting(5120, 4, "hertz", 1e-3, "semi_implicit", 4e-3, 100.0)
 
@@ -143,7 +143,7 @@ def test_a_request_is_one_positive_number(given):
 
 def test_a_run_keeps_its_promise(tmp_path):
     """The error is within a factor of 1.5 of what was promised, and within what was asked."""
-    result = job.run("sphere_noisy", tmp_path, seed=2, request=Request(accuracy_mm=0.05))
+    result = pipeline.run("sphere_noisy", tmp_path, seed=2, request=Request(accuracy_mm=0.05))
     promise = result.metrics["promise"]
     assert promise["asked"] == "0.05 mm"
     assert "frames/s" in promise["setting"]
@@ -198,6 +198,6 @@ def test_a_method_that_finds_nothing_does_not_end_a_pilot(tmp_path):
     """Taxels too far apart for displacements: a run leaves the pose graphs out, and so must it."""
     sparse = tmp_path / "sparse.toml"
     sparse.write_text('extends = "sphere_noisy"\n[skin]\nspacing_mm = 20\ncount = 3\n')
-    result = job.run(sparse, tmp_path / "out", seed=2, request=Request(accuracy_mm=0.1))
+    result = pipeline.run(sparse, tmp_path / "out", seed=2, request=Request(accuracy_mm=0.1))
     assert "two taxels" in result.metrics["posegraph"]["why"]
     assert result.metrics["position_error_mm"]["mean"] < 0.1

@@ -8,9 +8,9 @@ import sys
 
 import pytest
 
-from meshskin.errors import OutputError, StudyError
-from meshskin.study.outcome import DIED, MEMORY, RAISED, TIMEOUT, Limits, Outcome
-from meshskin.study.store import Store
+from meshskin.core.errors import OutputError, StudyError
+from meshskin.study.sweep.outcome import DIED, MEMORY, RAISED, TIMEOUT, Limits, Outcome
+from meshskin.study.sweep.store import Store
 
 KEY = "3fa0b1c2d3e4f506"
 
@@ -58,7 +58,7 @@ def test_what_a_killed_writer_left_is_removed(out):
 
 def test_one_process_writes_and_its_death_frees_the_folder(out):
     code = (
-        "import sys, time; from meshskin.study.store import Store\n"
+        "import sys, time; from meshskin.study.sweep.store import Store\n"
         "with Store(sys.argv[1]).lock(): print('held', flush=True); time.sleep(60)"
     )
     other = subprocess.Popen([sys.executable, "-c", code, str(out)], stdout=subprocess.PIPE)

@@ -10,8 +10,8 @@ import pytest
 import study_runs
 
 import meshskin as ms
-from meshskin.errors import ConfigError, StudyError
-from meshskin.study.evaluate import evaluate
+from meshskin.core.errors import ConfigError, StudyError
+from meshskin.study.sweep.evaluate import evaluate
 
 X = {"run.x": [0.5, 1.5]}
 

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from meshskin.errors import TuningError
+from meshskin.core.errors import TuningError
 from meshskin.geometry.body import Body
 from meshskin.tuning.manoeuvre import fitted, geodesic, plan, travelled
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from meshskin.tuning.descent import Model
-from meshskin.tuning.prices import apart, promised, pulls, sided
+from meshskin.tuning.multipliers import apart, promised, pulls, sided
 
 
 def corner(third):

@@ -6,12 +6,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from meshskin.errors import ConfigError
+from meshskin.core.errors import ConfigError
 from meshskin.tuning.answer import respond
 from meshskin.tuning.gains import NAMES, Gains, Scenario, scenarios
 from meshskin.tuning.manoeuvre import plan
-from meshskin.tuning.shooting import Shot
-from meshskin.tuning.worlds import world
+from meshskin.tuning.scenarios import world
+from meshskin.tuning.shooting import ShootingInterval
 
 BOTTOM = np.array([0.0, 0.0, -0.1])
 AHEAD = np.array([1.0, 0.0, 0.0])
@@ -23,7 +23,7 @@ def shot(scene, scenario=None, distance=0.005):
     scenario = scenario or Scenario()
     lived = world(scene, scenario, BOTTOM)
     made = plan(lived, BOTTOM / scenario.curvature, AHEAD, distance)
-    return Shot(lived, scenario, made)
+    return ShootingInterval(lived, scenario, made)
 
 
 def quick(scene, mode="arm", delay=0.0):

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 import meshskin as ms
-from meshskin.errors import ConfigError, TuningError, UnknownNameError
-from meshskin.motion.response import force_response
+from meshskin.core.errors import ConfigError, TuningError, UnknownNameError
+from meshskin.simulation.response import force_response
 from meshskin.tuning.answer import respond
+from meshskin.tuning.convergence import ended
 from meshskin.tuning.descent import descended
 from meshskin.tuning.gains import Gains
 from meshskin.tuning.limits import LEAST, interpolated
 from meshskin.tuning.problem import TOLERANCE
-from meshskin.tuning.shooting import Shot
+from meshskin.tuning.shooting import ShootingInterval
 from meshskin.tuning.tune import Demands, Scenario, scenarios
-from meshskin.tuning.watch import ended
 
 DISTANCE = 5e-3
 DEMANDS = Demands(overshoot=0.01)
@@ -111,7 +111,7 @@ def test_older_readings_settle_later(small):
 
 def test_no_gains_about_it_are_better(small, tuned):
     """A grid over gamma, approach speed and rest about the solution: nothing feasible is faster."""
-    shot = Shot(small, Scenario(), tuned.manoeuvres[0])
+    shot = ShootingInterval(small, Scenario(), tuned.manoeuvres[0])
     best, better = gains_of(tuned), []
     for gamma in np.linspace(0.7, 1.4, 8):
         for speed in np.linspace(0.7, 1.4, 8):

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...se3 import Array
+from ...core.se3 import Array
 from .cholesky import Blocks
 from .graph import PoseGraph
 

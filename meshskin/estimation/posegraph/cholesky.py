@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from ... import compiled
-from ...se3 import Array
-from . import frontal
-from .fronts import Fronts, fronts
+from ...core import codegen
+from ...core.se3 import Array
+from . import cholesky_numpy
 from .ordering import Integers
+from .symbolic_factorization import SymbolicFactorization, symbolic_factorization
 
 LARGEST = 6
 """Blocks up to this size have room."""
@@ -86,7 +86,7 @@ ROOM = ("panels", "even", "odd", "work")
 
 
 class Structure(ctypes.Structure):
-    """`Fronts` of fronts.c."""
+    """`SymbolicFactorization` of fronts.c."""
 
     _fields_ = [
         *((name, ctypes.c_longlong) for name in ("nodes", "fronts")),
@@ -101,7 +101,7 @@ class Cholesky:
     """
 
     def __init__(self, nodes: int, rows: Integers, columns: Integers) -> None:
-        self.fronts: Fronts = fronts(nodes, rows, columns)
+        self.fronts: SymbolicFactorization = symbolic_factorization(nodes, rows, columns)
         self.nodes = nodes
         self.lock = threading.RLock()
         self.built = library()
@@ -134,7 +134,7 @@ class Cholesky:
         size, count = right.shape[1:]
         with self._factorised(matrix, 0.0):
             if self.built is None:
-                return frontal.solve(self.fronts, size, right, self._panels)
+                return cholesky_numpy.solve(self.fronts, size, right, self._panels)
             columns = np.array(np.moveaxis(right, 2, 0), order="C")
             self.built.solve(self._pointer(), size, count, columns.ctypes.data)
             return np.moveaxis(columns, 0, 2)
@@ -148,7 +148,7 @@ class Cholesky:
         found = np.empty((self.nodes, size, size))
         with self._factorised(matrix, least):
             if self.built is None:
-                frontal.invert(self.fronts, size, found, self._panels)
+                cholesky_numpy.invert(self.fronts, size, found, self._panels)
             else:
                 self.built.invert(self._pointer(), size, found.ctypes.data)
         return found
@@ -172,8 +172,8 @@ class Cholesky:
         with self.lock:
             if self.built is None:
                 self._panels[: size * size * int(self.fronts.panel[-1])] = 0.0
-                frontal.add(self.fronts, size, rows, columns, values, self._panels)
-                fault = frontal.eliminate(self.fronts, size, least, self._panels)
+                cholesky_numpy.add(self.fronts, size, rows, columns, values, self._panels)
+                fault = cholesky_numpy.eliminate(self.fronts, size, least, self._panels)
             else:
                 self.built.clear(self._pointer(), size)
                 arrays = (a.ctypes.data for a in (rows, columns, values))
@@ -201,7 +201,7 @@ def library() -> ctypes.CDLL | None:
     here = Path(__file__)
     declare = "#ifdef _WIN32\n#define DECLARE __declspec(dllexport)\n#else\n#define DECLARE\n#endif"
     parts = (here.with_name(name).read_text(encoding="utf-8") for name in ("fronts.c", "ma57.c"))
-    found = compiled.library("posegraph_fronts", "\n".join([declare, *parts]))
+    found = codegen.library("posegraph_fronts", "\n".join([declare, *parts]))
     if found is not None:
         integer, pointer = ctypes.c_longlong, ctypes.c_void_p
         found.clear.argtypes = [pointer, integer]

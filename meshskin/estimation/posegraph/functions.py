@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ...se3 import Array
+from ...core.se3 import Array
 
 
 class Function(ca.Callback):

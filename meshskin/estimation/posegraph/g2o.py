@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ... import se3
-from ...errors import GraphError
-from ...se3 import Array
+from ...core import se3
+from ...core.errors import GraphError
+from ...core.se3 import Array
 from .graph import PoseGraph
 
 FIELDS = {"VERTEX_SE3:QUAT": 8, "EDGE_SE3:QUAT": 30}

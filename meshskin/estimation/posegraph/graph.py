@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from ...errors import GraphError
-from ...se3 import Array
+from ...core.errors import GraphError
+from ...core.se3 import Array
 
 if TYPE_CHECKING:
-    from .problem import Problem
+    from .problem import PoseGraphProblem
     from .solve import Solution
     from .topology import Topology
 
@@ -95,7 +95,7 @@ class PoseGraph:
 
         return topology.kept.get(len(self.poses), self.edges, self.anchors)
 
-    def problem(self, residual: str) -> Problem:
+    def problem(self, residual: str) -> PoseGraphProblem:
         """The NLP of this topology with the `residual` "log" or "vec", built once."""
         return self.topology.problem(residual)
 

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from ... import se3
+from ...core import se3
 
 RELATIVE = 7
 """Numbers of a displacement: translation (3) in m, quaternion (4) xyzw."""

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ...se3 import Array
+from ...core.se3 import Array
 
 Operator = Callable[[Array], Array]
 

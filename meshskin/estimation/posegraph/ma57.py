@@ -38,7 +38,7 @@ class Plan(ctypes.Structure):
     ]
 
 
-class Door:
+class IpoptLinearSolver:
     """Lets IPOPT in: poses `free` in the order of its x, `anchors` held."""
 
     def __init__(self, cholesky: Cholesky, free: Integers, anchors: Integers) -> None:
@@ -51,7 +51,7 @@ class Door:
     def options(self) -> dict[str, object]:
         """For IPOPT; none where its own MUMPS has to do."""
         library = self._cholesky.built
-        return _named(library) if library is not None and comes_in() else {}
+        return _named(library) if library is not None and is_supported() else {}
 
     @contextmanager
     def open(self, alike: bool = False) -> Iterator[Plan]:
@@ -88,10 +88,10 @@ def _named(library: ctypes.CDLL) -> dict[str, object]:
 
 
 @functools.cache
-def comes_in() -> bool:
+def is_supported() -> bool:
     """Whether this IPOPT uses the library: tried with a problem of one pose."""
     none, one = np.empty(0, dtype=np.int64), np.zeros(1, dtype=np.int64)
-    door, x = Door(Cholesky(1, none, none), one, none), ca.MX.sym("x", 6)
+    door, x = IpoptLinearSolver(Cholesky(1, none, none), one, none), ca.MX.sym("x", 6)
     library = door._cholesky.built
     if library is None:
         return False

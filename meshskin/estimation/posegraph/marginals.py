@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from ...se3 import Array
+from ...core.se3 import Array
 from .cholesky import Blocks, Cholesky, SingularError
 
 BLOCK = 6

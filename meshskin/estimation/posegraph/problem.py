@@ -14,15 +14,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ...se3 import Array
+from ...core.se3 import Array
 from . import linear
 from .cholesky import Blocks, Cholesky
+from .edge_assembly import EdgeAssembly
 from .functions import Call, Function, Recorder
 from .kernel import EDGE
-from .ma57 import Door
+from .ma57 import IpoptLinearSolver
 from .marginals import lower_blocks
 from .ordering import Integers
-from .sweep import Sweep
 
 METIS = 5
 """MUMPS' number for an order by METIS (ICNTL(7))."""
@@ -43,7 +43,7 @@ OPTIONS: dict[str, object] = {
 
 
 @dataclass(frozen=True)
-class Run:
+class IpoptRun:
     """What one call of IPOPT returned; its status is reported, never believed."""
 
     x: Array
@@ -58,7 +58,7 @@ class Run:
     """x after each iteration, the start included; empty if not recorded."""
 
 
-class Problem:
+class PoseGraphProblem:
     """min over x of the sum of edge costs, for fixed edges (m, 2) and anchored poses.
 
     `parameters` of a solve: the kernel's numbers of each edge (m, 35), row by row; the lengths
@@ -75,13 +75,15 @@ class Problem:
         self._held = anchors
         slot = np.full(poses, len(self.free))  # an anchored pose reads the zeros after x
         slot[self.free] = np.arange(len(self.free))
-        self._sweep = Sweep(slot[edges], len(self.free), residual)
+        self._sweep = EdgeAssembly(slot[edges], len(self.free), residual)
         self._evaluator, self._pattern = _Evaluator(self._sweep), self._sweep.pattern()
         self._build(6 * len(self.free), EDGE * len(edges) + 3)
         self._solvers: dict[tuple[tuple[str, object], ...], Call] = {}
-        self._door = Door(cholesky, self.free, anchors)
+        self._door = IpoptLinearSolver(cholesky, self.free, anchors)
 
-    def solve(self, parameters: Array, tolerance: float, limit: int, record: bool = False) -> Run:
+    def solve(
+        self, parameters: Array, tolerance: float, limit: int, record: bool = False
+    ) -> IpoptRun:
         """Minimise from x = 0 until the gradient is below `tolerance`, `limit` iterations at most.
 
         `tolerance` is for the parameters' own scale. With `record`, the path is kept.
@@ -91,7 +93,7 @@ class Problem:
         with self._door.open(alike=gauss_newton):
             return self._run(parameters, tolerance, limit, record)
 
-    def _run(self, parameters: Array, tolerance: float, limit: int, record: bool) -> Run:
+    def _run(self, parameters: Array, tolerance: float, limit: int, record: bool) -> IpoptRun:
         recorder = Recorder(len(self.free) * 6) if record else None
         options: dict[str, object] = {"max_iter": limit, "tol": tolerance}
         if recorder is not None:
@@ -112,7 +114,7 @@ class Problem:
         self._evaluator.hessian(x, parameters, values)
         product, diagonal = partial(self._sweep.multiply, values), self._sweep.diagonal(values)
         gain = 0.5 * linear.energy(product, diagonal, gradient)
-        return Run(x, cost, gain, stats["iter_count"], stats["return_status"], path)
+        return IpoptRun(x, cost, gain, stats["iter_count"], stats["return_status"], path)
 
     def cost(self, parameters: Array) -> float:
         """Cost at x = 0."""
@@ -183,7 +185,7 @@ def _split(parameters: Array) -> tuple[Array, Array, Array]:
 class _Evaluator:
     """The sums at x for parameters p. Gradients are asked for where the cost just was: kept."""
 
-    def __init__(self, sweep: Sweep) -> None:
+    def __init__(self, sweep: EdgeAssembly) -> None:
         self.sweep = sweep
         self.forget()
 

@@ -11,15 +11,10 @@ from collections.abc import Callable
 import numpy as np
 from scipy.special import gammaincinv
 
-from ...se3 import Array
-from .descent import (
-    State,
-    edge_numbers,
-    minimise,
-    weighted_errors,
-)
+from ...core.se3 import Array
+from .gauss_newton import State, edge_numbers, minimise, weighted_errors
 from .graph import PoseGraph
-from .problem import Problem
+from .problem import PoseGraphProblem
 
 QUANTILE = 0.99
 """An inlier's chi-square is below its limit with this probability."""
@@ -57,7 +52,7 @@ ROBUST: dict[str, Weight] = {"gnc": geman_mcclure, "huber": huber, "cauchy": cau
 
 
 def reweight(
-    problem: Problem,
+    problem: PoseGraphProblem,
     graph: PoseGraph,
     root: Array,
     state: State,

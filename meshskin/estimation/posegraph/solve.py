@@ -9,12 +9,12 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...errors import GraphError, UnknownNameError
-from ...se3 import Array
+from ...core.errors import GraphError, UnknownNameError
+from ...core.se3 import Array
 from . import certificate as certificates
 from . import marginals
 from . import start as starts
-from .descent import (
+from .gauss_newton import (
     FAR_STAGES,
     STAGES,
     State,
@@ -25,7 +25,7 @@ from .descent import (
     parameter_vector,
 )
 from .graph import PoseGraph
-from .problem import Problem
+from .problem import PoseGraphProblem
 from .robust import ROBUST, reweight
 
 OBJECTIVES = {"geodesic": "log", "chordal": "vec"}
@@ -215,7 +215,7 @@ def _solve(
     )
 
 
-def _problem(graph: PoseGraph, objective: str) -> Problem:
+def _problem(graph: PoseGraph, objective: str) -> PoseGraphProblem:
     """The NLP of `graph`, built when first asked for and kept with the graph."""
     return graph.problem(OBJECTIVES[objective])
 

@@ -7,9 +7,9 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from ... import se3
-from ...errors import GraphError, UnknownNameError
-from ...se3 import Array
+from ...core import se3
+from ...core.errors import GraphError, UnknownNameError
+from ...core.se3 import Array
 from .cholesky import Blocks, SingularError, summed
 from .graph import PoseGraph, transforms
 from .ordering import Integers

@@ -11,7 +11,7 @@ import numpy as np
 
 from .cholesky import Cholesky
 from .ordering import Integers
-from .problem import Problem
+from .problem import PoseGraphProblem
 
 
 class Topology:
@@ -20,24 +20,24 @@ class Topology:
     def __init__(self, poses: int, edges: Integers, anchors: Integers) -> None:
         self.poses, self.edges, self.anchors = poses, edges, anchors
         self._lock = threading.Lock()
-        self._problems: dict[str, Problem] = {}
+        self._problems: dict[str, PoseGraphProblem] = {}
 
     @functools.cached_property
     def cholesky(self) -> Cholesky:
         """Of matrices with a block for every pose and every edge."""
         return Cholesky(self.poses, *self.edges.T)
 
-    def problem(self, residual: str) -> Problem:
+    def problem(self, residual: str) -> PoseGraphProblem:
         """The NLP with the kernel's `residual` "log" or "vec", built when first asked for."""
         with self._lock:
             if residual not in self._problems:
-                self._problems[residual] = Problem(
+                self._problems[residual] = PoseGraphProblem(
                     self.edges, self.anchors, residual, self.cholesky
                 )
             return self._problems[residual]
 
 
-class Kept:
+class TopologyCache:
     """The topologies met last, at most `edges` edges in all."""
 
     def __init__(self, edges: int) -> None:
@@ -60,4 +60,4 @@ class Kept:
             return self._topologies[key]
 
 
-kept = Kept(edges=400_000)
+kept = TopologyCache(edges=400_000)

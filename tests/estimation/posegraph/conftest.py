@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from meshskin import se3
+from meshskin.core import se3
 from meshskin.estimation.posegraph import PoseGraph
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from meshskin import se3
+from meshskin.core import se3
 from meshskin.estimation.posegraph import PoseGraph
 from meshskin.estimation.posegraph import certificate as module
 from meshskin.estimation.posegraph.certificate import certify, quadratic_form

@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 from meshskin.estimation.posegraph import cholesky as module
 from meshskin.estimation.posegraph import ordering
 from meshskin.estimation.posegraph.cholesky import Blocks, Cholesky, SingularError
-from meshskin.estimation.posegraph.fronts import fronts
+from meshskin.estimation.posegraph.symbolic_factorization import symbolic_factorization
 
 N = 40
 
@@ -143,7 +143,7 @@ def test_fronts_cover_the_fill(kind, metis, monkeypatch):
     if not metis:
         monkeypatch.setattr(ordering, "_metis", lambda: None)
     pairs = links(kind)
-    found = fronts(N, *pairs.T)
+    found = symbolic_factorization(N, *pairs.T)
     assert np.array_equal(np.sort(found.order), np.arange(N))
     assert np.array_equal(found.order[found.place], np.arange(N))
     _, dense = positive(pairs, 1)
@@ -172,9 +172,11 @@ def test_orders_of_elimination_fill_little(metis, monkeypatch):
         [(k, k + 1) for k in range(n - 1) if (k + 1) % side]
         + [(k, k + side) for k in range(n - side)]
     )
-    ordered = fronts(n, *pairs.T)
-    monkeypatch.setattr("meshskin.estimation.posegraph.fronts.elimination_order", natural)
-    assert ordered.panel[-1] < 0.7 * fronts(n, *pairs.T).panel[-1]
+    ordered = symbolic_factorization(n, *pairs.T)
+    monkeypatch.setattr(
+        "meshskin.estimation.posegraph.symbolic_factorization.elimination_order", natural
+    )
+    assert ordered.panel[-1] < 0.7 * symbolic_factorization(n, *pairs.T).panel[-1]
 
 
 def natural(pattern: csr_array) -> np.ndarray:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from meshskin.errors import GraphError
+from meshskin.core.errors import GraphError
 from meshskin.estimation.posegraph import PoseGraph
 
 

@@ -4,8 +4,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from meshskin import se3
-from meshskin.estimation.posegraph.descent import weighted_errors
+from meshskin.core import se3
+from meshskin.estimation.posegraph.gauss_newton import weighted_errors
 from meshskin.estimation.posegraph.kernel import LOWER, error, kernel
 from meshskin.estimation.posegraph.solve import OBJECTIVES
 

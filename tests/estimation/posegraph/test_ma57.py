@@ -19,7 +19,7 @@ def door():
     cholesky = Cholesky(POSES, each, (each + 1) % POSES)
     if cholesky.built is None:
         pytest.skip("no C compiler")
-    return ma57.Door(cholesky, np.delete(each, HELD), np.array([HELD]))
+    return ma57.IpoptLinearSolver(cholesky, np.delete(each, HELD), np.array([HELD]))
 
 
 def call(door, function, *arguments):
@@ -141,9 +141,9 @@ def test_a_matrix_that_is_not_like_the_first_is_eliminated_after_all(door):
 
 def test_gauss_newton_eliminates_once(skin_graph, monkeypatch):
     """And ends where it ends with an elimination in every iteration."""
-    if not ma57.comes_in():
+    if not ma57.is_supported():
         pytest.skip("no C compiler")
-    usual = ma57.Door.open
+    usual = ma57.IpoptLinearSolver.open
 
     def solution(reuse):
         plans = []
@@ -154,7 +154,7 @@ def test_gauss_newton_eliminates_once(skin_graph, monkeypatch):
                 plans.append(plan)
                 yield plan
 
-        monkeypatch.setattr(ma57.Door, "open", watched)
+        monkeypatch.setattr(ma57.IpoptLinearSolver, "open", watched)
         return skin_graph(60, seed=3)[0].solve(), [plan.eliminations for plan in plans]
 
     (one, once), (other, every) = solution(True), solution(False)
@@ -173,8 +173,8 @@ def test_without_a_plan_or_of_another_size_nothing_is_done(door):
 
 def test_an_ipopt_that_stays_outside_keeps_mumps(skin_graph, monkeypatch):
     inside = skin_graph(40, seed=1)[0].solve()
-    monkeypatch.setattr(ma57, "comes_in", lambda: False)
-    monkeypatch.setattr(topology, "kept", topology.Kept(1))
+    monkeypatch.setattr(ma57, "is_supported", lambda: False)
+    monkeypatch.setattr(topology, "kept", topology.TopologyCache(1))
     graph = skin_graph(40, seed=1)[0]
     assert graph.problem("log")._door.options == {}
     outside = graph.solve()
@@ -187,14 +187,14 @@ def test_plans_are_handed_back(door):
     """A solver that is tried while another waits: the other's plan is there again."""
     dense = matrix()
     with door.open():
-        assert ma57.comes_in.__wrapped__()
+        assert ma57.is_supported.__wrapped__()
         _, info = solved(door, dense, np.ones((1, len(dense))))
     assert info[0] == 0
     assert solved(door, dense, np.ones((1, len(dense))))[1][0] == -1
 
 
 def test_ipopt_does_come_in(door, monkeypatch):
-    assert ma57.comes_in()
+    assert ma57.is_supported()
     assert door.options["linear_solver"] == "ma57"
     monkeypatch.setattr(ma57, "_named", lambda library: {"linear_solver": "no such solver"})
-    assert not ma57.comes_in.__wrapped__()
+    assert not ma57.is_supported.__wrapped__()

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import sparse
 
-from meshskin import se3
+from meshskin.core import se3
 from meshskin.estimation.posegraph import PoseGraph, marginals
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from meshskin import se3
-from meshskin.errors import UnknownNameError
+from meshskin.core import se3
+from meshskin.core.errors import UnknownNameError
 from meshskin.estimation.posegraph import PoseGraph
 
 

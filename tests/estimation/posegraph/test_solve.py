@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from meshskin import se3
-from meshskin.errors import GraphError, UnknownNameError
+from meshskin.core import se3
+from meshskin.core.errors import GraphError, UnknownNameError
 from meshskin.estimation.posegraph import PoseGraph
 
 from ...real_data import DATA
@@ -85,18 +85,18 @@ def test_origin_start_on_the_papers_task(skin_graph, seed):
 
 
 def test_interpreted_equals_compiled(skin_graph, monkeypatch):
-    from meshskin import compiled
-    from meshskin.estimation.posegraph import cholesky, sweep, topology
+    from meshskin.core import codegen
+    from meshskin.estimation.posegraph import cholesky, edge_assembly, topology
 
     fast = skin_graph(40, seed=1)[0].solve()
-    sweep.library.cache_clear()
+    edge_assembly.library.cache_clear()
     cholesky.library.cache_clear()
-    compiled._warn_once.cache_clear()
-    monkeypatch.setattr(topology, "kept", topology.Kept(1))
+    codegen._warn_once.cache_clear()
+    monkeypatch.setattr(topology, "kept", topology.TopologyCache(1))
     monkeypatch.setenv("MESHSKIN_COMPILER", "none")
     with pytest.warns(RuntimeWarning, match="interpreted"):
         slow = skin_graph(40, seed=1)[0].solve()
-    sweep.library.cache_clear()
+    edge_assembly.library.cache_clear()
     cholesky.library.cache_clear()
     assert slow.iterations == fast.iterations
     assert np.allclose(slow.poses, fast.poses, atol=1e-12)
@@ -105,7 +105,7 @@ def test_interpreted_equals_compiled(skin_graph, monkeypatch):
 def test_a_topology_is_built_once(skin_graph, monkeypatch):
     from meshskin.estimation.posegraph import topology
 
-    monkeypatch.setattr(topology, "kept", topology.Kept(edges=1000))
+    monkeypatch.setattr(topology, "kept", topology.TopologyCache(edges=1000))
     graphs = [skin_graph(40, seed=s)[0] for s in range(2)]
     other = skin_graph(50)[0]
     assert graphs[0].problem("log") is graphs[1].problem("log")

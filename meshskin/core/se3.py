@@ -1,0 +1,196 @@
+"""Rotations and rigid transforms: `T_a_b` is the pose of frame b in frame a.
+
+Source: Sola, Deray, Atchuthan, "A micro Lie theory for state estimation in robotics" (2018).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    import casadi as ca
+
+Array = NDArray[np.float64]
+
+
+def hat(w: ArrayLike) -> Array:
+    """Cross-product matrices of vectors `w` (..., 3) -> (..., 3, 3)."""
+    w = np.asarray(w, dtype=float)
+    m = np.zeros((*w.shape[:-1], 3, 3))
+    m[..., 0, 1], m[..., 0, 2], m[..., 1, 2] = -w[..., 2], w[..., 1], -w[..., 0]
+    m[..., 1, 0], m[..., 2, 0], m[..., 2, 1] = w[..., 2], -w[..., 1], w[..., 0]
+    return m
+
+
+def exp_so3(w: ArrayLike) -> Array:
+    """Rotation matrices (..., 3, 3) of rotation vectors `w` (..., 3), in rad (Rodrigues)."""
+    w = np.asarray(w, dtype=float)
+    angle2 = np.sum(w * w, axis=-1)[..., None, None]
+    angle = np.sqrt(angle2)
+    small = angle2 < 1e-8
+    safe = np.where(small, 1.0, angle)
+    s = np.where(small, 1.0 - angle2 / 6.0, np.sin(safe) / safe)
+    c = np.where(small, 0.5 - angle2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    k = hat(w)
+    return np.eye(3) + s * k + c * (k @ k)
+
+
+def left_jacobian(w: ArrayLike) -> Array:
+    """J (..., 3, 3) with exp(w + dw) = exp(J dw) exp(w) to first order, of `w` (..., 3), rad."""
+    w = np.asarray(w, dtype=float)
+    angle2 = np.sum(w * w, axis=-1)[..., None, None]
+    small = angle2 < 1e-4
+    angle = np.sqrt(np.where(small, 1.0, angle2))
+    first = np.where(small, 1 / 2 - angle2 / 24, (1 - np.cos(angle)) / angle**2)
+    second = np.where(small, 1 / 6 - angle2 / 120, (angle - np.sin(angle)) / angle**3)
+    cross = hat(w)
+    return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))
+
+
+def quaternion(rotation: ArrayLike) -> Array:
+    """Unit quaternions (..., 4), xyzw, w >= 0, of rotation matrices (..., 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    r = np.asarray(rotation, dtype=float)
+    q = Rotation.from_matrix(r.reshape(-1, 3, 3)).as_quat(canonical=True)
+    return np.asarray(q).reshape((*r.shape[:-2], 4))
+
+
+def log_so3(rotation: ArrayLike) -> Array:
+    """Rotation vectors (..., 3), in rad, of rotation matrices (..., 3, 3); finite up to pi."""
+    q = quaternion(rotation)
+    v, w = q[..., :3], q[..., 3:]
+    n = np.sqrt(np.sum(v * v, axis=-1, keepdims=True) + 1e-24)
+    return np.asarray(2.0 * np.arctan2(n, w) / n * v)
+
+
+def from_rpy(rpy: ArrayLike) -> Array:
+    """Rotation (3, 3) of a URDF's fixed-axis angles (3,), rad: Rz(yaw) Ry(pitch) Rx(roll)."""
+    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
+    """Homogeneous transforms (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3)."""
+    r, t = np.asarray(rotation, dtype=float), np.asarray(translation, dtype=float)
+    out = np.zeros((*np.broadcast_shapes(r.shape[:-2], t.shape[:-1]), 4, 4))
+    out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = r, t, 1.0
+    return out
+
+
+def inverse(pose: ArrayLike) -> Array:
+    """Inverse of rigid transforms (..., 4, 4)."""
+    pose = np.asarray(pose, dtype=float)
+    rt = np.swapaxes(pose[..., :3, :3], -1, -2)
+    return transform(rt, -(rt @ pose[..., :3, 3:])[..., 0])
+
+
+def is_rigid(pose: ArrayLike) -> bool:
+    """Whether `pose` is one finite (4, 4) transform that neither scales nor mirrors, to 1e-6."""
+    try:
+        given = np.asarray(pose, dtype=float)
+    except (TypeError, ValueError):
+        return False
+    if given.shape != (4, 4) or not np.isfinite(given).all():
+        return False
+    turn = given[:3, :3]
+    rows = np.abs(given[3] - [0.0, 0.0, 0.0, 1.0]).max()
+    return bool(
+        np.abs(turn @ turn.T - np.eye(3)).max() < 1e-6 and rows < 1e-6 and np.linalg.det(turn) > 0
+    )
+
+
+def blend(start: ArrayLike, goal: ArrayLike, part: ArrayLike) -> Array:
+    """Poses (k, 4, 4) at parts (k,) of the way between two (4, 4).
+
+    The origin goes straight, the rotation about one axis of the world, each in proportion.
+    """
+    a, b = np.asarray(start, dtype=float), np.asarray(goal, dtype=float)
+    s = np.asarray(part, dtype=float)[:, None]
+    rotation = exp_so3(s * log_so3(b[:3, :3] @ a[:3, :3].T)) @ a[:3, :3]
+    return transform(rotation, a[:3, 3] + s * (b[:3, 3] - a[:3, 3]))
+
+
+def align(source: ArrayLike, target: ArrayLike) -> Array:
+    """The rigid transform (4, 4) that best maps points `source` (n, 3) onto `target` (n, 3).
+
+    Source: Umeyama, IEEE PAMI 13 (1991), without the scale.
+    """
+    a, b = np.asarray(source, dtype=float), np.asarray(target, dtype=float)
+    ca, cb = a.mean(axis=0), b.mean(axis=0)
+    u, _, vt = np.linalg.svd((b - cb).T @ (a - ca))
+    d = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    r = u @ d @ vt
+    return transform(r, cb - r @ ca)
+
+
+def casadi_quaternion_product(p: ca.SX, q: ca.SX) -> ca.SX:
+    """Hamilton product of CasADi quaternions (4,), xyzw: the rotation `p` after `q`."""
+    import casadi as ca
+
+    v = p[3] * q[:3] + q[3] * p[:3] + ca.cross(p[:3], q[:3])
+    return ca.vertcat(v, p[3] * q[3] - ca.dot(p[:3], q[:3]))
+
+
+def casadi_conjugate(q: ca.SX) -> ca.SX:
+    """Inverse of a CasADi unit quaternion (4,), xyzw."""
+    import casadi as ca
+
+    return ca.vertcat(-q[:3], q[3])
+
+
+def casadi_rotation(q: ca.SX) -> ca.SX:
+    """Rotation matrix (3, 3) of a CasADi unit quaternion (4,), xyzw."""
+    import casadi as ca
+
+    v, w = q[:3], q[3]
+    k = ca.skew(v)
+    return ca.SX.eye(3) + 2 * w * k + 2 * ca.mtimes(k, k)
+
+
+def casadi_cayley(a: ca.SX) -> ca.SX:
+    """Unit quaternion (4,), xyzw, of the increment `a` (3,): (a/2, 1) / sqrt(1 + |a|^2/4).
+
+    Equal to the exponential map to second order at 0 (the angle is 2 atan(|a|/2)), and cheaper.
+    """
+    import casadi as ca
+
+    return ca.vertcat(a / 2, 1) / ca.sqrt(1 + ca.dot(a, a) / 4)
+
+
+def casadi_log(q: ca.SX) -> ca.SX:
+    """Rotation vector (3,), in rad, of a CasADi unit quaternion (4,), xyzw.
+
+    Value, gradient and Hessian are finite everywhere, at the identity and at pi too.
+    """
+    import casadi as ca
+
+    v, w = q[:3], q[3]
+    sign = ca.if_else(w < 0, -1, 1)
+    n = ca.sqrt(ca.dot(v, v) + 1e-24)
+    return 2 * ca.atan2(n, sign * w) / n * sign * v
+
+
+def cayley(a: ArrayLike) -> Array:
+    """Rotation matrices (..., 3, 3) of Cayley increments `a` (..., 3); see `casadi_cayley`."""
+    a = np.asarray(a, dtype=float)
+    k = hat(a)
+    scale = 1.0 / (1.0 + np.sum(a * a, axis=-1)[..., None, None] / 4.0)
+    return np.eye(3) + scale * (k + k @ k / 2.0)
+
+
+def pose_of_state(states: Array) -> Array:
+    """T_w_b (k, 4, 4) of states (k, 7 or more)."""
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_quat(states[:, [4, 5, 6, 3]]).as_matrix()
+    return transform(turn, states[:, :3])

@@ -1,0 +1,69 @@
+"""Coulomb friction of the sliding skin: shear carries the skin along, and so shifts the pressure.
+
+The indenter drags the surface with it, by u at most
+
+    |u| <= 3 mu F (2 - nu) / (16 a G),
+
+the tangential displacement at which a Hertz contact on a half-space begins to slide; until then it
+sticks, and u grows as the contact moves. A taxel at X lies at X + u, so that in the skin's own
+coordinates the patch stays behind the contact by u. Pressure and force keep their size (the
+half-space is nearly incompressible: shear does not lift it). What sticks and slides within the
+patch at once is left out, as is a rolling indenter. Source: K. L. Johnson, "Contact Mechanics"
+(1985), eq. 7.42, section 7.1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from ..core.config import quantity
+from . import BaseEffect, Context, Motion
+from .frames import Frames
+
+
+@dataclass(frozen=True)
+class Friction(BaseEffect):
+    """The patch stays behind the contact by the skin's shear."""
+
+    coefficient: float = quantity("", 0.2, least=0.0, most=5.0)
+    """mu."""
+
+    name: ClassVar[str] = "friction"
+    stage: ClassVar[str] = "contact"
+    cost: ClassVar[float] = 9e-8
+
+    def slip(self, context: Context) -> float:
+        """Shear at which the contact slides, m, at the reference force."""
+        stiffness = 16.0 * context.contact_radius * context.shear_modulus / (2.0 - context.poisson)
+        return 3.0 * self.coefficient * context.force / stiffness
+
+    def bound(self, context: Context) -> float:
+        """The shear of a contact that slides, m."""
+        return self.slip(context)
+
+    def build(self, context: Context) -> Motion:
+        """A function that remembers the shear from batch to batch."""
+        slip, longest = self.slip(context), 1.5 * context.period
+        shear = np.zeros(3)
+        last: tuple[float, np.ndarray] | None = None
+
+        def drag(frames: Frames) -> Frames:
+            nonlocal shear, last
+            shears = np.empty_like(frames.points)
+            limits = slip * (frames.force / context.force) ** (2.0 / 3.0)  # F / a
+            for k, (time, point) in enumerate(zip(frames.time, frames.points, strict=True)):
+                if last is None or time - last[0] > longest:
+                    shear = np.zeros(3)
+                else:
+                    shear = shear + (point - last[1])
+                shear = shear - (shear @ frames.normals[k]) * frames.normals[k]
+                size = float(np.sqrt(shear @ shear))
+                if size > limits[k]:
+                    shear = shear * (limits[k] / size)
+                shears[k], last = shear, (time, point)
+            return replace(frames, points=frames.points - shears)
+
+        return drag

@@ -1,0 +1,42 @@
+"""Taxels that are not alike: p <- g_i p + o_i, the gains log-normal, the offsets normal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ..core.config import quantity
+from ..core.se3 import Array
+from . import BaseEffect, Context, Pressures
+from .frames import Frames
+
+
+@dataclass(frozen=True)
+class GainOffset(BaseEffect):
+    """A gain and an offset of each taxel, the same all the time."""
+
+    gain_spread: float = quantity("", 0.05, least=0.0, most=1.0)
+    """Standard deviation of ln(gain)."""
+    offset_relative: float = quantity("", 0.005, least=0.0, most=1.0)
+    """Standard deviation of the offsets, relative to p_0 at the reference force."""
+
+    name: ClassVar[str] = "gain_offset"
+    stage: ClassVar[str] = "transducer"
+    cost: ClassVar[float] = 6e-10
+
+    def bound(self, context: Context) -> float:
+        """At 3 standard deviations, m."""
+        return context.misread(np.expm1(3.0 * self.gain_spread) + 3.0 * self.offset_relative)
+
+    def build(self, context: Context) -> Pressures:
+        """A function without memory; all numbers are drawn here."""
+        stream, n = context.stream(self.name), len(context.skin)
+        gain = np.exp(self.gain_spread * stream.standard_normal(n))
+        offset = self.offset_relative * context.peak_pressure * stream.standard_normal(n)
+
+        def scale(pressures: Array, frames: Frames) -> Array:
+            return gain * pressures + offset
+
+        return scale

@@ -1,0 +1,48 @@
+"""Gaussian noise of the transducers: p <- p + N(0, sigma^2), independent for taxel and frame.
+
+sigma is relative to the peak contact pressure at the reference force, so that it is a property of
+the sensor's range and does not vary with the contact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from ..core.config import quantity
+from ..core.se3 import Array
+from . import BaseEffect, Context, Pressures
+from .frames import Frames
+
+
+@dataclass(frozen=True)
+class GaussianNoise(BaseEffect):
+    """White noise added to every taxel's pressure in every frame."""
+
+    sigma_relative: float = quantity("", 0.01, above=0.0, most=1.0)
+    """Standard deviation, relative to the peak pressure p_0 at the reference force."""
+
+    name: ClassVar[str] = "gaussian_noise"
+    stage: ClassVar[str] = "transducer"
+    cost: ClassVar[float] = 8e-9
+
+    def sigma(self, context: Context) -> float:
+        """Standard deviation, Pa."""
+        return self.sigma_relative * context.peak_pressure
+
+    def bound(self, context: Context) -> float:
+        """3 sigma_relative a, m: the distance error of one reading at 3 sigma, where the profile
+        falls by p_0 over a; an estimate from many readings is better than one reading.
+        """
+        return 3.0 * self.sigma_relative * context.contact_radius
+
+    def build(self, context: Context) -> Pressures:
+        """A function on dense pressures (frames, taxels), Pa; successive calls continue one
+        stream, so that the noise does not depend on how frames are batched.
+        """
+        stream, sigma = context.stream(self.name), self.sigma(context)
+
+        def add(pressures: Array, frames: Frames) -> Array:
+            return pressures + sigma * stream.standard_normal(pressures.shape)
+
+        return add

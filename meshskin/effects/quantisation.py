@@ -1,0 +1,45 @@
+"""Quantisation: readings are whole multiples of a step, from 0 to the end of the scale."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ..core.config import quantity
+from ..core.se3 import Array
+from . import BaseEffect, Context, Pressures
+from .frames import Frames
+
+
+@dataclass(frozen=True)
+class Quantisation(BaseEffect):
+    """An analogue-to-digital converter of 2^bits levels."""
+
+    bits: int = quantity("", 8, least=1, most=32)
+    """8 and 16 are usual."""
+    scale_relative: float = quantity("", 1.5, above=0.0)
+    """End of the scale, relative to p_0 at the reference force."""
+
+    name: ClassVar[str] = "quantisation"
+    stage: ClassVar[str] = "transducer"
+    cost: ClassVar[float] = 7e-10
+
+    def step(self, context: Context) -> float:
+        """Pressure of one level, Pa."""
+        return self.scale_relative * context.peak_pressure / (2**self.bits - 1)
+
+    def bound(self, context: Context) -> float:
+        """From half a step, and from what the end of the scale cuts off, m."""
+        half = self.step(context) / 2.0 / context.peak_pressure
+        return context.misread(max(half, 1.0 - self.scale_relative))
+
+    def build(self, context: Context) -> Pressures:
+        """A function without memory."""
+        step, most = self.step(context), 2**self.bits - 1
+
+        def count(pressures: Array, frames: Frames) -> Array:
+            return step * np.clip(np.rint(pressures / step), 0, most)
+
+        return count

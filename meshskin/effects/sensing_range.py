@@ -1,0 +1,52 @@
+"""The sensor's range: nothing below a threshold, no more than saturation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ..core.config import quantity
+from ..core.errors import ConfigError
+from ..core.se3 import Array
+from . import BaseEffect, Context, Pressures
+from .frames import Frames
+
+
+@dataclass(frozen=True)
+class SensingRange(BaseEffect):
+    """Readings below the threshold are zero, those above saturation are cut."""
+
+    threshold_relative: float = quantity("", 0.1, least=0.0)
+    """Relative to p_0 at the reference force."""
+    saturation_relative: float = quantity("", 0.8, above=0.0)
+    """Relative to p_0 at the reference force."""
+
+    name: ClassVar[str] = "sensing_range"
+    stage: ClassVar[str] = "transducer"
+    cost: ClassVar[float] = 9e-10
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.saturation_relative > self.threshold_relative:
+            raise ConfigError(
+                "sensing_range saturates below its threshold",
+                value=f"{self.saturation_relative:g} p_0",
+                limit=f"above {self.threshold_relative:g} p_0",
+            )
+
+    def bound(self, context: Context) -> float:
+        """From what is cut at either end, m."""
+        cut = max(self.threshold_relative, 1.0 - self.saturation_relative)
+        return context.misread(min(cut, 1.0))
+
+    def build(self, context: Context) -> Pressures:
+        """A function without memory."""
+        least = self.threshold_relative * context.peak_pressure
+        most = self.saturation_relative * context.peak_pressure
+
+        def cut(pressures: Array, frames: Frames) -> Array:
+            return np.where(pressures < least, 0.0, np.minimum(pressures, most))
+
+        return cut

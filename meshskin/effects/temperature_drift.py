@@ -1,0 +1,43 @@
+"""Drift while the skin warms up: p <- (1 + g w) p + o w p_0, with w = 1 - exp(-t / tau)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ..core.config import quantity
+from ..core.se3 import Array
+from . import BaseEffect, Context, Pressures
+from .frames import Frames
+
+
+@dataclass(frozen=True)
+class TemperatureDrift(BaseEffect):
+    """Gain and offset of all taxels drift together towards those of the warm skin."""
+
+    gain_drift: float = quantity("", 0.05, least=-0.9, most=10.0)
+    """Relative change g of the gain in the end."""
+    offset_relative: float = quantity("", 0.01, least=-1.0, most=1.0)
+    """Offset o in the end, relative to p_0 at the reference force."""
+    time_constant: float = quantity("s", 30.0, above=0.0)
+    """tau of the warming, from the start of the run."""
+
+    name: ClassVar[str] = "temperature_drift"
+    stage: ClassVar[str] = "transducer"
+    cost: ClassVar[float] = 7e-10
+
+    def bound(self, context: Context) -> float:
+        """When all is warm, m."""
+        return context.misread(abs(self.gain_drift) + abs(self.offset_relative))
+
+    def build(self, context: Context) -> Pressures:
+        """A function of the frames' times."""
+        offset = self.offset_relative * context.peak_pressure
+
+        def drift(pressures: Array, frames: Frames) -> Array:
+            warm = -np.expm1(-frames.time / self.time_constant)[:, None]
+            return (1.0 + self.gain_drift * warm) * pressures + offset * warm
+
+        return drift

@@ -1,0 +1,1 @@
+"""The data of an estimate: readings beside their contacts, units, resolved beliefs."""

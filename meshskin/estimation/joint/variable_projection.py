@@ -1,0 +1,269 @@
+"""The taxels eliminated from the shared unknowns: variable projection.
+
+For given shared unknowns s every group of taxels settles at its own optimum z(s), by damped
+Gauss-Newton steps of all groups at once, each accepted or refused by itself. What is left is a
+problem in s alone, with
+
+    F(s) = min_z f(z, s),   dF/ds = f_s - f_sz f_zz^-1 f_z,   d2F/ds2 = f_ss - f_sz f_zz^-1 f_zs
+
+(Gauss-Newton). The work grows with the readings, and a group that is hard to settle holds no other
+up. Source: Golub and Pereyra, "The differentiation of pseudo-inverses and nonlinear least squares
+problems whose variables separate", SIAM J. Numer. Anal. 10 (1973).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.ragged import ranges
+from ...core.se3 import Array
+from .contacts import LinearizedContacts
+from .likelihood import Likelihood, Moments
+from .parametrization import Parametrization
+
+STEPS = 40
+"""Most steps of a group."""
+SETTLED = 1e-9
+"""Newton decrement, in units of the cost, at which a group rests."""
+PROXIMITY = 0.1
+"""Standard deviation, m, of a move that no reading resists: it keeps a loose taxel's system
+regular, and is far beyond what is believed of an estimate."""
+
+
+@dataclass
+class State:
+    """All unknowns at one point, and the moments of the cost there."""
+
+    z: Array
+    """Coordinates (G, D) of the groups, then gains and offsets of their taxels."""
+    s: Array
+    """Shared unknowns (ks,)."""
+    moments: Moments
+    """Of the taxels."""
+    decrement: Array
+    """Newton decrement (G,) of each group; large where it has not settled."""
+
+
+@dataclass(frozen=True)
+class SchurComplement:
+    """The problem left in s at one point: cost, gradient (ks,) and Hessian (ks, ks), priors in."""
+
+    cost: float
+    gradient: Array
+    hessian: Array
+
+    @property
+    def decrement(self) -> float:
+        """Newton decrement: the cost still to be gained."""
+        if not len(self.gradient):
+            return 0.0
+        return float(self.gradient @ np.linalg.solve(self.hessian, self.gradient)) / 2
+
+
+@dataclass(frozen=True)
+class TaxelBlocks:
+    """Normal equations of G groups: (D, D) of each, coupled with s."""
+
+    cost: Array
+    gradient: Array
+    hessian: Array
+    coupling: Array
+    """(G, D, ks)."""
+
+    @property
+    def decrement(self) -> Array:
+        """Newton decrement (G,) of each group."""
+        return np.asarray(-np.einsum("gi,gi->g", self.steps(), self.gradient) / 2)
+
+    def steps(self, damping: Array | float = 0.0) -> Array:
+        """Steps (G, D) to the minimum of the quadratic, damped in proportion to the diagonal."""
+        h = self.hessian.copy()
+        i = np.arange(h.shape[1])
+        h[:, i, i] *= 1.0 + np.reshape(damping, (-1, 1))
+        return np.asarray(-np.linalg.solve(h, self.gradient[:, :, None])[:, :, 0])
+
+
+@dataclass
+class ReducedProblem:
+    """A likelihood with its places and contacts: what is settled and reduced."""
+
+    likelihood: Likelihood
+    places: Parametrization
+    contacts: LinearizedContacts
+    settled: float = SETTLED
+    """Newton decrement, in units of the cost, at which a group rests."""
+
+    def __post_init__(self) -> None:
+        group = self.places.group
+        self.first = np.searchsorted(group, np.arange(self.places.count + 1))
+        self.slot = np.arange(len(group)) - self.first[group]
+        self.extra = len(self.likelihood.shared.local_names)
+        self.width = self.places.size + self.extra * int(np.diff(self.first).max())
+
+    def start(self, s: Array, z: Array | None = None) -> State:
+        """The state at the anchors, or at z (G, D), unsettled."""
+        count, n = self.places.count, len(self.places.group)
+        z = np.zeros((count, self.width)) if z is None else z.copy()
+        size = 3 + self.extra + len(s)
+        state = State(z, s, Moments.zeros(n, size), np.full(count, np.inf))
+        groups = np.arange(count)
+        rows, _ = self._taxels(groups)
+        state.moments.put(rows, self._moments(z, s, groups))
+        return state
+
+    def settle(self, state: State, groups: np.ndarray | None = None) -> None:
+        """Let the groups (all by default) settle at the state's s; changes the state."""
+        groups = np.arange(self.places.count) if groups is None else groups
+        damping = np.zeros(len(groups))
+        for _ in range(STEPS):
+            blocks = self.blocks(state, groups)
+            step = blocks.steps(damping)
+            state.decrement[groups] = blocks.decrement
+            open_ = state.decrement[groups] > self.settled
+            groups, step, damping = groups[open_], step[open_], damping[open_]
+            if not len(groups):
+                return
+            z = state.z[groups] + self.places.limited(step)
+            moments = self._moments(z, state.s, groups)
+            rows, owner = self._taxels(groups)
+            cost = np.bincount(owner, moments.cost) + self.places.prior(z, groups)[0]
+            better = cost <= blocks.cost[open_] * (1 + 1e-13)
+            state.z[groups[better]] = z[better]
+            keep = better[owner]
+            state.moments.put(rows[keep], moments.take(keep))
+            damping = np.where(better, np.where(damping > 1e-3, damping / 10, 0.0),
+                               np.maximum(10 * damping, 1e-2))  # fmt: skip
+
+    def blocks(self, state: State, groups: np.ndarray | None = None) -> TaxelBlocks:
+        """The normal equations of `groups` (all by default) at the state."""
+        groups = np.arange(self.places.count) if groups is None else groups
+        rows, owner = self._taxels(groups)
+        local, count = 3 + self.extra, len(groups)
+        lift = self._lift(state.z[groups], groups)
+        moments = state.moments.take(rows)
+        half = np.einsum("rci,rcd->rid", lift, moments.hessian[:, :local])
+        cost, gradient, hessian = self.places.prior(state.z[groups], groups)
+        hessian = hessian + np.eye(self.width) * self._unread(groups)[:, None]
+        return TaxelBlocks(
+            cost=cost + np.bincount(owner, moments.cost, count),
+            gradient=gradient
+            + _sums(np.einsum("rci,rc->ri", lift, moments.gradient[:, :local]), owner, count),
+            hessian=hessian + _sums(half[:, :, :local] @ lift, owner, count),
+            coupling=_sums(half[:, :, local:], owner, count),
+        )
+
+    def reduce(self, state: State) -> SchurComplement:
+        """The problem left in s, at a settled state."""
+        blocks = self.blocks(state)
+        local = 3 + self.extra
+        lever = np.linalg.solve(blocks.hessian, blocks.coupling)
+        moments = state.moments
+        data = moments.hessian[:, local:, local:].sum(axis=0)
+        data -= np.einsum("gik,gil->kl", blocks.coupling, lever)
+        gradient = moments.gradient[:, local:].sum(axis=0)
+        gradient -= np.einsum("gi,gik->k", blocks.gradient, lever)
+        weight = self.likelihood.shared.sigma**-2
+        return SchurComplement(
+            cost=float(blocks.cost.sum() + weight @ state.s**2 / 2),
+            gradient=gradient + weight * state.s,
+            hessian=data + np.diag(weight),
+        )
+
+    def information(self, state: State) -> tuple[Array, Array | None]:
+        """What the readings alone say of s (ks, ks), without priors on s, gains and offsets; and
+        how the mean ln gain follows s (ks,), where gains are declared.
+        """
+        blocks, names = self.blocks(state), self.likelihood.shared.local_names
+        local = 3 + self.extra
+        bare, group = blocks.hessian.copy(), self.places.group
+        column = self.places.size + self.extra * self.slot
+        for k, sigma in enumerate(self.likelihood.local_sigma):
+            bare[group, column + k, column + k] -= sigma**-2
+        lever = np.linalg.pinv(bare, rcond=1e-12, hermitian=True) @ blocks.coupling
+        total = state.moments.hessian[:, local:, local:].sum(axis=0)
+        gains = None
+        if "gain" in names:
+            gains = -lever[group, column + names.index("gain")].mean(axis=0)
+        return total - np.einsum("gik,gil->kl", blocks.coupling, lever), gains
+
+    def moved(self, state: State, s: Array) -> State:
+        """The state settled at other s (ks,), from where the groups are expected there."""
+        blocks = self.blocks(state)
+        shift = -np.linalg.solve(blocks.hessian, blocks.coupling) @ (s - state.s)
+        there = self.start(s, state.z + self.places.limited(shift))
+        self.settle(there)
+        return there
+
+    def covariances(self, state: State, reduced: SchurComplement) -> tuple[Array, Array]:
+        """Of the groups' unknowns (G, D, D), s being unknown too, and of s (ks, ks)."""
+        blocks = self.blocks(state)
+        inverse = np.linalg.inv(blocks.hessian)
+        lever = inverse @ blocks.coupling
+        shared = np.asarray(np.linalg.inv(reduced.hessian))
+        return inverse + lever @ shared @ np.swapaxes(lever, 1, 2), shared
+
+    def leverages(self, state: State, reduced: SchurComplement) -> Array:
+        """How much each reading (k,) moves its own prediction: it keeps 1 less this of its noise
+        as a residual."""
+        blocks, groups, local = self.blocks(state), np.arange(self.places.count), 3 + self.extra
+        inverse, shared = np.linalg.inv(blocks.hessian), np.linalg.inv(reduced.hessian)
+        lever = -inverse @ blocks.coupling
+        lift, own = self._lift(state.z, groups), self.places.group
+        full = np.empty((len(own), local + len(shared), local + len(shared)))
+        follows = lift @ lever[own]
+        full[:, :local, local:] = follows @ shared
+        full[:, local:, :local] = np.swapaxes(full[:, :local, local:], 1, 2)
+        full[:, local:, local:] = shared
+        full[:, :local, :local] = lift @ inverse[own] @ np.swapaxes(lift, 1, 2)
+        full[:, :local, :local] += full[:, :local, local:] @ np.swapaxes(follows, 1, 2)
+        extras, contacts = self.extras(state.z, groups), self.contacts.at(state.s)
+        return self.likelihood.leverages(self.points(state), extras, contacts, full)
+
+    def points(self, state: State) -> Array:
+        """Points (n, 3), m, of all taxels at the state."""
+        group, size = self.places.group, self.places.size
+        return self.places.at(state.z[group, :size], group, np.arange(len(group)))[0]
+
+    def extras(self, z: Array, groups: np.ndarray) -> Array:
+        """Gains and offsets (r, extras) of the taxels of `groups` with unknowns z (g, D)."""
+        rows, owner = self._taxels(groups)
+        columns = self.places.size + self.extra * self.slot[rows, None] + np.arange(self.extra)
+        return np.asarray(z[owner[:, None], columns])
+
+    def _taxels(self, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Taxels (r,) of the groups, and the place in `groups` of each."""
+        count = self.first[groups + 1] - self.first[groups]
+        return ranges(self.first[groups], count), np.repeat(np.arange(len(groups)), count)
+
+    def _moments(self, z: Array, s: Array, groups: np.ndarray) -> Moments:
+        """Of the taxels of `groups` at z (g, D) and s."""
+        rows, owner = self._taxels(groups)
+        points, _ = self.places.at(z[owner, : self.places.size], groups[owner], rows)
+        contacts = self.contacts.at(s)
+        return self.likelihood.moments(rows, points, self.extras(z, groups), contacts)
+
+    def _lift(self, z: Array, groups: np.ndarray) -> Array:
+        """Derivatives (r, 3 + extras, D) of the taxels' unknowns by their groups'."""
+        rows, owner = self._taxels(groups)
+        size = self.places.size
+        lift = np.zeros((len(rows), 3 + self.extra, self.width))
+        lift[:, :3, :size] = self.places.at(z[owner, :size], groups[owner], rows)[1]
+        for k in range(self.extra):
+            lift[np.arange(len(rows)), 3 + k, size + self.extra * self.slot[rows] + k] = 1.0
+        return lift
+
+    def _unread(self, groups: np.ndarray) -> Array:
+        """Weak information (g, D) that keeps a loose group's system regular."""
+        count = (self.first[groups + 1] - self.first[groups])[:, None]
+        slot = (np.arange(self.width) - self.places.size) // max(self.extra, 1)
+        extra = np.arange(self.width) >= self.places.size
+        return np.where(extra, np.where(slot >= count, 1.0, 0.0), PROXIMITY**-2)
+
+
+def _sums(values: Array, owner: np.ndarray, count: int) -> Array:
+    """Sums (count, ...) of values (r, ...) over rising owners that all occur."""
+    if len(values) == count:
+        return values
+    return np.asarray(np.add.reduceat(values, np.searchsorted(owner, np.arange(count)), axis=0))

@@ -1,0 +1,1 @@
+"""Trilateration: circles about contacts, and the displacements between taxels."""

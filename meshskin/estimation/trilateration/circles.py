@@ -1,0 +1,164 @@
+"""The circles of trilateration: how far from its contact each reading says that its taxel is.
+
+Under a circular patch a reading is worth one distance, across the contact's normal. Under an
+ellipse with semi-axes a and b along t_1 and t_2 it is worth a closed curve, and the curves are very
+nearly circles in the plane of (g/a, g/b) times the coordinates along t_1 and t_2, g = sqrt(a b):
+exactly for point readings, and so well for a disc's that the little by which their radius depends
+on the direction is taken where the taxel is thought to be, and renewed with that thought.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Self
+
+import numpy as np
+
+from ...contact.ellipse import NODES, ellipse_gradient, invert_ellipse_mean
+from ...core.se3 import Array
+from ..data.measurements import Measurements
+
+FLAT = 0.05
+"""Slope, relative to p_0/a, below which a circle gains no more uncertainty."""
+
+
+@dataclass(frozen=True)
+class Circles:
+    """k circles, sorted by the one of n unknown points that each belongs to."""
+
+    owner: np.ndarray
+    """Unknown point (k,) of each circle, rising."""
+    reading: np.ndarray
+    """The reading (k,) that gave it."""
+    centres: Array
+    """Contact points (k, 3), m."""
+    normals: Array
+    """Contact normals (k, 3): a distance is measured across them."""
+    radii: Array
+    """Distances (k,), m."""
+    weights: Array
+    """1 / standard deviation of the distance (k,), 1/m."""
+    steepness: Array
+    """Slope of the profile (k,) relative to p_0/a."""
+    patch: Array
+    """Contact radius (k,), m."""
+    count: int
+    """n."""
+
+    def sum(self, values: Array) -> Array:
+        """Sums (n, ...) over the circles of each point, of values (k, ...)."""
+        flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
+        columns = [np.bincount(self.owner, column, self.count) for column in flat.T]
+        total: Array = np.stack(columns, axis=1, dtype=float)
+        return total.reshape(self.count, *values.shape[1:])
+
+    def select(self, keep: np.ndarray) -> Self:
+        """The circles where `keep` (k,) is true."""
+        names = [f.name for f in fields(self) if f.name != "count"]
+        return replace(self, **{name: getattr(self, name)[keep] for name in names})
+
+    def distance(self, offset: Array) -> tuple[Array, Array]:
+        """Distances (k,), m, of points `offset` (k, 3), m, from the centres, and their gradients
+        (k, 3).
+        """
+        across = offset - self.normals * np.einsum("ki,ki->k", offset, self.normals)[:, None]
+        distance = np.sqrt(np.einsum("ki,ki->k", across, across) + 1e-18)
+        return distance, across / distance[:, None]
+
+    def conic(self, offset: Array, tangents: Array) -> tuple[Array, Array]:
+        """c (k, 2) and b (k,) of the equations |y|^2 - 2 c . y + b = r^2 of points y in planes.
+
+        The planes: through the points at `offset` (k, 3), m, from which the centres are seen, along
+        `tangents` (k, 3, 2). |y|^2 stands for a square that is much the same for all.
+        """
+        c = np.einsum("kij,ki->kj", tangents, offset)
+        return c, np.einsum("kj,kj->k", c, c)
+
+
+@dataclass(frozen=True)
+class Ellipses(Circles):
+    """Circles in planes that are scaled along the patches' axes."""
+
+    first: Array
+    """g/a t_1 (k, 3)."""
+    second: Array
+    """g/b t_2 (k, 3)."""
+
+    def distance(self, offset: Array) -> tuple[Array, Array]:
+        """As of circles."""
+        u, v = (np.einsum("ki,ki->k", offset, axis) for axis in (self.first, self.second))
+        distance = np.sqrt(u * u + v * v + 1e-18)
+        gradient = u[:, None] * self.first + v[:, None] * self.second
+        return distance, gradient / distance[:, None]
+
+    def conic(self, offset: Array, tangents: Array) -> tuple[Array, Array]:
+        """As of circles."""
+        c, b = np.zeros((len(offset), 2)), np.zeros(len(offset))
+        for axis in (self.first, self.second):
+            u = np.einsum("ki,ki->k", offset, axis)
+            c += u[:, None] * np.einsum("kij,ki->kj", tangents, axis)
+            b += u * u
+        return c, b
+
+
+def circles(
+    data: Measurements,
+    points: Array,
+    rows: np.ndarray | None = None,
+    owner: np.ndarray | None = None,
+    nodes: int = NODES,
+) -> Circles:
+    """The circles of the readings `rows` (all by default), owned by their taxels or by `owner`.
+
+    points (n, 3), m, where the taxels roughly are, and the `nodes` of the disc mean matter under
+    ellipses only.
+    """
+    rows = np.arange(len(data.pressure)) if rows is None else rows
+    owners = data.taxel[rows] if owner is None else owner
+    order = np.argsort(owners, kind="stable")
+    rows, owners = rows[order], owners[order]
+    contact = data.contact[rows]
+    scale = data.peaks[contact] / data.radii[contact]
+    axes: list[Array] = []
+    if data.model.name == "hertz":
+        radii, steepness = data.distance[rows], data.slope[rows] / scale
+    else:
+        radii, steepness, axes = _along(data, points, rows, nodes)
+    found = (
+        owners,
+        rows,
+        data.points[contact],
+        data.normals[contact],
+        radii,
+        scale * np.hypot(steepness, FLAT) / data.sigma,
+        steepness,
+        data.radii[contact],
+        len(data.ids) if owner is None else int(owners.max(initial=-1)) + 1,
+    )
+    return Ellipses(*found, *axes) if axes else Circles(*found)
+
+
+def _along(
+    data: Measurements, points: Array, rows: np.ndarray, nodes: int
+) -> tuple[Array, Array, list[Array]]:
+    """Scaled distance and slope (k,) of the readings `rows`, along the ways to their taxels at
+    `points`, and both scaled axes (k, 3).
+    """
+    asked, place = np.unique(rows, return_inverse=True)
+    contact = data.contact[asked]
+    patch, g = data.patches.take(contact), data.radii[contact]
+    axes = data.directions[contact], np.cross(data.normals[contact], data.directions[contact])
+    offset = points[data.taxel[asked]] - data.points[contact]
+    way = np.stack([np.einsum("ki,ki->k", offset, axis) for axis in axes], axis=1)
+    length = np.linalg.norm(way, axis=1, keepdims=True)
+    way = np.where(length > 0, way / np.where(length > 0, length, 1.0), [1.0, 0.0])
+    shape = patch.first, patch.second, data.disc, patch.exponent, nodes
+    r = invert_ellipse_mean(data.pressure[asked] / patch.peak, way, *shape)
+    slopes = ellipse_gradient(r * way[:, 0], r * way[:, 1], *shape)[1:3]
+    slope = np.einsum("ki,ik->k", way, slopes)
+    first, second = g / patch.first, g / patch.second
+    stretch = np.hypot(first * way[:, 0], second * way[:, 1])
+    scaled = [
+        (size[:, None] * axis)[place] for size, axis in zip((first, second), axes, strict=True)
+    ]
+    return (r * stretch)[place], (np.abs(slope) * g / stretch)[place], scaled

@@ -1,0 +1,1 @@
+"""Uncertainty: observability, covariances, Cramer-Rao bound and tests of fit."""

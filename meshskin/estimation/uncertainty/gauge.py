@@ -1,0 +1,123 @@
+"""The gauge of a pose graph: displacements leave the pose of each connected part free.
+
+Here a part is fixed by the rigid alignment of its positions with known ones, and the covariances
+are those that remain after it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+
+from ...core import se3
+from ...core.se3 import Array
+from ..posegraph import PoseGraph
+from ..posegraph.cholesky import Cholesky
+from ..posegraph.marginals import covariances as marginals
+from ..posegraph.marginals import lower_blocks
+
+LEAST = 3
+"""Fewest taxels of a part that can be aligned."""
+
+
+def aligned(graph: PoseGraph, poses: Array) -> tuple[Array, np.ndarray]:
+    """`poses` (n, 4, 4), each part aligned with the graph's own positions; which could be (n,)."""
+    out, linked = poses.copy(), np.zeros(len(poses), dtype=bool)
+    for rows in _parts(graph):
+        source, target = poses[rows, :3, 3], graph.poses[rows, :3, 3]
+        if np.ptp(source, axis=0).max() < 1e-9:  # all at one point, as in a start at the origin
+            out[rows, :3, 3] = target.mean(axis=0)
+        else:
+            out[rows] = se3.align(source, target) @ poses[rows]
+        linked[rows] = True
+    return out, linked
+
+
+def covariances(graph: PoseGraph, poses: Array, errors: Array | None = None) -> Array:
+    """Covariances (n, 6, 6) of aligned `poses` (n, 4, 4), taxel frames; inf where not aligned.
+
+    With S the covariance given the part's first pose and N (6 n, 6) the moves of the whole, of
+    which N_t are the translations, the alignment leaves (I - A) S (I - A)^T with
+    A = N (N_t^T N_t)^-1 N_t^T. S takes displacements as independent, with the graph's information.
+    They are not, where they share readings: `errors` (m, 6, draws) of the m displacements, as they
+    may come together, say by how much the part's S is too small on average.
+    """
+    out = np.tile(np.diag([np.inf] * 6), (len(poses), 1, 1))
+    information = gauss_newton_information(graph, poses)
+    pull = None if errors is None else _pull(graph, poses, errors)
+    for rows in _parts(graph):
+        free = (6 * rows[1:, None] + np.arange(6)).ravel()
+        inner = information[free][:, free]
+        s = np.zeros((len(rows), 6, 6))
+        blocks = lower_blocks(sparse.csr_array(sparse.tril(inner)))
+        cholesky = Cholesky(len(rows) - 1, blocks.rows, blocks.columns)
+        s[1:] = marginals(cholesky, blocks)
+        whole = _moves(poses[rows])
+        shift = whole * np.repeat([1.0, 0.0], 3)[:, None]
+        w = np.zeros((len(rows), 6, 6))
+        w[1:] = cholesky.solve(blocks, shift[1:])
+        lever = whole @ np.linalg.inv(np.einsum("nij,nik->jk", shift, shift))
+        back = lever @ np.swapaxes(w, 1, 2)
+        ends = lever @ np.einsum("nij,nik->jk", shift, w) @ np.swapaxes(lever, 1, 2)
+        out[rows] = s - back - np.swapaxes(back, 1, 2) + ends
+        if pull is not None:
+            moves = np.zeros_like(pull[rows])
+            moves[1:] = cholesky.solve(blocks, pull[rows[1:]])
+            moves -= lever @ np.einsum("nij,nik->jk", shift, moves)
+            out[rows] *= max(_excess(moves, out[rows]), 1.0)
+    return out
+
+
+def _excess(moves: Array, covariance: Array) -> float:
+    """Mean square of `moves` (n, 6, draws) along the surface over that of (n, 6, 6)."""
+    along = moves[:, :2]
+    return float(np.mean(along * np.linalg.solve(covariance[:, :2, :2], along)))
+
+
+def _pull(graph: PoseGraph, poses: Array, errors: Array) -> Array:
+    """What errors (m, 6, draws) of the displacements add to the cost's gradient (n, 6, draws)."""
+    out = np.zeros((len(poses), 6, errors.shape[2]))
+    for end, jacobian in zip(graph.edges.T, _jacobians(graph, poses), strict=True):
+        np.add.at(out, end, np.swapaxes(jacobian, 1, 2) @ graph.information @ errors)
+    return out
+
+
+def _parts(graph: PoseGraph) -> list[np.ndarray]:
+    """Rows of each connected part that can be aligned."""
+    parts = [np.flatnonzero(graph.components == c) for c in np.unique(graph.components)]
+    return [rows for rows in parts if len(rows) >= LEAST]
+
+
+def _moves(poses: Array) -> Array:
+    """Local increments (n, 6, 6) of each pose under a shift and a rotation of the whole."""
+    back = np.swapaxes(poses[:, :3, :3], 1, 2)
+    out = np.zeros((len(poses), 6, 6))
+    out[:, :3, :3] = out[:, 3:, 3:] = back
+    out[:, :3, 3:] = -back @ se3.hat(poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0))
+    return out
+
+
+def _jacobians(graph: PoseGraph, poses: Array) -> tuple[Array, Array]:
+    """Derivatives (m, 6, 6) of the residuals by the local increments of both ends of each edge."""
+    i, j = graph.edges.T
+    relative = se3.inverse(poses[i]) @ poses[j]
+    rotation = relative[:, :3, :3]
+    into_i, into_j = np.zeros((2, len(i), 6, 6))
+    into_i[:, :3, :3] = -np.eye(3)
+    into_i[:, :3, 3:] = se3.hat(relative[:, :3, 3])
+    into_i[:, 3:, 3:] = -np.swapaxes(rotation, 1, 2)
+    into_j[:, :3, :3], into_j[:, 3:, 3:] = rotation, np.eye(3)
+    return into_i, into_j
+
+
+def gauss_newton_information(graph: PoseGraph, poses: Array) -> sparse.csr_array:
+    """Gauss-Newton information (6 n, 6 n) on local increments of the poses."""
+    ends = tuple(zip(graph.edges.T, _jacobians(graph, poses), strict=True))
+    blocks = [np.swapaxes(a, 1, 2) @ graph.information @ b for _, a in ends for _, b in ends]
+    rows = np.concatenate([a for a, _ in ends for _ in ends])
+    columns = np.concatenate([b for _ in ends for b, _ in ends])
+    index = 6 * np.stack([rows, columns])[:, :, None, None]
+    r, c = np.broadcast_arrays(index[0] + np.arange(6)[:, None], index[1] + np.arange(6))
+    size = 6 * len(poses)
+    entries = np.concatenate(blocks).ravel()
+    return sparse.coo_array((entries, (r.ravel(), c.ravel())), shape=(size, size)).tocsr()

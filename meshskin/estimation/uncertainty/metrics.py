@@ -1,0 +1,111 @@
+"""The truth of the numbers: errors against a known skin, and whether the covariance holds."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...core import se3
+from ...core.errors import CalibrationError
+from ...core.se3 import Array
+from .observability import Bound, cramer_rao, mean_distance, true_positions
+
+if TYPE_CHECKING:
+    from ...recording.recording import Recording
+    from ...scene.belief import Belief
+    from ...skin.skin import Skin
+    from ..calibration import Calibration
+
+__all__ = [
+    "Bound",
+    "bound_mm",
+    "cramer_rao",
+    "mean_distance",
+    "nees",
+    "nees_band",
+    "position_errors",
+    "summary_mm",
+    "true_positions",
+    "undetermined",
+]
+
+
+def position_errors(calibration: Calibration, skin: Skin, gauge: bool = False) -> Array:
+    """Distances (n,), m, from the truth; NaN for a taxel that is not determined.
+
+    `gauge`: after the rigid alignment that fits best, for a method that leaves the whole's pose
+    free. Raises CalibrationError if fewer than three taxels could be aligned.
+    """
+    truth, found = true_positions(skin, calibration.ids), calibration.positions
+    if gauge:
+        good = np.isfinite(found).all(axis=1)
+        if good.sum() < 3:
+            raise CalibrationError(
+                "a rigid alignment needs three taxels", value=f"{good.sum()} determined"
+            )
+        pose = se3.align(found[good], truth[good])
+        found = found @ pose[:3, :3].T + pose[:3, 3]
+    return np.asarray(np.linalg.norm(found - truth, axis=1))
+
+
+def summary_mm(errors: Array) -> dict[str, float]:
+    """Mean, rms and max, mm, of errors (n,), m, over those that are numbers."""
+    e = 1e3 * errors[np.isfinite(errors)]
+    if not len(e):
+        return dict.fromkeys(("mean", "rms", "max"), float("nan"))
+    return {
+        "mean": float(e.mean()),
+        "rms": float(np.sqrt(np.mean(e**2))),
+        "max": float(e.max()),
+    }
+
+
+def nees(calibration: Calibration, skin: Skin) -> Array:
+    """Normalised squared error (n,) along the surface: 2 on average where the covariance holds.
+
+    NaN for a taxel whose place along the surface is not determined.
+    """
+    error = true_positions(skin, calibration.ids) - calibration.positions
+    out = np.full(len(error), np.nan)
+    good = calibration.observed[:, :2].all(axis=1)
+    local = np.einsum("nji,nj->ni", calibration.poses[good, :3, :3], error[good])[:, :2]
+    solved = np.linalg.solve(calibration.covariances[good, :2, :2], local[:, :, None])[:, :, 0]
+    out[good] = np.einsum("ni,ni->n", local, solved)
+    return out
+
+
+def nees_band(count: int, confidence: float = 0.95) -> tuple[float, float]:
+    """The band that the mean NEES of `count` independent taxels keeps to with this confidence.
+
+    Source: Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation"
+    (2001), section 5.4.
+    """
+    from scipy.stats import chi2
+
+    tail = (1 - confidence) / 2
+    return float(chi2.ppf(tail, 2 * count) / count), float(chi2.ppf(1 - tail, 2 * count) / count)
+
+
+def bound_mm(recording: Recording, belief: Belief, skin: Skin) -> dict[str, float]:
+    """Mean and rms error, mm, to expect of any unbiased estimate, at the truth `skin`."""
+    if belief.noise_sigma is None:  # nothing keeps an estimate from the truth
+        return {"mean": 0.0, "rms": 0.0}
+    limit = cramer_rao(recording, belief, skin)
+    return {"mean": 1e3 * limit.mean, "rms": 1e3 * limit.rms}
+
+
+def undetermined(calibration: Calibration) -> str:
+    """What the data did not determine, in words."""
+    missing = ~calibration.observed
+    whole = missing.all(axis=1)
+    parts = []
+    if whole.any():
+        ids = ", ".join(str(k) for k in calibration.ids[whole][:10])
+        parts.append(f"{int(whole.sum())} taxels ({ids}{', ...' if whole.sum() > 10 else ''})")
+    names = ("x", "y", "z", "tilt about x", "tilt about y", "rotation about the normal")
+    for k, name in enumerate(names):
+        count = int((missing[:, k] & ~whole).sum())
+        if count:
+            parts.append(f"{name} of {'every taxel' if count == (~whole).sum() else count}")
+    return "; ".join(parts) if parts else "nothing"

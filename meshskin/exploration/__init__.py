@@ -1,0 +1,1 @@
+"""Exploration: where the contact point goes, planned for the arm."""

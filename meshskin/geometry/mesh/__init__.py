@@ -1,0 +1,1 @@
+"""Triangle meshes: checks, repairs, inside and outside."""

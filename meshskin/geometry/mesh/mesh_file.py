@@ -1,0 +1,163 @@
+"""Mesh files: their formats, units, triangles, and the names of their parts."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import MeshError
+from . import obj
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
+"""units of a mesh file, in m"""
+FORMATS = ("stl", "obj", "ply", "off", "glb", "gltf")
+METRES = ("glb", "gltf")
+"""formats that are in m by their standard"""
+
+
+@dataclass(frozen=True)
+class Triangles:
+    """What is in a mesh file, before any repair."""
+
+    vertices: Array
+    """(n, 3) m"""
+    faces: Index
+    """(m, 3)"""
+    names: dict[str, Index] = field(default_factory=dict)
+    """the faces (k,) of each named part: objects, groups and materials of an OBJ; nodes, meshes and
+    materials of a GLB; solids of an ASCII STL that has several"""
+
+
+def unit(path: Path, units: str | None) -> float:
+    """Length in m of a file's unit."""
+    if units is None:
+        if path.suffix.lower().lstrip(".") in METRES:
+            return 1.0
+        raise MeshError(
+            f"{path.name}: units are not in the file",
+            remedy=f"give units= (--units), one of {', '.join(UNITS)}",
+        )
+    if units not in UNITS:
+        raise MeshError("units of a mesh", value=repr(units), limit=f"one of {', '.join(UNITS)}")
+    return UNITS[units]
+
+
+def read(path: Path, scale: float = 1.0) -> Triangles:
+    """The triangles of a file, its lengths times `scale`. Raises MeshError."""
+    kind = path.suffix.lower().lstrip(".")
+    if kind not in FORMATS:
+        raise MeshError("format of a mesh", value=repr(kind), limit=f"one of {', '.join(FORMATS)}")
+    if not path.is_file():
+        raise MeshError("no such mesh file", value=str(path))
+    try:
+        if kind == "obj":
+            text = path.read_text(encoding="utf-8", errors="replace")
+            vertices, faces, names = obj.read(text, path.name)
+        else:
+            vertices, faces, names = _by_trimesh(path, kind)
+    except MeshError:
+        raise
+    except Exception as error:  # readers of damaged files raise anything
+        said = " ".join(f"{error}".split()) or type(error).__name__
+        raise MeshError(
+            f"{path.name} cannot be read", value=said[:200], remedy="copy or export it again"
+        ) from error
+    if not len(faces):
+        raise MeshError(f"{path.name} has no faces", remedy="check the file in a mesh viewer")
+    return Triangles(vertices * scale, faces, names)
+
+
+def _by_trimesh(path: Path, kind: str) -> tuple[Array, Index, dict[str, Index]]:
+    import trimesh
+
+    source = _text(path, kind) or path
+    scene = trimesh.load_scene(source, file_type=kind, process=False)
+    known = _gltf_names(path) if kind in METRES else set(scene.geometry)
+    order = {name: k for k, name in enumerate(scene.geometry)}
+    nodes = [(*scene.graph[node], node) for node in scene.graph.nodes_geometry]
+    nodes.sort(key=lambda entry: (order[entry[1]], entry[2]))  # theirs is not that of the file
+    vertices: list[Array] = []
+    faces: list[Index] = []
+    named: dict[str, list[Index]] = {}
+    corner = first = 0
+    for pose, shape, node in nodes:
+        mesh = scene.geometry[shape]
+        if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+            continue
+        placed = mesh if np.array_equal(pose, np.eye(4)) else mesh.copy().apply_transform(pose)
+        vertices.append(np.array(placed.vertices, dtype=float))
+        faces.append(np.array(placed.faces, dtype=np.intp) + corner)
+        for name in dict.fromkeys(_names(scene, node, shape, mesh, known)):
+            named.setdefault(name, []).append(np.arange(first, first + len(mesh.faces)))
+        corner, first = corner + len(mesh.vertices), first + len(mesh.faces)
+    if not faces:
+        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.intp), {}
+    names = {name: np.concatenate(rows) for name, rows in named.items()}
+    lone = kind not in METRES and len(nodes) == 1  # trimesh calls it by the file
+    return np.concatenate(vertices), np.concatenate(faces), {} if lone else names
+
+
+def _text(path: Path, kind: str) -> BytesIO | None:
+    """The text of an OFF or ASCII STL file in UTF-8, whatever it is written in; None for others.
+
+    Raises MeshError for a binary STL of another length than it says.
+    """
+    if kind not in ("stl", "off"):
+        return None
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(84)
+    if kind == "stl" and head:
+        whole = 84 + 50 * int.from_bytes(head[80:84], "little")
+        if len(head) == 84 and size == whole:
+            return None
+        if not head.lstrip().lower().startswith(b"solid"):
+            raise MeshError(
+                f"{path.name} is torn, or no STL",
+                value=f"{size} bytes",
+                limit=f"{whole} by its header" if len(head) == 84 else "a header of 84",
+                remedy="copy or export it again",
+            )
+    return BytesIO(path.read_text(encoding="utf-8", errors="replace").encode())
+
+
+def _gltf_names(path: Path) -> set[str]:
+    """The names of nodes, meshes and materials in a glTF: trimesh adds its own to them."""
+    data = path.read_bytes()
+    if data.startswith(b"glTF"):  # binary: the text is the first chunk
+        data = data[20 : 20 + int.from_bytes(data[12:16], "little")]
+    content = json.loads(data)
+    entries = (e for kind in ("nodes", "meshes", "materials") for e in content.get(kind, []))
+    return {str(entry["name"]) for entry in entries if entry.get("name")}
+
+
+def _names(scene: Any, node: str, shape: str, mesh: Any, known: Collection[str]) -> Iterator[str]:
+    """What the file calls a mesh: its nodes upwards, its mesh, its material."""
+    parents = scene.graph.transforms.parents
+    material = getattr(getattr(mesh.visual, "material", None), "name", None)
+    while node is not None:
+        yield from _written(node, known)
+        node = parents.get(node)
+    yield from _written(shape, known)
+    if material in known:
+        yield str(material)
+
+
+def _written(name: str, known: Collection[str]) -> Iterator[str]:
+    """The name as it stands in the file: trimesh numbers names that are there twice."""
+    bare = re.sub(r"_\d+$", "", name)
+    if name in known:
+        yield name
+    elif bare in known:
+        yield bare

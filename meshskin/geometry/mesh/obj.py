@@ -1,0 +1,81 @@
+"""Wavefront OBJ files: their triangles in the file's order, and what objects, groups and materials
+call them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise, takewhile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import MeshError
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+def read(text: str, file: str) -> tuple[Array, Index, dict[str, Index]]:
+    """Vertices (n, 3), triangles (m, 3), and the triangles of each name, of an OBJ's text.
+
+    Names are those of objects (`o`), groups (`g`, of which a face may have several) and materials
+    (`usemtl`). Polygons are cut into fans from their first corner. Raises MeshError with the line.
+    """
+    places: list[float] = []  # three a vertex, as corners three a triangle
+    faces: list[int] = []
+    spans: list[tuple[int, tuple[str, ...]]] = []  # first triangle, and its names from there on
+    part: dict[str, tuple[str, ...]] = {}
+    for number, words in _lines(text):
+        key, values = words[0], words[1:]
+        try:
+            if key == "v":
+                if len(values) < 3:
+                    raise ValueError("a vertex of fewer than three coordinates")
+                places += map(float, values[:3])
+            elif key == "f":
+                corner = _corners(values, len(places) // 3)
+                faces += corner[:3]
+                for b, c in pairwise(corner[2:]):
+                    faces += corner[0], b, c
+            elif key in ("o", "g", "usemtl"):
+                part[key] = tuple(values) if key == "g" else (" ".join(values),)
+                names = [name for kind in part.values() for name in kind if name]
+                spans.append((len(faces) // 3, tuple(dict.fromkeys(names))))
+        except ValueError as error:
+            raise MeshError(f"{file} cannot be read", value=f"line {number}: {error}") from error
+    named: dict[str, list[Index]] = {}
+    for k, (first, names_here) in enumerate(spans):
+        last = spans[k + 1][0] if k + 1 < len(spans) else len(faces) // 3
+        for name in names_here if last > first else ():
+            named.setdefault(name, []).append(np.arange(first, last))
+    return (
+        np.array(places, dtype=float).reshape(-1, 3),
+        np.array(faces, dtype=np.intp).reshape(-1, 3) - 1,
+        {name: np.concatenate(rows) for name, rows in named.items()},
+    )
+
+
+def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
+    """The number and the words of each line that is not empty; a backslash joins two lines."""
+    held: list[str] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.split()
+        if words and words[-1].endswith("\\"):
+            held += [*words[:-1], *filter(None, [words[-1][:-1]])]
+            continue
+        words, held = held + words, []
+        if words:
+            yield number, words
+
+
+def _corners(words: list[str], count: int) -> list[int]:
+    """The vertices of a face's corners "v/vt/vn", from 1; negative ones count from the last."""
+    try:
+        corner = [int(word.partition("/")[0]) for word in words]
+    except ValueError:
+        said = takewhile(lambda word: not word.startswith("#"), words)
+        corner = [int(word.partition("/")[0]) for word in said]
+    if len(corner) < 3:
+        raise ValueError("a face of fewer than three corners")
+    return corner if min(corner) > 0 else [k if k >= 0 else k + count + 1 for k in corner]

@@ -1,0 +1,1 @@
+"""The smooth surface of a mesh: jets, creases, patches, closest points."""

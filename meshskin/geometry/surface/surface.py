@@ -1,0 +1,252 @@
+"""The smooth surface of a mesh: closest points, normals and curvatures on patches.
+
+Each face carries a quintic patch (blend.py); neighbouring patches meet exactly, at creases too.
+Closest points are found in C (compiled_search.py), without a compiler in NumPy (search.py).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...core.arguments import vectors
+from ...core.errors import MeshError
+from ..mesh.inside_outside import ON_EDGE, Folds
+from . import blend, compiled_search, fans, heights, jets, patch, walk
+from .closest_point import Closest
+from .compiled_search import CompiledSearch
+from .frames import tangent_frames
+from .proximity import thin_walled
+from .search import Flat, Search
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+SLACK = 1.3
+"""a patch's height over its face, over that at its nodes"""
+
+
+class Surface:
+    """Smooth surface over a triangle mesh (an object with `.vertices` (n, 3) m, `.faces` (m, 3)).
+
+    Faces are counter-clockwise seen from outside. Vertices are in the body frame.
+    """
+
+    def __init__(
+        self,
+        mesh: Any,
+        seams: ArrayLike | None = None,
+        degree: int = heights.DEGREE,
+        crossed: ArrayLike | None = None,
+    ) -> None:
+        """`seams` (k, 2): pairs of vertices over whose edges the curvature jumps, where known.
+
+        `degree` (2 to 4): the highest of the height fields at the vertices. `crossed` (k,): faces
+        at which the mesh passes through itself, or has edges of more than two faces, where known.
+        """
+        self.vertices: Array = np.array(mesh.vertices, dtype=float)
+        self.faces: Index = np.array(mesh.faces, dtype=np.intp)
+        self.neighbours, self.slot = walk.neighbours(self.faces)
+        self._seams = None if seams is None else np.asarray(seams, dtype=np.intp)
+        self._crossed = np.asarray([] if crossed is None else crossed, dtype=np.intp)
+        self._degree = degree
+
+    @cached_property
+    def fans(self) -> fans.Fans:
+        """The vertices split at creases."""
+        return fans.split(self.vertices, self.faces, (self.neighbours, self.slot), self._seams)
+
+    @cached_property
+    def _shape(self) -> tuple[jets.Jets, blend.Creases]:
+        fitted = jets.fit(self.vertices, self.fans, self._degree)
+        return blend.settle(fitted, self.fans, self.neighbours, self.slot)
+
+    @property
+    def jets(self) -> jets.Jets:
+        """Height fields at the fans."""
+        return self._shape[0]
+
+    @cached_property
+    def _blend(self) -> tuple[Array, Array]:
+        fitted, creases = self._shape
+        return blend.blend(fitted, self.fans, creases, self.vertices[self.faces])
+
+    @property
+    def patches(self) -> Array:
+        """Patch coefficients (m, 21, 3), m, in the order of patch.POWERS."""
+        return self._blend[0]
+
+    @cached_property
+    def lifts(self) -> Array:
+        """Bounds (m,) of the distances in m between the patches and the flat faces."""
+        return SLACK * self._blend[1]
+
+    @cached_property
+    def smooth(self) -> bool:
+        """Whether there is no crease, border, thin wall, or vertex that keeps its flat faces."""
+        if self.fans.creased or len(self._crossed) or np.any(self.jets.degree == 0):
+            return False
+        return not thin_walled(self.vertices, self.faces)
+
+    @cached_property
+    def scale(self) -> float:
+        """Largest extent of the mesh in m: proximity searches divide by it."""
+        return float(np.max(np.ptp(self.vertices, axis=0)))
+
+    @cached_property
+    def _search(self) -> Search | CompiledSearch:
+        built = compiled_search.library()
+        return Search(self) if built is None else CompiledSearch(self, built)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the search, whose addresses mean nothing elsewhere."""
+        return {name: value for name, value in self.__dict__.items() if name != "_search"}
+
+    def closest(self, points: ArrayLike, face: ArrayLike | None = None) -> Closest:
+        """Closest points of the smooth surface to `points` (n, 3), body frame, m.
+
+        `face` (n,) may name the faces to start from (warm start). Raises MeshError where a point
+        is not finite or a face not of the mesh.
+        """
+        p = _finite(points)
+        start = None if face is None else self._known(face, len(p))
+        face, uv, derivatives, flat = self._search.closest(p, start)
+        hit = self._answer(face, uv, derivatives, p)
+        if self.smooth:
+            return hit
+        return replace(hit, distance=np.copysign(hit.distance, self._side(p, hit, flat)))
+
+    def descend(self, points: ArrayLike, face: ArrayLike) -> Closest:
+        """Local minima of the distance to `points` (n, 3), m, that walks from `face` (n,) end in.
+
+        Not the closest of all, as of `closest`; the sign of the distance is by the normal there.
+        Raises MeshError where a point is not finite or a face not of the mesh.
+        """
+        p = _finite(points)
+        return self.at(*self._search.descend(p, self._known(face, len(p))), p)
+
+    def _known(self, face: ArrayLike, count: int) -> Index:
+        """Faces (count,), after a look that they are of this mesh."""
+        known = np.broadcast_to(np.asarray(face, dtype=np.intp), count)
+        beside = np.flatnonzero((known < 0) | (known >= len(self.faces)))
+        if len(beside):
+            raise MeshError(
+                "a face is not of the mesh",
+                value=int(known[beside[0]]),
+                limit=f"0 to {len(self.faces) - 1}",
+                remedy=f"row {beside[0]}: -1 is the face of a ray that missed",
+            )
+        return known
+
+    def at(self, face: ArrayLike, uv: ArrayLike, points: ArrayLike | None = None) -> Closest:
+        """The surface at `face` (n,), `uv` (n, 2); distances are those of `points` (n, 3), m."""
+        uv = np.asarray(uv, dtype=float)
+        face = self._known(face, len(uv))
+        offered = None if points is None else np.asarray(points, dtype=float)
+        return self._answer(face, uv, self._search.derivatives(face, uv), offered)
+
+    def _answer(
+        self, face: Index, uv: Array, derivatives: tuple[Array, ...], points: Array | None
+    ) -> Closest:
+        s, su, sv, *second = derivatives
+        normal, curvature, direction = patch.shape((su, sv), (second[0], second[1], second[2]))
+        thin = np.flatnonzero(~normal.any(axis=1))
+        if len(thin):  # a face without area takes its normal from its corners
+            total = self.jets.frame[self.fans.corner[face[thin]], 2].sum(axis=1)
+            normal[thin] = total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None]
+            direction[thin] = tangent_frames(normal[thin])[:, 0]
+        offset = np.zeros_like(s) if points is None else points - s
+        height = np.einsum("ij,ij->i", offset, normal)
+        distance = np.copysign(np.sqrt(np.einsum("ij,ij->i", offset, offset)), height)
+        return Closest(s, distance, normal, curvature, direction, face, uv)
+
+    def trace(self, origins: Array, directions: Array, face: Index) -> tuple[Index, Array]:
+        """Where rays (n, 3) meet the surface near the faces `face` (n,): faces (n,), uv (n, 2)."""
+        e1, e2 = np.swapaxes(tangent_frames(directions)[:, :2], 0, 1)
+        target = np.stack([origins, e1, e2], axis=1)
+        across = self.neighbours, self.slot
+        return walk.walk(self.patches, across, target, face, walk.ray_step)[:2]
+
+    def _outward(self, face: Index, uv: Array, normal: Array) -> Array:
+        """Directions (n, 3) that tell outside from inside at creases and corners too.
+
+        There the normal of one face does not tell; the sum over the faces that meet, weighted by
+        their angles, does: Baerentzen and Aanaes, IEEE Trans. Vis. Comp. Graphics 11 (2005).
+        """
+        off = np.column_stack([1.0 - uv.sum(axis=1), uv]) < ON_EDGE
+        normal = normal.copy()
+        edge = np.flatnonzero(off.sum(axis=1) == 1)
+        beyond = self.neighbours[face[edge], np.argmax(off[edge], axis=1)]
+        flat = self._flat_normals
+        normal[edge] = flat[face[edge]] + np.where(beyond[:, None] >= 0, flat[beyond], 0.0)
+        corner = np.flatnonzero(off.sum(axis=1) == 2)
+        vertex = self.faces[face[corner], np.argmin(off[corner], axis=1)]
+        normal[corner] = self._corner_normals[vertex]
+        return normal
+
+    def _side(self, points: Array, hit: Closest, flat: Flat | None) -> Array:
+        """On which side (n,), by its sign, of the surface points are.
+
+        Where a point is farther from the flat mesh than the patches are, that tells: the patches
+        of a coarse thin body may pass through each other, its faces do not.
+        """
+        side = np.zeros(len(points))
+        if flat is not None:
+            height = np.maximum(self.lifts[flat.face], self.lifts[hit.face])
+            rows = np.flatnonzero(flat.gap > height)
+            face, uv = flat.face[rows], flat.uv[rows]
+            weight = np.column_stack([1.0 - uv.sum(axis=1), uv])
+            foot = np.einsum("nk,nkc->nc", weight, self.vertices[self.faces[face]])
+            outward = self._outward(face, uv, self._flat_normals[face])
+            way = points[rows] - foot
+            side[rows] = np.einsum("ij,ij->i", way, outward)
+            doubtful = rows[self._folds.doubtful(face, weight, way)]
+            if len(doubtful):  # the first asking builds a tree over the whole mesh
+                side[doubtful] = self._folds.side(points[doubtful])
+        rows = np.flatnonzero(side == 0.0)
+        outward = self._outward(hit.face[rows], hit.uv[rows], hit.normal[rows])
+        side[rows] = np.einsum("ij,ij->i", points[rows] - hit.point[rows], outward)
+        if not len(self._crossed):
+            return side
+        if flat is None:
+            far = np.abs(hit.distance) > self.lifts[hit.face]
+            return self._folds.settle(side, points, hit.face, hit.uv, far)
+        far = np.ones(len(points), dtype=bool)
+        far[rows] = False  # the patch told
+        at, uv = np.where(far, flat.face, hit.face), np.where(far[:, None], flat.uv, hit.uv)
+        return self._folds.settle(side, points, at, uv, far)
+
+    @cached_property
+    def _folds(self) -> Folds:
+        normals = self._flat_normals
+        return Folds(self.vertices, self.faces, normals, self._crossed, self.neighbours)
+
+    @cached_property
+    def _flat_normals(self) -> Array:
+        return fans.face_normals(self.vertices, self.faces)
+
+    @cached_property
+    def _corner_normals(self) -> Array:
+        """Sums (n, 3) of the faces' normals at each vertex, weighted by their angles there."""
+        corners = self.vertices[self.faces]
+        total = np.zeros_like(self.vertices)
+        for k in range(3):
+            one = corners[:, walk.AFTER[k]] - corners[:, k]
+            two = corners[:, walk.BEFORE[k]] - corners[:, k]
+            sine = np.linalg.norm(np.cross(one, two), axis=1)
+            angle = np.arctan2(sine, np.einsum("ij,ij->i", one, two))
+            np.add.at(total, self.faces[:, k], angle[:, None] * self._flat_normals)
+        return total
+
+
+def _finite(points: ArrayLike) -> Array:
+    p = np.ascontiguousarray(vectors("query points", points, error=MeshError))
+    bad = ~np.isfinite(p).all(axis=1)
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise MeshError("a query point is not finite", value=p[row].tolist(), remedy=f"row {row}")
+    return p

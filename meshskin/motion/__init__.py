@@ -1,1 +1,0 @@
-"""Motion: the arm, the compliance law, the exploration path and the closed loop."""

@@ -1,0 +1,259 @@
+"""The recording: what a simulation or a robot writes, and what calibration reads.
+
+Three Parquet tables. `contacts`, one row a frame in contact: time (s), px py pz (contact point in
+the body frame, m), nx ny nz (outward normal there), force (N), and, where they are known, qw qx qy
+qz (unit quaternion of the body's rotation, world from body). `readings`, sparse: time (s), taxel
+(id), pressure (Pa), only pressures above the threshold. `motion`, from simulations only, one row a
+step.
+
+A robot's own log may be two CSV files with the same columns (logs.py).
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ..core.atomic_io import atomic
+from ..core.errors import RecordingError
+from ..core.se3 import Array
+from . import csv_log
+
+CONTACTS = pa.schema(
+    [(name, pa.float64()) for name in ("time", "px", "py", "pz", "nx", "ny", "nz", "force")]
+)
+HEADING = ("qw", "qx", "qy", "qz")
+"""Columns of `contacts` that a recording may lack."""
+READINGS = pa.schema([("time", pa.float64()), ("taxel", pa.int32()), ("pressure", pa.float64())])
+_KEY = b"meshskin"
+_PARTS = ("contacts", "readings", "motion")
+
+
+def _column(table: pa.Table, name: str) -> np.ndarray:
+    return np.asarray(table.column(name).to_numpy())
+
+
+def part_path(path: str | Path, part: str) -> Path:
+    """The file that holds one table of the recording at `path`: path.PART.parquet."""
+    path = Path(path)
+    return path.with_name(f"{path.name}.{part}.parquet")
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Contacts and readings of one exploration, with metadata.
+
+    metadata holds at least: taxel_ids (all taxels, read or not), disc_radius_m, threshold_pa.
+    """
+
+    contacts: pa.Table
+    readings: pa.Table
+    metadata: dict[str, Any]
+    motion: pa.Table | None = None
+
+    def __post_init__(self) -> None:
+        for name, table, schema in (
+            ("contacts", self.contacts, CONTACTS),
+            ("readings", self.readings, READINGS),
+        ):
+            missing = set(schema.names) - set(table.column_names)
+            if missing:
+                raise RecordingError(
+                    f"the {name} table lacks {', '.join(sorted(missing))}",
+                    remedy=f"it needs the columns {', '.join(schema.names)}",
+                )
+        if len(self.time) > 1 and not np.all(np.diff(self.time) > 0):
+            k = int(np.argmin(np.diff(self.time) > 0)) + 1
+            raise RecordingError(
+                "contact times must increase",
+                value=f"{self.time[k]} s after {self.time[k - 1]} s in row {k} of contacts",
+                remedy="sort the rows by time, one row a frame",
+            )
+
+    def __repr__(self) -> str:
+        taxels = len(self.metadata.get("taxel_ids", ()))
+        span = f"{self.time[-1] - self.time[0]:.4g} s" if len(self.time) else "nothing"
+        return (
+            f"<Recording: {len(self.time)} contacts over {span}, {len(self.readings)} readings of "
+            f"{taxels} taxels, {'without' if self.motion is None else 'with'} the arm's motion>"
+        )
+
+    @cached_property
+    def time(self) -> Array:
+        """Times of the contacts (m,), s."""
+        return _column(self.contacts, "time")
+
+    @cached_property
+    def points(self) -> Array:
+        """Contact points (m, 3) in the body frame, m."""
+        return np.stack([_column(self.contacts, c) for c in ("px", "py", "pz")], axis=1)
+
+    @cached_property
+    def normals(self) -> Array:
+        """Outward body normals (m, 3) at the contact points, body frame."""
+        return np.stack([_column(self.contacts, c) for c in ("nx", "ny", "nz")], axis=1)
+
+    @cached_property
+    def force(self) -> Array:
+        """Normal contact forces (m,), N."""
+        return _column(self.contacts, "force")
+
+    @cached_property
+    def headings(self) -> Array | None:
+        """Rotations (m, 3, 3), world from body, of the contacts; None where not recorded.
+
+        Raises RecordingError for a quaternion that is none.
+        """
+        from scipy.spatial.transform import Rotation
+
+        if not set(HEADING) <= set(self.contacts.column_names):
+            return None
+        quaternion = np.stack([_column(self.contacts, c) for c in HEADING], axis=1)
+        bad = np.flatnonzero(~(np.abs(np.linalg.norm(quaternion, axis=1) - 1) < 1e-3))
+        if len(bad):
+            raise RecordingError(
+                "a heading is no unit quaternion",
+                value=f"{quaternion[bad[0]].tolist()} in row {bad[0]} of contacts",
+                remedy="write qw, qx, qy, qz of the body's rotation, world from body",
+            )
+        return np.asarray(Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]).as_matrix())
+
+    @cached_property
+    def reading_contact(self) -> np.ndarray:
+        """Row of `contacts` that each reading belongs to (k,)."""
+        times = _column(self.readings, "time")
+        row = np.searchsorted(self.time, times)
+        bad = (row >= len(self.time)) | (
+            self.time[np.minimum(row, len(self.time) - 1)] != times if len(self.time) else True
+        )
+        if np.any(bad):
+            raise RecordingError(
+                "a reading has no contact of its time",
+                value=f"{times[np.argmax(bad)]} s",
+                remedy="write one contact row for every frame of readings",
+            )
+        return row
+
+    @cached_property
+    def reading_taxel(self) -> np.ndarray:
+        """Taxel id of each reading (k,)."""
+        return _column(self.readings, "taxel")
+
+    @cached_property
+    def pressure(self) -> Array:
+        """Pressure of each reading (k,), Pa."""
+        return _column(self.readings, "pressure")
+
+    def save(self, path: str | Path) -> None:
+        """Write path.contacts.parquet, path.readings.parquet, path.motion.parquet, each whole."""
+        with RecordingWriter(path, self.metadata) as writer:
+            writer.write(contacts=self.contacts, readings=self.readings, motion=self.motion)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Recording:
+        """Read the recording at `path` (the common part of its file names), memory-mapped.
+
+        Or CSV logs: the folder that holds contacts.csv and readings.csv, or the common part of
+        PATH.contacts.csv and PATH.readings.csv. Raises RecordingError if a table is missing, torn,
+        or belongs to another recording.
+        """
+        if not part_path(path, "contacts").exists() and (files := csv_log.find(Path(path))):
+            contacts, readings = (csv_log.read(*each) for each in zip(files, _PARTS, strict=False))
+            for name in ("nx", "ny", "nz"):
+                if name not in contacts.column_names:
+                    contacts = contacts.append_column(
+                        name, pa.array(np.full(len(contacts), np.nan))
+                    )
+            return cls(contacts, readings, {"source": [file.name for file in files]})
+        tables: dict[str, pa.Table] = {}
+        headers: dict[str, dict[str, Any]] = {}
+        for part in _PARTS:
+            file = part_path(path, part)
+            if file.exists():
+                tables[part], headers[part] = _read_table(file)
+            elif part != "motion":
+                raise RecordingError(
+                    f"no recording at {path}: {file.name} is missing",
+                    remedy="check the path; a log may be contacts.csv and readings.csv in a folder",
+                )
+        if len({header.get("recording_id") for header in headers.values()}) > 1:
+            raise RecordingError(
+                f"the tables at {path} come from different recordings",
+                remedy="delete them and record again",
+            )
+        header = headers["contacts"]
+        header.pop("recording_id", None)
+        return cls(tables["contacts"], tables["readings"], header, tables.get("motion"))
+
+
+def _read_table(file: Path) -> tuple[pa.Table, dict[str, Any]]:
+    """A table of a recording, memory-mapped, and its metadata. Raises RecordingError."""
+    try:
+        table = pq.read_table(file, memory_map=True)
+        return table, json.loads((pq.read_metadata(file).metadata or {})[_KEY])
+    except (pa.ArrowInvalid, OSError) as error:
+        raise RecordingError(
+            f"{file} cannot be read: {str(error).splitlines()[0]}",
+            remedy="record it again",
+        ) from error
+    except (KeyError, ValueError) as error:
+        raise RecordingError(
+            f"{file} has no meshskin metadata",
+            remedy="write it with Recording.save or RecordingWriter",
+        ) from error
+
+
+class RecordingWriter:
+    """Streams tables to the files of a recording; they appear only when all is written.
+
+    Use as a context manager; an exception inside leaves nothing behind. `metadata` is written last,
+    so it may be completed while the tables stream.
+    """
+
+    def __init__(self, path: str | Path, metadata: Mapping[str, Any]) -> None:
+        self.path = Path(path)
+        self.metadata = dict(metadata)
+        self._stack = ExitStack()
+        self._writers: dict[str, pq.ParquetWriter] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def _writer(self, part: str, schema: pa.Schema) -> pq.ParquetWriter:
+        if part not in self._writers:
+            temporary = self._stack.enter_context(atomic(part_path(self.path, part)))
+            self._writers[part] = self._stack.enter_context(pq.ParquetWriter(temporary, schema))
+        return self._writers[part]
+
+    def write(
+        self, *, contacts: pa.Table, readings: pa.Table, motion: pa.Table | None = None
+    ) -> None:
+        """Append rows to the tables."""
+        for part, table in (("contacts", contacts), ("readings", readings), ("motion", motion)):
+            if table is not None:
+                self._writer(part, table.schema).write_table(table)
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            header = json.dumps({**self.metadata, "recording_id": secrets.token_hex(8)})
+            for writer in self._writers.values():
+                writer.add_key_value_metadata({_KEY: header})
+            if "motion" not in self._writers:
+                part_path(self.path, "motion").unlink(missing_ok=True)
+        self._stack.__exit__(kind, error, trace)

@@ -1,0 +1,1 @@
+"""Robot arms: URDF files, kinematics, dynamics, postures and collisions."""

@@ -1,0 +1,289 @@
+"""Robot arms from URDF files: limits, kinematics, dynamics.
+
+The root link is fixed in the world at the pose `base`, by default the world's own frame; z of the
+world is up, gravity along -z. `T_w_tip` is the pose of the tip link. Jacobians stack the tip's
+linear velocity over its angular velocity, both in world axes (m/rad, rad/rad).
+
+Source: Featherstone, "Rigid Body Dynamics Algorithms" (2008).
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..core.content_cache import once
+from ..core.errors import ArmError
+from ..core.se3 import Array, inverse
+from . import inverse_kinematics as ik
+from .dynamics import Dynamics
+from .urdf import Joint, chain, check_links, drive, numbers, parse, reflected_inertias
+
+MOVING = ("revolute", "continuous", "prismatic")
+
+
+def _range(joint: Joint) -> tuple[float, float]:
+    """Lowest and highest position of a joint."""
+    if joint.kind == "continuous":
+        return -math.inf, math.inf
+    return joint.limits["lower"], joint.limits["upper"]
+
+
+@dataclass(frozen=True)
+class Driven:
+    """A moving joint of the chain and what moves it."""
+
+    joint: Joint
+    column: int | None
+    """Which of the arm's joints; None: one beside the chain, held at zero."""
+    multiplier: float
+    offset: float
+
+    def position(self, q: ca.SX) -> ca.SX | float:
+        """Its position at the arm's joint angles `q` (n,)."""
+        return self.offset + (0.0 if self.column is None else self.multiplier * q[self.column])
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """A serial arm: the moving joints from the root link to the tip of a URDF file, in order.
+
+    Joints that mimic others are driven by these and not counted. Angles and torques (rad, N m) are
+    ways and forces (m, N) for prismatic joints.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    lower: Array
+    """Lowest joint angles (n,), rad; -inf where continuous."""
+    upper: Array
+    """Highest joint angles (n,), rad; inf where continuous."""
+    velocity_limit: Array
+    """Largest joint speeds (n,), rad/s; inf where the file gives none."""
+    effort_limit: Array
+    """Largest joint torques (n,), N m; inf where the file gives none."""
+    reflected_inertia: Array
+    """Motor inertia felt at the joint (n,), kg m^2: rotor inertia times gear ratio squared."""
+    tip: str
+    """Name of the link whose pose is controlled and that carries the payload."""
+    urdf: str
+    """The text of the URDF file, with the payloads added."""
+    damping: Array
+    """Viscous friction of the joints (n,), N m s/rad; zero where the file gives none."""
+    friction: Array
+    """Coulomb friction of the joints (n,), N m; zero where the file gives none."""
+    folders: tuple[str, ...] = ()
+    """Where the meshes of the links are looked for; only collisions need them."""
+    base: Array = field(default_factory=lambda: np.eye(4))
+    """T_w_base (4, 4): where the root link stands."""
+
+    def __repr__(self) -> str:
+        return f"<Arm {self.name!r}: {len(self.joint_names)} joints, tip {self.tip!r}>"
+
+    @classmethod
+    def from_urdf(
+        cls, path: str | Path, tip: str = "tool0", folders: Iterable[str | Path] = ()
+    ) -> Arm:
+        """Read an arm from the URDF file at `path`; `tip` names the link whose pose is controlled.
+
+        folders: where the links' meshes (`package://...`) are, besides the file's own folder and
+        those that it lies in.
+        Motors are read from `<transmission>` elements as Drake documents them: `rotor_inertia`
+        (kg m^2) and `gear_ratio` under `actuator`. Moving joints beside the chain are held at zero,
+        and so are those that drive a mimic joint of the chain from beside it.
+        Raises ArmError (no file, no URDF, no moving joint), UnknownNameError (no such tip).
+        """
+        path = Path(path)
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise ArmError(f"cannot read the arm {str(path)!r}: {error}") from error
+        own = path.resolve().parents
+        every = (*folders, *own[:-1])
+        arm = cls.from_text(text, tip, where=f" in {path.name}")
+        return replace(arm, folders=tuple(str(folder) for folder in every))
+
+    @classmethod
+    def from_text(cls, urdf: str, tip: str = "tool0", where: str = "") -> Arm:
+        """The arm described by URDF text; `where` is added to error messages. As `from_urdf`."""
+        robot = parse(urdf, where)
+        check_links(robot, where)
+        every = [j for j in chain(robot, tip, where) if j.kind != "fixed"]
+        for j in every:
+            if j.kind not in MOVING:
+                raise ArmError(f"joint {j.name!r}{where} is {j.kind}", limit=" or ".join(MOVING))
+            if j.kind != "continuous" and not {"lower", "upper"} <= j.limits.keys():
+                raise ArmError(f"joint {j.name!r}{where} has no <limit lower= upper=>")
+        moving = [j for j in every if j.mimic is None]
+        if not moving:
+            raise ArmError(f"no moving joint leads to the link {tip!r}{where}", remedy="set tip=")
+        inertia = reflected_inertias(robot, where)
+        ranges = {j.name: _range(j) for j in moving}
+        for j in every:  # a mimic joint's range limits the one that drives it
+            driver = drive(j, robot, where)
+            if driver.joint in ranges and driver.multiplier:
+                ends = sorted((end - driver.offset) / driver.multiplier for end in _range(j))
+                low, high = ranges[driver.joint]
+                ranges[driver.joint] = max(low, ends[0]), min(high, ends[1])
+
+        def limits(key: str) -> Array:
+            return np.array([j.limits.get(key, math.inf) for j in moving])
+
+        return cls(
+            name=robot.get("name", "arm"),
+            joint_names=tuple(ranges),
+            lower=np.array([low for low, _ in ranges.values()]),
+            upper=np.array([high for _, high in ranges.values()]),
+            velocity_limit=limits("velocity"),
+            effort_limit=limits("effort"),
+            reflected_inertia=np.array([inertia.get(j.name, 0.0) for j in moving]),
+            tip=tip,
+            urdf=urdf,
+            damping=np.array([j.dynamics.get("damping", 0.0) for j in moving]),
+            friction=np.array([j.dynamics.get("friction", 0.0) for j in moving]),
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {f.name: getattr(self, f.name) for f in fields(self)}  # without cached expressions
+
+    def with_payload(self, mass: float, com: ArrayLike, inertia: ArrayLike) -> Arm:
+        """This arm with a rigid body mounted on its tip.
+
+        `mass` in kg, `com` (3,) in m in the tip's frame, `inertia` (3, 3) in kg m^2 about the
+        centre of mass in the tip's axes. Raises ArmError for a body that cannot exist.
+        """
+        c, i = np.asarray(com, dtype=float), np.asarray(inertia, dtype=float)
+        if c.shape != (3,) or i.shape != (3, 3):
+            raise ArmError(
+                "payload of wrong shape", value=f"{c.shape}, {i.shape}", limit="(3,), (3, 3)"
+            )
+        if not (np.isfinite(mass) and mass >= 0.0 and np.isfinite(c).all()):
+            raise ArmError(
+                "payload mass or com", value=f"{mass} kg at {c}", limit="finite, mass >= 0"
+            )
+        if not np.allclose(i, i.T) or np.linalg.eigvalsh(i)[0] < -1e-12 * np.abs(i).max():
+            raise ArmError("payload inertia is not symmetric and positive", value=i.tolist())
+        robot = ET.fromstring(self.urdf)
+        name = f"{self.tip}_payload{sum(1 for _ in robot.iter('link'))}"
+        joint = ET.SubElement(robot, "joint", name=f"{name}_fixed", type="fixed")
+        ET.SubElement(joint, "parent", link=self.tip)
+        ET.SubElement(joint, "child", link=name)
+        inertial = ET.SubElement(ET.SubElement(robot, "link", name=name), "inertial")
+        ET.SubElement(inertial, "origin", xyz=numbers(c), rpy="0 0 0")
+        ET.SubElement(inertial, "mass", value=repr(float(mass)))
+        entries = {
+            f"i{'xyz'[a]}{'xyz'[b]}": repr(float(i[a, b])) for a in range(3) for b in range(a, 3)
+        }
+        ET.SubElement(inertial, "inertia", entries)
+        return replace(self, urdf=ET.tostring(robot, encoding="unicode"))
+
+    def standing(self, base: ArrayLike) -> Arm:
+        """This arm with its root link at `base`, T_w_base (4, 4). Raises ArmError for no pose."""
+        pose = np.array(base, dtype=float)
+        rigid = pose.shape == (4, 4) and np.allclose(pose @ inverse(pose), np.eye(4), atol=1e-9)
+        if not rigid or np.linalg.det(pose) < 0.0:
+            raise ArmError("base of an arm", value=pose.tolist(), limit="a pose T_w_base (4, 4)")
+        return replace(self, base=pose)
+
+    def dynamics(self) -> Dynamics:
+        """The arm's dynamics as CasADi expressions, built once."""
+        return self._dynamics
+
+    @cached_property
+    def _dynamics(self) -> Dynamics:
+        return Dynamics(self)
+
+    def kinematics(self, q: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """CasADi expressions of T_w_tip (4, 4) and the Jacobian (6, n) at joint angles (n,).
+
+        Raises ArmError for `q` of the wrong shape.
+        """
+        if q.shape != (len(self.joint_names), 1):
+            raise ArmError("q of wrong shape", value=q.shape, limit=f"({len(self.joint_names)}, 1)")
+        pose, moved = ca.SX(ca.sparsify(ca.DM(self.base))), []
+        driven = {d.joint.name: d for d in self.driven}
+        for joint in chain(parse(self.urdf, ""), self.tip, ""):
+            by = driven.get(joint.name)
+            pose = pose @ joint.motion(by.position(q) if by else 0.0)
+            if by:  # the axis is the same before and after the joint's own motion
+                moved.append((by, pose[:3, :3] @ joint.axis, pose[:3, 3]))
+        jacobian = ca.SX.zeros(6, len(self.joint_names))
+        for by, axis, point in moved:
+            if by.column is not None:
+                slides = by.joint.kind == "prismatic"
+                way = axis if slides else ca.cross(axis, pose[:3, 3] - point)
+                turn = ca.SX.zeros(3) if slides else axis
+                jacobian[:, by.column] += by.multiplier * ca.vertcat(way, turn)
+        return ca.densify(pose), ca.densify(jacobian)
+
+    @cached_property
+    def driven(self) -> tuple[Driven, ...]:
+        """Every moving joint of the chain, mimic ones too, in order."""
+        robot, found = parse(self.urdf, ""), []
+        index = {name: k for k, name in enumerate(self.joint_names)}
+        for joint in chain(robot, self.tip, ""):
+            if joint.kind != "fixed":
+                by = drive(joint, robot, "")
+                found.append(Driven(joint, index.get(by.joint), by.multiplier, by.offset))
+        return tuple(found)
+
+    def pose(self, q: ArrayLike) -> Array:
+        """T_w_tip (..., 4, 4) at joint angles (..., n). Raises ArmError for a wrong shape."""
+        return self._evaluate(0, q)
+
+    def jacobian(self, q: ArrayLike) -> Array:
+        """Jacobians (..., 6, n) at joint angles (..., n). Raises ArmError for a wrong shape."""
+        return self._evaluate(1, q)
+
+    def _evaluate(self, output: int, q: ArrayLike) -> Array:
+        """Output (..., a, b) of the kinematics at joint angles (..., n)."""
+        q = ik.shaped("q", q, (len(self.joint_names),), batch=None)
+        f = self._kinematics_function
+        a, b = f.size_out(output)
+        flat = f(q.reshape(-1, f.size1_in(0)).T)[output].full()  # (a, k b)
+        stacked = flat.reshape(a, -1, b).swapaxes(0, 1)
+        return np.ascontiguousarray(stacked).reshape(*q.shape[:-1], a, b)
+
+    @cached_property
+    def _kinematics_function(self) -> ca.Function:
+        return _kinematics(self)
+
+    def inverse_kinematics(self, poses: ArrayLike, seed: ArrayLike) -> Array:
+        """Joint angles (k, n) whose tip follows `poses` T_w_tip (k, 4, 4), in order.
+
+        The path starts from the solution that Newton's method reaches from `seed` (n,) and stays on
+        its branch: every sample starts from the one before it, so that joints may wind up but never
+        jump. Position (m) and rotation (rad) errors end below 1e-10. Raises ReachError for the
+        first pose that cannot be reached or that breaks a joint limit, ArmError for wrong shapes.
+        """
+        return ik.inverse_kinematics(self, poses, seed)
+
+    def solve(self, pose: ArrayLike, seeds: ArrayLike | None = None) -> Array:
+        """Joint angles (n,) for one pose T_w_tip (4, 4): the solution farthest from all limits.
+
+        Newton's method starts from `seeds` (k, n), or from 200 fixed pseudo-random ones between the
+        limits; whole turns are taken off. Raises ReachError where none reaches the pose, or none
+        within the joint limits, ArmError for wrong shapes.
+        """
+        return ik.solve(self, pose, seeds)
+
+    @cached_property
+    def newton(self) -> ik.Newton:
+        """The iterations of inverse kinematics, built once."""
+        return ik.newton(self)
+
+
+@once
+def _kinematics(arm: Arm) -> ca.Function:
+    """Joint angles (n,) -> T_w_tip (4, 4), Jacobian (6, n)."""
+    q = ca.SX.sym("q", len(arm.joint_names))
+    return ca.Function("kinematics", [q], arm.kinematics(q), {"cse": True})

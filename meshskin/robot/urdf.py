@@ -1,0 +1,247 @@
+"""URDF text: its joints, links and motors, checked; and the bare text that adam reads."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..core.errors import ArmError, UnknownNameError
+from ..core.se3 import Array, from_rpy
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """A joint that another one drives: its position is multiplier * q + offset."""
+
+    joint: str
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint of a URDF file: where it sits on its parent link, and how it moves."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    xyz: Array  # (3,) m, origin in the parent link's frame
+    rpy: Array  # (3,) rad, fixed-axis roll, pitch, yaw of the origin
+    axis: Array  # (3,) unit vector in the joint's frame
+    limits: dict[str, float]  # lower, upper, velocity, effort: those that the file gives
+    dynamics: dict[str, float]  # damping, friction: those that the file gives
+    mimic: Mimic | None = None
+
+    def motion(self, q: ca.SX | float) -> ca.SX:
+        """Pose (4, 4) of the child link in the parent link at joint position `q` (rad or m)."""
+        origin, move = np.eye(4), ca.SX.eye(4)
+        origin[:3, :3], origin[:3, 3] = rotation(self.rpy), self.xyz
+        if self.kind == "prismatic":
+            move[:3, 3] = self.axis * q
+        elif self.kind != "fixed":
+            x, y, z = self.axis
+            along = np.outer(self.axis, self.axis)
+            across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+            move[:3, :3] = along + ca.cos(q) * (np.eye(3) - along) + ca.sin(q) * across
+        return ca.sparsify(ca.SX(origin)) @ ca.sparsify(move)
+
+
+def rotation(rpy: ArrayLike) -> Array:
+    """Rotation matrix (3, 3) of URDF angles (3,), rad: as `se3.from_rpy`.
+
+    Entries within rounding of -1, 0, 1 are made exact: quarter turns then cost no instructions.
+    """
+    r = from_rpy(rpy)
+    return np.where(np.abs(r - np.round(r)) < 1e-15, np.round(r), r)
+
+
+def parse(urdf: str, where: str) -> ET.Element:
+    """Root element of URDF text; `where` is added to error messages, here and below."""
+    try:
+        robot = ET.fromstring(urdf)
+    except ET.ParseError as error:
+        raise ArmError(f"bad XML{where}: {error}") from error
+    if robot.tag != "robot":
+        raise ArmError(f"no URDF{where}: the root element is <{robot.tag}>", limit="<robot>")
+    return robot
+
+
+def _links(robot: ET.Element) -> list[str]:
+    """Names of all links."""
+    return [link.get("name", "") for link in robot.findall("link")]
+
+
+def check_links(robot: ET.Element, where: str) -> None:
+    """Raise ArmError unless the links form one tree and every inertial is complete."""
+    links, joints = _links(robot), _joints(robot, where)
+    for j in joints:
+        for link in {j.parent, j.child} - set(links):
+            raise ArmError(
+                f"joint {j.name!r}{where} names a link that is missing", value=repr(link)
+            )
+    children = [j.child for j in joints]
+    roots = [link for link in links if link not in children]
+    if len(roots) != 1 or len(set(children)) != len(children):
+        raise ArmError(f"the links{where} form no tree", value=f"roots {roots}", limit="one root")
+    for element in robot.findall("link"):
+        if (inertial := element.find("inertial")) is not None:
+            here = f" of link {element.get('name')!r}{where}"
+            vector(inertial.find("mass"), "value", "", 1, here)
+            for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"):
+                vector(inertial.find("inertia"), key, "", 1, here)
+
+
+def vector(element: ET.Element | None, key: str, default: str, size: int, where: str) -> Array:
+    """Numbers (size,) of an attribute."""
+    text = default if element is None else element.get(key, default)
+    try:
+        values = np.array([float(part) for part in text.split()])
+    except ValueError:
+        values = np.array([math.nan])
+    if values.shape != (size,) or not np.isfinite(values).all():
+        raise ArmError(f"bad {key}{where}", value=repr(text), limit=f"{size} numbers")
+    return values
+
+
+def numbers(values: ArrayLike) -> str:
+    """Numbers as an attribute's text, exact to the last bit."""
+    return " ".join(repr(float(v)) for v in np.asarray(values))
+
+
+def _joints(robot: ET.Element, where: str) -> list[Joint]:
+    """All joints of the file."""
+    return [_joint(element, where) for element in robot.findall("joint")]
+
+
+def _joint(element: ET.Element, where: str) -> Joint:
+    """One joint of the file."""
+    name = element.get("name", "")
+    here = f" of joint {element.get('name')!r}{where}"
+    parent, child = _end(element, "parent"), _end(element, "child")
+    if not (parent and child):
+        raise ArmError(f"no parent or child{here}")
+    origin, limit = element.find("origin"), element.find("limit")
+    dynamics = element.find("dynamics")
+    axis = vector(element.find("axis"), "xyz", "1 0 0", 3, here)
+    length, kind = np.linalg.norm(axis), element.get("type", "")
+    if not length > 0.0:
+        if kind != "fixed":
+            raise ArmError(f"zero axis{here}")
+        axis, length = np.array([1.0, 0.0, 0.0]), np.float64(1.0)
+    given = {} if limit is None else limit.attrib
+    return Joint(
+        name=name,
+        kind=kind,
+        parent=parent,
+        child=child,
+        xyz=vector(origin, "xyz", "0 0 0", 3, here),
+        rpy=vector(origin, "rpy", "0 0 0", 3, here),
+        axis=axis / length,
+        limits={key: float(vector(limit, key, "", 1, here)[0]) for key in given},
+        dynamics={
+            key: float(vector(dynamics, key, "0", 1, here)[0]) for key in ("damping", "friction")
+        },
+        mimic=_mimic(element.find("mimic"), here),
+    )
+
+
+def _mimic(element: ET.Element | None, where: str) -> Mimic | None:
+    """What drives a joint, if another one does."""
+    if element is None:
+        return None
+    multiplier = vector(element, "multiplier", "1", 1, where)[0]
+    offset = vector(element, "offset", "0", 1, where)[0]
+    return Mimic(element.get("joint", ""), float(multiplier), float(offset))
+
+
+def drive(joint: Joint, robot: ET.Element, where: str) -> Mimic:
+    """The joint that moves `joint` in the end, itself where it mimics none. Raises ArmError."""
+    joints = {j.name: j for j in _joints(robot, where)}
+    name, multiplier, offset = joint.name, 1.0, 0.0
+    for _ in joints:
+        mimic = joints[name].mimic
+        if mimic is None:
+            return Mimic(name, multiplier, offset)
+        if mimic.joint not in joints:
+            raise ArmError(f"joint {name!r}{where} mimics one that is missing", value=mimic.joint)
+        name, offset = mimic.joint, offset + multiplier * mimic.offset
+        multiplier *= mimic.multiplier
+    raise ArmError(f"joint {joint.name!r}{where} mimics itself")
+
+
+def _end(joint: ET.Element, which: str) -> str:
+    """Name of a joint's `which` (parent or child) link; empty where the file gives none."""
+    element = joint.find(which)
+    return "" if element is None else element.get("link", "")
+
+
+def chain(robot: ET.Element, tip: str, where: str) -> list[Joint]:
+    """The joints from the root link to `tip`. Raises ArmError, UnknownNameError."""
+    joints, links = _joints(robot, where), _links(robot)
+    if tip not in links:
+        raise UnknownNameError("link", tip, links, where)
+    above = {j.child: j for j in joints}
+    found: list[Joint] = []
+    while tip in above:
+        found.insert(0, above[tip])
+        tip = above[tip].parent
+        if len(found) > len(joints):
+            raise ArmError(f"the links form a loop{where}")
+    return found
+
+
+def reflected_inertias(robot: ET.Element, where: str) -> dict[str, float]:
+    """Reflected inertia (kg m^2) of each joint that has a motor."""
+    motors: dict[str, float] = {}
+    for transmission in robot.findall("transmission"):
+        joint = transmission.find("joint")
+        if joint is None:
+            continue
+        name = joint.get("name", "")
+        found = {e.tag.rpartition("}")[2]: e for e in transmission.iter()}
+        here = f" of the motor of {name!r}{where}"
+        rotor = vector(found.get("rotor_inertia"), "value", "0", 1, here)[0]
+        gear = vector(found.get("gear_ratio"), "value", "1", 1, here)[0]
+        motors[name] = float(rotor * gear**2)
+    return motors
+
+
+def massless(robot: ET.Element, joint: Joint, moving: Iterable[str]) -> list[str]:
+    """Links that `joint` moves rigidly, up to the next of the `moving`, if none has a mass."""
+    joints, free = _joints(robot, ""), set(moving)
+    mass = {
+        link.get("name", ""): float(vector(link.find("inertial/mass"), "value", "0", 1, "")[0])
+        for link in robot.findall("link")
+    }
+    moved = [joint.child]
+    for name in moved:  # grows as it goes
+        moved += [j.child for j in joints if j.parent == name and j.name not in free]
+    return [] if any(mass[name] > 0.0 for name in moved) else moved
+
+
+def bare(urdf: str, name: str, moving: Iterable[str]) -> str:
+    """URDF text of links, inertials and joints only; joints not named in `moving` are fixed."""
+    source, free = parse(urdf, ""), set(moving)
+    robot = ET.Element("robot", name=name)
+    for link in source.findall("link"):
+        kept = ET.SubElement(robot, "link", name=link.get("name", ""))
+        if (inertial := link.find("inertial")) is not None:
+            if inertial.find("origin") is None:
+                ET.SubElement(inertial, "origin", xyz="0 0 0", rpy="0 0 0")
+            kept.append(inertial)
+    for j in _joints(source, ""):
+        kind = j.kind if j.name in free else "fixed"
+        joint = ET.SubElement(robot, "joint", name=j.name, type=kind)
+        ET.SubElement(joint, "parent", link=j.parent)
+        ET.SubElement(joint, "child", link=j.child)
+        ET.SubElement(joint, "origin", xyz=numbers(j.xyz), rpy=numbers(j.rpy))
+        ET.SubElement(joint, "axis", xyz=numbers(j.axis))
+        ET.SubElement(joint, "limit", lower="0", upper="0", effort="0", velocity="0")
+    return ET.tostring(robot, encoding="unicode")

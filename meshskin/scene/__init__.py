@@ -1,0 +1,1 @@
+"""The scene: what is simulated, its settings and files, and the belief that calibration gets."""

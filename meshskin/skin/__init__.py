@@ -1,0 +1,1 @@
+"""Skin: taxels on a body, their layouts, files and checks."""

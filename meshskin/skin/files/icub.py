@@ -1,0 +1,126 @@
+"""iCub position files: a header, then one row `x y z nx ny nz` a slot (m, link frame).
+
+Source of the format: icub-main, app/skinGui/conf. An all-zero row is a slot without taxel;
+taxel2Repr names for each slot the taxel that represents its module, or -1 or -2 where there is
+none. A file without header holds taxels only, ten a module or in no modules.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import SkinError
+from ..slots import CENTRE, OFFSETS, PER_MODULE, TAXELS, THERMAL, is_modular
+from .table import Table
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.int64]
+
+FITS = 0.2e-3
+"""m, by which the distances in a module of a file without header may differ from a module's"""
+NO_MODULE, NO_TAXEL = -1, -2
+
+
+@dataclass(frozen=True, eq=False)
+class PositionFile:
+    """A position file line for line."""
+
+    header: tuple[tuple[str, str], ...]
+    """its lines before the rows, as key and value: name, spatial_sampling, taxel2Repr, ..."""
+    rows: Array
+    """(slots, 6) position in m and normal, as written"""
+
+    @property
+    def representative(self) -> Ids | None:
+        """(k,) taxel2Repr, if the file has it."""
+        text = dict(self.header).get("taxel2Repr")
+        return None if text is None else np.array(re.findall(r"-?\d+", text), dtype=np.int64)
+
+
+def parse(text: str, name: str) -> PositionFile:
+    """A file's text line for line; SkinError, with the line, where it is none."""
+    header: list[tuple[str, str]] = []
+    rows: list[list[float]] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        fields = line.split()
+        if not fields or line.startswith(("#", "[")):
+            continue
+        if not rows and re.match(r"[A-Za-z]\w*\s", line) and fields[0].lower() != "nan":
+            key, _, value = line.strip().replace("\t", " ").partition(" ")
+            header.append((key, value.strip()))
+            continue
+        try:
+            values = [float(field) for field in fields]
+        except ValueError as error:
+            raise SkinError(f"{name}, line {number}", value=str(error)) from error
+        if len(values) != 6:
+            raise SkinError(
+                f"{name}, line {number}", value=f"{len(values)} numbers", limit="x y z nx ny nz"
+            )
+        rows.append(values)
+    if not rows:
+        raise SkinError(f"{name} holds no taxels")
+    return PositionFile(tuple(header), np.array(rows))
+
+
+def read(text: str, name: str) -> Table:
+    """What a file's text says of the slots that hold something."""
+    file = parse(text, name)
+    rows = file.rows
+    held = np.flatnonzero(np.any(rows != 0.0, axis=1))  # NaN counts as something
+    if not len(held):
+        raise SkinError(f"{name} holds no taxels", value="only rows of zeros")
+    ids = held.astype(np.int64)
+    if not file.header and _is_packed(rows):
+        ids = np.add.outer(PER_MODULE * np.arange(len(rows) // len(TAXELS)), TAXELS).ravel()
+    return Table(
+        "icub",
+        ids,
+        rows[held, :3],
+        rows[held, 3:],
+        slots=len(rows) if file.header else None,
+        representative=file.representative,
+    )
+
+
+def write(poses: Array, ids: Ids, name: str) -> str:
+    """Text of poses (n, 4, 4) and ids (n,): positions to 1 nm, normals to 1e-9.
+
+    Raises SkinError where an id is negative. What the format has no place for is lost: the turn
+    about the normal, and the disc's radius.
+    """
+    if ids.min() < 0:
+        raise SkinError("id of a taxel in a position file", value=int(ids.min()), limit=">= 0")
+    count = PER_MODULE * (int(ids.max()) // PER_MODULE + 1)
+    rows = np.zeros((count, 6))
+    rows[ids] = np.nan_to_num(np.column_stack([poses[:, :3, 3], poses[:, :3, 2]]))
+    representative = np.full(count, NO_MODULE)
+    representative[ids] = ids
+    if is_modular(ids):
+        centre = PER_MODULE * (ids // PER_MODULE)
+        representative[ids] = centre + CENTRE
+        for pad in THERMAL:
+            representative[centre + pad] = NO_TAXEL
+    lines = [
+        f"name\t{name}",
+        "spatial_sampling\ttaxel",
+        f"taxel2Repr ( {' '.join(map(str, representative.tolist()))} )",
+        "[calibration]",
+    ]
+    lines += [" ".join(f"{value:.9f}" for value in row) for row in rows.tolist()]
+    return "\n".join(lines) + "\n"
+
+
+def _is_packed(rows: Array) -> bool:
+    """Whether rows (n, 6) are modules of ten taxels, one after the other, thermal pads left out."""
+    if len(rows) % len(TAXELS) or not np.isfinite(rows).all():
+        return False
+    points = rows[:, :3].reshape(-1, len(TAXELS), 3)
+    between = np.linalg.norm(points[:, :, None] - points[:, None], axis=3)
+    flat = OFFSETS[list(TAXELS)]
+    ideal = np.linalg.norm(flat[:, None] - flat[None], axis=2)
+    return bool(np.max(np.abs(between - ideal)) < FITS)

@@ -1,0 +1,120 @@
+"""The numerical part of a simulation: how far its discretisation alone moves the taxels.
+
+The closed loop of a setting runs along the same path as the reference's, without noise. What its
+skin reads is then taken as if it had been read in the reference's contacts, and calibrated: were
+both loops the same, nothing would move. So errors of the surface, of the contact model and of the
+integration all come out as one length, the shift of the taxels.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .... import effects
+from ....core.errors import SimulationError
+from ....core.se3 import Array, inverse
+from ....effects.frames import Clock
+from ....estimation.calibrate import calibrate
+from ....exploration.explore import route
+from ....exploration.path import Path
+from ....simulation.readout import contact_frames, effect_chain, recorded
+from ....simulation.simulate import prepare, run
+from ....simulation.state_machine import SLIDE
+
+if TYPE_CHECKING:
+    from ....effects.frames import Frames
+    from ....scene.scene import Scene
+
+SIGMA = 0.01
+"""Noise that weighs the readings where the scene has none, relative to the peak pressure."""
+
+
+class Numerics:
+    """Simulations beside a reference, on its path.
+
+    `scene`: at the reference's setting, whose step divides that of all others; `tolerance`: of
+    the calibrations; `compile_`: of all loops, for they run many times.
+    """
+
+    def __init__(self, scene: Scene, tolerance: float, compile_: str = "always") -> None:
+        self.tolerance, self.compile = tolerance, compile_
+        self.scene = self.bare(scene)
+        self.path = held_route(self.scene)
+        self.frames = self.drive(self.scene)
+        known = scene.belief().noise_sigma
+        self.belief = scene.belief(noise_sigma=known or SIGMA * scene.patch.peak)
+        self.readings = self.read(self.scene, self.frames)
+        self.positions = self.calibrate(self.readings)
+
+    def shift(self, scene: Scene) -> Array:
+        """How far (n, 3), m, the taxels move when `scene` takes the reference's place.
+
+        Raises SimulationError where the loop fails or loses contact, ContactError.
+        """
+        scene = self.bare(scene)
+        return self.calibrate(self.read(scene, self.drive(scene))) - self.positions
+
+    def bare(self, scene: Scene) -> Scene:
+        """A scene without effects."""
+        return scene.with_(effects=(), loop=replace(scene.loop, compile=self.compile))
+
+    @property
+    def frame_period(self) -> float:
+        """Seconds from frame to frame."""
+        return self.scene.frame_steps * self.scene.loop.dt
+
+    def drive(self, scene: Scene, rows: int | None = None) -> Frames:
+        """The frames along the reference's path, or its first `rows` rows, with a scene's loop."""
+        factor = scene.loop.dt / self.scene.loop.dt
+        every = round(factor)
+        if abs(factor - every) > 1e-6 or every < 1:
+            raise SimulationError(
+                "the step is no multiple of the reference's", value=f"{scene.loop.dt} s"
+            )
+        whole = self.path if rows is None else self.path.places[0].first(rows)
+        path = whole.thinned(scene.loop.dt, scene.body)
+        lengths = [len(place.points) for place in path.places]
+        machine, _ = prepare(scene, path=path)
+        steps = [part for part in run(scene, machine, path) if part.phase == SLIDE]
+        ends = np.cumsum([len(part.time) for part in steps])
+        frames: list[Frames] = []
+        for end in np.cumsum(lengths):
+            count = int(np.searchsorted(ends, end)) + 1
+            frames.append(contact_frames(scene, machine.loop, steps[:count]))
+            steps, ends = steps[count:], ends[count:]
+        wanted = sum(-(-length // scene.frame_steps) for length in lengths)
+        if steps or sum(map(len, frames)) != wanted:
+            raise SimulationError("the loop lost contact on the reference's path")
+        return functools.reduce(lambda one, next_: one.followed_by(next_), frames)
+
+    def read(self, scene: Scene, frames: Frames) -> Array:
+        """Pressures (m, n), Pa, without effects."""
+        return effect_chain(scene, 0).read(frames, scene.skin.poses)
+
+    def calibrate(self, pressures: Array) -> Array:
+        """Positions (n, 3) by pressures (m, n) in the reference's contacts."""
+        chain = effects.EffectPipeline((), lambda frames, poses: pressures, (), (), Clock())
+        recording = recorded(self.scene, self.frames, chain)
+        return calibrate(recording, self.belief, tolerance=self.tolerance).positions
+
+
+def held_route(scene: Scene) -> Path:
+    """The scene's path, with the arm's posture at its beginning, so that others can follow it.
+
+    Raises ReachError.
+    """
+    path, start = route(scene)
+    if scene.loop.mode != "arm" or path.postures is not None:
+        return path
+    tip = path.poses[:1] @ inverse(scene.mount_pose)
+    return replace(path, postures=scene.arm.inverse_kinematics(tip, start))
+
+
+def mean_mm(shift: Array) -> float:
+    """Mean length of shifts (n, 3), m, in mm, over the taxels that have one."""
+    length = np.linalg.norm(shift, axis=1)
+    return 1e3 * float(np.nanmean(length)) if np.isfinite(length).any() else float("nan")

@@ -1,0 +1,282 @@
+"""What the cases of a study start from: a scene, changed by dotted keys.
+
+A key names a scene's table and the quantity in it as the TOML file does (`material.young_kpa`,
+`skin.spacing_mm`); `effects.KIND.QUANTITY` changes an effect, or puts it in, and `effects.KIND`
+puts it in (true) or takes it out (false).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from ...core import config
+from ...core.arguments import needs
+from ...core.errors import ConfigError, StudyError, UnknownNameError
+from ...core.provenance import digest
+from ...scene import shipped_scenes
+
+if TYPE_CHECKING:
+    from ...scene.scene import Scene
+
+# A worker that needs no scene starts three times as fast without the modules of one, so these are
+# imported where they are used.
+
+Tables = Mapping[str, Any]
+
+
+class Base(Protocol):
+    """A scene that cases start from."""
+
+    def check(self, parameters: Tables) -> None:
+        """Check every key and value. Raises ConfigError."""
+
+    def identity(self, parameters: Tables) -> str:
+        """Text that is the same exactly where the scene is the same."""
+
+    def scene(self, parameters: Tables) -> Scene:
+        """The scene with these parameters. Raises MeshskinError kinds."""
+
+
+@dataclass(frozen=True)
+class Nothing:
+    """No scene: the parameters are the run function's own."""
+
+    def check(self, parameters: Tables) -> None:
+        """Every key is allowed."""
+
+    def identity(self, parameters: Tables) -> str:
+        """The parameters."""
+        return canonical(parameters)
+
+    def scene(self, parameters: Tables) -> Scene:
+        """Raises StudyError."""
+        raise StudyError("the study has no scene", remedy="give it a base")
+
+
+@dataclass(frozen=True)
+class SceneTables:
+    """A scene's merged tables; the files that they name are known by their content."""
+
+    tables: Tables
+    folder: Path
+    _digests: dict[Path, str] = field(default_factory=dict, repr=False, compare=False)
+
+    @classmethod
+    def load(cls, name: str | Path) -> SceneTables:
+        """The tables of a shipped scene or a TOML file."""
+        from ...scene.file import tables
+
+        found, folder = tables(name)
+        return cls(found, folder.resolve())
+
+    def check(self, parameters: Tables) -> None:
+        """Check every key and value. Raises ConfigError."""
+        from ...scene.file import check_tables
+
+        check_tables(changed(self.tables, parameters))
+
+    def identity(self, parameters: Tables) -> str:
+        """The changed tables but for names, with digests in place of files."""
+        data = changed(self.tables, parameters)
+        for table, key in (("body", "mesh"), ("skin", "file"), ("arm", "urdf")):
+            part = data.get(table)
+            if isinstance(part, Mapping) and key in part:
+                data[table] = {**part, key: self._content(str(part[key]))}
+        return canonical({k: v for k, v in data.items() if k not in ("name", "description")})
+
+    def _content(self, name: str) -> str:
+        """Digest of a file beside the scene or in the library; its name where there is none."""
+        for path in (self.folder / name, shipped_scenes.folder() / name):
+            if path in self._digests:
+                return self._digests[path]
+            if path.is_file():
+                with path.open("rb") as file:
+                    self._digests[path] = hashlib.file_digest(file, "sha256").hexdigest()[:16]
+                return self._digests[path]
+        return name
+
+    def scene(self, parameters: Tables) -> Scene:
+        """The scene with these parameters. Raises MeshskinError kinds."""
+        from ...scene.file import from_tables
+
+        return from_tables(changed(self.tables, parameters), self.folder)
+
+
+class SceneObject:
+    """A scene made in Python: its body, skin and arm are as they are, the rest can be changed."""
+
+    FIXED = ("body", "skin", "arm", "payload", "mount")
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._tables = _tables_of(scene)
+        body = scene.body
+        self._fixed = digest(
+            *(np.asarray(a) for m in (body.mesh, body.facets) for a in (m.vertices, m.faces)),
+            repr((body.exact, body.degree)),
+            *(np.asarray(a) for a in (scene.skin.poses, scene.skin.ids, scene.mount_pose)),
+            scene.arm.base,
+            repr((scene.skin.disc_radius, scene.arm.tip, scene.arm.folders, scene.payload)),
+            scene.arm.urdf,
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle without what the scene holds only for speed (rays, fitted surfaces)."""
+        scene = self._scene
+        parts = {f.name: getattr(scene, f.name) for f in dataclasses.fields(scene)}
+        body, arm = parts.pop("body"), parts.pop("arm")
+        mesh = (np.array(body.mesh.vertices), np.array(body.mesh.faces))
+        facts = {f.name: getattr(body, f.name) for f in dataclasses.fields(body)}
+        del facts["mesh"]
+        joints = {f.name: getattr(arm, f.name) for f in dataclasses.fields(arm)}
+        return _unpacked, (parts, mesh, facts, joints)
+
+    def check(self, parameters: Tables) -> None:
+        """Check every key and value. Raises ConfigError."""
+        for key in parameters:
+            if key.split(".")[0] in self.FIXED:
+                raise ConfigError(
+                    f"a scene made in Python keeps its {key.split('.')[0]}",
+                    value=key,
+                    remedy="give the base of the study as a scene's name or TOML file",
+                )
+        self._parts(parameters)
+
+    def identity(self, parameters: Tables) -> str:
+        """Digest of what is fixed, and the changed tables."""
+        return self._fixed + canonical(changed(self._tables, parameters))
+
+    def scene(self, parameters: Tables) -> Scene:
+        """The scene with these parameters. Raises ConfigError."""
+        return dataclasses.replace(self._scene, **self._parts(parameters))
+
+    def _parts(self, parameters: Tables) -> dict[str, Any]:
+        from ...scene.file import parts
+
+        data = changed(self._tables, parameters)
+        for key in data:
+            if key not in self._tables:
+                raise UnknownNameError("key", key, self._tables, " in the scene")
+        return parts(data)
+
+
+def _unpacked(
+    parts: dict[str, Any], mesh: tuple[Any, Any], facts: dict[str, Any], joints: dict[str, Any]
+) -> SceneObject:
+    import trimesh
+
+    from ...geometry.body import Body
+    from ...robot.arm import Arm
+    from ...scene.scene import Scene
+
+    body = Body(mesh=trimesh.Trimesh(*mesh, process=False), **facts)
+    return SceneObject(Scene(body=body, arm=Arm(**joints), **parts))
+
+
+def find(base: str | Path | Scene | None) -> Base:
+    """The base of a study: a scene's name or file, a Scene, or nothing."""
+    if base is None:
+        return Nothing()
+    if isinstance(base, str | Path):
+        return SceneTables.load(base)
+    from ...scene.scene import Scene
+
+    needs(Scene, base, "the base of a study")
+    return SceneObject(base)
+
+
+def changed(data: Tables, parameters: Tables) -> dict[str, Any]:
+    """Tables with the parameters, by dotted key, put in. Raises ConfigError."""
+    out = dict(data)
+    for key, value in parameters.items():
+        table, _, rest = key.partition(".")
+        if table == "effects":
+            out["effects"] = _with_effect(out.get("effects", []), rest, value)
+        elif rest and isinstance(out.get(table, {}), Mapping):
+            out[table] = config.merge(out.get(table, {}), {rest: value})
+        elif rest or table != "contact":
+            raise ConfigError(
+                f"the key {key!r} names no quantity",
+                remedy="write TABLE.QUANTITY as in a scene file, such as material.young_kpa",
+            )
+        else:
+            out[key] = value
+    return out
+
+
+def _with_effect(effects: Any, rest: str, value: Any) -> list[dict[str, Any]]:
+    """The list of effects with one changed, put in or taken out."""
+    kind, _, quantity = rest.partition(".")
+    if isinstance(effects, str):
+        raise ConfigError(
+            f"effects.{kind} cannot be changed where a budget decides on effects",
+            value=f"effects = {effects!r}",
+            remedy="list the effects in the scene",
+        )
+    from ...scene.file import check_listed
+
+    check_listed("effects", effects)
+    listed = [dict(effect) for effect in effects]
+    found = next((effect for effect in listed if effect.get("kind") == kind), None)
+    if not quantity and not isinstance(value, bool):
+        raise ConfigError(f"effects.{kind} is on or off", value=repr(value), limit="true or false")
+    if not quantity and not value:
+        return [effect for effect in listed if effect is not found]
+    if found is None:
+        listed.append(found := {"kind": kind})
+    if quantity:
+        found.update(merged := config.merge(found, {quantity: value}))
+        for stale in set(found) - set(merged):
+            del found[stale]
+    return listed
+
+
+def _tables_of(scene: Scene) -> dict[str, Any]:
+    """The tables, in SI units, of what a scene holds beside its body, skin and arm."""
+    names = ("material", "indenter", "law", "exploration", "loop", "readout")
+    out: dict[str, Any] = {name: _table_of(getattr(scene, name)) for name in names}
+    out["effects"] = [{"kind": effect.name, **_table_of(effect)} for effect in scene.effects]
+    if scene.candidates is not None:
+        out["candidates"] = [{"kind": e.name, **_table_of(e)} for e in scene.candidates]
+    if scene.budget is not None:
+        out["budget_m"] = scene.budget
+    return out | {"contact": scene.contact}
+
+
+def _table_of(part: Any) -> dict[str, Any]:
+    """A dataclass as the table that `config.build` makes it from, in SI units."""
+    out: dict[str, Any] = {}
+    for item in dataclasses.fields(part):
+        value = getattr(part, item.name)
+        if value is None or not item.init:
+            continue
+        unit = item.metadata.get("unit", "")
+        suffix = next(s for s, factor in config.UNITS[unit].items() if factor == 1.0)
+        listed = list(value) if isinstance(value, tuple) else value
+        out[f"{item.name}_{suffix}" if suffix else item.name] = listed
+    return out
+
+
+def canonical(value: Any) -> str:
+    """JSON that is the same for the same values: sorted keys, 3.0 as 3, NumPy numbers as plain."""
+    return json.dumps(_plain(value), sort_keys=True, separators=(",", ":"), default=str)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(v) for key, v in value.items()}
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, float) and value.is_integer():
+        return int(value)
+    return value

@@ -1,0 +1,49 @@
+"""What a study does with a case unless told otherwise: simulate, calibrate, assess."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...estimation.calibrate import calibrate
+from ...estimation.uncertainty import metrics
+from ...simulation.simulate import simulate
+from ..sensitivity.budget import budget
+
+if TYPE_CHECKING:
+    from .case import Case
+
+Value = float | int | None
+
+
+def evaluate(case: Case) -> dict[str, Value]:
+    """Errors (mm), the bound of a true belief, consistency, force and counts of one case.
+
+    The same for every run of the same case: nothing that depends on the clock is in it. The bound
+    is 0 without noise, where nothing keeps an estimate from the truth.
+    """
+    scene, belief = case.scene, case.belief
+    if scene.budget is not None:
+        scene = budget(scene, seed=case.seed).scene
+    recording = simulate(scene, case.seed)
+    found = calibrate(recording, belief, method=case.method)
+    # displacements say nothing about the pose of the whole
+    errors = metrics.position_errors(found, scene.skin, gauge=case.method.startswith("posegraph"))
+    out: dict[str, Value] = {
+        "taxels": len(found.ids),
+        "touched": int(found.touched.sum()),
+        "determined": int(np.isfinite(errors).sum()),
+        "contacts": len(recording.time),
+        "readings": len(recording.pressure),
+    }
+    out |= {f"position_error_mm.{k}": v for k, v in metrics.summary_mm(errors).items()}
+    bound = metrics.bound_mm(recording, scene.belief(), scene.skin)
+    out |= {f"crlb_mm.{k}": v for k, v in bound.items()}
+    spread = metrics.nees(found, scene.skin)
+    spread = spread[np.isfinite(spread)]
+    out["nees"] = float(spread.mean()) if len(spread) else None
+    out["modulus_pa"], out["modulus_sigma_pa"] = found.modulus, found.modulus_sigma
+    out["force_mean_n"] = float(recording.force.mean())
+    out["force_std_n"] = float(recording.force.std())
+    return out

@@ -1,0 +1,101 @@
+"""Where a run function is to be found by another process."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+from ...core.errors import StudyError
+from .case import Run
+
+SCRIPT = "__meshskin_worker__"
+"""`__name__` of a script that a worker runs to find a function in it."""
+_REMEDY = "define it with def at the top of a module or script"
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A function at the top of a module, or of a script."""
+
+    name: str
+    module: str | None = None
+    script: str | None = None
+
+    @classmethod
+    def to(cls, run: Run) -> Reference:
+        """The reference to a function. Raises StudyError for one that is at no top."""
+        module, name = getattr(run, "__module__", None), getattr(run, "__qualname__", None)
+        home = sys.modules.get(str(module))
+        if name is None or home is None or getattr(home, str(name), None) is not run:
+            raise StudyError("workers cannot import the run function", value=run, remedy=_REMEDY)
+        if module == SCRIPT:
+            return cls(name, script=home.__file__)
+        if module != "__main__":
+            return cls(name, module=module)
+        spec, file = getattr(home, "__spec__", None), getattr(home, "__file__", None)
+        if spec is not None:  # python -m package.module
+            return cls(name, module=spec.name)
+        if file is None:
+            raise StudyError("workers cannot import the run function", value=run, remedy=_REMEDY)
+        return cls(name, script=str(Path(file).resolve()))
+
+    @classmethod
+    def parse(cls, text: str, folder: Path) -> Reference:
+        """From `package.module:function` or `file.py:function`, a file in `folder`.
+
+        Raises StudyError.
+        """
+        module, _, name = text.partition(":")
+        if not module or not name:
+            raise StudyError(
+                "run is not understood", value=repr(text), remedy="write package.module:function"
+            )
+        if module.endswith(".py"):
+            return cls(name, script=str((folder / module).resolve()))
+        return cls(name, module=module)
+
+    def load(self) -> Run:
+        """The function. Raises StudyError."""
+        if self.script is not None:
+            found = getattr(_imported(self.script), self.name, None)
+        else:
+            try:
+                home = import_module(str(self.module))
+            except ModuleNotFoundError as error:
+                raise StudyError(
+                    f"cannot import the run function: {error}",
+                    remedy="install its package or set PYTHONPATH",
+                ) from error
+            except Exception as error:  # the user's own code, which may raise anything
+                raise _broken(str(self.module), error) from error
+            found = getattr(home, self.name, None)
+        if not callable(found):
+            raise StudyError(f"no function {self.name} in {self.script or self.module}")
+        run: Run = found
+        return run
+
+
+def _imported(script: str) -> ModuleType:
+    """A script as a module; what it does as `__main__` is not done. Raises StudyError."""
+    spec = importlib.util.spec_from_file_location(SCRIPT, script)
+    if spec is None or spec.loader is None or not Path(script).is_file():
+        raise StudyError("cannot read the script of the run function", value=script)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[SCRIPT] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # the user's own code, which may raise anything
+        raise _broken(script, error) from error
+    return module
+
+
+def _broken(home: str, error: Exception) -> StudyError:
+    return StudyError(
+        f"cannot import the run function from {home}",
+        value=f"{type(error).__name__}: {error}",
+        remedy="run it by itself with python, and mend what it says",
+    )

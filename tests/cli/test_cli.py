@@ -1,0 +1,227 @@
+"""The command line as a user meets it: results, one-line errors, exit codes, interruption."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from meshskin import cli, pipeline
+
+
+def toml(tmp_path, text):
+    file = tmp_path / "mine.toml"
+    file.write_text(text)
+    return str(file)
+
+
+def fails(capsys, *arguments):
+    """Run a command that must fail with exit code 2 and one line; return the line."""
+    assert cli.main([*arguments]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("meshskin: ")
+    return lines[0]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """One run of the noisy sphere."""
+    folder = tmp_path_factory.mktemp("run") / "out"
+    assert cli.main(["run", "sphere_noisy", "--out", str(folder), "--seed", "3"]) == 0
+    return folder
+
+
+def test_a_run_leaves_everything(run):
+    names = {file.name for file in run.iterdir()}
+    assert {
+        "recording.contacts.parquet",
+        "recording.readings.parquet",
+        "calibration.parquet",
+        "calibration.csv",
+        "metrics.json",
+        "report.html",
+        "figures",
+    } <= names
+    assert not [name for name in names if name.endswith((".part", ".probe"))]
+    for figure in ("fig4_force", "fig5_estimates", "fig6_iteration", "errors", "coverage"):
+        for suffix in (".png", ".svg"):
+            assert (run / "figures" / (figure + suffix)).stat().st_size > 1000
+
+
+def test_metrics_hold_the_contract_and_the_paper_is_beaten(run):
+    m = json.loads((run / "metrics.json").read_text())
+    assert m["taxels"] == m["touched"] == 80
+    for key in ("position_error_mm", "trilateration", "posegraph"):
+        assert 0 < m[key]["mean"] <= m[key]["rms"] <= m[key]["max"]
+    assert m["position_error_mm"]["mean"] == pytest.approx(m["crlb_mm"]["mean"], rel=0.25)
+    assert m["nees_band"][0] * 0.9 < m["nees"] < m["nees_band"][1] * 1.1
+    assert m["three_circles"]["mean"] > 8 * m["position_error_mm"]["mean"]
+    assert m["posegraph_isotropic"]["mean"] > 2 * m["position_error_mm"]["mean"]
+    force = m["force"]
+    assert force["mean_n"] == pytest.approx(force["reference_n"], rel=0.01)
+    assert force["settling_s"] < 0.1
+    assert force["lost_contact_steps"] == 0
+    assert {"load", "simulate", "calibrate", "report"} <= set(m["seconds"])
+    assert m["steps_per_second"] > 0
+
+
+def test_scenes_are_listed(capsys):
+    assert cli.main(["scenes"]) == 0
+    assert "sphere_noisy" in capsys.readouterr().out
+
+
+def test_unknown_scene(capsys, tmp_path):
+    line = fails(capsys, "run", "sfere", "--out", str(tmp_path))
+    assert "unknown scene 'sfere'" in line
+    assert "did you mean sphere" in line
+    line = fails(capsys, "run", "nosuch.toml", "--out", str(tmp_path))
+    assert "no such scene file, got nosuch.toml" in line
+    (tmp_path / "handle.stl").write_text("")
+    line = fails(capsys, "run", str(tmp_path / "handle.stl"), "--out", str(tmp_path))
+    assert "a scene is a TOML file" in line
+    assert "[body] mesh" in line
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["run", "sphere", "--seed", "-1"], "a seed is a whole number from 0, got -1"),
+        (["run", "sphere", "--accuracy-mm", "nan"], "an accuracy that is asked for must be finite"),
+        (["run", "sphere", "--seconds", "0"], "got 0 s, limit: above 0"),
+        (["cost", "sphere", "--seeds", "0"], "seeds is out of range, got 0, limit: at least 1"),
+    ],
+)
+def test_a_number_out_of_range_is_refused_before_anything_runs(capsys, tmp_path, options, words):
+    out = tmp_path / "out"
+    assert words in fails(capsys, *options, "--out", str(out))
+    assert not [file for file in out.glob("*") if file.is_file()]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('extends = "sphere"\n[body]\nradus_mm = 3', ["radus_mm", "did you mean radius_mm"]),
+        ('extends = "sphere"\n[boddy]\nx = 3', ["boddy", "did you mean body"]),
+        ('extends = "sphere"\n[body]\nradius_mm = -100', ["-0.1 m", "above 0 m"]),
+        ('extends = "sphere"\n[body]\nradius_m = 100', ["200 m", "mm"]),
+        (
+            'extends = "sphere"\n[indenter]\nposition_m = [4, 0, 0.7]',
+            ["(4.0, 0.0, 0.7)", "indenter"],
+        ),
+        (
+            'extends = "sphere"\n[[effects]]\nkind = "gausian_noise"',
+            ["did you mean gaussian_noise"],
+        ),
+        ('extends = "sphere"\n[body]\nshape = "cube"', ["unknown shape 'cube'"]),
+        ("[body]\nradius_mm = \n[skin]", ["no valid TOML", "line 2"]),
+    ],
+)
+def test_a_wrong_scene_file_is_one_clear_line(capsys, tmp_path, text, words):
+    out = tmp_path / "out"
+    line = fails(capsys, "run", toml(tmp_path, text), "--out", str(out))
+    for word in words:
+        assert word in line
+    assert not out.exists() or not list(out.iterdir())
+
+
+def test_a_mesh_without_faces(capsys, tmp_path):
+    (tmp_path / "empty.stl").write_text("solid nothing\nendsolid nothing\n")
+    text = '[body]\nmesh = "empty.stl"\nunits = "mm"\n[skin]\ncount = 10'
+    line = fails(capsys, "run", toml(tmp_path, text), "--out", str(tmp_path / "out"))
+    assert "no faces" in line
+
+
+def test_a_folder_that_cannot_be_written(capsys, tmp_path):
+    (tmp_path / "file").write_text("")
+    line = fails(capsys, "run", "sphere", "--out", str(tmp_path / "file" / "out"))
+    assert "cannot write" in line
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are POSIX")
+def test_ctrl_c_leaves_no_half_written_file(tmp_path):
+    """Interrupt at several moments of a run: whatever is there is whole, nothing is a part."""
+    for wait in (0.6, 1.2, 2.0, 3.0):
+        out = tmp_path / f"out{wait}"
+        process = subprocess.Popen(
+            [sys.executable, "-m", "meshskin", "run", "sphere", "--out", str(out), "--quiet"],
+            stderr=subprocess.PIPE,
+            env=os.environ,
+        )
+        time.sleep(wait)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+        if process.returncode == 0:
+            continue  # it was quicker than the interruption
+        assert process.returncode in (130, -signal.SIGINT), err.decode()
+        if process.returncode == 130:
+            assert err.decode().strip().splitlines()[-1].startswith("meshskin: interrupted")
+        left = [f.name for f in out.rglob("*")] if out.exists() else []
+        assert not [name for name in left if name.endswith((".part", ".probe"))]
+        parts = [name for name in left if name.startswith("recording.")]
+        assert len(parts) in (0, 3)
+
+
+def test_a_method_that_finds_nothing_is_left_out_of_the_comparison(tmp_path, capsys):
+    """One taxel alone has no displacements; its own place is found as ever."""
+    text = 'extends = "sphere"\n[skin]\ncount = 1'
+    out = tmp_path / "out"
+    assert cli.main(["run", toml(tmp_path, text), "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "1 of 1 taxels calibrated" in said
+    assert "pose graph none" in said
+    m = json.loads((out / "metrics.json").read_text())
+    assert m["posegraph"]["mean"] is None
+    assert "no two taxels are active together" in m["posegraph"]["why"]
+    assert m["position_error_mm"]["max"] < 1e-3
+    assert (out / "report.html").stat().st_size > 1e5
+
+
+def test_a_method_that_places_nothing_is_left_out_of_the_comparison(tmp_path, monkeypatch):
+    """It returns, without an error of its own, a calibration in which no taxel has a place."""
+    whole = pipeline.calibrate
+
+    def places_nothing(recording, belief, method="joint", **options):
+        found = whole(recording, belief, method=method, **options)
+        if method != "posegraph_paper":
+            return found
+        nowhere = np.full_like(found.poses, np.nan)
+        why = np.full(len(found.ids), "shares too few contacts")
+        return replace(found, poses=nowhere, why=why)
+
+    monkeypatch.setattr(pipeline, "calibrate", places_nothing)
+    text = 'extends = "sphere"\n[skin]\ncount = 7'
+    assert cli.main(["run", toml(tmp_path, text), "--out", str(tmp_path / "out")]) == 0
+    m = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert m["posegraph_paper"]["mean"] is None
+    assert "shares too few contacts, got 0 placed, limit: 3" in m["posegraph_paper"]["why"]
+    assert m["posegraph"]["mean"] is not None
+
+
+def test_a_budget_that_nothing_resolves_is_refused_at_once(tmp_path, capsys):
+    out = tmp_path / "out"
+    assert cli.main(["run", "sphere_noisy", "--out", str(out), "--budget-mm", "1e-9"]) == 2
+    assert "got 1e-09 mm, limit: at least 1e-06 mm" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_what_an_earlier_run_found_is_not_left_beside_another_recording(tmp_path, monkeypatch):
+    from meshskin.core.errors import CalibrationError
+
+    def fails(*_, **__):
+        raise CalibrationError("nothing to see")
+
+    for name in ("report.html", "metrics.json", "calibration.csv", "notes.txt"):
+        (tmp_path / name).write_text("of an earlier run")
+    monkeypatch.setattr(pipeline, "calibrate", fails)
+    text = 'extends = "sphere"\n[skin]\ncount = 3'
+    assert cli.main(["run", toml(tmp_path, text), "--out", str(tmp_path), "--quiet"]) == 2
+    kept = {file.name for file in tmp_path.iterdir()}
+    assert "recording.contacts.parquet" in kept
+    assert "notes.txt" in kept
+    assert not {"report.html", "metrics.json", "calibration.csv"} & kept

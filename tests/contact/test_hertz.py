@@ -1,0 +1,97 @@
+"""Hertz closed forms, their range, and the door `contact.solve`."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from meshskin import contact
+from meshskin.contact import hertz
+from meshskin.core.errors import ContactError, UnknownNameError
+
+CASE = {
+    "force": 3.0,
+    "curvature": (10.0, 10.0),
+    "indenter_radius": 0.01,
+    "modulus": 0.2e6,
+    "poisson": 0.49,
+}
+
+
+def test_patch_of_the_paper_sphere():
+    patch = contact.solve(**CASE)
+    assert patch.semi_axes == pytest.approx([4.27e-3, 4.27e-3], rel=2e-3)
+    assert patch.depth == pytest.approx(2.0e-3, rel=5e-3)
+    assert patch.pressure([[0, 0], [5e-3, 0]]) == pytest.approx([patch.peak, 0.0])
+
+
+def test_pressure_carries_the_force():
+    patch = contact.solve(**CASE)
+    a = patch.semi_axes[0]
+    x = (np.arange(400) + 0.5) / 400 * 2 * a - a
+    grid = np.stack(np.meshgrid(x, x), axis=-1)
+    assert patch.pressure(grid).sum() * (x[1] - x[0]) ** 2 == pytest.approx(3.0, rel=1e-3)
+
+
+def test_force_of_depth_inverts_depth_of_force():
+    e_star = hertz.effective_modulus(0.2e6, 0.49, 2e6, 0.3)
+    assert 1 / e_star == pytest.approx((1 - 0.49**2) / 0.2e6 + (1 - 0.09) / 2e6)
+    radius = hertz.relative_radius(np.array([[10.0, 10.0], [0.0, 0.0]]), 0.01)
+    assert radius == pytest.approx([1 / 110, 0.01])
+    a = hertz.contact_radius(3.0, radius, e_star)
+    assert hertz.force(hertz.depth(a, radius), radius, e_star) == pytest.approx([3.0, 3.0])
+    assert hertz.peak_pressure(3.0, a) == pytest.approx(2 / np.pi * e_star * a / radius)
+
+
+def test_casadi_alike_and_finite_at_zero_depth():
+    d, k = ca.SX.sym("d"), ca.SX.sym("k", 2)
+    y = hertz.force(d, hertz.relative_radius(k, 0.01), 0.26e6)
+    f = ca.Function("f", [d, k], [y, ca.gradient(y, d)])
+    assert float(f(1e-3, [10, 12])[0]) == pytest.approx(
+        hertz.force(1e-3, hertz.relative_radius([10, 12], 0.01), 0.26e6)
+    )
+    for depth in (-1e-3, 0.0):
+        value, slope = (float(v) for v in f(depth, [10, 10]))
+        assert value == 0.0
+        assert np.isfinite(slope)
+
+
+def test_relative_radius_wants_pairs():
+    with pytest.raises(ContactError, match=r"shape \(3,\)"):
+        hertz.relative_radius(np.full(3, 10.0), 0.01)
+
+
+def test_zero_force_is_an_empty_patch():
+    patch = contact.solve(**CASE | {"force": 0.0})
+    assert (patch.peak, patch.depth) == (0.0, 0.0)
+    assert patch.pressure([[0.0, 0.0]]) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "names"),
+    [
+        ({"force": -1.0}, "-1.0 N"),
+        ({"force": float("nan")}, "nan"),
+        ({"curvature": (20.0, 10.0)}, "ratio 1.091"),
+        ({"curvature": -120.0}, "hollow"),
+        ({"curvature": (10.0, 10.0, 10.0)}, "two principal curvatures"),
+        ({"modulus": 0.02e6}, "a/R"),
+        ({"modulus": 0.0}, "modulus"),
+        ({"indenter_radius": -0.01}, "-0.01 m"),
+        ({"poisson": 0.6}, "0.6"),
+        ({"thickness": 0.01}, "a/thickness = 0.427"),
+    ],
+)
+def test_refuses_what_leaves_the_range(change, names):
+    with pytest.raises(ContactError, match="limit") as caught:
+        contact.solve(**CASE | change)
+    assert names in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_accepts_a_thick_layer():
+    assert contact.solve(**CASE, thickness=0.1).peak == contact.solve(**CASE).peak
+
+
+def test_unknown_model_names_the_nearest():
+    with pytest.raises(UnknownNameError, match="did you mean hertz"):
+        contact.solve("herz", **CASE)

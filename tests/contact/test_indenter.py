@@ -1,0 +1,59 @@
+"""The indenter's direction: its frame, and directions that are none."""
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin.core.config import build
+from meshskin.core.errors import ConfigError
+
+
+def test_the_default_points_straight_up_to_the_last_bit():
+    place = ms.Indenter()
+    assert np.array_equal(place.up, [0.0, 0.0, 1.0])
+    assert np.array_equal(place.frame, np.eye(3))
+    assert np.array_equal(ms.Indenter(direction=(0.0, 0.0, 7.5)).frame, np.eye(3))
+
+
+@pytest.mark.parametrize(
+    "way",
+    [
+        (1.0, 0.0, 0.0), (0.0, -3.0, 0.0), (0.48, -0.64, 0.6), (0.0, 0.0, -1.0), (1e-9, 0.0, -1.0),
+        (3e-9, -1e-9, 1.0), (1e-300, 2e-300, 0.0), (1e300, 0.0, -1e300),
+    ],
+)  # fmt: skip
+def test_the_frame_is_the_least_turn_onto_the_direction(way):
+    place = ms.Indenter.sphere(0.01, direction=way)
+    large = np.array(way) / np.abs(way).max()
+    along = large / np.linalg.norm(large)
+    np.testing.assert_allclose(place.up, along, atol=1e-15)
+    frame = place.frame
+    np.testing.assert_allclose(frame[:, 2], along, atol=1e-15)
+    np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-15)
+    assert np.linalg.det(frame) == pytest.approx(1.0)
+    assert np.trace(frame) == pytest.approx(1.0 + 2.0 * along[2])  # its angle is that of z to it
+
+
+@pytest.mark.parametrize(
+    ("way", "message"),
+    [
+        ([0, 0, 0], r"direction must not be zero, got \(0, 0, 0\); give the vector"),
+        ([1, 0], r"direction must be a tuple of 3 numbers, got \(1, 0\)"),
+        ([0, 0, 1, 0], "direction must be a tuple of 3 numbers"),
+        (1, "direction must be a tuple of 3 numbers, got 1"),
+        ([0, float("nan"), 1], "direction must be a finite number, got nan"),
+        ([0, "z", 1], "direction must be a number, got 'z'"),
+        ([[0, 0, 1]], "direction must be a tuple of 3 numbers"),
+    ],
+)
+def test_a_direction_that_is_none_is_refused_in_one_line(way, message):
+    with pytest.raises(ConfigError, match=message) as caught:
+        build(ms.Indenter, {"direction": way}, "indenter")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_position_of_two_numbers_is_refused():
+    with pytest.raises(
+        ConfigError, match=r"indenter.position must be a tuple of 3 numbers, got \(1, 0\)"
+    ):
+        build(ms.Indenter, {"position_m": [1, 0]}, "indenter")

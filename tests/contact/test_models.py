@@ -1,0 +1,212 @@
+"""The doors of the contact models: the next model up, many contacts at once, CasADi."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from meshskin import Body, contact
+from meshskin.core.errors import ContactError, UnknownNameError
+from meshskin.geometry.surface.patch import casadi_foot
+
+CASE = {
+    "force": 1.0,
+    "curvature": 10.0,
+    "indenter_radius": 0.01,
+    "modulus": 0.5e6,
+    "poisson": 0.45,
+}
+
+
+@pytest.mark.parametrize(
+    ("change", "model"),
+    [
+        ({}, "hertz"),
+        ({"thickness": 0.1}, "hertz"),
+        ({"curvature": (30.0, 0.0)}, "elliptic"),
+        ({"thickness": 4e-3}, "layered"),
+        ({"thickness": 4e-3, "curvature": (30.0, 0.0)}, "layered"),
+        ({"thickness": 4e-3, "poisson": -0.2}, "field"),
+        ({"thickness": 4e-3, "curvature": (300.0, 0.0)}, "field"),
+        ({"modulus": 0.02e6}, "field"),
+    ],
+)
+def test_the_next_model_up_takes_it(change, model):
+    case = CASE | change
+    patch = contact.solve("hertz", upgrade=True, **case)
+    assert patch.model == model
+    assert patch.peak == contact.solve(model, **case).peak
+    if model != "hertz":
+        with pytest.raises(ContactError, match="limit"):
+            contact.solve("hertz", **case)
+
+
+def test_upgrade_starts_at_the_model_asked_for():
+    assert contact.solve("layered", upgrade=True, **CASE).model == "layered"
+
+
+@pytest.mark.parametrize(
+    ("change", "names"),
+    [
+        ({"force": -1.0}, "push"),
+        ({"curvature": -120.0}, "hollow"),
+        ({"modulus": 2e2}, "indenter radius"),
+        ({"thickness": 1e-5}, "thickness/cell"),
+    ],
+)
+def test_upgrade_ends_in_a_named_error(change, names):
+    with pytest.raises(ContactError, match=names):
+        contact.solve("hertz", upgrade=True, **CASE | change)
+
+
+@pytest.mark.parametrize("model", contact.BATCHED)
+@pytest.mark.parametrize("thickness", [None, 3e-3])
+def test_many_contacts_are_each_contact(model, thickness):
+    rng = np.random.default_rng(0)
+    push = rng.uniform(0.1, 0.4, 6)
+    curvature = np.repeat(rng.uniform(-20, 20, (6, 1)), 2, axis=1)
+    if model != "hertz":
+        curvature[:, 0] += 30.0
+    given = {"poisson": 0.45, "thickness": thickness, "indenter_radius": 0.01}
+    many = contact.patches(
+        model, force=push, curvature=curvature, effective_modulus=0.5e6 / (1 - 0.45**2), **given
+    )
+    alone = given if model == "layered" else given | {"thickness": None}
+    for k in range(6):
+        one = contact.solve(
+            model, **CASE | alone | {"force": push[k], "curvature": tuple(curvature[k])}
+        )
+        assert sorted([many.first[k], many.second[k]]) == pytest.approx(one.semi_axes[::-1])
+        assert [many.peak[k], many.depth[k]] == pytest.approx([one.peak, one.depth])
+        assert np.broadcast_to(many.exponent, 6)[k] == pytest.approx(one.exponent)
+        at = rng.uniform(-3e-3, 3e-3, 2)  # the first curvature is the larger: its axis is the minor
+        reading = many.reading(*at, 2e-3)[k]
+        assert reading == pytest.approx(float(one.reading(at[::-1], 2e-3)), abs=1e-9 * one.peak)
+    back = contact.force(
+        model,
+        depth=many.depth,
+        curvature=curvature,
+        effective_modulus=0.5e6 / (1 - 0.45**2),
+        **given,
+    )
+    assert back == pytest.approx(push, rel=1e-8)
+
+
+@pytest.mark.parametrize("model", contact.BATCHED)
+def test_as_casadi_expressions(model):
+    given = {"poisson": 0.45, "thickness": 3e-3, "indenter_radius": 0.01}
+    d, k, e = ca.SX.sym("d"), ca.SX.sym("k", 2), ca.SX.sym("e")
+    y = contact.force(model, depth=d, curvature=k, effective_modulus=e, **given)
+    patch = contact.patches(model, force=y, curvature=k, effective_modulus=e, **given)
+    x = ca.vertcat(d, k, e)
+    f = ca.Function("f", [d, k, e], [y, ca.vertcat(*patch), ca.jacobian(ca.vertcat(*patch), x)])
+    value, whole, jacobian = f(2e-4, [12.0, 8.0], 0.6e6)
+    push = contact.force(
+        model, depth=2e-4, curvature=np.array([12.0, 8.0]), effective_modulus=0.6e6, **given
+    )
+    plain = contact.patches(
+        model, force=push, curvature=np.array([12.0, 8.0]), effective_modulus=0.6e6, **given
+    )
+    assert float(value) == pytest.approx(push)
+    assert whole.full()[:, 0] == pytest.approx(np.array(plain, dtype=float))
+    assert whole.full()[3, 0] == pytest.approx(2e-4)  # the depth comes back
+    assert np.isfinite(jacobian.full()).all()
+
+
+def test_batch_of_an_unknown_model_names_the_nearest():
+    with pytest.raises(UnknownNameError, match="did you mean layered"):
+        contact.force(
+            "layred", depth=0.0, curvature=0.0, indenter_radius=1, effective_modulus=1, poisson=0
+        )
+
+
+@pytest.mark.parametrize("curvature", [100.0, 10.0, 0.0, -50.0, -90.0])
+def test_parabolic_gaps_end_where_true_arcs_differ(curvature):
+    """At the limit of width the true arcs are about 4 % narrower, whatever the body's curvature."""
+    tip, radius = 100.0, 1 / (100.0 + curvature)
+    a = 0.519 / np.sqrt(tip**2 - tip * curvature + curvature**2)
+    case = CASE | {"curvature": curvature, "modulus": 1e6, "poisson": 0.0}
+    case["force"] = 4e6 / 3 * a**3 / radius
+    patch, true = contact.solve("hertz", **case), contact.solve("field", **case)
+    assert patch.semi_axes[0] / true.semi_axes[0] - 1 == pytest.approx(0.036, abs=0.006)
+    assert patch.peak / true.peak - 1 == pytest.approx(-0.024, abs=0.004)
+    with pytest.raises(ContactError, match="wide"):
+        contact.solve("hertz", **case | {"force": 1.02 * case["force"]})
+
+
+def test_any_scene_has_a_patch_or_a_named_error():
+    rng = np.random.default_rng(5)
+    solved = 0
+    for _ in range(150):
+        radius = 10 ** rng.uniform(-3, -1)
+        thickness = None if rng.random() < 0.3 else 10 ** rng.uniform(-4.5, -1)
+        try:
+            patch = contact.solve(
+                "hertz",
+                force=10 ** rng.uniform(-4, 2.5),
+                curvature=tuple(rng.uniform(-1.3, 3, 2) / radius),
+                indenter_radius=radius,
+                modulus=10 ** rng.uniform(3.5, 9),
+                poisson=rng.uniform(-0.9, 0.5),
+                thickness=thickness,
+                upgrade=True,
+            )
+        except ContactError:
+            continue
+        solved += 1
+        assert patch.semi_axes[0] >= patch.semi_axes[1] > 0
+        assert 0 < patch.depth < np.inf
+        assert 0 < patch.peak < np.inf
+        assert patch.pressure([0.0, 0.0]) == pytest.approx(patch.peak, rel=1e-2)
+        assert patch.reading([0.0, 0.0], patch.semi_axes[1] / 2) < patch.peak
+    assert solved > 50
+
+
+@pytest.mark.parametrize("model", contact.BATCHED)
+def test_in_a_closed_loop_on_a_sphere(model):
+    """At an umbilic, where the two curvatures meet, the force keeps its derivatives."""
+    body, centre = Body.sphere(0.1), np.array([0.0, 0.02, 0.107])
+    hit = body.closest(centre[None])
+    c, uv, x = ca.SX.sym("c", 21, 3), ca.SX.sym("uv", 2), ca.SX.sym("x", 3)
+    _, _, foot, normal, curvature = casadi_foot(c, uv[0], uv[1], x)
+    given = {"indenter_radius": 0.01, "poisson": 0.49, "thickness": 3e-3}
+    y = contact.force(
+        model,
+        depth=0.01 - ca.dot(x - foot, normal),
+        curvature=curvature,
+        effective_modulus=0.26e6,
+        **given,
+    )
+    f = ca.Function("f", [c, uv, x], [y, ca.gradient(y, x), ca.hessian(y, x)[0]])
+    value, gradient, hessian = f(body.surface.patches[hit.face[0]], hit.uv[0], centre)
+    depth = 0.01 - (np.linalg.norm(centre) - 0.1)
+    flat = {"curvature": np.array([10.0, 10.0]), "effective_modulus": 0.26e6, **given}
+    assert float(value) == pytest.approx(contact.force(model, depth=depth, **flat), rel=1e-3)
+    slope = [contact.force(model, depth=depth + d, **flat) for d in (1e-7, -1e-7)]
+    push = -(slope[0] - slope[1]) / 2e-7 * centre / np.linalg.norm(centre)
+    assert gradient.full()[:, 0] == pytest.approx(push, rel=1e-2, abs=1.0)
+    assert np.isfinite(hessian.full()).all()
+
+
+@pytest.mark.parametrize("poisson", [-0.2, 0.45])
+@pytest.mark.parametrize("thickness", [None, 3e-3, 0.05])
+@pytest.mark.parametrize("model", contact.BATCHED)
+def test_a_model_holds_for_many_contacts_where_it_solves_each(model, thickness, poisson):
+    rng = np.random.default_rng(2)
+    curvature = rng.uniform(-120, 300, (300, 2)) * 10.0 ** rng.uniform(-3, 0, (300, 1))
+    curvature[0] = np.nan
+    curvature[1] = curvature[1, 0]
+    for force, modulus in [(1.0, 0.5e6), (3.0, 0.05e6)]:
+        case = {"force": force, "indenter_radius": 0.01}
+        soft = {"modulus": modulus, "poisson": poisson, "thickness": thickness}
+        many = contact.Model(model, poisson, thickness).holds(
+            curvature=curvature, effective_modulus=modulus / (1 - poisson**2), **case
+        )
+        each = []
+        for pair in curvature:
+            try:
+                contact.solve(model, curvature=tuple(pair), **case, **soft)
+            except ContactError:
+                each.append(False)
+            else:
+                each.append(True)
+        assert np.array_equal(many, each)

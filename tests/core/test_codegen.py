@@ -1,0 +1,163 @@
+"""Compiled functions: equal to interpreted ones, cached by content, safe against torn files."""
+
+import os
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from meshskin.core import codegen as module
+from meshskin.core.codegen import cache_folder, compiled
+
+needs_compiler = pytest.mark.skipif(module.find_compiler() is None, reason="no C compiler here")
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    monkeypatch.delenv("MESHSKIN_COMPILER", raising=False)
+    monkeypatch.setenv("MESHSKIN_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def bend(scale=1.0):
+    x = ca.SX.sym("x", 3)
+    y = scale * ca.sin(x[0]) * x[1] ** 2 + ca.atan2(x[2], x[0])
+    gradient = ca.gradient(y, x)
+    function = ca.Function("bend", [x], [y, gradient], ["x"], ["y", "gradient"])
+    return function, ca.Function("bend_hessian", [x], [ca.tril(ca.jacobian(gradient, x))])
+
+
+@needs_compiler
+def test_compiled_equals_interpreted_with_its_derivatives(cache):
+    x = [0.3, -1.2, 2.0]
+    for function in bend():
+        fast = compiled(function)
+        assert fast.class_name() == "External" != function.class_name()
+        assert (fast.name(), fast.name_in(), fast.name_out()) == (
+            function.name(),
+            function.name_in(),
+            function.name_out(),
+        )
+        for ours, reference in zip(fast.call([x]), function.call([x]), strict=True):
+            assert ours.sparsity() == reference.sparsity()
+            assert np.allclose(ours.full(), reference.full(), rtol=1e-15)
+        twice = fast.map(2).call([ca.horzcat(x, x)])[0].full()
+        assert np.array_equal(twice, np.tile(fast.call([x])[0].full(), 2))
+
+
+@needs_compiler
+def test_cache_is_found_by_content(cache):
+    compiled(bend()[0])
+    library = next(cache.rglob("*.so"))
+    before = library.stat().st_mtime_ns
+    compiled(bend()[0])
+    assert list(cache.rglob("*.so")) == [library]
+    assert library.stat().st_mtime_ns == before
+    compiled(bend(scale=2.0)[0])
+    assert len(list(cache.rglob("*.so"))) == 2
+
+
+@needs_compiler
+def test_a_library_is_found_only_after_it_was_built(cache):
+    text = "int answer(void) { return 42; }"
+    assert module.found(text) is None
+    module.library("answer", text)
+    assert module.found(text).answer() == 42
+    assert module.found(text, (*module.FLAGS, "-O1")) is None  # another processor's, say
+
+
+@needs_compiler
+@pytest.mark.parametrize("damage", ["half", "empty", "stranger"])
+def test_torn_file_is_rebuilt(cache, damage):
+    # In a process of its own: the file must not be one that this process has mapped.
+    call(cache)
+    library = next(cache.rglob("*.so"))
+    whole = library.read_bytes()
+    library.unlink()
+    torn = {"half": whole[: len(whole) // 2], "empty": b"", "stranger": b"no library"}[damage]
+    name = module.content_hash(torn) if damage == "stranger" else library.stem
+    library.with_name(f"{name}.so").write_bytes(torn)
+    assert call(cache) == "External 4.0"
+    (rebuilt,) = cache.rglob("*.so")
+    assert module.content_hash(rebuilt.read_bytes()) == rebuilt.stem
+
+
+@needs_compiler
+def test_two_processes_at_once(cache):
+    runs = [start(cache) for _ in range(4)]
+    assert {run.communicate()[0].strip() for run in runs} == {"External 4.0"}
+    assert not [p for p in cache.rglob("*") if p.is_file() and p.suffix != ".so"]
+
+
+@needs_compiler
+def test_unwritable_cache_uses_a_temporary_folder(tmp_path, monkeypatch):
+    blocked = tmp_path / "file"
+    blocked.write_text("not a folder")
+    monkeypatch.setenv("MESHSKIN_CACHE", str(blocked / "cache"))
+    assert compiled(bend()[0]).class_name() == "External"
+
+
+@pytest.mark.parametrize("compiler", ["none", "no-such-compiler"])
+def test_without_compiler_interpreted_and_warned_once(cache, monkeypatch, compiler):
+    monkeypatch.setenv("MESHSKIN_COMPILER", compiler)
+    module._warn_once.cache_clear()
+    function = bend()[0]
+    with pytest.warns(RuntimeWarning, match="no C compiler"):
+        assert compiled(function) is function
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert compiled(function) is function
+    assert not cache.exists()
+
+
+def test_compiler_that_fails_is_named(cache, monkeypatch):
+    false = next((p for p in ("/bin/false", "/usr/bin/false") if Path(p).exists()), None)
+    if false is None:
+        pytest.skip("no `false` here")
+    monkeypatch.setenv("MESHSKIN_COMPILER", false)
+    module._warn_once.cache_clear()
+    function = bend()[0]
+    with pytest.warns(RuntimeWarning, match="cannot compile 'bend'"):
+        assert compiled(function) is function
+
+
+def test_cache_folder_follows_the_platform(monkeypatch, tmp_path):
+    monkeypatch.delenv("MESHSKIN_CACHE", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(sys, "platform", "linux")
+    assert cache_folder() == tmp_path / "meshskin"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    assert cache_folder() == Path.home() / ".cache" / "meshskin"
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert cache_folder() == Path.home() / "Library" / "Caches" / "meshskin"
+    monkeypatch.setattr(sys, "platform", "win32")
+    monkeypatch.setenv("LOCALAPPDATA", str(tmp_path / "local"))
+    assert cache_folder() == tmp_path / "local" / "meshskin"
+
+
+SQUARE = """
+import casadi as ca
+from meshskin.core.codegen import compiled
+x = ca.SX.sym("x")
+f = compiled(ca.Function("square", [x], [x * x]))
+print(f.class_name(), float(f(2)))
+"""
+
+
+def start(cache: Path) -> subprocess.Popen[str]:
+    environment = {
+        **os.environ,
+        "MESHSKIN_CACHE": str(cache),
+        "PYTHONPATH": str(Path(module.__file__).parents[2]),
+    }
+    return subprocess.Popen(
+        [sys.executable, "-c", SQUARE], stdout=subprocess.PIPE, text=True, env=environment
+    )
+
+
+def call(cache: Path) -> str:
+    return start(cache).communicate()[0].strip()

@@ -1,0 +1,64 @@
+"""What is built once: for equal contents, whichever objects hold them."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin.core import content_cache
+from meshskin.robot.inverse_kinematics import newton
+from meshskin.simulation.simulate import closed_loop
+from meshskin.simulation.step import step
+
+
+def test_equal_contents_are_built_once():
+    built = []
+
+    @content_cache.once
+    def total(numbers):
+        """A sum."""
+        built.append(len(numbers))
+        return float(np.sum(numbers))
+
+    assert total.__doc__ == "A sum."
+    assert [total(np.arange(3.0)), total(np.arange(3.0))] == [3.0, 3.0]
+    assert built == [3]
+    assert total(np.arange(3)) == 3.0, "another type is another content"
+    for k in range(4, 4 + content_cache.KEPT):
+        total(np.arange(float(k)))
+    assert len(built) == 2 + content_cache.KEPT
+    total(np.arange(3.0))
+    assert len(built) == 3 + content_cache.KEPT, "the oldest is given up"
+
+
+@pytest.fixture
+def loop():
+    return closed_loop(ms.Scene.load("sphere"))
+
+
+def test_scenes_of_the_same_content_share_their_functions(loop):
+    other = closed_loop(ms.Scene.load("sphere"))
+    assert other.arm is not loop.arm
+    assert step(other) is step(loop)
+    assert newton(other.arm) is newton(loop.arm)
+
+
+def test_any_other_content_makes_other_functions(loop):
+    changed = {
+        "arm": loop.arm.with_payload(0.1, np.zeros(3), 1e-4 * np.eye(3)),
+        "mount": loop.mount @ np.diag([1.0, -1.0, -1.0, 1.0]),
+        "indenter_position": loop.indenter_position + 0.01,
+        "indenter_radius": 0.012,
+        "effective_modulus": 3e5,
+        "law": replace(loop.law, torque="paper"),
+        "dt": 2e-3,
+        "integrator": "rk4",
+        "mode": "quasi_static",
+        "contact": replace(loop.contact, name="elliptic"),
+        "delay": 2,
+        "indenter_direction": np.array([1.0, 0.0, 0.0]),
+    }
+    assert set(changed) == {f.name for f in fields(loop)}
+    made = [step(loop), *(step(replace(loop, **{k: v})) for k, v in changed.items())]
+    assert len({id(function) for function in made}) == len(made)

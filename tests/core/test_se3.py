@@ -1,0 +1,56 @@
+"""Rigid transforms against scipy's matrix exponential and closed round trips."""
+
+import numpy as np
+from scipy.linalg import expm
+
+from meshskin.core import se3
+
+
+def test_exponential_is_the_matrix_exponential():
+    w = np.random.default_rng(1).normal(size=(20, 3)) * np.logspace(-9, 0.4, 20)[:, None]
+    expected = np.stack([expm(se3.hat(v)) for v in w])
+    np.testing.assert_allclose(se3.exp_so3(w), expected, atol=1e-14)
+
+
+def test_left_jacobian_is_how_the_exponential_turns():
+    rng = np.random.default_rng(3)
+    w = rng.normal(size=(20, 3)) * np.logspace(-6, 0.3, 20)[:, None]
+    jacobian, step = se3.left_jacobian(w), 1e-6
+    for k, axis in enumerate(np.eye(3)):
+        ends = (se3.exp_so3(w + sign * step * axis) for sign in (1, -1))
+        turned = next(ends) @ np.swapaxes(next(ends), 1, 2)
+        np.testing.assert_allclose(se3.log_so3(turned) / (2 * step), jacobian[:, :, k], atol=1e-7)
+
+
+def test_logarithm_undoes_the_exponential_up_to_pi():
+    axis = np.random.default_rng(2).normal(size=(8, 3))
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    for angle in (0.0, 1e-12, 1e-4, 1.0, 3.0, np.pi - 1e-9):
+        w = angle * axis
+        np.testing.assert_allclose(se3.log_so3(se3.exp_so3(w)), w, atol=2e-8)
+    turned = se3.log_so3(se3.exp_so3(np.pi * axis))
+    np.testing.assert_allclose(np.linalg.norm(turned, axis=1), np.pi, atol=1e-7)
+
+
+def test_inverse_and_align_recover_a_transform():
+    rng = np.random.default_rng(3)
+    pose = se3.transform(se3.exp_so3(rng.normal(size=3)), rng.normal(size=3))
+    np.testing.assert_allclose(se3.inverse(pose) @ pose, np.eye(4), atol=1e-14)
+    a = rng.normal(size=(30, 3))
+    b = a @ pose[:3, :3].T + pose[:3, 3]
+    np.testing.assert_allclose(se3.align(a, b), pose, atol=1e-12)
+
+
+def test_align_never_mirrors():
+    a = np.random.default_rng(4).normal(size=(10, 3))
+    found = se3.align(a, a * [1, 1, -1])
+    assert np.linalg.det(found[:3, :3]) > 0
+
+
+def test_a_rigid_transform_neither_scales_nor_mirrors_nor_shears():
+    pose = se3.transform(se3.exp_so3([0.3, -2.0, 1.0]), [1.0, 2.0, -3.0])
+    assert se3.is_rigid(pose)
+    wrong = [1.001 * pose, pose[:3], pose * np.nan, np.diag([-1.0, 1.0, 1.0, 1.0])]
+    sheared = pose.copy()
+    sheared[0] += 0.01 * sheared[1]
+    assert not any(map(se3.is_rigid, [*wrong, sheared]))

@@ -1,0 +1,220 @@
+"""Effects: named in TOML, imported only when named, each with a random stream of its own."""
+
+import subprocess
+import sys
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin import effects
+from meshskin.core.errors import ConfigError, UnknownNameError
+from meshskin.effects.gaussian_noise import GaussianNoise
+
+NEEDED = {
+    "layer": {"thickness_mm": 20},
+    "disc_averaging": {"radius_mm": 1},
+    "joint_friction": {"torque_n_m": 0.1},
+}
+"""What effects without defaults are given."""
+
+
+def test_noise_has_its_standard_deviation_and_no_mean(context, glide):
+    frames, sigma = glide(np.zeros(500)), 0.02 * context.peak_pressure
+    noise = GaussianNoise(0.02).build(context)(np.full((500, 80), 1e4), frames) - 1e4
+    assert noise.std() == pytest.approx(sigma, rel=0.02)
+    assert abs(noise.mean()) < 4 * sigma / np.sqrt(noise.size)
+    neighbours = np.corrcoef(noise[:-1].ravel(), noise[1:].ravel())[0, 1]
+    assert abs(neighbours) < 0.02
+
+
+def test_streams_differ_by_seed_and_by_name(context):
+    first, again = context.stream("gaussian_noise"), context.stream("gaussian_noise")
+    assert first.random() == again.random()
+    others = [context.stream("hysteresis"), replace(context, seed=4).stream("gaussian_noise")]
+    assert len({g.random() for g in (context.stream("gaussian_noise"), *others)}) == 3
+
+
+def test_bound_grows_with_the_noise(context):
+    assert GaussianNoise(0.01).bound(context) == pytest.approx(0.03 * context.contact_radius)
+
+
+def test_toml_table_makes_the_effect():
+    found = effects.from_table({"kind": "gaussian_noise", "sigma_relative": 0.05})
+    assert found == GaussianNoise(0.05)
+    with pytest.raises(UnknownNameError, match="did you mean gaussian_noise"):
+        effects.from_table({"kind": "gausian_noise"})
+    with pytest.raises(UnknownNameError, match="sigma_relative"):
+        effects.from_table({"kind": "gaussian_noise", "sigma": 0.05})
+    with pytest.raises(ConfigError, match="limit: above 0"):
+        effects.from_table({"kind": "gaussian_noise", "sigma_relative": -0.1})
+    with pytest.raises(ConfigError, match="lacks kind"):
+        effects.from_table({"sigma_relative": 0.1})
+
+
+def test_only_the_stage_asked_for_is_built(context):
+    assert effects.build((), context, "transducer") == ()
+    assert effects.build((GaussianNoise(),), context, "pressure") == ()
+    assert len(effects.build((GaussianNoise(),), context, "transducer")) == 1
+
+
+def test_conflicts_are_refused():
+    class Drift(GaussianNoise):
+        name, stage, requires = "drift", "robot", ("thermometer",)
+
+    class Quiet(GaussianNoise):
+        name, stage, excludes = "quiet", "geometry", ("gaussian_noise",)
+
+    class Nowhere(GaussianNoise):
+        name, stage = "nowhere", "robt"
+
+    with pytest.raises(UnknownNameError, match=r"'robt' of the effect nowhere.*did you mean robot"):
+        effects.ordered((Nowhere(),))
+    with pytest.raises(ConfigError, match="2 times"):
+        effects.ordered((GaussianNoise(), GaussianNoise(0.1)))
+    with pytest.raises(ConfigError, match="requires thermometer"):
+        effects.ordered((Drift(),))
+    with pytest.raises(ConfigError, match="quiet excludes gaussian_noise"):
+        effects.ordered((GaussianNoise(), Quiet()))
+
+
+def test_effects_act_in_the_order_of_the_signal_whatever_the_list():
+    class Late(GaussianNoise):
+        name, stage = "late", "robot"
+
+    class Foreign(GaussianNoise):
+        name = "foreign"
+
+    inside = [
+        effects.find(name)()
+        for name in ("quantisation", "gaussian_noise", "hysteresis", "cover_fabric", "friction")
+    ]
+    assert [e.name for e in effects.ordered((Late(), Foreign(), *inside))] == [
+        "friction",
+        "cover_fabric",
+        "hysteresis",
+        "gaussian_noise",
+        "quantisation",
+        "foreign",
+        "late",
+    ]
+
+
+@pytest.mark.parametrize("name", effects.KINDS)
+def test_every_effect_keeps_the_form(name, context):
+    table = {"kind": name, **NEEDED.get(name, {})}
+    effect = effects.from_table(table)
+    assert effect.name == name
+    assert effect.stage in effects.STAGES
+    assert effect.requires == ()
+    assert set(effect.excludes) <= set(effects.KINDS)
+    assert 0 < effect.bound(context) < 0.1
+    assert 0 < effect.cost < 1e-3
+    assert len(effects.build((effect,), context, effect.stage)) == 1
+    assert effects.from_table(table) == effect
+    assert name in NEEDED or effect == effects.find(name)()
+    assert not [
+        e for e in effects.STAGES if e != effect.stage and effects.build((effect,), context, e)
+    ]
+
+
+def test_what_must_be_known_of_a_robot_or_a_skin_is_not_registered_by_itself(context):
+    assert set(NEEDED) == set(effects.KINDS) - {e.name for e in effects.registered()}
+    with pytest.raises(ConfigError, match="thickness"):
+        effects.from_table({"kind": "layer"})
+
+
+def test_the_order_of_the_stages_is_the_order_of_the_registry():
+    stages = [effects.STAGES.index(effects.find(name).stage) for name in effects.KINDS]
+    assert stages == sorted(stages)
+
+
+TOY = """
+from dataclasses import dataclass
+from typing import ClassVar
+
+
+@dataclass(frozen=True)
+class Toy:
+    factor: float = 2.0
+    name: ClassVar[str] = "toy"
+    stage: ClassVar[str] = "transducer"
+    requires: ClassVar[tuple[str, ...]] = ()
+    excludes: ClassVar[tuple[str, ...]] = ()
+    cost: ClassVar[float] = 1e-9
+
+    def bound(self, context):
+        return context.misread(abs(self.factor - 1.0))
+
+    def build(self, context):
+        return lambda pressures, frames: self.factor * pressures
+"""
+
+
+@pytest.fixture
+def toy(tmp_path, monkeypatch):
+    """A package outside of meshskin that brings an effect along."""
+    (tmp_path / "toy_effects.py").write_text(TOY)
+    info = tmp_path / "toy_effects-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: toy-effects\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[meshskin.effects]\ntoy = toy_effects:Toy\n"
+        "gone = toy_effects:Gone\nlost = no_such_module:Lost\nnumber = math:pi\n"
+        "raising = raising_effects:Toy\n"
+    )
+    (tmp_path / "raising_effects.py").write_text("raise RuntimeError('no licence\\nfound')\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield
+    sys.modules.pop("toy_effects", None)
+
+
+def test_another_package_adds_an_effect(toy, sphere, recording):
+    twice = effects.from_table({"kind": "toy", "factor": 3.0})
+    assert "toy" not in effects.KINDS
+    found = ms.simulate(sphere.with_(effects=(twice,)), seed=1)
+    np.testing.assert_array_equal(found.pressure, 3.0 * recording.pressure)
+    with pytest.raises(UnknownNameError, match="did you mean toy"):
+        effects.find("toyy")
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("gone", "cannot be loaded"),
+        ("lost", "no_such_module"),
+        ("number", "no dataclass"),
+        ("raising", "RuntimeError: no licence found"),
+    ],
+)
+def test_a_broken_entry_point_is_one_line(toy, name, why):
+    with pytest.raises(ConfigError, match=why) as caught:
+        effects.find(name)
+    assert "\n" not in str(caught.value)
+
+
+def test_broken_entry_points_are_named_and_left_out(toy):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = [effect.name for effect in effects.registered()]
+    assert found[-1] == "toy"
+    assert "gaussian_noise" in found
+    said = [str(w.message) for w in caught]
+    assert [line.split()[2] for line in said] == ["gone", "lost", "number", "raising"]
+    assert all("it is left out" in line and "\n" not in line for line in said)
+
+
+def test_without_that_package_there_is_no_such_effect():
+    with pytest.raises(UnknownNameError, match="unknown effect 'toy'"):
+        effects.find("toy")
+
+
+def test_modules_are_imported_only_when_named():
+    code = (
+        "import sys; from meshskin import effects; "
+        "name = 'meshskin.effects.gaussian_noise'; assert name not in sys.modules; "
+        "effects.find('gaussian_noise'); assert name in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

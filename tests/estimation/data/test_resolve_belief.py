@@ -1,0 +1,122 @@
+"""What a belief leaves to the recording, and what no recording may hold."""
+
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+import meshskin as ms
+from meshskin.contact import Model
+from meshskin.core.errors import CalibrationError, ConfigError, ContactError, RecordingError
+from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.resolve_belief import resolve_belief, valid_contacts
+from meshskin.recording.recording import Recording
+
+YOUNG = 0.2e6
+
+
+def belief(world, thickness=None, **changes):
+    """What an owner knows who leaves contact model and force to the recording."""
+    material = ms.Material(YOUNG, 0.49, thickness)
+    indenter = ms.Indenter.sphere(0.01)
+    return ms.Belief(world.body, indenter, material, world.ids, contact="auto", **changes)
+
+
+@pytest.mark.parametrize(
+    ("body", "thickness", "name"),
+    [
+        (ms.Body.sphere(0.1), None, "hertz"),
+        (ms.Body.ellipsoid((0.1, 0.04, 0.1)), None, "elliptic"),
+        (ms.Body.sphere(0.1), 4e-3, "layered"),
+    ],
+)
+def test_the_first_contact_model_that_holds(world, body, thickness, name):
+    model = Model(name, 0.49, thickness)
+    seen = type(world)(extent=9e-3, body=body, model=model)
+    recording = seen.record()
+    found = resolve_belief(belief(seen, thickness), recording)
+    assert found.contact == name
+    assert found.force_reference == pytest.approx(np.median(seen.force))
+    positions = ms.calibrate(recording, belief(seen, thickness)).positions
+    assert np.array_equal(positions, ms.calibrate(recording, found).positions)
+    assert np.nanmax(np.linalg.norm(positions - seen.truth, axis=1)) < 1e-6
+
+
+def test_contacts_in_which_the_model_does_not_hold():
+    """As `solve` says one by one, up to a twentieth of them; the widest is refused, with reason."""
+    told = replace(ms.Scene.load("sphere").belief(), contact="hertz")
+    rng = np.random.default_rng(0)
+    force = 3.0 * np.exp(0.1 * rng.normal(size=100))
+    curvature = 10.0 + np.sort(0.5 * rng.normal(size=(100, 2)), axis=1)[:, ::-1]
+    assert valid_contacts(force, curvature, told).all()
+    force[[7, 40]] *= 60.0
+    assert np.array_equal(np.flatnonzero(~valid_contacts(force, curvature, told)), [7, 40])
+    force[:10] *= 60.0
+    with pytest.raises(ContactError, match="too wide") as error:
+        valid_contacts(force, curvature, told)
+    alone = {"curvature": tuple(curvature[7]), "indenter_radius": told.indenter.radius}
+    law = {"modulus": told.material.young, "poisson": told.material.poisson}
+    with pytest.raises(ContactError) as own:
+        ms.contact.solve("hertz", force=force[7], **alone, **law)
+    assert str(error.value) == str(own.value)
+    assert len(valid_contacts(np.empty(0), np.empty((0, 2)), told)) == 0
+
+
+def test_where_no_contact_model_holds(world):
+    body = ms.Body.ellipsoid((0.1, 0.04, 0.1))
+    seen = type(world)(extent=9e-3, body=body, model=Model("elliptic"))
+    soft = replace(belief(seen), material=ms.Material(2e3, 0.49))
+    with pytest.raises(ContactError, match="too wide for the parabolic gap of elliptic"):
+        resolve_belief(soft, seen.record())
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"disc_radius": 0.0},
+        {"disc_radius": 0.5},
+        {"noise_sigma": -1.0},
+        {"threshold": np.nan},
+        {"force_reference": 0.0},
+    ],
+)
+def test_a_belief_out_of_range(world, wrong):
+    with pytest.raises(ConfigError, match=rf"belief\.{next(iter(wrong))} "):
+        belief(world, **wrong)
+
+
+def test_numbers_of_numpy_are_numbers(world):
+    world = type(world)(extent=9e-3, body=ms.Body.sphere(0.1))
+    assert belief(world, noise_sigma=np.float32(400.0), threshold=np.int64(3)).threshold == 3
+
+
+def test_a_taxel_read_twice_in_one_contact(world):
+    recording = world.record()
+    table = recording.readings
+    gather(
+        Recording(recording.contacts, table.take(np.arange(len(table))[::-1]), {}), world.belief()
+    )
+    twice = pa.concat_tables([table, table.slice(7, 2)])
+    taxel = recording.reading_taxel[7]
+    with pytest.raises(RecordingError, match=rf"taxel {taxel} at .* s, 2 in all; drop the copies"):
+        gather(Recording(recording.contacts, twice, {}), world.belief())
+
+
+def test_forces_that_pull(world):
+    recording = world.record()
+    contacts = recording.contacts.set_column(7, "force", pa.array(-recording.force))
+    with pytest.raises(CalibrationError, match=r"forces of at most -2\.9.* N.*check its sign"):
+        gather(Recording(contacts, recording.readings, {}), world.belief())
+
+
+def test_one_contact_is_not_taken_for_other_units(world):
+    """Pressed beside the taxels it reads, it is weak, not in kPa."""
+    recording = world.record()
+    strong = np.zeros(len(recording.time))
+    np.maximum.at(strong, recording.reading_contact, recording.pressure)
+    weak = int(np.argmin(np.where(strong > 0, strong, np.inf)))
+    rows = pa.array(recording.reading_contact == weak)
+    one = Recording(recording.contacts.slice(weak, 1), recording.readings.filter(rows), {})
+    with pytest.raises(CalibrationError, match="fewer than three readings"):
+        ms.calibrate(one, world.belief())

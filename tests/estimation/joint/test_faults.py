@@ -1,0 +1,245 @@
+"""Outlying readings and broken taxels: found, named, and kept from the others."""
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from scipy.stats import norm
+
+from meshskin.core.errors import CalibrationError
+from meshskin.estimation.calibrate import calibrate
+from meshskin.estimation.calibration import Calibration
+from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.joint import faults
+from meshskin.estimation.joint import outlier_rejection as doubts
+from meshskin.estimation.joint.likelihood import Readings
+from meshskin.estimation.joint.pressure import HEARD, SILENT
+from meshskin.estimation.uncertainty.metrics import nees, position_errors
+from meshskin.recording.recording import READINGS, Recording
+
+
+@pytest.fixture(scope="module")
+def clean(world):
+    recording, belief = world.record(0.01, 0.05), world.belief(0.01, 0.05)
+    found = calibrate(recording, belief)
+    return recording, belief, position_errors(found, world.skin), found
+
+
+def others(errors, bad, reference):
+    """Mean error of the taxels that are not `bad`, relative to the clean estimate's."""
+    keep = np.setdiff1d(np.arange(len(errors)), bad)
+    return errors[keep].mean() / reference[keep].mean()
+
+
+def test_a_sound_recording_has_no_faults_and_fits(clean):
+    found = clean[3]
+    assert not any(found.faults)
+    assert found.fit.good
+    assert 0.9 < found.fit.reduced < 1.15
+    assert "fits" in found.fit.words
+
+
+@pytest.mark.parametrize("noise", [0.01, None])
+@pytest.mark.parametrize("share", [0.02, 0.2])
+def test_outlying_readings(world, clean, change, share, noise):
+    recording, _, reference, _ = clean
+    rng = np.random.default_rng(5)
+    hit = rng.random(len(recording.pressure)) < share
+    wild = rng.uniform(0.05, 2, len(hit)) * world.peak_reference
+    bent = change(recording, pressure=np.where(hit, wild, recording.pressure))
+    found = calibrate(bent, world.belief(noise, 0.05))
+    error = position_errors(found, world.skin)
+    # the readings that are left allow no better than 1 / sqrt(1 - share)
+    assert error.mean() < 1.25 / np.sqrt(1 - share) * reference.mean()
+    named = sum(int(f.split()[0]) for f in found.faults if "outlying" in f)
+    assert 0.75 * hit.sum() < named < 1.15 * hit.sum()
+    if noise:
+        assert nees(found, world.skin).mean() < 3.0
+        assert f"{named} outlying" in found.fit.words
+
+
+def test_readings_that_were_lost_are_not_taken_for_silence(world, clean, change):
+    recording, belief, reference, _ = clean
+    keep = np.random.default_rng(5).random(len(recording.pressure)) > 0.2
+    found = calibrate(change(recording, keep=keep), belief)
+    assert position_errors(found, world.skin).mean() < 1.5 * reference.mean()
+    assert sum("silent in" in fault for fault in found.faults) > 30
+
+
+def test_a_stuck_taxel(world, clean):
+    recording, belief, reference, _ = clean
+    time = recording.time
+    constant = np.full(len(time), 0.4 * world.peak_reference)
+    ids = np.full(len(time), world.ids[7], dtype=np.int32)
+    kept = recording.readings.filter(pa.array(recording.reading_taxel != world.ids[7]))
+    table = pa.concat_tables([kept, pa.table([time, ids, constant], schema=READINGS)])
+    found = calibrate(Recording(recording.contacts, table, recording.metadata), belief)
+    assert found.faults[7].startswith("stuck at 31.")
+    assert not found.observed[7].any()
+    assert np.isnan(found.positions[7]).all()
+    assert others(position_errors(found, world.skin), [7], reference) < 1.05
+
+
+def test_a_taxel_stuck_on_a_small_skin(world):
+    recording, id_ = world.record(0.01, 0.05), world.ids[7]
+    away = np.linalg.norm(world.points - world.truth[7], axis=1)
+    small = away < 15e-3  # contacts spread 1.7 times as far as one is felt
+    time = recording.time[small]
+    others = small[recording.reading_contact] & (recording.reading_taxel != id_)
+    constant = np.full(len(time), 0.5 * world.peak_reference)
+    spoilt = pa.table([time, np.full(len(time), id_, np.int32), constant], schema=READINGS)
+    table = pa.concat_tables([recording.readings.filter(pa.array(others)), spoilt])
+    bent = Recording(recording.contacts, table, recording.metadata)
+    assert list(faults.stuck(gather(bent, world.belief(0.01, 0.05))).rows) == [7]
+
+
+def test_a_taxel_touched_on_a_ring_is_not_stuck(world, change):
+    """All its readings are alike, and the belief has it feel less far than it does."""
+    recording, belief = world.record(0.01, 0.05), world.belief(0.01, 0.05, young=3 * world.young)
+    away = np.linalg.norm(world.points - world.truth[7], axis=1)[recording.reading_contact]
+    own = recording.reading_taxel == world.ids[7]
+    ring = own & (np.abs(away - 5e-3) < 0.3e-3)
+    alike = recording.pressure[ring]
+    assert alike.std() < 3 * belief.noise_sigma
+    assert alike.mean() > 3 * alike.std()
+    assert not len(faults.stuck(gather(change(recording, keep=ring | ~own), belief)).rows)
+
+
+def test_a_taxel_that_dies_on_the_way(world, clean, change):
+    recording, belief, reference, _ = clean
+    late = recording.reading_contact > len(recording.time) / 2
+    keep = ~(late & (recording.reading_taxel == world.ids[9]))
+    found = calibrate(change(recording, keep=keep), belief)
+    assert "silent in" in found.faults[9]
+    assert others(position_errors(found, world.skin), [9], reference) < 1.05
+
+
+def test_many_taxels_with_a_loose_wire_leave_a_model_that_fits(world, clean, change):
+    recording, belief, reference, _ = clean
+    dying = np.arange(0, len(world.ids), 5)
+    off = recording.reading_contact % 40 > 20
+    keep = ~(off & np.isin(recording.reading_taxel, world.ids[dying]))
+    found = calibrate(change(recording, keep=keep), belief)
+    assert found.fit.good  # what they do not say is not held against the model
+    assert np.array_equal(np.flatnonzero(found.faults != ""), dying)
+    assert others(position_errors(found, world.skin), dying, reference) < 1.05
+
+
+def test_a_misfit_that_all_share_says_nothing_against_any_taxel(world, monkeypatch):
+    """With noise of twice what is believed no taxel is further off than most: none is tried."""
+    tried = []
+    monkeypatch.setattr(doubts, "_irls", lambda run, suspects, *_: tried.append(suspects) or np.inf)
+    found = calibrate(world.record(0.02, 0.05), world.belief(0.01, 0.05))
+    assert not tried
+    assert not any(found.faults)
+    assert not found.fit.good
+
+
+def test_taxels_that_warm_up_and_always_answer_do_not_speak_for_most(world, clean):
+    """A fifth of the taxels gives three quarters of the readings: the typical taxel is sound."""
+    recording, belief, reference, _ = clean
+    warm, time = np.arange(0, len(world.ids), 5), recording.time
+    drift = 0.2 * world.peak_reference * np.arange(len(time)) / len(time)
+    sound = ~np.isin(recording.reading_taxel, world.ids[warm])
+    parts = [recording.readings.filter(pa.array(sound))]
+    for k in warm:
+        mine = recording.reading_taxel == world.ids[k]
+        pressure = drift.copy()
+        pressure[recording.reading_contact[mine]] += recording.pressure[mine]
+        ids = np.full(len(time), world.ids[k], dtype=np.int32)
+        parts.append(pa.table([time, ids, pressure], schema=READINGS))
+    found = calibrate(Recording(recording.contacts, pa.concat_tables(parts), {}), belief)
+    assert np.array_equal(np.flatnonzero(found.faults != ""), warm)
+    assert others(position_errors(found, world.skin), warm, reference) < 1.05
+
+
+def test_two_taxels_that_exchange_their_ids(world, clean, change, tmp_path):
+    recording, belief, reference, _ = clean
+    taxel, sometimes = recording.reading_taxel.copy(), recording.reading_contact % 10 > 6
+    a, b = world.ids[[3, 20]]
+    taxel[(recording.reading_taxel == a) & sometimes] = b
+    taxel[(recording.reading_taxel == b) & sometimes] = a
+    found = calibrate(change(recording, taxel=taxel), belief)
+    assert f"swapped with {b}" in found.faults[3]
+    assert f"swapped with {a}" in found.faults[20]
+    error = position_errors(found, world.skin)
+    assert error[[3, 20]].max() < 60e-6
+    assert others(error, [3, 20], reference) < 1.05
+    found.save(tmp_path / "c")
+    again = Calibration.load(tmp_path / "c")
+    assert list(again.faults) == list(found.faults)
+    assert again.fit == found.fit
+    assert "swapped with" in (tmp_path / "c.csv").read_text()
+
+
+def test_a_taxel_that_drifts(world, clean, change):
+    recording, belief, reference, _ = clean
+    drift = 0.2 * world.peak_reference * recording.reading_contact / len(recording.time)
+    own = recording.reading_taxel == world.ids[11]
+    found = calibrate(change(recording, pressure=recording.pressure + own * drift), belief)
+    assert "outlying" in found.faults[11]
+    assert others(position_errors(found, world.skin), [11], reference) < 1.05
+
+
+def test_a_wrong_model_is_no_outlier(world, clean):
+    found = calibrate(clean[0], world.belief(0.01, 0.05, young=0.8 * world.young, unknown=()))
+    assert not found.fit.good
+    assert "does not fit" in found.fit.words
+    assert not any(found.faults)
+
+
+def test_a_doubt_that_does_not_converge_is_dropped(world, clean, change, monkeypatch):
+    """What was believed before is the answer, not an error."""
+    recording = clean[0]
+    hit = np.random.default_rng(5).random(len(recording.pressure)) < 0.02
+    bent = change(recording, pressure=np.where(hit, 0.5 * world.peak_reference, recording.pressure))
+
+    def lost(run, *_):
+        run.weigh(np.full_like(run.likelihood.readings.weight, 0.5))
+        raise CalibrationError("the joint estimate did not converge")
+
+    monkeypatch.setattr(doubts, "_irls", lambda *_: np.inf)
+    plain = calibrate(bent, clean[1])
+    monkeypatch.setattr(doubts, "_irls", lost)
+    found = calibrate(bent, clean[1])
+    np.testing.assert_array_equal(found.positions, plain.positions)
+    assert not found.fit.good
+
+
+def test_the_test_of_fit_is_calibrated(world):
+    belief = world.belief(0.01, 0.05)
+    fits = [calibrate(world.record(0.01, 0.05, seed), belief).fit for seed in range(12)]
+    mean = np.mean([fit.reduced for fit in fits])
+    assert abs(mean - 1) < 4 * np.sqrt(2 / fits[0].freedom / len(fits))
+    assert calibrate(world.record(0.01, 0.05), world.belief(None, 0.05)).fit.good is None
+
+
+def test_the_plausibility_is_the_likelihood_of_a_mixture():
+    """Against scipy's densities, two taxels of two and of one readings."""
+    kind, taxel = np.array([HEARD, HEARD, HEARD, SILENT]), np.array([0, 0, 1, 1])
+    one = np.zeros(4)
+    readings = Readings(taxel, taxel, one, kind, taxel, one, np.array([0, 2, 4]))
+    r, out = np.array([0.5, 30.0, -2.0, 0.0]), np.array([False, True, False, False])
+    wild = 0.25  # half of the first taxel's readings, none of the second's
+    sound = np.log((1 - wild) * norm.pdf([0.5, -2.0], scale=2.0))
+    want = 0.25 * sound[0] + 0.25 * np.log(wild / 200.0) + 0.5 * sound[1]
+    got = faults.plausibility(readings, r, 2.0, out, 200.0)
+    assert got == pytest.approx(want, rel=1e-12)
+
+
+def test_more_outlying_readings_than_plausible_are_a_misfit(world, monkeypatch):
+    """What is left must explain what was heard better than a misfit does."""
+    recording = world.record(0.01, 0.05)
+    seen = []
+
+    def sift(run, suspects, scale, fixed):
+        seen.append(scale)
+        half = np.arange(len(run.likelihood.readings.weight)) % 2
+        run.weigh(half.astype(float))  # every other reading for outlying
+        return scale
+
+    monkeypatch.setattr(doubts, "_irls", sift)
+    monkeypatch.setattr(doubts.faults, "suspects", lambda *_: np.arange(5))
+    calibrate(recording, world.belief(0.005, 0.05))
+    assert len(seen) == 2
+    assert seen[0] == 1.0
+    assert seen[1] > 1.5

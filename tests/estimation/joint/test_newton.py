@@ -1,0 +1,76 @@
+"""Elimination and IPOPT: the reduced problem's derivatives, and the speed study's own result."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from meshskin.estimation import chart
+from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.joint.contacts import LinearizedContacts
+from meshskin.estimation.joint.likelihood import Likelihood, select
+from meshskin.estimation.joint.newton import minimise
+from meshskin.estimation.joint.parametrization import SurfaceParametrization
+from meshskin.estimation.joint.variable_projection import ReducedProblem
+
+
+@pytest.fixture(scope="module")
+def problem(world):
+    belief = world.belief(0.01, 0.05, unknown=("modulus", "force_offset", "gain"))
+    data = gather(world.record(0.01, 0.05), belief)
+    s, live = np.zeros(2), np.arange(len(world.ids))
+    heard, silent = np.ones(len(data.pressure)), np.ones(len(live))
+    readings = select(data, live, world.truth, 0.0, heard, silent)
+    places = SurfaceParametrization(chart.about(world.body, world.truth), 2e-3)
+    likelihood = Likelihood(data, readings, data.shared)
+    return ReducedProblem(likelihood, places, LinearizedContacts(data.shared, data, world.body, s))
+
+
+def test_the_reduced_gradient_is_that_of_the_reduced_cost(problem):
+    about = np.array([0.05, -0.1])
+    state = problem.start(about)
+    problem.settle(state)
+    assert state.decrement.max() < 1e-8
+    reduced = problem.reduce(state)
+    for k, h in enumerate((1e-4, 1e-3)):
+        step = h * np.eye(2)[k]
+        ahead, behind = (problem.reduce(problem.moved(state, about + s * step)) for s in (1, -1))
+        assert (ahead.cost - behind.cost) / (2 * h) == pytest.approx(
+            reduced.gradient[k], rel=1e-3, abs=1e-3 * np.abs(reduced.gradient).max()
+        )
+        curvature = (ahead.gradient - behind.gradient) / (2 * h)
+        assert np.allclose(curvature, reduced.hessian[k], rtol=0.15)  # Gauss-Newton's
+
+
+def test_ipopt_finds_where_it_vanishes(problem):
+    state = problem.start(np.array([0.3, 0.2]))
+    problem.settle(state)
+    costs = []
+    found, status = minimise(
+        problem, state, 30, lambda state: costs.append(problem.reduce(state).cost)
+    )
+    assert status == "Solve_Succeeded"
+    assert problem.reduce(found).decrement < 1e-8
+    assert (np.diff(costs) < 0).all()
+
+
+def test_settling_is_each_taxel_s_own_matter(problem, world):
+    z = np.zeros((len(world.ids), 3))
+    z[5, :2] = 4e-3  # one taxel far off holds no other up
+    state, plain = problem.start(np.zeros(2), z), problem.start(np.zeros(2))
+    problem.settle(state)
+    problem.settle(plain)
+    others = np.arange(len(z)) != 5
+    assert np.allclose(state.z[others], plain.z[others], atol=1e-12)
+
+
+def test_the_speed_study_finds_every_taxel():
+    file = Path(__file__).parents[3] / "studies" / "speed" / "joint.py"
+    spec = importlib.util.spec_from_file_location("joint_speed", file)
+    study = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(study)
+    row = study.measure(80)
+    assert row["lost"] == 0
+    assert row["error_mm"] == pytest.approx(0.0126, rel=0.1)
+    assert 3500 < row["readings"] < 4500

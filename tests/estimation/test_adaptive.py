@@ -1,0 +1,135 @@
+"""Adaptive exploration: it meets its target, or says why not, and the arm can make its touches."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin.core.errors import ConfigError, ReachError
+from meshskin.effects.broken_taxels import BrokenTaxels
+from meshskin.effects.encoder import Encoder
+from meshskin.effects.friction import Friction
+from meshskin.effects.gravity_error import GravityError
+from meshskin.effects.sampling import Sampling
+from meshskin.effects.scan_order import ScanOrder
+from meshskin.effects.temperature_drift import TemperatureDrift
+from meshskin.estimation.adaptive import NEVER, SPENT, adapt
+from meshskin.geometry.region import Cap
+from meshskin.robot import collision
+from meshskin.simulation.contact_samplers import last_of_each, pressed, together, touched
+
+TARGET = 45e-6
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A small skin on the ellipsoid."""
+    whole = ms.Scene.load("ellipsoid")
+    skin = ms.Skin.cover(whole.body, count=19, spacing=5e-3, region=Cap((0.0, -1.0, 0.0)))
+    return whole.with_(skin=skin, loop=replace(whole.loop, compile="never"))
+
+
+def errors(found, scene):
+    return np.linalg.norm(found.calibration.positions - scene.skin.positions, axis=1)
+
+
+def test_every_taxel_comes_below_the_target_in_few_contacts(scene):
+    found = adapt(scene, TARGET, seed=3)
+    assert found.unmet == {}
+    assert found.calibration.position_sigma.max() <= TARGET
+    assert errors(found, scene).max() < 4 * TARGET
+    counts = [one.contacts for one in found.rounds]
+    assert counts == sorted(counts)
+    assert counts[-1] == len(found.recording.time) < 120
+    assert found.rounds[-1].above == 0 < found.rounds[0].above
+    # the same number of contacts thrown evenly over the skin leaves some taxel above it
+    hit = scene.body.closest(found.recording.points)
+    rng = np.random.default_rng(0)
+    spread = scene.skin.positions[rng.integers(0, 19, counts[-1])]
+    blind = spread + rng.uniform(-4e-3, 4e-3, spread.shape)
+    other = ms.calibrate(ms.press(scene, scene.body.closest(blind).point, seed=3), scene.belief())
+    assert other.position_sigma.max() > 1.1 * found.calibration.position_sigma.max()
+    assert np.abs(hit.distance).max() < 1e-9
+
+
+def test_a_tighter_target_takes_more_contacts(scene):
+    loose, tight = (adapt(scene, target, seed=1) for target in (2 * TARGET, TARGET))
+    assert len(loose.recording.time) < len(tight.recording.time)
+
+
+def test_a_dead_taxel_and_a_spent_budget_are_named(scene):
+    dead = scene.with_(effects=(*scene.effects, BrokenTaxels(dead=0.06, stuck=0.0)))
+    found = adapt(dead, 2 * TARGET, seed=2)
+    assert list(found.unmet.values()) == [NEVER]
+    lost = found.calibration.ids == next(iter(found.unmet))
+    assert not found.calibration.touched[lost].any()
+    assert found.calibration.position_sigma[~lost].max() <= 2 * TARGET
+    short = adapt(scene, TARGET / 10, seed=2, most=60)
+    assert len(short.recording.time) <= 60
+    assert set(short.unmet.values()) == {SPENT}
+
+
+def test_what_cannot_be_asked(scene):
+    with pytest.raises(ConfigError, match="target"):
+        adapt(scene, 0.0)
+    with pytest.raises(ConfigError, match=r"got 30 m, limit: above 0, below the 0.006"):
+        adapt(scene, 30)
+    with pytest.raises(ConfigError, match=r"first pass .* most=5; allow more"):
+        adapt(scene, TARGET, most=5)
+    for points in (np.zeros((0, 3)), np.zeros((4, 2))):
+        with pytest.raises(ConfigError, match=r"points of the first pass, got shape \(\d, \d\)"):
+            adapt(scene, TARGET, points=points)
+    hollow = ms.Body.torus(0.06, 0.04)
+    inside = np.array([[0.02, 0.0, 0.0]])
+    ring = scene.with_(body=hollow)
+    with pytest.raises(ReachError, match=collision.SUPPORT):
+        pressed(ring, 0)(inside)
+
+
+def test_the_arm_sets_the_body_down_on_every_contact(scene):
+    points = scene.skin.positions[[0, 5, 11, 17]]
+    recording, why = touched(scene, 1)(points)
+    assert (why == "").all()
+    assert len(recording.time) == 4
+    assert recording.force == pytest.approx(3.0, rel=0.02)
+    off = np.linalg.norm(recording.points[:, None] - points, axis=2).min(axis=0)
+    assert off.max() < 0.2e-3
+    assert (np.diff(recording.time) > 0.3).all()
+    twice = together(recording, recording)
+    assert len(twice.time) == 8
+    assert len(twice.pressure) == 2 * len(recording.pressure)
+    assert (twice.reading_contact < 8).all()
+
+
+def test_the_last_contact_of_a_slide_is_kept(scene):
+    whole = ms.simulate(scene, 1)
+    kept = last_of_each(whole)
+    assert kept.time.tolist() == [whole.time[-1]]
+    assert len(kept.pressure) == (whole.reading_contact == len(whole.time) - 1).sum()
+
+
+def test_presses_need_no_arm_and_know_of_no_sliding(scene):
+    ideal = scene.with_(effects=())
+    points = scene.body.closest(scene.skin.positions).point
+    (first, _), (second, _) = map(pressed(ideal, 0), (points[:9], points[9:]))
+    # a contact at rest neither shears nor is anywhere else when it is read or recorded
+    still = (Friction(0.8), Sampling(40.0, 3e-3), ScanOrder(5))
+    touch = pressed(ideal.with_(effects=still), 0)
+    for half, plain in ((points[:9], first), (points[9:], second)):
+        found, _ = touch(half)
+        assert np.array_equal(found.points, plain.points)
+        np.testing.assert_allclose(found.pressure, plain.pressure, rtol=1e-12)
+    # the body's pose is its own, not an arm's
+    heavy, _ = pressed(ideal.with_(effects=(GravityError(0.1),)), 0)(points)
+    assert heavy.force == pytest.approx(3.0 - 0.981, rel=1e-9)  # the skin faces straight down
+    with pytest.raises(ConfigError, match=r"needs the joints .* touch by the closed loop"):
+        pressed(scene.with_(effects=(Encoder(),)), 0)
+
+
+def test_what_drifts_drifts_on_from_round_to_round(scene):
+    warm = TemperatureDrift(gain_drift=1.0, offset_relative=0.0, time_constant=2.0)
+    touch = pressed(scene.with_(effects=(warm,)), 0)
+    point = scene.body.closest(scene.skin.positions[:1]).point
+    cold, later = (float(touch(point)[0].pressure.max()) for _ in range(2))
+    assert later / cold == pytest.approx(2.0 - np.exp(-0.5))  # a second of rest between

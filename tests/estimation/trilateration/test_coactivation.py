@@ -1,0 +1,110 @@
+"""Starts from co-activation: no pressure in them, near enough for the joint estimate."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.joint import joint
+from meshskin.estimation.trilateration import coactivation, trilaterate
+
+
+@pytest.fixture(scope="module")
+def data(world):
+    return gather(world.record(0.01, 0.05), world.belief(0.01, 0.05))
+
+
+@pytest.fixture(scope="module")
+def best(data, world):
+    return joint.estimate(data, world.body)
+
+
+def errors(world, fit):
+    return np.linalg.norm(fit.points - world.truth, axis=1)
+
+
+def test_no_pressure_enters(world, data):
+    alone = coactivation.contact_centroid_start(data, world.body)
+    blind = replace(data, pressure=np.random.default_rng(0).uniform(1, 2, len(data.pressure)))
+    assert np.array_equal(
+        coactivation.contact_centroid_start(blind, world.body).points, alone.points
+    )
+    assert alone.found.all()
+    error = errors(world, alone)
+    assert error.mean() < 1.5e-3
+    assert error.max() < 4.5e-3  # at the border of the contacts
+    sigma = np.sqrt(np.trace(alone.covariance, axis1=1, axis2=2))
+    assert np.all(error < 2 * sigma)
+    assert np.abs(world.body.closest(alone.points).distance).max() < 1e-9
+
+
+def test_the_joint_estimate_reaches_its_optimum_from_there(world, data, best):
+    found = joint.estimate(data, world.body, coactivation.contact_centroid_start(data, world.body))
+    assert np.allclose(found.points, best.points, atol=1e-8)
+
+
+def test_where_trilateration_fails_co_activation_starts(world, data, best, monkeypatch):
+    right = trilaterate.least_squares(data, world.body)
+    points, why = right.points.copy(), right.why.copy()
+    points[4] = world.body.closest(points[4] + [0.0, 12e-3, 0.0]).point
+    points[9], why[9] = np.nan, trilaterate.LINE
+    monkeypatch.setattr(
+        trilaterate, "least_squares", lambda *_: replace(right, points=points, why=why)
+    )
+    start = coactivation.start(data, world.body)
+    alone = coactivation.contact_centroid_start(data, world.body)
+    same = np.flatnonzero(np.all(start.points == alone.points, axis=1))
+    assert list(same) == [4, 9]
+    assert start.found.all()
+    found = joint.estimate(data, world.body)
+    assert np.allclose(found.points, best.points, atol=1e-8)
+
+
+@pytest.mark.parametrize("error_mm", [0.5, 2, 4, 6, 12])
+def test_the_basin(world, data, best, error_mm):
+    rng = np.random.default_rng(1)
+    angle = rng.uniform(-np.pi, np.pi, len(world.truth))
+    x, y = np.moveaxis(best.rotations[:, :, :2], 2, 0)
+    away = np.cos(angle)[:, None] * x + np.sin(angle)[:, None] * y
+    off = world.body.closest(best.points + 1e-3 * error_mm * away).point
+    start = replace(trilaterate.least_squares(data, world.body), points=off)
+    found = joint.estimate(data, world.body, start)
+    assert np.allclose(found.points, best.points, atol=1e-6)
+
+
+def test_what_says_nothing(world, data):
+    few = np.flatnonzero(data.taxel == 3)[:2]
+    line = np.flatnonzero((data.taxel == 5) & (np.abs(data.points[data.contact, 1]
+                          - data.points[data.contact[data.taxel == 5][0], 1]) < 1e-4))  # fmt: skip
+    others = np.flatnonzero(~np.isin(data.taxel, [3, 5]))
+    rows = np.concatenate([few, line, others])
+    columns = {n: getattr(data, n)[rows] for n in ("contact", "taxel", "pressure")}
+    rng = np.random.default_rng(0)
+    wild = columns["taxel"] == 8  # it answers wherever the skin is touched
+    columns["contact"][wild] = rng.integers(len(data.points), size=wild.sum())
+    fit = coactivation.contact_centroid_start(replace(data, **columns), world.body)
+    reasons = {3: trilaterate.FEW, 5: trilaterate.LINE, 8: coactivation.EVERYWHERE}
+    for row, why in reasons.items():
+        assert fit.why[row] == why
+        assert np.isnan(fit.points[row]).all()
+    assert fit.found.sum() == len(world.truth) - 3
+
+
+def test_false_answers_everywhere(world):
+    sigma, threshold = 0.2, 0.2  # a third of all contacts and taxels
+    belief = world.belief(sigma, threshold)
+    for seed in range(2):
+        data = gather(world.record(sigma, threshold, seed), belief)
+        near = coactivation.plausible(data)
+        assert len(near.pressure) < 0.6 * len(data.pressure)
+        start = coactivation.start(near, world.body)
+        assert errors(world, start).max() < 4e-3
+        right = joint.estimate(data, world.body, replace(start, points=world.truth))
+        found = joint.estimate(data, world.body)
+        assert np.allclose(found.points, right.points, atol=1e-6)
+        assert errors(world, found).mean() < 0.35e-3
+
+
+def test_sound_recordings_are_left_as_they_are(data):
+    assert coactivation.plausible(data) is data

@@ -1,0 +1,102 @@
+"""The test of fit: leverages against the dense hat matrix, and a statistic with the mean of one."""
+
+import numpy as np
+import pytest
+
+from meshskin.estimation import chart
+from meshskin.estimation.calibrate import calibrate
+from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.joint import module
+from meshskin.estimation.joint.contacts import LinearizedContacts
+from meshskin.estimation.joint.likelihood import Likelihood, select
+from meshskin.estimation.joint.parametrization import SurfaceParametrization
+from meshskin.estimation.joint.pressure import SILENT, censored
+from meshskin.estimation.joint.variable_projection import ReducedProblem
+
+STEP = 1e-6
+
+
+@pytest.fixture(scope="module")
+def sparse(world):
+    """Few contacts: some seven readings a taxel."""
+    return type(world)(extent=17e-3, lane=5e-3, step=2.5e-3)
+
+
+def prepared(world, rigid):
+    """A settled problem at few readings: taxels by themselves, or six of them on two modules."""
+    unknown = ("modulus", "force_offset", "gain", "offset")
+    data = gather(world.record(0.01, 0.05), world.belief(0.01, 0.05, unknown=unknown))
+    live = np.arange(len(world.ids))
+    if rigid:
+        live = np.argsort(np.linalg.norm(world.truth - world.truth.mean(axis=0), axis=1))[:6]
+        frame = chart.frames(world.body.closest(world.truth[live[[0, 3]]]).normal)
+        arms = world.truth[live].reshape(2, 3, 3) - world.truth[live[[0, 3]]][:, None]
+        poses = np.tile(np.eye(4), (2, 1, 1))
+        poses[:, :3, :3], poses[:, :3, 3] = frame, world.truth[live[[0, 3]]]
+        offsets = np.einsum("gji,gsj->gsi", frame, arms).reshape(-1, 3)
+        group = np.repeat([0, 1], 3)
+        places = module.ModuleParametrization.about(world.body, poses, group, offsets, 2e-3)
+    else:
+        places = SurfaceParametrization(chart.about(world.body, world.truth), 2e-3)
+    weight = np.random.default_rng(0).uniform(0.2, 1.0, len(data.pressure))
+    readings = select(data, live, places.points(), 0.0, weight, np.ones(len(live)))
+    likelihood = Likelihood(data, readings, data.shared)
+    problem = ReducedProblem(
+        likelihood, places, LinearizedContacts(data.shared, data, world.body, np.zeros(2))
+    )
+    state = problem.start(np.zeros(2))
+    problem.settle(state)
+    return problem, state
+
+
+def differences(function, x, scale):
+    """d function / d x (k, p) by central differences, in units of `scale` (p,)."""
+    steps = STEP * np.diag(scale)
+    return np.stack([(function(x + d) - function(x - d)) / (2 * STEP) for d in steps], axis=1)
+
+
+@pytest.mark.parametrize("rigid", [False, True])
+def test_leverages_are_the_diagonal_of_the_dense_hat_matrix(sparse, rigid):
+    problem, state = prepared(sparse, rigid)
+    places, likelihood, read = problem.places, problem.likelihood, problem.likelihood.readings
+    group, rows, size = places.group, np.arange(len(places.group)), places.size
+
+    def mu(x):
+        z, s = x[:-2].reshape(state.z.shape), x[-2:]
+        points = places.at(z[group, :size], group, rows)[0]
+        extras = problem.extras(z, np.arange(places.count))
+        return likelihood.means(points, extras, problem.contacts.at(s))
+
+    x = np.concatenate([state.z.ravel(), state.s])
+    local = np.where(np.arange(problem.width) < size, 1e-3, 1.0)
+    scale = np.concatenate([np.tile(local, places.count), [1.0, 1.0]])
+    slope, silent = differences(mu, x, scale), read.kind == SILENT
+    excess = mu(x) - read.level / likelihood.data.sigma
+    weight = read.weight * np.where(silent, censored(excess)[2], 1.0)
+    known = np.tile(np.square(likelihood.local_sigma) ** -1.0, (problem.width - size) // 2)
+    known = np.concatenate([np.full(size, 1e2), known])
+    priors = np.concatenate([np.tile(known, places.count), likelihood.shared.sigma**-2.0])
+    information = slope.T @ (weight[:, None] * slope) + np.diag(priors * scale**2)
+    if rigid:  # and each taxel's height over the surface
+        height = differences(lambda x: heights(places, x[:-2].reshape(state.z.shape)), x, scale)
+        information += height.T @ height / module.SURFACE**2
+    hat = weight * np.einsum("ki,ik->k", slope, np.linalg.solve(information, slope.T))
+    own = problem.leverages(state, problem.reduce(state))
+    assert silent.any()
+    assert 0.05 < own[~silent].mean() < 1.0
+    assert np.allclose(own, hat, atol=2e-5)
+
+
+def heights(places, z):
+    """Heights (n,), m, over the planes that touch the surface below each taxel's anchor."""
+    x = places.at(z[places.group, :6], places.group, np.arange(len(places.group)))[0]
+    return places.height + np.einsum("ni,ni->n", places.normals, x - places.points())
+
+
+@pytest.mark.slow
+def test_the_statistic_has_the_mean_of_one_at_few_readings_a_taxel(sparse):
+    belief = sparse.belief(0.01, 0.05)
+    fits = [calibrate(sparse.record(0.01, 0.05, seed), belief).fit for seed in range(300)]
+    chi2, freedom = np.sum([(fit.chi2, fit.freedom) for fit in fits], axis=0)
+    assert abs(chi2 / freedom - 1) < 3 * np.sqrt(2 / freedom)
+    assert sum("overstated" in fit.words for fit in fits) <= 2

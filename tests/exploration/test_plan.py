@@ -1,0 +1,187 @@
+"""Plans for an arm: within its limits, broken where they end, and honest about what is left out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+import meshskin as ms
+from meshskin.core.errors import ReachError, UnknownNameError
+from meshskin.core.se3 import inverse
+from meshskin.exploration.explore import is_cap, planned
+from meshskin.exploration.plan import FAR, LIMIT
+from meshskin.geometry.region import Cap, HalfSpace
+from meshskin.robot import capsules, collision
+
+LANES = ms.Exploration(pattern="lanes")
+
+
+def angles(scene, plan):
+    """Joint angles (k, n) along each place of a plan, followed from its posture."""
+    for place in plan.segments:
+        poses = place.poses[::5] @ inverse(scene.mount_pose)
+        yield scene.arm.inverse_kinematics(poses, place.postures[0])
+
+
+@pytest.fixture(scope="module", params=["ellipsoid", "capsule", "torus"])
+def scene(request):
+    return ms.Scene.load(request.param)
+
+
+@pytest.fixture(scope="module")
+def plan(scene):
+    return planned(scene)
+
+
+def test_the_plan_sees_every_taxel_of_the_shipped_bodies_within_all_limits(scene, plan):
+    assert plan.unreachable == {}
+    points = plan.path.points
+    assert cKDTree(points).query(scene.skin.positions)[0].max() < 0.5 * plan.spacing + 0.5e-3
+    assert np.linalg.norm(np.diff(points, axis=0), axis=1).max() < 1.05 * 0.05 * plan.path.dt
+    assert np.linalg.norm(plan.path.twists[:, 3:], axis=1).max() < 2.5
+    for q in angles(scene, plan):  # raises ReachError beyond a joint limit
+        assert (q > scene.arm.lower).all()
+        assert (q < scene.arm.upper).all()
+        rate = np.abs(np.diff(q, axis=0)).max(axis=0) / (5 * plan.path.dt)
+        assert (rate < scene.arm.velocity_limit).all()
+
+
+def test_the_indenter_meets_the_body_where_the_path_says(scene, plan):
+    path = plan.path
+    turn = plan.headings[::50]
+    np.testing.assert_allclose(np.linalg.det(turn), 1.0, atol=1e-12)
+    centre = np.einsum("kji,kj->ki", turn, scene.indenter.position - path.poses[::50, :3, 3])
+    hit = scene.body.closest(centre)
+    gap = scene.indenter.radius - scene.patch.depth
+    np.testing.assert_allclose(hit.distance, gap, atol=2e-5)
+    assert np.linalg.norm(hit.point - path.points[::50], axis=1).max() < 0.1e-3
+    down = np.einsum("kij,kj->ki", turn, hit.normal)
+    assert down[:, 2].max() < -np.cos(np.radians(2.0))
+
+
+def test_a_cap_of_a_sphere_keeps_the_parallels(sphere, scene):
+    assert is_cap(sphere)
+    assert not is_cap(scene)
+    with pytest.raises(UnknownNameError, match="did you mean lanes"):
+        ms.Exploration(pattern="lane")
+
+
+def test_a_region_without_taxels_and_a_body_without_an_arm():
+    body = ms.Body.sphere(0.05)
+    plan = ms.explore(body, HalfSpace((0.0, 0.0, 1.0), 0.04), exploration=LANES)
+    assert plan.unreachable == {}
+    assert plan.path.postures is None
+    assert len(plan.segments) == 1
+    wide = ms.explore(body, HalfSpace((0.0, 0.0, 1.0), 0.04),
+                      exploration=replace(LANES, contacts=20.0))  # fmt: skip
+    assert wide.spacing > 1.2 * plan.spacing
+    assert len(wide.path.points) < len(plan.path.points)
+
+
+def test_lanes_lie_as_close_as_the_patch_asks():
+    body, region = ms.Body.sphere(0.05), HalfSpace((0.0, 0.0, 1.0), 0.045)
+    plain, small = (
+        ms.explore(body, region, indenter=ms.Indenter.sphere(radius), force=force)
+        for radius, force in ((0.01, 3.0), (0.004, 1.0))
+    )
+    assert plain.spacing == pytest.approx(3.5e-3, rel=0.15)
+    assert small.spacing < 0.5 * plain.spacing
+    assert plain.unreachable == small.unreachable == {}
+
+
+def test_a_body_far_from_the_arm_is_out_of_reach(sphere):
+    far = sphere.with_(exploration=LANES, indenter=ms.Indenter.sphere(0.01, (2.0, 0.0, 0.7)))
+    with pytest.raises(ReachError, match=f"nothing of the skin .*{FAR}.*80 taxels"):
+        planned(far)
+
+
+def test_a_joint_that_cannot_turn_enough_is_named(sphere):
+    stiff = replace(sphere.arm, lower=sphere.arm.lower.copy(), upper=sphere.arm.upper.copy())
+    stiff.lower[4], stiff.upper[4] = -0.05, 0.05
+    with pytest.raises(ReachError, match=f"{LIMIT} of joint5"):
+        planned(sphere.with_(exploration=LANES, arm=stiff))
+
+
+def test_where_a_joint_ends_the_taxels_are_listed_and_the_rest_is_explored(sphere):
+    arm = replace(sphere.arm, lower=sphere.arm.lower.copy(), upper=sphere.arm.upper.copy())
+    wide = ms.Skin.cover(sphere.body, count=24, spacing=16e-3, region=Cap((0.0, 0.0, -1.0)))
+    arm.lower[4], arm.upper[4] = -1.2, -0.9
+    scene = sphere.with_(exploration=LANES, arm=arm, skin=wide)
+    plan = planned(scene)
+    assert 0 < len(plan.unreachable) < 24
+    assert set(plan.unreachable.values()) == {f"{LIMIT} of joint5"}
+    for q in angles(scene, plan):
+        assert q[:, 4].min() > -1.2
+        assert q[:, 4].max() < -0.9
+
+
+def test_the_inside_of_a_narrow_ring_is_left_out_with_the_reason():
+    body = ms.Body.torus(0.06, 0.04)
+    skin = ms.Skin.cover(body, spacing=10e-3, region=HalfSpace((0.0, 1.0, 0.0), 0.005))
+    radial = skin.positions * [1, 1, 0]
+    outward = (skin.normals * radial).sum(axis=1) / np.linalg.norm(radial, axis=1)
+    inside, outside = set(skin.ids[outward < -0.97]), set(skin.ids[outward > 0.0])
+    assert len(inside) > 4
+    small = ms.explore(body, skin, indenter=ms.Indenter.sphere(0.005), force=1.0, exploration=LANES)
+    assert not outside & set(small.unreachable)
+    assert {small.unreachable.get(k) for k in inside} == {collision.SUPPORT}  # the ring's far side
+    large = ms.Indenter(radius=0.04, support_radius=1e-3, support_height=1e-3)
+    plan = ms.explore(body, skin, indenter=large, force=10.0)
+    assert not outside & set(plan.unreachable)
+    assert {plan.unreachable.get(k) for k in inside} == {collision.HOLLOW}
+
+
+def test_the_arm_keeps_off_the_support_and_the_body(sphere):
+    plan = planned(sphere.with_(exploration=LANES))
+    q = np.concatenate(list(angles(sphere, plan)))[::20]
+    poses = sphere.arm.pose(q) @ sphere.mount_pose
+    held = collision.mounted(sphere.arm, sphere.body, sphere.mount_pose)
+    assert not collision.arm_reasons(sphere.arm, sphere.body, q, poses, sphere.indenter, held).any()
+    wall = ms.Indenter(support_radius=0.004, support_height=0.6)
+    # a column through the forearm: the indenter's place moved onto a link
+    ends = collision.links(sphere.arm).at(q[:1])[0]
+    middle = ends[-1].mean(axis=0)
+    pierced = replace(wall, position=(middle[0], middle[1], middle[2] + 0.3))
+    why = collision.arm_reasons(sphere.arm, sphere.body, q[:1], poses[:1], pierced, held)
+    assert why[0] == collision.ARM_SUPPORT
+    shifted = poses[:1].copy()
+    shifted[0, :3, 3] = ends[0].mean(axis=0)  # the body about the upper arm
+    why = collision.arm_reasons(sphere.arm, sphere.body, q[:1], shifted, sphere.indenter, held)
+    assert why[0] == collision.ARM_BODY
+
+
+def test_links_are_capsules_about_their_shapes():
+    boxed = """<robot name="r"><link name="base"><collision><origin xyz="0 0 0.2"/>
+      <geometry><cylinder radius="0.05" length="0.4"/></geometry></collision></link>
+      <joint name="j" type="continuous"><parent link="base"/><child link="arm"/>
+      <origin xyz="0 0 0.4"/><axis xyz="0 0 1"/></joint><link name="arm"/>
+      <joint name="k" type="fixed"><parent link="arm"/><child link="tool"/>
+      <origin xyz="0.3 0 0"/></joint><link name="tool"/></robot>"""
+    found = collision.links(ms.Arm.from_text(boxed, "tool"))
+    assert found.names == ("base", "arm")
+    ends = found.at(np.array([[np.pi / 2]]))[0]
+    np.testing.assert_allclose(ends[1], [[0, 0, 0.4], [0, 0.3, 0.4]], atol=1e-12)
+    assert found.radii[1] == collision.LINK_RADIUS
+    assert 0.05 <= found.radii[0] < 0.08
+    assert np.abs(ends[0][:, :2]).max() < 1e-9
+    low, high = np.sort(ends[0][:, 2])
+    assert low - found.radii[0] <= 1e-9
+    assert high + found.radii[0] >= 0.4 - 1e-9
+
+
+def test_capsules_part_by_the_distance_of_their_segments():
+    rng = np.random.default_rng(3)
+    a, b = rng.normal(size=(2, 60, 3))
+    c, d = rng.normal(size=(2, 3))
+    a[0], b[0] = c + np.eye(3)[0], d + np.eye(3)[0]  # parallel
+    b[1] = a[1]  # a point
+    part = np.linspace(0.0, 1.0, 101)[:, None]
+    dense = np.linalg.norm(
+        (a[:, None] * (1 - part) + b[:, None] * part)[:, :, None]
+        - (c * (1 - part) + d * part)[None, None],
+        axis=-1,
+    ).min(axis=(1, 2))
+    got = capsules.segment_distance(a, b, c, d)
+    assert (got <= dense + 1e-12).all()
+    np.testing.assert_allclose(got, dense, atol=0.05)

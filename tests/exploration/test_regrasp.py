@@ -1,0 +1,113 @@
+"""Postures change in the air: up, over in joint space, down, and touch again."""
+
+from dataclasses import replace
+from itertools import groupby
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin.core.errors import ReachError
+from meshskin.core.se3 import inverse
+from meshskin.exploration.explore import planned
+from meshskin.geometry.region import Cap
+from meshskin.simulation import transfer
+from meshskin.simulation.simulate import closed_loop, prepare, run
+from meshskin.simulation.state_machine import PHASES, SLIDE
+
+WALL = ms.Indenter(position=(-0.6, -0.15, 0.5), direction=(1.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def islands():
+    """Two islands of skin on a ball, too far apart to slide from one to the other."""
+    body = ms.Body.sphere(0.1)
+    parts = [
+        ms.Skin.cover(body, count=4, spacing=5e-3, region=Cap(way))
+        for way in ((0.5, 0.0, -1.0), (-0.5, 0.0, -1.0))
+    ]
+    poses = np.concatenate([part.poses for part in parts])
+    return ms.Scene(
+        body=body,
+        skin=ms.Skin(poses, np.arange(len(poses))),
+        exploration=ms.Exploration(pattern="lanes"),
+    )
+
+
+@pytest.mark.parametrize("indenter", [ms.Indenter(), WALL])
+def test_the_arm_lifts_off_takes_the_posture_of_the_next_place_and_touches_again(islands, indenter):
+    scene = islands.with_(indenter=indenter, loop=replace(islands.loop, compile="never"))
+    machine, path = prepare(scene)
+    assert len(path.places) == len(path.postures) == 2
+    found = list(run(scene, machine, path))
+    order = [PHASES[phase] for phase, _ in groupby(found, key=lambda steps: steps.phase)]
+    once = ["approach", "touch", "hold", "slide"]
+    assert order == [*once, "leave", "next", *once]
+    q = np.concatenate([steps.q for steps in found])
+    rate = np.abs(np.diff(q, axis=0)).max(axis=0) / scene.loop.dt
+    assert (rate < scene.arm.velocity_limit).all()
+    assert (q > scene.arm.lower).all()
+    assert (q < scene.arm.upper).all()
+    slides = np.concatenate([steps.outputs for steps in found if steps.phase == SLIDE])
+    assert slides[:, 6] == pytest.approx(3.0, abs=0.1)
+    near = np.linalg.norm(slides[:, None, :3] - scene.skin.positions, axis=2).min(axis=0)
+    assert near.max() < 3e-3
+
+
+def test_a_recording_says_what_its_exploration_left_out(islands):
+    arm = replace(islands.arm, lower=islands.arm.lower.copy())
+    free = planned(islands)
+    poses = np.concatenate([place.poses[::40] for place in free.segments])
+    bend = [islands.arm.solve(pose @ inverse(islands.mount_pose))[4] for pose in poses]
+    arm.lower[4] = np.median(bend)
+    scene = islands.with_(arm=arm, loop=replace(islands.loop, compile="never"))
+    plan = planned(scene)
+    recording = ms.simulate(scene, 1)
+    assert recording.metadata["unreachable"] == {str(k): w for k, w in plan.unreachable.items()}
+    assert set(recording.reading_taxel) >= set(scene.skin.ids) - set(plan.unreachable)
+
+
+def test_a_joint_that_cannot_go_on_breaks_the_lane_instead():
+    whole = ms.Scene.load("capsule")
+    skin = ms.Skin.cover(whole.body, count=30, spacing=5e-3, region=Cap((1.0, 0.0, 0.0)))
+    free = planned(whole.with_(skin=skin))
+    assert len(free.segments) == 1
+    poses = free.path.poses[::20] @ inverse(whole.mount_pose)
+    q = whole.arm.inverse_kinematics(poses, free.path.postures[0])
+    # each joint's way cut in the middle, where other postures of the arm are as good
+    cut = [(j, 0.5 * (q[:, j].min() + q[:, j].max())) for j in range(6) if np.ptp(q[:, j]) > 0.2]
+    broken = 0
+    for joint, middle in cut:
+        arm = replace(whole.arm, upper=whole.arm.upper.copy())
+        arm.upper[joint] = middle
+        try:
+            plan = planned(whole.with_(skin=skin, arm=arm))
+        except ReachError:
+            continue
+        broken += len(plan.segments) > 1 or bool(plan.unreachable)
+        for place in plan.segments:
+            follow = place.poses[::20] @ inverse(whole.mount_pose)
+            arm.inverse_kinematics(follow, place.postures[0])  # raises beyond the limit
+    assert broken
+
+
+@pytest.mark.parametrize("indenter", [ms.Indenter(), WALL])
+def test_the_way_between_postures_keeps_off_the_indenter(islands, indenter):
+    islands = islands.with_(indenter=indenter)
+    arm, mount = islands.arm, islands.mount_pose
+    plan = planned(islands)
+    loop = closed_loop(islands)
+    lifted = []
+    for segment, seed in zip(plan.segments, plan.path.postures, strict=True):
+        above = np.repeat(segment.poses[:1], 8, axis=0)
+        above[:, :3, 3] += np.linspace(0.0, 7e-3, 8)[:, None] * indenter.up
+        lifted.append(arm.inverse_kinematics(above @ inverse(mount), seed)[-1])
+    q = transfer.way(loop, islands.body, *lifted)
+    np.testing.assert_allclose(q[-1], lifted[1], atol=1e-9)
+    assert transfer.clearance(loop, islands.body, q[::10]) > 0.01
+    assert (np.abs(np.diff(q, axis=0)) / 1e-3).max() <= transfer.SLOWEST * 1.6
+    high = arm.pose(transfer.lifted_off(loop, lifted[0], 0.03)) - arm.pose(lifted[0])
+    np.testing.assert_allclose(high[-1, :3, 3], 0.03 * indenter.up, atol=1e-8)
+    assert np.abs(high[:, :3, :3]).max() < 1e-8
+    with pytest.raises(ReachError, match="cannot get over the indenter"):
+        transfer.way(replace(loop, indenter_radius=0.5), islands.body, *lifted)

@@ -1,0 +1,157 @@
+"""What is found in meshes, what is mended, and what is said about the rest."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from meshskin import cli
+from meshskin.cli import check
+from meshskin.geometry.mesh.check import survey
+from meshskin.geometry.mesh.repair import turns
+from meshskin.geometry.mesh.self_intersection import piercings
+
+
+@pytest.fixture
+def ball():
+    return trimesh.creation.icosphere(subdivisions=3, radius=0.1)
+
+
+def verdicts(found):
+    return [(f.verdict, f.what) for f in found.findings]
+
+
+def test_a_clean_mesh_has_no_findings(ball):
+    found = survey(ball.vertices, ball.faces)
+    assert found.findings == ()
+    np.testing.assert_array_equal(found.faces, ball.faces)
+
+
+def test_a_hole_is_told_with_its_place_faces_and_length(ball):
+    (finding,) = survey(ball.vertices, ball.faces[1:]).refused
+    assert "3 border edges, 1 hole, the longest" in finding.what
+    gone = ball.triangles_center[0]
+    assert np.linalg.norm(finding.points - gone, axis=1).max() < 0.02
+    beside = [
+        f for f in range(1, len(ball.faces)) if len(set(ball.faces[f]) & set(ball.faces[0])) == 2
+    ]
+    assert sorted(finding.faces + 1) == beside
+    assert "open=True" in finding.remedy
+    assert [v for v, _ in verdicts(survey(ball.vertices, ball.faces[1:], open=True))] == ["noted"]
+
+
+def test_faces_are_told_by_their_numbers_in_the_file(ball):
+    faces = np.vstack([ball.faces[:1], ball.faces[:1], ball.faces[2:]])  # a double, and a hole
+    found = survey(ball.vertices, faces)
+    assert found.repairs == ("1 duplicate faces dropped",)
+    hole = found.refused[0]
+    shared = [len(set(faces[f]) & set(ball.faces[1])) for f in hole.faces]
+    assert shared == [2, 2, 2]
+
+
+def test_a_hollow_ball_points_into_its_hollow(ball):
+    inner = 0.5 * ball.vertices
+    vertices = np.vstack([ball.vertices, inner])
+    faces = np.vstack([ball.faces, ball.faces + len(inner)])
+    found = survey(vertices, faces)
+    assert found.repairs == ("orientation of 1 of 2 parts inverted: normals pointed inward",)
+    assert ("noted", "2 separate parts") in verdicts(found)
+    mesh = trimesh.Trimesh(found.vertices, found.faces, process=False)
+    assert mesh.volume == pytest.approx(ball.volume * (1 - 0.125))
+    again = survey(found.vertices, found.faces)
+    assert again.repairs == ()
+
+
+def test_overlap_is_found_where_it_is(ball):
+    other = ball.copy()
+    other.apply_translation([0.13, 0.01, 0.005])
+    both = trimesh.util.concatenate([ball, other])
+    one, two, where = piercings(both.vertices, both.faces)
+    again = piercings(both.vertices, both.faces, closed=True)
+    assert len(again[0]) == len(one)
+    np.testing.assert_allclose(np.sort(again[2], axis=0), np.sort(where, axis=0), atol=1e-6)
+    half = len(ball.faces)
+    assert np.all((one < half) != (two < half))
+    assert np.all(np.abs(np.linalg.norm(where, axis=1) - 0.1) < 1.5e-3)
+    assert np.all(np.abs(np.linalg.norm(where - [0.13, 0.01, 0.005], axis=1) - 0.1) < 1.5e-3)
+    refused = survey(both.vertices, both.faces).refused
+    assert "passes through itself" in refused[0].what
+    assert survey(both.vertices, both.faces, open=True).refused == ()
+
+
+@pytest.mark.parametrize(
+    "mesh",
+    [trimesh.creation.box((0.1, 0.1, 0.1)), trimesh.creation.torus(0.1, 0.03),
+     trimesh.creation.cylinder(0.03, 0.2), trimesh.creation.capsule(0.1, 0.02)],
+)  # fmt: skip
+def test_sound_meshes_do_not_overlap(mesh):
+    assert len(piercings(mesh.vertices, mesh.faces)[0]) == 0
+    fine = mesh.subdivide().subdivide()
+    assert len(piercings(fine.vertices, fine.faces)[0]) == 0
+
+
+def test_an_edge_of_three_faces_is_told(ball):
+    a, b = ball.faces[0][:2]
+    vertices = np.vstack([ball.vertices, [[0.0, 0.0, 0.2]]])
+    found = survey(vertices, np.vstack([ball.faces, [[a, b, len(ball.vertices)]]]))
+    assert any("1 edges of more than two faces" in f.what for f in found.refused)
+
+
+def test_winding_number(ball):
+    assert turns(ball.triangles, np.array([0.02, 0.01, 0.0])) == pytest.approx(1.0)
+    assert turns(ball.triangles, np.array([0.2, 0.01, 0.0])) == pytest.approx(0.0, abs=1e-12)
+    assert turns(ball.triangles[:, ::-1], np.zeros(3)) == pytest.approx(-1.0)
+
+
+def test_indices_that_name_no_vertex_are_told():
+    found = survey(np.eye(3), np.array([[0, 1, 3]]))
+    assert "name vertices that are not there" in found.refused[0].what
+
+
+def test_command_says_what_and_where(ball, tmp_path, capsys):
+    ball.export(tmp_path / "ball.ply")
+    assert cli.main(["check", str(tmp_path / "ball.ply"), "--units", "m"]) == 0
+    assert "can be a body" in capsys.readouterr().out
+    trimesh.Trimesh(ball.vertices, ball.faces[1:], process=False).export(tmp_path / "hole.ply")
+    assert cli.main(["check", str(tmp_path / "hole.ply"), "--units", "m"]) == 1
+    out = capsys.readouterr().out
+    for words in ("refused", "3 border edges", "the first near [", "faces ", "remedy: fill"):
+        assert words in out
+    assert cli.main(["check", str(tmp_path / "hole.ply"), "--units", "m", "--open"]) == 0
+    assert cli.main(["check", str(tmp_path / "ball.ply"), "--units", "mm"]) == 1
+    assert "largest extent" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("kind", ["png", "html"])
+def test_command_draws_where(ball, tmp_path, kind):
+    trimesh.Trimesh(ball.vertices, ball.faces[1:], process=False).export(tmp_path / "hole.ply")
+    out = tmp_path / f"hole.{kind}"
+    assert cli.main(["check", str(tmp_path / "hole.ply"), "--units", "m", "--out", str(out)]) == 1
+    assert out.stat().st_size > 10_000
+    if kind == "html":
+        assert "border edges" in out.read_text(encoding="utf-8")
+
+
+def test_command_refuses_a_drawing_that_it_cannot_make(ball, tmp_path, capsys):
+    ball.export(tmp_path / "ball.ply")
+    line = ["check", str(tmp_path / "ball.ply"), "--units", "m", "--out", str(tmp_path / "a.gif")]
+    assert cli.main(line) == 2
+    assert "kind of drawing" in capsys.readouterr().err
+
+
+def test_command_names_its_own_option(ball, tmp_path, capsys):
+    trimesh.Trimesh(ball.vertices, ball.faces[1:], process=False).export(tmp_path / "hole.ply")
+    cli.main(["check", str(tmp_path / "hole.ply"), "--units", "m"])
+    assert "or --open (open=True in Python) if it is meant" in capsys.readouterr().out
+    assert cli.main(["check", str(tmp_path / "hole.ply")]) == 2
+    assert "(--units), one of m, cm, mm, in" in capsys.readouterr().err
+
+
+def test_a_drawing_leaves_out_repairs_all_over_the_mesh(ball):
+    """Every corner written by itself, as in an STL, and a hole: only the hole is shown."""
+    corners = ball.triangles[1:].reshape(-1, 3)
+    found = survey(corners, np.arange(len(corners)).reshape(-1, 3))
+    merged, hole = found.findings
+    assert len(check.shown(merged, found)) == 0
+    assert check.named(merged, found).endswith("duplicate vertices merged (all over, not drawn)")
+    assert len(check.shown(hole, found)) == 3
+    assert check.named(hole, found).startswith("refused: the mesh is not watertight")

@@ -1,0 +1,227 @@
+"""Folds: told from edges of solids, and the side of a point by the mesh's winding."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from meshskin.geometry.body import Body
+from meshskin.geometry.mesh import winding_number
+from meshskin.geometry.mesh.inside_outside import Folds
+from meshskin.geometry.mesh.repair import turns
+from meshskin.geometry.mesh.winding_number import Winding
+from meshskin.geometry.surface.walk import neighbours
+
+from ...real_data import DATA, needs_icub
+
+
+def folds(mesh):
+    faces, none = np.asarray(mesh.faces), np.zeros(0, dtype=np.intp)
+    return Folds(np.asarray(mesh.vertices), faces, mesh.face_normals, none, neighbours(faces)[0])
+
+
+def test_no_edge_of_a_solid_is_doubtful():
+    """Nearest points of a box's outside are on faces, edges and corners."""
+    box = trimesh.creation.box((0.1, 0.06, 0.02))
+    points = np.random.default_rng(0).uniform(-0.2, 0.2, size=(400, 3))
+    foot, _, face = trimesh.proximity.closest_point(box, points)
+    weight = trimesh.triangles.points_to_barycentric(box.triangles[face], foot)
+    weight[weight < 1e-9] = 0.0
+    assert (np.sum(weight > 0, axis=1) < 3).sum() > 200
+    assert not len(folds(box).doubtful(face, weight, points - foot))
+
+
+def test_an_edge_folded_back_is_doubtful():
+    """Two faces over each other, one turned: seen from above one faces, the other does not."""
+    vertices = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.05, 0.08, 0.01]])
+    mesh = trimesh.Trimesh(vertices, [[0, 1, 2], [1, 0, 3], [2, 1, 3], [0, 2, 3]], process=False)
+    middle = np.array([[0.5, 0.5, 0.0]])
+    fold = folds(mesh)
+    assert fold.closed
+    assert list(fold.doubtful(np.array([0]), middle, np.array([[0.0, -1.0, 0.3]]))) == [0]
+    corner = np.array([[1.0, 0.0, 0.0]])
+    assert list(fold.doubtful(np.array([0]), corner, np.array([[-1.0, -1.0, 0.4]]))) == [0]
+
+
+def test_the_rim_of_a_coarse_cylinder_is_not_doubtful():
+    """Its vertices are corners of saddles: by a cap, the cap turns away, the side does not."""
+    body = Body.cylinder(0.05, 0.2, faces=600)
+    vertex = body.mesh.vertices
+    rim = vertex[(vertex[:, 2] > 0.0999) & (np.hypot(vertex[:, 0], vertex[:, 1]) > 0.0499)]
+    points = rim * [1.4, 1.4, 1.0] - [0.0, 0.0, 1e-5]
+    foot, _, face = trimesh.proximity.closest_point(body.mesh, points)
+    weight = trimesh.triangles.points_to_barycentric(body.mesh.triangles[face], foot)
+    weight[weight < 1e-6] = 0.0
+    fold, way = folds(body.mesh), points - foot
+    assert not len(fold.doubtful(face, weight, way))
+    np.testing.assert_array_equal(fold.side(points), 1.0)
+    assert np.all(body.closest(points).distance > 0.0)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_winding_tells_the_side(turned):
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.1)
+    if turned:
+        ball.invert()
+    points = np.array([[0.0, 0.0, 0.05], [0.0, 0.09, 0.0], [0.0, 0.0, 0.12], [1.0, 2.0, 3.0]])
+    expected = np.array([-1.0, -1.0, 1.0, 1.0]) * (-1.0 if turned else 1.0)
+    np.testing.assert_array_equal(folds(ball).side(points), expected)
+
+
+def test_an_open_mesh_has_no_doubts():
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.1)
+    ball.update_faces(ball.triangles_center[:, 2] > 0)
+    fold = folds(ball)
+    assert not fold.closed
+    away = -ball.triangles_center[:1]
+    assert not len(fold.doubtful(np.array([0]), np.array([[1.0, 0.0, 0.0]]), away))
+
+
+def ball(centre=(0.0, 0.0, 0.0), radius=0.1, subdivisions=4):
+    mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
+    mesh.apply_translation(centre)
+    return mesh
+
+
+@pytest.fixture(params=["compiled", "without a compiler"])
+def each_way(request, monkeypatch):
+    if request.param != "compiled":
+        monkeypatch.setattr(winding_number, "library", lambda: None)
+
+
+def test_turns_are_those_of_all_triangles(each_way):
+    """Two balls that overlap, and a smaller one within, wound inward: 0, 1 and 2 turns."""
+    hollow = ball(radius=0.04, subdivisions=2)
+    hollow.invert()
+    mesh = trimesh.util.concatenate([ball(subdivisions=3), ball((0.13, 0.01, 0.0), 0.08), hollow])
+    points = np.random.default_rng(0).uniform(-0.15, 0.25, size=(150, 3))
+    points = np.vstack([points, mesh.triangles_center[::40] + 1e-9 * mesh.face_normals[::40]])
+    expected = [round(turns(mesh.triangles, p)) for p in points]
+    found = Winding(mesh.vertices, mesh.faces).about(points)
+    assert set(expected) == {0, 1, 2}
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_holes_are_closed_far_away(each_way):
+    """Chimneys stand on a ball's holes, a well hangs below a dome, both to infinity."""
+    mesh = ball(subdivisions=3)
+    cut = Winding(mesh.vertices, mesh.faces[np.abs(mesh.triangles_center[:, 2]) < 0.09])
+    assert not cut.closed
+    points = [[0, 0, 0.0], [0.05, 0, 0.08], [0, 0, 3.0], [0, 0, -3.0], [0.2, 0, 0], [0.1, 0, 0.5]]
+    np.testing.assert_array_equal(cut.about(np.array(points)), [1, 1, 1, 1, 0, 0])
+    dome = Winding(mesh.vertices, mesh.faces[mesh.triangles_center[:, 2] > 0.05])
+    points = [[0, 0, 0.08], [0, 0, -3.0], [0, 0, 0.12], [0.2, 0, 0.07], [0.2, 0, -1.0]]
+    np.testing.assert_array_equal(dome.about(np.array(points)), [1, 1, 0, 0, 0])
+
+
+def test_every_soup_is_closed_to_whole_turns():
+    """Triangles dropped and turned at random, edges of several faces: whole numbers still."""
+    rng = np.random.default_rng(0)
+    mesh = trimesh.util.concatenate([ball(subdivisions=2), ball((0.1, 0.0, 0.0), subdivisions=2)])
+    faces = mesh.faces[rng.random(len(mesh.faces)) < 0.8]
+    turned = rng.random(len(faces)) < 0.2
+    faces = np.where(turned[:, None], faces[:, ::-1], faces)
+    soup = Winding(mesh.vertices, faces)
+    points = rng.uniform(-0.15, 0.25, size=(100, 3))
+    total = soup._exact(points) + soup._chimneys(points)
+    np.testing.assert_allclose(total, np.round(total), atol=1e-9)
+    np.testing.assert_array_equal(soup.about(points), np.round(total))
+
+
+def loaded(mesh, folder, **options):
+    mesh.export(folder / "mesh.ply")
+    return Body.load(folder / "mesh.ply", units="m", open=True, **options)
+
+
+def wrong(body, points, inside):
+    """How many signs are wrong of points that are farther off than the patches from the mesh."""
+    hit = body.closest(points)
+    clear = np.abs(hit.distance) > body.surface.lifts[hit.face]
+    assert clear.sum() > 0.4 * len(points)
+    return int(np.sum((hit.distance < 0.0)[clear] != inside[clear]))
+
+
+def crossed_balls():
+    """Two balls of 0.1 m that overlap, 0.12 m apart."""
+    return trimesh.util.concatenate([ball(), ball((0.12, 0.013, 0.007))])
+
+
+def around(mesh, reach, count, seed=0):
+    """Points at random, within reach (m) of the places on the mesh."""
+    rng = np.random.default_rng(seed)
+    places = mesh.triangles_center[rng.integers(len(mesh.faces), size=count)]
+    return places + rng.uniform(-reach, reach, size=(count, 3))
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("hole", [False, True])
+def test_parts_that_run_into_each_other_have_one_inside(tmp_path, hole, turned):
+    """Near the sheets within too; with a hole in one, away from it; inside out, all signs turn."""
+    mesh = crossed_balls()
+    if hole:
+        mesh.update_faces(mesh.triangles_center[:, 0] > -0.09)
+    if turned:
+        mesh.invert()
+    body = loaded(mesh, tmp_path)
+    points = around(mesh, 0.02, 4000)
+    points = points[points[:, 0] > -0.06]
+    first = np.linalg.norm(points, axis=1) < 0.1
+    second = np.linalg.norm(points - [0.12, 0.013, 0.007], axis=1) < 0.1
+    inside = (first | second) != turned
+    assert wrong(body, points, inside) == 0
+    near = np.flatnonzero(first & second)
+    warm = body.surface.closest(points[near], body.closest(points[near]).face)
+    np.testing.assert_array_equal(warm.distance < 0.0, inside[near])
+    assert wrong(replace(body, crossed=None), points, inside) > 50
+
+
+def rolled(height, count=300):
+    """A sheet along y over a curve in x, z with four loops; their height (m) is signed."""
+    t = np.linspace(-2.0, 2.0, count)
+    x, z = 0.04 * t + 0.016 * np.sin(2 * np.pi * t), -height * np.cos(2 * np.pi * t)
+    curve = np.column_stack([x, z])
+    y = np.linspace(-0.05, 0.05, 11)
+    n, k = len(curve), len(y)
+    vertices = np.column_stack(
+        [np.repeat(curve[:, 0], k), np.tile(y, n), np.repeat(curve[:, 1], k)]
+    )
+    i, j = (g.ravel() for g in np.meshgrid(range(n - 1), range(k - 1), indexing="ij"))
+    a, b, c, d = i * k + j, (i + 1) * k + j, (i + 1) * k + j + 1, i * k + j + 1
+    faces = np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    return curve, trimesh.Trimesh(vertices, faces, process=False)
+
+
+@pytest.mark.parametrize("height", [0.012, -0.012])
+def test_a_sheet_that_runs_through_itself(tmp_path, height):
+    """Signed crossings of a ray straight up tell how often the sheet winds about a point."""
+    curve, mesh = rolled(height)
+    body = loaded(mesh, tmp_path)
+    assert len(body.crossed)
+    assert body.mesh.face_normals[:, 2].mean() > 0.2
+    points = np.random.default_rng(1).uniform([-0.07, -0.04, -0.03], [0.07, 0.04, 0.03], (4000, 3))
+    ahead = curve[1:, 0] > curve[:-1, 0]
+    turn = np.zeros(len(points), dtype=int)
+    for p, q, way in zip(curve[:-1], curve[1:], ahead, strict=True):
+        t = (points[:, 0] - p[0]) / (q[0] - p[0])
+        above = p[1] + t * (q[1] - p[1]) > points[:, 2]
+        turn += np.where((t >= 0) & (t < 1) & above, 1 if way else -1, 0)
+    assert set(turn) >= {0, 1}
+    assert set(turn) & {-1, 2}
+    assert wrong(body, points, turn > 0) == 0
+    assert wrong(replace(body, crossed=None), points, turn > 0) > 20
+
+
+@needs_icub
+@pytest.mark.parametrize("part", ["l_forearm", "l_hand", "l_shank"])
+def test_links_of_a_robot_that_run_into_themselves(part):
+    """iCub's links, as they come: no wrong sign beyond the height of the patches."""
+    path = DATA / "icub_body" / "meshes" / f"sim_sea_2-5_{part}_prt-binary.stl"
+    body = Body.load(path, units="mm", open=True)
+    assert len(body.crossed)
+    places = body.mesh.triangles_center[body.crossed]
+    rng = np.random.default_rng(0)
+    near = np.concatenate([body.mesh.triangles_center, np.repeat(places, 20, axis=0)])
+    near = near[rng.integers(len(near), size=300)] + rng.uniform(-0.02, 0.02, size=(300, 3))
+    inside = np.array([turns(body.mesh.triangles, p) > 0.5 for p in near])
+    assert wrong(body, near, inside) == 0

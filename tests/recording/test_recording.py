@@ -1,0 +1,156 @@
+"""Recordings round-trip, are whole or absent, and say what is wrong with them."""
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from meshskin.core.errors import OutputError, RecordingError
+from meshskin.recording.recording import CONTACTS, READINGS, Recording, RecordingWriter, part_path
+
+
+def tables(times=(0.0, 0.1, 0.2), read=(0.0, 0.2, 0.2)):
+    n = len(times)
+    contacts = pa.table([np.array(times), *np.arange(7.0 * n).reshape(7, n)], schema=CONTACTS)
+    readings = pa.table(
+        [np.array(read), np.arange(len(read), dtype=np.int32), np.ones(len(read))], schema=READINGS
+    )
+    return contacts, readings
+
+
+def test_round_trip(tmp_path):
+    contacts, readings = tables()
+    Recording(contacts, readings, {"scene": "x", "taxel_ids": [0, 1, 2]}).save(tmp_path / "r")
+    back = Recording.load(tmp_path / "r")
+    assert back.contacts.equals(contacts)
+    assert back.readings.equals(readings)
+    assert back.metadata == {"scene": "x", "taxel_ids": [0, 1, 2]}
+    np.testing.assert_array_equal(back.reading_contact, [0, 2, 2])
+    assert back.points.shape == (3, 3)
+
+
+def test_streaming_equals_saving_at_once(tmp_path):
+    contacts, readings = tables()
+    with RecordingWriter(tmp_path / "s", {"scene": "x"}) as writer:
+        writer.write(contacts=contacts.slice(0, 2), readings=readings.slice(0, 1))
+        writer.write(contacts=contacts.slice(2), readings=readings.slice(1))
+    assert Recording.load(tmp_path / "s").contacts.equals(contacts)
+    assert Recording.load(tmp_path / "s").readings.equals(readings)
+
+
+def test_an_interruption_leaves_nothing_and_keeps_what_was_there(tmp_path):
+    contacts, readings = tables()
+    Recording(contacts, readings, {"run": 1}).save(tmp_path / "r")
+    before = sorted(tmp_path.iterdir())
+    with (
+        pytest.raises(KeyboardInterrupt),
+        RecordingWriter(tmp_path / "r", {"run": 2}) as writer,
+    ):
+        writer.write(contacts=contacts, readings=readings)
+        raise KeyboardInterrupt
+    assert sorted(tmp_path.iterdir()) == before
+    assert Recording.load(tmp_path / "r").metadata == {"run": 1}
+
+
+def test_tables_of_two_recordings_do_not_mix(tmp_path):
+    contacts, readings = tables()
+    Recording(contacts, readings, {}).save(tmp_path / "a")
+    Recording(contacts, readings, {}).save(tmp_path / "b")
+    part_path(tmp_path / "b", "readings").replace(part_path(tmp_path / "a", "readings"))
+    with pytest.raises(RecordingError, match="different recordings"):
+        Recording.load(tmp_path / "a")
+
+
+def test_a_torn_table_is_named(tmp_path):
+    contacts, readings = tables()
+    Recording(contacts, readings, {}).save(tmp_path / "r")
+    file = part_path(tmp_path / "r", "contacts")
+    file.write_bytes(file.read_bytes()[:200])
+    with pytest.raises(RecordingError, match=r"r.contacts.parquet cannot be read"):
+        Recording.load(tmp_path / "r")
+
+
+def test_what_is_inconsistent_is_named(tmp_path):
+    with pytest.raises(RecordingError, match=r"contacts\.parquet is missing"):
+        Recording.load(tmp_path / "nothing")
+    contacts, readings = tables(read=(0.0, 0.15, 0.2))
+    with pytest.raises(RecordingError, match=r"no contact of its time, got 0.15 s"):
+        _ = Recording(contacts, readings, {}).reading_contact
+    with pytest.raises(RecordingError, match="must increase"):
+        Recording(*tables(times=(0.0, 0.2, 0.1)), {})
+    with pytest.raises(RecordingError, match="lacks force"):
+        Recording(contacts.drop_columns(["force"]), readings, {})
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="cannot write"):
+        Recording(*tables(), {}).save(tmp_path / "file" / "r")
+
+
+def test_headings(tmp_path):
+    contacts, readings = tables()
+    assert Recording(contacts, readings, {}).headings is None
+    half = np.sqrt(0.5)
+    columns = {"qw": half, "qx": 0.0, "qy": 0.0, "qz": half}
+    turned = contacts
+    for name, value in columns.items():
+        turned = turned.append_column(name, pa.array(np.full(3, value)))
+    Recording(turned, readings, {}).save(tmp_path / "r")
+    found = Recording.load(tmp_path / "r").headings
+    assert np.allclose(found, [[[0, -1, 0], [1, 0, 0], [0, 0, 1]]] * 3)
+    bent = turned.set_column(8, "qw", pa.array([half, half, 1.0]))
+    with pytest.raises(RecordingError, match=r"no unit quaternion.*row 2 of contacts"):
+        _ = Recording(bent, readings, {}).headings
+
+
+def test_logs_in_csv(tmp_path):
+    (tmp_path / "contacts.csv").write_text(
+        "time_ms,px_mm,py_mm,pz_mm,force,qw,qx,qy,qz\n0,1,2,3,2.5,1,0,0,0\n10,4,5,6,3,1,0,0,0\n"
+    )
+    (tmp_path / "readings.csv").write_text("time_ms,taxel,pressure_kPa\n10,7,1.5\n10,8,2\n")
+    log = Recording.load(tmp_path)
+    assert np.allclose(log.time, [0, 0.01])
+    assert np.allclose(log.points, [[1e-3, 2e-3, 3e-3], [4e-3, 5e-3, 6e-3]])
+    assert np.allclose(log.force, [2.5, 3.0])
+    assert np.isnan(log.normals).all()
+    assert np.allclose(log.headings, np.eye(3))
+    assert list(log.reading_taxel) == [7, 8]
+    assert list(log.reading_contact) == [1, 1]
+    assert np.allclose(log.pressure, [1500.0, 2000.0])
+    for part in ("contacts", "readings"):
+        (tmp_path / f"{part}.csv").rename(tmp_path / f"arm.{part}.csv")
+    assert np.array_equal(Recording.load(tmp_path / "arm").points, log.points)
+
+
+def test_half_a_log_is_named(tmp_path):
+    (tmp_path / "contacts.csv").write_text("time,px,py,pz,force\n0,1,2,3,2.5\n")
+    with pytest.raises(RecordingError, match=r"readings.csv is missing; put it beside"):
+        Recording.load(tmp_path)
+
+
+def test_headers_may_have_blanks_and_capitals(tmp_path):
+    (tmp_path / "contacts.csv").write_text("Time, PX_mm, py, pz, Force\n0,1,2,3,2.5\n")
+    (tmp_path / "readings.csv").write_text("time, taxel ,Pressure_kPa\n0,1,2\n")
+    log = Recording.load(tmp_path)
+    assert log.points.tolist() == [[1e-3, 2.0, 3.0]]
+    assert log.pressure.tolist() == [2000.0]
+
+
+@pytest.mark.parametrize(
+    ("readings", "words"),
+    [
+        ("time,taxel,pressure_psi\n0,1,2\n", "unknown or twice there, got pressure_psi.*kpa"),
+        ("time,taxel,pressure,pressure_kpa\n0,1,2,3\n", "unknown or twice there, got pressure_kpa"),
+        ("time,taxel,pressure\n0,1,2\n0,2,soft\n", "not of numbers, got pressure = soft in row 1"),
+        ("time;taxel;pressure\n0;1;2\n", "commas between"),
+        ("time,taxel,pressure\n0,1,2\n0,2.5,2\n", "no whole number, got 2.5 in row 1"),
+        ("time,taxel,pressure\n0,,2\n", "no whole number, got nan in row 0"),
+        ("time,taxel,pressure\n0,1\n", "cannot be read"),
+        ("time,pressure\n0,1\n", "readings.csv lacks taxel, got columns time, pressure; it needs"),
+    ],
+)
+def test_logs_that_cannot_be_read(tmp_path, readings, words):
+    (tmp_path / "contacts.csv").write_text("time,px,py,pz,force\n0,1,2,3,2.5\n")
+    (tmp_path / "readings.csv").write_text(readings)
+    with pytest.raises(RecordingError, match=words):
+        Recording.load(tmp_path)

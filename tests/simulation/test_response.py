@@ -1,0 +1,41 @@
+"""The force response against a first-order lag, whose settling time is known in closed form."""
+
+import numpy as np
+import pytest
+
+from meshskin.core.errors import SimulationError
+from meshskin.simulation.response import force_response
+
+
+def test_a_first_order_lag_settles_after_log_50_time_constants():
+    time = np.arange(0, 1, 1e-4)
+    force = np.where(time < 0.1, 0.0, 3.0 * (1 - np.exp(-(time - 0.1) / 0.02)))
+    got = force_response(time, force, 3.0)
+    assert got.touch == pytest.approx(0.1, abs=2e-4)
+    assert got.settling == pytest.approx(0.02 * np.log(50), abs=3e-4)
+    assert got.mean == pytest.approx(3.0, rel=1e-3)
+    assert got.overshoot == 0
+    assert got.lost == 0
+
+
+def test_a_force_that_never_settles_or_never_comes():
+    time = np.arange(0, 1, 1e-2)
+    assert force_response(time, np.full(100, 2.0), 3.0).settling == np.inf
+    lost = force_response(time, np.where(time == 0.5, 0.0, 3.0), 3.0)
+    assert lost.lost == 1
+    with pytest.raises(SimulationError, match="no contact force"):
+        force_response(time, np.zeros(100), 3.0)
+
+
+def test_air_and_sliding_are_told_from_the_touch():
+    """Two places: the second touch, the way between and the slide's disturbance are no settling."""
+    place = ["approach"] * 10 + ["touch"] * 50 + ["hold"] * 20 + ["slide"] * 100 + ["leave"] * 20
+    force = np.concatenate([np.zeros(12), np.full(168, 3.0), np.zeros(20)])
+    force[15], force[120] = 3.3, 2.7
+    time, phase = 1e-3 * np.arange(400), place * 2
+    got = force_response(time, np.tile(force, 2), 3.0, phase)
+    assert got.touch == pytest.approx(0.012)
+    assert got.settling == pytest.approx(0.004)
+    assert got.overshoot == pytest.approx(0.1)
+    assert got.disturbance >= 0.1
+    assert got.lost == 2  # of the second touch: the first is waited for

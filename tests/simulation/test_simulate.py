@@ -1,0 +1,135 @@
+"""The simulated exploration: force, coverage, noise, streaming, and named failures."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin.core.errors import ConfigError, ReachError, SimulationError, SkinError
+from meshskin.core.se3 import transform
+from meshskin.effects.gaussian_noise import GaussianNoise
+from meshskin.simulation.response import force_response
+
+
+def motion(recording, name):
+    return recording.motion.column(name).to_numpy()
+
+
+def test_the_force_settles_on_its_reference_and_contact_is_never_lost(recording):
+    got = force_response(motion(recording, "time"), motion(recording, "force"), 3.0)
+    assert got.mean == pytest.approx(3.0, rel=0.01)
+    assert got.std < 0.01
+    assert got.lost == 0
+    assert got.settling < 0.1
+    assert got.overshoot < 0.02
+
+
+def test_every_taxel_is_read_from_contacts_that_are_not_near_a_line(sphere, recording):
+    for taxel in sphere.skin.ids:
+        rows = np.unique(recording.reading_contact[recording.reading_taxel == taxel])
+        points = recording.points[rows]
+        apart = np.unique(np.round(points, 4), axis=0)
+        assert len(apart) >= 4
+        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) / np.sqrt(len(rows))
+        assert spread[1] > 1e-3
+
+
+def test_contacts_lie_on_the_sphere(recording):
+    np.testing.assert_allclose(np.linalg.norm(recording.points, axis=1), 0.1, atol=1e-7)
+    cosine = np.einsum("ij,ij->i", recording.points, recording.normals) / 0.1
+    np.testing.assert_allclose(cosine, 1.0, atol=1e-9)
+
+
+def test_the_same_seed_gives_the_same_recording(noisy, noisy_recording):
+    again = ms.simulate(noisy, seed=1)
+    assert again.contacts.equals(noisy_recording.contacts)
+    assert again.readings.equals(noisy_recording.readings)
+    other = ms.simulate(noisy, seed=2)
+    assert other.contacts.equals(noisy_recording.contacts)
+    assert not other.readings.equals(noisy_recording.readings)
+
+
+def test_noise_has_its_sigma_and_the_threshold_holds(noisy, recording, noisy_recording):
+    keys = [
+        dict(zip(zip(r.reading_contact, r.reading_taxel, strict=True), r.pressure, strict=True))
+        for r in (recording, noisy_recording)
+    ]
+    both = sorted(set(keys[0]) & set(keys[1]))
+    strong = [k for k in both if keys[0][k] > 0.2 * noisy.patch.peak]
+    error = np.array([keys[1][k] - keys[0][k] for k in strong])
+    sigma = 0.01 * noisy.patch.peak
+    assert error.std() == pytest.approx(sigma, rel=4 / np.sqrt(2 * len(error)))
+    assert abs(error.mean()) < 4 * sigma / np.sqrt(len(error))
+    assert noisy_recording.pressure.min() > 0.05 * noisy.patch.peak
+
+
+def test_an_effect_that_is_off_leaves_the_rest_bit_for_bit(sphere, noisy, recording):
+    assert noisy.with_(effects=()).effects == ()
+    quiet = ms.simulate(noisy.with_(effects=(), readout=sphere.readout), seed=1)
+    assert quiet.readings.equals(recording.readings)
+    louder = sphere.with_(effects=(GaussianNoise(sigma_relative=1e-3),))
+    assert ms.simulate(louder, seed=1).contacts.equals(recording.contacts)
+
+
+def test_streaming_to_files_gives_the_same_recording(sphere, recording, tmp_path):
+    seen = []
+    streamed = ms.simulate(
+        sphere, seed=1, out=tmp_path / "r", progress=lambda *state: seen.append(state)
+    )
+    assert streamed.contacts.equals(recording.contacts)
+    assert streamed.readings.equals(recording.readings)
+    assert streamed.motion.num_rows == recording.motion.num_rows
+    assert seen[-1][1] == seen[-1][2]
+    assert streamed.metadata["steps_per_second"] > 0
+
+
+def test_the_belief_holds_no_taxel_pose(noisy):
+    belief = noisy.belief()
+    assert belief.noise_sigma == pytest.approx(0.01 * noisy.patch.peak)
+    assert belief.threshold == pytest.approx(0.05 * noisy.patch.peak)
+    held = [v for v in vars(belief).values() if isinstance(v, np.ndarray)]
+    assert all(v.ndim == 1 for v in held)
+    assert not any(isinstance(v, ms.Skin) for v in vars(belief).values())
+
+
+def test_an_arm_that_cannot_reach_says_so(sphere):
+    far = sphere.with_(indenter=ms.Indenter.sphere(0.01, (3.0, 0.0, 0.7)))
+    words = r"out of the arm's reach.* \(3.0, 0.0, 0.7\) m.*indenter.position_m"
+    with pytest.raises(ReachError, match=words):
+        ms.simulate(far)
+
+
+def test_a_step_that_would_diverge_is_refused_with_one_that_works(sphere):
+    stiff = sphere.with_(material=ms.Material(young=1e9), law=ms.Law(shape="identity", gain=5000.0))
+    with pytest.raises(SimulationError, match=r"too long to be stable, .* set loop\.dt_ms = 0\.0"):
+        ms.simulate(stiff)
+
+
+@pytest.mark.parametrize(
+    ("changes", "what"),
+    [
+        ({"mount": np.eye(3)}, r"T_tip_body, got \(3, 3\)"),
+        ({"arm": None}, "without an arm"),
+        ({"effects": ("gaussian_noise",)}, "got 'gaussian_noise'"),
+        ({"candidates": (3,)}, "an effect of a scene is none, got 3"),
+    ],
+)
+def test_a_scene_of_what_is_no_part_of_one_is_refused(sphere, changes, what):
+    with pytest.raises(ConfigError, match=what):
+        sphere.with_(**changes)
+
+
+def test_a_path_that_is_none_or_of_other_steps_is_refused(sphere):
+    scene = sphere.with_(loop=replace(sphere.loop, mode="quasi_static"))
+    plan = ms.explore(scene.body, scene.skin, dt=2e-3)
+    with pytest.raises(ConfigError, match=r"give plan\.path"):
+        ms.simulate(scene, path=plan)
+    with pytest.raises(ConfigError, match="got 2 ms, limit: 1 ms"):
+        ms.simulate(scene, path=plan.path)
+
+
+def test_a_skin_off_the_body_is_refused(sphere):
+    far = sphere.skin.moved(transform(np.eye(3), [0.0, 0.0, -0.05]))
+    with pytest.raises(SkinError, match=r"got 49\.1 mm at the nearest taxel"):
+        ms.simulate(sphere.with_(skin=far))

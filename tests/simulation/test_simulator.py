@@ -1,0 +1,196 @@
+"""The machine: runs across faces, strays and comes back, says what went wrong, reads taxels."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from meshskin.contact import hertz
+from meshskin.core import codegen as module
+from meshskin.core.errors import ConfigError, SimulationError
+from meshskin.geometry.body import Body
+from meshskin.scene.settings import Loop as LoopTable
+from meshskin.simulation.closed_loop_model import ClosedLoopModel
+from meshskin.simulation.machine_code import machine_code
+from meshskin.simulation.point_readings import PointReadings
+from meshskin.simulation.simulate import closed_loop, prepare, run
+from meshskin.simulation.simulator import Simulator
+from meshskin.simulation.track import STAY, Track, crossings
+
+needs_compiler = pytest.mark.skipif(module.find_compiler() is None, reason="no C compiler here")
+
+
+def outputs(scene, machine, path, count=3000):
+    found, total = [], 0
+    for steps in run(scene, machine, path):
+        found.append(steps.outputs)
+        total += len(steps.time)
+        if total >= count:
+            break
+    return np.concatenate(found)[:count]
+
+
+@pytest.mark.parametrize("mode", ["arm", "quasi_static"])
+def test_the_contact_runs_across_faces_without_a_hop(prepared, sphere, mode):
+    machine, path = prepared(mode)
+    found = outputs(sphere, machine, path)
+    assert machine.hops == 0
+    assert len(np.unique(path.faces[:2500])) > 5
+    np.testing.assert_allclose(np.linalg.norm(found[:, :3], axis=1), 0.1, atol=1e-7)
+    assert found[600:, 6] == pytest.approx(3.0, rel=2e-3)
+
+
+def test_a_path_that_names_the_wrong_faces_costs_hops_and_nothing_else(prepared, sphere):
+    machine, path = prepared()
+    right = outputs(sphere, machine, path)
+    machine.rewind()
+    there = sphere.body.closest(path.points + np.array([0.01, 0.0, 0.0])).face
+    wrong = outputs(sphere, machine, replace(path, faces=there))
+    assert machine.hops > 2
+    np.testing.assert_allclose(wrong[:, :8], right[:, :8], atol=2e-5)
+
+
+def test_crossings_carry_a_point_of_the_common_edge_exactly():
+    surface = Body.ellipsoid((0.1, 0.08, 0.06), faces=1000).surface
+    for k, (own, slots) in enumerate(zip(surface.faces[:50], np.eye(3)[[1, 2, 0]], strict=False)):
+        edge = int(np.argmax(slots))
+        other = surface.neighbours[k, edge]
+        weights = np.full(3, 0.5)
+        weights[edge] = 0.0
+        change = crossings(surface, np.array([k]), np.array([other])).reshape(3, 2).T
+        u, v = change @ [weights[1], weights[2], 1.0]
+        corners = surface.vertices[surface.faces[other]]
+        here = weights @ surface.vertices[own]
+        np.testing.assert_allclose(np.array([1 - u - v, u, v]) @ corners, here, atol=1e-12)
+    same = crossings(surface, np.array([3]), np.array([3]))
+    np.testing.assert_allclose(same[0], STAY, atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def compiled(sphere):
+    """A machine of the paper's scene in machine code that reads all taxels, by mode."""
+    made = {}
+
+    def get(mode="arm"):
+        if mode not in made:
+            scene = sphere.with_(loop=replace(sphere.loop, mode=mode, compile="always"))
+            made[mode] = prepare(scene, taxels=sphere.skin.positions)
+        made[mode][0].rewind()
+        return made[mode]
+
+    return get
+
+
+@needs_compiler
+@pytest.mark.parametrize("mode", ["arm", "quasi_static"])
+def test_compiled_and_interpreted_agree_to_the_last_digits(prepared, compiled, sphere, mode):
+    machine, path = prepared(mode)
+    fast, _ = compiled(mode)
+    one, other = (outputs(sphere, m, path, 1000) for m in (machine, fast))
+    # fused multiply-add rounds once where the interpreter rounds twice
+    assert (np.abs(one - other) <= 5e-12 * np.abs(one).max(axis=0)).all()
+
+
+@needs_compiler
+def test_compiled_readings_are_those_of_numpy(compiled, sphere):
+    machine, path = compiled()
+    found = outputs(sphere, machine, path, 2000)
+    taxels = np.vstack([sphere.skin.positions, -sphere.skin.positions])
+    slow = PointReadings(machine.loop, taxels)(found)
+    for dtype, error in ((np.float64, 1e-9), (np.float32, 1e-3)):
+        fast = PointReadings(machine.loop, taxels, dtype, machine.readings._code)(found)
+        assert fast.dtype == dtype
+        np.testing.assert_allclose(fast, slow, atol=error * slow.max())
+    assert np.count_nonzero(slow) > 1000
+
+
+@needs_compiler
+def test_machine_code_ends_where_the_interpreter_does(prepared, compiled, sphere):
+    """At the touch, where the foot leaves its face, and where a number is not finite."""
+    machine, path = prepared()
+    fast, _ = compiled()
+    track = Track.of(path, sphere.body.surface)
+    first, ends = int(track.faces[0]), []
+    for one in (machine, fast):
+        steps = one.advance(track.hold(0, 32), 0, until_touch=True)
+        while not steps.outputs[-1, 6] > 0:
+            steps = one.advance(track.hold(0, 32), 0, until_touch=True)
+        touch, row = one.steps, 0
+        while one.hops == 0:
+            rows = slice(row, row + 256)
+            stay = np.tile(STAY, (256, 1))
+            part = replace(track[rows], faces=np.full(256, first), maps=stay)
+            row += len(one.advance(part, 2).time)
+        ends.append((touch, one.steps, *one.state))
+    assert ends[0][1] - ends[0][0] > 100
+    np.testing.assert_allclose(*ends, rtol=1e-6, atol=1e-8)
+    fast.state[3] = np.nan
+    with pytest.raises(SimulationError, match="a number is not finite"):
+        fast.advance(track.hold(0, 32), 0)
+
+
+@needs_compiler
+def test_auto_takes_what_an_earlier_run_built(sphere, tmp_path, monkeypatch):
+    monkeypatch.setenv("MESHSKIN_CACHE", str(tmp_path))
+    loop = closed_loop(sphere.with_(loop=replace(sphere.loop, mode="quasi_static")))
+    patches = sphere.body.surface.patches
+
+    def get(compile_, steps=0.0):
+        return machine_code(loop, patches, compile_, steps)
+
+    assert get("auto") is None
+    assert get("auto", steps=1e6) is not None
+    assert get("auto") is not None
+    assert get("never", steps=1e6) is None
+
+
+def test_torques_stay_within_the_arms_limits_and_are_counted(prepared, sphere):
+    machine, path = prepared()
+    outputs(sphere, machine, path, 1000)
+    assert not machine.saturated.any()
+    effort = machine.loop.arm.effort_limit.copy()
+    effort[1] = 15.0  # not enough to carry the arm
+    arm = replace(sphere.arm, effort_limit=effort)
+    weak, path = prepare(sphere.with_(arm=arm, loop=replace(sphere.loop, compile="never")))
+    steps = weak.advance(Track.of(path, sphere.body.surface).hold(0, 32), 0)
+    torque = steps.outputs[:, weak.loop.outputs["torque"]]
+    assert np.abs(torque[:, 1]).max() == 15.0
+    assert weak.saturated[1] == np.count_nonzero(np.abs(torque[:, 1]) == 15.0) > 10
+    assert not np.delete(weak.saturated, 1).any()
+
+
+def test_a_number_that_is_not_finite_never_leaves_the_loop(prepared, sphere):
+    machine, path = prepared()
+    machine.state[3] = np.nan
+    with pytest.raises(SimulationError, match=r"diverged at t = 0.0000 s, q = .*nan"):
+        machine.advance(Track.of(path, sphere.body.surface).hold(0, 32), 0)
+
+
+def test_point_readings_are_hertz_in_the_tangent_plane(prepared, sphere):
+    machine, path = prepared("quasi_static")
+    x = sphere.skin.positions
+    reader = Simulator(
+        sphere.body, machine.loop, machine.start, path.points[0], taxels=np.vstack([x, -x])
+    )
+    for steps in run(sphere, reader, path):
+        if steps.phase == 3:
+            break
+    k = len(steps.time) // 2
+    point, normal, force = steps.outputs[k, :3], steps.outputs[k, 3:6], steps.outputs[k, 6]
+    offset = x - point
+    r = np.linalg.norm(offset - np.outer(offset @ normal, normal), axis=1)
+    a = hertz.contact_radius(force, 1 / 110, machine.loop.effective_modulus)
+    expected = hertz.peak_pressure(force, a) * np.sqrt(np.maximum(1 - (r / a) ** 2, 0))
+    assert np.count_nonzero(expected) > 1
+    np.testing.assert_allclose(steps.readings[k, :80], expected, atol=1e-4 * expected.max())
+    assert not steps.readings[:, 80:].any()  # the far side of the body
+
+
+def test_wrong_choices_of_the_loop_are_named(prepared):
+    with pytest.raises(ConfigError, match=r"unknown integrator 'rk5'; did you mean rk4"):
+        LoopTable(integrator="rk5")
+    with pytest.raises(ConfigError, match=r"unknown choice of loop.compile 'alway'"):
+        LoopTable(compile="alway")
+    with pytest.raises(ConfigError, match=r"unknown mode .* 'static'"):
+        replace(prepared()[0].loop, mode="static")
+    assert ClosedLoopModel.__dataclass_fields__["integrator"].default == LoopTable().integrator

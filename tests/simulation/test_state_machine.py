@@ -1,0 +1,112 @@
+"""The state machine: its order, the way through the air, recovery, and giving up."""
+
+from dataclasses import replace
+from itertools import groupby
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin.core.errors import SimulationError
+from meshskin.geometry.region import Cap
+from meshskin.simulation import state_machine
+from meshskin.simulation.simulate import prepare, run
+from meshskin.simulation.state_machine import PHASES, ExplorationStateMachine, PhaseSettings
+from meshskin.simulation.track import Track
+
+MANNER = PhaseSettings(standoff=5e-3, settle=0.3)
+
+
+@pytest.fixture
+def track(prepared, sphere):
+    return Track.of(prepared()[1], sphere.body.surface)
+
+
+@pytest.mark.parametrize("mode", ["arm", "quasi_static"])
+def test_two_places_run_through_every_phase_in_order(prepared, sphere, track, mode):
+    machine, path = prepared(mode)
+    places = [track[:400], track[1500:1900]]
+    explorer = ExplorationStateMachine(machine, places, MANNER)
+    found = list(explorer.run())
+    order = [PHASES[phase] for phase, _ in groupby(found, key=lambda steps: steps.phase)]
+    once = ["approach", "touch", "hold", "slide"]
+    assert order == [*once, "leave", "next", *once]
+    assert explorer.losses == 0
+    assert explorer.done == 800
+
+    def force(phase):
+        return np.concatenate([s.outputs[:, 6] for s in found if s.phase == phase])
+
+    assert not force(state_machine.NEXT)[20:].any()
+    assert force(state_machine.SLIDE) == pytest.approx(3.0, abs=0.05)
+    assert not force(state_machine.APPROACH)[:-1].all()
+    point = found[-1].outputs[-1, :3]
+    assert np.linalg.norm(point - path.points[1899]) < 5e-4
+    times = np.concatenate([s.time for s in found])
+    np.testing.assert_allclose(np.diff(times), machine.loop.dt, rtol=1e-6)
+
+
+def test_contact_that_is_lost_is_sought_again_where_it_was_lost(prepared, sphere, track):
+    machine, _ = prepared("quasi_static")
+    explorer = ExplorationStateMachine(machine, [track[:600]], MANNER)
+    knocked, after = False, []
+    for steps in explorer.run():
+        if steps.phase == state_machine.SLIDE and explorer.row > 250 and not knocked:
+            machine.state[2] += 0.01  # thrown 8 mm clear of the indenter
+            knocked = True
+        elif knocked:
+            after.append(steps)
+    assert explorer.losses == 1
+    order = [PHASES[p] for p, _ in groupby(s.phase for s in after)]
+    assert order == ["slide", "approach", "touch", "hold", "slide"]
+    assert explorer.done == 600
+    assert after[-1].outputs[-1, 6] == pytest.approx(3.0, abs=0.01)
+
+
+def test_contact_that_cannot_be_kept_is_given_up_by_name(prepared, track):
+    machine, _ = prepared("quasi_static")
+    explorer = ExplorationStateMachine(machine, [track[:3000]], MANNER)
+    with pytest.raises(SimulationError, match=r"lost 6 times at row \d+ of place 0"):
+        for steps in explorer.run():
+            if steps.phase == state_machine.SLIDE:
+                machine.state[2] += 0.01
+
+
+def test_an_indenter_that_is_not_there_is_named(prepared, track):
+    machine, _ = prepared("quasi_static")
+    machine.state[2] += 1.0
+    with pytest.raises(SimulationError, match=r"did not touch the indenter, got .* s of approach"):
+        list(ExplorationStateMachine(machine, [track], MANNER).run())
+
+
+@pytest.mark.parametrize("surface", ["sphere", "exact"])
+def test_either_surface_of_the_law_holds_the_force_on_an_ellipsoid(sphere, surface):
+    body = ms.Body.ellipsoid((0.11, 0.1, 0.08))
+    scene = sphere.with_(
+        body=body,
+        skin=ms.Skin.cover(body, count=20, spacing=5e-3, region=Cap(direction=(0, 0, -1.0))),
+        law=replace(sphere.law, surface=surface),
+        arm=replace(sphere.arm, lower=np.full(6, -9.0), upper=np.full(6, 9.0)),
+        loop=replace(sphere.loop, compile="never"),
+    )
+    machine, path = prepare(scene)
+    force = np.concatenate(
+        [s.outputs[:, 6] for s in run(scene, machine, path) if s.phase == state_machine.SLIDE]
+    )
+    assert force == pytest.approx(3.0, abs=0.03)
+
+
+def test_the_approach_gains_its_speed_evenly(prepared, sphere, track):
+    """Without an arm the body moves as it is asked to: v t / ramp, then v; the touch is later."""
+    heights, touched = {}, {}
+    for ramp in (0.0, 0.04):
+        machine, _ = prepared("quasi_static")
+        explorer = ExplorationStateMachine(machine, [track[:50]], replace(MANNER, ramp=ramp))
+        found = [steps for steps in explorer.run() if steps.phase == state_machine.APPROACH]
+        heights[ramp] = np.concatenate([steps.q[:, 2] for steps in found])
+        touched[ramp] = len(heights[ramp])
+    dt, speed = machine.loop.dt, sphere.law.approach_speed
+    fall = -np.diff(heights[0.04])
+    part = np.minimum((np.arange(len(fall)) + 1) * dt / 0.04, 1.0)
+    np.testing.assert_allclose(fall, part * speed * dt, rtol=1e-6)
+    assert touched[0.04] - touched[0.0] == pytest.approx(0.5 * 0.04 / dt, abs=2)

@@ -1,0 +1,176 @@
+"""Two skins: rigid motion, distances, exchanged and renamed modules and taxels."""
+
+import numpy as np
+import pytest
+
+from meshskin.core import se3
+from meshskin.core.errors import SkinError
+from meshskin.geometry.body import Body
+from meshskin.geometry.region import Cap
+from meshskin.skin import slots
+from meshskin.skin.compare import compare, rms
+from meshskin.skin.id_permutation import words
+from meshskin.skin.skin import Skin
+
+from ..real_data import DATA, needs_skin
+
+MOTION = se3.transform(se3.exp_so3([0.3, -0.5, 1.0]), [0.1, 0.2, -0.05])
+
+
+@pytest.fixture(scope="module")
+def arm():
+    """Twenty modules on a capsule."""
+    return Skin.modules(Body.capsule(0.05, 0.2), count=20).skin
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return Skin.cover(Body.sphere(), spacing=5e-3, count=80, region=Cap((0, 0, -1)))
+
+
+def moved(skin, noise=0.0, motion=MOTION):
+    """The skin in another frame, its taxels displaced at random (m)."""
+    poses = se3.inverse(motion) @ skin.poses
+    poses[:, :3, 3] += noise * np.random.default_rng(0).normal(size=(len(skin), 3))
+    return Skin(poses, skin.ids)
+
+
+def renamed(skin, change, size=12):
+    """The skin with the numbers of its units changed: {old: new}."""
+    units = [change.get(unit, unit) for unit in (skin.ids // size).tolist()]
+    return Skin(skin.poses, size * np.array(units) + skin.ids % size)
+
+
+def test_a_skin_is_itself(arm):
+    d = compare(arm, arm)
+    assert d.as_they_are.max() == 0.0
+    assert d.aligned.max() < 1e-15
+    assert d.permutation == {}
+    assert not d.explains
+    assert len(d.only_a) == len(d.only_b) == 0
+
+
+def test_a_motion_is_found(arm):
+    d = compare(arm, moved(arm))
+    np.testing.assert_allclose(d.alignment, MOTION, atol=1e-12)
+    assert d.as_they_are.min() > 0.01
+    assert d.aligned.max() < 1e-12
+    assert d.sentences() == ()
+
+
+def test_noise_is_left_over_and_the_worst_taxel_named(plain):
+    poses = moved(plain, 1e-4).poses
+    poses[17, :3, 3] += 2e-3
+    d = compare(plain, Skin(poses, plain.ids))
+    assert rms(np.delete(d.aligned, 17)) == pytest.approx(1e-4 * np.sqrt(3), rel=0.15)
+    taxel, off = d.worst(3)[0]
+    assert taxel == 17
+    assert off == pytest.approx(2e-3 * np.sqrt(3), rel=0.1)
+    assert d.permutation == {}
+
+
+@pytest.mark.parametrize("noise", [0.0, 3e-4])
+def test_exchanged_modules_are_named(arm, noise):
+    d = compare(arm, renamed(moved(arm, noise), {3: 7, 7: 3}))
+    assert d.unit == "module"
+    assert d.permutation == {3: 7, 7: 3}
+    assert d.sentences() == ("modules 3 and 7 exchanged",)
+    assert d.explains
+    assert rms(d.paired) < 1.2 * np.sqrt(3) * noise + 1e-12
+    assert rms(d.aligned) > 10e-3
+    assert len(d.paired) == 200
+
+
+def test_a_cycle_of_modules_is_named(arm):
+    d = compare(arm, renamed(moved(arm, 1e-4), {2: 5, 5: 11, 11: 2}))
+    assert d.sentences() == ("modules permuted: 2 -> 5 -> 11 -> 2 (A -> B)",)
+
+
+def test_all_modules_permuted_and_moved(arm):
+    order = np.random.default_rng(1).permutation(20)
+    change = dict(enumerate(order.tolist()))
+    d = compare(arm, renamed(moved(arm, 1e-4), change))
+    assert d.permutation == {a: b for a, b in change.items() if a != b}
+    assert d.explains
+    np.testing.assert_allclose(d.alignment, MOTION, atol=1e-3)
+
+
+def test_renamed_modules_are_named(arm):
+    d = compare(arm, renamed(arm, {4: 40}))
+    assert d.sentences() == ("module 4 of A is module 40 of B",)
+    assert d.explains
+    assert set(d.only_a // 12) == {4}
+    assert set(d.only_b // 12) == {40}
+    d = compare(arm, renamed(arm, {k: k + 1 for k in range(20)}))
+    assert d.sentences() == ("module numbers of B are those of A plus 1",)
+    assert d.explains
+
+
+def test_renumbered_chains_are_one_line():
+    assert words({1: 2, 2: 3, 3: 7, 4: 5, 5: 4, 6: 9}, "module") == (
+        "modules renumbered: 1 -> 2 -> 3 -> 7 (A -> B)",
+        "module 6 of A is module 9 of B",
+        "modules 4 and 5 exchanged",
+    )
+
+
+def test_taxels_that_went_with_their_modules_are_told_by_modules():
+    """Modules 4 and 6 exchanged with their slots 0 and 5, module 8 turned on its place."""
+    swap = {0: 5, 5: 0}
+    where = {4: 6, 6: 4, 8: 8, 9: 11, 11: 9}
+    permutation = {
+        12 * m + s: 12 * there + swap.get(s, s) * (m != 9) + s * (m == 9)
+        for m, there in where.items()
+        for s in slots.TAXELS
+    }
+    permutation = {a: b for a, b in permutation.items() if a != b}
+    assert words(permutation, "taxel") == (
+        "modules 4 and 6 exchanged",
+        "modules 9 and 11 exchanged",
+        "slots 0 1 2 3 4 5 7 8 9 11 are slots 5 1 2 3 4 0 7 8 9 11 of B "
+        "in modules 4, 6, 8, 11 of A",
+    )
+    permutation[12 * 4] = 1000  # a taxel that went elsewhere
+    assert all(line.startswith("taxel") for line in words(permutation, "taxel"))
+
+
+def test_exchanged_taxels_of_a_skin_without_modules(plain):
+    d = compare(plain, renamed(moved(plain, 1e-4), {5: 77, 77: 5}, size=1))
+    assert d.unit == "taxel"
+    assert d.sentences() == ("taxels 5 and 77 exchanged",)
+    assert d.explains
+
+
+def test_another_layout_is_no_permutation(plain):
+    other = Skin.cover(Body.sphere(), spacing=5e-3, count=80, region=Cap((0, 0, -1)), seed=5)
+    assert not compare(plain, other).explains
+
+
+def test_parts_of_a_skin(plain):
+    few = Skin(plain.poses[:50], plain.ids[:50])
+    d = compare(plain, few)
+    assert len(d.ids) == 50
+    np.testing.assert_array_equal(d.only_a, np.arange(50, 80))
+    assert d.aligned.max() < 1e-15
+    assert d.permutation == {}
+
+
+def test_skins_that_cannot_be_compared(plain):
+    with pytest.raises(SkinError, match="taxels of skin B, got 2"):
+        compare(plain, Skin(plain.poses[:2], plain.ids[:2]))
+    with pytest.raises(SkinError, match="taxels of skin A"):
+        compare(Skin(plain.poses, np.zeros(80, dtype=np.int64)), plain)
+
+
+@needs_skin
+def test_real_files():
+    mesh = Skin.load(DATA / "icub_skin/positions/left_forearm_mesh.txt")
+    free = Skin.load(DATA / "icub_skin/positions/left_forearm_nomesh.txt")
+    d = compare(mesh, free)
+    assert rms(d.aligned) == pytest.approx(3.7e-3, rel=0.02)
+    assert d.permutation == {}
+    assert len(d.only_a) == 1
+    sole = Skin.load(DATA / "icub_skin/cad/left_foot_mesh.txt")
+    d = compare(sole, Skin.load(DATA / "icub_skin/cad/l_sole_transforms.txt"))
+    assert d.sentences() == ("module numbers of B are those of A plus 1",)
+    assert d.paired.max() < 1e-6
