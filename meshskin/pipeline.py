@@ -20,7 +20,7 @@ from .core.stage_timer import Clock
 from .estimation.calibrate import calibrate
 from .estimation.calibration import Calibration
 from .estimation.demonstration import Demonstration, demonstrate
-from .estimation.joint.newton import AT_REST
+from .estimation.joint.newton import NEWTON_TOLERANCE
 from .estimation.uncertainty import metrics as truth
 from .recording.recording import Recording
 from .scene.belief import Belief
@@ -104,7 +104,7 @@ def run(
         with clock.stage("budget"):
             ledger = decide(scene, seed=seed, progress=progress)
             scene = ledger.scene
-    path, promise, rest = None, None, AT_REST
+    path, promise, rest = None, None, NEWTON_TOLERANCE
     if request is not None:
         with clock.stage("pilot"), _stage("pilot", progress):
             scene, path, rest, promise = _promised(scene, request, seed, clock)
@@ -197,7 +197,7 @@ def _check_placed(found: Calibration, fewest: int) -> None:
     """Raise CalibrationError where fewer taxels are placed than can be compared with the truth."""
     placed = np.isfinite(found.positions).all(axis=1)
     if placed.sum() < fewest:
-        reasons = Counter(map(str, np.asarray(found.why)[~placed])).most_common(1)
+        reasons = Counter(map(str, np.asarray(found.reasons)[~placed])).most_common(1)
         why = reasons[0][0] if reasons else "there are no more taxels"
         raise CalibrationError(
             f"too few taxels to compare: {why}", value=f"{placed.sum()} placed", limit=fewest

@@ -30,7 +30,7 @@ import meshskin as ms
 from meshskin import effects
 from meshskin.core.atomic_io import write_text
 from meshskin.core.errors import ReachError
-from meshskin.estimation.joint.newton import AT_REST
+from meshskin.estimation.joint.newton import NEWTON_TOLERANCE
 from meshskin.exploration.path import Path as Way
 from meshskin.geometry.region import Cap
 from meshskin.report import figures, theme
@@ -234,7 +234,7 @@ def line(name: str, row: dict[str, Any]) -> str:
 
 
 def calibrated(
-    scene: ms.Scene, path: Way, belief: ms.Belief, tolerance: float = AT_REST
+    scene: ms.Scene, path: Way, belief: ms.Belief, tolerance: float = NEWTON_TOLERANCE
 ) -> tuple[ms.Calibration, float]:
     """The calibration of a scene's recording, and its processor seconds, simulation included."""
     begin = process_time()

@@ -42,7 +42,7 @@ from meshskin.effects.gain_offset import GainOffset
 from meshskin.effects.gaussian_noise import GaussianNoise
 from meshskin.effects.indenter_offset import IndenterOffset
 from meshskin.estimation.data.global_parameters import PRIORS, ROTATION
-from meshskin.estimation.joint.module import SURFACE
+from meshskin.estimation.joint.module_parametrization import SURFACE
 from meshskin.estimation.uncertainty import metrics
 from meshskin.estimation.uncertainty.observability import TILT_SIGMA
 from meshskin.geometry.region import Cap

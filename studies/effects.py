@@ -33,9 +33,9 @@ import meshskin as ms
 from meshskin import effects
 from meshskin.estimation import chart
 from meshskin.estimation.data.measurements import gather
-from meshskin.estimation.joint import faults
+from meshskin.estimation.joint import fault_detection
 from meshskin.estimation.joint.joint_estimator import JointEstimator
-from meshskin.estimation.joint.newton import ITERATIONS
+from meshskin.estimation.joint.newton import MAX_ITERATIONS
 from meshskin.estimation.joint.parametrization import SurfaceParametrization
 from meshskin.estimation.trilateration import coactivation, trilaterate
 from meshskin.report import figures, theme
@@ -134,12 +134,12 @@ def left_out(run: ms.Calibration) -> float:
 def from_all(recording: ms.Recording, belief: ms.Belief) -> np.ndarray:
     """The joint estimate (n, 3), m, that takes no reading for outlying."""
     data, body = gather(recording, belief), belief.body
-    near = coactivation.plausible(data)
-    start = coactivation.start(near, body)
-    live = np.setdiff1d(np.flatnonzero(start.found), faults.stuck(data).rows)
-    frames = chart.about(body, start.points[live], start.rotations[live])
+    near = coactivation.without_distant_readings(data)
+    start = coactivation.initial_estimate(near, body)
+    live = np.setdiff1d(np.flatnonzero(start.found), fault_detection.stuck_taxels(data).rows)
+    frames = chart.charts_at(body, start.points[live], start.rotations[live])
     places = SurfaceParametrization(frames, float(np.median(data.radii)) / 2)
-    run = JointEstimator(data, body, live, places, np.ones(len(data.pressure)), ITERATIONS)
+    run = JointEstimator(data, body, live, places, np.ones(len(data.pressure)), MAX_ITERATIONS)
     run.converge()
     run.restart(trilaterate.centroids(near, body)[live])
     points = np.full(start.points.shape, np.nan)

@@ -32,9 +32,9 @@ from meshskin.effects.gaussian_noise import GaussianNoise
 from meshskin.estimation import chart
 from meshskin.estimation.calibrate import METHODS
 from meshskin.estimation.data.measurements import Measurements, gather
-from meshskin.estimation.joint import joint
+from meshskin.estimation.joint import maximum_likelihood
 from meshskin.estimation.joint.joint_estimator import JointEstimator
-from meshskin.estimation.joint.newton import ITERATIONS
+from meshskin.estimation.joint.newton import MAX_ITERATIONS
 from meshskin.estimation.joint.parametrization import SurfaceParametrization
 from meshskin.estimation.trilateration import coactivation, displacements, trilaterate
 from meshskin.estimation.uncertainty import metrics
@@ -120,7 +120,7 @@ def by_start(points: np.ndarray, seeds: range, levels: tuple[float, ...]) -> dic
     for seed in seeds:
         data = gather(ms.press(scene, points, seed=seed), scene.belief())
         right = trilaterate.least_squares(data, scene.body)
-        best = joint.estimate(data, scene.body).points
+        best = maximum_likelihood.estimate(data, scene.body).points
         graph = displacements.displacements(data, scene.body, right)
         least = graph.solve().cost
         rng = np.random.default_rng(seed)
@@ -159,8 +159,8 @@ def displaced(
     angle = rng.uniform(-np.pi, np.pi, (len(points), 1))
     x, y = np.moveaxis(right.rotations[:, :, :2], 2, 0)
     hit = scene.body.closest(points + distance * (np.cos(angle) * x + np.sin(angle) * y))
-    rotations = chart.carry(right.rotations, hit.normal)
-    return trilaterate.Fit(hit.point, rotations, right.covariance, right.chi2, right.why)
+    rotations = chart.align_normals(right.rotations, hit.normal)
+    return trilaterate.Fit(hit.point, rotations, right.covariance, right.chi2, right.reasons)
 
 
 def shares(
@@ -175,7 +175,7 @@ def shares(
             return 0.0
 
     return {
-        "joint": share(lambda: joint.estimate(data, scene.body, start).points),
+        "joint": share(lambda: maximum_likelihood.estimate(data, scene.body, start).points),
         "plain": share(lambda: steps_only(data, scene, start)),
     }
 
@@ -184,9 +184,11 @@ def steps_only(data: Measurements, scene: ms.Scene, start: trilaterate.Fit) -> n
     """Points (n, 3) of the joint estimate without restarts and without doubt."""
     live, step = np.flatnonzero(start.found), float(np.median(data.radii)) / 2
     places = SurfaceParametrization(
-        chart.about(scene.body, start.points[live], start.rotations[live]), step
+        chart.charts_at(scene.body, start.points[live], start.rotations[live]), step
     )
-    run = JointEstimator(data, scene.body, live, places, np.ones(len(data.pressure)), ITERATIONS)
+    run = JointEstimator(
+        data, scene.body, live, places, np.ones(len(data.pressure)), MAX_ITERATIONS
+    )
     run.converge()
     return run.problem.points(run.state)
 

@@ -112,7 +112,7 @@ def lanes(scene: ms.Scene, seeds: range) -> Curve:
 def best_of_all(scene: ms.Scene) -> float:
     """Mean error, mm, times the root of the number of contacts, that no design is below."""
     belief, reach = scene.belief(), setup_of(scene).reach
-    return 1e3 * contact_design.best(belief, scene.skin.positions, reach).bound
+    return 1e3 * contact_design.optimal_design(belief, scene.skin.positions, reach).bound
 
 
 def floor_of(fixed: Curve, least: float) -> float:

@@ -47,8 +47,8 @@ def main(arguments: list[str] | None = None) -> dict[str, float]:
         drawn = figures.iterations(shown.truth, shown.iterates, only=k)
         figures.save(drawn, options.out, name)
 
-    pairs = demonstration.active_together(recording, scene.skin.ids)
-    swept = demonstration.sweep(scene.skin.poses, pairs, LEVELS, seeds)
+    pairs = demonstration.coactive_pairs(recording, scene.skin.ids)
+    swept = demonstration.noise_sweep(scene.skin.poses, pairs, LEVELS, seeds)
     initial, final = swept.initial.mean(axis=1), np.nanmean(swept.final, axis=1)
     figures.save(figures.initial_error(initial, swept.final), options.out, "fig9")
 

@@ -142,7 +142,7 @@ def job(name: str, data: Path, full: bool = False) -> tuple[dict[str, Any], tupl
     rms = float(np.sqrt(np.mean(error[both] ** 2)))
     bound = 1e3 * float(np.sqrt(np.mean(variance[both])))
     why = Counter(plan.unreachable.values())
-    lost = Counter(str(w) for w in calibration.why[reached & ~found])
+    lost = Counter(str(w) for w in calibration.reasons[reached & ~found])
     row = {
         "body": name,
         "taxels": len(found),

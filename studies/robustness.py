@@ -31,7 +31,7 @@ import meshskin as ms
 from meshskin.estimation import chart
 from meshskin.estimation.data.measurements import gather
 from meshskin.estimation.joint.joint_estimator import JointEstimator
-from meshskin.estimation.joint.newton import ITERATIONS
+from meshskin.estimation.joint.newton import MAX_ITERATIONS
 from meshskin.estimation.joint.parametrization import SurfaceParametrization
 from meshskin.estimation.trilateration import trilaterate
 from meshskin.estimation.uncertainty import metrics
@@ -181,9 +181,9 @@ def left_out(world: World, recording: ms.Recording, hit: np.ndarray) -> np.ndarr
     data, body = gather(recording, world.belief), world.scene.body
     start, live = trilaterate.least_squares(data, body), np.arange(len(data.ids))
     places = SurfaceParametrization(
-        chart.about(body, start.points, start.rotations), float(np.median(data.radii)) / 2
+        chart.charts_at(body, start.points, start.rotations), float(np.median(data.radii)) / 2
     )
-    run = JointEstimator(data, body, live, places, np.where(hit, 0.0, 1.0), ITERATIONS)
+    run = JointEstimator(data, body, live, places, np.where(hit, 0.0, 1.0), MAX_ITERATIONS)
     run.converge()
     return np.linalg.norm(run.problem.points(run.state) - world.skin.positions, axis=1)
 
@@ -205,7 +205,7 @@ def faulty(world: World, fault: Fault, count: int, seeds: range) -> dict[str, fl
         rest = np.setdiff1d(np.arange(n), bad)
         assert found.faults is not None
         silent = ~found.touched
-        named = (found.faults != "") | silent | (found.why != "")
+        named = (found.faults != "") | silent | (found.reasons != "")
         rows.append(
             (np.nanmean(error[rest]) / clean[rest].mean(), named[bad].mean(), named[rest].sum(),
              np.isnan(error[rest]).sum())

@@ -218,7 +218,7 @@ def assess(found: Calibration, recording: Recording) -> dict[str, Any]:
 def reasons(found: Calibration) -> list[tuple[str, int]]:
     """Why taxels have no estimate, and how many for each reason, the most frequent first."""
     lost = ~np.isfinite(found.positions).all(axis=1)
-    return Counter(map(str, np.asarray(found.why)[lost])).most_common()
+    return Counter(map(str, np.asarray(found.reasons)[lost])).most_common()
 
 
 def faults(found: Calibration) -> dict[str, str]:

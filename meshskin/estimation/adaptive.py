@@ -230,7 +230,9 @@ def _without(calibration: Calibration, given_up: Mapping[int, str]) -> Calibrati
     rows = np.isin(calibration.ids, list(given_up))
     poses, observed = calibration.poses.copy(), calibration.observed.copy()
     poses[rows], observed[rows] = np.nan, False
-    middles = None if calibration.middles is None else calibration.middles.copy()
+    middles = (
+        None if calibration.contact_centroids is None else calibration.contact_centroids.copy()
+    )
     if middles is not None:
         middles[rows] = np.nan
-    return replace(calibration, poses=poses, observed=observed, middles=middles)
+    return replace(calibration, poses=poses, observed=observed, contact_centroids=middles)

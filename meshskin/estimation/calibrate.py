@@ -18,11 +18,11 @@ from . import chart
 from .calibration import Calibration
 from .data.measurements import Measurements, gather
 from .data.resolve_belief import resolve_belief
-from .joint import joint
-from .joint.newton import AT_REST
+from .joint import maximum_likelihood
+from .joint.newton import NEWTON_TOLERANCE
 from .trilateration import displacements, trilaterate
 from .uncertainty import gauge, observability
-from .uncertainty.fit import Fit
+from .uncertainty.goodness_of_fit import GoodnessOfFit
 
 if TYPE_CHECKING:
     from ..scene.belief import Belief
@@ -47,7 +47,7 @@ class Told(TypedDict, total=False):
     undetermined: tuple[str, ...]
     taxel_unknowns: Mapping[str, Array]
     faults: np.ndarray
-    fit: Fit
+    fit: GoodnessOfFit
     iterates: Array
 
 
@@ -59,7 +59,7 @@ class Answer:
     """Positions (n, 3), body frame, m; NaN where there is none."""
     rotations: Array
     """(n, 3, 3), taxel frame to body frame."""
-    why: np.ndarray
+    reasons: np.ndarray
     """Why a taxel has no position (n,) str; "" where it has."""
     chi2: Array
     """(n,), as in a Calibration."""
@@ -74,7 +74,7 @@ class Answer:
 
 
 def calibrate(
-    recording: Recording, belief: Belief, method: str = "joint", tolerance: float = AT_REST
+    recording: Recording, belief: Belief, method: str = "joint", tolerance: float = NEWTON_TOLERANCE
 ) -> Calibration:
     """Where every taxel of `belief.taxel_ids` is, by the readings of `recording`.
 
@@ -133,7 +133,7 @@ def _assemble(
         shape = observability.shape_operators(belief.body, points, rotations)
         covariance = observability.pose_covariance(answer.tangential, shape)
     observed = observability.degrees_of_freedom(covariance, float(np.median(data.radii)))
-    why = np.array(answer.why, dtype=object)
+    why = np.array(answer.reasons, dtype=object)
     why[(data.counts == 0) & (why != "")] = UNTOUCHED
     lost = np.asarray(~observed.any(axis=1))
     why[lost & (why == "")] = WEAK
@@ -149,17 +149,17 @@ def _assemble(
         anchor=answer.anchor,
         factors=answer.factors,
         chi2=answer.chi2,
-        why=why,
+        reasons=why,
         seconds=seconds,
         provenance=source,
-        middles=trilaterate.centroids(data, belief.body),
+        contact_centroids=trilaterate.centroids(data, belief.body),
         belief=belief,
         **answer.told,
     )
 
 
-def _joint(data: Measurements, belief: Belief, tolerance: float = AT_REST) -> Answer:
-    found = joint.estimate(data, belief.body, tolerance=tolerance)
+def _joint(data: Measurements, belief: Belief, tolerance: float = NEWTON_TOLERANCE) -> Answer:
+    found = maximum_likelihood.estimate(data, belief.body, tolerance=tolerance)
     silent: tuple[str, ...] = ()
     if data.noise:
         silent = ("silent readings, censored at the threshold",)
@@ -176,7 +176,7 @@ def _joint(data: Measurements, belief: Belief, tolerance: float = AT_REST) -> An
         rotations=found.rotations,
         covariances=found.covariances,
         tangential=found.covariance,
-        why=found.why,
+        reasons=found.reasons,
         chi2=found.chi2,
         anchor=CONTACTS,
         factors=("pressure of each reading", *silent, *surface, *shared.prior_words()),
@@ -206,7 +206,7 @@ def _trilateration(estimator: Callable[..., trilaterate.Fit]) -> Callable[..., A
             points=fit.points,
             rotations=fit.rotations,
             tangential=fit.covariance * (scale if np.isfinite(scale) else 1.0),
-            why=fit.why,
+            reasons=fit.reasons,
             chi2=fit.chi2,
             anchor=CONTACTS,
             factors=("distance of each reading, at the nominal E*", SURFACE),
@@ -219,7 +219,7 @@ def _require(fit: trilaterate.Fit) -> None:
     if not fit.found.any():
         raise CalibrationError(
             "no taxel is determined by the recording",
-            value=", ".join(sorted(set(map(str, fit.why)))),
+            value=", ".join(sorted(set(map(str, fit.reasons)))),
             remedy="touch every taxel from at least three contacts that are not on a line",
         )
 
@@ -232,13 +232,15 @@ def _posegraph(
         fit = trilaterate.least_squares(data, belief.body)
         _require(fit)
         draws = -(-DRAWN // max(int(fit.found.sum()), 1))
-        graph, errors = displacements.drawn(data, belief.body, fit, isotropic, trilateration, draws)
+        graph, errors = displacements.displacements_with_errors(
+            data, belief.body, fit, isotropic, trilateration, draws
+        )
         solution = graph.solve(keep_iterates=True)
         placed, linked = gauge.aligned(graph, solution.poses)
         row = np.flatnonzero(fit.found)
-        poses = np.full((len(fit.why), 4, 4), np.nan)
+        poses = np.full((len(fit.reasons), 4, 4), np.nan)
         poses[row[linked]] = placed[linked]
-        why = fit.why.copy()
+        why = fit.reasons.copy()
         why[row[~linked]] = ALONE
         covariances = np.tile(np.diag([np.inf] * 6), (len(why), 1, 1))
         covariances[row[linked]] = gauge.covariances(graph, placed, errors)[linked]
@@ -252,7 +254,7 @@ def _posegraph(
             points=poses[:, :3, 3],
             rotations=poses[:, :3, :3],
             covariances=covariances,
-            why=why,
+            reasons=why,
             chi2=np.full(len(why), np.nan),
             told={"iterates": iterates},
             seconds={

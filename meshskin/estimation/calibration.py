@@ -15,14 +15,24 @@ import pyarrow.parquet as pq
 from ..core.atomic_io import atomic, write_text
 from ..core.errors import CalibrationError
 from ..core.se3 import Array
-from .uncertainty.fit import Fit
+from .uncertainty.goodness_of_fit import GoodnessOfFit
 
 if TYPE_CHECKING:
     from ..scene.belief import Belief
     from .next_contact import NextContacts
 
 _KEY = b"meshskin-calibration"
-_COLUMNS = ("ids", "poses", "covariances", "observed", "touched", "readings", "chi2", "why")
+_COLUMNS = {
+    "ids": "ids",
+    "poses": "poses",
+    "covariances": "covariances",
+    "observed": "observed",
+    "touched": "touched",
+    "readings": "readings",
+    "chi2": "chi2",
+    "reasons": "why",
+}
+"""Columns of a file by field."""
 _LOCAL = "taxel_"
 """Prefix of the columns of what each taxel has unknown beside its pose."""
 _HEADER = (
@@ -43,7 +53,7 @@ class Calibration:
     """Poses of n taxels in the body frame, with their covariances. SI units.
 
     A taxel that the data did not determine has NaN poses, an infinite covariance and the reason in
-    `why`; nothing is invented for it.
+    `reasons`; nothing is invented for it.
     """
 
     ids: np.ndarray
@@ -66,7 +76,7 @@ class Calibration:
     """What the estimate is made of, priors named."""
     chi2: Array
     """Squared residuals per degree of freedom of each taxel (n,); NaN with none left."""
-    why: np.ndarray
+    reasons: np.ndarray
     """Why a taxel is not determined (n,) str; "" where it is."""
     modulus: float | None = None
     """E*, Pa, that the pressures were read under."""
@@ -81,9 +91,9 @@ class Calibration:
     """"gain" (ln) and "offset" (Pa) where estimated: value and standard deviation (n, 2)."""
     faults: np.ndarray | None = None
     """What is wrong with a taxel (n,) str, "" where nothing was found; None: not looked for."""
-    fit: Fit | None = None
+    fit: GoodnessOfFit | None = None
     """Whether the model explains the readings."""
-    middles: Array | None = None
+    contact_centroids: Array | None = None
     """Pressure-weighted middle (n, 3), m, of the contacts that each taxel answered; NaN: none."""
     belief: Belief | None = field(default=None, repr=False, compare=False)
     """What it was estimated under; not saved."""
@@ -132,14 +142,14 @@ class Calibration:
     def save(self, path: str | Path) -> None:
         """Write path.parquet, which `load` reads, and path.csv, a map for people (mm)."""
         path = Path(path)
-        columns = {name: _column(getattr(self, name)) for name in _COLUMNS}
+        columns = {column: _column(getattr(self, name)) for name, column in _COLUMNS.items()}
         steps = 0 if self.iterates is None else len(self.iterates)
         if self.iterates is not None:
             columns["iterates"] = _column(np.swapaxes(self.iterates, 0, 1))
         if self.faults is not None:
             columns["faults"] = _column(self.faults)
-        if self.middles is not None:
-            columns["middles"] = _column(self.middles)
+        if self.contact_centroids is not None:
+            columns["middles"] = _column(self.contact_centroids)
         columns |= {_LOCAL + name: _column(values) for name, values in self.taxel_unknowns.items()}
         header = {name: getattr(self, name) for name in _HEADER} | {"steps": steps}
         header["fit"] = None if self.fit is None else asdict(self.fit)
@@ -161,28 +171,29 @@ class Calibration:
                 f"{file} cannot be read", value=str(error).splitlines()[0], remedy="calibrate again"
             ) from error
         metadata = table.schema.metadata or {}
-        missing = set(_COLUMNS) - set(table.column_names)
+        missing = set(_COLUMNS.values()) - set(table.column_names)
         if _KEY not in metadata or missing:
             raise CalibrationError(f"{file} holds no calibration", remedy="check the path")
         header = json.loads(metadata[_KEY])
         n, steps = table.num_rows, header.pop("steps")
         shapes = {"poses": (n, 4, 4), "covariances": (n, 6, 6), "observed": (n, 6)}
         values: dict[str, Any] = {
-            name: _array(table, name).reshape(shapes.get(name, (n,))) for name in _COLUMNS
+            name: _array(table, column).reshape(shapes.get(name, (n,)))
+            for name, column in _COLUMNS.items()
         }
         if steps:
             values["iterates"] = np.swapaxes(_array(table, "iterates").reshape(n, steps, 3), 0, 1)
         if "faults" in table.column_names:
             values["faults"] = _array(table, "faults")
         if "middles" in table.column_names:
-            values["middles"] = _array(table, "middles").reshape(n, 3)
+            values["contact_centroids"] = _array(table, "middles").reshape(n, 3)
         values["taxel_unknowns"] = {
             name.removeprefix(_LOCAL): _array(table, name).reshape(n, 2)
             for name in table.column_names
             if name.startswith(_LOCAL)
         }
         fit = header.pop("fit", None)
-        header["fit"] = None if fit is None else Fit(**fit)
+        header["fit"] = None if fit is None else GoodnessOfFit(**fit)
         header["unknowns"] = {k: tuple(v) for k, v in header.get("unknowns", {}).items()}
         for name in ("factors", "undetermined"):
             header[name] = tuple(header.get(name, ()))
@@ -198,7 +209,10 @@ class Calibration:
                 1e3 * self.position_sigma[k],
             ]
             text = [f"{x:.6f}" if np.isfinite(x) else "" for x in numbers]
-            note = [self.why[k], "" if self.faults is None else self.faults[k].replace(",", ";")]
+            note = [
+                self.reasons[k],
+                "" if self.faults is None else self.faults[k].replace(",", ";"),
+            ]
             words = "; ".join(filter(None, note))
             rows.append(",".join([str(self.ids[k]), *text, str(self.readings[k]), words]))
         return "\n".join(rows) + "\n"

@@ -51,13 +51,13 @@ class Charts:
         return np.asarray(self.tangents - self.normals[:, :, None] * sag[:, None, :])
 
 
-def about(body: Body, points: Array, reference: Array | None = None) -> Charts:
+def charts_at(body: Body, points: Array, reference: Array | None = None) -> Charts:
     """Charts about the surface points closest to `points` (n, 3), body frame, m.
 
     `reference` (n, 3, 3): rotations of frames nearby, whose x axes the tangents then continue.
     """
     hit = body.closest(points)
-    rotation = frames(hit.normal) if reference is None else carry(reference, hit.normal)
+    rotation = frames(hit.normal) if reference is None else align_normals(reference, hit.normal)
     tangents = rotation[:, :, :2]
     steps = STEP * np.concatenate([tangents, -tangents], axis=2).transpose(0, 2, 1)  # (n, 4, 3)
     around = body.closest((hit.point[:, None] + steps).reshape(-1, 3)).normal.reshape(-1, 4, 3)
@@ -72,11 +72,11 @@ def carried(body: Body, points: Array, reference: Array, old: Charts) -> Charts:
     The tangents continue the frames `reference` (n, 3, 3); the shape operators are the old ones.
     """
     hit = body.closest(points)
-    rotation = carry(reference, hit.normal)
+    rotation = align_normals(reference, hit.normal)
     return Charts(hit.point, hit.normal, rotation[:, :, :2], old.shape)
 
 
-def turn(source: Array, target: Array) -> Array:
+def shortest_rotation(source: Array, target: Array) -> Array:
     """The smallest rotations (n, 3, 3) that bring unit vectors `source` onto `target` (n, 3)."""
     axis, cosine = np.cross(source, target), np.einsum("ni,ni->n", source, target)
     opposite = cosine < -1 + 1e-12
@@ -90,10 +90,10 @@ def turn(source: Array, target: Array) -> Array:
     return np.asarray(out)
 
 
-def carry(rotations: Array, normals: Array) -> Array:
+def align_normals(rotations: Array, normals: Array) -> Array:
     """Frames (n, 3, 3) turned the least way so that their z axes are `normals` (n, 3)."""
     broadcast = np.broadcast_to(rotations, (len(normals), 3, 3))
-    return turn(broadcast[:, :, 2], normals) @ broadcast
+    return shortest_rotation(broadcast[:, :, 2], normals) @ broadcast
 
 
 def frames(normals: Array) -> Array:
@@ -105,7 +105,7 @@ def frames(normals: Array) -> Array:
     length = np.linalg.norm(mean)
     mean = mean / length if length > 1e-6 else normals[0]
     x = _across(mean[None])[0]
-    return carry(np.stack([x, np.cross(mean, x), mean], axis=1), normals)
+    return align_normals(np.stack([x, np.cross(mean, x), mean], axis=1), normals)
 
 
 def _across(vectors: Array) -> Array:

@@ -107,7 +107,7 @@ class Information:
 
 def information(belief: Belief, taxels: Array, points: Array) -> Information:
     """What contacts at `points` (c, 3) under the reference force tell of `taxels` (n, 3), m."""
-    charts, hit = chart.about(belief.body, taxels), belief.body.closest(points)
+    charts, hit = chart.charts_at(belief.body, taxels), belief.body.closest(points)
     contact, taxel, slope = slopes(charts, hit, belief, belief.material.effective_modulus)
     return Information(contact, taxel, slope, len(points), len(taxels))
 
@@ -120,7 +120,7 @@ def expected_error(belief: Belief, taxels: Array, points: Array) -> float:
     return mean_error(told.total(np.ones(len(points))))[0]
 
 
-def best(belief: Belief, taxels: Array, reach: float) -> Design:
+def optimal_design(belief: Belief, taxels: Array, reach: float) -> Design:
     """The best spread of contacts over the surface about `taxels` (n, 3), each of which feels a
     contact up to `reach` (m) away, and the bound.
 
@@ -131,7 +131,7 @@ def best(belief: Belief, taxels: Array, reach: float) -> Design:
     rows, weights, bound = np.arange(0, len(points), FIRST), np.ones(0), 0.0
     for _ in range(ROUNDS):
         start = np.concatenate([weights, np.full(len(rows) - len(weights), 1.0 / len(rows))])
-        weights, error, slope = shared_out(told.at(rows), start / start.sum())
+        weights, error, slope = optimal_weights(told.at(rows), start / start.sum())
         gain = told.gain(slope)
         bound = max(bound, _bound(error, gain))
         if bound > (1.0 - GAP) * error:
@@ -142,7 +142,7 @@ def best(belief: Belief, taxels: Array, reach: float) -> Design:
     return Design(points[rows], weights, error, bound)
 
 
-def shared_out(told: Information, weights: Array) -> tuple[Array, float, Array]:
+def optimal_weights(told: Information, weights: Array) -> tuple[Array, float, Array]:
     """The best weights (c,) of given places, their Phi, m, and -dPhi/dM (n, 2, 2)."""
     for _ in range(STEPS):
         error, slope = mean_error(told.total(weights))
@@ -192,7 +192,7 @@ def _places(body: Body, taxels: Array, pitch: float, reach: float) -> Array:
     side = pitch * np.arange(-np.ceil(reach / pitch), np.ceil(reach / pitch) + 1)
     flat = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
     flat = flat[np.linalg.norm(flat, axis=1) <= reach]
-    charts = chart.about(body, taxels)
+    charts = chart.charts_at(body, taxels)
     tree, kept = cKDTree(taxels), []
     for k in range(len(taxels)):
         points = body.closest(charts[np.full(len(flat), k)].at(flat)).point

@@ -41,7 +41,7 @@ class Demonstration:
         return float(np.linalg.norm(self.iterates[-1] - self.truth, axis=1).mean())
 
 
-def active_together(recording: Recording, ids: NDArray[np.int64]) -> NDArray[np.int64]:
+def coactive_pairs(recording: Recording, ids: NDArray[np.int64]) -> NDArray[np.int64]:
     """Pairs (m, 2) of rows of `ids`, i < j, that at least three contacts activated together."""
     from scipy.sparse import coo_array
 
@@ -84,7 +84,7 @@ def demonstrate(
     Each iterate is aligned rigidly with the truth. Raises CalibrationError if no two taxels were
     active together.
     """
-    pairs = active_together(recording, ids)
+    pairs = coactive_pairs(recording, ids)
     if not len(pairs):
         raise CalibrationError(
             "no two taxels were active together",
@@ -110,7 +110,7 @@ def aligned(estimate: Array, truth: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Sweep:
+class NoiseSweep:
     """Figure 9: initial against maximum-likelihood mean position errors, after rigid alignment."""
 
     sigmas: Array
@@ -121,9 +121,9 @@ class Sweep:
     """Mean error (k, seeds) of the maximum-likelihood estimate, m; NaN where it is no minimum."""
 
 
-def sweep(
+def noise_sweep(
     poses: Array, pairs: NDArray[np.int64], initial_errors: Array, seeds: int, turn: float = 20.0
-) -> Sweep:
+) -> NoiseSweep:
     """Solve graphs whose starts are off by `initial_errors` (k,), m, on average over the seeds.
 
     The initial estimate chains the displacements along a breadth-first tree from the first taxel.
@@ -147,4 +147,4 @@ def sweep(
     gain = np.mean([case(unit, seed)[0] for seed in range(seeds)]) / unit
     sigmas = np.asarray(initial_errors, dtype=float) / gain
     errors = np.array([[case(float(s), seed) for seed in range(seeds)] for s in sigmas])
-    return Sweep(sigmas, errors[..., 0], errors[..., 1])
+    return NoiseSweep(sigmas, errors[..., 0], errors[..., 1])

@@ -19,7 +19,7 @@ from . import chart
 from .data.measurements import NOMINAL_NOISE
 from .data.pairs import SLANT
 from .joint.contacts import Contacts
-from .joint.patches import MEANS
+from .joint.patches import DISC_MEANS
 from .uncertainty.observability import censored_information
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def next_contacts(calibration: Calibration, belief: Belief, k: int = 1) -> NextC
             "no taxel was read, so none can be aimed at", remedy="sweep the whole skin first"
         )
     points, covariance, ids = points[near], covariance[near], calibration.ids[near]
-    charts = chart.about(belief.body, points)
+    charts = chart.charts_at(belief.body, points)
     covariance = _turned(calibration, near, charts, covariance)
     candidates = _candidates(charts, np.trace(covariance, axis1=1, axis2=2), radius)
     hit = belief.body.closest(candidates)
@@ -98,7 +98,7 @@ def _known(calibration: Calibration, belief: Belief, radius: float) -> tuple[Arr
     not determined, the middle of its contacts, known to within the reach of one.
     """
     points, covariance = calibration.positions.copy(), calibration.covariances[:, :2, :2].copy()
-    rough = calibration.middles
+    rough = calibration.contact_centroids
     open_ = ~calibration.observed[:, :2].all(axis=1)
     points[open_] = np.nan if rough is None else rough[open_]
     covariance[open_] = np.eye(2) * (radius + belief.disc_radius) ** 2
@@ -144,7 +144,7 @@ def slopes(
     offset = charts.points[taxel] - hit.point[contact]
     none = np.zeros((len(hit.point), 0))
     contacts = Contacts(hit.point, hit.normal, hit.direction, patches, (), none, None)
-    mean, slope, _ = MEANS[belief.contact](offset, contact, contacts, belief.disc_radius)
+    mean, slope, _ = DISC_MEANS[belief.contact](offset, contact, contacts, belief.disc_radius)
     scale = patches.peak[contact] / sigma
     weight = censored_information(belief.threshold / sigma - scale * mean)
     along = np.einsum("pi,pij->pj", slope, charts.tangents[taxel])

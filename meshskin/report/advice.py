@@ -73,7 +73,7 @@ def determined(findings: ReportData) -> tuple[Block, ...]:
 def missing(findings: ReportData) -> list[str]:
     """Which taxels have no estimate, and why."""
     c = findings.calibration
-    why = np.where(findings.located, "", np.asarray(c.why, dtype=str))
+    why = np.where(findings.located, "", np.asarray(c.reasons, dtype=str))
     reasons = sorted(set(why[~findings.located].tolist()))
     if not reasons:
         return ["Every taxel was touched and located."]

@@ -229,7 +229,7 @@ def _taxels(findings: ReportData) -> Block:
         row.append(measured(float(c.chi2[k])))
         if error is not None:
             row.append(measured(error[k] * MM))
-        rows.append((*row, str(c.why[k])))
+        rows.append((*row, str(c.reasons[k])))
     shown = "" if findings.count <= ROWS else f" (the first {ROWS} of {findings.count})"
     return Table(
         tuple(header),

@@ -108,7 +108,7 @@ def measure(taxels: int, contact: str = "hertz") -> dict[str, float]:
     import resource
 
     from meshskin.estimation.data.measurements import gather
-    from meshskin.estimation.joint.joint import estimate
+    from meshskin.estimation.joint.maximum_likelihood import estimate
     from meshskin.estimation.trilateration import trilaterate
 
     if taxels <= 1000:  # the small sizes as in a running program: kernel loaded, libraries imported

@@ -192,7 +192,7 @@ def test_a_method_that_places_nothing_is_left_out_of_the_comparison(tmp_path, mo
             return found
         nowhere = np.full_like(found.poses, np.nan)
         why = np.full(len(found.ids), "shares too few contacts")
-        return replace(found, poses=nowhere, why=why)
+        return replace(found, poses=nowhere, reasons=why)
 
     monkeypatch.setattr(pipeline, "calibrate", places_nothing)
     text = 'extends = "sphere"\n[skin]\ncount = 7'

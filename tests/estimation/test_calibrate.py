@@ -85,7 +85,7 @@ def test_untouched_taxels_are_named_and_not_invented(world, method, tmp_path):
     found = calibrate(cut, belief, method=method)
     lost = np.isin(world.ids, world.ids[[4, 9]])
     assert np.array_equal(found.touched, ~lost)
-    assert (found.why[lost] == UNTOUCHED).all()
+    assert (found.reasons[lost] == UNTOUCHED).all()
     assert np.isnan(found.poses[lost, :3]).all()
     assert not found.observed[lost].any()
     assert np.isinf(np.diagonal(found.covariances[lost], axis1=1, axis2=2)).all()

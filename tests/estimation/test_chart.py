@@ -15,7 +15,7 @@ def directions():
 
 @pytest.mark.parametrize("body", [Sphere(0.1), Ellipsoid((0.1, 0.08, 0.12)), Torus(0.1, 0.03)])
 def test_chart_leaves_the_surface_with_the_third_power(body, directions):
-    charts = chart.about(body, 0.11 * directions)
+    charts = chart.charts_at(body, 0.11 * directions)
     curvature = np.sort(np.linalg.eigvalsh(charts.shape))[:, ::-1]
     assert np.allclose(curvature, body.closest(charts.points).curvature, rtol=2e-4, atol=2e-3)
     y = np.random.default_rng(2).normal(size=(50, 2))
@@ -33,13 +33,13 @@ def test_frames_are_frames_and_continue(directions):
     assert np.allclose(rotation[:, :, 2], directions)
     near = directions + 1e-4 * np.roll(directions, 1, axis=1)
     near /= np.linalg.norm(near, axis=1)[:, None]
-    assert np.abs(chart.carry(rotation, near) - rotation).max() < 3e-4
+    assert np.abs(chart.align_normals(rotation, near) - rotation).max() < 3e-4
 
 
 def test_turn_is_the_smallest_even_for_opposite_vectors(directions):
     target = np.roll(directions, 1, axis=0)
     target[:3] = -directions[:3]
-    rotation = chart.turn(directions, target)
+    rotation = chart.shortest_rotation(directions, target)
     assert np.allclose(np.einsum("nij,nj->ni", rotation, directions), target)
     cosine = np.einsum("ni,ni->n", directions, target)
     assert np.allclose(np.trace(rotation, axis1=1, axis2=2), 1 + 2 * cosine, atol=1e-9)

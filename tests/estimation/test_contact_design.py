@@ -28,7 +28,7 @@ def belief(scene):
 
 @pytest.fixture(scope="module")
 def found(scene, belief):
-    return contact_design.best(belief, scene.skin.positions, 6e-3)
+    return contact_design.optimal_design(belief, scene.skin.positions, 6e-3)
 
 
 def test_the_expected_error_is_that_of_the_cramer_rao_bound(scene, belief):
@@ -83,7 +83,7 @@ def test_the_best_weights_are_those_of_a_general_solver(scene, belief):
     rng = np.random.default_rng(3)
     places = taxels[rng.integers(0, 3, 24)] + rng.uniform(-4e-3, 4e-3, (24, 3))
     told = contact_design.information(belief, taxels, places)
-    mine = contact_design.shared_out(told, np.full(24, 1.0 / 24))
+    mine = contact_design.optimal_weights(told, np.full(24, 1.0 / 24))
 
     def error(weights):
         return 1e3 * mean_distance(np.linalg.inv(told.total(weights))).mean()
@@ -99,4 +99,4 @@ def test_the_best_weights_are_those_of_a_general_solver(scene, belief):
 def test_taxels_that_no_contact_determines_are_refused(scene, belief):
     deaf = replace(belief, threshold=1e9)
     with pytest.raises(CalibrationError, match="no contact determines"):
-        contact_design.best(deaf, scene.skin.positions, 6e-3)
+        contact_design.optimal_design(deaf, scene.skin.positions, 6e-3)

@@ -13,7 +13,7 @@ from meshskin.contact.indenter import Indenter
 from meshskin.core.errors import CalibrationError, ContactError, RecordingError
 from meshskin.estimation.calibrate import METHODS, calibrate
 from meshskin.estimation.data.measurements import gather
-from meshskin.estimation.joint import joint, joint_estimator
+from meshskin.estimation.joint import joint_estimator, maximum_likelihood
 from meshskin.estimation.uncertainty.metrics import nees, position_errors
 from meshskin.geometry.body import Body
 from meshskin.scene.belief import Belief
@@ -99,7 +99,7 @@ def test_a_taxel_touched_once(world, noisy, clean):
     keep = recording.reading_taxel != world.ids[18]
     keep[np.flatnonzero(~keep)[0]] = True
     found = calibrate(small.changed(recording, keep=keep), belief)
-    assert found.why[18] == "fewer than three readings"
+    assert found.reasons[18] == "fewer than three readings"
     assert found.touched[18]
     assert not found.observed[18].any()
     errors = np.delete(position_errors(found, world.skin), 18)
@@ -198,23 +198,27 @@ def test_a_belief_without_a_reference_force_takes_the_recordings(world, noisy, c
 def test_an_iteration_limit_of_one(world, noisy):
     far = gather(noisy[0], world.belief(0.01, 0.05, young=2.5 * world.young))
     with pytest.raises(CalibrationError, match=r"did not converge.*raise the iteration limit"):
-        joint.estimate(far, world.body, iterations=1)
-    assert joint.estimate(far, world.body).modulus == pytest.approx(world.modulus, rel=0.01)
+        maximum_likelihood.estimate(far, world.body, iterations=1)
+    assert maximum_likelihood.estimate(far, world.body).modulus == pytest.approx(
+        world.modulus, rel=0.01
+    )
 
 
 def test_ipopt_in_restoration_failure(world, noisy, monkeypatch):
     data = gather(noisy[0], world.belief(0.01, 0.05, young=2.5 * world.young))
-    whole = joint_estimator.minimise
+    whole = joint_estimator.minimize
     monkeypatch.setattr(
-        joint_estimator, "minimise", lambda *a: (whole(*a)[0], "Restoration_Failed")
+        joint_estimator, "minimize", lambda *a: (whole(*a)[0], "Restoration_Failed")
     )
-    found = joint.estimate(data, world.body)  # at the optimum, whatever the status says
+    found = maximum_likelihood.estimate(
+        data, world.body
+    )  # at the optimum, whatever the status says
     assert found.modulus == pytest.approx(world.modulus, rel=0.01)
     monkeypatch.setattr(
-        joint_estimator, "minimise", lambda problem, state, *a: (state, "Restoration_Failed")
+        joint_estimator, "minimize", lambda problem, state, *a: (state, "Restoration_Failed")
     )
     with pytest.raises(CalibrationError, match=r"did not converge.*Restoration_Failed.*check the"):
-        joint.estimate(data, world.body)
+        maximum_likelihood.estimate(data, world.body)
 
 
 def test_a_modulus_far_off(world, noisy, clean):

@@ -58,7 +58,7 @@ def calibration(sigma: float = 1e-5, method: str = "joint", seed: int = 0) -> Ca
         covariances=covariances, observed=observed, touched=touched, readings=readings,
         method=method, anchor="body surface", factors=("pressure", "surface"),
         modulus=263158.0, modulus_sigma=120.0, chi2=np.where(touched, 1.0, np.nan),
-        iterates=steps, why=np.where(touched, "", "never touched").astype(object),
+        iterates=steps, reasons=np.where(touched, "", "never touched").astype(object),
         seconds={"build": 0.05, "solve": 0.07, "total": 0.12}, provenance={"seed": seed},
     )  # fmt: skip
 

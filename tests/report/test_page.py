@@ -224,7 +224,7 @@ def test_a_calibration_knows_its_body(case: SimpleNamespace, tmp_path: Path, bod
 def test_one_taxel_has_no_estimate(case: SimpleNamespace, tmp_path: Path, body: Body) -> None:
     c = case.calibration()
     first = int(np.flatnonzero(~c.touched)[0])
-    c.why[first] = "fewer than three readings"
+    c.reasons[first] = "fewer than three readings"
     shown, _ = write(case, tmp_path, body, calibration=c)
     assert "1 of 80 taxels has no estimate (fewer than three readings)" in shown.text
 
@@ -240,7 +240,7 @@ def test_a_skin_that_was_never_touched_still_gets_its_page(
     case: SimpleNamespace, tmp_path: Path, body: Body
 ) -> None:
     c = case.calibration()
-    c.poses[:], c.why[:] = np.nan, "never touched"
+    c.poses[:], c.reasons[:] = np.nan, "never touched"
     c.covariances[:], c.touched[:], c.observed[:], c.readings[:] = np.inf, False, False, 0
     assert page.report(tmp_path / "least.html", body=None, calibration=c)
     for truth in (None, case.skin()):

@@ -21,8 +21,8 @@ from ...core import se3
 from ...core.errors import CalibrationError
 from ...core.se3 import Array
 from ..data.global_parameters import GlobalParameters
-from .patches import FOLLOW, Rates
-from .slopes import Slopes
+from .patches import PATCHES_UNDER_LOAD, LoadDerivatives
+from .slopes import SurfaceGradients
 
 if TYPE_CHECKING:
     from ...geometry.body import Body
@@ -78,7 +78,7 @@ class LinearizedContacts:
         self.shared, self.recorded, self.body = shared, recorded, body
         self.data = recorded
         """The measurements with the contacts where s puts them."""
-        self.slopes: Slopes | None = None
+        self.slopes: SurfaceGradients | None = None
         """How patches change from there; None where no contact moves."""
         self._last: tuple[Array, Contacts] | None = None
         if "indenter_offset" in shared.names and recorded.headings is None:
@@ -91,7 +91,7 @@ class LinearizedContacts:
         if shared.moving:
             # The recorded points are on the believed surface only as well as they were recorded.
             self.data = self._placed(about)
-            self.slopes = Slopes.about(self.data, body)
+            self.slopes = SurfaceGradients.about(self.data, body)
 
     def at(self, s: Array) -> Contacts:
         """The contacts at s (ks,)."""
@@ -209,10 +209,12 @@ class LinearizedContacts:
             into[:, :, at["indenter_offset"]] = back
         return centre, up, into
 
-    def _pressed(self, data: Measurements, s: Array) -> tuple[Patches, Rates]:
+    def _pressed(self, data: Measurements, s: Array) -> tuple[Patches, LoadDerivatives]:
         """The patches of `data` under the force and E* of s (ks,)."""
         change = np.log(self._force(s) / data.force)
-        return FOLLOW[data.model.name](data, change, self.shared.value("modulus", self._within(s)))
+        return PATCHES_UNDER_LOAD[data.model.name](
+            data, change, self.shared.value("modulus", self._within(s))
+        )
 
     def _within(self, s: Array) -> Array:
         # Beyond its priors' far end a trial step of the optimiser changes no more.

@@ -15,18 +15,18 @@ from ...core.errors import CalibrationError
 from ...core.se3 import Array
 from ..data.measurements import Measurements
 from ..data.pairs import SPARE
-from . import faults
+from . import fault_detection
 from .contacts import LinearizedContacts
 from .likelihood import Likelihood, select
-from .newton import AT_REST, minimise
+from .newton import NEWTON_TOLERANCE, minimize
 from .parametrization import Parametrization, SurfaceParametrization
-from .pressure import HEARD
+from .pressure import OBSERVED
 from .variable_projection import ReducedProblem, SchurComplement, State
 
 if TYPE_CHECKING:
     from ...geometry.body import Body
 
-PASSES = 8
+MAX_RELINEARIZATIONS = 8
 """Most anchorings; two are usual."""
 DECREMENT = 1e-6
 """Largest Newton decrement of the shared unknowns at which a solution is believed."""
@@ -57,18 +57,18 @@ class JointEstimator:
         places: Parametrization,
         weight: Array,
         iterations: int,
-        tolerance: float = AT_REST,
+        tolerance: float = NEWTON_TOLERANCE,
     ) -> None:
         self.data, self.body, self.live, self.iterations = data, body, live, iterations
         self.tolerance = max(tolerance, ROUGH) if data.shared.moving else tolerance
-        self.settled = tolerance / 10
+        self.inner_tolerance = tolerance / 10
         self.weight = weight
         self.silent_weight = np.ones(len(live))
         self.seconds = {"readings": 0.0, "solve": 0.0}
         self.iterates = [places.points()]
         self.faults = np.full(len(data.ids), "", dtype=object)
         self.broken = np.zeros(len(live), dtype=bool)
-        self.anchor(places, np.zeros(len(data.shared.sigma)), select_anew=True)
+        self.relinearize(places, np.zeros(len(data.shared.sigma)), select_anew=True)
 
     def trial(self) -> JointEstimator:
         """Another run from the same point: what is tried in it leaves this one as it is."""
@@ -77,7 +77,7 @@ class JointEstimator:
         other.iterates, other.faults = list(self.iterates), self.faults.copy()
         return other
 
-    def anchor(
+    def relinearize(
         self, places: Parametrization, s: Array, z: Array | None = None, select_anew: bool = False
     ) -> None:
         """Take up places and contacts anchored at s, with gains and offsets from z (G, D)."""
@@ -92,7 +92,7 @@ class JointEstimator:
             self.likelihood = Likelihood(self.data, readings, self.data.shared)
             self.about = points, contacts.data.points, stretch
             self.seconds["readings"] += time.perf_counter() - clock
-        self.problem = ReducedProblem(self.likelihood, places, contacts, self.settled)
+        self.problem = ReducedProblem(self.likelihood, places, contacts, self.inner_tolerance)
         self.state = self.problem.start(s, z)
 
     def _covers(
@@ -112,25 +112,25 @@ class JointEstimator:
         Raises CalibrationError without convergence.
         """
         status, clock = "", time.perf_counter()
-        for turn in range(PASSES):
+        for turn in range(MAX_RELINEARIZATIONS):
             problem, fresh = self.problem, self.problem.blocks(self.state)
-            self.restless = (fresh.decrement > self.tolerance)[problem.places.group]
-            moving = self.restless.any() or problem.reduce(self.state).decrement > self.tolerance
+            self.unconverged = (fresh.decrement > self.tolerance)[problem.parametrization.group]
+            moving = self.unconverged.any() or problem.reduce(self.state).decrement > self.tolerance
             if turn and not moving:
                 break
-            problem.settle(self.state)
+            problem.solve_inner(self.state)
             left = problem.reduce(self.state)
             self.watch(self.state)
             if left.decrement > self.tolerance:
-                self.state, status = minimise(
+                self.state, status = minimize(
                     problem, self.state, self.iterations, self.watch, self.tolerance
                 )
                 left = problem.reduce(self.state)
             self._check(left, status)
-            z, size = self.state.z.copy(), problem.places.size
-            places = problem.places.anchored(self.body, z[:, :size])
+            z, size = self.state.z.copy(), problem.parametrization.size
+            places = problem.parametrization.relinearized(self.body, z[:, :size])
             z[:, :size] = 0.0
-            self.anchor(places, self.state.s, z)
+            self.relinearize(places, self.state.s, z)
         self.seconds["solve"] += time.perf_counter() - clock
 
     def _check(self, left: SchurComplement, status: str) -> None:
@@ -153,9 +153,9 @@ class JointEstimator:
         """Squared residuals per degree of freedom (n,), of outlying readings, too; NaN with none
         left."""
         readings, n = self.likelihood.readings, len(self.live)
-        heard = readings.kind == HEARD
+        heard = readings.kind == OBSERVED
         square = np.bincount(readings.taxel[heard], self.residuals()[heard] ** 2, n)
-        places = self.problem.places
+        places = self.problem.parametrization
         sizes = np.bincount(places.group, minlength=places.count)
         freedom = np.bincount(readings.taxel[heard], minlength=n) - self.problem.extra
         freedom = freedom - places.size / sizes[places.group]
@@ -167,25 +167,25 @@ class JointEstimator:
 
         Returns the rows of the taxels that were moved.
         """
-        places, before = self.problem.places, self.chi2
+        places, before = self.problem.parametrization, self.chi2
         known = before[np.isfinite(before)]
         typical = float(np.median(known)) if len(known) else 1.0
         limit = MISFIT if self.data.noise else max(MISFIT_NOMINAL, MISFIT * typical)
         off = np.linalg.norm(self.problem.points(self.state) - centroids, axis=1)
         astray = (before > limit) & ~(off <= NEARBY * float(np.median(self.data.radii)))
-        bad = np.flatnonzero(astray | self.restless)
+        bad = np.flatnonzero(astray | self.unconverged)
         if not len(bad) or not isinstance(places, SurfaceParametrization):
             return bad[:0]
-        kept, restless = self.state, self.restless
+        kept, restless = self.state, self.unconverged
         standing = self.problem, self.likelihood, self.about
         points = places.points().copy()
         points[bad] = centroids[bad]
         z = kept.z.copy()
         z[:, : places.size] = 0.0
         moved = places.about(self.body, points)
-        self.anchor(moved, kept.s, z, select_anew=True)
-        self.problem.settle(self.state, bad)
-        settled = self.state.decrement[bad] <= self.problem.settled
+        self.relinearize(moved, kept.s, z, select_anew=True)
+        self.problem.solve_inner(self.state, bad)
+        settled = self.state.decrement[bad] <= self.problem.inner_tolerance
         # The cost counts silent readings, too; readings of other places are other readings.
         better = bad[(self.chi2[bad] < ELSEWHERE * before[bad]) | (settled & restless[bad])]
         if not len(better):
@@ -193,20 +193,20 @@ class JointEstimator:
             return better
         points = places.points().copy()
         points[better] = self.problem.points(self.state)[better]
-        self.anchor(places.about(self.body, points), kept.s, z, select_anew=True)
+        self.relinearize(places.about(self.body, points), kept.s, z, select_anew=True)
         self.converge()
         return better
 
     def residuals(self) -> Array:
         problem, state = self.problem, self.state
-        extras = problem.extras(state.z, np.arange(problem.places.count))
+        extras = problem.extras(state.z, np.arange(problem.parametrization.count))
         mu = self.likelihood.means(problem.points(state), extras, problem.contacts.at(state.s))
-        return faults.residuals(self.likelihood.readings, mu, self.data.sigma)
+        return fault_detection.residuals(self.likelihood.readings, mu, self.data.sigma)
 
-    def weigh(self, weight: Array) -> None:
+    def reweight(self, weight: Array) -> None:
         """Give the readings other weights, and take up the state anew."""
         readings = replace(self.likelihood.readings, weight=weight)
         heard = readings.source >= 0
         self.weight[readings.source[heard]] = weight[heard]
         self.likelihood = replace(self.likelihood, readings=readings)
-        self.anchor(self.problem.places, self.state.s, self.state.z)
+        self.relinearize(self.problem.parametrization, self.state.s, self.state.z)

@@ -18,8 +18,8 @@ from ..data.global_parameters import GlobalParameters
 from ..data.measurements import Measurements, reach
 from ..data.pairs import SPARE, silent_pairs
 from .contacts import Contacts
-from .patches import MEANS
-from .pressure import HEARD, SATURATED, SILENT, costs
+from .patches import DISC_MEANS
+from .pressure import CENSORED, OBSERVED, SATURATED, costs
 
 CLEAR = 5.0
 """Pressure, relative to the noise, above which a reading out of reach is kept: it is a misfit. With
@@ -91,7 +91,7 @@ def select(
     none = np.full(len(silent_contact), -1)
     contact = np.concatenate([data.contact[mine], silent_contact])
     taxel = np.concatenate([place[data.taxel[mine]], silent_taxel])
-    heard = np.where(data.pressure[mine] < data.saturation, HEARD, SATURATED)
+    heard = np.where(data.pressure[mine] < data.saturation, OBSERVED, SATURATED)
     level = np.concatenate(
         [np.minimum(data.pressure[mine], data.saturation), np.full(len(none), data.threshold)]
     )
@@ -100,7 +100,7 @@ def select(
         contact=contact[order],
         taxel=taxel[order],
         level=level[order],
-        kind=np.concatenate([heard, np.full(len(none), SILENT)]).astype(np.int8)[order],
+        kind=np.concatenate([heard, np.full(len(none), CENSORED)]).astype(np.int8)[order],
         source=np.concatenate([mine, none])[order],
         weight=np.concatenate([weight[mine], silent_weight[silent_taxel]])[order],
         starts=np.searchsorted(taxel[order], np.arange(len(live) + 1)),
@@ -212,7 +212,7 @@ class Likelihood:
         mu, jacobian = self.predict(read.contact[k], points[owner], extras[owner], contacts)
         level, weight = read.level[k] / self.data.sigma, read.weight[k]
         cost, rate, curvature = costs(mu, level, read.kind[k])
-        square = np.where(read.kind[k] == HEARD, (mu - level) ** 2, 0.0)
+        square = np.where(read.kind[k] == OBSERVED, (mu - level) ** 2, 0.0)
         hessian = np.empty((len(rows), len(jacobian), len(jacobian)))
         scaled = jacobian * (weight * curvature)
         for r in range(len(jacobian)):
@@ -231,7 +231,7 @@ class Likelihood:
     ) -> tuple[Array, Array]:
         """mu (k,) in units of the noise, and its derivatives (C, k) in all unknowns."""
         offset = points - contacts.points[contact]
-        read = MEANS[self.data.model.name]
+        read = DISC_MEANS[self.data.model.name]
         mean, by_point, by_shape = read(offset, contact, contacts, self.data.disc)
         names = self.shared.local_names
         peak = contacts.peaks[contact] / self.data.sigma

@@ -20,19 +20,19 @@ IPOPT: dict[str, object] = {
     "print_level": 0,
     "sb": "yes",
 }
-ITERATIONS = 30
+MAX_ITERATIONS = 30
 """Most iterations of IPOPT."""
-AT_REST = 1e-8
+NEWTON_TOLERANCE = 1e-8
 """Newton decrement, in units of the cost, at which an estimate is at its optimum: a move of some
 1e-4 standard deviations."""
 
 
-def minimise(
+def minimize(
     problem: ReducedProblem,
     state: State,
     iterations: int,
     watch: Callable[[State], None],
-    tolerance: float = AT_REST,
+    tolerance: float = NEWTON_TOLERANCE,
 ) -> tuple[State, str]:
     """The state at the most likely shared unknowns, and IPOPT's status.
 

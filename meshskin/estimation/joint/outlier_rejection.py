@@ -8,11 +8,11 @@ import numpy as np
 
 from ...core.errors import CalibrationError
 from ..trilateration import trilaterate
-from . import faults
+from . import fault_detection
 from .joint_estimator import JointEstimator
 from .likelihood import Likelihood
 from .parametrization import SurfaceParametrization
-from .pressure import HEARD, SILENT
+from .pressure import CENSORED, OBSERVED
 
 ACQUITTED = 0.5
 """Most of the suspects, relative, that may be left where taxels differ in gain and offset."""
@@ -35,9 +35,11 @@ def reject_outliers(run: JointEstimator) -> JointEstimator:
     run = try_gain_offset(run, suspects)
     typical, suspects = _suspects(run)
     known = bool(run.data.noise)
-    if known and typical <= faults.TAKEN:
+    if known and typical <= fault_detection.MAX_SCALE:
         typical = 1.0  # most readings fit: what is outlying is so by the noise
-    believed = _plausibility(run, typical, np.abs(run.residuals()) > faults.CUT * typical)
+    believed = _plausibility(
+        run, typical, np.abs(run.residuals()) > fault_detection.CUTOFF * typical
+    )
     for scale in (1.0, typical) if known and typical > 1.0 else (typical,):
         if not len(suspects):
             break
@@ -46,9 +48,9 @@ def reject_outliers(run: JointEstimator) -> JointEstimator:
             left = _irls(trial, suspects, scale, known)
         except CalibrationError:  # without a fit nothing can be called outlying
             left = np.inf
-        fits = left <= faults.TAKEN * scale
+        fits = left <= fault_detection.MAX_SCALE * scale
         if fits and scale < typical:
-            out = faults.outlying(trial.likelihood.readings)
+            out = fault_detection.outliers(trial.likelihood.readings)
             fits = _plausibility(trial, scale, out) > believed
         if fits:
             _name(trial, scale)
@@ -70,20 +72,22 @@ def try_gain_offset(run: JointEstimator, suspects: np.ndarray) -> JointEstimator
     trial = run.trial()
     trial.data = replace(run.data, shared=shared)
     trial.likelihood = Likelihood(trial.data, run.likelihood.readings, shared)
-    trial.anchor(run.problem.places, run.state.s)
-    trial.problem.settle(trial.state)
+    trial.relinearize(run.problem.parametrization, run.state.s)
+    trial.problem.solve_inner(trial.state)
     odd, left = np.flatnonzero(_odd(trial)), _suspects(trial)[1]
     if len(np.union1d(left, np.intersect1d(odd, suspects))) > ACQUITTED * len(suspects):
         return run
-    places = trial.problem.places  # with an offset other readings count
-    trial.anchor(places, trial.state.s, trial.state.z, select_anew=True)
+    places = trial.problem.parametrization  # with an offset other readings count
+    trial.relinearize(places, trial.state.s, trial.state.z, select_anew=True)
     try:
         trial.converge()
     except CalibrationError:
         return run
     if not _noise_is_left(trial):
         return run
-    gains = trial.problem.extras(trial.state.z, np.arange(trial.problem.places.count))[:, 0]
+    gains = trial.problem.extras(trial.state.z, np.arange(trial.problem.parametrization.count))[
+        :, 0
+    ]
     for k in np.flatnonzero(_odd(trial)):
         words = (
             f"gain of {np.exp(gains[k]):.2g}" if _heard(trial)[k] else "silent in all that press it"
@@ -95,15 +99,17 @@ def try_gain_offset(run: JointEstimator, suspects: np.ndarray) -> JointEstimator
 def _noise_is_left(run: JointEstimator) -> bool:
     """Whether residuals are the noise, if it is known, or as large from one contact to the next."""
     readings, residuals = run.likelihood.readings, run.residuals()
-    noise = 1.0 if run.data.noise else faults.scatter(readings, residuals)
-    return faults.typical(readings, residuals) <= faults.TAKEN * noise
+    noise = (
+        1.0 if run.data.noise else fault_detection.successive_difference_scale(readings, residuals)
+    )
+    return fault_detection.reading_scale(readings, residuals) <= fault_detection.MAX_SCALE * noise
 
 
 def _odd(run: JointEstimator) -> np.ndarray:
     """Taxels (n,) that are never heard, or whose gain or offset is too far from the prior to be a
     sound one's.
     """
-    extras = run.problem.extras(run.state.z, np.arange(run.problem.places.count))
+    extras = run.problem.extras(run.state.z, np.arange(run.problem.parametrization.count))
     far = (np.abs(extras) > ODD * np.array(run.likelihood.local_sigma)).any(axis=1)
     return np.asarray(far | ~_heard(run))
 
@@ -111,16 +117,16 @@ def _odd(run: JointEstimator) -> np.ndarray:
 def _heard(run: JointEstimator) -> np.ndarray:
     """Taxels (n,) that have a reading."""
     readings = run.likelihood.readings
-    return np.bincount(readings.taxel[readings.kind != SILENT], minlength=len(run.live)) > 0
+    return np.bincount(readings.taxel[readings.kind != CENSORED], minlength=len(run.live)) > 0
 
 
 def _suspects(run: JointEstimator) -> tuple[float, np.ndarray]:
     """How far off most readings are, or most taxels, and the taxels that are further off."""
     readings, residuals = run.likelihood.readings, run.residuals()
-    least = 1.0 if run.data.noise else faults.LEAST
-    for scale_of in (faults.typical, faults.typical_taxel):
+    least = 1.0 if run.data.noise else fault_detection.MIN_SCALE
+    for scale_of in (fault_detection.reading_scale, fault_detection.taxel_scale):
         typical = max(scale_of(readings, residuals), least)
-        suspects = faults.suspects(readings, residuals, typical)
+        suspects = fault_detection.misfitting_taxels(readings, residuals, typical)
         if len(suspects):
             break
     return typical, suspects
@@ -128,7 +134,9 @@ def _suspects(run: JointEstimator) -> tuple[float, np.ndarray]:
 
 def _plausibility(run: JointEstimator, scale: float, out: np.ndarray) -> float:
     width = float(run.data.pressure.max() / run.data.sigma)
-    return faults.plausibility(run.likelihood.readings, run.residuals(), scale, out, width)
+    return fault_detection.mean_log_likelihood(
+        run.likelihood.readings, run.residuals(), scale, out, width
+    )
 
 
 def _irls(run: JointEstimator, suspects: np.ndarray, scale: float, fixed: bool) -> float:
@@ -137,40 +145,47 @@ def _irls(run: JointEstimator, suspects: np.ndarray, scale: float, fixed: bool) 
     Infinite where too much is left out, or where it does not help. The scale of the noise is
     `scale`, if `fixed`.
     """
-    places = run.problem.places
+    places = run.problem.parametrization
     if isinstance(places, SurfaceParametrization):  # from where most of their readings are
         points = places.points().copy()
         points[suspects] = trilaterate.medians(run.data, run.body, run.live[suspects])
         z = run.state.z.copy()
         z[:, : places.size] = 0.0
-        run.anchor(places.about(run.body, points), run.state.s, z)
-    for stage in (*faults.STAGES, *[0.0] * faults.CUTS):
+        run.relinearize(places.about(run.body, points), run.state.s, z)
+    for stage in (*fault_detection.GNC_STAGES, *[0.0] * fault_detection.MAX_REWEIGHTINGS):
         r, readings = run.residuals(), run.likelihood.readings
         if not fixed:
-            scale = max(faults.typical(readings, r), faults.LEAST)
+            scale = max(fault_detection.reading_scale(readings, r), fault_detection.MIN_SCALE)
         if not stage:
-            if fixed and faults.typical(readings, r) > faults.TAKEN * scale:
+            if (
+                fixed
+                and fault_detection.reading_scale(readings, r) > fault_detection.MAX_SCALE * scale
+            ):
                 return np.inf  # without what the suspects read the others do not fit either
-            suspects = np.union1d(suspects, faults.suspects(readings, r, scale))
-        own = (readings.kind == HEARD) & np.isin(readings.taxel, suspects)
-        cut = faults.CUT if stage else faults.even_odds(r[own], scale)
-        weight = faults.weights(r, scale, stage, cut)
+            suspects = np.union1d(suspects, fault_detection.misfitting_taxels(readings, r, scale))
+        own = (readings.kind == OBSERVED) & np.isin(readings.taxel, suspects)
+        cut = fault_detection.CUTOFF if stage else fault_detection.equal_odds_cutoff(r[own], scale)
+        weight = fault_detection.robust_weights(r, scale, stage, cut)
         run.silent_weight[:] = 1.0
         if stage:  # what was heard says where a taxel is; then what was not is judged by it
-            weight[readings.kind == SILENT] = run.silent_weight[suspects] = 0.0
+            weight[readings.kind == CENSORED] = run.silent_weight[suspects] = 0.0
         weight[~np.isin(readings.taxel, suspects)] = 1.0
-        if np.abs(weight - readings.weight).max() < faults.STILL:
+        if np.abs(weight - readings.weight).max() < fault_detection.WEIGHT_TOLERANCE:
             break
-        run.weigh(weight)
+        run.reweight(weight)
         run.converge()
-    mute = faults.mute(run.likelihood.readings)
+    mute = fault_detection.unanswered_presses(run.likelihood.readings)
     if mute.any():
         run.silent_weight[np.unique(run.likelihood.readings.taxel[mute])] = 0.0
-        run.weigh(np.where(mute, 0.0, run.likelihood.readings.weight))
+        run.reweight(np.where(mute, 0.0, run.likelihood.readings.weight))
         run.converge()
     readings = run.likelihood.readings
-    lost = faults.lost(readings)
-    return faults.typical(readings, run.residuals()) if lost < faults.MOST else np.inf
+    lost = fault_detection.outlier_fraction(readings)
+    return (
+        fault_detection.reading_scale(readings, run.residuals())
+        if lost < fault_detection.MAX_OUTLIER_FRACTION
+        else np.inf
+    )
 
 
 def _name(run: JointEstimator, scale: float) -> None:
@@ -179,16 +194,16 @@ def _name(run: JointEstimator, scale: float) -> None:
     What is less than CUT times the noise's `scale` off may be chance: it alone accuses no taxel.
     """
     readings, n = run.likelihood.readings, len(run.live)
-    out, silent = faults.outlying(readings), readings.kind == SILENT
+    out, silent = fault_detection.outliers(readings), readings.kind == CENSORED
 
     def count(which: np.ndarray) -> np.ndarray:
         return np.bincount(readings.taxel[which], minlength=n)
 
-    far = out & (np.abs(run.residuals()) > faults.CUT * scale)
+    far = out & (np.abs(run.residuals()) > fault_detection.CUTOFF * scale)
     heard, wild, mute = count(~silent), count(out & ~silent), count(far & silent)
     guilty = np.flatnonzero(count(far))
     points = run.problem.points(run.state)
-    pairs = faults.exchanged(run.data, readings, points, guilty)
+    pairs = fault_detection.swapped_taxels(run.data, readings, points, guilty)
     for k in guilty:
         words = [f"{wild[k]} of {heard[k]} readings outlying"] if wild[k] else []
         if mute[k]:
@@ -197,6 +212,8 @@ def _name(run: JointEstimator, scale: float) -> None:
             words.insert(0, f"swapped with {run.data.ids[run.live[pairs[int(k)]]]}")
         run.faults[run.live[k]] = ", ".join(filter(None, [run.faults[run.live[k]], *words]))
     if isinstance(
-        run.problem.places, SurfaceParametrization
+        run.problem.parametrization, SurfaceParametrization
     ):  # else its module places a taxel, whatever it reads
-        run.broken = (wild > faults.BROKEN * heard) | (mute > np.maximum(heard, 1))
+        run.broken = (wild > fault_detection.MAX_TAXEL_OUTLIERS * heard) | (
+            mute > np.maximum(heard, 1)
+        )

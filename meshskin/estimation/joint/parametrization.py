@@ -44,7 +44,7 @@ class Parametrization(Protocol):
         groups (r,) and z (r, D) are those of each taxel."""
         ...
 
-    def limited(self, step: Array) -> Array:
+    def limit_step(self, step: Array) -> Array:
         """Steps (g, ...) whose first D entries are shortened to what the coordinates allow."""
         ...
 
@@ -52,7 +52,7 @@ class Parametrization(Protocol):
         """Cost (g,), gradient and Hessian, as wide as z (g, .), of what is known unread."""
         ...
 
-    def anchored(self, body: Body, z: Array) -> Parametrization:
+    def relinearized(self, body: Body, z: Array) -> Parametrization:
         """The same places about the coordinates z (count, D)."""
         ...
 
@@ -90,7 +90,7 @@ class SurfaceParametrization:
         charts = self.charts[groups]
         return charts.at(z), charts.slope(z)
 
-    def limited(self, step: Array) -> Array:
+    def limit_step(self, step: Array) -> Array:
         """As `Parametrization.limited`."""
         size = np.linalg.norm(step[:, :2], axis=1)
         return step * np.minimum(1.0, self.step / np.maximum(size, 1e-300))[:, None]
@@ -100,7 +100,7 @@ class SurfaceParametrization:
         g, d = z.shape
         return np.zeros(g), np.zeros((g, d)), np.zeros((g, d, d))
 
-    def anchored(self, body: Body, z: Array) -> SurfaceParametrization:
+    def relinearized(self, body: Body, z: Array) -> SurfaceParametrization:
         """As `Parametrization.anchored`; the curvature is kept, for it only speeds the way."""
         rotations = trilaterate.frames_of(self.charts)
         return replace(self, charts=chart.carried(body, self.charts.at(z), rotations, self.charts))
@@ -115,4 +115,4 @@ class SurfaceParametrization:
 
     def about(self, body: Body, points: Array) -> SurfaceParametrization:
         """Places anchored about other points (n, 3), m."""
-        return replace(self, charts=chart.about(body, points, self.rotations()))
+        return replace(self, charts=chart.charts_at(body, points, self.rotations()))

@@ -30,7 +30,7 @@ Means = Callable[[Array, np.ndarray, "Contacts", float], tuple[Array, Array, tup
 """What taxels read in units of the peak, and its derivatives by place and shape."""
 
 
-class Rates(NamedTuple):
+class LoadDerivatives(NamedTuple):
     """Derivatives in ln F at constant E*: numbers, or of every contact (m, 1)."""
 
     shape: tuple[Any, ...]
@@ -39,7 +39,9 @@ class Rates(NamedTuple):
     """Of ln p_0."""
 
 
-def half_space(data: Measurements, log_force: Array, log_modulus: float) -> tuple[Patches, Rates]:
+def half_space(
+    data: Measurements, log_force: Array, log_modulus: float
+) -> tuple[Patches, LoadDerivatives]:
     """Patches at forces and E* that are by `log_force` (m,) and `log_modulus` off the nominal."""
     length = np.exp((log_force - log_modulus) / 3)
     patch = data.patches
@@ -49,10 +51,12 @@ def half_space(data: Measurements, log_force: Array, log_modulus: float) -> tupl
         peak=patch.peak * np.exp((log_force + 2 * log_modulus) / 3),
         depth=patch.depth * length**2,
     )
-    return found, Rates((1 / 3,) * (1 if data.model.name == "hertz" else 2), 1 / 3)
+    return found, LoadDerivatives((1 / 3,) * (1 if data.model.name == "hertz" else 2), 1 / 3)
 
 
-def layer(data: Measurements, log_force: Array, log_modulus: float) -> tuple[Patches, Rates]:
+def layer(
+    data: Measurements, log_force: Array, log_modulus: float
+) -> tuple[Patches, LoadDerivatives]:
     """As `half_space`, on a layer."""
     modulus, t = data.modulus * np.exp(log_modulus), data.model.thickness or 1.0
     load = np.log(data.force / (modulus * t**2)) + log_force
@@ -63,7 +67,7 @@ def layer(data: Measurements, log_force: Array, log_modulus: float) -> tuple[Pat
     first, second, peak, depth, exponent = out[:, :5].T
     by_first, by_second, by_peak, _, by_exponent = out[:, 5:, None].swapaxes(0, 1)
     found = Patches(first * t, second * t, peak * modulus, depth * t, exponent)
-    return found, Rates((by_first, by_second, by_exponent), by_peak)
+    return found, LoadDerivatives((by_first, by_second, by_exponent), by_peak)
 
 
 @functools.cache
@@ -83,9 +87,9 @@ def _layer(poisson: float, endless: bool) -> ca.Function:
     return compiled(ca.Function("layer", [x], [out], {"cse": True})).map(BATCH)
 
 
-FOLLOW = {"hertz": half_space, "elliptic": half_space, "layered": layer}
+PATCHES_UNDER_LOAD = {"hertz": half_space, "elliptic": half_space, "layered": layer}
 """How patches follow force and modulus, by the name of the contact model."""
-MEANS: dict[str, Means] = {
+DISC_MEANS: dict[str, Means] = {
     "hertz": pressure.circle,
     "elliptic": pressure_elliptic.ellipse,
     "layered": pressure_elliptic.profile,

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from .contacts import Contacts
 
 INPUTS = 8
-HEARD, SILENT, SATURATED = 0, 1, -1
+OBSERVED, CENSORED, SATURATED = 0, 1, -1
 """Kinds of a reading; the sign is that of the censored side."""
 
 

@@ -22,7 +22,7 @@ a circle."""
 
 
 @dataclass(frozen=True)
-class Slopes:
+class SurfaceGradients:
     """How m patches change over the surface, force and E* staying: tangents."""
 
     first: Array
@@ -37,7 +37,7 @@ class Slopes:
     """Of the turn of the patch's axes about the normal (m, 3), rad/m."""
 
     @classmethod
-    def about(cls, data: Measurements, body: Body) -> Slopes:
+    def about(cls, data: Measurements, body: Body) -> SurfaceGradients:
         """Those about the contacts of `data`, by central differences."""
         sides = data.directions, np.cross(data.normals, data.directions)
         found = []

@@ -90,21 +90,21 @@ class ReducedProblem:
     """A likelihood with its places and contacts: what is settled and reduced."""
 
     likelihood: Likelihood
-    places: Parametrization
+    parametrization: Parametrization
     contacts: LinearizedContacts
-    settled: float = SETTLED
+    inner_tolerance: float = SETTLED
     """Newton decrement, in units of the cost, at which a group rests."""
 
     def __post_init__(self) -> None:
-        group = self.places.group
-        self.first = np.searchsorted(group, np.arange(self.places.count + 1))
+        group = self.parametrization.group
+        self.first = np.searchsorted(group, np.arange(self.parametrization.count + 1))
         self.slot = np.arange(len(group)) - self.first[group]
         self.extra = len(self.likelihood.shared.local_names)
-        self.width = self.places.size + self.extra * int(np.diff(self.first).max())
+        self.width = self.parametrization.size + self.extra * int(np.diff(self.first).max())
 
     def start(self, s: Array, z: Array | None = None) -> State:
         """The state at the anchors, or at z (G, D), unsettled."""
-        count, n = self.places.count, len(self.places.group)
+        count, n = self.parametrization.count, len(self.parametrization.group)
         z = np.zeros((count, self.width)) if z is None else z.copy()
         size = 3 + self.extra + len(s)
         state = State(z, s, Moments.zeros(n, size), np.full(count, np.inf))
@@ -113,22 +113,22 @@ class ReducedProblem:
         state.moments.put(rows, self._moments(z, s, groups))
         return state
 
-    def settle(self, state: State, groups: np.ndarray | None = None) -> None:
+    def solve_inner(self, state: State, groups: np.ndarray | None = None) -> None:
         """Let the groups (all by default) settle at the state's s; changes the state."""
-        groups = np.arange(self.places.count) if groups is None else groups
+        groups = np.arange(self.parametrization.count) if groups is None else groups
         damping = np.zeros(len(groups))
         for _ in range(STEPS):
             blocks = self.blocks(state, groups)
             step = blocks.steps(damping)
             state.decrement[groups] = blocks.decrement
-            open_ = state.decrement[groups] > self.settled
+            open_ = state.decrement[groups] > self.inner_tolerance
             groups, step, damping = groups[open_], step[open_], damping[open_]
             if not len(groups):
                 return
-            z = state.z[groups] + self.places.limited(step)
+            z = state.z[groups] + self.parametrization.limit_step(step)
             moments = self._moments(z, state.s, groups)
             rows, owner = self._taxels(groups)
-            cost = np.bincount(owner, moments.cost) + self.places.prior(z, groups)[0]
+            cost = np.bincount(owner, moments.cost) + self.parametrization.prior(z, groups)[0]
             better = cost <= blocks.cost[open_] * (1 + 1e-13)
             state.z[groups[better]] = z[better]
             keep = better[owner]
@@ -138,13 +138,13 @@ class ReducedProblem:
 
     def blocks(self, state: State, groups: np.ndarray | None = None) -> TaxelBlocks:
         """The normal equations of `groups` (all by default) at the state."""
-        groups = np.arange(self.places.count) if groups is None else groups
+        groups = np.arange(self.parametrization.count) if groups is None else groups
         rows, owner = self._taxels(groups)
         local, count = 3 + self.extra, len(groups)
         lift = self._lift(state.z[groups], groups)
         moments = state.moments.take(rows)
         half = np.einsum("rci,rcd->rid", lift, moments.hessian[:, :local])
-        cost, gradient, hessian = self.places.prior(state.z[groups], groups)
+        cost, gradient, hessian = self.parametrization.prior(state.z[groups], groups)
         hessian = hessian + np.eye(self.width) * self._unread(groups)[:, None]
         return TaxelBlocks(
             cost=cost + np.bincount(owner, moments.cost, count),
@@ -177,8 +177,8 @@ class ReducedProblem:
         """
         blocks, names = self.blocks(state), self.likelihood.shared.local_names
         local = 3 + self.extra
-        bare, group = blocks.hessian.copy(), self.places.group
-        column = self.places.size + self.extra * self.slot
+        bare, group = blocks.hessian.copy(), self.parametrization.group
+        column = self.parametrization.size + self.extra * self.slot
         for k, sigma in enumerate(self.likelihood.local_sigma):
             bare[group, column + k, column + k] -= sigma**-2
         lever = np.linalg.pinv(bare, rcond=1e-12, hermitian=True) @ blocks.coupling
@@ -192,8 +192,8 @@ class ReducedProblem:
         """The state settled at other s (ks,), from where the groups are expected there."""
         blocks = self.blocks(state)
         shift = -np.linalg.solve(blocks.hessian, blocks.coupling) @ (s - state.s)
-        there = self.start(s, state.z + self.places.limited(shift))
-        self.settle(there)
+        there = self.start(s, state.z + self.parametrization.limit_step(shift))
+        self.solve_inner(there)
         return there
 
     def covariances(self, state: State, reduced: SchurComplement) -> tuple[Array, Array]:
@@ -207,10 +207,14 @@ class ReducedProblem:
     def leverages(self, state: State, reduced: SchurComplement) -> Array:
         """How much each reading (k,) moves its own prediction: it keeps 1 less this of its noise
         as a residual."""
-        blocks, groups, local = self.blocks(state), np.arange(self.places.count), 3 + self.extra
+        blocks, groups, local = (
+            self.blocks(state),
+            np.arange(self.parametrization.count),
+            3 + self.extra,
+        )
         inverse, shared = np.linalg.inv(blocks.hessian), np.linalg.inv(reduced.hessian)
         lever = -inverse @ blocks.coupling
-        lift, own = self._lift(state.z, groups), self.places.group
+        lift, own = self._lift(state.z, groups), self.parametrization.group
         full = np.empty((len(own), local + len(shared), local + len(shared)))
         follows = lift @ lever[own]
         full[:, :local, local:] = follows @ shared
@@ -223,13 +227,15 @@ class ReducedProblem:
 
     def points(self, state: State) -> Array:
         """Points (n, 3), m, of all taxels at the state."""
-        group, size = self.places.group, self.places.size
-        return self.places.at(state.z[group, :size], group, np.arange(len(group)))[0]
+        group, size = self.parametrization.group, self.parametrization.size
+        return self.parametrization.at(state.z[group, :size], group, np.arange(len(group)))[0]
 
     def extras(self, z: Array, groups: np.ndarray) -> Array:
         """Gains and offsets (r, extras) of the taxels of `groups` with unknowns z (g, D)."""
         rows, owner = self._taxels(groups)
-        columns = self.places.size + self.extra * self.slot[rows, None] + np.arange(self.extra)
+        columns = (
+            self.parametrization.size + self.extra * self.slot[rows, None] + np.arange(self.extra)
+        )
         return np.asarray(z[owner[:, None], columns])
 
     def _taxels(self, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -240,16 +246,18 @@ class ReducedProblem:
     def _moments(self, z: Array, s: Array, groups: np.ndarray) -> Moments:
         """Of the taxels of `groups` at z (g, D) and s."""
         rows, owner = self._taxels(groups)
-        points, _ = self.places.at(z[owner, : self.places.size], groups[owner], rows)
+        points, _ = self.parametrization.at(
+            z[owner, : self.parametrization.size], groups[owner], rows
+        )
         contacts = self.contacts.at(s)
         return self.likelihood.moments(rows, points, self.extras(z, groups), contacts)
 
     def _lift(self, z: Array, groups: np.ndarray) -> Array:
         """Derivatives (r, 3 + extras, D) of the taxels' unknowns by their groups'."""
         rows, owner = self._taxels(groups)
-        size = self.places.size
+        size = self.parametrization.size
         lift = np.zeros((len(rows), 3 + self.extra, self.width))
-        lift[:, :3, :size] = self.places.at(z[owner, :size], groups[owner], rows)[1]
+        lift[:, :3, :size] = self.parametrization.at(z[owner, :size], groups[owner], rows)[1]
         for k in range(self.extra):
             lift[np.arange(len(rows)), 3 + k, size + self.extra * self.slot[rows] + k] = 1.0
         return lift
@@ -257,8 +265,8 @@ class ReducedProblem:
     def _unread(self, groups: np.ndarray) -> Array:
         """Weak information (g, D) that keeps a loose group's system regular."""
         count = (self.first[groups + 1] - self.first[groups])[:, None]
-        slot = (np.arange(self.width) - self.places.size) // max(self.extra, 1)
-        extra = np.arange(self.width) >= self.places.size
+        slot = (np.arange(self.width) - self.parametrization.size) // max(self.extra, 1)
+        extra = np.arange(self.width) >= self.parametrization.size
         return np.where(extra, np.where(slot >= count, 1.0, 0.0), PROXIMITY**-2)
 
 

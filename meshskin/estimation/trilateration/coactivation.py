@@ -106,7 +106,7 @@ def responsive(data: Measurements, points: Array) -> np.ndarray:
     return np.asarray(more)
 
 
-def plausible(data: Measurements) -> Measurements:
+def without_distant_readings(data: Measurements) -> Measurements:
     """The readings without far-away ones of taxels that answer to contacts all over.
 
     Such a taxel is where it answered the contacts within reach most: noise above a low threshold
@@ -153,7 +153,7 @@ def _densest(data: Measurements, rows: np.ndarray, radius: float) -> np.ndarray:
     return np.concatenate(best)
 
 
-def start(data: Measurements, body: Body) -> trilaterate.Fit:
+def initial_estimate(data: Measurements, body: Body) -> trilaterate.Fit:
     """Trilateration by least squares, and co-activation for the taxels where it fails."""
     fit, rough = trilaterate.least_squares(data, body), contact_centroid_start(data, body)
     off = np.linalg.norm(fit.points - rough.points, axis=1)
@@ -165,5 +165,5 @@ def start(data: Measurements, body: Body) -> trilaterate.Fit:
         rotations=np.where(at, rough.rotations, fit.rotations),
         covariance=np.where(at, rough.covariance, fit.covariance),
         chi2=np.where(take, np.nan, fit.chi2),
-        why=np.where(take, "", fit.why),
+        reasons=np.where(take, "", fit.reasons),
     )

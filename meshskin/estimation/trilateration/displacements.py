@@ -65,10 +65,10 @@ def displacements(
     paper's three.
     Raises CalibrationError if no two taxels share enough contacts.
     """
-    return drawn(data, body, fit, isotropic, trilateration, draws=0)[0]
+    return displacements_with_errors(data, body, fit, isotropic, trilateration, draws=0)[0]
 
 
-def drawn(
+def displacements_with_errors(
     data: Measurements,
     body: Body,
     fit: Fit | None = None,
@@ -81,7 +81,7 @@ def drawn(
     A reading errs alike in all pairs that it serves: so do the edges of a taxel with each other.
     """
     fit = fit or trilaterate.least_squares(data, body)
-    data = clear(data, fit)
+    data = expected_readings(data, fit)
     pairs, rows, owner = _shared(data, fit.found)
     if not len(pairs):
         raise CalibrationError(
@@ -90,7 +90,9 @@ def drawn(
             remedy="use method='joint', a softer material, or a denser skin",
         )
     found = circles(data, fit.points, rows, owner)
-    own = chart.about(body, np.where(fit.found[:, None], fit.points, data.points[0]), fit.rotations)
+    own = chart.charts_at(
+        body, np.where(fit.found[:, None], fit.points, data.points[0]), fit.rotations
+    )
     charts = own[pairs.ravel()]  # owner 2 g is the first taxel of pair g, 2 g + 1 the second
     y, information, chi2 = trilateration(found, charts)
     sane = (trilaterate.width(found, charts) > trilaterate.NARROW) & (
@@ -130,11 +132,11 @@ def _measured(body: Body, charts: Charts, y: Array) -> Array:
     """Displacements (g, 4, 4) of pairs of taxels at y (2 g, 2) in their charts, one after the
     other."""
     hit = body.closest(charts.at(y))
-    poses = se3.transform(chart.carry(trilaterate.frames_of(charts), hit.normal), hit.point)
+    poses = se3.transform(chart.align_normals(trilaterate.frames_of(charts), hit.normal), hit.point)
     return np.asarray(se3.inverse(poses[::2]) @ poses[1::2])
 
 
-def clear(data: Measurements, fit: Fit) -> Measurements:
+def expected_readings(data: Measurements, fit: Fit) -> Measurements:
     """The readings that are no mere noise, where the taxels are as `fit` says.
 
     Pressures to be expected are ABOVE standard deviations over the threshold, LEAST over nothing.
@@ -192,7 +194,7 @@ def error_covariance(
     (m, 2, 2), 1/m, there: a taxel that is off by y along the surface is tilted by K y. Floors keep
     it well-conditioned where the trilaterations say nothing: along the normal and in spin.
     """
-    into_i, into_j = lever(shape_i), lever(shape_j)
+    into_i, into_j = surface_motion(shape_i), surface_motion(shape_j)
     rotation, offset = measured[:, :3, :3], measured[:, :3, 3]
     jacobian_i = -into_i
     jacobian_i[:, :3] += se3.hat(offset) @ into_i[:, 3:]
@@ -206,7 +208,7 @@ def error_covariance(
     return np.asarray(total + level[:, None, None] * np.diag(floor))
 
 
-def lever(shape: Array) -> Array:
+def surface_motion(shape: Array) -> Array:
     """Translation and rotation (m, 6, 2), in the taxel's frame, of a unit move along the surface.
 
     The normal moves by K y = w x z, so that the rotation is w = (-(K y)_2, (K y)_1, 0).

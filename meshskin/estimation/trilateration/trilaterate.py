@@ -49,13 +49,13 @@ class Fit:
     """(n, 2, 2) in the tangent plane, m^2; inf on the diagonal where undetermined."""
     chi2: Array
     """Weighted squared residuals per degree of freedom (n,); NaN with none left."""
-    why: np.ndarray
+    reasons: np.ndarray
     """Why a point is undetermined (n,): FEW, LINE or MISS; "" where it is determined."""
 
     @property
     def found(self) -> np.ndarray:
         """Whether each point is determined (n,)."""
-        return np.asarray(self.why == "")
+        return np.asarray(self.reasons == "")
 
 
 def centroids(data: Measurements, body: Body) -> Array:
@@ -106,12 +106,12 @@ def least_squares(data: Measurements, body: Body) -> Fit:
     start = centroids(data, body)
     seen = np.isfinite(start[:, 0])
     start[~seen] = data.points[0]
-    near, charts = _within_reach(data, start), chart.about(body, start)
+    near, charts = _within_reach(data, start), chart.charts_at(body, start)
     # The second time about the estimate, to take out the chart's own error.
     for nodes in (ROUGH, NODES):
         found = circles(near, charts.points, nodes=nodes)
         y, information, chi2 = solve(found, charts)
-        charts = chart.about(body, charts.at(y), frames_of(charts))
+        charts = chart.charts_at(body, charts.at(y), frames_of(charts))
     return finish(found, charts, information, chi2)
 
 
@@ -123,19 +123,19 @@ def three_circles(data: Measurements, body: Body) -> Fit:
     start = centroids(data, body)
     seen = np.isfinite(start[:, 0])
     start[~seen] = data.points[0]
-    near, charts = _within_reach(data, start), chart.about(body, start)
+    near, charts = _within_reach(data, start), chart.charts_at(body, start)
     three = _three(circles(near, charts.points), charts).reading
     for _ in range(3):
         found = circles(near, charts.points, three)
         y, information = _linear(found, charts, equal=True)
         far = np.linalg.norm(y, axis=1) > 2 * found.patch.max(initial=0.0)
         y[far] = 0.0
-        charts = chart.about(body, charts.at(y), frames_of(charts))
+        charts = chart.charts_at(body, charts.at(y), frames_of(charts))
     residual, jacobian = _residuals(found, charts, np.zeros((found.count, 2)))
     information = found.sum(jacobian[:, :, None] * jacobian[:, None, :])
     fit = finish(found, charts, information, found.sum(residual**2))
-    why = np.where((fit.why == "") & far, MISS, fit.why)
-    return replace(fit, why=why, points=np.where((why == "")[:, None], fit.points, np.nan))
+    why = np.where((fit.reasons == "") & far, MISS, fit.reasons)
+    return replace(fit, reasons=why, points=np.where((why == "")[:, None], fit.points, np.nan))
 
 
 def intersect(found: Circles, charts: Charts) -> tuple[Array, Array, Array]:

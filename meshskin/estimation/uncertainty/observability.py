@@ -19,7 +19,7 @@ from ..data.measurements import Measurements, gather, reach
 from ..data.pairs import SPARE, near_pairs
 from ..joint.contacts import LinearizedContacts
 from ..joint.likelihood import Likelihood, Readings
-from ..trilateration.displacements import lever
+from ..trilateration.displacements import surface_motion
 
 if TYPE_CHECKING:
     from ...geometry.body import Body
@@ -111,7 +111,7 @@ def _information(
     """Expected information (n, c, c) on the two coordinates, the taxel's and the shared unknowns of
     the pairs, at their nominal values.
     """
-    charts = chart.about(body, points)
+    charts = chart.charts_at(body, points)
     shared = data.shared
     nominal = np.zeros(len(shared.sigma))
     contacts = LinearizedContacts(shared, data, body, nominal).at(nominal)
@@ -183,7 +183,7 @@ def pose_covariance(tangential: Array, shape: Array) -> Array:
     """
     out = np.zeros((len(tangential), 6, 6))
     good = np.isfinite(tangential).all(axis=(1, 2))
-    into = lever(shape[good])
+    into = surface_motion(shape[good])
     surface = np.diag(np.square([0.0, 0.0, SURFACE_SIGMA, TILT_SIGMA, TILT_SIGMA, 0.0]))
     out[good] = into @ tangential[good] @ np.swapaxes(into, 1, 2) + surface
     out[~good] = np.diag([np.inf] * 6)
@@ -208,5 +208,5 @@ def shape_operators(body: Body, points: Array, rotations: Array) -> Array:
     out = np.zeros((len(points), 2, 2))
     good = np.isfinite(points).all(axis=1)
     if good.any():
-        out[good] = chart.about(body, points[good], rotations[good]).shape
+        out[good] = chart.charts_at(body, points[good], rotations[good]).shape
     return out

@@ -9,10 +9,10 @@ from meshskin.core.errors import CalibrationError
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.data.measurements import gather
-from meshskin.estimation.joint import faults
+from meshskin.estimation.joint import fault_detection
 from meshskin.estimation.joint import outlier_rejection as doubts
 from meshskin.estimation.joint.likelihood import Readings
-from meshskin.estimation.joint.pressure import HEARD, SILENT
+from meshskin.estimation.joint.pressure import CENSORED, OBSERVED
 from meshskin.estimation.uncertainty.metrics import nees, position_errors
 from meshskin.recording.recording import READINGS, Recording
 
@@ -89,7 +89,7 @@ def test_a_taxel_stuck_on_a_small_skin(world):
     spoilt = pa.table([time, np.full(len(time), id_, np.int32), constant], schema=READINGS)
     table = pa.concat_tables([recording.readings.filter(pa.array(others)), spoilt])
     bent = Recording(recording.contacts, table, recording.metadata)
-    assert list(faults.stuck(gather(bent, world.belief(0.01, 0.05))).rows) == [7]
+    assert list(fault_detection.stuck_taxels(gather(bent, world.belief(0.01, 0.05))).rows) == [7]
 
 
 def test_a_taxel_touched_on_a_ring_is_not_stuck(world, change):
@@ -101,7 +101,9 @@ def test_a_taxel_touched_on_a_ring_is_not_stuck(world, change):
     alike = recording.pressure[ring]
     assert alike.std() < 3 * belief.noise_sigma
     assert alike.mean() > 3 * alike.std()
-    assert not len(faults.stuck(gather(change(recording, keep=ring | ~own), belief)).rows)
+    assert not len(
+        fault_detection.stuck_taxels(gather(change(recording, keep=ring | ~own), belief)).rows
+    )
 
 
 def test_a_taxel_that_dies_on_the_way(world, clean, change):
@@ -194,7 +196,7 @@ def test_a_doubt_that_does_not_converge_is_dropped(world, clean, change, monkeyp
     bent = change(recording, pressure=np.where(hit, 0.5 * world.peak_reference, recording.pressure))
 
     def lost(run, *_):
-        run.weigh(np.full_like(run.likelihood.readings.weight, 0.5))
+        run.reweight(np.full_like(run.likelihood.readings.weight, 0.5))
         raise CalibrationError("the joint estimate did not converge")
 
     monkeypatch.setattr(doubts, "_irls", lambda *_: np.inf)
@@ -215,14 +217,14 @@ def test_the_test_of_fit_is_calibrated(world):
 
 def test_the_plausibility_is_the_likelihood_of_a_mixture():
     """Against scipy's densities, two taxels of two and of one readings."""
-    kind, taxel = np.array([HEARD, HEARD, HEARD, SILENT]), np.array([0, 0, 1, 1])
+    kind, taxel = np.array([OBSERVED, OBSERVED, OBSERVED, CENSORED]), np.array([0, 0, 1, 1])
     one = np.zeros(4)
     readings = Readings(taxel, taxel, one, kind, taxel, one, np.array([0, 2, 4]))
     r, out = np.array([0.5, 30.0, -2.0, 0.0]), np.array([False, True, False, False])
     wild = 0.25  # half of the first taxel's readings, none of the second's
     sound = np.log((1 - wild) * norm.pdf([0.5, -2.0], scale=2.0))
     want = 0.25 * sound[0] + 0.25 * np.log(wild / 200.0) + 0.5 * sound[1]
-    got = faults.plausibility(readings, r, 2.0, out, 200.0)
+    got = fault_detection.mean_log_likelihood(readings, r, 2.0, out, 200.0)
     assert got == pytest.approx(want, rel=1e-12)
 
 
@@ -234,11 +236,11 @@ def test_more_outlying_readings_than_plausible_are_a_misfit(world, monkeypatch):
     def sift(run, suspects, scale, fixed):
         seen.append(scale)
         half = np.arange(len(run.likelihood.readings.weight)) % 2
-        run.weigh(half.astype(float))  # every other reading for outlying
+        run.reweight(half.astype(float))  # every other reading for outlying
         return scale
 
     monkeypatch.setattr(doubts, "_irls", sift)
-    monkeypatch.setattr(doubts.faults, "suspects", lambda *_: np.arange(5))
+    monkeypatch.setattr(doubts.fault_detection, "misfitting_taxels", lambda *_: np.arange(5))
     calibrate(recording, world.belief(0.005, 0.05))
     assert len(seen) == 2
     assert seen[0] == 1.0

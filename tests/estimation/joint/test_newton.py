@@ -10,7 +10,7 @@ from meshskin.estimation import chart
 from meshskin.estimation.data.measurements import gather
 from meshskin.estimation.joint.contacts import LinearizedContacts
 from meshskin.estimation.joint.likelihood import Likelihood, select
-from meshskin.estimation.joint.newton import minimise
+from meshskin.estimation.joint.newton import minimize
 from meshskin.estimation.joint.parametrization import SurfaceParametrization
 from meshskin.estimation.joint.variable_projection import ReducedProblem
 
@@ -22,7 +22,7 @@ def problem(world):
     s, live = np.zeros(2), np.arange(len(world.ids))
     heard, silent = np.ones(len(data.pressure)), np.ones(len(live))
     readings = select(data, live, world.truth, 0.0, heard, silent)
-    places = SurfaceParametrization(chart.about(world.body, world.truth), 2e-3)
+    places = SurfaceParametrization(chart.charts_at(world.body, world.truth), 2e-3)
     likelihood = Likelihood(data, readings, data.shared)
     return ReducedProblem(likelihood, places, LinearizedContacts(data.shared, data, world.body, s))
 
@@ -30,7 +30,7 @@ def problem(world):
 def test_the_reduced_gradient_is_that_of_the_reduced_cost(problem):
     about = np.array([0.05, -0.1])
     state = problem.start(about)
-    problem.settle(state)
+    problem.solve_inner(state)
     assert state.decrement.max() < 1e-8
     reduced = problem.reduce(state)
     for k, h in enumerate((1e-4, 1e-3)):
@@ -45,9 +45,9 @@ def test_the_reduced_gradient_is_that_of_the_reduced_cost(problem):
 
 def test_ipopt_finds_where_it_vanishes(problem):
     state = problem.start(np.array([0.3, 0.2]))
-    problem.settle(state)
+    problem.solve_inner(state)
     costs = []
-    found, status = minimise(
+    found, status = minimize(
         problem, state, 30, lambda state: costs.append(problem.reduce(state).cost)
     )
     assert status == "Solve_Succeeded"
@@ -59,8 +59,8 @@ def test_settling_is_each_taxel_s_own_matter(problem, world):
     z = np.zeros((len(world.ids), 3))
     z[5, :2] = 4e-3  # one taxel far off holds no other up
     state, plain = problem.start(np.zeros(2), z), problem.start(np.zeros(2))
-    problem.settle(state)
-    problem.settle(plain)
+    problem.solve_inner(state)
+    problem.solve_inner(plain)
     others = np.arange(len(z)) != 5
     assert np.allclose(state.z[others], plain.z[others], atol=1e-12)
 

@@ -8,7 +8,7 @@ from meshskin.estimation.data.measurements import gather, reach
 from meshskin.estimation.data.pairs import near_pairs
 from meshskin.estimation.joint.contacts import Contacts, LinearizedContacts
 from meshskin.estimation.joint.likelihood import Likelihood, Readings
-from meshskin.estimation.joint.patches import FOLLOW, MEANS
+from meshskin.estimation.joint.patches import DISC_MEANS, PATCHES_UNDER_LOAD
 from meshskin.estimation.joint.pressure import mean_pressure
 from meshskin.estimation.joint.pressure_elliptic import ellipse, profile
 from meshskin.geometry.primitives import Ellipsoid
@@ -98,7 +98,7 @@ def test_a_circle_is_a_circle():
 def test_patches_follow_force_and_modulus(cases, name):
     data = cases[name][0]
     off = 0.2 * np.sin(np.arange(len(data.force)))
-    found, rates = FOLLOW[name](data, off, -0.3)
+    found, rates = PATCHES_UNDER_LOAD[name](data, off, -0.3)
     there = data.model.patches(
         force=data.force * np.exp(off),
         curvature=data.curvature,
@@ -108,7 +108,7 @@ def test_patches_follow_force_and_modulus(cases, name):
     for one, other in zip(found, there, strict=True):
         assert np.allclose(one, other, rtol=1e-11)
     h = 1e-5
-    up, down = (FOLLOW[name](data, off + s * h, -0.3)[0] for s in (1, -1))
+    up, down = (PATCHES_UNDER_LOAD[name](data, off + s * h, -0.3)[0] for s in (1, -1))
     logs = [np.log(getattr(up, k) / getattr(down, k)) / (2 * h) for k in ("first", "second")]
     for found_rate, numeric in zip(rates.shape, logs, strict=False):
         assert np.allclose(np.ravel(found_rate), numeric, atol=1e-8)
@@ -171,4 +171,4 @@ def test_moved_contacts_have_the_patches_of_where_they_are(worlds, cases, name):
 
 
 def test_a_kernel_for_every_model():
-    assert set(MEANS) == set(FOLLOW) == {"hertz", *MODELS}
+    assert set(DISC_MEANS) == set(PATCHES_UNDER_LOAD) == {"hertz", *MODELS}

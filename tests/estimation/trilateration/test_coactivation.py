@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from meshskin.estimation.data.measurements import gather
-from meshskin.estimation.joint import joint
+from meshskin.estimation.joint import maximum_likelihood
 from meshskin.estimation.trilateration import coactivation, trilaterate
 
 
@@ -17,7 +17,7 @@ def data(world):
 
 @pytest.fixture(scope="module")
 def best(data, world):
-    return joint.estimate(data, world.body)
+    return maximum_likelihood.estimate(data, world.body)
 
 
 def errors(world, fit):
@@ -40,24 +40,26 @@ def test_no_pressure_enters(world, data):
 
 
 def test_the_joint_estimate_reaches_its_optimum_from_there(world, data, best):
-    found = joint.estimate(data, world.body, coactivation.contact_centroid_start(data, world.body))
+    found = maximum_likelihood.estimate(
+        data, world.body, coactivation.contact_centroid_start(data, world.body)
+    )
     assert np.allclose(found.points, best.points, atol=1e-8)
 
 
 def test_where_trilateration_fails_co_activation_starts(world, data, best, monkeypatch):
     right = trilaterate.least_squares(data, world.body)
-    points, why = right.points.copy(), right.why.copy()
+    points, why = right.points.copy(), right.reasons.copy()
     points[4] = world.body.closest(points[4] + [0.0, 12e-3, 0.0]).point
     points[9], why[9] = np.nan, trilaterate.LINE
     monkeypatch.setattr(
-        trilaterate, "least_squares", lambda *_: replace(right, points=points, why=why)
+        trilaterate, "least_squares", lambda *_: replace(right, points=points, reasons=why)
     )
-    start = coactivation.start(data, world.body)
+    start = coactivation.initial_estimate(data, world.body)
     alone = coactivation.contact_centroid_start(data, world.body)
     same = np.flatnonzero(np.all(start.points == alone.points, axis=1))
     assert list(same) == [4, 9]
     assert start.found.all()
-    found = joint.estimate(data, world.body)
+    found = maximum_likelihood.estimate(data, world.body)
     assert np.allclose(found.points, best.points, atol=1e-8)
 
 
@@ -69,7 +71,7 @@ def test_the_basin(world, data, best, error_mm):
     away = np.cos(angle)[:, None] * x + np.sin(angle)[:, None] * y
     off = world.body.closest(best.points + 1e-3 * error_mm * away).point
     start = replace(trilaterate.least_squares(data, world.body), points=off)
-    found = joint.estimate(data, world.body, start)
+    found = maximum_likelihood.estimate(data, world.body, start)
     assert np.allclose(found.points, best.points, atol=1e-6)
 
 
@@ -86,7 +88,7 @@ def test_what_says_nothing(world, data):
     fit = coactivation.contact_centroid_start(replace(data, **columns), world.body)
     reasons = {3: trilaterate.FEW, 5: trilaterate.LINE, 8: coactivation.EVERYWHERE}
     for row, why in reasons.items():
-        assert fit.why[row] == why
+        assert fit.reasons[row] == why
         assert np.isnan(fit.points[row]).all()
     assert fit.found.sum() == len(world.truth) - 3
 
@@ -96,15 +98,15 @@ def test_false_answers_everywhere(world):
     belief = world.belief(sigma, threshold)
     for seed in range(2):
         data = gather(world.record(sigma, threshold, seed), belief)
-        near = coactivation.plausible(data)
+        near = coactivation.without_distant_readings(data)
         assert len(near.pressure) < 0.6 * len(data.pressure)
-        start = coactivation.start(near, world.body)
+        start = coactivation.initial_estimate(near, world.body)
         assert errors(world, start).max() < 4e-3
-        right = joint.estimate(data, world.body, replace(start, points=world.truth))
-        found = joint.estimate(data, world.body)
+        right = maximum_likelihood.estimate(data, world.body, replace(start, points=world.truth))
+        found = maximum_likelihood.estimate(data, world.body)
         assert np.allclose(found.points, right.points, atol=1e-6)
         assert errors(world, found).mean() < 0.35e-3
 
 
 def test_sound_recordings_are_left_as_they_are(data):
-    assert coactivation.plausible(data) is data
+    assert coactivation.without_distant_readings(data) is data

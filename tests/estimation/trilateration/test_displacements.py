@@ -11,10 +11,10 @@ from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.data.measurements import gather
 from meshskin.estimation.trilateration import trilaterate
 from meshskin.estimation.trilateration.displacements import (
-    clear,
     displacements,
-    drawn,
+    displacements_with_errors,
     error_covariance,
+    expected_readings,
 )
 from meshskin.estimation.uncertainty.metrics import nees, position_errors
 from meshskin.geometry.primitives import Ellipsoid
@@ -33,7 +33,7 @@ def residuals(graph, poses):
 def true_poses(world, graph):
     """True positions, with the graph's own headings."""
     normal = world.body.closest(world.truth).normal
-    return se3.transform(chart.carry(graph.poses[:, :3, :3], normal), world.truth)
+    return se3.transform(chart.align_normals(graph.poses[:, :3, :3], normal), world.truth)
 
 
 def test_ideal_data_give_the_true_displacements(world):
@@ -72,7 +72,7 @@ def test_isotropic_information_is_one_for_all(world):
 def test_covariance_against_moved_taxels():
     body = Ellipsoid((0.1, 0.08, 0.12))
     points = np.array([[0.02, 0.03, 0.1], [0.024, 0.033, 0.1]])
-    charts = chart.about(body, points)
+    charts = chart.charts_at(body, points)
     rng = np.random.default_rng(5)
     root = np.array([[[3e-5, 0], [1e-5, 2e-5]], [[1e-5, 0], [-2e-5, 4e-5]]])
     cov = root @ np.swapaxes(root, 1, 2)
@@ -83,7 +83,7 @@ def test_covariance_against_moved_taxels():
     for t in range(2):
         at = charts[np.full(n, t)].at(y[:, t])
         hit = body.closest(at)
-        poses.append(se3.transform(chart.carry(frames[t], hit.normal), hit.point))
+        poses.append(se3.transform(chart.align_normals(frames[t], hit.normal), hit.point))
     true = se3.inverse(se3.transform(frames[:1], charts.points[:1])) @ se3.transform(
         frames[1:], charts.points[1:]
     )
@@ -167,7 +167,7 @@ def test_readings_that_are_nearly_noise_do_not_shorten_displacements(world, nois
 def test_only_readings_that_are_expected_make_displacements(world):
     data = gather(world.record(0.02, 0.0), world.belief(0.02))
     fit = trilaterate.least_squares(data, world.body)
-    kept = clear(data, fit)
+    kept = expected_readings(data, fit)
     expected = (world.pressures()[kept.contact, kept.taxel]) / data.sigma
     assert expected.min() > 1.0  # LEAST, at the estimated places
     assert kept.pressure.min() < 2 * data.sigma < np.median(kept.pressure)
@@ -177,8 +177,8 @@ def test_only_readings_that_are_expected_make_displacements(world):
 
 def test_errors_are_drawn_as_the_information_says(world):
     data = gather(world.record(0.01, 0.05), world.belief(0.01, 0.05))
-    graph, errors = drawn(data, world.body, draws=40)
-    again, none = drawn(data, world.body, draws=0)
+    graph, errors = displacements_with_errors(data, world.body, draws=40)
+    again, none = displacements_with_errors(data, world.body, draws=0)
     assert np.array_equal(graph.measurements, again.measurements)
     assert none.shape == (len(graph.edges), 6, 0)
     spread = np.linalg.inv(graph.information)
@@ -190,7 +190,7 @@ def test_errors_are_drawn_as_the_information_says(world):
 def test_errors_of_a_reading_are_the_same_in_all_its_pairs(world):
     """Of a taxel's displacements to others, the errors agree: in information they would not."""
     data = gather(world.record(0.01, 0.05), world.belief(0.01, 0.05))
-    graph, errors = drawn(data, world.body, draws=200)
+    graph, errors = displacements_with_errors(data, world.body, draws=200)
     i = graph.edges[:, 0]
     a, b = np.nonzero(np.triu(i[:, None] == i, 1))
     alike = [np.corrcoef(errors[k, 0], errors[m, 0])[0, 1] for k, m in zip(a, b, strict=True)]

@@ -82,8 +82,8 @@ def test_what_cannot_be_trilaterated_is_named(world, method):
     cut = keep(data, rows)
     assert cut.counts[middle] > 5
     fit = method(cut, world.body)
-    assert fit.why[middle] == trilaterate.LINE
-    assert (fit.why[[few, silent]] == trilaterate.FEW).all()
+    assert fit.reasons[middle] == trilaterate.LINE
+    assert (fit.reasons[[few, silent]] == trilaterate.FEW).all()
     assert (~fit.found).sum() == 3
     assert np.isnan(fit.points[[middle, few, silent]]).all()
     assert np.isinf(fit.covariance[middle][[0, 1], [0, 1]]).all()

@@ -6,11 +6,11 @@ import pytest
 from meshskin.estimation import chart
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.data.measurements import gather
-from meshskin.estimation.joint import module
+from meshskin.estimation.joint import module_parametrization
 from meshskin.estimation.joint.contacts import LinearizedContacts
 from meshskin.estimation.joint.likelihood import Likelihood, select
 from meshskin.estimation.joint.parametrization import SurfaceParametrization
-from meshskin.estimation.joint.pressure import SILENT, censored
+from meshskin.estimation.joint.pressure import CENSORED, censored
 from meshskin.estimation.joint.variable_projection import ReducedProblem
 
 STEP = 1e-6
@@ -35,9 +35,11 @@ def prepared(world, rigid):
         poses[:, :3, :3], poses[:, :3, 3] = frame, world.truth[live[[0, 3]]]
         offsets = np.einsum("gji,gsj->gsi", frame, arms).reshape(-1, 3)
         group = np.repeat([0, 1], 3)
-        places = module.ModuleParametrization.about(world.body, poses, group, offsets, 2e-3)
+        places = module_parametrization.ModuleParametrization.about(
+            world.body, poses, group, offsets, 2e-3
+        )
     else:
-        places = SurfaceParametrization(chart.about(world.body, world.truth), 2e-3)
+        places = SurfaceParametrization(chart.charts_at(world.body, world.truth), 2e-3)
     weight = np.random.default_rng(0).uniform(0.2, 1.0, len(data.pressure))
     readings = select(data, live, places.points(), 0.0, weight, np.ones(len(live)))
     likelihood = Likelihood(data, readings, data.shared)
@@ -45,7 +47,7 @@ def prepared(world, rigid):
         likelihood, places, LinearizedContacts(data.shared, data, world.body, np.zeros(2))
     )
     state = problem.start(np.zeros(2))
-    problem.settle(state)
+    problem.solve_inner(state)
     return problem, state
 
 
@@ -58,7 +60,11 @@ def differences(function, x, scale):
 @pytest.mark.parametrize("rigid", [False, True])
 def test_leverages_are_the_diagonal_of_the_dense_hat_matrix(sparse, rigid):
     problem, state = prepared(sparse, rigid)
-    places, likelihood, read = problem.places, problem.likelihood, problem.likelihood.readings
+    places, likelihood, read = (
+        problem.parametrization,
+        problem.likelihood,
+        problem.likelihood.readings,
+    )
     group, rows, size = places.group, np.arange(len(places.group)), places.size
 
     def mu(x):
@@ -70,7 +76,7 @@ def test_leverages_are_the_diagonal_of_the_dense_hat_matrix(sparse, rigid):
     x = np.concatenate([state.z.ravel(), state.s])
     local = np.where(np.arange(problem.width) < size, 1e-3, 1.0)
     scale = np.concatenate([np.tile(local, places.count), [1.0, 1.0]])
-    slope, silent = differences(mu, x, scale), read.kind == SILENT
+    slope, silent = differences(mu, x, scale), read.kind == CENSORED
     excess = mu(x) - read.level / likelihood.data.sigma
     weight = read.weight * np.where(silent, censored(excess)[2], 1.0)
     known = np.tile(np.square(likelihood.local_sigma) ** -1.0, (problem.width - size) // 2)
@@ -79,7 +85,7 @@ def test_leverages_are_the_diagonal_of_the_dense_hat_matrix(sparse, rigid):
     information = slope.T @ (weight[:, None] * slope) + np.diag(priors * scale**2)
     if rigid:  # and each taxel's height over the surface
         height = differences(lambda x: heights(places, x[:-2].reshape(state.z.shape)), x, scale)
-        information += height.T @ height / module.SURFACE**2
+        information += height.T @ height / module_parametrization.SURFACE**2
     hat = weight * np.einsum("ki,ik->k", slope, np.linalg.solve(information, slope.T))
     own = problem.leverages(state, problem.reduce(state))
     assert silent.any()

@@ -12,7 +12,7 @@ import numpy as np
 from ....core.se3 import Array
 from ....effects import Noise
 from ....estimation.calibrate import calibrate
-from ....estimation.joint.newton import AT_REST
+from ....estimation.joint.newton import NEWTON_TOLERANCE
 from ..cost.numerics import held_route
 from .choose import size
 from .replay import Halves, Replay
@@ -59,7 +59,7 @@ class Holdout:
         """
         every, chosen = paired(self.everything, chosen)
         if every.effects not in self._known:
-            self._known[every.effects] = self._calibrated(every, AT_REST)
+            self._known[every.effects] = self._calibrated(every, NEWTON_TOLERANCE)
         truth, slow = self._known[every.effects]
         found, fast = self._calibrated(chosen, tolerance)
         shift = (found - truth)[:, self.halves.taxels[1]]

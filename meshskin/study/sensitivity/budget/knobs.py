@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ....contact import BATCHED
-from ....estimation.joint.newton import AT_REST
+from ....estimation.joint.newton import NEWTON_TOLERANCE
 from ....geometry.body import Body
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ and frame of a contact model, and each reading in each iterate of the calibratio
 that are the same on every machine: were seconds taken on the spot, two calls could decide
 differently, and a study would depend on its workers. `python studies/budget.py --prices` measures
 them anew."""
-TOLERANCES = (1.0, 1e-2, AT_REST)
+TOLERANCES = (1.0, 1e-2, NEWTON_TOLERANCE)
 """Newton decrements at which a calibration may rest, the loosest first; with everything on, at the
 last."""
 FACES = (1 / 16, 1 / 4, 1, 4)

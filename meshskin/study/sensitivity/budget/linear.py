@@ -18,7 +18,7 @@ import numpy as np
 from ....core.se3 import Array
 from ....estimation import chart
 from ....estimation.data.measurements import gather
-from ....estimation.joint import faults
+from ....estimation.joint import fault_detection
 from ....estimation.joint.joint_estimator import JointEstimator
 from ....estimation.joint.parametrization import SurfaceParametrization
 
@@ -91,19 +91,19 @@ class Solution:
         """
         data = gather(recording, belief)
         live = np.flatnonzero(np.isfinite(self.points[:, 0]) & (data.counts > 0))
-        charts = chart.about(belief.body, self.points[live])
-        stuck = np.isin(data.taxel, faults.stuck(data).rows)
+        charts = chart.charts_at(belief.body, self.points[live])
+        stuck = np.isin(data.taxel, fault_detection.stuck_taxels(data).rows)
         places = SurfaceParametrization(charts, step=float(np.median(data.radii)))
         run = JointEstimator(
             data, belief.body, live, places, np.where(stuck, 0.0, 1.0), iterations=1
         )
-        run.anchor(places, self.shared, select_anew=True)
+        run.relinearize(places, self.shared, select_anew=True)
         problem, state = run.problem, run.state
         blocks, left = problem.blocks(state), problem.reduce(state)
         shared = np.asarray(-np.linalg.solve(left.hessian, left.gradient), dtype=float)
         gradient = blocks.gradient + blocks.coupling @ shared
         local = -np.linalg.solve(blocks.hessian, gradient[:, :, None])[:, :2, 0]
-        local = places.limited(np.asarray(local, dtype=float))
+        local = places.limit_step(np.asarray(local, dtype=float))
         variance = np.diagonal(problem.covariances(state, left)[0], axis1=1, axis2=2)
         move, sigma = np.full_like(self.points, np.nan), np.full(len(self.points), np.nan)
         move[live] = np.einsum("nij,nj->ni", charts.tangents, local)
@@ -115,5 +115,5 @@ def answering(recording: Recording, belief: Belief) -> np.ndarray:
     """Which taxels (n,) say something of where they are: they are read, and not stuck."""
     data = gather(recording, belief)
     out = np.asarray(data.counts > 0)
-    out[faults.stuck(data).rows] = False
+    out[fault_detection.stuck_taxels(data).rows] = False
     return out

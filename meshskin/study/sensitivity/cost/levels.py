@@ -17,7 +17,7 @@ import numpy as np
 from ....contact import BATCHED
 from ....core.errors import ConfigError, ContactError, ReachError, SimulationError
 from ....estimation.calibrate import calibrate
-from ....estimation.joint.newton import AT_REST
+from ....estimation.joint.newton import NEWTON_TOLERANCE
 from .numerics import Numerics, mean_mm
 from .reference import geometry
 from .setting import INTEGRATORS, Setting
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 COARSER = (2, 5)
 """Steps of the loop, over the scene's own."""
-TOLERANCES = (AT_REST, 1e-2, 1.0)
+TOLERANCES = (NEWTON_TOLERANCE, 1e-2, 1.0)
 """Newton decrements at which the estimate may rest."""
 SPARED = 0.8
 """Part of the own level's seconds that a level that errs more may take: timings scatter."""

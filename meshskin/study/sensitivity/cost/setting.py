@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ....contact import BATCHED
 from ....estimation.calibrate import METHODS
-from ....estimation.joint.newton import AT_REST
+from ....estimation.joint.newton import NEWTON_TOLERANCE
 from ....geometry.body import Body
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ STEPS = (0.5, 1.0, 2.0, 5.0)
 INTEGRATORS = ("semi_implicit", "linearly_implicit", "rk4")
 LANES = (0.5, 0.7, 1.0, 1.4, 2.0)
 RATES = (0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
-TOLERANCES = (1e-1, 1e-3, AT_REST)
+TOLERANCES = (1e-1, 1e-3, NEWTON_TOLERANCE)
 """Levels of the knobs; but for the tolerance they are factors on the scene's own."""
 
 
@@ -43,7 +43,7 @@ class Setting:
     """Frames a second."""
     method: str = "joint"
     """Estimator."""
-    tolerance: float = AT_REST
+    tolerance: float = NEWTON_TOLERANCE
     """Newton decrement at which the joint estimate rests."""
 
     @classmethod

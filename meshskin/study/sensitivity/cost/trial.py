@@ -11,7 +11,7 @@ import numpy as np
 
 from ....core.errors import ContactError, MeshskinError
 from ....estimation.calibrate import calibrate
-from ....estimation.joint.newton import AT_REST
+from ....estimation.joint.newton import NEWTON_TOLERANCE
 from ....estimation.uncertainty import metrics
 from ....simulation.simulate import simulate
 from .numerics import Numerics, mean_mm
@@ -111,7 +111,7 @@ class Bench:
             error = metrics.position_errors(found, truth)
             errors.append(1e3 * float(np.nanmean(error)))
             located.append(int(np.isfinite(error).sum()))
-            if setting.method == "joint" and setting.tolerance > AT_REST:
+            if setting.method == "joint" and setting.tolerance > NEWTON_TOLERANCE:
                 tight = calibrate(recording, belief, tolerance=self.numerics.tolerance)
                 off += mean_mm(found.positions - tight.positions) / len(recordings)
         count, bound = len(recordings), metrics.bound_mm(recordings[0], belief, truth)["mean"]

@@ -22,21 +22,21 @@ from ...core.se3 import Array
 from .. import chart
 from ..data.measurements import Measurements
 from ..trilateration import coactivation, trilaterate
-from ..uncertainty.fit import Fit, goodness
-from ..uncertainty.null_space import undetermined
-from . import faults, module
-from .joint_estimator import PASSES, JointEstimator
-from .newton import AT_REST, ITERATIONS
+from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness
+from . import fault_detection, module_parametrization
+from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
+from .newton import MAX_ITERATIONS, NEWTON_TOLERANCE
+from .null_space import undetermined
 from .outlier_rejection import reject_outliers
 from .parametrization import Parametrization, SurfaceParametrization
-from .pressure import HEARD, SILENT
+from .pressure import CENSORED, OBSERVED
 
 if TYPE_CHECKING:
     from ...geometry.body import Body
 
-RESTLESS = "no place where it comes to rest"
+UNCONVERGED = "no place where it comes to rest"
 """Why a taxel is not determined though its trilateration is."""
-BROKEN = "most of its readings are outlying"
+MOSTLY_OUTLIERS = "most of its readings are outlying"
 """Why a taxel is not believed; what they show is in its fault."""
 
 
@@ -65,11 +65,11 @@ class Joint:
     """Their standard deviations (n, extras)."""
     chi2: Array
     """Of the readings of each taxel, per degree of freedom (n,)."""
-    why: np.ndarray
+    reasons: np.ndarray
     """Why a taxel is not determined (n,); "" where it is."""
     faults: np.ndarray
     """What is wrong with a taxel (n,); "" where nothing was found."""
-    fit: Fit
+    fit: GoodnessOfFit
     """Whether model and readings agree."""
     iterates: tuple[Array, ...]
     """Points (n, 3) along the way, the start first."""
@@ -106,8 +106,8 @@ def estimate(
     data: Measurements,
     body: Body,
     start: trilaterate.Fit | None = None,
-    iterations: int = ITERATIONS,
-    tolerance: float = AT_REST,
+    iterations: int = MAX_ITERATIONS,
+    tolerance: float = NEWTON_TOLERANCE,
 ) -> Joint:
     """The most likely unknowns, from trilateration as a start, or co-activation where it fails.
 
@@ -117,11 +117,11 @@ def estimate(
     leaves the contact model.
     """
     clock = time.perf_counter()
-    near = coactivation.plausible(data)
-    start = start or coactivation.start(near, body)
+    near = coactivation.without_distant_readings(data)
+    start = start or coactivation.initial_estimate(near, body)
     heard = coactivation.responsive(data, start.points)
-    why = np.where(start.found & ~heard, coactivation.NOISE, start.why)
-    stuck = faults.stuck(data)
+    why = np.where(start.found & ~heard, coactivation.NOISE, start.reasons)
+    stuck = fault_detection.stuck_taxels(data)
     live = np.setdiff1d(np.flatnonzero(why == ""), stuck.rows)
     if not len(live):
         raise CalibrationError(
@@ -133,11 +133,13 @@ def estimate(
     places: Parametrization
     if data.slots is None:
         places = SurfaceParametrization(
-            chart.about(body, start.points[live], start.rotations[live]), step
+            chart.charts_at(body, start.points[live], start.rotations[live]), step
         )
     else:
         sound = np.isin(np.arange(len(data.ids)), live)
-        places, live = module.start(body, data.slots, data.ids, start.points, sound, step)
+        places, live = module_parametrization.start(
+            body, data.slots, data.ids, start.points, sound, step
+        )
     weight = np.where(np.isin(data.taxel, stuck.rows), 0.0, 1.0)
     run = JointEstimator(data, body, live, places, weight, iterations, tolerance)
     run.converge()
@@ -145,16 +147,16 @@ def estimate(
     run = reject_outliers(run)
     for row, level in zip(stuck.rows, stuck.level, strict=True):
         run.faults[row] = f"stuck at {level / 1e3:.3g} kPa"
-    if run.restless.all():
+    if run.unconverged.all():
         raise CalibrationError(
             "the joint estimate does not come to rest",
-            value=f"{len(live)} taxels still move after {PASSES} anchorings",
+            value=f"{len(live)} taxels still move after {MAX_RELINEARIZATIONS} anchorings",
             remedy="check the contact model and the units of force and pressure",
         )
     return _result(run, why, again, clock)
 
 
-def _fit(run: JointEstimator, own: Array) -> Fit:
+def _fit(run: JointEstimator, own: Array) -> GoodnessOfFit:
     """The chi-square test on readings that the model puts well inside the sensor's range.
 
     The choice is the model's, not the reading's, so that the residuals are not censored. Each keeps
@@ -162,12 +164,12 @@ def _fit(run: JointEstimator, own: Array) -> Fit:
     """
     read, data = run.likelihood.readings, run.data
     r = run.residuals()
-    mu = r + np.where(read.kind == SILENT, data.threshold, read.level) / data.sigma
+    mu = r + np.where(read.kind == CENSORED, data.threshold, read.level) / data.sigma
     clear = (mu > data.threshold / data.sigma + 3) & (mu < data.saturation / data.sigma - 3)
     clear &= ~run.broken[read.taxel]
     return goodness(
         float(read.weight[clear] @ r[clear] ** 2), float(np.sum((read.weight - own)[clear])),
-        bool(data.noise), int(np.sum(faults.outlying(read))),
+        bool(data.noise), int(np.sum(fault_detection.outliers(read))),
     )  # fmt: skip
 
 
@@ -184,20 +186,20 @@ def _result(run: JointEstimator, why: np.ndarray, again: np.ndarray, clock: floa
 
     reduced = problem.reduce(state)
     covariance, shared = problem.covariances(state, reduced)
-    places, why = problem.places, why.copy()
+    places, why = problem.parametrization, why.copy()
     why[run.live] = ""
-    lost = run.restless | run.broken
-    why[run.live[run.broken]] = BROKEN
-    why[run.live[run.restless]] = RESTLESS
+    lost = run.unconverged | run.broken
+    why[run.live[run.broken]] = MOSTLY_OUTLIERS
+    why[run.live[run.unconverged]] = UNCONVERGED
     points = np.where(lost[:, None], np.nan, places.points())
     chi2, own = run.chi2, problem.leverages(state, reduced)
     kept = run.likelihood.readings.weight - own
-    freedom = float(kept[run.likelihood.readings.kind == HEARD].sum())
+    freedom = float(kept[run.likelihood.readings.kind == OBSERVED].sum())
     scale = 1.0 if data.noise else float(state.moments.square.sum()) / max(freedom, 1.0)
     information, gains = problem.information(state)
     groups = np.arange(places.count)
     six, tangential = None, scale * covariance[:, :2, :2]
-    if isinstance(places, module.ModuleParametrization):
+    if isinstance(places, module_parametrization.ModuleParametrization):
         six = scale * places.covariances(covariance[:, :6, :6])
         tangential = six[:, :2, :2]
         six = spread(
@@ -218,7 +220,7 @@ def _result(run: JointEstimator, why: np.ndarray, again: np.ndarray, clock: floa
         extras=spread(problem.extras(state.z, groups) * unit, np.nan),
         extras_sigma=spread(problem.extras(sigma, groups) * unit, np.inf),
         chi2=spread(chi2 / scale, np.nan),
-        why=why,
+        reasons=why,
         faults=run.faults,
         fit=_fit(run, own),
         iterates=tuple(spread(p, np.nan) for p in run.iterates),

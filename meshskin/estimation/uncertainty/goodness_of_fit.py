@@ -9,7 +9,7 @@ SURE = 1e-3
 
 
 @dataclass(frozen=True)
-class Fit:
+class GoodnessOfFit:
     """The squared residuals of the readings, in units of the noise, against what they should be."""
 
     chi2: float
@@ -34,14 +34,16 @@ class Fit:
         return None if self.p != self.p else self.p >= SURE
 
 
-def goodness(chi2: float, freedom: float, noise_known: bool, outlying: int = 0) -> Fit:
+def goodness(chi2: float, freedom: float, noise_known: bool, outlying: int = 0) -> GoodnessOfFit:
     """The test of `chi2` with `freedom` degrees; `outlying` readings were left out of it."""
     from scipy.stats import chi2 as distribution
 
     left_out = f" ({outlying} outlying readings left out)" if outlying else ""
     if not noise_known or freedom <= 0:
         reason = "the noise is not known" if not noise_known else "too few readings"
-        return Fit(chi2, freedom, float("nan"), f"not tested: {reason}{left_out}", outlying)
+        return GoodnessOfFit(
+            chi2, freedom, float("nan"), f"not tested: {reason}{left_out}", outlying
+        )
     p, ratio = float(distribution.sf(chi2, freedom)), chi2 / freedom
     if p >= SURE:
         words = f"the model fits: residuals are {ratio**0.5:.3f} of the noise, p = {p:.2g}"
@@ -53,4 +55,4 @@ def goodness(chi2: float, freedom: float, noise_known: bool, outlying: int = 0) 
             "declare what may be unknown (modulus, gain, force, indenter), believe another contact "
             "model (elliptic, layered), or state the true noise"
         )
-    return Fit(chi2, freedom, p, words + left_out, outlying)
+    return GoodnessOfFit(chi2, freedom, p, words + left_out, outlying)

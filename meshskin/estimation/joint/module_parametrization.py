@@ -71,7 +71,7 @@ class ModuleParametrization:
         slope = np.concatenate([np.broadcast_to(np.eye(3), (len(rows), 3, 3)), -se3.hat(arm)], 2)
         return pose[:, :3, 3] + z[:, :3] + arm, slope
 
-    def limited(self, step: Array) -> Array:
+    def limit_step(self, step: Array) -> Array:
         """Steps (g, ...), none longer than the limit."""
         size = np.linalg.norm(step[:, :6] * np.repeat([1.0, LEVER], 3), axis=1)
         return np.asarray(step * np.minimum(1.0, self.step / np.maximum(size, 1e-300))[:, None])
@@ -95,7 +95,7 @@ class ModuleParametrization:
         np.add.at(hessian, owner, j[:, :, None] * j[:, None, :])
         return cost, gradient, hessian
 
-    def anchored(self, body: Body, z: Array) -> ModuleParametrization:
+    def relinearized(self, body: Body, z: Array) -> ModuleParametrization:
         """The modules about the coordinates z (G, 6)."""
         poses = self.poses.copy()
         poses[:, :3, 3] += z[:, :3]
