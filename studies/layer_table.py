@@ -17,7 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from meshskin.contact import ContactProblem, boundary_elements, chebyshev, elliptic, layered
+from meshskin.contact import ContactProblem, boundary_elements, elliptic, layered
+from meshskin.contact.array_backend import chebyshev_nodes
 
 CASE: dict = {"force": 1.0, "indenter_radius": 0.01, "modulus": 1e6}
 
@@ -28,8 +29,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--cells", type=int, default=192)
     parser.add_argument("--out", type=Path, default=layered.TABLE)
     options = parser.parse_args(arguments)
-    y = layered.MAX_CHI / (1 + layered.MAX_CHI) * (1 + chebyshev.nodes(layered.CHIS)) / 2
-    ratios = 0.25 * (1 + chebyshev.nodes(layered.POISSONS))
+    y = layered.MAX_CHI / (1 + layered.MAX_CHI) * (1 + chebyshev_nodes(layered.CHIS)) / 2
+    ratios = 0.25 * (1 + chebyshev_nodes(layered.POISSONS))
     lines = ["chi,poisson,radius,peak,depth,aspect"]
     for chi in y / (1 - y):
         for poisson in ratios:

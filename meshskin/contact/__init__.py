@@ -34,8 +34,8 @@ AUTO = "auto"
 __all__ = [
     "BATCHED",
     "MODELS",
+    "ContactModel",
     "ContactProblem",
-    "Model",
     "Patch",
     "Patches",
     "force",
@@ -78,7 +78,7 @@ def solve(
 
 
 @dataclass(frozen=True)
-class Model:
+class ContactModel:
     """A batched contact model and the soft layer that it is asked about.
 
     Its methods take NumPy arrays, or CasADi expressions with a column of two curvatures.
@@ -135,7 +135,7 @@ class Model:
         force = self._law.force(at, curvature, indenter_radius, effective_modulus)
         return ca.substitute(ca.gradient(force, at), at, depth)
 
-    def holds(
+    def is_valid(
         self,
         *,
         force: float | Array,
@@ -173,21 +173,21 @@ class Model:
         if self.name != "layered":
             return _module(self.name)
         thickness = math.inf if self.thickness is None else self.thickness
-        return _module(self.name).Layer(self.poisson, thickness)
+        return _module(self.name).BondedLayer(self.poisson, thickness)
 
 
 def patches(
     model: str, *, poisson: float = 0.49, thickness: float | None = None, **contact: Any
 ) -> Patches:
-    """Patches of many contacts by a model of `BATCHED`: see `Model.patches`."""
-    return Model(model, poisson, thickness).patches(**contact)
+    """Patches of many contacts by a model of `BATCHED`: see `ContactModel.patches`."""
+    return ContactModel(model, poisson, thickness).patches(**contact)
 
 
 def force(
     model: str, *, poisson: float = 0.49, thickness: float | None = None, **contact: Any
 ) -> Any:
-    """Force, N, from the approach, by a model of `BATCHED`: see `Model.force`."""
-    return Model(model, poisson, thickness).force(**contact)
+    """Force, N, from the approach, by a model of `BATCHED`: see `ContactModel.force`."""
+    return ContactModel(model, poisson, thickness).force(**contact)
 
 
 def _known(model: str, names: Sequence[str]) -> None:

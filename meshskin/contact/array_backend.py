@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from ..core.se3 import Array
+
 
 def is_casadi(*values: Any) -> bool:
     """Whether any of `values` is a CasADi matrix."""
@@ -19,3 +21,27 @@ def functions(*values: Any) -> Any:
     import casadi
 
     return casadi
+
+
+def chebyshev_nodes(count: int) -> Array:
+    """Chebyshev points (count,) of the second kind in [-1, 1], rising, both ends among them."""
+    return np.asarray(-np.cos(np.pi * np.arange(count) / (count - 1)))
+
+
+def chebyshev_coefficients(values: Array) -> Array:
+    """Coefficients (n, ...) of the series through `values` (n, ...) at `nodes(n)`."""
+    basis = np.polynomial.chebyshev.chebvander(chebyshev_nodes(len(values)), len(values) - 1)
+    flat = np.linalg.solve(basis, values.reshape(len(values), -1))
+    return np.asarray(flat.reshape(values.shape))
+
+
+def chebyshev_values(coefficients: Array, x: Any) -> list[Any]:
+    """The k series with `coefficients` (n, k), n > 2, at `x` in [-1, 1] (Clenshaw's recurrence)."""
+    double = 2 * x
+    out = []
+    for column in coefficients.T.tolist():
+        last, value = 0 * x + column[-1], column[-2] + column[-1] * double
+        for c in column[-3:0:-1]:
+            last, value = value, c + double * value - last
+        out.append(column[0] + x * value - last)
+    return out

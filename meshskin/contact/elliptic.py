@@ -25,8 +25,8 @@ import numpy as np
 
 from ..core.errors import ContactError
 from ..core.se3 import Array
-from . import chebyshev, hertz
-from .array_backend import functions
+from . import hertz
+from .array_backend import chebyshev_coefficients, chebyshev_nodes, chebyshev_values, functions
 from .patch import Patch, Patches
 from .problem import ContactProblem, relative_curvatures
 
@@ -126,12 +126,12 @@ def _geometry(curvature: Any, indenter_radius: Any) -> tuple[Any, Any, Any, Any]
     square = log_ratio**2
     if f is np:
         refuse_ratio(math.exp(math.sqrt(np.max(square, initial=0.0)) - 1e-12))
-    aspect, size, depth = chebyshev.evaluate(_series(), f.fmin(2 / _END * square, 2.0) - 1)
+    aspect, size, depth = chebyshev_values(_series(), f.fmin(2 / _END * square, 2.0) - 1)
     return 2 / (k1 + k2), f.exp(log_ratio * aspect / 2), size, depth
 
 
 @functools.cache
 def _series() -> Array:
     """Chebyshev coefficients (TERMS, 3) in ln(B/A)^2 of aspect, size and depth."""
-    squares = _END / 2 * (1 + chebyshev.nodes(TERMS))
-    return chebyshev.coefficients(np.array([exact(math.sqrt(q)) for q in squares]))
+    squares = _END / 2 * (1 + chebyshev_nodes(TERMS))
+    return chebyshev_coefficients(np.array([exact(math.sqrt(q)) for q in squares]))

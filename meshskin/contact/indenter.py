@@ -41,19 +41,19 @@ class Indenter:
         return 0.4 * self.radius if self.support_radius is None else self.support_radius
 
     @property
-    def up(self) -> Array:
+    def axis(self) -> Array:
         """Unit vector (3,), world, in which it points: the body is pressed on it the other way."""
         way = np.array(self.direction, dtype=float)
         way /= np.abs(way).max()  # the square of a very small or large number is none
         return np.asarray(way / np.linalg.norm(way))
 
     @property
-    def frame(self) -> Array:
+    def rotation(self) -> Array:
         """Rotation (3, 3), world from the indenter's frame: its z axis points as it does.
 
         The least turn out of the world's axes; half a turn about x where it points straight down.
         """
-        x, y, z = self.up
+        x, y, z = self.axis
         sine = float(np.hypot(x, y))
         axis = np.array([-y, x, 0.0]) / sine if sine > 0.0 else np.array([1.0, 0.0, 0.0])
         return exp_so3(np.arctan2(sine, z) * axis)

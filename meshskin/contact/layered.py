@@ -28,8 +28,8 @@ import numpy as np
 
 from ..core.errors import ContactError
 from ..core.se3 import Array
-from . import chebyshev, elliptic
-from .array_backend import functions
+from . import elliptic
+from .array_backend import chebyshev_coefficients, chebyshev_nodes, chebyshev_values, functions
 from .patch import Patch, Patches
 from .problem import FIELD, ContactProblem
 
@@ -44,7 +44,7 @@ _END = MAX_CHI / (1 + MAX_CHI)
 
 
 @dataclass(frozen=True)
-class Layer:
+class BondedLayer:
     """A bonded layer: the factors of its Poisson's ratio, and the forces of its depths."""
 
     poisson: float
@@ -70,7 +70,7 @@ class Layer:
         """
         f = functions(chi)
         y = f.fmin(2 / _END * chi / (1 + chi), 2.0) - 1
-        radius, peak, depth, aspect = chebyshev.evaluate(_factors(self.poisson), y)
+        radius, peak, depth, aspect = chebyshev_values(_factors(self.poisson), y)
         return f.exp(radius), f.exp(peak), f.exp(depth), f.exp(aspect)
 
     def chi(self, force: Any, curvature: Any, indenter_radius: Any, modulus: Any) -> Any:
@@ -111,7 +111,7 @@ class Layer:
         mean = _size(one) / self.thickness
         reach = mean * f.sqrt(f.fmax(sunk / one.depth, 1e-12))
         y = f.fmin(2 * reach / (1 + reach) / _sunken_end(self.poisson), 2.0) - 1
-        (stiffer,) = chebyshev.evaluate(_sunken(self.poisson), y)
+        (stiffer,) = chebyshev_values(_sunken(self.poisson), y)
         return elliptic.force(sunk * f.exp(stiffer), curvature, indenter_radius, modulus)
 
 
@@ -127,7 +127,9 @@ def solve(setting: ContactProblem) -> Patch:
             limit=f"{MAX_CURVATURE_RATIO:g}",
             remedy=f"use a smaller indenter; {FIELD}",
         )
-    layer = Layer(setting.poisson, math.inf if setting.thickness is None else setting.thickness)
+    layer = BondedLayer(
+        setting.poisson, math.inf if setting.thickness is None else setting.thickness
+    )
     found = layer.patches(setting.force, setting.pair, setting.indenter_radius, setting.e_star)
     axes = np.sort([found.first, found.second])[::-1]
     setting.refuse_wide(axes, "layered")
@@ -157,8 +159,8 @@ def _table() -> Array:
     """Coefficients (CHIS, POISSONS, 4) of the logarithms of the table's columns."""
     rows = np.loadtxt(TABLE, delimiter=",", skiprows=1)
     values = np.log(rows[:, 2:]).reshape(CHIS, POISSONS, 4)
-    along = chebyshev.coefficients(values)
-    return np.swapaxes(chebyshev.coefficients(np.swapaxes(along, 0, 1)), 0, 1)
+    along = chebyshev_coefficients(values)
+    return np.swapaxes(chebyshev_coefficients(np.swapaxes(along, 0, 1)), 0, 1)
 
 
 @functools.lru_cache(maxsize=64)
@@ -180,15 +182,15 @@ def _sunken(poisson: float) -> Array:
     """Coefficients (2 CHIS, 1) in z / (1 + z) of -ln(depth factor), z = sqrt(depth R) / t."""
     from scipy.optimize import brentq
 
-    layer = Layer(poisson, 1.0)
+    layer = BondedLayer(poisson, 1.0)
 
     def excess(y: float, z: float) -> float:
         chi = y / (1 - y)
         return chi * math.sqrt(float(layer.factors(np.float64(chi))[2])) - z
 
     values = []
-    for y in _sunken_end(poisson) * (1 + chebyshev.nodes(2 * CHIS)) / 2:
+    for y in _sunken_end(poisson) * (1 + chebyshev_nodes(2 * CHIS)) / 2:
         z = y / (1 - y)
         root = brentq(excess, 0.0, _END + 1e-9, args=(z,), xtol=1e-14) if z > 0 else 0.0
         values.append([-math.log(float(layer.factors(np.float64(root / (1 - root)))[2]))])
-    return chebyshev.coefficients(np.array(values))
+    return chebyshev_coefficients(np.array(values))

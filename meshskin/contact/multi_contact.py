@@ -36,7 +36,7 @@ _SLACK = 0.15
 
 
 @dataclass(frozen=True)
-class Contacts:
+class IndenterContacts:
     """The n places where a sphere penetrates a body, deepest first; body frame, SI units."""
 
     point: Array
@@ -57,7 +57,7 @@ class Contacts:
         return len(self.depth)
 
 
-def contacts(body: Body, centre: ArrayLike, indenter_radius: float) -> Contacts:
+def find_contacts(body: Body, centre: ArrayLike, indenter_radius: float) -> IndenterContacts:
     """All contacts of a sphere of `indenter_radius`, m, centred at `centre` (3,), body frame, m.
 
     None in reach gives an empty answer. Raises ContactError where the centre is inside the body,
@@ -91,7 +91,7 @@ def contacts(body: Body, centre: ArrayLike, indenter_radius: float) -> Contacts:
             remedy="use a smaller indenter",
         )
     keep = _distinct(hit.point, keep[np.argsort(distance[keep])], SAME * indenter_radius)
-    return Contacts(
+    return IndenterContacts(
         point=hit.point[keep],
         normal=normal[keep],
         curvature=hit.curvature[keep],
@@ -113,7 +113,7 @@ def _refuse_inside(body: Body, centre: Array) -> None:
         )
 
 
-def press(
+def solve_contacts(
     body: Body,
     centre: ArrayLike,
     indenter_radius: float,
@@ -121,14 +121,14 @@ def press(
     modulus: float,
     poisson: float,
     thickness: float | None = None,
-) -> tuple[Contacts, Array, list[Patch]]:
+) -> tuple[IndenterContacts, Array, list[Patch]]:
     """The contacts of a sphere at `centre`, their forces (n,), N, and their patches.
 
     modulus: Young's, Pa; thickness, m, of a bonded layer (`layered`), None for a half-space
     (`elliptic`). Raises ContactError for a contact on an edge, for patches that meet, and for what
     leaves the model's range.
     """
-    found = contacts(body, centre, indenter_radius)
+    found = find_contacts(body, centre, indenter_radius)
     if not found.smooth.all():
         place = found.point[np.argmin(found.smooth)]
         raise ContactError(
@@ -140,7 +140,7 @@ def press(
     if thickness is None:
         force = elliptic.force(found.depth, found.curvature, indenter_radius, e_star)
     else:
-        layer = layered.Layer(poisson, thickness)
+        layer = layered.BondedLayer(poisson, thickness)
         force = layer.force(found.depth, found.curvature, indenter_radius, e_star)
     model = elliptic if thickness is None else layered
     patches = [
@@ -186,7 +186,7 @@ def _distinct(points: Array, rows: NDArray[np.intp], same: float) -> NDArray[np.
     return np.array(kept, dtype=np.intp)
 
 
-def _refuse_meeting(found: Contacts, patches: list[Patch]) -> None:
+def _refuse_meeting(found: IndenterContacts, patches: list[Patch]) -> None:
     for i, one in enumerate(patches):
         for k in range(i):
             apart = float(np.linalg.norm(found.point[i] - found.point[k]))

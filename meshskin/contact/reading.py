@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.se3 import Array
-from . import Model
+from . import ContactModel
 from .disc import disc_mean
 
 if TYPE_CHECKING:
@@ -29,9 +29,9 @@ CHUNK = 20_000
 
 @dataclass(frozen=True)
 class ReadingModel:
-    """The ideal relation of contacts and pressures: a `Field` of the effects, which wrap it."""
+    """Pressures of taxels in contacts: the `PressureField` that effects wrap."""
 
-    model: Model
+    model: ContactModel
     """Of contact."""
     disc_radius: float
     """Of the taxels, m."""
@@ -51,7 +51,7 @@ class ReadingModel:
         )
         return self._read(*contacts, positions=poses[:, :3, 3])
 
-    def apart(self, other: ReadingModel, force: float, curvature: Array) -> float:
+    def max_difference(self, other: ReadingModel, force: float, curvature: Array) -> float:
         """Largest difference of what both read in contacts under `force`, N, in parts of p_0.
 
         At principal curvatures (k, 2), 1/m, along both axes of the patch; at most 1.
@@ -100,7 +100,7 @@ def disc_pressures(
     disc_radius: float,
     indenter_radius: float,
     effective_modulus: float,
-    model: Model | None = None,
+    model: ContactModel | None = None,
 ) -> Array:
     """Mean contact pressures (m, n), Pa, of n taxels in m contacts.
 
@@ -110,7 +110,7 @@ def disc_pressures(
     circular Hertz. A taxel's place in the patch is taken in the contact's tangent plane, as Hertz
     does. Raises ContactError where a contact leaves the range of the model's series.
     """
-    model = model or Model()
+    model = model or ContactModel()
     patches = model.patches(
         force=force,
         curvature=curvature,

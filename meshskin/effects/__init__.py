@@ -20,7 +20,7 @@ from ..core import config
 from ..core.errors import ConfigError, UnknownNameError
 from ..core.se3 import Array
 from .context import Context as Context
-from .frames import Clock, Field, Frames
+from .frames import EffectClock, Frames, PressureField
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -68,9 +68,9 @@ effects of one stage act in this order, those of other packages after them."""
 GROUP = "meshskin.effects"
 """Group of entry points through which other packages add effects."""
 
-Pressures = Callable[[Array, Frames], Array]
+PressureTransform = Callable[[Array, Frames], Array]
 """(pressures (m, n), Pa, the next m frames in time) -> pressures (m, n)."""
-Motion = Callable[[Frames], Frames]
+FrameTransform = Callable[[Frames], Frames]
 """The next frames in time -> the frames as the effect changes them."""
 
 
@@ -115,7 +115,7 @@ class BaseEffect:
 
 
 @runtime_checkable
-class Noise(Protocol):
+class NoiseEffect(Protocol):
     """An effect that is white Gaussian noise on every reading: a belief may know its sigma."""
 
     def sigma(self, context: Context) -> float:
@@ -244,14 +244,16 @@ def build(effects: Iterable[Effect], context: Context, stage: str) -> tuple[Any,
 class EffectPipeline:
     """A scene's effects, compiled: what acts on its frames, batch after batch, in order."""
 
-    contact: tuple[Motion, ...]
-    field: Field
-    readings: tuple[Pressures, ...]
-    recorded: tuple[Motion, ...]
-    clock: Clock
+    contact: tuple[FrameTransform, ...]
+    field: PressureField
+    readings: tuple[PressureTransform, ...]
+    recorded: tuple[FrameTransform, ...]
+    clock: EffectClock
 
     @classmethod
-    def of(cls, effects: Iterable[Effect], context: Context, field: Field) -> EffectPipeline:
+    def from_effects(
+        cls, effects: Iterable[Effect], context: Context, field: PressureField
+    ) -> EffectPipeline:
         """The effects that are on; `field` is the ideal relation of contacts and pressures."""
         effects = ordered(effects)
         for wrap in build(effects, context, "field"):
@@ -261,12 +263,12 @@ class EffectPipeline:
             field,
             build(effects, context, "pressure") + build(effects, context, "transducer"),
             build(effects, context, "geometry") + build(effects, context, "robot"),
-            Clock(),
+            EffectClock(),
         )
 
     def read(self, frames: Frames, poses: Array) -> Array:
         """What taxels at `poses` (n, 4, 4) say, (m, n), Pa, in the next frames in time."""
-        frames = self.clock.tell(frames)
+        frames = self.clock.to_effect_time(frames)
         for act in self.contact:
             frames = act(frames)
         pressures = self.field(frames, poses)
@@ -278,12 +280,12 @@ class EffectPipeline:
         """The next frames in time as they are written into the recording."""
         if not len(frames):
             return frames
-        recorded = self.clock.tell(frames)
+        recorded = self.clock.to_effect_time(frames)
         for act in self.recorded:
             recorded = act(recorded)
         return replace(recorded, time=frames.time)
 
-    def rest(self, seconds: float) -> None:
+    def start_next_run(self, seconds: float) -> None:
         """End a run: the next one, whose times begin anew, starts `seconds` after its last frame.
 
         What drifts drifts on, and what looks back finds no contact of that run.

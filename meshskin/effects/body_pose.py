@@ -12,7 +12,7 @@ import numpy as np
 
 from ..core.config import quantity
 from ..core.se3 import exp_so3
-from . import BaseEffect, Context, Motion
+from . import BaseEffect, Context, FrameTransform
 from .frames import Frames
 
 
@@ -34,7 +34,7 @@ class BodyPose(BaseEffect):
         far = np.linalg.norm(context.skin.positions, axis=1).max() + context.indenter_radius
         return float(np.linalg.norm(self.translation) + np.linalg.norm(self.rotation) * far)
 
-    def build(self, context: Context) -> Motion:
+    def build(self, context: Context) -> FrameTransform:
         """A function without memory."""
         turn = exp_so3(self.rotation)
 

@@ -10,7 +10,7 @@ import numpy as np
 from ..core.config import quantity
 from ..core.errors import ConfigError
 from ..core.se3 import Array
-from . import BaseEffect, Context, Pressures
+from . import BaseEffect, Context, PressureTransform
 from .frames import Frames
 
 
@@ -49,7 +49,7 @@ class BrokenTaxels(BaseEffect):
         dead, broken = round(self.dead * n), min(round(self.dead * n) + round(self.stuck * n), n)
         return order[:dead], order[dead:broken]
 
-    def build(self, context: Context) -> Pressures:
+    def build(self, context: Context) -> PressureTransform:
         """A function without memory; the taxels are drawn here."""
         dead, stuck = self.chosen(context)
         level = self.level_relative * context.peak_pressure

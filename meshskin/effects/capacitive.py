@@ -17,7 +17,7 @@ from typing import ClassVar
 
 from ..core.config import quantity
 from ..core.se3 import Array
-from . import BaseEffect, Context, Pressures
+from . import BaseEffect, Context, PressureTransform
 from .frames import Frames
 
 
@@ -37,9 +37,9 @@ class Capacitive(BaseEffect):
     def bound(self, context: Context) -> float:
         """From the readings that p_0 lacks, m."""
         bend = (1.0 - self.largest_strain) / self.half_relative
-        return context.misread(bend / (1.0 + bend))
+        return context.reading_error_bound(bend / (1.0 + bend))
 
-    def build(self, context: Context) -> Pressures:
+    def build(self, context: Context) -> PressureTransform:
         """A function without memory."""
         bend = (1.0 - self.largest_strain) / (self.half_relative * context.peak_pressure)
 

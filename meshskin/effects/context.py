@@ -43,7 +43,7 @@ class Context:
     """Speed of the contact over the skin, m/s."""
     skin: Skin = field(repr=False)
     body: Body = field(repr=False)
-    ideal: ReadingModel
+    reading_model: ReadingModel
     """How contacts become pressures where no effect changes it."""
     pose: Callable[[Array], Array] = field(repr=False)
     """Configurations (k, n) -> T_w_body (k, 4, 4)."""
@@ -56,7 +56,7 @@ class Context:
         """The random stream of the effect `name`."""
         return random_stream(self.seed, f"effect/{name}")
 
-    def misread(self, relative: float) -> float:
+    def reading_error_bound(self, relative: float) -> float:
         """How far, m, a taxel may be misplaced by readings that are off by `relative` p_0 at most.
 
         Least squares shift it by sum(s e) / sum(s^2) <= max|e| sum|s| / sum(s^2), s the slopes of
@@ -65,11 +65,13 @@ class Context:
         """
         return 2.0 * relative * self.contact_radius
 
-    def misread_as(self, other: ReadingModel) -> float:
+    def model_error_bound(self, other: ReadingModel) -> float:
         """How far, m, where taxels read what `other` says: from the reading that differs most."""
         curvature = self.body.closest(self.skin.positions).curvature
-        return self.misread(self.ideal.apart(other, self.force, curvature))
+        return self.reading_error_bound(
+            self.reading_model.max_difference(other, self.force, curvature)
+        )
 
-    def misjudged(self, force: float) -> float:
+    def force_error_bound(self, force: float) -> float:
         """How far, m, by a force off by `force`, N: p_0 and a go with its cube root (Hertz)."""
         return 2.0 / 3.0 * force / self.force * self.contact_radius

@@ -16,7 +16,7 @@ import numpy as np
 from ..core.config import quantity
 from ..core.se3 import Array
 from . import BaseEffect, Context
-from .frames import Field, Frames
+from .frames import Frames, PressureField
 
 NODES = 5
 """Nodes along each axis."""
@@ -49,13 +49,13 @@ class CoverFabric(BaseEffect):
         change = np.maximum(blurred, 0.0) @ weight @ weight - np.maximum(
             disc_mean(r / a, disc / a), 0
         )
-        return context.misread(min(float(np.abs(change).max()), 1.0))
+        return context.reading_error_bound(min(float(np.abs(change).max()), 1.0))
 
-    def build(self, context: Context) -> Callable[[Field], Field]:
+    def build(self, context: Context) -> Callable[[PressureField], PressureField]:
         """A field without memory."""
         node, weight = _bell()
 
-        def wrap(field: Field) -> Field:
+        def wrap(field: PressureField) -> PressureField:
             def blur(frames: Frames, poses: Array) -> Array:
                 x, y = (self.width * at.ravel()[:, None, None] for at in np.meshgrid(node, node))
                 beside = np.tile(poses, (len(x), 1, 1, 1))

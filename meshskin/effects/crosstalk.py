@@ -15,7 +15,7 @@ import numpy as np
 
 from ..core.config import quantity
 from ..core.se3 import Array
-from . import BaseEffect, Context, Pressures
+from . import BaseEffect, Context, PressureTransform
 from .frames import Frames
 
 
@@ -36,9 +36,9 @@ class Crosstalk(BaseEffect):
 
     def bound(self, context: Context) -> float:
         """Where one taxel reads p_0 and its neighbours nothing, m."""
-        return context.misread(self.coupling)
+        return context.reading_error_bound(self.coupling)
 
-    def build(self, context: Context) -> Pressures:
+    def build(self, context: Context) -> PressureTransform:
         """A function without memory."""
         mixing = self.mixing(context)
 

@@ -27,7 +27,7 @@ class DiscAveraging(BaseEffect):
 
     def bound(self, context: Context) -> float:
         """From the reading that the other disc changes most, m."""
-        return context.misread_as(self._with(context.ideal))
+        return context.model_error_bound(self._with(context.reading_model))
 
     def build(self, context: Context) -> Callable[[ReadingModel], ReadingModel]:
         """A field without memory."""

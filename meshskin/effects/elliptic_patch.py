@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from ..contact import Model
+from ..contact import ContactModel
 from ..contact.reading import ReadingModel
 from . import BaseEffect, Context
 
@@ -26,7 +26,7 @@ class EllipticPatch(BaseEffect):
 
     def bound(self, context: Context) -> float:
         """From the reading that the ellipse changes most, m."""
-        return context.misread_as(_stretched(context.ideal))
+        return context.model_error_bound(_stretched(context.reading_model))
 
     def build(self, context: Context) -> Callable[[ReadingModel], ReadingModel]:
         """A field without memory."""
@@ -34,4 +34,4 @@ class EllipticPatch(BaseEffect):
 
 
 def _stretched(ideal: ReadingModel) -> ReadingModel:
-    return replace(ideal, model=Model("elliptic")) if ideal.model.name == "hertz" else ideal
+    return replace(ideal, model=ContactModel("elliptic")) if ideal.model.name == "hertz" else ideal

@@ -14,7 +14,7 @@ import numpy as np
 from ..core.config import quantity
 from ..core.errors import ConfigError
 from ..core.se3 import Array
-from . import BaseEffect, Context, Motion
+from . import BaseEffect, Context, FrameTransform
 from .frames import Frames
 
 RARELY = 3.44
@@ -49,7 +49,7 @@ class Encoder(BaseEffect):
         spread = float(np.hypot(self.offset_spread, self.noise_spread))
         return RARELY * spread * lever(context)
 
-    def build(self, context: Context) -> Motion:
+    def build(self, context: Context) -> FrameTransform:
         """A function; successive calls continue one stream. Raises ConfigError without an arm."""
         if not context.joints:
             raise ConfigError(

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from ..core.config import quantity
-from . import BaseEffect, Context, Motion
+from . import BaseEffect, Context, FrameTransform
 from .frames import Frames
 
 
@@ -25,9 +25,9 @@ class ForceSensor(BaseEffect):
 
     def bound(self, context: Context) -> float:
         """At 3 standard deviations, m."""
-        return context.misjudged(3.0 * self.noise + abs(self.bias))
+        return context.force_error_bound(3.0 * self.noise + abs(self.bias))
 
-    def build(self, context: Context) -> Motion:
+    def build(self, context: Context) -> FrameTransform:
         """A function; successive calls continue one stream."""
         stream = context.stream(self.name)
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from ..core.se3 import Array
 
-Foot = Callable[[Array], tuple[Array, Array]]
+ClosestPoint = Callable[[Array], tuple[Array, Array]]
 """Centres of the indenter (k, 3), body frame -> foot points on the body (k, 3), outward normals
 (k, 3)."""
 
-Field = Callable[["Frames", Array], Array]
+PressureField = Callable[["Frames", Array], Array]
 """(frames (m), taxel poses (n, 4, 4) in the body frame) -> pressures (m, n), Pa."""
 
 
@@ -38,7 +38,7 @@ class Frames:
     """Unit tangents (m, 3) along the first of them."""
     q: Array
     """The robot's configuration (m, k), see Context.pose."""
-    foot: Foot
+    foot: ClosestPoint
     """How a contact follows from the indenter's centre."""
 
     def __len__(self) -> int:
@@ -68,7 +68,7 @@ COLUMNS = tuple(f.name for f in fields(Frames) if f.name != "foot")
 
 
 @dataclass
-class Clock:
+class EffectClock:
     """The time that effects live in, over runs whose own times all begin anew."""
 
     start: float = 0.0
@@ -76,7 +76,7 @@ class Clock:
     now: float = 0.0
     """Of the last frame so far, s."""
 
-    def tell(self, frames: Frames) -> Frames:
+    def to_effect_time(self, frames: Frames) -> Frames:
         """The frames in the effects' time."""
         time = frames.time + self.start
         self.now = float(max(self.now, time.max(initial=0.0)))
@@ -84,7 +84,7 @@ class Clock:
 
 
 @dataclass
-class Memory:
+class FrameHistory:
     """The last frames of the batches before, so that one may look back over a seam."""
 
     span: float

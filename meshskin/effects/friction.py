@@ -20,7 +20,7 @@ from typing import ClassVar
 import numpy as np
 
 from ..core.config import quantity
-from . import BaseEffect, Context, Motion
+from . import BaseEffect, Context, FrameTransform
 from .frames import Frames
 
 
@@ -44,7 +44,7 @@ class Friction(BaseEffect):
         """The shear of a contact that slides, m."""
         return self.slip(context)
 
-    def build(self, context: Context) -> Motion:
+    def build(self, context: Context) -> FrameTransform:
         """A function that remembers the shear from batch to batch."""
         slip, longest = self.slip(context), 1.5 * context.period
         shear = np.zeros(3)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core.config import quantity
 from ..core.se3 import Array
-from . import BaseEffect, Context, Pressures
+from . import BaseEffect, Context, PressureTransform
 from .frames import Frames
 
 
@@ -28,9 +28,11 @@ class GainOffset(BaseEffect):
 
     def bound(self, context: Context) -> float:
         """At 3 standard deviations, m."""
-        return context.misread(np.expm1(3.0 * self.gain_spread) + 3.0 * self.offset_relative)
+        return context.reading_error_bound(
+            np.expm1(3.0 * self.gain_spread) + 3.0 * self.offset_relative
+        )
 
-    def build(self, context: Context) -> Pressures:
+    def build(self, context: Context) -> PressureTransform:
         """A function without memory; all numbers are drawn here."""
         stream, n = context.stream(self.name), len(context.skin)
         gain = np.exp(self.gain_spread * stream.standard_normal(n))

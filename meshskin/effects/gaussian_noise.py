@@ -11,7 +11,7 @@ from typing import ClassVar
 
 from ..core.config import quantity
 from ..core.se3 import Array
-from . import BaseEffect, Context, Pressures
+from . import BaseEffect, Context, PressureTransform
 from .frames import Frames
 
 
@@ -36,7 +36,7 @@ class GaussianNoise(BaseEffect):
         """
         return 3.0 * self.sigma_relative * context.contact_radius
 
-    def build(self, context: Context) -> Pressures:
+    def build(self, context: Context) -> PressureTransform:
         """A function on dense pressures (frames, taxels), Pa; successive calls continue one
         stream, so that the noise does not depend on how frames are batched.
         """

@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from ..core.config import quantity
-from . import BaseEffect, Context, Motion
+from . import BaseEffect, Context, FrameTransform
 from .frames import Frames
 
 GRAVITY = 9.81
@@ -32,9 +32,9 @@ class GravityError(BaseEffect):
 
     def bound(self, context: Context) -> float:
         """With the whole weight along the normal, m."""
-        return context.misjudged(abs(self.mass) * GRAVITY)
+        return context.force_error_bound(abs(self.mass) * GRAVITY)
 
-    def build(self, context: Context) -> Motion:
+    def build(self, context: Context) -> FrameTransform:
         """A function without memory."""
 
         def weigh(frames: Frames) -> Frames:

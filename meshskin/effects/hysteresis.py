@@ -16,7 +16,7 @@ import numpy as np
 
 from ..core.config import quantity
 from ..core.se3 import Array
-from . import BaseEffect, Context, Pressures
+from . import BaseEffect, Context, PressureTransform
 from .frames import Frames
 
 
@@ -42,9 +42,9 @@ class Hysteresis(BaseEffect):
 
     def bound(self, context: Context) -> float:
         """From the largest lag, m."""
-        return context.misread(self.share * self.mean_width)
+        return context.reading_error_bound(self.share * self.mean_width)
 
-    def build(self, context: Context) -> Pressures:
+    def build(self, context: Context) -> PressureTransform:
         """A function that remembers the plays from batch to batch."""
         width = self.width_relative * context.peak_pressure * np.arange(1, self.plays + 1)
         width = width[:, None] / self.plays

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from ..core.config import quantity
-from . import BaseEffect, Context, Motion
+from . import BaseEffect, Context, FrameTransform
 from .frames import Frames
 
 
@@ -30,7 +30,7 @@ class IndenterOffset(BaseEffect):
         """|d|, m: on a convex body the foot moves less than the centre."""
         return float(np.linalg.norm(self.offset))
 
-    def build(self, context: Context) -> Motion:
+    def build(self, context: Context) -> FrameTransform:
         """A function without memory."""
 
         def displace(frames: Frames) -> Frames:

@@ -20,8 +20,8 @@ import numpy as np
 from ..core.config import quantity
 from ..core.errors import ConfigError
 from ..core.se3 import Array
-from . import BaseEffect, Context, Motion
-from .frames import Frames, Memory
+from . import BaseEffect, Context, FrameTransform
+from .frames import FrameHistory, Frames
 
 SLOW = 1e-3
 """Joint speed at which friction is at tanh(1) of its full value, rad/s."""
@@ -55,16 +55,16 @@ class JointFriction(BaseEffect):
         )
         h = levers(context, q, foot.point, foot.normal)
         worst = np.abs(h).sum(axis=1) / np.sum(h**2, axis=1)
-        return context.misjudged(self.torque * float(worst.max()))
+        return context.force_error_bound(self.torque * float(worst.max()))
 
-    def build(self, context: Context) -> Motion:
+    def build(self, context: Context) -> FrameTransform:
         """A function that remembers the last frame. Raises ConfigError without an arm."""
         if not context.joints:
             raise ConfigError(
                 "the effect joint_friction needs the joints of an arm",
                 remedy='set loop.mode = "arm"',
             )
-        memory = Memory(context.period, context.period)
+        memory = FrameHistory(context.period, context.period)
 
         def infer(frames: Frames) -> Frames:
             memory.extend(frames)

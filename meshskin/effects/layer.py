@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from ..contact import Model
+from ..contact import ContactModel
 from ..contact.reading import ReadingModel
 from ..core.config import quantity
 from . import BaseEffect, Context
@@ -31,7 +31,7 @@ class Layer(BaseEffect):
 
     def bound(self, context: Context) -> float:
         """From the reading that the layer changes most, m."""
-        return context.misread_as(self._on(context.ideal, context.poisson))
+        return context.model_error_bound(self._on(context.reading_model, context.poisson))
 
     def build(self, context: Context) -> Callable[[ReadingModel], ReadingModel]:
         """A field without memory. Raises ContactError where the layer leaves the model's range."""
@@ -39,4 +39,4 @@ class Layer(BaseEffect):
         return lambda ideal: self._on(ideal, context.poisson)
 
     def _on(self, ideal: ReadingModel, poisson: float) -> ReadingModel:
-        return replace(ideal, model=Model("layered", poisson, self.thickness))
+        return replace(ideal, model=ContactModel("layered", poisson, self.thickness))

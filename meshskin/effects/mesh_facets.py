@@ -12,8 +12,8 @@ from typing import ClassVar
 import numpy as np
 
 from ..geometry.surface.facets import Facets
-from . import BaseEffect, Context, Motion
-from .frames import Foot, Frames
+from . import BaseEffect, Context, FrameTransform
+from .frames import ClosestPoint, Frames
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class MeshFacets(BaseEffect):
         off = np.linalg.norm(facets(context)(centres)[0] - smooth, axis=1)
         return 2.0 * float(off.max())
 
-    def build(self, context: Context) -> Motion:
+    def build(self, context: Context) -> FrameTransform:
         """A function without memory; what moves contacts afterwards does it on facets too."""
         foot = facets(context)
 
@@ -42,6 +42,6 @@ class MeshFacets(BaseEffect):
         return flatten
 
 
-def facets(context: Context) -> Foot:
+def facets(context: Context) -> ClosestPoint:
     """Closest points of the flat mesh that the robot's software has."""
     return Facets(context.body.facets).closest

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core.config import quantity
 from ..core.se3 import Array
-from . import BaseEffect, Context, Pressures
+from . import BaseEffect, Context, PressureTransform
 from .frames import Frames
 
 
@@ -33,9 +33,9 @@ class Quantisation(BaseEffect):
     def bound(self, context: Context) -> float:
         """From half a step, and from what the end of the scale cuts off, m."""
         half = self.step(context) / 2.0 / context.peak_pressure
-        return context.misread(max(half, 1.0 - self.scale_relative))
+        return context.reading_error_bound(max(half, 1.0 - self.scale_relative))
 
-    def build(self, context: Context) -> Pressures:
+    def build(self, context: Context) -> PressureTransform:
         """A function without memory."""
         step, most = self.step(context), 2**self.bits - 1
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from ..core.config import quantity
 from ..core.se3 import Array
-from . import BaseEffect, Context, Pressures
+from . import BaseEffect, Context, PressureTransform
 from .frames import Frames
 
 
@@ -41,9 +41,9 @@ class Relaxation(BaseEffect):
 
     def bound(self, context: Context) -> float:
         """Between a place that is quite relaxed and one that is not at all, m."""
-        return context.misread((1.0 - self.relaxed) / self.relaxed)
+        return context.reading_error_bound((1.0 - self.relaxed) / self.relaxed)
 
-    def build(self, context: Context) -> Pressures:
+    def build(self, context: Context) -> PressureTransform:
         """A function that remembers what each place has gone through, from batch to batch."""
         history = _History(self.time_constant, 1.5 * context.period)
         lost = 1.0 - self.relaxed

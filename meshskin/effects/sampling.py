@@ -12,8 +12,8 @@ from typing import ClassVar
 import numpy as np
 
 from ..core.config import quantity
-from . import BaseEffect, Context, Motion
-from .frames import Frames, Memory
+from . import BaseEffect, Context, FrameTransform
+from .frames import FrameHistory, Frames
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,9 @@ class Sampling(BaseEffect):
         """The way of the contact in a period and the delay, m."""
         return context.speed * (1.0 / self.rate + self.delay)
 
-    def build(self, context: Context) -> Motion:
+    def build(self, context: Context) -> FrameTransform:
         """A function that looks back, over the seams of batches too."""
-        memory = Memory(1.0 / self.rate + self.delay, context.period)
+        memory = FrameHistory(1.0 / self.rate + self.delay, context.period)
 
         def hold(frames: Frames) -> Frames:
             memory.extend(frames)

@@ -15,7 +15,7 @@ import numpy as np
 from ..core.config import quantity
 from ..core.se3 import Array
 from . import BaseEffect, Context
-from .frames import Field, Frames, Memory
+from .frames import FrameHistory, Frames, PressureField
 
 
 @dataclass(frozen=True)
@@ -42,12 +42,12 @@ class ScanOrder(BaseEffect):
         """The way of the contact in the largest lag, m."""
         return context.speed * float(self.lags(context).max())
 
-    def build(self, context: Context) -> Callable[[Field], Field]:
+    def build(self, context: Context) -> Callable[[PressureField], PressureField]:
         """A field that looks back, over the seams of batches too."""
         lags, mine = self.lags(context), np.asarray(context.skin.ids) % self.slots
-        memory = Memory(float(lags.max()), context.period)
+        memory = FrameHistory(float(lags.max()), context.period)
 
-        def wrap(field: Field) -> Field:
+        def wrap(field: PressureField) -> PressureField:
             def scan(frames: Frames, poses: Array) -> Array:
                 memory.extend(frames)
                 out = np.empty((len(frames), len(poses)))

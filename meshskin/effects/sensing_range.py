@@ -10,7 +10,7 @@ import numpy as np
 from ..core.config import quantity
 from ..core.errors import ConfigError
 from ..core.se3 import Array
-from . import BaseEffect, Context, Pressures
+from . import BaseEffect, Context, PressureTransform
 from .frames import Frames
 
 
@@ -39,9 +39,9 @@ class SensingRange(BaseEffect):
     def bound(self, context: Context) -> float:
         """From what is cut at either end, m."""
         cut = max(self.threshold_relative, 1.0 - self.saturation_relative)
-        return context.misread(min(cut, 1.0))
+        return context.reading_error_bound(min(cut, 1.0))
 
-    def build(self, context: Context) -> Pressures:
+    def build(self, context: Context) -> PressureTransform:
         """A function without memory."""
         least = self.threshold_relative * context.peak_pressure
         most = self.saturation_relative * context.peak_pressure

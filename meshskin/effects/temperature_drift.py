@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core.config import quantity
 from ..core.se3 import Array
-from . import BaseEffect, Context, Pressures
+from . import BaseEffect, Context, PressureTransform
 from .frames import Frames
 
 
@@ -30,9 +30,9 @@ class TemperatureDrift(BaseEffect):
 
     def bound(self, context: Context) -> float:
         """When all is warm, m."""
-        return context.misread(abs(self.gain_drift) + abs(self.offset_relative))
+        return context.reading_error_bound(abs(self.gain_drift) + abs(self.offset_relative))
 
-    def build(self, context: Context) -> Pressures:
+    def build(self, context: Context) -> PressureTransform:
         """A function of the frames' times."""
         offset = self.offset_relative * context.peak_pressure
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..contact import Model, Patches
+from ..contact import ContactModel, Patches
 from ..core.errors import CalibrationError
 from ..core.se3 import Array
 from . import chart
@@ -163,7 +163,7 @@ def _patches(curvature: Array, belief: Belief, modulus: float) -> Patches:
             remedy="give the belief a force_reference",
         )
     material = belief.material
-    model = Model(belief.contact, material.poisson, material.thickness)
+    model = ContactModel(belief.contact, material.poisson, material.thickness)
     return model.patches(
         force=np.full(len(curvature), belief.force_reference),
         curvature=curvature,

@@ -132,7 +132,7 @@ def setup_of(scene: Scene) -> ContactRig:
         scene.skin.disc_radius,
         scene.arm if scene.loop.mode == "arm" else None,
         scene.mount_pose,
-        scene.refusals,
+        scene.invalid_reasons,
     )
 
 
@@ -155,7 +155,7 @@ def route(scene: Scene) -> tuple[paths.Path, Array]:
     """
     pattern = scene.exploration.pattern
     if pattern == "parallels" or (pattern == "auto" and is_cap(scene)):
-        scene.judge(scene.body.closest(scene.skin.positions).curvature)
+        scene.check_contact(scene.body.closest(scene.skin.positions).curvature)
         if scene.loop.mode != "arm":
             path = parallels(scene, 0.0, scene.loop.dt)
             return path, start_of(scene, path)
@@ -187,7 +187,7 @@ def is_cap(scene: Scene) -> bool:
 def above(scene: Scene, pose: Array) -> Array:
     """A pose at the reference depth, lifted to the standoff."""
     above = pose.copy()
-    above[:3, 3] += (scene.exploration.standoff + scene.patch.depth) * scene.indenter.up
+    above[:3, 3] += (scene.exploration.standoff + scene.patch.depth) * scene.indenter.axis
     return above
 
 

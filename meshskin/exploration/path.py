@@ -228,7 +228,7 @@ def plan(
     )
     # seen from far away along a direction, the closest point of a convex body has about that normal
     hit = body.closest(centre + 10 * size * wanted)
-    rotations = indenter.frame @ body_rotations(hit.normal, axis, heading)
+    rotations = indenter.rotation @ body_rotations(hit.normal, axis, heading)
     reach = hit.point + gap * hit.normal
     positions = np.array(indenter.position) - np.einsum("kij,kj->ki", rotations, reach)
     poses = transform(rotations, positions)

@@ -250,7 +250,7 @@ def _meets_support(shape: Links, points: Array, indenter: Indenter) -> NDArray[n
     """
     ends, out = shape.capsules(points), np.zeros(len(points), dtype=bool)
     top = np.array(indenter.position)
-    foot = top - (indenter.radius + indenter.support_height) * indenter.up
+    foot = top - (indenter.radius + indenter.support_height) * indenter.axis
     thick = shape.radii + indenter.column_radius
     k, link = np.nonzero(apart(ends, np.sort([foot, top], axis=0)) < thick)
     gap = segment_distance(ends[k, link, 0], ends[k, link, 1], top, foot)

@@ -74,7 +74,7 @@ class ContactRig:
         tips, normals, headings = np.broadcast_arrays(tips, normals, headings)
         down, x = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0])
         local = np.stack([headings, np.cross(normals, headings), normals], axis=-1)
-        held = self.indenter.frame @ np.stack([x, np.cross(down, x), down], axis=-1)
+        held = self.indenter.rotation @ np.stack([x, np.cross(down, x), down], axis=-1)
         rotation = held @ np.swapaxes(local, -1, -2)
         place = np.array(self.indenter.position) - np.einsum("...ij,...j->...i", rotation, tips)
         return np.asarray(transform(rotation, place))

@@ -14,15 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..contact import AUTO, BATCHED, Model, Patch
-from ..contact.indentation import Indentation
+from ..contact import AUTO, BATCHED, ContactModel, Patch
 from ..contact.indenter import Indenter
-from ..contact.material import Material
+from ..contact.material import Indentation, Material
 from ..contact.reading import ReadingModel
 from ..core.arguments import altered, known, needs, real, shown
 from ..core.errors import ConfigError, SkinError
 from ..core.se3 import Array, is_rigid, transform
-from ..effects import Context, Noise
+from ..effects import Context, NoiseEffect
 from ..geometry.body import Body
 from ..robot import contact_postures
 from ..robot.arm import Arm
@@ -152,7 +151,7 @@ class Scene:
         return Indentation(self.law.force_reference, self.indenter.radius, self.material)
 
     @cached_property
-    def model(self) -> Model:
+    def model(self) -> ContactModel:
         """The contact model; of "auto", the first that holds at every taxel where any does.
 
         Raises UnknownNameError.
@@ -160,18 +159,20 @@ class Scene:
         known("contact model of a scene", self.contact, (*BATCHED, AUTO))
         name = self.contact
         if name == AUTO:
-            name = self.indentation.first_to_hold(self.body.closest(self.skin.positions).curvature)
+            name = self.indentation.first_valid_model(
+                self.body.closest(self.skin.positions).curvature
+            )
         return self.indentation.model(name)
 
-    def refusals(self, curvature: Array) -> Array:
+    def invalid_reasons(self, curvature: Array) -> Array:
         """Why the contact model does not hold (k,) at principal curvatures (k, 2), 1/m: strings, ""
         where it does.
         """
-        return self.indentation.refusals(self.model.name, curvature)
+        return self.indentation.invalid_reasons(self.model.name, curvature)
 
-    def judge(self, curvature: Array) -> None:
+    def check_contact(self, curvature: Array) -> None:
         """Raise ContactError if the contact model leaves its range at one of (k, 2) curvatures."""
-        for k in np.flatnonzero(self.refusals(curvature) != "")[:1]:
+        for k in np.flatnonzero(self.invalid_reasons(curvature) != "")[:1]:
             self.indentation.patch(self.model.name, curvature[k])
 
     @cached_property
@@ -183,7 +184,7 @@ class Scene:
         near = np.argsort(np.linalg.norm(positions - positions.mean(axis=0), axis=1))
         places = np.concatenate([positions.mean(axis=0)[None], positions[near]])
         curvature = self.body.closest(places).curvature
-        good = np.flatnonzero(self.refusals(curvature) == "")
+        good = np.flatnonzero(self.invalid_reasons(curvature) == "")
         return self.indentation.patch(self.model.name, curvature[good[0] if len(good) else 0])
 
     @property
@@ -192,7 +193,7 @@ class Scene:
         return self.readout.threshold_relative * self.patch.peak
 
     @property
-    def ideal(self) -> ReadingModel:
+    def reading_model(self) -> ReadingModel:
         """How contacts become pressures where no effect changes it."""
         return ReadingModel(
             self.model,
@@ -216,7 +217,7 @@ class Scene:
             speed=self.exploration.speed,
             skin=self.skin,
             body=self.body,
-            ideal=self.ideal,
+            reading_model=self.reading_model,
             pose=self.body_pose,
             postures=lambda: self.postures,
             joints=len(self.arm.joint_names) if self.loop.mode == "arm" else 0,
@@ -253,7 +254,7 @@ class Scene:
         Raises ConfigError for what is no field of a Belief, or no value of it.
         """
         context = self.context(0)
-        sigma = [e.sigma(context) for e in self.effects if isinstance(e, Noise)]
+        sigma = [e.sigma(context) for e in self.effects if isinstance(e, NoiseEffect)]
         known = Belief(
             body=self.body,
             indenter=self.indenter,

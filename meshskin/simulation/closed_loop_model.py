@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..contact import Model
+from ..contact import ContactModel
 from ..core.arguments import known
 from ..core.se3 import Array
 from ..scene.settings import INTEGRATORS, MODES, Law
@@ -82,7 +82,7 @@ class ClosedLoopModel:
     """One of INTEGRATORS; with mode "quasi_static" the body follows the law's velocity exactly."""
     mode: str = "arm"
     """"arm": the arm's dynamics; "quasi_static": the body moves as the law asks, without an arm."""
-    contact: Model = field(default_factory=Model)
+    contact: ContactModel = field(default_factory=ContactModel)
     """Contact model that gives the force."""
     delay: int = 0
     """Steps by which the reading of the contact that the law hears is old."""

@@ -46,7 +46,7 @@ def pressed(scene: Scene, seed: int) -> Touch:
         good = why == ""
         _require_one(why)
         recording = press(scene, points[good], chain=chain)
-        chain.rest(APART)
+        chain.start_next_run(APART)
         return recording, why
 
     return touch
@@ -64,7 +64,7 @@ def touched(scene: Scene, seed: int) -> Touch:
         why[order] = reasons
         _require_one(why)
         recording = simulate(scene, path=Path.joined(found), chain=chain)
-        chain.rest(APART)
+        chain.start_next_run(APART)
         return last_of_each(recording), why
 
     return touch

@@ -24,7 +24,9 @@ FRAME_CELLS = 2e6
 
 def effect_chain(scene: Scene, seed: int) -> effects.EffectPipeline:
     """The scene's effects on frames that follow one another."""
-    return effects.EffectPipeline.of(scene.effects, scene.context(seed), scene.ideal)
+    return effects.EffectPipeline.from_effects(
+        scene.effects, scene.context(seed), scene.reading_model
+    )
 
 
 def contact_frames(
@@ -43,7 +45,7 @@ def contact_frames(
     points, normals = outputs[:, rows["point"]], outputs[:, rows["normal"]]
     centres = points + (scene.indenter.radius - outputs[:, rows["depth"]]) * normals
     frames = frames_at(scene, time, points, normals, outputs[:, rows["force"].start], centres, q)
-    return frames.rows(scene.refusals(frames.curvature) == "")
+    return frames.rows(scene.invalid_reasons(frames.curvature) == "")
 
 
 def frames_at(

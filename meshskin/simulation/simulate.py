@@ -139,7 +139,7 @@ def closed_loop(scene: Scene) -> ClosedLoopModel:
         mount=scene.mount_pose,
         indenter_position=np.array(scene.indenter.position),
         indenter_radius=scene.indenter.radius,
-        indenter_direction=scene.indenter.up,
+        indenter_direction=scene.indenter.axis,
         effective_modulus=scene.material.effective_modulus,
         law=scene.law,
         dt=scene.loop.dt,

@@ -111,7 +111,7 @@ def _at_rest(scene: Scene, hit: Closest, forces: Array, spin: Array) -> Frames:
     )
     centres = hit.point + (scene.indenter.radius - patches.depth)[:, None] * hit.normal
     turned = exp_so3(spin[:, None] * [0.0, 0.0, 1.0]) @ _down(hit.normal)
-    turned = scene.indenter.frame @ turned
+    turned = scene.indenter.rotation @ turned
     place = np.array(scene.indenter.position) - np.einsum("kij,kj->ki", turned, centres)
     time = APART * np.arange(float(len(forces)))
     q = np.concatenate([place, quaternion(turned)[:, [3, 0, 1, 2]]], axis=1)

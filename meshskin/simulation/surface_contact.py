@@ -7,7 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from ..contact import Model
+from ..contact import ContactModel
 from ..geometry.surface.patch import POWERS, casadi_foot
 from .closed_loop_model import Parameters
 
@@ -32,7 +32,7 @@ class Touch:
     """Penetration, m; negative in the air."""
     force: ca.SX
     """N."""
-    model: Model
+    model: ContactModel
     """Contact model that gives the force."""
     p: Parameters
 
@@ -80,7 +80,7 @@ class Touch:
 
 
 def touch(
-    anchor: ca.SX, uv: ca.SX, centre: ca.SX, p: Parameters, model: Model, newton: int = 1
+    anchor: ca.SX, uv: ca.SX, centre: ca.SX, p: Parameters, model: ContactModel, newton: int = 1
 ) -> Touch:
     """The contact of an indenter centred at `centre` (3,), body frame.
 

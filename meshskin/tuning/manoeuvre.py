@@ -172,7 +172,7 @@ def _on_heading(
     tips (k, 3): the indenter's centre in the body frame, m.
     """
     ahead, down = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([0.0, 0.0, -1.0])
-    world = indenter.frame @ np.stack([ahead, np.cross(down, ahead), down], axis=1)
+    world = indenter.rotation @ np.stack([ahead, np.cross(down, ahead), down], axis=1)
     rotation = world @ frames.swapaxes(1, 2)
     return rotation, np.array(indenter.position) - np.einsum("kij,kj->ki", rotation, tips)
 

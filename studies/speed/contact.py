@@ -92,7 +92,7 @@ def table_errors() -> np.ndarray:
             thin.peak / whole.peak,
             thin.depth / whole.depth,
         )
-        found = np.array(layered.Layer(poisson, 1.0).factors(np.array(chi))[:3])
+        found = np.array(layered.BondedLayer(poisson, 1.0).factors(np.array(chi))[:3])
         rows.append(np.abs(found / made - 1))
     return np.array(rows)
 
@@ -149,10 +149,12 @@ def discs(rng: np.random.Generator) -> dict[str, float]:
 def queries() -> dict[str, float]:
     """Milliseconds to find the contacts of a sphere, shallow and deep."""
     body = Body.torus(0.05, 0.02, faces=20_000)
-    multi_contact.contacts(body, [0.079, 0.0, 0.0], 0.01)
+    multi_contact.find_contacts(body, [0.079, 0.0, 0.0], 0.01)
     return {
         f"several: ms a query, {depth} mm deep": 1e3
-        * best(partial(multi_contact.contacts, body, [0.08 - 1e-3 * depth, 0.0, 0.0], 0.01), 20)
+        * best(
+            partial(multi_contact.find_contacts, body, [0.08 - 1e-3 * depth, 0.0, 0.0], 0.01), 20
+        )
         for depth in (0.3, 1.0, 5.0)
     }
 

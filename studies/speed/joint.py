@@ -43,7 +43,7 @@ def world(
     import pyarrow as pa
     from scipy.spatial import cKDTree
 
-    from meshskin.contact import Model, hertz
+    from meshskin.contact import ContactModel, hertz
     from meshskin.contact.indenter import Indenter
     from meshskin.contact.material import Material
     from meshskin.contact.reading import disc_pressures
@@ -60,7 +60,7 @@ def world(
     hit = body.closest(contacts)
     force = FORCE * (1 + 0.01 * rng.normal(size=len(contacts)))
     modulus = hertz.effective_modulus(YOUNG, POISSON)
-    model = Model(contact, POISSON, LAYER if contact == "layered" else None)
+    model = ContactModel(contact, POISSON, LAYER if contact == "layered" else None)
     patches = model.patches(
         force=force, curvature=hit.curvature, indenter_radius=INDENTER, effective_modulus=modulus
     )

@@ -10,9 +10,9 @@ from meshskin.core.errors import ConfigError
 
 def test_the_default_points_straight_up_to_the_last_bit():
     place = ms.Indenter()
-    assert np.array_equal(place.up, [0.0, 0.0, 1.0])
-    assert np.array_equal(place.frame, np.eye(3))
-    assert np.array_equal(ms.Indenter(direction=(0.0, 0.0, 7.5)).frame, np.eye(3))
+    assert np.array_equal(place.axis, [0.0, 0.0, 1.0])
+    assert np.array_equal(place.rotation, np.eye(3))
+    assert np.array_equal(ms.Indenter(direction=(0.0, 0.0, 7.5)).rotation, np.eye(3))
 
 
 @pytest.mark.parametrize(
@@ -26,8 +26,8 @@ def test_the_frame_is_the_least_turn_onto_the_direction(way):
     place = ms.Indenter.sphere(0.01, direction=way)
     large = np.array(way) / np.abs(way).max()
     along = large / np.linalg.norm(large)
-    np.testing.assert_allclose(place.up, along, atol=1e-15)
-    frame = place.frame
+    np.testing.assert_allclose(place.axis, along, atol=1e-15)
+    frame = place.rotation
     np.testing.assert_allclose(frame[:, 2], along, atol=1e-15)
     np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-15)
     assert np.linalg.det(frame) == pytest.approx(1.0)

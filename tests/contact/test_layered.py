@@ -96,7 +96,7 @@ def test_finite_elements_reach_hertz_and_converge():
 def test_against_finite_elements(thickness, poisson):
     chi, values = in_parts_of_hertz(thickness, poisson)
     assert 0.08 < chi < 5.5
-    found = np.array(layered.Layer(poisson, 1.0).factors(np.array(chi))[:3])
+    found = np.array(layered.BondedLayer(poisson, 1.0).factors(np.array(chi))[:3])
     assert found == pytest.approx(values, rel=5e-3)  # 3 % was asked for
 
 
@@ -112,7 +112,7 @@ def test_hertz_as_the_thickness_grows():
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.45, 0.49, 0.5])
 def test_thinner_is_stiffer(poisson):
     chi = np.linspace(0.0, layered.MAX_CHI, 300)
-    radius, peak, depth, aspect = layered.Layer(poisson, 1.0).factors(chi)
+    radius, peak, depth, aspect = layered.BondedLayer(poisson, 1.0).factors(chi)
     assert np.all(np.diff(peak[1:]) > 0)
     assert np.all(np.diff(depth) < 0)
     assert np.all(np.diff(radius[30:]) < 0)
@@ -148,14 +148,14 @@ def test_against_boundary_elements_on_ellipses(pair, poisson, thickness):
 
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.49, 0.5])
 def test_force_inverts_depth(poisson):
-    layer, flat = layered.Layer(poisson, 2e-3), np.zeros((60, 2))
+    layer, flat = layered.BondedLayer(poisson, 2e-3), np.zeros((60, 2))
     force = np.geomspace(1e-5, 1.0, 60) * 4 / 3 * 1e6 / 0.01 * (9.9 * 2e-3) ** 3
     found = layer.patches(force, flat, 0.01, 1e6)
     assert layer.force(found.depth, flat, 0.01, 1e6) == pytest.approx(force, rel=1e-8)
 
 
 def test_casadi_alike_with_finite_derivatives():
-    layer, pair = layered.Layer(0.49, 2e-3), [30.0, -20.0]
+    layer, pair = layered.BondedLayer(0.49, 2e-3), [30.0, -20.0]
     f, k, d = ca.SX.sym("f"), ca.SX.sym("k", 2), ca.SX.sym("d")
     whole = ca.Function("p", [f, k], list(layer.patches(f, k, 0.01, 1e6)))
     plain = layer.patches(1.0, np.array(pair), 0.01, 1e6)
@@ -189,7 +189,7 @@ def test_refuses_what_leaves_the_range(change, names):
 
 def test_batch_refuses_what_leaves_the_table():
     with pytest.raises(ContactError, match="thinner"):
-        layered.Layer(0.4, 1e-4).patches(np.array([1e-9, 1.0]), np.zeros((2, 2)), 0.01, 1e6)
+        layered.BondedLayer(0.4, 1e-4).patches(np.array([1e-9, 1.0]), np.zeros((2, 2)), 0.01, 1e6)
 
 
 def test_zero_force_is_an_empty_patch():
@@ -204,7 +204,7 @@ def test_table_is_what_its_script_makes(chi, poisson):
     spec = importlib.util.spec_from_file_location("layer_table", file)
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
-    found = np.array(layered.Layer(poisson, 1.0).factors(np.array(chi)))
+    found = np.array(layered.BondedLayer(poisson, 1.0).factors(np.array(chi)))
     made = script.factors(chi, poisson)
     assert found[:3] == pytest.approx(made[:3], rel=2e-3)
     assert found[3] == pytest.approx(made[3], rel=1e-2)

@@ -198,7 +198,7 @@ def test_a_model_holds_for_many_contacts_where_it_solves_each(model, thickness, 
     for force, modulus in [(1.0, 0.5e6), (3.0, 0.05e6)]:
         case = {"force": force, "indenter_radius": 0.01}
         soft = {"modulus": modulus, "poisson": poisson, "thickness": thickness}
-        many = contact.Model(model, poisson, thickness).holds(
+        many = contact.ContactModel(model, poisson, thickness).is_valid(
             curvature=curvature, effective_modulus=modulus / (1 - poisson**2), **case
         )
         each = []

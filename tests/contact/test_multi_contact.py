@@ -31,7 +31,7 @@ def valley():
 def test_one_contact_on_a_convex_body():
     body = Body.ellipsoid((0.1, 0.07, 0.05))
     foot = body.closest([[0.05, 0.05, 0.05]])
-    found = multi_contact.contacts(body, foot.point[0] + 9e-3 * foot.normal[0], 0.01)
+    found = multi_contact.find_contacts(body, foot.point[0] + 9e-3 * foot.normal[0], 0.01)
     assert len(found) == 1
     assert found.point == pytest.approx(foot.point, abs=1e-8)
     assert found.normal == pytest.approx(foot.normal, abs=1e-6)
@@ -40,7 +40,7 @@ def test_one_contact_on_a_convex_body():
 
 
 def test_no_contact_out_of_reach():
-    found = multi_contact.contacts(Body.sphere(0.1), [0.0, 0.0, 0.12], 0.01)
+    found = multi_contact.find_contacts(Body.sphere(0.1), [0.0, 0.0, 0.12], 0.01)
     assert len(found) == 0
     assert found.point.shape == (0, 3)
 
@@ -48,7 +48,7 @@ def test_no_contact_out_of_reach():
 def test_two_walls_of_a_v_groove():
     groove = height_field(lambda x, y: np.abs(x))
     height = (0.01 - 0.3e-3) * np.sqrt(2)
-    found, force, patches = multi_contact.press(groove, [0.0, 0.0, height], 0.01, **SOFT)
+    found, force, patches = multi_contact.solve_contacts(groove, [0.0, 0.0, height], 0.01, **SOFT)
     assert len(found) == 2
     order = np.argsort(found.point[:, 0])
     root = np.sqrt(0.5)
@@ -65,7 +65,7 @@ def test_two_sides_of_a_valley(valley):
     foot = minimize_scalar(
         lambda x: np.hypot(x, 100 * x**2 - centre[2]), bounds=(1e-3, 0.02), options={"xatol": 1e-12}
     )
-    found = multi_contact.contacts(valley, centre, 0.0105)
+    found = multi_contact.find_contacts(valley, centre, 0.0105)
     assert len(found) == 2
     assert np.sort(found.point[:, 0]) == pytest.approx([-foot.x, foot.x], abs=2e-6)
     assert found.depth == pytest.approx(0.0105 - foot.fun, abs=1e-7)
@@ -76,7 +76,7 @@ def test_two_sides_of_a_valley(valley):
 
 
 def test_unequal_sides_are_ordered_by_depth(valley):
-    found = multi_contact.contacts(valley, [0.3e-3, 0.0, 0.0121], 0.0106)
+    found = multi_contact.find_contacts(valley, [0.3e-3, 0.0, 0.0121], 0.0106)
     assert len(found) == 2
     assert found.depth[0] > found.depth[1] + 1e-5
     assert found.point[0, 0] > 0
@@ -85,7 +85,7 @@ def test_unequal_sides_are_ordered_by_depth(valley):
 def test_each_is_what_its_model_gives(valley):
     for thickness in (None, 3e-3):
         model = "elliptic" if thickness is None else "layered"
-        found, force, patches = multi_contact.press(
+        found, force, patches = multi_contact.solve_contacts(
             valley, [0.0, 0.0, 0.0121], 0.0103, thickness=thickness, **SOFT
         )
         for f, k, depth, patch in zip(force, found.curvature, found.depth, patches, strict=True):
@@ -123,7 +123,7 @@ def test_thin_wall_is_touched_from_outside_only():
     plate = trimesh.creation.box((0.06, 0.06, 0.002))
     for _ in range(4):
         plate = plate.subdivide()
-    found = multi_contact.contacts(Body("plate", plate), [0.003, 0.002, 0.001 + 0.007], 0.01)
+    found = multi_contact.find_contacts(Body("plate", plate), [0.003, 0.002, 0.001 + 0.007], 0.01)
     assert len(found) == 1
     assert found.point[0] == pytest.approx([0.003, 0.002, 0.001], abs=1e-6)
 
@@ -131,30 +131,30 @@ def test_thin_wall_is_touched_from_outside_only():
 def test_refuses_a_ring_an_edge_and_an_inside():
     torus = Body.torus(0.05, 0.02)
     with pytest.raises(ContactError, match="along a curve"):
-        multi_contact.contacts(torus, [0.0, 0.0, 0.0], 0.031)
+        multi_contact.find_contacts(torus, [0.0, 0.0, 0.0], 0.031)
     for height in (0.018, 0.0):  # just under the surface, and deeper than the sphere reaches
         with pytest.raises(ContactError, match="inside the body"):
-            multi_contact.contacts(torus, [0.05, 0.0, height], 0.01)
+            multi_contact.find_contacts(torus, [0.05, 0.0, height], 0.01)
     with pytest.raises(ContactError, match="finite"):
-        multi_contact.contacts(torus, [np.nan, 0.0, 0.0], 0.01)
+        multi_contact.find_contacts(torus, [np.nan, 0.0, 0.0], 0.01)
     roof = height_field(lambda x, y: -np.abs(x))
-    assert not multi_contact.contacts(roof, [0.0, 0.0, 0.0095], 0.01).smooth.any()
+    assert not multi_contact.find_contacts(roof, [0.0, 0.0, 0.0095], 0.01).smooth.any()
     with pytest.raises(ContactError, match="edge"):
-        multi_contact.press(roof, [0.0, 0.0, 0.0095], 0.01, **SOFT)
+        multi_contact.solve_contacts(roof, [0.0, 0.0, 0.0095], 0.01, **SOFT)
 
 
 def test_refuses_patches_that_meet():
     shallow = height_field(lambda x, y: 52.0 * x**2)
-    found = multi_contact.contacts(shallow, [0.0, 0.0, 0.0101], 0.0102)
+    found = multi_contact.find_contacts(shallow, [0.0, 0.0, 0.0101], 0.0102)
     assert len(found) == 2
     with pytest.raises(ContactError, match=r"meet|wide"):
-        multi_contact.press(shallow, [0.0, 0.0, 0.0101], 0.0102, **SOFT)
+        multi_contact.solve_contacts(shallow, [0.0, 0.0, 0.0101], 0.0102, **SOFT)
 
 
 def test_shallow_minima_on_a_fine_mesh():
     """Flat faces put the minima some faces off: the walks must not fall into the other side."""
     shallow = height_field(lambda x, y: 52.0 * x**2, n=241)
-    found = multi_contact.contacts(shallow, [1e-6, 0.0, 0.0101], 0.0102)
+    found = multi_contact.find_contacts(shallow, [1e-6, 0.0, 0.0101], 0.0102)
     x = np.linspace(-0.01, 0.01, 2_000_001)
     distance = np.hypot(x - 1e-6, 52 * x**2 - 0.0101)
     least = 1 + np.flatnonzero((np.diff(distance[:-1]) < 0) & (np.diff(distance[1:]) > 0))

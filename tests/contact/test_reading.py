@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from meshskin import Body, contact
-from meshskin.contact import Model
+from meshskin.contact import ContactModel
 from meshskin.contact.reading import disc_pressures
 
 E_STAR, DISC, INDENTER = 4e5, 2e-3, 0.01
@@ -30,9 +30,13 @@ def readings(hit, taxels, model):
 @pytest.mark.parametrize(
     ("model", "body", "where"),
     [
-        (Model("elliptic"), Body.capsule(0.03, 0.2), (0.05, 0.01, 0.03)),
-        (Model("elliptic"), Body.torus(0.1, 0.03), (0.06, 0.01, 0.0)),  # a saddle
-        (Model("layered", 0.45, 4e-3), Body.ellipsoid((0.1, 0.07, 0.05)), (0.05, 0.05, 0.03)),
+        (ContactModel("elliptic"), Body.capsule(0.03, 0.2), (0.05, 0.01, 0.03)),
+        (ContactModel("elliptic"), Body.torus(0.1, 0.03), (0.06, 0.01, 0.0)),  # a saddle
+        (
+            ContactModel("layered", 0.45, 4e-3),
+            Body.ellipsoid((0.1, 0.07, 0.05)),
+            (0.05, 0.05, 0.03),
+        ),
     ],
 )
 def test_a_reading_is_the_mean_of_the_patch_over_the_disc(model, body, where):
@@ -60,8 +64,10 @@ def test_a_reading_is_the_mean_of_the_patch_over_the_disc(model, body, where):
 def test_on_a_sphere_the_ellipse_and_a_thick_layer_read_as_hertz():
     rng = np.random.default_rng(3)
     hit, _, taxels = place(Body.sphere(0.1), (0.03, 0.02, -0.09), rng)
-    hertz = readings(hit, taxels, Model())
+    hertz = readings(hit, taxels, ContactModel())
     peak = hertz.max()
-    np.testing.assert_allclose(readings(hit, taxels, Model("elliptic")), hertz, atol=2e-5 * peak)
-    thick = Model("layered", 0.49, 10.0)
+    np.testing.assert_allclose(
+        readings(hit, taxels, ContactModel("elliptic")), hertz, atol=2e-5 * peak
+    )
+    thick = ContactModel("layered", 0.49, 10.0)
     np.testing.assert_allclose(readings(hit, taxels, thick), hertz, atol=2e-3 * peak)

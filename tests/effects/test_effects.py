@@ -146,7 +146,7 @@ class Toy:
     cost: ClassVar[float] = 1e-9
 
     def bound(self, context):
-        return context.misread(abs(self.factor - 1.0))
+        return context.reading_error_bound(abs(self.factor - 1.0))
 
     def build(self, context):
         return lambda pressures, frames: self.factor * pressures

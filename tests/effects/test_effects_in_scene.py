@@ -67,7 +67,7 @@ def test_off_means_that_no_module_is_imported_and_nothing_acts():
     code = (
         "import sys, meshskin as ms; from meshskin import effects; "
         "s = ms.Scene.load('sphere'); field = lambda f, p: None; "
-        "chain = effects.EffectPipeline.of(s.effects, s.context(1), field); "
+        "chain = effects.EffectPipeline.from_effects(s.effects, s.context(1), field); "
         "assert chain == effects.EffectPipeline((), field, (), (), effects.Clock()); "
         "names = [m for m in sys.modules if m.startswith('meshskin.effects.')]; "
         "names = {name.rpartition('.')[2] for name in names}; "

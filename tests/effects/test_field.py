@@ -36,7 +36,7 @@ def bent(frame, pair):
 
 def solved(context, model, pair, **more):
     """The patch by the door for one contact."""
-    young = context.ideal.effective_modulus * (1 - context.poisson**2)
+    young = context.reading_model.effective_modulus * (1 - context.poisson**2)
     return ms.contact.solve(
         model,
         force=context.force,
@@ -50,19 +50,20 @@ def solved(context, model, pair, **more):
 
 @pytest.mark.parametrize("thickness", [3e-3, 8e-3, 0.05])
 def test_a_layer_reads_what_its_contact_model_says(context, frame, thickness):
-    read = Layer(thickness).build(context)(context.ideal)(frame, along(0))[0]
+    read = Layer(thickness).build(context)(context.reading_model)(frame, along(0))[0]
     patch = solved(context, "layered", (10.0, 10.0), thickness=thickness)
-    want = patch.reading(np.outer(REACH, [1.0, 0.0]), context.ideal.disc_radius)
+    want = patch.reading(np.outer(REACH, [1.0, 0.0]), context.reading_model.disc_radius)
     np.testing.assert_allclose(read, want, atol=2e-4 * patch.peak)
 
 
 def test_a_thinner_layer_presses_harder_and_a_thick_one_is_no_layer(context, frame):
-    middle, plain = along(0)[:1], context.ideal(frame, along(0)[:1])[0, 0]
+    middle, plain = along(0)[:1], context.reading_model(frame, along(0)[:1])[0, 0]
     peaks = [
-        Layer(t).build(context)(context.ideal)(frame, middle)[0, 0] for t in (0.05, 8e-3, 3e-3)
+        Layer(t).build(context)(context.reading_model)(frame, middle)[0, 0]
+        for t in (0.05, 8e-3, 3e-3)
     ]
     assert plain < peaks[0] < peaks[1] < peaks[2]
-    assert Layer(1e3).build(context)(context.ideal)(frame, middle)[0, 0] == pytest.approx(
+    assert Layer(1e3).build(context)(context.reading_model)(frame, middle)[0, 0] == pytest.approx(
         plain, 1e-4
     )
     assert Layer(0.05).bound(context) < Layer(8e-3).bound(context) < Layer(3e-3).bound(context)
@@ -72,16 +73,23 @@ def test_a_thinner_layer_presses_harder_and_a_thick_one_is_no_layer(context, fra
 
 def test_an_ellipse_reads_what_its_contact_model_says(context, frame):
     pair = (40.0, -5.0)
-    field, patch = EllipticPatch().build(context)(context.ideal), solved(context, "elliptic", pair)
+    field, patch = (
+        EllipticPatch().build(context)(context.reading_model),
+        solved(context, "elliptic", pair),
+    )
     for axis in (0, 1):  # the patch's own x axis lies along the smaller curvature
-        want = patch.reading(np.outer(REACH, np.eye(2)[1 - axis]), context.ideal.disc_radius)
+        want = patch.reading(
+            np.outer(REACH, np.eye(2)[1 - axis]), context.reading_model.disc_radius
+        )
         got = field(bent(frame, pair), along(axis))[0]
         np.testing.assert_allclose(got, want, atol=2e-4 * patch.peak)
-    circle, ellipse = (f(bent(frame, pair), along(0))[0] for f in (context.ideal, field))
+    circle, ellipse = (f(bent(frame, pair), along(0))[0] for f in (context.reading_model, field))
     assert ellipse[-15] < circle[-15]  # shorter than the circle along the larger curvature
-    same = field(frame, along(0)) - context.ideal(frame, along(0))
+    same = field(frame, along(0)) - context.reading_model(frame, along(0))
     assert np.abs(same).max() < 1e-5 * context.peak_pressure
-    layered = replace(context.ideal, model=Layer(0.01).build(context)(context.ideal).model)
+    layered = replace(
+        context.reading_model, model=Layer(0.01).build(context)(context.reading_model).model
+    )
     assert EllipticPatch().build(context)(layered) == layered
 
 
@@ -100,11 +108,11 @@ def test_what_leaving_out_the_ellipse_costs_is_below_its_bound():
 def test_discs_average_the_hertz_profile(context, frame):
     """A small disc reads it as it is; a wide one less in the middle and more at the rim."""
     a, peak = context.contact_radius, context.peak_pressure
-    point = DiscAveraging(5e-6).build(context)(context.ideal)(frame, along(0))[0]
+    point = DiscAveraging(5e-6).build(context)(context.reading_model)(frame, along(0))[0]
     want = peak * np.sqrt(np.maximum(1 - (REACH / a) ** 2, 0.0))
     np.testing.assert_allclose(point, want, atol=1e-4 * peak)
-    wide = DiscAveraging(3e-3).build(context)(context.ideal)(frame, along(0))[0]
-    assert wide[0] < context.ideal(frame, along(0))[0, 0] < point[0]
+    wide = DiscAveraging(3e-3).build(context)(context.reading_model)(frame, along(0))[0]
+    assert wide[0] < context.reading_model(frame, along(0))[0, 0] < point[0]
     assert wide[-10] > point[-10] == 0.0
 
 
@@ -118,8 +126,8 @@ def test_a_disc_is_the_disc_of_a_skin_that_has_it():
 
 def test_they_act_together_and_below_a_cover(context, frame):
     chosen = (CoverFabric(1e-3), DiscAveraging(1e-3), Layer(5e-3))
-    chain = effects.EffectPipeline.of(chosen, context, context.ideal)
-    model = Layer(5e-3).build(context)(context.ideal).model
-    ideal = replace(context.ideal, model=model, disc_radius=1e-3)
+    chain = effects.EffectPipeline.from_effects(chosen, context, context.reading_model)
+    model = Layer(5e-3).build(context)(context.reading_model).model
+    ideal = replace(context.reading_model, model=model, disc_radius=1e-3)
     want = CoverFabric(1e-3).build(context)(ideal)(frame, along(1))
     np.testing.assert_array_equal(chain.field(frame, along(1)), want)

@@ -11,7 +11,7 @@ from meshskin.core.se3 import exp_so3, transform
 from meshskin.effects.body_pose import BodyPose
 from meshskin.effects.encoder import Encoder
 from meshskin.effects.force_sensor import ForceSensor
-from meshskin.effects.frames import Memory
+from meshskin.effects.frames import FrameHistory
 from meshskin.effects.gravity_error import GravityError
 from meshskin.effects.indenter_offset import IndenterOffset
 from meshskin.effects.joint_friction import SLOW, JointFriction, levers
@@ -203,7 +203,7 @@ def test_directions_between_frames_are_unit_tangents_whatever_their_sign(glide):
     """A principal direction is known but for its sign, and on a sphere it is any tangent."""
     frames = glide(5e-4 * np.arange(6))
     flipped = replace(frames, directions=frames.directions * [[1], [-1], [1], [-1], [-1], [1]])
-    memory = Memory(0.1, 0.01)
+    memory = FrameHistory(0.1, 0.01)
     memory.extend(flipped)
     at = memory.at(np.linspace(0.0, 0.05, 37))
     np.testing.assert_allclose(np.linalg.norm(at.directions, axis=1), 1.0, rtol=1e-12)
@@ -214,7 +214,7 @@ def test_a_sample_at_a_frames_own_time_is_that_frame_before_a_loss_of_contact(gl
     """Rounding above the last frame of a touch must not give the first of the next one."""
     frames = glide(5e-4 * np.arange(6))
     time = np.array([0.0, 0.01, 0.02, 0.5, 0.51, 0.52])
-    memory = Memory(0.1, 0.01)
+    memory = FrameHistory(0.1, 0.01)
     memory.extend(replace(frames, time=time))
     at = memory.at(np.nextafter(time, 1.0))
     np.testing.assert_allclose(at.points, frames.points, atol=1e-12)

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from meshskin.contact import Model, hertz
+from meshskin.contact import ContactModel, hertz
 from meshskin.contact.disc import disc_mean
 from meshskin.contact.material import Material
 from meshskin.estimation.joint.contacts import LinearizedContacts
@@ -32,7 +32,7 @@ class World:
     step: float = 0.5e-3
     young: float = YOUNG
     body: object = field(default_factory=lambda: Sphere(RADIUS))
-    model: Model = field(default_factory=Model)
+    model: ContactModel = field(default_factory=ContactModel)
     spread: float = 0.01
     """Of the forces."""
 

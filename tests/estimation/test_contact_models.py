@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from meshskin.contact import Model
+from meshskin.contact import ContactModel
 from meshskin.contact.material import Material
 from meshskin.core import se3
 from meshskin.core.errors import ContactError
@@ -17,7 +17,7 @@ from meshskin.estimation.data.pairs import silent_pairs
 from meshskin.estimation.uncertainty.metrics import cramer_rao, nees, nees_band, position_errors
 from meshskin.geometry.primitives import Ellipsoid
 
-MODELS = {"elliptic": Model("elliptic"), "layered": Model("layered", 0.49, 4e-3)}
+MODELS = {"elliptic": ContactModel("elliptic"), "layered": ContactModel("layered", 0.49, 4e-3)}
 SEEDS = 20
 
 
@@ -83,7 +83,7 @@ def half_space(world, **changes):
 def test_a_layer_taken_for_a_half_space_is_seen(world):
     """By the readings of one force where E* is known; of several forces, whatever E* is."""
     for spread, unknown, least in ((0.01, (), 1.3), (0.6, ("modulus",), 1.2)):
-        thin = type(world)(extent=15e-3, model=Model("layered", 0.49, 3e-3), spread=spread)
+        thin = type(world)(extent=15e-3, model=ContactModel("layered", 0.49, 3e-3), spread=spread)
         recording = thin.record(0.01, 0.05, seed=1)
         declared = thin.belief(0.01, 0.05, unknown=unknown)
         bound = cramer_rao(recording, declared, thin.skin)
@@ -97,7 +97,7 @@ def test_a_layer_taken_for_a_half_space_is_seen(world):
 
 def test_an_unknown_modulus_takes_up_a_layer_under_one_force(world):
     """Then nothing is seen of the layer but in E*, and the taxels come out right."""
-    thin = type(world)(extent=15e-3, model=Model("layered", 0.49, 3e-3))
+    thin = type(world)(extent=15e-3, model=ContactModel("layered", 0.49, 3e-3))
     recording = thin.record(0.01, 0.05, seed=1)
     bound = cramer_rao(recording, thin.belief(0.01, 0.05), thin.skin)
     mistaken = calibrate(recording, half_space(thin))
@@ -174,10 +174,10 @@ def test_silence_is_looked_for_wherever_it_says_something(worlds, name):
 
 def test_an_estimate_outside_the_model_is_refused(world):
     """The nominal E* is within the table of layered; the true one, far softer, is not."""
-    thin = type(world)(extent=9e-3, model=Model("layered", 0.49, 0.6e-3), young=1e6)
+    thin = type(world)(extent=9e-3, model=ContactModel("layered", 0.49, 0.6e-3), young=1e6)
     found = calibrate(thin.record(), thin.belief(young=2e6))
     assert found.modulus == pytest.approx(thin.modulus, rel=5e-3)
-    thin = type(world)(extent=9e-3, model=Model("layered", 0.49, 0.45e-3))
+    thin = type(world)(extent=9e-3, model=ContactModel("layered", 0.49, 0.45e-3))
     belief = thin.belief(young=3e6)
     belief.material = replace(belief.material, thickness=0.4e-3)
     with pytest.raises(ContactError, match="thinner than the table"):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from meshskin.contact.multi_contact import contacts, press
+from meshskin.contact.multi_contact import find_contacts, solve_contacts
 from meshskin.core.errors import MeshError
 from meshskin.geometry import primitives, tessellate
 from meshskin.geometry.body import Body
@@ -247,7 +247,7 @@ def test_two_contacts_in_a_v_groove(load):
     body = load(*extrude(outline, 0.1))
     radius, aside = 5e-3, 1e-4
     height = (radius - 3e-4) * np.sqrt(2.0)
-    found = contacts(body, [aside, height, 0.003], radius)
+    found = find_contacts(body, [aside, height, 0.003], radius)
     assert len(found) == 2
     depth = radius - (height + aside * np.array([-1.0, 1.0])) / np.sqrt(2.0)
     np.testing.assert_allclose(found.depth, depth, atol=1e-9)
@@ -260,7 +260,7 @@ def test_two_contacts_in_a_v_groove(load):
     )
     assert found.smooth.all()
     np.testing.assert_allclose(found.curvature, 0.0, atol=1e-6)
-    _, force, _ = press(body, [aside, height, 0.003], radius, modulus=0.2e6, poisson=0.49)
+    _, force, _ = solve_contacts(body, [aside, height, 0.003], radius, modulus=0.2e6, poisson=0.49)
     e_star = 0.2e6 / (1 - 0.49**2)
     np.testing.assert_allclose(force, 4 / 3 * e_star * np.sqrt(radius) * depth**1.5, rtol=1e-6)
 

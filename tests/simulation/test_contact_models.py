@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import meshskin as ms
-from meshskin.contact import Model
+from meshskin.contact import ContactModel
 from meshskin.core.errors import ContactError, UnknownNameError
 from meshskin.exploration.explore import planned
 
-MODELS = [Model(), Model("elliptic"), Model("layered", 0.47, 3e-3)]
+MODELS = [ContactModel(), ContactModel("elliptic"), ContactModel("layered", 0.47, 3e-3)]
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
@@ -67,10 +67,10 @@ def test_a_model_that_does_not_hold_is_refused_or_its_places_left_out():
         body=body, skin=skin, loop=replace(sphere.loop, mode="quasi_static"),
         material=replace(sphere.material, young=8e5), contact="hertz",
     )  # fmt: skip
-    side = scene.refusals(np.array([[33.3, 0.0], [33.3, 33.3]]))
+    side = scene.invalid_reasons(np.array([[33.3, 0.0], [33.3, 33.3]]))
     assert side[0].startswith("hertz contact does not hold: hertz is for circular patches")
     assert side[1] == ""
-    assert (scene.with_(contact="elliptic").refusals(np.array([[33.3, 0.0]])) == "").all()
+    assert (scene.with_(contact="elliptic").invalid_reasons(np.array([[33.3, 0.0]])) == "").all()
     missing = planned(scene).unreachable
     side = np.abs(skin.positions[:, 2]) < 0.08
     assert 0 < len(missing) < len(skin.ids)

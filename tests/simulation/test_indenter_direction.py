@@ -62,7 +62,7 @@ def test_a_wall_calibrates_as_well_as_a_table(walled, noisy, noisy_recording):
     recording = ms.simulate(walled, seed=1)
     force = column(recording, "force")[phases(recording) == "slide"]
     assert np.abs(force / 3.0 - 1.0).max() < 0.01
-    np.testing.assert_allclose(faced(recording) @ WALL.up, -1.0, atol=1e-5)
+    np.testing.assert_allclose(faced(recording) @ WALL.axis, -1.0, atol=1e-5)
     errors = [
         metrics.position_errors(ms.calibrate(r, noisy.belief()), noisy.skin)
         for r in (recording, noisy_recording)
@@ -74,7 +74,7 @@ def test_a_wall_calibrates_as_well_as_a_table(walled, noisy, noisy_recording):
 def test_what_is_turned_as_a_whole_does_the_same(sphere, recording, monkeypatch):
     """Arm, indenter and gravity by one rotation: the same angles, torques, forces, readings."""
     place = replace(sphere.indenter, direction=(0.48, -0.64, 0.6))
-    turn, shift = place.frame, np.array([0.2, -0.5, 0.3])
+    turn, shift = place.rotation, np.array([0.2, -0.5, 0.3])
     base = transform(turn, shift)
     there = tuple((turn @ place.position + shift).tolist())
     monkeypatch.setattr(dynamics, "GRAVITY", turn @ dynamics.GRAVITY)
@@ -126,7 +126,7 @@ def test_at_rest_the_torques_carry_the_weight_and_the_contact(sphere, case):
     def energy(q):
         body = loop.arm.pose(q) @ loop.mount
         contact = body[:, :3, :3] @ rows["point"] + body[:, :3, 3]
-        return potential(loop.arm, q) - rows["force"] * (contact @ scene.indenter.up)
+        return potential(loop.arm, q) - rows["force"] * (contact @ scene.indenter.axis)
 
     step = 1e-4 * np.eye(6)
     wanted = (energy(q + step) - energy(q - step)) / 2e-4
@@ -141,12 +141,12 @@ def test_a_slanted_indenter_is_explored_by_lanes(ellipsoid, mode):
     assert plan.unreachable == {}
     centre = np.einsum("kij,kj->ki", plan.path.poses[:, :3, :3], plan.path.points)
     centre = centre + plan.path.poses[:, :3, 3]
-    depth = (centre - SLANT.position) @ SLANT.up
+    depth = (centre - SLANT.position) @ SLANT.axis
     np.testing.assert_allclose(depth, SLANT.radius - scene.patch.depth, atol=2e-4)
     recording = ms.simulate(scene, seed=1, path=plan.path)
     sliding = column(recording, "force")[phases(recording) == "slide"]
     assert np.abs(np.median(sliding) / 3.0 - 1.0) < 0.01
-    np.testing.assert_allclose(faced(recording) @ SLANT.up, -1.0, atol=1e-3)
+    np.testing.assert_allclose(faced(recording) @ SLANT.axis, -1.0, atol=1e-3)
     found = ms.calibrate(recording, scene.belief())
     assert metrics.position_errors(found, scene.skin).max() < 1e-4
 
@@ -167,8 +167,8 @@ def test_between_places_the_body_is_lifted_the_way_the_indenter_points(sphere):
     place = np.stack([column(recording, name) for name in "xyz"], axis=1)
     leaving = place[phases(recording) == "leave"]
     way = leaving[-1] - leaving[0]
-    assert way @ SLANT.up == pytest.approx(np.linalg.norm(way), rel=1e-9)
-    assert way @ SLANT.up > scene.exploration.standoff - 1e-4
+    assert way @ SLANT.axis == pytest.approx(np.linalg.norm(way), rel=1e-9)
+    assert way @ SLANT.axis > scene.exploration.standoff - 1e-4
     assert set(recording.reading_taxel) == set(scene.skin.ids)
 
 
@@ -178,7 +178,7 @@ def test_single_touches_and_presses_are_made_from_the_side(ellipsoid):
         recording, why = toucher(ellipsoid, 0)(points)
         assert set(why) == {""}
         assert len(recording.time) == len(points)
-        np.testing.assert_allclose(faced(recording) @ SLANT.up, -1.0, atol=1e-4)
+        np.testing.assert_allclose(faced(recording) @ SLANT.axis, -1.0, atol=1e-4)
         np.testing.assert_allclose(recording.force, 3.0, rtol=0.01)
 
 

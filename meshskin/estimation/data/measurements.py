@@ -41,7 +41,7 @@ class Measurements:
     """Principal curvatures (m, 2) there, 1/m."""
     patches: contact.Patches
     """The contacts' patches at the nominal E*; `first` lies along `directions`."""
-    model: contact.Model
+    model: contact.ContactModel
     """The believed contact model."""
     indenter_radius: float
     """m."""
@@ -170,7 +170,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     hit, force, row = hit.take(pressed), recording.force[pressed], np.cumsum(pressed) - 1
     headings = recording.headings if belief.headings is None else belief.headings
     material = belief.material
-    model = contact.Model(belief.contact, material.poisson, material.thickness)
+    model = contact.ContactModel(belief.contact, material.poisson, material.thickness)
     patches = model.patches(
         force=force,
         curvature=hit.curvature,

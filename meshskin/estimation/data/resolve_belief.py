@@ -58,7 +58,7 @@ def valid_contacts(force: Array, curvature: Array, belief: Belief) -> np.ndarray
     Raises the ContactError of the widest that leaves its range, where more do.
     """
     material = belief.material
-    holds = contact.Model(belief.contact, material.poisson, material.thickness).holds(
+    holds = contact.ContactModel(belief.contact, material.poisson, material.thickness).is_valid(
         force=force,
         curvature=curvature,
         indenter_radius=belief.indenter.radius,

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ...contact import Model, Patches
+from ...contact import ContactModel, Patches
 from ...core.codegen import compiled
 from ...core.se3 import Array
 from . import pressure, pressure_elliptic
@@ -78,7 +78,7 @@ def _layer(poisson: float, endless: bool) -> ca.Function:
     `endless`: without a thickness; t is any unit of length, then.
     """
     x = ca.SX.sym("x", 4)
-    patch = Model("layered", poisson, None if endless else 1.0).patches(
+    patch = ContactModel("layered", poisson, None if endless else 1.0).patches(
         force=ca.exp(x[0]), curvature=x[1:3], indenter_radius=x[3], effective_modulus=1.0
     )
     sizes = ca.vertcat(patch.first, patch.second, patch.peak, patch.depth)

@@ -7,7 +7,7 @@ import pyarrow as pa
 import pytest
 
 import meshskin as ms
-from meshskin.contact import Model
+from meshskin.contact import ContactModel
 from meshskin.core.errors import CalibrationError, ConfigError, ContactError, RecordingError
 from meshskin.estimation.data.measurements import gather
 from meshskin.estimation.data.resolve_belief import resolve_belief, valid_contacts
@@ -32,7 +32,7 @@ def belief(world, thickness=None, **changes):
     ],
 )
 def test_the_first_contact_model_that_holds(world, body, thickness, name):
-    model = Model(name, 0.49, thickness)
+    model = ContactModel(name, 0.49, thickness)
     seen = type(world)(extent=9e-3, body=body, model=model)
     recording = seen.record()
     found = resolve_belief(belief(seen, thickness), recording)
@@ -65,7 +65,7 @@ def test_contacts_in_which_the_model_does_not_hold():
 
 def test_where_no_contact_model_holds(world):
     body = ms.Body.ellipsoid((0.1, 0.04, 0.1))
-    seen = type(world)(extent=9e-3, body=body, model=Model("elliptic"))
+    seen = type(world)(extent=9e-3, body=body, model=ContactModel("elliptic"))
     soft = replace(belief(seen), material=ms.Material(2e3, 0.49))
     with pytest.raises(ContactError, match="too wide for the parabolic gap of elliptic"):
         resolve_belief(soft, seen.record())

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from meshskin.contact import Model, Patches
+from meshskin.contact import ContactModel, Patches
 from meshskin.estimation.data.measurements import gather, reach
 from meshskin.estimation.data.pairs import near_pairs
 from meshskin.estimation.joint.contacts import Contacts, LinearizedContacts
@@ -13,7 +13,7 @@ from meshskin.estimation.joint.pressure import mean_pressure
 from meshskin.estimation.joint.pressure_elliptic import ellipse, profile
 from meshskin.geometry.primitives import Ellipsoid
 
-MODELS = {"elliptic": Model("elliptic"), "layered": Model("layered", 0.49, 4e-3)}
+MODELS = {"elliptic": ContactModel("elliptic"), "layered": ContactModel("layered", 0.49, 4e-3)}
 UNKNOWN = ("modulus", "gain", "offset", "force_scale", "force_offset", "indenter_offset")
 DISC, COUNT = 2e-3, 300
 

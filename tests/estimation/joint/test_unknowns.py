@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from meshskin.contact import Model
+from meshskin.contact import ContactModel
 from meshskin.core import se3
 from meshskin.core.errors import UnknownNameError
 from meshskin.estimation.calibrate import calibrate
@@ -109,7 +109,7 @@ def test_what_a_sphere_does_not_show_of_the_body_is_named(world):
 
 def test_an_ellipsoid_shows_where_it_is(world):
     body = Ellipsoid((0.06, 0.045, 0.1))
-    other = type(world)(extent=20e-3, step=1e-3, body=body, model=Model("elliptic"))
+    other = type(world)(extent=20e-3, step=1e-3, body=body, model=ContactModel("elliptic"))
     shift, turn = np.array([3e-4, -2e-4, 1e-4]), np.array([4e-3, -3e-3, 2e-3])
     centre = other.points + (0.01 - other.patches.depth)[:, None] * other.normals
     believed = other.body.closest((centre - shift) @ se3.exp_so3(turn)).point

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from meshskin.contact import Model
+from meshskin.contact import ContactModel
 from meshskin.estimation.data.measurements import gather
 from meshskin.estimation.trilateration import trilaterate
 from meshskin.estimation.trilateration.circles import Circles, Ellipses, circles
 from meshskin.estimation.uncertainty.metrics import nees_band
 from meshskin.geometry.primitives import Ellipsoid
 
-MODELS = {"elliptic": Model("elliptic"), "layered": Model("layered", 0.49, 4e-3)}
+MODELS = {"elliptic": ContactModel("elliptic"), "layered": ContactModel("layered", 0.49, 4e-3)}
 
 
 @pytest.fixture(scope="module", params=MODELS)
@@ -36,7 +36,7 @@ def test_ideal_data(oval):
         fit = method(data, oval.body)
         assert fit.found.all()
         assert error(oval, fit).max() < limit
-    mistaken = replace(data, model=Model())  # ellipses taken for circles
+    mistaken = replace(data, model=ContactModel())  # ellipses taken for circles
     assert error(oval, trilaterate.least_squares(mistaken, oval.body)).max() > 60e-6
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ....core.se3 import Array
-from ....effects import Noise
+from ....effects import NoiseEffect
 from ....estimation.calibrate import calibrate
 from ....estimation.joint.newton import NEWTON_TOLERANCE
 from ..cost.numerics import held_route
@@ -31,7 +31,7 @@ def paired(everything: Scene, chosen: Scene) -> tuple[Scene, Scene]:
     At another time step the same draws fall on other contacts, and would move the taxels though
     nothing was left out.
     """
-    common = {e.name for e in chosen.effects if isinstance(e, Noise)}
+    common = {e.name for e in chosen.effects if isinstance(e, NoiseEffect)}
 
     def quiet(scene: Scene) -> Scene:
         return scene.with_(effects=tuple(e for e in scene.effects if e.name not in common))

@@ -82,7 +82,7 @@ def _holds(scene: Scene, name: str) -> bool:
     if name == "layered" and scene.material.thickness is None:
         return name == scene.model.name
     curvature = scene.body.closest(scene.skin.positions).curvature
-    own, other = (s.refusals(curvature) == "" for s in (scene, scene.with_(contact=name)))
+    own, other = (s.invalid_reasons(curvature) == "" for s in (scene, scene.with_(contact=name)))
     return bool(np.all(other | ~own))
 
 

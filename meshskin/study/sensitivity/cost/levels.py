@@ -99,11 +99,13 @@ def loops(numerics: Numerics, scene: Scene, factors: Iterable[float]) -> tuple[L
 def models(numerics: Numerics, scene: Scene) -> tuple[Level, ...]:
     """Contact models that hold at every taxel at which the scene's own does, that one first."""
     curvature = scene.body.closest(scene.skin.positions).curvature
-    own, out = scene.refusals(curvature) == "", []
+    own, out = scene.invalid_reasons(curvature) == "", []
     for name in sorted(BATCHED, key=lambda name: name != scene.model.name):
         made = numerics.scene.with_(contact=name)
         layer = scene.material.thickness is not None or scene.model.name == "layered"
-        if (name == "layered" and not layer) or not np.all((made.refusals(curvature) == "") | ~own):
+        if (name == "layered" and not layer) or not np.all(
+            (made.invalid_reasons(curvature) == "") | ~own
+        ):
             continue
         begin = time.process_time()
         found = numerics.calibrate(numerics.read(made, numerics.frames))

@@ -17,7 +17,7 @@ import numpy as np
 from .... import effects
 from ....core.errors import SimulationError
 from ....core.se3 import Array, inverse
-from ....effects.frames import Clock
+from ....effects.frames import EffectClock
 from ....estimation.calibrate import calibrate
 from ....exploration.explore import route
 from ....exploration.path import Path
@@ -97,7 +97,7 @@ class Numerics:
 
     def calibrate(self, pressures: Array) -> Array:
         """Positions (n, 3) by pressures (m, n) in the reference's contacts."""
-        chain = effects.EffectPipeline((), lambda frames, poses: pressures, (), (), Clock())
+        chain = effects.EffectPipeline((), lambda frames, poses: pressures, (), (), EffectClock())
         recording = recorded(self.scene, self.frames, chain)
         return calibrate(recording, self.belief, tolerance=self.tolerance).positions
 

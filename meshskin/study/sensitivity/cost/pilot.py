@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from ....contact import BATCHED
 from ....core.errors import CalibrationError, GraphError, StudyError
-from ....effects import Noise
+from ....effects import NoiseEffect
 from ....estimation.calibrate import calibrate
 from ....estimation.uncertainty import metrics
 from ....exploration.explore import setup_of
@@ -214,7 +214,7 @@ def _thinned(recording: Recording) -> Recording:
 
 def _systematic(scene: Scene, found: Calibration, seed: int) -> float:
     """Mean error, mm, that is left without noise."""
-    rest = tuple(effect for effect in scene.effects if not isinstance(effect, Noise))
+    rest = tuple(effect for effect in scene.effects if not isinstance(effect, NoiseEffect))
     if len(rest) == len(scene.effects):  # there is none: the pilot's own error
         error = metrics.position_errors(found, scene.skin)
     elif not rest:
