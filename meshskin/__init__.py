@@ -9,30 +9,35 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+__version__ = "0.2.0"
+
 if TYPE_CHECKING:
-    from . import contact
-    from .contact.indenter import Indenter
-    from .contact.material import Material
-    from .estimation.adaptive import adapt
-    from .estimation.calibrate import calibrate
-    from .estimation.calibration import Calibration
-    from .estimation.posegraph import PoseGraph
-    from .exploration.explore import explore
-    from .geometry.body import Body
-    from .recording.recording import Recording, RecordingWriter
-    from .robot.arm import Arm
-    from .scene.belief import Belief
-    from .scene.scene import Scene
-    from .scene.settings import Exploration, Law, Readout
-    from .simulation.simulate import simulate
-    from .simulation.static_contacts import press
-    from .skin.compare import compare
-    from .skin.lint import lint
-    from .skin.skin import Skin
-    from .study.sensitivity.budget import budget
-    from .study.sensitivity.cost import cost
-    from .study.sweep.study import Study
-    from .tuning.tune import tune
+    from . import contact as contact
+    from .contact.indenter import Indenter as Indenter
+    from .contact.material import Material as Material
+    from .estimation.adaptive import adapt as adapt
+    from .estimation.calibrate import calibrate as calibrate
+    from .estimation.calibration import Calibration as Calibration
+    from .estimation.posegraph import PoseGraph as PoseGraph
+    from .exploration.explore import explore as explore
+    from .geometry.body import Body as Body
+    from .recording.recording import Recording as Recording
+    from .recording.recording import RecordingWriter as RecordingWriter
+    from .robot.arm import Arm as Arm
+    from .scene.belief import Belief as Belief
+    from .scene.scene import Scene as Scene
+    from .scene.settings import Exploration as Exploration
+    from .scene.settings import Law as Law
+    from .scene.settings import Readout as Readout
+    from .simulation.simulate import simulate as simulate
+    from .simulation.static_contacts import press as press
+    from .skin.compare import compare as compare
+    from .skin.lint import lint as lint
+    from .skin.skin import Skin as Skin
+    from .study.sensitivity.budget import budget as budget
+    from .study.sensitivity.cost import cost as cost
+    from .study.sweep.study import Study as Study
+    from .tuning.tune import tune as tune
 
 _HOMES = {
     "Arm": "robot.arm",
@@ -54,6 +59,7 @@ _HOMES = {
     "budget": "study.sensitivity.budget",
     "calibrate": "estimation.calibrate",
     "compare": "skin.compare",
+    "contact": "contact",
     "cost": "study.sensitivity.cost",
     "explore": "exploration.explore",
     "lint": "skin.lint",
@@ -61,44 +67,17 @@ _HOMES = {
     "simulate": "simulation.simulate",
     "tune": "tuning.tune",
 }
+"""The module that defines each public name; of "contact", the module itself."""
 
-__all__ = [
-    "Arm",
-    "Belief",
-    "Body",
-    "Calibration",
-    "Exploration",
-    "Indenter",
-    "Law",
-    "Material",
-    "PoseGraph",
-    "Readout",
-    "Recording",
-    "RecordingWriter",
-    "Scene",
-    "Skin",
-    "Study",
-    "adapt",
-    "budget",
-    "calibrate",
-    "compare",
-    "contact",
-    "cost",
-    "explore",
-    "lint",
-    "press",
-    "simulate",
-    "tune",
-]
+__all__ = list(_HOMES)
 
 
 def __getattr__(name: str) -> Any:
-    if name == "contact":
-        return import_module(".contact", __name__)
     if name not in _HOMES:
         raise AttributeError(f"module 'meshskin' has no attribute {name!r}")
-    return getattr(import_module(f".{_HOMES[name]}", __name__), name)
+    home = import_module(f".{_HOMES[name]}", __name__)
+    return home if name == _HOMES[name] else getattr(home, name)
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return __all__

@@ -17,7 +17,7 @@ WINGS = [
 """The wings in order: a module imports only from its own wing and from those before it."""
 EXEMPT = {("estimation.calibration", "report.page")}
 """Imports against the order: `Calibration.report` draws the report of a calibration."""
-ONE_A_FILE = ("effects.", "simulation.integrators.")
+ONE_A_FILE = ("cli.", "effects.", "simulation.integrators.")
 """Wings of one kind a file, however short."""
 FILES = {
     ".".join(file.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__"): file

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 import sys
 import threading
@@ -16,20 +17,36 @@ from ..core.errors import MeshskinError
 from . import calibrate, check, cost, diff, lint, run, scenes, study
 
 COMMANDS = (run, calibrate, scenes, cost, study, check, lint, diff)
+BAD_INPUT = 2
+"""Exit code for input that meshskin refuses."""
 INTERRUPTED = 130
+"""Exit code after Ctrl-C, 128 + SIGINT, as shells have it."""
+CLOSED_PIPE = 141
+"""Exit code when the reader of the output is gone, 128 + SIGPIPE, as shells have it."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command: 0 when it worked, 2 for bad input (one line on stderr), 130 on Ctrl-C."""
-    options = _parser().parse_args(arguments)
+    """Run a command and return its exit code.
+
+    0 when it worked, 2 for bad input (one line on stderr), 130 after Ctrl-C, 141 when the output
+    is piped into a command that ended; a command may document others.
+    """
     with _interruptions() as interrupted, warnings.catch_warnings():
         warnings.showwarning = _note
         try:
-            return int(options.command(options))
+            options = _parser().parse_args(arguments)
+            code = int(options.command(options))
+            sys.stdout.flush()
+            if not interrupted:
+                return code
+        except BrokenPipeError:
+            # the interpreter flushes stdout once more when it exits
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return CLOSED_PIPE
         except MeshskinError as error:
             if not interrupted:
                 print(f"meshskin: {error}", file=sys.stderr)
-                return 2
+                return BAD_INPUT
         except KeyboardInterrupt:
             pass
         except Exception:
@@ -54,7 +71,10 @@ def _note(
 
 @contextmanager
 def _interruptions() -> Iterator[list[int]]:
-    """The interrupt signals received inside; each raises KeyboardInterrupt, too."""
+    """The interrupt signals received inside; each raises KeyboardInterrupt, too.
+
+    An interruption that a compiled library swallows in a callback is not printed as a traceback.
+    """
     received: list[int] = []
 
     def note(number: int, frame: FrameType | None) -> None:
@@ -64,11 +84,13 @@ def _interruptions() -> Iterator[list[int]]:
     if threading.current_thread() is not threading.main_thread():
         yield received
         return
-    before = signal.signal(signal.SIGINT, note)
+    before, hook = signal.signal(signal.SIGINT, note), sys.unraisablehook
+    sys.unraisablehook = lambda raised: None if received else hook(raised)
     try:
         yield received
     finally:
         signal.signal(signal.SIGINT, before)
+        sys.unraisablehook = hook
 
 
 def _parser() -> argparse.ArgumentParser:

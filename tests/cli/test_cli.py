@@ -1,5 +1,6 @@
 """The command line as a user meets it: results, one-line errors, exit codes, interruption."""
 
+import contextlib
 import json
 import os
 import signal
@@ -225,3 +226,22 @@ def test_what_an_earlier_run_found_is_not_left_beside_another_recording(tmp_path
     assert "recording.contacts.parquet" in kept
     assert "notes.txt" in kept
     assert not {"report.html", "metrics.json", "calibration.csv"} & kept
+
+
+def test_a_reader_that_ends_early_is_no_error():
+    command = [sys.executable, "-m", "meshskin", "scenes"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.close()
+    assert process.stderr.read() == b""
+    assert process.wait() == cli.CLOSED_PIPE
+
+
+def test_an_interruption_that_a_library_swallows_still_ends_in_the_exit_code(monkeypatch, capsys):
+    def swallow(options):
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        return 0
+
+    monkeypatch.setattr(cli.scenes, "command", swallow)
+    assert cli.main(["scenes"]) == cli.INTERRUPTED
+    assert capsys.readouterr().err.startswith("meshskin: interrupted")
