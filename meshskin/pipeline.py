@@ -214,18 +214,19 @@ def _demonstrated(scene: Scene, recording: Recording, seed: int) -> Demonstratio
 
 def _drawing(scene: Scene) -> Callable[[Calibration], float]:
     """Tells the processor seconds that a report takes on this machine, by those of one map."""
-    from .report import figures
+    from .report import maps, theme
+    from .report.plane import tangent_plane
 
     def drawing(found: Calibration) -> float:
         truth = scene.skin.positions
-        plane = figures.tangent_plane(truth, scene.skin.normals)
+        plane = tangent_plane(truth, scene.skin.normals)
         for _ in range(2):  # the first one loads matplotlib
             begin = process_time()
-            figure = figures.estimates(
+            figure = maps.estimates(
                 truth, found.positions, disc_radius=scene.skin.disc_radius, plane=plane
             )
             with TemporaryDirectory() as place:
-                figures.save(figure, place, "map")
+                theme.save(figure, place, "map")
         return MAPS * (process_time() - begin)
 
     return drawing

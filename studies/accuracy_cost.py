@@ -25,7 +25,7 @@ from meshskin import pipeline
 from meshskin.cli.cost import summary
 from meshskin.core.atomic_io import write_text
 from meshskin.core.errors import StudyError
-from meshskin.report import figures, precision, theme
+from meshskin.report import precision, theme
 from meshskin.scene import shipped_scenes
 from meshskin.study.sensitivity.cost import KNOBS, TARGETS, Costs
 from meshskin.study.sensitivity.cost.request import Request
@@ -75,9 +75,9 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
         costs = Costs.restored(once(file, how, options.resume, measured))
         print(summary(costs), flush=True)
         found[name] = costs
-    figures.save(fronts(found), options.out, "accuracy_cost")
+    theme.save(fronts(found), options.out, "accuracy_cost")
     for name, costs in found.items():
-        figures.save(precision.figure(costs, TARGETS), options.out, f"accuracy_cost_{name}")
+        theme.save(precision.figure(costs, TARGETS), options.out, f"accuracy_cost_{name}")
     numbers: dict[str, Any] = {name: row(costs) for name, costs in found.items()}
     asked = scenes if options.full else options.asked
     numbers["requests"] = []

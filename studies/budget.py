@@ -33,7 +33,7 @@ from meshskin.core.errors import ReachError
 from meshskin.estimation.joint.newton import NEWTON_TOLERANCE
 from meshskin.exploration.path import Path as Way
 from meshskin.geometry.region import Cap
-from meshskin.report import figures, theme
+from meshskin.report import theme
 from meshskin.scene import shipped_scenes
 from meshskin.simulation.readout import effect_chain
 from meshskin.simulation.simulate import prepare
@@ -100,7 +100,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
     slowest = min(r["faster"] for r in rows.values())
     print(f"within a factor of 2: {100 * within:.0f} %; largest true error: {worst:.2f} of the "
           f"budget; least {slowest:.1f} times faster")  # fmt: skip
-    figures.save(against(rows, options.budget_mm), options.out, "budget")
+    theme.save(against(rows, options.budget_mm), options.out, "budget")
     return rows
 
 

@@ -38,7 +38,7 @@ from meshskin.estimation.joint.joint_estimator import JointEstimator
 from meshskin.estimation.joint.newton import MAX_ITERATIONS
 from meshskin.estimation.joint.parametrization import SurfaceParametrization
 from meshskin.estimation.trilateration import coactivation, trilaterate
-from meshskin.report import figures, theme
+from meshskin.report import theme
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -94,10 +94,10 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
     for name, effect in chosen.items():
         rows[name]["bound_mm"] = 1e3 * effect.bound(scene.context(0))
     report(rows, f"{options.scene}, {len(seeds)} seeds, lengths in mm")
-    figures.save(shifts(rows), options.out, "effects")
+    theme.save(shifts(rows), options.out, "effects")
     if options.full or options.pairs:
         rows |= pairs(scene, chosen, plain, single, seeds[:1])
-        figures.save(excesses(rows, list(chosen)), options.out, "effect_pairs")
+        theme.save(excesses(rows, list(chosen)), options.out, "effect_pairs")
     if options.json:
         options.json.write_text(json.dumps(rows, indent=2))
     return rows

@@ -38,7 +38,7 @@ from meshskin.estimation.joint.newton import MAX_ITERATIONS
 from meshskin.estimation.joint.parametrization import SurfaceParametrization
 from meshskin.estimation.trilateration import coactivation, displacements, trilaterate
 from meshskin.estimation.uncertainty import metrics
-from meshskin.report import figures, theme
+from meshskin.report import theme
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -283,7 +283,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, dict[str, fl
         found["start"] = by_start(path[::3], seeds, START_MM)
     if "size" in chosen:
         found["size"] = by_size(seeds, sizes)
-    figures.save(draw(found), options.out, "estimators")
+    theme.save(draw(found), options.out, "estimators")
     if options.json:
         options.json.write_text(json.dumps(found, indent=2))
     return found

@@ -30,7 +30,7 @@ from meshskin.estimation import contact_design
 from meshskin.estimation.adaptive import adapt
 from meshskin.exploration.explore import planned, setup_of
 from meshskin.geometry.region import Cap
-from meshskin.report import figures, theme
+from meshskin.report import theme
 from meshskin.simulation.contact_samplers import touched
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
     report(rows, f"{options.scene}, {len(seeds)} seeds: adaptive contacts over those of lanes")
     if options.full:
         rows["closed loop"] = through_the_loop(ms.Scene.load(options.scene))
-    figures.save(drawn(curves), options.out, "exploration")
+    theme.save(drawn(curves), options.out, "exploration")
     if options.json:
         options.json.write_text(json.dumps(rows, indent=2))
     return rows

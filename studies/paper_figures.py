@@ -19,7 +19,7 @@ import numpy as np
 import meshskin as ms
 from meshskin.estimation import demonstration
 from meshskin.estimation.uncertainty import metrics
-from meshskin.report import figures
+from meshskin.report import curves, maps, theme
 
 LEVELS = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0]) * 1e-3
 
@@ -39,18 +39,18 @@ def main(arguments: list[str] | None = None) -> dict[str, float]:
     truth = scene.skin.positions
     assert recording.motion is not None
     time, force = (recording.motion.column(c).to_numpy() for c in ("time", "force"))
-    figures.save(figures.force(time, force, scene.law.force_reference), options.out, "fig4")
-    figures.save(figures.estimates(truth, calibration.positions), options.out, "fig5")
+    theme.save(curves.force(time, force, scene.law.force_reference), options.out, "fig4")
+    theme.save(maps.estimates(truth, calibration.positions), options.out, "fig5")
 
     shown = demonstration.demonstrate(scene.skin.poses, scene.skin.ids, recording)
     for k, name in enumerate(("fig6", "fig7", "fig8")):
-        drawn = figures.iterations(shown.truth, shown.iterates, only=k)
-        figures.save(drawn, options.out, name)
+        drawn = maps.iterations(shown.truth, shown.iterates, only=k)
+        theme.save(drawn, options.out, name)
 
     pairs = demonstration.coactive_pairs(recording, scene.skin.ids)
     swept = demonstration.noise_sweep(scene.skin.poses, pairs, LEVELS, seeds)
     initial, final = swept.initial.mean(axis=1), np.nanmean(swept.final, axis=1)
-    figures.save(figures.initial_error(initial, swept.final), options.out, "fig9")
+    theme.save(curves.initial_error(initial, swept.final), options.out, "fig9")
 
     ideal = metrics.summary_mm(metrics.position_errors(calibration, scene.skin))
     print(f"fig. 4: force {force[time > 0.3].mean():.4f} N for {scene.law.force_reference:g} N")

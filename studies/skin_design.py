@@ -26,7 +26,7 @@ from meshskin.core.errors import MeshskinError
 from meshskin.effects.gaussian_noise import GaussianNoise
 from meshskin.estimation.uncertainty import metrics
 from meshskin.geometry.region import Cap
-from meshskin.report import figures, precision, theme
+from meshskin.report import precision, theme
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -67,7 +67,7 @@ def main(arguments: list[str] | None = None) -> dict[str, list[dict[str, float]]
         values = between(VALUES[name]) if options.full else VALUES[name]
         rows[name] = [measured(base, sigma, name, value, seeds) for value in values]
         report(name, rows[name], seeds)
-    figures.save(curves(rows), options.out, "skin_design")
+    theme.save(curves(rows), options.out, "skin_design")
     if options.json:
         options.json.write_text(json.dumps(rows, indent=2))
     return rows

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 import meshskin as ms
-from meshskin.report import figures, theme
+from meshskin.report import theme
 from meshskin.simulation.response import ForceResponse, force_response
 from meshskin.tuning.answer import Confirmation, Tuned, respond
 from meshskin.tuning.gains import Gains
@@ -246,7 +246,7 @@ def draw_touch(scene: ms.Scene, before: Touch, after: Touch, out: Path) -> None:
     axes.set(xlabel="Time from the touch (ms)", ylabel="Contact force (N)", xlim=(-10, 120),
              ylim=(0, 1.18 * reference), title=f"Touch of the {scene.name}")  # fmt: skip
     axes.legend(loc="lower right")
-    figures.save(figure, out, f"fig4_tuned_{scene.name}")
+    theme.save(figure, out, f"fig4_tuned_{scene.name}")
 
 
 @theme.styled
@@ -278,7 +278,7 @@ def draw_trades(overshoot: list[Any], rows: list[dict[str, float]], out: Path) -
     )
     axes.yaxis.set_major_formatter("{x:g}")
     axes.legend(loc="upper right")
-    figures.save(figure, out, "tuning_trade")
+    theme.save(figure, out, "tuning_trade")
 
 
 @theme.styled
@@ -306,7 +306,7 @@ def draw_corners(scene: ms.Scene, seen: list[Confirmation], tuned: Tuned, out: P
              ylabel="Contact force (N)", xlim=(-10, None), ylim=(0, None),
              title=f"One set of gains in nine worlds ({scene.name})")  # fmt: skip
     axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
-    figures.save(figure, out, "tuning_corners")
+    theme.save(figure, out, "tuning_corners")
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from . import figures
+from . import curves, maps, precision, theme
 from .data import ReportData, readable
 from .markup import Picture
 from .plane import MM
@@ -30,7 +30,7 @@ def album(folder: Path, findings: ReportData) -> list[Picture]:
 def _keep(
     folder: Path, name: str, figure: Figure, title: str, caption: str, alt: str = ""
 ) -> Picture:
-    png, svg = figures.save(figure, folder, name)
+    png, svg = theme.save(figure, folder, name)
     return Picture(png, svg, title, caption, alt or f"{title}. {caption}")
 
 
@@ -65,7 +65,7 @@ def force(folder: Path, findings: ReportData) -> Picture | None:
     return _keep(
         folder,
         "fig4_force",
-        figures.force(time, values, goal, settling=settling),
+        curves.force(time, values, goal, settling=settling),
         "Force against reference over time (the paper's fig. 4)",
         "Left: the whole run. Middle: first touch and settling. Right: the force held while "
         "sliding, enlarged. Good: it settles in less than 0.1 s without a jump past the band, and "
@@ -78,7 +78,7 @@ def estimates(folder: Path, findings: ReportData) -> Picture | None:
     """Fig. 5: estimates against truth."""
     if findings.truth is None:
         return None
-    figure = figures.estimates(
+    figure = maps.estimates(
         findings.where,
         findings.calibration.positions,
         disc_radius=findings.disc_radius,
@@ -106,7 +106,7 @@ def errors(folder: Path, findings: ReportData) -> Picture | None:
     return _keep(
         folder,
         "errors",
-        figures.errors({readable(k): v for k, v in findings.errors.items()}, bound),
+        curves.errors({readable(k): v for k, v in findings.errors.items()}, bound),
         "Position errors of every method",
         "One count a taxel, on one logarithmic axis. Good: the joint estimate's errors lie about "
         "the Cramér-Rao expectation (dashed), the best mean error that these readings allow."
@@ -120,7 +120,7 @@ def uncertainty(folder: Path, findings: ReportData) -> Picture | None:
     """The uncertainty map."""
     if not np.isfinite(findings.sigma).any():
         return None
-    figure = figures.uncertainty(
+    figure = maps.uncertainty(
         findings.calibration.positions, findings.covariances, plane=findings.plane
     )
     return _keep(
@@ -140,7 +140,7 @@ def coverage(folder: Path, findings: ReportData) -> Picture | None:
     if not np.isfinite(findings.where).any():
         return None
     path = None if findings.recording is None else findings.recording.points
-    figure = figures.coverage(
+    figure = maps.coverage(
         findings.where,
         findings.calibration.readings,
         path,
@@ -176,7 +176,7 @@ def accuracy_time(folder: Path, findings: ReportData) -> Picture | None:
     return _keep(
         folder,
         ACCURACY_TIME,
-        figures.accuracy_time(points, findings.seconds, bound or None),
+        precision.accuracy_time(points, findings.seconds, bound or None),
         "Accuracy against time, of this run",
         "Left: what each estimator that ran made of the same recording, and how long it took; "
         "further left and lower is better, and none can be expected below the dashed line. Right: "
@@ -193,12 +193,12 @@ def iterations(folder: Path, findings: ReportData) -> Picture | None:
 
     def draw(only: int | None) -> Figure:
         reference = "true taxel" if run.known else "end"
-        return figures.iterations(
+        return maps.iterations(
             run.over, run.steps, plane=findings.plane, only=only, reference=reference
         )
 
     goal = "truth" if run.known else "end"
-    singles = (figures.save(draw(k), folder, f"fig{6 + k}_iteration") for k in range(3))
+    singles = (theme.save(draw(k), folder, f"fig{6 + k}_iteration") for k in range(3))
     also = tuple(file for pair in singles for file in pair)
     start = "True displacements of neighbours with noise added, every taxel started at one point. "
     picture = _keep(

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from meshskin.core.errors import OutputError
-from meshskin.report import figures, precision
+from meshskin.report import curves, maps, precision, theme
 from meshskin.report.curves import envelope, settling_time
 from meshskin.report.maps import ellipse_axes, pick_iterations
 from meshskin.report.theme import measured, number
@@ -27,7 +27,7 @@ def texts(figure: object) -> str:
 
 def test_importing_the_report_imports_no_plotting_library() -> None:
     code = (
-        "import sys, meshskin.report, meshskin.report.page, meshskin.report.figures\n"
+        "import sys, meshskin.report, meshskin.report.page, meshskin.report.figure_set\n"
         "sys.exit(any(m in sys.modules for m in ('matplotlib', 'plotly')))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
@@ -35,22 +35,22 @@ def test_importing_the_report_imports_no_plotting_library() -> None:
 
 def test_drawing_leaves_matplotlib_as_it_was() -> None:
     before = matplotlib.rcParams.copy()
-    figures.initial_error([1e-3, 2e-3], [[1e-4, 2e-4], [2e-4, 3e-4]])
+    curves.initial_error([1e-3, 2e-3], [[1e-4, 2e-4], [2e-4, 3e-4]])
     assert matplotlib.rcParams.copy() == before
 
 
 def test_drawing_never_imports_pyplot() -> None:
     code = (
-        "import sys\nfrom meshskin.report import figures\n"
-        "figures.force([0.0, 1.0], [0.0, 3.0], 3.0)\n"
+        "import sys\nfrom meshskin.report import curves, maps, theme\n"
+        "curves.force([0.0, 1.0], [0.0, 3.0], 3.0)\n"
         "sys.exit('matplotlib' not in sys.modules or 'matplotlib.pyplot' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_save_writes_png_and_svg(tmp_path: Path) -> None:
-    figure = figures.force([0.0, 1.0], [0.0, 3.0], 3.0)
-    png, svg = figures.save(figure, tmp_path / "figures", "force")
+    figure = curves.force([0.0, 1.0], [0.0, 3.0], 3.0)
+    png, svg = theme.save(figure, tmp_path / "figures", "force")
     assert png.read_bytes().startswith(b"\x89PNG")
     assert "<svg" in svg.read_text()
     assert sorted(p.name for p in (tmp_path / "figures").iterdir()) == ["force.png", "force.svg"]
@@ -59,7 +59,7 @@ def test_save_writes_png_and_svg(tmp_path: Path) -> None:
 def test_save_names_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(OutputError):
-        figures.save(figures.force([0.0, 1.0], [0.0, 3.0], 3.0), tmp_path / "file", "force")
+        theme.save(curves.force([0.0, 1.0], [0.0, 3.0], 3.0), tmp_path / "file", "force")
 
 
 def test_settling_of_a_first_order_response() -> None:
@@ -81,31 +81,31 @@ def test_the_envelope_keeps_a_single_spike() -> None:
 def test_force_names_its_settling_and_works_without_reference() -> None:
     t = np.arange(0.0, 2.0, 1e-3)
     f = 3.0 * (1 - np.exp(-np.maximum(t - 0.5, 0.0) / 0.02))
-    assert "after 44.4 ms" in texts(figures.force(t, f, 3.0, settling=0.0444))
-    assert "reference" not in texts(figures.force(t, f))
-    figures.force([], [])
+    assert "after 44.4 ms" in texts(curves.force(t, f, 3.0, settling=0.0444))
+    assert "reference" not in texts(curves.force(t, f))
+    curves.force([], [])
 
 
 def test_estimates_state_their_exaggeration(case: SimpleNamespace) -> None:
     truth = case.skin().positions
     estimate = truth + np.array([1e-6, 0.0, 0.0])
-    shown = texts(figures.estimates(truth, estimate))
+    shown = texts(maps.estimates(truth, estimate))
     assert "error × 1\u00a0000" in shown
     assert "no estimate" not in shown
     estimate[5] = np.nan
-    assert "no estimate" in texts(figures.estimates(truth, estimate))
+    assert "no estimate" in texts(maps.estimates(truth, estimate))
 
 
 def test_iterations_give_first_middle_and_last_with_their_mean_error(case: SimpleNamespace) -> None:
     truth = case.skin().positions
     steps = truth[None] + np.array([9e-3, 5e-3, 3e-3, 2e-3, 1e-3])[:, None, None] * [0.0, 0.0, 1.0]
-    figure = figures.iterations(truth, steps)
+    figure = maps.iterations(truth, steps)
     assert [a.get_title(loc="left") for a in figure.axes] == [
         "Iteration 0: mean 9.00 mm off",
         "Iteration 1: mean 5.00 mm off",
         "Iteration 4: mean 1.00 mm off",
     ]
-    alone = figures.iterations(truth, steps, only=1)
+    alone = maps.iterations(truth, steps, only=1)
     assert [a.get_title(loc="left") for a in alone.axes] == ["Iteration 1: mean 5.00 mm off"]
     assert pick_iterations(steps[:1]) == (0, 0, 0)
 
@@ -114,23 +114,23 @@ def test_errors_count_every_taxel_once_and_mark_the_bound() -> None:
     rng = np.random.default_rng(1)
     rows = {"joint": 1e-5 * rng.random(80), "three circles": 1e-3 * rng.random(80)}
     rows["joint"][:2] = np.nan
-    figure = figures.errors(rows, 4.2e-6)
+    figure = curves.errors(rows, 4.2e-6)
     counts = [sum(p.get_height() for p in a.patches) for a in figure.axes]
     assert counts == [78, 80]
     assert "Cramér-Rao expectation 0.00420 mm" in texts(figure)
     assert len({a.get_xlim() for a in figure.axes}) == 1
-    figures.errors({"exact": np.zeros(5)})
-    figures.errors({"nothing": np.full(5, np.nan)}, np.nan)
+    curves.errors({"exact": np.zeros(5)})
+    curves.errors({"nothing": np.full(5, np.nan)}, np.nan)
 
 
 def test_coverage_crosses_out_what_was_never_touched(case: SimpleNamespace) -> None:
     positions, readings = case.skin().positions, np.full(case.COUNT, 9)
-    assert "never touched" not in texts(figures.coverage(positions, readings))
+    assert "never touched" not in texts(maps.coverage(positions, readings))
     readings[7] = 0
-    assert "never touched" in texts(figures.coverage(positions, readings, positions))
+    assert "never touched" in texts(maps.coverage(positions, readings, positions))
     positions = positions.copy()
     positions[7] = np.nan  # untouched, and no truth tells where it is
-    assert "never touched" not in texts(figures.coverage(positions, readings))
+    assert "never touched" not in texts(maps.coverage(positions, readings))
 
 
 def test_ellipses_have_the_axes_of_their_covariances() -> None:
@@ -143,14 +143,14 @@ def test_ellipses_have_the_axes_of_their_covariances() -> None:
 
 def test_uncertainty_survives_taxels_without_estimate(case: SimpleNamespace) -> None:
     c = case.calibration(sigma=2e-5)
-    shown = texts(figures.uncertainty(c.positions, c.covariances[:, :3, :3]))
+    shown = texts(maps.uncertainty(c.positions, c.covariances[:, :3, :3]))
     assert "1 sigma along the skin × 50" in shown
-    figures.uncertainty(np.full((3, 3), np.nan), np.full((3, 3, 3), np.inf))
+    maps.uncertainty(np.full((3, 3), np.nan), np.full((3, 3, 3), np.inf))
 
 
 def test_initial_error_draws_the_claims_beside() -> None:
     start = np.array([1e-3, 3e-3, 6e-3])
-    figure = figures.initial_error(start, 0.5 * start[:, None] * np.ones((3, 20)))
+    figure = curves.initial_error(start, 0.5 * start[:, None] * np.ones((3, 20)))
     lines = {line.get_label(): line.get_xydata() for line in figure.axes[0].lines}
     assert np.allclose(lines["median"], [[1, 0.5], [3, 1.5], [6, 3.0]])
     assert np.allclose(lines["paper: 20 %"], [[0.5, 0.4], [3, 2.4]])
