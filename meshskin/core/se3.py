@@ -94,6 +94,60 @@ def inverse(pose: ArrayLike) -> Array:
     return transform(rt, -(rt @ pose[..., :3, 3:])[..., 0])
 
 
+def perpendicular(vectors: ArrayLike) -> Array:
+    """Unit vectors (..., 3) perpendicular to non-zero `vectors` (..., 3).
+
+    Each is the cross product of the coordinate axis that is least aligned with the vector, and the
+    vector.
+    """
+    v = np.asarray(vectors, dtype=float)
+    across = np.cross(np.eye(3)[np.argmin(np.abs(v), axis=-1)], v)
+    return np.asarray(across / np.linalg.norm(across, axis=-1, keepdims=True))
+
+
+def orthonormal_basis(normals: ArrayLike, tangents: ArrayLike | None = None) -> Array:
+    """Rotations (..., 3, 3) with the columns t1, t2 = n x t1, n, of unit normals n (..., 3).
+
+    t1 is `tangents` (..., 3), unit vectors perpendicular to the normals, or the tangent of Duff et
+    al., which varies smoothly within each of the half-spaces z >= 0 and z < 0.
+
+    Source: Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6 (2017).
+    """
+    n = np.asarray(normals, dtype=float)
+    if tangents is not None:
+        t1 = np.asarray(tangents, dtype=float)
+        return np.stack([t1, np.cross(n, t1), n], axis=-1)
+    x, y, z = np.moveaxis(n, -1, 0)
+    sign = np.where(z >= 0, 1.0, -1.0)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    t1 = np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=-1)
+    t2 = np.stack([b, sign + y * y * a, -y], axis=-1)
+    return np.stack([t1, t2, n], axis=-1)
+
+
+def shortest_rotation(source: ArrayLike, target: ArrayLike) -> Array:
+    """Rotations (..., 3, 3) by the smallest angle that take unit vectors `source` to `target`.
+
+    Both are (..., 3). For antiparallel vectors the axis is not determined: it is then the
+    coordinate axis least aligned with `source`, projected onto the plane perpendicular to it.
+    """
+    s, t = np.broadcast_arrays(np.asarray(source, dtype=float), np.asarray(target, dtype=float))
+    cross, cosine = np.cross(s, t), np.einsum("...i,...i->...", s, t)
+    k = hat(cross)
+    near = cosine > -0.999
+    rotation = np.eye(3) + k + k @ k / np.where(near, 1.0 + cosine, 1.0)[..., None, None]
+    if near.all():
+        return np.asarray(rotation)
+    # 1 + cosine has lost its digits: the angle from the sine, the axis where the sine is not zero
+    far = ~near & np.isfinite(cosine)
+    sine = np.linalg.norm(cross[far], axis=-1)
+    straight = np.cross(s[far], perpendicular(s[far]))
+    axis = np.where(sine[:, None] > 1e-12, cross[far] / np.maximum(sine, 1e-12)[:, None], straight)
+    rotation[far] = exp_so3(np.arctan2(sine, cosine[far])[:, None] * axis)
+    return np.asarray(rotation)
+
+
 def is_rigid(pose: ArrayLike) -> bool:
     """Whether `pose` is one finite (4, 4) transform that neither scales nor mirrors, to 1e-6."""
     try:

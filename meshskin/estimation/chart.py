@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.se3 import Array, transform
+from ..core.se3 import Array, orthonormal_basis, perpendicular, shortest_rotation, transform
 
 if TYPE_CHECKING:
     from ..geometry.body import Body
@@ -76,24 +76,10 @@ def carried(body: Body, points: Array, reference: Array, old: Charts) -> Charts:
     return Charts(hit.point, hit.normal, rotation[:, :, :2], old.shape)
 
 
-def shortest_rotation(source: Array, target: Array) -> Array:
-    """The smallest rotations (n, 3, 3) that bring unit vectors `source` onto `target` (n, 3)."""
-    axis, cosine = np.cross(source, target), np.einsum("ni,ni->n", source, target)
-    opposite = cosine < -1 + 1e-12
-    k = np.zeros((len(axis), 3, 3))
-    k[:, 0, 1], k[:, 0, 2], k[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
-    k -= k.transpose(0, 2, 1)
-    out = np.eye(3) + k + k @ k / np.where(opposite, 1.0, 1 + cosine)[:, None, None]
-    if np.any(opposite):  # half a turn about any axis across
-        across = _across(source[opposite])
-        out[opposite] = 2 * across[:, :, None] * across[:, None, :] - np.eye(3)
-    return np.asarray(out)
-
-
 def align_normals(rotations: Array, normals: Array) -> Array:
     """Frames (n, 3, 3) turned the least way so that their z axes are `normals` (n, 3)."""
     broadcast = np.broadcast_to(rotations, (len(normals), 3, 3))
-    return shortest_rotation(broadcast[:, :, 2], normals) @ broadcast
+    return np.asarray(shortest_rotation(broadcast[:, :, 2], normals) @ broadcast)
 
 
 def frames(normals: Array) -> Array:
@@ -104,14 +90,7 @@ def frames(normals: Array) -> Array:
     mean = normals.mean(axis=0)
     length = np.linalg.norm(mean)
     mean = mean / length if length > 1e-6 else normals[0]
-    x = _across(mean[None])[0]
-    return align_normals(np.stack([x, np.cross(mean, x), mean], axis=1), normals)
-
-
-def _across(vectors: Array) -> Array:
-    """Unit vectors (n, 3) at right angles to `vectors` (n, 3)."""
-    across = np.cross(np.eye(3)[np.argmin(np.abs(vectors), axis=1)], vectors)
-    return across / np.linalg.norm(across, axis=1)[:, None]
+    return align_normals(orthonormal_basis(mean, perpendicular(mean)), normals)
 
 
 def poses(points: Array, rotations: Array) -> Array:

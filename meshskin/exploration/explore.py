@@ -16,7 +16,7 @@ from ..contact.indenter import Indenter
 from ..contact.material import Material
 from ..core.arguments import needs, real, shown
 from ..core.errors import ConfigError, ReachError, SkinError
-from ..core.se3 import Array, blend, inverse, is_rigid, log_so3
+from ..core.se3 import Array, blend, inverse, is_rigid, log_so3, orthonormal_basis, perpendicular
 from ..geometry.body import Body
 from ..geometry.region import Region
 from ..robot.arm import Arm
@@ -232,7 +232,7 @@ def _middle(normals: Array, axis: Array) -> int:
     """The sample, of normals (k, 3) along parallels, whose turn about the axis is in the middle of
     all turns, and that is about halfway: there the last joint has as far to go either way.
     """
-    e1, e2 = paths.tangent_basis(axis)
+    e1, e2, _ = orthonormal_basis(axis, perpendicular(axis)).T
     turn, count = np.abs(np.arctan2(normals @ e2, normals @ e1)), len(normals)
     return int(np.argmin(turn + np.abs(np.arange(count) / count - 0.5)))
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..core.se3 import Array
 from ..geometry.body import Body
+from ..geometry.geodesics import geodesic, onto
 from ..geometry.surface.closest_point import Closest
 
 STUCK = 0.3
@@ -134,20 +135,12 @@ def _middle(body: Body, sites: Array) -> tuple[Array, list[Array]]:
     spread = np.linalg.svd(sites - middle, full_matrices=False)[2][0] if len(sites) > 2 else None
     hit = body.closest(at[None])
     normal = hit.normal[0]
-    curved = _tangent(hit.direction[0], normal)
-    along = curved if spread is None else _tangent(spread, normal)
+    curved = onto(hit.direction[0], normal)
+    along = curved if spread is None else onto(spread, normal)
     return at, [along, curved, np.cross(normal, curved)]
 
 
-def _tangent(vector: Array, normal: Array) -> Array:
-    """The unit tangent nearest to a vector, or any where that is along the normal."""
-    flat = vector - normal * (vector @ normal)
-    if np.linalg.norm(flat) < 1e-3 * np.linalg.norm(vector):
-        flat = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    return np.asarray(flat / np.linalg.norm(flat))
-
-
-def geodesic(
+def both_ways(
     body: Body, start: Array, direction: Array, step: float, region: Region | None = None
 ) -> Array:
     """Points (k, 3) of the geodesic through `start` both ways: until it closes, meets a border,
@@ -165,25 +158,23 @@ def _base(body: Body, start: Array, directions: list[Array], step: float, region
     """
     if region.width > ROUND * body.surface.scale:
         for direction in directions:
-            way = geodesic(body, start, direction, step, region)
+            way = both_ways(body, start, direction, step, region)
             if np.linalg.norm(way[-1] - way[0]) < 1.5 * step:
                 return way
-    return geodesic(body, start, directions[0], step, region)
+    return both_ways(body, start, directions[0], step, region)
 
 
 def _trace(
     body: Body, start: Array, direction: Array, step: float, region: Region | None
 ) -> tuple[Array, bool]:
     """The geodesic one way from `start`, and whether it came back there."""
-    hit = body.closest(start[None])
-    points, way, astray = [hit.point[0]], direction, 0
+    trace = geodesic(body, start, direction, step)
+    points, astray = [next(trace)[0].point[0]], 0
     for k in range(int(4.0 * body.surface.scale / step)):
-        hit = body.closest((points[-1] + step * way)[None], hit.face)
-        point, normal = hit.point[0], hit.normal[0]
+        point = next(trace)[0].point[0]
         if np.linalg.norm(point - points[-1]) < STUCK * step:
             break
         points.append(point)
-        way = _tangent(way, normal)
         if k > 3 and np.linalg.norm(point - points[0]) < 0.75 * step:
             return np.array(points), True
         if region is not None:

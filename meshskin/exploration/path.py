@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..contact.indenter import Indenter
 from ..core.errors import SimulationError
-from ..core.se3 import Array, exp_so3, log_so3, transform
+from ..core.se3 import Array, exp_so3, log_so3, orthonormal_basis, perpendicular, transform
 from ..geometry.body import Body
 from ..scene.settings import Exploration
 
@@ -163,13 +163,6 @@ def parallels(polar: Array, radius: float, exploration: Exploration, dt: float) 
     return np.concatenate(way)
 
 
-def tangent_basis(axis: Array) -> tuple[Array, Array]:
-    """Two unit vectors that make a right-handed frame with `axis` (3,)."""
-    e1 = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
-    e1 /= np.linalg.norm(e1)
-    return e1, np.cross(axis, e1)
-
-
 def _rotation(axis: Array, angle: Array) -> Array:
     """Rotations (k, 3, 3) by `angle` (k,) about a unit `axis` (3,)."""
     return exp_so3(angle[:, None] * axis)
@@ -181,14 +174,15 @@ def body_rotations(normals: Array, axis: Array, heading: float) -> Array:
     First the spin about the skin's axis brings the normal into one meridian, then the tilt lowers
     it; `heading` (rad) is the direction of that meridian about the frame's z.
     """
-    e1, e2 = tangent_basis(axis)
+    basis = orthonormal_basis(axis, perpendicular(axis))
+    e1, e2, _ = basis.T
     polar = np.arctan2(np.hypot(normals @ e1, normals @ e2), normals @ axis)
     azimuth = np.unwrap(np.arctan2(normals @ e2, normals @ e1))
     h = np.array([np.cos(heading), np.sin(heading), 0.0])
     down = np.array([0.0, 0.0, -1.0])
     side = np.cross(down, h)
     # columns: where e1, e2, axis go with no tilt
-    base = np.stack([h, side, down], axis=1) @ np.stack([e1, e2, axis])
+    base = np.stack([h, side, down], axis=1) @ basis.T
     tilt = _rotation(side, -polar)
     return np.asarray(tilt @ base @ _rotation(axis, -azimuth))
 
@@ -219,7 +213,7 @@ def plan(
             limit=f"the body's size {size:.3g} m", remedy="give a convex skin region",
         )  # fmt: skip
     angles = parallels(lanes(extent, radius, exploration), radius, exploration, dt)
-    e1, e2 = tangent_basis(axis)
+    e1, e2, _ = orthonormal_basis(axis, perpendicular(axis)).T
     s = np.sin(angles[:, :1])
     wanted = (
         np.cos(angles[:, :1]) * axis

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import ReachError
 from ..core.se3 import Array, inverse
-from ..geometry.geodesics import transported, turned
+from ..geometry.geodesics import rotate_about, transport_along
 from ..robot import collision, posture
 from ..robot.contact_rig import ContactRig
 from ..scene.settings import Exploration
@@ -132,11 +132,11 @@ def _carried(
     if not ways:
         return [], []
     points, normals = (np.concatenate([getattr(w, k) for w in ways]) for k in ("points", "normals"))
-    tangents = np.concatenate([transported(w.normals) for w in ways])
+    tangents = np.concatenate([transport_along(w.normals) for w in ways])
     starts = np.zeros(len(points), dtype=bool)
     firsts = np.cumsum([0, *(len(w) for w in ways)])
     starts[firsts[:-1]] = True
-    headings = turned(tangents[:, None], normals[:, None], spins)
+    headings = rotate_about(normals[:, None], tangents[:, None], spins)
     poses = setup.poses(setup.tips(points, normals)[:, None], normals[:, None], headings)
     found = posture.nodes(arm, poses @ inverse(setup.mount))
     usable, why = usable_nodes(setup, found, poses)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.se3 import Array, inverse
-from ..geometry.geodesics import transported, turned
+from ..geometry.geodesics import rotate_about, transport_along
 from ..robot import posture
 from ..robot.contact_rig import ContactRig
 from .path import Path
@@ -36,14 +36,14 @@ def visits(setup: ContactRig, points: Array, dwell: int, dt: float) -> tuple[lis
     fits = np.flatnonzero(why == "")
     if not len(fits):
         return [], why
-    tangents = np.concatenate([transported(normal[None]) for normal in hit.normal[fits]])
+    tangents = np.concatenate([transport_along(normal[None]) for normal in hit.normal[fits]])
     normals, tips = hit.normal[fits], setup.tips(hit.point[fits], hit.normal[fits])
     if setup.arm is None:
         poses, held = setup.poses(tips, normals, tangents), [None] * len(fits)
     else:
         assert setup.mount is not None
         spins = 2 * np.pi * np.arange(posture.SPINS) / posture.SPINS
-        headings = turned(tangents[:, None], normals[:, None], spins)
+        headings = rotate_about(normals[:, None], tangents[:, None], spins)
         every = setup.poses(tips[:, None], normals[:, None], headings)
         found = posture.nodes(setup.arm, every @ inverse(setup.mount), stretch=1)
         usable, why[fits] = usable_nodes(setup, found, every)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.errors import ReachError
 from ..core.se3 import Array, inverse, log_so3
-from ..geometry.geodesics import transported, turned
+from ..geometry.geodesics import rotate_about, transport_along
 from ..robot.contact_rig import ContactRig
 from ..scene.settings import Exploration
 from .path import Path, timed, twists
@@ -23,7 +23,7 @@ BLUR = 0.015
 
 def free(setup: ContactRig, way: ContactPath, exploration: Exploration, dt: float) -> Path:
     """The path over one way of a body without an arm."""
-    tangents = transported(way.normals)
+    tangents = transport_along(way.normals)
     return _path(setup, way, tangents, np.zeros((len(way), 0)), None, exploration, dt)
 
 
@@ -44,7 +44,7 @@ def followed(
     assert setup.mount is not None
     for width in SMOOTHED:
         smooth = gaussian_filter1d(angle, width, mode="nearest") if width else angle
-        headings = turned(tangents, way.normals, smooth)
+        headings = rotate_about(way.normals, tangents, smooth)
         poses = setup.poses(setup.tips(way.points, way.normals), way.normals, headings) @ inverse(
             setup.mount
         )

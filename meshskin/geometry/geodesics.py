@@ -1,55 +1,97 @@
-"""Ways over a surface: straight ahead along geodesics, and tangents carried along them."""
+"""Geodesics of a surface, and the parallel transport of tangents along them."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
-from ..core.se3 import Array
+from ..core.se3 import Array, perpendicular, shortest_rotation
 from .body import Body
 from .surface.closest_point import Closest
+
+ALONG_NORMAL = 1e-6
+"""Part of a vector's length below which its tangential part is rounding error: a vector that comes
+from single-precision data is known to 1e-7."""
+OPPOSITE = -0.999
+"""Cosine between normals below which 1 + cosine loses three digits or more: the general rotation is
+used there."""
+BEND = 0.05
+"""Largest angle, rad, by which the normal turns in one step of `march`: the length is then off by
+less than BEND^2 / 3, 0.1 %."""
 
 
 def march(
     body: Body, at: Closest, heading: Array, carried: Array, length: float
 ) -> tuple[Closest, Array]:
-    """Walk a length (m) from n points along geodesics with unit headings (n, 3).
+    """Follow geodesics for a length (m) from n points along unit tangents `heading` (n, 3).
 
-    Gives the ends, and the tangents `carried` (n, 3) transported there. Steps are straight, each
-    followed by the closest point: off by (kappa ds)^2 / 3 of the length.
+    Returns the end points, and the tangents `carried` (n, 3) transported there. Steps are straight,
+    each followed by the closest point: the relative error of the length is (curvature * step)^2/3.
     """
-    steps = int(np.clip(np.ceil(length * np.max(np.abs(at.curvature), initial=0.0) / 0.05), 2, 10))
+    steps = int(np.clip(np.ceil(length * np.max(np.abs(at.curvature), initial=0.0) / BEND), 2, 10))
     for _ in range(steps):
         after = body.closest(at.point + length / steps * heading, face=at.face)
-        heading = _transport(heading, at.normal, after.normal)
-        carried = _transport(carried, at.normal, after.normal)
+        heading, carried = (transport(v, at.normal, after.normal) for v in (heading, carried))
         at = after
     return at, carried
 
 
-def _transport(vectors: Array, before: Array, after: Array) -> Array:
-    """Tangents (n, 3) turned by the smallest rotation that takes normals `before` to `after`."""
-    along = np.sum(vectors * after, axis=1) / (1.0 + np.sum(before * after, axis=1))
-    return onto(vectors - along[:, None] * (before + after), after)
+def geodesic(
+    body: Body, start: Array, direction: Array, step: float
+) -> Iterator[tuple[Closest, Array]]:
+    """Points of the geodesic from `start` (3,) in a direction (3,), `step` m apart, without end.
+
+    Yields the surface point and the unit tangent (3,) ahead, the start first.
+    """
+    at, ahead = body.closest(start[None]), direction
+    while True:
+        ahead = onto(ahead, at.normal[0])
+        yield at, ahead
+        at = body.closest(at.point + step * ahead, face=at.face)
 
 
-def onto(vectors: Array, normals: Array) -> Array:
-    """Unit tangents (n, 3): the vectors' parts across the normals."""
-    flat = vectors - np.sum(vectors * normals, axis=1, keepdims=True) * normals
-    return flat / np.linalg.norm(flat, axis=1, keepdims=True)
+def transport(vectors: Array, before: Array, after: Array) -> Array:
+    """Unit tangents (n, 3) by the shortest rotations from normals `before` to `after` (n, 3)."""
+    cosine = np.sum(before * after, axis=1)
+    opposite = cosine < OPPOSITE
+    along = np.sum(vectors * after, axis=1) / np.where(opposite, 1.0, 1.0 + cosine)
+    moved = vectors - along[:, None] * (before + after)
+    if opposite.any():
+        rotation = shortest_rotation(before[opposite], after[opposite])
+        moved[opposite] = np.einsum("nij,nj->ni", rotation, vectors[opposite])
+    return onto(moved, after)
 
 
-def transported(normals: Array, first: Array | None = None) -> Array:
-    """Unit tangents (k, 3) carried along the normals (k, 3) without turning about them."""
+def transport_along(normals: Array, first: Array | None = None) -> Array:
+    """A tangent transported along the unit normals (k, 3) of a path: unit tangents (k, 3).
+
+    `first` is the tangent at the start, by default the projection of the coordinate axis that is
+    least aligned with the normal. Each step projects onto the next tangent plane, which is parallel
+    transport up to the square of the angle between the normals.
+    """
     out = np.empty_like(normals)
-    way = np.eye(3)[np.argmin(np.abs(normals[0]))] if first is None else first
-    for k, n in enumerate(normals):
-        way = way - n * (n @ way)
-        way = way / np.linalg.norm(way)
-        out[k] = way
+    tangent = np.cross(normals[0], perpendicular(normals[0])) if first is None else first
+    for k, normal in enumerate(normals):
+        tangent = onto(tangent, normal)
+        out[k] = tangent
     return out
 
 
-def turned(tangents: Array, normals: Array, angle: Array) -> Array:
-    """Tangents (..., 3) turned about the normals by `angle` (...), rad."""
+def onto(vectors: Array, normals: Array) -> Array:
+    """Unit tangents (..., 3): the projections of vectors onto the planes of unit normals (..., 3).
+
+    A vector along its normal becomes any tangent.
+    """
+    flat = vectors - np.sum(vectors * normals, axis=-1, keepdims=True) * normals
+    length = np.linalg.norm(flat, axis=-1, keepdims=True)
+    lost = length < ALONG_NORMAL * np.linalg.norm(vectors, axis=-1, keepdims=True)
+    if lost.any():
+        flat, length = np.where(lost, -perpendicular(normals), flat), np.where(lost, 1.0, length)
+    return np.asarray(flat / length)
+
+
+def rotate_about(normals: Array, tangents: Array, angle: Array) -> Array:
+    """Tangents (..., 3) rotated about their unit normals (..., 3) by `angle` (...), rad."""
     cosine, sine = np.cos(angle)[..., None], np.sin(angle)[..., None]
     return np.asarray(cosine * tangents + sine * np.cross(normals, tangents))

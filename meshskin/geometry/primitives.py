@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.se3 import orthonormal_basis, perpendicular
 from .surface.closest_point import Closest
 
 Array = NDArray[np.float64]
@@ -38,13 +39,8 @@ def _answer(
     n = len(foot)
     curvature = np.stack([np.broadcast_to(k1, n), np.broadcast_to(k2, n)], axis=1)
     nowhere = np.linalg.norm(first, axis=1, keepdims=True) < TINY
-    direction, _ = _unit(np.where(nowhere, _across(normal), first), (1.0, 0.0, 0.0))
+    direction, _ = _unit(np.where(nowhere, perpendicular(normal), first), (1.0, 0.0, 0.0))
     return Closest(foot, distance, normal, curvature, direction, np.full(n, -1), np.zeros((n, 2)))
-
-
-def _across(normal: Array) -> Array:
-    """Vectors (n, 3) across the normals (n, 3)."""
-    return np.cross(np.eye(3)[np.argmin(np.abs(normal), axis=1)], normal)
 
 
 def _round(normal: Array) -> Array:
@@ -57,8 +53,7 @@ def _steepest(normal: Array, radii: Array) -> Array:
 
     Up to its length the shape operator is diag(1/r^2), restricted to the tangent plane.
     """
-    t1, _ = _unit(_across(normal), (1.0, 0.0, 0.0))
-    t2 = np.cross(normal, t1)
+    t1, t2, _ = np.moveaxis(orthonormal_basis(normal, perpendicular(normal)), 2, 0)
     a, b, c = (np.sum(s * t / radii**2, axis=1) for s, t in ((t1, t1), (t1, t2), (t2, t2)))
     angle = 0.5 * np.arctan2(2.0 * b, a - c)[:, None]
     return np.asarray(np.cos(angle) * t1 + np.sin(angle) * t2)
@@ -74,7 +69,9 @@ class Sphere:
         """Closest points of (n, 3) points, m; the centre goes to the pole +z."""
         normal, length = _unit(_points(points), (0.0, 0.0, 1.0))
         k = 1.0 / self.radius
-        return _answer(self.radius * normal, length - self.radius, normal, k, k, _across(normal))
+        return _answer(
+            self.radius * normal, length - self.radius, normal, k, k, perpendicular(normal)
+        )
 
 
 @dataclass(frozen=True)

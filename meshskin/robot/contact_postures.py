@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.se3 import Array, inverse
-from ..geometry.geodesics import transported, turned
+from ..geometry.geodesics import rotate_about, transport_along
 from . import posture
 from .contact_rig import ContactRig
 
@@ -24,8 +24,9 @@ def postures(setup: ContactRig, sites: Array) -> Array:
     hit = setup.body.closest(sites[spread(sites, PLACES)])
     points, normals = hit.point[:, None], hit.normal[:, None]
     spins = 2 * np.pi * np.arange(posture.SPINS) / posture.SPINS
-    tangents = np.stack([transported(normal)[0] for normal in normals])[:, None]
-    poses = setup.poses(setup.tips(points, normals), normals, turned(tangents, normals, spins))
+    tangents = np.stack([transport_along(normal)[0] for normal in normals])[:, None]
+    headings = rotate_about(normals, tangents, spins)
+    poses = setup.poses(setup.tips(points, normals), normals, headings)
     found = posture.nodes(setup.arm, poses @ inverse(setup.mount), stretch=1)
     return found.q[found.good]
 

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ..contact.indenter import Indenter
-from ..core.se3 import Array, transform
+from ..core.se3 import Array, orthonormal_basis, transform
 from ..geometry.body import Body
 from . import collision
 from .arm import Arm
@@ -73,8 +73,8 @@ class ContactRig:
         """
         tips, normals, headings = np.broadcast_arrays(tips, normals, headings)
         down, x = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0])
-        local = np.stack([headings, np.cross(normals, headings), normals], axis=-1)
-        held = self.indenter.rotation @ np.stack([x, np.cross(down, x), down], axis=-1)
+        local = orthonormal_basis(normals, headings)
+        held = self.indenter.rotation @ orthonormal_basis(down, x)
         rotation = held @ np.swapaxes(local, -1, -2)
         place = np.array(self.indenter.position) - np.einsum("...ij,...j->...i", rotation, tips)
         return np.asarray(transform(rotation, place))

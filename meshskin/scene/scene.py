@@ -20,7 +20,7 @@ from ..contact.material import Indentation, Material
 from ..contact.reading import ReadingModel
 from ..core.arguments import altered, known, needs, real, shown
 from ..core.errors import ConfigError, SkinError
-from ..core.se3 import Array, is_rigid, transform
+from ..core.se3 import Array, is_rigid, orthonormal_basis, perpendicular, transform
 from ..effects import Context, NoiseEffect
 from ..geometry.body import Body
 from ..robot import contact_postures
@@ -139,9 +139,7 @@ class Scene:
         """T_tip_body (4, 4)."""
         if self.mount is not None:
             return np.asarray(self.mount, dtype=float)
-        e1 = np.cross(np.eye(3)[np.argmin(np.abs(self.axis))], self.axis)
-        e1 /= np.linalg.norm(e1)
-        rotation = np.stack([e1, np.cross(self.axis, e1), self.axis])
+        rotation = orthonormal_basis(self.axis, perpendicular(self.axis)).T
         back = -float((self.body.mesh.vertices @ self.axis).min())
         return transform(rotation, [0.0, 0.0, back + ADAPTER])
 

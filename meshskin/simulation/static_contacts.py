@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from ..core.arguments import array, needs, vectors
 from ..core.errors import RecordingError
 from ..core.provenance import provenance
-from ..core.se3 import Array, exp_so3, quaternion
+from ..core.se3 import Array, exp_so3, quaternion, shortest_rotation
 from ..recording.recording import Recording
 from ..scene.scene import Scene
 from .readout import FRAME_CELLS, effect_chain, frames_at, header, sensor_tables
@@ -110,18 +110,10 @@ def _at_rest(scene: Scene, hit: Closest, forces: Array, spin: Array) -> Frames:
         effective_modulus=scene.material.effective_modulus,
     )
     centres = hit.point + (scene.indenter.radius - patches.depth)[:, None] * hit.normal
-    turned = exp_so3(spin[:, None] * [0.0, 0.0, 1.0]) @ _down(hit.normal)
+    down = shortest_rotation(hit.normal, [0.0, 0.0, -1.0])
+    turned = exp_so3(spin[:, None] * [0.0, 0.0, 1.0]) @ down
     turned = scene.indenter.rotation @ turned
     place = np.array(scene.indenter.position) - np.einsum("kij,kj->ki", turned, centres)
     time = APART * np.arange(float(len(forces)))
     q = np.concatenate([place, quaternion(turned)[:, [3, 0, 1, 2]]], axis=1)
     return frames_at(scene, time, hit.point, hit.normal, forces, centres, q)
-
-
-def _down(normals: Array) -> Array:
-    """The least rotations (m, 3, 3) that turn unit normals (m, 3) to -z."""
-    axis = np.cross(normals, [0.0, 0.0, -1.0])
-    sine = np.linalg.norm(axis, axis=1)
-    angle = np.arctan2(sine, -normals[:, 2])
-    axis = np.where(sine[:, None] > 1e-12, axis / np.maximum(sine, 1e-12)[:, None], [1.0, 0.0, 0.0])
-    return exp_so3(axis * angle[:, None])

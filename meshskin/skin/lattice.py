@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import SkinError
+from ..core.se3 import orthonormal_basis
 from ..geometry import region as regions
 from ..geometry.body import Body
 from ..geometry.geodesics import march, onto
 from ..geometry.surface.closest_point import Closest
-from ..geometry.surface.frames import tangent_frames
 
 Array = NDArray[np.float64]
 
@@ -73,8 +73,7 @@ def first_site(
     centre = region.centre(body)
     if not region.contains(body, centre)[0]:
         raise SkinError("a region without surface", value=region, remedy="move or widen it")
-    tangent = tangent_frames(centre.normal)[:, 0]
-    side = np.cross(centre.normal, tangent)
+    tangent, side, _ = np.moveaxis(orthonormal_basis(centre.normal), 2, 0)
     a, b = rng.uniform(-0.5, 0.5, size=2)
     turn = rng.uniform(0.0, np.pi / 3.0)
     shift = spacing * ((a + 0.5 * b) * tangent + ROW * b * side)
@@ -105,7 +104,7 @@ def fill(
         if not bare.any():
             break
         at = faces.take([int(np.argmax(gap))])
-        island = Lattice(at, tangent_frames(at.normal)[:, 0], np.zeros(1))
+        island = Lattice(at, orthonormal_basis(at.normal)[:, :, 0], np.zeros(1))
         sites = _join(sites, grow(body, region, spacing, island, taken=sites.at.point))
         faces = faces.take(bare)
     return sites

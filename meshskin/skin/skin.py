@@ -15,7 +15,6 @@ from ..core.provenance import random_stream
 from ..geometry import region as regions
 from ..geometry.body import Body
 from ..geometry.mesh.mesh_file import UNITS
-from ..geometry.surface.frames import tangent_frames
 from . import lattice, modules
 
 Array = NDArray[np.float64]
@@ -115,8 +114,7 @@ class Skin:
                 limit = f"the {len(sites)} that fit the region"
                 raise SkinError("number of taxels", value=count, limit=limit, remedy=remedy)
             sites = sites.take(np.argsort(sites.way, kind="stable")[:count])
-        x, z = sites.tangent, sites.at.normal
-        rotation = np.stack([x, np.cross(z, x), z], axis=2)
+        rotation = se3.orthonormal_basis(sites.at.normal, sites.tangent)
         return cls(se3.transform(rotation, sites.at.point), np.arange(len(sites)), disc_radius)
 
     @staticmethod
@@ -188,14 +186,11 @@ class Skin:
                 remedy="the skin in the body's frame, its file's units (Skin.load(path, "
                 "units='mm')), or a larger `within`",
             )
-        x = tangent_frames(at.normal)[:, 0]
+        rotation = se3.orthonormal_basis(at.normal)
         cosine = np.einsum("ij,ij->i", self.normals, at.normal)
         turned = np.flatnonzero(cosine > HEADLONG)  # not where a rotation is NaN
-        across = np.cross(self.normals[turned], at.normal[turned])
-        old = self.poses[turned, :3, 0]
-        side = np.cross(across, old)
-        x[turned] = old + side + np.cross(across, side) / (1.0 + cosine[turned, None])
-        rotation = np.stack([x, np.cross(at.normal, x), at.normal], axis=2)
+        step = se3.shortest_rotation(self.normals[turned], at.normal[turned])
+        rotation[turned] = step @ self.poses[turned, :3, :3]
         return replace(self, poses=se3.transform(rotation, at.point))
 
 

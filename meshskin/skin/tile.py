@@ -10,7 +10,6 @@ from ..geometry import region as regions
 from ..geometry.body import Body
 from ..geometry.geodesics import onto
 from ..geometry.surface.closest_point import Closest
-from ..geometry.surface.frames import tangent_frames
 from . import slots
 
 Array = NDArray[np.float64]
@@ -63,9 +62,7 @@ def nearer(body: Body, poses: Array) -> Array:
 
 def posed(origins: Array, normals: Array, headings: Array) -> Array:
     """Poses (k, 4, 4) at origins, z the unit normals, x along headings (k, 3 each)."""
-    x = onto(headings, normals)
-    rotation = np.stack([x, np.cross(normals, x), normals], axis=2)
-    return se3.transform(rotation, origins)
+    return se3.transform(se3.orthonormal_basis(normals, onto(headings, normals)), origins)
 
 
 def _feet(body: Body, poses: Array) -> tuple[Closest, Array, Array]:
@@ -98,7 +95,8 @@ def apart(one: Array, two: Array) -> tuple[Array, Array, Array]:
     the second, and the corner (k, 3), m, that comes nearest.
     """
     z = one[:, :3, 2] + two[:, :3, 2]
-    frames = tangent_frames(z / np.linalg.norm(z, axis=1, keepdims=True))[:, :2]
+    normals = z / np.linalg.norm(z, axis=1, keepdims=True)
+    frames = np.swapaxes(se3.orthonormal_basis(normals), 1, 2)[:, :2]
     origin = one[:, None, :3, 3]
     a, b = (np.einsum("kci,kji->kcj", corners(p) - origin, frames) for p in (one, two))
     gap, way, corner = _beyond(a, b)

@@ -10,6 +10,7 @@ largest distance from it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import casadi as ca
@@ -19,10 +20,11 @@ from numpy.typing import ArrayLike
 from ..contact.indenter import Indenter
 from ..core.arguments import vector
 from ..core.errors import ReachError, TuningError
-from ..core.se3 import Array, inverse, transform
+from ..core.se3 import Array, inverse, orthonormal_basis, transform
 from ..exploration.explore import above
 from ..exploration.path import Path, twists
 from ..geometry.body import Body
+from ..geometry.geodesics import geodesic
 from ..geometry.surface import patch as patches
 from ..scene.scene import Scene
 from ..scene.settings import Exploration
@@ -127,7 +129,7 @@ def plan(
     heading: of the slide, rad about the indenter; None: the one farthest from the joints' limits.
     Raises ReachError where the arm cannot follow, TuningError where the surface is no smooth patch.
     """
-    s, points, frames = geodesic(scene.body, place, direction, distance)
+    s, points, frames = slide_path(scene.body, place, direction, distance)
     anchor, foot, misfit = fitted(scene.body, points, frames)
     depth = scene.patch.depth
     if misfit > MISFIT * depth:
@@ -172,7 +174,7 @@ def _on_heading(
     tips (k, 3): the indenter's centre in the body frame, m.
     """
     ahead, down = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([0.0, 0.0, -1.0])
-    world = indenter.rotation @ np.stack([ahead, np.cross(down, ahead), down], axis=1)
+    world = indenter.rotation @ orthonormal_basis(down, ahead)
     rotation = world @ frames.swapaxes(1, 2)
     return rotation, np.array(indenter.position) - np.einsum("kij,kj->ki", rotation, tips)
 
@@ -188,7 +190,7 @@ def _posture(scene: Scene, poses: Array) -> tuple[Array | None, Array, float]:
     return q[0], start, float(np.minimum(q - arm.lower, arm.upper - q).min())
 
 
-def geodesic(
+def slide_path(
     body: Body, place: Array, direction: Array, distance: float
 ) -> tuple[Array, Array, Array]:
     """A geodesic of the body's surface: way (k,), points (k, 3), frames (k, 3, 3).
@@ -196,22 +198,15 @@ def geodesic(
     Columns of a frame: the way ahead, normal x ahead, outward normal; body frame. Raises
     TuningError where `direction` is normal to the surface.
     """
-    hit = body.closest(np.asarray(place, dtype=float)[None])
-    point, normal = hit.point[0], hit.normal[0]
-    ahead = np.asarray(direction, dtype=float)
+    place, direction = np.asarray(place, dtype=float), np.asarray(direction, dtype=float)
+    normal = body.closest(place[None]).normal[0]
+    if not np.linalg.norm(direction - normal * (normal @ direction)) > 1e-6:
+        raise TuningError("the slide points along the normal", value=direction)
     count = int(np.ceil(distance / STRIDE))
-    step = distance / count
     points, frames = [], []
-    for _ in range(count + 1):
-        ahead = ahead - normal * (normal @ ahead)
-        length = float(np.linalg.norm(ahead))
-        if not length > 1e-6:
-            raise TuningError("the slide points along the normal", value=direction)
-        ahead = ahead / length
-        points.append(point)
-        frames.append(np.stack([ahead, np.cross(normal, ahead), normal], axis=1))
-        hit = body.closest((point + step * ahead)[None], face=hit.face)
-        point, normal = hit.point[0], hit.normal[0]
+    for hit, ahead in islice(geodesic(body, place, direction, distance / count), count + 1):
+        points.append(hit.point[0])
+        frames.append(orthonormal_basis(hit.normal[0], ahead))
     way = np.linalg.norm(np.diff(np.array(points), axis=0), axis=1)
     s = np.concatenate([[0.0], np.cumsum(way)])
     return s * distance / s[-1], np.array(points), np.array(frames)

@@ -1,6 +1,7 @@
 """Rigid transforms against scipy's matrix exponential and closed round trips."""
 
 import numpy as np
+import pytest
 from scipy.linalg import expm
 
 from meshskin.core import se3
@@ -54,3 +55,37 @@ def test_a_rigid_transform_neither_scales_nor_mirrors_nor_shears():
     sheared = pose.copy()
     sheared[0] += 0.01 * sheared[1]
     assert not any(map(se3.is_rigid, [*wrong, sheared]))
+
+
+def unit(count, seed=1):
+    vectors = np.random.default_rng(seed).normal(size=(count, 3))
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("tangents", [None, se3.perpendicular])
+def test_orthonormal_basis_is_a_rotation_with_the_normal_last(tangents):
+    normals = np.concatenate([unit(50), np.eye(3), -np.eye(3)])
+    given = None if tangents is None else tangents(normals)
+    basis = se3.orthonormal_basis(normals, given)
+    assert np.allclose(np.swapaxes(basis, 1, 2) @ basis, np.eye(3), atol=1e-14)
+    assert np.allclose(np.linalg.det(basis), 1.0)
+    assert np.array_equal(basis[..., 2], normals)
+    assert np.array_equal(se3.orthonormal_basis(normals[3]), se3.orthonormal_basis(normals)[3])
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-15, 1e-12, 1e-8, 1e-4, 0.05, 1.0])
+def test_shortest_rotation_near_opposite_vectors(off):
+    source = np.concatenate([unit(50), np.eye(3), -np.eye(3)])
+    target = -source + off * unit(len(source), seed=2)
+    target /= np.linalg.norm(target, axis=1, keepdims=True)
+    rotation = se3.shortest_rotation(source, target)
+    assert np.allclose(np.swapaxes(rotation, 1, 2) @ rotation, np.eye(3), atol=1e-12)
+    assert np.allclose(np.einsum("nij,nj->ni", rotation, source), target, atol=1e-11)
+    cosine = np.einsum("ni,ni->n", source, target)
+    assert np.allclose(np.trace(rotation, axis1=1, axis2=2), 1 + 2 * cosine, atol=1e-9)
+
+
+def test_shortest_rotation_of_one_vector_to_many():
+    target = unit(7)
+    rotation = se3.shortest_rotation([0.0, 0.0, 1.0], target)
+    assert np.allclose(rotation[:, :, 2], target)

@@ -34,12 +34,3 @@ def test_frames_are_frames_and_continue(directions):
     near = directions + 1e-4 * np.roll(directions, 1, axis=1)
     near /= np.linalg.norm(near, axis=1)[:, None]
     assert np.abs(chart.align_normals(rotation, near) - rotation).max() < 3e-4
-
-
-def test_turn_is_the_smallest_even_for_opposite_vectors(directions):
-    target = np.roll(directions, 1, axis=0)
-    target[:3] = -directions[:3]
-    rotation = chart.shortest_rotation(directions, target)
-    assert np.allclose(np.einsum("nij,nj->ni", rotation, directions), target)
-    cosine = np.einsum("ni,ni->n", directions, target)
-    assert np.allclose(np.trace(rotation, axis1=1, axis2=2), 1 + 2 * cosine, atol=1e-9)

@@ -8,7 +8,7 @@ import pytest
 
 from meshskin.core.errors import TuningError
 from meshskin.geometry.body import Body
-from meshskin.tuning.manoeuvre import fitted, geodesic, plan, travelled
+from meshskin.tuning.manoeuvre import fitted, plan, slide_path, travelled
 
 BOTTOM = np.array([0.0, 0.0, -0.1])
 
@@ -19,14 +19,14 @@ def free(sphere):
 
 
 def test_a_geodesic_of_the_sphere_is_a_great_circle():
-    s, points, frames = geodesic(Body.sphere(0.1), BOTTOM, np.array([1.0, 1.0, 0.5]), 0.05)
+    s, points, frames = slide_path(Body.sphere(0.1), BOTTOM, np.array([1.0, 1.0, 0.5]), 0.05)
     angle = s / 0.1
     ahead = np.array([np.sqrt(0.5), np.sqrt(0.5), 0.0])
     expected = 0.1 * (np.outer(np.sin(angle), ahead) - np.outer(np.cos(angle), [0, 0, 1]))
     np.testing.assert_allclose(points, expected, atol=1e-6)
     np.testing.assert_allclose(frames[:, :, 2], expected / 0.1, atol=1e-5)
     with pytest.raises(TuningError, match="along the normal"):
-        geodesic(Body.sphere(0.1), BOTTOM, BOTTOM, 0.05)
+        slide_path(Body.sphere(0.1), BOTTOM, BOTTOM, 0.05)
 
 
 def test_the_patch_stands_for_the_surface_about_the_slide():
@@ -34,7 +34,7 @@ def test_the_patch_stands_for_the_surface_about_the_slide():
         (Body.sphere(0.1), BOTTOM, [1.0, 0.0, 0.0]),
         (Body.capsule(0.05, 0.2), [0.05, 0.0, 0.0], [0.0, 1.0, 1.0]),
     ):
-        _, points, frames = geodesic(body, np.array(place), np.array(ahead), 0.02)
+        _, points, frames = slide_path(body, np.array(place), np.array(ahead), 0.02)
         assert fitted(body, points, frames)[2] < 2e-7  # of a depth of some mm
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.se3 import orthonormal_basis
 from .fans import Fans
 
 Array = NDArray[np.float64]
@@ -23,23 +24,10 @@ def vertex_normals(vertices: Array, faces: Index) -> Array:
     return np.where(length > 0, total / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
 
 
-def tangent_frames(normals: Array) -> Array:
-    """Right-handed frames (n, 3, 3), rows t1, t2, normal, of unit normals (n, 3).
-
-    Source: Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6 (2017).
-    """
-    x, y, z = normals.T
-    sign = np.where(z >= 0, 1.0, -1.0)
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    t1 = np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=1)
-    t2 = np.stack([b, sign + y * y * a, -y], axis=1)
-    return np.stack([t1, t2, normals], axis=1)
-
-
 def fan_frames(points: Array, fans: Fans) -> Array:
-    """Frames (j, 3, 3) of the fans, with t1 along the creases where there are some."""
-    frame = tangent_frames(vertex_normals(points, fans.corner))
+    """Frames (j, 3, 3) of the fans, rows t1, t2, normal; t1 is along creases where some are."""
+    normals = vertex_normals(points, fans.corner)
+    frame = np.ascontiguousarray(np.swapaxes(orthonormal_basis(normals), 1, 2))
     face, k = np.nonzero(fans.sharp)
     tail, head = fans.corner[face, (k + 1) % 3], fans.corner[face, (k + 2) % 3]
     way = points[head] - points[tail]

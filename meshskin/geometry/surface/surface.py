@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.arguments import vectors
 from ...core.errors import MeshError
+from ...core.se3 import orthonormal_basis
 from ..mesh.inside_outside import ON_EDGE, Folds
 from . import blend, compiled_search, fans, heights, jets, patch, walk
 from .closest_point import Closest
 from .compiled_search import CompiledSearch
-from .frames import tangent_frames
 from .proximity import thin_walled
 from .search import Flat, Search
 
@@ -158,7 +158,7 @@ class Surface:
         if len(thin):  # a face without area takes its normal from its corners
             total = self.jets.frame[self.fans.corner[face[thin]], 2].sum(axis=1)
             normal[thin] = total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None]
-            direction[thin] = tangent_frames(normal[thin])[:, 0]
+            direction[thin] = orthonormal_basis(normal[thin])[:, :, 0]
         offset = np.zeros_like(s) if points is None else points - s
         height = np.einsum("ij,ij->i", offset, normal)
         distance = np.copysign(np.sqrt(np.einsum("ij,ij->i", offset, offset)), height)
@@ -166,7 +166,7 @@ class Surface:
 
     def trace(self, origins: Array, directions: Array, face: Index) -> tuple[Index, Array]:
         """Where rays (n, 3) meet the surface near the faces `face` (n,): faces (n,), uv (n, 2)."""
-        e1, e2 = np.swapaxes(tangent_frames(directions)[:, :2], 0, 1)
+        e1, e2, _ = np.moveaxis(orthonormal_basis(directions), 2, 0)
         target = np.stack([origins, e1, e2], axis=1)
         across = self.neighbours, self.slot
         return walk.walk(self.patches, across, target, face, walk.ray_step)[:2]

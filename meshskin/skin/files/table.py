@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from ...core import se3
 from ...core.errors import SkinError
-from ...geometry.surface.frames import tangent_frames
 from ..slots import CENTRE, PER_MODULE, THERMAL, module, slot
 
 Array = NDArray[np.float64]
@@ -109,7 +108,7 @@ class Table:
         normals = np.divide(
             self.normals, length, out=np.full_like(self.normals, np.nan), where=length > 0
         )
-        return se3.transform(np.swapaxes(tangent_frames(normals), 1, 2), self.positions)
+        return se3.transform(se3.orthonormal_basis(normals), self.positions)
 
     def _rotations(self, name: str, quaternions: Array) -> Array:
         from scipy.spatial.transform import Rotation
