@@ -1,7 +1,7 @@
 """meshskin: self-calibration of robot skin on any body mesh.
 
-Simulate how a skin-covered body presses on an indenter, find every taxel's pose from the recording,
-and say how certain it is. Names are loaded when they are used, so that the import is quick.
+Simulate how a robot presses its skin-covered body on an indenter, estimate the pose of every taxel
+from the recording, and state the uncertainty. Public names are imported when they are first used.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`meshskin calibrate RECORDING --out DIR`: a skin's map from a robot's own log."""
+"""`meshskin calibrate RECORDING --out DIR`: calibrate a skin from a recorded log of contacts."""
 
 from __future__ import annotations
 
@@ -18,55 +18,76 @@ if TYPE_CHECKING:
     from ..recording.recording import Recording
     from ..scene.belief import Belief
 
-LOG = """
-RECORDING is the common part of its files' names, or a folder with contacts.csv (time, px, py, pz,
-force, and qw, qx, qy, qz where the indenter's offset is unknown: one row a frame in contact, points
-in the body's frame) and readings.csv (time, taxel, pressure). Columns are in SI units, or name
-theirs: px_mm, pressure_kpa, time_ms.
+DESCRIPTION = """
+RECORDING is the common prefix of the names of a recording's files, or a folder with contacts.csv
+(columns time, px, py, pz, force; also qw, qx, qy, qz if the indenter's offset is unknown; one row
+per frame in contact, contact points in the body frame) and readings.csv (columns time, taxel,
+pressure). Columns are in SI units or name their unit: px_mm, pressure_kpa, time_ms.
 """
 
-
-KNOWN = ("body", "units", "indenter_radius_mm", "young_kpa", "poisson", "thickness_mm")
-"""Options that a scene takes the place of."""
+SCENE_OPTIONS = ("body", "units", "indenter_radius_mm", "young_kpa", "poisson", "thickness_mm")
+"""Options whose values come from the scene when --scene is given."""
+SHOWN = 8
+"""Taxels with faults that the summary lists; metrics.json has all."""
 
 
 def add(commands: Any) -> None:
     """Add the command to the parser's commands."""
     parser = commands.add_parser(
-        "calibrate", help="calibrate a skin from a recorded log of contacts", description=LOG
+        "calibrate", help="calibrate a skin from a recorded log", description=DESCRIPTION
     )
-    parser.add_argument("recording", type=Path, metavar="RECORDING", help="the log, see above")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="for the results")
+    parser.add_argument("recording", type=Path, metavar="RECORDING", help="recorded log, see above")
     parser.add_argument(
-        "--scene", help="a scene's name or file, in place of body, indenter and material"
+        "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
     )
-    known = parser.add_argument_group("what is known of the robot")
-    known.add_argument("--body", type=Path, metavar="MESH", help="mesh that the skin covers")
-    known.add_argument("--units", help="of the mesh: m, cm, mm or in")
-    known.add_argument("--indenter-radius-mm", type=float, metavar="R", help="of the sphere")
-    known.add_argument("--young-kpa", type=float, metavar="E", help="Young's modulus, roughly")
-    known.add_argument("--poisson", type=float, help="of the skin (default 0.49)")
-    known.add_argument("--thickness-mm", type=float, help="of the soft layer on rigid ground")
+    parser.add_argument(
+        "--scene", help="name or file of a scene that gives body, indenter and material"
+    )
+    known = parser.add_argument_group("known properties of the robot")
+    known.add_argument(
+        "--body", type=Path, metavar="MESH", help="mesh of the body that the skin covers"
+    )
+    known.add_argument("--units", help="unit of the mesh: m, cm, mm or in")
+    known.add_argument(
+        "--indenter-radius-mm", type=float, metavar="R", help="radius of the indenter"
+    )
+    known.add_argument(
+        "--young-kpa", type=float, metavar="E", help="approximate Young's modulus of the skin"
+    )
+    known.add_argument("--poisson", type=float, help="Poisson's ratio of the skin (default 0.49)")
+    known.add_argument(
+        "--thickness-mm", type=float, help="thickness of the soft layer on a rigid core"
+    )
     known.add_argument(
         "--contact",
-        help="contact model: hertz, elliptic, layered, or the first of these that holds",
+        help="contact model: hertz, elliptic, layered or auto (default: the first that is valid)",
     )
-    known.add_argument("--disc-radius-mm", type=float, help="of a taxel (default 2)")
-    known.add_argument("--noise-kpa", type=float, help="standard deviation of a reading")
-    known.add_argument("--threshold-kpa", type=float, help="pressures up to this are not reported")
-    known.add_argument("--saturation-kpa", type=float, help="end of the sensor's range")
-    known.add_argument("--taxels", type=Path, metavar="FILE", help="skin file that names them all")
+    known.add_argument("--disc-radius-mm", type=float, help="radius of a taxel (default 2)")
     known.add_argument(
-        "--modules", action="store_true", help="taxels in rigid triangles, id = 12 module + slot"
+        "--noise-kpa", type=float, help="standard deviation of the noise of a reading"
     )
     known.add_argument(
-        "--unknown", nargs="*", metavar="NAME", help="what is estimated beside the taxels: "
+        "--threshold-kpa", type=float, help="pressures up to this value are not recorded"
+    )
+    known.add_argument("--saturation-kpa", type=float, help="upper end of the sensor's range")
+    known.add_argument(
+        "--taxels", type=Path, metavar="FILE", help="skin file that lists the ids of all taxels"
+    )
+    known.add_argument(
+        "--modules",
+        action="store_true",
+        help="taxels lie on rigid triangular modules, id = 12 module + slot",
+    )
+    known.add_argument(
+        "--unknown", nargs="*", metavar="NAME", help="parameters estimated with the taxels: "
         "modulus (default), gain, offset, force_scale, force_offset, indenter_offset, body_offset",
     )  # fmt: skip
-    parser.add_argument("--method", default="joint", help="joint (default), posegraph, ...")
     parser.add_argument(
-        "--export", type=Path, metavar="FILE", help="the skin map for the robot: by suffix .txt "
-        "(iCub position file), .csv, .urdf, .ply or .glb",
+        "--method", default="joint", help="estimator: joint (default), posegraph, ..."
+    )
+    parser.add_argument(
+        "--export", type=Path, metavar="FILE", help="write the skin map to FILE; its suffix gives "
+        "the format: .txt (iCub position file), .csv, .urdf, .ply or .glb",
     )  # fmt: skip
     parser.set_defaults(command=command)
 
@@ -84,7 +105,7 @@ def command(options: argparse.Namespace) -> int:
         check_format(options.export.suffix.lstrip("."))
     clock = perf_counter()
     recording = Recording.load(options.recording)
-    belief = believed(options, recording)
+    belief = belief_of(options, recording)
     check_folder(options.out)
     if options.export is not None:
         check_place(options.export)
@@ -108,8 +129,8 @@ def command(options: argparse.Namespace) -> int:
     return 0
 
 
-def believed(options: argparse.Namespace, recording: Recording) -> Belief:
-    """What the options say of the robot. Raises ConfigError for what they lack."""
+def belief_of(options: argparse.Namespace, recording: Recording) -> Belief:
+    """The belief that the options describe. Raises ConfigError if they are incomplete."""
     from ..skin import slots
 
     belief = _by_scene(options) if options.scene else _by_options(options)
@@ -138,21 +159,21 @@ def believed(options: argparse.Namespace, recording: Recording) -> Belief:
 
 
 def _by_scene(options: argparse.Namespace) -> Belief:
-    """The belief of a scene, which knows body, indenter and material."""
+    """The belief of the scene named by --scene."""
     from ..scene.scene import Scene
 
-    twice = [name for name in KNOWN if getattr(options, name) is not None]
-    if twice:
-        named = ", ".join(f"--{name.replace('_', '-')}" for name in twice)
+    given = [name for name in SCENE_OPTIONS if getattr(options, name) is not None]
+    if given:
+        names = ", ".join(f"--{name.replace('_', '-')}" for name in given)
         raise ConfigError(
-            "the scene knows body, indenter and material", value=f"{named} beside --scene",
-            remedy="leave one of the two out",
+            "--scene gives body, indenter and material", value=f"{names} together with --scene",
+            remedy="remove either --scene or the other options",
         )  # fmt: skip
     return Scene.load(options.scene).belief()
 
 
 def _by_options(options: argparse.Namespace) -> Belief:
-    """A belief without a scene."""
+    """The belief built from --body, --indenter-radius-mm, --young-kpa and so on."""
     from ..contact import AUTO
     from ..contact.indenter import Indenter
     from ..contact.material import Material
@@ -167,8 +188,8 @@ def _by_options(options: argparse.Namespace) -> Belief:
     missing = [name for name, value in needed.items() if value is None]
     if missing:
         raise ConfigError(
-            f"what is known of the robot lacks {', '.join(missing)}",
-            remedy="give a --scene, or all of --body, --indenter-radius-mm and --young-kpa",
+            f"required options are missing: {', '.join(missing)}",
+            remedy="give --scene, or all of --body, --indenter-radius-mm and --young-kpa",
         )
     poisson = 0.49 if options.poisson is None else options.poisson
     thickness = None if options.thickness_mm is None else 1e-3 * options.thickness_mm
@@ -182,17 +203,17 @@ def _by_options(options: argparse.Namespace) -> Belief:
 
 
 def export(found: Calibration, belief: Belief, path: Path) -> None:
-    """Write the map of the taxels that are determined. Raises SkinError, OutputError."""
+    """Write the skin map of the determined taxels. Raises SkinError, OutputError."""
     from ..skin.skin import Skin
 
     good = np.isfinite(found.poses).all(axis=(1, 2))
     if not good.any():
-        raise CalibrationError("no taxel is determined: there is no map to export")
+        raise CalibrationError("no taxel is determined, so there is no skin map to export")
     Skin(found.poses[good], found.ids[good], belief.disc_radius).save(path)
 
 
 def assess(found: Calibration, recording: Recording) -> dict[str, Any]:
-    """The numbers of metrics.json: what is known without the truth."""
+    """The content of metrics.json: quantities that need no ground truth."""
     from ..estimation.uncertainty.metrics import undetermined
 
     good = found.observed[:, :2].all(axis=1)
@@ -216,27 +237,27 @@ def assess(found: Calibration, recording: Recording) -> dict[str, Any]:
 
 
 def reasons(found: Calibration) -> list[tuple[str, int]]:
-    """Why taxels have no estimate, and how many for each reason, the most frequent first."""
+    """Reasons why taxels have no estimate with their counts, the most frequent first."""
     lost = ~np.isfinite(found.positions).all(axis=1)
     return Counter(map(str, np.asarray(found.reasons)[lost])).most_common()
 
 
 def faults(found: Calibration) -> dict[str, str]:
-    """What is wrong with taxels, by id."""
+    """Faults of taxels by taxel id."""
     if found.faults is None:
         return {}
     return {str(k): f for k, f in zip(found.ids, found.faults, strict=True) if f}
 
 
 def certainty(found: Calibration) -> str:
-    """How certain E* is, behind its number in kPa."""
+    """Text that follows the value of E* in kPa: its standard deviation, or that it was given."""
     if found.modulus_sigma is None:
         return ", given"
     return f" +- {found.modulus_sigma / 1e3:.2g}"
 
 
 def summary(found: Calibration, metrics: dict[str, Any], folder: Path) -> str:
-    """What a person wants to read."""
+    """The text that the command prints."""
     lines = [
         f"{metrics['determined']} of {metrics['taxels']} taxels determined from "
         f"{metrics['readings']} readings in {metrics['contacts']} contacts"
@@ -254,7 +275,7 @@ def summary(found: Calibration, metrics: dict[str, Any], folder: Path) -> str:
     lines.append(f"  not determined   {metrics['undetermined']}")
     lines += [f"  left out         {n} taxels: {why}" for why, n in reasons(found)]
     named = list(metrics["faults"].items())
-    lines += [f"  taxel {k:>6}     {words}" for k, words in named[:8]]
-    if len(named) > 8:
-        lines.append(f"  and {len(named) - 8} more: metrics.json")
+    lines += [f"  taxel {k:>6}     {words}" for k, words in named[:SHOWN]]
+    if len(named) > SHOWN:
+        lines.append(f"  and {len(named) - SHOWN} more: metrics.json")
     return "\n".join([*lines, f"  report           {folder / 'report.html'}"])

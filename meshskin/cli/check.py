@@ -1,4 +1,4 @@
-"""`meshskin check MESH`: whether a mesh can be a body, what is wrong with it, and where."""
+"""`meshskin check MESH`: find defects of a mesh and say whether it can be a body."""
 
 from __future__ import annotations
 
@@ -16,40 +16,43 @@ if TYPE_CHECKING:
 
 COLOURS = {"refused": "#c62828", "noted": "#ef6c00", "repaired": "#1565c0"}
 SIZES = {"refused": 5.0, "noted": 4.0, "repaired": 1.5}
-"""of the dots, in points"""
+"""Marker sizes by verdict, points."""
 PICTURES = (".png", ".pdf", ".svg")
 DRAWN = 20_000
-"""faces, and places of a finding, that a drawing shows at most"""
+"""Largest number of faces, and of points of one finding, that a drawing shows."""
 
 
 def add(commands: Any) -> None:
     """Add the command to the parser's commands."""
     parser = commands.add_parser(
         "check",
-        help="find what is wrong with a mesh, and where",
-        description="Find what is wrong with a mesh. Exit code 0: it can be a body; 1: it cannot; "
-        "2: it cannot be read.",
+        help="find defects of a mesh",
+        description="Find defects of a mesh. Exit code 0: it can be a body; 1: it cannot; "
+        "2: the file cannot be read.",
     )
+    parser.add_argument("mesh", type=Path, metavar="MESH", help="STL, OBJ, PLY, OFF or glTF file")
+    parser.add_argument("--units", help="m, cm, mm or in; required except for glTF")
+    parser.add_argument("--open", action="store_true", help="accept an open mesh")
     parser.add_argument(
-        "mesh", type=Path, metavar="MESH", help="an STL, OBJ, PLY, OFF or glTF file"
-    )
-    parser.add_argument("--units", help="m, cm, mm or in; required but for glTF")
-    parser.add_argument("--open", action="store_true", help="the mesh is meant to be open")
-    parser.add_argument(
-        "--out", type=Path, metavar="FILE", help="draw where: a .png, .pdf, .svg or .html file"
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="draw the findings (.png, .pdf, .svg or .html)",
     )
     parser.set_defaults(command=command)
 
 
 def command(options: argparse.Namespace) -> int:
-    """Print the findings, and draw them if asked."""
+    """Print the findings; draw them if --out is given."""
     from ..geometry.body import check_extent
     from ..geometry.mesh import mesh_file
     from ..geometry.mesh.check import survey
 
     kind = None if options.out is None else options.out.suffix.lower()
     if kind not in (None, ".html", *PICTURES):
-        raise OutputError("kind of drawing", value=kind, limit=f".html, {', '.join(PICTURES)}")
+        raise OutputError(
+            "unknown suffix of a drawing", value=kind, limit=f".html, {', '.join(PICTURES)}"
+        )
     scale = mesh_file.unit(options.mesh, options.units)
     raw = mesh_file.read(options.mesh, scale)
     found = survey(raw.vertices, raw.faces, options.open)
@@ -80,7 +83,7 @@ def command(options: argparse.Namespace) -> int:
 
 
 def patches(found: Survey, names: Mapping[str, Any]) -> None:
-    """Print the named parts that a skin can be laid on."""
+    """Print the named patches of the mesh, which a skin may cover."""
     corners = 1e2 * found.vertices[found.faces] if names else np.zeros((0, 3, 3))
     for name, rows in sorted(found.patches(names).items()):
         a, b, c = np.swapaxes(corners[rows], 0, 1)
@@ -88,33 +91,36 @@ def patches(found: Survey, names: Mapping[str, Any]) -> None:
         print(f"  {'patch':9} {name}: {len(rows)} faces, {area:.4g} cm2")
 
 
-def few(rows: Any) -> Any:
-    """At most DRAWN of the rows, evenly."""
+def thinned(rows: Any) -> Any:
+    """At most DRAWN of the rows, evenly spaced."""
     return rows[:: max(1, -(-len(rows) // DRAWN))]
 
 
 def shown(finding: Finding, found: Survey) -> Any:
-    """The places (k, 3) of a finding, m; none of a repair nearly everywhere (as of every STL)."""
+    """Points (k, 3) of a finding to draw, m; none for a repair of more than half the vertices.
+
+    Merging the vertices of an STL file is such a repair.
+    """
     everywhere = finding.verdict == "repaired" and len(finding.points) > 0.5 * len(found.vertices)
     return finding.points[:0] if everywhere else finding.points
 
 
 def named(finding: Finding, found: Survey) -> str:
-    """A finding in a drawing's legend."""
+    """Text of a finding in the legend of a drawing."""
     hidden = len(finding.points) > len(shown(finding, found))
-    return f"{finding.verdict}: {finding.what}" + (" (all over, not drawn)" if hidden else "")
+    return f"{finding.verdict}: {finding.what}" + (" (everywhere, not drawn)" if hidden else "")
 
 
 def drawable(found: Survey) -> Any:
-    """Faces (k, 3), few enough to draw and with finite vertices."""
+    """At most DRAWN faces (k, 3) whose vertices exist and are finite."""
     finite = np.asarray(np.isfinite(found.vertices).all(axis=1))
     named = (found.faces >= 0) & (found.faces < len(finite))
     faces = found.faces[named.all(axis=1)]
-    return few(faces[finite[faces].all(axis=1)])
+    return thinned(faces[finite[faces].all(axis=1)])
 
 
 def picture(found: Survey, title: str, path: Path) -> None:
-    """Draw the mesh and the places of the findings with matplotlib."""
+    """Draw the mesh and the points of the findings with matplotlib."""
     from matplotlib.figure import Figure
 
     from ..core.atomic_io import atomic
@@ -124,9 +130,9 @@ def picture(found: Survey, title: str, path: Path) -> None:
     mm, faces = 1e3 * found.vertices, drawable(found)
     if len(faces):
         axes.plot_trisurf(*mm.T, triangles=faces, color="#b0bec5", alpha=0.35, linewidth=0)
-    axes.computed_zorder = False  # what is behind the mesh, or within, shows too
+    axes.computed_zorder = False  # draw findings over the mesh, also those inside it
     for finding in sorted(found.findings, key=lambda one: SIZES[one.verdict]):
-        at = few(1e3 * shown(finding, found))
+        at = thinned(1e3 * shown(finding, found))
         if len(finding.points):
             axes.scatter(
                 *at.T,
@@ -145,7 +151,7 @@ def picture(found: Survey, title: str, path: Path) -> None:
 
 
 def page(found: Survey, title: str, path: Path) -> None:
-    """Draw the same as a page to turn, with plotly."""
+    """Draw the mesh and the points of the findings as an interactive page with plotly."""
     import plotly.graph_objects as go
 
     from ..core.atomic_io import atomic
@@ -156,7 +162,7 @@ def page(found: Survey, title: str, path: Path) -> None:
     i, j, k = faces.T
     traces: list[Any] = [go.Mesh3d(x=x, y=y, z=z, i=i, j=j, k=k, **grey)]
     for finding in found.findings:
-        x, y, z = few(1e3 * shown(finding, found)).T
+        x, y, z = thinned(1e3 * shown(finding, found)).T
         marker = {"size": SIZES[finding.verdict], "color": COLOURS[finding.verdict]}
         name = named(finding, found)
         traces.append(go.Scatter3d(x=x, y=y, z=z, mode="markers", marker=marker, name=name))

@@ -1,4 +1,4 @@
-"""`meshskin cost SCENE`: error and seconds over every knob, and the cheapest way to an accuracy."""
+"""`meshskin cost SCENE`: measure error against time over the numerical and physical settings."""
 
 from __future__ import annotations
 
@@ -15,24 +15,28 @@ if TYPE_CHECKING:
 def add(commands: Any) -> None:
     """Add the command to the parser's commands."""
     parser = commands.add_parser(
-        "cost", help="measure a scene's accuracy against time, over every knob"
+        "cost", help="measure the error of a scene against computing time for each setting"
     )
-    parser.add_argument("scene", metavar="SCENE", help="a scene's name (meshskin scenes) or file")
+    parser.add_argument("scene", metavar="SCENE", help="name of a shipped scene, or a TOML file")
     parser.add_argument(
-        "--out", type=Path, default=Path("out"), metavar="DIR", help="folder for page and figure"
+        "--out",
+        type=Path,
+        default=Path("out"),
+        metavar="DIR",
+        help="folder for page and figure",
     )
-    parser.add_argument("--seeds", type=int, default=1, help="runs of each setting (default 1)")
+    parser.add_argument("--seeds", type=int, default=1, help="seeds per setting (default 1)")
     parser.add_argument(
         "--knobs",
         nargs="+",
         default=None,
         metavar="KNOB",
-        help="only these of faces, degree, contact, dt, integrator, lanes, rate, method, tolerance",
+        help="subset of faces, degree, contact, dt, integrator, lanes, rate, method, tolerance",
     )
     parser.add_argument(
-        "--full", action="store_true", help="3 seeds, and a reference twice as fine again"
+        "--full", action="store_true", help="3 seeds, and a reference that is twice as fine"
     )
-    parser.add_argument("--quiet", action="store_true", help="no progress bar and no table")
+    parser.add_argument("--quiet", action="store_true", help="print no progress bar and no table")
     parser.set_defaults(command=command)
 
 
@@ -46,7 +50,7 @@ def command(options: argparse.Namespace) -> int:
     scene = Scene.load(options.scene)
     check_folder(options.out)
     with bar(options.quiet) as progress:
-        if scene.budget is not None:  # it says what is on, as in a run
+        if scene.budget is not None:  # the budget chooses the effects, as in a run
             scene = budget(scene, progress=progress).scene
         costs = cost(
             scene,
@@ -63,7 +67,7 @@ def command(options: argparse.Namespace) -> int:
 
 
 def write(costs: Costs, folder: Path) -> None:
-    """The page cost.html, the figure, and every setting in cost.json."""
+    """Write cost.html, the figure, and the record of every setting in cost.json."""
     from ..core.atomic_io import write_json
     from ..core.provenance import provenance
     from ..report import page, precision, theme
@@ -82,7 +86,7 @@ def write(costs: Costs, folder: Path) -> None:
 
 
 def summary(costs: Costs) -> str:
-    """The table for people."""
+    """The text that the command prints."""
     from ..report import precision
     from ..study.sensitivity.cost import TARGETS
 

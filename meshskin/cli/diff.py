@@ -1,4 +1,4 @@
-"""`meshskin diff A B`: how far two skins are apart, and whether exchanged ids explain it."""
+"""`meshskin diff A B`: compare two skin files and look for exchanged ids."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from ..skin.compare import Difference
 
 SHOWN = 20
-"""lines of what is exchanged"""
+"""Lines about exchanged ids that are printed without --all."""
 SAME = 1e-6
-"""m, within which two skins are the same"""
+"""Distance, m, within which positions count as equal: the last digit that skin files carry."""
 
 
 def add(commands: Any) -> None:
@@ -26,13 +26,19 @@ def add(commands: Any) -> None:
         "diff",
         help="compare two skin files",
         description="Compare two skin files. Exit code 0: the same taxels within 1 um; 1: they "
-        "differ; 2: one cannot be read.",
+        "differ; 2: a file cannot be read.",
     )
-    parser.add_argument("a", type=Path, metavar="A", help="a skin file")
-    parser.add_argument("b", type=Path, metavar="B", help="another one")
-    parser.add_argument("--part", help="of URDFs with several skins")
-    parser.add_argument("--all", action="store_true", help="show every exchange of a long list")
-    parser.add_argument("--worst", type=int, default=10, metavar="N", help="taxels to list (10)")
+    parser.add_argument("a", type=Path, metavar="A", help="first skin file")
+    parser.add_argument("b", type=Path, metavar="B", help="second skin file")
+    parser.add_argument("--part", help="skin to read from URDFs with several")
+    parser.add_argument("--all", action="store_true", help="print long lists in full")
+    parser.add_argument(
+        "--worst",
+        type=int,
+        default=10,
+        metavar="N",
+        help="number of worst taxels to list (default 10)",
+    )
     parser.set_defaults(command=command)
 
 
@@ -50,36 +56,36 @@ def command(options: argparse.Namespace) -> int:
 
 
 def same(difference: Difference) -> bool:
-    """Whether both skins hold the same taxels at the same places."""
+    """Whether both skins have the same taxels at the same positions."""
     alone = len(difference.only_a) + len(difference.only_b)
     return not alone and float(difference.as_they_are.max(initial=0.0)) <= SAME
 
 
 def lines(difference: Difference, worst: int, shown: int | None) -> Iterator[str]:
-    """The comparison in lines of text."""
+    """The lines of text that describe the comparison."""
     from ..core import se3
 
     d = difference
     yield f"{len(d.ids)} in both, {len(d.only_a)} only in A, {len(d.only_b)} only in B"
     if same(d):
-        yield "the same within 1 um"
+        yield "equal within 1 um"
         return
     yield f"{'distance (mm)':28}{'taxels':>8}{'mean':>10}{'rms':>10}{'max':>10}"
-    yield row("as they are", d.as_they_are)
+    yield row("without alignment", d.as_they_are)
     yield row("aligned", d.aligned)
     if d.permutation:
         yield row(f"aligned and {d.unit}s permuted", d.paired)
     shift = d.alignment[:3, 3]
     angle = np.degrees(np.linalg.norm(se3.log_so3(d.alignment[:3, :3])))
     yield (
-        f"alignment: B turned by {angle:.3f} deg, moved by "
+        f"alignment: B rotated by {angle:.3f} deg, translated by "
         + " ".join(f"{1e3 * value:.3f}" for value in shift)
         + " mm"
     )
-    said = d.sentences()
-    yield from said[:shown]
-    if len(left := said[len(said[:shown]) :]):
-        yield f"and {len(left)} more such lines (--all)"
+    sentences = d.sentences()
+    yield from sentences[:shown]
+    if len(left := sentences[len(sentences[:shown]) :]):
+        yield f"and {len(left)} more lines (--all)"
     if d.permutation:
         yield f"this explains {'the difference' if d.explains else 'a part of the difference'}"
     else:
@@ -90,7 +96,7 @@ def lines(difference: Difference, worst: int, shown: int | None) -> Iterator[str
 
 
 def row(name: str, distance: NDArray[np.float64]) -> str:
-    """One line of the table."""
+    """One line of the table of distances."""
     from ..skin.compare import rms
 
     if not len(distance):

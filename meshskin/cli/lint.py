@@ -1,4 +1,4 @@
-"""`meshskin lint FILE`: what is wrong with a skin file, and what to do about it."""
+"""`meshskin lint FILE`: find defects of a skin file and print remedies."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ if TYPE_CHECKING:
     from ..skin.lint import Finding
 
 SHOWN = 12
-"""stretches of numbers that a line shows"""
+"""Ranges of numbers that one line shows."""
 
 
 def add(commands: Any) -> None:
     """Add the command to the parser's commands."""
     parser = commands.add_parser(
         "lint",
-        help="find what is wrong with a skin file",
-        description="Find what is wrong with a skin file. Exit code 0: nothing; 1: something; "
-        "2: it cannot be read.",
+        help="find defects of a skin file",
+        description="Find defects of a skin file. Exit code 0: no defect; 1: defects found; "
+        "2: the file cannot be read.",
     )
-    parser.add_argument("file", type=Path, metavar="FILE", help="a skin file, of any format")
-    parser.add_argument("--part", help="of a URDF with several skins")
-    parser.add_argument("--all", action="store_true", help="show every taxel of long lists")
+    parser.add_argument("file", type=Path, metavar="FILE", help="skin file in any supported format")
+    parser.add_argument("--part", help="skin to read from a URDF with several")
+    parser.add_argument("--all", action="store_true", help="print long lists in full")
     parser.set_defaults(command=command)
 
 
@@ -36,7 +36,7 @@ def command(options: argparse.Namespace) -> int:
     table = files.read(options.file, options.part)
     findings = check(table)
     count = int(table.is_taxel().sum())
-    print(f"{options.file.name}: {table.format}, {count} taxels, {said(len(findings))}")
+    print(f"{options.file.name}: {table.format}, {count} taxels, {count_text(len(findings))}")
     for finding in findings:
         print()
         for line in lines(finding, None if options.all else SHOWN):
@@ -44,13 +44,13 @@ def command(options: argparse.Namespace) -> int:
     return 1 if findings else 0
 
 
-def said(count: int) -> str:
-    """The number of findings in words."""
-    return {0: "nothing found", 1: "1 finding"}.get(count, f"{count} findings")
+def count_text(count: int) -> str:
+    """The number of findings as text."""
+    return {0: "no defect found", 1: "1 finding"}.get(count, f"{count} findings")
 
 
 def lines(finding: Finding, shown: int | None) -> Iterator[str]:
-    """A finding in lines of text."""
+    """The lines of text that describe a finding."""
     yield f"{finding.kind}: {finding.what}"
     if finding.taxels:
         yield f"  taxels   {numbers(finding.taxels, shown)}"
@@ -60,14 +60,14 @@ def lines(finding: Finding, shown: int | None) -> Iterator[str]:
 
 
 def numbers(values: Sequence[int], shown: int | None) -> str:
-    """Sorted numbers as stretches, "0-5, 7", of which at most `shown`."""
-    stretches: list[list[int]] = []
+    """Sorted numbers as ranges such as "0-5, 7", at most `shown` of them."""
+    ranges: list[list[int]] = []
     for value in values:
-        if stretches and value == stretches[-1][1] + 1:
-            stretches[-1][1] = value
+        if ranges and value == ranges[-1][1] + 1:
+            ranges[-1][1] = value
         else:
-            stretches.append([value, value])
-    few = stretches[:shown]
+            ranges.append([value, value])
+    few = ranges[:shown]
     text = ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in few)
-    left = sum(b - a + 1 for a, b in stretches[len(few) :])
+    left = sum(b - a + 1 for a, b in ranges[len(few) :])
     return f"{text}, and {left} more (--all)" if left else text

@@ -1,4 +1,4 @@
-"""`meshskin run SCENE --out DIR`: the whole job, with progress bars and a summary."""
+"""`meshskin run SCENE --out DIR`: simulate, calibrate and report one scene."""
 
 from __future__ import annotations
 
@@ -21,22 +21,35 @@ if TYPE_CHECKING:
 def add(commands: Any) -> None:
     """Add the command to the parser's commands."""
     parser = commands.add_parser("run", help="simulate a scene, calibrate it, write the report")
-    parser.add_argument("scene", metavar="SCENE", help="a scene's name (meshskin scenes) or file")
+    parser.add_argument(
+        "scene", metavar="SCENE", help="name of a shipped scene (meshskin scenes) or a TOML file"
+    )
     parser.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of every random stream (default 0)")
-    asked = parser.add_mutually_exclusive_group()
-    asked.add_argument(
-        "--accuracy-mm", type=float, metavar="MM", help="the cheapest exploration that gets there"
+    parser.add_argument(
+        "--seed", type=int, default=0, help="seed of all random streams (default 0)"
     )
-    asked.add_argument(
-        "--seconds", type=float, metavar="S", help="the most accurate exploration that fits"
+    request = parser.add_mutually_exclusive_group()
+    request.add_argument(
+        "--accuracy-mm",
+        type=float,
+        metavar="MM",
+        help="choose the fastest settings that reach this mean error",
     )
-    asked.add_argument(
-        "--budget-mm", type=float, metavar="MM", help="leave out what moves the taxels no further"
+    request.add_argument(
+        "--seconds",
+        type=float,
+        metavar="S",
+        help="choose the most accurate settings that take at most this time",
     )
-    parser.add_argument("--quiet", action="store_true", help="no progress bar and no summary")
+    request.add_argument(
+        "--budget-mm",
+        type=float,
+        metavar="MM",
+        help="leave out effects that move the taxels by less than this",
+    )
+    parser.add_argument("--quiet", action="store_true", help="print no progress bar and no summary")
     parser.set_defaults(command=command)
 
 
@@ -61,7 +74,7 @@ def command(options: argparse.Namespace) -> int:
 
 
 def _request(options: argparse.Namespace) -> Request | None:
-    """The accuracy or the time that is asked for."""
+    """The request for an accuracy or a time; None if neither is given."""
     if options.accuracy_mm is None and options.seconds is None:
         return None
     from ..study.sensitivity.cost.request import Request
@@ -71,7 +84,7 @@ def _request(options: argparse.Namespace) -> Request | None:
 
 @contextmanager
 def bar(quiet: bool) -> Iterator[Progress]:
-    """A progress bar on stderr, for long stages one after the other."""
+    """A callback that shows the progress of one stage after the other on stderr."""
     from tqdm import tqdm
 
     bars: dict[str, tqdm] = {}
@@ -93,7 +106,7 @@ def bar(quiet: bool) -> Iterator[Progress]:
 
 
 def summary(result: Result, folder: Path) -> str:
-    """What a person wants to read after a run."""
+    """The text that the command prints."""
     m, calibration = result.metrics, result.calibration
     error, bound, force = m["position_error_mm"], m["crlb_mm"], m["force"]
     found = sum(math.isfinite(x) for x in calibration.positions[:, 0])
@@ -102,7 +115,7 @@ def summary(result: Result, folder: Path) -> str:
         f"{m['readings']} readings in {m['contacts']} contacts",
         f"  position error     mean {error['mean']:.4g} mm, rms {error['rms']:.4g}, "
         f"max {error['max']:.4g}" + (f"  (bound: mean {bound['mean']:.4g})" if bound else ""),
-        "  beside it          "
+        "  other methods      "
         + ", ".join(
             f"{label} " + ("none" if m[key]["mean"] is None else f"{m[key]['mean']:.3g} mm")
             for key, label in (

@@ -1,4 +1,4 @@
-"""`meshskin scenes`: the scenes that come along."""
+"""`meshskin scenes`: list the shipped scenes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 def add(commands: Any) -> None:
     """Add the command to the parser's commands."""
-    parser = commands.add_parser("scenes", help="list the scenes that come with meshskin")
+    parser = commands.add_parser("scenes", help="list the shipped scenes")
     parser.set_defaults(command=command)
 
 

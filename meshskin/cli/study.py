@@ -1,4 +1,4 @@
-"""`meshskin study FILE --out DIR`: a parameter study, on this machine or a cluster."""
+"""`meshskin study FILE --out DIR`: run a parameter study on this machine or a cluster."""
 
 from __future__ import annotations
 
@@ -23,17 +23,19 @@ def add(commands: Any) -> None:
     """Add the command to the parser's commands."""
     parser = commands.add_parser(
         "study",
-        help="run every case of a study; run again, it goes on where it stopped",
+        help="run all cases of a parameter study; a repeated call resumes it",
     )
-    parser.add_argument("file", type=Path, metavar="FILE", help="the study, a TOML file")
+    parser.add_argument("file", type=Path, metavar="FILE", help="study file (TOML)")
     parser.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
     )
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, metavar="N", help="processes (default: every core)")
-    where.add_argument("--scheduler", metavar="URL", help="of a Dask cluster, tcp://host:port")
+    where.add_argument(
+        "--scheduler", metavar="URL", help="address of a Dask scheduler, tcp://host:port"
+    )
     parser.add_argument("--retry", action="store_true", help="run failed cases again")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar and no summary")
+    parser.add_argument("--quiet", action="store_true", help="print no progress bar and no summary")
     parser.set_defaults(command=command)
 
 
@@ -57,7 +59,7 @@ def command(options: argparse.Namespace) -> int:
 
 @contextmanager
 def _bar(quiet: bool) -> Iterator[Callable[[Progress], None]]:
-    """A progress bar on stderr with the time left; cases of earlier runs do not count for it."""
+    """A progress bar on stderr; its remaining time does not count cases of earlier runs."""
     from tqdm import tqdm
 
     bars: list[tqdm] = []
@@ -79,7 +81,7 @@ def _bar(quiet: bool) -> Iterator[Callable[[Progress], None]]:
 
 
 def summary(name: str, table: pa.Table, folder: Path) -> str:
-    """What a person wants to read after a study."""
+    """The text that the command prints."""
     rows = [
         (key, error)
         for key, status, error in zip(
@@ -92,6 +94,6 @@ def summary(name: str, table: pa.Table, folder: Path) -> str:
     if len(rows) > SHOWN:
         lines.append(f"  and {len(rows) - SHOWN} more")
     if rows:
-        lines.append("  --retry runs them again")
+        lines.append("  use --retry to run the failed cases again")
     lines.append(f"  table  {folder / 'table.parquet'}")
     return "\n".join(lines)

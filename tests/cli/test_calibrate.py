@@ -90,13 +90,16 @@ def test_a_recording_with_a_scene(recording, tmp_path, capsys):
     ("options", "words"),
     [
         (["--scene", "nosuch"], "nosuch"),
-        ([], "lacks --body, --indenter-radius-mm, --young-kpa; give a --scene"),
+        ([], "missing: --body, --indenter-radius-mm, --young-kpa; give --scene"),
         (["--scene", "sphere_noisy", "--method", "guess"], "guess"),
         (["--scene", "sphere_noisy", "--unknown", "gains"], "gains"),
         (["--scene", "sphere_noisy", "--contact", "hertzian"], "hertzian"),
         (["--scene", "sphere_noisy", "--noise-kpa", "-1"], "belief.noise_sigma is out of range"),
         (["--scene", "sphere_noisy", "--disc-radius-mm", "0"], "belief.disc_radius is out of"),
-        (["--scene", "sphere_noisy", "--units", "mm"], "got --units beside --scene; leave one"),
+        (
+            ["--scene", "sphere_noisy", "--units", "mm"],
+            "got --units together with --scene; remove either",
+        ),
         (["--scene", "sphere_noisy", "--export", "map.xyz"], "format of a skin file"),
     ],
 )

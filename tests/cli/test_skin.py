@@ -25,7 +25,7 @@ def fails(capsys, *arguments):
 def test_lint_of_a_clean_file(arm, tmp_path, capsys):
     arm.save(tmp_path / "arm.txt")
     assert cli.main(["lint", str(tmp_path / "arm.txt")]) == 0
-    assert capsys.readouterr().out == "arm.txt: icub, 60 taxels, nothing found\n"
+    assert capsys.readouterr().out == "arm.txt: icub, 60 taxels, no defect found\n"
 
 
 def test_lint_names_taxels_modules_and_a_remedy(arm, tmp_path, capsys):
@@ -68,7 +68,7 @@ def test_diff_of_the_same_skin(arm, tmp_path, capsys):
     arm.save(tmp_path / "a.csv")
     arm.save(tmp_path / "b.urdf")
     assert cli.main(["diff", str(tmp_path / "a.csv"), str(tmp_path / "b.urdf")]) == 0
-    assert "the same within 1 um" in capsys.readouterr().out
+    assert "equal within 1 um" in capsys.readouterr().out
 
 
 def test_diff_names_exchanged_modules(arm, tmp_path, capsys):
@@ -111,6 +111,6 @@ def test_diff_shortens_a_long_list(tmp_path, capsys):
     assert cli.main(line) == 1
     out = capsys.readouterr().out
     assert out.count("exchanged\n") == 20
-    assert "and 20 more such lines (--all)\nthis explains the difference" in out
+    assert "and 20 more lines (--all)\nthis explains the difference" in out
     assert cli.main([*line, "--all"]) == 1
     assert capsys.readouterr().out.count("exchanged\n") == 40
