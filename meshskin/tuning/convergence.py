@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
-import casadi as ca
 import numpy as np
 
+from ..core.ipopt import IterationCallback
 from ..core.se3 import Array
 
 PATIENCE, LONG = 25, 50
@@ -34,17 +33,15 @@ class Iterate:
     g: Array
 
 
-class ConvergenceMonitor(ca.Callback):
+class ConvergenceMonitor(IterationCallback):
     """IPOPT's iteration callback for a program of `size` variables and `rows` constraints.
 
     `merit(x, g)` is what is to become small: the best iterate by it is kept in `best`.
     """
 
     def __init__(self, size: int, rows: int) -> None:
-        ca.Callback.__init__(self)
-        self.size, self.rows = size, rows
+        super().__init__(size, rows, self._watch)
         self.begin(lambda x, g: 0.0)
-        self.construct("watch")
 
     def begin(self, merit: Callable[[Array, Array], float]) -> None:
         """Forget the last search."""
@@ -52,35 +49,16 @@ class ConvergenceMonitor(ca.Callback):
         self.best: Iterate | None = None
         self.mark = np.inf
 
-    def get_n_in(self) -> int:
-        """x, f, g and the multipliers."""
-        return int(ca.nlpsol_n_out())
-
-    def get_n_out(self) -> int:
-        """Whether to stop."""
-        return 1
-
-    def get_name_in(self, k: int) -> str:
-        """As the solver's outputs."""
-        return str(ca.nlpsol_out(k))
-
-    def get_sparsity_in(self, k: int) -> ca.Sparsity:
-        """Columns."""
-        sizes = {"x": self.size, "lam_x": self.size, "g": self.rows, "lam_g": self.rows, "f": 1}
-        count = sizes.get(ca.nlpsol_out(k), 0)
-        return ca.Sparsity.dense(count, 1 if count else 0)
-
-    def eval(self, arg: Sequence[Any]) -> list[int]:
-        """Called at every iterate; 1 stops the search."""
-        values = {ca.nlpsol_out(k): np.array(a, dtype=float).ravel() for k, a in enumerate(arg)}
-        merit = self.merit(values["x"], values["g"])
+    def _watch(self, x: Array, g: Array) -> bool:
+        """Keep the iterate if it is the best, and say whether to stop."""
+        merit = self.merit(x, g)
         if self.best is None or merit < self.best.merit:
-            self.best = Iterate(merit, values["x"], values["g"])
+            self.best = Iterate(merit, x, g)
         self.count += 1
         gained = merit < (1.0 - GAIN) * self.mark
         self.mark = merit if gained else self.mark
         self.idle = 0 if gained else self.idle + 1
-        return [int((self.count > LEAST and self.idle >= self.patience) or merit == 0.0)]
+        return (self.count > LEAST and self.idle >= self.patience) or merit == 0.0
 
     @property
     def patience(self) -> int:

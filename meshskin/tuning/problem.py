@@ -14,12 +14,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core import ipopt
 from ..core.se3 import Array
 from .convergence import BROKEN, ConvergenceMonitor, ended
 from .descent import Model, descend, descended
@@ -42,15 +42,8 @@ LEFT = 2e-3
 """Largest promise of the slopes, part of the objective, of a search that is at its end."""
 ONE_SIDED = 0.1
 """Difference of a limit's two prices, part of the larger, from which on it has no one price."""
-OPTIONS: dict[str, Any] = {
-    "print_time": False,
-    "show_eval_warnings": False,  # a step too far is unstable: IPOPT takes a shorter one
-    "ipopt.print_level": 0,
-    "ipopt.sb": "yes",
-    "ipopt.mu_strategy": "adaptive",
-    "ipopt.tol": 1e-5,
-    "ipopt.max_iter": 200,
-}
+OPTIONS: dict[str, object] = {"mu_strategy": "adaptive", "tol": 1e-5, "max_iter": 200}
+"""Of IPOPT."""
 
 
 @dataclass(frozen=True)
@@ -257,12 +250,15 @@ def _judged(
 
 def _solver(nlp: dict[str, ca.MX], objective: str, watch: ConvergenceMonitor) -> ca.Function:
     """IPOPT on the program, under watch."""
-    made: dict[str, Any] = {"iteration_callback": watch}
+    options, hessian = OPTIONS, None
     if objective != "force_error":
-        made["hess_lag"] = _damping(nlp)
+        hessian = _damping(nlp)
     else:  # the logarithm of an error that may vanish is bent: it needs its curvature
-        made["ipopt.hessian_approximation"] = "limited-memory"
-    return ca.nlpsol("tune", "ipopt", nlp, OPTIONS | made)
+        options = OPTIONS | {"hessian_approximation": "limited-memory"}
+    # no warnings of evaluations: a step too far is unstable, and IPOPT takes a shorter one
+    return ipopt.solver(
+        "tune", nlp, options, hessian=hessian, callback=watch, show_eval_warnings=False
+    )
 
 
 def _listed(

@@ -7,19 +7,14 @@ by their information at the start, so that tolerances are in standard deviations
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from ...core.ipopt import BufferCallback, solver
 from ...core.se3 import Array
 from .variable_projection import ReducedProblem, SchurComplement, State
 
-IPOPT: dict[str, object] = {
-    "nlp_scaling_method": "none",
-    "print_level": 0,
-    "sb": "yes",
-}
 MAX_ITERATIONS = 30
 """Most iterations of IPOPT."""
 NEWTON_TOLERANCE = 1e-8
@@ -43,26 +38,24 @@ def minimize(
     evaluator = _Evaluator(problem, state, watch)
     x, size = ca.MX.sym("x", len(state.s)), len(state.s)
     factor, none, p = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0), ca.MX.sym("p", 0)
-    cost, slope, curvature = (
-        _Function(name, evaluator, size, shape)
-        for name, shape in (("cost", (1, 1)), ("gradient", (size, 1)), ("hessian", (size, size)))
+    cost = _function("cost", evaluator.cost, size, 1, 1)
+    gradient = _function("gradient", evaluator.gradient, size, size, 1)
+    hessian = _function("hessian", evaluator.hessian, size, size, size)
+    run = solver(
+        "joint",
+        {"x": x, "p": p, "f": cost(x)},
+        {
+            "nlp_scaling_method": "none",
+            "max_iter": iterations,
+            # a gradient of 1e-5 is a step of 1e-5 standard deviations, and a decrement of 5e-11
+            "tol": 0.1 * tolerance**0.5,
+        },
+        gradient=ca.Function("grad_f", [x, p], [cost(x), gradient(x)]),
+        hessian=ca.Function("hess_lag", [x, p, factor, none], [ca.triu(factor * hessian(x))]),
     )
-    options: dict[str, Any] = {
-        "grad_f": ca.Function("grad_f", [x, p], [cost(x), slope(x)]),
-        "hess_lag": ca.Function("hess_lag", [x, p, factor, none], [ca.triu(factor * curvature(x))]),
-        "no_nlp_grad": True,
-        "calc_f": False,
-        "calc_g": False,
-        "calc_lam_x": False,
-        "calc_lam_p": False,
-        "print_time": False,
-        # a gradient of 1e-5 is a step of 1e-5 standard deviations, and a decrement of 5e-11
-        "ipopt": IPOPT | {"max_iter": iterations, "tol": 0.1 * tolerance**0.5},
-    }
-    solver = ca.nlpsol("joint", "ipopt", {"x": x, "p": p, "f": cost(x)}, options)
-    found = solver(x0=state.s / evaluator.scale)["x"].full().ravel()
+    found = run(x0=state.s / evaluator.scale)["x"].full().ravel()
     evaluator.at(found)
-    return evaluator.last, str(solver.stats()["return_status"])
+    return evaluator.last, str(run.stats()["return_status"])
 
 
 class _Evaluator:
@@ -87,35 +80,25 @@ class _Evaluator:
                 self.watch(self.last)
         return self.reduced
 
-    def cost(self, x: Array) -> Array:
-        return np.array([[self.at(x).cost - self.origin]])
+    def cost(self, x: Array) -> float:
+        return self.at(x).cost - self.origin
 
     def gradient(self, x: Array) -> Array:
-        return (self.scale * self.at(x).gradient)[:, None]
+        return self.scale * self.at(x).gradient
 
     def hessian(self, x: Array) -> Array:
         return self.scale[:, None] * self.at(x).hessian * self.scale
 
 
-class _Function(ca.Callback):
-    """One of the evaluator's answers as a CasADi function."""
+def _function(
+    name: str, evaluate: Callable[[Array], Array | float], size: int, rows: int, columns: int
+) -> BufferCallback:
+    """A symmetric or column-shaped answer (rows, columns) of the evaluator to `size` unknowns."""
 
-    def __init__(self, name: str, evaluator: _Evaluator, size: int, shape: tuple[int, int]) -> None:
-        ca.Callback.__init__(self)
-        self.answer, self.size, self.shape = getattr(evaluator, name), size, shape
-        self.construct(name, {})
+    def write(inputs: list[Array], outputs: list[Array | None]) -> None:
+        if outputs[0] is not None:
+            outputs[0][:] = np.ravel(evaluate(inputs[0]))
 
-    def get_n_in(self) -> int:
-        return 1
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_sparsity_in(self, i: int) -> Any:
-        return ca.Sparsity.dense(self.size)
-
-    def get_sparsity_out(self, i: int) -> Any:
-        return ca.Sparsity.dense(*self.shape)
-
-    def eval(self, arg: Any) -> list[Any]:
-        return [ca.DM(self.answer(arg[0].full().ravel()))]
+    return BufferCallback(
+        name, [ca.Sparsity.dense(size)], [ca.Sparsity.dense(rows, columns)], write
+    )

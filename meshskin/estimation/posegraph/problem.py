@@ -14,11 +14,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ...core.ipopt import BufferCallback, BufferedFunction, IterationCallback, solver
 from ...core.se3 import Array
 from . import linear
 from .cholesky import Blocks, Cholesky
 from .edge_assembly import EdgeAssembly
-from .functions import Call, Function, Recorder
 from .kernel import EDGE
 from .ma57 import IpoptLinearSolver
 from .marginals import lower_blocks
@@ -37,8 +37,6 @@ OPTIONS: dict[str, object] = {
     "mumps_mem_percent": 20,
     "min_refinement_steps": 0,
     "max_refinement_steps": 0,
-    "print_level": 0,
-    "sb": "yes",
 }
 
 
@@ -78,7 +76,7 @@ class PoseGraphProblem:
         self._sweep = EdgeAssembly(slot[edges], len(self.free), residual)
         self._evaluator, self._pattern = _Evaluator(self._sweep), self._sweep.pattern()
         self._build(6 * len(self.free), EDGE * len(edges) + 3)
-        self._solvers: dict[tuple[tuple[str, object], ...], Call] = {}
+        self._solvers: dict[tuple[tuple[str, object], ...], BufferedFunction] = {}
         self._door = IpoptLinearSolver(cholesky, self.free, anchors)
 
     def solve(
@@ -94,27 +92,26 @@ class PoseGraphProblem:
             return self._run(parameters, tolerance, limit, record)
 
     def _run(self, parameters: Array, tolerance: float, limit: int, record: bool) -> IpoptRun:
-        recorder = Recorder(len(self.free) * 6) if record else None
+        size, path = 6 * len(self.free), list[Array]()
         options: dict[str, object] = {"max_iter": limit, "tol": tolerance}
-        if recorder is not None:
-            solver = Call(self._solver(options, iteration_callback=recorder))
+        key = tuple(options.items())
+        if record:
+            recorder = IterationCallback(size, 0, lambda x, g: path.append(x))
+            run = BufferedFunction(self._solver(options, recorder))
+        elif key in self._solvers:
+            run = self._solvers[key]
         else:
-            key = tuple(options.items())
-            if key not in self._solvers:
-                self._solvers[key] = Call(self._solver(options))
-            solver = self._solvers[key]
-        size = 6 * len(self.free)
+            run = self._solvers[key] = BufferedFunction(self._solver(options))
         free = np.full(size, np.inf)
         self._evaluator.forget()
-        x = solver(np.zeros(size), parameters, -free, free)[0]
-        stats = solver.stats()
-        path = tuple(recorder.path) if recorder else ()
+        x = run(np.zeros(size), parameters, -free, free)[0]
+        stats = run.stats()
         cost, gradient = self._evaluator.gradient(x, parameters)
         values = np.empty(self._sweep.size)
         self._evaluator.hessian(x, parameters, values)
         product, diagonal = partial(self._sweep.multiply, values), self._sweep.diagonal(values)
         gain = 0.5 * linear.energy(product, diagonal, gradient)
-        return IpoptRun(x, cost, gain, stats["iter_count"], stats["return_status"], path)
+        return IpoptRun(x, cost, gain, stats["iter_count"], stats["return_status"], tuple(path))
 
     def cost(self, parameters: Array) -> float:
         """Cost at x = 0."""
@@ -155,26 +152,23 @@ class PoseGraphProblem:
 
         inputs = [dense, data]
         # Kept: CasADi does not own callbacks.
-        self._f = Function("f", inputs, [one], gradient)
-        self._grad_f = Function("grad_f", inputs, [one, dense], gradient)
-        self._hess_lag = Function("hess_lag", [*inputs, one, none], [self._pattern], hessian)
+        self._f = BufferCallback("f", inputs, [one], gradient)
+        self._grad_f = BufferCallback("grad_f", inputs, [one, dense], gradient)
+        self._hess_lag = BufferCallback("hess_lag", [*inputs, one, none], [self._pattern], hessian)
         x, p = ca.MX.sym("x", dense), ca.MX.sym("p", data)
         self._nlp: dict[str, Any] = {"x": x, "p": p, "f": self._f(x, p)}
 
-    def _solver(self, ipopt: dict[str, object], **options: object) -> ca.Function:
-        all_options: dict[str, Any] = {
-            "grad_f": self._grad_f,
-            "hess_lag": self._hess_lag,
-            "no_nlp_grad": True,
-            "calc_f": False,
-            "calc_g": False,
-            "calc_lam_x": False,
-            "calc_lam_p": False,
-            "print_time": False,
-            "ipopt": {**OPTIONS, **self._door.options, "acceptable_iter": 0, **ipopt},
-            **options,
-        }
-        return ca.nlpsol("posegraph", "ipopt", self._nlp, all_options)
+    def _solver(
+        self, options: dict[str, object], callback: IterationCallback | None = None
+    ) -> ca.Function:
+        return solver(
+            "posegraph",
+            self._nlp,
+            {**OPTIONS, **self._door.options, "acceptable_iter": 0, **options},
+            gradient=self._grad_f,
+            hessian=self._hess_lag,
+            callback=callback,
+        )
 
 
 def _split(parameters: Array) -> tuple[Array, Array, Array]:
