@@ -3,6 +3,7 @@
 import math
 import os
 import signal
+import sys
 import time
 from pathlib import Path
 
@@ -33,6 +34,8 @@ def busy(case):
 def troubled(case):
     """What `trouble` says, in the cases whose seed is 2."""
     trouble = case.own["trouble"] if case.seed == 2 else "none"
+    if mark := case.own.get("mark"):
+        Path(mark).write_text(str(os.getpid()))
     if trouble == "raise":
         raise ValueError("no such\nluck")
     if trouble == "hang":
@@ -45,8 +48,10 @@ def troubled(case):
             hoard.append(bytearray(50_000_000))
     if trouble == "kill":
         os.kill(os.getpid(), signal.SIGKILL)
-    if trouble == "exit":
-        os._exit(7)
+    if trouble.startswith("exit"):
+        os._exit(int(trouble.split()[1]))
+    if trouble == "sys.exit":
+        sys.exit(5)
     if trouble == "type":
         return {"y": object()}
     if trouble == "child":

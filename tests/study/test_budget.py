@@ -14,7 +14,7 @@ from meshskin.report import sections
 from meshskin.study.sensitivity import budget as budgets
 from meshskin.study.sensitivity.budget import holdout
 from meshskin.study.sensitivity.budget.choose import choose
-from meshskin.study.sweep import base
+from meshskin.study.sweep import base_scene
 from meshskin.study.sweep.evaluate import evaluate
 
 KINDS = ("body_pose", "gain_offset", "cover_fabric", "gaussian_noise", "quantisation")
@@ -182,7 +182,7 @@ def test_a_study_decides_for_each_case(scene):
 
 def test_a_study_cannot_change_an_effect_that_a_budget_decides_on():
     with pytest.raises(ConfigError, match=r"cannot be changed where a budget decides"):
-        base.changed({"effects": "auto"}, {"effects.friction": True})
+        base_scene.changed_tables({"effects": "auto"}, {"effects.friction": True})
 
 
 def test_the_command_line_hands_the_budget_on(tmp_path, monkeypatch):

@@ -9,8 +9,8 @@ import study_runs
 import meshskin as ms
 from meshskin.core.errors import ConfigError, StudyError, UnknownNameError
 from meshskin.core.se3 import transform
-from meshskin.study.sweep.base import changed
-from meshskin.study.sweep.case import checked
+from meshskin.study.sweep.base_scene import changed_tables
+from meshskin.study.sweep.case import checked_results, environment, source_digest
 
 NOISE = "effects.gaussian_noise.sigma_relative"
 
@@ -56,6 +56,19 @@ def test_the_hash_sees_what_defines_a_case_and_nothing_else():
         keys(base="sphere_noisy"),
     ]
     assert len({*base, *(k for other in others for k in other)}) == 1 + len(others)
+
+
+def test_the_hash_sees_the_source_of_the_package(tmp_path):
+    (tmp_path / "__pycache__").mkdir()
+    (tmp_path / "a.py").write_text("x = 1\n")
+    before = source_digest.__wrapped__(tmp_path)
+    (tmp_path / "__pycache__" / "a.pyc").write_bytes(b"compiled")
+    assert source_digest.__wrapped__(tmp_path) == before
+    (tmp_path / "a.py").write_text("x = 2\n")
+    edited = source_digest.__wrapped__(tmp_path)
+    (tmp_path / "a.py").rename(tmp_path / "b.py")
+    assert len({before, edited, source_digest.__wrapped__(tmp_path)}) == 3
+    assert environment()["source"] == source_digest()
 
 
 def test_the_hash_sees_the_content_of_files_not_their_place(tmp_path):
@@ -110,10 +123,12 @@ def test_a_study_without_a_scene_is_refused_before_anything_runs():
 
 def test_effects_are_changed_put_in_and_taken_out():
     noise = {"kind": "gaussian_noise", "sigma_relative": 0.01}
-    assert changed({}, {NOISE: 0.01})["effects"] == [noise]
-    assert changed({"effects": [noise]}, {NOISE: 0.02})["effects"][0]["sigma_relative"] == 0.02
-    assert changed({"effects": [noise]}, {"effects.gaussian_noise": False})["effects"] == []
-    assert changed({}, {"effects.gaussian_noise": True})["effects"] == [{"kind": "gaussian_noise"}]
+    assert changed_tables({}, {NOISE: 0.01})["effects"] == [noise]
+    with_noise = {"effects": [noise]}
+    assert changed_tables(with_noise, {NOISE: 0.02})["effects"][0]["sigma_relative"] == 0.02
+    assert changed_tables(with_noise, {"effects.gaussian_noise": False})["effects"] == []
+    added = changed_tables({}, {"effects.gaussian_noise": True})
+    assert added["effects"] == [{"kind": "gaussian_noise"}]
     assert noise["sigma_relative"] == 0.01, "the base is as it was"
 
 
@@ -158,16 +173,16 @@ def test_a_scene_made_in_python_is_a_base(sphere):
 
 
 def test_what_a_run_function_may_return():
-    assert checked({"a": np.float64(1.5), "b": np.int32(2), "c": None, "d": True}, {}) == {
+    assert checked_results({"a": np.float64(1.5), "b": np.int32(2), "c": None, "d": True}, {}) == {
         "a": 1.5,
         "b": 2,
         "c": None,
         "d": True,
     }
-    assert isinstance(checked({"big": 2**70}, {})["big"], float)
+    assert isinstance(checked_results({"big": 2**70}, {})["big"], float)
     for bad in ([1.0], {"a": [1, 2]}, {"a": np.zeros(3)}, {"seed": 1}, {"p": 1}):
         with pytest.raises(StudyError):
-            checked(bad, {"p": 3})
+            checked_results(bad, {"p": 3})
 
 
 @pytest.mark.parametrize("options", [{"time_limit": 0}, {"memory_limit": -1}, {"seeds": [-1]}])

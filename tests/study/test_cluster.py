@@ -55,9 +55,9 @@ def scheduler(dask, tmp_path):
     return process, json.loads(file.read_text())["address"]
 
 
-def worker(dask, address):
-    """A Dask worker with one thread and no nanny."""
-    return dask("dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard")
+def worker(dask, address, nanny="--no-nanny"):
+    """A Dask worker with one thread; with a nanny, it is a daemonic process."""
+    return dask("dask_worker", address, "--nthreads", "1", nanny, "--no-dashboard")
 
 
 def until(condition, seconds=30.0):
@@ -75,8 +75,8 @@ def slow_study(marks):
 
 def test_a_cluster_gives_the_same_table(dask, tmp_path):
     _, address = scheduler(dask, tmp_path)
-    for _ in range(2):
-        worker(dask, address)
+    for nanny in ("--nanny", "--no-nanny"):
+        worker(dask, address, nanny)
     for grid, limits in (({"run.x": [0.5]}, {}), ({"run.trouble": ["hang"]}, {"time_limit": 0.5})):
         run = study_runs.troubled if limits else study_runs.plain
         study = ms.Study("s", grid=grid, seeds=6, run=run, **limits)
@@ -124,7 +124,7 @@ def test_kill_9_of_the_scheduler_is_one_line_and_a_second_run_goes_on(dask, tmp_
 
 def test_where_no_scheduler_is_is_one_line(tmp_path, monkeypatch):
     pytest.importorskip("distributed", reason="needs dask[distributed]")
-    monkeypatch.setattr("meshskin.study.sweep.cluster.CONNECT", 1.0)
+    monkeypatch.setattr("meshskin.study.sweep.cluster.CONNECT_TIMEOUT", 1.0)
     study = ms.Study("s", run=study_runs.plain)
     for address in ("nonsense://x", "tcp://127.0.0.1:1"):
         with pytest.raises(StudyError, match="no Dask scheduler answers"):

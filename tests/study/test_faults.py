@@ -13,7 +13,6 @@ import study_runs
 
 import meshskin as ms
 from meshskin.core.errors import OutputError, StudyError
-from meshskin.study.sweep import pool
 
 HERE = Path(__file__).parent
 POSIX = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
@@ -132,22 +131,29 @@ def test_kill_9_of_the_parent_takes_the_workers_along_and_a_second_run_goes_on(t
 def test_no_worker_hangs_on_when_its_parent_is_killed(tmp_path):
     code = (
         "import meshskin as ms, study_runs\n"
-        "ms.Study('s', grid={'run.trouble': [TROUBLE]}, seeds=[2], run=study_runs.troubled)"
+        "grid = {'run.trouble': [TROUBLE], 'run.mark': [MARK]}\n"
+        "ms.Study('s', grid=grid, seeds=[2], run=study_runs.troubled)"
         f".sweep({str(tmp_path / 'out')!r}, workers=1)"
     )
     path = os.pathsep.join([str(HERE), *sys.path])
+    mark = tmp_path / "mark"
     for trouble in ("hang", "hang in C"):
         parent = subprocess.Popen(
-            [sys.executable, "-c", code.replace("TROUBLE", repr(trouble))],
+            [
+                sys.executable,
+                "-c",
+                f"TROUBLE, MARK = {trouble!r}, {str(mark)!r}\n" + code,
+            ],
             env={**os.environ, "PYTHONPATH": path},
         )
         children = Path(f"/proc/{parent.pid}/task/{parent.pid}/children")
-        until(lambda file=children: len(file.read_text().split()) == 1)
-        (child,) = children.read_text().split()
-        time.sleep(0.7)  # into the case
+        until(lambda: mark.exists())
+        workers = children.read_text().split()
+        assert str(int(mark.read_text())) in workers
         parent.kill()
         parent.wait()
-        until(lambda pid=child: not alive(pid), seconds=5)
+        until(lambda pids=workers: not any(map(alive, pids)), seconds=5)
+        mark.unlink()
 
 
 @POSIX
@@ -166,13 +172,15 @@ def test_an_interrupted_run_leaves_no_worker_and_no_half_file(tmp_path):
     ("trouble", "limits", "error"),
     [
         ("raise", {}, "ValueError: no such luck"),
-        ("type", {}, "StudyError: the result 'y' is no number, got object"),
+        ("type", {}, "StudyError: the result 'y' must be a number or text, got object"),
         ("hang", {"time_limit": 0.5}, "out of time, limit: 0.5 s"),
         ("hang in C", {"time_limit": 0.5}, "out of time, limit: 0.5 s"),
         ("child", {"time_limit": 0.5}, "out of time, limit: 0.5 s"),
         pytest.param("memory", {"memory_limit": 6e8}, "out of memory, limit: 600 MB", marks=LINUX),
         pytest.param("kill", {}, "its worker died 3 times, signal 9", marks=POSIX),
-        ("exit", {}, "its worker died 3 times, exit code 7"),
+        ("exit 7", {}, "its worker died 3 times, exit code 7"),
+        ("exit 0", {}, "its worker died 3 times, exit code 0"),
+        ("sys.exit", {}, "SystemExit: 5"),
     ],
 )
 def test_a_case_in_trouble_is_a_row_that_says_so_and_the_others_are_done(
@@ -273,7 +281,7 @@ def test_a_second_run_on_the_same_folder_is_refused_and_the_first_goes_on(tmp_pa
     out, marks = tmp_path / "a", tmp_path / "marks"
     first = start(out, marks, sleep=0.2)
     until(lambda: len(results(out)) >= 1)
-    with pytest.raises(StudyError, match=f"another run is working .* process {first.pid} on"):
+    with pytest.raises(StudyError, match=f"another run is writing .* process {first.pid} on"):
         slow_study(marks, sleep=0.2).sweep(out)
     assert first.communicate(timeout=30)[1] == ""
     assert first.returncode == 0
@@ -299,12 +307,14 @@ def test_workers_that_cannot_start_end_the_sweep(out, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     import broken_runs
 
-    (tmp_path / "broken_runs.py").write_text("raise SystemExit(3)\n")
-    with pytest.raises(StudyError, match=r"workers cannot start, got exit code 3"):
-        ms.Study("s", run=broken_runs.run).sweep(out)
-    (tmp_path / "broken_runs.py").unlink()
-    with pytest.raises(StudyError, match="cannot import the run function"):
-        ms.Study("s", run=broken_runs.run).sweep(out)
+    for text, message in (
+        ("import os; os._exit(3)", "workers cannot start"),
+        ("raise SystemExit(3)", "cannot import the run function .* got SystemExit: 3"),
+        ("", "no function run in broken_runs"),
+    ):
+        (tmp_path / "broken_runs.py").write_text(text)
+        with pytest.raises(StudyError, match=message):
+            ms.Study("s", run=broken_runs.run).sweep(out, workers=1)
 
 
 def test_a_script_needs_its_guard_and_is_told_so(tmp_path):
@@ -331,4 +341,4 @@ def test_no_thread_and_no_process_is_left(out):
     if sys.platform == "linux":
         children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
         commands = [Path(f"/proc/{pid}/cmdline").read_text() for pid in children]
-        assert not [c for c in commands if pool.main.__module__ in c]
+        assert not [c for c in commands if "spawn_main" in c]

@@ -9,6 +9,7 @@ import sys
 import pytest
 
 from meshskin.core.errors import OutputError, StudyError
+from meshskin.core.provenance import digest
 from meshskin.study.sweep.outcome import DIED, MEMORY, RAISED, TIMEOUT, Limits, Outcome
 from meshskin.study.sweep.store import Store
 
@@ -39,6 +40,15 @@ def test_a_torn_file_counts_as_none_wherever_it_is_torn(out):
     assert store.read(KEY) is not None
 
 
+def test_a_result_of_another_schema_is_ignored_with_a_note(out):
+    store = Store(out)
+    store.write(Outcome(KEY, {"y": 1.0}))
+    for body in ('{"key": "3fa0b1c2d3e4f506"}', '{"limits": {}, "unknown": 1}', "[1]", "3"):
+        store.file(KEY).write_text(f"{digest(body)}\n{body}\n")
+        with pytest.warns(UserWarning, match="another version of meshskin"):
+            assert store.read(KEY) is None
+
+
 def test_a_file_under_another_name_is_no_result(out):
     store = Store(out)
     store.write(Outcome(KEY, {"y": 1.0}))
@@ -64,7 +74,7 @@ def test_one_process_writes_and_its_death_frees_the_folder(out):
     other = subprocess.Popen([sys.executable, "-c", code, str(out)], stdout=subprocess.PIPE)
     try:
         assert other.stdout.readline() == b"held\n"
-        line = f"another run .* process {other.pid} on"
+        line = f"another run is writing .* process {other.pid} on"
         with pytest.raises(StudyError, match=line), Store(out).lock():
             pass
     finally:
@@ -89,7 +99,7 @@ def test_a_folder_that_is_a_file_is_one_line(out):
 
 
 @pytest.mark.parametrize(
-    ("reason", "then", "now", "settled"),
+    ("reason", "then", "now", "is_final"),
     [
         (None, Limits(), Limits(1.0, 1e6), True),
         (RAISED, Limits(), Limits(), True),
@@ -103,5 +113,5 @@ def test_a_folder_that_is_a_file_is_one_line(out):
         (MEMORY, Limits(), Limits(), True),
     ],
 )
-def test_what_is_run_again(reason, then, now, settled):
-    assert Outcome(KEY, reason=reason, limits=then).settled(now) is settled
+def test_what_is_run_again(reason, then, now, is_final):
+    assert Outcome(KEY, reason=reason, limits=then).is_final(now) is is_final

@@ -153,7 +153,7 @@ def test_a_study_is_a_toml_file(tmp_path):
         ("[gird]\n", "did you mean grid"),
         ("seeds = 3\n", "lacks grid"),
         ('seeds = "many"\n[grid]\n', "number or a list"),
-        ("grid = 3\n", "no table"),
+        ("grid = 3\n", "must be a table"),
         ('run = "plain"\n[grid]\n', "package.module:function"),
         ('run = "no_such:plain"\n[grid]\n', "cannot import"),
         ('run = "study_runs:no"\n[grid]\n', "no function no"),
@@ -198,5 +198,5 @@ def test_the_shipped_study_has_its_cases():
 
 @pytest.mark.parametrize("seeds", [2.5, "12", None])
 def test_seeds_that_are_none_are_refused(seeds):
-    with pytest.raises(ConfigError, match="seeds are whole numbers, or how many, got"):
+    with pytest.raises(ConfigError, match="seeds must be whole numbers, or their number, got"):
         ms.Study("s", grid=X, seeds=seeds, run=study_runs.plain)

@@ -1,12 +1,14 @@
-"""One case of a study: what defines it, and the hash that it is known by."""
+"""One case of a study: its parameters, and the key (hash) that identifies its result."""
 
 from __future__ import annotations
 
+import functools
 import inspect
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,73 +16,75 @@ import numpy as np
 from ...core.arguments import needs
 from ...core.errors import ConfigError, StudyError, UnknownNameError
 from ...core.provenance import digest, versions
-from .base import Base, canonical
+from .base_scene import BaseScene, canonical_json
 
 if TYPE_CHECKING:
     from ...scene.belief import Belief
     from ...scene.scene import Scene
 
-Run = Callable[["Case"], Mapping[str, Any]]
-"""What computes a case: its numbers (or texts) by name."""
+RunFunction = Callable[["Case"], Mapping[str, Any]]
+"""Computes a case: returns its numbers (or texts) by name."""
 Grid = Mapping[str, Sequence[Any]]
 """Values by dotted key."""
 
-OWN = "run."
-"""Keys of the run function's own parameters start with this."""
-BELIEF = "belief."
-"""Keys that change only what the owner believes start with this."""
+PACKAGE = Path(__file__).parents[2]
+"""Folder of the package meshskin."""
+RUN_PREFIX = "run."
+"""Prefix of the keys that are parameters of the run function."""
+BELIEF_PREFIX = "belief."
+"""Prefix of the keys that change the belief of the owner and not the world."""
 RESERVED = ("key", "seed", "method", "status", "error")
-"""Columns of a study's table that are neither parameters nor results."""
+"""Columns of the table of a study that are neither parameters nor results."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One case, as its run function gets it."""
+    """One case: the argument of a run function."""
 
     key: str
-    """Hash of what defines it."""
+    """Hash of everything that defines the case."""
     parameters: Mapping[str, Any]
     """Values by dotted key."""
     seed: int
-    """Of every random stream."""
+    """Seed of every random stream."""
     method: str
-    """Of the calibration."""
-    base: Base
-    """What the parameters change."""
+    """Method of the calibration."""
+    base: BaseScene
+    """The scene that the parameters change."""
 
     @cached_property
     def scene(self) -> Scene:
-        """The world of this case."""
+        """The true scene of this case."""
         return self.base.scene(_scene_part(self.parameters))
 
     @cached_property
     def belief(self) -> Belief:
-        """What the owner knows: the world's belief, with the parameters `belief.*` changed."""
-        beliefs = _belief_part(self.parameters)
-        if not beliefs:
+        """The belief of the owner: that of the scene, changed by the parameters `belief.*`."""
+        changes = _belief_part(self.parameters)
+        if not changes:
             return self.scene.belief()
-        return self.base.scene({**_scene_part(self.parameters), **beliefs}).belief()
+        return self.base.scene({**_scene_part(self.parameters), **changes}).belief()
 
     @property
     def own(self) -> dict[str, Any]:
-        """The run function's own parameters (`run.*`), without the prefix."""
-        return _within(self.parameters, OWN)
+        """The parameters of the run function (`run.*`), without the prefix."""
+        return _with_prefix(self.parameters, RUN_PREFIX)
 
 
-def _within(parameters: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+def _with_prefix(parameters: Mapping[str, Any], prefix: str) -> dict[str, Any]:
     return {k.removeprefix(prefix): v for k, v in parameters.items() if k.startswith(prefix)}
 
 
 def _belief_part(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    return _within(parameters, BELIEF)
+    return _with_prefix(parameters, BELIEF_PREFIX)
 
 
 def _scene_part(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    return {k: v for k, v in parameters.items() if not k.startswith((OWN, BELIEF))}
+    return {k: v for k, v in parameters.items() if not k.startswith((RUN_PREFIX, BELIEF_PREFIX))}
 
 
-def lists(grid: Grid | Sequence[Grid]) -> list[dict[str, list[Any]]]:
-    """A grid, or several, with plain lists of plain values. Raises ConfigError."""
+def plain_grids(grid: Grid | Sequence[Grid]) -> list[dict[str, list[Any]]]:
+    """One grid or several, as lists of plain Python values. Raises ConfigError."""
     out = []
     needs(Iterable, grid, "the grid of a study")
     for one in [grid] if isinstance(grid, Mapping) else grid:
@@ -90,7 +94,9 @@ def lists(grid: Grid | Sequence[Grid]) -> list[dict[str, list[Any]]]:
         out.append(plain := {key: _list(key, values) for key, values in one.items()})
         for key in RESERVED:
             if key in plain and key != "method":
-                raise ConfigError(f"{key} cannot be in the grid", remedy="seeds has its own place")
+                raise ConfigError(
+                    f"{key} cannot be in the grid", remedy="give seeds as an argument of the study"
+                )
     return out
 
 
@@ -103,16 +109,16 @@ def _list(key: str, values: Any) -> list[Any]:
     return [v.item() if isinstance(v, np.generic) else v for v in values]
 
 
-def check(base: Base, grid: Grid | Sequence[Grid], method: str) -> None:
-    """Check every value of every key, on its own. Raises ConfigError."""
-    for one in lists(grid):
+def check_grid(base: BaseScene, grid: Grid | Sequence[Grid], method: str) -> None:
+    """Check every value of every key separately. Raises ConfigError."""
+    for one in plain_grids(grid):
         for key, values in one.items():
             for value in values:
                 _check_value(base, key, value)
     _check_value(base, "method", method)
 
 
-def _check_value(base: Base, key: str, value: Any) -> None:
+def _check_value(base: BaseScene, key: str, value: Any) -> None:
     if key == "method":
         from ...estimation.calibrate import METHODS
 
@@ -124,58 +130,78 @@ def _check_value(base: Base, key: str, value: Any) -> None:
         base.check(_belief_part(parameters))
 
 
-def points(grid: Grid | Sequence[Grid]) -> Iterator[dict[str, Any]]:
-    """Every combination of a grid's values, the last key fastest; of several grids, one by one."""
-    for one in lists(grid):
+def grid_points(grid: Grid | Sequence[Grid]) -> Iterator[dict[str, Any]]:
+    """Every combination of the values of a grid, the last key fastest; grid after grid."""
+    for one in plain_grids(grid):
         for values in itertools.product(*one.values()):
             yield dict(zip(one, values, strict=True))
 
 
 def expand(
-    base: Base, grid: Grid | Sequence[Grid], seeds: Sequence[int], method: str, runner: str
+    base: BaseScene, grid: Grid | Sequence[Grid], seeds: Sequence[int], method: str, runner: str
 ) -> Iterator[Case]:
-    """All cases, the seeds fastest; what is defined the same twice comes once.
+    """All cases, the seeds fastest; cases with the same key are listed once.
 
-    `runner`: the identity of what computes them (`runner_identity`).
+    `runner`: identity of the run function (`runner_identity`).
     """
-    found = versions()
-    del found["python"]  # a patch release of Python is no reason to compute anything again
-    shared = canonical([found, runner])
+    packages = environment()
+    del packages["python"]  # results do not depend on the patch release of Python
+    shared = canonical_json([packages, runner])
     seen: set[str] = set()
-    for point in points(grid):
-        how = str(point.pop("method", method))
-        own = canonical({k: v for k, v in point.items() if k.startswith((OWN, BELIEF))})
-        what = f"{shared}|{how}|{own}|{base.identity(_scene_part(point))}|"
+    for point in grid_points(grid):
+        case_method = str(point.pop("method", method))
+        other = {k: v for k, v in point.items() if k.startswith((RUN_PREFIX, BELIEF_PREFIX))}
+        scene = base.identity(_scene_part(point))
+        definition = f"{shared}|{case_method}|{canonical_json(other)}|{scene}|"
         for seed in seeds:
-            key = digest(what + str(seed))
+            key = digest(definition + str(seed))
             if key not in seen:
                 seen.add(key)
-                yield Case(key, point, seed, how, base)
+                yield Case(key, point, seed, case_method, base)
 
 
-def runner_identity(run: Run, version: str = "") -> str:
-    """Name and source text of a run function, and the version its author gave it.
+def environment() -> dict[str, str]:
+    """Versions of Python and of the packages that results depend on, and meshskin's source."""
+    return {**versions(), "source": source_digest()}
 
-    What it calls is not seen: the author raises `version` when that changes.
+
+@functools.cache
+def source_digest(folder: Path = PACKAGE) -> str:
+    """Digest of the names and contents of the files of a package.
+
+    A package that is installed in place (editable) is edited without a change of its version.
+    """
+    files = (f for f in folder.rglob("*") if "__pycache__" not in f.parts and f.is_file())
+    named = ((f.relative_to(folder).as_posix(), f.read_bytes()) for f in sorted(files))
+    return digest(*(part for pair in named for part in pair))
+
+
+def runner_identity(run: RunFunction, version: str = "") -> str:
+    """Name and source text of a run function, and the version that its author gave it.
+
+    What it calls outside meshskin is not part of it: the author changes `version` when that
+    changes.
     """
     try:
         source = inspect.getsource(run)
     except (OSError, TypeError):
         source = ""
-    return canonical([getattr(run, "__qualname__", ""), source, version])
+    return canonical_json([getattr(run, "__qualname__", ""), source, version])
 
 
-def checked(values: Any, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """What a run function returned, as plain values by name. Raises StudyError."""
+def checked_results(values: Any, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """The results of a run function as plain values by name. Raises StudyError."""
     if not isinstance(values, Mapping):
-        raise StudyError("a run function returns values by name", value=type(values).__name__)
+        raise StudyError("a run function must return a mapping", value=type(values).__name__)
     out: dict[str, Any] = {}
     for name, value in values.items():
         plain = value.item() if hasattr(value, "item") and getattr(value, "ndim", 0) == 0 else value
         if plain is not None and not isinstance(plain, bool | int | float | str):
-            raise StudyError(f"the result {name!r} is no number", value=type(value).__name__)
+            raise StudyError(
+                f"the result {name!r} must be a number or text", value=type(value).__name__
+            )
         if type(plain) is int and abs(plain) >= 2**63:
-            plain = float(plain)  # tables hold 64 bits
+            plain = float(plain)  # columns hold 64-bit integers
         if name in parameters or name in RESERVED:
             raise StudyError(f"the result {name!r} has the name of a parameter")
         out[str(name)] = plain

@@ -1,9 +1,9 @@
-"""A Dask cluster as the hands of a study.
+"""An executor of tasks on a Dask cluster.
 
-Every thread of a Dask worker has a process of its own for the cases, watched as on one machine:
-time and memory limits, and cases that kill their process, are dealt with there. A Dask worker that
-dies leaves its cases to others; a scheduler that dies ends the sweep, which can be run again. The
-machines of the cluster must see the files that the study names, at the same paths.
+Every thread of a Dask worker has a worker process of its own (WorkerPool), which enforces time and
+memory limits and survives cases that kill their process. The cases of a Dask worker that dies are
+run by others; the death of the scheduler ends the sweep, which can be run again. The machines of
+the cluster must see the files that the study names, at the same paths.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from types import TracebackType
 from typing import Any
 
 from ...core.errors import StudyError
-from ...core.provenance import versions
+from .case import environment
 from .outcome import Outcome
-from .pool import Crew, died
-from .worker import Setup, Task
+from .worker import Task, WorkerSetup
+from .worker_pool import WorkerPool, died
 
 try:
     import distributed
@@ -30,67 +30,69 @@ except ImportError as error:
         "a scheduler needs dask.distributed", remedy='pip install "meshskin[cluster]"'
     ) from error
 
-AHEAD = 3
-"""Cases on their way to each thread of the cluster, the one at work included."""
-LEAST = 8
-"""Cases on their way while the cluster is small, or has no workers yet."""
-CONNECT = 10.0
-"""Time for the scheduler to answer at first, s."""
-PATIENCE = 15.0
-"""Time that the scheduler may be out of reach, s."""
-LOOK = 1.0
-"""Time between two looks at the cluster, s."""
+TASKS_AHEAD = 3
+"""Tasks per thread of the cluster that are submitted at a time, the running one included: no
+thread waits for the parent, and few tasks are lost with a scheduler."""
+FEWEST_AHEAD = 8
+"""Tasks that are submitted while the cluster is small or has no workers yet."""
+CONNECT_TIMEOUT = 10.0
+"""Time, s, for the scheduler to answer the first call."""
+LOST_TIMEOUT = 15.0
+"""Time, s, after which a scheduler that does not answer counts as gone."""
+POLL_PERIOD = 1.0
+"""Time, s, between two queries of the state of the cluster."""
 
 
-class Bench(distributed.WorkerPlugin):
-    """On each Dask worker: crews of one process, taken by its threads and put back."""
+class PoolPlugin(distributed.WorkerPlugin):
+    """On each Dask worker: pools of one process, which its threads take and return."""
 
-    def __init__(self, orders: Setup) -> None:
-        self.orders = orders
-        self.wanted = versions()
+    def __init__(self, worker_setup: WorkerSetup) -> None:
+        self.worker_setup = worker_setup
+        self.environment = environment()
         self.name = f"meshskin-{uuid.uuid4().hex[:12]}"
 
     def setup(self, worker: Any) -> None:
         """Called by Dask when the plugin comes to a worker."""
-        found = versions()
-        self.differs = [f"{k} {v}" for k, v in found.items() if v != self.wanted.get(k)]
-        self.idle: queue.SimpleQueue[Crew] = queue.SimpleQueue()
-        self.crews: list[Crew] = []
+        found = environment()
+        self.differences = [f"{k} {v}" for k, v in found.items() if v != self.environment.get(k)]
+        self.idle: queue.SimpleQueue[WorkerPool] = queue.SimpleQueue()
+        self.pools: list[WorkerPool] = []
 
     def teardown(self, worker: Any) -> None:
         """Called by Dask when the plugin or the worker goes."""
-        for crew in self.crews:
-            crew.close()
+        for pool in self.pools:
+            pool.close()
 
     def perform(self, task: Task) -> Outcome | None:
-        """The outcome of a task; None if the plugin goes meanwhile. Raises StudyError."""
-        if self.differs:
+        """The outcome of a task; None if the plugin is removed meanwhile. Raises StudyError."""
+        if self.differences:
             raise StudyError(
                 "a worker of the cluster has other versions",
-                value=", ".join(self.differs),
+                value=", ".join(self.differences),
                 remedy="install the same ones: results would differ",
             )
         try:
-            crew = self.idle.get_nowait()
+            pool = self.idle.get_nowait()
         except queue.Empty:
-            crew = Crew(self.orders, 1)
-            self.crews.append(crew)
-        outcome = next(crew.outcomes([task]), None)
-        self.idle.put(crew)
+            pool = WorkerPool(self.worker_setup, 1)
+            self.pools.append(pool)
+        outcome = next(pool.outcomes([task]), None)
+        self.idle.put(pool)
         return outcome
 
 
-def _perform(bench: str, task: Task) -> Outcome | None:
-    """Runs on a Dask worker."""
-    plugin: Bench | None = distributed.get_worker().plugins.get(bench)
+def _perform(plugin_name: str, task: Task) -> Outcome | None:
+    """Run a task on the Dask worker that calls this."""
+    plugin: PoolPlugin | None = distributed.get_worker().plugins.get(plugin_name)
     return None if plugin is None else plugin.perform(task)
 
 
 class _Client(distributed.Client):
-    """A client that is closed by hand only.
+    """A client that is closed explicitly and not by the garbage collector.
 
-    Dask's closes itself as garbage, in whatever thread that is collected: in the one of the next
-    client's loop it waits for a lock that the next client holds while it waits for that thread.
+    Dask's __del__ closes the client in the thread that collects it. If that is the thread of the
+    event loop of the next client, it waits for a lock that the next client holds while it waits
+    for that thread.
     """
 
     def __del__(self) -> None:
@@ -98,20 +100,21 @@ class _Client(distributed.Client):
 
 
 class Cluster:
-    """A connection to a Dask scheduler; a context manager that takes back what is not done.
+    """A connection to a Dask scheduler; a context manager that cancels what is not done.
 
-    Raises StudyError where no scheduler answers, or its workers cannot import meshskin.
+    Raises StudyError if no scheduler answers, or its workers cannot import meshskin.
     """
 
-    def __init__(self, setup: Setup, address: str) -> None:
+    def __init__(self, setup: WorkerSetup, address: str) -> None:
         self._address = address
-        self._bench = Bench(setup)
+        self._plugin = PoolPlugin(setup)
         self._pending: dict[str, tuple[Task, Any]] = {}
+        """Tasks and their futures, by the keys of the futures."""
         self._done: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._count = itertools.count()
         self._last_seen = time.monotonic()
         try:
-            self._client = _Client(address, timeout=CONNECT, set_as_default=False)
+            self._client = _Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
         except (OSError, ValueError, AssertionError) as error:
             # AssertionError: Dask's own thread did not start in its 10 s
             raise StudyError(
@@ -120,7 +123,7 @@ class Cluster:
 
     def __enter__(self) -> Cluster:
         try:
-            self._client.register_plugin(self._bench, name=self._bench.name)
+            self._client.register_plugin(self._plugin, name=self._plugin.name)
         except ImportError as error:
             self._client.close(timeout=2)
             raise StudyError(
@@ -138,7 +141,7 @@ class Cluster:
         with contextlib.suppress(OSError, distributed.CancelledError, RuntimeError):
             if self._client.status == "running":
                 self._client.cancel([future for _, future in self._pending.values()])
-                self._client.unregister_worker_plugin(self._bench.name)
+                self._client.unregister_worker_plugin(self._plugin.name)
         self._pending.clear()
         with contextlib.suppress(OSError):
             self._client.close(timeout=2)
@@ -148,16 +151,16 @@ class Cluster:
 
         Raises StudyError if the scheduler goes away or a worker has other versions.
         """
-        waiting, looked = iter(tasks), -float("inf")
+        waiting, polled = iter(tasks), -float("inf")
         while True:
-            if time.monotonic() - looked > LOOK:
-                ahead, looked = self._ahead(), time.monotonic()
+            if time.monotonic() - polled > POLL_PERIOD:
+                ahead, polled = self._tasks_ahead(), time.monotonic()
             for task in itertools.islice(waiting, max(ahead - len(self._pending), 0)):
                 self._submit(task)
             if not self._pending:
                 return
             with contextlib.suppress(queue.Empty):
-                future = self._done.get(timeout=LOOK)
+                future = self._done.get(timeout=POLL_PERIOD)
                 task, _ = self._pending.pop(future.key)
                 outcome = self._outcome(task, future)
                 if outcome is None:
@@ -165,37 +168,37 @@ class Cluster:
                 else:
                     yield outcome
 
-    def _ahead(self) -> int:
-        """How many cases to have on their way. Raises StudyError if the scheduler is gone."""
+    def _tasks_ahead(self) -> int:
+        """How many tasks to have submitted. Raises StudyError if the scheduler is gone."""
         if self._client.status != "running":
-            if time.monotonic() - self._last_seen > PATIENCE:
+            if time.monotonic() - self._last_seen > LOST_TIMEOUT:
                 raise self._gone()
             return 0
         try:
             threads = sum(self._client.nthreads().values())
-        except (OSError, TimeoutError):  # the next look shows whether it is gone
+        except (OSError, TimeoutError):  # the next query tells whether it is gone
             return 0
         self._last_seen = time.monotonic()
-        return max(AHEAD * threads, LEAST)
+        return max(TASKS_AHEAD * threads, FEWEST_AHEAD)
 
     def _submit(self, task: Task) -> None:
-        key = f"{self._bench.name}-{task.key}-{next(self._count)}"
-        future = self._client.submit(_perform, self._bench.name, task, key=key, pure=False)
+        key = f"{self._plugin.name}-{task.key}-{next(self._count)}"
+        future = self._client.submit(_perform, self._plugin.name, task, key=key, pure=False)
         self._pending[key] = task, future
         future.add_done_callback(self._done.put)
 
     def _outcome(self, task: Task, future: Any) -> Outcome | None:
-        """What a finished future says; None if its result went with a worker. Raises StudyError."""
+        """The outcome of a future; None if it was lost with a worker. Raises StudyError."""
         try:
-            outcome: Outcome | None = future.result(timeout=PATIENCE)
+            outcome: Outcome | None = future.result(timeout=LOST_TIMEOUT)
         except distributed.KilledWorker:
-            return died(task, self._bench.orders.limits, None)
+            return died(task, self._plugin.worker_setup.limits, None)
         except (distributed.CancelledError, OSError, TimeoutError) as error:
-            time.sleep(LOOK)  # a client that lost its scheduler knows of it a moment later
+            time.sleep(POLL_PERIOD)  # the client notices the loss of its scheduler a moment later
             if self._client.status != "running":
                 raise self._gone() from error
             return None
-        if outcome is None:  # another scheduler has taken the place of the first
+        if outcome is None:  # another scheduler has taken the place of the first one
             raise self._gone()
         return outcome
 
@@ -203,5 +206,5 @@ class Cluster:
         return StudyError(
             "the Dask scheduler is gone",
             value=self._address,
-            remedy="what is done is kept: start a scheduler and run again",
+            remedy="finished cases are kept: start a scheduler and run the study again",
         )

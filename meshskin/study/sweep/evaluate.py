@@ -1,4 +1,4 @@
-"""What a study does with a case unless told otherwise: simulate, calibrate, assess."""
+"""The default run function of a study: simulate, calibrate, assess."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Value = float | int | None
 
 
 def evaluate(case: Case) -> dict[str, Value]:
-    """Errors (mm), the bound of a true belief, consistency, force and counts of one case.
+    """Position errors (mm), Cramér-Rao bound, NEES, modulus, force and counts of one case.
 
-    The same for every run of the same case: nothing that depends on the clock is in it. The bound
-    is 0 without noise, where nothing keeps an estimate from the truth.
+    The values depend on the case alone and on no clock. The bound is that of a true belief; it is
+    0 without noise.
     """
     scene, belief = case.scene, case.belief
     if scene.budget is not None:
@@ -40,9 +40,9 @@ def evaluate(case: Case) -> dict[str, Value]:
     out |= {f"position_error_mm.{k}": v for k, v in metrics.summary_mm(errors).items()}
     bound = metrics.bound_mm(recording, scene.belief(), scene.skin)
     out |= {f"crlb_mm.{k}": v for k, v in bound.items()}
-    spread = metrics.nees(found, scene.skin)
-    spread = spread[np.isfinite(spread)]
-    out["nees"] = float(spread.mean()) if len(spread) else None
+    nees = metrics.nees(found, scene.skin)
+    nees = nees[np.isfinite(nees)]
+    out["nees"] = float(nees.mean()) if len(nees) else None
     out["modulus_pa"], out["modulus_sigma_pa"] = found.modulus, found.modulus_sigma
     out["force_mean_n"] = float(recording.force.mean())
     out["force_std_n"] = float(recording.force.std())

@@ -1,12 +1,13 @@
-"""The folder of a study: one small file a case, a manifest, and tables.
+"""The folder of a study: one small file per case, a manifest, and tables.
 
-    OUT/study.json               what the study is
-    OUT/results/3f/3fa0....json  one case: a line with the checksum, a line of JSON
+    OUT/study.json               definition of the study
+    OUT/results/3f/3fa0....json  one case: a line with a checksum, a line of JSON
     OUT/table.parquet            the cases in order: parameters, status, results
     OUT/times.parquet            seconds of each case, which differ from run to run
 
-Every file is written beside its place and moved there. A file that is torn nevertheless (a power
-cut) fails its checksum and counts as not there. Only the process that holds the lock writes.
+Every file is written under a temporary name and moved into place. A file that is incomplete
+nevertheless (after a power cut) fails its checksum and is ignored. Only the process that holds the
+lock writes.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import json
 import os
 import socket
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -33,23 +35,24 @@ else:
 
 
 class Store:
-    """Results by key, in a folder."""
+    """Results by key, in the folder of a study."""
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
         self.results = self.folder / "results"
 
     def file(self, key: str) -> Path:
-        """Where the result of a case is."""
+        """Path of the result of a case."""
         return self.results / key[:2] / f"{key}.json"
 
     def write(self, outcome: Outcome) -> None:
-        """Keep a result. Raises OutputError where the disk is full or may not be written."""
+        """Write a result. Raises OutputError if the disk is full or not writable."""
         text = json.dumps(asdict(outcome), separators=(",", ":"))
         write_text(self.file(outcome.key), f"{digest(text)}\n{text}\n")
 
     def read(self, key: str) -> Outcome | None:
-        """The result of a case; None where there is none, or a torn one."""
+        """The result of a case; None if there is none, or if its file is incomplete or of another
+        version. Raises OutputError if the file cannot be read."""
         try:
             text = self.file(key).read_text(encoding="utf-8")
         except (FileNotFoundError, UnicodeDecodeError):
@@ -60,12 +63,19 @@ class Store:
         body = body.removesuffix("\n")
         if checksum != digest(body):
             return None
-        fields = json.loads(body)
-        found = Outcome(**fields | {"limits": Limits(**fields["limits"])})
+        try:
+            fields = json.loads(body)
+            found = Outcome(**fields | {"limits": Limits(**fields["limits"])})
+        except (KeyError, TypeError, ValueError):
+            warnings.warn(
+                f"results in {self.results} that another version of meshskin wrote are ignored",
+                stacklevel=2,
+            )
+            return None
         return found if found.key == key else None
 
     def keys(self) -> set[str]:
-        """Keys of all result files, torn ones too; what an interrupted writer left is removed."""
+        """Keys of all result files, complete or not. Removes what an interrupted writer left."""
         found: set[str] = set()
         if not self.results.is_dir():
             return found
@@ -84,9 +94,9 @@ class Store:
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """Be the only one that writes here; the system lets go of it when the process ends.
+        """Hold the lock of the folder; the system releases it when the process ends.
 
-        Raises StudyError where another process holds it, OutputError for an unwritable folder.
+        Raises StudyError if another process holds it, OutputError if the folder is not writable.
         """
         path = self.folder / ".lock"
         try:
@@ -100,7 +110,7 @@ class Store:
             except OSError as error:
                 file.seek(0)
                 raise StudyError(
-                    f"another run is working in {self.folder}",
+                    f"another run is writing to {self.folder}",
                     value=file.read().strip() or None,
                     remedy="wait for it, or choose another --out",
                 ) from error

@@ -1,4 +1,4 @@
-"""The results of a study as tables that pandas, polars and DuckDB read."""
+"""The results of a study as Arrow tables, and as Parquet files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MISSING = "missing"
 
 
 class Columns:
-    """Columns that grow row by row; a name that comes late is null in the rows before."""
+    """Columns that grow row by row; a column is null in rows that do not have it."""
 
     def __init__(self) -> None:
         self.columns: dict[str, list[Any]] = {}
@@ -34,7 +34,7 @@ class Columns:
         self.rows += 1
 
     def table(self) -> pa.Table:
-        """The Arrow table: integers, floats, booleans or texts, as the values are."""
+        """The Arrow table; the type of a column follows from its values."""
         import pyarrow as pa
 
         return pa.table({name: _column(values) for name, values in self.columns.items()})
@@ -56,9 +56,9 @@ def _column(values: list[Any]) -> pa.Array:
 
 
 def tables(rows: Iterable[tuple[Case, Outcome | None]]) -> tuple[pa.Table, pa.Table]:
-    """The table of results, and that of times, one row a case in the order of the cases.
+    """The table of results and the table of times, one row per case, in the order of the cases.
 
-    A parameter that is no number or text (a list) is written as text.
+    A parameter that is neither a number nor text (a list) is written as text.
     """
     main, times = Columns(), Columns()
     for case, outcome in rows:

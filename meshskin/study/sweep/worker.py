@@ -1,59 +1,43 @@
-"""A worker process: gets cases, sends outcomes, until its parent closes the line or is gone.
-
-    python -P -c "from meshskin.study.sweep.worker import main; main()"
-
-Frames on stdin and stdout: four bytes of length, a pickle. First comes the Setup, then cases, one
-at a time; back come one Ready and outcomes. What cases print goes to
-stderr. No case outlives the parent.
-"""
+"""What runs in a worker process: `initialize` once, then `perform` for each task."""
 
 from __future__ import annotations
 
 import ctypes
 import os
-import pickle
-import queue
 import signal
-import struct
 import sys
-import threading
 import time
 import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from ...core.errors import StudyError
-from .base import Base
-from .case import Case, Run, checked
+from .base_scene import BaseScene
+from .case import Case, RunFunction, checked_results
+from .function_reference import FunctionReference
 from .outcome import MEMORY, RAISED, Limits, Outcome
-from .reference import Reference
 
-_LENGTH = struct.Struct("<I")
+RETIRED = 86
+"""Exit code of a worker that ends because its last case ran out of memory. Any code that neither
+Python nor a signal uses would do."""
 _PR_SET_PDEATHSIG = 1
 
 
 @dataclass(frozen=True)
-class Ready:
-    """A worker's first word: it has its imports, or why it has not."""
+class WorkerSetup:
+    """What every worker needs once, whatever its cases."""
 
-    error: str | None = None
-
-
-@dataclass(frozen=True)
-class Setup:
-    """What a worker needs once."""
-
-    run: Reference
-    base: Base
+    run: FunctionReference
+    base: BaseScene
     limits: Limits
 
 
 @dataclass(frozen=True)
 class Task:
-    """A case on its way to a worker, without what the Setup has brought."""
+    """The part of a case that is sent to a worker; the WorkerSetup holds the rest."""
 
     key: str
     parameters: Mapping[str, Any]
@@ -65,79 +49,75 @@ class Task:
         """The task of a case."""
         return cls(case.key, case.parameters, case.seed, case.method)
 
-    def case(self, base: Base) -> Case:
-        """The case again."""
+    def case(self, base: BaseScene) -> Case:
+        """The case of this task."""
         return Case(self.key, self.parameters, self.seed, self.method, base)
 
 
-def send(line: IO[bytes], message: object) -> None:
-    """Write a frame. Raises OSError where the other end is gone."""
-    data = pickle.dumps(message)
-    line.write(_LENGTH.pack(len(data)) + data)
-    line.flush()
+@dataclass
+class _Worker:
+    """The state of this worker process."""
+
+    setup: WorkerSetup
+    run: RunFunction | None = None
+    error: str = ""
+    """Why the run function cannot be imported."""
+    out_of_memory: bool = False
 
 
-def receive(line: IO[bytes]) -> Any:
-    """Read a frame. Raises EOFError where the line is closed, or was cut within a frame."""
-    head = line.read(_LENGTH.size)
-    if len(head) < _LENGTH.size:
-        raise EOFError
-    (length,) = _LENGTH.unpack(head)
-    data = line.read(length)
-    if len(data) < length:
-        raise EOFError
-    return pickle.loads(data)
+_workers: list[_Worker] = []
+"""The worker that this process is: one in a worker process, none elsewhere."""
 
 
-def main() -> None:
-    """Work until the line is closed."""
+def initialize(setup: WorkerSetup) -> None:
+    """Prepare a new worker process: process group, standard streams and the run function."""
+    if os.name == "posix":
+        os.setpgid(0, 0)  # the pool ends the whole group: the worker and what its cases started
     _die_with_parent()
-    answers = os.fdopen(os.dup(1), "wb")
-    orders = os.fdopen(os.dup(0), "rb")
-    os.dup2(2, 1)  # what cases print must not get among the frames
-    with open(os.devnull, "rb") as nothing:
-        os.dup2(nothing.fileno(), 0)
-    inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    threading.Thread(target=_listen, args=(orders, inbox), daemon=True).start()
-    setup: Setup = inbox.get()
+    os.dup2(2, 1)  # standard output is the caller's; cases print to standard error
+    worker = _Worker(setup)
     try:
-        run = setup.run.load()
+        worker.run = setup.run.load()
     except StudyError as error:
-        send(answers, Ready(str(error)))
-        return
-    send(answers, Ready())
-    while True:
-        task: Task = inbox.get()
-        send(answers, perform(task.case(setup.base), run, setup.limits))
+        worker.error = str(error)
+    _workers[:] = [worker]
 
 
-def perform(case: Case, run: Run, limits: Limits) -> Outcome:
-    """Run a case; whatever it raises becomes part of the outcome."""
+def perform(task: Task) -> Outcome:
+    """Run a task in this worker. Raises StudyError if the run function could not be imported."""
+    (worker,) = _workers
+    if worker.out_of_memory:  # a process is not reliable after that: another one takes the task
+        os._exit(RETIRED)
+    if worker.run is None:
+        raise StudyError(worker.error)
+    outcome = run_case(task.case(worker.setup.base), worker.run, worker.setup.limits)
+    worker.out_of_memory = outcome.reason == MEMORY
+    return outcome
+
+
+def run_case(case: Case, run: RunFunction, limits: Limits) -> Outcome:
+    """Run a case; an exception becomes part of the outcome."""
     begin = time.perf_counter()
     values: dict[str, Any] = {}
     reason = error = trace = None
     try:
-        with _memory(limits.memory):
-            values = checked(run(case), case.parameters)
-    except Exception as problem:  # a case may fail in any way: the others must go on
+        with _memory_limit(limits.memory):
+            values = checked_results(run(case), case.parameters)
+    except (Exception, SystemExit) as problem:  # one failed case must not end the study
         text = " ".join(str(problem).split())
         if isinstance(problem, MemoryError) or "bad_alloc" in text:
-            reason, error = MEMORY, _memory_error(limits)
+            reason, error = MEMORY, "out of memory"
+            if limits.memory is not None:
+                error += f", limit: {limits.memory / 1e6:g} MB"
         else:
             reason, trace = RAISED, traceback.format_exc()
             error = f"{type(problem).__name__}: {text}" if text else type(problem).__name__
     return Outcome(case.key, values, reason, error, trace, time.perf_counter() - begin, limits)
 
 
-def _memory_error(limits: Limits) -> str:
-    if limits.memory is None:
-        return "out of memory"
-    return f"out of memory, limit: {limits.memory / 1e6:g} MB"
-
-
 @contextmanager
-def _memory(limit: float | None) -> Iterator[None]:
-    """Let this process hold at most `limit` bytes of data inside; Linux only."""
+def _memory_limit(limit: float | None) -> Iterator[None]:
+    """Limit the data segment of this process to `limit` bytes (Linux only)."""
     if limit is None or sys.platform != "linux":
         yield
         return
@@ -151,19 +131,10 @@ def _memory(limit: float | None) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_DATA, before)
 
 
-def _listen(orders: IO[bytes], inbox: queue.SimpleQueue[Any]) -> None:
-    """Pass orders on; end the process at once when the parent is gone, even within a case."""
-    while True:
-        try:
-            inbox.put(receive(orders))
-        except EOFError:
-            os._exit(0)
-
-
 def _die_with_parent() -> None:
-    """On Linux: be killed with the parent, even in compiled code that lets no thread run.
+    """On Linux, be killed with the parent, and before the parent where memory runs out.
 
-    And be the first to go when the machine is out of memory, not the parent.
+    The kernel does this even while compiled code keeps the interpreter from running.
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)

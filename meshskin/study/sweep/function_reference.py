@@ -1,4 +1,4 @@
-"""Where a run function is to be found by another process."""
+"""A reference to a run function that another process can import."""
 
 from __future__ import annotations
 
@@ -10,24 +10,26 @@ from pathlib import Path
 from types import ModuleType
 
 from ...core.errors import StudyError
-from .case import Run
+from .case import RunFunction
 
 SCRIPT = "__meshskin_worker__"
-"""`__name__` of a script that a worker runs to find a function in it."""
+"""`__name__` of a script that is imported to find a function in it."""
+WORKER_MAIN = "__mp_main__"
+"""`__name__` of the main script in a worker process, as multiprocessing imports it."""
 _REMEDY = "define it with def at the top of a module or script"
 
 
 @dataclass(frozen=True)
-class Reference:
-    """A function at the top of a module, or of a script."""
+class FunctionReference:
+    """The name of a function at the top level of a module or of a script."""
 
     name: str
     module: str | None = None
     script: str | None = None
 
     @classmethod
-    def to(cls, run: Run) -> Reference:
-        """The reference to a function. Raises StudyError for one that is at no top."""
+    def to(cls, run: RunFunction) -> FunctionReference:
+        """The reference to a function. Raises StudyError if it is not at the top level."""
         module, name = getattr(run, "__module__", None), getattr(run, "__qualname__", None)
         home = sys.modules.get(str(module))
         if name is None or home is None or getattr(home, str(name), None) is not run:
@@ -44,21 +46,23 @@ class Reference:
         return cls(name, script=str(Path(file).resolve()))
 
     @classmethod
-    def parse(cls, text: str, folder: Path) -> Reference:
-        """From `package.module:function` or `file.py:function`, a file in `folder`.
+    def parse(cls, text: str, folder: Path) -> FunctionReference:
+        """Parse `package.module:function` or `file.py:function`, a file in `folder`.
 
         Raises StudyError.
         """
         module, _, name = text.partition(":")
         if not module or not name:
             raise StudyError(
-                "run is not understood", value=repr(text), remedy="write package.module:function"
+                "run must name a module and a function",
+                value=repr(text),
+                remedy="write package.module:function or file.py:function",
             )
         if module.endswith(".py"):
             return cls(name, script=str((folder / module).resolve()))
         return cls(name, module=module)
 
-    def load(self) -> Run:
+    def load(self) -> RunFunction:
         """The function. Raises StudyError."""
         if self.script is not None:
             found = getattr(_imported(self.script), self.name, None)
@@ -70,17 +74,20 @@ class Reference:
                     f"cannot import the run function: {error}",
                     remedy="install its package or set PYTHONPATH",
                 ) from error
-            except Exception as error:  # the user's own code, which may raise anything
+            except (Exception, SystemExit) as error:  # the user's own code may raise anything
                 raise _broken(str(self.module), error) from error
             found = getattr(home, self.name, None)
         if not callable(found):
             raise StudyError(f"no function {self.name} in {self.script or self.module}")
-        run: Run = found
+        run: RunFunction = found
         return run
 
 
 def _imported(script: str) -> ModuleType:
-    """A script as a module; what it does as `__main__` is not done. Raises StudyError."""
+    """A script as a module, without what it does as `__main__`. Raises StudyError."""
+    main = sys.modules.get(WORKER_MAIN)  # multiprocessing has imported the main script already
+    if main is not None and getattr(main, "__file__", None) == script:
+        return main
     spec = importlib.util.spec_from_file_location(SCRIPT, script)
     if spec is None or spec.loader is None or not Path(script).is_file():
         raise StudyError("cannot read the script of the run function", value=script)
@@ -88,14 +95,14 @@ def _imported(script: str) -> ModuleType:
     sys.modules[SCRIPT] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # the user's own code, which may raise anything
+    except (Exception, SystemExit) as error:  # the user's own code may raise anything
         raise _broken(script, error) from error
     return module
 
 
-def _broken(home: str, error: Exception) -> StudyError:
+def _broken(home: str, error: BaseException) -> StudyError:
     return StudyError(
         f"cannot import the run function from {home}",
         value=f"{type(error).__name__}: {error}",
-        remedy="run it by itself with python, and mend what it says",
+        remedy="run it by itself with python, and correct the error",
     )

@@ -1,8 +1,8 @@
-"""What the cases of a study start from: a scene, changed by dotted keys.
+"""The scene that the cases of a study change, and the changes by dotted key.
 
-A key names a scene's table and the quantity in it as the TOML file does (`material.young_kpa`,
-`skin.spacing_mm`); `effects.KIND.QUANTITY` changes an effect, or puts it in, and `effects.KIND`
-puts it in (true) or takes it out (false).
+A key names a table of the scene file and a quantity in it (`material.young_kpa`,
+`skin.spacing_mm`). `effects.KIND.QUANTITY` changes an effect, and adds it if it is absent;
+`effects.KIND` adds an effect (true) or removes it (false).
 """
 
 from __future__ import annotations
@@ -26,74 +26,74 @@ from ...scene import shipped_scenes
 if TYPE_CHECKING:
     from ...scene.scene import Scene
 
-# A worker that needs no scene starts three times as fast without the modules of one, so these are
-# imported where they are used.
+# Modules of the scene are imported where they are used: a worker that needs no scene starts three
+# times as fast without them.
 
-Tables = Mapping[str, Any]
+SceneTable = Mapping[str, Any]
 
 
-class Base(Protocol):
-    """A scene that cases start from."""
+class BaseScene(Protocol):
+    """A scene that the parameters of a case change."""
 
-    def check(self, parameters: Tables) -> None:
+    def check(self, parameters: SceneTable) -> None:
         """Check every key and value. Raises ConfigError."""
 
-    def identity(self, parameters: Tables) -> str:
-        """Text that is the same exactly where the scene is the same."""
+    def identity(self, parameters: SceneTable) -> str:
+        """Text that is equal for two sets of parameters if and only if the scenes are equal."""
 
-    def scene(self, parameters: Tables) -> Scene:
+    def scene(self, parameters: SceneTable) -> Scene:
         """The scene with these parameters. Raises MeshskinError kinds."""
 
 
 @dataclass(frozen=True)
-class Nothing:
-    """No scene: the parameters are the run function's own."""
+class NoScene:
+    """No scene: all parameters belong to the run function."""
 
-    def check(self, parameters: Tables) -> None:
-        """Every key is allowed."""
+    def check(self, parameters: SceneTable) -> None:
+        """Accept every key."""
 
-    def identity(self, parameters: Tables) -> str:
-        """The parameters."""
-        return canonical(parameters)
+    def identity(self, parameters: SceneTable) -> str:
+        """The parameters as text."""
+        return canonical_json(parameters)
 
-    def scene(self, parameters: Tables) -> Scene:
+    def scene(self, parameters: SceneTable) -> Scene:
         """Raises StudyError."""
         raise StudyError("the study has no scene", remedy="give it a base")
 
 
 @dataclass(frozen=True)
-class SceneTables:
-    """A scene's merged tables; the files that they name are known by their content."""
+class SceneFile:
+    """The merged tables of a scene file; files that they name are identified by their content."""
 
-    tables: Tables
+    tables: SceneTable
     folder: Path
     _digests: dict[Path, str] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
-    def load(cls, name: str | Path) -> SceneTables:
+    def load(cls, name: str | Path) -> SceneFile:
         """The tables of a shipped scene or a TOML file."""
         from ...scene.file import tables
 
         found, folder = tables(name)
         return cls(found, folder.resolve())
 
-    def check(self, parameters: Tables) -> None:
+    def check(self, parameters: SceneTable) -> None:
         """Check every key and value. Raises ConfigError."""
         from ...scene.file import check_tables
 
-        check_tables(changed(self.tables, parameters))
+        check_tables(changed_tables(self.tables, parameters))
 
-    def identity(self, parameters: Tables) -> str:
-        """The changed tables but for names, with digests in place of files."""
-        data = changed(self.tables, parameters)
+    def identity(self, parameters: SceneTable) -> str:
+        """The changed tables without names, and with digests in place of files."""
+        data = changed_tables(self.tables, parameters)
         for table, key in (("body", "mesh"), ("skin", "file"), ("arm", "urdf")):
             part = data.get(table)
             if isinstance(part, Mapping) and key in part:
                 data[table] = {**part, key: self._content(str(part[key]))}
-        return canonical({k: v for k, v in data.items() if k not in ("name", "description")})
+        return canonical_json({k: v for k, v in data.items() if k not in ("name", "description")})
 
     def _content(self, name: str) -> str:
-        """Digest of a file beside the scene or in the library; its name where there is none."""
+        """Digest of a file beside the scene or shipped; its name if there is no such file."""
         for path in (self.folder / name, shipped_scenes.folder() / name):
             if path in self._digests:
                 return self._digests[path]
@@ -103,15 +103,15 @@ class SceneTables:
                 return self._digests[path]
         return name
 
-    def scene(self, parameters: Tables) -> Scene:
+    def scene(self, parameters: SceneTable) -> Scene:
         """The scene with these parameters. Raises MeshskinError kinds."""
         from ...scene.file import from_tables
 
-        return from_tables(changed(self.tables, parameters), self.folder)
+        return from_tables(changed_tables(self.tables, parameters), self.folder)
 
 
 class SceneObject:
-    """A scene made in Python: its body, skin and arm are as they are, the rest can be changed."""
+    """A scene made in Python; its body, skin and arm are fixed, the rest can be changed."""
 
     FIXED = ("body", "skin", "arm", "payload", "mount")
 
@@ -129,17 +129,17 @@ class SceneObject:
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle without what the scene holds only for speed (rays, fitted surfaces)."""
+        """Pickle without the caches of the scene (ray tracer, fitted surfaces)."""
         scene = self._scene
         parts = {f.name: getattr(scene, f.name) for f in dataclasses.fields(scene)}
         body, arm = parts.pop("body"), parts.pop("arm")
         mesh = (np.array(body.mesh.vertices), np.array(body.mesh.faces))
-        facts = {f.name: getattr(body, f.name) for f in dataclasses.fields(body)}
-        del facts["mesh"]
+        fields = {f.name: getattr(body, f.name) for f in dataclasses.fields(body)}
+        del fields["mesh"]
         joints = {f.name: getattr(arm, f.name) for f in dataclasses.fields(arm)}
-        return _unpacked, (parts, mesh, facts, joints)
+        return _unpacked, (parts, mesh, fields, joints)
 
-    def check(self, parameters: Tables) -> None:
+    def check(self, parameters: SceneTable) -> None:
         """Check every key and value. Raises ConfigError."""
         for key in parameters:
             if key.split(".")[0] in self.FIXED:
@@ -150,18 +150,18 @@ class SceneObject:
                 )
         self._parts(parameters)
 
-    def identity(self, parameters: Tables) -> str:
-        """Digest of what is fixed, and the changed tables."""
-        return self._fixed + canonical(changed(self._tables, parameters))
+    def identity(self, parameters: SceneTable) -> str:
+        """Digest of the fixed parts, and the changed tables."""
+        return self._fixed + canonical_json(changed_tables(self._tables, parameters))
 
-    def scene(self, parameters: Tables) -> Scene:
+    def scene(self, parameters: SceneTable) -> Scene:
         """The scene with these parameters. Raises ConfigError."""
         return dataclasses.replace(self._scene, **self._parts(parameters))
 
-    def _parts(self, parameters: Tables) -> dict[str, Any]:
+    def _parts(self, parameters: SceneTable) -> dict[str, Any]:
         from ...scene.file import parts
 
-        data = changed(self._tables, parameters)
+        data = changed_tables(self._tables, parameters)
         for key in data:
             if key not in self._tables:
                 raise UnknownNameError("key", key, self._tables, " in the scene")
@@ -169,7 +169,7 @@ class SceneObject:
 
 
 def _unpacked(
-    parts: dict[str, Any], mesh: tuple[Any, Any], facts: dict[str, Any], joints: dict[str, Any]
+    parts: dict[str, Any], mesh: tuple[Any, Any], fields: dict[str, Any], joints: dict[str, Any]
 ) -> SceneObject:
     import trimesh
 
@@ -177,24 +177,24 @@ def _unpacked(
     from ...robot.arm import Arm
     from ...scene.scene import Scene
 
-    body = Body(mesh=trimesh.Trimesh(*mesh, process=False), **facts)
+    body = Body(mesh=trimesh.Trimesh(*mesh, process=False), **fields)
     return SceneObject(Scene(body=body, arm=Arm(**joints), **parts))
 
 
-def find(base: str | Path | Scene | None) -> Base:
-    """The base of a study: a scene's name or file, a Scene, or nothing."""
+def base_scene(base: str | Path | Scene | None) -> BaseScene:
+    """The base of a study from the name or file of a scene, a Scene, or None."""
     if base is None:
-        return Nothing()
+        return NoScene()
     if isinstance(base, str | Path):
-        return SceneTables.load(base)
+        return SceneFile.load(base)
     from ...scene.scene import Scene
 
     needs(Scene, base, "the base of a study")
     return SceneObject(base)
 
 
-def changed(data: Tables, parameters: Tables) -> dict[str, Any]:
-    """Tables with the parameters, by dotted key, put in. Raises ConfigError."""
+def changed_tables(data: SceneTable, parameters: SceneTable) -> dict[str, Any]:
+    """The tables of a scene with the parameters applied. Raises ConfigError."""
     out = dict(data)
     for key, value in parameters.items():
         table, _, rest = key.partition(".")
@@ -213,7 +213,7 @@ def changed(data: Tables, parameters: Tables) -> dict[str, Any]:
 
 
 def _with_effect(effects: Any, rest: str, value: Any) -> list[dict[str, Any]]:
-    """The list of effects with one changed, put in or taken out."""
+    """The list of effects with one changed, added or removed."""
     kind, _, quantity = rest.partition(".")
     if isinstance(effects, str):
         raise ConfigError(
@@ -227,7 +227,9 @@ def _with_effect(effects: Any, rest: str, value: Any) -> list[dict[str, Any]]:
     listed = [dict(effect) for effect in effects]
     found = next((effect for effect in listed if effect.get("kind") == kind), None)
     if not quantity and not isinstance(value, bool):
-        raise ConfigError(f"effects.{kind} is on or off", value=repr(value), limit="true or false")
+        raise ConfigError(
+            f"effects.{kind} must be on or off", value=repr(value), limit="true or false"
+        )
     if not quantity and not value:
         return [effect for effect in listed if effect is not found]
     if found is None:
@@ -240,7 +242,7 @@ def _with_effect(effects: Any, rest: str, value: Any) -> list[dict[str, Any]]:
 
 
 def _tables_of(scene: Scene) -> dict[str, Any]:
-    """The tables, in SI units, of what a scene holds beside its body, skin and arm."""
+    """The tables, in SI units, of all parts of a scene except its body, skin and arm."""
     names = ("material", "indenter", "law", "exploration", "loop", "readout")
     out: dict[str, Any] = {name: _table_of(getattr(scene, name)) for name in names}
     out["effects"] = [{"kind": effect.name, **_table_of(effect)} for effect in scene.effects]
@@ -252,7 +254,7 @@ def _tables_of(scene: Scene) -> dict[str, Any]:
 
 
 def _table_of(part: Any) -> dict[str, Any]:
-    """A dataclass as the table that `config.build` makes it from, in SI units."""
+    """The table, in SI units, from which `config.build` makes a dataclass again."""
     out: dict[str, Any] = {}
     for item in dataclasses.fields(part):
         value = getattr(part, item.name)
@@ -265,8 +267,8 @@ def _table_of(part: Any) -> dict[str, Any]:
     return out
 
 
-def canonical(value: Any) -> str:
-    """JSON that is the same for the same values: sorted keys, 3.0 as 3, NumPy numbers as plain."""
+def canonical_json(value: Any) -> str:
+    """JSON that is equal for equal values: sorted keys, 3.0 as 3, NumPy numbers as Python's."""
     return json.dumps(_plain(value), sort_keys=True, separators=(",", ":"), default=str)
 
 
