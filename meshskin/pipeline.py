@@ -15,8 +15,7 @@ import numpy as np
 
 from .core.atomic_io import check_folder, write_json
 from .core.errors import CalibrationError, GraphError, ReachError
-from .core.provenance import check_seed, provenance
-from .core.stage_timer import Clock
+from .core.provenance import StageTimer, check_seed, provenance
 from .estimation.calibrate import calibrate
 from .estimation.calibration import Calibration
 from .estimation.demonstration import Demonstration, demonstrate
@@ -93,7 +92,7 @@ def run(
     from .study.sensitivity.budget import budget as decide
 
     check_seed(seed)
-    folder, clock = Path(folder), Clock()
+    folder, clock = Path(folder), StageTimer()
     with clock.stage("load"):
         scene = Scene.load(name)
         if budget is not None:
@@ -144,7 +143,7 @@ def run(
 
 
 def _promised(
-    scene: Scene, request: Request, seed: int, clock: Clock
+    scene: Scene, request: Request, seed: int, clock: StageTimer
 ) -> tuple[Scene, Way, float, dict[str, Any]]:
     """The scene at the setting that keeps a request best, its path, the tolerance of its estimate,
     and what is promised.

@@ -94,7 +94,7 @@ def add(commands: Any) -> None:
 
 def command(options: argparse.Namespace) -> int:
     """Calibrate, write the results, and print the summary."""
-    from ..core.atomic_io import check_folder, check_place, write_json
+    from ..core.atomic_io import check_folder, check_writable, write_json
     from ..core.provenance import provenance
     from ..estimation.calibrate import calibrate
     from ..pipeline import forget
@@ -108,7 +108,7 @@ def command(options: argparse.Namespace) -> int:
     belief = belief_of(options, recording)
     check_folder(options.out)
     if options.export is not None:
-        check_place(options.export)
+        check_writable(options.export)
     found = calibrate(recording, belief, method=options.method)
     forget(options.out)
     found.save(options.out / "calibration")

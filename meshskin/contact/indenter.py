@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.config import check, quantity
+from ..core.config import check_fields, quantity
 from ..core.errors import ConfigError
 from ..core.se3 import Array, exp_so3
 
@@ -27,7 +27,7 @@ class Indenter:
     """Where it points, from the support to the sphere, world; its length is of no matter."""
 
     def __post_init__(self) -> None:
-        check(self)
+        check_fields(self)
         if not any(self.direction):
             raise ConfigError(
                 "indenter.direction must not be zero",

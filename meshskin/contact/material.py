@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.config import check, quantity
+from ..core.config import check_fields, quantity
 from ..core.errors import ContactError
 from ..core.se3 import Array
 from . import BATCHED, ContactModel, Patch, hertz, solve
@@ -24,7 +24,7 @@ class Material:
     """Thickness of the soft layer; None for a layer much thicker than the patch is wide."""
 
     def __post_init__(self) -> None:
-        check(self)
+        check_fields(self)
 
     @property
     def effective_modulus(self) -> float:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.arguments import array, shown
+from ..core.arguments import check_array, repr_short
 from ..core.errors import ContactError
 from ..core.se3 import Array
 from .array_backend import functions, is_casadi
@@ -46,8 +46,8 @@ class ContactProblem:
         for what in ("force", "indenter_radius", "modulus", "poisson", "thickness"):
             value = getattr(self, what)
             if value is not None and not isinstance(value, numbers.Real | np.ndarray):
-                raise ContactError(f"{what} must be a number", value=shown(value))
-        array("curvature", self.curvature, error=ContactError)
+                raise ContactError(f"{what} must be a number", value=repr_short(value))
+        check_array("curvature", self.curvature, error=ContactError)
         for what, value, unit in (
             ("indenter radius", self.indenter_radius, "m"),
             ("modulus", self.modulus, "Pa"),

@@ -20,13 +20,13 @@ SHOWN = 60
 """Most characters of a value that an error repeats."""
 
 
-def shown(value: object) -> str:
+def repr_short(value: object) -> str:
     """A value as an error repeats it: on one line, cut where it is long."""
     text = " ".join(repr(value).split())
     return text if len(text) <= SHOWN else f"{text[: SHOWN - 3]}..."
 
 
-def needs(kind: type, value: object, what: str) -> None:
+def check_type(kind: type, value: object, what: str) -> None:
     """Raise ConfigError where the value given for `what` is no `kind`; for a name or a path the
     error says how it is loaded.
     """
@@ -37,11 +37,11 @@ def needs(kind: type, value: object, what: str) -> None:
         remedy = f"give {kind.__name__}.load({os.fspath(value)!r})"
     article = "an" if kind.__name__[0] in "AEIOU" else "a"
     raise ConfigError(
-        f"{what} must be {article} {kind.__name__}", value=shown(value), remedy=remedy
+        f"{what} must be {article} {kind.__name__}", value=repr_short(value), remedy=remedy
     )
 
 
-def real(
+def check_real(
     what: str,
     value: Any,
     unit: str = "",
@@ -55,7 +55,7 @@ def real(
     unit = f" {unit}" if unit else ""
     number = isinstance(value, numbers.Real | np.number) and not isinstance(value, bool)
     if not number or not math.isfinite(value):
-        raise error(f"{what} must be a finite number", value=shown(value))
+        raise error(f"{what} must be a finite number", value=repr_short(value))
     limit = None
     if above is not None and not value > above:
         limit = f"above {above:g}{unit}"
@@ -68,7 +68,7 @@ def real(
     return float(value)
 
 
-def whole(
+def check_integer(
     what: str,
     value: Any,
     *,
@@ -78,40 +78,40 @@ def whole(
 ) -> int:
     """A whole number within its bounds. Raises `error`."""
     if not isinstance(value, numbers.Integral) or isinstance(value, bool):
-        raise error(f"{what} must be a whole number", value=shown(value))
-    real(what, value, least=least, most=most, error=error)
+        raise error(f"{what} must be a whole number", value=repr_short(value))
+    check_real(what, value, least=least, most=most, error=error)
     return int(value)
 
 
-def vectors(
+def check_vectors(
     what: str, values: ArrayLike, width: int = 3, *, error: type[MeshskinError] = ConfigError
 ) -> Array:
     """Vectors (n, width); a single one (width,) is a row. Raises `error`."""
-    found = array(what, values, error=error)
+    found = check_array(what, values, error=error)
     if found.ndim not in (1, 2) or (found.shape[-1] != width and found.size):
         raise error(f"{what} must be vectors", value=f"shape {found.shape}", limit=f"(n, {width})")
     return found.reshape(-1, width)
 
 
-def vector(
+def check_vector(
     what: str, values: ArrayLike, size: int = 3, *, error: type[MeshskinError] = ConfigError
 ) -> Array:
     """A vector (size,). Raises `error`."""
-    found = array(what, values, error=error)
+    found = check_array(what, values, error=error)
     if found.shape != (size,):
-        raise error(f"{what} must be {size} numbers", value=shown(values))
+        raise error(f"{what} must be {size} numbers", value=repr_short(values))
     return found
 
 
-def array(what: str, values: ArrayLike, *, error: type[MeshskinError] = ConfigError) -> Array:
+def check_array(what: str, values: ArrayLike, *, error: type[MeshskinError] = ConfigError) -> Array:
     """Numbers in any shape. Raises `error`."""
     try:
         return np.asarray(values, dtype=float)
     except (TypeError, ValueError) as reason:
-        raise error(f"{what} must be numbers", value=shown(values)) from reason
+        raise error(f"{what} must be numbers", value=repr_short(values)) from reason
 
 
-def altered(config: T, changes: Mapping[str, Any]) -> T:
+def replace_fields(config: T, changes: Mapping[str, Any]) -> T:
     """The dataclass with other values in some fields. Raises UnknownNameError for what is none."""
     names = [f.name for f in dataclasses.fields(config) if f.init]  # type: ignore[arg-type]
     for name in changes:
@@ -121,7 +121,7 @@ def altered(config: T, changes: Mapping[str, Any]) -> T:
     return dataclasses.replace(config, **changes)  # type: ignore[type-var]
 
 
-def known(kind: str, name: str, names: Sequence[str]) -> None:
+def check_name(kind: str, name: str, names: Sequence[str]) -> None:
     """Raise UnknownNameError unless `name` is one of `names`."""
     if name not in names:
         raise UnknownNameError(kind, name, names)

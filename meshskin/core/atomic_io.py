@@ -14,7 +14,7 @@ from typing import Any
 from .errors import OutputError
 
 
-def unwritable(path: Path, error: OSError) -> OutputError:
+def output_error(path: Path, error: OSError) -> OutputError:
     """What to say of a file or folder that the system does not let one make."""
     return OutputError(
         f"cannot write {path}",
@@ -35,7 +35,7 @@ def atomic(path: str | Path) -> Iterator[Path]:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
         os.close(handle)
     except OSError as error:
-        raise unwritable(path, error) from error
+        raise output_error(path, error) from error
     temporary = Path(name)
     try:
         yield temporary
@@ -55,10 +55,10 @@ def atomic(path: str | Path) -> Iterator[Path]:
 
 def check_folder(folder: Path) -> None:
     """Make the output folder and try it, before any work is done. Raises OutputError."""
-    check_place(folder / "metrics.json")
+    check_writable(folder / "metrics.json")
 
 
-def check_place(path: Path) -> None:
+def check_writable(path: Path) -> None:
     """Make a file's folder and try it, before any work is done. Raises OutputError."""
     probe = path.with_name(f"{path.name}.probe")
     with atomic(probe):

@@ -38,7 +38,7 @@ PLAIN = ("-O0", "-shared", "-fPIC")
 """For long code that is run a few times."""
 
 
-def compiled(function: ca.Function, flags: tuple[str, ...] = FLAGS) -> ca.Function:
+def compile_function(function: ca.Function, flags: tuple[str, ...] = FLAGS) -> ca.Function:
     """`function` as machine code: same name, inputs and outputs.
 
     The result has no derivatives of its own: compile a Jacobian or Hessian as a function by itself.
@@ -46,10 +46,10 @@ def compiled(function: ca.Function, flags: tuple[str, ...] = FLAGS) -> ca.Functi
     warning is given per process.
     """
     name = function.name()
-    return _machine_code(name, lambda: source(function), _external(name), flags) or function
+    return _machine_code(name, lambda: c_source(function), _external(name), flags) or function
 
 
-def differentiable(function: ca.Function, directions: int) -> ca.Function:
+def compile_with_derivatives(function: ca.Function, directions: int) -> ca.Function:
     """`function` as machine code with forward derivatives in 1 and in `directions` directions.
 
     Derivatives are long: the compiler is not asked to be clever, which would take it ten times as
@@ -57,11 +57,11 @@ def differentiable(function: ca.Function, directions: int) -> ca.Function:
     """
     name = function.name()
     slopes = [function.forward(count) for count in sorted({1, directions})]
-    made = _machine_code(name, lambda: source(function, *slopes), _external(name), PLAIN)
+    made = _machine_code(name, lambda: c_source(function, *slopes), _external(name), PLAIN)
     return made or function
 
 
-def library(name: str, text: str, flags: tuple[str, ...] = FLAGS) -> ctypes.CDLL | None:
+def compile_library(name: str, text: str, flags: tuple[str, ...] = FLAGS) -> ctypes.CDLL | None:
     """The shared library of C source `text`, in the same cache; None, and one warning, without.
 
     `name` is for the warning. CasADi functions that the source calls come from `source`.
@@ -69,7 +69,7 @@ def library(name: str, text: str, flags: tuple[str, ...] = FLAGS) -> ctypes.CDLL
     return _machine_code(name, lambda: text, _loaded, flags)
 
 
-def found(text: str, flags: tuple[str, ...] = FLAGS) -> ctypes.CDLL | None:
+def cached_library(text: str, flags: tuple[str, ...] = FLAGS) -> ctypes.CDLL | None:
     """The shared library of C source `text` if `library` left it in the cache before; else None."""
     compiler = find_compiler()
     if compiler is None:
@@ -81,7 +81,7 @@ def found(text: str, flags: tuple[str, ...] = FLAGS) -> ctypes.CDLL | None:
 
 
 @functools.cache
-def fused() -> tuple[str, ...]:
+def fma_flags() -> tuple[str, ...]:
     """Flags for fused multiply-add and vectors of four, where this processor has them.
 
     Flags are part of the cache's key, so that a folder shared by several machines serves each.
@@ -96,7 +96,7 @@ def fused() -> tuple[str, ...]:
     return ("-mavx2", "-mfma") if {"avx2", "fma"} <= set(flags) else ()
 
 
-def source(*functions: ca.Function) -> str:
+def c_source(*functions: ca.Function) -> str:
     """C source of `functions`: the code that CasADi generates."""
     import casadi as ca
 

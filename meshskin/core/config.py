@@ -56,7 +56,7 @@ def quantity(
     return dataclasses.field(default=default, metadata=bounds)
 
 
-def check(config: Any) -> None:
+def check_fields(config: Any) -> None:
     """Check every bounded field of a dataclass; for use in `__post_init__`. Raises ConfigError.
 
     A field declared as a tuple of n numbers must be one, a field declared as `int` a whole number.
@@ -147,7 +147,7 @@ def check_table(table: Any, where: str) -> None:
         raise ConfigError(f"{where} must be a table", value=repr(table), remedy=f"write [{where}]")
 
 
-def build(cls: type[T], table: Mapping[str, Any], where: str) -> T:
+def from_table(cls: type[T], table: Mapping[str, Any], where: str) -> T:
     """Make the dataclass `cls` from a TOML table; `where` names the table in errors.
 
     Raises UnknownNameError for an unknown key, ConfigError for a missing or wrong value.

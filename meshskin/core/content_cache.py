@@ -32,7 +32,7 @@ class _Key:
         return isinstance(other, _Key) and self._content == other._content
 
 
-def once(build: Callable[[X], Y]) -> Callable[[X], Y]:
+def cached_by_content(build: Callable[[X], Y]) -> Callable[[X], Y]:
     """`build`, a pure function of one input that can be pickled, run once for equal contents.
 
     Its results are shared: they must be immutable.

@@ -5,9 +5,13 @@ from __future__ import annotations
 import functools
 import hashlib
 import platform
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib import metadata
 from numbers import Integral
+from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
@@ -66,3 +70,26 @@ def random_stream(seed: int, name: str) -> np.random.Generator:
     check_seed(seed)
     key = [int.from_bytes(hashlib.sha256(name.encode()).digest()[k : k + 4]) for k in (0, 4, 8)]
     return np.random.default_rng(np.random.SeedSequence(entropy=seed, spawn_key=key))
+
+
+@dataclass
+class StageTimer:
+    """Seconds of every stage."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    began: tuple[float, float] = field(default_factory=lambda: (perf_counter(), process_time()))
+    """On the wall and of the processor."""
+
+    @property
+    def processor(self) -> float:
+        """Processor seconds since the beginning."""
+        return process_time() - self.began[1]
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Measure the time spent inside."""
+        start = perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + perf_counter() - start

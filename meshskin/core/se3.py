@@ -163,7 +163,7 @@ def is_rigid(pose: ArrayLike) -> bool:
     )
 
 
-def blend(start: ArrayLike, goal: ArrayLike, part: ArrayLike) -> Array:
+def interpolate(start: ArrayLike, goal: ArrayLike, part: ArrayLike) -> Array:
     """Poses (k, 4, 4) at parts (k,) of the way between two (4, 4).
 
     The origin goes straight, the rotation about one axis of the world, each in proportion.
@@ -242,7 +242,7 @@ def cayley(a: ArrayLike) -> Array:
     return np.eye(3) + scale * (k + k @ k / 2.0)
 
 
-def pose_of_state(states: Array) -> Array:
+def poses_of_states(states: Array) -> Array:
     """T_w_b (k, 4, 4) of states (k, 7 or more)."""
     from scipy.spatial.transform import Rotation
 

@@ -111,7 +111,7 @@ class BaseEffect:
     excludes: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
-        config.check(self)
+        config.check_fields(self)
 
 
 @runtime_checkable
@@ -199,7 +199,7 @@ def from_table(table: Mapping[str, Any], where: str = "effects") -> Effect:
     if "kind" not in table:
         raise ConfigError(f"[{where}] lacks kind", remedy=f"add one of {', '.join(sorted(KINDS))}")
     fields = {key: value for key, value in table.items() if key != "kind"}
-    return config.build(find(str(table["kind"])), fields, where)
+    return config.from_table(find(str(table["kind"])), fields, where)
 
 
 def ordered(effects: Iterable[Effect]) -> tuple[Effect, ...]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..core.arguments import needs, real, whole
+from ..core.arguments import check_integer, check_real, check_type
 from ..core.errors import ConfigError, ReachError
 from ..core.se3 import Array
 from ..exploration.explore import planned, setup_of
@@ -93,9 +93,9 @@ def adapt(
     touch would meet, and for fewer contacts than the first pass has; ReachError where nothing can
     be touched.
     """
-    needs(Scene, scene, "what is explored")
-    real("target of an adaptive exploration", target)
-    whole("most contacts", most, least=1)
+    check_type(Scene, scene, "what is explored")
+    check_real("target of an adaptive exploration", target)
+    check_integer("most contacts", most, least=1)
     _check_target(target, setup_of(scene).reach)
     unreachable: Mapping[int, str] = {}
     if points is None:

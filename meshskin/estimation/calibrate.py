@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
-from ..core.arguments import needs
+from ..core.arguments import check_type
 from ..core.errors import CalibrationError, UnknownNameError
 from ..core.provenance import digest, provenance
 from ..core.se3 import Array
@@ -90,7 +90,7 @@ def calibrate(
     """
     if method not in METHODS:
         raise UnknownNameError("method", method, METHODS)
-    needs(Recording, recording, "what is calibrated")
+    check_type(Recording, recording, "what is calibrated")
     if not hasattr(belief, "taxel_ids"):
         raise CalibrationError(
             "no belief",

@@ -14,9 +14,17 @@ from .. import contact as models
 from ..contact import Patch
 from ..contact.indenter import Indenter
 from ..contact.material import Material
-from ..core.arguments import needs, real, shown
+from ..core.arguments import check_real, check_type, repr_short
 from ..core.errors import ConfigError, ReachError, SkinError
-from ..core.se3 import Array, blend, inverse, is_rigid, log_so3, orthonormal_basis, perpendicular
+from ..core.se3 import (
+    Array,
+    interpolate,
+    inverse,
+    is_rigid,
+    log_so3,
+    orthonormal_basis,
+    perpendicular,
+)
 from ..geometry.body import Body
 from ..geometry.region import Region
 from ..robot.arm import Arm
@@ -67,10 +75,10 @@ def explore(
     too small, ContactError where no contact model holds, ConfigError for numbers that cannot be.
     """
     for name, value, unit in (("force", force, "N"), ("dt", dt, "s"), ("frame", frame, "s")):
-        real(f"{name} of an exploration", value, unit, above=0.0)
-    needs(Body, body, "what is explored")
+        check_real(f"{name} of an exploration", value, unit, above=0.0)
+    check_type(Body, body, "what is explored")
     if arm is not None:
-        needs(Arm, arm, "the arm of an exploration")
+        check_type(Arm, arm, "the arm of an exploration")
     skin = skin_region
     if not isinstance(skin, Skin):
         skin = Skin.cover(body, spacing=SITE_SPACING, region=skin)
@@ -79,7 +87,7 @@ def explore(
     if mount is not None and not is_rigid(mount):
         raise ConfigError(
             "the mount is no rigid transform",
-            value=shown(mount),
+            value=repr_short(mount),
             limit="a finite (4, 4) with a rotation in it",
         )
     indenter, material = indenter or Indenter(), material or Material()
@@ -255,4 +263,4 @@ def parallels(scene: Scene, heading: float, dt: float) -> paths.Path:
 def _bridge(start: Array, goal: Array) -> Array:
     """Poses (k, 4, 4) from one to the other, each turned by at most FOLLOWED to the next."""
     angle = np.linalg.norm(log_so3(goal[:3, :3] @ start[:3, :3].T))
-    return blend(start, goal, np.linspace(0.0, 1.0, 2 + int(np.ceil(angle / FOLLOWED))))
+    return interpolate(start, goal, np.linspace(0.0, 1.0, 2 + int(np.ceil(angle / FOLLOWED))))

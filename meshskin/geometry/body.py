@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.arguments import real, vector, vectors, whole
+from ..core.arguments import check_integer, check_real, check_vector, check_vectors
 from ..core.errors import MeshError
 from . import primitives, tessellate
 from .mesh import mesh_file
@@ -95,8 +95,8 @@ class Body:
         but passes the smooth surface, has face -1, and NaN in its other entries. The face is found
         on the flat mesh (embree, single precision), the hit on the patch. Raises MeshError.
         """
-        o = vectors("origins of rays", origins, error=MeshError)
-        d = vectors("directions of rays", directions, error=MeshError).copy()
+        o = check_vectors("origins of rays", origins, error=MeshError)
+        d = check_vectors("directions of rays", directions, error=MeshError).copy()
         length = np.linalg.norm(d, axis=1)
         if not (np.isfinite(o).all() and np.isfinite(d).all() and np.all(length > 0)):
             raise MeshError("a ray is not finite or has no direction")
@@ -186,7 +186,7 @@ class Body:
     @classmethod
     def ellipsoid(cls, radii: ArrayLike, faces: int = FACES) -> Body:
         """Ellipsoid about the origin with semi-axes `radii` (3,) along x, y, z, in m."""
-        a, b, c = vector("semi-axes of a primitive", radii, error=MeshError).tolist()
+        a, b, c = check_vector("semi-axes of a primitive", radii, error=MeshError).tolist()
         _check_sizes(faces, a=a, b=b, c=c)
         vertices, triangles = tessellate.ellipsoid(np.array([a, b, c]), faces)
         return cls._of("ellipsoid", vertices, triangles, primitives.Ellipsoid((a, b, c)))
@@ -260,9 +260,9 @@ def check_extent(vertices: Array) -> None:
 
 def _check_sizes(faces: int, **lengths: float) -> None:
     """Refuse lengths, m, and numbers of faces that no mesh can be made of."""
-    whole("number of faces", faces, least=1, most=MOST_FACES, error=MeshError)
+    check_integer("number of faces", faces, least=1, most=MOST_FACES, error=MeshError)
     for name, value in lengths.items():
-        real(f"{name} of a primitive", value, "m", above=0.0, error=MeshError)
+        check_real(f"{name} of a primitive", value, "m", above=0.0, error=MeshError)
     slender = max(lengths.values()) / min(lengths.values())
     if slender > SLENDER:
         raise MeshError(

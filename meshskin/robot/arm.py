@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.content_cache import once
+from ..core.content_cache import cached_by_content
 from ..core.errors import ArmError
 from ..core.se3 import Array, inverse
 from . import inverse_kinematics as ik
@@ -282,7 +282,7 @@ class Arm:
         return ik.newton(self)
 
 
-@once
+@cached_by_content
 def _kinematics(arm: Arm) -> ca.Function:
     """Joint angles (n,) -> T_w_tip (4, 4), Jacobian (6, n)."""
     q = ca.SX.sym("q", len(arm.joint_names))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.ragged import ranges
+from ..core.arrays import ranges
 from ..core.se3 import Array
 
 FINE = 0.5

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..contact.indenter import Indenter
-from ..core.ragged import ranges
+from ..core.arrays import ranges
 from ..core.se3 import Array
 from ..geometry.body import Body
 from . import link_shapes

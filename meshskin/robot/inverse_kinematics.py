@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core import codegen
-from ..core.content_cache import once
+from ..core.content_cache import cached_by_content
 from ..core.errors import ArmError, ReachError
 from ..core.se3 import Array
 
@@ -88,7 +88,7 @@ class Newton:
         return np.asarray(followed[0].full().T)
 
 
-@once
+@cached_by_content
 def newton(arm: Arm) -> Newton:
     """The Newton iterations of `arm`, compiled where there is a C compiler.
 
@@ -105,8 +105,8 @@ def newton(arm: Arm) -> Newton:
     step = ca.Function("newton", [q, target], [q + change, ca.sqrt(size)], {"cse": True})
     after = Path(__file__).with_name("newton.c").read_text(encoding="utf-8")
     sizes = f"#define JOINTS {q.numel()}\n#define TARGET {target.numel()}"
-    text = "\n".join([codegen.INLINE, codegen.source(step), sizes, after])
-    return Newton(step, codegen.library("inverse kinematics", text))
+    text = "\n".join([codegen.INLINE, codegen.c_source(step), sizes, after])
+    return Newton(step, codegen.compile_library("inverse kinematics", text))
 
 
 def inverse_kinematics(arm: Arm, poses: ArrayLike, seed: ArrayLike) -> Array:

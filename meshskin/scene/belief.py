@@ -10,8 +10,8 @@ import numpy as np
 from ..contact import AUTO, BATCHED
 from ..contact.indenter import Indenter
 from ..contact.material import Material
-from ..core.arguments import needs, shown
-from ..core.config import check, quantity
+from ..core.arguments import check_type, repr_short
+from ..core.config import check_fields, quantity
 from ..core.errors import ConfigError, UnknownNameError
 from ..core.se3 import Array
 from ..geometry.body import Body
@@ -53,14 +53,14 @@ class Belief:
     taxel ids are then slots * module + slot. None: every taxel by itself."""
 
     def __post_init__(self) -> None:
-        check(self)
+        check_fields(self)
         for name, kind in {"body": Body, "indenter": Indenter, "material": Material}.items():
-            needs(kind, getattr(self, name), f"the {name} of a belief")
+            check_type(kind, getattr(self, name), f"the {name} of a belief")
         if self.contact not in (*BATCHED, AUTO):
             raise UnknownNameError("contact model", str(self.contact), (*BATCHED, AUTO))
         if isinstance(self.unknown, str) or not isinstance(self.unknown, Collection):
             raise ConfigError(
                 "what is unknown to a belief is a list of names",
-                value=shown(self.unknown),
+                value=repr_short(self.unknown),
                 remedy=f'write unknown=("{self.unknown}",)',
             )

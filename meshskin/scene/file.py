@@ -21,8 +21,8 @@ from typing import Any
 from .. import effects
 from ..contact.indenter import Indenter
 from ..contact.material import Material
-from ..core.arguments import shown
-from ..core.config import build, check, check_table, merge, read_toml
+from ..core.arguments import repr_short
+from ..core.config import check_fields, check_table, from_table, merge, read_toml
 from ..core.errors import ConfigError, UnknownNameError
 from ..robot.arm import Arm
 from . import shipped_scenes
@@ -91,8 +91,8 @@ def from_tables(data: Mapping[str, Any], folder: Path) -> Scene:
     """The scene of merged tables; relative paths start from `folder`. Raises ConfigError."""
     check_keys(data)
     body = body_table(data["body"]).make(folder)
-    skin = build(SkinTable, data["skin"], "skin").make(body, folder)
-    table = build(ArmTable, data.get("arm", {}), "arm")
+    skin = from_table(SkinTable, data["skin"], "skin").make(body, folder)
+    table = from_table(ArmTable, data.get("arm", {}), "arm")
     urdf = (
         folder / table.urdf
         if (folder / table.urdf).is_file()
@@ -123,28 +123,30 @@ def check_keys(data: Mapping[str, Any]) -> None:
 def check_tables(data: Mapping[str, Any]) -> None:
     """Check every key and bound of merged tables without making the scene. Raises ConfigError."""
     check_keys(data)
-    check(body_table(data["body"]))
-    skin = build(SkinTable, data["skin"], "skin")
-    check(skin)
+    check_fields(body_table(data["body"]))
+    skin = from_table(SkinTable, data["skin"], "skin")
+    check_fields(skin)
     skin.part()
-    check(build(ArmTable, data.get("arm", {}), "arm"))
+    check_fields(from_table(ArmTable, data.get("arm", {}), "arm"))
     parts(data)
 
 
 def parts(data: Mapping[str, Any]) -> dict[str, Any]:
     """The scene's parts beside body, skin and arm, by field name."""
     plain: dict[str, Any] = {
-        key: build(cls, data[key], key) for key, cls in _PLAIN.items() if key in data
+        key: from_table(cls, data[key], key) for key, cls in _PLAIN.items() if key in data
     }
     words = {key: data[key] for key in WordsTable.__dataclass_fields__ if key in data}
-    named = build(WordsTable, words, "scene")
+    named = from_table(WordsTable, words, "scene")
     return plain | given(**vars(named)) | _effects(data)
 
 
 def _effects(data: Mapping[str, Any]) -> dict[str, Any]:
     """The scene's effects, what a budget may put on beside them, and the budget."""
-    known = build(BudgetTable, {k: v for k, v in data.items() if k.startswith("budget")}, "scene")
-    check(known)
+    known = from_table(
+        BudgetTable, {k: v for k, v in data.items() if k.startswith("budget")}, "scene"
+    )
+    check_fields(known)
     tables, budget = data.get("effects", []), known.budget
     if isinstance(tables, str):
         if tables != AUTO:
@@ -169,5 +171,5 @@ def check_listed(key: str, tables: Any) -> None:
     """Raise ConfigError for what is no list of tables."""
     if not isinstance(tables, list) or not all(isinstance(table, Mapping) for table in tables):
         raise ConfigError(
-            f"{key} must be a list of tables", value=shown(tables), remedy=f"write [[{key}]]"
+            f"{key} must be a list of tables", value=repr_short(tables), remedy=f"write [[{key}]]"
         )

@@ -18,7 +18,7 @@ from ..contact import AUTO, BATCHED, ContactModel, Patch
 from ..contact.indenter import Indenter
 from ..contact.material import Indentation, Material
 from ..contact.reading import ReadingModel
-from ..core.arguments import altered, known, needs, real, shown
+from ..core.arguments import check_name, check_real, check_type, replace_fields, repr_short
 from ..core.errors import ConfigError, SkinError
 from ..core.se3 import Array, is_rigid, orthonormal_basis, perpendicular, transform
 from ..effects import Context, NoiseEffect
@@ -88,15 +88,15 @@ class Scene:
                 remedy="leave it out for the default one, which a quasi-static loop does not use",
             )
         for name, kind in PARTS.items():
-            needs(kind, getattr(self, name), f"the {name} of a scene")
+            check_type(kind, getattr(self, name), f"the {name} of a scene")
         if self.mount is not None and not is_rigid(self.mount):
             limit = "a finite (4, 4) with a rotation in it"
             shape = np.shape(self.mount)
-            value = shape if shape != (4, 4) else shown(self.mount)
+            value = shape if shape != (4, 4) else repr_short(self.mount)
             raise ConfigError("a mount is T_tip_body", value=value, limit=limit)
-        real("payload of a scene", self.payload, "kg", least=0.0)
+        check_real("payload of a scene", self.payload, "kg", least=0.0)
         if self.budget is not None:
-            real("budget of a scene", self.budget)
+            check_real("budget of a scene", self.budget)
             if self.budget < LEAST_BUDGET:
                 small = "no setting resolves so small an error budget"
                 raise ConfigError(
@@ -105,7 +105,7 @@ class Scene:
                     limit=f"at least {1e3 * LEAST_BUDGET:g} mm",
                     remedy="for everything on, list the effects in the scene and give no budget",
                 )
-        needs(Iterable, self.effects, "what is on in a scene")
+        check_type(Iterable, self.effects, "what is on in a scene")
         for effect in (*self.effects, *(self.candidates or ())):
             if not hasattr(effect, "stage"):
                 raise ConfigError(
@@ -126,7 +126,7 @@ class Scene:
 
     def with_(self, **changes: Any) -> Scene:
         """This scene with other parts. Raises ConfigError."""
-        return altered(self, changes)
+        return replace_fields(self, changes)
 
     @cached_property
     def axis(self) -> Array:
@@ -154,7 +154,7 @@ class Scene:
 
         Raises UnknownNameError.
         """
-        known("contact model of a scene", self.contact, (*BATCHED, AUTO))
+        check_name("contact model of a scene", self.contact, (*BATCHED, AUTO))
         name = self.contact
         if name == AUTO:
             name = self.indentation.first_valid_model(
@@ -242,9 +242,9 @@ class Scene:
         """
         if self.loop.mode == "arm":
             return np.asarray(self.arm.pose(q) @ self.mount_pose)
-        from ..core.se3 import pose_of_state
+        from ..core.se3 import poses_of_states
 
-        return pose_of_state(q)
+        return poses_of_states(q)
 
     def belief(self, **changes: Any) -> Belief:
         """What the owner of this scene knows; `changes` replace fields (a softer material, ...).
@@ -265,7 +265,7 @@ class Scene:
             threshold=self.threshold,
             module_slots=self._module_slots(),
         )
-        return altered(known, changes)
+        return replace_fields(known, changes)
 
     def _module_slots(self) -> Array | None:
         """What a data sheet says of rigid modules, where the skin is of such; not their poses."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.config import build, check, quantity
+from ..core.config import check_fields, from_table, quantity
 from ..core.errors import ConfigError, UnknownNameError
 from ..core.se3 import Array, exp_so3, transform
 from ..geometry.body import Body
@@ -24,7 +24,7 @@ class _Sphere:
     faces: int | None = quantity("", None, above=0)
 
     def make(self, folder: Path) -> Body:
-        check(self)
+        check_fields(self)
         return Body.sphere(self.radius, **given(faces=self.faces))
 
 
@@ -35,7 +35,7 @@ class _Ellipsoid:
     faces: int | None = quantity("", None, above=0)
 
     def make(self, folder: Path) -> Body:
-        check(self)
+        check_fields(self)
         return Body.ellipsoid(self.radii, **given(faces=self.faces))
 
 
@@ -47,7 +47,7 @@ class _Capsule:
     faces: int | None = quantity("", None, above=0)
 
     def make(self, folder: Path) -> Body:
-        check(self)
+        check_fields(self)
         return Body.capsule(self.radius, self.length, **given(faces=self.faces))
 
 
@@ -59,7 +59,7 @@ class _Torus:
     faces: int | None = quantity("", None, above=0)
 
     def make(self, folder: Path) -> Body:
-        check(self)
+        check_fields(self)
         return Body.torus(self.major, self.minor, **given(faces=self.faces))
 
 
@@ -123,12 +123,12 @@ class SkinTable:
         for key in ("direction", "normal"):
             if key in table and (len(table[key]) != 3 or not np.any(table[key])):
                 raise ConfigError(f"{where}.{key} must be a vector of 3", value=table[key])
-        found: Region = build(_REGIONS[kinds[0]], table, where)
-        check(found)
+        found: Region = from_table(_REGIONS[kinds[0]], table, where)
+        check_fields(found)
         return found
 
     def make(self, body: Body, folder: Path) -> Skin:
-        check(self)
+        check_fields(self)
         if self.file is not None:
             return Skin.load(folder / self.file)
         return Skin.cover(
@@ -154,14 +154,14 @@ class ArmTable:
 
     def pose(self) -> Array | None:
         """T_tip_body from a position and a rotation vector, or None."""
-        check(self)
+        check_fields(self)
         if self.mount is None:
             return None
         return transform(exp_so3(self.mount_angles), self.mount)
 
     def stand(self) -> Array:
         """T_w_base from a position and a rotation vector."""
-        check(self)
+        check_fields(self)
         return transform(exp_so3(self.base_angles), self.base)
 
 
@@ -185,10 +185,10 @@ def given(**options: Any) -> dict[str, Any]:
 def body_table(table: Mapping[str, Any]) -> Any:
     """The checked table of a body; its `make(folder)` makes it."""
     if "mesh" in table:
-        return build(_Mesh, table, "body")
+        return from_table(_Mesh, table, "body")
     shape = table.get("shape")
     if shape is None:
         raise ConfigError("[body] lacks shape or mesh", remedy=f"shape: {', '.join(_SHAPES)}")
     if str(shape) not in _SHAPES:
         raise UnknownNameError("shape", shape, _SHAPES, " in [body]")
-    return build(_SHAPES[str(shape)], table, "body")
+    return from_table(_SHAPES[str(shape)], table, "body")

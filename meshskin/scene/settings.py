@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..core.arguments import known
-from ..core.config import check, quantity
+from ..core.arguments import check_name
+from ..core.config import check_fields, quantity
 from ..core.errors import ConfigError, UnknownNameError
 
 
@@ -19,7 +19,7 @@ class Readout:
     """Pressures up to this part of the peak pressure at the reference force are not reported."""
 
     def __post_init__(self) -> None:
-        check(self)
+        check_fields(self)
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,10 @@ class Loop:
     or the machine code is in the cache."""
 
     def __post_init__(self) -> None:
-        check(self)
-        known("integrator", self.integrator, INTEGRATORS)
-        known("mode of the closed loop", self.mode, MODES)
-        known("choice of loop.compile", self.compile, COMPILE)
+        check_fields(self)
+        check_name("integrator", self.integrator, INTEGRATORS)
+        check_name("mode of the closed loop", self.mode, MODES)
+        check_name("choice of loop.compile", self.compile, COMPILE)
         if abs(self.delay_steps * self.dt - self.delay) > 1e-6 * self.dt:
             raise ConfigError(
                 "loop.delay is no whole number of steps",
@@ -91,7 +91,7 @@ class Exploration:
     """Part of the joints' speed limits that geodesic lanes use."""
 
     def __post_init__(self) -> None:
-        check(self)
+        check_fields(self)
         if self.pattern not in PATTERNS:
             raise UnknownNameError("pattern of the exploration", self.pattern, PATTERNS)
 
@@ -133,7 +133,7 @@ class Law:
     """E* that the law takes the contact to have; None: the one that it has."""
 
     def __post_init__(self) -> None:
-        check(self)
+        check_fields(self)
         if self.torque not in TORQUES:
             raise UnknownNameError("torque law", self.torque, TORQUES)
         if self.surface not in SURFACES:

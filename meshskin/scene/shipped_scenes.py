@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..core.arguments import shown
+from ..core.arguments import repr_short
 from ..core.errors import ConfigError, UnknownNameError
 
 
@@ -23,7 +23,7 @@ def scenes() -> dict[str, Path]:
 def find_scene(name: str | Path) -> Path:
     """The TOML file of a scene, by shipped name or by path. Raises ConfigError."""
     if not isinstance(name, str | Path):
-        raise ConfigError("a scene is loaded by its name or its TOML file", value=shown(name))
+        raise ConfigError("a scene is loaded by its name or its TOML file", value=repr_short(name))
     path = Path(name)
     if path.suffix == ".toml" and path.is_file():
         return path

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..contact import ContactModel
-from ..core.arguments import known
+from ..core.arguments import check_name
 from ..core.se3 import Array
 from ..scene.settings import INTEGRATORS, MODES, Law
 
@@ -90,8 +90,8 @@ class ClosedLoopModel:
     """Unit vector (3,), world, in which the indenter points and the body is lifted off."""
 
     def __post_init__(self) -> None:
-        known("integrator", self.integrator, INTEGRATORS)
-        known("mode of the closed loop", self.mode, MODES)
+        check_name("integrator", self.integrator, INTEGRATORS)
+        check_name("mode of the closed loop", self.mode, MODES)
 
     @property
     def joints(self) -> int:

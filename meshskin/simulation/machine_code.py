@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core import codegen
-from ..core.content_cache import once
+from ..core.content_cache import cached_by_content
 from ..core.se3 import Array
 from ..geometry.surface.patch import POWERS
 from .closed_loop_model import PARAMETERS, REFERENCE, ClosedLoopModel
 from .step import step
 
-FLAGS = (*codegen.FLAGS, "-fno-trapping-math", *codegen.fused())
+FLAGS = (*codegen.FLAGS, "-fno-trapping-math", *codegen.fma_flags())
 PATCH, MAP = 3 * len(POWERS), 6
 TINY = 1e-24
 """m^2, in place of a patch's squared radius where there is no contact."""
@@ -86,11 +86,15 @@ def machine_code(
         return None  # CVODES is SUNDIALS' own machine code
     text = source(loop)
     pays = compile_ == "always" or steps >= WORTHWHILE
-    library = codegen.library("step", text, FLAGS) if pays else codegen.found(text, FLAGS)
+    library = (
+        codegen.compile_library("step", text, FLAGS)
+        if pays
+        else codegen.cached_library(text, FLAGS)
+    )
     return None if library is None else MachineCode(library, one, patches)
 
 
-@once
+@cached_by_content
 def source(loop: ClosedLoopModel) -> str:
     """C source of a loop's step over many states, and of the readings."""
     one = step(loop)
@@ -115,4 +119,4 @@ def source(loop: ClosedLoopModel) -> str:
         for name in ("steps.c", "readings.c")
     )
     layout = [f"#define {name} {value}" for name, value in (rows | sizes | {"TINY": TINY}).items()]
-    return "\n".join([codegen.INLINE, codegen.source(flat), *layout, after, read])
+    return "\n".join([codegen.INLINE, codegen.c_source(flat), *layout, after, read])

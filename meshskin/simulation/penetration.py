@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core.se3 import Array, pose_of_state
+from ..core.se3 import Array, poses_of_states
 from ..geometry.body import Body
 from ..geometry.surface.closest_point import Closest
 from .closed_loop_model import ClosedLoopModel
@@ -12,7 +12,7 @@ from .closed_loop_model import ClosedLoopModel
 
 def poses(loop: ClosedLoopModel, q: Array) -> Array:
     """T_w_b (k, 4, 4) in configurations (k, n): joint angles, or position and quaternion."""
-    return np.asarray(loop.arm.pose(q) @ loop.mount) if loop.joints else pose_of_state(q)
+    return np.asarray(loop.arm.pose(q) @ loop.mount) if loop.joints else poses_of_states(q)
 
 
 def centres(loop: ClosedLoopModel, poses: Array) -> Array:

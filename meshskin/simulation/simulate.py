@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from .. import effects
-from ..core.arguments import needs
+from ..core.arguments import check_type
 from ..core.errors import ConfigError, SkinError
 from ..core.provenance import provenance
 from ..core.se3 import Array, inverse
@@ -55,7 +55,7 @@ def simulate(
     Raises ReachError if the arm cannot follow the path, SimulationError if the loop fails,
     ConfigError for a scene whose budget has not decided what is on.
     """
-    needs(Scene, scene, "what is simulated")
+    check_type(Scene, scene, "what is simulated")
     if scene.budget is not None:
         raise ConfigError(
             f"what is on in the scene {scene.name} has not been decided",

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from ..core.content_cache import once
+from ..core.content_cache import cached_by_content
 from ..core.errors import SimulationError
 from ..core.se3 import Array, hat
 from . import law as compliance
@@ -140,7 +140,7 @@ def inertia(loop: ClosedLoopModel, q: Array) -> float:
     return float(1.0 / (row @ np.linalg.solve(mass, row)))
 
 
-@once
+@cached_by_content
 def _mass_matrix(arm: Arm) -> ca.Function:
     q = ca.SX.sym("q", len(arm.joint_names))
     return ca.Function("mass", [q], [arm.dynamics().mass_matrix(q)])

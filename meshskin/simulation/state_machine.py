@@ -19,8 +19,8 @@ import casadi as ca
 import numpy as np
 
 from ..core.errors import PlaceError, SimulationError
-from ..core.se3 import Array, blend, inverse, log_so3
-from ..core.se3 import pose_of_state as body_pose
+from ..core.se3 import Array, interpolate, inverse, log_so3
+from ..core.se3 import poses_of_states as body_pose
 from . import transfer
 from .quasi_static import start as body_state
 from .rollout import LENGTHS
@@ -269,4 +269,4 @@ def _blend(start: Array, end: Array, dt: float) -> Array:
         * max(float(np.linalg.norm(shift)) / AIR_SPEED, float(np.linalg.norm(turn)) / AIR_TURN)
     )
     part = 0.5 - 0.5 * np.cos(np.pi * np.linspace(0.0, 1.0, max(int(np.ceil(time / dt)), 2)))
-    return blend(start, end, part)
+    return interpolate(start, end, part)

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike
 
-from ..core.arguments import array, needs, vectors
+from ..core.arguments import check_array, check_type, check_vectors
 from ..core.errors import RecordingError
 from ..core.provenance import provenance
 from ..core.se3 import Array, exp_so3, quaternion, shortest_rotation
@@ -50,9 +50,9 @@ def press(
     seed. Raises RecordingError without points, for points nowhere near the body, or for forces that
     are not positive.
     """
-    needs(Scene, scene, "what is pressed")
+    check_type(Scene, scene, "what is pressed")
     world = floating(scene)
-    where = vectors("points to press", points, error=RecordingError)
+    where = check_vectors("points to press", points, error=RecordingError)
     if not len(where):
         raise RecordingError("nothing to press", remedy="give one contact point or more")
     hit, count = scene.body.closest(where), len(where)
@@ -78,7 +78,7 @@ def floating(scene: Scene) -> Scene:
 
 def _forces(force: ArrayLike, count: int) -> Array:
     """The forces (count,) of as many presses. Raises RecordingError."""
-    given = array("forces of presses", force, error=RecordingError)
+    given = check_array("forces of presses", force, error=RecordingError)
     if given.shape not in ((), (count,)):
         raise RecordingError(
             "the forces are not one a press", value=f"shape {given.shape}", limit=f"({count},)"

@@ -13,14 +13,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..core.content_cache import once
+from ..core.content_cache import cached_by_content
 from . import integrators, quasi_static
 from .closed_loop_model import ANCHOR, PARAMETERS, REFERENCE, ClosedLoopModel, flat_anchor
 
 __all__ = ["ANCHOR", "PARAMETERS", "REFERENCE", "Blocks", "ClosedLoopModel", "step"]
 
 
-@once
+@cached_by_content
 def step(loop: ClosedLoopModel) -> ca.Function:
     """(state, reference, anchor, parameters) -> (next state, output).
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from ..core.content_cache import once
+from ..core.content_cache import cached_by_content
 from ..core.errors import ReachError
 from ..core.se3 import Array
 from ..exploration.path import timed
@@ -127,7 +127,7 @@ def torques(loop: ClosedLoopModel, q: Array) -> Array:
     return np.clip(wanted, -loop.arm.effort_limit, loop.arm.effort_limit)
 
 
-@once
+@cached_by_content
 def inverse_dynamics(arm: Arm) -> ca.Function:
     """(q, qd, qdd) -> joint torques (n,), N m, of a motion in the air."""
     n = len(arm.joint_names)

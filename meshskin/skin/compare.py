@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arguments import needs
+from ..core.arguments import check_type
 from ..core.errors import SkinError
 from . import id_permutation, slots
 from .pairing import Ids, moved, pair
@@ -109,7 +109,7 @@ def _places(skin: Skin, name: str) -> tuple[Ids, Array]:
     """Ids and positions of the taxels that have one, by id."""
     from .skin import Skin
 
-    needs(Skin, skin, f"skin {name}")
+    check_type(Skin, skin, f"skin {name}")
     order = np.argsort(skin.ids, kind="stable")
     order = order[np.isfinite(skin.positions[order]).all(axis=1)]
     ids = np.asarray(skin.ids[order], dtype=np.int64)

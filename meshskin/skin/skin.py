@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core import se3
-from ..core.arguments import needs, real, whole
+from ..core.arguments import check_integer, check_real, check_type
 from ..core.errors import SkinError
 from ..core.provenance import random_stream
 from ..geometry import region as regions
@@ -47,7 +47,7 @@ class Skin:
     """radius in m of the disc over which a taxel averages pressure"""
 
     def __post_init__(self) -> None:
-        real("radius of a taxel's disc", self.disc_radius, error=SkinError)
+        check_real("radius of a taxel's disc", self.disc_radius, error=SkinError)
         if not self.disc_radius > 0:
             raise SkinError(
                 "radius of a taxel's disc", value=f"{1e3 * self.disc_radius:g} mm", limit="above 0"
@@ -94,18 +94,18 @@ class Skin:
         a part of the surface as of region.py; without it, all. `seed` turns and shifts the lattice.
         Raises SkinError where the discs would overlap or the region is too small.
         """
-        needs(Body, body, "the body of a skin")
+        check_type(Body, body, "the body of a skin")
         if spacing is None and count is None:
             raise SkinError("a layout without spacing and count", remedy="give one or both")
         if count is not None:
-            count = whole("number of taxels", count, least=1, most=MOST, error=SkinError)
-        real("radius of a taxel's disc", disc_radius, error=SkinError)
+            count = check_integer("number of taxels", count, least=1, most=MOST, error=SkinError)
+        check_real("radius of a taxel's disc", disc_radius, error=SkinError)
         region = regions.of(region)
         if spacing is None:
             assert count is not None
             sites = _sites_by_count(body, region, count, disc_radius, seed)
         else:
-            real("spacing of taxels", spacing, error=SkinError)
+            check_real("spacing of taxels", spacing, error=SkinError)
             _check_spacing(body, spacing, disc_radius)
             sites = _sites(body, region, spacing, seed, count)
         if count is not None:

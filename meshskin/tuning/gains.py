@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ..core.arguments import vector
-from ..core.config import check, quantity
+from ..core.arguments import check_vector
+from ..core.config import check_fields, quantity
 from ..core.errors import ConfigError, UnknownNameError
 from ..core.se3 import Array
 from ..scene.scene import Scene
@@ -121,7 +121,7 @@ class Demands:
     objective "force_error", and none with "time"."""
 
     def __post_init__(self) -> None:
-        check(self)
+        check_fields(self)
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ class Scenario:
     """Coulomb friction of each joint, part of its torque limit, beside the arm's own."""
 
     def __post_init__(self) -> None:
-        check(self)
+        check_fields(self)
 
     @property
     def name(self) -> str:
@@ -164,7 +164,7 @@ def span(bounds: Mapping[str, tuple[float, float]], target: float) -> Array:
     for name, pair in bounds.items():
         if name not in NAMES:
             raise UnknownNameError("gain", str(name), NAMES, " in bounds")
-        low, high = vector(f"bounds of {name}", pair, 2).tolist()
+        low, high = check_vector(f"bounds of {name}", pair, 2).tolist()
         if not 0.0 < low <= high:
             raise ConfigError(f"bounds of {name}", value=(low, high), limit="0 < low <= high")
         ranges[name] = (low, high)

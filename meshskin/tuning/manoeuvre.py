@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..contact.indenter import Indenter
-from ..core.arguments import vector
+from ..core.arguments import check_vector
 from ..core.errors import ReachError, TuningError
 from ..core.se3 import Array, inverse, orthonormal_basis, transform
 from ..exploration.explore import above
@@ -115,9 +115,9 @@ def where(
     scene: Scene, place: ArrayLike | None, direction: ArrayLike | None
 ) -> tuple[Array, Array]:
     """Where the slide begins and where it goes, body frame."""
-    wanted = scene.skin.positions.mean(axis=0) if place is None else vector("place", place)
+    wanted = scene.skin.positions.mean(axis=0) if place is None else check_vector("place", place)
     hit = scene.body.closest(wanted[None])
-    ahead = hit.direction[0] if direction is None else vector("direction", direction)
+    ahead = hit.direction[0] if direction is None else check_vector("direction", direction)
     return hit.point[0], ahead
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..core.codegen import differentiable
+from ..core.codegen import compile_with_derivatives
 from ..core.se3 import Array
 from ..scene.scene import Scene
 from ..simulation import quasi_static
@@ -77,7 +77,7 @@ class ShootingInterval:
     def roll(self, gains: ca.MX, steps: int) -> ca.MX:
         """Rows `rows` of every step (m, steps), of gains (8,)."""
         one, compile_ = self.one, self.scene.loop.compile
-        one = one if compile_ == "never" else differentiable(one, len(NAMES))
+        one = one if compile_ == "never" else compile_with_derivatives(one, len(NAMES))
         several = one.mapaccum("shot", steps)
         rolled: ca.MX = several(self.start, ca.repmat(gains, 1, steps), self.times(steps))[1]
         return rolled

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.arguments import needs, real, shown
+from ..core.arguments import check_real, check_type, repr_short
 from ..core.errors import ConfigError, TuningError, UnknownNameError
 from ..core.se3 import Array
 from ..scene.scene import Scene
@@ -81,13 +81,13 @@ def tune(
     """
     if objective not in OBJECTIVES:
         raise UnknownNameError("objective", objective, OBJECTIVES)
-    needs(Scene, scene, "what is tuned")
-    real("distance of the slide", distance, "m", above=0.0)
+    check_type(Scene, scene, "what is tuned")
+    check_real("distance of the slide", distance, "m", above=0.0)
     over = worlds(over)
     demands = demands or Demands()
-    needs(Demands, demands, "demands")
+    check_type(Demands, demands, "demands")
     if start is not None:
-        needs(Gains, start, "start")
+        check_type(Gains, start, "start")
     spot, ahead = manoeuvres.where(scene, place, direction)
     shots = _shots(scene, over, spot, ahead, distance)
     target = scene.law.force_reference
@@ -139,7 +139,7 @@ def worlds(over: Scenario | Sequence[Scenario]) -> tuple[Scenario, ...]:
     if not isinstance(over, Sequence) or not over or not all(isinstance(w, Scenario) for w in over):
         raise ConfigError(
             "the worlds to tune over",
-            value=shown(over),
+            value=repr_short(over),
             limit="one Scenario or more",
             remedy="leave over= out for the scene alone, or give scenarios(modulus=(0.8, 1.2))",
         )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import meshskin as ms
-from meshskin.core.config import build
+from meshskin.core.config import from_table
 from meshskin.core.errors import ConfigError
 
 
@@ -48,7 +48,7 @@ def test_the_frame_is_the_least_turn_onto_the_direction(way):
 )
 def test_a_direction_that_is_none_is_refused_in_one_line(way, message):
     with pytest.raises(ConfigError, match=message) as caught:
-        build(ms.Indenter, {"direction": way}, "indenter")
+        from_table(ms.Indenter, {"direction": way}, "indenter")
     assert "\n" not in str(caught.value)
 
 
@@ -56,4 +56,4 @@ def test_a_position_of_two_numbers_is_refused():
     with pytest.raises(
         ConfigError, match=r"indenter.position must be a tuple of 3 numbers, got \(1, 0\)"
     ):
-        build(ms.Indenter, {"position_m": [1, 0]}, "indenter")
+        from_table(ms.Indenter, {"position_m": [1, 0]}, "indenter")

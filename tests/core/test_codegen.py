@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from meshskin.core import codegen as module
-from meshskin.core.codegen import cache_folder, compiled
+from meshskin.core.codegen import cache_folder, compile_function
 
 needs_compiler = pytest.mark.skipif(module.find_compiler() is None, reason="no C compiler here")
 
@@ -35,7 +35,7 @@ def bend(scale=1.0):
 def test_compiled_equals_interpreted_with_its_derivatives(cache):
     x = [0.3, -1.2, 2.0]
     for function in bend():
-        fast = compiled(function)
+        fast = compile_function(function)
         assert fast.class_name() == "External" != function.class_name()
         assert (fast.name(), fast.name_in(), fast.name_out()) == (
             function.name(),
@@ -51,23 +51,23 @@ def test_compiled_equals_interpreted_with_its_derivatives(cache):
 
 @needs_compiler
 def test_cache_is_found_by_content(cache):
-    compiled(bend()[0])
+    compile_function(bend()[0])
     library = next(cache.rglob("*.so"))
     before = library.stat().st_mtime_ns
-    compiled(bend()[0])
+    compile_function(bend()[0])
     assert list(cache.rglob("*.so")) == [library]
     assert library.stat().st_mtime_ns == before
-    compiled(bend(scale=2.0)[0])
+    compile_function(bend(scale=2.0)[0])
     assert len(list(cache.rglob("*.so"))) == 2
 
 
 @needs_compiler
 def test_a_library_is_found_only_after_it_was_built(cache):
     text = "int answer(void) { return 42; }"
-    assert module.found(text) is None
-    module.library("answer", text)
-    assert module.found(text).answer() == 42
-    assert module.found(text, (*module.FLAGS, "-O1")) is None  # another processor's, say
+    assert module.cached_library(text) is None
+    module.compile_library("answer", text)
+    assert module.cached_library(text).answer() == 42
+    assert module.cached_library(text, (*module.FLAGS, "-O1")) is None  # another processor's, say
 
 
 @needs_compiler
@@ -98,7 +98,7 @@ def test_unwritable_cache_uses_a_temporary_folder(tmp_path, monkeypatch):
     blocked = tmp_path / "file"
     blocked.write_text("not a folder")
     monkeypatch.setenv("MESHSKIN_CACHE", str(blocked / "cache"))
-    assert compiled(bend()[0]).class_name() == "External"
+    assert compile_function(bend()[0]).class_name() == "External"
 
 
 @pytest.mark.parametrize("compiler", ["none", "no-such-compiler"])
@@ -107,10 +107,10 @@ def test_without_compiler_interpreted_and_warned_once(cache, monkeypatch, compil
     module._warn_once.cache_clear()
     function = bend()[0]
     with pytest.warns(RuntimeWarning, match="no C compiler"):
-        assert compiled(function) is function
+        assert compile_function(function) is function
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert compiled(function) is function
+        assert compile_function(function) is function
     assert not cache.exists()
 
 
@@ -122,7 +122,7 @@ def test_compiler_that_fails_is_named(cache, monkeypatch):
     module._warn_once.cache_clear()
     function = bend()[0]
     with pytest.warns(RuntimeWarning, match="cannot compile 'bend'"):
-        assert compiled(function) is function
+        assert compile_function(function) is function
 
 
 def test_cache_folder_follows_the_platform(monkeypatch, tmp_path):
@@ -141,9 +141,9 @@ def test_cache_folder_follows_the_platform(monkeypatch, tmp_path):
 
 SQUARE = """
 import casadi as ca
-from meshskin.core.codegen import compiled
+from meshskin.core.codegen import compile_function
 x = ca.SX.sym("x")
-f = compiled(ca.Function("square", [x], [x * x]))
+f = compile_function(ca.Function("square", [x], [x * x]))
 print(f.class_name(), float(f(2)))
 """
 

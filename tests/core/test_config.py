@@ -20,11 +20,13 @@ class Ball:
     colour: str = "red"
 
     def __post_init__(self) -> None:
-        config.check(self)
+        config.check_fields(self)
 
 
 def test_units_are_converted():
-    ball = config.build(Ball, {"radius_mm": 100, "place_um": [1, 2e6], "angle_deg": 90}, "ball")
+    ball = config.from_table(
+        Ball, {"radius_mm": 100, "place_um": [1, 2e6], "angle_deg": 90}, "ball"
+    )
     assert ball == Ball(0.1, (1e-6, 2.0), math.pi / 2)
 
 
@@ -48,7 +50,7 @@ def test_units_are_converted():
 )
 def test_a_wrong_table_is_named(table, error, message):
     with pytest.raises(error, match=message):
-        config.build(Ball, table, "ball")
+        config.from_table(Ball, table, "ball")
 
 
 def test_bad_toml_names_the_line(tmp_path):

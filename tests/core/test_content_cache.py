@@ -15,7 +15,7 @@ from meshskin.simulation.step import step
 def test_equal_contents_are_built_once():
     built = []
 
-    @content_cache.once
+    @content_cache.cached_by_content
     def total(numbers):
         """A sum."""
         built.append(len(numbers))

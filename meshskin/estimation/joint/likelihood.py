@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.ragged import ranges
+from ...core.arrays import ranges
 from ...core.se3 import Array
 from ..data.global_parameters import GlobalParameters
 from ..data.measurements import Measurements, reach

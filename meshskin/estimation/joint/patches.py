@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from ...contact import ContactModel, Patches
-from ...core.codegen import compiled
+from ...core.codegen import compile_function
 from ...core.se3 import Array
 from . import pressure, pressure_elliptic
 from .batch import BATCH, evaluate
@@ -84,7 +84,7 @@ def _layer(poisson: float, endless: bool) -> ca.Function:
     sizes = ca.vertcat(patch.first, patch.second, patch.peak, patch.depth)
     slope = ca.jacobian(ca.vertcat(ca.log(sizes), patch.exponent), x[0])
     out = ca.vertcat(sizes, patch.exponent, slope)
-    return compiled(ca.Function("layer", [x], [out], {"cse": True})).map(BATCH)
+    return compile_function(ca.Function("layer", [x], [out], {"cse": True})).map(BATCH)
 
 
 PATCHES_UNDER_LOAD = {"hertz": half_space, "elliptic": half_space, "layered": layer}

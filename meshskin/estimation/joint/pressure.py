@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 
 from ...contact.disc import disc_mean_of_square
-from ...core.codegen import compiled
+from ...core.codegen import compile_function
 from ...core.se3 import Array
 from .batch import BATCH, evaluate
 
@@ -46,7 +46,7 @@ def kernel() -> ca.Function:
     m, by_q, by_ratio = ca.Function("disc", [q, ratio], outputs).call(point)
     by_log_a = -2 * point[0] * by_q - point[1] * by_ratio
     out = ca.vertcat(m, 2 * by_q / a**2 * across, by_log_a)
-    return compiled(ca.Function("pressure", [x], [out], {"cse": True})).map(BATCH)
+    return compile_function(ca.Function("pressure", [x], [out], {"cse": True})).map(BATCH)
 
 
 def mean_pressure(d: Array, n: Array, a: Array, s: float) -> tuple[Array, Array, Array]:

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from ...contact.ellipse import ellipse_gradient
-from ...core.codegen import compiled
+from ...core.codegen import compile_function
 from ...core.se3 import Array
 from .batch import BATCH, evaluate
 
@@ -50,7 +50,9 @@ def _mean(x: ca.SX, exponent: ca.SX | float) -> tuple[ca.SX, ...]:
 
 
 def _mapped(name: str, x: ca.SX, *outputs: ca.SX) -> ca.Function:
-    return compiled(ca.Function(name, [x], [ca.vertcat(*outputs)], {"cse": True})).map(BATCH)
+    return compile_function(ca.Function(name, [x], [ca.vertcat(*outputs)], {"cse": True})).map(
+        BATCH
+    )
 
 
 def ellipse(

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.ragged import ranges
+from ...core.arrays import ranges
 from ...core.se3 import Array
 from .contacts import LinearizedContacts
 from .likelihood import Likelihood, Moments

@@ -201,7 +201,7 @@ def library() -> ctypes.CDLL | None:
     here = Path(__file__)
     declare = "#ifdef _WIN32\n#define DECLARE __declspec(dllexport)\n#else\n#define DECLARE\n#endif"
     parts = (here.with_name(name).read_text(encoding="utf-8") for name in ("fronts.c", "ma57.c"))
-    found = codegen.library("posegraph_fronts", "\n".join([declare, *parts]))
+    found = codegen.compile_library("posegraph_fronts", "\n".join([declare, *parts]))
     if found is not None:
         integer, pointer = ctypes.c_longlong, ctypes.c_void_p
         found.clear.argtypes = [pointer, integer]

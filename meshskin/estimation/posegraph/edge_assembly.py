@@ -163,7 +163,7 @@ def library(residual: str) -> ctypes.CDLL | None:
     one: Kernel = kernel(residual)
     text = "\n".join(
         [
-            codegen.source(one.gradient, one.gauss_newton, one.hessian),
+            codegen.c_source(one.gradient, one.gauss_newton, one.hessian),
             f"#define EDGE {EDGE}",
             f"#define RESIDUAL_gradient {residual}_gradient",
             f"#define RESIDUAL_gauss_newton {residual}_gauss_newton",
@@ -172,7 +172,7 @@ def library(residual: str) -> ctypes.CDLL | None:
             Path(__file__).with_name("edge_assembly.c").read_text(encoding="utf-8"),
         ]
     )
-    found = codegen.library(f"posegraph_{residual}", text)
+    found = codegen.compile_library(f"posegraph_{residual}", text)
     if found is not None:
         integer, pointer = ctypes.c_longlong, ctypes.c_void_p
         found.multiply.restype = found.displacements.restype = None

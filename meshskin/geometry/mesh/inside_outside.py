@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.ragged import ranges
+from ...core.arrays import ranges
 from .check import components
 from .winding_number import Winding
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.ragged import ranges
+from ...core.arrays import ranges
 from ..surface.walk import neighbours
 from .edges import edge_of, twins
 

@@ -93,7 +93,7 @@ class Winding:
 def library() -> ctypes.CDLL | None:
     """The compiled sum; None, and one warning, without a C compiler."""
     text = Path(__file__).with_name("winding_number.c").read_text(encoding="utf-8")
-    return codegen.library("winding numbers", text)
+    return codegen.compile_library("winding numbers", text)
 
 
 def _bulk(corners: Array) -> tuple[float, float]:

@@ -63,7 +63,7 @@ def library() -> ctypes.CDLL | None:
     """The compiled search; None, and one warning, without a C compiler."""
     parts = (Path(__file__).with_name(name) for name in ("cylinders.c", "compiled_search.c"))
     text = "\n".join(part.read_text(encoding="utf-8") for part in parts)
-    return codegen.library("closest points", text)
+    return codegen.compile_library("closest points", text)
 
 
 class CompiledSearch:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.ragged import ranges
+from ...core.arrays import ranges
 from . import patch
 from .fans import Fans, face_normals
 from .heights import heights

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.arguments import vectors
+from ...core.arguments import check_vectors
 from ...core.errors import MeshError
 from ...core.se3 import orthonormal_basis
 from ..mesh.inside_outside import ON_EDGE, Folds
@@ -244,7 +244,7 @@ class Surface:
 
 
 def _finite(points: ArrayLike) -> Array:
-    p = np.ascontiguousarray(vectors("query points", points, error=MeshError))
+    p = np.ascontiguousarray(check_vectors("query points", points, error=MeshError))
     bad = ~np.isfinite(p).all(axis=1)
     if bad.any():
         row = int(np.argmax(bad))

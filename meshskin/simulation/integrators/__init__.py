@@ -11,7 +11,7 @@ from importlib import import_module
 
 import casadi as ca
 
-from ...core.arguments import known
+from ...core.arguments import check_name
 from ...scene.settings import INTEGRATORS
 from ..closed_loop_model import ClosedLoopModel
 
@@ -20,6 +20,6 @@ NAMES = ["state", "reference", "anchor", "parameters"], ["next", "output"]
 
 def step(loop: ClosedLoopModel) -> ca.Function:
     """The step of the loop's integrator. Raises UnknownNameError."""
-    known("integrator", loop.integrator, INTEGRATORS)
+    check_name("integrator", loop.integrator, INTEGRATORS)
     made: ca.Function = import_module(f".{loop.integrator}", __name__).step(loop)
     return made

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from ...core import config
-from ...core.arguments import needs
+from ...core.arguments import check_type
 from ...core.errors import ConfigError, StudyError, UnknownNameError
 from ...core.provenance import digest
 from ...scene import shipped_scenes
@@ -189,7 +189,7 @@ def base_scene(base: str | Path | Scene | None) -> BaseScene:
         return SceneFile.load(base)
     from ...scene.scene import Scene
 
-    needs(Scene, base, "the base of a study")
+    check_type(Scene, base, "the base of a study")
     return SceneObject(base)
 
 

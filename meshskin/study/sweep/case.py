@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...core.arguments import needs
+from ...core.arguments import check_type
 from ...core.errors import ConfigError, StudyError, UnknownNameError
 from ...core.provenance import digest, versions
 from .base_scene import BaseScene, canonical_json
@@ -86,11 +86,11 @@ def _scene_part(parameters: Mapping[str, Any]) -> dict[str, Any]:
 def plain_grids(grid: Grid | Sequence[Grid]) -> list[dict[str, list[Any]]]:
     """One grid or several, as lists of plain Python values. Raises ConfigError."""
     out = []
-    needs(Iterable, grid, "the grid of a study")
+    check_type(Iterable, grid, "the grid of a study")
     for one in [grid] if isinstance(grid, Mapping) else grid:
-        needs(Mapping, one, "a grid of a study")
+        check_type(Mapping, one, "a grid of a study")
         for key in one:
-            needs(str, key, "a key of a grid")
+            check_type(str, key, "a key of a grid")
         out.append(plain := {key: _list(key, values) for key, values in one.items()})
         for key in RESERVED:
             if key in plain and key != "method":

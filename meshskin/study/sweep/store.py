@@ -23,7 +23,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ...core.atomic_io import unwritable, write_text
+from ...core.atomic_io import output_error, write_text
 from ...core.errors import OutputError, StudyError
 from ...core.provenance import digest
 from .outcome import Limits, Outcome
@@ -103,7 +103,7 @@ class Store:
             self.folder.mkdir(parents=True, exist_ok=True)
             file = path.open("a+", encoding="utf-8")
         except OSError as error:
-            raise unwritable(self.folder, error) from error
+            raise output_error(self.folder, error) from error
         with file:
             try:
                 _lock(file.fileno())

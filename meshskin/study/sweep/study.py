@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from ...core.arguments import real, whole
+from ...core.arguments import check_integer, check_real
 from ...core.errors import ConfigError, StudyError
 from ...core.provenance import check_seed
 from . import study_file
@@ -103,7 +103,7 @@ class Study:
         for name in ("time_limit", "memory_limit"):
             value = getattr(self, name)
             if value is not None:
-                real(name, value, above=0.0)
+                check_real(name, value, above=0.0)
         if self.memory_limit is not None and sys.platform != "linux":
             raise ConfigError("a memory limit works on Linux only", remedy="remove it")
         for seed in self._seeds:
@@ -183,7 +183,7 @@ class Study:
                 remedy='start the study under if __name__ == "__main__":',
             )
         if workers is not None:
-            whole("workers", workers, least=1)
+            check_integer("workers", workers, least=1)
         setup = WorkerSetup(FunctionReference.to(self._run), self._base, self.limits)
         cases, store = self.cases(), Store(out)
         with store.lock():

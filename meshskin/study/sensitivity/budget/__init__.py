@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable
 from numbers import Real
 
-from ....core.arguments import needs
+from ....core.arguments import check_type
 from ....core.errors import ConfigError
 from ....scene.scene import Scene
 from .candidates import candidates
@@ -54,10 +54,10 @@ def budget(
     are tried. Raises ConfigError for a budget that is not positive, else as `simulate` and
     `calibrate`.
     """
-    needs(Scene, scene, "what is budgeted")
+    check_type(Scene, scene, "what is budgeted")
     if taxel_error is None:
         taxel_error = DEFAULT if scene.budget is None else scene.budget
-    needs(Real, taxel_error, "an error budget")
+    check_type(Real, taxel_error, "an error budget")
     if not (math.isfinite(taxel_error) and taxel_error > 0):
         raise ConfigError(
             "an error budget must be positive",

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
 
-from ....core.arguments import needs, real, whole
+from ....core.arguments import check_integer, check_real, check_type
 from ....core.errors import UnknownNameError
 from ....scene.scene import Scene
 from .models import Models
@@ -130,14 +130,14 @@ def cost(
     for an unknown knob, ConfigError without seeds, and what the reference and the scene itself
     raise; other settings that fail are rows that say why.
     """
-    needs(Scene, scene, "what is measured")
+    check_type(Scene, scene, "what is measured")
     for knob in knobs:
         if knob not in KNOBS:
             raise UnknownNameError("knob", knob, KNOBS)
-    whole("seeds", seeds, least=1)
-    whole("finer", finer, least=1)
-    needs(Iterable, targets, "targets, mm,")
-    targets = tuple(real("a target", target, "mm", above=0.0) for target in targets)
+    check_integer("seeds", seeds, least=1)
+    check_integer("finer", finer, least=1)
+    check_type(Iterable, targets, "targets, mm,")
+    targets = tuple(check_real("a target", target, "mm", above=0.0) for target in targets)
     base = Setting.of(scene)
     finest = reference(base, scene, finer)
 
