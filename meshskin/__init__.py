@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .estimation.calibrate import calibrate as calibrate
     from .estimation.calibration import Calibration as Calibration
     from .estimation.posegraph import PoseGraph as PoseGraph
-    from .exploration.explore import explore as explore
+    from .exploration.plan import explore as explore
     from .geometry.body import Body as Body
     from .recording.recording import Recording as Recording
     from .recording.recording import RecordingWriter as RecordingWriter
@@ -61,7 +61,7 @@ _HOMES = {
     "compare": "skin.compare",
     "contact": "contact",
     "cost": "study.sensitivity.cost",
-    "explore": "exploration.explore",
+    "explore": "exploration.plan",
     "lint": "skin.lint",
     "press": "simulation.static_contacts",
     "simulate": "simulation.simulate",

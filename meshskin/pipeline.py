@@ -150,7 +150,7 @@ def _promised(
 
     Raises StudyError where nothing keeps it.
     """
-    from .study.sensitivity.cost.numerics import held_route
+    from .exploration.plan import plan_exploration
     from .study.sensitivity.cost.pilot import pilot
 
     tried = pilot(scene, request, METHODS, _drawing(scene), seed, clock.began)
@@ -158,7 +158,7 @@ def _promised(
     for promise in tried.choose(request):
         made = promise.setting.scene(scene, promise.setting.body(scene.body))
         try:
-            path = held_route(made)
+            path = plan_exploration(made).path
         except ReachError as error:
             reason = error
             continue

@@ -32,6 +32,7 @@ from meshskin.core.atomic_io import write_text
 from meshskin.core.errors import ReachError
 from meshskin.estimation.joint.newton import NEWTON_TOLERANCE
 from meshskin.exploration.path import Path as Way
+from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap
 from meshskin.report import theme
 from meshskin.scene import shipped_scenes
@@ -40,7 +41,6 @@ from meshskin.simulation.simulate import prepare
 from meshskin.study.sensitivity.budget.holdout import paired
 from meshskin.study.sensitivity.budget.knobs import SECONDS
 from meshskin.study.sensitivity.budget.replay import Replay
-from meshskin.study.sensitivity.cost.numerics import held_route
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -108,12 +108,12 @@ def prices() -> dict[str, float]:
     """Seconds of each thing that the budget counts, beside those that it reckons with."""
     scene = ms.Scene.load("sphere_noisy")
     scene = scene.with_(loop=replace(scene.loop, compile="always"))
-    path = held_route(scene)
+    path = plan_exploration(scene).path
     recording = ms.simulate(scene, path=path)  # the first time pays for what is built once
     found, faces = {}, len(scene.body.mesh.faces)
     found["face"] = seconds(lambda: replace(scene.body).closest(scene.skin.positions)) / faces
     steps, taxels = len(path.points), len(scene.skin.ids)
-    found["step"] = seconds(lambda: [held_route(scene), Replay.of(scene, path)]) / steps
+    found["step"] = seconds(lambda: [plan_exploration(scene).path, Replay.of(scene, path)]) / steps
     frames = Replay.of(scene, path).frames
     for name in ("hertz", "elliptic", "layered"):
         read = effect_chain(scene.with_(contact=name, effects=()), 0).read
@@ -206,7 +206,7 @@ def row(scene: ms.Scene, error: float) -> dict[str, Any]:
     took = process_time() - begin
     belief = ledger.belief
     everything, scene = paired(ledger.everything, ledger.scene)
-    path = held_route(everything)
+    path = plan_exploration(everything).path
     chosen, fast = calibrated(scene, path, belief, tolerance=ledger.tolerance)
     every, slow = calibrated(everything, path, belief)
     again = calibrated(scene, path, belief, tolerance=ledger.tolerance)[1]
@@ -239,8 +239,8 @@ def calibrated(
     """The calibration of a scene's recording, and its processor seconds, simulation included."""
     begin = process_time()
     fresh = scene.with_(body=replace(scene.body))  # fitting its surface counts
-    held_route(fresh)  # a run plans its own path, which is not what is compared here
-    recording = ms.simulate(fresh, FRESH, path=path.thinned(fresh.loop.dt, fresh.body))
+    plan_exploration(fresh)  # a run plans its own path, which is not what is compared here
+    recording = ms.simulate(fresh, FRESH, path=path.resampled(fresh.loop.dt, fresh.body))
     found = ms.calibrate(recording, belief, tolerance=tolerance)
     return found, process_time() - begin
 

@@ -28,7 +28,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 import meshskin as ms
 from meshskin.estimation import contact_design
 from meshskin.estimation.adaptive import adapt
-from meshskin.exploration.explore import planned, setup_of
+from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap
 from meshskin.report import theme
 from meshskin.simulation.contact_samplers import touched
@@ -91,7 +91,7 @@ def lane_contacts(scene: ms.Scene) -> list[np.ndarray]:
     """Contacts (k, 3) of fixed lanes, at each of the steps along them."""
     dense = replace(scene.exploration, pattern="lanes")
     free = replace(scene.loop, mode="quasi_static")
-    path = planned(scene.with_(exploration=dense, loop=free)).path.points
+    path = plan_exploration(scene.with_(exploration=dense, loop=free)).path.points
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     return [path[np.searchsorted(along, np.arange(0.0, along[-1], step))] for step in STEPS]
 
@@ -111,7 +111,7 @@ def lanes(scene: ms.Scene, seeds: range) -> Curve:
 
 def best_of_all(scene: ms.Scene) -> float:
     """Mean error, mm, times the root of the number of contacts, that no design is below."""
-    belief, reach = scene.belief(), setup_of(scene).reach
+    belief, reach = scene.belief(), scene.rig.sensing_radius
     return 1e3 * contact_design.optimal_design(belief, scene.skin.positions, reach).bound
 
 

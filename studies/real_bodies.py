@@ -31,7 +31,7 @@ import numpy as np
 
 import meshskin as ms
 from meshskin.estimation.uncertainty import metrics
-from meshskin.exploration.explore import planned
+from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap
 from meshskin.report import theme
 from meshskin.skin.modules import Modules
@@ -130,10 +130,10 @@ def job(name: str, data: Path, full: bool = False) -> tuple[dict[str, Any], tupl
     """One body's row of the table, and what is drawn of it: positions (n, 3), errors (n,), mm."""
     started = perf_counter()
     world = scene(*BODIES[name](data, full), name)
-    plan = planned(world)
+    explored = plan_exploration(world)
     recording = ms.simulate(world, seed=1)
     calibration = ms.calibrate(recording, world.belief())
-    reached = ~np.isin(calibration.ids, list(plan.unreachable))
+    reached = ~np.isin(calibration.ids, list(explored.unreachable))
     found = np.isfinite(calibration.positions[:, 0])
     limit = metrics.cramer_rao(recording, world.belief(), world.skin)
     error = 1e3 * metrics.position_errors(calibration, world.skin)
@@ -141,7 +141,7 @@ def job(name: str, data: Path, full: bool = False) -> tuple[dict[str, Any], tupl
     both = reached & found & np.isfinite(variance)
     rms = float(np.sqrt(np.mean(error[both] ** 2)))
     bound = 1e3 * float(np.sqrt(np.mean(variance[both])))
-    why = Counter(plan.unreachable.values())
+    why = Counter(explored.unreachable.values())
     lost = Counter(str(w) for w in calibration.reasons[reached & ~found])
     row = {
         "body": name,

@@ -4,8 +4,7 @@ import numpy as np
 
 import meshskin as ms
 from meshskin.estimation.adaptive import Adaptive
-from meshskin.exploration.path import Path
-from meshskin.exploration.plan import Plan
+from meshskin.exploration.path import Path, Plan
 from meshskin.recording.recording import CONTACTS, READINGS, Recording
 
 
@@ -37,11 +36,17 @@ def test_recordings_print_their_size():
 def test_plans_print_how_long_they_are():
     points = np.zeros((5, 3))
     path = Path(
-        0.5, points, points, np.tile(np.eye(4), (5, 1, 1)), np.zeros((5, 6)), np.zeros(5, int)
+        0.5,
+        points,
+        points,
+        np.tile(np.eye(4), (5, 1, 1)),
+        np.zeros((5, 6)),
+        np.zeros(5, int),
+        unreachable={7: "joint limit"},
     )
-    text = repr(Plan(path, {7: "joint limit"}, 2e-3))
-    assert "1 places, 2.5 s" in text
-    assert "1 taxels not seen" in text
+    text = repr(Plan(path, 2e-3))
+    assert "1 segments, 2.5 s" in text
+    assert "1 taxels left out" in text
     assert "array" not in text
 
 

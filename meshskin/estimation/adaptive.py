@@ -14,8 +14,8 @@ import numpy as np
 from ..core.arguments import check_integer, check_real, check_type
 from ..core.errors import ConfigError, ReachError
 from ..core.se3 import Array
-from ..exploration.explore import planned, setup_of
-from ..exploration.plan import UNSEEN
+from ..exploration.lane_plan import NOT_COVERED
+from ..exploration.plan import plan_exploration
 from ..recording.recording import Recording
 from ..scene.scene import Scene
 from ..simulation.contact_samplers import Toucher, pressed, together
@@ -96,7 +96,7 @@ def adapt(
     check_type(Scene, scene, "what is explored")
     check_real("target of an adaptive exploration", target)
     check_integer("most contacts", most, least=1)
-    _check_target(target, setup_of(scene).reach)
+    _check_target(target, scene.rig.sensing_radius)
     unreachable: Mapping[int, str] = {}
     if points is None:
         points, unreachable = first_pass(scene)
@@ -205,15 +205,15 @@ def first_pass(
     """Contact points (k, 3) on geodesic lanes, their distances in distances at which a contact is
     felt, and the taxels that cannot be reached.
     """
-    reach = setup_of(scene).reach
+    reach = scene.rig.sensing_radius
     lanes = replace(scene.exploration, pattern="lanes", lane_spacing=spacing * reach, contacts=None)
-    plan = planned(scene.with_(exploration=lanes))
+    found = plan_exploration(scene.with_(exploration=lanes))
     parts = []
-    for place in plan.segments:
+    for place in found.segments:
         way = np.linalg.norm(np.diff(place.points, axis=0), axis=1)
         along = np.concatenate([[0.0], np.cumsum(way)])
         parts.append(place.points[np.searchsorted(along, np.arange(0.0, along[-1], step * reach))])
-    hopeless = {k: why for k, why in plan.unreachable.items() if why != UNSEEN}
+    hopeless = {k: why for k, why in found.unreachable.items() if why != NOT_COVERED}
     return np.concatenate(parts), hopeless
 
 
@@ -222,7 +222,7 @@ def between(scene: Scene, points: Array) -> Array:
     from scipy.spatial import cKDTree
 
     dense, _ = first_pass(scene, GAP, GAP)
-    return dense[cKDTree(points).query(dense)[0] > GAP * setup_of(scene).reach]
+    return dense[cKDTree(points).query(dense)[0] > GAP * scene.rig.sensing_radius]
 
 
 def _without(calibration: Calibration, given_up: Mapping[int, str]) -> Calibration:

@@ -1,4 +1,4 @@
-"""A way run in time: the path of the body, as slow as speeds, turns and joints ask."""
+"""Time along a contact path: as slow as the limits of speed, rotation and joints require."""
 
 from __future__ import annotations
 
@@ -11,101 +11,101 @@ from ..core.se3 import Array, inverse, log_so3
 from ..geometry.geodesics import rotate_about, transport_along
 from ..robot.contact_rig import ContactRig
 from ..scene.settings import Exploration
-from .path import Path, timed, twists
+from .path import Path, body_twists, time_scaling
 from .tour import ContactPath
 
-SMOOTHED = (6.0, 2.0, 0.0)
-"""Widths, in samples, over which the spin is smoothed: the first that the joints allow."""
-
-BLUR = 0.015
-"""Time over which the body's pose is smoothed, s."""
-
-
-def free(setup: ContactRig, way: ContactPath, exploration: Exploration, dt: float) -> Path:
-    """The path over one way of a body without an arm."""
-    tangents = transport_along(way.normals)
-    return _path(setup, way, tangents, np.zeros((len(way), 0)), None, exploration, dt)
+SPIN_WIDTHS = (6.0, 2.0, 0.0)
+"""Standard deviations, in samples, of the Gaussian filter of the spin: the first that the joints
+allow is taken. The spins are those of a grid of 15 degrees; 6 samples blur its steps."""
+POSE_WIDTH = 0.015
+"""Standard deviation, s, of the Gaussian filter of the body's pose: over a seam of the surface the
+normal turns with a jerk that the body need not follow."""
 
 
-def followed(
-    setup: ContactRig,
-    way: ContactPath,
+def free_path(rig: ContactRig, path: ContactPath, exploration: Exploration, dt: float) -> Path:
+    """The path over one contact path of a body without an arm, every `dt` s."""
+    joints = np.zeros((len(path), 0))
+    return _path(rig, path, transport_along(path.normals), joints, None, exploration, dt)
+
+
+def arm_path(
+    rig: ContactRig,
+    path: ContactPath,
     tangents: Array,
-    angle: Array,
-    q: Array,
+    spin: Array,
+    posture: Array,
     exploration: Exploration,
     dt: float,
 ) -> Path:
-    """The path over a way with the spin of a chain of postures, smoothed as far as joints allow."""
+    """The path over one contact path that an arm follows from a posture (n,), every `dt` s.
+
+    tangents (k, 3): headings at spin 0; spin (k,), rad, is smoothed as far as the joints allow.
+    Raises ReachError.
+    """
     from scipy.ndimage import gaussian_filter1d
 
-    arm = setup.arm
+    arm = rig.arm
     assert arm is not None
-    assert setup.mount is not None
-    for width in SMOOTHED:
-        smooth = gaussian_filter1d(angle, width, mode="nearest") if width else angle
-        headings = rotate_about(way.normals, tangents, smooth)
-        poses = setup.poses(setup.tips(way.points, way.normals), way.normals, headings) @ inverse(
-            setup.mount
-        )
+    for width in SPIN_WIDTHS:
+        smooth = gaussian_filter1d(spin, width, mode="nearest") if width else spin
+        headings = rotate_about(path.normals, tangents, smooth)
+        poses = rig.contact_poses(path.points, path.normals, headings) @ inverse(rig.mount)
         try:
-            follow = arm.inverse_kinematics(poses, q[0])
+            q = arm.inverse_kinematics(poses, posture)
         except ReachError as error:
             reason = error
             continue
-        return _path(setup, way, headings, follow, follow[:1], exploration, dt)
+        return _path(rig, path, headings, q, q[:1], exploration, dt)
     raise reason
 
 
 def _path(
-    setup: ContactRig,
-    way: ContactPath,
+    rig: ContactRig,
+    path: ContactPath,
     headings: Array,
     q: Array,
-    first: Array | None,
+    posture: Array | None,
     exploration: Exploration,
     dt: float,
 ) -> Path:
-    """The samples of a way, with their headings (k, 3) and joint angles (k, n), run in time."""
+    """The path in time over samples with headings (k, 3) and joint angles (k, n)."""
     from scipy.interpolate import PchipInterpolator, make_interp_spline
     from scipy.ndimage import gaussian_filter1d
 
-    pace, length = _pace(setup, way, headings, q, exploration)
-    rows = np.concatenate([way.points, headings], axis=1)
+    slowness, length = _slowness(rig, path, headings, q, exploration)
+    rows = np.concatenate([path.points, headings], axis=1)
     parts = [rows[:1]]
-    for start, end in pairwise(way.stops):
+    for start, end in pairwise(path.stops):
         s = np.concatenate([[0.0], np.cumsum(length[start:end])])
-        u = np.concatenate([[0.0], np.cumsum((pace * length)[start:end])])
-        at = PchipInterpolator(u, s)(timed(u[-1], exploration.ramp, dt) * u[-1])
+        t = np.concatenate([[0.0], np.cumsum((slowness * length)[start:end])])
+        at = PchipInterpolator(t, s)(time_scaling(t[-1], exploration.ramp, dt) * t[-1])
         parts.append(make_interp_spline(s, rows[start : end + 1], k=min(3, end - start))(at))
-    fine = np.concatenate(parts)
-    hit = setup.body.closest(fine[:, :3])
-    # over a seam the normal turns with a jerk that the body need not follow
-    width = BLUR / dt
-    tips, normals, tangents = (
-        gaussian_filter1d(rows, width, axis=0, mode="nearest")
-        for rows in (setup.tips(hit.point, hit.normal), hit.normal, fine[:, 3:])
+    samples = np.concatenate(parts)
+    hit = rig.body.closest(samples[:, :3])
+    centres, normals, tangents = (
+        gaussian_filter1d(x, POSE_WIDTH / dt, axis=0, mode="nearest")
+        for x in (rig.indenter_centres(hit.point, hit.normal), hit.normal, samples[:, 3:])
     )
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     tangents -= np.einsum("ij,ij->i", tangents, normals)[:, None] * normals
     tangents /= np.linalg.norm(tangents, axis=1)[:, None]
-    poses = setup.poses(tips, normals, tangents)
-    return Path(dt, hit.point, hit.normal, poses, twists(poses, dt), hit.face, (), first)
+    poses = rig.poses(centres, normals, tangents)
+    twists = body_twists(poses, dt)
+    return Path(dt, hit.point, hit.normal, poses, twists, hit.face, (), posture)
 
 
-def _pace(
-    setup: ContactRig, way: ContactPath, headings: Array, q: Array, exploration: Exploration
+def _slowness(
+    rig: ContactRig, path: ContactPath, headings: Array, q: Array, exploration: Exploration
 ) -> tuple[Array, Array]:
-    """Least time a metre (k - 1,), s/m, from each sample to the next, and the lengths, m."""
+    """Least time per length (k - 1,), s/m, between samples, and their distances (k - 1,), m."""
     from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
-    length = np.maximum(np.linalg.norm(np.diff(way.points, axis=0), axis=1), 1e-9)
-    rotation = setup.poses(way.points, way.normals, headings)[:, :3, :3]
+    length = np.maximum(np.linalg.norm(np.diff(path.points, axis=0), axis=1), 1e-9)
+    rotation = rig.poses(path.points, path.normals, headings)[:, :3, :3]
     turn = np.linalg.norm(log_so3(rotation[1:] @ np.swapaxes(rotation[:-1], 1, 2)), axis=1)
     least = np.maximum(length / exploration.speed, turn / exploration.turn_rate)
-    if q.shape[1]:
-        assert setup.arm is not None
-        rate = exploration.joint_share * setup.arm.velocity_limit
+    if rig.arm is not None:
+        rate = exploration.joint_share * rig.arm.velocity_limit
         least = np.maximum(least, (np.abs(np.diff(q, axis=0)) / rate).max(axis=1))
-    # slow down ahead of what must be slow, and speed up after it, without a jerk
+    # slow down before a slow stretch and speed up after it without a jerk
     return gaussian_filter1d(maximum_filter1d(least / length, 5), 1.0, mode="nearest"), length

@@ -1,4 +1,4 @@
-"""Ways that one touch may follow: lanes strung together, and how the body lies on the indenter."""
+"""Contact paths: pieces of lanes joined to one way that the contact point slides along."""
 
 from __future__ import annotations
 
@@ -10,64 +10,71 @@ from ..core.se3 import Array
 from ..robot.contact_rig import ContactRig
 from .lanes import Piece
 
-HOP = 8.0
-"""Spacings over which the contact slides on to the next lane, which is sooner done than a lift."""
+LONGEST_LINK = 8.0
+"""Longest slide from lane to lane, in lane spacings. Chosen: 28 mm take 0.6 s at 50 mm/s, less than
+a lift, a transfer and a new approach."""
 
 
 @dataclass(frozen=True)
 class ContactPath:
-    """k samples on the surface that one touch may follow; it rests at `stops`."""
+    """Samples on the surface that the contact point follows in one segment."""
 
     points: Array
+    """(k, 3), body frame, m."""
     normals: Array
+    """Outward (k, 3)."""
     stops: tuple[int, ...]
-    """Rows of ends of lanes."""
+    """Rows at which the contact point rests: both ends of every lane."""
 
     def __len__(self) -> int:
         return len(self.points)
 
     def part(self, run: slice) -> ContactPath:
-        """The samples of a run, which rests at its own ends."""
+        """The samples of a run, with stops at its ends."""
         inner = [k - run.start for k in self.stops if run.start < k < run.stop - 1]
         stops = (0, *inner, run.stop - run.start - 1)
         return ContactPath(self.points[run], self.normals[run], stops)
 
 
-def joined(
-    setup: ContactRig, pieces: list[Piece], spacing: float, step: float
+def contact_paths(
+    rig: ContactRig, pieces: list[Piece], spacing: float, step: float
 ) -> list[ContactPath]:
-    """The pieces strung together, each next one the nearest, over hops where these are short."""
-    left, ways = list(pieces), []
+    """Join the pieces, each to the nearest one left, by slides where these are short and feasible.
+
+    spacing: of the lanes, m; step: between samples of a slide, m.
+    """
+    remaining, paths = list(pieces), []
     legs: list[Piece] = []
-    while left:
-        here = legs[-1].points[-1] if legs else left[0].points[0]
-        ends = np.array([[p.points[0], p.points[-1]] for p in left])
+    while remaining:
+        here = legs[-1].points[-1] if legs else remaining[0].points[0]
+        ends = np.array([[p.points[0], p.points[-1]] for p in remaining])
         gap = np.linalg.norm(ends - here, axis=2)
         k, end = np.unravel_index(int(np.argmin(gap)), gap.shape)
-        piece = left.pop(int(k))
+        piece = remaining.pop(int(k))
         piece = piece.reverse if end else piece
         if legs:
-            hop = _hop(setup, here, piece.points[0], step) if gap[k, end] < HOP * spacing else None
-            if hop is None:
-                ways.append(_way(legs))
+            near = gap[k, end] < LONGEST_LINK * spacing
+            link = _link(rig, here, piece.points[0], step) if near else None
+            if link is None:
+                paths.append(_concatenated(legs))
                 legs = []
             else:
-                legs.append(hop)
+                legs.append(link)
         legs.append(piece)
-    return [*ways, _way(legs)] if legs else []
+    return [*paths, _concatenated(legs)] if legs else []
 
 
-def _hop(setup: ContactRig, start: Array, end: Array, step: float) -> Piece | None:
-    """The straight way over the surface, or None where the indenter does not fit on it."""
+def _link(rig: ContactRig, start: Array, end: Array, step: float) -> Piece | None:
+    """The straight slide over the surface, or None where the indenter does not fit along it."""
     count = max(int(np.ceil(np.linalg.norm(end - start) / step)), 1)
-    part = np.linspace(0.0, 1.0, count + 1)[:, None]
-    hit = setup.body.closest((1 - part) * start + part * end)
-    why = setup.fits(hit.point, hit.normal)
-    return None if (why != "").any() else Piece(hit.point, hit.normal)
+    s = np.linspace(0.0, 1.0, count + 1)[:, None]
+    hit = rig.body.closest((1 - s) * start + s * end)
+    reason = rig.contact_reasons(hit.point, hit.normal)
+    return None if (reason != "").any() else Piece(hit.point, hit.normal)
 
 
-def _way(legs: list[Piece]) -> ContactPath:
-    """Legs that meet at their ends as one way."""
+def _concatenated(legs: list[Piece]) -> ContactPath:
+    """Pieces that meet at their ends as one contact path."""
     parts = [legs[0], *(leg[1:] for leg in legs[1:])]
     stops = np.cumsum([len(part) for part in parts]) - 1
     return ContactPath(

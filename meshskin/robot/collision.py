@@ -54,7 +54,9 @@ ARM_SUPPORT = "collision: the arm meets the indenter's support"
 ARM_BODY = "collision: the arm meets the body"
 
 
-def fits(body: Body, points: Array, normals: Array, indenter: Indenter, depth: float) -> Array:
+def contact_reasons(
+    body: Body, points: Array, normals: Array, indenter: Indenter, depth: float
+) -> Array:
     """Why the indenter cannot be pressed `depth` (m) in at `points` (k, 3): strings, "" where it
     can. normals (k, 3): outward; the support stands along them, as they face straight against it.
 
@@ -74,7 +76,7 @@ def fits(body: Body, points: Array, normals: Array, indenter: Indenter, depth: f
     return reason
 
 
-def edges(body: Body, spacing: float) -> Array:
+def edge_points(body: Body, spacing: float) -> Array:
     """Points (k, 3), at most `spacing` apart, on the body's edges and borders, body frame, m.
 
     An edge is where the smooth surface's normal jumps; where only its curvature does is none.
@@ -106,13 +108,13 @@ def _along(corner: NDArray[np.intp], part: float) -> Array:
     return weight[:, 1:]
 
 
-def on_edges(points: Array, brink: Array, patch: float) -> NDArray[np.bool_]:
-    """Which contact points (k, 3) have one of the points `brink` (e, 3) within `patch`, m."""
+def near_points(points: Array, others: Array, radius: float) -> NDArray[np.bool_]:
+    """Which points (k, 3) have one of the `others` (e, 3) within `radius`, m."""
     from scipy.spatial import cKDTree
 
-    if not len(brink) or not len(points):
+    if not len(others) or not len(points):
         return np.zeros(len(points), dtype=bool)
-    return np.asarray(cKDTree(brink).query(points)[0] < patch)
+    return np.asarray(cKDTree(others).query(points)[0] < radius)
 
 
 def column(indenter: Indenter) -> Array:

@@ -1,80 +1,137 @@
-"""The rig of an exploration: the arm with the body on it, and the indenter under it."""
+"""The contact rig: the arm with the body on its tip, and the fixed indenter under it.
+
+It says where the indenter can be pressed in, and which poses of the body and which postures of the
+arm bring a contact point onto the indenter.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from ..contact.indenter import Indenter
-from ..core.se3 import Array, orthonormal_basis, transform
+from ..core.se3 import Array, inverse, orthonormal_basis, transform
 from ..geometry.body import Body
-from . import collision
+from ..geometry.geodesics import rotate_about, transport_along
+from . import collision, posture
 from .arm import Arm
+
+SITES = 10
+"""Sites of a skin at which all postures are sought. Chosen: ten, far apart, sample a body's sides;
+their postures only serve to bound what effects of the joints can do."""
 
 
 @dataclass(frozen=True)
 class ContactRig:
-    """What explores: the arm with the body, and the indenter under it."""
+    """An arm with a body over a fixed indenter."""
 
     body: Body
     indenter: Indenter
     depth: float
-    """Depth to which the indenter is pressed in, m."""
-    reach: float
-    """Distance along the surface at which a contact is felt, m."""
+    """Indentation depth, m."""
+    sensing_radius: float
+    """Distance along the surface up to which a taxel feels a contact, m."""
     arm: Arm | None = None
-    """None: the body moves freely, without an arm."""
-    mount: Array | None = None
+    """None: the body moves without an arm."""
+    mount: Array = field(default_factory=lambda: np.eye(4))
     """T_tip_body (4, 4)."""
-    patch: float = 0.0
-    """Longer semi-axis of the contact patch, m: no edge may be nearer than that."""
-    holds: Callable[[Array], Array] | None = None
-    """Principal curvatures (k, 2), 1/m -> why the contact model does not hold there: strings, ""
+    patch_radius: float = 0.0
+    """Longer semi-axis of the contact patch, m: edges must be farther from a contact than that."""
+    model_reasons: Callable[[Array], Array] | None = None
+    """Principal curvatures (k, 2), 1/m -> reason (k,) why the contact model does not hold there, ""
     where it does. None: it always does."""
 
     @cached_property
-    def brink(self) -> Array:
+    def edge_points(self) -> Array:
         """Points (k, 3) on the body's edges."""
-        return collision.edges(self.body, 0.2 * self.patch) if self.patch else np.zeros((0, 3))
+        if not self.patch_radius:
+            return np.zeros((0, 3))
+        return collision.edge_points(self.body, 0.2 * self.patch_radius)
 
     @cached_property
     def mounted(self) -> collision.Mounted | None:
-        """What of the arm is not judged against the body; None: no arm."""
-        if self.arm is None or self.mount is None:
+        """The parts of the arm that are not checked against the body; None: no arm."""
+        if self.arm is None:
             return None
         return collision.mounted(self.arm, self.body, self.mount)
 
-    def fits(self, points: Array, normals: Array) -> Array:
-        """Why the indenter cannot be pressed in at points (k, 3): see `clear.fits`, and `holds`."""
-        why = collision.fits(self.body, points, normals, self.indenter, self.depth)
-        why[(why == "") & collision.on_edges(points, self.brink, self.patch)] = collision.EDGE
-        free = np.flatnonzero(why == "")
-        if self.holds is not None and len(free):
-            why[free] = self.holds(self.body.closest(points[free]).curvature)
-        return why
+    def contact_reasons(self, points: Array, normals: Array) -> Array:
+        """Reason (k,) why the indenter cannot be pressed in at points (k, 3), "" where it can.
 
-    @property
-    def gap(self) -> float:
-        """Height of the indenter's centre over the contact point, m."""
-        return self.indenter.radius - self.depth
-
-    def tips(self, points: Array, normals: Array) -> Array:
-        """The indenter's centre (..., 3), body frame, when it is pressed in at contact points."""
-        return np.asarray(points + self.gap * normals)
-
-    def poses(self, tips: Array, normals: Array, headings: Array) -> Array:
-        """T_w_b (..., 4, 4) with the normals (..., 3) straight against the indenter.
-
-        tips (..., 3): where the indenter's centre is in the body frame;
-        headings (..., 3): unit tangents that come to lie along x of the indenter's frame.
+        It does not fit, an edge is within the contact patch, or the contact model does not hold.
         """
-        tips, normals, headings = np.broadcast_arrays(tips, normals, headings)
+        reason = collision.contact_reasons(self.body, points, normals, self.indenter, self.depth)
+        on_edge = collision.near_points(points, self.edge_points, self.patch_radius)
+        reason[(reason == "") & on_edge] = collision.EDGE
+        free = np.flatnonzero(reason == "")
+        if self.model_reasons is not None and len(free):
+            reason[free] = self.model_reasons(self.body.closest(points[free]).curvature)
+        return reason
+
+    def indenter_centres(self, points: Array, normals: Array) -> Array:
+        """The indenter's centre (..., 3), body frame, pressed in at contact points (..., 3)."""
+        return np.asarray(points + (self.indenter.radius - self.depth) * normals)
+
+    def lifted(self, pose: Array, height: float) -> Array:
+        """A contact pose T_w_b (4, 4), lifted until the gap to the indenter is `height`, m."""
+        lifted = pose.copy()
+        lifted[:3, 3] += (height + self.depth) * self.indenter.axis
+        return lifted
+
+    def poses(self, centres: Array, normals: Array, headings: Array) -> Array:
+        """T_w_b (..., 4, 4) with the normals (..., 3) opposite to the indenter's direction.
+
+        centres (..., 3): the indenter's centre in the body frame; headings (..., 3): unit tangents
+        that are brought onto x of the indenter's frame.
+        """
+        centres, normals, headings = np.broadcast_arrays(centres, normals, headings)
         down, x = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0])
         local = orthonormal_basis(normals, headings)
-        held = self.indenter.rotation @ orthonormal_basis(down, x)
-        rotation = held @ np.swapaxes(local, -1, -2)
-        place = np.array(self.indenter.position) - np.einsum("...ij,...j->...i", rotation, tips)
-        return np.asarray(transform(rotation, place))
+        goal = self.indenter.rotation @ orthonormal_basis(down, x)
+        rotation = goal @ np.swapaxes(local, -1, -2)
+        position = np.array(self.indenter.position) - np.einsum(
+            "...ij,...j->...i", rotation, centres
+        )
+        return np.asarray(transform(rotation, position))
+
+    def contact_poses(self, points: Array, normals: Array, headings: Array) -> Array:
+        """T_w_b (..., 4, 4) with the indenter pressed in at contact points (..., 3)."""
+        return self.poses(self.indenter_centres(points, normals), normals, headings)
+
+    def spin_poses(self, points: Array, normals: Array, tangents: Array) -> Array:
+        """T_w_b (m, s, 4, 4) at contact points (m, 3), for s spins about the normals.
+
+        tangents (m, 3): the headings at spin 0.
+        """
+        points, normals, tangents = points[:, None], normals[:, None], tangents[:, None]
+        spins = posture.SPIN_STEP * np.arange(posture.SPINS, dtype=float)
+        return self.contact_poses(points, normals, rotate_about(normals, tangents, spins))
+
+    def postures(self, sites: Array) -> Array:
+        """Joint angles (k, n) with which the arm presses sites (m, 3), body frame, on the indenter.
+
+        At ten of the sites, far apart, in all spins and postures within the joint limits, whatever
+        path is planned. The rig must have an arm.
+        """
+        assert self.arm is not None
+        hit = self.body.closest(sites[farthest_points(sites, SITES)])
+        tangents = np.stack([transport_along(normal[None])[0] for normal in hit.normal])
+        poses = self.spin_poses(hit.point, hit.normal, tangents)
+        nodes = posture.solve_nodes(self.arm, poses @ inverse(self.mount), stretch=1)
+        return nodes.q[nodes.within_limits]
+
+
+def farthest_points(points: Array, count: int) -> np.ndarray:
+    """Rows of at most `count` of the points (m, 3), each farthest from those before it.
+
+    Source: Gonzalez, "Clustering to minimize the maximum intercluster distance" (1985).
+    """
+    rows = [0]
+    gap = np.linalg.norm(points - points[0], axis=1)
+    while len(rows) < count and gap.max() > 0:
+        rows.append(int(gap.argmax()))
+        gap = np.minimum(gap, np.linalg.norm(points - points[rows[-1]], axis=1))
+    return np.array(rows)

@@ -23,6 +23,8 @@ from .inverse_kinematics import TOLERANCE, flat, unwound
 
 SPINS = 24
 """Spins about the normal that are tried at every sample."""
+SPIN_STEP = 2 * np.pi / SPINS
+"""Angle from spin to spin, rad."""
 ANCHORED = 4
 """Every so many spins are solved from random starts; the others are followed from these."""
 STRETCH = 25
@@ -33,7 +35,7 @@ POSTURES = 8
 """Most postures kept for a pose (whole turns apart)."""
 ROUNDS, FOLLOWING = 40, 5
 """Newton steps from a random start, and from a neighbour."""
-SPARE = 0.03
+MIN_MARGIN = 0.03
 """Distance that is kept from every joint limit, rad."""
 NEAR = 0.3
 """Distance from a joint limit below which a posture costs, rad."""
@@ -51,18 +53,22 @@ class Nodes:
     """(m, s, b, n), rad."""
     solved: NDArray[np.bool_]
     """(m, s, b): the pose is reached."""
-    spare: Array
+    margin: Array
     """(m, s, b) distance to the nearest joint limit, rad; negative beyond it."""
-    limit: NDArray[np.intp]
+    joint: NDArray[np.intp]
     """(m, s, b) the joint nearest to its limit."""
 
     @property
-    def good(self) -> NDArray[np.bool_]:
-        """Reached within the joint limits."""
-        return np.asarray(self.solved & (self.spare >= SPARE))
+    def within_limits(self) -> NDArray[np.bool_]:
+        """(m, s, b): the pose is reached within the joint limits."""
+        return np.asarray(self.solved & (self.margin >= MIN_MARGIN))
+
+    def take(self, rows: NDArray[np.intp]) -> Nodes:
+        """The nodes of some samples."""
+        return Nodes(self.q[rows], self.solved[rows], self.margin[rows], self.joint[rows])
 
 
-def nodes(arm: Arm, targets: Array, stretch: int = STRETCH, seed: int = 0) -> Nodes:
+def solve_nodes(arm: Arm, targets: Array, stretch: int = STRETCH, seed: int = 0) -> Nodes:
     """The postures for poses T_w_tip `targets` (m, s, 4, 4).
 
     Every `stretch`-th sample is solved from random starts, the others from their neighbours, which
@@ -175,13 +181,15 @@ class Choice:
     """(m,) True where the chain begins anew."""
 
 
-def choose(arm: Arm, found: Nodes, usable: NDArray[np.bool_], starts: NDArray[np.bool_]) -> Choice:
+def cheapest_chain(
+    arm: Arm, found: Nodes, usable: NDArray[np.bool_], starts: NDArray[np.bool_]
+) -> Choice:
     """The cheapest chain over nodes that are `usable` (m, s, b), at least one a sample.
 
     starts (m,): samples that begin anew whatever came before.
     """
     q, spins = found.q, found.q.shape[1]
-    price = NEAR_PRICE * np.maximum(0.0, 1.0 - found.spare / NEAR) ** 2
+    price = NEAR_PRICE * np.maximum(0.0, 1.0 - found.margin / NEAR) ** 2
     q, price = _packed(q, np.where(usable, price, np.inf))
     turning, width = endless(arm), price.shape[2]
     cost = price[0]
@@ -248,7 +256,7 @@ def _trace(q: Array, cost: Array, parents: NDArray[np.intp], fresh: NDArray[np.b
     return Choice(q[np.arange(count), s, b], spin, breaks)
 
 
-def nearest(
+def nearest_postures(
     found: Nodes, usable: NDArray[np.bool_], rows: NDArray[np.intp]
 ) -> tuple[NDArray[np.intp], Array]:
     """Spins (k,) and joint angles (k, n) at some samples, each near the one before and off limits.
@@ -256,7 +264,7 @@ def nearest(
     The joints may move in the air between them, so that nothing need follow on.
     """
     spins, joints = np.empty(len(rows), dtype=np.intp), np.empty((len(rows), found.q.shape[-1]))
-    price = np.where(usable, np.maximum(0.0, 1.0 - found.spare / NEAR) ** 2, np.inf)
+    price = np.where(usable, np.maximum(0.0, 1.0 - found.margin / NEAR) ** 2, np.inf)
     for k, row in enumerate(rows):
         cost = price[row]
         if k:

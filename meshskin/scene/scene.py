@@ -6,7 +6,7 @@ which is what `calibrate` gets: no taxel's pose is in it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -23,7 +23,6 @@ from ..core.errors import ConfigError, SkinError
 from ..core.se3 import Array, is_rigid, orthonormal_basis, perpendicular, transform
 from ..effects import Context, NoiseEffect
 from ..geometry.body import Body
-from ..robot import contact_postures
 from ..robot.arm import Arm
 from ..robot.contact_rig import ContactRig
 from ..skin import slots
@@ -226,10 +225,27 @@ class Scene:
         """Configurations (k, n) in which the arm may hold the skin on the indenter."""
         if self.loop.mode != "arm":
             return np.zeros((0, 0))
-        setup = ContactRig(
-            self.body, self.indenter, self.patch.depth, 0.0, self.arm, self.mount_pose
+        return self.rig.postures(self.skin.positions)
+
+    @cached_property
+    def rig(self) -> ContactRig:
+        """The arm with the body over the indenter, at the contact patch of the reference force."""
+        return self.rig_of(self.patch, self.invalid_reasons)
+
+    def rig_of(
+        self, patch: Patch, model_reasons: Callable[[Array], Array] | None = None
+    ) -> ContactRig:
+        """The contact rig at another contact patch; model_reasons: as in ContactRig."""
+        return ContactRig(
+            self.body,
+            self.indenter,
+            depth=patch.depth,
+            sensing_radius=float(patch.semi_axes[-1]) + self.skin.disc_radius,
+            arm=self.arm if self.loop.mode == "arm" else None,
+            mount=self.mount_pose,
+            patch_radius=float(patch.semi_axes[0]),
+            model_reasons=model_reasons,
         )
-        return contact_postures.postures(setup, self.skin.positions)
 
     @property
     def frame_steps(self) -> int:

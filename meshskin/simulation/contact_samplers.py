@@ -13,9 +13,8 @@ import pyarrow as pa
 
 from ..core.errors import CalibrationError, ReachError
 from ..core.se3 import Array
-from ..exploration.explore import setup_of
 from ..exploration.path import Path
-from ..exploration.point_contacts import tour, visits
+from ..exploration.point_contacts import nearest_neighbour_order, point_contacts
 from ..recording.recording import Recording
 from ..scene.scene import Scene
 from .readout import effect_chain
@@ -42,7 +41,7 @@ def pressed(scene: Scene, seed: int) -> Touch:
 
     def touch(points: Array) -> tuple[Recording, Array]:
         hit = scene.body.closest(points)
-        why = setup_of(scene).fits(hit.point, hit.normal)
+        why = scene.rig.contact_reasons(hit.point, hit.normal)
         good = why == ""
         _require_one(why)
         recording = press(scene, points[good], chain=chain)
@@ -57,13 +56,13 @@ def touched(scene: Scene, seed: int) -> Touch:
     chain = effect_chain(scene, seed)
 
     def touch(points: Array) -> tuple[Recording, Array]:
-        order = tour(points)
+        order = nearest_neighbour_order(points)
         dwell = max(round(DWELL / scene.loop.dt), scene.frame_steps)
-        found, reasons = visits(setup_of(scene), points[order], dwell, scene.loop.dt)
+        found, reasons = point_contacts(scene.rig, points[order], dwell, scene.loop.dt)
         why = np.empty_like(reasons)
         why[order] = reasons
         _require_one(why)
-        recording = simulate(scene, path=Path.joined(found), chain=chain)
+        recording = simulate(scene, path=Path.concatenate(found), chain=chain)
         chain.start_next_run(APART)
         return last_of_each(recording), why
 

@@ -15,8 +15,9 @@ from ..core.arguments import check_type
 from ..core.errors import ConfigError, SkinError
 from ..core.provenance import provenance
 from ..core.se3 import Array, inverse
-from ..exploration import path as paths
-from ..exploration.explore import route, setup_of, start_of
+from ..exploration.path import Path as ExplorationPath
+from ..exploration.path import start_configuration
+from ..exploration.plan import plan_exploration
 from ..recording.recording import Recording, RecordingWriter
 from ..robot.arm import Arm
 from ..scene.scene import Scene
@@ -41,7 +42,7 @@ def simulate(
     scene: Scene,
     seed: int = 0,
     *,
-    path: paths.Path | None = None,
+    path: ExplorationPath | None = None,
     out: str | Path | None = None,
     progress: Progress | None = None,
     chain: effects.EffectPipeline | None = None,
@@ -80,8 +81,8 @@ def simulate(
 
 
 def prepare(
-    scene: Scene, taxels: Array | None = None, path: paths.Path | None = None
-) -> tuple[Simulator, paths.Path]:
+    scene: Scene, taxels: Array | None = None, path: ExplorationPath | None = None
+) -> tuple[Simulator, ExplorationPath]:
     """The machine at the start of the scene's exploration, and the path that it will follow.
 
     taxels (n, 3): read these at every step; path: follow this one instead. Raises ReachError if
@@ -91,7 +92,8 @@ def prepare(
     quasi_static = scene.loop.mode == "quasi_static"
     _check(scene, path)
     loop = closed_loop(scene)
-    path, start = route(scene) if path is None else (path, start_of(scene, path))
+    path = plan_exploration(scene).path if path is None else path
+    start = start_configuration(scene, path)
     if quasi_static:
         start, rest = body_state(start), body_state(path.poses[0])
     else:
@@ -111,8 +113,8 @@ def prepare(
     return machine, path
 
 
-def _check(scene: Scene, path: paths.Path | None) -> None:
-    if path is not None and not isinstance(path, paths.Path):
+def _check(scene: Scene, path: ExplorationPath | None) -> None:
+    if path is not None and not isinstance(path, ExplorationPath):
         raise ConfigError("what is to be followed is no path", value=type(path).__name__,
                           remedy="of a plan give plan.path")  # fmt: skip
     if path is not None and abs(path.dt - scene.loop.dt) > 1e-6 * scene.loop.dt:
@@ -123,7 +125,7 @@ def _check(scene: Scene, path: paths.Path | None) -> None:
             remedy="plan it with dt=scene.loop.dt",
         )
     off = float(np.abs(scene.body.closest(scene.skin.positions).distance).min())
-    if off > (reach := setup_of(scene).reach):
+    if off > (reach := scene.rig.sensing_radius):
         raise SkinError(
             "the skin lies off the body: no contact would be felt",
             value=f"{1e3 * off:.3g} mm at the nearest taxel",
@@ -183,10 +185,10 @@ def _metadata(scene: Scene, seed: int) -> dict[str, Any]:
 
 
 def run(
-    scene: Scene, machine: Simulator, path: paths.Path, progress: Progress | None = None
+    scene: Scene, machine: Simulator, path: ExplorationPath, progress: Progress | None = None
 ) -> Iterator[Steps]:
     """Run the closed loop over the path. Yields the steps as they come."""
-    tracks = [Track.of(place, scene.body.surface) for place in path.places]
+    tracks = [Track.of(segment, scene.body.surface) for segment in path.segments]
     way = scene.exploration
     manner = PhaseSettings(way.standoff, way.settle, way.approach_ramp)
     explorer = ExplorationStateMachine(machine, tracks, manner, path.postures)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.se3 import Array, transform
-from ..exploration.path import Path, twists
+from ..exploration.path import Path, body_twists
 from ..geometry.surface.surface import Surface
 
 STAY = np.eye(2, 3).T.ravel()
@@ -43,7 +43,7 @@ class Track:
     def through(cls, poses: Array, dt: float, face: int) -> Track:
         """A way of the body through poses T_w_b (k, 4, 4), one a step, over one face."""
         path = Path(
-            dt, poses[:, :3, 3], poses[:, :3, 2], poses, twists(poses, dt), np.zeros(0, int)
+            dt, poses[:, :3, 3], poses[:, :3, 2], poses, body_twists(poses, dt), np.zeros(0, int)
         )
         count = len(poses)
         return cls(path.references, np.full(count, face), np.tile(STAY, (count, 1)))

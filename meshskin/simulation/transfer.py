@@ -14,7 +14,7 @@ import numpy as np
 from ..core.content_cache import cached_by_content
 from ..core.errors import ReachError
 from ..core.se3 import Array
-from ..exploration.path import timed
+from ..exploration.path import time_scaling
 from ..geometry.body import Body
 from ..geometry.surface.closest_point import Closest
 from ..robot.arm import Arm
@@ -67,7 +67,7 @@ def way(loop: ClosedLoopModel, body: Body, start: Array, goal: Array) -> Array:
         look = line(np.linspace(0.0, seconds[-1], LOOKS))
         within = (look >= arm.lower).all() and (look <= arm.upper).all()
         if within and clearance(loop, body, look) > loop.indenter_radius + min(GAP, height + 1e-4):
-            return np.asarray(line(timed(seconds[-1], RAMP, loop.dt) * seconds[-1]))
+            return np.asarray(line(time_scaling(seconds[-1], RAMP, loop.dt) * seconds[-1]))
     raise ReachError(
         f"{arm.name} cannot get over the indenter from one posture to the next",
         value=f"joint angles {start.round(3).tolist()} to {goal.round(3).tolist()} rad",

@@ -21,8 +21,7 @@ from ..contact.indenter import Indenter
 from ..core.arguments import check_vector
 from ..core.errors import ReachError, TuningError
 from ..core.se3 import Array, inverse, orthonormal_basis, transform
-from ..exploration.explore import above
-from ..exploration.path import Path, twists
+from ..exploration.path import Path, body_twists
 from ..geometry.body import Body
 from ..geometry.geodesics import geodesic
 from ..geometry.surface import patch as patches
@@ -95,7 +94,8 @@ class Manoeuvre:
         poses = transform(rotation, rows[:, 3:6])
         hit = body.closest(rows[:, :3])
         held = None if self.posture is None else self.posture[None]
-        return Path(dt, hit.point, hit.normal, poses, twists(poses, dt), hit.face, postures=held)
+        twists = body_twists(poses, dt)
+        return Path(dt, hit.point, hit.normal, poses, twists, hit.face, postures=held)
 
 
 def travelled(t: Any, speed: Any, ramp: Any, distance: Any) -> Any:
@@ -181,7 +181,7 @@ def _on_heading(
 
 def _posture(scene: Scene, poses: Array) -> tuple[Array | None, Array, float]:
     """Joint angles at the first pose and at the standoff over it; least distance from a limit."""
-    lifted = above(scene, poses[0])
+    lifted = scene.rig.lifted(poses[0], scene.exploration.standoff)
     if scene.loop.mode == "quasi_static":
         return None, lifted, 0.0
     arm, tip_body = scene.arm, inverse(scene.mount_pose)

@@ -1,4 +1,4 @@
-"""The path of a scene by its pattern: parallels as far as the arm turns them, lanes elsewhere."""
+"""Paths by pattern: parallels where the arm can follow them, lanes elsewhere; and `explore`."""
 
 from dataclasses import replace
 
@@ -8,7 +8,9 @@ import pytest
 import meshskin as ms
 from meshskin.core.errors import ConfigError, ReachError
 from meshskin.core.se3 import inverse
-from meshskin.exploration.explore import reachable_path, route
+from meshskin.exploration.parallels import reachable_parallels
+from meshskin.exploration.path import start_configuration
+from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap
 
 DOWN = Cap((0.0, 0.0, -1.0))
@@ -27,8 +29,9 @@ def capped(sphere, radius, count, spacing):
 )
 def test_a_small_cap_is_turned_within_the_joint_limits(sphere, radius, count, spacing):
     scene = capped(sphere, radius, count, spacing)
-    path, start = reachable_path(scene, scene.arm)
-    q = scene.arm.inverse_kinematics(path.poses[::10] @ inverse(scene.mount_pose), start)
+    path = reachable_parallels(scene)
+    tips = path.poses[::10] @ inverse(scene.mount_pose)
+    q = scene.arm.inverse_kinematics(tips, path.postures[0])
     assert (q > scene.arm.lower).all()
     assert (q < scene.arm.upper).all()
     assert np.ptp(q[:, 5]) > np.pi  # a full turn of the azimuth is the last joint's to make
@@ -36,12 +39,11 @@ def test_a_small_cap_is_turned_within_the_joint_limits(sphere, radius, count, sp
 
 def test_a_half_ball_is_explored_in_lanes_where_the_arm_cannot_turn_its_parallels(sphere):
     scene = capped(sphere, 0.02, 37, 6.5e-3)
-    path, _ = route(scene)
-    assert path.postures is not None
-    assert path.unreachable == {}
+    plan = plan_exploration(scene)
+    assert plan.unreachable == {}
     paths = replace(scene.exploration, pattern="parallels")
     with pytest.raises(ReachError, match=r"past its limit.*pattern lanes"):
-        route(scene.with_(exploration=paths))
+        plan_exploration(scene.with_(exploration=paths))
 
 
 @pytest.mark.parametrize(
@@ -50,11 +52,28 @@ def test_a_half_ball_is_explored_in_lanes_where_the_arm_cannot_turn_its_parallel
         ({"force": 0.0}, "force of an exploration is out of range, got 0 N, limit: above 0 N"),
         ({"dt": -1e-3}, "dt of an exploration is out of range, got -0.001 s, limit: above 0 s"),
         ({"frame": np.nan}, "frame of an exploration must be a finite number, got nan"),
-        ({"mount": np.eye(3)}, "no rigid transform"),
-        ({"mount": np.diag([1.0, 1.0, -1.0, 1.0])}, "no rigid transform"),
-        ({"mount": np.full((4, 4), np.nan)}, "no rigid transform"),
+        ({"mount": np.eye(3)}, "a mount is T_tip_body"),
+        ({"mount": np.diag([1.0, 1.0, -1.0, 1.0])}, "a mount is T_tip_body"),
+        ({"mount": np.full((4, 4), np.nan)}, "a mount is T_tip_body"),
     ],
 )
 def test_numbers_that_no_exploration_has_are_refused(sphere, wrong, message):
     with pytest.raises(ConfigError, match=message):
         ms.explore(sphere.body, DOWN, **({"arm": sphere.arm, "mount": np.eye(4)} | wrong))
+
+
+def test_the_plan_of_a_body_and_a_skin_is_followed_by_their_scene(sphere):
+    scene = ms.Scene(body=sphere.body, skin=sphere.skin)
+    plan = ms.explore(scene.body, scene.skin)
+    q = start_configuration(scene, plan.path)
+    pose = scene.body_pose(q[None])[0]
+    np.testing.assert_allclose(pose[:3, :3], plan.path.poses[0, :3, :3], atol=1e-9)
+    centre = np.linalg.solve(pose, [*scene.indenter.position, 1.0])[:3]
+    gap = scene.body.closest(centre[None]).distance[0] - scene.indenter.radius
+    assert gap == pytest.approx(scene.exploration.standoff, abs=1e-5)
+
+
+def test_a_plan_for_another_arm_is_refused(sphere):
+    plan = ms.explore(sphere.body, sphere.skin, mode="quasi_static")
+    with pytest.raises(ConfigError, match="another arm than the scene's, got no arm, limit: 6 j"):
+        start_configuration(sphere, plan.path)

@@ -9,8 +9,9 @@ from scipy.spatial import cKDTree
 import meshskin as ms
 from meshskin.core.errors import ReachError, UnknownNameError
 from meshskin.core.se3 import inverse
-from meshskin.exploration.explore import is_cap, planned
-from meshskin.exploration.plan import FAR, LIMIT
+from meshskin.exploration.lane_plan import LIMIT, OUT_OF_REACH
+from meshskin.exploration.parallels import is_cap
+from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap, HalfSpace
 from meshskin.robot import capsules, collision
 
@@ -31,7 +32,7 @@ def scene(request):
 
 @pytest.fixture(scope="module")
 def plan(scene):
-    return planned(scene)
+    return plan_exploration(scene)
 
 
 def test_the_plan_sees_every_taxel_of_the_shipped_bodies_within_all_limits(scene, plan):
@@ -69,12 +70,13 @@ def test_a_cap_of_a_sphere_keeps_the_parallels(sphere, scene):
 
 def test_a_region_without_taxels_and_a_body_without_an_arm():
     body = ms.Body.sphere(0.05)
-    plan = ms.explore(body, HalfSpace((0.0, 0.0, 1.0), 0.04), exploration=LANES)
+    region = HalfSpace((0.0, 0.0, 1.0), 0.04)
+    plan = ms.explore(body, region, exploration=LANES, mode="quasi_static")
     assert plan.unreachable == {}
     assert plan.path.postures is None
     assert len(plan.segments) == 1
-    wide = ms.explore(body, HalfSpace((0.0, 0.0, 1.0), 0.04),
-                      exploration=replace(LANES, contacts=20.0))  # fmt: skip
+    wide = ms.explore(body, region,
+                      exploration=replace(LANES, contacts=20.0), mode="quasi_static")  # fmt: skip
     assert wide.spacing > 1.2 * plan.spacing
     assert len(wide.path.points) < len(plan.path.points)
 
@@ -82,7 +84,9 @@ def test_a_region_without_taxels_and_a_body_without_an_arm():
 def test_lanes_lie_as_close_as_the_patch_asks():
     body, region = ms.Body.sphere(0.05), HalfSpace((0.0, 0.0, 1.0), 0.045)
     plain, small = (
-        ms.explore(body, region, indenter=ms.Indenter.sphere(radius), force=force)
+        ms.explore(
+            body, region, indenter=ms.Indenter.sphere(radius), force=force, mode="quasi_static"
+        )
         for radius, force in ((0.01, 3.0), (0.004, 1.0))
     )
     assert plain.spacing == pytest.approx(3.5e-3, rel=0.15)
@@ -92,15 +96,15 @@ def test_lanes_lie_as_close_as_the_patch_asks():
 
 def test_a_body_far_from_the_arm_is_out_of_reach(sphere):
     far = sphere.with_(exploration=LANES, indenter=ms.Indenter.sphere(0.01, (2.0, 0.0, 0.7)))
-    with pytest.raises(ReachError, match=f"nothing of the skin .*{FAR}.*80 taxels"):
-        planned(far)
+    with pytest.raises(ReachError, match=f"nothing of the skin .*{OUT_OF_REACH}.*80 taxels"):
+        plan_exploration(far)
 
 
 def test_a_joint_that_cannot_turn_enough_is_named(sphere):
     stiff = replace(sphere.arm, lower=sphere.arm.lower.copy(), upper=sphere.arm.upper.copy())
     stiff.lower[4], stiff.upper[4] = -0.05, 0.05
     with pytest.raises(ReachError, match=f"{LIMIT} of joint5"):
-        planned(sphere.with_(exploration=LANES, arm=stiff))
+        plan_exploration(sphere.with_(exploration=LANES, arm=stiff))
 
 
 def test_where_a_joint_ends_the_taxels_are_listed_and_the_rest_is_explored(sphere):
@@ -108,7 +112,7 @@ def test_where_a_joint_ends_the_taxels_are_listed_and_the_rest_is_explored(spher
     wide = ms.Skin.cover(sphere.body, count=24, spacing=16e-3, region=Cap((0.0, 0.0, -1.0)))
     arm.lower[4], arm.upper[4] = -1.2, -0.9
     scene = sphere.with_(exploration=LANES, arm=arm, skin=wide)
-    plan = planned(scene)
+    plan = plan_exploration(scene)
     assert 0 < len(plan.unreachable) < 24
     assert set(plan.unreachable.values()) == {f"{LIMIT} of joint5"}
     for q in angles(scene, plan):
@@ -123,17 +127,20 @@ def test_the_inside_of_a_narrow_ring_is_left_out_with_the_reason():
     outward = (skin.normals * radial).sum(axis=1) / np.linalg.norm(radial, axis=1)
     inside, outside = set(skin.ids[outward < -0.97]), set(skin.ids[outward > 0.0])
     assert len(inside) > 4
-    small = ms.explore(body, skin, indenter=ms.Indenter.sphere(0.005), force=1.0, exploration=LANES)
+    small = ms.explore(
+        body, skin, indenter=ms.Indenter.sphere(0.005), force=1.0, exploration=LANES,
+        mode="quasi_static",
+    )  # fmt: skip
     assert not outside & set(small.unreachable)
     assert {small.unreachable.get(k) for k in inside} == {collision.SUPPORT}  # the ring's far side
     large = ms.Indenter(radius=0.04, support_radius=1e-3, support_height=1e-3)
-    plan = ms.explore(body, skin, indenter=large, force=10.0)
+    plan = ms.explore(body, skin, indenter=large, force=10.0, mode="quasi_static")
     assert not outside & set(plan.unreachable)
     assert {plan.unreachable.get(k) for k in inside} == {collision.HOLLOW}
 
 
 def test_the_arm_keeps_off_the_support_and_the_body(sphere):
-    plan = planned(sphere.with_(exploration=LANES))
+    plan = plan_exploration(sphere.with_(exploration=LANES))
     q = np.concatenate(list(angles(sphere, plan)))[::20]
     poses = sphere.arm.pose(q) @ sphere.mount_pose
     held = collision.mounted(sphere.arm, sphere.body, sphere.mount_pose)

@@ -9,7 +9,7 @@ import pytest
 import meshskin as ms
 from meshskin.core.errors import ReachError
 from meshskin.core.se3 import inverse
-from meshskin.exploration.explore import planned
+from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap
 from meshskin.simulation import transfer
 from meshskin.simulation.simulate import closed_loop, prepare, run
@@ -38,7 +38,7 @@ def islands():
 def test_the_arm_lifts_off_takes_the_posture_of_the_next_place_and_touches_again(islands, indenter):
     scene = islands.with_(indenter=indenter, loop=replace(islands.loop, compile="never"))
     machine, path = prepare(scene)
-    assert len(path.places) == len(path.postures) == 2
+    assert len(path.segments) == len(path.postures) == 2
     found = list(run(scene, machine, path))
     order = [PHASES[phase] for phase, _ in groupby(found, key=lambda steps: steps.phase)]
     once = ["approach", "touch", "hold", "slide"]
@@ -56,12 +56,12 @@ def test_the_arm_lifts_off_takes_the_posture_of_the_next_place_and_touches_again
 
 def test_a_recording_says_what_its_exploration_left_out(islands):
     arm = replace(islands.arm, lower=islands.arm.lower.copy())
-    free = planned(islands)
+    free = plan_exploration(islands)
     poses = np.concatenate([place.poses[::40] for place in free.segments])
     bend = [islands.arm.solve(pose @ inverse(islands.mount_pose))[4] for pose in poses]
     arm.lower[4] = np.median(bend)
     scene = islands.with_(arm=arm, loop=replace(islands.loop, compile="never"))
-    plan = planned(scene)
+    plan = plan_exploration(scene)
     recording = ms.simulate(scene, 1)
     assert recording.metadata["unreachable"] == {str(k): w for k, w in plan.unreachable.items()}
     assert set(recording.reading_taxel) >= set(scene.skin.ids) - set(plan.unreachable)
@@ -70,7 +70,7 @@ def test_a_recording_says_what_its_exploration_left_out(islands):
 def test_a_joint_that_cannot_go_on_breaks_the_lane_instead():
     whole = ms.Scene.load("capsule")
     skin = ms.Skin.cover(whole.body, count=30, spacing=5e-3, region=Cap((1.0, 0.0, 0.0)))
-    free = planned(whole.with_(skin=skin))
+    free = plan_exploration(whole.with_(skin=skin))
     assert len(free.segments) == 1
     poses = free.path.poses[::20] @ inverse(whole.mount_pose)
     q = whole.arm.inverse_kinematics(poses, free.path.postures[0])
@@ -81,7 +81,7 @@ def test_a_joint_that_cannot_go_on_breaks_the_lane_instead():
         arm = replace(whole.arm, upper=whole.arm.upper.copy())
         arm.upper[joint] = middle
         try:
-            plan = planned(whole.with_(skin=skin, arm=arm))
+            plan = plan_exploration(whole.with_(skin=skin, arm=arm))
         except ReachError:
             continue
         broken += len(plan.segments) > 1 or bool(plan.unreachable)
@@ -95,7 +95,7 @@ def test_a_joint_that_cannot_go_on_breaks_the_lane_instead():
 def test_the_way_between_postures_keeps_off_the_indenter(islands, indenter):
     islands = islands.with_(indenter=indenter)
     arm, mount = islands.arm, islands.mount_pose
-    plan = planned(islands)
+    plan = plan_exploration(islands)
     loop = closed_loop(islands)
     lifted = []
     for segment, seed in zip(plan.segments, plan.path.postures, strict=True):

@@ -44,7 +44,7 @@ def test_nodes_reach_their_poses_from_every_anchor(sphere):
     q[..., 1] += way[:, None]
     q[..., 5] += angle
     targets = arm.pose(q)
-    found = posture.nodes(arm, targets, stretch=5)
+    found = posture.solve_nodes(arm, targets, stretch=5)
     assert found.solved.any(axis=2).all()
     at = np.nonzero(found.solved)
     np.testing.assert_allclose(arm.pose(found.q[at]), targets[at[:2]], atol=1e-9)
@@ -59,14 +59,14 @@ def test_the_chain_is_the_cheapest_of_all(seed):
     m, s, b = 4, 3, 3
     q = rng.uniform(-0.35, 0.35, (m, s, b, 2))
     q[..., 0] += 2 * np.pi * rng.integers(-1, 2, (m, s, b))
-    spare = rng.uniform(0.0, 0.5, (m, s, b))
+    margin = rng.uniform(0.0, 0.5, (m, s, b))
     usable = rng.random((m, s, b)) < 0.5
     usable[:, 0, 2] = True
     starts = np.arange(m) == (0 if seed % 2 else 2)
-    found = posture.Nodes(q, usable, spare, np.zeros((m, s, b), dtype=int))
+    found = posture.Nodes(q, usable, margin, np.zeros((m, s, b), dtype=int))
 
     def price(at):
-        near = np.maximum(0.0, 1.0 - spare[at] / posture.NEAR) ** 2
+        near = np.maximum(0.0, 1.0 - margin[at] / posture.NEAR) ** 2
         return posture.NEAR_PRICE * near
 
     def step(k, old, new):
@@ -84,7 +84,7 @@ def test_the_chain_is_the_cheapest_of_all(seed):
 
     nodes = [list(zip(*np.nonzero(usable[k]), strict=True)) for k in range(m)]
     best = min(product(*nodes), key=cost)
-    chosen = posture.choose(arm, found, usable, starts)
+    chosen = posture.cheapest_chain(arm, found, usable, starts)
     np.testing.assert_array_equal(chosen.q, [q[k][node] for k, node in enumerate(best)])
     breaks = [k == 0 or starts[k] or step(k, best[k - 1], best[k]) == 10.0 for k in range(m)]
     np.testing.assert_array_equal(chosen.breaks, breaks)

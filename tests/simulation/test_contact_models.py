@@ -9,7 +9,7 @@ import pytest
 import meshskin as ms
 from meshskin.contact import ContactModel
 from meshskin.core.errors import ContactError, UnknownNameError
-from meshskin.exploration.explore import planned
+from meshskin.exploration.plan import plan_exploration
 
 MODELS = [ContactModel(), ContactModel("elliptic"), ContactModel("layered", 0.47, 3e-3)]
 
@@ -71,7 +71,7 @@ def test_a_model_that_does_not_hold_is_refused_or_its_places_left_out():
     assert side[0].startswith("hertz contact does not hold: hertz is for circular patches")
     assert side[1] == ""
     assert (scene.with_(contact="elliptic").invalid_reasons(np.array([[33.3, 0.0]])) == "").all()
-    missing = planned(scene).unreachable
+    missing = plan_exploration(scene).unreachable
     side = np.abs(skin.positions[:, 2]) < 0.08
     assert 0 < len(missing) < len(skin.ids)
     assert set(skin.ids[side]) <= set(missing)

@@ -11,7 +11,7 @@ from meshskin.core import codegen
 from meshskin.core.errors import ConfigError, ReachError
 from meshskin.core.se3 import exp_so3, transform
 from meshskin.estimation.uncertainty import metrics
-from meshskin.exploration.explore import planned
+from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap
 from meshskin.robot import dynamics
 from meshskin.robot.arm import Arm
@@ -137,7 +137,7 @@ def test_at_rest_the_torques_carry_the_weight_and_the_contact(sphere, case):
 @pytest.mark.parametrize("mode", ["arm", "quasi_static"])
 def test_a_slanted_indenter_is_explored_by_lanes(ellipsoid, mode):
     scene = ellipsoid.with_(loop=replace(ellipsoid.loop, mode=mode))
-    plan = planned(scene)
+    plan = plan_exploration(scene)
     assert plan.unreachable == {}
     centre = np.einsum("kij,kj->ki", plan.path.poses[:, :3, :3], plan.path.points)
     centre = centre + plan.path.poses[:, :3, 3]

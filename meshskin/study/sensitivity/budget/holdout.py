@@ -13,7 +13,7 @@ from ....core.se3 import Array
 from ....effects import NoiseEffect
 from ....estimation.calibrate import calibrate
 from ....estimation.joint.newton import NEWTON_TOLERANCE
-from ..cost.numerics import held_route
+from ....exploration.plan import plan_exploration
 from .choose import size
 from .replay import Halves, Replay
 from .report import Check
@@ -72,7 +72,7 @@ class Holdout:
         begin = process_time()
         # a body of its own: fitting its surface counts
         fresh = scene.with_(body=replace(scene.body))
-        held_route(fresh)  # a run plans a path of its own
+        plan_exploration(fresh)  # a run plans a path of its own
         rehearsal = Replay.of(fresh, self.path)
         found = []
         for seed in self.seeds:

@@ -81,12 +81,12 @@ class Replay:
     def of(cls, scene: Scene, path: Path | None = None) -> Replay:
         """Run the first part of a scene's exploration, or of `path`. Raises as `simulate`."""
         if path is not None:
-            path = path.thinned(scene.loop.dt, scene.body)
+            path = path.resampled(scene.loop.dt, scene.body)
         machine, path = prepare(scene, path=path)
         taxels, step = max(len(scene.skin.ids), 1), scene.loop.dt
         longest = min(LONGEST, CELLS / taxels * scene.frame_steps * step)
         count = min(len(path.points), max(int(longest / step), 2))
-        steps = list(run(scene, machine, path.first(count)))
+        steps = list(run(scene, machine, path.truncated(count)))
         frames = contact_frames(scene, machine.loop, steps)
         whole = len(path.points) / scene.frame_steps
         return cls(scene, frames, whole, len(path.points), path.points, count)

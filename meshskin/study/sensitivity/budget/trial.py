@@ -11,7 +11,7 @@ import numpy as np
 
 from ....core.se3 import Array
 from ....effects import Effect
-from ..cost.numerics import held_route
+from ....exploration.plan import plan_exploration
 from .choose import Item, left_out, size
 from .knobs import Knob, finest_step, knobs
 from .replay import Replay
@@ -36,7 +36,7 @@ class Trial:
     ) -> None:
         self.scene, self.effects, self.budget = scene, effects, budget
         self.screened = screened(effects, scene.context(seeds[0]), budget)
-        self.path = held_route(finest_step(scene))
+        self.path = plan_exploration(finest_step(scene)).path
         """What all explore alike, so that it is not the exploration that differs."""
         run = Replay.of(scene, self.path)
         self.halves = run.halves()

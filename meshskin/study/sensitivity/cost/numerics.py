@@ -16,11 +16,10 @@ import numpy as np
 
 from .... import effects
 from ....core.errors import SimulationError
-from ....core.se3 import Array, inverse
+from ....core.se3 import Array
 from ....effects.frames import EffectClock
 from ....estimation.calibrate import calibrate
-from ....exploration.explore import route
-from ....exploration.path import Path
+from ....exploration.plan import plan_exploration
 from ....simulation.readout import contact_frames, effect_chain, recorded
 from ....simulation.simulate import prepare, run
 from ....simulation.state_machine import SLIDE
@@ -43,7 +42,7 @@ class Numerics:
     def __init__(self, scene: Scene, tolerance: float, compile_: str = "always") -> None:
         self.tolerance, self.compile = tolerance, compile_
         self.scene = self.bare(scene)
-        self.path = held_route(self.scene)
+        self.path = plan_exploration(self.scene).path
         self.frames = self.drive(self.scene)
         known = scene.belief().noise_sigma
         self.belief = scene.belief(noise_sigma=known or SIGMA * scene.patch.peak)
@@ -75,9 +74,9 @@ class Numerics:
             raise SimulationError(
                 "the step is no multiple of the reference's", value=f"{scene.loop.dt} s"
             )
-        whole = self.path if rows is None else self.path.places[0].first(rows)
-        path = whole.thinned(scene.loop.dt, scene.body)
-        lengths = [len(place.points) for place in path.places]
+        whole = self.path if rows is None else self.path.segments[0].truncated(rows)
+        path = whole.resampled(scene.loop.dt, scene.body)
+        lengths = [len(segment.points) for segment in path.segments]
         machine, _ = prepare(scene, path=path)
         steps = [part for part in run(scene, machine, path) if part.phase == SLIDE]
         ends = np.cumsum([len(part.time) for part in steps])
@@ -100,18 +99,6 @@ class Numerics:
         chain = effects.EffectPipeline((), lambda frames, poses: pressures, (), (), EffectClock())
         recording = recorded(self.scene, self.frames, chain)
         return calibrate(recording, self.belief, tolerance=self.tolerance).positions
-
-
-def held_route(scene: Scene) -> Path:
-    """The scene's path, with the arm's posture at its beginning, so that others can follow it.
-
-    Raises ReachError.
-    """
-    path, start = route(scene)
-    if scene.loop.mode != "arm" or path.postures is not None:
-        return path
-    tip = path.poses[:1] @ inverse(scene.mount_pose)
-    return replace(path, postures=scene.arm.inverse_kinematics(tip, start))
 
 
 def mean_mm(shift: Array) -> float:

@@ -20,7 +20,6 @@ from ....core.errors import CalibrationError, GraphError, StudyError
 from ....effects import NoiseEffect
 from ....estimation.calibrate import calibrate
 from ....estimation.uncertainty import metrics
-from ....exploration.explore import setup_of
 from ....recording.recording import Recording
 from ....simulation.contact_samplers import together
 from ....simulation.readout import contact_frames, effect_chain, recorded
@@ -64,7 +63,7 @@ def pilot(
     perf_counter and process_time when the run was begun. Raises what a run raises.
     """
     base = Setting.of(scene)
-    coarse = _coarse(base, setup_of(scene).reach)
+    coarse = _coarse(base, scene.rig.sensing_radius)
     small = coarse.scene(scene, scene.body)
     (machine, path), preparing = timed(lambda: prepare(small))
     steps, looping = timed(lambda: list(run(small, machine, path)))

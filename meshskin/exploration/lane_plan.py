@@ -1,0 +1,209 @@
+"""Plans over geodesic lanes: segments, postures, and reasons for the taxels that are left out."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import ReachError
+from ..core.se3 import Array, inverse
+from ..geometry.geodesics import transport_along
+from ..robot import collision, posture
+from ..robot.contact_rig import ContactRig
+from ..scene.scene import Scene
+from ..scene.settings import Exploration
+from ..skin.skin import Skin
+from .lanes import cover, runs, spacing_for
+from .path import Path, Plan
+from .timing import arm_path, free_path
+from .tour import ContactPath, contact_paths
+
+STEP = 3e-3
+"""Largest distance of samples along a lane, m: half a taxel's pitch of the finest skins."""
+SHORT = 3
+"""Fewest samples of a lane that are worth a segment: a spline needs as many."""
+ENOUGH = 4
+"""Fewest contacts near a taxel for it to count as covered: one more than trilateration needs."""
+NEAR, ASIDE = 0.9, 0.15
+"""How near a taxel contacts count for it, and how far they must spread off a line for it to be
+covered, both relative to the sensing radius."""
+
+OUT_OF_REACH = "out of the arm's reach"
+LIMIT = "joint limit"
+WINDING = "joint limit: a joint winds up"
+NOT_COVERED = "no contact passes near it"
+
+Blocked = tuple[Array, Array]
+"""Points (k, 3), body frame, and the reason (k,) why each cannot be touched, "" where it can."""
+
+
+def lane_plan(scene: Scene, rig: ContactRig) -> Plan:
+    """The exploration of a scene's taxels by geodesic lanes, with its contact rig.
+
+    Raises ReachError where nothing can be explored.
+    """
+    exploration, dt = scene.exploration, scene.loop.dt
+    sites, spacing = scene.skin.positions, exploration.lane_spacing
+    if exploration.contacts is not None:
+        pitch = exploration.speed * (scene.frame_steps * dt)
+        spacing = spacing_for(rig.sensing_radius, exploration.contacts, pitch)
+    step = min(STEP, 0.8 * spacing)
+    blocked: list[Blocked] = []
+    pieces = []
+    for piece in cover(rig.body, sites, spacing, region_radius(sites, exploration.margin), step):
+        reason = rig.contact_reasons(piece.points, piece.normals)
+        blocked.append((piece.points, reason))
+        pieces += [piece[run] for run in runs(reason == "") if run.stop - run.start >= SHORT]
+    paths = contact_paths(rig, pieces, spacing, step)
+    if rig.arm is None:
+        segments = [free_path(rig, path, exploration, dt) for path in paths]
+    else:
+        segments, unreached = _arm_segments(rig, paths, exploration, dt)
+        blocked += unreached
+    left_out = _left_out(scene.skin, rig.sensing_radius, segments, blocked)
+    if not segments:
+        reasons = Counter(left_out.values()).most_common(1)
+        raise ReachError(
+            f"nothing of the skin can be explored: {reasons[0][0] if reasons else NOT_COVERED}",
+            value=f"{len(sites)} taxels, the indenter at "
+            f"{tuple(round(float(x), 3) for x in rig.indenter.position)} m",
+            remedy="move indenter.position_m, change the mount, or use a smaller indenter",
+        )
+    notes = collision.links(rig.arm).notes if rig.arm else ()
+    notes += rig.mounted.notes if rig.mounted else ()
+    return Plan(replace(Path.concatenate(segments), unreachable=left_out), spacing, notes)
+
+
+def region_radius(sites: Array, margin: float) -> float:
+    """Distance from a taxel, m, within which the surface is explored.
+
+    The margin, but at least 0.75 of the taxels' pitch, so that the region has no gaps.
+    """
+    from scipy.spatial import cKDTree
+
+    if len(sites) < 2:
+        return margin
+    nearest = cKDTree(sites).query(sites, 2)[0][:, 1]
+    return max(margin, 0.75 * float(np.median(nearest)))
+
+
+def _arm_segments(
+    rig: ContactRig, paths: list[ContactPath], exploration: Exploration, dt: float
+) -> tuple[list[Path], list[Blocked]]:
+    """The segments along contact paths that the arm can follow, and what it cannot reach."""
+    arm = rig.arm
+    assert arm is not None
+    if not paths:
+        return [], []
+    points = np.concatenate([p.points for p in paths])
+    normals = np.concatenate([p.normals for p in paths])
+    tangents = np.concatenate([transport_along(p.normals) for p in paths])
+    first = np.cumsum([0, *(len(p) for p in paths)])
+    nodes, usable, reason = reachable_nodes(rig, points, normals, tangents)
+    blocked: list[Blocked] = [(points, reason)]
+    rows = np.flatnonzero(reason == "")
+    if not len(rows):
+        return [], blocked
+    starts = np.isin(rows, [*first[:-1], *(run.start for run in runs(reason == ""))])
+    chain = posture.cheapest_chain(arm, nodes.take(rows), usable[rows], starts)
+    segments: list[Path] = []
+    for begin, end in pairwise([*np.flatnonzero(chain.breaks), len(rows)]):
+        own = rows[begin:end]
+        k = int(np.searchsorted(first, own[0], side="right")) - 1
+        path = paths[k].part(slice(own[0] - first[k], own[-1] + 1 - first[k]))
+        spin = np.asarray(posture.SPIN_STEP * chain.spin[begin:end], dtype=float)
+        parts = _split(rig, path, tangents[own], spin, chain.q[begin:end], exploration, dt)
+        segments += parts
+        if not parts:
+            blocked.append((path.points, np.full(len(path), WINDING, dtype=object)))
+    return segments, blocked
+
+
+def _split(
+    rig: ContactRig, path: ContactPath, tangents: Array, spin: Array, q: Array,
+    exploration: Exploration, dt: float,
+) -> list[Path]:  # fmt: skip
+    """The segment along a contact path, in halves where an endless joint of the chain winds up."""
+    if len(path) < SHORT:
+        return []
+    try:
+        return [arm_path(rig, path, tangents, spin, q[0], exploration, dt)]
+    except ReachError:
+        middle = len(path) // 2
+    return [
+        segment
+        for half in (slice(0, middle), slice(middle, len(path)))
+        for segment in _split(
+            rig, path.part(half), tangents[half], spin[half], q[half], exploration, dt
+        )
+    ]
+
+
+def reachable_nodes(
+    rig: ContactRig,
+    points: Array,
+    normals: Array,
+    tangents: Array,
+    stretch: int = posture.STRETCH,
+) -> tuple[posture.Nodes, NDArray[np.bool_], Array]:
+    """Postures over all spins at contact points (m, 3), which of them (m, s, b) are free of
+    collisions, and the reason (m,) where none is ("" elsewhere).
+
+    tangents (m, 3): headings at spin 0; stretch: as in `posture.solve_nodes`.
+    """
+    arm = rig.arm
+    assert arm is not None
+    poses = rig.spin_poses(points, normals, tangents)
+    nodes = posture.solve_nodes(arm, poses @ inverse(rig.mount), stretch)
+    usable = nodes.within_limits.copy()
+    m, s, b = np.nonzero(usable)
+    hit = collision.arm_reasons(
+        arm, rig.body, nodes.q[m, s, b], poses[m, s], rig.indenter, rig.mounted
+    )
+    usable[m, s, b] = hit == ""
+    reason = np.full(len(usable), "", dtype=object)
+    for k in np.flatnonzero(~usable.any(axis=(1, 2))):
+        if not nodes.solved[k].any():
+            reason[k] = OUT_OF_REACH
+        elif not nodes.within_limits[k].any():
+            best = np.unravel_index(np.argmax(nodes.margin[k]), nodes.margin[k].shape)
+            reason[k] = f"{LIMIT} of {arm.joint_names[nodes.joint[k][best]]}"
+        else:
+            reason[k] = Counter(hit[m == k]).most_common(1)[0][0]
+    return nodes, usable, reason
+
+
+def _left_out(
+    skin: Skin, radius: float, segments: list[Path], blocked: list[Blocked]
+) -> dict[int, str]:
+    """The reason for each taxel, by id, that the segments do not cover.
+
+    It is the most frequent reason among the blocked points around the taxel.
+    """
+    from scipy.spatial import cKDTree
+
+    sites = skin.positions
+    covered = np.zeros(len(sites), dtype=bool)
+    if segments:
+        points = np.concatenate([s.points for s in segments])
+        pitch = max(float(np.linalg.norm(np.diff(points, axis=0), axis=1).mean()), 1e-9)
+        points = points[:: max(int(0.1 * radius / pitch), 1)]
+        for k, near in enumerate(cKDTree(points).query_ball_point(sites, NEAR * radius)):
+            if len(near) >= ENOUGH:
+                offset = points[near] - points[near].mean(axis=0)
+                spread = np.linalg.svd(offset, compute_uv=False) / np.sqrt(len(near))
+                covered[k] = spread[1] > ASIDE * radius
+    points = np.concatenate([np.zeros((0, 3)), *(points for points, _ in blocked)])
+    reasons = np.concatenate([np.zeros(0, dtype=object), *(reason for _, reason in blocked)])
+    points, reasons = points[reasons != ""], reasons[reasons != ""]
+    tree = cKDTree(points) if len(points) else None
+    out: dict[int, str] = {}
+    for row in np.flatnonzero(~covered):
+        around = tree.query_ball_point(sites[row], 1.5 * radius) if tree is not None else []
+        counts = Counter(reasons[around]) if around else {}
+        out[int(skin.ids[row])] = Counter(counts).most_common(1)[0][0] if counts else NOT_COVERED
+    return out
