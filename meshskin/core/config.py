@@ -41,6 +41,8 @@ UNITS: dict[str, dict[str, float]] = {
     "rad/s": {"rad_per_s": 1.0, "deg_per_s": math.pi / 180.0},
     "": {"": 1.0},
 }
+STANDARD_GRAVITY = 9.80665
+"""Standard acceleration of gravity, m/s^2 (3rd CGPM, 1901)."""
 
 
 def quantity(

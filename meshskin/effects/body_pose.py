@@ -1,6 +1,7 @@
-"""Error of the body's pose on the tip: what is recorded lies in another frame than the body's.
+"""Error of the body's pose on the tip: contacts are recorded in a displaced body frame.
 
-The indenter's centre is recorded at exp(w) x + t instead of x, and the contact is its foot there.
+The indenter's centre is recorded at exp(w) x + t instead of x; the recorded contact is the point of
+the body closest to it.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 
 from ..core.config import quantity
 from ..core.se3 import exp_so3
-from . import BaseEffect, Context, FrameTransform
+from .base import BaseEffect, Context, FrameTransform
 from .frames import Frames
 
 
@@ -21,24 +22,24 @@ class BodyPose(BaseEffect):
     """A rigid displacement of all recorded contacts."""
 
     translation: tuple[float, float, float] = quantity("m", (5e-4, 0.0, 0.0), least=-0.1, most=0.1)
-    """t, body frame."""
+    """Translation t, body frame."""
     rotation: tuple[float, float, float] = quantity("rad", (0.0, 0.0, 0.0), least=-4.0, most=4.0)
-    """Rotation vector w about the body's origin."""
+    """Rotation vector w about the origin of the body frame."""
 
     name: ClassVar[str] = "body_pose"
     stage: ClassVar[str] = "geometry"
     cost: ClassVar[float] = 3e-8
 
     def bound(self, context: Context) -> float:
-        """|t|, and |w| times the farthest taxel's distance, m."""
-        far = np.linalg.norm(context.skin.positions, axis=1).max() + context.indenter_radius
-        return float(np.linalg.norm(self.translation) + np.linalg.norm(self.rotation) * far)
+        """|t| plus |w| times the largest distance of a taxel from the origin, m."""
+        reach = np.linalg.norm(context.skin.positions, axis=1).max() + context.indenter_radius
+        return float(np.linalg.norm(self.translation) + np.linalg.norm(self.rotation) * reach)
 
     def build(self, context: Context) -> FrameTransform:
-        """A function without memory."""
-        turn = exp_so3(self.rotation)
+        """A stateless transform of the recorded centres."""
+        rotation = exp_so3(self.rotation)
 
         def displace(frames: Frames) -> Frames:
-            return frames.moved(frames.centres @ turn.T + self.translation)
+            return frames.with_centres(frames.centres @ rotation.T + self.translation)
 
         return displace

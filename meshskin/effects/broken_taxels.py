@@ -1,4 +1,4 @@
-"""Broken taxels: dead ones say nothing, stuck ones the same for ever."""
+"""Broken taxels: dead ones always read zero, stuck ones always read the same pressure."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ import numpy as np
 from ..core.config import quantity
 from ..core.errors import ConfigError
 from ..core.se3 import Array
-from . import BaseEffect, Context, PressureTransform
+from .base import BaseEffect, Context, PressureTransform
 from .frames import Frames
 
 
 @dataclass(frozen=True)
 class BrokenTaxels(BaseEffect):
-    """Some taxels, drawn by chance; their numbers are rounded to whole taxels."""
+    """Randomly chosen broken taxels; their numbers are rounded to integers."""
 
     dead: float = quantity("", 0.02, least=0.0, most=1.0)
-    """Part of the taxels that always read zero."""
+    """Fraction of the taxels that always read zero."""
     stuck: float = quantity("", 0.02, least=0.0, most=1.0)
-    """Part of the taxels that always read one level."""
+    """Fraction of the taxels that always read one level."""
     level_relative: float = quantity("", 0.5, least=0.0)
-    """That level, relative to p_0 at the reference force."""
+    """Level of the stuck taxels, relative to p_0 at the reference force."""
 
     name: ClassVar[str] = "broken_taxels"
     stage: ClassVar[str] = "transducer"
@@ -33,31 +33,33 @@ class BrokenTaxels(BaseEffect):
         super().__post_init__()
         if self.dead + self.stuck > 1.0:
             raise ConfigError(
-                "more taxels are broken than there are", value=self.dead + self.stuck, limit=1
+                "broken_taxels.dead + broken_taxels.stuck is out of range",
+                value=self.dead + self.stuck,
+                limit="at most 1",
             )
 
     def bound(self, context: Context) -> float:
-        """The skin's extent, m: a stuck taxel may be taken for anywhere; a dead one for nowhere."""
+        """The extent of the skin, m: a stuck taxel can be estimated to lie anywhere on it."""
         if not any(map(len, self.chosen(context))):
             return 0.0
         return float(np.linalg.norm(np.ptp(context.skin.positions, axis=0)))
 
     def chosen(self, context: Context) -> tuple[np.ndarray, np.ndarray]:
-        """Rows of the dead and of the stuck taxels."""
+        """Rows of the dead taxels and of the stuck taxels."""
         n = len(context.skin)
         order = context.stream(self.name).permutation(n)
         dead, broken = round(self.dead * n), min(round(self.dead * n) + round(self.stuck * n), n)
         return order[:dead], order[dead:broken]
 
     def build(self, context: Context) -> PressureTransform:
-        """A function without memory; the taxels are drawn here."""
+        """A stateless transform; the taxels are drawn here."""
         dead, stuck = self.chosen(context)
         level = self.level_relative * context.peak_pressure
 
-        def spoil(pressures: Array, frames: Frames) -> Array:
+        def replace_readings(pressures: Array, frames: Frames) -> Array:
             out = pressures.copy()
             out[:, dead] = 0.0
             out[:, stuck] = level
             return out
 
-        return spoil
+        return replace_readings

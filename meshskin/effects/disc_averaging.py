@@ -1,7 +1,4 @@
-"""Taxels that average the pressure over other discs than the skin says.
-
-A skin with discs of 1 um reads the pressure at its taxels' centres; this puts discs in their place.
-"""
+"""Taxels that average the pressure over discs of another radius than the skin's `disc_radius`."""
 
 from __future__ import annotations
 
@@ -11,27 +8,27 @@ from typing import ClassVar
 
 from ..contact.reading import ReadingModel
 from ..core.config import quantity
-from . import BaseEffect, Context
+from .base import BaseEffect, Context
 
 
 @dataclass(frozen=True)
 class DiscAveraging(BaseEffect):
-    """The radius of the discs over which the taxels truly average."""
+    """The true radius of the discs over which the taxels average."""
 
     radius: float = quantity("m", above=0.0, most=0.1)
-    """Of a taxel's disc."""
+    """Radius of a taxel's disc."""
 
     name: ClassVar[str] = "disc_averaging"
     stage: ClassVar[str] = "field"
     cost: ClassVar[float] = 1e-9
 
     def bound(self, context: Context) -> float:
-        """From the reading that the other disc changes most, m."""
-        return context.model_error_bound(self._with(context.reading_model))
+        """From the largest change of a reading, m."""
+        return context.model_error_bound(self._with_radius(context.reading_model))
 
     def build(self, context: Context) -> Callable[[ReadingModel], ReadingModel]:
-        """A field without memory."""
-        return self._with
+        """A function that replaces the disc radius of a reading model."""
+        return self._with_radius
 
-    def _with(self, ideal: ReadingModel) -> ReadingModel:
-        return replace(ideal, disc_radius=self.radius)
+    def _with_radius(self, reading_model: ReadingModel) -> ReadingModel:
+        return replace(reading_model, disc_radius=self.radius)

@@ -1,7 +1,7 @@
-"""Elliptic patches, where the scene takes circles of the mean curvature.
+"""Elliptic contact patches in a scene whose contact model assumes circles of the mean curvature.
 
-The pressures are those of the contact model `elliptic`, the scene's own force and E* being kept. In
-a scene whose model has ellipses already it changes nothing.
+The pressures are those of the contact model `elliptic` under the same force and E*. The effect
+changes nothing in a scene whose contact model already has elliptic patches.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from typing import ClassVar
 
 from ..contact import ContactModel
 from ..contact.reading import ReadingModel
-from . import BaseEffect, Context
+from .base import BaseEffect, Context
 
 
 @dataclass(frozen=True)
 class EllipticPatch(BaseEffect):
-    """The ellipse that unequal curvatures make."""
+    """The elliptic patch of unequal principal curvatures."""
 
     name: ClassVar[str] = "elliptic_patch"
     stage: ClassVar[str] = "field"
@@ -25,13 +25,15 @@ class EllipticPatch(BaseEffect):
     cost: ClassVar[float] = 1.8e-7
 
     def bound(self, context: Context) -> float:
-        """From the reading that the ellipse changes most, m."""
-        return context.model_error_bound(_stretched(context.reading_model))
+        """From the largest change of a reading, m."""
+        return context.model_error_bound(_with_ellipse(context.reading_model))
 
     def build(self, context: Context) -> Callable[[ReadingModel], ReadingModel]:
-        """A field without memory."""
-        return _stretched
+        """A function that replaces the contact model of a reading model."""
+        return _with_ellipse
 
 
-def _stretched(ideal: ReadingModel) -> ReadingModel:
-    return replace(ideal, model=ContactModel("elliptic")) if ideal.model.name == "hertz" else ideal
+def _with_ellipse(reading_model: ReadingModel) -> ReadingModel:
+    if reading_model.model.name != "hertz":
+        return reading_model
+    return replace(reading_model, model=ContactModel("elliptic"))

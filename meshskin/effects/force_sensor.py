@@ -1,4 +1,7 @@
-"""Noise and bias of the recorded force: F <- F + b + N(0, sigma^2); the law feels the true one."""
+"""Noise and bias of the recorded force: F <- F + b + N(0, sigma^2).
+
+The compliance law of the closed loop uses the true force.
+"""
 
 from __future__ import annotations
 
@@ -6,33 +9,33 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from ..core.config import quantity
-from . import BaseEffect, Context, FrameTransform
+from .base import BaseEffect, Context, FrameTransform
 from .frames import Frames
 
 
 @dataclass(frozen=True)
 class ForceSensor(BaseEffect):
-    """White noise and a constant."""
+    """White noise and a constant bias."""
 
     noise: float = quantity("N", 0.02, least=0.0)
-    """Standard deviation."""
+    """Standard deviation sigma."""
     bias: float = quantity("N", 0.05)
-    """b."""
+    """Bias b."""
 
     name: ClassVar[str] = "force_sensor"
     stage: ClassVar[str] = "robot"
     cost: ClassVar[float] = 1.1e-10
 
     def bound(self, context: Context) -> float:
-        """At 3 standard deviations, m."""
+        """From the bias and 3 standard deviations of the noise, m."""
         return context.force_error_bound(3.0 * self.noise + abs(self.bias))
 
     def build(self, context: Context) -> FrameTransform:
-        """A function; successive calls continue one stream."""
+        """A transform whose successive calls continue one random stream."""
         stream = context.stream(self.name)
 
-        def feel(frames: Frames) -> Frames:
+        def measure(frames: Frames) -> Frames:
             noise = self.noise * stream.standard_normal(len(frames))
             return replace(frames, force=frames.force + self.bias + noise)
 
-        return feel
+        return measure

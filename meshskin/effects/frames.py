@@ -1,4 +1,4 @@
-"""Frames: the contacts at the times when the skin is read, as effects see and change them."""
+"""Frames: the contacts at the times when the skin is read, which effects transform."""
 
 from __future__ import annotations
 
@@ -11,11 +11,15 @@ import numpy as np
 from ..core.se3 import Array
 
 ClosestPoint = Callable[[Array], tuple[Array, Array]]
-"""Centres of the indenter (k, 3), body frame -> foot points on the body (k, 3), outward normals
-(k, 3)."""
+"""Centres of the indenter (k, 3), body frame, m -> closest points of the body (k, 3), m, and
+outward normals (k, 3)."""
 
 PressureField = Callable[["Frames", Array], Array]
-"""(frames (m), taxel poses (n, 4, 4) in the body frame) -> pressures (m, n), Pa."""
+"""(m frames, taxel poses (n, 4, 4) in the body frame) -> pressures (m, n), Pa."""
+
+MAX_FRAME_GAP = 1.5
+"""Time between two frames, in periods, above which the contact was lost between them: half a period
+is left for jitter, and one missing frame makes two periods."""
 
 
 @dataclass(frozen=True)
@@ -23,117 +27,118 @@ class Frames:
     """m consecutive contacts in the body frame, SI units."""
 
     time: Array
-    """(m,), increasing."""
+    """Times (m,), increasing, s."""
     points: Array
-    """Contact points (m, 3)."""
+    """Contact points (m, 3), m."""
     normals: Array
-    """Outward normals (m, 3)."""
+    """Outward unit normals (m, 3)."""
     force: Array
-    """Normal forces (m,)."""
+    """Normal forces (m,), N."""
     centres: Array
-    """The indenter's centre (m, 3)."""
+    """Centres of the indenter (m, 3), m."""
     curvature: Array
-    """Principal curvatures (m, 2), positive where convex, larger first."""
+    """Principal curvatures (m, 2), 1/m, positive where convex, larger first."""
     directions: Array
-    """Unit tangents (m, 3) along the first of them."""
+    """Unit tangents (m, 3) along the first principal direction."""
     q: Array
-    """The robot's configuration (m, k), see Context.pose."""
-    foot: ClosestPoint
-    """How a contact follows from the indenter's centre."""
+    """Configurations of the robot (m, k), see Context.pose."""
+    closest_point: ClosestPoint
+    """Computes a contact from the centre of the indenter."""
 
     def __len__(self) -> int:
         return len(self.time)
 
-    def moved(self, centres: Array) -> Frames:
-        """The contacts that one infers from other centres (m, 3) of the indenter."""
-        points, normals = self.foot(centres)
+    def with_centres(self, centres: Array) -> Frames:
+        """The contacts computed from other centres (m, 3) of the indenter, m."""
+        points, normals = self.closest_point(centres)
         return replace(self, points=points, normals=normals, centres=centres)
 
     def rows(self, rows: Any) -> Frames:
         """Some of the frames: a slice, a mask or indices."""
-        return self._with({name: getattr(self, name)[rows] for name in COLUMNS})
+        return self.with_columns({name: getattr(self, name)[rows] for name in COLUMNS})
 
-    def _with(self, columns: dict[str, Any]) -> Frames:
+    def with_columns(self, columns: dict[str, Any]) -> Frames:
+        """The frames with other arrays in the fields COLUMNS."""
         return replace(self, **columns)
 
-    def followed_by(self, later: Frames) -> Frames:
-        """These frames and later ones."""
-        columns = {
-            name: np.concatenate([getattr(self, name), getattr(later, name)]) for name in COLUMNS
-        }
-        return later._with(columns)
+    def append(self, later: Frames) -> Frames:
+        """These frames followed by `later` ones."""
+        columns = {n: np.concatenate([getattr(self, n), getattr(later, n)]) for n in COLUMNS}
+        return later.with_columns(columns)
 
 
-COLUMNS = tuple(f.name for f in fields(Frames) if f.name != "foot")
+COLUMNS = tuple(f.name for f in fields(Frames) if f.name != "closest_point")
+"""Fields of Frames that are arrays with one row per frame."""
 
 
 @dataclass
 class EffectClock:
-    """The time that effects live in, over runs whose own times all begin anew."""
+    """Time since the first run; the frames of each run have times that start at zero."""
 
-    start: float = 0.0
-    """Of the present run, s."""
-    now: float = 0.0
-    """Of the last frame so far, s."""
+    run_start: float = 0.0
+    """Start of the present run, s."""
+    last_time: float = 0.0
+    """Time of the last frame so far, s."""
 
     def to_effect_time(self, frames: Frames) -> Frames:
-        """The frames in the effects' time."""
-        time = frames.time + self.start
-        self.now = float(max(self.now, time.max(initial=0.0)))
+        """The frames with times since the first run."""
+        time = frames.time + self.run_start
+        self.last_time = float(max(self.last_time, time.max(initial=0.0)))
         return replace(frames, time=time)
 
 
 @dataclass
 class FrameHistory:
-    """The last frames of the batches before, so that one may look back over a seam."""
+    """The most recent frames of earlier batches, for effects that look back in time."""
 
     span: float
-    """How far back one looks, s."""
+    """Longest time that an effect looks back, s."""
     period: float
-    """Time between frames, s: where more lies between two, the contact was lost."""
-    known: Frames | None = field(default=None, init=False)
+    """Time between frames, s."""
+    frames: Frames | None = field(default=None, init=False)
 
-    def extend(self, frames: Frames) -> None:
-        """Take the next frames (once more is no harm), and forget what will not be asked for."""
-        if self.known is not None and len(frames) and frames.time[-1] <= self.known.time[-1]:
+    def append(self, frames: Frames) -> None:
+        """Add the next frames, and drop those that are too old; known frames are ignored."""
+        if self.frames is not None and len(frames) and frames.time[-1] <= self.frames.time[-1]:
             return
-        known = frames if self.known is None else self.known.followed_by(frames)
+        known = frames if self.frames is None else self.frames.append(frames)
         if len(frames):
-            first = np.searchsorted(known.time, frames.time[0] - self.span - 1.5 * self.period)
+            oldest = frames.time[0] - self.span - MAX_FRAME_GAP * self.period
+            first = np.searchsorted(known.time, oldest)
             known = known.rows(slice(max(int(first) - 1, 0), None))
-        self.known = known
+        self.frames = known
 
-    def at(self, time: Array) -> Frames:
-        """The contacts at other times (k,), interpolated linearly between frames.
+    def interpolate(self, time: Array) -> Frames:
+        """The contacts at other times (k,), s, interpolated linearly between frames.
 
-        Before the first contact, and where the contact was lost, the next one is taken.
+        Before the first contact, and where the contact was lost, the next frame is taken.
         """
-        known = self.known
-        assert known is not None, "extend comes first"
-        # a time that is a frame's own but for rounding is not after it
+        known = self.frames
+        assert known is not None, "append must be called first"
+        # a time that exceeds a frame's own time by rounding belongs to that frame
         after = np.searchsorted(known.time, time - 1e-6 * self.period)
         after = np.clip(after, 0, len(known) - 1)
         before = np.maximum(after - 1, 0)
         step = known.time[after] - known.time[before]
-        whole = (step > 1.5 * self.period) | (step <= 0)
+        whole = (step > MAX_FRAME_GAP * self.period) | (step <= 0)
         part = np.where(whole, 1.0, (time - known.time[before]) / np.where(whole, 1.0, step))
+        weight = np.clip(part, 0.0, 1.0)
         late, early = known.rows(after), known.rows(before)
 
         def blend(name: str) -> Array:
             a, b = getattr(early, name), getattr(late, name)
-            weight = np.clip(part, 0.0, 1.0).reshape(-1, *[1] * (a.ndim - 1))
-            return np.asarray(b + (1.0 - weight) * (a - b))
+            return np.asarray(b + (1.0 - weight.reshape(-1, *[1] * (a.ndim - 1))) * (a - b))
 
         columns = {name: blend(name) for name in COLUMNS}
         columns["normals"] /= np.linalg.norm(columns["normals"], axis=1)[:, None]
-        columns["directions"] = _blended(early, late, np.clip(part, 0.0, 1.0), columns["normals"])
-        return known._with(columns | {"time": time})
+        columns["directions"] = _blend_directions(early, late, weight, columns["normals"])
+        return known.with_columns(columns | {"time": time})
 
 
-def _blended(early: Frames, late: Frames, part: Array, normals: Array) -> Array:
-    """Unit tangents (k, 3) between those of two frames, which are known but for their sign."""
+def _blend_directions(early: Frames, late: Frames, weight: Array, normals: Array) -> Array:
+    """Unit tangents (k, 3) between those of two frames, whose signs are arbitrary."""
     a, b = early.directions, late.directions
     a = np.where(np.einsum("kj,kj->k", a, b)[:, None] < 0.0, -a, a)
-    between = b + (1.0 - part)[:, None] * (a - b)
+    between = b + (1.0 - weight)[:, None] * (a - b)
     between = between - np.einsum("kj,kj->k", between, normals)[:, None] * normals
     return np.asarray(between / np.linalg.norm(between, axis=1)[:, None])

@@ -1,15 +1,15 @@
-"""Coulomb friction of the sliding skin: shear carries the skin along, and so shifts the pressure.
+"""Coulomb friction of the sliding contact: shear displaces the skin and so the pressure on it.
 
-The indenter drags the surface with it, by u at most
+The indenter drags the surface along by u, at most
 
     |u| <= 3 mu F (2 - nu) / (16 a G),
 
-the tangential displacement at which a Hertz contact on a half-space begins to slide; until then it
-sticks, and u grows as the contact moves. A taxel at X lies at X + u, so that in the skin's own
-coordinates the patch stays behind the contact by u. Pressure and force keep their size (the
-half-space is nearly incompressible: shear does not lift it). What sticks and slides within the
-patch at once is left out, as is a rolling indenter. Source: K. L. Johnson, "Contact Mechanics"
-(1985), eq. 7.42, section 7.1.
+the tangential displacement at which a Hertz contact on a half-space begins to slide. Until then the
+contact sticks, and u grows with the motion of the contact. A taxel at X lies at X + u, so that in
+the coordinates of the undeformed skin the patch lags behind the contact by u. Pressure and force
+are unchanged (the half-space is nearly incompressible: shear does not lift its surface). Partial
+slip within the patch and a rolling indenter are not modelled. Source: K. L. Johnson, "Contact
+Mechanics" (1985), eq. 7.42, section 7.1.
 """
 
 from __future__ import annotations
@@ -20,33 +20,33 @@ from typing import ClassVar
 import numpy as np
 
 from ..core.config import quantity
-from . import BaseEffect, Context, FrameTransform
-from .frames import Frames
+from .base import BaseEffect, Context, FrameTransform
+from .frames import MAX_FRAME_GAP, Frames
 
 
 @dataclass(frozen=True)
 class Friction(BaseEffect):
-    """The patch stays behind the contact by the skin's shear."""
+    """The patch lags behind the contact by the shear displacement of the skin."""
 
     coefficient: float = quantity("", 0.2, least=0.0, most=5.0)
-    """mu."""
+    """Coefficient of friction mu."""
 
     name: ClassVar[str] = "friction"
     stage: ClassVar[str] = "contact"
     cost: ClassVar[float] = 9e-8
 
     def slip(self, context: Context) -> float:
-        """Shear at which the contact slides, m, at the reference force."""
+        """Shear displacement at which the contact slides, m, at the reference force."""
         stiffness = 16.0 * context.contact_radius * context.shear_modulus / (2.0 - context.poisson)
         return 3.0 * self.coefficient * context.force / stiffness
 
     def bound(self, context: Context) -> float:
-        """The shear of a contact that slides, m."""
+        """The shear displacement of a sliding contact, m."""
         return self.slip(context)
 
     def build(self, context: Context) -> FrameTransform:
-        """A function that remembers the shear from batch to batch."""
-        slip, longest = self.slip(context), 1.5 * context.period
+        """A transform that keeps the shear displacement from batch to batch."""
+        slip, max_gap = self.slip(context), MAX_FRAME_GAP * context.period
         shear = np.zeros(3)
         last: tuple[float, np.ndarray] | None = None
 
@@ -55,7 +55,7 @@ class Friction(BaseEffect):
             shears = np.empty_like(frames.points)
             limits = slip * (frames.force / context.force) ** (2.0 / 3.0)  # F / a
             for k, (time, point) in enumerate(zip(frames.time, frames.points, strict=True)):
-                if last is None or time - last[0] > longest:
+                if last is None or time - last[0] > max_gap:
                     shear = np.zeros(3)
                 else:
                     shear = shear + (point - last[1])

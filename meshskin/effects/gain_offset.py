@@ -1,4 +1,4 @@
-"""Taxels that are not alike: p <- g_i p + o_i, the gains log-normal, the offsets normal."""
+"""Gains and offsets that differ between taxels: p <- g_i p + o_i, g_i log-normal, o_i normal."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 
 from ..core.config import quantity
 from ..core.se3 import Array
-from . import BaseEffect, Context, PressureTransform
+from .base import BaseEffect, Context, PressureTransform
 from .frames import Frames
 
 
 @dataclass(frozen=True)
 class GainOffset(BaseEffect):
-    """A gain and an offset of each taxel, the same all the time."""
+    """A gain and an offset of each taxel, constant in time."""
 
     gain_spread: float = quantity("", 0.05, least=0.0, most=1.0)
     """Standard deviation of ln(gain)."""
@@ -27,13 +27,12 @@ class GainOffset(BaseEffect):
     cost: ClassVar[float] = 6e-10
 
     def bound(self, context: Context) -> float:
-        """At 3 standard deviations, m."""
-        return context.reading_error_bound(
-            np.expm1(3.0 * self.gain_spread) + 3.0 * self.offset_relative
-        )
+        """From a gain and an offset at 3 standard deviations, m."""
+        gain = np.expm1(3.0 * self.gain_spread)
+        return context.reading_error_bound(gain + 3.0 * self.offset_relative)
 
     def build(self, context: Context) -> PressureTransform:
-        """A function without memory; all numbers are drawn here."""
+        """A stateless transform; the gains and offsets are drawn here."""
         stream, n = context.stream(self.name), len(context.skin)
         gain = np.exp(self.gain_spread * stream.standard_normal(n))
         offset = self.offset_relative * context.peak_pressure * stream.standard_normal(n)

@@ -1,7 +1,7 @@
-"""Gaussian noise of the transducers: p <- p + N(0, sigma^2), independent for taxel and frame.
+"""Gaussian noise of the transducers: p <- p + N(0, sigma^2), independent per taxel and frame.
 
-sigma is relative to the peak contact pressure at the reference force, so that it is a property of
-the sensor's range and does not vary with the contact.
+sigma is relative to the peak contact pressure at the reference force: a property of the sensor's
+range that does not vary with the contact.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from typing import ClassVar
 
 from ..core.config import quantity
 from ..core.se3 import Array
-from . import BaseEffect, Context, PressureTransform
+from .base import BaseEffect, Context, PressureTransform
 from .frames import Frames
 
 
 @dataclass(frozen=True)
 class GaussianNoise(BaseEffect):
-    """White noise added to every taxel's pressure in every frame."""
+    """White noise added to the pressure of every taxel in every frame."""
 
     sigma_relative: float = quantity("", 0.01, above=0.0, most=1.0)
     """Standard deviation, relative to the peak pressure p_0 at the reference force."""
@@ -32,13 +32,14 @@ class GaussianNoise(BaseEffect):
 
     def bound(self, context: Context) -> float:
         """3 sigma_relative a, m: the distance error of one reading at 3 sigma, where the profile
-        falls by p_0 over a; an estimate from many readings is better than one reading.
+        falls by p_0 over a. An estimate from many readings is more accurate than one reading.
         """
         return 3.0 * self.sigma_relative * context.contact_radius
 
     def build(self, context: Context) -> PressureTransform:
-        """A function on dense pressures (frames, taxels), Pa; successive calls continue one
-        stream, so that the noise does not depend on how frames are batched.
+        """A transform whose successive calls continue one random stream.
+
+        The noise does not depend on how the frames are divided into batches.
         """
         stream, sigma = context.stream(self.name), self.sigma(context)
 

@@ -1,6 +1,7 @@
-"""Indenter offset: the indenter stands elsewhere than recorded, by an offset fixed in the world.
+"""Indenter offset: the recorded position of the indenter is wrong by a constant in the world frame.
 
-Its centre in the body frame is recorded at x + R^T d instead of x, R being the body's rotation.
+Its centre in the body frame is recorded at x + R^T d instead of x, where R is the rotation of the
+body.
 """
 
 from __future__ import annotations
@@ -11,32 +12,31 @@ from typing import ClassVar
 import numpy as np
 
 from ..core.config import quantity
-from . import BaseEffect, Context, FrameTransform
+from .base import BaseEffect, Context, FrameTransform
 from .frames import Frames
 
 
 @dataclass(frozen=True)
 class IndenterOffset(BaseEffect):
-    """The recorded place of the indenter less the true one."""
+    """The recorded position of the indenter minus the true one."""
 
     offset: tuple[float, float, float] = quantity("m", (3e-4, 0.0, 0.0), least=-0.1, most=0.1)
-    """d, world."""
+    """Offset d, world frame."""
 
     name: ClassVar[str] = "indenter_offset"
     stage: ClassVar[str] = "geometry"
     cost: ClassVar[float] = 5e-8
 
     def bound(self, context: Context) -> float:
-        """|d|, m: on a convex body the foot moves less than the centre."""
+        """|d|, m: on a convex body the closest point moves less than the centre."""
         return float(np.linalg.norm(self.offset))
 
     def build(self, context: Context) -> FrameTransform:
-        """A function without memory."""
+        """A stateless transform of the recorded centres."""
+        offset = np.array(self.offset)
 
         def displace(frames: Frames) -> Frames:
             rotation = context.pose(frames.q)[:, :3, :3]
-            return frames.moved(
-                frames.centres + np.einsum("kji,j->ki", rotation, np.array(self.offset))
-            )
+            return frames.with_centres(frames.centres + np.einsum("kji,j->ki", rotation, offset))
 
         return displace

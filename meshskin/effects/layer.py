@@ -1,8 +1,8 @@
-"""A soft layer on a rigid core, where the scene takes a half-space.
+"""A soft layer on a rigid core in a scene whose contact model assumes a half-space.
 
-Under the same force the patch on a layer is smaller and its peak higher: the pressures are those of
-the contact model `layered`, the scene's own force, curvature and E* being kept. The closed loop,
-which holds the force, runs on the scene's own model.
+Under the same force the patch on a layer is smaller and its peak pressure higher. The pressures are
+those of the contact model `layered` with the scene's force, curvature and E*. The closed loop,
+which controls the force, uses the contact model of the scene.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from typing import ClassVar
 from ..contact import ContactModel
 from ..contact.reading import ReadingModel
 from ..core.config import quantity
-from . import BaseEffect, Context
+from .base import BaseEffect, Context
 
 
 @dataclass(frozen=True)
 class Layer(BaseEffect):
-    """The thickness of the skin, which the scene does not know of."""
+    """A finite thickness of the skin that the scene ignores."""
 
     thickness: float = quantity("m", above=0.0)
-    """Of the soft layer."""
+    """Thickness of the soft layer."""
 
     name: ClassVar[str] = "layer"
     stage: ClassVar[str] = "field"
@@ -30,13 +30,16 @@ class Layer(BaseEffect):
     cost: ClassVar[float] = 9e-8
 
     def bound(self, context: Context) -> float:
-        """From the reading that the layer changes most, m."""
-        return context.model_error_bound(self._on(context.reading_model, context.poisson))
+        """From the largest change of a reading, m."""
+        return context.model_error_bound(self._on_layer(context.reading_model, context.poisson))
 
     def build(self, context: Context) -> Callable[[ReadingModel], ReadingModel]:
-        """A field without memory. Raises ContactError where the layer leaves the model's range."""
-        self.bound(context)
-        return lambda ideal: self._on(ideal, context.poisson)
+        """A function that replaces the contact model of a reading model.
 
-    def _on(self, ideal: ReadingModel, poisson: float) -> ReadingModel:
-        return replace(ideal, model=ContactModel("layered", poisson, self.thickness))
+        Raises ContactError where the layer is outside the range of `layered`.
+        """
+        self.bound(context)
+        return lambda reading_model: self._on_layer(reading_model, context.poisson)
+
+    def _on_layer(self, reading_model: ReadingModel, poisson: float) -> ReadingModel:
+        return replace(reading_model, model=ContactModel("layered", poisson, self.thickness))

@@ -1,7 +1,7 @@
-"""Flat facets in place of the smooth surface, where the recorded contacts are computed.
+"""Contacts computed on the flat facets of the mesh instead of the smooth surface.
 
-The robot's software takes the point of the triangle mesh that is closest to the indenter. On flat
-faces it stays behind, and jumps at the edges.
+The software of the robot takes the point of the triangle mesh closest to the indenter. On a flat
+face it lags behind the contact, and it jumps at the edges.
 """
 
 from __future__ import annotations
@@ -12,36 +12,36 @@ from typing import ClassVar
 import numpy as np
 
 from ..geometry.surface.facets import Facets
-from . import BaseEffect, Context, FrameTransform
+from .base import BaseEffect, Context, FrameTransform
 from .frames import ClosestPoint, Frames
 
 
 @dataclass(frozen=True)
 class MeshFacets(BaseEffect):
-    """Contacts are those of the flat mesh."""
+    """Recorded contacts are those of the flat mesh."""
 
     name: ClassVar[str] = "mesh_facets"
     stage: ClassVar[str] = "geometry"
     cost: ClassVar[float] = 2e-8
 
     def bound(self, context: Context) -> float:
-        """Twice the largest error for an indenter over each of the taxels, m."""
+        """Twice the largest error of the contact point for an indenter above each taxel, m."""
         skin = context.skin
         centres = skin.positions + context.indenter_radius * skin.normals
         smooth = context.body.closest(centres).point
-        off = np.linalg.norm(facets(context)(centres)[0] - smooth, axis=1)
-        return 2.0 * float(off.max())
+        error = np.linalg.norm(facets(context)(centres)[0] - smooth, axis=1)
+        return 2.0 * float(error.max())
 
     def build(self, context: Context) -> FrameTransform:
-        """A function without memory; what moves contacts afterwards does it on facets too."""
-        foot = facets(context)
+        """A stateless transform; effects that move contacts later use the facets too."""
+        closest_point = facets(context)
 
         def flatten(frames: Frames) -> Frames:
-            return replace(frames, foot=foot).moved(frames.centres)
+            return replace(frames, closest_point=closest_point).with_centres(frames.centres)
 
         return flatten
 
 
 def facets(context: Context) -> ClosestPoint:
-    """Closest points of the flat mesh that the robot's software has."""
+    """The closest-point function of the flat mesh that the robot's software uses."""
     return Facets(context.body.facets).closest

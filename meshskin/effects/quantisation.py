@@ -1,4 +1,4 @@
-"""Quantisation: readings are whole multiples of a step, from 0 to the end of the scale."""
+"""Quantisation: readings are integer multiples of a step, from 0 to the end of the scale."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 
 from ..core.config import quantity
 from ..core.se3 import Array
-from . import BaseEffect, Context, PressureTransform
+from .base import BaseEffect, Context, PressureTransform
 from .frames import Frames
 
 
 @dataclass(frozen=True)
 class Quantisation(BaseEffect):
-    """An analogue-to-digital converter of 2^bits levels."""
+    """An analogue-to-digital converter with 2^bits levels."""
 
     bits: int = quantity("", 8, least=1, most=32)
-    """8 and 16 are usual."""
+    """Resolution; 8 and 16 bits are usual."""
     scale_relative: float = quantity("", 1.5, above=0.0)
     """End of the scale, relative to p_0 at the reference force."""
 
@@ -27,19 +27,19 @@ class Quantisation(BaseEffect):
     cost: ClassVar[float] = 7e-10
 
     def step(self, context: Context) -> float:
-        """Pressure of one level, Pa."""
+        """Pressure difference of adjacent levels, Pa."""
         return self.scale_relative * context.peak_pressure / (2**self.bits - 1)
 
     def bound(self, context: Context) -> float:
-        """From half a step, and from what the end of the scale cuts off, m."""
+        """From half a step, or from what the end of the scale cuts off p_0, m."""
         half = self.step(context) / 2.0 / context.peak_pressure
         return context.reading_error_bound(max(half, 1.0 - self.scale_relative))
 
     def build(self, context: Context) -> PressureTransform:
-        """A function without memory."""
-        step, most = self.step(context), 2**self.bits - 1
+        """A stateless transform."""
+        step, top = self.step(context), 2**self.bits - 1
 
-        def count(pressures: Array, frames: Frames) -> Array:
-            return step * np.clip(np.rint(pressures / step), 0, most)
+        def quantize(pressures: Array, frames: Frames) -> Array:
+            return step * np.clip(np.rint(pressures / step), 0, top)
 
-        return count
+        return quantize

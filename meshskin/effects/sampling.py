@@ -1,7 +1,7 @@
-"""Sampling rates that differ: the robot's pose and force are older than the skin's readings.
+"""Different sampling rates: the recorded pose and force are older than the readings of the skin.
 
-A frame is recorded with the robot's last sample before it, which was taken at a whole multiple of
-the robot's period, and arrives late.
+A frame is recorded with the last sample of the robot before it. The robot samples at integer
+multiples of its period, and its samples arrive late.
 """
 
 from __future__ import annotations
@@ -12,35 +12,38 @@ from typing import ClassVar
 import numpy as np
 
 from ..core.config import quantity
-from . import BaseEffect, Context, FrameTransform
+from .base import BaseEffect, Context, FrameTransform
 from .frames import FrameHistory, Frames
+
+SAMPLE_ROUNDING = 1e-6
+"""Sampling periods by which a sample may lie after the frame that takes it: rounding of the times
+must not replace the sample at a frame's own time by the one before."""
 
 
 @dataclass(frozen=True)
 class Sampling(BaseEffect):
-    """The recorded contacts are held between the robot's samples."""
+    """The recorded contacts are held constant between the samples of the robot."""
 
     rate: float = quantity("Hz", 50.0, above=0.0, most=1e6)
-    """Samples of the robot in a second."""
+    """Sampling rate of the robot."""
     delay: float = quantity("s", 0.0, least=0.0, most=10.0)
-    """How late a sample arrives."""
+    """Delay of a sample."""
 
     name: ClassVar[str] = "sampling"
     stage: ClassVar[str] = "robot"
     cost: ClassVar[float] = 2.5e-9
 
     def bound(self, context: Context) -> float:
-        """The way of the contact in a period and the delay, m."""
+        """The distance that the contact moves in a sampling period and the delay, m."""
         return context.speed * (1.0 / self.rate + self.delay)
 
     def build(self, context: Context) -> FrameTransform:
-        """A function that looks back, over the seams of batches too."""
-        memory = FrameHistory(1.0 / self.rate + self.delay, context.period)
+        """A transform that looks back in time, across batches too."""
+        history = FrameHistory(1.0 / self.rate + self.delay, context.period)
 
         def hold(frames: Frames) -> Frames:
-            memory.extend(frames)
-            # the spare keeps a sample at the frame's own time from rounding into the one before
-            sample = np.floor((frames.time - self.delay) * self.rate + 1e-6) / self.rate
-            return replace(memory.at(sample), time=frames.time)
+            history.append(frames)
+            ticks = np.floor((frames.time - self.delay) * self.rate + SAMPLE_ROUNDING)
+            return replace(history.interpolate(ticks / self.rate), time=frames.time)
 
         return hold

@@ -1,4 +1,4 @@
-"""The sensor's range: nothing below a threshold, no more than saturation."""
+"""The range of the sensor: readings below a threshold are zero, readings above saturation clip."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import numpy as np
 from ..core.config import quantity
 from ..core.errors import ConfigError
 from ..core.se3 import Array
-from . import BaseEffect, Context, PressureTransform
+from .base import BaseEffect, Context, PressureTransform
 from .frames import Frames
 
 
 @dataclass(frozen=True)
 class SensingRange(BaseEffect):
-    """Readings below the threshold are zero, those above saturation are cut."""
+    """A threshold and a saturation pressure that all taxels share."""
 
     threshold_relative: float = quantity("", 0.1, least=0.0)
-    """Relative to p_0 at the reference force."""
+    """Threshold, relative to p_0 at the reference force."""
     saturation_relative: float = quantity("", 0.8, above=0.0)
-    """Relative to p_0 at the reference force."""
+    """Saturation pressure, relative to p_0 at the reference force."""
 
     name: ClassVar[str] = "sensing_range"
     stage: ClassVar[str] = "transducer"
@@ -31,22 +31,22 @@ class SensingRange(BaseEffect):
         super().__post_init__()
         if not self.saturation_relative > self.threshold_relative:
             raise ConfigError(
-                "sensing_range saturates below its threshold",
+                "sensing_range.saturation_relative must exceed threshold_relative",
                 value=f"{self.saturation_relative:g} p_0",
                 limit=f"above {self.threshold_relative:g} p_0",
             )
 
     def bound(self, context: Context) -> float:
-        """From what is cut at either end, m."""
+        """From what the range cuts off at either end, m."""
         cut = max(self.threshold_relative, 1.0 - self.saturation_relative)
         return context.reading_error_bound(min(cut, 1.0))
 
     def build(self, context: Context) -> PressureTransform:
-        """A function without memory."""
-        least = self.threshold_relative * context.peak_pressure
-        most = self.saturation_relative * context.peak_pressure
+        """A stateless transform."""
+        threshold = self.threshold_relative * context.peak_pressure
+        saturation = self.saturation_relative * context.peak_pressure
 
-        def cut(pressures: Array, frames: Frames) -> Array:
-            return np.where(pressures < least, 0.0, np.minimum(pressures, most))
+        def clip(pressures: Array, frames: Frames) -> Array:
+            return np.where(pressures < threshold, 0.0, np.minimum(pressures, saturation))
 
-        return cut
+        return clip

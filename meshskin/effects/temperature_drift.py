@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core.config import quantity
 from ..core.se3 import Array
-from . import BaseEffect, Context, PressureTransform
+from .base import BaseEffect, Context, PressureTransform
 from .frames import Frames
 
 
@@ -18,22 +18,22 @@ class TemperatureDrift(BaseEffect):
     """Gain and offset of all taxels drift together towards those of the warm skin."""
 
     gain_drift: float = quantity("", 0.05, least=-0.9, most=10.0)
-    """Relative change g of the gain in the end."""
+    """Final relative change g of the gain."""
     offset_relative: float = quantity("", 0.01, least=-1.0, most=1.0)
-    """Offset o in the end, relative to p_0 at the reference force."""
+    """Final offset o, relative to p_0 at the reference force."""
     time_constant: float = quantity("s", 30.0, above=0.0)
-    """tau of the warming, from the start of the run."""
+    """Time constant tau of the warming, from the start of the first run."""
 
     name: ClassVar[str] = "temperature_drift"
     stage: ClassVar[str] = "transducer"
     cost: ClassVar[float] = 7e-10
 
     def bound(self, context: Context) -> float:
-        """When all is warm, m."""
+        """From the change of a reading of p_0 on the warm skin, m."""
         return context.reading_error_bound(abs(self.gain_drift) + abs(self.offset_relative))
 
     def build(self, context: Context) -> PressureTransform:
-        """A function of the frames' times."""
+        """A transform that depends on the times of the frames."""
         offset = self.offset_relative * context.peak_pressure
 
         def drift(pressures: Array, frames: Frames) -> Array:

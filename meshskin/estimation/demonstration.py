@@ -1,6 +1,6 @@
 """The paper's demonstration: a pose graph of perturbed displacements, every pose at the origin.
 
-Source: Cannata, Denei, Mastrogiovanni (ICRA 2010), section IV and figures 6-9. The displacements
+Source: Cannata, Denei, Mastrogiovanni (ICRA 2010), section III and figures 6-9. The displacements
 are the true ones of taxels that were active together, perturbed by white noise; no reading enters.
 """
 

@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from ..core.config import STANDARD_GRAVITY
 from ..core.errors import ArmError
 from .urdf import bare, massless, parse, rotation
 
 if TYPE_CHECKING:
     from .arm import Arm
 
-GRAVITY = np.array([0.0, 0.0, -9.80665])  # m/s^2, standard gravity, world
+GRAVITY = np.array([0.0, 0.0, -STANDARD_GRAVITY])
+"""Acceleration of gravity (3,), world frame, m/s^2."""
 
 
 class Dynamics:

@@ -21,7 +21,7 @@ from ..contact.reading import ReadingModel
 from ..core.arguments import check_name, check_real, check_type, replace_fields, repr_short
 from ..core.errors import ConfigError, SkinError
 from ..core.se3 import Array, is_rigid, orthonormal_basis, perpendicular, transform
-from ..effects import Context, NoiseEffect
+from ..effects import Context, NoiseEffect, check_effect
 from ..geometry.body import Body
 from ..robot.arm import Arm
 from ..robot.contact_rig import ContactRig
@@ -106,11 +106,7 @@ class Scene:
                 )
         check_type(Iterable, self.effects, "what is on in a scene")
         for effect in (*self.effects, *(self.candidates or ())):
-            if not hasattr(effect, "stage"):
-                raise ConfigError(
-                    "an effect of a scene is none", value=repr(effect),
-                    remedy="give objects, such as physics.effects.find(NAME)()",
-                )  # fmt: skip
+            check_effect(effect)
 
     def __repr__(self) -> str:
         on = ", ".join(type(effect).__name__ for effect in self.effects) or "no effects"

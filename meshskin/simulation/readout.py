@@ -53,7 +53,7 @@ def frames_at(
 ) -> Frames:
     """The frames of m contacts, their columns as in Frames."""
 
-    def foot(moved: Array) -> tuple[Array, Array]:
+    def closest_point(moved: Array) -> tuple[Array, Array]:
         hit = scene.body.closest(moved)
         return hit.point, hit.normal
 
@@ -67,7 +67,7 @@ def frames_at(
         curvature=hit.curvature[: len(time)],
         directions=hit.direction[: len(time)],
         q=q,
-        foot=foot,
+        closest_point=closest_point,
     )
 
 

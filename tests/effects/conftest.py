@@ -25,7 +25,7 @@ def glide(sphere):
         normals = turn @ [0.0, 0.0, -1.0]
         m = len(way)
 
-        def foot(centres):
+        def closest_point(centres):
             hit = sphere.body.exact.closest(centres)
             return hit.point, hit.normal
 
@@ -38,7 +38,7 @@ def glide(sphere):
             curvature=np.full((m, 2), 10.0),
             directions=sphere.body.exact.closest(normals).direction,
             q=np.zeros((m, 6)) if q is None else q,
-            foot=foot,
+            closest_point=closest_point,
         )
 
     return frames

@@ -3,7 +3,8 @@
 import subprocess
 import sys
 import warnings
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -80,6 +81,35 @@ def test_conflicts_are_refused():
         effects.ordered((GaussianNoise(), Quiet()))
 
 
+@dataclass(frozen=True)
+class Blur(effects.BaseEffect):
+    """An effect of another package whose field has the name of a method of NoiseEffect."""
+
+    sigma: float = 1e-3
+    name: ClassVar[str] = "blur"
+    stage: ClassVar[str] = "transducer"
+    cost: ClassVar[float] = 0.0
+
+    def bound(self, context):
+        return 0.0
+
+    def build(self, context):
+        return lambda pressures, frames: pressures
+
+
+def test_a_field_named_like_a_method_is_refused_by_name(sphere):
+    for use in (lambda: sphere.with_(effects=(Blur(),)), lambda: effects.ordered((Blur(),))):
+        with pytest.raises(ConfigError, match="sigma of the effect blur must be a method"):
+            use()
+
+
+@pytest.mark.parametrize("wrong", ["gaussian_noise", 3, GaussianNoise, object()])
+def test_objects_that_are_not_effects_are_refused(sphere, wrong):
+    with pytest.raises(ConfigError, match="must contain Effect objects") as caught:
+        sphere.with_(effects=(wrong,))
+    assert "\n" not in str(caught.value)
+
+
 def test_effects_act_in_the_order_of_the_signal_whatever_the_list():
     class Late(GaussianNoise):
         name, stage = "late", "robot"
@@ -102,14 +132,14 @@ def test_effects_act_in_the_order_of_the_signal_whatever_the_list():
     ]
 
 
-@pytest.mark.parametrize("name", effects.KINDS)
+@pytest.mark.parametrize("name", effects.CLASS_NAMES)
 def test_every_effect_keeps_the_form(name, context):
     table = {"kind": name, **NEEDED.get(name, {})}
     effect = effects.from_table(table)
     assert effect.name == name
     assert effect.stage in effects.STAGES
     assert effect.requires == ()
-    assert set(effect.excludes) <= set(effects.KINDS)
+    assert set(effect.excludes) <= set(effects.CLASS_NAMES)
     assert 0 < effect.bound(context) < 0.1
     assert 0 < effect.cost < 1e-3
     assert len(effects.build((effect,), context, effect.stage)) == 1
@@ -121,13 +151,13 @@ def test_every_effect_keeps_the_form(name, context):
 
 
 def test_what_must_be_known_of_a_robot_or_a_skin_is_not_registered_by_itself(context):
-    assert set(NEEDED) == set(effects.KINDS) - {e.name for e in effects.registered()}
+    assert set(NEEDED) == set(effects.CLASS_NAMES) - {e.name for e in effects.registered()}
     with pytest.raises(ConfigError, match="thickness"):
         effects.from_table({"kind": "layer"})
 
 
 def test_the_order_of_the_stages_is_the_order_of_the_registry():
-    stages = [effects.STAGES.index(effects.find(name).stage) for name in effects.KINDS]
+    stages = [effects.STAGES.index(effects.find(name).stage) for name in effects.CLASS_NAMES]
     assert stages == sorted(stages)
 
 
@@ -150,6 +180,12 @@ class Toy:
 
     def build(self, context):
         return lambda pressures, frames: self.factor * pressures
+
+
+@dataclass(frozen=True)
+class Blur(Toy):
+    sigma: float = 1e-3
+    name: ClassVar[str] = "blur"
 """
 
 
@@ -161,7 +197,7 @@ def toy(tmp_path, monkeypatch):
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: toy-effects\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(
-        "[meshskin.effects]\ntoy = toy_effects:Toy\n"
+        "[meshskin.effects]\ntoy = toy_effects:Toy\nblur = toy_effects:Blur\n"
         "gone = toy_effects:Gone\nlost = no_such_module:Lost\nnumber = math:pi\n"
         "raising = raising_effects:Toy\n"
     )
@@ -173,7 +209,7 @@ def toy(tmp_path, monkeypatch):
 
 def test_another_package_adds_an_effect(toy, sphere, recording):
     twice = effects.from_table({"kind": "toy", "factor": 3.0})
-    assert "toy" not in effects.KINDS
+    assert "toy" not in effects.CLASS_NAMES
     found = ms.simulate(sphere.with_(effects=(twice,)), seed=1)
     np.testing.assert_array_equal(found.pressure, 3.0 * recording.pressure)
     with pytest.raises(UnknownNameError, match="did you mean toy"):
@@ -185,7 +221,7 @@ def test_another_package_adds_an_effect(toy, sphere, recording):
     [
         ("gone", "cannot be loaded"),
         ("lost", "no_such_module"),
-        ("number", "no dataclass"),
+        ("number", "must be a dataclass"),
         ("raising", "RuntimeError: no licence found"),
     ],
 )
@@ -202,7 +238,8 @@ def test_broken_entry_points_are_named_and_left_out(toy):
     assert found[-1] == "toy"
     assert "gaussian_noise" in found
     said = [str(w.message) for w in caught]
-    assert [line.split()[2] for line in said] == ["gone", "lost", "number", "raising"]
+    assert "sigma of the effect blur must be a method" in said[0]
+    assert [line.split()[2] for line in said[1:]] == ["gone", "lost", "number", "raising"]
     assert all("it is left out" in line and "\n" not in line for line in said)
 
 

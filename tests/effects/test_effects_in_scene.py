@@ -22,8 +22,8 @@ OPTIONS = {
     "joint_friction": {"torque": 0.1},
 }
 SLOW = pytest.mark.slow
-RECORDED = [k for k in effects.KINDS if effects.find(k).stage in ("geometry", "robot")]
-READ = [k for k in effects.KINDS if k not in RECORDED]
+RECORDED = [k for k in effects.CLASS_NAMES if effects.find(k).stage in ("geometry", "robot")]
+READ = [k for k in effects.CLASS_NAMES if k not in RECORDED]
 IDLE = ("gaussian_noise", "elliptic_patch")
 """On in the scene without being asked for, and without anything to do on a sphere."""
 
@@ -67,18 +67,18 @@ def test_off_means_that_no_module_is_imported_and_nothing_acts():
     code = (
         "import sys, meshskin as ms; from meshskin import effects; "
         "s = ms.Scene.load('sphere'); field = lambda f, p: None; "
-        "chain = effects.EffectPipeline.from_effects(s.effects, s.context(1), field); "
-        "assert chain == effects.EffectPipeline((), field, (), (), effects.Clock()); "
+        "pipeline = effects.EffectPipeline.from_effects(s.effects, s.context(1), field); "
+        "assert pipeline == effects.EffectPipeline((), field, (), (), effects.EffectClock()); "
         "names = [m for m in sys.modules if m.startswith('meshskin.effects.')]; "
         "names = {name.rpartition('.')[2] for name in names}; "
-        "assert names == {'context', 'frames'}, names"
+        "assert names == {'base', 'frames', 'pipeline', 'registry'}, names"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_off_again_means_the_same_bits(small, plain, one):
     """Effects that were on before, all of them imported and built, leave nothing behind."""
-    for name in effects.KINDS:
+    for name in effects.CLASS_NAMES:
         if name != "gaussian_noise":
             one(name)
     again = ms.simulate(small, seed=1)
@@ -120,7 +120,7 @@ def test_toggling_one_leaves_the_noise_of_another(name, small):
 
 
 def test_no_effect_depends_on_the_batches(small, monkeypatch):
-    names = [k for k in effects.KINDS if k not in (*IDLE, "cover_fabric")]  # slow, no state
+    names = [k for k in effects.CLASS_NAMES if k not in (*IDLE, "cover_fabric")]  # slow, no state
     whole = run(small, *names)
     monkeypatch.setattr(simulate, "FRAME_CELLS", 19 * 40)
     parts = run(small, *names)
@@ -161,7 +161,7 @@ def test_the_frames_of_a_scene_are_contacts_with_the_indenter(small):
                 np.testing.assert_allclose(world - context.indenter_position, 0.0, atol=1e-7)
 
 
-@pytest.mark.parametrize("name", [k for k in effects.KINDS if k not in IDLE])
+@pytest.mark.parametrize("name", [k for k in effects.CLASS_NAMES if k not in IDLE])
 def test_leaving_an_effect_out_costs_no_more_than_its_bound(name, small, one, plain):
     """The shift of the joint estimate that does not know of the effect; an estimate loses taxels
     to broken ones."""

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from meshskin.core.config import STANDARD_GRAVITY
 from meshskin.core.errors import ConfigError
 from meshskin.core.se3 import exp_so3, transform
 from meshskin.effects.body_pose import BodyPose
@@ -14,7 +15,7 @@ from meshskin.effects.force_sensor import ForceSensor
 from meshskin.effects.frames import FrameHistory
 from meshskin.effects.gravity_error import GravityError
 from meshskin.effects.indenter_offset import IndenterOffset
-from meshskin.effects.joint_friction import SLOW, JointFriction, levers
+from meshskin.effects.joint_friction import FRICTION_SPEED, JointFriction, lever_arms
 from meshskin.effects.mesh_facets import MeshFacets
 from meshskin.effects.sampling import Sampling
 from meshskin.geometry.body import Body
@@ -160,10 +161,10 @@ def test_an_unknown_weight_reads_less_where_the_skin_faces_down(context, frames)
         return effect.build(replace(context, pose=lambda q: poses))(frames).force - frames.force
 
     down = facing(np.eye(3))  # the frames' normals point to -z at first
-    assert down[0] == pytest.approx(-0.981)
-    assert facing(exp_so3([np.pi, 0.0, 0.0]))[0] == pytest.approx(0.981)
+    assert down[0] == pytest.approx(-0.1 * STANDARD_GRAVITY)
+    assert facing(exp_so3([np.pi, 0.0, 0.0]))[0] == pytest.approx(0.1 * STANDARD_GRAVITY)
     assert facing(exp_so3([np.pi / 2, 0.0, 0.0]))[0] == pytest.approx(0.0, abs=1e-12)
-    np.testing.assert_allclose(down, 0.981 * frames.normals[:, 2])
+    np.testing.assert_allclose(down, 0.1 * STANDARD_GRAVITY * frames.normals[:, 2])
 
 
 def test_a_force_sensor_has_its_bias_and_noise(context, glide, split):
@@ -203,9 +204,9 @@ def test_directions_between_frames_are_unit_tangents_whatever_their_sign(glide):
     """A principal direction is known but for its sign, and on a sphere it is any tangent."""
     frames = glide(5e-4 * np.arange(6))
     flipped = replace(frames, directions=frames.directions * [[1], [-1], [1], [-1], [-1], [1]])
-    memory = FrameHistory(0.1, 0.01)
-    memory.extend(flipped)
-    at = memory.at(np.linspace(0.0, 0.05, 37))
+    history = FrameHistory(0.1, 0.01)
+    history.append(flipped)
+    at = history.interpolate(np.linspace(0.0, 0.05, 37))
     np.testing.assert_allclose(np.linalg.norm(at.directions, axis=1), 1.0, rtol=1e-12)
     np.testing.assert_allclose(np.sum(at.directions * at.normals, axis=1), 0.0, atol=1e-12)
 
@@ -214,9 +215,9 @@ def test_a_sample_at_a_frames_own_time_is_that_frame_before_a_loss_of_contact(gl
     """Rounding above the last frame of a touch must not give the first of the next one."""
     frames = glide(5e-4 * np.arange(6))
     time = np.array([0.0, 0.01, 0.02, 0.5, 0.51, 0.52])
-    memory = FrameHistory(0.1, 0.01)
-    memory.extend(replace(frames, time=time))
-    at = memory.at(np.nextafter(time, 1.0))
+    history = FrameHistory(0.1, 0.01)
+    history.append(replace(frames, time=time))
+    at = history.interpolate(np.nextafter(time, 1.0))
     np.testing.assert_allclose(at.points, frames.points, atol=1e-12)
 
 
@@ -233,8 +234,8 @@ def test_the_friction_of_one_joint_is_felt_over_its_lever(context, glide):
         frames = glide(np.zeros(20), q=rate * 0.01 * np.arange(20)[:, None] - 1e-9)
         more = JointFriction(0.2).build(one)(frames).force - frames.force
         # n points down, and turning on lifts what lies at 0.4 m less x: h = -0.4 cos(q)
-        lever = levers(one, frames.q, frames.points, frames.normals)[:, 0]
-        want = np.sign(rate) * np.tanh(0.3 / SLOW) * 0.2 / lever
+        lever = lever_arms(one, frames.q, frames.points, frames.normals)[:, 0]
+        want = np.sign(rate) * np.tanh(0.3 / FRICTION_SPEED) * 0.2 / lever
         np.testing.assert_allclose(more[1:], want[1:], rtol=1e-9)
         assert abs(lever[0]) == pytest.approx(0.4, rel=1e-6)
         assert more[0] == 0.0  # not known to move yet
@@ -250,7 +251,9 @@ def test_levers_are_the_jacobian_along_the_normal(context, sphere, frames):
     normal = np.einsum("kij,kj->ki", pose[:, :3, :3], frames.normals)
     arm = np.cross(np.swapaxes(jacobian[:, 3:], 1, 2), (place - tip)[:, None])
     want = np.einsum("kij,kj->ki", np.swapaxes(jacobian[:, :3], 1, 2) + arm, normal)
-    np.testing.assert_allclose(levers(context, q, frames.points, frames.normals), want, atol=1e-9)
+    np.testing.assert_allclose(
+        lever_arms(context, q, frames.points, frames.normals), want, atol=1e-9
+    )
 
 
 def test_joint_friction_needs_an_arm(context):

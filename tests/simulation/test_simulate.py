@@ -112,7 +112,7 @@ def test_a_step_that_would_diverge_is_refused_with_one_that_works(sphere):
         ({"mount": np.eye(3)}, r"T_tip_body, got \(3, 3\)"),
         ({"arm": None}, "without an arm"),
         ({"effects": ("gaussian_noise",)}, "got 'gaussian_noise'"),
-        ({"candidates": (3,)}, "an effect of a scene is none, got 3"),
+        ({"candidates": (3,)}, "scene.candidates must contain Effect objects, got 3"),
     ],
 )
 def test_a_scene_of_what_is_no_part_of_one_is_refused(sphere, changes, what):

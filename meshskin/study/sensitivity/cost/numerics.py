@@ -88,7 +88,7 @@ class Numerics:
         wanted = sum(-(-length // scene.frame_steps) for length in lengths)
         if steps or sum(map(len, frames)) != wanted:
             raise SimulationError("the loop lost contact on the reference's path")
-        return functools.reduce(lambda one, next_: one.followed_by(next_), frames)
+        return functools.reduce(lambda one, next_: one.append(next_), frames)
 
     def read(self, scene: Scene, frames: Frames) -> Array:
         """Pressures (m, n), Pa, without effects."""

@@ -1,0 +1,111 @@
+"""The pipeline that applies the effects of a scene to its frames."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from ..core.errors import ConfigError
+from ..core.se3 import Array
+from .base import STAGES, Context, Effect, FrameTransform, PressureTransform, check_effect
+from .frames import EffectClock, Frames, PressureField
+from .registry import CLASS_NAMES
+
+
+def ordered(effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """The effects in the order in which they act.
+
+    Raises ConfigError for an object that is not an effect, an effect given twice, an effect without
+    one that it requires, and two effects that exclude each other; UnknownNameError for an unknown
+    stage.
+    """
+    effects = tuple(effects)
+    for effect in effects:
+        check_effect(effect)
+    counts = Counter(effect.name for effect in effects)
+    for name, count in counts.items():
+        if count > 1:
+            raise ConfigError(
+                "an effect is given more than once",
+                value=f"{name} {count} times",
+                remedy="keep one",
+            )
+    for effect in effects:
+        for other in effect.requires:
+            if other not in counts:
+                raise ConfigError(f"effect {effect.name} requires {other}", remedy=f"add {other}")
+        for other in effect.excludes:
+            if other in counts:
+                raise ConfigError(f"effect {effect.name} excludes {other}", remedy="remove one")
+    rank = {name: k for k, name in enumerate(CLASS_NAMES)}
+    return tuple(
+        sorted(effects, key=lambda e: (STAGES.index(e.stage), rank.get(e.name, len(rank))))
+    )
+
+
+def build(effects: Iterable[Effect], context: Context, stage: str) -> tuple[Any, ...]:
+    """What the effects of one stage build, in order; empty where none is on."""
+    return tuple(e.build(context) for e in ordered(effects) if e.stage == stage)
+
+
+@dataclass(frozen=True)
+class EffectPipeline:
+    """The effects of a scene, built: functions that act on consecutive batches of frames."""
+
+    contact: tuple[FrameTransform, ...]
+    """Effects of the stage "contact"."""
+    field: PressureField
+    """The pressure field with the effects of the stage "field"."""
+    readings: tuple[PressureTransform, ...]
+    """Effects of the stages "pressure" and "transducer"."""
+    recorded: tuple[FrameTransform, ...]
+    """Effects of the stages "geometry" and "robot"."""
+    clock: EffectClock
+    """Time since the first run."""
+
+    @classmethod
+    def from_effects(
+        cls, effects: Iterable[Effect], context: Context, field: PressureField
+    ) -> EffectPipeline:
+        """The pipeline of the effects that are on; `field`: the pressure field without effects.
+
+        Raises ConfigError as `ordered`, and where an effect cannot be built.
+        """
+        effects = ordered(effects)
+        for wrap in build(effects, context, "field"):
+            field = wrap(field)
+        return cls(
+            build(effects, context, "contact"),
+            field,
+            build(effects, context, "pressure") + build(effects, context, "transducer"),
+            build(effects, context, "geometry") + build(effects, context, "robot"),
+            EffectClock(),
+        )
+
+    def read(self, frames: Frames, poses: Array) -> Array:
+        """Readings (m, n), Pa, of taxels at `poses` (n, 4, 4) in the next m frames in time."""
+        frames = self.clock.to_effect_time(frames)
+        for transform in self.contact:
+            frames = transform(frames)
+        pressures = self.field(frames, poses)
+        for transduce in self.readings:
+            pressures = transduce(pressures, frames)
+        return pressures
+
+    def record(self, frames: Frames) -> Frames:
+        """The next frames in time as they are written into the recording."""
+        if not len(frames):
+            return frames
+        recorded = self.clock.to_effect_time(frames)
+        for transform in self.recorded:
+            recorded = transform(recorded)
+        return replace(recorded, time=frames.time)
+
+    def start_next_run(self, pause: float) -> None:
+        """Let the next run start `pause`, s, after the last frame; its own times start at zero.
+
+        Drifts continue over the pause. Effects with a memory find no contact of the previous run.
+        """
+        self.clock.run_start = self.clock.last_time + pause

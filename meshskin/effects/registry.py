@@ -1,0 +1,137 @@
+"""The registry of effects: the ones in this package and those that other packages add."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, cast
+
+from ..core import config
+from ..core.errors import ConfigError, UnknownNameError
+from .base import Effect, check_effect
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+CLASS_NAMES = {
+    "friction": "Friction",
+    "layer": "Layer",
+    "elliptic_patch": "EllipticPatch",
+    "disc_averaging": "DiscAveraging",
+    "cover_fabric": "CoverFabric",
+    "scan_order": "ScanOrder",
+    "relaxation": "Relaxation",
+    "crosstalk": "Crosstalk",
+    "hysteresis": "Hysteresis",
+    "capacitive": "Capacitive",
+    "gain_offset": "GainOffset",
+    "temperature_drift": "TemperatureDrift",
+    "gaussian_noise": "GaussianNoise",
+    "sensing_range": "SensingRange",
+    "quantisation": "Quantisation",
+    "broken_taxels": "BrokenTaxels",
+    "mesh_facets": "MeshFacets",
+    "body_pose": "BodyPose",
+    "indenter_offset": "IndenterOffset",
+    "sampling": "Sampling",
+    "encoder": "Encoder",
+    "gravity_error": "GravityError",
+    "joint_friction": "JointFriction",
+    "force_sensor": "ForceSensor",
+}
+"""Class of each effect by the name of the effect and of its module, in the order of the signal:
+effects of one stage act in this order, followed by those of other packages."""
+
+ENTRY_POINT_GROUP = "meshskin.effects"
+"""Group of the entry points through which other packages add effects."""
+
+
+def find(name: str) -> type[Effect]:
+    """The effect class called `name`; its module is imported here.
+
+    Raises UnknownNameError for an unknown name, and ConfigError where the entry point of another
+    package cannot be loaded.
+    """
+    if name in CLASS_NAMES:
+        module = import_module(f".{name}", __package__)
+        return cast(type[Effect], getattr(module, CLASS_NAMES[name]))
+    entry_points = _entry_points()
+    if name not in entry_points:
+        raise UnknownNameError("effect", name, {*CLASS_NAMES, *entry_points})
+    try:
+        found = entry_points[name].load()
+    except Exception as error:  # the import of another package may raise anything
+        raise ConfigError(
+            f"the effect {name} of another package cannot be loaded: {_one_line(error)}",
+            value=entry_points[name].value,
+            remedy="reinstall that package, or remove the effect",
+        ) from error
+    if not is_dataclass(found):
+        raise ConfigError(
+            f"the effect {name} of another package must be a dataclass",
+            value=entry_points[name].value,
+        )
+    return cast(type[Effect], found)
+
+
+def registered() -> tuple[Effect, ...]:
+    """All effects that have defaults, with those defaults, those of other packages last.
+
+    An effect of another package that cannot be loaded is left out with a warning that names it.
+    """
+    kinds = [find(name) for name in CLASS_NAMES]
+    found = [kind() for kind in kinds if _has_defaults(kind)]
+    for name in sorted(set(_entry_points()) - set(CLASS_NAMES)):
+        try:
+            found += _external(name)
+        except ConfigError as error:
+            warnings.warn(f"{error}: it is left out", stacklevel=2)
+    return tuple(found)
+
+
+def from_table(table: Mapping[str, Any], where: str = "effects") -> Effect:
+    """The effect of a TOML table: `kind` is its name, the other keys are its fields.
+
+    Raises ConfigError for a table without `kind` or with values out of bounds, UnknownNameError for
+    an unknown effect or field.
+    """
+    if "kind" not in table:
+        known = ", ".join(sorted(CLASS_NAMES))
+        raise ConfigError(f"[{where}] lacks kind", remedy=f"add one of {known}")
+    values = {key: value for key, value in table.items() if key != "kind"}
+    return config.from_table(find(str(table["kind"])), values, where)
+
+
+def _entry_points() -> dict[str, EntryPoint]:
+    """Effects of other packages, by name."""
+    from importlib.metadata import entry_points
+
+    return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}
+
+
+def _external(name: str) -> tuple[Effect, ...]:
+    """The effect of another package with its defaults, if it has them. Raises ConfigError."""
+    kind = find(name)
+    if not _has_defaults(kind):
+        return ()
+    try:
+        effect = kind()
+    except Exception as error:  # the code of another package may raise anything
+        raise ConfigError(
+            f"the effect {name} of another package cannot be created: {_one_line(error)}"
+        ) from error
+    check_effect(effect)
+    return (effect,)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+def _has_defaults(kind: type[Effect]) -> bool:
+    return all(
+        field.default is not MISSING or field.default_factory is not MISSING
+        for field in fields(cast(Any, kind))
+    )
