@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from .exploration.path import Path as Way
     from .skin.skin import Skin
     from .study.sensitivity.budget import BudgetReport
-    from .study.sensitivity.cost.request import Request
+    from .study.sensitivity.request import Request
 
 METHODS = ("trilateration", "three_circles", "posegraph", "posegraph_isotropic", "posegraph_paper")
 """Methods that run on the same recording beside the joint estimate."""
@@ -151,7 +151,7 @@ def _promised(
     Raises StudyError where nothing keeps it.
     """
     from .exploration.plan import plan_exploration
-    from .study.sensitivity.cost.pilot import pilot
+    from .study.sensitivity.pilot import pilot
 
     tried = pilot(scene, request, METHODS, _drawing(scene), seed, clock.began)
     reason: ReachError | None = None

@@ -28,7 +28,7 @@ from meshskin.core.errors import StudyError
 from meshskin.report import precision, theme
 from meshskin.scene import shipped_scenes
 from meshskin.study.sensitivity.cost import KNOBS, TARGETS, Costs
-from meshskin.study.sensitivity.cost.request import Request
+from meshskin.study.sensitivity.request import Request
 
 FEW = ("dt", "lanes", "rate", "method")
 """Knobs of the default size."""

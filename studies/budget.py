@@ -38,9 +38,9 @@ from meshskin.report import theme
 from meshskin.scene import shipped_scenes
 from meshskin.simulation.readout import effect_chain
 from meshskin.simulation.simulate import prepare
-from meshskin.study.sensitivity.budget.holdout import paired
-from meshskin.study.sensitivity.budget.knobs import SECONDS
-from meshskin.study.sensitivity.budget.replay import Replay
+from meshskin.study.sensitivity.holdout import paired
+from meshskin.study.sensitivity.knobs import SECONDS
+from meshskin.study.sensitivity.replay import Replay
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

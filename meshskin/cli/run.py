@@ -15,7 +15,7 @@ from .calibrate import certainty
 if TYPE_CHECKING:
     from ..pipeline import Result
     from ..simulation.simulate import Progress
-    from ..study.sensitivity.cost.request import Request
+    from ..study.sensitivity.request import Request
 
 
 def add(commands: Any) -> None:
@@ -77,7 +77,7 @@ def _request(options: argparse.Namespace) -> Request | None:
     """The request for an accuracy or a time; None if neither is given."""
     if options.accuracy_mm is None and options.seconds is None:
         return None
-    from ..study.sensitivity.cost.request import Request
+    from ..study.sensitivity.request import Request
 
     return Request(options.accuracy_mm, options.seconds)
 

@@ -12,7 +12,7 @@ from meshskin import effects
 from meshskin.effects.frames import Frames
 from meshskin.geometry.region import Cap
 from meshskin.simulation import simulate
-from meshskin.study.sensitivity.budget.replay import Replay
+from meshskin.study.sensitivity.replay import Replay
 
 DRAWING = ("gain_offset", "broken_taxels", "encoder", "force_sensor", "gaussian_noise")
 OPTIONS = {

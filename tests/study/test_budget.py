@@ -12,8 +12,8 @@ from meshskin.core.errors import ConfigError
 from meshskin.geometry.region import Cap
 from meshskin.report import sections
 from meshskin.study.sensitivity import budget as budgets
-from meshskin.study.sensitivity.budget import holdout
-from meshskin.study.sensitivity.budget.choose import choose
+from meshskin.study.sensitivity import holdout
+from meshskin.study.sensitivity.selection import choose
 from meshskin.study.sweep import base_scene
 from meshskin.study.sweep.evaluate import evaluate
 

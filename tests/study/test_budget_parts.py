@@ -15,14 +15,14 @@ from meshskin.effects.mesh_facets import facets
 from meshskin.effects.quantisation import Quantisation
 from meshskin.effects.relaxation import Relaxation
 from meshskin.geometry.region import Cap
-from meshskin.study.sensitivity.budget.candidates import candidates
-from meshskin.study.sensitivity.budget.choose import Item, choose, left_out, size, together
-from meshskin.study.sensitivity.budget.holdout import Holdout
-from meshskin.study.sensitivity.budget.knobs import contact_models, knobs
-from meshskin.study.sensitivity.budget.linear import Solution, answering
-from meshskin.study.sensitivity.budget.replay import Replay
-from meshskin.study.sensitivity.budget.screen import NEGLIGIBLE, screened
-from meshskin.study.sensitivity.budget.trial import Trial
+from meshskin.study.sensitivity.budget_trial import Trial
+from meshskin.study.sensitivity.candidates import candidates
+from meshskin.study.sensitivity.holdout import Holdout
+from meshskin.study.sensitivity.knobs import contact_models, knobs
+from meshskin.study.sensitivity.linearized import Solution, answering
+from meshskin.study.sensitivity.replay import Replay
+from meshskin.study.sensitivity.screening import NEGLIGIBLE, screened
+from meshskin.study.sensitivity.selection import Item, choose, left_out, size, together
 
 
 @pytest.fixture(scope="module")

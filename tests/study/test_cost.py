@@ -11,8 +11,8 @@ from meshskin import cli
 from meshskin.core.errors import UnknownNameError
 from meshskin.geometry.region import Cap
 from meshskin.study.sensitivity.cost import Row, Setting, cost, front
-from meshskin.study.sensitivity.cost.models import Models
-from meshskin.study.sensitivity.cost.setting import ladders
+from meshskin.study.sensitivity.cost_models import Models
+from meshskin.study.sensitivity.setting import ladders
 
 
 @pytest.fixture(scope="module")

@@ -9,11 +9,11 @@ import meshskin as ms
 from meshskin import cli, pipeline
 from meshskin.core.errors import ConfigError, StudyError
 from meshskin.geometry.region import Cap
-from meshskin.study.sensitivity.cost.levels import Level, loops, models, surfaces, tolerances, worth
-from meshskin.study.sensitivity.cost.numerics import Numerics
-from meshskin.study.sensitivity.cost.pilot import at_length
-from meshskin.study.sensitivity.cost.request import Pilot, Request
-from meshskin.study.sensitivity.cost.setting import Setting
+from meshskin.study.sensitivity.levels import Level, loops, models, surfaces, tolerances, worth
+from meshskin.study.sensitivity.numerical_error import Numerics
+from meshskin.study.sensitivity.pilot import at_length
+from meshskin.study.sensitivity.request import Pilot, Request
+from meshskin.study.sensitivity.setting import Setting
 
 BASE = Setting(5120, 4, "hertz", 1e-3, "semi_implicit", 4e-3, 100.0)
 

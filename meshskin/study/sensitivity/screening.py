@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from ....effects import Context, Effect
+from ...effects import Context, Effect
 
 NEGLIGIBLE = 0.05
 """Part of the budget that all effects that are screened out may take together, by their bounds."""

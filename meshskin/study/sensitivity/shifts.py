@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ....core.errors import ContactError, ReachError, SimulationError
-from ....core.se3 import Array
-from ....effects import Effect
-from ....estimation.calibrate import calibrate
+from ...core.errors import ContactError, ReachError, SimulationError
+from ...core.se3 import Array
+from ...effects import Effect
+from ...estimation.calibrate import calibrate
 from .knobs import SECONDS, TOLERANCES, Knob, Rung
-from .linear import Solution, answering
+from .linearized import Solution, answering
 from .replay import Halves, Replay
 
 if TYPE_CHECKING:
-    from ....exploration.path import Path
-    from ....recording.recording import Recording
-    from ....scene.belief import Belief
-    from ....scene.scene import Scene
+    from ...exploration.path import Path
+    from ...recording.recording import Recording
+    from ...scene.belief import Belief
+    from ...scene.scene import Scene
 
 
 @dataclass(frozen=True)

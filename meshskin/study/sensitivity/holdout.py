@@ -9,20 +9,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ....core.se3 import Array
-from ....effects import NoiseEffect
-from ....estimation.calibrate import calibrate
-from ....estimation.joint.newton import NEWTON_TOLERANCE
-from ....exploration.plan import plan_exploration
-from .choose import size
+from ...core.se3 import Array
+from ...effects import NoiseEffect
+from ...estimation.calibrate import calibrate
+from ...estimation.joint.newton import NEWTON_TOLERANCE
+from ...exploration.plan import plan_exploration
+from .budget_report import Check
 from .replay import Halves, Replay
-from .report import Check
+from .selection import size
 
 if TYPE_CHECKING:
-    from ....effects import Effect
-    from ....exploration.path import Path
-    from ....scene.belief import Belief
-    from ....scene.scene import Scene
+    from ...effects import Effect
+    from ...exploration.path import Path
+    from ...scene.belief import Belief
+    from ...scene.scene import Scene
 
 
 def paired(everything: Scene, chosen: Scene) -> tuple[Scene, Scene]:

@@ -15,24 +15,24 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 import pyarrow as pa
 
-from ....contact import BATCHED
-from ....core.errors import CalibrationError, GraphError, StudyError
-from ....effects import NoiseEffect
-from ....estimation.calibrate import calibrate
-from ....estimation.uncertainty import metrics
-from ....recording.recording import Recording
-from ....simulation.contact_samplers import together
-from ....simulation.readout import contact_frames, effect_chain, recorded
-from ....simulation.simulate import prepare, run, simulate
+from ...contact import BATCHED
+from ...core.errors import CalibrationError, GraphError, StudyError
+from ...effects import NoiseEffect
+from ...estimation.calibrate import calibrate
+from ...estimation.uncertainty import metrics
+from ...recording.recording import Recording
+from ...simulation.contact_samplers import together
+from ...simulation.readout import contact_frames, effect_chain, recorded
+from ...simulation.simulate import prepare, run, simulate
 from .levels import COARSER, loops, models, surfaces, tolerances, worth
-from .numerics import Numerics
+from .numerical_error import Numerics
 from .request import LANES, Pilot, Request
 from .setting import Setting
 
 if TYPE_CHECKING:
-    from ....estimation.calibration import Calibration
-    from ....scene.belief import Belief
-    from ....scene.scene import Scene
+    from ...estimation.calibration import Calibration
+    from ...scene.belief import Belief
+    from ...scene.scene import Scene
 
     T = TypeVar("T")
 

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ....contact import solve
-from ....core.errors import ContactError
-from ....simulation.readout import frames_at
-from .numerics import Numerics
+from ...contact import solve
+from ...core.errors import ContactError
+from ...simulation.readout import frames_at
+from .numerical_error import Numerics
 
 if TYPE_CHECKING:
-    from ....core.se3 import Array
-    from ....effects.frames import Frames
+    from ...core.se3 import Array
+    from ...effects.frames import Frames
 
 WINDOW = 0.15
 """Seconds of the path that CVODES runs along: it takes a thousand times as long."""

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ....core.se3 import Array
-from ....effects import Effect
-from ....exploration.plan import plan_exploration
-from .choose import Item, left_out, size
+from ...core.se3 import Array
+from ...effects import Effect
+from ...exploration.plan import plan_exploration
+from .budget_report import BudgetReport, Check, Entry
 from .knobs import Knob, finest_step, knobs
 from .replay import Replay
-from .report import BudgetReport, Check, Entry
-from .screen import screened
-from .shift import Effects, Rehearsed, tolerance
+from .screening import screened
+from .selection import Item, left_out, size
+from .shifts import Effects, Rehearsed, tolerance
 
 if TYPE_CHECKING:
-    from ....scene.scene import Scene
+    from ...scene.scene import Scene
 
 
 class Trial:

@@ -15,12 +15,12 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
 
-from ....core.arguments import check_integer, check_real, check_type
-from ....core.errors import UnknownNameError
-from ....scene.scene import Scene
-from .models import Models
-from .numerics import Numerics
-from .reference import Route, routes
+from ...core.arguments import check_integer, check_real, check_type
+from ...core.errors import UnknownNameError
+from ...scene.scene import Scene
+from .cost_models import Models
+from .numerical_error import Numerics
+from .second_routes import Route, routes
 from .setting import Setting, ladders, reference
 from .trial import Bench, Row
 

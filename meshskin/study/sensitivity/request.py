@@ -14,7 +14,7 @@ from itertools import product
 
 import numpy as np
 
-from ....core.errors import ConfigError, StudyError
+from ...core.errors import ConfigError, StudyError
 from .levels import Level
 from .setting import RATES, Setting
 

@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ....core.se3 import Array
-from ....effects import Effect, EffectPipeline, ordered
-from ....effects.frames import Frames
-from ....recording.recording import Recording
-from ....simulation.readout import contact_frames, effect_chain, sensor_tables
-from ....simulation.simulate import prepare, run
+from ...core.se3 import Array
+from ...effects import Effect, EffectPipeline, ordered
+from ...effects.frames import Frames
+from ...recording.recording import Recording
+from ...simulation.readout import contact_frames, effect_chain, sensor_tables
+from ...simulation.simulate import prepare, run
 
 if TYPE_CHECKING:
-    from ....exploration.path import Path
-    from ....scene.scene import Scene
+    from ...exploration.path import Path
+    from ...scene.scene import Scene
 
 LONGEST = 40.0
 """Most seconds of the path that are rehearsed."""

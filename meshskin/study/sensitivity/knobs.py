@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ....contact import BATCHED
-from ....estimation.joint.newton import NEWTON_TOLERANCE
-from ....geometry.body import Body
+from ...contact import BATCHED
+from ...estimation.joint.newton import NEWTON_TOLERANCE
+from ...geometry.body import Body
 
 if TYPE_CHECKING:
-    from ....scene.scene import Scene
+    from ...scene.scene import Scene
 
 SECONDS = {
     "face": 21e-6, "step": 13e-6, "hertz": 1e-7, "elliptic": 1.5e-6, "layered": 2.0e-6,

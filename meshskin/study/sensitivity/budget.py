@@ -13,15 +13,15 @@ import math
 from collections.abc import Callable
 from numbers import Real
 
-from ....core.arguments import check_type
-from ....core.errors import ConfigError
-from ....scene.scene import Scene
+from ...core.arguments import check_type
+from ...core.errors import ConfigError
+from ...scene.scene import Scene
+from .budget_report import BudgetReport, Check, Entry
+from .budget_trial import Trial
 from .candidates import candidates
-from .choose import choose, size
 from .holdout import Holdout
-from .report import BudgetReport, Check, Entry
-from .screen import NEGLIGIBLE
-from .trial import Trial
+from .screening import NEGLIGIBLE
+from .selection import choose, size
 
 __all__ = ["DEFAULT", "BudgetReport", "Check", "Entry", "budget"]
 

@@ -14,18 +14,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ....contact import BATCHED
-from ....core.errors import ConfigError, ContactError, ReachError, SimulationError
-from ....estimation.calibrate import calibrate
-from ....estimation.joint.newton import NEWTON_TOLERANCE
-from .numerics import Numerics, mean_mm
-from .reference import geometry
+from ...contact import BATCHED
+from ...core.errors import ConfigError, ContactError, ReachError, SimulationError
+from ...estimation.calibrate import calibrate
+from ...estimation.joint.newton import NEWTON_TOLERANCE
+from .numerical_error import Numerics, mean_mm
+from .second_routes import geometry
 from .setting import INTEGRATORS, Setting
 
 if TYPE_CHECKING:
-    from ....recording.recording import Recording
-    from ....scene.belief import Belief
-    from ....scene.scene import Scene
+    from ...recording.recording import Recording
+    from ...scene.belief import Belief
+    from ...scene.scene import Scene
 
 COARSER = (2, 5)
 """Steps of the loop, over the scene's own."""

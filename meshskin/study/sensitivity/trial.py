@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ....core.errors import ContactError, MeshskinError
-from ....estimation.calibrate import calibrate
-from ....estimation.joint.newton import NEWTON_TOLERANCE
-from ....estimation.uncertainty import metrics
-from ....simulation.simulate import simulate
-from .numerics import Numerics, mean_mm
+from ...core.errors import ContactError, MeshskinError
+from ...estimation.calibrate import calibrate
+from ...estimation.joint.newton import NEWTON_TOLERANCE
+from ...estimation.uncertainty import metrics
+from ...simulation.simulate import simulate
+from .numerical_error import Numerics, mean_mm
 from .setting import Setting
 
 if TYPE_CHECKING:
-    from ....geometry.body import Body
-    from ....recording.recording import Recording
-    from ....scene.scene import Scene
+    from ...geometry.body import Body
+    from ...recording.recording import Recording
+    from ...scene.scene import Scene
 
 
 @dataclass(frozen=True)

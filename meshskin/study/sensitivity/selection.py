@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ....core.se3 import Array
+from ...core.se3 import Array
 
 Joint = Callable[[frozenset[str]], Array]
 """How leaving out all but these items moves the taxels (seeds, n, 3), m."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from .... import effects
-from ....core.errors import MeshskinError
-from ....effects import Effect
+from ... import effects
+from ...core.errors import MeshskinError
+from ...effects import Effect
 
 if TYPE_CHECKING:
-    from ....scene.scene import Scene
+    from ...scene.scene import Scene
 
 
 def candidates(scene: Scene, seed: int = 0) -> tuple[tuple[Effect, ...], dict[str, str]]:

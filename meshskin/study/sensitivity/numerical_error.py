@@ -14,19 +14,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .... import effects
-from ....core.errors import SimulationError
-from ....core.se3 import Array
-from ....effects.frames import EffectClock
-from ....estimation.calibrate import calibrate
-from ....exploration.plan import plan_exploration
-from ....simulation.readout import contact_frames, effect_chain, recorded
-from ....simulation.simulate import prepare, run
-from ....simulation.state_machine import SLIDE
+from ... import effects
+from ...core.errors import SimulationError
+from ...core.se3 import Array
+from ...effects.frames import EffectClock
+from ...estimation.calibrate import calibrate
+from ...exploration.plan import plan_exploration
+from ...simulation.readout import contact_frames, effect_chain, recorded
+from ...simulation.simulate import prepare, run
+from ...simulation.state_machine import SLIDE
 
 if TYPE_CHECKING:
-    from ....effects.frames import Frames
-    from ....scene.scene import Scene
+    from ...effects.frames import Frames
+    from ...scene.scene import Scene
 
 SIGMA = 0.01
 """Noise that weighs the readings where the scene has none, relative to the peak pressure."""

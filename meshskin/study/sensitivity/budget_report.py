@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ....scene.belief import Belief
-    from ....scene.scene import Scene
+    from ...scene.belief import Belief
+    from ...scene.scene import Scene
 
 HEADER = ("effect", "", "mm", "seconds", "why")
 

@@ -15,18 +15,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ....core.se3 import Array
-from ....estimation import chart
-from ....estimation.data.measurements import gather
-from ....estimation.joint import fault_detection
-from ....estimation.joint.joint_estimator import JointEstimator
-from ....estimation.joint.parametrization import SurfaceParametrization
+from ...core.se3 import Array
+from ...estimation import chart
+from ...estimation.data.measurements import gather
+from ...estimation.joint import fault_detection
+from ...estimation.joint.joint_estimator import JointEstimator
+from ...estimation.joint.parametrization import SurfaceParametrization
 
 if TYPE_CHECKING:
-    from ....estimation.calibration import Calibration
-    from ....recording.recording import Recording
-    from ....scene.belief import Belief
-    from ....scene.scene import Scene
+    from ...estimation.calibration import Calibration
+    from ...recording.recording import Recording
+    from ...scene.belief import Belief
+    from ...scene.scene import Scene
 
 
 FAR = 5e-3

@@ -6,14 +6,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from ....contact import BATCHED
-from ....estimation.calibrate import METHODS
-from ....estimation.joint.newton import NEWTON_TOLERANCE
-from ....geometry.body import Body
+from ...contact import BATCHED
+from ...estimation.calibrate import METHODS
+from ...estimation.joint.newton import NEWTON_TOLERANCE
+from ...geometry.body import Body
 
 if TYPE_CHECKING:
-    from ....scene.scene import Scene
-    from ....scene.settings import Exploration
+    from ...scene.scene import Scene
+    from ...scene.settings import Exploration
 
 FACES = (1 / 16, 1 / 4, 1, 4)
 STEPS = (0.5, 1.0, 2.0, 5.0)
