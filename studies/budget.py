@@ -36,7 +36,7 @@ from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap
 from meshskin.report import theme
 from meshskin.scene import shipped_scenes
-from meshskin.simulation.readout import effect_chain
+from meshskin.simulation.readout import effect_pipeline
 from meshskin.simulation.simulate import prepare
 from meshskin.study.sensitivity.holdout import paired
 from meshskin.study.sensitivity.knobs import SECONDS
@@ -116,7 +116,7 @@ def prices() -> dict[str, float]:
     found["step"] = seconds(lambda: [plan_exploration(scene).path, Replay.of(scene, path)]) / steps
     frames = Replay.of(scene, path).frames
     for name in ("hertz", "elliptic", "layered"):
-        read = effect_chain(scene.with_(contact=name, effects=()), 0).read
+        read = effect_pipeline(scene.with_(contact=name, effects=()), 0).read
         found[name] = seconds(partial(read, frames, scene.skin.poses)) / len(frames) / taxels
     iterates = ms.calibrate(recording, scene.belief()).iterates
     assert iterates is not None  # a joint estimate has them

@@ -31,7 +31,7 @@ from meshskin.estimation.adaptive import adapt
 from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap
 from meshskin.report import theme
-from meshskin.simulation.contact_samplers import touched
+from meshskin.simulation.contact_samplers import closed_loop_sampler
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -173,7 +173,7 @@ def needs(one: Curve, key: str, levels: np.ndarray) -> np.ndarray:
 
 def through_the_loop(scene: ms.Scene) -> dict[str, float]:
     """One adaptive run in which the arm makes every touch."""
-    found = adapt(scene, 30e-6, touch=touched)
+    found = adapt(scene, 30e-6, touch=closed_loop_sampler)
     error = error_mm(scene, found.calibration.positions)
     print(f"closed loop, target 0.03 mm: {len(found.recording.time)} touches in "
           f"{len(found.rounds)} rounds, mean error {error:.4f} mm, "

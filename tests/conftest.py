@@ -59,7 +59,7 @@ def prepared(sphere):
             scene = sphere.with_(loop=replace(sphere.loop, mode=mode, compile="never", **loop))
             made[key] = prepare(scene)
         machine, path = made[key]
-        machine.rewind()
+        machine.reset()
         return machine, path
 
     return get
@@ -69,6 +69,6 @@ def prepared(sphere):
 def along(prepared, sphere):
     """Joint angles (k, 6) along the path of the paper's scene."""
     machine, path = prepared()
-    machine.rewind()
+    machine.reset()
     poses = path.poses @ np.linalg.inv(sphere.mount_pose)
     return machine.loop.arm.inverse_kinematics(poses, machine.state[:6])

@@ -18,7 +18,7 @@ from ..exploration.lane_plan import NOT_COVERED
 from ..exploration.plan import plan_exploration
 from ..recording.recording import Recording
 from ..scene.scene import Scene
-from ..simulation.contact_samplers import Toucher, pressed, together
+from ..simulation.contact_samplers import ContactSamplerFactory, concatenate, static_sampler
 from .calibrate import calibrate
 from .calibration import Calibration
 
@@ -82,7 +82,7 @@ def adapt(
     *,
     seed: int = 0,
     most: int = 2000,
-    touch: Toucher = pressed,
+    touch: ContactSamplerFactory = static_sampler,
     points: Array | None = None,
 ) -> Adaptive:
     """Explore until the stated uncertainty of every taxel is at most `target` (m) or cannot be.
@@ -106,7 +106,7 @@ def adapt(
     recording, _ = reach_out(points)
     if not calibrate(recording, belief).touched.all():
         gaps = between(scene, recording.points)[: most - len(recording.time)]
-        recording = together(recording, reach_out(gaps)[0]) if len(gaps) else recording
+        recording = concatenate(recording, reach_out(gaps)[0]) if len(gaps) else recording
     while True:
         calibration = calibrate(recording, belief)
         left = stand.judge(calibration, len(recording.time), most)
@@ -120,7 +120,7 @@ def adapt(
         except ReachError:
             stand.give_up(wanted.taxel[:enough], "no contact that would tell more can be made")
             continue
-        recording = together(recording, more)
+        recording = concatenate(recording, more)
         for taxel in np.unique(wanted.taxel[:enough]):
             mine = why[wanted.taxel[:enough] == taxel]
             if (mine != "").all():

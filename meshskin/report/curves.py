@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.se3 import Array
-from ..simulation.response import BAND
+from ..simulation.response import SETTLING_BAND
 from . import theme
 from .plane import MM
 from .theme import measured, number
@@ -45,7 +45,7 @@ def settling_time(time: ArrayLike, force: ArrayLike, reference: float, touch: fl
     """
     t, f = np.asarray(time, dtype=float), np.asarray(force, dtype=float)
     after = t >= touch
-    t, outside = t[after], np.abs(f[after] - reference) > BAND * abs(reference)
+    t, outside = t[after], np.abs(f[after] - reference) > SETTLING_BAND * abs(reference)
     if not len(t):
         return float("nan")
     breaks = np.concatenate([[touch], t[outside], [t[-1]]])
@@ -93,7 +93,9 @@ def force(
         if ref is not None and np.any(chosen):
             axes.plot(*envelope(x[chosen], ref[chosen]), color=theme.WARNING, lw=0.9, ls="--")
     for axes in (whole, zoom):
-        axes.axhspan(goal * (1 - BAND), goal * (1 + BAND), color=theme.FAINT, lw=0)
+        axes.axhspan(
+            goal * (1 - SETTLING_BAND), goal * (1 + SETTLING_BAND), color=theme.FAINT, lw=0
+        )
         axes.set_ylim(0, 1.12 * max(np.max(f, initial=1e-9), np.nan_to_num(goal)))
     whole.set(xlabel="time (s)", ylabel="normal force (N)", title="Whole run")
     zoom.set(xlabel="time after touch (ms)", title="Touch and settling")
@@ -109,7 +111,7 @@ def _mark_settling(axes: Axes, settling: float) -> None:
         return
     axes.axvline(settling * MM, color=theme.MUTED, lw=0.8, ls=":")
     axes.annotate(
-        f"within {100 * BAND:g} %\nafter {number(settling * MM)} ms",
+        f"within {100 * SETTLING_BAND:g} %\nafter {number(settling * MM)} ms",
         (settling * MM, 0.1),
         (4, 0),
         xycoords=("data", "axes fraction"),
@@ -123,7 +125,7 @@ def _hold(axes: Axes, force: Array, goal: float) -> None:
     axes.ticklabel_format(axis="y", useOffset=False)
     if np.isfinite(goal):
         off = float(np.max(np.abs(force - goal), initial=0.0))
-        half = 1.3 * off or BAND * goal
+        half = 1.3 * off or SETTLING_BAND * goal
         axes.set_ylim(goal - half, goal + half)
         axes.set_title(f"Force held, within {measured(off, 2)} N")
 
@@ -135,7 +137,7 @@ def _force_legend(figure: Figure, with_reference: bool) -> None:
     handles: list[object] = [Line2D([], [], color=theme.ESTIMATE, label="contact force")]
     if with_reference:
         handles.append(Line2D([], [], color=theme.WARNING, ls="--", label="reference"))
-        handles.append(Patch(color=theme.FAINT, label=f"± {100 * BAND:g} %"))
+        handles.append(Patch(color=theme.FAINT, label=f"± {100 * SETTLING_BAND:g} %"))
     where = (0.5 / figure.get_size_inches()[0], 1.0)
     figure.legend(handles=handles, loc="upper left", bbox_to_anchor=where, ncols=len(handles))
 

@@ -1,14 +1,11 @@
-"""Many episodes of one loop at once, in step: for parameter studies and for sampling a path.
+"""Many episodes of one closed loop at once: for parameter studies and for sampling a path.
 
-The episodes share the body and the path. Each starts at a row of the path of its own and may have
-parameters of its own (modulus, gains, ...).
+The episodes share the body and the path. Each starts at its own row of the path and may have its
+own parameters (modulus, gains, ...).
 """
 
 from __future__ import annotations
 
-from typing import Any
-
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,18 +15,18 @@ from ..geometry.body import Body
 from .closed_loop_model import ANCHOR, ClosedLoopModel
 from .machine_code import PATCH, machine_code
 from .point_readings import PointReadings
-from .quasi_static import start as body_state
-from .rollout import SPARE
-from .step import step
-from .track import STAY, Track, crossings, reference_poses
+from .quasi_static import state_of_pose
+from .rollout import FACE_MARGIN
+from .step import bind, step
+from .track import IDENTITY_MAP, Track, face_maps, face_margin, map_foot, reference_poses
 
 
-class Batch:
+class BatchSimulator:
     """State of `count` episodes.
 
     rows (count,): where each starts on the track; starts (count, n): joint angles there, not needed
-    without an arm; parameters (count, 9): rows of loop.Parameters, by default the loop's own;
-    `compile_` and `steps`: see machine_code; taxels (n, 3): read them all at every step.
+    without an arm; parameters (count, 9): rows of Parameters, by default the loop's own; `compile_`
+    and `steps`: see machine_code; taxels (n, 3), body frame, m: read them all at every step.
     """
 
     def __init__(
@@ -47,31 +44,35 @@ class Batch:
     ) -> None:
         self.body, self.loop, self.track = body, loop, track
         self.rows = np.array(rows, dtype=np.intp)
-        count = len(self.rows)
-        one = step(loop)
+        count, function = len(self.rows), step(loop)
         references = track.references[self.rows]
         if starts is None:
-            starts = np.array([body_state(pose) for pose in reference_poses(references)])
+            starts = state_of_pose(reference_poses(references))
         own = np.tile(loop.parameters.values, (count, 1)) if parameters is None else parameters
-        self.state = np.zeros((count, one.size1_in(0)))
+        self.state = np.zeros((count, function.size1_in(0)))
         self.references = np.array(references)
-        self.maps = np.tile(STAY, (count, 1))
+        self.maps = np.tile(IDENTITY_MAP, (count, 1))
         self.parameters = np.array(own, dtype=float)
         self.next = np.zeros_like(self.state)
-        self.outputs = np.zeros((count, one.size1_out(1)))
+        self.outputs = np.zeros((count, function.size1_out(1)))
         self.faces = np.array(track.faces[self.rows])
         self._code = machine_code(loop, body.surface.patches, compile_, steps * count)
-        self._fan = _Fan(one, self) if self._code is None else None
+        if self._code is None:
+            self._anchors, self._anchor_faces = np.zeros((count, ANCHOR)), np.full(count, -1)
+            self._buffer, self._call = bind(
+                function.map(count),
+                (self.state, self.references, self._anchors, self.parameters),
+                (self.next, self.outputs),
+            )
         self._reader = None
         if taxels is not None:
             self._reader = PointReadings(loop, taxels, np.float32, self._code)
         self.readings = None if taxels is None else np.zeros((count, len(taxels)), np.float32)
         """Point pressures (count, taxels) of the last step, Pa, where they were asked for."""
-        self._astray = np.zeros(count, dtype=bool)
         self.steps = 0
         self.state[:, : starts.shape[1]] = starts
-        self._locate(np.arange(count), self._centres(starts))
-        self._astray[:] = self.faces != track.faces[self.rows]
+        self._locate(np.arange(count), loop.indenter_centers(loop.body_poses(starts)))
+        self._off_path = self.faces != track.faces[self.rows]
 
     def advance(self) -> Array:
         """One step of every episode; returns the outputs (count, m), valid until the next.
@@ -85,22 +86,21 @@ class Batch:
         if self.rows.max() == last:
             self.references[self.rows == last, -6:] = 0.0
         faces = track.faces[self.rows]
-        self.maps[:] = STAY
-        new = np.flatnonzero((faces != self.faces) & ~self._astray)
+        self.maps[:] = IDENTITY_MAP
+        new = np.flatnonzero((faces != self.faces) & ~self._off_path)
         if len(new):
-            self.maps[new] = crossings(self.body.surface, self.faces[new], faces[new])
+            self.maps[new] = face_maps(self.body.surface, self.faces[new], faces[new])
             self.faces[new] = faces[new]
         self._run()
         if not np.isfinite(self.next.sum() + self.outputs.sum()):
-            self._refuse()
+            raise self._diverged()
         self.state[:] = self.next
-        u, v = self.next[:, -2], self.next[:, -1]
-        spare = np.minimum(np.minimum(u, v), 1.0 - u - v)
-        if spare.min() < -SPARE:
-            out = np.flatnonzero(spare < -SPARE)
-            self._astray[out] = True
-            self._locate(out, self._last_centres(out))
-        if self._astray.any():
+        margin = face_margin(self.next[:, -2:])
+        if margin.min() < -FACE_MARGIN:
+            outside = np.flatnonzero(margin < -FACE_MARGIN)
+            self._off_path[outside] = True
+            self._locate(outside, self._contact_centers(outside))
+        if self._off_path.any():
             self._rejoin(faces)
         if self._reader is not None:
             self._reader(self.outputs, self.readings)
@@ -110,74 +110,44 @@ class Batch:
 
     def _run(self) -> None:
         """One step of every episode, from `state` to `next`."""
-        if self._fan is not None:
-            self._fan.run(self.faces, self.maps)
-        elif self._code is not None:
+        if self._code is not None:
             self._code.steps(
                 self.state, self.next, self.references, self.faces, self.maps, self.parameters,
                 self.outputs,
             )  # fmt: skip
+            return
+        new = np.flatnonzero(self._anchor_faces != self.faces)
+        self._anchor_faces[new] = self.faces[new]
+        patches = self.body.surface.patches[self.faces[new]].swapaxes(1, 2)
+        self._anchors[new, :PATCH] = patches.reshape(len(new), PATCH)
+        self._anchors[:, PATCH:] = self.maps
+        self._call()
 
-    def _locate(self, which: NDArray[np.intp], centres: Array) -> None:
-        """Anchor some episodes at the foot of the indenter's centre (k, 3), body frame."""
-        hit = self.body.closest(centres, face=self.faces[which])
+    def _locate(self, which: NDArray[np.intp], centers: Array) -> None:
+        """Anchor some episodes at the foot point of the indenter's center (k, 3), body frame."""
+        hit = self.body.closest(centers, face=self.faces[which])
         self.state[which, -2:] = hit.uv
         self.faces[which] = hit.face
 
     def _rejoin(self, faces: NDArray[np.intp]) -> None:
-        """Episodes whose foot lies well on the path's face run over the path's faces again."""
-        out = np.flatnonzero(self._astray)
-        change = crossings(self.body.surface, self.faces[out], faces[out]).reshape(-1, 3, 2)
-        foot = np.concatenate([self.state[out, -2:], np.ones((len(out), 1))], axis=1)
-        uv = np.einsum("kij,ki->kj", change, foot)
-        spare = np.minimum(uv.min(axis=1), 1.0 - uv.sum(axis=1))
-        self._astray[out] = spare < -SPARE / 2
+        """Use the path's faces (count,) again for episodes whose foot point lies well on them."""
+        out = np.flatnonzero(self._off_path)
+        maps = face_maps(self.body.surface, self.faces[out], faces[out])
+        margin = face_margin(map_foot(maps, self.state[out, -2:]))
+        self._off_path[out] = margin < -FACE_MARGIN / 2
 
-    def _centres(self, starts: Array) -> Array:
-        """The indenter's centre (count, 3) in the body frames of the start."""
-        if self.loop.mode == "arm":
-            poses = self.loop.arm.pose(starts) @ self.loop.mount
-        else:
-            poses = reference_poses(self.track.references[self.rows])
-        reach = self.loop.indenter_position - poses[:, :3, 3]
-        return np.einsum("kji,kj->ki", poses[:, :3, :3], reach)
+    def _contact_centers(self, which: NDArray[np.intp]) -> Array:
+        """The indenter's center (k, 3), body frame, by the outputs of some episodes."""
+        rows, outputs = self.loop.outputs, self.outputs[which]
+        gap = self.loop.indenter_radius - outputs[:, rows["depth"]]
+        return outputs[:, rows["point"]] + gap * outputs[:, rows["normal"]]
 
-    def _last_centres(self, which: NDArray[np.intp]) -> Array:
-        rows, out = self.loop.outputs, self.outputs[which]
-        gap = self.loop.indenter_radius - out[:, rows["depth"]]
-        return out[:, rows["point"]] + gap * out[:, rows["normal"]]
-
-    def _refuse(self) -> None:
-        whole = np.isfinite(np.hstack([self.next, self.outputs])).all(axis=1)
-        k = int(np.argmin(whole))
-        raise SimulationError(
+    def _diverged(self) -> SimulationError:
+        finite = np.isfinite(np.hstack([self.next, self.outputs])).all(axis=1)
+        k = int(np.argmin(finite))
+        return SimulationError(
             f"episode {k} diverged at t = {self.steps * self.loop.dt:.4f} s, "
             f"state = {np.round(self.state[k], 4).tolist()}",
             value=f"dt = {self.parameters[k, 0]} s",
-            remedy="take a smaller loop.dt_ms or lower gains",
+            remedy="set a smaller loop.dt_ms or lower gains",
         )
-
-
-class _Fan:
-    """One step of all episodes, interpreted: from a batch's arrays into its `next`, `outputs`."""
-
-    def __init__(self, one: ca.Function, batch: Batch) -> None:
-        self._patches, self._faces = batch.body.surface.patches, np.full(len(batch.rows), -1)
-        self._anchors = np.zeros((len(batch.rows), ANCHOR))
-        buffer: Any = one.map(len(batch.rows)).buffer()
-        self._buffer, self._call = buffer
-        inputs: tuple[Any, ...] = (batch.state, batch.references, self._anchors, batch.parameters)
-        for k, array in enumerate(inputs):
-            self._buffer.set_arg(k, memoryview(array))
-        results: tuple[Any, ...] = (batch.next, batch.outputs)
-        for k, array in enumerate(results):
-            self._buffer.set_res(k, memoryview(array))
-
-    def run(self, faces: NDArray[np.intp], maps: Array) -> None:
-        """Step on `faces` (count,), the feet carried there by `maps` (count, 6)."""
-        new = np.flatnonzero(self._faces != faces)
-        self._faces[new] = faces[new]
-        patches = self._patches[faces[new]].swapaxes(1, 2)
-        self._anchors[new, : -len(STAY)] = patches.reshape(len(new), PATCH)
-        self._anchors[:, -len(STAY) :] = maps
-        self._call()

@@ -1,8 +1,8 @@
 """The closed loop in continuous time: arm dynamics, contact, law and torque at one instant.
 
-    M(q) qdd = tau + J^T f_c - bias(q, qdot)
+    M(q) qdd = tau + J^T f_c - bias(q, qdot) - friction(qdot)
 
-tau is held within the arm's torque limits. The integrators make a step of it.
+tau is limited to the arm's torque limits. The integrators turn these equations into a step.
 """
 
 from __future__ import annotations
@@ -14,57 +14,63 @@ import numpy as np
 
 from . import law as compliance
 from .closed_loop_model import ANCHOR, PARAMETERS, REFERENCE, ClosedLoopModel, Parameters
-from .delayed_reading import delayed_reading, kept
 from .ldl import Factor
-from .surface_contact import Touch, touch
+from .surface_contact import SurfaceContact, delayed_reading, shift_memory, surface_contact
 
-ROTATION_DAMPING = 0.02
-FORCE_DAMPING = 1e-6
-"""Row dampings of the inverses, in m; damping costs path accuracy, hence the rotation rows only."""
-FLATTEST = 1.0
-"""Curvature below which the body counts as a sphere of 1 m in the force part, 1/m."""
-SLIP = 5e-3
-"""Joint speed at which Coulomb friction is at tanh(1) of its full value, rad/s."""
+ROTATION_DAMPING, FORCE_DAMPING = 0.02, 1e-6
+"""Damping of the inverses' rows: rotations (dimensionless) and positions, m. A damped row loses the
+part (damping / singular value)^2 of its motion, 4e-4 of a rotation in a regular posture, and joint
+speeds stay bounded near singular ones. Lost position is path error: those rows have next to none
+(tests/hard/test_motion_stability.py runs the Puma through its wrist's singularity)."""
+MIN_CURVATURE = 1.0
+"""Curvature, 1/m, below which the force part of the law treats the body as a sphere of 1 m: its
+center must stay at a finite distance."""
+COULOMB_SPEED = 5e-3
+"""Joint speed, rad/s, at which the smoothed Coulomb friction is tanh(1) of its full value: far
+below the joint speeds of an exploration, and resolved by steps of 1 ms."""
+UNLIMITED_TORQUE = 1e30
+"""Torque limit, N m, of a joint without one: CasADi's min and max need a finite number."""
 
 
 @dataclass(frozen=True)
-class Instant:
+class DynamicsTerms:
     """Expressions of the closed loop at one state."""
 
-    touch: Touch
+    contact: SurfaceContact
     mass: ca.SX
-    """M (n, n)."""
+    """Mass matrix M (n, n)."""
     factor: Factor
-    """Its factors."""
-    effort: ca.SX
-    """tau + J^T f_c - bias - friction (n,), N m."""
-    row: ca.SX
+    """LDL^T factors of M."""
+    force: ca.SX
+    """Generalized force tau + J^T f_c - bias - friction (n,), N m."""
+    depth_gradient: ca.SX
     """d(depth)/dq (n,), m/rad."""
-    pull: ca.SX
-    """d(effort)/d(depth) with opposite sign (n,): contact stiffness and law slope, N/rad."""
-    free: ca.SX
-    """1 where a joint's torque is within its limit, 0 where it is held there (n,)."""
+    stiffness: ca.SX
+    """-d(force)/d(depth) (n,), N/rad: contact stiffness and slope of the force law."""
+    unlimited: ca.SX
+    """1 where a joint's torque is within its limit, 0 where it is at the limit (n,)."""
     memory: ca.SX
-    """Readings on their way to the law after this step."""
+    """Delayed measurements after this step."""
     output: ca.SX
-    """The row that Loop.outputs describes."""
+    """The output row; see ClosedLoopModel.outputs."""
 
     @property
-    def foot(self) -> ca.SX:
-        """What the next step knows of this contact: readings on their way, (u, v) of the foot."""
-        return ca.vertcat(self.memory, self.touch.u, self.touch.v)
+    def contact_state(self) -> ca.SX:
+        """The part of the next state that follows from this contact: delayed measurements, (u, v)
+        of the foot point."""
+        return ca.vertcat(self.memory, self.contact.u, self.contact.v)
 
     @property
     def acceleration(self) -> ca.SX:
-        """qdd (n,), rad/s^2."""
-        return self.factor.solve(self.effort)
+        """Joint acceleration (n,), rad/s^2."""
+        return self.factor.solve(self.force)
 
 
 class ClosedLoopDynamics:
-    """The closed loop's equations for one scene.
+    """The equations of a closed loop.
 
-    The inputs of a step are symbols: reference (18,), anchor (69,), parameters (9,). `newton` steps
-    find the foot of the indenter's centre, from that of the last step.
+    The inputs of a step are symbols: reference (18,), anchor (69,), parameters (9,). `newton`:
+    Newton steps from the previous foot point of the indenter's center to the new one.
     """
 
     def __init__(self, loop: ClosedLoopModel, newton: int = 1) -> None:
@@ -75,92 +81,116 @@ class ClosedLoopDynamics:
         self.p = Parameters.split(self.parameters)
         self.model = loop.arm.dynamics()
         limit = np.asarray(loop.arm.effort_limit, dtype=float)
-        self.limit = ca.DM(np.where(np.isfinite(limit), limit, 1e30))
+        self.limit = ca.DM(np.where(np.isfinite(limit), limit, UNLIMITED_TORQUE))
 
-    def at(self, q: ca.SX, qdot: ca.SX, foot: ca.SX, ahead: ca.SX | float = 0.0) -> Instant:
-        """The closed loop at (q, qdot), `ahead` s after the reference; foot: the last one."""
+    @property
+    def inputs(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """The symbols (reference, anchor, parameters)."""
+        return self.reference, self.anchor, self.parameters
+
+    def state(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """Symbols of a state: the whole (2 n + memory + 2,), q, qdot, and the contact's part."""
+        n = self.loop.joints
+        state = ca.SX.sym("state", 2 * n + self.loop.memory + 2)
+        return state, state[:n], state[n : 2 * n], state[2 * n :]
+
+    def at(
+        self, q: ca.SX, qdot: ca.SX, contact_state: ca.SX, ahead: ca.SX | float = 0.0
+    ) -> DynamicsTerms:
+        """The terms at (q, qdot), `ahead` seconds after the reference; contact_state: that of the
+        previous step."""
         loop, p = self.loop, self.p
-        memory, uv = foot[:-2], foot[-2:]
+        memory, uv = contact_state[:-2], contact_state[-2:]
         mass, bias = self.model.mass_matrix(q), self.model.bias(q, qdot)
         tip = self.model.pose(q)
         pose = tip @ ca.DM(loop.mount)
         rotation, position = pose[:3, :3], pose[:3, 3]
-        jacobian = moved(self.model.jacobian(q), position - tip[:3, 3])
+        jacobian = shift_jacobian(self.model.jacobian(q), position - tip[:3, 3])
 
-        centre = rotation.T @ (ca.DM(loop.indenter_position) - position)
-        t = touch(self.anchor, uv, centre, p, loop.contact, self.newton)
-        normal, lever = rotation @ t.normal, rotation @ t.point
-        row = moved(jacobian, lever)[:3, :].T @ normal
+        center = rotation.T @ (ca.DM(loop.indenter_position) - position)
+        contact = surface_contact(self.anchor, uv, center, p, loop.contact, self.newton)
+        normal, lever = rotation @ contact.normal, rotation @ contact.point
+        at_contact = shift_jacobian(jacobian, lever)
+        depth_gradient = at_contact[:3, :].T @ normal
 
-        reading, believed = delayed_reading(memory, t), t.believed(loop.law.effective_modulus)
-        firm = believed.slope_at(compliance.floored(reading.depth, believed.reference_depth))
-        speed = compliance.force_speed(p, firm, reading.depth, reading.force) * (1.0 - p.free)
-        curvature = ca.fmax(t.curvature, FLATTEST)
+        depth, force = delayed_reading(memory, contact)
+        assumed = contact.with_modulus(loop.law.effective_modulus)
+        slope = assumed.slope_at(compliance.slope_depth(depth, assumed.reference_depth))
+        speed = compliance.force_speed(p, slope, depth, force) * (1.0 - p.track_normal)
+        curvature = ca.fmax(contact.curvature, MIN_CURVATURE)
         if loop.law.surface == "exact":
-            shape = rotation @ self.shape(uv, centre) @ rotation.T
-            there = moved(jacobian, ca.DM(loop.indenter_position) - position)
-            reach = 1.0 / curvature + p.indenter_radius - t.depth
-            rows = compliance.force_rows(there, normal, shape, reach)
-        else:  # the paper's sphere: the Jacobian of the (osculating) sphere's centre
-            rows = moved(jacobian, lever - normal / curvature)[:3, :]
-        push_away = compliance.damped_inverse(rows, ca.DM([FORCE_DAMPING] * 3), normal)
-        omega, velocity = compliance.along(
-            self.reference, p.tracking, position, rotation, lever, normal, p.free, ahead
+            shape = rotation @ self.normal_gradient(uv, center) @ rotation.T
+            at_center = shift_jacobian(jacobian, ca.DM(loop.indenter_position) - position)
+            distance = 1.0 / curvature + p.indenter_radius - contact.depth
+            rows = compliance.force_rows(at_center, normal, shape, distance)
+        else:  # the paper's sphere: the Jacobian of the (osculating) sphere's center
+            rows = shift_jacobian(jacobian, lever - normal / curvature)[:3, :]
+        normal_motion = compliance.damped_inverse(rows, ca.DM([FORCE_DAMPING] * 3), normal)
+        omega, velocity = compliance.path_twist(
+            self.reference, p.tracking, position, rotation, lever, normal, p.track_normal, ahead
         )
-        twist = ca.vertcat(velocity, omega)
         damping = ca.DM([FORCE_DAMPING] * 3 + [ROTATION_DAMPING] * 3)
-        wish = speed * push_away + compliance.damped_inverse(moved(jacobian, lever), damping, twist)
+        path_motion = compliance.damped_inverse(at_contact, damping, ca.vertcat(velocity, omega))
+        wanted = speed * normal_motion + path_motion
 
         gain = compliance.velocity_gain(loop.law.shape, p.rate, mass)
-        asked = compliance.torque(loop.law.torque, bias, gain, qdot - wish, row * reading.force)
+        asked = compliance.torque(
+            loop.law.torque, bias, gain, qdot - wanted, depth_gradient * force
+        )
         torque = ca.fmin(ca.fmax(asked, -self.limit), self.limit)
-        free = (ca.fabs(asked) < self.limit) * (loop.law.torque != "off")
-        pull = row * t.slope
-        if not loop.delay:  # an old reading does not answer to the depth of the moment
-            slope = compliance.speed_slope(p, t, believed) * (1.0 - p.free)
-            lifted = free if loop.law.torque == "compensated" else 0.0
-            pull = pull * (1.0 - lifted) - free * (gain @ push_away) * slope
-        return Instant(
-            touch=t,
+        unlimited = (ca.fabs(asked) < self.limit) * (loop.law.torque != "off")
+        stiffness = depth_gradient * contact.slope
+        if not loop.delay:  # a delayed measurement does not depend on the present depth
+            speed_slope = compliance.speed_slope(p, contact, assumed) * (1.0 - p.track_normal)
+            compensated = unlimited if loop.law.torque == "compensated" else 0.0
+            stiffness = stiffness * (1.0 - compensated)
+            stiffness -= unlimited * (gain @ normal_motion) * speed_slope
+        return DynamicsTerms(
+            contact=contact,
             mass=mass,
             factor=Factor.of(mass),
-            effort=torque - row * t.force - bias - self.friction(qdot),
-            row=row,
-            pull=pull,
-            free=free,
-            memory=kept(memory, t),
-            output=ca.vertcat(t.point, t.normal, t.force, t.depth, t.radius, torque),
+            force=torque - depth_gradient * contact.force - bias - self.friction(qdot),
+            depth_gradient=depth_gradient,
+            stiffness=stiffness,
+            unlimited=unlimited,
+            memory=shift_memory(memory, contact),
+            output=ca.vertcat(
+                contact.point, contact.normal, contact.force, contact.depth, contact.radius, torque
+            ),
         )
 
     def friction(self, qdot: ca.SX) -> ca.SX:
-        """Friction of the joints (n,), N m: viscous, and Coulomb's, smooth about rest."""
+        """Friction torque of the joints (n,), N m: viscous, and Coulomb friction smoothed by tanh
+        over COULOMB_SPEED."""
         arm, drag = self.loop.arm, ca.SX(*qdot.shape)
         if np.any(arm.damping):
             drag += ca.DM(arm.damping) * qdot
         if np.any(arm.friction):
-            drag += ca.DM(arm.friction) * ca.tanh(qdot / SLIP)
+            drag += ca.DM(arm.friction) * ca.tanh(qdot / COULOMB_SPEED)
         return drag
 
-    def shape(self, uv: ca.SX, centre: ca.SX) -> ca.SX:
-        """dn/dc (3, 3), 1/m, body frame: by automatic differentiation of the contact's foot."""
+    def normal_gradient(self, uv: ca.SX, center: ca.SX) -> ca.SX:
+        """dn/dc (3, 3), 1/m, of the contact normal by the indenter's center, body frame, by
+        automatic differentiation."""
         c = ca.SX.sym("c", 3)
-        normal = touch(self.anchor, uv, c, self.p, self.loop.contact, self.newton).normal
-        return ca.substitute(ca.jacobian(normal, c), c, centre)
+        contact = surface_contact(self.anchor, uv, c, self.p, self.loop.contact, self.newton)
+        return ca.substitute(ca.jacobian(contact.normal, c), c, center)
 
-    def rate(self) -> ca.Function:
-        """(q, qdot, foot, ahead, reference, anchor, parameters) -> (qdd, foot, output)."""
+    def derivative(self) -> ca.Function:
+        """(q, qdot, contact state, ahead, reference, anchor, parameters) -> (acceleration, next
+        contact state, output)."""
         n = self.loop.joints
-        sizes = {"q": n, "qdot": n, "foot": self.loop.memory + 2, "ahead": 1}
-        q, qdot, foot, ahead = (ca.SX.sym(name, k) for name, k in sizes.items())
-        now = self.at(q, qdot, foot, ahead)
+        sizes = {"q": n, "qdot": n, "contact_state": self.loop.memory + 2, "ahead": 1}
+        state = [ca.SX.sym(name, k) for name, k in sizes.items()]
+        now = self.at(*state)
         return ca.Function(
-            "rate",
-            [q, qdot, foot, ahead, self.reference, self.anchor, self.parameters],
-            [now.acceleration, now.foot, now.output],
+            "derivative",
+            [*state, *self.inputs],
+            [now.acceleration, now.contact_state, now.output],
             {"cse": True},
         )
 
 
-def moved(jacobian: ca.SX, lever: ca.SX) -> ca.SX:
-    """Jacobian (6, n), linear first, of the point displaced by `lever` (world axes)."""
+def shift_jacobian(jacobian: ca.SX, lever: ca.SX) -> ca.SX:
+    """Jacobian (6, n), linear part first, of the point displaced by `lever` (3,), world axes."""
     return ca.vertcat(jacobian[:3, :] - ca.skew(lever) @ jacobian[3:, :], jacobian[3:, :])

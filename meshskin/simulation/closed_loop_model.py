@@ -1,4 +1,4 @@
-"""What the closed loop is made of: its parts, its parameters, and the layout of its arrays."""
+"""The data that define the closed loop: its parts, its parameters, the layout of its arrays."""
 
 from __future__ import annotations
 
@@ -9,62 +9,69 @@ import numpy as np
 
 from ..contact import ContactModel
 from ..core.arguments import check_name
-from ..core.se3 import Array
+from ..core.se3 import Array, poses_of_states
 from ..scene.settings import INTEGRATORS, MODES, Law
 
 if TYPE_CHECKING:
     from ..robot.arm import Arm
+    from ..scene.scene import Scene
 
 REFERENCE = 18
-"""A row of the path: body position 3, body rotation 9 (columns), velocity 3, angular velocity 3."""
+"""Length of a reference: body position (3), body rotation (9, by columns), linear velocity (3) and
+angular velocity (3), all in the world frame."""
 ANCHOR = 69
-"""What a step knows of the surface: a face's patch (21, 3) and the map (2, 3), column-major.
+"""Length of an anchor: a face's surface patch (21, 3) and an affine map (2, 3), column-major.
 
-The map takes (u, v, 1) of the last step's foot, on the last step's face, to this face."""
+The map takes (u, v, 1) of the previous step's foot point, on the previous face, to this face."""
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """Numbers of the closed loop that are inputs of its step, so that changing one needs no new
-    function: floats, or CasADi symbols when the gains are to be chosen by optimisation."""
+    """Parameters that are inputs of the step function: changing one needs no new function.
+
+    The values are floats, or CasADi symbols when they are chosen by optimization.
+    """
 
     dt: Any
-    """s."""
+    """Step, s."""
     gamma: Any
-    """1/s."""
+    """Gain of the force law, 1/s."""
     rate: Any
-    """Velocity gain: 1/s with shape "inertia", N m s/rad with shape "identity"."""
+    """Velocity gain L: 1/s with shape "inertia", N m s/rad with shape "identity"."""
     force_reference: Any
-    """N."""
+    """Reference contact force, N."""
     approach_speed: Any
-    """m/s."""
+    """Largest speed that the force law asks for, m/s."""
     tracking: Any
-    """1/s."""
+    """Gain of the pose error along the path, 1/s."""
     effective_modulus: Any
     """E*, Pa."""
     indenter_radius: Any
     """m."""
-    free: Any = 0.0
-    """0: the law holds the force along the normal; 1: the body follows the path there too."""
+    track_normal: Any = 0.0
+    """0: the law controls the force along the contact normal; 1: the body follows the path along
+    the normal, too, and the force is not controlled."""
 
     @classmethod
     def split(cls, vector: Any) -> Parameters:
-        """The parameters in a CasADi or NumPy vector."""
+        """The parameters in a CasADi or NumPy vector (9,)."""
         return cls(*(vector[k] for k in range(len(fields(cls)))))
 
     @property
     def values(self) -> list[Any]:
-        """The parameters in order."""
+        """The parameters as a list (9,), in the order of the fields."""
         return [getattr(self, f.name) for f in fields(self)]
 
 
 PARAMETERS = len(fields(Parameters))
+"""Number of parameters of a step."""
 APPROACH_SPEED = [f.name for f in fields(Parameters)].index("approach_speed")
+"""Index of the approach speed among the parameters."""
 
 
 @dataclass(frozen=True)
 class ClosedLoopModel:
-    """What the step function needs to know of a scene."""
+    """The parts of a scene that determine the step function of its closed loop."""
 
     arm: Arm
     """The arm with its payload."""
@@ -79,33 +86,51 @@ class ClosedLoopModel:
     dt: float
     """Step, s."""
     integrator: str = "semi_implicit"
-    """One of INTEGRATORS; with mode "quasi_static" the body follows the law's velocity exactly."""
+    """One of INTEGRATORS; not used with mode "quasi_static"."""
     mode: str = "arm"
-    """"arm": the arm's dynamics; "quasi_static": the body moves as the law asks, without an arm."""
+    """"arm": the arm's dynamics; "quasi_static": no arm, the body moves at the law's velocity."""
     contact: ContactModel = field(default_factory=ContactModel)
     """Contact model that gives the force."""
     delay: int = 0
-    """Steps by which the reading of the contact that the law hears is old."""
+    """Age of the contact measurement that the law receives, in steps."""
     indenter_direction: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
-    """Unit vector (3,), world, in which the indenter points and the body is lifted off."""
+    """Unit vector (3,), world frame, in which the indenter points; the body lifts off along it."""
 
     def __post_init__(self) -> None:
         check_name("integrator", self.integrator, INTEGRATORS)
         check_name("mode of the closed loop", self.mode, MODES)
 
+    @classmethod
+    def of(cls, scene: Scene) -> ClosedLoopModel:
+        """The closed loop of a scene, with the body's mass at the arm's tip."""
+        return cls(
+            arm=_arm_with_payload(scene),
+            mount=scene.mount_pose,
+            indenter_position=np.array(scene.indenter.position),
+            indenter_radius=scene.indenter.radius,
+            indenter_direction=scene.indenter.axis,
+            effective_modulus=scene.material.effective_modulus,
+            law=scene.law,
+            dt=scene.loop.dt,
+            integrator=scene.loop.integrator,
+            mode=scene.loop.mode,
+            contact=scene.model,
+            delay=scene.loop.delay_steps,
+        )
+
     @property
     def joints(self) -> int:
-        """Number of joints n; 0 without an arm."""
+        """Number of joints n; 0 in mode "quasi_static"."""
         return len(self.arm.joint_names) if self.mode == "arm" else 0
 
     @property
     def memory(self) -> int:
-        """Numbers of the state that are readings on their way to the law, see motion.delay."""
+        """Length of the part of the state that holds delayed measurements: 2 per step of delay."""
         return 2 * self.delay
 
     @property
     def parameters(self) -> Parameters:
-        """The numbers that are inputs of the step."""
+        """The parameters of the step function."""
         law = self.law
         return Parameters(
             dt=self.dt,
@@ -120,8 +145,11 @@ class ClosedLoopModel:
 
     @property
     def outputs(self) -> dict[str, slice]:
-        """Rows of a step's output: contact point and normal (body frame), force, depth, relative
-        radius of the surfaces, joint torques."""
+        """Slices of a step's output (9 + n,) by name.
+
+        point (3,) and normal (3,) of the contact in the body frame, m; force, N; depth, m; radius:
+        relative radius of the two surfaces, m; torque (n,) of the joints, N m.
+        """
         n = self.joints
         return {
             "point": slice(0, 3),
@@ -132,8 +160,28 @@ class ClosedLoopModel:
             "torque": slice(9, 9 + n),
         }
 
+    def body_poses(self, q: Array) -> Array:
+        """T_w_b (k, 4, 4) in configurations (k, n): joint angles, or position and quaternion."""
+        return np.asarray(self.arm.pose(q) @ self.mount) if self.joints else poses_of_states(q)
+
+    def indenter_centers(self, poses: Array) -> Array:
+        """The indenter's center (k, 3) in the body frame, m, at body poses T_w_b (k, 4, 4)."""
+        offset = self.indenter_position - poses[:, :3, 3]
+        return np.asarray(np.einsum("kji,kj->ki", poses[:, :3, :3], offset))
+
 
 def flat_anchor(patch: Array, change: Array | None = None) -> Array:
-    """The row (69,) of a step's input `anchor`: patch (21, 3), map (2, 3), or the identity."""
+    """The anchor (69,) of a patch (21, 3) and a map (2, 3), by default the identity map."""
     change = np.eye(2, 3) if change is None else change
     return np.concatenate([patch.T.ravel(), change.T.ravel()])
+
+
+def _arm_with_payload(scene: Scene) -> Arm:
+    """The arm with the body's mass at its tip, as a homogeneous solid."""
+    if scene.payload == 0:
+        return scene.arm
+    mesh, pose = scene.body.mesh, scene.mount_pose
+    density = scene.payload / abs(mesh.volume)
+    inertia = pose[:3, :3] @ (np.asarray(mesh.moment_inertia) * density) @ pose[:3, :3].T
+    com = pose[:3, :3] @ np.asarray(mesh.center_mass) + pose[:3, 3]
+    return scene.arm.with_payload(scene.payload, com, inertia)

@@ -1,12 +1,11 @@
-"""Touching a skin at chosen points: with the arm under the closed loop, or by presses alone.
+"""Contact samplers: recordings of contacts at chosen points, static or by the closed loop.
 
-What touches keeps its effects from call to call, so that drift and hysteresis go on.
+A sampler keeps its effects from call to call, so that drift and hysteresis continue.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -17,87 +16,92 @@ from ..exploration.path import Path
 from ..exploration.point_contacts import nearest_neighbour_order, point_contacts
 from ..recording.recording import Recording
 from ..scene.scene import Scene
-from .readout import effect_chain
+from .readout import effect_pipeline
 from .simulate import simulate
 from .state_machine import PHASES, SLIDE
-from .static_contacts import APART, floating, press
+from .static_contacts import PRESS_INTERVAL, press, without_arm
 
-DWELL = 0.05
-"""Rest of a touch after the force has settled, s."""
+DWELL_TIME = 0.05
+"""Time at rest on a point after the force has settled, s: several frame periods, so that at least
+one frame is read there."""
 
-Touch = Callable[[Array], tuple[Recording, Array]]
-"""points (k, 3) -> the recording of one contact a point that can be touched, and why each (k,) that
-cannot be is left out ("" where it is not)."""
-Toucher = Callable[[Scene, int], Touch]
-"""(scene, seed) -> what touches; its effects go on from call to call."""
+ContactSampler = Callable[[Array], tuple[Recording, Array]]
+"""points (k, 3), body frame, m -> the recording of one contact at each point that can be touched,
+and the reason (k,) why a point is left out ("" where it is not)."""
+ContactSamplerFactory = Callable[[Scene, int], ContactSampler]
+"""(scene, seed) -> a contact sampler."""
 
 
-def pressed(scene: Scene, seed: int) -> Touch:
-    """Contacts at rest, without arm and closed loop: in milliseconds. A `Toucher`.
+def static_sampler(scene: Scene, seed: int) -> ContactSampler:
+    """A sampler of static contacts, without arm and closed loop: milliseconds a call.
 
     Raises ConfigError for an effect of an arm's joints.
     """
-    chain = effect_chain(floating(scene), seed)
+    pipeline = effect_pipeline(without_arm(scene), seed)
 
-    def touch(points: Array) -> tuple[Recording, Array]:
+    def sample(points: Array) -> tuple[Recording, Array]:
         hit = scene.body.closest(points)
-        why = scene.rig.contact_reasons(hit.point, hit.normal)
-        good = why == ""
-        _require_one(why)
-        recording = press(scene, points[good], chain=chain)
-        chain.start_next_run(APART)
-        return recording, why
+        reasons = scene.rig.contact_reasons(hit.point, hit.normal)
+        _require_one(reasons)
+        recording = press(scene, points[reasons == ""], chain=pipeline)
+        pipeline.start_next_run(PRESS_INTERVAL)
+        return recording, reasons
 
-    return touch
+    return sample
 
 
-def touched(scene: Scene, seed: int) -> Touch:
-    """Contacts made by the closed loop: set down, settled, read once, lifted off. A `Toucher`."""
-    chain = effect_chain(scene, seed)
+def closed_loop_sampler(scene: Scene, seed: int) -> ContactSampler:
+    """A sampler by the closed loop: approach, touch, settle, one reading, and lift off."""
+    pipeline = effect_pipeline(scene, seed)
 
-    def touch(points: Array) -> tuple[Recording, Array]:
+    def sample(points: Array) -> tuple[Recording, Array]:
         order = nearest_neighbour_order(points)
-        dwell = max(round(DWELL / scene.loop.dt), scene.frame_steps)
-        found, reasons = point_contacts(scene.rig, points[order], dwell, scene.loop.dt)
-        why = np.empty_like(reasons)
-        why[order] = reasons
-        _require_one(why)
-        recording = simulate(scene, path=Path.concatenate(found), chain=chain)
-        chain.start_next_run(APART)
-        return last_of_each(recording), why
+        dwell = max(round(DWELL_TIME / scene.loop.dt), scene.frame_steps)
+        paths, found = point_contacts(scene.rig, points[order], dwell, scene.loop.dt)
+        reasons = np.empty_like(found)
+        reasons[order] = found
+        _require_one(reasons)
+        recording = simulate(scene, path=Path.concatenate(paths), chain=pipeline)
+        pipeline.start_next_run(PRESS_INTERVAL)
+        return settled_contacts(recording), reasons
 
-    return touch
-
-
-def _require_one(why: Array) -> None:
-    """Refuse a call of whose points (k,) none can be touched, with the first's reason."""
-    if not (why == "").any():
-        raise ReachError(f"none of the contacts can be made: {why[0]}", value=len(why))
+    return sample
 
 
-def last_of_each(recording: Recording) -> Recording:
-    """The last contact of every stretch of sliding: one settled contact a touch."""
+def _require_one(reasons: Array) -> None:
+    """Raise ReachError with the first reason where none of the points (k,) can be touched."""
+    if not (reasons == "").any():
+        raise ReachError(f"none of the contacts can be made: {reasons[0]}", value=len(reasons))
+
+
+def settled_contacts(recording: Recording) -> Recording:
+    """The last contact of every interval of sliding: one settled contact a touch.
+
+    A touch without a valid contact in its interval (all of its frames were outside the contact
+    model's range) is left out.
+    """
     if recording.motion is None:
-        raise CalibrationError("a recording without motion does not tell its touches apart")
+        raise CalibrationError("a recording without motion has no phases to tell touches apart")
     motion = recording.motion
     slide = np.asarray(motion.column("phase").to_pylist()) == PHASES[SLIDE]
+    edges = np.diff(slide.astype(int), prepend=0, append=0)
     time = motion.column("time").to_numpy()
-    ends = time[np.flatnonzero(slide & ~np.append(slide[1:], False))]
-    rows = np.unique(np.searchsorted(recording.time, ends, side="right") - 1)
-    kept = recording.time[rows]
-    heard = np.isin(recording.readings.column("time").to_numpy(), kept)
+    first, last = time[edges[:-1] > 0], time[edges[1:] < 0]
+    rows = np.searchsorted(recording.time, last, side="right") - 1
+    rows = rows[(rows >= 0) & (recording.time[rows] >= first)]
+    kept = np.isin(recording.readings.column("time").to_numpy(), recording.time[rows])
     return Recording(
         recording.contacts.take(pa.array(rows)),
-        recording.readings.filter(pa.array(heard)),
+        recording.readings.filter(pa.array(kept)),
         recording.metadata,
     )
 
 
-def together(first: Recording, second: Recording) -> Recording:
-    """Two recordings of the same skin as one, the second APART after the first."""
-    shift = float(first.time[-1] - second.time[0]) + APART
+def concatenate(first: Recording, second: Recording) -> Recording:
+    """Two recordings of the same skin as one, the second PRESS_INTERVAL after the first."""
+    shift = float(first.time[-1] - second.time[0]) + PRESS_INTERVAL
 
-    def later(table: Any) -> Any:
+    def later(table: pa.Table) -> pa.Table:
         times = pa.array(table.column("time").to_numpy() + shift)
         return table.set_column(0, table.schema.field(0), times)
 

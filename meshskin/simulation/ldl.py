@@ -1,7 +1,8 @@
-"""Root-free Cholesky factors of small symmetric matrices of CasADi expressions: A = L D L^T.
+"""LDL^T factors of small symmetric matrices of CasADi expressions: A = L D L^T.
 
-One reciprocal a row, and no root: half the time of `ca.chol` and `ca.solve` in machine code, where
-divisions and roots wait for each other. Source: Golub, Van Loan, "Matrix Computations" (2013), 4.1.
+One reciprocal per row and no square root: in machine code this takes half the time of `ca.chol` or
+`ca.solve`, whose divisions and roots depend on each other. `ca.ldl` keeps the divisions in its
+solves. Source: Golub, Van Loan, "Matrix Computations" (2013), 4.1.
 """
 
 from __future__ import annotations
@@ -17,28 +18,28 @@ class Factor:
     """Factors of a symmetric positive definite matrix (n, n)."""
 
     lower: list[list[Any]]
-    """Rows of L left of its unit diagonal."""
+    """Rows of L to the left of its unit diagonal."""
     inverse: list[Any]
     """1 / D (n,)."""
 
     @classmethod
     def of(cls, matrix: Any) -> Factor:
-        """The factors of `matrix`, of which the lower triangle is read."""
+        """The factors of a symmetric matrix (n, n); only its lower triangle is read."""
         lower: list[list[Any]] = []
         inverse: list[Any] = []
         for i in range(matrix.shape[0]):
             scaled: list[Any] = []  # L_ij D_j
             for j in range(i):
-                known = sum(scaled[k] * lower[j][k] for k in range(j))
-                scaled.append(matrix[i, j] - known)
+                inner = sum(scaled[k] * lower[j][k] for k in range(j))
+                scaled.append(matrix[i, j] - inner)
             row = [s * d for s, d in zip(scaled, inverse, strict=True)]
-            known = sum(s * x for s, x in zip(scaled, row, strict=True))
+            inner = sum(s * x for s, x in zip(scaled, row, strict=True))
             lower.append(row)
-            inverse.append(1.0 / (matrix[i, i] - known))
+            inverse.append(1.0 / (matrix[i, i] - inner))
         return cls(lower, inverse)
 
     def solve(self, right: Any) -> Any:
-        """A^-1 right, for right (n, k)."""
+        """A^-1 right (n, k)."""
         return ca.horzcat(*(self._solve(right[:, k]) for k in range(right.shape[1])))
 
     def _solve(self, right: Any) -> Any:

@@ -1,4 +1,7 @@
-"""The closed loop's step and the taxels' readings as machine code: many steps a call (steps.c)."""
+"""The closed loop's step and the taxels' readings as machine code: many steps a call.
+
+CasADi generates C for the step; steps.c and readings.c hold the loops around it.
+"""
 
 from __future__ import annotations
 
@@ -19,24 +22,26 @@ from .step import step
 
 FLAGS = (*codegen.FLAGS, "-fno-trapping-math", *codegen.fma_flags())
 PATCH, MAP = 3 * len(POWERS), 6
-TINY = 1e-24
-"""m^2, in place of a patch's squared radius where there is no contact."""
-WORTHWHILE = 100_000
-"""Steps of a run above which a C compiler's second or two is won back."""
-_WHOLE, _REAL, _ADDRESS = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
+"""Lengths of a flattened surface patch and of a face map."""
+MIN_AREA = 1e-24
+"""Squared contact radius, m^2, that is used without contact, where it would be 0: (1 pm)^2."""
+MIN_COMPILED_STEPS = 100_000
+"""Steps of a run from which on compiling pays: the compiler takes 1 to 2 s, and machine code saves
+10 to 20 us a step (studies/speed/closed_loop.py)."""
+_INT, _REAL, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 
 
 class MachineCode:
-    """Steps of a loop over surface patches (faces, 21, 3), and the readings of taxels."""
+    """Compiled steps over surface patches (faces, 21, 3), and compiled readings of taxels."""
 
     def __init__(self, library: ctypes.CDLL, step: ca.Function, patches: Array) -> None:
-        library.steps.restype = _WHOLE
+        library.steps.restype = _INT
         library.steps.argtypes = [
-            _WHOLE, *[_ADDRESS] * 7, _WHOLE, _ADDRESS, _REAL, _WHOLE
+            _INT, *[_POINTER] * 7, _INT, _POINTER, _REAL, _INT
         ]  # fmt: skip
         self._library, self._patches = library, np.ascontiguousarray(patches)
         self.sizes = step.size1_in(0), step.size1_out(1)
-        """Of a state and of an output."""
+        """Lengths of a state and of an output."""
 
     def steps(
         self,
@@ -47,76 +52,78 @@ class MachineCode:
         maps: Array,
         parameters: Array,
         outputs: Array,
-        spare: float = np.inf,
+        margin: float = np.inf,
         until_touch: bool = False,
     ) -> int:
-        """Steps from `before` (k, n) to `after` (k, n), with `outputs` (k, m); see steps.c.
+        """Step from `before` (k, n) to `after` (k, n), with `outputs` (k, m); see steps.c.
 
         references (k, 18), faces (k,), maps (k, 6); parameters (k, 9), or (9,) for all. All arrays
-        are contiguous. Returns how many steps were done: all, if `spare` is infinite.
+        must be contiguous. Ends early where a foot point leaves its face by more than `margin`, or,
+        if `until_touch`, at the first contact. Returns the number of steps done.
         """
         stride = PARAMETERS if parameters.ndim == 2 else 0
         arrays = (before, after, references, self._patches, faces, maps, parameters)
         assert all(a.flags.c_contiguous for a in (*arrays, outputs))
         done: int = self._library.steps(
             len(faces), *(a.ctypes.data for a in arrays), stride, outputs.ctypes.data,
-            spare, until_touch,
+            margin, until_touch,
         )  # fmt: skip
         return done
 
     def read(self, taxels: Array, outputs: Array, out: Array) -> None:
-        """Pressures `out` (k, taxels), Pa, of `outputs` (k, m) at taxels (3, taxels), m."""
-        assert taxels.flags.c_contiguous
-        assert outputs.flags.c_contiguous
-        assert out.flags.c_contiguous
+        """Fill `out` (k, taxels) with the pressures, Pa, of `outputs` (k, m) at `taxels`
+        (3, taxels), m, body frame."""
+        assert all(a.flags.c_contiguous for a in (taxels, outputs, out))
         read = self._library.read_double if out.dtype == np.float64 else self._library.read_float
-        addresses = (_ADDRESS(a.ctypes.data) for a in (taxels, outputs, out))
-        read(_WHOLE(len(outputs)), _WHOLE(taxels.shape[1]), *addresses)
+        addresses = (_POINTER(a.ctypes.data) for a in (taxels, outputs, out))
+        read(_INT(len(outputs)), _INT(taxels.shape[1]), *addresses)
 
 
 def machine_code(
     loop: ClosedLoopModel, patches: Array, compile_: str, steps: float
 ) -> MachineCode | None:
-    """The step for a run of about `steps` steps: compiled if that pays ("auto"), always or never.
+    """The compiled step for a run of about `steps` steps, or None.
 
-    A machine code that an earlier run left in the cache is used by "auto" whatever the length.
+    compile_: "always", "never", or "auto": where it pays, or where an earlier run has left the
+    machine code in the cache. CVODES is compiled as it is.
     """
-    one = step(loop)
-    if compile_ == "never" or not one.is_a("SXFunction"):
-        return None  # CVODES is SUNDIALS' own machine code
+    function = step(loop)
+    if compile_ == "never" or not function.is_a("SXFunction"):
+        return None
     text = source(loop)
-    pays = compile_ == "always" or steps >= WORTHWHILE
+    pays = compile_ == "always" or steps >= MIN_COMPILED_STEPS
     library = (
         codegen.compile_library("step", text, FLAGS)
         if pays
         else codegen.cached_library(text, FLAGS)
     )
-    return None if library is None else MachineCode(library, one, patches)
+    return None if library is None else MachineCode(library, function, patches)
 
 
 @cached_by_content
 def source(loop: ClosedLoopModel) -> str:
     """C source of a loop's step over many states, and of the readings."""
-    one = step(loop)
+    function = step(loop)
     inputs: Any = [
         ca.SX.sym(name, *shape)
         for name, shape in (
-            ("state", (one.size1_in(0),)),
+            ("state", (function.size1_in(0),)),
             ("reference", (REFERENCE,)),
             ("patch", (3, len(POWERS))),  # a row of the surface's patches, column-major
             ("map", (MAP,)),
             ("parameters", (PARAMETERS,)),
         )
     ]
-    state, reference, patch, change, parameters = inputs
-    anchor = ca.vertcat(ca.vec(patch.T), change)
-    flat = ca.Function("step", inputs, one(state, reference, anchor, parameters))
-    rows = {name.upper(): rows.start for name, rows in loop.outputs.items()}
-    sizes = {"STATE": one.size1_in(0), "OUTPUT": one.size1_out(1), "REFERENCE": REFERENCE}
-    sizes |= {"PATCH": PATCH, "MAP": MAP, "PARAMETERS": PARAMETERS}
+    state, reference, patch, face_map, parameters = inputs
+    anchor = ca.vertcat(ca.vec(patch.T), face_map)
+    flat = ca.Function("step", inputs, function(state, reference, anchor, parameters))
+    rows: dict[str, float] = {name.upper(): s.start for name, s in loop.outputs.items()}
+    sizes: dict[str, float] = {"STATE": function.size1_in(0), "OUTPUT": function.size1_out(1)}
+    sizes |= {"REFERENCE": REFERENCE, "PATCH": PATCH, "MAP": MAP, "PARAMETERS": PARAMETERS}
     after, read = (
         Path(__file__).with_name(name).read_text(encoding="utf-8")
         for name in ("steps.c", "readings.c")
     )
-    layout = [f"#define {name} {value}" for name, value in (rows | sizes | {"TINY": TINY}).items()]
+    sizes["MIN_AREA"] = MIN_AREA
+    layout = [f"#define {name} {value}" for name, value in (rows | sizes).items()]
     return "\n".join([codegen.INLINE, codegen.c_source(flat), *layout, after, read])

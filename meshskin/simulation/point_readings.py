@@ -1,9 +1,9 @@
-"""What every taxel reads at every step, as a point: for control loops and speed studies.
+"""Pressures at all taxels, taken as points, at every step: for control loops and speed studies.
 
     p_i = p_0 sqrt(1 - r_i^2 / a^2),  a^2 = delta R,  p_0 = 3 F / (2 pi a^2)     (paper, eq. 12-15)
 
-Recordings read discs (physics.reading), frame by frame; this is dense and some hundred times
-cheaper.
+Recordings average over discs (contact/reading.py), frame by frame; this is dense and some hundred
+times cheaper.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ import numpy as np
 
 from ..core.se3 import Array
 from .closed_loop_model import ClosedLoopModel
-from .machine_code import TINY, MachineCode
+from .machine_code import MIN_AREA, MachineCode
 
 
 class PointReadings:
     """Hertz pressures of taxels at `positions` (n, 3), body frame, m, from a step's outputs.
 
-    With dtype float32, twice as fast, a reading is off by some 1e-6 (L / a)^2 p_0^2 / p, L the
-    skin's half extent: 0.1 % of the peak near the patch's rim for a skin of 50 mm. code: of the
-    loop's step; without, in NumPy, several times slower.
+    dtype float32 is twice as fast; its error is about 1e-6 (L / a)^2 p_0^2 / p, L the skin's half
+    extent: 0.1 % of the peak near the patch's rim for a skin of 50 mm. code: machine code of the
+    loop's step; without it NumPy is used, several times slower.
     """
 
     def __init__(
@@ -42,11 +42,10 @@ class PointReadings:
         self._scratch = np.empty((0, len(x)), dtype)
 
     def __call__(self, outputs: Array, out: Any = None) -> Array:
-        """Pressures (k, n), Pa, of outputs (k, m); `out`: an array to put them in."""
+        """Pressures (k, n), Pa, of outputs (k, m); `out`: an array for the result."""
         if self._code is not None:
-            out = (
-                np.empty((len(outputs), self._taxels.shape[1]), self.dtype) if out is None else out
-            )
+            if out is None:
+                out = np.empty((len(outputs), self._taxels.shape[1]), self.dtype)
             self._code.read(self._taxels, outputs, out)
             return np.asarray(out)
         spread, height = self._factors(outputs)
@@ -55,7 +54,7 @@ class PointReadings:
         # p_0^2 ((x - c) . n)^2 / a^2 and p_0^2 (1 - |x - c|^2 / a^2), each as one matrix product
         across = np.matmul(height, self._height, out=self._scratch[: len(outputs)])
         across *= across
-        # the far side of the body is no part of the patch
+        # taxels further than a from the tangent plane, as on the far side, read nothing
         peak = (outputs[:, self.rows["force"]] > 0) * self._peak(outputs) ** 2
         np.minimum(across, peak.astype(self.dtype), out=across)
         inside: Array = np.matmul(spread, self._spread, out=out)
@@ -64,11 +63,12 @@ class PointReadings:
         return np.sqrt(inside, out=inside)
 
     def _area(self, outputs: Array) -> Array:
+        """a^2 (k, 1), m^2."""
         rows = self.rows
-        return np.maximum(outputs[:, rows["depth"]] * outputs[:, rows["radius"]], TINY)
+        return np.maximum(outputs[:, rows["depth"]] * outputs[:, rows["radius"]], MIN_AREA)
 
     def _peak(self, outputs: Array) -> Array:
-        """p_0 (k, 1)."""
+        """p_0 (k, 1), Pa."""
         return np.asarray(1.5 / np.pi * outputs[:, self.rows["force"]] / self._area(outputs))
 
     def _factors(self, outputs: Array) -> tuple[Array, Array]:

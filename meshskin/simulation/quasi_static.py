@@ -1,7 +1,8 @@
-"""The closed loop without an arm: the body moves exactly as the compliance law asks.
+"""The closed loop without an arm: the body moves exactly at the velocity of the compliance law.
 
-State (9): position of the body's origin (3), its orientation as a unit quaternion (w, x, y, z), the
-foot (u, v). Euler steps of the position, steps on the unit sphere of the quaternion.
+State (9 + memory,): position of the body's origin (3), its orientation as a unit quaternion
+(w, x, y, z), the delayed measurements, the foot point (u, v). Explicit Euler steps; the quaternion
+is normalized after each.
 """
 
 from __future__ import annotations
@@ -9,68 +10,52 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from ..core.se3 import Array
+from ..core.se3 import Array, casadi_rotation, quaternion
 from . import law as compliance
 from .closed_loop_model import ANCHOR, PARAMETERS, REFERENCE, ClosedLoopModel, Parameters
-from .delayed_reading import delayed_reading, kept
 from .integrators import NAMES
-from .surface_contact import touch
+from .surface_contact import delayed_reading, shift_memory, surface_contact
 
 
 def step(loop: ClosedLoopModel) -> ca.Function:
-    """(state, reference, anchor, parameters) -> (next state, output), as the integrators' step."""
-    state, reference, anchor, parameters = (
+    """The step (state, reference, anchor, parameters) -> (next state, output)."""
+    inputs = [
         ca.SX.sym(name, k)
         for name, k in zip(NAMES[0], (9 + loop.memory, REFERENCE, ANCHOR, PARAMETERS), strict=True)
-    )
+    ]
+    state, reference, anchor, parameters = inputs
     p = Parameters.split(parameters)
     position, turn, memory, uv = state[:3], state[3:7], state[7:-2], state[-2:]
-    rotation = matrix(turn)
-    t = touch(anchor, uv, rotation.T @ (ca.DM(loop.indenter_position) - position), p, loop.contact)
-    normal, lever = rotation @ t.normal, rotation @ t.point
-    reading, believed = delayed_reading(memory, t), t.believed(loop.law.effective_modulus)
-    firm = believed.slope_at(compliance.floored(reading.depth, believed.reference_depth))
-    speed = (1.0 - p.free) * compliance.force_speed(p, firm, reading.depth, reading.force)
-    omega, velocity = compliance.along(
-        reference, p.tracking, position, rotation, lever, normal, p.free
+    rotation = casadi_rotation(ca.vertcat(turn[1:], turn[0]))
+    center = rotation.T @ (ca.DM(loop.indenter_position) - position)
+    contact = surface_contact(anchor, uv, center, p, loop.contact)
+    normal, lever = rotation @ contact.normal, rotation @ contact.point
+    depth, force = delayed_reading(memory, contact)
+    assumed = contact.with_modulus(loop.law.effective_modulus)
+    slope = assumed.slope_at(compliance.slope_depth(depth, assumed.reference_depth))
+    speed = (1.0 - p.track_normal) * compliance.force_speed(p, slope, depth, force)
+    omega, velocity = compliance.path_twist(
+        reference, p.tracking, position, rotation, lever, normal, p.track_normal
     )
-    # the law's speed is that of the contact point; the body's origin is at -lever from it
-    origin = velocity + speed * normal - ca.cross(omega, lever)
+    # the law's velocity is that of the contact point; the body's origin is at -lever from it
+    velocity += speed * normal - ca.cross(omega, lever)
     rate = 0.5 * ca.vertcat(-ca.dot(turn[1:], omega), turn[0] * omega + ca.cross(omega, turn[1:]))
-    after = turn + p.dt * rate
-    after /= ca.norm_2(after)
+    turned = turn + p.dt * rate
+    turned /= ca.norm_2(turned)
+    after = (position + p.dt * velocity, turned, shift_memory(memory, contact))
     return ca.Function(
         "step",
-        [state, reference, anchor, parameters],
+        inputs,
         [
-            ca.vertcat(position + p.dt * origin, after, kept(memory, t), t.u, t.v),
-            ca.vertcat(t.point, t.normal, t.force, t.depth, t.radius),
+            ca.vertcat(*after, contact.u, contact.v),
+            ca.vertcat(contact.point, contact.normal, contact.force, contact.depth, contact.radius),
         ],
         *NAMES,
         {"cse": True},
     )
 
 
-def matrix(q: ca.SX) -> ca.SX:
-    """Rotation matrix of a unit quaternion (w, x, y, z)."""
-    w, x, y, z = (q[k] for k in range(4))
-    return ca.vertcat(
-        ca.horzcat(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        ca.horzcat(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        ca.horzcat(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-
-
-def start(pose: Array) -> Array:
-    """The state's first seven numbers for a body at T_w_b (4, 4)."""
-    r = pose[:3, :3]
-    # the eigenvector of the largest eigenvalue is the quaternion, whatever the angle
-    k = np.array(
-        [
-            [np.trace(r), r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
-            [0.0, 2 * r[0, 0] - np.trace(r), r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]],
-            [0.0, 0.0, 2 * r[1, 1] - np.trace(r), r[1, 2] + r[2, 1]],
-            [0.0, 0.0, 0.0, 2 * r[2, 2] - np.trace(r)],
-        ]
-    )
-    return np.concatenate([pose[:3, 3], np.linalg.eigh(k.T)[1][:, -1]])
+def state_of_pose(poses: Array) -> Array:
+    """Position and unit quaternion (..., 7), as in the state, of the body at T_w_b (..., 4, 4)."""
+    turn = quaternion(poses[..., :3, :3])[..., [3, 0, 1, 2]]
+    return np.concatenate([poses[..., :3, 3], turn], axis=-1)

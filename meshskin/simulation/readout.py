@@ -1,4 +1,4 @@
-"""The skin of a scene, read: the frames of its contacts, and what is recorded of them."""
+"""The readout of a scene's skin: from steps to frames of contacts, from frames to a recording."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from ..recording.recording import CONTACTS, HEADING, READINGS, Recording
 if TYPE_CHECKING:
     from ..scene.scene import Scene
     from .closed_loop_model import ClosedLoopModel
-    from .steps import Steps
+    from .rollout import Steps
 
 FRAME_CELLS = 2e6
-"""Largest number of pressures (frames times taxels) held at once."""
+"""Largest number of pressures (frames times taxels) held at once: 16 MB an array."""
 
 
-def effect_chain(scene: Scene, seed: int) -> effects.EffectPipeline:
-    """The scene's effects on frames that follow one another."""
+def effect_pipeline(scene: Scene, seed: int) -> effects.EffectPipeline:
+    """The scene's effects, for frames that follow one another."""
     return effects.EffectPipeline.from_effects(
         scene.effects, scene.context(seed), scene.reading_model
     )
@@ -32,26 +32,32 @@ def effect_chain(scene: Scene, seed: int) -> effects.EffectPipeline:
 def contact_frames(
     scene: Scene, loop: ClosedLoopModel, batch: Sequence[Steps], before: int = 0
 ) -> Frames:
-    """The contacts when the skin is read, among consecutive steps that follow `before` others.
+    """The contacts at the times when the skin is read, among consecutive steps.
 
-    Those in which the contact model does not hold are left out: what would be read is not known.
+    before: number of steps of the run before these. Contacts outside the contact model's range are
+    left out: what the skin would read is not known.
     """
     outputs, rows = np.concatenate([s.outputs for s in batch]), loop.outputs
     frame = (before + np.arange(len(outputs))) % scene.frame_steps == 0
     frame &= outputs[:, rows["force"].start] > 0
     outputs = outputs[frame]
-    time = np.concatenate([s.time for s in batch])[frame]
-    q = np.concatenate([s.q for s in batch])[frame]
     points, normals = outputs[:, rows["point"]], outputs[:, rows["normal"]]
-    centres = points + (scene.indenter.radius - outputs[:, rows["depth"]]) * normals
-    frames = frames_at(scene, time, points, normals, outputs[:, rows["force"].start], centres, q)
+    frames = make_frames(
+        scene,
+        time=np.concatenate([s.time for s in batch])[frame],
+        points=points,
+        normals=normals,
+        force=outputs[:, rows["force"].start],
+        centres=points + (scene.indenter.radius - outputs[:, rows["depth"]]) * normals,
+        q=np.concatenate([s.q for s in batch])[frame],
+    )
     return frames.rows(scene.invalid_reasons(frames.curvature) == "")
 
 
-def frames_at(
+def make_frames(
     scene: Scene, time: Array, points: Array, normals: Array, force: Array, centres: Array, q: Array
 ) -> Frames:
-    """The frames of m contacts, their columns as in Frames."""
+    """The frames of m contacts on the scene's body; the columns are those of Frames."""
 
     def closest_point(moved: Array) -> tuple[Array, Array]:
         hit = scene.body.closest(moved)
@@ -72,10 +78,10 @@ def frames_at(
 
 
 def sensor_tables(
-    scene: Scene, frames: Frames, chain: effects.EffectPipeline
+    scene: Scene, frames: Frames, pipeline: effects.EffectPipeline
 ) -> tuple[pa.Table, pa.Table]:
-    """Contacts and readings as they are recorded."""
-    recorded = chain.record(frames)
+    """The tables of contacts and readings as they are recorded."""
+    recorded = pipeline.record(frames)
     columns = (recorded.time, *recorded.points.T, *recorded.normals.T, recorded.force)
     contacts = pa.Table.from_arrays([pa.array(c) for c in columns], schema=CONTACTS)
     headings = np.zeros((0, 4))
@@ -83,20 +89,28 @@ def sensor_tables(
         headings = quaternion(scene.body_pose(frames.q)[:, :3, :3])[:, [3, 0, 1, 2]]
     for name, column in zip(HEADING, headings.T, strict=True):
         contacts = contacts.append_column(name, pa.array(column))
+    schema = _readings_schema(scene.skin.ids)
     if not len(frames):
-        return contacts, READINGS.empty_table()
-    pressures = chain.read(frames, scene.skin.poses)
+        return contacts, schema.empty_table()
+    pressures = pipeline.read(frames, scene.skin.poses)
     row, col = np.nonzero(pressures > scene.threshold)
-    ids = np.asarray(scene.skin.ids, dtype=np.int32)[col]
+    taxels = pa.array(np.asarray(scene.skin.ids)[col], type=schema.field("taxel").type)
     readings = pa.Table.from_arrays(
-        [pa.array(frames.time[row]), pa.array(ids), pa.array(pressures[row, col])],
-        schema=READINGS,
+        [pa.array(frames.time[row]), taxels, pa.array(pressures[row, col])], schema=schema
     )
     return contacts, readings
 
 
-def header(scene: Scene) -> dict[str, Any]:
-    """What a recording of this scene says of its skin and readout."""
+def _readings_schema(ids: Any) -> pa.Schema:
+    """READINGS, with 64-bit taxel ids where 32 bits do not hold them."""
+    ids, limits = np.asarray(ids), np.iinfo(np.int32)
+    if not len(ids) or (limits.min <= ids.min() and ids.max() <= limits.max):
+        return READINGS
+    return READINGS.set(READINGS.get_field_index("taxel"), pa.field("taxel", pa.int64()))
+
+
+def recording_metadata(scene: Scene) -> dict[str, Any]:
+    """What the metadata of a recording say about the scene's skin and readout."""
     return {
         "scene": scene.name,
         "taxel_ids": np.asarray(scene.skin.ids).tolist(),
@@ -106,6 +120,6 @@ def header(scene: Scene) -> dict[str, Any]:
     }
 
 
-def recorded(scene: Scene, frames: Frames, chain: effects.EffectPipeline) -> Recording:
+def record(scene: Scene, frames: Frames, pipeline: effects.EffectPipeline) -> Recording:
     """The recording of these frames alone."""
-    return Recording(*sensor_tables(scene, frames, chain), header(scene))
+    return Recording(*sensor_tables(scene, frames, pipeline), recording_metadata(scene))

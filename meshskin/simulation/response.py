@@ -1,4 +1,4 @@
-"""How well the contact force followed its reference."""
+"""The response of the contact force to a constant reference: settling, overshoot, error."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ import numpy as np
 from ..core.errors import SimulationError
 from ..core.se3 import Array
 
-BAND = 0.02
-"""Settled: within this part of the reference, for good until the contact point moves."""
-PRESSED = ("touch", "hold", "slide")
-"""Phases in which the law holds the force."""
+SETTLING_BAND = 0.02
+"""Error, relative to the reference, within which the force counts as settled: the usual 2 % band of
+settling times. It must stay within until the contact point moves."""
+CONTROLLED_PHASES = ("touch", "hold", "slide")
+"""Phases in which the law controls the force."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,7 @@ class ForceResponse:
     """The force after the first touch, against a constant reference."""
 
     reference: float
-    """N."""
+    """Reference force, N."""
     touch: float
     """Time of the first touch, s."""
     mean: float
@@ -29,44 +30,44 @@ class ForceResponse:
     std: float
     """Standard deviation after settling, N."""
     overshoot: float
-    """Largest force over the reference before the contact moves, less one; 0 if never above."""
+    """Largest force before the contact point moves, over the reference, minus one; at least 0."""
     settling: float
-    """Time from touch until the force stays within 2 % of the reference, s; inf if it does not
-    before the contact point moves."""
+    """Time from the touch until the force stays within SETTLING_BAND, s; inf if the contact point
+    moves before."""
     disturbance: float
-    """Largest difference from the reference after settling, relative to it."""
+    """Largest error after settling, relative to the reference."""
     lost: int
-    """Steps without contact that the law should have held."""
+    """Steps without contact in which the law controls the force."""
 
 
 def force_response(
     time: Array, force: Array, reference: float, phase: Sequence[str] | None = None
 ) -> ForceResponse:
-    """The response in the force (k,) at `time` (k,), s. Raises SimulationError without contact.
+    """The response of a force (k,), N, at `time` (k,), s.
 
-    phase (k,): of the exploration; without it, all is one touch. In the air between two places the
-    law holds nothing: those steps are left out.
+    reference: N. phase (k,): names of the exploration's phases; steps in the air between places are
+    left out. Without it, all steps belong to one touch. Raises SimulationError without contact.
     """
-    names = np.full(len(time), PRESSED[0]) if phase is None else np.asarray(phase)
-    held = np.isin(names, PRESSED)
-    t, f, names = time[held], force[held], names[held]
-    touched = np.flatnonzero(f > 0)
-    if not len(touched):
+    names = np.full(len(time), CONTROLLED_PHASES[0]) if phase is None else np.asarray(phase)
+    controlled = np.isin(names, CONTROLLED_PHASES)
+    t, f, names = time[controlled], force[controlled], names[controlled]
+    contact = np.flatnonzero(f > 0)
+    if not len(contact):
         raise SimulationError("the recording has no contact force", remedy="check the indenter")
-    t, f, names = t[touched[0] :], f[touched[0] :], names[touched[0] :]
-    moving = np.flatnonzero(names == "slide")
-    still = int(moving[0]) if len(moving) else len(f)
-    outside = np.flatnonzero(np.abs(f[:still] - reference) > BAND * reference)
+    t, f, names = t[contact[0] :], f[contact[0] :], names[contact[0] :]
+    sliding = np.flatnonzero(names == "slide")
+    resting = int(sliding[0]) if len(sliding) else len(f)
+    outside = np.flatnonzero(np.abs(f[:resting] - reference) > SETTLING_BAND * reference)
     first = int(outside[-1]) + 1 if len(outside) else 0
-    in_time = first < still
-    settled = f[first:] if in_time else f
+    settles = first < resting
+    settled = f[first:] if settles else f
     return ForceResponse(
         reference=reference,
         touch=float(t[0]),
         mean=float(settled.mean()),
         std=float(settled.std()),
-        overshoot=max(float(f[:still].max(initial=0.0)) / reference - 1.0, 0.0),
-        settling=float(t[first] - t[0]) if in_time else float("inf"),
+        overshoot=max(float(f[:resting].max(initial=0.0)) / reference - 1.0, 0.0),
+        settling=float(t[first] - t[0]) if settles else float("inf"),
         disturbance=float(np.abs(settled / reference - 1.0).max()),
         lost=int(np.count_nonzero(f == 0)),
     )

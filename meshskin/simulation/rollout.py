@@ -1,7 +1,8 @@
-"""Steps in a row along a track, until the foot leaves its faces: interpreted or in machine code."""
+"""Rollouts: consecutive steps along a track until the foot point leaves its faces."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import casadi as ca
@@ -11,34 +12,56 @@ from ..core.se3 import Array
 from ..geometry.surface.surface import Surface
 from .closed_loop_model import ClosedLoopModel
 from .machine_code import MachineCode
-from .step import Blocks
-from .track import STAY, Track
+from .step import StepBlock
+from .track import IDENTITY_MAP, Track, face_margin
 
 LENGTHS = (32, 256)
-"""Steps a call: short where the run may be cut, long along the path."""
+"""Steps a call: short where the run may be cut off, which wastes the rest; long along the path,
+where a call's overhead is spread over more steps."""
 COMPILED_LENGTHS = (32, 512)
+"""Steps a call of machine code, which stops where the run is cut off."""
 CVODES_LENGTHS = (1, 8)
-SPARE = 0.25
-"""How far, in barycentric weight, the foot may leave its face."""
+"""Steps a call of CVODES, whose steps take milliseconds each."""
+FACE_MARGIN = 0.25
+"""Largest distance, in barycentric weight, of the foot point outside its face. A patch is a
+polynomial that continues there; beyond, the foot point is searched for on the mesh."""
 
-Run = tuple[Array, Array]
+
+@dataclass(frozen=True)
+class Steps:
+    """Consecutive steps of the closed loop, as they were run."""
+
+    time: Array
+    """(k,), s."""
+    q: Array
+    """Configuration (k, n): joint angles, or position and quaternion of the body."""
+    outputs: Array
+    """(k, m), see ClosedLoopModel.outputs."""
+    phase: int
+    """Phase of the exploration, an index of state_machine.PHASES."""
+    readings: Array | None = None
+    """Point pressures (k, taxels), Pa, where they were asked for."""
 
 
 class Rollout(Protocol):
     """Runs the closed loop along tracks."""
 
     lengths: tuple[int, int]
+    """Steps of a short and of a long call."""
 
-    def run(self, state: Array, track: Track, parameters: Array, until_touch: bool) -> Run:
-        """States (k + 1, n), `state` the first, and outputs (k, m), good until the next run.
+    def run(
+        self, state: Array, track: Track, parameters: Array, until_touch: bool
+    ) -> tuple[Array, Array]:
+        """States (k + 1, n), `state` first, and outputs (k, m), valid until the next run.
 
-        k is the track's length, but no step follows one whose foot lies further than SPARE outside
-        its face, or, if `until_touch`, one in contact. parameters (9,): see loop.Parameters.
+        k is the track's length or less: the run ends after a step whose foot point lies further
+        than FACE_MARGIN outside its face, or, if `until_touch`, after the first step in contact.
+        parameters (9,): see closed_loop_model.Parameters.
         """
 
 
 class CompiledRollout:
-    """Machine code: no step is done in vain."""
+    """Steps in machine code."""
 
     lengths = COMPILED_LENGTHS
 
@@ -46,8 +69,10 @@ class CompiledRollout:
         self._code = code
         self._states, self._outputs = (np.zeros((self.lengths[1] + 1, k)) for k in code.sizes)
 
-    def run(self, state: Array, track: Track, parameters: Array, until_touch: bool) -> Run:
-        """See Stretch."""
+    def run(
+        self, state: Array, track: Track, parameters: Array, until_touch: bool
+    ) -> tuple[Array, Array]:
+        """States (k + 1, n) and outputs (k, m); see Rollout.run."""
         states, outputs, count = self._states, self._outputs, len(track)
         states[0] = state
         done = self._code.steps(
@@ -58,50 +83,51 @@ class CompiledRollout:
             track.maps,
             parameters,
             outputs[:count],
-            SPARE,
+            FACE_MARGIN,
             until_touch,
         )
         return states[: done + 1], outputs[:done]
 
 
 class InterpretedRollout:
-    """CasADi's virtual machine, in blocks of the two lengths."""
+    """Steps in CasADi's virtual machine, in blocks of the two lengths."""
 
     def __init__(self, loop: ClosedLoopModel, step: ca.Function, surface: Surface) -> None:
         self.lengths = CVODES_LENGTHS if loop.integrator == "cvodes" else LENGTHS
-        self._blocks = [Blocks(loop, length, step) for length in self.lengths]
+        self._blocks = [StepBlock(loop, length, step) for length in self.lengths]
         self._surface, self._force = surface, loop.outputs["force"].start
-        self._rows: dict[int, Array] = {}
+        self._patches: dict[int, Array] = {}
 
-    def run(self, state: Array, track: Track, parameters: Array, until_touch: bool) -> Run:
-        """See Stretch."""
-        blocks, count = self._blocks[len(track) > self.lengths[0]], len(track)
-        blocks.state[:], blocks.parameters[:] = state, parameters
-        self._fill(blocks, track)
-        blocks.run()
-        states, outputs = blocks.states[:count], blocks.outputs[:count]
-        ends = ~(np.minimum(states[:, -2:].min(axis=1), 1.0 - states[:, -2:].sum(axis=1)) >= -SPARE)
+    def run(
+        self, state: Array, track: Track, parameters: Array, until_touch: bool
+    ) -> tuple[Array, Array]:
+        """States (k + 1, n) and outputs (k, m); see Rollout.run."""
+        block, count = self._blocks[len(track) > self.lengths[0]], len(track)
+        block.state[:], block.parameters[:] = state, parameters
+        self._fill(block, track)
+        block.run()
+        states, outputs = block.states[:count], block.outputs[:count]
+        ends = ~(face_margin(states[:, -2:]) >= -FACE_MARGIN)
         if until_touch:
             ends |= outputs[:, self._force] > 0
         count = int(np.argmax(ends)) + 1 if ends.any() else count
         return np.concatenate([state[None], states[:count]]), outputs[:count]
 
-    def _fill(self, blocks: Blocks, track: Track) -> None:
+    def _fill(self, block: StepBlock, track: Track) -> None:
         """Set a block's references and anchors."""
-        count, faces, anchors = len(track), track.faces, blocks.anchors
-        blocks.references[:count] = track.references
-        anchors[:count, -len(STAY) :] = track.maps
+        count, faces, anchors = len(track), track.faces, block.anchors
+        patch, face_map = anchors[:, : -len(IDENTITY_MAP)], anchors[:, -len(IDENTITY_MAP) :]
+        block.references[:count], face_map[:count] = track.references, track.maps
         first = 0
         for end in [*(np.flatnonzero(np.diff(faces)) + 1).tolist(), count]:
-            anchors[first:end, : -len(STAY)] = self._row(int(faces[first]))
+            patch[first:end] = self._patch(int(faces[first]))
             first = end
-        if count < blocks.length:  # the rest runs too, for nothing: let it run where it can
-            blocks.references[count:] = blocks.references[count - 1]
-            anchors[count:, : -len(STAY)] = self._row(int(faces[-1]))
-            anchors[count:, -len(STAY) :] = STAY
+        # the remaining steps run, too, and are discarded: they get valid inputs
+        block.references[count:] = track.references[-1]
+        patch[count:], face_map[count:] = self._patch(int(faces[-1])), IDENTITY_MAP
 
-    def _row(self, face: int) -> Array:
+    def _patch(self, face: int) -> Array:
         """Patch of a face (63,), column-major."""
-        if face not in self._rows:
-            self._rows[face] = self._surface.patches[face].T.ravel()
-        return self._rows[face]
+        if face not in self._patches:
+            self._patches[face] = self._surface.patches[face].T.ravel()
+        return self._patches[face]

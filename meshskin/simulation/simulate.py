@@ -1,4 +1,8 @@
-"""Simulate an exploration: the arm presses the skinned body on the indenter and moves over it."""
+"""Simulate an exploration: the arm presses the skinned body on the indenter and moves over it.
+
+A scene passes through: `prepare` (path and Simulator at its start), `run` (Steps of the closed
+loop), readout.contact_frames (Frames of contacts) and readout.sensor_tables (the recording).
+"""
 
 from __future__ import annotations
 
@@ -19,20 +23,27 @@ from ..exploration.path import Path as ExplorationPath
 from ..exploration.path import start_configuration
 from ..exploration.plan import plan_exploration
 from ..recording.recording import Recording, RecordingWriter
-from ..robot.arm import Arm
 from ..scene.scene import Scene
 from . import stability
 from .closed_loop_model import ClosedLoopModel
-from .quasi_static import start as body_state
-from .readout import FRAME_CELLS, contact_frames, effect_chain, header, sensor_tables
-from .rollout import LENGTHS
+from .quasi_static import state_of_pose
+from .readout import (
+    FRAME_CELLS,
+    contact_frames,
+    effect_pipeline,
+    recording_metadata,
+    sensor_tables,
+)
+from .rollout import LENGTHS, Steps
 from .simulator import Simulator
 from .state_machine import PHASES, ExplorationStateMachine, PhaseSettings
-from .steps import Steps
 from .track import Track
 
-BODY = ("x", "y", "z", "qw", "qx", "qy", "qz")
-"""Columns of the body's pose, where there is no arm."""
+BODY_COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz")
+"""Columns of the body's pose in the motion table, where there is no arm."""
+MAX_BATCH = 8192
+"""Most steps of the closed loop whose tables are made at once: enough to spread the overhead of the
+tables, and some MB of memory."""
 
 Progress = Callable[[str, int, int], None]
 """progress(stage, done, total)"""
@@ -49,56 +60,60 @@ def simulate(
 ) -> Recording:
     """Run the scene's exploration and record it.
 
-    seed: of every random stream. path: of a plan (`explore`), to follow instead of the scene's own
-    exploration. out: stream the recording to these files and read it back from there, instead of
-    holding it in memory. progress(stage, done, total) is called as it goes.
-    chain: effects of a run before, to go on with in place of fresh ones of the seed.
-    Raises ReachError if the arm cannot follow the path, SimulationError if the loop fails,
-    ConfigError for a scene whose budget has not decided what is on.
+    seed: of every random stream. path: the path of a plan (`explore`), to follow instead of the
+    scene's own exploration. out: stream the recording to these files and read it back from there,
+    instead of holding it in memory. progress(stage, done, total) is called during the run. chain:
+    the effects of an earlier run, to continue instead of new ones of the seed. Raises ReachError if
+    the arm cannot follow the path, SimulationError if the loop fails, ConfigError for a scene whose
+    budget has not been resolved.
     """
     check_type(Scene, scene, "what is simulated")
     if scene.budget is not None:
         raise ConfigError(
-            f"what is on in the scene {scene.name} has not been decided",
+            f"the budget of the scene {scene.name} has not been resolved into effects",
             value=f"a budget of {1e3 * scene.budget:g} mm",
-            remedy="simulate ms.budget(scene).scene, or scene.with_(budget=None) as it is",
+            remedy="simulate ms.budget(scene).scene, or scene.with_(budget=None)",
         )
-    machine, path = prepare(scene, path=path)
-    batches = _tables(
-        scene, chain or effect_chain(scene, seed), machine.loop, run(scene, machine, path, progress)
-    )
-    metadata = _metadata(scene, seed)
-    metadata["unreachable"] = {str(k): why for k, why in path.unreachable.items()}
+    simulator, path = prepare(scene, path=path)
+    steps = run(scene, simulator, path, progress)
+    batches = _tables(scene, chain or effect_pipeline(scene, seed), simulator.loop, steps)
+    metadata = recording_metadata(scene) | {
+        "dt_s": scene.loop.dt,
+        "provenance": provenance(
+            seed=seed, scene=scene.name, effects=[repr(effect) for effect in scene.effects]
+        ),
+        "unreachable": {str(taxel): reason for taxel, reason in path.unreachable.items()},
+    }
     if out is not None:
         with RecordingWriter(out, metadata) as writer:
             for contacts, readings, motion in batches:
                 writer.write(contacts=contacts, readings=readings, motion=motion)
-            writer.metadata |= _performance(machine)
+            writer.metadata |= _performance(simulator)
         return Recording.load(out)
     tables = [pa.concat_tables(part) for part in zip(*batches, strict=True)]
-    metadata |= _performance(machine)
+    metadata |= _performance(simulator)
     return Recording(tables[0], tables[1], metadata, tables[2])
 
 
 def prepare(
     scene: Scene, taxels: Array | None = None, path: ExplorationPath | None = None
 ) -> tuple[Simulator, ExplorationPath]:
-    """The machine at the start of the scene's exploration, and the path that it will follow.
+    """The simulator at the start of the scene's exploration, and the path that it will follow.
 
-    taxels (n, 3): read these at every step; path: follow this one instead. Raises ReachError if
-    the arm cannot follow the path, ConfigError for a path of other steps than the loop's, SkinError
-    for a skin that lies off the body.
+    taxels (n, 3), body frame, m: read these at every step; path: follow this one instead of the
+    scene's own. Raises ReachError if the arm cannot follow the path, ConfigError for a path with
+    another step than the loop's, SkinError for a skin off the body, SimulationError for a step that
+    is too long.
     """
-    quasi_static = scene.loop.mode == "quasi_static"
     _check(scene, path)
-    loop = closed_loop(scene)
+    loop = ClosedLoopModel.of(scene)
     path = plan_exploration(scene).path if path is None else path
     start = start_configuration(scene, path)
-    if quasi_static:
-        start, rest = body_state(start), body_state(path.poses[0])
+    if scene.loop.mode == "quasi_static":
+        start, rest = state_of_pose(start), state_of_pose(path.poses[0])
     else:
         rest = loop.arm.inverse_kinematics(path.poses[:1] @ inverse(scene.mount_pose), start)[0]
-    machine = Simulator(
+    simulator = Simulator(
         scene.body,
         loop,
         start,
@@ -107,125 +122,87 @@ def prepare(
         steps=len(path.points),
         taxels=taxels,
     )
-    still = path.references[0] * ([1.0] * 12 + [0.0] * 6)
-    stability.check(machine, rest, still)
-    machine.touch_error = partial(stability.touch_error, machine, rest, still)
-    return machine, path
+    at_rest = path.references[0] * ([1.0] * 12 + [0.0] * 6)
+    stability.check_step(simulator, rest, at_rest)
+    simulator.touch_error = partial(stability.touch_error, simulator, rest, at_rest)
+    return simulator, path
 
 
 def _check(scene: Scene, path: ExplorationPath | None) -> None:
+    """Raise ConfigError for a path unfit for the loop, SkinError for a skin off the body."""
     if path is not None and not isinstance(path, ExplorationPath):
-        raise ConfigError("what is to be followed is no path", value=type(path).__name__,
-                          remedy="of a plan give plan.path")  # fmt: skip
+        raise ConfigError("path must be a Path", value=type(path).__name__,
+                          remedy="give the path of a plan: plan.path")  # fmt: skip
     if path is not None and abs(path.dt - scene.loop.dt) > 1e-6 * scene.loop.dt:
         raise ConfigError(
-            "the path was planned for other steps than the loop's",
+            "the path has another step than the loop",
             value=f"{1e3 * path.dt:g} ms",
             limit=f"{1e3 * scene.loop.dt:g} ms",
             remedy="plan it with dt=scene.loop.dt",
         )
-    off = float(np.abs(scene.body.closest(scene.skin.positions).distance).min())
-    if off > (reach := scene.rig.sensing_radius):
+    distance = float(np.abs(scene.body.closest(scene.skin.positions).distance).min())
+    if distance > (reach := scene.rig.sensing_radius):
         raise SkinError(
-            "the skin lies off the body: no contact would be felt",
-            value=f"{1e3 * off:.3g} mm at the nearest taxel",
+            "the skin is not on the body: no taxel would respond to a contact",
+            value=f"{1e3 * distance:.3g} mm at the nearest taxel",
             limit=f"{1e3 * reach:.3g} mm",
-            remedy="put it on with skin.onto(body), or look at the units of both",
+            remedy="project it with skin.onto(body), or check the units of both",
         )
 
 
-def closed_loop(scene: Scene) -> ClosedLoopModel:
-    """What the step of a scene's closed loop is made of."""
-    return ClosedLoopModel(
-        arm=_loaded_arm(scene),
-        mount=scene.mount_pose,
-        indenter_position=np.array(scene.indenter.position),
-        indenter_radius=scene.indenter.radius,
-        indenter_direction=scene.indenter.axis,
-        effective_modulus=scene.material.effective_modulus,
-        law=scene.law,
-        dt=scene.loop.dt,
-        integrator=scene.loop.integrator,
-        mode=scene.loop.mode,
-        contact=scene.model,
-        delay=scene.loop.delay_steps,
-    )
-
-
-def _performance(machine: Simulator) -> dict[str, Any]:
-    """How the loop ran: its rate, its stated error, how often each torque was at its limit."""
-    names = machine.loop.arm.joint_names[: machine.loop.joints]
-    return {
-        "steps_per_second": machine.steps_per_second,
-        "force_error": machine.touch_error() if machine.touch_error else None,
-        "torque_limited_steps": dict(zip(names, machine.saturated.tolist(), strict=True)),
-    }
-
-
-def _loaded_arm(scene: Scene) -> Arm:
-    """The arm with the body's mass at its tip."""
-    if scene.payload == 0:
-        return scene.arm
-    mesh = scene.body.mesh
-    pose = scene.mount_pose
-    density = scene.payload / abs(mesh.volume)
-    inertia = pose[:3, :3] @ (np.asarray(mesh.moment_inertia) * density) @ pose[:3, :3].T
-    com = pose[:3, :3] @ np.asarray(mesh.center_mass) + pose[:3, 3]
-    return scene.arm.with_payload(scene.payload, com, inertia)
-
-
-def _metadata(scene: Scene, seed: int) -> dict[str, Any]:
-    """What a recording says of itself before the loop has run."""
-    return header(scene) | {
-        "dt_s": scene.loop.dt,
-        "provenance": provenance(
-            seed=seed, scene=scene.name, effects=[repr(effect) for effect in scene.effects]
-        ),
-    }
-
-
 def run(
-    scene: Scene, machine: Simulator, path: ExplorationPath, progress: Progress | None = None
+    scene: Scene, simulator: Simulator, path: ExplorationPath, progress: Progress | None = None
 ) -> Iterator[Steps]:
-    """Run the closed loop over the path. Yields the steps as they come."""
+    """Run the closed loop over the path. Yields the steps as they are made."""
     tracks = [Track.of(segment, scene.body.surface) for segment in path.segments]
-    way = scene.exploration
-    manner = PhaseSettings(way.standoff, way.settle, way.approach_ramp)
-    explorer = ExplorationStateMachine(machine, tracks, manner, path.postures)
-    for steps in explorer.run():
+    exploration = scene.exploration
+    settings = PhaseSettings(exploration.standoff, exploration.settle, exploration.approach_ramp)
+    machine = ExplorationStateMachine(simulator, tracks, settings, path.postures)
+    for steps in machine.run():
         yield steps
         if progress is not None:
-            progress("simulate", explorer.done, len(path.points))
+            progress("simulate", machine.done, len(path.points))
 
 
-def _batches(runs: Iterator[Steps], size: int) -> Iterator[Sequence[Steps]]:
-    """Runs of steps gathered to about `size` steps."""
-    gathered: list[Steps] = []
-    for steps in runs:
-        gathered.append(steps)
-        if sum(len(s.time) for s in gathered) >= size:
-            yield gathered
-            gathered = []
-    if gathered:
-        yield gathered
+def _performance(simulator: Simulator) -> dict[str, Any]:
+    """Rate of the loop, estimated error of the force, steps at each joint's torque limit."""
+    names = simulator.loop.arm.joint_names[: simulator.loop.joints]
+    return {
+        "steps_per_second": simulator.steps_per_second,
+        "force_error": simulator.touch_error() if simulator.touch_error else None,
+        "torque_limited_steps": dict(zip(names, simulator.saturated.tolist(), strict=True)),
+    }
 
 
 def _tables(
-    scene: Scene, chain: effects.EffectPipeline, loop: ClosedLoopModel, runs: Iterator[Steps]
+    scene: Scene, pipeline: effects.EffectPipeline, loop: ClosedLoopModel, steps: Iterator[Steps]
 ) -> Iterator[tuple[pa.Table, pa.Table, pa.Table]]:
     """Tables of contacts, readings and motion, in batches, from the steps."""
-    stride = scene.frame_steps
-    size = int(np.clip(FRAME_CELLS / max(len(scene.skin.ids), 1) * stride, LENGTHS[0], 8192))
-    count = 0
-    for batch in _batches(runs, size):
-        seen = contact_frames(scene, loop, batch, count)
-        count += sum(len(s.time) for s in batch)
-        contacts, readings = sensor_tables(scene, seen, chain)
+    frames = FRAME_CELLS / max(len(scene.skin.ids), 1)
+    size = int(np.clip(frames * scene.frame_steps, LENGTHS[0], MAX_BATCH))
+    before = 0
+    for batch in _batches(steps, size):
+        contacts, readings = sensor_tables(
+            scene, contact_frames(scene, loop, batch, before), pipeline
+        )
         yield contacts, readings, _motion_table(scene, loop, batch)
+        before += sum(len(s.time) for s in batch)
+
+
+def _batches(steps: Iterator[Steps], size: int) -> Iterator[Sequence[Steps]]:
+    """Steps gathered to about `size` steps."""
+    batch: list[Steps] = []
+    for part in steps:
+        batch.append(part)
+        if sum(len(s.time) for s in batch) >= size:
+            yield batch
+            batch = []
+    if batch:
+        yield batch
 
 
 def _motion_table(scene: Scene, loop: ClosedLoopModel, batch: Sequence[Steps]) -> pa.Table:
-    """Every step: time, phase, force, reference, depth, joint angles and torques."""
+    """One row a step: time, phase, force, reference, depth, configuration and torques."""
     outputs, rows = np.concatenate([s.outputs for s in batch]), loop.outputs
     time = np.concatenate([s.time for s in batch])
     q = np.concatenate([s.q for s in batch])
@@ -237,9 +214,7 @@ def _motion_table(scene: Scene, loop: ClosedLoopModel, batch: Sequence[Steps]) -
         "reference": np.full(len(time), scene.law.force_reference),
         "depth": outputs[:, rows["depth"].start],
     }
-    names = [f"q{k + 1}" for k in range(q.shape[1])]
-    if not rows["torque"].stop > rows["torque"].start:
-        names = list(BODY)
+    names = [f"q{k + 1}" for k in range(loop.joints)] or BODY_COLUMNS
     columns |= dict(zip(names, q.T, strict=True))
     columns |= {f"tau{k + 1}": c for k, c in enumerate(outputs[:, rows["torque"]].T)}
     return pa.table(columns)

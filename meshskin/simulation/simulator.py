@@ -1,4 +1,4 @@
-"""The closed loop as a machine: its state, the faces it runs over, and what must not happen."""
+"""The simulator: the state of the closed loop, the mesh face it runs on, and its checks."""
 
 from __future__ import annotations
 
@@ -16,25 +16,23 @@ from ..robot.collision import EDGY
 from . import transfer
 from .closed_loop_model import APPROACH_SPEED, REFERENCE, ClosedLoopModel, flat_anchor
 from .machine_code import machine_code
-from .penetration import centres, poses, under
 from .point_readings import PointReadings
-from .rollout import SPARE, CompiledRollout, InterpretedRollout, Rollout
+from .rollout import FACE_MARGIN, CompiledRollout, InterpretedRollout, Rollout, Steps
 from .step import step
-from .steps import Steps
-from .track import STAY, Track, crossings
+from .track import IDENTITY_MAP, Track, face_maps, face_margin, map_foot
 
-ON_RIDGE = 1e-6
-"""Barycentric weight below which a foot is on a side of its face."""
-FULL = 1.0 - 1e-9
-"""Part of the torque limit that counts as being at it."""
+EDGE_WEIGHT = 1e-6
+"""Barycentric weight below which a foot point counts as on a side of its face."""
+AT_LIMIT = 1.0 - 1e-9
+"""Part of the torque limit from which a torque counts as at the limit."""
 
 
 class Simulator:
     """State of the closed loop, and the face whose patch it runs on.
 
     Starts at rest in the configuration `start` (joint angles, or position and quaternion of the
-    body) with the foot near `point` (3,), body frame. `compile_` and `steps`: see machine_code.
-    `taxels` (n, 3): read them all at every step.
+    body) with the foot point near `point` (3,), body frame, m. `compile_` and `steps`: see
+    machine_code. taxels (n, 3), body frame, m: read them all at every step.
     """
 
     def __init__(
@@ -51,53 +49,55 @@ class Simulator:
         self.body, self.loop = body, loop
         self.function = step(loop)
         code = machine_code(loop, body.surface.patches, compile_, steps)
-        self.stretch: Rollout = (
+        self.rollout: Rollout = (
             InterpretedRollout(loop, self.function, body.surface)
             if code is None
             else CompiledRollout(code)
         )
         self.readings = None if taxels is None else PointReadings(loop, taxels, code=code)
         self.size = len(start)
+        """Length n of a configuration."""
         self.state = np.zeros(self.function.size1_in(0))
         self._parameters = np.array(loop.parameters.values, dtype=float)
-        self.start, self._foot = np.array(start), body.closest(point[None])
+        self.start, self._first_contact = np.array(start), body.closest(point[None])
         self.touch_error: Callable[[], float] | None = None
-        """Stated error of the force at the touch, part of its peak: see stability.touch_error."""
-        self.rewind()
+        """Estimated error of the force at the touch, relative to its peak; see stability."""
+        self.reset()
 
     @property
     def curvature(self) -> Array:
         """Principal curvatures (2,) of the body at the first contact, 1/m."""
-        return np.asarray(self._foot.curvature[0])
+        return np.asarray(self._first_contact.curvature[0])
 
-    def at_start(self, q: Array) -> tuple[Array, Array]:
-        """State and anchor of the step at rest in configuration `q` at the first contact."""
+    def rest_state(self, q: Array) -> tuple[Array, Array]:
+        """State and anchor of the step at rest in configuration `q` (n,) at the first contact."""
         state = np.zeros_like(self.state)
-        state[: self.size], state[-2:] = q, self._foot.uv[0]
-        anchor = flat_anchor(self.body.surface.patches[int(self._foot.face[0])])
-        if self.loop.delay:  # at rest, all readings are those of now
-            row = np.zeros(REFERENCE)
-            output = self.function(state, row, anchor, self.loop.parameters.values)[1].full()
+        state[: self.size], state[-2:] = q, self._first_contact.uv[0]
+        anchor = flat_anchor(self.body.surface.patches[int(self._first_contact.face[0])])
+        if self.loop.delay:  # at rest, all delayed measurements are the present one
+            reference = np.zeros(REFERENCE)
+            values = self.loop.parameters.values
+            output = self.function(state, reference, anchor, values)[1].full()
             state[-2 - self.loop.memory : -2] = np.tile(
                 output[[self.loop.outputs[k].start for k in ("depth", "force")], 0], self.loop.delay
             )
         return state, anchor
 
-    def rewind(self) -> None:
-        """Back to the start, at rest."""
+    def reset(self) -> None:
+        """Return to the start, at rest."""
         self.steps, self.seconds = 0, 0.0
         self.saturated = np.zeros(self.loop.joints, dtype=int)
         """Steps (n,) at which each joint's torque was at its limit."""
-        self.hops = 0
-        """How often the foot left the path's faces."""
+        self.relocations = 0
+        """How often the foot point left the path's faces and was searched for on the mesh."""
         self.state[:] = 0.0
-        self.state[: self.size], self.state[-2:] = self.start, self._foot.uv[0]
-        self.face = int(self._foot.face[0])
-        self._astray = False
+        self.state[: self.size], self.state[-2:] = self.start, self._first_contact.uv[0]
+        self.face = int(self._first_contact.face[0])
+        self._off_path = False
 
     @property
     def steps_per_second(self) -> float:
-        """Steps of the closed loop in a second of running it."""
+        """Steps of the closed loop per second of computing time."""
         return self.steps / self.seconds if self.seconds else 0.0
 
     def advance(
@@ -105,149 +105,138 @@ class Simulator:
         track: Track,
         phase: int,
         until_touch: bool = False,
-        free: bool = False,
-        pace: float = 1.0,
+        track_normal: bool = False,
+        speed_fraction: float = 1.0,
     ) -> Steps:
-        """Run the first rows of a track: as many as fit a block and as the foot stays on its faces.
+        """Run the first rows of a track: as many as fit a block, while the foot stays on its faces.
 
-        until_touch: end with the first step in contact. free: follow the path along the normal too,
-        instead of holding the force; pace: part of the approach speed that the law may ask for.
-        Raises SimulationError where a number is not finite, ReachError where a joint leaves its
-        range.
+        until_touch: end with the first step in contact. track_normal: follow the path along the
+        normal, too, instead of controlling the force. speed_fraction: part of the approach speed
+        that the law may ask for. Raises SimulationError where a number is not finite, ReachError
+        where a joint leaves its range, PlaceError where the contact runs over an edge.
         """
         started = perf_counter()
-        short = until_touch or self._astray
-        track = track[: self.stretch.lengths[0 if short else 1]]
+        short = until_touch or self._off_path
+        track = track[: self.rollout.lengths[0 if short else 1]]
         placed = self._placed(track)
-        self._parameters[APPROACH_SPEED] = pace * self.loop.law.approach_speed
-        self._parameters[-1] = free
+        self._parameters[APPROACH_SPEED] = speed_fraction * self.loop.law.approach_speed
+        self._parameters[-1] = track_normal
         try:
-            states, outputs = self.stretch.run(self.state, placed, self._parameters, until_touch)
+            states, outputs = self.rollout.run(self.state, placed, self._parameters, until_touch)
         except RuntimeError as error:
             raise self._diverged(self.state, str(error).strip().splitlines()[-1]) from error
         count, outputs = len(outputs), outputs.copy()
         self._check(states[1:], outputs)
-        q = states[:-1, : self.size].copy()
-        time = self._times(count)
+        q, time = states[:-1, : self.size].copy(), self._times(count)
         self.steps += count
         self.state[:] = states[-1]
         self.face = int(placed.faces[count - 1])
-        u, v = self.state[-2:]
-        if not min(u, v, 1.0 - u - v) >= (0.0 if self._astray else -SPARE):
-            self._hop()
-        elif self._astray:
+        if not face_margin(self.state[-2:]) >= (0.0 if self._off_path else -FACE_MARGIN):
+            self._relocate()
+        elif self._off_path:
             self._rejoin(int(track.faces[count - 1]))
         readings = None if self.readings is None else self.readings(outputs)
         self.seconds += perf_counter() - started
         return Steps(time, q, outputs, phase, readings)
 
-    def clears(self, poses: Array) -> bool:
+    def is_clear(self, poses: Array) -> bool:
         """Whether the body at T_w_b (k, 4, 4) nowhere meets the indenter."""
-        return bool(under(self.loop, self.body, poses)[1].max() < 0.0)
+        return bool(transfer.penetration(self.loop, self.body, poses)[1].max() < 0.0)
 
-    def carry(self, q: Array, phase: int) -> Steps:
-        """Move exactly along configurations `q` (k, n), one row a step, as the joints' own
-        controllers or a hand do; at rest at the end. A contact that is there may end.
+    def move(self, q: Array, phase: int) -> Steps:
+        """Move exactly along configurations `q` (k, n), one row a step, and end at rest.
 
-        Raises SimulationError where the body meets the indenter on the way, ReachError where a
-        joint leaves its range.
+        This is the motion under the joints' own controllers. It may start in contact. Raises
+        SimulationError where the body meets the indenter on the way, ReachError where a joint
+        leaves its range.
         """
         loop = self.loop
-        hit, depth = under(loop, self.body, poses(loop, q))
-        outputs = transfer.pressed(loop, hit, depth)
+        hit, depth = transfer.penetration(loop, self.body, loop.body_poses(q))
+        outputs = transfer.contact_outputs(loop, hit, depth)
         if loop.joints:
-            outputs[:, loop.outputs["torque"]] = transfer.torques(loop, q)
+            outputs[:, loop.outputs["torque"]] = transfer.transfer_torques(loop, q)
         states = np.zeros((len(q), len(self.state)))
         states[:, : self.size], states[:, -2:] = q, hit.uv
         self._check(states, outputs)
-        met = (depth > 0) & ~np.logical_and.accumulate(depth > 0)
-        if met.any():
+        collides = (depth > 0) & ~np.logical_and.accumulate(depth > 0)
+        if collides.any():
             raise SimulationError(
-                f"the body meets the indenter on its way through the air at {self._at(states[-1])}",
-                value=f"{depth[met].max() * 1e3:.3g} mm deep",
+                f"the body meets the indenter in the air at {self._at(states[-1])}",
+                value=f"{depth[collides].max() * 1e3:.3g} mm deep",
                 remedy="raise exploration.standoff_mm",
             )
         time = self._times(len(q))
         self.steps += len(q)
-        self.state[:], self.face, self._astray = states[-1], int(hit.face[-1]), True
+        self.state[:], self.face, self._off_path = states[-1], int(hit.face[-1]), True
         return Steps(time, q, outputs, phase)
 
     def _placed(self, track: Track) -> Track:
-        """The track as it is run: over the machine's face while astray, else from that face on."""
-        if self._astray:
-            return replace(
-                track,
-                faces=np.full(len(track), self.face),
-                maps=np.tile(STAY, (len(track), 1)),
-            )
+        """The track as it is run: over the simulator's face while off the path, else from there."""
+        if self._off_path:
+            return track.on_face(self.face)
         maps, first = track.maps.copy(), int(track.faces[0])
-        maps[0] = STAY if first == self.face else self._crossing(self.face, first)
+        maps[0] = IDENTITY_MAP if first == self.face else self._face_map(self.face, first)
         return replace(track, maps=maps)
 
     def _times(self, count: int) -> Array:
         """Times (count,) of the next steps, s."""
         return np.asarray((self.steps + np.arange(count)) * self.loop.dt, dtype=float)
 
-    def _crossing(self, before: int, after: int) -> Array:
-        one = crossings(self.body.surface, np.array([before]), np.array([after]))
-        return np.asarray(one[0])
+    def _face_map(self, before: int, after: int) -> Array:
+        maps = face_maps(self.body.surface, np.array([before]), np.array([after]))
+        return np.asarray(maps[0])
 
-    def _hop(self) -> None:
-        """Go on from the foot of the indenter's centre, found on the mesh."""
-        centre = centres(self.loop, poses(self.loop, self.state[None, : self.size]))[0]
-        hit = self.body.closest(centre[None])
-        offset = centre - hit.point[0]
+    def _relocate(self) -> None:
+        """Continue from the foot point of the indenter's center, searched for on the mesh."""
+        loop = self.loop
+        center = loop.indenter_centers(loop.body_poses(self.state[None, : self.size]))[0]
+        hit = self.body.closest(center[None])
+        offset = center - hit.point[0]
         if hit.normal[0] @ offset < EDGY * np.linalg.norm(offset):
             raise PlaceError(
                 f"the contact ran over an edge of the body at {self._at(self.state)}",
                 value=f"contact point {np.round(hit.point[0], 4).tolist()} m",
                 remedy="keep the exploration off the edge, or round the edge in the mesh",
             )
-        self.face, self.state[-2:] = self._over_ridge(hit, offset)
-        self._astray = True
-        self.hops += 1
+        self.face, self.state[-2:] = self._facing(hit, offset)
+        self._off_path = True
+        self.relocations += 1
 
-    def _over_ridge(self, hit: Closest, offset: Array) -> tuple[int, Array]:
-        """The face to go on with and the foot (2,) on it, where the foot `hit` may be on a ridge.
+    def _facing(self, hit: Closest, offset: Array) -> tuple[int, Array]:
+        """Face and foot point (2,) to continue with where the foot point may lie on a ridge.
 
-        Of the faces that meet there, the one that looks most along `offset` (3,), the way to the
-        indenter's centre: the others' planes reach out over it, and would hold the indenter off.
+        Of the faces that meet there, the one whose normal is closest to `offset` (3,), from the
+        foot point to the indenter's center: the planes of the others extend over it, and would hold
+        the indenter off.
         """
-        face, (u, v) = int(hit.face[0]), hit.uv[0]
-        beyond = self.body.surface.neighbours[face][np.array([1.0 - u - v, u, v]) < ON_RIDGE]
+        face, uv = int(hit.face[0]), hit.uv[0]
+        sides = np.array([1.0 - uv.sum(), *uv]) < EDGE_WEIGHT
+        beyond = self.body.surface.neighbours[face][sides]
         faces = [face, *beyond[beyond >= 0].tolist()]
         best = faces[int(np.argmax(self.body.mesh.face_normals[faces] @ offset))]
-        if best == face:
-            return face, hit.uv[0]
-        change = self._crossing(face, best).reshape(3, 2).T
-        return best, change @ [u, v, 1.0]
+        return best, uv if best == face else map_foot(self._face_map(face, best), uv)
 
     def _rejoin(self, face: int) -> None:
-        """Run over the path's faces again once the foot lies well on the one under the path."""
-        change = self._crossing(self.face, face).reshape(3, 2).T
-        u, v = change @ [*self.state[-2:], 1.0]
-        self._astray = min(u, v, 1.0 - u - v) < -SPARE / 2
+        """Use the path's faces again once the foot point lies well on the one under the path."""
+        uv = map_foot(self._face_map(self.face, face), self.state[-2:])
+        self._off_path = bool(face_margin(uv) < -FACE_MARGIN / 2)
 
     def _check(self, states: Array, outputs: Array) -> None:
         """Count torques at their limits; raise if a number is not finite or a joint is out."""
         n, arm = self.loop.joints, self.loop.arm
         torque = np.abs(outputs[:, self.loop.outputs["torque"]])
-        if n and (torque.max(axis=0) >= FULL * arm.effort_limit).any():
-            self.saturated += (torque >= FULL * arm.effort_limit).sum(axis=0)
-        q = states[:, :n]
-        whole = np.isfinite(states.sum() + outputs.sum())
-        if (
-            whole
-            and (q.min(axis=0) >= arm.lower[:n]).all()
-            and (q.max(axis=0) <= arm.upper[:n]).all()
-        ):
+        if n and (torque.max(axis=0) >= AT_LIMIT * arm.effort_limit).any():
+            self.saturated += (torque >= AT_LIMIT * arm.effort_limit).sum(axis=0)
+        q, lower, upper = states[:, :n], arm.lower[:n], arm.upper[:n]
+        finite = np.isfinite(states.sum() + outputs.sum())
+        if finite and (q.min(axis=0) >= lower).all() and (q.max(axis=0) <= upper).all():
             return
-        finite = np.atleast_1d(np.isfinite(np.hstack([states, outputs])).all(axis=1))
-        out = (q < arm.lower[:n]) | (q > arm.upper[:n])
-        k = int(np.argmax(~finite | out.any(axis=1)))
-        if not finite[k]:
+        valid = np.asarray(np.isfinite(np.hstack([states, outputs])).all(axis=1))
+        outside = (q < lower) | (q > upper)
+        k = int(np.argmax(~valid | outside.any(axis=1)))
+        if not valid[k]:
             raise self._diverged(states[k], "a number is not finite", k)
-        j = int(np.argmax(out[k]))
+        j = int(np.argmax(outside[k]))
         raise ReachError(
             f"joint {arm.joint_names[j]} left its range at {self._at(states[k], k)}",
             value=f"{q[k, j]:.4f} rad",
@@ -256,13 +245,14 @@ class Simulator:
         )
 
     def _at(self, state: Array, ahead: int = 0) -> str:
+        """Time and configuration of a state, `ahead` steps from now, for messages."""
         what = "q" if self.loop.joints else "position and quaternion"
         angles = np.round(state[: self.size], 4).tolist()
         return f"t = {(self.steps + ahead) * self.loop.dt:.4f} s, {what} = {angles}"
 
-    def _diverged(self, state: Array, why: str, ahead: int = 0) -> SimulationError:
+    def _diverged(self, state: Array, reason: str, ahead: int = 0) -> SimulationError:
         return SimulationError(
-            f"the closed loop diverged at {self._at(state, ahead)} ({why})",
+            f"the closed loop diverged at {self._at(state, ahead)} ({reason})",
             value=f"dt = {self.loop.dt} s",
-            remedy="take a smaller loop.dt_ms or lower gains",
+            remedy="set a smaller loop.dt_ms or lower gains",
         )

@@ -1,28 +1,29 @@
-"""Which steps the closed loop can take: judged before it runs.
+"""Limits of the closed loop's step, checked before it runs, and the force's error at the touch.
 
-Two limits. Stability: at rest in contact at the reference force, the step's own Jacobian must have
-no eigenvalue outside the unit circle. Accuracy: the touch must be resolved. With the touch's speed
-v (twice law.touch_speed, for the arm lags), the reference depth d_ref and the depth of the impact
-d_hit, the force changes within
+Stability: at rest in contact at the reference force, no eigenvalue of the step's Jacobian may lie
+outside the unit circle. Accuracy: the touch must be resolved. With the touch's speed v (twice
+law.touch_speed, as the arm lags), the reference depth d_ref and the depth of the impact d_hit, the
+force changes within the touch time
 
-    tau = max(d_ref, min(d_hit, STOP v / rate)) / v,    d_hit = (5/4 m v^2 / K_c)^(2/5),
+    tau = max(d_ref, min(d_hit, d_stop)) / v,    d_hit = (5/4 m v^2 / K_c)^(2/5),
 
-m the arm's inertia along the normal (Johnson, "Contact Mechanics", 11.4), rate that of the law's
-velocity gain. Steps up to TOUCH tau keep the force within ERROR of its peak of CVODES' solution
+d_stop = STOPPING_DISTANCE v / rate, m the arm's inertia along the normal (Johnson, "Contact
+Mechanics", 11.4), rate that of the law's velocity gain. Steps up to STEP_PER_TOUCH_TIME tau keep
+the force within MAX_FORCE_ERROR of its peak in CVODES' solution
 (tests/hard/test_motion_stability.py measures it).
 
-What a run's force is good for is stated apart, by running its touch ahead with the run's step and
+The error of a run's force is estimated separately: its touch is predicted with the run's step and
 with steps an eighth as long. A method of order p errs by 8^p / (8^p - 1) of their difference, at
 most 8/7; SAFETY times the difference is stated. For steps within the two limits it bounds the true
-error, against CVODES, from E = 10 kPa to 200 GPa, from 10 us to 10 ms, to 0.5 m/s of impact; far
-longer ones may leap over the touch. Source: Richardson's extrapolation; Hairer, Norsett, Wanner,
-"Solving Ordinary Differential Equations I" (1993), II.4.
+error, against CVODES, from E = 10 kPa to 200 GPa, from 10 us to 10 ms, up to 0.5 m/s of impact;
+far longer steps may jump over the touch. Source: Richardson's extrapolation; Hairer, Norsett,
+Wanner, "Solving Ordinary Differential Equations I" (1993), II.4.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -32,58 +33,52 @@ from ..core.content_cache import cached_by_content
 from ..core.errors import SimulationError
 from ..core.se3 import Array, hat
 from . import law as compliance
-from .closed_loop_model import ClosedLoopModel, Parameters
-from .step import Blocks, step
+from .closed_loop_model import ClosedLoopModel
+from .step import StepBlock, step
 
 if TYPE_CHECKING:
     from ..robot.arm import Arm
     from .simulator import Simulator
 
-ERROR = 0.2
-"""Largest error of the force, part of its peak or of the reference, whichever is larger."""
-TOUCH = {"semi_implicit": 0.2, "linearly_implicit": 0.2, "rk4": 0.5, "cvodes": math.inf}
-"""Largest step over the time of the touch tau, by integrator."""
-STOP = 0.3
-"""Way that the law takes to stop, over v / rate: 1 - log 2."""
-GROWTH = 1e-4
-"""Largest excess of an eigenvalue over 1: the rounding of differences."""
-LONGEST = 0.01
-"""Longest step that is offered, s."""
-FINER, SAFETY = 8, 2.0
-"""Steps of the finer run a step; stated error over the runs' difference."""
-LEAST = 1e-5
-"""Least stated error: what the reference itself is good for where contact begins."""
-RESPONSES = 8
-"""Response times of the law in which a disturbance of it has died away."""
-AHEAD = 64
-"""Steps of a block of the run ahead."""
+MAX_FORCE_ERROR = 0.2
+"""Largest error of the force, relative to its peak or to the reference, whichever is larger, at the
+longest accurate step."""
+STEP_PER_TOUCH_TIME = {
+    "semi_implicit": 0.2,
+    "linearly_implicit": 0.2,
+    "rk4": 0.5,
+    "cvodes": math.inf,
+}
+"""Longest accurate step over the touch time, by integrator: the largest round numbers that keep
+MAX_FORCE_ERROR over the grid of tests/hard/test_motion_stability.py."""
+STOPPING_DISTANCE = 0.3
+"""Distance in which the law's velocity control takes up an impact, over v / rate: 1 - log 2."""
+EIGENVALUE_TOLERANCE = 1e-4
+"""Largest excess of an eigenvalue's modulus over 1: rounding of the difference quotients."""
+MAX_STEP = 0.01
+"""Longest step that is suggested, s: ten times the default step."""
+REFINEMENT, SAFETY = 8, 2.0
+"""Steps of the finer prediction per step; stated error over the difference of the predictions."""
+ERROR_FLOOR = 1e-5
+"""Least stated error: CVODES' own where contact begins and the force is not smooth."""
+SETTLING_TIMES = 8
+"""Response times of the law after which a disturbance has died away: exp(-8) = 3e-4."""
+BLOCK_LENGTH = 64
+"""Steps of a block of the predictions."""
 
 
-@dataclass(frozen=True)
-class StepLimit:
-    """Longest steps, s."""
+def check_step(simulator: Simulator, q: Array, reference: Array) -> None:
+    """Raise SimulationError for a step that is too long, and name one that works.
 
-    stable: float
-    accurate: float
-
-    @property
-    def longest(self) -> float:
-        """The shorter of the two."""
-        return min(self.stable, self.accurate)
-
-
-def check(machine: Simulator, q: Array, reference: Array) -> None:
-    """Refuse a step that is too long, and name one that works.
-
-    q: configuration at rest in contact at the reference depth, on the machine's first face;
-    reference (18,): the row of the path there. Raises SimulationError.
+    q (n,): configuration at rest in contact at the reference depth, on the simulator's first face;
+    reference (18,): the row of the path there.
     """
-    loop = machine.loop
-    curvature = machine.curvature
+    loop = simulator.loop
+    curvature = simulator.curvature
     speed = 2.0 * compliance.touch_speed(loop.law, reference_depth(loop, curvature))
     speed = min(speed, loop.law.approach_speed)
     accurate = touch_limit(loop, inertia(loop, q), curvature, speed)
-    stable = spectral_radius(machine, q, reference, loop.dt) <= 1 + GROWTH
+    stable = is_stable(simulator, q, reference, loop.dt)
     if loop.dt <= accurate and stable:
         return
     if loop.delay and not stable:
@@ -92,20 +87,19 @@ def check(machine: Simulator, q: Array, reference: Array) -> None:
             value=f"law.gamma = {loop.law.gamma:g} 1/s",
             remedy="lower law.gamma, or loop.delay_ms",
         )
-    limit = StepLimit(stable_limit(machine, q, reference, min(accurate, LONGEST)), accurate)
-    works = _rounded(limit.longest)
-    why = "resolve the touch" if loop.dt > accurate else "be stable"
+    longest = min(stable_limit(simulator, q, reference, min(accurate, MAX_STEP)), accurate)
+    purpose = "resolve the touch" if loop.dt > accurate else "be stable"
     raise SimulationError(
-        f"the step of {loop.integrator} is too long to {why}",
+        f"the step of {loop.integrator} is too long to {purpose}",
         value=f"loop.dt_ms = {1e3 * loop.dt:g}",
-        limit=f"{1e3 * limit.longest:.3g} ms",
-        remedy=f"set loop.dt_ms = {1e3 * works:g}, lower law.approach_speed or loop gains, "
-        "or take another loop.integrator",
+        limit=f"{1e3 * longest:.3g} ms",
+        remedy=f"set loop.dt_ms = {1e3 * _rounded(longest):g}, lower law.approach_speed or loop "
+        "gains, or use another loop.integrator",
     )
 
 
 def reference_depth(loop: ClosedLoopModel, curvature: Array) -> float:
-    """Depth of the contact under the reference force, m, at principal curvatures (2,), 1/m."""
+    """Depth of the contact at the reference force, m, at principal curvatures (2,), 1/m."""
     patch = loop.contact.patches(
         force=loop.law.force_reference,
         curvature=curvature,
@@ -120,19 +114,19 @@ def touch_limit(loop: ClosedLoopModel, mass: float, curvature: Array, v: float) 
 
     mass: along the normal, kg; curvature (2,): of the body, 1/m.
     """
-    p, wanted = loop.parameters, reference_depth(loop, curvature)
-    stiffness = loop.law.force_reference / wanted**1.5
-    hit = (1.25 * mass * v * v / stiffness) ** 0.4
-    rate = p.rate if loop.law.shape == "inertia" else p.rate / mass
-    stop = STOP * v / rate if loop.law.torque != "off" else math.inf
+    parameters, depth = loop.parameters, reference_depth(loop, curvature)
+    stiffness = loop.law.force_reference / depth**1.5
+    impact = (1.25 * mass * v * v / stiffness) ** 0.4
+    rate = parameters.rate if loop.law.shape == "inertia" else parameters.rate / mass
+    stop = STOPPING_DISTANCE * v / rate if loop.law.torque != "off" else math.inf
     if loop.mode == "quasi_static":
-        hit = 0.0
-    part = TOUCH[loop.integrator if loop.mode == "arm" else "semi_implicit"]
-    return part * max(wanted, min(hit, stop)) / v
+        impact = 0.0
+    part = STEP_PER_TOUCH_TIME[loop.integrator if loop.mode == "arm" else "semi_implicit"]
+    return part * max(depth, min(impact, stop)) / v
 
 
 def inertia(loop: ClosedLoopModel, q: Array) -> float:
-    """Mass of the arm along the indenter at the body's origin, kg; 0 without an arm."""
+    """Effective mass of the arm along the indenter at the tip's origin, kg; 0 without an arm."""
     if loop.mode == "quasi_static":
         return 0.0
     mass = _mass_matrix(loop.arm)(q).full()
@@ -146,118 +140,126 @@ def _mass_matrix(arm: Arm) -> ca.Function:
     return ca.Function("mass", [q], [arm.dynamics().mass_matrix(q)])
 
 
-def touch_error(machine: Simulator, q: Array, reference: Array, parts: int = 1) -> float:
-    """Stated error of the force at the touch, part of its peak, with a `parts`-th of the loop's dt.
+def touch_error(simulator: Simulator, q: Array, reference: Array, parts: int = 1) -> float:
+    """Estimated error of the force at the touch, relative to its peak, with steps of dt / parts.
 
-    The touch as the machine makes it: from rest in the air, until the force has settled.
+    The touch is that of the simulator: from rest in the air, until the force has settled.
     """
-    loop, law = machine.loop, machine.loop.law
-    depth, most = reference_depth(loop, machine.curvature), law.approach_speed
-    slow, lag = compliance.touch_speed(law, depth), RESPONSES * (1.0 / law.rate + 1.0 / law.gamma)
-    gap = min(max(_gap(machine), 0.0), lag * most)  # higher up the approach is at rest in itself
-    seconds = gap / most + math.log(most / slow) / law.gamma + lag
+    loop, law = simulator.loop, simulator.loop.law
+    depth, speed = reference_depth(loop, simulator.curvature), law.approach_speed
+    slow = compliance.touch_speed(law, depth)
+    lag = SETTLING_TIMES * (1.0 / law.rate + 1.0 / law.gamma)
+    gap = min(max(_gap(simulator), 0.0), lag * speed)  # higher up the approach is steady
+    seconds = gap / speed + math.log(speed / slow) / law.gamma + lag
     count = round(seconds / loop.dt * parts)
-    return stated_error(machine, _above(machine, q, depth + gap), reference, count, parts)
+    state = _lifted_state(simulator, q, depth + gap)
+    return estimate_error(simulator, state, reference, count, parts)
 
 
-def stated_error(
-    machine: Simulator, state: Array, reference: Array, count: int, parts: int = 1
+def estimate_error(
+    simulator: Simulator, state: Array, reference: Array, count: int, parts: int = 1
 ) -> float:
-    """Stated error of the force, part of its peak, over `count` steps of dt / parts from a state.
+    """Estimated error of the force, relative to its peak, over `count` steps of dt / parts.
 
-    state: in the air, or without a delay; reference (18,): a row of a path that rests there.
-    Infinite where a number is not finite; 0 for CVODES, which is the reference.
+    state: of the start, without contact, or of a loop without a delay; reference (18,): a row of a
+    path at rest. Infinite where a number is not finite; 0 for CVODES, which is the reference.
     """
-    if machine.loop.integrator == "cvodes" and machine.loop.joints:
+    if simulator.loop.integrator == "cvodes" and simulator.loop.joints:
         return 0.0
-    mine = forces_ahead(machine, state, reference, count, parts)
-    finer = forces_ahead(machine, state, reference, FINER * count, FINER * parts)[::FINER]
-    if not (np.isfinite(mine).all() and np.isfinite(finer).all()):
+    coarse = predict_forces(simulator, state, reference, count, parts)
+    fine = predict_forces(simulator, state, reference, REFINEMENT * count, REFINEMENT * parts)
+    fine = fine[::REFINEMENT]
+    if not (np.isfinite(coarse).all() and np.isfinite(fine).all()):
         return math.inf
-    peak = max(finer.max(), machine.loop.law.force_reference)
-    return max(float(SAFETY * np.abs(mine - finer).max() / peak), LEAST)
+    peak = max(fine.max(), simulator.loop.law.force_reference)
+    return max(float(SAFETY * np.abs(coarse - fine).max() / peak), ERROR_FLOOR)
 
 
-def forces_ahead(
-    machine: Simulator, state: Array, reference: Array, count: int, parts: int = 1
+def predict_forces(
+    simulator: Simulator, state: Array, reference: Array, count: int, parts: int = 1
 ) -> Array:
-    """Contact forces (count,), N, with steps of dt / parts on the machine's first face."""
-    loop, function = machine.loop, machine.function
-    if loop.delay and parts > 1:  # as old as they were, in more steps
-        state = _padded(loop, state, parts)
+    """Contact forces (count,), N, with steps of dt / parts on the simulator's first face."""
+    loop, function = simulator.loop, simulator.function
+    if loop.delay and parts > 1:  # the same delay in more steps
+        state = _refined_memory(loop, state, parts)
         loop = replace(loop, delay=loop.delay * parts)
         function = step(loop)
-    blocks = Blocks(loop, AHEAD, function)
-    blocks.parameters[0] = loop.dt / parts
-    blocks.references[:] = reference
-    blocks.anchors[:] = machine.at_start(state[: machine.size])[1]
-    blocks.state[:] = state
-    found = np.empty((math.ceil(count / AHEAD), AHEAD))
+    block = StepBlock(loop, BLOCK_LENGTH, function)
+    block.parameters[0] = loop.dt / parts
+    block.references[:] = reference
+    block.anchors[:] = simulator.rest_state(state[: simulator.size])[1]
+    block.state[:] = state
+    found = np.empty((math.ceil(count / BLOCK_LENGTH), BLOCK_LENGTH))
     for forces in found:
-        blocks.run()
-        forces[:] = blocks.outputs[:, loop.outputs["force"].start]
-        blocks.state[:] = blocks.states[-1]
+        block.run()
+        forces[:] = block.outputs[:, loop.outputs["force"].start]
+        block.state[:] = block.states[-1]
     return found.ravel()[:count]
 
 
-def spectral_radius(machine: Simulator, q: Array, reference: Array, dt: float) -> float:
-    """Largest modulus of an eigenvalue of the step at rest in contact; 0 for CVODES."""
-    loop = machine.loop
+def spectral_radius(simulator: Simulator, q: Array, reference: Array, dt: float) -> float:
+    """Largest modulus of an eigenvalue of the step at rest in contact; 0 for CVODES.
+
+    The Jacobian is by central differences: of order 2 in steps small against the depth, on which
+    the force depends nonlinearly.
+    """
+    loop = simulator.loop
     if loop.integrator == "cvodes" and loop.mode == "arm":
         return 0.0
-    state, anchor = machine.at_start(q)
+    state, anchor = simulator.rest_state(q)
     size = len(state) - 2
-    p: Parameters = replace(loop.parameters, dt=dt)
-    depth = reference_depth(loop, machine.curvature)
     steps = np.full(size, 1e-6)
-    steps[: len(q)] = 1e-3 * depth  # small against the depth: the force is not linear in it
+    steps[: len(q)] = 1e-3 * reference_depth(loop, simulator.curvature)
     moved = np.concatenate([np.diag(steps), -np.diag(steps)])
     states = np.concatenate([state[:size] + moved, np.tile(state[size:], (2 * size, 1))], axis=1)
-    after = machine.function(states.T, reference, anchor, p.values)[0].full()[:size]
+    values = replace(loop.parameters, dt=dt).values
+    after = simulator.function(states.T, reference, anchor, values)[0].full()[:size]
     jacobian = (after[:, :size] - after[:, size:]) / (2.0 * steps)
     return float(np.abs(np.linalg.eigvals(jacobian)).max())
 
 
-def stable_limit(machine: Simulator, q: Array, reference: Array, most: float) -> float:
-    """Longest stable step up to `most`, s, to 5 %; raises SimulationError where none is."""
+def is_stable(simulator: Simulator, q: Array, reference: Array, dt: float) -> bool:
+    """Whether the step `dt`, s, is stable at rest in contact."""
+    return spectral_radius(simulator, q, reference, dt) <= 1 + EIGENVALUE_TOLERANCE
 
-    def stable(dt: float) -> bool:
-        return spectral_radius(machine, q, reference, dt) <= 1 + GROWTH
 
-    if stable(most):
-        return most
-    low, high = most / 2, most
-    while not stable(low):
+def stable_limit(simulator: Simulator, q: Array, reference: Array, longest: float) -> float:
+    """Longest stable step up to `longest`, s, to 5 %; raises SimulationError where none is."""
+    if is_stable(simulator, q, reference, longest):
+        return longest
+    low, high = longest / 2, longest
+    while not is_stable(simulator, q, reference, low):
         low, high = low / 2, low
         if low < 1e-7:
             raise SimulationError(
                 "the closed loop is unstable at every step",
-                value=f"law.gamma = {machine.loop.law.gamma:g} 1/s",
+                value=f"law.gamma = {simulator.loop.law.gamma:g} 1/s",
                 remedy="lower law.gamma, or raise law.rate",
             )
     while high / low > 1.05:
         middle = math.sqrt(low * high)
-        low, high = (middle, high) if stable(middle) else (low, middle)
+        low, high = (middle, high) if is_stable(simulator, q, reference, middle) else (low, middle)
     return low
 
 
 def _rounded(dt: float) -> float:
-    """A step with two digits, a little shorter than `dt`."""
+    """A step with two digits, at least 5 % shorter than `dt`."""
     digits = 1 - math.floor(math.log10(0.95 * dt))
     return math.floor(0.95 * dt * 10**digits) / 10**digits
 
 
-def _gap(machine: Simulator) -> float:
-    """Gap between body and indenter at the machine's start, m."""
-    state, anchor = machine.at_start(machine.start)
-    row = np.zeros(machine.function.size1_in(1))
-    output = machine.function(state, row, anchor, machine.loop.parameters.values)[1]
-    return -float(output[machine.loop.outputs["depth"].start])
+def _gap(simulator: Simulator) -> float:
+    """Gap between body and indenter at the simulator's start, m."""
+    state, anchor = simulator.rest_state(simulator.start)
+    reference = np.zeros(simulator.function.size1_in(1))
+    values = simulator.loop.parameters.values
+    output = simulator.function(state, reference, anchor, values)[1]
+    return -float(output[simulator.loop.outputs["depth"].start])
 
 
-def _above(machine: Simulator, q: Array, lift: float) -> Array:
+def _lifted_state(simulator: Simulator, q: Array, lift: float) -> Array:
     """State at rest with the body lifted off the indenter by `lift` (m) from configuration q."""
-    loop, (state, _) = machine.loop, machine.at_start(q)
+    loop, (state, _) = simulator.loop, simulator.rest_state(q)
     up = lift * loop.indenter_direction
     if not loop.joints:
         state[:3] += up
@@ -266,13 +268,13 @@ def _above(machine: Simulator, q: Array, lift: float) -> Array:
         jacobian = loop.arm.jacobian(q)
         jacobian[:3] -= hat((tip @ loop.mount)[:3, 3] - tip[:3, 3]) @ jacobian[3:]
         state[: len(q)] += np.linalg.pinv(jacobian, rcond=1e-6)[:, :3] @ up
-    if loop.delay:  # readings of the gap so far
-        depth = reference_depth(loop, machine.curvature) - lift
+    if loop.delay:  # the delayed measurements are those of the gap
+        depth = reference_depth(loop, simulator.curvature) - lift
         state[-2 - loop.memory : -2] = np.tile([depth, 0.0], loop.delay)
     return state
 
 
-def _padded(loop: ClosedLoopModel, state: Array, parts: int) -> Array:
-    """A state for `parts` times as many readings on their way, each of them for as many steps."""
+def _refined_memory(loop: ClosedLoopModel, state: Array, parts: int) -> Array:
+    """A state whose delayed measurements are each repeated for `parts` steps."""
     readings = state[-2 - loop.memory : -2].reshape(-1, 2).repeat(parts, axis=0)
     return np.concatenate([state[: -2 - loop.memory], readings.ravel(), state[-2:]])

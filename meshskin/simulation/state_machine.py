@@ -4,9 +4,9 @@
 
 Every place is a track of its own. The body comes down until the first contact (approach), the force
 settles (touch), the arm rests (hold), the contact point follows the track (slide), the body lifts
-off (leave) and moves to the next place, taking the posture that it wants (next). Contact that is
-lost for longer than PATIENCE while the law should hold it is sought again where it was lost, at
-most RETRIES times in a place.
+off (leave) and moves to the next place, in the posture that it needs there (next). A contact that
+is lost for longer than LOSS_TIME while the law controls the force is made again where it was lost,
+at most RETRIES times in a place.
 """
 
 from __future__ import annotations
@@ -19,79 +19,78 @@ import casadi as ca
 import numpy as np
 
 from ..core.errors import PlaceError, SimulationError
-from ..core.se3 import Array, interpolate, inverse, log_so3
-from ..core.se3 import poses_of_states as body_pose
+from ..core.se3 import Array, interpolate, inverse, log_so3, poses_of_states
 from . import transfer
-from .quasi_static import start as body_state
-from .rollout import LENGTHS
+from .quasi_static import state_of_pose
+from .rollout import LENGTHS, Steps
 from .simulator import Simulator
-from .steps import Steps
 from .track import Track, reference_poses
 
 PHASES = ("approach", "touch", "hold", "slide", "leave", "next")
 """Names of the phases, as recordings hold them, in order."""
 APPROACH, TOUCH, HOLD, SLIDE, LEAVE, NEXT = range(6)
 SETTLED = 0.05
-"""Part of the reference force within which a touch counts as settled."""
-PATIENCE = 0.02
-"""Time without contact after which it counts as lost, s."""
+"""Force error, relative to the reference, below which a touch becomes a hold. The settling band of
+response.SETTLING_BAND is narrower: the rest of the settling belongs to the hold."""
+LOSS_TIME = 0.02
+"""Time without contact, s, after which it counts as lost: longer than a bounce at the touch."""
 RETRIES = 5
 """Contacts that may be lost in one place before it is given up."""
-HIGHEST, SIGHT = 10, 16.0
-"""Doublings of the standoff that a way over may take; steps between looks ahead on it."""
-SKIP = 0.2
-"""Time along the path that is given up where it cannot be followed, s."""
-ASTRAY = 4.0
-"""Distance from the next place, in extents of the body, that no exploration has."""
-AIR_SPEED, AIR_TURN = 0.1, 1.0
-"""Speeds in the air, m/s and rad/s."""
+MAX_LIFTS, CLEARANCE_STRIDE = 10, 16.0
+"""Doublings of the standoff that are tried for a transfer; steps between its collision checks."""
+SKIP_TIME = 0.2
+"""Time along the path that is skipped where it cannot be followed, s."""
+MAX_DEVIATION = 4.0
+"""Distance from the next place, in extents of the body, beyond which the body has flown off."""
+AIR_SPEED, AIR_TURN_RATE = 0.1, 1.0
+"""Largest speeds of transfers, m/s and rad/s."""
 
 
 @dataclass(frozen=True)
 class PhaseSettings:
-    """How places are explored."""
+    """Distances and times of the phases."""
 
     standoff: float
     """Height over the indenter between places, m."""
     settle: float
-    """Longest time for the touch to settle, and with it the rest before the slide, s."""
+    """Longest time for the force to settle, and of the hold, together, s."""
     ramp: float = 0.0
-    """Time in which the approach gains its speed, s."""
+    """Time in which the approach reaches its speed, s."""
 
 
 class ExplorationStateMachine:
-    """Runs a machine over tracks (places), in order, and says what it is doing."""
+    """Runs a simulator over tracks (places), in order."""
 
     def __init__(
         self,
-        machine: Simulator,
+        simulator: Simulator,
         tracks: Sequence[Track],
-        manner: PhaseSettings,
+        settings: PhaseSettings,
         postures: Array | None = None,
     ) -> None:
-        self.machine, self.tracks, self.manner = machine, tracks, manner
+        self.simulator, self.tracks, self.settings = simulator, tracks, settings
         self.postures = postures
-        """Joint angles (places, n) at the first row of each track, taken in the air before; None:
-        the body is carried over, in whatever posture the arm is."""
+        """Joint angles (places, n) at the first row of each track, taken before in the air; None:
+        the body is moved over, in whatever posture the arm then is."""
         self.place, self.row = 0, 0
         self.phase = APPROACH
-        self.cut = 0
-        """Parts of places given up."""
+        self.skips = 0
+        """Parts of places that were given up."""
         self.explored = False
-        """Whether anything has been."""
+        """Whether any contact point has followed its track."""
         self.losses = 0
-        """Contacts lost and found again."""
+        """Contacts lost and made again."""
 
     @property
     def done(self) -> int:
-        """Rows of the tracks that are behind."""
+        """Rows of the tracks that are finished."""
         return sum(len(t) for t in self.tracks[: self.place]) + self.row
 
     def run(self) -> Iterator[Steps]:
-        """The steps as they come.
+        """The steps as they are made.
 
         Where contact cannot be made or kept, or runs over an edge, a part of the place is given
-        up. Raises PlaceError where it is the only place, or nothing at all is explored.
+        up. Raises PlaceError where it is the only place, or no place can be explored.
         """
         failed: PlaceError | None = None
         for place, track in enumerate(self.tracks):
@@ -115,158 +114,157 @@ class ExplorationStateMachine:
             raise failed
 
     def _skip(self, track: Track) -> Iterator[Steps]:
-        """Give up the next of the track, and go on beyond; with an arm, give up the rest."""
-        self.cut += 1
-        rows = max(round(SKIP / self.machine.loop.dt), 1)
-        self.row = len(track) if self.machine.loop.joints else self.row + rows
+        """Give up the next SKIP_TIME of the track; with an arm, the rest of it."""
+        self.skips += 1
+        rows = max(round(SKIP_TIME / self.simulator.loop.dt), 1)
+        self.row = len(track) if self.simulator.loop.joints else self.row + rows
         if self.row < len(track):
-            yield from self._drift(self._above(track.references[self.row]))
+            yield from self._float(self._above(track.references[self.row]))
 
     def _make_contact(self, track: Track) -> Iterator[Steps]:
-        """Come down, let the force settle, rest."""
-        machine, loop = self.machine, self.machine.loop
-        settle = max(round(self.manner.settle / loop.dt), 1)
+        """Approach until the first contact, let the force settle, hold."""
+        simulator, loop = self.simulator, self.simulator.loop
+        settle = max(round(self.settings.settle / loop.dt), 1)
         rest = track.hold(self.row, max(settle, LENGTHS[0]))
-        fall = 5 * self.manner.standoff / loop.law.approach_speed + 20 / loop.law.gamma
-        fall += self.manner.ramp
-        last = machine.steps + int(np.ceil((1.0 + fall) / loop.dt))
-        self.phase, force, begin = APPROACH, 0.0, machine.steps
+        # the approach at full speed five times over, and the law's lag near the touch
+        longest = 1.0 + 5 * self.settings.standoff / loop.law.approach_speed + 20 / loop.law.gamma
+        longest += self.settings.ramp
+        self.phase, force, first = APPROACH, 0.0, simulator.steps
         while not force > 0:
-            if machine.steps > last:
+            if simulator.steps > first + int(np.ceil(longest / loop.dt)):
                 raise PlaceError(
                     "the arm did not touch the indenter",
-                    value=f"{(1.0 + fall):.2f} s of approach",
+                    value=f"{longest:.2f} s of approach",
                     remedy="check indenter.position_m and exploration.standoff_m",
                 )
-            steps = self._press(rest, begin, until_touch=True)
+            steps = self._press(rest, first, until_touch=True)
             yield steps
             force = self._force(steps)[-1]
-        self.phase, left = TOUCH, settle
-        while left > 0:
-            steps = self._press(rest[:left], begin)
+        self.phase, remaining = TOUCH, settle
+        while remaining > 0:
+            steps = self._press(rest[:remaining], first)
             yield steps
-            left -= len(steps.time)
+            remaining -= len(steps.time)
             if abs(self._force(steps)[-1] / loop.law.force_reference - 1.0) < SETTLED:
                 self.phase = HOLD
 
-    def _press(self, rest: Track, begin: int, until_touch: bool = False) -> Steps:
-        """Steps of an approach begun at step `begin`: single ones while it gains its speed."""
-        machine = self.machine
-        pace = paced((machine.steps - begin) * machine.loop.dt, self.manner.ramp, machine.loop.dt)
-        return machine.advance(
-            rest if pace == 1.0 else rest[:1], self.phase, until_touch=until_touch, pace=pace
+    def _press(self, rest: Track, first: int, until_touch: bool = False) -> Steps:
+        """Steps of an approach that began at step `first`; single ones during its ramp."""
+        simulator, dt = self.simulator, self.simulator.loop.dt
+        fraction = approach_fraction((simulator.steps - first) * dt, self.settings.ramp, dt)
+        return simulator.advance(
+            rest if fraction == 1.0 else rest[:1],
+            self.phase,
+            until_touch=until_touch,
+            speed_fraction=fraction,
         )
 
     def _slide(self, track: Track) -> Iterator[Steps]:
-        """Follow the track from the row at hand, to its end or until contact is lost."""
-        self.phase, patience = SLIDE, max(round(PATIENCE / self.machine.loop.dt), 1)
-        apart = 0
+        """Follow the track from the present row, to its end or until contact is lost."""
+        self.phase, patience = SLIDE, max(round(LOSS_TIME / self.simulator.loop.dt), 1)
+        gap = 0
         while self.row < len(track):
-            steps = self.machine.advance(track[self.row :], SLIDE)
+            steps = self.simulator.advance(track[self.row :], SLIDE)
             touching = np.flatnonzero(self._force(steps) > 0)
-            ends = np.array([-1 - apart, *touching, len(steps.time)])
-            gaps = np.diff(ends) - 1  # steps without contact, the last block's counted in
+            ends = np.array([-1 - gap, *touching, len(steps.time)])
+            gaps = np.diff(ends) - 1  # steps without contact, with those of the block before
             lost = np.flatnonzero(gaps >= patience)
-            if len(lost):  # go on from where contact was last
+            if len(lost):  # continue from the last row in contact
                 self.row = max(self.row + int(ends[lost[0]]), 0)
                 yield steps
                 return
-            apart = int(gaps[-1])
+            gap = int(gaps[-1])
             self.row += len(steps.time)
             self.explored = True
             yield steps
 
     def _travel(self, track: Track, goal: Track) -> Iterator[Steps]:
         """Lift off the end of a track and move to above the start of the next."""
-        machine, dt = self.machine, self.machine.loop.dt
-        if not machine.loop.joints:
-            yield from self._drift(self._above(goal.references[0]))
+        simulator, dt = self.simulator, self.simulator.loop.dt
+        if not simulator.loop.joints:
+            yield from self._float(self._above(goal.references[0]))
             return
-        ways = [reference_poses(track.references[-1]), self._above(track.references[-1])]
+        waypoints = [reference_poses(track.references[-1]), self._above(track.references[-1])]
         if self.postures is None:
-            ways += [self._above(goal.references[0])]
-        for self.phase, start, end in zip((LEAVE, NEXT), ways[:-1], ways[1:], strict=False):
-            face = machine.face
-            way = Track.through(_blend(start, end, dt), dt, face)
-            while len(way):
-                steps = machine.advance(way, self.phase, free=True)
+            waypoints += [self._above(goal.references[0])]
+        for self.phase, start, end in zip(
+            (LEAVE, NEXT), waypoints[:-1], waypoints[1:], strict=False
+        ):
+            motion = Track.through(_blend(start, end, dt), dt, simulator.face)
+            while len(motion):
+                steps = simulator.advance(motion, self.phase, track_normal=True)
                 yield steps
-                way = way[len(steps.time) :]
+                motion = motion[len(steps.time) :]
         if self.postures is not None:
             self.phase = NEXT
-            yield machine.carry(self._over(goal, self.postures[self.place + 1]), NEXT)
+            yield simulator.move(self._regrasp(goal, self.postures[self.place + 1]), NEXT)
 
-    def _drift(self, goal: Array) -> Iterator[Steps]:
-        """Without an arm: up, as far as it takes to turn, and over to `goal` (4, 4), in the air."""
-        machine, standoff, up = self.machine, self.manner.standoff, self._up
-        low = body_pose(machine.state[None])[0]
-        middle = np.append(machine.body.mesh.bounds.mean(axis=0), 1.0)
-        if np.linalg.norm((low - goal) @ middle) > ASTRAY * machine.body.surface.scale:
+    def _float(self, goal: Array) -> Iterator[Steps]:
+        """Without an arm: up, as far as turning needs, and over to `goal` (4, 4), in the air."""
+        simulator, standoff, up = self.simulator, self.settings.standoff, self._up
+        low = poses_of_states(simulator.state[None])[0]
+        middle = np.append(simulator.body.mesh.bounds.mean(axis=0), 1.0)
+        deviation = np.linalg.norm((low - goal) @ middle)
+        if deviation > MAX_DEVIATION * simulator.body.surface.scale:
             raise SimulationError(
                 f"the body flew off place {self.place}",
                 value=f"position {np.round(low[:3, 3], 3).tolist()} m",
                 remedy="keep the exploration to smooth parts of the body",
             )
-        for lift in standoff * 2.0 ** np.arange(HIGHEST):
+        for lift in standoff * 2.0 ** np.arange(MAX_LIFTS):
             high, over = _raised(low, lift * up), _raised(goal, (lift - standoff) * up)
-            if machine.clears(_blend(high, over, SIGHT * machine.loop.dt)):
+            if simulator.is_clear(_blend(high, over, CLEARANCE_STRIDE * simulator.loop.dt)):
                 break
-        ways = ((LEAVE, low, high), (NEXT, high, over), (NEXT, over, goal))
-        for self.phase, start, end in ways:
-            poses = _blend(start, end, machine.loop.dt)
-            yield machine.carry(np.array([body_state(pose) for pose in poses]), self.phase)
+        for self.phase, start, end in ((LEAVE, low, high), (NEXT, high, over), (NEXT, over, goal)):
+            poses = _blend(start, end, simulator.loop.dt)
+            yield simulator.move(state_of_pose(poses), self.phase)
 
-    def _over(self, goal: Track, posture: Array) -> Array:
-        """Joint angles (k, n) from where the arm is to above the start of a track."""
-        machine, loop = self.machine, self.machine.loop
-        low = reference_poses(goal.references[0])
-        high = self._above(goal.references[0])
-        poses = _blend(low, high, loop.dt)[:: LENGTHS[0]] @ inverse(loop.mount)
-        above = loop.arm.inverse_kinematics(
-            np.concatenate([poses, high[None] @ inverse(loop.mount)]), posture
-        )[-1]
-        return transfer.way(loop, machine.body, machine.state[: machine.size].copy(), above)
+    def _regrasp(self, goal: Track, posture: Array) -> Array:
+        """Joint angles (k, n) from the present ones to a posture above the start of a track."""
+        simulator, loop = self.simulator, self.simulator.loop
+        low, high = reference_poses(goal.references[0]), self._above(goal.references[0])
+        poses = np.concatenate([_blend(low, high, loop.dt)[:: LENGTHS[0]], high[None]])
+        above = loop.arm.inverse_kinematics(poses @ inverse(loop.mount), posture)[-1]
+        start = simulator.state[: simulator.size].copy()
+        return transfer.joint_path(loop, simulator.body, start, above)
 
     @property
     def _up(self) -> Array:
-        """Unit vector (3,), world, in which the body is lifted off."""
-        return self.machine.loop.indenter_direction
+        """Unit vector (3,), world frame, along which the body is lifted off."""
+        return self.simulator.loop.indenter_direction
 
     def _above(self, reference: Array) -> Array:
-        """T_w_b (4, 4) at the standoff over a reference row."""
-        return _raised(reference_poses(reference), self.manner.standoff * self._up)
+        """T_w_b (4, 4) at the standoff over a reference (18,)."""
+        return _raised(reference_poses(reference), self.settings.standoff * self._up)
 
     def _force(self, steps: Steps) -> Array:
-        return np.asarray(steps.outputs[:, self.machine.loop.outputs["force"].start])
+        return np.asarray(steps.outputs[:, self.simulator.loop.outputs["force"].start])
 
     def _lost(self) -> PlaceError:
         return PlaceError(
             f"contact was lost {RETRIES + 1} times at row {self.row} of place {self.place}",
-            value=f"t = {self.machine.steps * self.machine.loop.dt:.4f} s",
-            remedy="explore slower, or take a larger law.gamma or law.rate",
+            value=f"t = {self.simulator.steps * self.simulator.loop.dt:.4f} s",
+            remedy="explore slower, or set a larger law.gamma or law.rate",
         )
 
 
-def paced(t: Any, ramp: Any, dt: Any) -> Any:
-    """Part of the approach speed at t (s) after the approach's begin, grown evenly; CasADi."""
+def approach_fraction(t: Any, ramp: Any, dt: Any) -> Any:
+    """Part of the approach speed at t (s) after the approach began: a linear ramp; CasADi."""
     return ca.fmin((t + dt) / ca.fmax(ramp, dt), 1.0)
 
 
 def _raised(pose: Array, shift: Array) -> Array:
-    """A pose (4, 4) shifted by (3,), world, m."""
+    """A pose (4, 4) shifted by (3,), world frame, m."""
     raised = pose.copy()
     raised[:3, 3] += shift
     return raised
 
 
 def _blend(start: Array, end: Array, dt: float) -> Array:
-    """Poses (k, 4, 4) from one to another, half a cosine in time."""
-    turn = log_so3(end[:3, :3] @ start[:3, :3].T)
-    shift = end[:3, 3] - start[:3, 3]
-    time = (
-        0.5
-        * np.pi
-        * max(float(np.linalg.norm(shift)) / AIR_SPEED, float(np.linalg.norm(turn)) / AIR_TURN)
-    )
-    part = 0.5 - 0.5 * np.cos(np.pi * np.linspace(0.0, 1.0, max(int(np.ceil(time / dt)), 2)))
+    """Poses (k, 4, 4) from one to another, one a step, with a speed of half a sine wave."""
+    angle = float(np.linalg.norm(log_so3(end[:3, :3] @ start[:3, :3].T)))
+    distance = float(np.linalg.norm(end[:3, 3] - start[:3, 3]))
+    time = 0.5 * np.pi * max(distance / AIR_SPEED, angle / AIR_TURN_RATE)
+    count = max(int(np.ceil(time / dt)), 2)
+    part = 0.5 - 0.5 * np.cos(np.pi * np.linspace(0.0, 1.0, count))
     return interpolate(start, end, part)

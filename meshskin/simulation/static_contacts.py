@@ -1,8 +1,9 @@
-"""Presses: the recording of chosen contacts without the closed loop, in milliseconds.
+"""Static contacts: the recording of chosen contacts without the closed loop, in milliseconds.
 
-For studies of what a set of contacts tells, and for trying an exploration before a robot runs it.
-Each contact is at rest at its force, a touch of its own: they are APART, so that effects that look
-back (shear, old readings) find the contact lost in between, not slid.
+For studies of the information in a set of contacts, and for trying an exploration before a robot
+runs it. Each contact is at rest at its force and is a touch of its own: the contacts are
+PRESS_INTERVAL apart, so that effects with a memory (shear, delayed readings) find that the contact
+was lost in between.
 """
 
 from __future__ import annotations
@@ -20,17 +21,19 @@ from ..core.provenance import provenance
 from ..core.se3 import Array, exp_so3, quaternion, shortest_rotation
 from ..recording.recording import Recording
 from ..scene.scene import Scene
-from .readout import FRAME_CELLS, effect_chain, frames_at, header, sensor_tables
+from .readout import FRAME_CELLS, effect_pipeline, make_frames, recording_metadata, sensor_tables
 
 if TYPE_CHECKING:
     from ..effects import EffectPipeline
     from ..effects.frames import Frames
     from ..geometry.surface.closest_point import Closest
 
-APART = 1.0
-"""Time from one press to the next, s, as an arm would take it."""
-FAR_OFF = 0.05
-"""Most by which points to press may typically lie off the surface, m; they are put on it."""
+PRESS_INTERVAL = 1.0
+"""Time from one static contact to the next, s: about what an arm takes. Effects with a memory need
+more than a few frame periods."""
+MAX_DISTANCE = 0.05
+"""Largest median distance, m, of the given points from the surface, on which they are projected: a
+larger one is a mistake of units or of the frame."""
 
 
 def press(
@@ -43,66 +46,68 @@ def press(
 ) -> Recording:
     """The recording of the indenter pressed on the body at `points` (m, 3), body frame, m.
 
-    force (m,), N: the reference force by default. spin (m,), rad: how far the body is turned about
-    the indenter's direction; its skin faces the indenter. All effects of the scene act, as in
-    `simulate`; those of an arm's joints find none, and are refused (ConfigError). chain: effects of
-    presses before, of the scene as `floating` has it, to go on with in place of fresh ones of the
-    seed. Raises RecordingError without points, for points nowhere near the body, or for forces that
+    force (m,), N: by default the reference force. spin (m,), rad: rotation of the body about the
+    indenter's direction; its skin faces the indenter. All effects of the scene act, as in
+    `simulate`, except those of an arm's joints, which raise ConfigError. chain: the effects of
+    earlier presses, of the scene as `without_arm` returns it, to continue instead of new ones of
+    the seed. Raises RecordingError without points, for points far from the body, or for forces that
     are not positive.
     """
     check_type(Scene, scene, "what is pressed")
-    world = floating(scene)
-    where = check_vectors("points to press", points, error=RecordingError)
-    if not len(where):
-        raise RecordingError("nothing to press", remedy="give one contact point or more")
-    hit, count = scene.body.closest(where), len(where)
-    _near(hit.distance)
+    scene = without_arm(scene)
+    given = check_vectors("points to press", points, error=RecordingError)
+    if not len(given):
+        raise RecordingError("there is no point to press", remedy="give one contact point or more")
+    hit, count = scene.body.closest(given), len(given)
+    _check_distance(hit.distance)
     forces = _forces(scene.law.force_reference if force is None else force, count)
-    frames = _at_rest(world, hit, forces, np.broadcast_to(spin, count))
-    chain = chain or effect_chain(world, seed)
+    frames = _static_frames(scene, hit, forces, np.broadcast_to(spin, count))
+    chain = chain or effect_pipeline(scene, seed)
     size = max(int(FRAME_CELLS / len(scene.skin)), 1)
     batches = [
-        sensor_tables(world, frames.rows(slice(k, k + size)), chain) for k in range(0, count, size)
+        sensor_tables(scene, frames.rows(slice(k, k + size)), chain) for k in range(0, count, size)
     ]
     contacts, readings = (pa.concat_tables(part) for part in zip(*batches, strict=True))
-    metadata = header(scene) | {
-        "provenance": provenance(scene=scene.name, seed=seed, presses=count)
-    }
-    return Recording(contacts, readings, metadata)
+    origin = provenance(scene=scene.name, seed=seed, presses=count)
+    return Recording(contacts, readings, recording_metadata(scene) | {"provenance": origin})
 
 
-def floating(scene: Scene) -> Scene:
-    """The scene as presses have it: the body moves freely, without the arm."""
+def without_arm(scene: Scene) -> Scene:
+    """The scene with a body that moves freely, without the arm."""
     return scene.with_(loop=replace(scene.loop, mode="quasi_static"))
 
 
 def _forces(force: ArrayLike, count: int) -> Array:
-    """The forces (count,) of as many presses. Raises RecordingError."""
+    """The forces (count,), N, of the presses. Raises RecordingError."""
     given = check_array("forces of presses", force, error=RecordingError)
     if given.shape not in ((), (count,)):
         raise RecordingError(
-            "the forces are not one a press", value=f"shape {given.shape}", limit=f"({count},)"
+            "press needs one force, or one per point",
+            value=f"shape {given.shape}",
+            limit=f"({count},)",
         )
     bad = given[~((given > 0) & np.isfinite(given))]
     if bad.size:
-        raise RecordingError("a press needs a force", value=f"{bad[0]:g} N", limit="above 0 N")
+        raise RecordingError(
+            "forces of presses must be positive", value=f"{bad[0]:g} N", limit="above 0 N"
+        )
     return np.array(np.broadcast_to(given, count))
 
 
-def _near(distance: Array) -> None:
-    """Refuse points to press that are nowhere near the surface: `distance` (m,), m, from it."""
+def _check_distance(distance: Array) -> None:
+    """Raise RecordingError for points far from the surface, at `distance` (m,), m."""
     typical = float(np.median(np.abs(distance)))
-    if not typical <= FAR_OFF:
+    if not typical <= MAX_DISTANCE:
         raise RecordingError(
             "the points to press are not on the body",
-            value=f"typically {typical:.3g} m off its surface",
-            limit=f"{FAR_OFF} m",
-            remedy="give them in m, in the body's frame",
+            value=f"median distance {typical:.3g} m from its surface",
+            limit=f"{MAX_DISTANCE} m",
+            remedy="give them in metres, in the body's frame",
         )
 
 
-def _at_rest(scene: Scene, hit: Closest, forces: Array, spin: Array) -> Frames:
-    """Frames at contacts (m), pressed by forces (m,), N, the body turned by `spin` (m,), rad."""
+def _static_frames(scene: Scene, hit: Closest, forces: Array, spin: Array) -> Frames:
+    """Frames of static contacts (m) at forces (m,), N, the body turned by `spin` (m,), rad."""
     patches = scene.model.patches(
         force=forces,
         curvature=hit.curvature,
@@ -114,6 +119,6 @@ def _at_rest(scene: Scene, hit: Closest, forces: Array, spin: Array) -> Frames:
     turned = exp_so3(spin[:, None] * [0.0, 0.0, 1.0]) @ down
     turned = scene.indenter.rotation @ turned
     place = np.array(scene.indenter.position) - np.einsum("kij,kj->ki", turned, centres)
-    time = APART * np.arange(float(len(forces)))
+    time = PRESS_INTERVAL * np.arange(float(len(forces)))
     q = np.concatenate([place, quaternion(turned)[:, [3, 0, 1, 2]]], axis=1)
-    return frames_at(scene, time, hit.point, hit.normal, forces, centres, q)
+    return make_frames(scene, time, hit.point, hit.normal, forces, centres, q)

@@ -1,9 +1,8 @@
-"""Moves through the air from one posture to another: up, over in joint space, and down.
+"""Motion through the air: depth of the indenter in the body, and paths from posture to posture.
 
-Up is where the indenter points.
-
-Between places the arm is not under the compliance law but under its own joint controllers, which
-follow a smooth way between the joint angles; their torque is that of inverse dynamics.
+A path goes up (where the indenter points), over in joint space, and down. Between places the arm is
+not under the compliance law but under its own joint controllers, which follow a smooth joint path;
+their torque is that of inverse dynamics.
 """
 
 from __future__ import annotations
@@ -19,90 +18,103 @@ from ..geometry.body import Body
 from ..geometry.surface.closest_point import Closest
 from ..robot.arm import Arm
 from .closed_loop_model import ClosedLoopModel
-from .penetration import centres, poses
 
 HEIGHTS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3)
-"""Heights tried over which the body is lifted before the joints turn, m."""
-RISE = 0.01
-"""Distance of the poses on the way up and down, m."""
-SHARE = 0.4
+"""Heights, m, that are tried, the lowest first, by which the body is lifted before the joints turn.
+"""
+RISE_STEP = 0.01
+"""Distance, m, of the poses of the lift for which inverse kinematics is solved."""
+SPEED_FRACTION = 0.4
 """Part of the joints' speed limits that is used."""
-SLOWEST = 1.0
-"""Speed of a joint without a limit, rad/s."""
+MAX_JOINT_SPEED = 1.0
+"""Largest joint speed, rad/s, also of a joint without a limit."""
 RAMP = 0.2
-"""Time to speed up and to slow down, s."""
-GAP = 1e-3
-"""Least distance of body and indenter on the way, m."""
-LOOKS = 60
-"""Poses of the way at which the distance is taken."""
-BENDS = (-0.5, 1.0)
-"""Curvatures, in parts of the indenter's, between which a force is told while a body lifts off."""
+"""Time to speed up and to slow down, s: with MAX_JOINT_SPEED an acceleration of some 8 rad/s^2."""
+MIN_CLEARANCE = 1e-3
+"""Least distance of body and indenter on the path, m."""
+CLEARANCE_SAMPLES = 60
+"""Poses of the path at which the distance and the joints' ranges are checked."""
+CURVATURE_RANGE = (-0.5, 1.0)
+"""Curvatures of the body, relative to the indenter's, to which they are clipped for the force while
+a body lifts off: over a hollow or an edge that it passes, no contact model holds."""
 
 
-def way(loop: ClosedLoopModel, body: Body, start: Array, goal: Array) -> Array:
+def penetration(loop: ClosedLoopModel, body: Body, poses: Array) -> tuple[Closest, Array]:
+    """The body's points (k) closest to the indenter at T_w_b (k, 4, 4), and its depth (k,), m.
+
+    On an open surface the distance is unsigned: far from it, its sign has no meaning.
+    """
+    hit = body.closest(loop.indenter_centers(poses))
+    distance = hit.distance if body.mesh.is_watertight else np.abs(hit.distance)
+    return hit, loop.indenter_radius - distance
+
+
+def clearance(loop: ClosedLoopModel, body: Body, q: Array) -> float:
+    """Least distance, m, of the body's surface from the indenter's center in q (k, n)."""
+    return float(body.closest(loop.indenter_centers(loop.body_poses(q))).distance.min())
+
+
+def joint_path(loop: ClosedLoopModel, body: Body, start: Array, goal: Array) -> Array:
     """Joint angles (k, n), one row a step, from `start` (n,) to `goal` (n,), both in the air.
 
-    The lowest way that keeps the body off the loop's indenter, and the joints within their limits.
-    Raises ReachError if none does.
+    The lowest path that keeps the body off the loop's indenter, and the joints within their ranges.
+    Raises ReachError if there is none among HEIGHTS.
     """
     from scipy.interpolate import PchipInterpolator
 
     arm = loop.arm
-    rate = np.minimum(SHARE * arm.velocity_limit, SLOWEST)
+    rate = np.minimum(SPEED_FRACTION * arm.velocity_limit, MAX_JOINT_SPEED)
     for height in HEIGHTS:
         try:
-            up, down = (lifted_off(loop, q, height) for q in (start, goal))
+            up, down = (lift_path(loop, q, height) for q in (start, goal))
         except ReachError:
             continue
         points = np.concatenate([up, down[::-1]])
-        points = points[
-            np.concatenate([[True], np.abs(np.diff(points, axis=0)).max(axis=1) > 1e-9])
-        ]
+        moves = np.abs(np.diff(points, axis=0)).max(axis=1) > 1e-9
+        points = points[np.concatenate([[True], moves])]
         if len(points) < 2:
             return goal[None]
-        seconds = np.concatenate(
-            [[0.0], np.cumsum((np.abs(np.diff(points, axis=0)) / rate).max(1))]
-        )
-        line = PchipInterpolator(seconds, points)  # never beyond its points
-        look = line(np.linspace(0.0, seconds[-1], LOOKS))
-        within = (look >= arm.lower).all() and (look <= arm.upper).all()
-        if within and clearance(loop, body, look) > loop.indenter_radius + min(GAP, height + 1e-4):
-            return np.asarray(line(time_scaling(seconds[-1], RAMP, loop.dt) * seconds[-1]))
+        durations = (np.abs(np.diff(points, axis=0)) / rate).max(axis=1)
+        seconds = np.concatenate([[0.0], np.cumsum(durations)])
+        curve = PchipInterpolator(seconds, points)  # monotone: never beyond its points
+        samples = curve(np.linspace(0.0, seconds[-1], CLEARANCE_SAMPLES))
+        within = (samples >= arm.lower).all() and (samples <= arm.upper).all()
+        wanted = loop.indenter_radius + min(MIN_CLEARANCE, height + 1e-4)
+        if within and clearance(loop, body, samples) > wanted:
+            return np.asarray(curve(time_scaling(seconds[-1], RAMP, loop.dt) * seconds[-1]))
     raise ReachError(
-        f"{arm.name} cannot get over the indenter from one posture to the next",
+        f"{arm.name} has no collision-free path over the indenter to the next posture",
         value=f"joint angles {start.round(3).tolist()} to {goal.round(3).tolist()} rad",
         limit=f"{HEIGHTS[-1]} m of lift",
         remedy="lower the indenter, or explore a smaller region",
     )
 
 
-def lifted_off(loop: ClosedLoopModel, q: Array, height: float) -> Array:
-    """Joint angles (k, n) from `q` (n,) with the tip carried straight up by `height`, m."""
+def lift_path(loop: ClosedLoopModel, q: Array, height: float) -> Array:
+    """Joint angles (k, n) from `q` (n,) with the tip moved by `height`, m, where the indenter
+    points."""
     arm = loop.arm
     if height == 0.0:
         return q[None]
-    rise = np.linspace(0.0, height, max(int(np.ceil(height / RISE)), 1) + 1)
+    rise = np.linspace(0.0, height, max(int(np.ceil(height / RISE_STEP)), 1) + 1)
     poses = np.repeat(arm.pose(q)[None], len(rise), axis=0)
     poses[:, :3, 3] += rise[:, None] * loop.indenter_direction
     return np.concatenate([q[None], arm.inverse_kinematics(poses, q)[1:]])
 
 
-def clearance(loop: ClosedLoopModel, body: Body, q: Array) -> float:
-    """Least distance, m, of the body's surface from the indenter's centre in q (k, n)."""
-    return float(body.closest(centres(loop, poses(loop, q))).distance.min())
+def contact_outputs(loop: ClosedLoopModel, hit: Closest, depth: Array) -> Array:
+    """Outputs (k, m), see ClosedLoopModel.outputs, of a body that is moved; torques are zero.
 
-
-def pressed(loop: ClosedLoopModel, hit: Closest, depth: Array) -> Array:
-    """Outputs (k, m), see Loop.outputs, of the contact where the body is carried; no torques.
-
-    hit: the body's points (k) next to the indenter; depth (k,), m: how deep it is in.
+    hit: the body's points (k) closest to the indenter; depth (k,), m.
     """
     force = np.zeros(len(depth))
     rows = np.flatnonzero(depth > 0)
-    if len(rows):  # over a hollow or an edge the lifting passes, no model holds
+    if len(rows):
         force[rows] = loop.contact.force(
             depth=depth[rows],
-            curvature=np.clip(hit.curvature[rows], *np.array(BENDS) / loop.indenter_radius),
+            curvature=np.clip(
+                hit.curvature[rows], *np.array(CURVATURE_RANGE) / loop.indenter_radius
+            ),
             indenter_radius=loop.indenter_radius,
             effective_modulus=loop.effective_modulus,
         )
@@ -119,11 +131,11 @@ def pressed(loop: ClosedLoopModel, hit: Closest, depth: Array) -> Array:
     return outputs
 
 
-def torques(loop: ClosedLoopModel, q: Array) -> Array:
+def transfer_torques(loop: ClosedLoopModel, q: Array) -> Array:
     """Joint torques (k, n), N m, along joint angles (k, n), one row a step, within their limits."""
-    rates = np.gradient(q, loop.dt, axis=0)
-    bends = np.gradient(rates, loop.dt, axis=0)
-    wanted = inverse_dynamics(loop.arm)(q.T, rates.T, bends.T).full().T
+    speed = np.gradient(q, loop.dt, axis=0)
+    acceleration = np.gradient(speed, loop.dt, axis=0)
+    wanted = inverse_dynamics(loop.arm)(q.T, speed.T, acceleration.T).full().T
     return np.clip(wanted, -loop.arm.effort_limit, loop.arm.effort_limit)
 
 

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from ..core.errors import ConfigError
-from ..simulation.stability import TOUCH
+from ..simulation.stability import STEP_PER_TOUCH_TIME
 from .gains import Demands, Gains
 from .shooting import ShootingInterval
 
@@ -154,7 +154,7 @@ class Judge:
 
 def step_limit(shot: ShootingInterval, gains: Gains) -> Iterator[Limit]:
     """The touch must be resolved by the steps: stability.touch_limit, on its safe side."""
-    part = TOUCH[shot.loop.integrator if shot.joints else "semi_implicit"]
+    part = STEP_PER_TOUCH_TIME[shot.loop.integrator if shot.joints else "semi_implicit"]
     if not np.isfinite(part):
         return
     depth = ca.MX(float(shot.scene.patch.depth))

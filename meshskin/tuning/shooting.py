@@ -20,8 +20,7 @@ from ..core.se3 import Array
 from ..scene.scene import Scene
 from ..simulation import quasi_static
 from ..simulation.closed_loop_model import ClosedLoopModel
-from ..simulation.simulate import closed_loop
-from ..simulation.state_machine import paced
+from ..simulation.state_machine import approach_fraction
 from ..simulation.step import step
 from .gains import NAMES, Gains, Scenario
 from .manoeuvre import Manoeuvre, travelled
@@ -58,7 +57,7 @@ class ShootingInterval:
 
     def __init__(self, scene: Scene, scenario: Scenario, manoeuvre: Manoeuvre) -> None:
         self.scene, self.scenario, self.manoeuvre = scene, scenario, manoeuvre
-        loop = closed_loop(scene)
+        loop = ClosedLoopModel.of(scene)
         free = replace(loop.arm, effort_limit=np.full_like(loop.arm.effort_limit, np.inf))
         self.arm, self.loop = loop.arm, replace(loop, arm=free)
         self.joints = loop.joints
@@ -68,7 +67,7 @@ class ShootingInterval:
     def start(self) -> Array:
         """State at rest at the standoff."""
         begin = self.manoeuvre.start
-        q = quasi_static.start(begin) if self.loop.mode == "quasi_static" else begin
+        q = quasi_static.state_of_pose(begin) if self.loop.mode == "quasi_static" else begin
         state = np.zeros(self.one.size1_in(0))
         state[: len(q)] = q
         state[-4:] = [*self.manoeuvre.foot, 0.0, -self.scene.exploration.standoff]
@@ -134,7 +133,7 @@ def _one(loop: ClosedLoopModel, manoeuvre: Manoeuvre) -> ca.Function:
         gamma=gains.gamma,
         rate=gains.rate,
         force_reference=gains.force_reference,
-        approach_speed=gains.approach_speed * paced(time, gains.approach_ramp, loop.dt),
+        approach_speed=gains.approach_speed * approach_fraction(time, gains.approach_ramp, loop.dt),
     )
     after, output = inner(
         state[:size], reference, ca.DM(manoeuvre.anchor), ca.vertcat(*parameters.values)

@@ -24,7 +24,7 @@ import numpy as np
 
 import meshskin as ms
 from meshskin.geometry.region import Cap
-from meshskin.simulation.batch import Batch
+from meshskin.simulation.batch import BatchSimulator
 from meshskin.simulation.simulate import prepare, run
 from meshskin.simulation.track import Track
 
@@ -67,7 +67,7 @@ def loop_case(scene: ms.Scene, mode: str, compile_: str) -> Callable[[], float]:
     machine, path = prepare(scene, taxels=scene.skin.positions)
 
     def rate() -> float:
-        machine.rewind()
+        machine.reset()
         started = process_time()
         for steps in run(scene, machine, path):
             assert steps.readings is not None
@@ -85,7 +85,7 @@ def batch_case(scene: ms.Scene) -> Callable[[], float]:
     rows = np.linspace(0, len(track) - BATCH_STEPS, EPISODES).astype(np.intp)
 
     def rate() -> float:
-        batch = Batch(
+        batch = BatchSimulator(
             scene.body, machine.loop, track, rows, compile_="always", taxels=scene.skin.positions
         )
         started = process_time()

@@ -8,7 +8,7 @@ import pytest
 import meshskin as ms
 from meshskin.core import content_cache
 from meshskin.robot.inverse_kinematics import newton
-from meshskin.simulation.simulate import closed_loop
+from meshskin.simulation.closed_loop_model import ClosedLoopModel
 from meshskin.simulation.step import step
 
 
@@ -34,11 +34,11 @@ def test_equal_contents_are_built_once():
 
 @pytest.fixture
 def loop():
-    return closed_loop(ms.Scene.load("sphere"))
+    return ClosedLoopModel.of(ms.Scene.load("sphere"))
 
 
 def test_scenes_of_the_same_content_share_their_functions(loop):
-    other = closed_loop(ms.Scene.load("sphere"))
+    other = ClosedLoopModel.of(ms.Scene.load("sphere"))
     assert other.arm is not loop.arm
     assert step(other) is step(loop)
     assert newton(other.arm) is newton(loop.arm)

@@ -17,7 +17,12 @@ from meshskin.effects.temperature_drift import TemperatureDrift
 from meshskin.estimation.adaptive import NEVER, SPENT, adapt
 from meshskin.geometry.region import Cap
 from meshskin.robot import collision
-from meshskin.simulation.contact_samplers import last_of_each, pressed, together, touched
+from meshskin.simulation.contact_samplers import (
+    closed_loop_sampler,
+    concatenate,
+    settled_contacts,
+    static_sampler,
+)
 
 TARGET = 45e-6
 
@@ -84,19 +89,19 @@ def test_what_cannot_be_asked(scene):
     inside = np.array([[0.02, 0.0, 0.0]])
     ring = scene.with_(body=hollow)
     with pytest.raises(ReachError, match=collision.SUPPORT):
-        pressed(ring, 0)(inside)
+        static_sampler(ring, 0)(inside)
 
 
 def test_the_arm_sets_the_body_down_on_every_contact(scene):
     points = scene.skin.positions[[0, 5, 11, 17]]
-    recording, why = touched(scene, 1)(points)
+    recording, why = closed_loop_sampler(scene, 1)(points)
     assert (why == "").all()
     assert len(recording.time) == 4
     assert recording.force == pytest.approx(3.0, rel=0.02)
     off = np.linalg.norm(recording.points[:, None] - points, axis=2).min(axis=0)
     assert off.max() < 0.2e-3
     assert (np.diff(recording.time) > 0.3).all()
-    twice = together(recording, recording)
+    twice = concatenate(recording, recording)
     assert len(twice.time) == 8
     assert len(twice.pressure) == 2 * len(recording.pressure)
     assert (twice.reading_contact < 8).all()
@@ -104,7 +109,7 @@ def test_the_arm_sets_the_body_down_on_every_contact(scene):
 
 def test_the_last_contact_of_a_slide_is_kept(scene):
     whole = ms.simulate(scene, 1)
-    kept = last_of_each(whole)
+    kept = settled_contacts(whole)
     assert kept.time.tolist() == [whole.time[-1]]
     assert len(kept.pressure) == (whole.reading_contact == len(whole.time) - 1).sum()
 
@@ -112,24 +117,24 @@ def test_the_last_contact_of_a_slide_is_kept(scene):
 def test_presses_need_no_arm_and_know_of_no_sliding(scene):
     ideal = scene.with_(effects=())
     points = scene.body.closest(scene.skin.positions).point
-    (first, _), (second, _) = map(pressed(ideal, 0), (points[:9], points[9:]))
+    (first, _), (second, _) = map(static_sampler(ideal, 0), (points[:9], points[9:]))
     # a contact at rest neither shears nor is anywhere else when it is read or recorded
     still = (Friction(0.8), Sampling(40.0, 3e-3), ScanOrder(5))
-    touch = pressed(ideal.with_(effects=still), 0)
+    touch = static_sampler(ideal.with_(effects=still), 0)
     for half, plain in ((points[:9], first), (points[9:], second)):
         found, _ = touch(half)
         assert np.array_equal(found.points, plain.points)
         np.testing.assert_allclose(found.pressure, plain.pressure, rtol=1e-12)
     # the body's pose is its own, not an arm's
-    heavy, _ = pressed(ideal.with_(effects=(GravityError(0.1),)), 0)(points)
+    heavy, _ = static_sampler(ideal.with_(effects=(GravityError(0.1),)), 0)(points)
     assert heavy.force == pytest.approx(3.0 - 0.981, rel=1e-9)  # the skin faces straight down
     with pytest.raises(ConfigError, match=r"needs the joints .* touch by the closed loop"):
-        pressed(scene.with_(effects=(Encoder(),)), 0)
+        static_sampler(scene.with_(effects=(Encoder(),)), 0)
 
 
 def test_what_drifts_drifts_on_from_round_to_round(scene):
     warm = TemperatureDrift(gain_drift=1.0, offset_relative=0.0, time_constant=2.0)
-    touch = pressed(scene.with_(effects=(warm,)), 0)
+    touch = static_sampler(scene.with_(effects=(warm,)), 0)
     point = scene.body.closest(scene.skin.positions[:1]).point
     cold, later = (float(touch(point)[0].pressure.max()) for _ in range(2))
     assert later / cold == pytest.approx(2.0 - np.exp(-0.5))  # a second of rest between

@@ -8,7 +8,7 @@ import pytest
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.calibration import Calibration
-from meshskin.simulation.contact_samplers import together
+from meshskin.simulation.contact_samplers import concatenate
 
 
 def thinned(world, taxel, contacts, sigma=0.01):
@@ -47,14 +47,14 @@ def test_the_worst_taxel_is_aimed_at_and_gains_what_is_promised(world):
     assert (np.diff(plan.worst) <= 1e-12).all()
     assert plan.worst[-1] < 0.75 * sigma_of(found, 18)
     assert np.abs(world.body.closest(plan.points).distance).max() < 1e-9
-    more = calibrate(together(recording, pressed(world, plan.points)), belief)
+    more = calibrate(concatenate(recording, pressed(world, plan.points)), belief)
     worst = more.position_sigma.max()
     assert worst == pytest.approx(plan.worst[-1], rel=0.25)
     rng = np.random.default_rng(0)
     blind = []
     for _ in range(5):
         anywhere = world.points[rng.choice(len(world.points), 3, replace=False)]
-        again = calibrate(together(recording, pressed(world, anywhere)), belief)
+        again = calibrate(concatenate(recording, pressed(world, anywhere)), belief)
         blind.append(again.position_sigma.max())
     assert worst < 0.85 * np.mean(blind)
 
@@ -67,7 +67,7 @@ def test_a_taxel_touched_too_seldom_is_determined_afterwards(world):
     assert found.touched[18]
     plan = found.next_contacts(4)
     assert (plan.taxel == world.ids[18]).sum() >= 2
-    more = calibrate(together(recording, pressed(world, plan.points)), belief)
+    more = calibrate(concatenate(recording, pressed(world, plan.points)), belief)
     assert more.observed[18, :2].all()
     assert np.linalg.norm(more.positions[18] - world.truth[18]) < 0.2e-3
 

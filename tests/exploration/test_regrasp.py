@@ -12,7 +12,8 @@ from meshskin.core.se3 import inverse
 from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap
 from meshskin.simulation import transfer
-from meshskin.simulation.simulate import closed_loop, prepare, run
+from meshskin.simulation.closed_loop_model import ClosedLoopModel
+from meshskin.simulation.simulate import prepare, run
 from meshskin.simulation.state_machine import PHASES, SLIDE
 
 WALL = ms.Indenter(position=(-0.6, -0.15, 0.5), direction=(1.0, 0.0, 0.0))
@@ -96,18 +97,18 @@ def test_the_way_between_postures_keeps_off_the_indenter(islands, indenter):
     islands = islands.with_(indenter=indenter)
     arm, mount = islands.arm, islands.mount_pose
     plan = plan_exploration(islands)
-    loop = closed_loop(islands)
+    loop = ClosedLoopModel.of(islands)
     lifted = []
     for segment, seed in zip(plan.segments, plan.path.postures, strict=True):
         above = np.repeat(segment.poses[:1], 8, axis=0)
         above[:, :3, 3] += np.linspace(0.0, 7e-3, 8)[:, None] * indenter.axis
         lifted.append(arm.inverse_kinematics(above @ inverse(mount), seed)[-1])
-    q = transfer.way(loop, islands.body, *lifted)
+    q = transfer.joint_path(loop, islands.body, *lifted)
     np.testing.assert_allclose(q[-1], lifted[1], atol=1e-9)
     assert transfer.clearance(loop, islands.body, q[::10]) > 0.01
-    assert (np.abs(np.diff(q, axis=0)) / 1e-3).max() <= transfer.SLOWEST * 1.6
-    high = arm.pose(transfer.lifted_off(loop, lifted[0], 0.03)) - arm.pose(lifted[0])
+    assert (np.abs(np.diff(q, axis=0)) / 1e-3).max() <= transfer.MAX_JOINT_SPEED * 1.6
+    high = arm.pose(transfer.lift_path(loop, lifted[0], 0.03)) - arm.pose(lifted[0])
     np.testing.assert_allclose(high[-1, :3, 3], 0.03 * indenter.axis, atol=1e-8)
     assert np.abs(high[:, :3, :3]).max() < 1e-8
-    with pytest.raises(ReachError, match="cannot get over the indenter"):
-        transfer.way(replace(loop, indenter_radius=0.5), islands.body, *lifted)
+    with pytest.raises(ReachError, match="no collision-free path over the indenter"):
+        transfer.joint_path(replace(loop, indenter_radius=0.5), islands.body, *lifted)

@@ -20,7 +20,7 @@ from meshskin.simulation.closed_loop_model import ClosedLoopModel
 from meshskin.simulation.simulate import prepare, run
 from meshskin.simulation.simulator import Simulator
 from meshskin.simulation.state_machine import SLIDE
-from meshskin.simulation.track import STAY, Track
+from meshskin.simulation.track import IDENTITY_MAP, Track
 
 NU = 0.49
 RADIUS = 1 / 110  # relative, of the sphere and the indenter
@@ -63,7 +63,7 @@ def place(base, sphere):
         row = path.references[:1].copy()
         row[0, 2] = pose[2, 3] - gap - (3.0 / stiffness) ** (2 / 3)
         row[0, 12:] = 0.0
-        return machine, Track(row, np.array([machine.face]), STAY[None]).hold(0, 32)
+        return machine, Track(row, np.array([machine.face]), IDENTITY_MAP[None]).hold(0, 32)
 
     return at
 
@@ -82,7 +82,7 @@ def longest(place, young, speed, integrator):
     machine, track = place(young=young, speed=speed, integrator=integrator)
     q, loop = machine.state[:6], machine.loop
     accurate = stability.touch_limit(loop, stability.inertia(loop, q), CURVATURE, speed)
-    most = min(accurate, stability.LONGEST)
+    most = min(accurate, stability.MAX_STEP)
     return stability.stable_limit(machine, q, track.references[0], most)
 
 
@@ -105,7 +105,7 @@ def test_at_the_longest_step_the_touch_keeps_its_stated_error(place, young, spee
         found[name] = forces(machine, track, 60)
     peak = max(found["cvodes"].max(), 3.0)
     assert found["cvodes"].max() > 0
-    assert np.abs(found[integrator] - found["cvodes"]).max() <= stability.ERROR * peak
+    assert np.abs(found[integrator] - found["cvodes"]).max() <= stability.MAX_FORCE_ERROR * peak
 
 
 def judged(place, young, speed, integrator, dt):
@@ -119,10 +119,10 @@ def judged(place, young, speed, integrator, dt):
         )
         still = machine.state, track.references[0]
         if name == integrator:
-            stated = stability.stated_error(machine, *still, count)
+            stated = stability.estimate_error(machine, *still, count)
             if stated > KEPT:
                 return stated, None
-        found[name] = stability.forces_ahead(machine, *still, count)
+        found[name] = stability.predict_forces(machine, *still, count)
     exact = found["cvodes"]
     assert exact.max() > 0
     return stated, np.abs(found[integrator] - exact).max() / max(exact.max(), 3.0)
@@ -185,8 +185,8 @@ def test_delayed_readings_are_as_old_in_shorter_steps(sphere):
     assert 0 < stated < 0.1
     track = Track.of(path, sphere.body.surface).hold(0, 256)
     state, row = machine.state.copy(), track.references[0]
-    own = stability.forces_ahead(machine, state, row, 256)
-    finer = stability.forces_ahead(machine, state, row, 512, parts=2)[::2]
+    own = stability.predict_forces(machine, state, row, 256)
+    finer = stability.predict_forces(machine, state, row, 512, parts=2)[::2]
     np.testing.assert_allclose(own, forces(machine, track, 256), atol=1e-9)
     assert 1e-4 < np.abs(own - finer).max() < 3.0 * stated
 
@@ -261,10 +261,10 @@ def test_energy_does_not_drift_over_10000_contact_periods(sphere):
         arm, np.eye(4), np.array([0.5, 0.0, 0.89 + depth]), 0.01, modulus, Law(torque="off"), dt
     )
     machine = Simulator(sphere.body, loop, np.array([-depth]), np.array([0.0, 0.0, -0.1]))
-    track = Track(np.zeros((1, 18)), np.array([machine.face]), STAY[None]).hold(0, 256)
+    track = Track(np.zeros((1, 18)), np.array([machine.face]), IDENTITY_MAP[None]).hold(0, 256)
     means, values = [], np.array(loop.parameters.values)
     while machine.steps < 10_000 * 64:
-        states, outputs = machine.stretch.run(machine.state, track, values, False)
+        states, outputs = machine.rollout.run(machine.state, track, values, False)
         machine.state[:] = states[-1]
         machine.steps += len(outputs)
         angle, speed = states[:-1, 0], states[:-1, 1]
@@ -349,7 +349,7 @@ def drift(body, hanging, periods):
     found, energies = [], {}
     while machine.steps < FINE * periods:
         still = np.full(512, machine.face)
-        track = Track(np.zeros((512, 18)), still, np.tile(STAY, (512, 1)))
+        track = Track(np.zeros((512, 18)), still, np.tile(IDENTITY_MAP, (512, 1)))
         q = machine.advance(track, 0).q
         count = len(range(0, len(q) - 1, SPARSE))
         if not count:
@@ -391,7 +391,7 @@ def test_contact_that_is_lost_comes_back(place, integrator):
             young=1e7, gap=-1e-4, speed=-0.3, law=Law(approach_speed=0.1), dt=3e-4, integrator=name
         )
         if name == integrator:
-            stated = stability.stated_error(machine, machine.state, track.references[0], 600)
+            stated = stability.estimate_error(machine, machine.state, track.references[0], 600)
         found[name] = forces(machine, track, 600)
     mine, exact = found[integrator], found["cvodes"]
     assert (exact == 0).any()
@@ -420,7 +420,7 @@ def test_a_singular_posture_stays_finite_and_holds_the_force(sphere, base):
     loop = replace(machine.loop, law=law, indenter_position=foot - np.array([0, 0, 0.012]), dt=1e-3)
     there = Simulator(sphere.body, loop, q, 0.1 * down)
     row = np.concatenate([pose[:3, 3], pose[:3, :3].T.ravel(), np.zeros(6)])
-    track = Track(row[None], np.array([there.face]), STAY[None]).hold(0, 32)
+    track = Track(row[None], np.array([there.face]), IDENTITY_MAP[None]).hold(0, 32)
     found = forces(there, track, 1500)
     assert found[-1] == pytest.approx(3.0, abs=0.05)
 
@@ -501,4 +501,4 @@ def test_the_quasi_static_touch_keeps_its_stated_error(sphere, young):
         touch[dt] = found[:: round(1e-3 / dt)]
     reference = scene.law.force_reference
     assert touch[1e-4][-1] == pytest.approx(reference, rel=0.02)
-    assert np.abs(touch[1e-3] - touch[1e-4]).max() <= stability.ERROR * reference
+    assert np.abs(touch[1e-3] - touch[1e-4]).max() <= stability.MAX_FORCE_ERROR * reference

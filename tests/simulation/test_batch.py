@@ -7,7 +7,7 @@ import pytest
 
 from meshskin.core import codegen as module
 from meshskin.core.errors import SimulationError
-from meshskin.simulation.batch import Batch
+from meshskin.simulation.batch import BatchSimulator
 from meshskin.simulation.closed_loop_model import Parameters
 from meshskin.simulation.point_readings import PointReadings
 from meshskin.simulation.track import Track
@@ -21,10 +21,10 @@ def track(prepared, sphere):
 def test_an_episode_of_the_batch_is_the_machine_alone(prepared, sphere, track, along):
     machine, path = prepared()
     rows = np.array([300, 2000])
-    batch = Batch(sphere.body, machine.loop, track, rows, along[rows], compile_="never")
+    batch = BatchSimulator(sphere.body, machine.loop, track, rows, along[rows], compile_="never")
     found = np.array([batch.advance().copy() for _ in range(200)])
     for k, row in enumerate(rows):
-        machine.rewind()
+        machine.reset()
         machine.state[:6] = along[row]
         hit = sphere.body.closest(path.points[row : row + 1])
         machine.state[-2:], machine.face = hit.uv[0], int(hit.face[0])
@@ -41,7 +41,7 @@ def test_a_compiled_batch_is_the_interpreted_one(prepared, sphere, track):
     own = machine.loop.parameters
     parameters = np.array([replace(own, force_reference=f).values for f in wanted])
     one, other = (
-        Batch(
+        BatchSimulator(
             sphere.body, machine.loop, track, rows,
             parameters=parameters, compile_=compile_, taxels=sphere.skin.positions,
         )
@@ -58,7 +58,7 @@ def test_a_compiled_batch_is_the_interpreted_one(prepared, sphere, track):
 def test_without_an_arm_every_episode_holds_the_force(prepared, sphere, track):
     machine, _ = prepared("quasi_static")
     rows = np.linspace(0, len(track) - 300, 40).astype(int)
-    batch = Batch(
+    batch = BatchSimulator(
         sphere.body, machine.loop, track, rows, compile_="never", taxels=sphere.skin.positions
     )
     for _ in range(250):
@@ -75,7 +75,9 @@ def test_episodes_have_their_own_parameters_and_rest_at_the_end(prepared, sphere
     wanted = np.array([1.0, 2.0, 4.0])
     parameters = np.array([replace(own, force_reference=f).values for f in wanted])
     rows = np.full(3, len(track) - 20)
-    batch = Batch(sphere.body, machine.loop, track, rows, parameters=parameters, compile_="never")
+    batch = BatchSimulator(
+        sphere.body, machine.loop, track, rows, parameters=parameters, compile_="never"
+    )
     for _ in range(400):
         found = batch.advance()
     np.testing.assert_allclose(found[:, 6], wanted, rtol=1e-4)
@@ -87,7 +89,7 @@ def test_a_diverging_episode_is_named(prepared, sphere, track):
     machine, _ = prepared("quasi_static")
     own = machine.loop.parameters
     parameters = np.array([own.values, replace(own, effective_modulus=np.nan).values])
-    batch = Batch(
+    batch = BatchSimulator(
         sphere.body, machine.loop, track, np.array([0, 0]), parameters=parameters, compile_="never"
     )
     with pytest.raises(SimulationError, match=r"episode 1 diverged at t = 0.0000 s"):

@@ -13,7 +13,7 @@ from meshskin.robot.arm import Arm
 from meshskin.scene.settings import INTEGRATORS, Law
 from meshskin.simulation.closed_loop_model import ClosedLoopModel, flat_anchor
 from meshskin.simulation.simulate import prepare
-from meshskin.simulation.step import Blocks, step
+from meshskin.simulation.step import StepBlock, step
 
 LAW = Law(gamma=20.0)
 PLACE = np.array([0.424, -0.424, 0.7])
@@ -24,7 +24,7 @@ def pressed(arm, body, law, depth):
     """A loop at rest, the sphere pressed straight down on the indenter to `depth`."""
     loop = ClosedLoopModel(arm, MOUNT, PLACE, 0.01, 0.263e6, law, 1e-3)
     pose = transform(np.eye(3), PLACE + np.array([0, 0, 0.11 - depth]))
-    blocks = Blocks(loop, 20)
+    blocks = StepBlock(loop, 20)
     hit = body.closest(np.array([[0, 0, -0.11]]))
     blocks.anchors[:] = flat_anchor(body.surface.patches[hit.face[0]])
     blocks.state[:] = [*arm.solve(pose @ np.linalg.inv(MOUNT)), *np.zeros(6), *hit.uv[0]]
@@ -38,7 +38,7 @@ def column(loop, blocks, name):
 
 def blocks_of(loop, like):
     """Blocks of another loop at the state of `like`, whose readings have all come."""
-    made = Blocks(loop, like.length)
+    made = StepBlock(loop, like.length)
     made.anchors[:], made.references[:] = like.anchors, like.references
     made.state[:12], made.state[-2:] = like.state[:12], like.state[-2:]
     return made
@@ -127,7 +127,7 @@ def test_a_delay_limits_gamma_and_says_so(sphere, delay):
     critical = omega * np.hypot(omega, rate) / rate
     late = sphere.with_(loop=replace(sphere.loop, delay=delay))
     machine, _ = prepare(late.with_(law=replace(sphere.law, gamma=0.8 * critical)))
-    state, _ = machine.at_start(machine.state[:6])
+    state, _ = machine.rest_state(machine.state[:6])
     np.testing.assert_array_equal(state[13:-2:2], 0.0)  # still in the air: no force is heard
     assert (state[12:-2:2] < 0).all()
     with pytest.raises(SimulationError, match=r"lower law\.gamma"):

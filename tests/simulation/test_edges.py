@@ -12,7 +12,7 @@ from meshskin.core.se3 import exp_so3, transform
 from meshskin.exploration.plan import plan_exploration
 from meshskin.robot import collision
 from meshskin.simulation.closed_loop_model import ClosedLoopModel
-from meshskin.simulation.quasi_static import start
+from meshskin.simulation.quasi_static import state_of_pose
 from meshskin.simulation.simulate import prepare, simulate
 from meshskin.simulation.simulator import Simulator
 from meshskin.simulation.state_machine import LEAVE, SLIDE, ExplorationStateMachine, PhaseSettings
@@ -55,7 +55,7 @@ def floating(sphere):
         effective_modulus=2.6e5, law=sphere.law, dt=1e-3, mode="quasi_static",
     )  # fmt: skip
     pose = transform(np.eye(3), [0.0, 0.0, 0.108])
-    return Simulator(sphere.body, loop, start(pose), np.array([0.0, 0.0, -0.1])), pose
+    return Simulator(sphere.body, loop, state_of_pose(pose), np.array([0.0, 0.0, -0.1])), pose
 
 
 def test_a_body_is_lifted_off_by_hand_and_its_force_falls_to_nothing(floating):
@@ -63,23 +63,23 @@ def test_a_body_is_lifted_off_by_hand_and_its_force_falls_to_nothing(floating):
     heights = np.linspace(0.0, 5e-3, 40)
     poses = np.tile(pose, (40, 1, 1))
     poses[:, 2, 3] += heights
-    steps = machine.carry(np.array([start(p) for p in poses]), LEAVE)
+    steps = machine.move(state_of_pose(poses), LEAVE)
     force, depth = steps.outputs[:, 6], steps.outputs[:, 7]
     np.testing.assert_allclose(depth, 2e-3 - heights, atol=1e-7)
     expected = 4 / 3 * 2.6e5 * np.sqrt(1 / 110) * np.maximum(depth, 0.0) ** 1.5
     np.testing.assert_allclose(force, expected, atol=1e-3)
-    np.testing.assert_allclose(machine.state[:7], start(poses[-1]), atol=1e-12)
+    np.testing.assert_allclose(machine.state[:7], state_of_pose(poses[-1]), atol=1e-12)
 
 
 def test_a_way_that_meets_the_indenter_again_is_refused(floating):
     machine, pose = floating
     poses = np.tile(pose, (30, 1, 1))
     poses[:, 2, 3] += 5e-3 * np.sin(np.linspace(0.0, np.pi, 30))
-    assert not machine.clears(poses)
-    with pytest.raises(SimulationError, match=r"meets the indenter on its way .* 2 mm deep"):
-        machine.carry(np.array([start(p) for p in poses]), LEAVE)
+    assert not machine.is_clear(poses)
+    with pytest.raises(SimulationError, match=r"meets the indenter in the air .* 2 mm deep"):
+        machine.move(state_of_pose(poses), LEAVE)
     high = transform(exp_so3([[0.3, 0.0, 0.0]]), [[0.0, 0.0, 0.2]])
-    assert machine.clears(high)
+    assert machine.is_clear(high)
 
 
 def test_a_part_given_up_is_no_end_and_all_of_it_is(sphere, monkeypatch):
@@ -99,10 +99,10 @@ def test_a_part_given_up_is_no_end_and_all_of_it_is(sphere, monkeypatch):
         return advance(self, track, phase, **more)
 
     def explore(tracks):
-        machine.rewind()
+        machine.reset()
         explorer = ExplorationStateMachine(machine, tracks, PhaseSettings(5e-3, 0.3))
         steps = [s for s in explorer.run() if s.phase == SLIDE]
-        return explorer.cut, sum(len(s.time) for s in steps)
+        return explorer.skips, sum(len(s.time) for s in steps)
 
     monkeypatch.setattr(Simulator, "advance", failing)
     with pytest.raises(PlaceError, match="edge"):

@@ -16,9 +16,10 @@ from meshskin.geometry.region import Cap
 from meshskin.robot import dynamics
 from meshskin.robot.arm import Arm
 from meshskin.scene.file import from_tables, tables
-from meshskin.simulation.contact_samplers import pressed, touched
+from meshskin.simulation.closed_loop_model import ClosedLoopModel
+from meshskin.simulation.contact_samplers import closed_loop_sampler, static_sampler
 from meshskin.simulation.rollout import CompiledRollout
-from meshskin.simulation.simulate import closed_loop, prepare, run
+from meshskin.simulation.simulate import prepare, run
 from meshskin.simulation.stability import inertia
 from meshskin.simulation.state_machine import SLIDE
 from meshskin.tuning.manoeuvre import plan
@@ -81,7 +82,9 @@ def test_what_is_turned_as_a_whole_does_the_same(sphere, recording, monkeypatch)
     moved = sphere.with_(indenter=replace(place, position=there), arm=sphere.arm.standing(base))
     found = ms.simulate(moved, seed=1)
     assert found.metadata["force_error"] == pytest.approx(recording.metadata["force_error"])
-    felt = [inertia(closed_loop(scene), joints(recording, "q")[0]) for scene in (sphere, moved)]
+    felt = [
+        inertia(ClosedLoopModel.of(scene), joints(recording, "q")[0]) for scene in (sphere, moved)
+    ]
     assert felt[1] == pytest.approx(felt[0])
     for kind, within in (("q", 1e-10), ("tau", 1e-6)):
         np.testing.assert_allclose(joints(found, kind), joints(recording, kind), atol=within)
@@ -174,7 +177,7 @@ def test_between_places_the_body_is_lifted_the_way_the_indenter_points(sphere):
 
 def test_single_touches_and_presses_are_made_from_the_side(ellipsoid):
     points = ellipsoid.skin.positions[::6]
-    for toucher in (pressed, touched):
+    for toucher in (static_sampler, closed_loop_sampler):
         recording, why = toucher(ellipsoid, 0)(points)
         assert set(why) == {""}
         assert len(recording.time) == len(points)
@@ -198,7 +201,7 @@ def test_compiled_steps_equal_interpreted_ones(walled):
     for choice in ("never", "always"):
         scene = walled.with_(loop=replace(walled.loop, compile=choice))
         machine, path = prepare(scene)
-        assert isinstance(machine.stretch, CompiledRollout) == (choice == "always")
+        assert isinstance(machine.rollout, CompiledRollout) == (choice == "always")
         rows = []
         for steps in run(scene, machine, path):
             rows.append(np.hstack([steps.q, steps.outputs]))
@@ -228,7 +231,7 @@ def test_a_scene_file_says_direction_and_base():
     assert scene.indenter.direction == (1, 0, 0)
     turned = [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0.1], [0, 0, 0, 1]]
     np.testing.assert_allclose(scene.arm.base, turned, atol=1e-15)
-    assert np.array_equal(closed_loop(scene).arm.base, scene.arm.base)
+    assert np.array_equal(ClosedLoopModel.of(scene).arm.base, scene.arm.base)
     data["arm"]["base_mm"] = [0, 0]
     with pytest.raises(ConfigError, match=r"base must be a tuple of 3 numbers, got \(0.0, 0.0\)"):
         from_tables(data, folder)

@@ -10,10 +10,10 @@ from meshskin.geometry.surface.patch import casadi_foot
 from meshskin.scene.settings import Law
 from meshskin.simulation.law import (
     damped_inverse,
-    floored,
     force_rows,
     force_speed,
     general_zeta,
+    slope_depth,
     zeta,
 )
 
@@ -44,14 +44,14 @@ def test_force_speed_is_the_inverse_of_zeta_along_the_normal():
     expected = (
         law.gamma / stiffness * np.linalg.solve(np.array(ca.DM(zeta(delta, d, ca.DM(n)))), error)
     )
-    slope = 1.5 * stiffness * np.sqrt(floored(delta, 2e-3))
+    slope = 1.5 * stiffness * np.sqrt(slope_depth(delta, 2e-3))
     got = float(force_speed(law, slope, delta, force))
     np.testing.assert_allclose(got * n, expected, rtol=1e-12)
 
 
 def test_force_speed_before_touch_is_the_approach_speed():
     law = Law(approach_speed=0.05)
-    slope = 1.5 * 3.1e4 * np.sqrt(floored(-1e-3, 2e-3))
+    slope = 1.5 * 3.1e4 * np.sqrt(slope_depth(-1e-3, 2e-3))
     assert float(force_speed(law, float(slope), -1e-3, 0.0)) == 0.05
 
 

@@ -123,9 +123,9 @@ def test_a_scene_of_what_is_no_part_of_one_is_refused(sphere, changes, what):
 def test_a_path_that_is_none_or_of_other_steps_is_refused(sphere):
     scene = sphere.with_(loop=replace(sphere.loop, mode="quasi_static"))
     plan = ms.explore(scene.body, scene.skin, dt=2e-3)
-    with pytest.raises(ConfigError, match=r"give plan\.path"):
+    with pytest.raises(ConfigError, match=r"path must be a Path"):
         ms.simulate(scene, path=plan)
-    with pytest.raises(ConfigError, match="got 2 ms, limit: 1 ms"):
+    with pytest.raises(ConfigError, match="another step than the loop, got 2 ms, limit: 1 ms"):
         ms.simulate(scene, path=plan.path)
 
 

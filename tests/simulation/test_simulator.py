@@ -13,9 +13,9 @@ from meshskin.scene.settings import Loop as LoopTable
 from meshskin.simulation.closed_loop_model import ClosedLoopModel
 from meshskin.simulation.machine_code import machine_code
 from meshskin.simulation.point_readings import PointReadings
-from meshskin.simulation.simulate import closed_loop, prepare, run
+from meshskin.simulation.simulate import prepare, run
 from meshskin.simulation.simulator import Simulator
-from meshskin.simulation.track import STAY, Track, crossings
+from meshskin.simulation.track import IDENTITY_MAP, Track, face_maps
 
 needs_compiler = pytest.mark.skipif(module.find_compiler() is None, reason="no C compiler here")
 
@@ -34,7 +34,7 @@ def outputs(scene, machine, path, count=3000):
 def test_the_contact_runs_across_faces_without_a_hop(prepared, sphere, mode):
     machine, path = prepared(mode)
     found = outputs(sphere, machine, path)
-    assert machine.hops == 0
+    assert machine.relocations == 0
     assert len(np.unique(path.faces[:2500])) > 5
     np.testing.assert_allclose(np.linalg.norm(found[:, :3], axis=1), 0.1, atol=1e-7)
     assert found[600:, 6] == pytest.approx(3.0, rel=2e-3)
@@ -43,10 +43,10 @@ def test_the_contact_runs_across_faces_without_a_hop(prepared, sphere, mode):
 def test_a_path_that_names_the_wrong_faces_costs_hops_and_nothing_else(prepared, sphere):
     machine, path = prepared()
     right = outputs(sphere, machine, path)
-    machine.rewind()
+    machine.reset()
     there = sphere.body.closest(path.points + np.array([0.01, 0.0, 0.0])).face
     wrong = outputs(sphere, machine, replace(path, faces=there))
-    assert machine.hops > 2
+    assert machine.relocations > 2
     np.testing.assert_allclose(wrong[:, :8], right[:, :8], atol=2e-5)
 
 
@@ -57,13 +57,13 @@ def test_crossings_carry_a_point_of_the_common_edge_exactly():
         other = surface.neighbours[k, edge]
         weights = np.full(3, 0.5)
         weights[edge] = 0.0
-        change = crossings(surface, np.array([k]), np.array([other])).reshape(3, 2).T
+        change = face_maps(surface, np.array([k]), np.array([other])).reshape(3, 2).T
         u, v = change @ [weights[1], weights[2], 1.0]
         corners = surface.vertices[surface.faces[other]]
         here = weights @ surface.vertices[own]
         np.testing.assert_allclose(np.array([1 - u - v, u, v]) @ corners, here, atol=1e-12)
-    same = crossings(surface, np.array([3]), np.array([3]))
-    np.testing.assert_allclose(same[0], STAY, atol=1e-12)
+    same = face_maps(surface, np.array([3]), np.array([3]))
+    np.testing.assert_allclose(same[0], IDENTITY_MAP, atol=1e-12)
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +75,7 @@ def compiled(sphere):
         if mode not in made:
             scene = sphere.with_(loop=replace(sphere.loop, mode=mode, compile="always"))
             made[mode] = prepare(scene, taxels=sphere.skin.positions)
-        made[mode][0].rewind()
+        made[mode][0].reset()
         return made[mode]
 
     return get
@@ -116,9 +116,9 @@ def test_machine_code_ends_where_the_interpreter_does(prepared, compiled, sphere
         while not steps.outputs[-1, 6] > 0:
             steps = one.advance(track.hold(0, 32), 0, until_touch=True)
         touch, row = one.steps, 0
-        while one.hops == 0:
+        while one.relocations == 0:
             rows = slice(row, row + 256)
-            stay = np.tile(STAY, (256, 1))
+            stay = np.tile(IDENTITY_MAP, (256, 1))
             part = replace(track[rows], faces=np.full(256, first), maps=stay)
             row += len(one.advance(part, 2).time)
         ends.append((touch, one.steps, *one.state))
@@ -132,7 +132,7 @@ def test_machine_code_ends_where_the_interpreter_does(prepared, compiled, sphere
 @needs_compiler
 def test_auto_takes_what_an_earlier_run_built(sphere, tmp_path, monkeypatch):
     monkeypatch.setenv("MESHSKIN_CACHE", str(tmp_path))
-    loop = closed_loop(sphere.with_(loop=replace(sphere.loop, mode="quasi_static")))
+    loop = ClosedLoopModel.of(sphere.with_(loop=replace(sphere.loop, mode="quasi_static")))
     patches = sphere.body.surface.patches
 
     def get(compile_, steps=0.0):

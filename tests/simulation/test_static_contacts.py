@@ -66,12 +66,12 @@ def test_batches_make_no_difference_and_nothing_is_refused(sphere, monkeypatch):
     parts = press(noisy, sphere.skin.positions, seed=2)
     assert parts.readings.equals(whole.readings)
     assert parts.contacts.equals(whole.contacts)
-    with pytest.raises(RecordingError, match="nothing to press"):
+    with pytest.raises(RecordingError, match="no point to press"):
         press(sphere, [])
 
 
 def test_points_in_other_units_are_refused(sphere):
-    with pytest.raises(RecordingError, match=r"typically 99\.9 m off its surface, limit: 0.05 m"):
+    with pytest.raises(RecordingError, match=r"median distance 99\.9 m .*, limit: 0.05 m"):
         press(sphere, 1e3 * sphere.skin.positions)
 
 
@@ -81,7 +81,7 @@ def test_points_in_other_units_are_refused(sphere):
         (-1.0, "got -1 N, limit: above 0 N"),
         ([3.0, np.nan], "got nan N"),
         (0.0, "got 0 N"),
-        ([1.0, 2.0, 3.0], r"one a press, got shape \(3,\), limit: \(2,\)"),
+        ([1.0, 2.0, 3.0], r"one per point, got shape \(3,\), limit: \(2,\)"),
     ],
 )
 def test_what_is_no_force_is_refused(sphere, force, message):

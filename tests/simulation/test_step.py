@@ -7,7 +7,7 @@ import pytest
 from meshskin.core.se3 import exp_so3, transform
 from meshskin.scene.settings import Law
 from meshskin.simulation.closed_loop_model import ClosedLoopModel, flat_anchor
-from meshskin.simulation.step import Blocks, step
+from meshskin.simulation.step import StepBlock, step
 
 E_STAR = 0.2e6 / (1 - 0.49**2)
 PLACE = np.array([0.424, -0.424, 0.7])
@@ -19,7 +19,7 @@ def pressed(arm, body, law, depth, dt=1e-3):
     loop = ClosedLoopModel(arm, MOUNT, PLACE, 0.01, E_STAR, law, dt)
     pose = transform(np.eye(3), PLACE + np.array([0, 0, 0.11 - depth]))
     q = arm.solve(pose @ np.linalg.inv(MOUNT))
-    blocks = Blocks(loop, 50)
+    blocks = StepBlock(loop, 50)
     hit = body.closest(np.array([[0, 0, -0.11]]))
     blocks.anchors[:] = flat_anchor(body.surface.patches[hit.face[0]])
     blocks.state[:] = [*q, *np.zeros(6), *hit.uv[0]]

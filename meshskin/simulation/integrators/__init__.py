@@ -1,8 +1,8 @@
-"""Integrators of the closed loop, one a file: each makes one step of a Field.
+"""Integrators of the closed loop, one a file: each makes one step of ClosedLoopDynamics.
 
-`step(field) -> Function` takes (state, reference, anchor, parameters) to (next state, output). The
-state (2 n + 2) is q, qdot and the foot (u, v), with readings that are on their way to the law
-before the foot, where there is a delay (motion.delay); the output belongs to the start of the step.
+`step(loop) -> Function` maps (state, reference, anchor, parameters) to (next state, output). The
+state (2 n + memory + 2,) is q, qdot, the delayed measurements (surface_contact.py) and the foot
+point (u, v); the output belongs to the start of the step.
 """
 
 from __future__ import annotations
@@ -16,10 +16,11 @@ from ...scene.settings import INTEGRATORS
 from ..closed_loop_model import ClosedLoopModel
 
 NAMES = ["state", "reference", "anchor", "parameters"], ["next", "output"]
+"""Names of a step function's inputs and outputs."""
 
 
 def step(loop: ClosedLoopModel) -> ca.Function:
     """The step of the loop's integrator. Raises UnknownNameError."""
     check_name("integrator", loop.integrator, INTEGRATORS)
-    made: ca.Function = import_module(f".{loop.integrator}", __name__).step(loop)
-    return made
+    function: ca.Function = import_module(f".{loop.integrator}", __name__).step(loop)
+    return function

@@ -12,30 +12,28 @@ from ..closed_loop_model import ClosedLoopModel
 from . import NAMES
 
 STAGES = ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0))
-"""Time of each stage and its weight; a stage starts from the slope of the one before it."""
+"""Time of each stage, in steps, and its weight times 6: a stage starts from the slope of the one
+before it."""
 
 
 def step(loop: ClosedLoopModel) -> ca.Function:
-    """See the package."""
-    # the foot is needed to the method's order: two Newton steps
-    field, n = ClosedLoopDynamics(loop, newton=2), loop.joints
-    rate = field.rate()
-    inputs = (field.reference, field.anchor, field.parameters)
-    state, h = ca.SX.sym("state", 2 * n + loop.memory + 2), field.p.dt
-    q, qdot, last = state[:n], state[n : 2 * n], state[2 * n :]
-    speed, push, total_q, total_v = qdot, ca.SX.zeros(n), ca.SX.zeros(n), ca.SX.zeros(n)
-    starts = []
+    """The step (state, reference, anchor, parameters) -> (next state, output)."""
+    # the foot point is needed to the method's order: two Newton steps
+    dynamics, n = ClosedLoopDynamics(loop, newton=2), loop.joints
+    derivative = dynamics.derivative()
+    state, q, qdot, contact_state = dynamics.state()
+    h = dynamics.p.dt
+    speed, acceleration = qdot, ca.SX.zeros(n)
+    mean_speed, mean_acceleration = ca.SX.zeros(n), ca.SX.zeros(n)
+    first = None
     for time, weight in STAGES:
-        there, speed = q + time * h * speed, qdot + time * h * push
-        push, foot, output = rate(there, speed, last, time * h, *inputs)
-        total_q += weight / 6.0 * speed
-        total_v += weight / 6.0 * push
-        starts.append((foot, output))
-    foot, output = starts[0]
-    return ca.Function(
-        "step",
-        [state, *inputs],
-        [ca.vertcat(q + h * total_q, qdot + h * total_v, foot), output],
-        *NAMES,
-        {"cse": True},
-    )
+        there, speed = q + time * h * speed, qdot + time * h * acceleration
+        now = derivative(there, speed, contact_state, time * h, *dynamics.inputs)
+        acceleration = now[0]
+        mean_speed += weight / 6.0 * speed
+        mean_acceleration += weight / 6.0 * acceleration
+        first = first or now
+    assert first is not None
+    after = ca.vertcat(q + h * mean_speed, qdot + h * mean_acceleration, first[1])
+    inputs = [state, *dynamics.inputs]
+    return ca.Function("step", inputs, [after, first[2]], *NAMES, {"cse": True})

@@ -20,7 +20,7 @@ from ...core.se3 import Array
 from ...effects.frames import EffectClock
 from ...estimation.calibrate import calibrate
 from ...exploration.plan import plan_exploration
-from ...simulation.readout import contact_frames, effect_chain, recorded
+from ...simulation.readout import contact_frames, effect_pipeline, record
 from ...simulation.simulate import prepare, run
 from ...simulation.state_machine import SLIDE
 
@@ -92,12 +92,12 @@ class Numerics:
 
     def read(self, scene: Scene, frames: Frames) -> Array:
         """Pressures (m, n), Pa, without effects."""
-        return effect_chain(scene, 0).read(frames, scene.skin.poses)
+        return effect_pipeline(scene, 0).read(frames, scene.skin.poses)
 
     def calibrate(self, pressures: Array) -> Array:
         """Positions (n, 3) by pressures (m, n) in the reference's contacts."""
         chain = effects.EffectPipeline((), lambda frames, poses: pressures, (), (), EffectClock())
-        recording = recorded(self.scene, self.frames, chain)
+        recording = record(self.scene, self.frames, chain)
         return calibrate(recording, self.belief, tolerance=self.tolerance).positions
 
 

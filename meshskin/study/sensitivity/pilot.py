@@ -21,8 +21,8 @@ from ...effects import NoiseEffect
 from ...estimation.calibrate import calibrate
 from ...estimation.uncertainty import metrics
 from ...recording.recording import Recording
-from ...simulation.contact_samplers import together
-from ...simulation.readout import contact_frames, effect_chain, recorded
+from ...simulation.contact_samplers import concatenate
+from ...simulation.readout import contact_frames, effect_pipeline, record
 from ...simulation.simulate import prepare, run, simulate
 from .levels import COARSER, loops, models, surfaces, tolerances, worth
 from .numerical_error import Numerics
@@ -70,7 +70,7 @@ def pilot(
 
     def read() -> Recording:
         frames = contact_frames(small, machine.loop, steps)
-        return recorded(small, frames, effect_chain(small, seed))
+        return record(small, frames, effect_pipeline(small, seed))
 
     recording, _ = timed(read)  # the first time pays for what the next ones find
     _, reading = timed(read)
@@ -169,7 +169,7 @@ def at_length(
         return tried
     long = recording
     for _ in range(times - 1):
-        long = together(long, recording)
+        long = concatenate(long, recording)
 
     def split(short: float, long: float) -> tuple[float, float]:
         """What is paid once, and for the pilot's readings."""

@@ -17,7 +17,7 @@ from ...core.se3 import Array
 from ...effects import Effect, EffectPipeline, ordered
 from ...effects.frames import Frames
 from ...recording.recording import Recording
-from ...simulation.readout import contact_frames, effect_chain, sensor_tables
+from ...simulation.readout import contact_frames, effect_pipeline, sensor_tables
 from ...simulation.simulate import prepare, run
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ class Replay:
         scene, mine = self.scene.with_(effects=ordered(effects)), np.ones(len(self.frames), bool)
         if halves is not None:
             mine = halves.frames(self.frames.points, half)
-        chain = effect_chain(scene, seed)
+        chain = effect_pipeline(scene, seed)
         pressed = (seed, half, *(e for e in scene.effects if e.stage in CONTACT_STAGES))
         if pressed not in self._pressed:
             self._pressed[pressed] = self._press(chain, mine)

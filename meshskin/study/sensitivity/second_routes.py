@@ -13,7 +13,7 @@ import numpy as np
 
 from ...contact import solve
 from ...core.errors import ContactError
-from ...simulation.readout import frames_at
+from ...simulation.readout import make_frames
 from .numerical_error import Numerics
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def contact(numerics: Numerics) -> Route:
 
 def _on(numerics: Numerics, frames: Frames) -> Frames:
     """Frames as the reference's scene sees them."""
-    return frames_at(
+    return make_frames(
         numerics.scene, frames.time, frames.points, frames.normals, frames.force, frames.centres,
         frames.q,
     )  # fmt: skip
