@@ -127,7 +127,7 @@ def test_presses_need_no_arm_and_know_of_no_sliding(scene):
         np.testing.assert_allclose(found.pressure, plain.pressure, rtol=1e-12)
     # the body's pose is its own, not an arm's
     heavy, _ = static_sampler(ideal.with_(effects=(GravityError(0.1),)), 0)(points)
-    assert heavy.force == pytest.approx(3.0 - 0.981, rel=1e-9)  # the skin faces straight down
+    assert heavy.force == pytest.approx(3.0 - 0.980665, rel=1e-9)  # the skin faces straight down
     with pytest.raises(ConfigError, match=r"needs the joints .* touch by the closed loop"):
         static_sampler(scene.with_(effects=(Encoder(),)), 0)
 
