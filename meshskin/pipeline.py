@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .core.arguments import check_seed
 from .core.atomic_io import check_folder, write_json
 from .core.errors import CalibrationError, GraphError, ReachError
-from .core.provenance import StageTimer, check_seed, provenance
+from .core.provenance import StageTimer, provenance
 from .estimation.calibrate import calibrate
 from .estimation.calibration import Calibration
 from .estimation.demonstration import Demonstration, demonstrate
@@ -153,7 +154,7 @@ def _promised(
     from .exploration.plan import plan_exploration
     from .study.sensitivity.pilot import pilot
 
-    tried = pilot(scene, request, METHODS, _drawing(scene), seed, clock.began)
+    tried = pilot(scene, request, METHODS, _drawing(scene), seed, clock.start)
     reason: ReachError | None = None
     for promise in tried.choose(request):
         made = promise.setting.scene(scene, promise.setting.body(scene.body))

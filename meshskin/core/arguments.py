@@ -1,4 +1,4 @@
-"""What callers give, checked at the door: one line for what is of the wrong kind, shape or size."""
+"""Checks of values that callers and files give: their type, shape and range."""
 
 from __future__ import annotations
 
@@ -16,19 +16,21 @@ from .errors import ConfigError, MeshskinError, UnknownNameError
 from .se3 import Array
 
 T = TypeVar("T")
-SHOWN = 60
-"""Most characters of a value that an error repeats."""
+REPR_LENGTH = 60
+"""Largest number of characters of a value in an error message, so that the message stays within
+two lines of a terminal; longer values are cut."""
 
 
 def repr_short(value: object) -> str:
-    """A value as an error repeats it: on one line, cut where it is long."""
+    """The representation of a value for an error message: on one line, cut at REPR_LENGTH."""
     text = " ".join(repr(value).split())
-    return text if len(text) <= SHOWN else f"{text[: SHOWN - 3]}..."
+    return text if len(text) <= REPR_LENGTH else f"{text[: REPR_LENGTH - 3]}..."
 
 
 def check_type(kind: type, value: object, what: str) -> None:
-    """Raise ConfigError where the value given for `what` is no `kind`; for a name or a path the
-    error says how it is loaded.
+    """Raise ConfigError unless the value of argument `what` is an instance of `kind`.
+
+    For a name or a path in place of an object that can be loaded, the error says how to load it.
     """
     if isinstance(value, kind):
         return
@@ -50,21 +52,26 @@ def check_real(
     least: float | None = None,
     most: float | None = None,
     error: type[MeshskinError] = ConfigError,
+    remedy: str | None = None,
 ) -> float:
-    """A finite number within its bounds (`above` excludes its end). Raises `error`."""
+    """The value as a finite float with `above` < value, `least` <= value and value <= `most`.
+
+    Raises `error` for any other value.
+    """
     unit = f" {unit}" if unit else ""
     number = isinstance(value, numbers.Real | np.number) and not isinstance(value, bool)
     if not number or not math.isfinite(value):
         raise error(f"{what} must be a finite number", value=repr_short(value))
-    limit = None
-    if above is not None and not value > above:
-        limit = f"above {above:g}{unit}"
-    if least is not None and not value >= least:
-        limit = f"at least {least:g}{unit}"
-    if most is not None and not value <= most:
-        limit = f"at most {most:g}{unit}"
-    if limit is not None:
-        raise error(f"{what} is out of range", value=f"{value:g}{unit}", limit=limit)
+    for bound, inside, words in (
+        (above, above is None or value > above, "above"),
+        (least, least is None or value >= least, "at least"),
+        (most, most is None or value <= most, "at most"),
+    ):
+        if not inside:
+            limit = f"{words} {bound:g}{unit}"
+            raise error(
+                f"{what} is out of range", value=f"{value:g}{unit}", limit=limit, remedy=remedy
+            )
     return float(value)
 
 
@@ -72,56 +79,67 @@ def check_integer(
     what: str,
     value: Any,
     *,
-    least: int,
+    least: int | None = None,
     most: int | None = None,
     error: type[MeshskinError] = ConfigError,
 ) -> int:
-    """A whole number within its bounds. Raises `error`."""
+    """The value as an int with `least` <= value <= `most`. Raises `error` for any other value."""
     if not isinstance(value, numbers.Integral) or isinstance(value, bool):
-        raise error(f"{what} must be a whole number", value=repr_short(value))
+        raise error(f"{what} must be an integer", value=repr_short(value))
     check_real(what, value, least=least, most=most, error=error)
     return int(value)
 
 
-def check_vectors(
-    what: str, values: ArrayLike, width: int = 3, *, error: type[MeshskinError] = ConfigError
-) -> Array:
-    """Vectors (n, width); a single one (width,) is a row. Raises `error`."""
-    found = check_array(what, values, error=error)
-    if found.ndim not in (1, 2) or (found.shape[-1] != width and found.size):
-        raise error(f"{what} must be vectors", value=f"shape {found.shape}", limit=f"(n, {width})")
-    return found.reshape(-1, width)
-
-
-def check_vector(
-    what: str, values: ArrayLike, size: int = 3, *, error: type[MeshskinError] = ConfigError
-) -> Array:
-    """A vector (size,). Raises `error`."""
-    found = check_array(what, values, error=error)
-    if found.shape != (size,):
-        raise error(f"{what} must be {size} numbers", value=repr_short(values))
-    return found
+def check_seed(seed: object) -> None:
+    """Raise ConfigError unless `seed` is an integer of at least 0."""
+    check_integer("seed", seed, least=0)
 
 
 def check_array(what: str, values: ArrayLike, *, error: type[MeshskinError] = ConfigError) -> Array:
-    """Numbers in any shape. Raises `error`."""
+    """The values as an array of floats of any shape. Raises `error` for other values."""
     try:
         return np.asarray(values, dtype=float)
     except (TypeError, ValueError) as reason:
         raise error(f"{what} must be numbers", value=repr_short(values)) from reason
 
 
+def check_vector(
+    what: str, values: ArrayLike, size: int = 3, *, error: type[MeshskinError] = ConfigError
+) -> Array:
+    """The values as an array (size,). Raises `error` for another shape."""
+    vector = check_array(what, values, error=error)
+    if vector.shape != (size,):
+        raise error(f"{what} must be {size} numbers", value=repr_short(values))
+    return vector
+
+
+def check_vectors(
+    what: str, values: ArrayLike, width: int = 3, *, error: type[MeshskinError] = ConfigError
+) -> Array:
+    """The values as an array (n, width); a single vector (width,) becomes one row.
+
+    Raises `error` for another shape.
+    """
+    rows = check_array(what, values, error=error)
+    if rows.ndim not in (1, 2) or (rows.shape[-1] != width and rows.size):
+        raise error(f"{what} must be vectors", value=f"shape {rows.shape}", limit=f"(n, {width})")
+    return rows.reshape(-1, width)
+
+
+def check_name(kind: str, name: str, names: Sequence[str]) -> None:
+    """Raise UnknownNameError unless `name` is one of `names`; `kind` says what is named."""
+    if name not in names:
+        raise UnknownNameError(kind, name, names)
+
+
 def replace_fields(config: T, changes: Mapping[str, Any]) -> T:
-    """The dataclass with other values in some fields. Raises UnknownNameError for what is none."""
+    """A copy of a dataclass with other values of some fields.
+
+    Raises UnknownNameError for the name of a field that the class does not have.
+    """
     names = [f.name for f in dataclasses.fields(config) if f.init]  # type: ignore[arg-type]
     for name in changes:
         if name not in names:
             kind = type(config).__name__.lower()
             raise UnknownNameError("field", name, names, f" of a {kind}")
     return dataclasses.replace(config, **changes)  # type: ignore[type-var]
-
-
-def check_name(kind: str, name: str, names: Sequence[str]) -> None:
-    """Raise UnknownNameError unless `name` is one of `names`."""
-    if name not in names:
-        raise UnknownNameError(kind, name, names)

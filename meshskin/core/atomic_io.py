@@ -1,4 +1,4 @@
-"""Files that are either whole or not there: written beside their place, then moved into it."""
+"""Atomic writes: a file is written under a temporary name in its folder, then renamed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .errors import OutputError
 
 
 def output_error(path: Path, error: OSError) -> OutputError:
-    """What to say of a file or folder that the system does not let one make."""
+    """The OutputError for a file or folder that cannot be created."""
     return OutputError(
         f"cannot write {path}",
         value=error.strerror,
@@ -25,9 +25,9 @@ def output_error(path: Path, error: OSError) -> OutputError:
 
 @contextmanager
 def atomic(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path`; move it to `path` on success, delete it otherwise.
+    """Context with a temporary path, renamed to `path` on success and deleted on failure.
 
-    Raises OutputError if the folder cannot be written.
+    Makes the folder of `path`. Raises OutputError if it cannot be written.
     """
     path = Path(path)
     try:
@@ -54,12 +54,12 @@ def atomic(path: str | Path) -> Iterator[Path]:
 
 
 def check_folder(folder: Path) -> None:
-    """Make the output folder and try it, before any work is done. Raises OutputError."""
+    """Make an output folder and check, before any work, that it is writable. Raises OutputError."""
     check_writable(folder / "metrics.json")
 
 
 def check_writable(path: Path) -> None:
-    """Make a file's folder and try it, before any work is done. Raises OutputError."""
+    """Check, before any work, that a file can be written. Raises OutputError."""
     probe = path.with_name(f"{path.name}.probe")
     with atomic(probe):
         pass
@@ -73,11 +73,12 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def write_json(path: str | Path, value: Any) -> None:
-    """Write `value` to `path` atomically, with null in place of numbers that JSON does not know."""
+    """Write `value` as JSON to `path` atomically, with null for infinite and NaN numbers."""
     write_text(path, json.dumps(_finite(value), indent=2) + "\n")
 
 
 def _finite(value: Any) -> Any:
+    """`value` with None for infinite and NaN numbers, at any depth."""
     if isinstance(value, dict):
         return {key: _finite(v) for key, v in value.items()}
     if isinstance(value, list | tuple):

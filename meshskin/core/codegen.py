@@ -1,10 +1,13 @@
-"""CasADi functions through the C compiler, cached by content.
+"""CasADi functions and C source compiled to machine code, cached by content.
 
-A compiled function runs several times faster than CasADi's virtual machine. The shared object is
-kept under the user's cache folder (`MESHSKIN_CACHE` overrides it) and found again by the hash of
-its C source, the compiler, the flags and the platform. Its file name carries the hash of its own
-bytes, so that a torn file is never loaded. Without a C compiler (or with `MESHSKIN_COMPILER=none`)
-everything still works, interpreted.
+A compiled function runs several times faster than CasADi's virtual machine. Shared libraries are
+kept in the user's cache folder (environment variable `MESHSKIN_CACHE`), in a folder named by the
+hash of their C source, the compiler, the flags and the platform. The file name is the hash of the
+library's own bytes, so that a damaged file is not loaded. Folders and files that another user owns
+or may write are not used. Without a C compiler, or with `MESHSKIN_COMPILER=none`, functions are
+interpreted.
+
+CasADi's own just-in-time compilation (the option `jit`) was weighed: it compiles in every process.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ import hashlib
 import os
 import platform
 import shutil
+import stat
 import subprocess
 import sys
 import tempfile
@@ -30,20 +34,20 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 INLINE = Path(__file__).with_name("inline.h").read_text(encoding="utf-8")
-"""C text that goes before code that runs at every step: headers, and fmax and fmin as one
+"""C source placed before code that runs at every step: headers, and fmax and fmin as one
 instruction each."""
 FLAGS = ("-O3", "-fno-math-errno", "-shared", "-fPIC")
-"""Of the compiler. No -march=native, of which the cache's key knows nothing: see `fused`."""
+"""Flags of the compiler. There is no -march=native, which the key of the cache could not tell apart
+on several machines: see `fma_flags`."""
 PLAIN = ("-O0", "-shared", "-fPIC")
-"""For long code that is run a few times."""
+"""Flags for long code that runs a few times: -O3 takes ten times as long to compile it."""
 
 
 def compile_function(function: ca.Function, flags: tuple[str, ...] = FLAGS) -> ca.Function:
-    """`function` as machine code: same name, inputs and outputs.
+    """`function` as machine code, with the same name, inputs and outputs.
 
-    The result has no derivatives of its own: compile a Jacobian or Hessian as a function by itself.
-    Where there is no C compiler, or it refuses the source, `function` itself is returned and one
-    warning is given per process.
+    The result has no derivatives: compile a Jacobian or Hessian as a function of its own. Without a
+    C compiler, or where it fails, `function` itself is returned, with one warning per process.
     """
     name = function.name()
     return _machine_code(name, lambda: c_source(function), _external(name), flags) or function
@@ -52,52 +56,53 @@ def compile_function(function: ca.Function, flags: tuple[str, ...] = FLAGS) -> c
 def compile_with_derivatives(function: ca.Function, directions: int) -> ca.Function:
     """`function` as machine code with forward derivatives in 1 and in `directions` directions.
 
-    Derivatives are long: the compiler is not asked to be clever, which would take it ten times as
-    long as it takes to translate. Without a C compiler, see `compiled`.
+    It is compiled without optimization. Without a C compiler, or where it fails, `function` itself
+    is returned, with one warning per process.
     """
     name = function.name()
-    slopes = [function.forward(count) for count in sorted({1, directions})]
-    made = _machine_code(name, lambda: c_source(function, *slopes), _external(name), PLAIN)
+    forward = [function.forward(count) for count in sorted({1, directions})]
+    made = _machine_code(name, lambda: c_source(function, *forward), _external(name), PLAIN)
     return made or function
 
 
 def compile_library(name: str, text: str, flags: tuple[str, ...] = FLAGS) -> ctypes.CDLL | None:
-    """The shared library of C source `text`, in the same cache; None, and one warning, without.
+    """The shared library of C source `text`; `name` is for warnings.
 
-    `name` is for the warning. CasADi functions that the source calls come from `source`.
+    Without a C compiler, or where it fails, None, with one warning per process.
     """
-    return _machine_code(name, lambda: text, _loaded, flags)
+    return _machine_code(name, lambda: text, _load, flags)
 
 
 def cached_library(text: str, flags: tuple[str, ...] = FLAGS) -> ctypes.CDLL | None:
-    """The shared library of C source `text` if `library` left it in the cache before; else None."""
-    compiler = find_compiler()
-    if compiler is None:
+    """The shared library of C source `text` if it is in the cache, otherwise None."""
+    compiler, root = find_compiler(), cache_folder()
+    if compiler is None or root is None:
         return None
     try:
-        return _cached(_loaded, cache_folder() / _key(text, compiler, flags))
-    except OSError:  # an unreadable cache is no cache
+        folder = root / _key(text, compiler, flags)
+        return _cached(_load, folder) if _is_private(root) and _is_private(folder) else None
+    except OSError:  # not in the cache, or not readable
         return None
 
 
 @functools.cache
 def fma_flags() -> tuple[str, ...]:
-    """Flags for fused multiply-add and vectors of four, where this processor has them.
+    """Flags for fused multiply-add and vectors of four, if this processor has them.
 
-    Flags are part of the cache's key, so that a folder shared by several machines serves each.
+    Flags are part of the key of the cache, so that machines may share a folder.
     """
     if platform.machine() not in ("x86_64", "AMD64"):
         return ()
     try:
-        told = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="ignore")
+        text = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="ignore")
     except OSError:
         return ()
-    flags = next((line.split() for line in told.splitlines() if line.startswith("flags")), [])
+    flags = next((line.split() for line in text.splitlines() if line.startswith("flags")), [])
     return ("-mavx2", "-mfma") if {"avx2", "fma"} <= set(flags) else ()
 
 
 def c_source(*functions: ca.Function) -> str:
-    """C source of `functions`: the code that CasADi generates."""
+    """The C source that CasADi generates for functions."""
     import casadi as ca
 
     generator = ca.CodeGenerator(f"{functions[0].name()}.c")
@@ -106,21 +111,24 @@ def c_source(*functions: ca.Function) -> str:
     return str(generator.dump())
 
 
-def cache_folder() -> Path:
-    """The user's cache folder for compiled functions, by the rule of the platform."""
+def cache_folder() -> Path | None:
+    """The user's cache folder of the platform, or `MESHSKIN_CACHE`; None for a user without one."""
     if chosen := os.environ.get("MESHSKIN_CACHE"):
         return Path(chosen)
-    if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    try:
+        if sys.platform == "win32":
+            base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+        elif sys.platform == "darwin":
+            base = Path.home() / "Library" / "Caches"
+        else:
+            base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    except RuntimeError:  # no HOME, and a user id without an account
+        return None
     return base / "meshskin"
 
 
 def find_compiler() -> str | None:
-    """The C compiler to use, or None; `MESHSKIN_COMPILER` names another, or none."""
+    """The path of the C compiler, or None; `MESHSKIN_COMPILER` names another one, or "none"."""
     chosen = os.environ.get("MESHSKIN_COMPILER", "")
     if chosen.lower() == "none":
         return None
@@ -131,39 +139,35 @@ def find_compiler() -> str | None:
 def _machine_code(
     name: str, text: Callable[[], str], load: Callable[[str], T], flags: tuple[str, ...]
 ) -> T | None:
-    """What `load` makes of the shared library of C source `text`; None where there is none."""
+    """The shared library of C source `text()`, opened by `load`; None if it cannot be built."""
     compiler = find_compiler()
     if compiler is None:
         _warn("no C compiler found: functions are interpreted, several times slower")
         return None
-    written = text()
-    key = _key(written, compiler, flags)
-    for folder in (cache_folder() / key, _temporary_folder() / key):
+    source = text()
+    key = _key(source, compiler, flags)
+    for root in (cache_folder, _temporary_folder):
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            found = _cached(load, folder)
-            return found or load(str(_built(written, folder, compiler, flags)))
-        except OSError:  # an unwritable or full cache: build in a folder of this process
+            folder = _private_folder(root(), key)
+            return _cached(load, folder) or load(str(_build(source, folder, compiler, flags)))
+        except OSError:  # a cache folder that is full or not ours: build in a temporary folder
             continue
-        except subprocess.CalledProcessError as error:
-            reason = (
-                error.stderr.decode(errors="replace").strip() or f"exit code {error.returncode}"
-            )
-        except RuntimeError as error:  # built, but cannot be loaded
-            reason = str(error)
-        _warn(f"{compiler} cannot compile {name!r}, interpreted instead: {reason}")
-        return None
+        except RuntimeError as error:
+            _warn(f"{compiler} cannot compile {name!r}, interpreted instead: {error}")
+            return None
     _warn(f"no folder to compile in: {name!r} is interpreted, several times slower")
     return None
 
 
 def _external(name: str) -> Callable[[str], ca.Function]:
+    """Opens a shared library as the CasADi function `name`."""
     import casadi as ca
 
     return lambda path: ca.external(name, path)
 
 
-def _loaded(path: str) -> ctypes.CDLL:
+def _load(path: str) -> ctypes.CDLL:
+    """Opens a shared library. Raises RuntimeError."""
     try:
         return ctypes.CDLL(path)
     except OSError as error:
@@ -171,17 +175,17 @@ def _loaded(path: str) -> ctypes.CDLL:
 
 
 def _key(source: str, compiler: str, flags: tuple[str, ...]) -> str:
-    """Content hash: whatever could change the machine code."""
+    """Hash of all that determines the machine code."""
     import casadi as ca
 
     binary = Path(compiler).resolve()
-    stat = binary.stat()
+    status = binary.stat()
     parts = (
         source,
         ca.CasadiMeta.version(),
         str(binary),
-        str(stat.st_size),
-        str(stat.st_mtime_ns),
+        str(status.st_size),
+        str(status.st_mtime_ns),
         *flags,
     )
     machine = (sys.platform, platform.machine())
@@ -189,29 +193,60 @@ def _key(source: str, compiler: str, flags: tuple[str, ...]) -> str:
 
 
 def content_hash(data: bytes) -> str:
-    """The name that a library with these bytes has in the cache."""
+    """The name in the cache of a library with these bytes."""
     return hashlib.sha256(data).hexdigest()[:32]
 
 
+def _is_private(path: Path) -> bool:
+    """Whether only this user, or root, owns and may write a file or folder. Raises OSError."""
+    if not hasattr(os, "getuid"):  # Windows: the user's folders are private by their inheritance
+        return True
+    status = path.stat()
+    return status.st_uid in (0, os.getuid()) and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+
+
+def _private_folder(root: Path | None, key: str) -> Path:
+    """The folder `key` in `root`, both made with mode 0700. Raises OSError if they are not ours."""
+    if root is None:
+        raise FileNotFoundError("this user has no cache folder")
+    for folder in (root, root / key):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not _is_private(folder):
+            if folder.stat().st_uid != os.getuid():
+                raise PermissionError(f"{folder} belongs to another user")
+            folder.chmod(0o700)
+    return root / key
+
+
 def _cached(load: Callable[[str], T], folder: Path) -> T | None:
-    """What `load` makes of the first whole library in `folder`; torn ones are removed."""
+    """The first intact and private library in `folder`, opened by `load`; others are removed."""
     for file in sorted(folder.glob("*.so")):
-        if content_hash(file.read_bytes()) == file.stem:
+        if _is_private(file) and content_hash(file.read_bytes()) == file.stem:
             try:
                 return load(str(file))
-            except RuntimeError:  # whole, but not loadable here: build it again
+            except RuntimeError:  # intact, but not loadable on this machine: build it again
                 pass
         file.unlink(missing_ok=True)
     return None
 
 
-def _built(source: str, folder: Path, compiler: str, flags: tuple[str, ...]) -> Path:
-    """Compile in a scratch folder beside the goal, then move the library into place at once."""
+def _build(source: str, folder: Path, compiler: str, flags: tuple[str, ...]) -> Path:
+    """Compile in a scratch folder in `folder`, and move the library into `folder` at once.
+
+    Raises RuntimeError if the compiler fails or does not run, OSError if `folder` is not writable.
+    """
     with tempfile.TemporaryDirectory(dir=folder, ignore_cleanup_errors=True) as scratch:
         code, made = Path(scratch) / "code.c", Path(scratch) / "code.so"
         code.write_text(source, encoding="utf-8")
         command = [compiler, *flags, str(code), "-o", str(made), "-lm"]
-        subprocess.run(command, check=True, capture_output=True)
+        try:
+            subprocess.run(command, check=True, capture_output=True)
+        except subprocess.CalledProcessError as error:
+            output = error.stderr.decode(errors="replace").strip()
+            raise RuntimeError(output or f"exit code {error.returncode}") from error
+        except OSError as error:
+            raise RuntimeError(f"it does not run: {error.strerror}") from error
+        made.chmod(0o700)
         goal = folder / f"{content_hash(made.read_bytes())}.so"
         os.replace(made, goal)
     return goal
@@ -219,6 +254,7 @@ def _built(source: str, folder: Path, compiler: str, flags: tuple[str, ...]) -> 
 
 @functools.cache
 def _temporary_folder() -> Path:
+    """A folder of this process, removed at its end."""
     folder = Path(tempfile.mkdtemp(prefix="meshskin-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
@@ -230,7 +266,7 @@ def _warn_once() -> None:
 
 
 def _warn(message: str) -> None:
-    """Warn the first time in this process."""
+    """Warn, the first time in this process."""
     if _warn_once.cache_info().currsize == 0:
         _warn_once()
         warnings.warn(message, RuntimeWarning, stacklevel=3)

@@ -1,7 +1,7 @@
-"""What is built once for inputs of the same content, whichever object holds them.
+"""A cache of function results by the content of their argument, not by its identity.
 
-Cases of a study, seeds of a scene and touches of an exploration each make an arm and a loop of
-their own; the functions that follow from these are the same, and take longer to build than to run.
+Each case of a study and each seed of a scene makes an arm and a closed loop of its own. The
+compiled functions that follow from them are equal, and take longer to build than to run.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ from typing import Any, TypeVar
 X = TypeVar("X")
 Y = TypeVar("Y")
 
-KEPT = 8
-"""How many of the last results a function keeps."""
+CACHE_SIZE = 8
+"""Results that a function keeps, the least recently used dropped first: one each for the scenes and
+beliefs that a process alternates between, which are at most a handful."""
 
 
 class _Key:
-    """An input, equal to another with the same content."""
+    """An argument, equal to any other with the same content."""
 
     def __init__(self, value: Any) -> None:
         self.value = value
@@ -33,14 +34,14 @@ class _Key:
 
 
 def cached_by_content(build: Callable[[X], Y]) -> Callable[[X], Y]:
-    """`build`, a pure function of one input that can be pickled, run once for equal contents.
+    """Decorator of a pure function of one picklable argument: called once for equal contents.
 
-    Its results are shared: they must be immutable.
+    Results are shared between callers: they must be immutable.
     """
-    kept = functools.lru_cache(maxsize=KEPT)(lambda key: build(key.value))
+    cached = functools.lru_cache(maxsize=CACHE_SIZE)(lambda key: build(key.value))
 
     @functools.wraps(build)
     def built(value: X) -> Y:
-        return kept(_Key(value))
+        return cached(_Key(value))
 
     return built

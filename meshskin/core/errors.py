@@ -1,7 +1,7 @@
-"""Errors of meshskin: one line that names the value at fault, the limit, and what to do.
+"""Exceptions: each message is one line with the wrong value, the limit and the remedy.
 
-Every error that meshskin raises on purpose derives from `MeshskinError`; the command line turns it
-into that one line and exit code 2.
+Every exception that meshskin raises derives from `MeshskinError`. The command line prints its
+message and exits with code 2.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from collections.abc import Iterable
 
 
 def _printable(text: str) -> str:
-    """The text on one line: of a damaged file it may repeat any bytes."""
+    """The text on one line without control characters, which damaged files may contain."""
     return "".join(c if c.isprintable() else " " if c.isspace() else "?" for c in text)
 
 
 class MeshskinError(Exception):
-    """Base of all errors: what is wrong, the value at fault, the limit it breaks, the remedy."""
+    """Base of all exceptions: what is wrong, the wrong value, its limit, the remedy."""
 
     def __init__(
         self, what: str, *, value: object = None, limit: object = None, remedy: str | None = None
@@ -36,7 +36,7 @@ class ConfigError(MeshskinError):
 
 
 class UnknownNameError(ConfigError):
-    """A name that does not exist; carries the nearest known names."""
+    """A name that does not exist; the message lists the nearest known names."""
 
     def __init__(self, kind: str, name: object, known: Iterable[str], where: str = "") -> None:
         self.known = sorted(known)
@@ -46,15 +46,15 @@ class UnknownNameError(ConfigError):
 
 
 class MeshError(MeshskinError):
-    """A mesh that is no usable body."""
+    """A mesh that cannot be used as a body."""
 
 
 class SkinError(MeshskinError):
-    """A skin layout that cannot be made, read or used."""
+    """A skin that cannot be generated, read or used."""
 
 
 class ContactError(MeshskinError):
-    """A contact outside a model's range."""
+    """A contact outside the range of a contact model."""
 
 
 class ArmError(MeshskinError):
@@ -62,27 +62,27 @@ class ArmError(MeshskinError):
 
 
 class ReachError(MeshskinError):
-    """A pose that the arm cannot take."""
+    """A pose that the arm cannot reach."""
 
 
 class SimulationError(MeshskinError):
-    """A simulation that left its range; carries the time and the state."""
+    """A simulation that left its valid range; the message gives the time and the state."""
 
 
 class PlaceError(SimulationError):
-    """A place that cannot be explored, or no further: an edge of the body, or no contact."""
+    """A path of the contact that ends: at an edge of the body, or where contact is lost."""
 
 
 class TuningError(MeshskinError):
-    """Demands on the closed loop that no gains meet; says which to relax."""
+    """Demands on the closed loop that no gains meet; the message says which to relax."""
 
 
 class RecordingError(MeshskinError):
-    """A recording that cannot be read or is not consistent."""
+    """A recording that cannot be read or is inconsistent."""
 
 
 class CalibrationError(MeshskinError):
-    """Data that do not determine what was asked for."""
+    """Data that do not determine the requested quantities."""
 
 
 class GraphError(MeshskinError):
@@ -90,8 +90,8 @@ class GraphError(MeshskinError):
 
 
 class StudyError(MeshskinError):
-    """A study that cannot be run, or that had to stop."""
+    """A study that cannot be run, or that was stopped."""
 
 
 class OutputError(MeshskinError):
-    """A place that cannot be written."""
+    """A file or folder that cannot be written."""

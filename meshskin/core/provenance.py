@@ -1,4 +1,4 @@
-"""Where a result comes from: seeds, input hashes, versions; written into every output."""
+"""What a result depends on (seeds, hashes of inputs, versions), and how long its stages took."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib import metadata
-from numbers import Integral
 from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
 
-from .errors import ConfigError
+from .arguments import check_seed
 
 _PACKAGES = ("meshskin", "casadi", "numpy", "scipy", "trimesh", "embreex", "adam-robotics")
+"""Packages whose versions results depend on."""
 
 
 def digest(*parts: bytes | str | np.ndarray) -> str:
-    """SHA-256 (first 16 hex digits) of the given parts, arrays by shape, type and content."""
+    """SHA-256 of the given parts, its first 16 hex digits; arrays by shape, type and content."""
     h = hashlib.sha256()
     for part in parts:
         if isinstance(part, np.ndarray):
@@ -34,7 +34,7 @@ def digest(*parts: bytes | str | np.ndarray) -> str:
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that numbers depend on."""
+    """Versions of Python and of the packages that results depend on."""
     return {"python": platform.python_version()} | {name: _version(name) for name in _PACKAGES}
 
 
@@ -47,7 +47,7 @@ def _version(package: str) -> str:
 
 
 def provenance(**inputs: Any) -> dict[str, Any]:
-    """A record of the inputs given by name, the versions, the platform and the time (UTC)."""
+    """The inputs given by name, the versions, the platform and the time (UTC)."""
     return {
         **inputs,
         "versions": versions(),
@@ -56,16 +56,10 @@ def provenance(**inputs: Any) -> dict[str, Any]:
     }
 
 
-def check_seed(seed: object) -> None:
-    """Raise ConfigError for what is no seed."""
-    if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
-        raise ConfigError("a seed is a whole number from 0", value=repr(seed))
-
-
 def random_stream(seed: int, name: str) -> np.random.Generator:
-    """An independent random stream for one named consumer (an effect, a sampler) of one seed.
+    """The random generator of one consumer (an effect, a sampler), independent of all others.
 
-    Raises ConfigError for what is no seed.
+    Raises ConfigError unless `seed` is an integer of at least 0.
     """
     check_seed(seed)
     key = [int.from_bytes(hashlib.sha256(name.encode()).digest()[k : k + 4]) for k in (0, 4, 8)]
@@ -74,20 +68,21 @@ def random_stream(seed: int, name: str) -> np.random.Generator:
 
 @dataclass
 class StageTimer:
-    """Seconds of every stage."""
+    """Measures the stages of a run."""
 
     seconds: dict[str, float] = field(default_factory=dict)
-    began: tuple[float, float] = field(default_factory=lambda: (perf_counter(), process_time()))
-    """On the wall and of the processor."""
+    """Wall-clock time of each stage, s"""
+    start: tuple[float, float] = field(default_factory=lambda: (perf_counter(), process_time()))
+    """Wall-clock and processor time when the timer was made, s"""
 
     @property
     def processor(self) -> float:
-        """Processor seconds since the beginning."""
-        return process_time() - self.began[1]
+        """Processor time since the timer was made, s."""
+        return process_time() - self.start[1]
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Measure the time spent inside."""
+        """Add the time spent inside the context to the stage `name`."""
         start = perf_counter()
         try:
             yield

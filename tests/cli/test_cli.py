@@ -92,7 +92,7 @@ def test_unknown_scene(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["run", "sphere", "--seed", "-1"], "a seed is a whole number from 0, got -1"),
+        (["run", "sphere", "--seed", "-1"], "seed is out of range, got -1, limit: at least 0"),
         (["run", "sphere", "--accuracy-mm", "nan"], "an accuracy that is asked for must be finite"),
         (["run", "sphere", "--seconds", "0"], "got 0 s, limit: above 0"),
         (["cost", "sphere", "--seeds", "0"], "seeds is out of range, got 0, limit: at least 1"),
@@ -120,7 +120,7 @@ def test_a_number_out_of_range_is_refused_before_anything_runs(capsys, tmp_path,
             ["did you mean gaussian_noise"],
         ),
         ('extends = "sphere"\n[body]\nshape = "cube"', ["unknown shape 'cube'"]),
-        ("[body]\nradius_mm = \n[skin]", ["no valid TOML", "line 2"]),
+        ("[body]\nradius_mm = \n[skin]", ["not valid TOML", "line 2"]),
     ],
 )
 def test_a_wrong_scene_file_is_one_clear_line(capsys, tmp_path, text, words):

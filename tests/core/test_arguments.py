@@ -22,7 +22,7 @@ BODIES = {
     "no radius": (lambda: ms.Body.sphere(None), "must be a finite number, got None"),
     "no faces": (lambda: ms.Body.sphere(0.1, faces=0), "faces .*got 0, limit: at least 1"),
     "countless faces": (lambda: ms.Body.sphere(0.1, faces=10**9), "limit: at most 5e.06"),
-    "half a face": (lambda: ms.Body.torus(0.1, 0.03, faces=1.5), "whole number, got 1.5"),
+    "half a face": (lambda: ms.Body.torus(0.1, 0.03, faces=1.5), "an integer, got 1.5"),
     "a hair": (lambda: ms.Body.capsule(1e-6, 1.0), "too slender .*got radius : length of 1e.06"),
     "a torus of nothing": (lambda: ms.Body.torus(np.nan, 0.1), "finite number, got nan"),
 }
@@ -56,7 +56,7 @@ CALLS = {
     "a scene for a body": (lambda s: ms.explore(s, s.skin), "must be a Body, got <Scene"),
     "skin of a name": (lambda s: ms.Skin.cover("sphere", 5e-3), "must be a Body, got 'sphere'"),
     "region of a number": (lambda s: ms.Skin.cover(s.body, 5e-3, region=3), "region .*got 3"),
-    "half a taxel": (lambda s: ms.Skin.cover(s.body, count=2.5), "whole number, got 2.5"),
+    "half a taxel": (lambda s: ms.Skin.cover(s.body, count=2.5), "an integer, got 2.5"),
     "one pose": (lambda s: ms.Skin(np.eye(4), np.array([1])), r"limit: \(n, 4, 4\)"),
     "points of two": (lambda s: s.body.closest([1.0, 2.0]), r"got shape \(2,\), limit: \(n, 3\)"),
     "points of words": (lambda s: s.body.closest("abc"), "must be numbers, got 'abc'"),

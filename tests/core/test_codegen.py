@@ -125,6 +125,79 @@ def test_compiler_that_fails_is_named(cache, monkeypatch):
         assert compile_function(function) is function
 
 
+@needs_compiler
+def test_a_compiler_that_does_not_run_is_named(cache, monkeypatch, tmp_path):
+    broken = tmp_path / "cc"
+    broken.write_bytes(b"\x7fELF no program")
+    broken.chmod(0o700)
+    monkeypatch.setenv("MESHSKIN_COMPILER", str(broken))
+    module._warn_once.cache_clear()
+    function = bend()[0]
+    with pytest.warns(RuntimeWarning, match="cc cannot compile 'bend'.*it does not run"):
+        assert compile_function(function) is function
+
+
+@needs_compiler
+def test_a_user_without_a_home_compiles_in_a_temporary_folder(monkeypatch):
+    def no_home():
+        raise RuntimeError("Could not determine home directory.")
+
+    for name in ("MESHSKIN_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(Path, "home", no_home)
+    assert cache_folder() is None
+    assert module.cached_library("int answer(void) { return 42; }") is None
+    assert compile_function(bend()[0]).class_name() == "External"
+
+
+@needs_compiler
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="users of POSIX")
+def test_the_cache_is_private(cache):
+    cache.mkdir()
+    cache.chmod(0o777)
+    compile_function(bend()[0])
+    library = next(cache.rglob("*.so"))
+    for path in (cache, library.parent, library):
+        assert path.stat().st_mode & 0o777 == 0o700
+
+
+def plant(cache: Path, source: str) -> Path:
+    """A library that answers 13 in the place of `source` in the cache."""
+    other = "int answer(void) { return 13; }"
+    module.compile_library("planted", other)
+    module.compile_library("answer", source)
+    keys = [module._key(text, module.find_compiler(), module.FLAGS) for text in (other, source)]
+    (planted,), (library,) = ((cache / key).glob("*.so") for key in keys)
+    library.unlink()
+    return planted.rename(library.with_name(planted.name))
+
+
+@needs_compiler
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="users of POSIX")
+def test_a_library_that_others_may_write_is_built_anew(cache):
+    source = "int answer(void) { return 42; } /* writable */"
+    plant(cache, source).chmod(0o777)
+    assert module.cached_library(source) is None
+    assert module.compile_library("answer", source).answer() == 42
+
+
+@needs_compiler
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="users of POSIX")
+@pytest.mark.parametrize("target", ["root", "folder", "library"])
+def test_a_cache_of_another_user_is_not_loaded(cache, monkeypatch, target):
+    source = f"int answer(void) {{ return 42; }} /* {target} */"
+    library = plant(cache, source)
+    if os.getuid() == 0:
+        path = {"root": cache, "folder": library.parent, "library": library}[target]
+        os.chown(path, 12345, -1)
+    else:  # this process becomes another user, as whom it owns no folder at all
+        monkeypatch.setattr(os, "getuid", lambda: 12345)
+        module._warn_once()
+    assert module.cached_library(source) is None
+    built = module.compile_library("answer", source)
+    assert built is None or built.answer() == 42
+
+
 def test_cache_folder_follows_the_platform(monkeypatch, tmp_path):
     monkeypatch.delenv("MESHSKIN_CACHE", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))

@@ -45,7 +45,7 @@ def test_units_are_converted():
         ({"radius_m": 1, "centre_m": 2}, ConfigError, "must be a tuple of 3 numbers, got 2"),
         ({"radius_m": 1, "centre_m": [1, 2]}, ConfigError, "of 3 numbers, got \\(1, 2\\)"),
         ({"radius_m": 1, "place_m": 2}, ConfigError, "must be a tuple of numbers, got 2"),
-        ({"radius_m": 1, "spots": 8.5}, ConfigError, "spots must be a whole number, got 8.5"),
+        ({"radius_m": 1, "spots": 8.5}, ConfigError, "spots must be an integer, got 8.5"),
     ],
 )
 def test_a_wrong_table_is_named(table, error, message):
@@ -56,7 +56,7 @@ def test_a_wrong_table_is_named(table, error, message):
 def test_bad_toml_names_the_line(tmp_path):
     file = tmp_path / "x.toml"
     file.write_text("[body]\nradius_mm = \n")
-    with pytest.raises(ConfigError, match=r"x.toml is no valid TOML.*line 2"):
+    with pytest.raises(ConfigError, match=r"x.toml is not valid TOML.*line 2"):
         config.read_toml(file)
 
 

@@ -25,11 +25,11 @@ def test_equal_contents_are_built_once():
     assert [total(np.arange(3.0)), total(np.arange(3.0))] == [3.0, 3.0]
     assert built == [3]
     assert total(np.arange(3)) == 3.0, "another type is another content"
-    for k in range(4, 4 + content_cache.KEPT):
+    for k in range(4, 4 + content_cache.CACHE_SIZE):
         total(np.arange(float(k)))
-    assert len(built) == 2 + content_cache.KEPT
+    assert len(built) == 2 + content_cache.CACHE_SIZE
     total(np.arange(3.0))
-    assert len(built) == 3 + content_cache.KEPT, "the oldest is given up"
+    assert len(built) == 3 + content_cache.CACHE_SIZE, "the oldest is given up"
 
 
 @pytest.fixture

@@ -45,7 +45,7 @@ def test_failed_cases_are_listed_and_the_exit_code_says_so(study, tmp_path, caps
         ("material.yung_kpa = [1]", 'base = "sphere"', "did you mean young_kpa"),
         ("", 'base = "sfere"', "did you mean sphere"),
         ("", 'bse = "sphere"', "did you mean base"),
-        ("run.x = [", 'run = "study_runs:plain"', "no valid TOML"),
+        ("run.x = [", 'run = "study_runs:plain"', "not valid TOML"),
     ],
 )
 def test_a_mistake_is_one_line(study, tmp_path, capsys, grid, head, line):

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from ...core.arguments import check_integer, check_real
+from ...core.arguments import check_integer, check_real, check_seed
 from ...core.errors import ConfigError, StudyError
-from ...core.provenance import check_seed
 from . import study_file
 from . import table as tabling
 from .base_scene import BaseScene, NoScene, base_scene
