@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..core.errors import ContactError
 from ..core.se3 import Array
 from ..geometry.body import Body
-from ..geometry.surface.proximity import triangle_foot
+from ..geometry.mesh.triangles import closest_on_triangles
 from . import elliptic, layered
 from .patch import Patch
 from .problem import ContactProblem
@@ -165,7 +165,7 @@ def _starts(body: Body, centre: Array, reach: float) -> NDArray[np.intp]:
     candidates = np.unique(mesh.vertex_faces[near])
     candidates = candidates[candidates >= 0]
     a, b, c = (vertices[faces[candidates, k]] for k in range(3))
-    gap2, uv = triangle_foot(centre[None], a, b - a, c - a)
+    gap2, uv = closest_on_triangles(centre[None], a, b - a, c - a)
     gap, within = np.sqrt(gap2), np.minimum(uv.min(axis=1), 1.0 - uv.sum(axis=1)) > INSIDE
     edge = np.sqrt(np.max([np.sum((v - w) ** 2, axis=1) for v, w in ((a, b), (b, c), (c, a))], 0))
     inside = gap < reach + _SLACK * edge

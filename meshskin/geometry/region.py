@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..core.config import quantity
 from ..core.errors import SkinError
 from .body import Body
+from .mesh.triangles import subdivision_centroids
 from .surface.closest_point import Closest
-from .surface.proximity import part_middles
 
 Array = NDArray[np.float64]
 SHOWN = 20
@@ -227,7 +227,7 @@ def area(body: Body, region: Region) -> float:
 
 def face_points(body: Body, faces: NDArray[np.intp], cuts: int) -> Closest:
     """The smooth surface at the middles of the cuts^2 equal parts of each face (n,)."""
-    uv = part_middles(cuts)[:, 1:]
+    uv = subdivision_centroids(cuts)[:, 1:]
     return body.surface.at(np.repeat(faces, len(uv)), np.tile(uv, (len(faces), 1)))
 
 

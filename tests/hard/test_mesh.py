@@ -12,7 +12,7 @@ from meshskin.contact.multi_contact import find_contacts, solve_contacts
 from meshskin.core.errors import MeshError
 from meshskin.geometry import primitives, tessellate
 from meshskin.geometry.body import Body
-from meshskin.geometry.mesh.repair import turns
+from meshskin.geometry.mesh.winding_number import winding_number
 
 
 @pytest.fixture
@@ -126,7 +126,7 @@ def test_folds_do_not_turn_the_sign(load, ball):
     body = load(vertices, ball.faces, open=True)
     here = np.add([0.0, 0.0, 0.1], np.random.default_rng(0).uniform(-0.05, 0.05, (500, 3)))
     points = np.vstack([cloud(500, 0.15), here])
-    inside = np.array([turns(body.mesh.triangles, p) > 0.5 for p in points])
+    inside = np.array([winding_number(body.mesh.triangles, p) > 0.5 for p in points])
     hit = body.closest(points)
     finite(hit)
     clear = np.abs(hit.distance) > 2.0 * body.surface.lifts.max()

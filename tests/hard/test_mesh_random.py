@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from meshskin.core.errors import MeshError
 from meshskin.geometry.mesh.check import survey
-from meshskin.geometry.mesh.repair import turns
-from meshskin.geometry.surface.proximity import triangle_foot
+from meshskin.geometry.mesh.triangles import closest_on_triangles
+from meshskin.geometry.mesh.winding_number import winding_number
 from meshskin.geometry.surface.surface import Surface
 
 SPOILS = ("nothing", "flip", "drop", "double", "split", "nan", "spare", "collapse", "invert")
@@ -64,11 +64,11 @@ def a_right_answer_or_a_named_error(mesh):
     assert np.linalg.norm(points - hit.point, axis=1) == pytest.approx(np.abs(hit.distance))
     corners = (found.vertices - offset)[found.faces]
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    gap = np.sqrt(triangle_foot((points - offset)[:, None], a, b - a, c - a)[0].min(axis=1))
+    gap = np.sqrt(closest_on_triangles((points - offset)[:, None], a, b - a, c - a)[0].min(axis=1))
     height = surface.lifts.max()
     assert np.all(np.abs(hit.distance) <= gap + height + 1e-9)
     clear = gap > height + 1e-9
-    inside = np.array([turns(corners, p) > 0.5 for p in points - offset])
+    inside = np.array([winding_number(corners, p) > 0.5 for p in points - offset])
     np.testing.assert_array_equal(hit.distance[clear] < 0, inside[clear])
 
 

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import MeshError
-from ..surface.walk import AFTER, BEFORE, neighbours
-from . import connected, non_manifold, repair, self_intersection
-from .edges import edge_of
+from . import non_manifold, repair, self_intersection
+from .topology import NEXT, PREVIOUS, connected_components, edge_keys, face_components, neighbours
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -108,14 +107,14 @@ def survey(vertices: Array, faces: Index, open: bool = False) -> Survey:
                         "check its export")  # fmt: skip
         return _as_it_was(vertices, faces, (empty,))
     across = repair.wind(draft)
-    part = components(across)
+    part = face_components(across)
     if not open and repair.turn_outward(draft, part):
         across, _ = neighbours(draft.faces)
     none = np.zeros(0, dtype=np.intp)
     parted = non_manifold.part(draft) if np.any(across < 0) else none
     if len(parted):
         across, _ = neighbours(draft.faces)
-        part = components(across)
+        part = face_components(across)
     findings = [Finding(words, points, none, "repaired") for words, points in draft.marks]
     findings += _edges(draft, across, open)
     findings += _slivers(draft)
@@ -169,19 +168,13 @@ def _unusable(draft: repair.MeshEdit) -> list[Finding]:
                     "delete them and fill the holes in a mesh editor")]  # fmt: skip
 
 
-def components(across: Index) -> Index:
-    """The connected part (m,) of each face, by the faces `across` its edges."""
-    face, k = np.nonzero(across >= 0)
-    return connected.parts(face, across[face, k], len(across))
-
-
 def _edges(draft: repair.MeshEdit, across: Index, open: bool) -> list[Finding]:
     """Borders, edges of several faces, and edges whose two faces are wound against each other."""
     face, k = np.nonzero(across < 0)
     if not len(face):
         return []
-    tail, head = draft.faces[face, AFTER[k]], draft.faces[face, BEFORE[k]]
-    edge = edge_of(tail, head, len(draft.vertices))
+    tail, head = draft.faces[face, NEXT[k]], draft.faces[face, PREVIOUS[k]]
+    edge = edge_keys(tail, head, len(draft.vertices))
     _, place, count = np.unique(edge, return_inverse=True, return_counts=True)
     share = count[place]
     found = []
@@ -215,7 +208,7 @@ def _edges(draft: repair.MeshEdit, across: Index, open: bool) -> list[Finding]:
 
 def _loops(tail: Index, head: Index, vertices: Array) -> tuple[int, float]:
     """Number of loops of border edges, and the longest's length in m."""
-    label = connected.parts(tail, head, len(vertices))[tail]
+    label = connected_components(tail, head, len(vertices))[tail]
     length = np.bincount(label, np.linalg.norm(vertices[head] - vertices[tail], axis=1))
     return len(np.unique(label)), float(length.max())
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.arrays import ranges
-from .check import components
+from .topology import corners_by_vertex, face_components
 from .winding_number import Winding
 
 Array = NDArray[np.float64]
@@ -47,8 +47,7 @@ class Folds:
         self.corners = vertices[faces]
         self.faces, self.normals = faces, normals
         self.crossed, self.across = crossed, across
-        self.order = np.argsort(faces.ravel(), kind="stable")
-        self.first = np.searchsorted(faces.ravel()[self.order], np.arange(len(vertices) + 1))
+        self.order, self.first = corners_by_vertex(faces, len(vertices))
         ends = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
         _, count = np.unique(ends[:, 0] * len(vertices) + ends[:, 1], return_counts=True)
         self.closed = bool(np.all(count % 2 == 0))
@@ -130,7 +129,7 @@ class Folds:
         cut = np.zeros(len(self.faces), dtype=bool)
         cut[self.crossed] = True
         across = np.where(cut[:, None] | cut[self.across], -1, self.across)
-        part = components(across)
+        part = face_components(across)
         for k in np.unique(part[~cut]):
             rows = np.flatnonzero(part == k)
             levels, place = np.unique(found[rows], return_inverse=True)

@@ -13,9 +13,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from . import connected
-from .edges import edge_of, twins
 from .repair import MeshEdit
+from .topology import connected_components, edge_keys, edge_pairs
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -89,7 +88,7 @@ def _split(
     rows = np.flatnonzero(np.isin(faces, ends).any(axis=1))
     near = faces[rows]
     tail, head = near.ravel(), near[:, [1, 2, 0]].ravel()
-    first, second = twins(edge_of(tail, head, len(draft.vertices)))
+    first, second = edge_pairs(edge_keys(tail, head, len(draft.vertices)))
     place = np.full(len(faces), -1)
     place[rows] = np.arange(len(rows))
     paired = np.concatenate(pairs)
@@ -99,7 +98,7 @@ def _split(
     i, j = np.concatenate([one, _next(one)]), np.concatenate([_next(two), two])
     same = near.ravel()[i] == near.ravel()[j]  # not where both run the same way
     i, j = i[same], j[same]
-    fan = connected.parts(i, j, near.size)
+    fan = connected_components(i, j, near.size)
     at = np.isin(near.ravel(), ends)
     fans, lead = np.unique(fan[at], return_index=True)
     owner = near.ravel()[at][lead]

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.arrays import ranges
-from ..surface.walk import neighbours
-from .edges import edge_of, twins
+from .topology import edge_keys, edge_pairs, neighbours
+from .winding_number import winding_number
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -133,7 +133,7 @@ def turn_outward(draft: MeshEdit, part: Index) -> bool:
         first = np.array([np.argmax(part == k) for k in range(count)])
         for k in range(count):
             within = sum(
-                abs(turns(corners[part == j], corners[first[k], 0])) > 0.5
+                abs(winding_number(corners[part == j], corners[first[k], 0])) > 0.5
                 for j in range(count)
                 if j != k
             )
@@ -146,23 +146,11 @@ def turn_outward(draft: MeshEdit, part: Index) -> bool:
     return bool(turned.any())
 
 
-def turns(corners: Array, point: Array) -> float:
-    """How often a closed surface, triangles (m, 3, 3), winds about a point (3,).
-
-    Source: Van Oosterom and Strackee, "The Solid Angle of a Plane Triangle" (1983).
-    """
-    a, b, c = (corners[:, k] - point for k in range(3))
-    la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
-    top = np.einsum("mc,mc->m", a, np.cross(b, c))
-    ab, bc, ca = (np.einsum("mc,mc->m", x, y) for x, y in ((a, b), (b, c), (c, a)))
-    return float(np.sum(np.arctan2(top, la * lb * lc + ab * lc + bc * la + ca * lb)) / (2 * np.pi))
-
-
 def against(faces: Index) -> NDArray[np.bool_]:
     """Which faces (m,) are wound against the larger share of their connected part."""
     tail, head = faces.ravel(), faces[:, [1, 2, 0]].ravel()
     owner = np.repeat(np.arange(len(faces)), 3)
-    one, two = twins(edge_of(tail, head, int(faces.max(initial=-1)) + 1))
+    one, two = edge_pairs(edge_keys(tail, head, int(faces.max(initial=-1)) + 1))
     opposed = tail[one] == tail[two]  # both run along the edge the same way
     link = np.concatenate([owner[one], owner[two]]), np.concatenate([owner[two], owner[one]])
     return _minority(len(faces), link, np.concatenate([opposed, opposed]))

@@ -15,10 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core import codegen
-from ..surface.compiled_search import along_curve
-from . import connected
-from .edges import edge_of
-from .repair import turns
+from .topology import connected_components, edge_keys
+from .triangles import morton_order
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -72,7 +70,7 @@ class Winding:
         return out
 
     def _exact(self, points: Array) -> Array:
-        return np.array([turns(self.corners, p) for p in points], dtype=float)
+        return np.array([winding_number(self.corners, p) for p in points], dtype=float)
 
     def _chimneys(self, points: Array) -> Array:
         """The turns (n,) of the bands from the border edges to infinity."""
@@ -87,6 +85,18 @@ class Winding:
             below = la * lb + np.einsum("nkc,nkc->nk", a, b) + bd * la + ad * lb
             total[first : first + count] = np.arctan2(top, below).sum(axis=1) / (2 * np.pi)
         return total
+
+
+def winding_number(corners: Array, point: Array) -> float:
+    """How often a closed surface, triangles (m, 3, 3), winds about a point (3,).
+
+    Source: Van Oosterom and Strackee, "The Solid Angle of a Plane Triangle" (1983).
+    """
+    a, b, c = (corners[:, k] - point for k in range(3))
+    la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
+    top = np.einsum("mc,mc->m", a, np.cross(b, c))
+    ab, bc, ca = (np.einsum("mc,mc->m", x, y) for x, y in ((a, b), (b, c), (c, a)))
+    return float(np.sum(np.arctan2(top, la * lb * lc + ab * lc + bc * la + ca * lb)) / (2 * np.pi))
 
 
 @cache
@@ -111,7 +121,7 @@ def _border(vertices: Array, faces: Index) -> tuple[Array, Array, Array]:
     """
     n = len(vertices)
     tail, head = faces.ravel(), faces[:, [1, 2, 0]].ravel()
-    edge, place = np.unique(edge_of(tail, head, n), return_inverse=True)
+    edge, place = np.unique(edge_keys(tail, head, n), return_inverse=True)
     excess = np.bincount(place.ravel(), np.where(tail < head, 1, -1), minlength=len(edge))
     excess = excess.astype(np.intp)
     ends = np.stack([edge // n, edge % n], axis=1)
@@ -119,7 +129,7 @@ def _border(vertices: Array, faces: Index) -> tuple[Array, Array, Array]:
     ends = np.repeat(ends, np.abs(excess), axis=0)
     if not len(ends):
         return np.zeros((0, 2, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3))
-    loop = connected.parts(ends[:, 0], ends[:, 1], n)[ends[:, 0]]
+    loop = connected_components(ends[:, 0], ends[:, 1], n)[ends[:, 0]]
     _, loop = np.unique(loop, return_inverse=True)
     along = vertices[ends]
     count = np.bincount(loop)
@@ -141,7 +151,7 @@ def _tree(corners: Array) -> tuple[Array, Array]:
     m = len(corners)
     leaves = 1 << max(0, int(np.ceil(np.log2(m / LEAF))))
     size = -(-m // leaves)
-    sorted_ = corners[along_curve(corners.mean(axis=1))]
+    sorted_ = corners[morton_order(corners.mean(axis=1))]
     place = np.arange(leaves * size) * m // (leaves * size)
     leaf = sorted_[place]
     again = np.flatnonzero(place[1:] == place[:-1]) + 1

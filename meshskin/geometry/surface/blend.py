@@ -13,9 +13,10 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
+from ..mesh.triangles import face_normals
 from . import patch
 from .creases import INNER, Creases, crease_curves
-from .fans import Fans, face_normals
+from .fans import Fans
 from .heights import DEGREE, heights
 from .jets import FAITHFUL, Jets
 
@@ -92,7 +93,7 @@ LIFTS = _lift_tables()
 
 
 def settle(jets: Jets, fans: Fans, beyond: Index, slot: Index) -> tuple[Jets, Creases]:
-    """Jets and curves of creases without bulges and folds; `beyond`, `slot`: as of walk.neighbours.
+    """Jets and crease curves without bulges and folds; `beyond`, `slot`: topology.neighbours.
 
     Where a patch would fold, its creases become straight; where it still does, its jets flat.
     """

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core import codegen
-from . import patch, walk
-from .search import ClosestPoints, Flat
+from ..mesh.triangles import morton_order
+from . import newton, patch
+from .closest_point import FlatPoints, PatchPoints
 
 if TYPE_CHECKING:
     from .surface import Surface
@@ -28,6 +29,8 @@ Long = NDArray[np.int64]
 
 LEAF = 4
 """faces in a leaf of the tree, at most, as in compiled_search.c"""
+FAR = 6
+"""hops after which a walk is checked against the global nearest face"""
 FEW = 100
 """queries, at most, that are taken as they come: more are sorted by place, for the cache"""
 _WHOLE, _REAL, _ADDRESS = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
@@ -78,22 +81,24 @@ class CompiledSearch:
         lifts = None if surface.smooth else surface.lifts
         nodes = tree(built, surface.vertices, surface.faces, lifts)
         self._kept = patches, beyond, slot, *nodes  # the addresses below are theirs
-        ends = (walk.QUADRATIC, walk.STILL, walk.FAR, walk.HOPS, walk.STEPS)
+        ends = (newton.NEWTON_TOLERANCE, newton.STEP_TOLERANCE, FAR, newton.HOPS, newton.STEPS)
         self._surface = _Surface(*(a.ctypes.data for a in self._kept[:3]), *ends)
         self._tree = _pointers(nodes)
 
-    def closest(self, p: Array, face: Index | None) -> ClosestPoints:
+    def closest(self, p: Array, face: Index | None) -> PatchPoints:
         """The feet of p (n, 3), m; `face` (n,): faces to start from, if known."""
         n, warm = len(p), face is not None
         foot = np.array(np.zeros(n) if face is None else face, dtype=np.int64)
         uv, out = np.empty((n, 2)), np.empty((len(patch.ORDERS), n, 3))
         none = np.empty(0)
-        flat = None if warm else Flat(np.empty(n, dtype=np.int64), np.empty((n, 2)), np.empty(n))
+        flat = (
+            None if warm else FlatPoints(np.empty(n, dtype=np.int64), np.empty((n, 2)), np.empty(n))
+        )
         answers = _addresses(foot, uv, out, *(flat or (none, none, none)))
-        queue = along_curve(p) if n > FEW and not warm else np.arange(n)
+        queue = morton_order(p) if n > FEW and not warm else np.arange(n)
         both = ctypes.byref(self._tree), ctypes.byref(self._surface), _WHOLE(n)
         self._library.closest(*both, *_addresses(queue, p), int(warm), int(self.sharp), *answers)
-        return ClosestPoints(foot, uv, tuple(out), flat if self.sharp else None)
+        return PatchPoints(foot, uv, tuple(out), flat if self.sharp else None)
 
     def derivatives(self, face: Index, uv: Array) -> tuple[Array, ...]:
         """S, Su, Sv, Suu, Suv, Svv, each (n, 3), of the patches `face` (n,) at uv (n, 2)."""
@@ -118,11 +123,11 @@ class CompiledFlat:
         self._library, self._kept = built, tree(built, vertices, faces)
         self._tree = _pointers(self._kept)
 
-    def closest(self, p: Array) -> Flat:
+    def closest(self, p: Array) -> FlatPoints:
         """The nearest faces of p (n, 3), m, and where on them."""
         n = len(p)
-        found = Flat(np.empty(n, dtype=np.int64), np.empty((n, 2)), np.empty(n))
-        queue = along_curve(p) if n > FEW else np.arange(n)
+        found = FlatPoints(np.empty(n, dtype=np.int64), np.empty((n, 2)), np.empty(n))
+        queue = morton_order(p) if n > FEW else np.arange(n)
         points = np.ascontiguousarray(p, dtype=float)
         self._library.flat(ctypes.byref(self._tree), _WHOLE(n), *_addresses(queue, points, *found))
         return found
@@ -162,15 +167,6 @@ def _in_lines(rows: int, columns: int) -> Array:
     room = np.empty(rows * columns + 8)
     first = -room.ctypes.data // 8 % 8
     return room[first : first + rows * columns].reshape(rows, columns)
-
-
-def along_curve(points: Array) -> Long:
-    """An order (n,) of points (n, 3) in which neighbours are near: along Morton's curve."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    cell = ((points - low) * (1023.0 / max(float((high - low).max()), 1e-300))).astype(np.int64)
-    for shift, mask in ((16, 0x30000FF), (8, 0x300F00F), (4, 0x30C30C3), (2, 0x9249249)):
-        cell = (cell | cell << shift) & mask
-    return np.argsort(cell[:, 0] | cell[:, 1] << 1 | cell[:, 2] << 2)
 
 
 def _addresses(*arrays: NDArray[Any]) -> list[ctypes.c_void_p]:

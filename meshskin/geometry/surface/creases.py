@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.arrays import ranges
+from ..mesh.triangles import face_normals
 from . import patch
-from .fans import Fans, face_normals
+from .fans import Fans
 from .heights import heights
 from .jets import Jets
 

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import compiled_search
+from .closest_point import ReferenceFlat
 from .compiled_search import CompiledFlat
-from .proximity import Proximity
-from .search import NEAR, SAMPLES, Flat
 
 Array = NDArray[np.float64]
 
@@ -28,7 +27,9 @@ class Facets:
         self._corners = vertices[faces]
         built = compiled_search.library()
         self._search = (
-            _Sampled(vertices, faces) if built is None else CompiledFlat(vertices, faces, built)
+            ReferenceFlat(vertices, faces)
+            if built is None
+            else CompiledFlat(vertices, faces, built)
         )
 
     def closest(self, points: Array) -> tuple[Array, Array]:
@@ -38,16 +39,3 @@ class Facets:
         normals = np.cross(b - a, c - a)
         normals /= np.linalg.norm(normals, axis=1)[:, None]
         return a + found.uv[:, :1] * (b - a) + found.uv[:, 1:] * (c - a), normals
-
-
-class _Sampled:
-    """As CompiledFlat, in NumPy."""
-
-    def __init__(self, vertices: Array, faces: NDArray[np.intp]) -> None:
-        self._proximity = Proximity(vertices, faces, SAMPLES)
-
-    def closest(self, p: Array) -> Flat:
-        """The nearest faces of p (n, 3), m, and where on them."""
-        faces, gap, uv = self._proximity.nearby(p, NEAR)
-        row, first = np.arange(len(p)), np.argmin(gap, axis=1)
-        return Flat(faces[row, first], uv[row, first], gap[row, first])

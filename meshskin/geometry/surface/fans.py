@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..mesh import connected
-from ..mesh.edges import edge_of
+from ..mesh.topology import connected_components, edge_keys
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -40,14 +39,6 @@ class Fans:
     """(m,) largest angle in rad between a face and the next ones that are not over a crease"""
     creased: bool
     """whether the mesh has creases, known seams apart, or borders"""
-
-
-def face_normals(vertices: Array, faces: Index) -> Array:
-    """Unit normals (m, 3) of the flat faces; zero where a face has no area."""
-    a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
-    normal = np.cross(b - a, c - a)
-    normal /= np.maximum(np.sqrt(np.einsum("mc,mc->m", normal, normal)), 1e-300)[:, None]
-    return normal
 
 
 def creases(
@@ -93,7 +84,7 @@ def split(
     if seams is not None and len(seams):
         tail, head = np.roll(faces, -1, axis=1), np.roll(faces, -2, axis=1)
         first, second = np.asarray(seams, dtype=np.intp).T
-        seamed = np.isin(edge_of(tail, head, n), edge_of(first, second, n))
+        seamed = np.isin(edge_keys(tail, head, n), edge_keys(first, second, n))
         sharp |= seamed & (beyond >= 0)
     turn = np.where(sharp, 0.0, turns).max(axis=1)
     cut = sharp | (beyond < 0)
@@ -124,7 +115,7 @@ def _number(
             links.append((one[both], two[both]))
     i = np.concatenate([a for a, _ in links])
     j = np.concatenate([b for _, b in links])
-    label = connected.parts(i, j, len(here))
+    label = connected_components(i, j, len(here))
     owner = np.empty(label.max(initial=-1) + 1, dtype=np.intp)
     owner[label] = faces.ravel()[here]
     whole = np.flatnonzero(~at)

@@ -17,11 +17,11 @@ from ...core.arguments import check_vectors
 from ...core.errors import MeshError
 from ...core.se3 import orthonormal_basis
 from ..mesh.inside_outside import ON_EDGE, Folds
-from . import blend, compiled_search, fans, heights, jets, patch, walk
-from .closest_point import Closest
+from ..mesh.topology import NEXT, PREVIOUS, neighbours
+from ..mesh.triangles import face_normals
+from . import blend, compiled_search, fans, heights, jets, newton, patch
+from .closest_point import Closest, FlatPoints, ReferenceSearch
 from .compiled_search import CompiledSearch
-from .proximity import thin_walled
-from .search import Flat, Search
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -50,7 +50,7 @@ class Surface:
         """
         self.vertices: Array = np.array(mesh.vertices, dtype=float)
         self.faces: Index = np.array(mesh.faces, dtype=np.intp)
-        self.neighbours, self.slot = walk.neighbours(self.faces)
+        self.neighbours, self.slot = neighbours(self.faces)
         self._seams = None if seams is None else np.asarray(seams, dtype=np.intp)
         self._crossed = np.asarray([] if crossed is None else crossed, dtype=np.intp)
         self._degree = degree
@@ -98,9 +98,9 @@ class Surface:
         return float(np.max(np.ptp(self.vertices, axis=0)))
 
     @cached_property
-    def _search(self) -> Search | CompiledSearch:
+    def _search(self) -> ReferenceSearch | CompiledSearch:
         built = compiled_search.library()
-        return Search(self) if built is None else CompiledSearch(self, built)
+        return ReferenceSearch(self) if built is None else CompiledSearch(self, built)
 
     def __getstate__(self) -> dict[str, Any]:
         """All but the search, whose addresses mean nothing elsewhere."""
@@ -168,8 +168,7 @@ class Surface:
         """Where rays (n, 3) meet the surface near the faces `face` (n,): faces (n,), uv (n, 2)."""
         e1, e2, _ = np.moveaxis(orthonormal_basis(directions), 2, 0)
         target = np.stack([origins, e1, e2], axis=1)
-        across = self.neighbours, self.slot
-        return walk.walk(self.patches, across, target, face, walk.ray_step)[:2]
+        return newton.descend(self, face, target, newton.ray_distance)
 
     def _outward(self, face: Index, uv: Array, normal: Array) -> Array:
         """Directions (n, 3) that tell outside from inside at creases and corners too.
@@ -188,7 +187,7 @@ class Surface:
         normal[corner] = self._corner_normals[vertex]
         return normal
 
-    def _side(self, points: Array, hit: Closest, flat: Flat | None) -> Array:
+    def _side(self, points: Array, hit: Closest, flat: FlatPoints | None) -> Array:
         """On which side (n,), by its sign, of the surface points are.
 
         Where a point is farther from the flat mesh than the patches are, that tells: the patches
@@ -197,7 +196,7 @@ class Surface:
         side = np.zeros(len(points))
         if flat is not None:
             height = np.maximum(self.lifts[flat.face], self.lifts[hit.face])
-            rows = np.flatnonzero(flat.gap > height)
+            rows = np.flatnonzero(flat.distance > height)
             face, uv = flat.face[rows], flat.uv[rows]
             weight = np.column_stack([1.0 - uv.sum(axis=1), uv])
             foot = np.einsum("nk,nkc->nc", weight, self.vertices[self.faces[face]])
@@ -227,7 +226,7 @@ class Surface:
 
     @cached_property
     def _flat_normals(self) -> Array:
-        return fans.face_normals(self.vertices, self.faces)
+        return face_normals(self.vertices, self.faces)
 
     @cached_property
     def _corner_normals(self) -> Array:
@@ -235,8 +234,8 @@ class Surface:
         corners = self.vertices[self.faces]
         total = np.zeros_like(self.vertices)
         for k in range(3):
-            one = corners[:, walk.AFTER[k]] - corners[:, k]
-            two = corners[:, walk.BEFORE[k]] - corners[:, k]
+            one = corners[:, NEXT[k]] - corners[:, k]
+            two = corners[:, PREVIOUS[k]] - corners[:, k]
             sine = np.linalg.norm(np.cross(one, two), axis=1)
             angle = np.arctan2(sine, np.einsum("ij,ij->i", one, two))
             np.add.at(total, self.faces[:, k], angle[:, None] * self._flat_normals)
@@ -250,3 +249,17 @@ def _finite(points: ArrayLike) -> Array:
         row = int(np.argmax(bad))
         raise MeshError("a query point is not finite", value=p[row].tolist(), remedy=f"row {row}")
     return p
+
+
+def thin_walled(vertices: Array, faces: Index) -> bool:
+    """Whether faces that look away from each other are within about three faces' sizes."""
+    from scipy.spatial import KDTree
+
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    normal, middle = np.cross(b - a, c - a), (a + b + c) / 3.0
+    some = slice(None, None, max(1, len(faces) // 20_000))
+    middle -= middle[0]
+    tree = KDTree(middle, compact_nodes=False, balanced_tree=False)  # soon built, for few queries
+    near = tree.query(middle[some], k=min(24, len(faces)))[1]
+    facing = np.einsum("nc,nkc->nk", normal[some], normal[near.reshape(len(near), -1)])
+    return bool(np.any(facing < 0.0))

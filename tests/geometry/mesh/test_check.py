@@ -7,8 +7,8 @@ import trimesh
 from meshskin import cli
 from meshskin.cli import check
 from meshskin.geometry.mesh.check import survey
-from meshskin.geometry.mesh.repair import turns
 from meshskin.geometry.mesh.self_intersection import piercings
+from meshskin.geometry.mesh.winding_number import winding_number
 
 
 @pytest.fixture
@@ -97,9 +97,11 @@ def test_an_edge_of_three_faces_is_told(ball):
 
 
 def test_winding_number(ball):
-    assert turns(ball.triangles, np.array([0.02, 0.01, 0.0])) == pytest.approx(1.0)
-    assert turns(ball.triangles, np.array([0.2, 0.01, 0.0])) == pytest.approx(0.0, abs=1e-12)
-    assert turns(ball.triangles[:, ::-1], np.zeros(3)) == pytest.approx(-1.0)
+    assert winding_number(ball.triangles, np.array([0.02, 0.01, 0.0])) == pytest.approx(1.0)
+    assert winding_number(ball.triangles, np.array([0.2, 0.01, 0.0])) == pytest.approx(
+        0.0, abs=1e-12
+    )
+    assert winding_number(ball.triangles[:, ::-1], np.zeros(3)) == pytest.approx(-1.0)
 
 
 def test_indices_that_name_no_vertex_are_told():

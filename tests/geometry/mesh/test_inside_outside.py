@@ -7,11 +7,11 @@ import pytest
 import trimesh
 
 from meshskin.geometry.body import Body
-from meshskin.geometry.mesh import winding_number
+from meshskin.geometry.mesh import winding_number as wn
 from meshskin.geometry.mesh.inside_outside import Folds
-from meshskin.geometry.mesh.repair import turns
+from meshskin.geometry.mesh.topology import neighbours
 from meshskin.geometry.mesh.winding_number import Winding
-from meshskin.geometry.surface.walk import neighbours
+from meshskin.geometry.mesh.winding_number import winding_number as turns
 
 from ...real_data import DATA, needs_icub
 
@@ -87,7 +87,7 @@ def ball(centre=(0.0, 0.0, 0.0), radius=0.1, subdivisions=4):
 @pytest.fixture(params=["compiled", "without a compiler"])
 def each_way(request, monkeypatch):
     if request.param != "compiled":
-        monkeypatch.setattr(winding_number, "library", lambda: None)
+        monkeypatch.setattr(wn, "library", lambda: None)
 
 
 def test_turns_are_those_of_all_triangles(each_way):

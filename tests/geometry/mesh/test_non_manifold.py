@@ -6,7 +6,7 @@ import trimesh
 
 from meshskin.geometry.body import Body
 from meshskin.geometry.mesh.check import survey
-from meshskin.geometry.mesh.repair import turns
+from meshskin.geometry.mesh.winding_number import winding_number
 
 
 def box(low, high):
@@ -51,7 +51,7 @@ def signs_are_right(body, points):
     hit = body.closest(points)
     clear = np.abs(hit.distance) > body.surface.lifts[hit.face] + 1e-9
     assert clear.sum() > 0.5 * len(points)
-    inside = np.array([turns(body.mesh.triangles, p) > 0.5 for p in points])
+    inside = np.array([winding_number(body.mesh.triangles, p) > 0.5 for p in points])
     np.testing.assert_array_equal(hit.distance[clear] < 0.0, inside[clear])
 
 

@@ -5,7 +5,8 @@ import pytest
 import trimesh
 
 from meshskin.core import codegen
-from meshskin.geometry.surface import compiled_search, facets
+from meshskin.geometry.surface import compiled_search
+from meshskin.geometry.surface.closest_point import ReferenceFlat
 from meshskin.geometry.surface.facets import Facets
 
 MESHES = {
@@ -24,7 +25,7 @@ def test_the_nearest_flat_face_is_the_nearest_of_all(name, interpreted, monkeypa
         pytest.skip("no C compiler here")
     mesh = MESHES[name]()
     made = Facets(mesh)
-    assert isinstance(made._search, facets._Sampled) is interpreted
+    assert isinstance(made._search, ReferenceFlat) is interpreted
     rng = np.random.default_rng(1)
     points = np.array(mesh.sample(200, seed=2)) + rng.uniform(-4e-3, 4e-3, (200, 3))
     found, normals = made.closest(points)

@@ -6,13 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import KDTree
 
 from meshskin.core.errors import MeshError
 from meshskin.geometry import primitives
 from meshskin.geometry.body import Body
-from meshskin.geometry.surface.proximity import Proximity, triangle_foot
+from meshskin.geometry.mesh.topology import neighbours
+from meshskin.geometry.mesh.triangles import closest_on_triangles
 from meshskin.geometry.surface.surface import Surface
-from meshskin.geometry.surface.walk import neighbours
 
 from ...real_data import DATA, needs_ur3e
 
@@ -178,8 +179,8 @@ def test_no_query_ends_in_a_local_minimum(name):
     surface = Surface(trimesh.load_mesh(DATA / "ur3e_meshes" / f"{name}.stl"))
     points = near(surface, 1000, 3e-3)
     found = np.abs(surface.closest(points).distance)
-    proximity = Proximity(surface.vertices, surface.faces, least=20_000)
-    faces = proximity.nearby(points, 80)[0]
+    middles = surface.vertices[surface.faces].mean(axis=1)
+    faces = KDTree(middles).query(points, k=80)[1]
     for k in range(0, 80, 4):
         other = surface.descend(points, faces[:, k])
         assert np.all(found <= np.abs(other.distance) + 20e-6)  # two minima in one patch
@@ -346,7 +347,7 @@ def test_triangle_distances_against_trimesh():
     corners, points = rng.normal(size=(200, 3, 3)), rng.normal(size=(200, 3))
     foot = trimesh.triangles.closest_point(corners, points)
     ab, ac = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    ours = np.sqrt(triangle_foot(points, corners[:, 0], ab, ac)[0])
+    ours = np.sqrt(closest_on_triangles(points, corners[:, 0], ab, ac)[0])
     np.testing.assert_allclose(ours, np.linalg.norm(points - foot, axis=1), atol=1e-9)
 
 

@@ -9,10 +9,10 @@ import trimesh
 from meshskin.core import codegen
 from meshskin.core.errors import MeshError
 from meshskin.geometry.body import Body
+from meshskin.geometry.mesh.triangles import closest_on_triangles
 from meshskin.geometry.surface import compiled_search
+from meshskin.geometry.surface.closest_point import ReferenceSearch
 from meshskin.geometry.surface.compiled_search import CompiledSearch
-from meshskin.geometry.surface.proximity import triangle_foot
-from meshskin.geometry.surface.search import Search
 from meshskin.geometry.surface.surface import Surface
 
 needs_compiler = pytest.mark.skipif(codegen.find_compiler() is None, reason="no C compiler here")
@@ -41,7 +41,7 @@ def cloud(surface, count, reach, seed=0):
 
 
 def both(surface):
-    return CompiledSearch(surface, compiled_search.library()), Search(surface)
+    return CompiledSearch(surface, compiled_search.library()), ReferenceSearch(surface)
 
 
 @needs_compiler
@@ -53,10 +53,10 @@ def test_both_searches_find_the_same_distances(name):
     ours, theirs = (
         np.linalg.norm(points - surface.at(*feet[:2]).point, axis=1) for feet in (one, two)
     )
-    assert np.all(
-        ours <= theirs + 1e-9 + surface.smooth * surface.lifts.max()
-    )  # if two are as near
-    assert np.mean(np.abs(ours - theirs) > 1e-9) < 2e-3
+    assert np.all(theirs <= ours + 1e-9)
+    # on a smooth surface the compiled search descends from the nearest flat face alone
+    assert np.all(ours <= theirs + 1e-9 + surface.smooth * surface.lifts.max())
+    assert np.mean(np.abs(ours - theirs) > 1e-9) < 4e-3
     start = one[0]
     for name in ("closest", "descend"):
         warm, cold = (getattr(search, name)(points, start) for search in both(surface))
@@ -73,7 +73,7 @@ def test_the_closest_point_of_a_triangle_agrees_with_trimesh():
     rng = np.random.default_rng(0)
     corners, points = rng.random((500, 3, 3)), 2 * rng.random((500, 3)) - 0.5
     a, b, c = np.swapaxes(corners, 0, 1)
-    gap2, weight = triangle_foot(points, a, b - a, c - a)
+    gap2, weight = closest_on_triangles(points, a, b - a, c - a)
     foot = a + weight[:, :1] * (b - a) + weight[:, 1:] * (c - a)
     want = trimesh.triangles.closest_point(corners, points)
     np.testing.assert_allclose(foot, want, atol=1e-12)
@@ -88,17 +88,17 @@ def test_the_nearest_flat_face_is_the_nearest(name):
     points = np.vstack([cloud(surface, 300, 0.02), cloud(surface, 50, 3.0)])
     search = both(surface)[0]
     a, b, c = np.swapaxes(surface.vertices[surface.faces], 0, 1)
-    gap2 = triangle_foot(points[:, None], a, b - a, c - a)[0]
+    gap2 = closest_on_triangles(points[:, None], a, b - a, c - a)[0]
     search.sharp = True  # all are told of their flat faces
     flat = search.closest(points, None).flat
-    np.testing.assert_allclose(flat.gap, np.sqrt(gap2.min(axis=1)), rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(flat.distance, np.sqrt(gap2.min(axis=1)), rtol=1e-12, atol=1e-15)
     rows = np.arange(len(points))
-    np.testing.assert_allclose(flat.gap, np.sqrt(gap2[rows, flat.face]), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(flat.distance, np.sqrt(gap2[rows, flat.face]), rtol=1e-9, atol=1e-12)
     foot = np.column_stack([1 - flat.uv.sum(axis=1), flat.uv])
     foot = np.einsum("nk,nkc->nc", foot, surface.vertices[surface.faces[flat.face]])
-    np.testing.assert_allclose(np.linalg.norm(points - foot, axis=1), flat.gap, atol=1e-12)
-    alone = [search.closest(p[None], None).flat.gap[0] for p in points]
-    np.testing.assert_allclose(alone, flat.gap, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(np.linalg.norm(points - foot, axis=1), flat.distance, atol=1e-12)
+    alone = [search.closest(p[None], None).flat.distance[0] for p in points]
+    np.testing.assert_allclose(alone, flat.distance, rtol=1e-12, atol=1e-15)
 
 
 @needs_compiler
