@@ -137,7 +137,7 @@ def test_command_refuses_a_drawing_that_it_cannot_make(ball, tmp_path, capsys):
     ball.export(tmp_path / "ball.ply")
     line = ["check", str(tmp_path / "ball.ply"), "--units", "m", "--out", str(tmp_path / "a.gif")]
     assert cli.main(line) == 2
-    assert "kind of drawing" in capsys.readouterr().err
+    assert "suffix of a drawing" in capsys.readouterr().err
 
 
 def test_command_names_its_own_option(ball, tmp_path, capsys):
@@ -154,6 +154,6 @@ def test_a_drawing_leaves_out_repairs_all_over_the_mesh(ball):
     found = survey(corners, np.arange(len(corners)).reshape(-1, 3))
     merged, hole = found.findings
     assert len(check.shown(merged, found)) == 0
-    assert check.named(merged, found).endswith("duplicate vertices merged (all over, not drawn)")
+    assert check.named(merged, found).endswith("duplicate vertices merged (everywhere, not drawn)")
     assert len(check.shown(hole, found)) == 3
     assert check.named(hole, found).startswith("refused: the mesh is not watertight")

@@ -46,27 +46,49 @@ def both(surface):
 
 @needs_compiler
 @pytest.mark.parametrize("name", BODIES)
-def test_both_searches_find_the_same_distances(name):
+def test_compiled_and_reference_search_agree(name):
+    """On a smooth surface the compiled search descends from the nearest flat face alone."""
     surface = BODIES[name]()
     points = cloud(surface, 1500, 0.015)
-    one, two = (search.closest(points, None) for search in both(surface))
-    ours, theirs = (
-        np.linalg.norm(points - surface.at(*feet[:2]).point, axis=1) for feet in (one, two)
-    )
-    assert np.all(theirs <= ours + 1e-9)
-    # on a smooth surface the compiled search descends from the nearest flat face alone
-    assert np.all(ours <= theirs + 1e-9 + surface.smooth * surface.lifts.max())
-    assert np.mean(np.abs(ours - theirs) > 1e-9) < 4e-3
-    start = one[0]
-    for name in ("closest", "descend"):
-        warm, cold = (getattr(search, name)(points, start) for search in both(surface))
-        np.testing.assert_allclose(
-            surface.at(*warm[:2]).point, surface.at(*cold[:2]).point, rtol=0, atol=1e-9
-        )
-    for ours, theirs in zip(
-        *(search.derivatives(*one[:2]) for search in both(surface)), strict=True
-    ):
-        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-13)
+    compiled, reference = both(surface)
+
+    def distance(found):
+        return np.linalg.norm(points - surface.at(*found[:2]).point, axis=1)
+
+    first = compiled.closest(points, None)
+    least = distance(reference.closest(points, None))
+    for found in (first, compiled.closest(points, first.face)):
+        more = distance(found) - least
+        assert np.all(more > -1e-9)
+        assert np.all(more < 1e-9 + surface.smooth * surface.lifts.max())
+        assert np.mean(more > 1e-9) < 4e-3
+    minima = [surface.at(*search.descend(points, first.face)).point for search in both(surface)]
+    np.testing.assert_allclose(*minima, rtol=0, atol=1e-9)
+    derivatives = [search.derivatives(*first[:2]) for search in both(surface)]
+    for one, two in zip(*derivatives, strict=True):
+        np.testing.assert_allclose(one, two, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        Body.ellipsoid((0.1, 0.07, 0.05), faces=5120),
+        Body.torus(0.1, 0.04, faces=5120),
+        Body.capsule(0.05, 0.2, faces=5120),
+        Body.cylinder(0.05, 0.2, faces=5120),
+    ],
+    ids=lambda body: body.name,
+)
+def test_the_reference_search_against_exact_primitives(body, monkeypatch):
+    """Near the surface, inside, and far away: to the patches' own error, largest at a seam."""
+    monkeypatch.setattr(compiled_search, "library", lambda: None)
+    surface = Surface(body.mesh, body.seams)
+    points = np.vstack([cloud(surface, 300, 0.01), cloud(surface, 20, 1.0)])
+    hit, exact = surface.closest(points), body.exact.closest(points)
+    np.testing.assert_allclose(hit.distance, exact.distance, rtol=0, atol=4e-6)
+    assert np.quantile(np.abs(hit.distance - exact.distance), 0.9) < 1e-7
+    single = [surface.closest(point[None]).distance[0] for point in points[:5]]
+    np.testing.assert_allclose(single, hit.distance[:5], rtol=0, atol=1e-15)
 
 
 def test_the_closest_point_of_a_triangle_agrees_with_trimesh():
