@@ -139,7 +139,9 @@ def measure(taxels: int, repeats: int, peer: bool) -> Row:
     seconds = []
     cost, iterations, theirs, built = np.nan, 0, np.nan, np.nan
     for _ in range(repeats):
-        topology.kept = topology.TopologyCache(edges=2 * len(graph.edges))  # nothing known
+        topology.topology_cache = topology.TopologyCache(
+            edges=2 * len(graph.edges)
+        )  # nothing known
         everything, _ = timed(lambda: PoseGraph(*arrays).solve())
         known = PoseGraph(*arrays)
         again, _ = timed(known.solve)

@@ -1,4 +1,4 @@
-"""Hard pose graphs: a right answer with its uncertainty, or a named error that says what to do."""
+"""Hard pose graphs: a right answer with its uncertainty, or an error with a remedy."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def whitened(solution, truth):
 @pytest.mark.parametrize("off", [0.0, 1e-12, 1e-6, 1e-2])
 @pytest.mark.parametrize("start", ["chordal", "tree", "origin"])
 def test_rotations_at_and_near_pi(off, start):
-    """Every displacement turns by pi, or nearly: Log is at its edge."""
+    """Every displacement rotates by pi, or nearly, where Log is discontinuous."""
     count = 24
     axes = np.random.default_rng(1).normal(size=(count, 3))
     axes *= (np.pi - off) / np.linalg.norm(axes, axis=1)[:, None]
@@ -83,8 +83,8 @@ def test_eight_poses_flipped(about, objective):
     assert error(solution, truth).max() < 1e-3
 
 
-def wound_ring(count=20):
-    """A ring of equal orientations, and a start that winds round once: a local minimum."""
+def winding_ring(count=20):
+    """A ring of equal orientations, and a start that winds around once: a local minimum."""
     truth = np.tile(np.eye(4), (count, 1, 1))
     edges = np.array([(k, (k + 1) % count) for k in range(count)])
     graph = PoseGraph(truth, edges, measured(truth, edges, 1e-3 * np.ones(6)), np.eye(6))
@@ -92,8 +92,8 @@ def wound_ring(count=20):
     return graph, se3.transform(se3.exp_so3(angles), np.zeros(3))
 
 
-def test_a_local_minimum_is_not_certified_and_left():
-    graph, start = wound_ring()
+def test_a_local_minimum_is_not_certified_and_certify_leaves_it():
+    graph, start = winding_ring()
     stuck = graph.solve("chordal", start)
     assert stuck.is_optimal
     assert not stuck.certificate.certified
@@ -103,18 +103,18 @@ def test_a_local_minimum_is_not_certified_and_left():
     assert freed.cost < 1e-3 * stuck.cost
 
 
-def test_what_cannot_be_certified_says_so():
+def test_a_relaxation_that_is_not_tight_is_not_certified():
     """Rotations that are nearly random: the relaxation is not tight."""
-    verdicts = []
+    certified = []
     for seed in range(6):
         graph, _ = skin(30, np.repeat([1e-4, 2.5], 3), seed)
         solution = graph.solve("chordal", "tree", certify=True)
         proof = solution.certificate
-        verdicts.append(proof.certified)
+        certified.append(proof.certified)
         assert proof.certified == (proof.gap <= proof.limit)
         assert str(proof).startswith("certified" if proof.certified else "not certified")
         assert 0.0 <= proof.gap <= proof.cost
-    assert not all(verdicts)
+    assert not all(certified)
 
 
 def test_disconnected_graph():
@@ -138,7 +138,7 @@ def test_disconnected_graph():
 
 
 def test_no_anchor():
-    """A graph says nothing about where it is: the first pose is held, where it was given."""
+    """Displacements do not determine the gauge: the first pose stays where it was given."""
     graph, _ = skin(30)
     move = se3.transform(se3.exp_so3([1.0, -0.5, 2.0]), [5.0, -3.0, 1.0])
     moved = PoseGraph(move @ graph.poses, graph.edges, graph.measurements, graph.information)
@@ -151,7 +151,7 @@ def test_no_anchor():
 
 @pytest.mark.parametrize("start", ["chordal", "tree", "origin"])
 def test_position_only_edges(start):
-    """All rotations unmeasured, and what stands in their place is wrong."""
+    """No rotation is measured; the rotations of the measurements are wrong."""
     graph, truth = skin(sigma=np.repeat([1e-5, 0.02], 3))
     i, j = graph.edges.T
     both = np.concatenate([graph.edges, np.stack([j, i], axis=1)])
@@ -165,8 +165,8 @@ def test_position_only_edges(start):
     assert 1.5 < whitened(solution, truth) < 14.0  # one sample: the poses are correlated
 
 
-def test_what_position_only_edges_do_not_determine_is_named():
-    """The last pose is seen by three others, and sees none: its rotation is anyone's guess."""
+def test_position_only_edges_leave_a_rotation_undetermined():
+    """The last pose is measured from three others, and measures none: its rotation is free."""
     graph, truth = skin(30)
     steps = se3.inverse(truth[:3]) @ truth[9]
     poses = np.concatenate([graph.poses, truth[9:10]])
@@ -206,12 +206,12 @@ def test_information_of_condition_1e12():
 
 @pytest.fixture
 def fresh_problems(monkeypatch):
-    """Problems built in a test are not handed to others."""
-    monkeypatch.setattr(topology, "kept", topology.TopologyCache(1))
+    """An empty cache: problems built in a test are not used by others."""
+    monkeypatch.setattr(topology, "topology_cache", topology.TopologyCache(1))
 
 
 def test_ipopt_in_restoration_failure(fresh_problems, monkeypatch):
-    monkeypatch.setitem(problem.OPTIONS, "start_with_resto", "yes")
+    monkeypatch.setitem(problem.IPOPT_OPTIONS, "start_with_resto", "yes")
     graph, _ = skin(30)
     solution = graph.solve()
     assert solution.solver_status != "Solve_Succeeded"
@@ -235,7 +235,7 @@ def test_iteration_limit_of_1():
         graph.solve(limit=0)
 
 
-def test_nan_is_refused_where_it_is():
+def test_nan_is_refused_with_its_row():
     graph, _ = skin(30)
     parts = {
         "poses": graph.poses,
@@ -245,17 +245,17 @@ def test_nan_is_refused_where_it_is():
     for name, array in parts.items():
         bad = np.array(array)
         bad[3, 1, 1] = np.nan
-        with pytest.raises(GraphError, match=rf"{name} (are|is) not finite, got (row|edge) 3"):
+        with pytest.raises(GraphError, match=rf"{name} must be finite, got (row|edge) 3"):
             PoseGraph(**{**parts, "edges": graph.edges, name: bad})
     start = graph.poses.copy()
     start[4, 0, 3] = np.nan
-    with pytest.raises(GraphError, match="start poses are not finite, got row 4"):
+    with pytest.raises(GraphError, match="start poses must be finite, got row 4"):
         graph.solve(start=start)
 
 
 @pytest.mark.parametrize("spread", [1e3, 1e8, 1e14])
 def test_weights_far_apart(spread):
-    """Two stiff parts that hang together by soft displacements only."""
+    """Two parts of strong displacements, joined by weak ones only."""
     graph, truth = skin(30)
     i, j = graph.edges.T
     between = (i < 15) != (j < 15)
@@ -266,8 +266,8 @@ def test_weights_far_apart(spread):
     assert error(solution, truth).max() < 1e-3
 
 
-def test_a_chordal_start_that_cannot_be_computed_is_named(monkeypatch):
-    monkeypatch.setattr(start, "LITTLE", -1.0)
+def test_a_chordal_start_that_cannot_be_computed_is_an_error(monkeypatch):
+    monkeypatch.setattr(start, "REGULARIZATION", -1.0)
     graph, _ = skin(30)
     with pytest.raises(GraphError, match=r"weights too far apart.*start from 'tree'"):
         graph.solve()
@@ -277,9 +277,9 @@ def test_a_chordal_start_that_cannot_be_computed_is_named(monkeypatch):
 def test_numbers_too_large_to_compute_with():
     graph, _ = skin(30)
     parts = graph.poses, graph.edges, graph.measurements
-    with pytest.raises(GraphError, match=r"too large .* scale all of it down"):
+    with pytest.raises(GraphError, match=r"too large .* scale all information matrices down"):
         PoseGraph(*parts, 1e308 * np.eye(6))
     far = graph.measurements.copy()
     far[:, :3, 3] *= 1e120
-    with pytest.raises(GraphError, match="the cost is no number"):
+    with pytest.raises(GraphError, match="the cost must be finite"):
         PoseGraph(graph.poses, graph.edges, far, 1e100 * np.eye(6)).solve(start="tree")

@@ -1,14 +1,16 @@
-/* The edge kernel over all edges of a graph, summed: appended to the kernel that CasADi generated.
+/* Sums of the edge kernel over all edges of a graph; appended to the kernel that CasADi generated.
 
-   RESIDUAL_gradient, _gauss_newton and _hessian are the kernel's functions; DECLARE is what must be in
-   front of a function that is called from outside.
+   RESIDUAL_gradient, _gauss_newton and _hessian are the functions of the kernel; DECLARE is the
+   specifier of exported functions.
 
-   edges (m, EDGE): the kernel's numbers; scale (2): lengths of a unit increment, in m and rad.
-   slots (m, 2): which pose of x an edge's ends are; `free`, the number of poses in x, where held.
+   edges (m, EDGE): the parameters of the kernel; scale (2): lengths of a unit increment, in m and
+   rad. slots (m, 2): numbers in x of the poses of each edge; `free`, the number of poses in x, for
+   an anchored pose.
+
    The Hessian is the upper triangle in compressed columns. Block column q has heights[q] blocks
-   above its diagonal block; its nonzeros start at starts[q], and its column c holds the column c of
-   each of those blocks and then c + 1 entries of the diagonal block. above[e]: which of those
-   blocks is edge e's. */
+   above its diagonal block; its nonzeros start at starts[q], and its column c holds column c of
+   each of those blocks and then c + 1 entries of the diagonal block. above[e]: the block of edge e
+   among those above the diagonal. */
 
 static void gather(const long long *slots, long long free, const double *x, double *local) {
   for (int end = 0; end < 2; end++)
@@ -66,8 +68,9 @@ DECLARE void sum_hessian(long long m, long long free, const long long *slots,
 }
 
 /* out = the symmetric matrix with these nonzeros times x; rows: of the blocks above the diagonal. */
-DECLARE void multiply(long long free, const long long *starts, const long long *heights,
-                      const long long *rows, const double *values, const double *x, double *out) {
+DECLARE void multiply_symmetric(long long free, const long long *starts, const long long *heights,
+                                const long long *rows, const double *values, const double *x,
+                                double *out) {
   for (long long k = 0; k < 6 * free; k++) out[k] = 0.0;
   for (long long q = 0; q < free; rows += heights[q++]) {
     const double *entry = values + starts[q];
@@ -92,7 +95,7 @@ DECLARE void multiply(long long free, const long long *starts, const long long *
 }
 
 /* Translation and quaternion (7 of every EDGE numbers) of T_i^-1 T_j, poses (n, 4, 4); without
-   edges, of the poses as they are. */
+   edges, of the poses themselves. */
 DECLARE void displacements(long long m, const long long *edges, const double *poses, double *out) {
   static const double origin[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
   for (long long e = 0; e < m; e++, out += EDGE) {
@@ -105,7 +108,7 @@ DECLARE void displacements(long long m, const long long *edges, const double *po
       for (int c = 0; c < 3; c++)
         r[k][c] = a[k] * b[c] + a[4 + k] * b[4 + c] + a[8 + k] * b[8 + c];
     }
-    /* The largest component first: it is at least 1/2, and no other formula loses digits less. */
+    /* The largest component comes first: it is at least 1/2, so that no digits cancel. */
     double squares[4] = {r[0][0] - r[1][1] - r[2][2], r[1][1] - r[0][0] - r[2][2],
                          r[2][2] - r[0][0] - r[1][1], r[0][0] + r[1][1] + r[2][2]};
     int i = 0;

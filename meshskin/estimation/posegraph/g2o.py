@@ -7,27 +7,31 @@ Source: Kuemmerle et al., "g2o: A General Framework for Graph Optimization", ICR
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...core import se3
+from ...core.atomic_io import write_text
 from ...core.errors import GraphError
 from ...core.se3 import Array
-from .graph import PoseGraph
+from .ordering import Int64Array
 
 FIELDS = {"VERTEX_SE3:QUAT": 8, "EDGE_SE3:QUAT": 30}
-"""Tags that are read, and their numbers a line."""
+"""Tags that are read, and their numbers per line."""
 IGNORED = {"FIX"}
-"""Tags that are passed over: the anchors follow from the edges."""
+"""Tags that are ignored: the anchors follow from the edges."""
 UPPER = np.triu_indices(6)
 """Entries of an information matrix in the order of the file."""
+QUATERNION_TOLERANCE = 1e-2
+"""Largest error of a quaternion's norm: files with three digits stay below it; it is normalized."""
 
 
-def load(path: str | Path) -> PoseGraph:
-    """The graph in the file `path`; ids may have gaps, and come in any order.
+def read(path: str | Path) -> dict[str, Any]:
+    """Arguments of PoseGraph from the file `path`; ids may have gaps and come in any order.
 
-    Raises GraphError with the line's number for what it cannot read.
+    Raises GraphError with the number of a line that cannot be read.
     """
     tables = _tables(path)
     (vertices, vertex_lines), (edges, edge_lines) = (tables[tag] for tag in FIELDS)
@@ -37,42 +41,53 @@ def load(path: str | Path) -> PoseGraph:
     if len(ids) < len(vertices):
         again = np.setdiff1d(np.arange(len(vertices)), first)[0]
         raise GraphError(
-            f"{path}, line {vertex_lines[again]}: a vertex defined twice", value=vertices[again, 0]
+            f"{path}, line {vertex_lines[again]}: vertex defined twice", value=vertices[again, 0]
         )
     ends = edges[:, :2].astype(np.int64)
     index = np.minimum(np.searchsorted(ids, ends), len(ids) - 1)
-    stray = (ids[index] != ends).any(axis=1) | (ends[:, 0] == ends[:, 1])
-    if stray.any():
-        row = int(np.argmax(stray))
+    unknown = (ids[index] != ends).any(axis=1) | (ends[:, 0] == ends[:, 1])
+    if unknown.any():
+        row = int(np.argmax(unknown))
         raise GraphError(
             f"{path}, line {edge_lines[row]}: an edge must join two vertices of the file",
             value=tuple(ends[row].tolist()),
         )
     information = np.zeros((len(edges), 6, 6))
     information[:, UPPER[0], UPPER[1]] = information[:, UPPER[1], UPPER[0]] = edges[:, 9:]
-    return PoseGraph(
-        poses=_poses(vertices[first, 1:]),
-        edges=index,
-        measurements=_poses(edges[:, 2:9]),
-        information=information,
-        ids=ids,
-    )
+    return {
+        "poses": _poses(vertices[first, 1:]),
+        "edges": index,
+        "measurements": _poses(edges[:, 2:9]),
+        "information": information,
+        "ids": ids,
+    }
 
 
-def save(graph: PoseGraph, path: str | Path) -> None:
-    """Write `graph` so that it is read back to the last digit but the rotations' rounding."""
-    out = []
-    for name, row in zip(graph.ids, _rows(graph.poses), strict=True):
-        out.append(f"VERTEX_SE3:QUAT {name} {_text(row)}")
-    ends, rows = graph.ids[graph.edges], _rows(graph.measurements)
-    upper = graph.information[:, UPPER[0], UPPER[1]]
-    for (i, j), row, info in zip(ends, rows, upper, strict=True):
-        out.append(f"EDGE_SE3:QUAT {i} {j} {_text(row)} {_text(info)}")
-    Path(path).write_text("\n".join(out) + "\n", encoding="utf-8")
+def write(
+    path: str | Path,
+    poses: Array,
+    edges: Int64Array,
+    measurements: Array,
+    information: Array,
+    ids: Int64Array,
+) -> None:
+    """Write the arrays of a PoseGraph with all digits, the whole file or nothing.
+
+    Raises OutputError if the file cannot be written.
+    """
+    lines = [
+        f"VERTEX_SE3:QUAT {name} {_text(row)}" for name, row in zip(ids, _rows(poses), strict=True)
+    ]
+    upper = information[:, UPPER[0], UPPER[1]]
+    lines += [
+        f"EDGE_SE3:QUAT {i} {j} {_text(row)} {_text(entries)}"
+        for (i, j), row, entries in zip(ids[edges], _rows(measurements), upper, strict=True)
+    ]
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def _tables(path: str | Path) -> dict[str, tuple[Array, list[int]]]:
-    """By tag: the numbers (k, FIELDS) of the file's lines, and where they stand in it."""
+    """For each tag the numbers (k, FIELDS) of its lines, and their line numbers."""
     try:
         text = Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -83,7 +98,7 @@ def _tables(path: str | Path) -> dict[str, tuple[Array, list[int]]]:
         words = line.split()
         if not words or words[0].startswith("#") or words[0] in IGNORED:
             continue
-        fields = _fields(words, path, number)
+        fields = _fields(words, f"{path}, line {number}")
         rows[words[0]].append(fields)
         lines[words[0]].append(number)
     return {
@@ -92,29 +107,25 @@ def _tables(path: str | Path) -> dict[str, tuple[Array, list[int]]]:
     }
 
 
-def _fields(words: list[str], path: str | Path, number: int) -> list[float]:
+def _fields(words: list[str], line: str) -> list[float]:
     """The numbers of one line, checked."""
-    tag = words[0]
+    tag, *fields = words
     if tag not in FIELDS:
-        raise GraphError(f"{path}, line {number}: unknown tag", value=tag, limit=", ".join(FIELDS))
-    if len(words) - 1 != FIELDS[tag]:
-        raise GraphError(
-            f"{path}, line {number}: wrong number of fields",
-            value=len(words) - 1,
-            limit=FIELDS[tag],
-        )
+        raise GraphError(f"{line}: unknown tag", value=tag, limit=", ".join(FIELDS))
+    if len(fields) != FIELDS[tag]:
+        raise GraphError(f"{line}: wrong number of fields", value=len(fields), limit=FIELDS[tag])
     try:
-        values = [float(word) for word in words[1:]]
+        values = [float(word) for word in fields]
     except ValueError as error:
-        raise GraphError(f"{path}, line {number}: not a number", value=error) from error
-    named = values[: 1 if tag.startswith("VERTEX") else 2]
+        raise GraphError(f"{line}: not a number", value=error) from error
+    ids = values[: 1 if tag.startswith("VERTEX") else 2]
     if not np.isfinite(values).all():
-        raise GraphError(f"{path}, line {number}: not finite")
-    if any(value != int(value) for value in named):
-        raise GraphError(f"{path}, line {number}: an id must be a whole number", value=named)
-    norm = float(np.linalg.norm(values[len(named) + 3 : len(named) + 7]))
-    if abs(norm - 1.0) > 1e-2:
-        raise GraphError(f"{path}, line {number}: a quaternion of length {norm:.3g}", limit=1)
+        raise GraphError(f"{line}: not finite")
+    if any(value != int(value) for value in ids):
+        raise GraphError(f"{line}: an id must be an integer", value=ids)
+    norm = float(np.linalg.norm(values[len(ids) + 3 : len(ids) + 7]))
+    if abs(norm - 1.0) > QUATERNION_TOLERANCE:
+        raise GraphError(f"{line}: a quaternion must have norm 1", value=f"{norm:.3g}")
     return values
 
 
@@ -126,6 +137,7 @@ def _poses(rows: Array) -> Array:
 
 
 def _rows(poses: Array) -> Array:
+    """Rows (n, 7) of transforms (n, 4, 4): translation, quaternion xyzw."""
     if not len(poses):
         return np.empty((0, 7))
     return np.concatenate([poses[:, :3, 3], se3.quaternion(poses[:, :3, :3])], axis=1)

@@ -1,12 +1,13 @@
-"""The pose graph as a CasADi NLP for IPOPT: built once a topology, for any poses and weights.
+"""The pose graph as a CasADi NLP for IPOPT: built once per topology, for any poses and weights.
 
-The unknowns are the local increments of all poses but the anchored ones. Cost, gradient and Hessian
+The unknowns are the local increments of all poses except the anchors. Cost, gradient and Hessian
 are CasADi functions that sum the edge kernel over the graph, so that CasADi differentiates nothing
 and builds no expression that grows with the graph.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -16,121 +17,123 @@ import numpy as np
 
 from ...core.ipopt import BufferCallback, BufferedFunction, IterationCallback, solver
 from ...core.se3 import Array
-from . import linear
-from .cholesky import Blocks, Cholesky
+from .cholesky import Cholesky
 from .edge_assembly import EdgeAssembly
+from .ipopt_linear_solver import IpoptLinearSolver
 from .kernel import EDGE
-from .ma57 import IpoptLinearSolver
-from .marginals import lower_blocks
-from .ordering import Integers
+from .ordering import IntArray
+from .symmetric_blocks import SymmetricBlocks
 
-METIS = 5
-"""MUMPS' number for an order by METIS (ICNTL(7))."""
-OPTIONS: dict[str, object] = {
+IPOPT_OPTIONS: dict[str, object] = {
     # The kernel is scaled, and the Hessian positive definite in all but a few iterations: what
     # MUMPS does for indefinite or badly scaled matrices only costs time here.
     "nlp_scaling_method": "none",
     "mumps_pivtol": 0.0,
     "mumps_permuting_scaling": 0,
     "mumps_scaling": 0,
-    "mumps_pivot_order": METIS,
+    "mumps_pivot_order": 5,  # METIS: ICNTL(7) of MUMPS
     "mumps_mem_percent": 20,
     "min_refinement_steps": 0,
     "max_refinement_steps": 0,
+    "acceptable_iter": 0,
 }
+DECREMENT_ITERATIONS = 200
+"""Most conjugate gradient iterations for a Newton decrement: a bound that only graphs with weights
+many decades apart reach."""
 
 
 @dataclass(frozen=True)
-class IpoptRun:
-    """What one call of IPOPT returned; its status is reported, never believed."""
+class IpoptResult:
+    """What one call of IPOPT returned; optimality is judged by `decrease`, not by `status`."""
 
     x: Array
     """(6 * free poses,) increments."""
     cost: float
-    """At x."""
-    gain: float
-    """By how much a Newton step from x would lower the cost; infinite at a saddle."""
+    """Cost at x."""
+    decrease: float
+    """Decrease of the cost by a Newton step from x, to second order; infinite at a saddle."""
     iterations: int
     status: str
+    """IPOPT's return status."""
     path: tuple[Array, ...]
-    """x after each iteration, the start included; empty if not recorded."""
+    """x after each iteration, including the start; empty if not recorded."""
 
 
 class PoseGraphProblem:
-    """min over x of the sum of edge costs, for fixed edges (m, 2) and anchored poses.
+    """min over x of the sum of edge costs, for fixed edges (m, 2) and anchors.
 
-    `parameters` of a solve: the kernel's numbers of each edge (m, 35), row by row; the lengths
-    (m, rad) of a unit increment; `blend`, 0 for Gauss-Newton, 1 for the exact Hessian.
+    Its parameters are those of `pack_parameters`.
     """
 
     def __init__(
-        self, edges: Integers, anchors: Integers, residual: str, cholesky: Cholesky
+        self, edges: IntArray, anchors: IntArray, residual: str, cholesky: Cholesky
     ) -> None:
         poses = cholesky.nodes
         self.edges, self.residual = edges, residual
-        self.free: Integers = np.setdiff1d(np.arange(poses), anchors)
+        self.free: IntArray = np.setdiff1d(np.arange(poses), anchors)
         """Poses that move, in the order of x."""
-        self._held = anchors
-        slot = np.full(poses, len(self.free))  # an anchored pose reads the zeros after x
+        self._anchors = anchors
+        slot = np.full(poses, len(self.free))
         slot[self.free] = np.arange(len(self.free))
-        self._sweep = EdgeAssembly(slot[edges], len(self.free), residual)
-        self._evaluator, self._pattern = _Evaluator(self._sweep), self._sweep.pattern()
+        self._assembly = EdgeAssembly(slot[edges], len(self.free), residual)
+        self._evaluator = _Evaluator(self._assembly)
         self._build(6 * len(self.free), EDGE * len(edges) + 3)
         self._solvers: dict[tuple[tuple[str, object], ...], BufferedFunction] = {}
-        self._door = IpoptLinearSolver(cholesky, self.free, anchors)
+        self._linear_solver = IpoptLinearSolver(cholesky, self.free, anchors)
 
     def solve(
         self, parameters: Array, tolerance: float, limit: int, record: bool = False
-    ) -> IpoptRun:
-        """Minimise from x = 0 until the gradient is below `tolerance`, `limit` iterations at most.
+    ) -> IpoptResult:
+        """Minimize from x = 0 until the gradient is below `tolerance`, at most `limit` iterations.
 
-        `tolerance` is for the parameters' own scale. With `record`, the path is kept.
+        `tolerance` is in units of the parameters. With `record`, the path is kept.
         """
         gauss_newton = bool(parameters[-1] == 0.0)
         # one thread at a time: graphs of a topology share the problem
-        with self._door.open(alike=gauss_newton):
+        with self._linear_solver.activate(similar=gauss_newton):
             return self._run(parameters, tolerance, limit, record)
 
-    def _run(self, parameters: Array, tolerance: float, limit: int, record: bool) -> IpoptRun:
+    def _run(self, parameters: Array, tolerance: float, limit: int, record: bool) -> IpoptResult:
         size, path = 6 * len(self.free), list[Array]()
         options: dict[str, object] = {"max_iter": limit, "tol": tolerance}
         key = tuple(options.items())
         if record:
-            recorder = IterationCallback(size, 0, lambda x, g: path.append(x))
-            run = BufferedFunction(self._solver(options, recorder))
+            callback = IterationCallback(size, 0, lambda x, g: path.append(x))
+            run = BufferedFunction(self._solver(options, callback))
         elif key in self._solvers:
             run = self._solvers[key]
         else:
             run = self._solvers[key] = BufferedFunction(self._solver(options))
-        free = np.full(size, np.inf)
+        unbounded = np.full(size, np.inf)
         self._evaluator.forget()
-        x = run(np.zeros(size), parameters, -free, free)[0]
+        x = run(np.zeros(size), parameters, -unbounded, unbounded)[0]
         stats = run.stats()
         cost, gradient = self._evaluator.gradient(x, parameters)
-        values = np.empty(self._sweep.size)
+        values = np.empty(self._assembly.size)
         self._evaluator.hessian(x, parameters, values)
-        product, diagonal = partial(self._sweep.multiply, values), self._sweep.diagonal(values)
-        gain = 0.5 * linear.energy(product, diagonal, gradient)
-        return IpoptRun(x, cost, gain, stats["iter_count"], stats["return_status"], tuple(path))
+        product = partial(self._assembly.multiply, values)
+        decrease = 0.5 * inverse_quadratic_form(product, self._assembly.diagonal(values), gradient)
+        return IpoptResult(
+            x, cost, decrease, stats["iter_count"], stats["return_status"], tuple(path)
+        )
 
     def cost(self, parameters: Array) -> float:
         """Cost at x = 0."""
-        edges, scale, _ = _split(parameters)
+        edges, scale, _ = _unpack(parameters)
         zero = np.zeros(6 * len(self.free))
-        return self._sweep.gradient(edges, scale, zero, np.empty_like(zero))
+        return self._assembly.gradient(edges, scale, zero, np.empty_like(zero))
 
-    def hessian(self, parameters: Array) -> Blocks:
-        """The Hessian at x = 0; poses that are held have a diagonal block of typical size."""
-        values = np.empty(self._sweep.size)
-        edges, scale, blend = _split(parameters)
-        self._sweep.hessian(edges, scale, blend, np.zeros(6 * len(self.free)), values)
-        lower = lower_blocks(self._sweep.matrix(values).T)
-        typical = self._sweep.diagonal(values).reshape(-1, 6).max(axis=0, initial=0.0)
-        own = np.broadcast_to(np.diag(np.where(typical > 0, typical, 1.0)), (len(self._held), 6, 6))
-        return Blocks(
-            np.concatenate([self.free[lower.rows], self._held]),
-            np.concatenate([self.free[lower.columns], self._held]),
-            np.concatenate([lower.values, own]),
+    def hessian(self, parameters: Array) -> SymmetricBlocks:
+        """The Hessian at x = 0; anchors have a diagonal block of typical size."""
+        values = np.empty(self._assembly.size)
+        self._evaluator.hessian(np.zeros(6 * len(self.free)), parameters, values)
+        lower = SymmetricBlocks.from_lower_triangle(self._assembly.matrix(values).T, 6)
+        typical = self._assembly.diagonal(values).reshape(-1, 6).max(axis=0, initial=0.0)
+        own = np.diag(np.where(typical > 0, typical, 1.0))
+        return SymmetricBlocks(
+            np.concatenate([self.free[lower.rows], self._anchors]),
+            np.concatenate([self.free[lower.columns], self._anchors]),
+            np.concatenate([lower.values, np.broadcast_to(own, (len(self._anchors), 6, 6))]),
         )
 
     def _build(self, size: int, parameters: int) -> None:
@@ -139,9 +142,9 @@ class PoseGraphProblem:
 
         def gradient(given: list[Array], out: list[Array | None]) -> None:
             found: tuple[Any, ...] = evaluator.gradient(*given)
-            for place, value in zip(out, found, strict=False):  # f alone, or f and its gradient
-                if place is not None:
-                    place[:] = value
+            for target, value in zip(out, found, strict=False):  # f alone, or f and its gradient
+                if target is not None:
+                    target[:] = value
 
         def hessian(given: list[Array], out: list[Array | None]) -> None:
             x, p, factor, _ = given
@@ -150,11 +153,11 @@ class PoseGraphProblem:
                 if factor != 1.0:
                     out[0] *= factor
 
-        inputs = [dense, data]
-        # Kept: CasADi does not own callbacks.
+        inputs, pattern = [dense, data], self._assembly.pattern()
+        # attributes: CasADi does not own callbacks
         self._f = BufferCallback("f", inputs, [one], gradient)
         self._grad_f = BufferCallback("grad_f", inputs, [one, dense], gradient)
-        self._hess_lag = BufferCallback("hess_lag", [*inputs, one, none], [self._pattern], hessian)
+        self._hess_lag = BufferCallback("hess_lag", [*inputs, one, none], [pattern], hessian)
         x, p = ca.MX.sym("x", dense), ca.MX.sym("p", data)
         self._nlp: dict[str, Any] = {"x": x, "p": p, "f": self._f(x, p)}
 
@@ -164,39 +167,78 @@ class PoseGraphProblem:
         return solver(
             "posegraph",
             self._nlp,
-            {**OPTIONS, **self._door.options, "acceptable_iter": 0, **options},
+            {**IPOPT_OPTIONS, **self._linear_solver.options, **options},
             gradient=self._grad_f,
             hessian=self._hess_lag,
             callback=callback,
         )
 
 
-def _split(parameters: Array) -> tuple[Array, Array, Array]:
-    """The edges' numbers (m, 35), scale (2,) and blend (1,) in a parameter vector."""
+def pack_parameters(edges: Array, scale: Array, blend: float) -> Array:
+    """The parameter vector of a problem.
+
+    edges (m, 35): parameters of the kernel; scale (2,): lengths (m, rad) of a unit increment;
+    blend: 0 for the Gauss-Newton Hessian, 1 for the exact one.
+    """
+    return np.concatenate([edges.ravel(), scale, [blend]])
+
+
+def _unpack(parameters: Array) -> tuple[Array, Array, Array]:
+    """Edges (m, 35), scale (2,) and blend (1,) of a parameter vector."""
     return parameters[:-3].reshape(-1, EDGE), parameters[-3:-1], parameters[-1:]
 
 
-class _Evaluator:
-    """The sums at x for parameters p. Gradients are asked for where the cost just was: kept."""
+def inverse_quadratic_form(multiply: Callable[[Array], Array], diagonal: Array, b: Array) -> float:
+    """b^T A^-1 b to about one digit, for a symmetric A with this `diagonal`; b (n,).
 
-    def __init__(self, sweep: EdgeAssembly) -> None:
-        self.sweep = sweep
+    multiply: x -> A x. Conjugate gradients with a Jacobi preconditioner sum b^T A^-1 b in positive
+    terms (Hestenes and Stiefel, 1952); they stop once the last terms add nothing. Infinite where A
+    is found not to be positive definite.
+    """
+    inverse = 1.0 / np.where(diagonal > 0.0, diagonal, 1.0)
+    r = b.copy()
+    z = inverse * r
+    d, rz, total, terms = z, float(r @ z), 0.0, list[float]()
+    for _ in range(DECREMENT_ITERATIONS):
+        if rz == 0.0:
+            break
+        product = multiply(d)
+        curvature = float(d @ product)
+        if curvature <= 0.0:
+            return np.inf
+        step = rz / curvature
+        terms.append(step * rz)
+        total += terms[-1]
+        if len(terms) >= 10 and sum(terms[-5:]) < 0.02 * total:
+            break
+        r = r - step * product
+        z = inverse * r
+        rz, rz_before = float(r @ z), rz
+        d = z + rz / rz_before * d
+    return total
+
+
+class _Evaluator:
+    """The sums at x for parameters p; cost and gradient at the last x are kept for reuse."""
+
+    def __init__(self, assembly: EdgeAssembly) -> None:
+        self.assembly = assembly
         self.forget()
 
     def forget(self) -> None:
-        """To be called when parameters change."""
+        """Drop the kept values: the parameters change."""
         self._x, self._found = np.empty(0), (0.0, np.empty(0))
 
     def gradient(self, x: Array, parameters: Array) -> tuple[float, Array]:
         """Cost and gradient."""
         if not np.array_equal(x, self._x):
-            edges, scale, _ = _split(parameters)
+            edges, scale, _ = _unpack(parameters)
             gradient = np.empty(len(x))
-            self._found = self.sweep.gradient(edges, scale, x, gradient), gradient
+            self._found = self.assembly.gradient(edges, scale, x, gradient), gradient
             self._x = np.array(x)
         return self._found
 
     def hessian(self, x: Array, parameters: Array, values: Array) -> None:
-        """The nonzeros of the upper triangle, written to `values`."""
-        edges, scale, blend = _split(parameters)
-        self.sweep.hessian(edges, scale, blend, x, values)
+        """Write the nonzeros of the upper triangle to `values`."""
+        edges, scale, blend = _unpack(parameters)
+        self.assembly.hessian(edges, scale, blend, x, values)

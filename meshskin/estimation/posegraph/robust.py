@@ -1,89 +1,96 @@
-"""Outlying displacements: graduated non-convexity, Huber, Cauchy, by reweighting.
+"""Robust estimation by reweighting: graduated non-convexity, Huber, Cauchy.
 
-Each displacement's information is multiplied by a weight in (0, 1] that follows from its own
-chi-square e^T Omega e; the poses are solved again, and so on.
+The information of each displacement is multiplied by a weight in (0, 1] that is a function of its
+chi-square e^T Omega e; the poses are solved for again, and so on (iteratively reweighted least
+squares).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import gammaincinv
 
 from ...core.se3 import Array
-from .gauss_newton import State, edge_numbers, minimise, weighted_errors
-from .graph import PoseGraph
+from .kernel import weighted_errors
+from .minimize import Estimate, edge_parameters, minimize
 from .problem import PoseGraphProblem
 
-QUANTILE = 0.99
-"""An inlier's chi-square is below its limit with this probability."""
-STEP = 1.4
-"""By how much graduated non-convexity approaches the full robust cost, a round."""
-ROUNDS = 100
-"""Most rounds of reweighting."""
-SETTLED = 1e-4
-"""Largest change of a weight at which reweighting ends."""
+if TYPE_CHECKING:
+    from .graph import PoseGraph
 
-Weight = Callable[[Array, Array, float], Array]
-"""(chi-squares (m,), their limits (m,), looseness) -> weights (m,) in (0, 1]."""
+INLIER_PROBABILITY = 0.99
+"""Probability that the chi-square of an inlier is below the limit of its robust cost: the usual
+choice, see the source of `geman_mcclure`."""
+CONVEXITY_STEP = 1.4
+"""Factor by which graduated non-convexity lowers mu in each iteration: the value of its source."""
+MAX_REWEIGHTINGS = 100
+"""Most iterations of reweighting: graduated non-convexity takes 50 from a chi-square of 1e7 times
+its limit."""
+WEIGHT_TOLERANCE = 1e-4
+"""Largest change of a weight at which reweighting ends: it moves the poses by about this share of
+what the displacement moves them."""
+
+WeightFunction = Callable[[Array, Array, float], Array]
+"""(chi-squares (m,), their limits (m,), mu) -> weights (m,) in (0, 1]."""
 
 
-def geman_mcclure(chi2: Array, limit: Array, looseness: float) -> Array:
-    """(mu c / (chi2 + mu c))^2: convex for a large `looseness` mu, the full cost at 1.
+def geman_mcclure(chi2: Array, limit: Array, mu: float) -> Array:
+    """(mu c / (chi2 + mu c))^2: convex for a large mu, the robust cost itself at mu = 1.
 
     Source: Yang, Antonante, Tzoumas, Carlone, "Graduated non-convexity for robust spatial
     perception", IEEE RA-L 5 (2020).
     """
-    return np.asarray((looseness * limit / (chi2 + looseness * limit)) ** 2)
+    return np.asarray((mu * limit / (chi2 + mu * limit)) ** 2)
 
 
-def huber(chi2: Array, limit: Array, looseness: float) -> Array:
+def huber(chi2: Array, limit: Array, mu: float) -> Array:
     """1 within the limit, sqrt(limit / chi2) beyond."""
     return np.asarray(np.sqrt(limit / np.maximum(chi2, limit)))
 
 
-def cauchy(chi2: Array, limit: Array, looseness: float) -> Array:
+def cauchy(chi2: Array, limit: Array, mu: float) -> Array:
     """1 / (1 + chi2 / limit)."""
     return np.asarray(1.0 / (1.0 + chi2 / limit))
 
 
-ROBUST: dict[str, Weight] = {"gnc": geman_mcclure, "huber": huber, "cauchy": cauchy}
+ROBUST: dict[str, WeightFunction] = {"gnc": geman_mcclure, "huber": huber, "cauchy": cauchy}
 
 
-def reweight(
+def minimize_reweighted(
     problem: PoseGraphProblem,
     graph: PoseGraph,
-    root: Array,
-    state: State,
-    kind: str,
-    keep: bool,
-    most: int | None = None,
+    sqrt_information: Array,
+    estimate: Estimate,
+    robust: str,
+    keep_iterates: bool,
+    limit: int | None = None,
 ) -> Array:
-    """Bring `state` to the minimum of the robust cost; the displacements' weights (m,).
+    """Bring `estimate` to the minimum of the robust cost; return the weights (m,).
 
-    The information must be right in scale: the limit on a chi-square is the `QUANTILE` of its
-    distribution, with as many degrees of freedom as the information has rank.
+    The information must be right in scale: the limit on a chi-square is the quantile of its
+    distribution at `INLIER_PROBABILITY`, with the rank of the information as degrees of freedom.
     """
     rank = np.linalg.matrix_rank(graph.information, hermitian=True)
-    limit = 2.0 * gammaincinv(np.maximum(rank, 1) / 2.0, QUANTILE)  # of a chi-square
-    weight, function = np.ones(len(graph.edges)), ROBUST[kind]
-    minimise(problem, graph, root, state, keep=keep, most=most)
-    chi2 = _chi_squares(graph, state.poses, root, problem.residual)
-    looseness = max(2.0 * float((chi2 / limit).max()), 1.0) if kind == "gnc" else 1.0
-    for _ in range(ROUNDS):
-        before, weight = weight, function(chi2, limit, looseness)
-        if looseness == 1.0 and np.abs(weight - before).max() < SETTLED:
+    chi2_limit = 2.0 * gammaincinv(np.maximum(rank, 1) / 2.0, INLIER_PROBABILITY)
+
+    def chi_squares(weight: Array) -> Array:
+        root = sqrt_information * np.sqrt(weight)[:, None, None]
+        minimize(problem, graph, root, estimate, keep_iterates=keep_iterates, limit=limit)
+        edges = edge_parameters(graph, estimate.poses, sqrt_information)
+        return np.asarray(np.sum(weighted_errors(edges, problem.residual) ** 2, axis=0))
+
+    weight, function = np.ones(len(graph.edges)), ROBUST[robust]
+    chi2 = chi_squares(weight)
+    mu = max(2.0 * float((chi2 / chi2_limit).max()), 1.0) if robust == "gnc" else 1.0
+    for _ in range(MAX_REWEIGHTINGS):
+        before, weight = weight, function(chi2, chi2_limit, mu)
+        if mu == 1.0 and np.abs(weight - before).max() < WEIGHT_TOLERANCE:
             break
-        if most is not None and state.iterations >= most:
+        if limit is not None and estimate.iterations >= limit:
             break
-        minimise(problem, graph, root * np.sqrt(weight)[:, None, None], state, keep=keep, most=most)
-        chi2 = _chi_squares(graph, state.poses, root, problem.residual)
-        looseness = max(looseness / STEP, 1.0)
+        chi2 = chi_squares(weight)
+        mu = max(mu / CONVEXITY_STEP, 1.0)
     return weight
-
-
-def _chi_squares(graph: PoseGraph, poses: Array, root: Array, residual: str) -> Array:
-    """e^T Omega e (m,)."""
-    errors = weighted_errors(edge_numbers(graph, poses, root), residual)
-    return np.asarray(np.sum(errors**2, axis=0))

@@ -1,10 +1,11 @@
-"""Solving a pose graph, and the solution."""
+"""Solving a pose graph, and its solution."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,36 +15,38 @@ from ...core.se3 import Array
 from . import certificate as certificates
 from . import marginals
 from . import start as starts
-from .gauss_newton import (
+from .minimize import (
     FAR_STAGES,
     STAGES,
-    State,
-    chordal_roots,
-    edge_numbers,
-    geodesic_roots,
-    minimise,
-    parameter_vector,
+    Estimate,
+    chordal_sqrt_information,
+    edge_parameters,
+    geodesic_sqrt_information,
+    minimize,
 )
-from .graph import PoseGraph
-from .problem import PoseGraphProblem
-from .robust import ROBUST, reweight
+from .problem import pack_parameters
+from .robust import ROBUST, minimize_reweighted
 
-OBJECTIVES = {"geodesic": "log", "chordal": "vec"}
-"""Objective -> the kernel's residual."""
-POLISH = 1e-18
-"""Accuracy of the minimum that a certificate examines: its gap grows with the gradient."""
+if TYPE_CHECKING:
+    from .graph import PoseGraph
+
+RESIDUALS = {"geodesic": "log", "chordal": "vec"}
+"""The kernel's residual of each objective."""
+CERTIFICATE_TOLERANCE = 1e-18
+"""Newton decrement of the minimum that a certificate examines: its gap is linear in the gradient,
+thus in the square root of this, and must stay below `certificate.CERTIFIED_GAP`."""
 FREEDOMS = ("x", "y", "z", "rx", "ry", "rz")
 """Degrees of freedom of a pose, translation first."""
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
-    """The poses found, and what is known about them."""
+class PoseGraphSolution:
+    """The estimated poses, and what is known about them."""
 
     graph: PoseGraph
     """The graph that was solved."""
     poses: Array
-    """(n, 4, 4) T_w_i; each component's first pose is the anchor, and as it was."""
+    """(n, 4, 4) T_w_i; the first pose of each component is its anchor, unchanged."""
     cost: float
     """Value of the objective: half the weighted sum of squares ("geodesic"), or sum of
     kappa |R_j - R_i dR|_F^2 + tau |t_j - t_i - R_i dt|^2 ("chordal"); each displacement times its
@@ -53,26 +56,26 @@ class Solution:
     status: str
     """ "optimal", or what is wrong; from the gradient and Hessian at `poses`, not from IPOPT."""
     decrement: float
-    """By how much a Newton step would lower the cost, as a share of it."""
+    """Decrease of the cost by a Newton step, as a share of the cost."""
     iterations: int
     """Iterations of IPOPT in all."""
     solver_status: str
-    """What IPOPT said last."""
+    """IPOPT's last return status."""
     build_time: float
     """Seconds to build the NLP."""
     start_time: float
-    """Seconds to find the starting poses."""
+    """Seconds to compute the initial poses."""
     solve_time: float
     """Seconds in IPOPT and in checking its result."""
     weights: Array
-    """(m,) the displacements' weights; 1 unless robust."""
+    """(m,) weights of the displacements; 1 unless robust."""
     iterates: Array | None = None
-    """(k, n, 4, 4) the estimates along the iterations, the start first; if they were kept."""
+    """(k, n, 4, 4) poses along the iterations, the start first; None unless kept."""
 
     def __repr__(self) -> str:
         return (
-            f"<Solution of {self.graph!r}: {self.status}, {self.objective} cost {self.cost:.9g} in "
-            f"{self.iterations} iterations>"
+            f"<PoseGraphSolution of {self.graph!r}: {self.status}, {self.objective} cost "
+            f"{self.cost:.9g} in {self.iterations} iterations>"
         )
 
     @property
@@ -81,31 +84,26 @@ class Solution:
         return self.status == "optimal"
 
     @cached_property
-    def _weighted(self) -> PoseGraph:
-        """The graph, its information times the weights."""
-        if (self.weights == 1.0).all():
-            return self.graph
-        information = self.graph.information * self.weights[:, None, None]
-        return replace(self.graph, information=information)
-
-    @cached_property
     def certificate(self) -> certificates.Certificate:
         """Proof of global optimality, computed when first asked for.
 
-        It concerns the chordal objective with the `weights`: its minimum next to `poses` is
+        It is about the chordal objective with the `weights`: its minimum next to `poses` is
         examined.
         """
-        graph = self._weighted
-        state = State(self.poses)
+        graph = self.graph
+        if not (self.weights == 1.0).all():
+            information = graph.information * self.weights[:, None, None]
+            graph = replace(graph, information=information)
+        estimate = Estimate(self.poses)
         if len(graph.edges):
-            problem = _problem(graph, "chordal")
-            root = chordal_roots(*graph.chordal_weights)
-            minimise(problem, graph, root, state, STAGES[1:], accuracy=POLISH)
-        return certificates.certify(graph, state.poses)
+            problem = graph.problem(RESIDUALS["chordal"])
+            root = chordal_sqrt_information(*graph.chordal_weights)
+            minimize(problem, graph, root, estimate, STAGES[1:], tolerance=CERTIFICATE_TOLERANCE)
+        return certificates.certify(graph, estimate.poses)
 
     @property
     def undetermined(self) -> tuple[tuple[int, str], ...]:
-        """What the displacements say nothing about: (id of the pose, degree of freedom).
+        """What the displacements do not determine: (id of the pose, degree of freedom).
 
         Translations "x", "y", "z" and rotations "rx", "ry", "rz", along and about the pose's axes.
         """
@@ -123,15 +121,15 @@ class Solution:
 
     @cached_property
     def _covariances(self) -> Array:
-        if not len(self.graph.edges):
+        graph = self.graph
+        if not len(graph.edges):
             return np.zeros((len(self.poses), 6, 6))
-        problem = _problem(self.graph, self.objective)
-        root = _roots(self.graph, self.objective) * np.sqrt(self.weights)[:, None, None]
-        edge = edge_numbers(self.graph, self.poses, root)
-        parameters = parameter_vector(edge, np.ones(2), 0.0)
-        information = problem.hessian(parameters)
-        covariances = marginals.covariances(self.graph.topology.cholesky, information)
-        covariances[self.graph.anchors] = 0.0
+        root = _sqrt_information(graph, self.objective) * np.sqrt(self.weights)[:, None, None]
+        edges = edge_parameters(graph, self.poses, root)
+        problem = graph.problem(RESIDUALS[self.objective])
+        information = problem.hessian(pack_parameters(edges, np.ones(2), 0.0))
+        covariances = marginals.covariances(graph.topology.cholesky, information)
+        covariances[graph.anchors] = 0.0
         return covariances
 
 
@@ -143,25 +141,17 @@ def solve(
     keep_iterates: bool = False,
     certify: bool = False,
     limit: int | None = None,
-) -> Solution:
-    """The poses that minimise the `objective` of `graph`.
+) -> PoseGraphSolution:
+    """The poses that minimize the `objective` of `graph`; arguments as in `PoseGraph.solve`.
 
-    "geodesic": 1/2 sum of e^T Omega e with e = (R_i^T (t_j - t_i) - dt, Log(dR^T R_i^T R_j));
-    "chordal": sum of kappa |R_j - R_i dR|_F^2 + tau |t_j - t_i - R_i dt|^2, the objective of the
-    published optima. `start`: "chordal", "tree", "origin" (every pose at its anchor) or poses
-    (n, 4, 4). From "origin" the chordal objective is minimised first: Log has no basin there.
-    `robust`: "gnc", "huber" or "cauchy" weigh outlying displacements down. The first pose of every
-    component is held. `certify`: where another start's result is no certified optimum, solve again
-    from the chordal start; the cheaper result is returned, and its `certificate` says what is
-    proven. `limit`: IPOPT's iterations at most; what they did not suffice for is in the `status`.
     Raises UnknownNameError, GraphError.
     """
-    if objective not in OBJECTIVES:
-        raise UnknownNameError("objective", objective, OBJECTIVES)
+    if objective not in RESIDUALS:
+        raise UnknownNameError("objective", objective, RESIDUALS)
     if robust is not None and robust not in ROBUST:
         raise UnknownNameError("robust cost", robust, ROBUST)
     if limit is not None and limit < 1:
-        raise GraphError("no iteration is allowed", value=limit, limit="at least 1")
+        raise GraphError("limit of iterations is too small", value=limit, limit="at least 1")
     solution = _solve(graph, objective, start, robust, keep_iterates, limit)
     chordal = isinstance(start, str) and start == "chordal"
     if not certify or chordal or (solution.is_optimal and solution.certificate.certified):
@@ -176,52 +166,48 @@ def _solve(
     objective: str,
     start: str | ArrayLike,
     robust: str | None,
-    keep: bool,
+    keep_iterates: bool,
     limit: int | None,
-) -> Solution:
+) -> PoseGraphSolution:
     began = perf_counter()
-    state = State(starts.start(graph, start))
-    state.iterates = [state.poses]
+    estimate = Estimate(starts.initial_poses(graph, start))
+    estimate.iterates = [estimate.poses]
     started, build = perf_counter(), 0.0
     weights = np.ones(len(graph.edges))
     if len(graph.edges):
-        problem = _problem(graph, objective)
-        build += perf_counter() - started
-        if isinstance(start, str) and start == "origin":
-            again = perf_counter()
-            far = problem if objective == "chordal" else _problem(graph, "chordal")
-            build += perf_counter() - again
-            root = chordal_roots(*starts.weights(graph))
-            minimise(far, graph, root, state, FAR_STAGES, keep, most=limit)
-        root = _roots(graph, objective)
+        far = isinstance(start, str) and start == "origin"
+        problem = graph.problem(RESIDUALS[objective])
+        chordal = graph.problem(RESIDUALS["chordal"]) if far else problem
+        build = perf_counter() - started
+        if far:
+            root = chordal_sqrt_information(*starts.initial_weights(graph))
+            minimize(chordal, graph, root, estimate, FAR_STAGES, keep_iterates, limit=limit)
+        root = _sqrt_information(graph, objective)
         if robust is None:
-            minimise(problem, graph, root, state, STAGES, keep, most=limit)
+            minimize(problem, graph, root, estimate, STAGES, keep_iterates, limit=limit)
         else:
-            weights = reweight(problem, graph, root, state, robust, keep, limit)
-    return Solution(
+            weights = minimize_reweighted(
+                problem, graph, root, estimate, robust, keep_iterates, limit
+            )
+    return PoseGraphSolution(
         graph=graph,
-        poses=state.poses,
-        cost=state.cost,
+        poses=estimate.poses,
+        cost=estimate.cost,
         objective=objective,
-        status=state.status,
-        decrement=state.decrement,
-        iterations=state.iterations,
-        solver_status=state.solver_status,
+        status=estimate.status,
+        decrement=estimate.decrement,
+        iterations=estimate.iterations,
+        solver_status=estimate.solver_status,
         build_time=build,
         start_time=started - began,
         solve_time=perf_counter() - started - build,
         weights=weights,
-        iterates=np.array(state.iterates) if keep else None,
+        iterates=np.array(estimate.iterates) if keep_iterates else None,
     )
 
 
-def _problem(graph: PoseGraph, objective: str) -> PoseGraphProblem:
-    """The NLP of `graph`, built when first asked for and kept with the graph."""
-    return graph.problem(OBJECTIVES[objective])
-
-
-def _roots(graph: PoseGraph, objective: str) -> Array:
+def _sqrt_information(graph: PoseGraph, objective: str) -> Array:
     """W (m, 6, 6) with cost = |W e|^2 / 2, e the kernel's residual."""
     if objective == "chordal":
-        return chordal_roots(*graph.chordal_weights)
-    return geodesic_roots(graph.information)
+        return chordal_sqrt_information(*graph.chordal_weights)
+    return geodesic_sqrt_information(graph.information)

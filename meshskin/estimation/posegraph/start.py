@@ -1,6 +1,8 @@
-"""Where an optimisation starts: chordal relaxation, spanning tree, origin, or poses given."""
+"""Initial poses of an optimization: chordal relaxation, spanning tree, origin, or poses given."""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,22 +12,26 @@ from scipy.sparse import csgraph
 from ...core import se3
 from ...core.errors import GraphError, UnknownNameError
 from ...core.se3 import Array
-from .cholesky import Blocks, SingularError, summed
-from .graph import PoseGraph, transforms
-from .ordering import Integers
+from .ordering import IntArray
+from .superlu import SingularMatrixError
+from .symmetric_blocks import SymmetricBlocks, sum_by_index
+from .validation import transforms
 
-LITTLE = 1e-12
-"""Share of a pose's weight that holds it to the tree's, so that what no displacement determines is
-solvable, too."""
+if TYPE_CHECKING:
+    from .graph import PoseGraph
+
+REGULARIZATION = 1e-12
+"""Weight that ties each pose to the spanning tree, as a share of its total weight: it makes the
+poses that no displacement determines solvable, and moves the others by no more than this share."""
 
 
-def start(graph: PoseGraph, kind: str | ArrayLike) -> Array:
-    """Poses (n, 4, 4) by the name of a start, or those given; anchors stay where they are."""
+def initial_poses(graph: PoseGraph, kind: str | ArrayLike) -> Array:
+    """Poses (n, 4, 4) by the name of a start, or those given; anchors keep their poses."""
     if isinstance(kind, str):
         if kind not in STARTS:
             raise UnknownNameError("start", kind, STARTS)
         poses = STARTS[kind](graph)
-        poses[graph.anchors] = graph.poses[graph.anchors]  # to the last digit
+        poses[graph.anchors] = graph.poses[graph.anchors]  # exactly
         return poses
     return transforms("start poses", kind, len(graph.poses))
 
@@ -33,37 +39,37 @@ def start(graph: PoseGraph, kind: str | ArrayLike) -> Array:
 def chordal(graph: PoseGraph) -> Array:
     """Rotations by linear least squares without their constraint, projected; then translations.
 
-    Minimises sum of kappa |R_j - R_i dR|_F^2 over matrices, then sum of
-    tau |t_j - t_i - R_i dt|^2. What these leave open is as along a tree.
+    Minimizes sum of kappa |R_j - R_i dR|_F^2 over matrices, then sum of
+    tau |t_j - t_i - R_i dt|^2. What these do not determine is as along a spanning tree.
     Source: Martinec and Pajdla, CVPR 2007; Carlone et al., ICRA 2015.
     """
-    (tau, kappa), guess = weights(graph), tree(graph)
-    turns, steps = graph.measurements[:, :3, :3], graph.measurements[:, :3, 3]
-    back, along = (np.swapaxes(r, 1, 2) for r in (turns, guess[:, :3, :3]))
-    matrices = _least_squares(graph, kappa, back, along, step=0.0)  # R_j^T - dR^T R_i^T
+    (tau, kappa), guess = initial_weights(graph), tree(graph)
+    rotations, translations = graph.measurements[:, :3, :3], graph.measurements[:, :3, 3]
+    transposed, guess_t = (np.swapaxes(r, 1, 2) for r in (rotations, guess[:, :3, :3]))
+    matrices = _least_squares(graph, kappa, transposed, guess_t, step=0.0)  # R_j^T - dR^T R_i^T
     u, _, vt = np.linalg.svd(np.swapaxes(matrices, 1, 2))
     u[:, :, 2] *= np.linalg.det(u @ vt)[:, None]
-    rotations, unit = u @ vt, np.ones((len(steps), 1, 1))
-    arrows = np.einsum("eab,eb->ea", rotations[graph.edges[:, 0]], steps)
-    places = _least_squares(graph, tau, unit, guess[:, None, :3, 3], arrows[:, None])
-    return se3.transform(rotations, places[:, 0])
+    projected, unit = u @ vt, np.ones((len(translations), 1, 1))
+    steps = np.einsum("eab,eb->ea", projected[graph.edges[:, 0]], translations)
+    positions = _least_squares(graph, tau, unit, guess[:, None, :3, 3], steps[:, None])
+    return se3.transform(projected, positions[:, 0])
 
 
 def tree(graph: PoseGraph) -> Array:
     """Measurements composed along a spanning tree, breadth first from each anchor."""
     n, m, (i, j) = len(graph.poses), len(graph.edges), graph.edges.T
     poses = np.array(graph.poses)
-    # Both directions of every displacement, named by (from, to); of repeated ones the first counts.
-    names, first = np.unique(np.concatenate([i * n + j, j * n + i]), return_index=True)
-    links = sparse.csr_array((np.ones(len(names)), (names // n, names % n)), shape=(n, n))
+    # Both directions of every displacement, by (from, to); of repeated ones the first is used.
+    keys, first = np.unique(np.concatenate([i * n + j, j * n + i]), return_index=True)
+    links = sparse.csr_array((np.ones(len(keys)), (keys // n, keys % n)), shape=(n, n))
     for anchor in graph.anchors:
         order, parents = csgraph.breadth_first_order(links, anchor, directed=True)
-        for poses_of_level in _levels(order, parents):
-            above = parents[poses_of_level]
-            step = first[np.searchsorted(names, above * np.int64(n) + poses_of_level)]
+        for level in _levels(order, parents):
+            above = parents[level]
+            step = first[np.searchsorted(keys, above * np.int64(n) + level)]
             moves = graph.measurements[step % m]
             moves[step >= m] = se3.inverse(moves[step >= m])
-            poses[poses_of_level] = poses[above] @ moves
+            poses[level] = poses[above] @ moves
     return poses
 
 
@@ -75,15 +81,15 @@ def origin(graph: PoseGraph) -> Array:
 STARTS = {"chordal": chordal, "tree": tree, "origin": origin}
 
 
-def weights(graph: PoseGraph) -> tuple[Array, Array]:
-    """(tau, kappa) for a start: chordal weights, and where singular the mean of the information."""
+def initial_weights(graph: PoseGraph) -> tuple[Array, Array]:
+    """(tau, kappa), (m,) each: chordal weights, where singular the mean of the information."""
     tau, kappa = graph.chordal_weights
     mean = np.trace(graph.information[:, :3, :3], axis1=1, axis2=2) / 3
     mean_r = np.trace(graph.information[:, 3:, 3:], axis1=1, axis2=2) / 6
     return np.where(tau > 0, tau, mean), np.where(kappa > 0, kappa, mean_r)
 
 
-def _levels(order: Integers, parents: Integers) -> list[Integers]:
+def _levels(order: IntArray, parents: IntArray) -> list[IntArray]:
     """Poses in breadth-first `order`, level by level, without the root."""
     depth = {int(order[0]): 0}
     for pose, parent in zip(order[1:].tolist(), parents[order[1:]].tolist(), strict=True):
@@ -93,32 +99,32 @@ def _levels(order: Integers, parents: Integers) -> list[Integers]:
 
 
 def _least_squares(
-    graph: PoseGraph, weight: Array, carry: Array, guess: Array, step: Array | float
+    graph: PoseGraph, weight: Array, rotation: Array, guess: Array, step: Array | float
 ) -> Array:
-    """X (n, k, 3) that minimises sum of weight |X_j - carry X_i - step|^2, anchors as in `guess`.
+    """X (n, k, 3) that minimizes sum of weight |X_j - rotation X_i - step|^2, anchors fixed.
 
-    `carry` (m, k, k) orthogonal, `guess` (n, k, 3), `step` (m, k, 3). Raises GraphError where the
-    weights are too far apart to compute with.
+    `rotation` (m, k, k) orthogonal, `guess` (n, k, 3) with the anchors' values, `step` (m, k, 3).
+    Raises GraphError where the weights are too far apart to compute with.
     """
     n, (i, j) = len(graph.poses), graph.edges.T
     size = guess.shape[1]
-    weighted = weight[:, None, None] * (guess[j] - carry @ guess[i] - step)
+    weighted = weight[:, None, None] * (guess[j] - rotation @ guess[i] - step)
     both = np.concatenate([i, j])
-    back = np.swapaxes(carry, 1, 2)
-    gradient = summed(np.concatenate([-back @ weighted, weighted]), both, n)
+    back = np.swapaxes(rotation, 1, 2)
+    gradient = sum_by_index(np.concatenate([-back @ weighted, weighted]), both, n)
     degree = np.bincount(both, np.tile(weight, 2), n)
     degree[graph.anchors] = 1.0
     gradient[graph.anchors] = 0.0
-    held = np.zeros(n, dtype=bool)
-    held[graph.anchors] = True
-    between = ~(held[i] | held[j])
-    own = np.where(degree > 0, degree * (1 + LITTLE), 1.0)[:, None, None] * np.eye(size)
-    links = Blocks(j[between], i[between], -(weight[:, None, None] * carry)[between])
+    fixed = np.zeros(n, dtype=bool)
+    fixed[graph.anchors] = True
+    free = ~(fixed[i] | fixed[j])
+    own = np.where(degree > 0, degree * (1 + REGULARIZATION), 1.0)[:, None, None] * np.eye(size)
+    links = SymmetricBlocks(j[free], i[free], -(weight[:, None, None] * rotation)[free])
     try:
-        return guess - graph.topology.cholesky.solve(links.and_diagonal(own), gradient)
-    except SingularError as error:
+        return guess - graph.topology.cholesky.solve(links.add_diagonal(own), gradient)
+    except SingularMatrixError as error:
         raise GraphError(
-            "no chordal start: weights too far apart",
+            "the chordal start cannot be computed: weights too far apart",
             value=f"pose {graph.ids[error.node]}, weights {weight.min():.3g} to {weight.max():.3g}",
             remedy="start from 'tree'",
         ) from error

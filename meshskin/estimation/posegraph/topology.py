@@ -1,4 +1,4 @@
-"""What depends on a graph's edges alone, and is kept: elimination, NLP, IPOPT's memory."""
+"""What depends on the edges of a graph alone, kept for all graphs with the same edges."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from collections import OrderedDict
 import numpy as np
 
 from .cholesky import Cholesky
-from .ordering import Integers
+from .ordering import IntArray
 from .problem import PoseGraphProblem
 
 
 class Topology:
-    """Edges (m, 2) between `poses`, of which `anchors` are held."""
+    """Edges (m, 2) between `poses` poses, of which `anchors` are fixed."""
 
-    def __init__(self, poses: int, edges: Integers, anchors: Integers) -> None:
+    def __init__(self, poses: int, edges: IntArray, anchors: IntArray) -> None:
         self.poses, self.edges, self.anchors = poses, edges, anchors
         self._lock = threading.Lock()
         self._problems: dict[str, PoseGraphProblem] = {}
 
     @functools.cached_property
     def cholesky(self) -> Cholesky:
-        """Of matrices with a block for every pose and every edge."""
+        """Factorizations of matrices with a block for every pose and every edge."""
         return Cholesky(self.poses, *self.edges.T)
 
     def problem(self, residual: str) -> PoseGraphProblem:
@@ -38,17 +38,17 @@ class Topology:
 
 
 class TopologyCache:
-    """The topologies met last, at most `edges` edges in all."""
+    """The most recently used topologies, at most `edges` edges in all."""
 
     def __init__(self, edges: int) -> None:
         self._limit, self._lock = edges, threading.Lock()
         self._topologies: OrderedDict[bytes, Topology] = OrderedDict()
 
-    def get(self, poses: int, edges: Integers, anchors: Integers) -> Topology:
-        """Their topology, made or known from before; the anchors follow from the edges."""
-        named = hashlib.blake2b(f"{poses} ".encode())
-        named.update(np.ascontiguousarray(edges, dtype=np.int64).tobytes())
-        key = named.digest()
+    def get(self, poses: int, edges: IntArray, anchors: IntArray) -> Topology:
+        """The topology of these edges, new or from the cache; the anchors follow from the edges."""
+        digest = hashlib.blake2b(f"{poses} ".encode())
+        digest.update(np.ascontiguousarray(edges, dtype=np.int64).tobytes())
+        key = digest.digest()
         with self._lock:
             if key not in self._topologies:
                 self._topologies[key] = Topology(poses, edges, anchors)
@@ -60,4 +60,5 @@ class TopologyCache:
             return self._topologies[key]
 
 
-kept = TopologyCache(edges=400_000)
+topology_cache = TopologyCache(edges=400_000)
+"""The cache of the process. The limit is about 1 GB: an edge takes 2 to 3 kB, mostly of IPOPT."""

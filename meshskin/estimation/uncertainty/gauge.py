@@ -14,7 +14,7 @@ from ...core.se3 import Array
 from ..posegraph import PoseGraph
 from ..posegraph.cholesky import Cholesky
 from ..posegraph.marginals import covariances as marginals
-from ..posegraph.marginals import lower_blocks
+from ..posegraph.symmetric_blocks import SymmetricBlocks
 
 LEAST = 3
 """Fewest taxels of a part that can be aligned."""
@@ -49,7 +49,7 @@ def covariances(graph: PoseGraph, poses: Array, errors: Array | None = None) -> 
         free = (6 * rows[1:, None] + np.arange(6)).ravel()
         inner = information[free][:, free]
         s = np.zeros((len(rows), 6, 6))
-        blocks = lower_blocks(sparse.csr_array(sparse.tril(inner)))
+        blocks = SymmetricBlocks.from_lower_triangle(sparse.csr_array(sparse.tril(inner)), 6)
         cholesky = Cholesky(len(rows) - 1, blocks.rows, blocks.columns)
         s[1:] = marginals(cholesky, blocks)
         whole = _moves(poses[rows])

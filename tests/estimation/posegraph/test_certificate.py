@@ -1,12 +1,11 @@
-"""The certificate: tight at global optima, and silent at others."""
+"""The certificate: tight at global optima, a valid bound everywhere."""
 
 import numpy as np
 import pytest
 
 from meshskin.core import se3
 from meshskin.estimation.posegraph import PoseGraph
-from meshskin.estimation.posegraph import certificate as module
-from meshskin.estimation.posegraph.certificate import certify, quadratic_form
+from meshskin.estimation.posegraph.certificate import certify, is_positive_definite, quadratic_form
 
 
 def ring(count=20):
@@ -80,24 +79,57 @@ def test_disconnected_graph_is_certified(skin_graph):
     assert both.solve().certificate.certified
 
 
+def reduced(form):
+    """A symmetric matrix (3 n, 3 n) of rotations, the free translations eliminated, dense."""
+    n = form.rows.max() + 1
+    dense = np.zeros((n, 4, n, 4))
+    for row, column, block in zip(form.rows, form.columns, form.values, strict=True):
+        dense[row, :, column] += block
+        if row != column:
+            dense[column, :, row] += block.T
+    dense = dense.reshape(4 * n, 4 * n)[1:, 1:]  # without the anchor's translation
+    rotation = np.arange(1, 4 * n) % 4 > 0
+    translations, mixed = dense[np.ix_(~rotation, ~rotation)], dense[np.ix_(~rotation, rotation)]
+    schur = dense[np.ix_(rotation, rotation)] - mixed.T @ np.linalg.solve(translations, mixed)
+    return (schur + schur.T) / 2
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_gap_bounds_the_most_negative_direction(skin_graph, seed):
+    """With the lowest eigenvalue -delta of S, the bound is at most tr(Lambda) - 3 n delta."""
+    n = 20
+    graph, _ = skin_graph(n, seed, sigma=(1e-3, 1.5))  # far from tight
+    certificate = graph.solve("chordal").certificate
+    x = np.swapaxes(certificate.poses[:, :3, [3, 0, 1, 2]], 1, 2)
+    form = quadratic_form(graph)
+    multipliers = np.zeros((n, 4, 4))
+    multipliers[:, 1:, 1:] = certificate.poses[:, :3, :3].swapaxes(1, 2) @ (
+        (form @ x)[:, 1:].swapaxes(1, 2)
+    )
+    multipliers = (multipliers + multipliers.swapaxes(1, 2)) / 2
+    delta = -np.linalg.eigvalsh(reduced(form.add_diagonal(-multipliers)))[0]
+    assert certificate.gap < certificate.cost
+    assert certificate.gap >= 3 * n * delta
+
+
+def test_gap_is_above_the_rounding_of_the_factorization(skin_graph):
+    """Higham, theorem 10.3: pivots prove positivity only up to (k + 1) u of the diagonal."""
+    graph, _ = skin_graph(80, sigma=(1e-6, 1e-5))
+    certificate = graph.solve("chordal").certificate
+    row = 4 * graph.topology.cholesky.symbolic.largest[1]
+    rounding = (row + 1) * 2.0**-53 * quadratic_form(graph).diagonal(80)[:, 1:].max()
+    assert certificate.gap > 3 * 80 * rounding
+
+
 @pytest.mark.parametrize("off", [-1e-2, -1e-6, -1e-12, 1e-12, 1e-6, 1e-2])
-def test_what_it_calls_positive_is_positive(skin_graph, off):
-    """Against the eigenvalues of the dense matrix, far below the gaps that are proven."""
+def test_definiteness_against_dense_eigenvalues(skin_graph, off):
+    """With shifts far below the gaps that are certified."""
     graph, _ = skin_graph(40, seed=3)
     form = quadratic_form(graph)
     bent = np.zeros((40, 4, 4))
     bent[:, 1:, 1:] = np.random.default_rng(0).normal(size=(40, 3, 3)) * 0.1 * form.values.max()
-    slack = form.and_diagonal(-(bent + np.swapaxes(bent, 1, 2)))
-    dense = np.zeros((40, 4, 40, 4))
-    for row, column, block in zip(slack.rows, slack.columns, slack.values, strict=True):
-        dense[row, :, column] += block
-        if row != column:
-            dense[column, :, row] += block.T
-    dense = dense.reshape(160, 160)[1:, 1:]  # without the anchor's translation
-    rotation = np.arange(1, 160) % 4 > 0
-    inner = dense[np.ix_(~rotation, ~rotation)], dense[np.ix_(~rotation, rotation)]
-    reduced = dense[np.ix_(rotation, rotation)] - inner[1].T @ np.linalg.solve(*inner)
-    smallest = np.linalg.eigvalsh((reduced + reduced.T) / 2)[0]
+    slack = form.add_diagonal(-(bent + np.swapaxes(bent, 1, 2)))
+    smallest = np.linalg.eigvalsh(reduced(slack))[0]
     assert smallest < 0.0
     largest = slack.diagonal(40)[:, 1:].max()
-    assert module._is_positive(graph, slack, off * largest - smallest) == (off > 0)
+    assert is_positive_definite(graph, slack, off * largest - smallest) == (off > 0)

@@ -1,4 +1,4 @@
-"""Factorisation by fronts, compiled and in NumPy: against dense matrices."""
+"""Cholesky factorization, compiled and by SuperLU, against dense matrices."""
 
 import ctypes
 import threading
@@ -9,10 +9,19 @@ from scipy.sparse import csr_array
 
 from meshskin.estimation.posegraph import cholesky as module
 from meshskin.estimation.posegraph import ordering
-from meshskin.estimation.posegraph.cholesky import Blocks, Cholesky, SingularError
+from meshskin.estimation.posegraph.cholesky import Cholesky
+from meshskin.estimation.posegraph.superlu import SingularMatrixError
 from meshskin.estimation.posegraph.symbolic_factorization import symbolic_factorization
+from meshskin.estimation.posegraph.symmetric_blocks import SymmetricBlocks
 
 N = 40
+
+
+def use_metis(metis, monkeypatch):
+    if not metis:
+        monkeypatch.setattr(ordering, "pymetis", None)
+    elif ordering.pymetis is None:
+        pytest.skip("pymetis is not installed")
 
 
 def links(kind):
@@ -23,13 +32,13 @@ def links(kind):
         "grid": [(k, k + 1) for k in range(N - 1) if (k + 1) % 8] + [(k, k + 8) for k in range(32)],
         "random": [tuple(rng.choice(N, 2, replace=False)) for _ in range(120)],
         "full": [(j, i) for i in range(N) for j in range(i)],
-        "apart": [(k, k + 1) for k in range(19)] + [(k, k + 1) for k in range(22, N - 1)],
+        "disconnected": [(k, k + 1) for k in range(19)] + [(k, k + 1) for k in range(22, N - 1)],
         "none": [],
     }[kind]
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
-KINDS = ("chain", "star", "grid", "random", "full", "apart", "none")
+KINDS = ("chain", "star", "grid", "random", "full", "disconnected", "none")
 
 
 def positive(pairs, size, seed=0):
@@ -38,11 +47,11 @@ def positive(pairs, size, seed=0):
     i, j = pairs.T
     jacobian = rng.normal(size=(len(i), size, 2 * size))
     h = np.swapaxes(jacobian, 1, 2) @ jacobian
-    matrix = Blocks(
+    matrix = SymmetricBlocks(
         np.concatenate([i, j, i]),
         np.concatenate([i, j, j]),
         np.concatenate([h[:, :size, :size], h[:, size:, size:], h[:, :size, size:]]),
-    ).and_diagonal(np.tile(1e-2 * np.eye(size), (N, 1, 1)))
+    ).add_diagonal(np.tile(1e-2 * np.eye(size), (N, 1, 1)))
     dense = np.zeros((N, size, N, size))
     for row, column, block in zip(matrix.rows, matrix.columns, matrix.values, strict=True):
         dense[row, :, column, :] += block
@@ -51,15 +60,15 @@ def positive(pairs, size, seed=0):
     return matrix, dense.reshape(N * size, N * size)
 
 
-@pytest.fixture(params=["compiled", "numpy"])
+@pytest.fixture(params=["compiled", "superlu"])
 def make(request):
-    """Makes a `Cholesky` of pairs (m, 2), by either way of computing."""
+    """Makes a `Cholesky` of pairs (m, 2), compiled or by SuperLU."""
 
     def made(pairs):
         found = Cholesky(N, *pairs.T)
-        if request.param == "numpy":
-            found.built = None
-        elif found.built is None:
+        if request.param == "superlu":
+            found.library = None
+        elif found.library is None:
             pytest.skip("no C compiler")
         return found
 
@@ -88,21 +97,21 @@ def test_solution_and_inverse_are_those_of_the_dense_matrix(kind, size, make):
 
 @pytest.mark.parametrize("kind", ["chain", "grid", "random", "none"])
 @pytest.mark.parametrize("share", [1e-9, 1e-5, 1e-1])
-def test_positive_or_not_is_told_by_the_smallest_eigenvalue(kind, share, make):
+def test_definiteness_is_the_sign_of_the_smallest_eigenvalue(kind, share, make):
     pairs = links(kind)
     matrix, dense = positive(pairs, 3)
     smallest, largest = np.linalg.eigvalsh(dense)[[0, -1]]
     system = make(pairs)
     for sign in (-1, 1):
         move = np.tile((sign * share * largest - smallest) * np.eye(3), (N, 1, 1))
-        assert system.is_positive(matrix.and_diagonal(move)) == (sign > 0)
+        assert system.is_positive_definite(matrix.add_diagonal(move)) == (sign > 0)
 
 
-def test_nan_is_not_positive(make):
+def test_nan_is_not_positive_definite(make):
     pairs = links("grid")
     matrix, _ = positive(pairs, 6)
     matrix.values[7, 2, 2] = np.nan
-    assert not make(pairs).is_positive(matrix)
+    assert not make(pairs).is_positive_definite(matrix)
 
 
 def test_a_singular_node_is_named(make):
@@ -111,12 +120,12 @@ def test_a_singular_node_is_named(make):
     alone = matrix.values.copy()
     alone[(matrix.rows == 13) | (matrix.columns == 13)] *= np.where(np.arange(6) == 4, 0.0, 1.0)
     alone[(matrix.rows == 13) | (matrix.columns == 13), 4] = 0.0
-    with pytest.raises(SingularError, match="node 13") as caught:
-        make(pairs).diagonal_of_inverse(Blocks(matrix.rows, matrix.columns, alone), 1e-13)
+    with pytest.raises(SingularMatrixError, match="node 13") as caught:
+        make(pairs).diagonal_of_inverse(SymmetricBlocks(matrix.rows, matrix.columns, alone), 1e-13)
     assert caught.value.node == 13
 
 
-def test_one_system_serves_many_threads():
+def test_threads_may_share_a_factorization():
     pairs = links("grid")
     system = Cholesky(N, *pairs.T)
     tasks = [(positive(pairs, 6, seed), np.full((N, 6, 1), seed + 1.0)) for seed in range(4)]
@@ -139,13 +148,12 @@ def test_one_system_serves_many_threads():
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("metis", [True, False])
 def test_fronts_cover_the_fill(kind, metis, monkeypatch):
-    """Every entry of the factor lies in the front of its column; a subtree has no gap."""
-    if not metis:
-        monkeypatch.setattr(ordering, "_metis", lambda: None)
+    """Every entry of the factor is in the front of its column; subtrees are contiguous."""
+    use_metis(metis, monkeypatch)
     pairs = links(kind)
     found = symbolic_factorization(N, *pairs.T)
     assert np.array_equal(np.sort(found.order), np.arange(N))
-    assert np.array_equal(found.order[found.place], np.arange(N))
+    assert np.array_equal(found.order[found.position], np.arange(N))
     _, dense = positive(pairs, 1)
     factor = np.linalg.cholesky(dense[np.ix_(found.order, found.order)])
     for f in range(len(found.parent)):
@@ -157,16 +165,13 @@ def test_fronts_cover_the_fill(kind, metis, monkeypatch):
             parent = found.parent[f]
             above = found.rows[found.start[parent] : found.start[parent + 1]]
             rest = slice(found.start[f] + found.pivots[f], found.start[f + 1])
-            assert np.array_equal(above[found.up[rest]], found.rows[rest])
-            assert parent - found.span[parent] < f - found.span[f] + 1 <= f < parent
+            assert np.array_equal(above[found.parent_row[rest]], found.rows[rest])
+            assert parent - found.subtree[parent] < f - found.subtree[f] + 1 <= f < parent
 
 
 @pytest.mark.parametrize("metis", [True, False])
 def test_orders_of_elimination_fill_little(metis, monkeypatch):
-    if not metis:
-        monkeypatch.setattr(ordering, "_metis", lambda: None)
-    elif ordering._metis() is None:
-        pytest.skip("no METIS 4 beside this CasADi")
+    use_metis(metis, monkeypatch)
     n, side = 400, 20
     pairs = np.array(
         [(k, k + 1) for k in range(n - 1) if (k + 1) % side]
@@ -184,7 +189,7 @@ def natural(pattern: csr_array) -> np.ndarray:
 
 
 def test_wide_integers_of_a_blas_are_refused(monkeypatch):
-    """A SciPy whose BLAS takes 64-bit integers: NumPy has to do."""
+    """Without 32-bit integers cholesky.c cannot be used: SuperLU is."""
     capsule = ctypes.pythonapi.PyCapsule_New
     capsule.restype = ctypes.py_object
     capsule.argtypes = (ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p)
@@ -195,4 +200,4 @@ def test_wide_integers_of_a_blas_are_refused(monkeypatch):
         __pyx_capi__ = offered
 
     monkeypatch.setattr(module.importlib, "import_module", lambda name: Wide)
-    assert module._functions() is None
+    assert module._blas_functions() is None

@@ -1,9 +1,9 @@
-"""What a pose graph refuses, and its files."""
+"""Validation of pose graphs, and g2o files."""
 
 import numpy as np
 import pytest
 
-from meshskin.core.errors import GraphError
+from meshskin.core.errors import GraphError, OutputError
 from meshskin.estimation.posegraph import PoseGraph
 
 
@@ -29,22 +29,22 @@ def put(index, value):
 @pytest.mark.parametrize(
     ("part", "change", "message"),
     [
-        (0, lambda a: a[:, :3], "poses of the wrong shape"),
-        (0, lambda a: a[:0], "poses of the wrong shape"),
-        (0, put((1, 0, 3), np.nan), "poses are not finite, got row 1"),
-        (0, put((2, 0, 0), 5.0), "no rigid transforms, got row 2"),
-        (0, lambda a: a * np.array([-1, -1, -1, 1]), "no rigid transforms"),
-        (1, lambda a: a[:, :1], "edges of the wrong shape"),
-        (1, lambda a: a.astype(float), "whole numbers"),
+        (0, lambda a: a[:, :3], "poses have the wrong shape"),
+        (0, lambda a: a[:0], "poses have the wrong shape"),
+        (0, put((1, 0, 3), np.nan), "poses must be finite, got row 1"),
+        (0, put((2, 0, 0), 5.0), "must be rigid transforms, got row 2"),
+        (0, lambda a: a * np.array([-1, -1, -1, 1]), "must be rigid transforms"),
+        (1, lambda a: a[:, :1], "edges have the wrong shape"),
+        (1, lambda a: a.astype(float), "must be integers"),
         (1, put((0, 1), 99), "does not exist"),
         (1, put((0, 1), -1), "does not exist"),
-        (1, put(0, (2, 2)), "joins a pose to itself"),
-        (2, lambda a: a[:-1], "measurements of the wrong shape"),
-        (2, put((0, 1, 3), np.inf), "measurements are not finite"),
-        (3, lambda a: a[:-1], "information of the wrong shape"),
-        (3, put((0, 1, 1), np.nan), "information is not finite"),
-        (3, put((1, 0, 0), -1e3), "not symmetric positive semidefinite"),
-        (3, put((1, 0, 1), 1e5), "not symmetric positive semidefinite"),
+        (1, put(0, (2, 2)), "must join two different poses"),
+        (2, lambda a: a[:-1], "measurements have the wrong shape"),
+        (2, put((0, 1, 3), np.inf), "measurements must be finite"),
+        (3, lambda a: a[:-1], "information has the wrong shape"),
+        (3, put((0, 1, 1), np.nan), "information must be finite"),
+        (3, put((1, 0, 0), -1e3), "must be symmetric positive semidefinite"),
+        (3, put((1, 0, 1), 1e5), "must be symmetric positive semidefinite"),
     ],
 )
 def test_refused(skin_graph, part, change, message):
@@ -90,14 +90,14 @@ GOOD = VERTEX.format(7) + VERTEX.format(3) + EDGE.format(7, 3)
         (GOOD + "VERTEX_SE3:QUAT 4 0 0 0\n", "line 4: wrong number of fields, got 4, limit: 8"),
         (GOOD.replace(" 1 0 0 0 0 0 1 ", " 1 0 0 0 x 0 1 ", 1), "line 3: not a number"),
         (GOOD.replace("QUAT 3 0", "QUAT 3 nan"), "line 2: not finite"),
-        (GOOD.replace("QUAT 3 0", "QUAT 3.5 0"), "line 2: an id must be a whole number"),
-        (GOOD.replace("0 0 0 1\n", "0 0 0 2\n", 1), "line 1: a quaternion of length 2"),
-        (GOOD + "\n# fine\n" + VERTEX.format(7), "line 6: a vertex defined twice"),
+        (GOOD.replace("QUAT 3 0", "QUAT 3.5 0"), "line 2: an id must be an integer"),
+        (GOOD.replace("0 0 0 1\n", "0 0 0 2\n", 1), "line 1: a quaternion must have norm 1, got 2"),
+        (GOOD + "\n# fine\n" + VERTEX.format(7), "line 6: vertex defined twice"),
         (GOOD + EDGE.format(3, 8), r"line 4: .* two vertices of the file, got \(3, 8\)"),
         (GOOD + EDGE.format(3, 3), "line 4: .* two vertices of the file"),
     ],
 )
-def test_bad_lines_are_named(tmp_path, text, message):
+def test_a_bad_line_is_named_in_the_error(tmp_path, text, message):
     path = tmp_path / "graph.g2o"
     path.write_text(text)
     with pytest.raises(GraphError, match=message):
@@ -115,3 +115,20 @@ def test_ids_with_gaps_in_any_order(tmp_path):
 def test_missing_file_is_a_graph_error(tmp_path):
     with pytest.raises(GraphError, match="cannot read"):
         PoseGraph.load(tmp_path / "nothing.g2o")
+
+
+def test_a_file_that_cannot_be_written_leaves_the_old_one(skin_graph, tmp_path, monkeypatch):
+    graph, _ = skin_graph(4)
+    path = tmp_path / "graph.g2o"
+    graph.save(path)
+    before = path.read_text()
+
+    def full_disk(self, text, **options):
+        self.write_bytes(text[:100].encode())
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("pathlib.Path.write_text", full_disk)
+    with pytest.raises(OutputError, match="No space left"):
+        skin_graph(8)[0].save(path)
+    assert path.read_text() == before
+    assert list(tmp_path.iterdir()) == [path]

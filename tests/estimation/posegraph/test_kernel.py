@@ -5,15 +5,14 @@ import numpy as np
 import pytest
 
 from meshskin.core import se3
-from meshskin.estimation.posegraph.gauss_newton import weighted_errors
-from meshskin.estimation.posegraph.kernel import LOWER, error, kernel
-from meshskin.estimation.posegraph.solve import OBJECTIVES
+from meshskin.estimation.posegraph.kernel import LOWER, edge_kernel, error, weighted_errors
+from meshskin.estimation.posegraph.solve import RESIDUALS
 
 SCALE = np.array([1e-2, 0.3])
 
 
 def random_edge(rng, angle=None):
-    """The kernel's numbers (35,) of an edge; `angle`: by how much the displacement misses."""
+    """Parameters (35,) of an edge; `angle`: of the rotation between displacements, rad."""
     w = rng.normal(size=3)
     miss = se3.exp_so3(w if angle is None else w / np.linalg.norm(w) * angle)
     measured = se3.exp_so3(rng.normal(size=3))
@@ -30,7 +29,7 @@ def random_edge(rng, angle=None):
     )
 
 
-def whole_hessian(one, x, edge, blend):
+def assembled_hessian(one, x, edge, blend):
     i, j, between = (out.full()[:, 0] for out in one.hessian.call([x, edge, SCALE, blend]))
     matrix = np.zeros((12, 12))
     for k, (r, c) in enumerate(LOWER):
@@ -41,9 +40,9 @@ def whole_hessian(one, x, edge, blend):
     return matrix
 
 
-@pytest.mark.parametrize("residual", OBJECTIVES.values())
+@pytest.mark.parametrize("residual", RESIDUALS.values())
 def test_gradient_and_hessian_are_the_derivatives(residual):
-    one, rng = kernel(residual), np.random.default_rng(1)
+    one, rng = edge_kernel(residual), np.random.default_rng(1)
     for _ in range(5):
         edge, x = random_edge(rng), 0.2 * rng.normal(size=12)
 
@@ -57,14 +56,14 @@ def test_gradient_and_hessian_are_the_derivatives(residual):
         steps = h * np.eye(12)
         slope = np.array([(cost(x + s) - cost(x - s)) / (2 * h) for s in steps])
         curvature = np.array([(gradient(x + s) - gradient(x - s)) / (2 * h) for s in steps])
-        exact = whole_hessian(one, x, edge, 1.0)
+        exact = assembled_hessian(one, x, edge, 1.0)
         assert np.allclose(gradient(x), slope, atol=1e-7 * np.abs(slope).max())
         assert np.allclose(exact, curvature, atol=1e-6 * np.abs(curvature).max())
 
 
-@pytest.mark.parametrize("residual", OBJECTIVES.values())
+@pytest.mark.parametrize("residual", RESIDUALS.values())
 def test_gauss_newton_at_blend_zero(residual):
-    one, rng = kernel(residual), np.random.default_rng(2)
+    one, rng = edge_kernel(residual), np.random.default_rng(2)
     edge, x = random_edge(rng), 0.1 * rng.normal(size=12)
     root = np.zeros((6, 6))
     root[np.triu_indices(6)] = edge[14:]
@@ -75,11 +74,11 @@ def test_gauss_newton_at_blend_zero(residual):
     jacobian = np.array(
         [(residual_of(x + s) - residual_of(x - s)) / 2e-5 for s in 1e-5 * np.eye(12)]
     ).T
-    hessian = whole_hessian(one, x, edge, 0.0)
+    hessian = assembled_hessian(one, x, edge, 0.0)
     assert np.allclose(hessian, jacobian.T @ jacobian, atol=1e-7 * np.abs(hessian).max())
-    cheaper = one.gauss_newton.call([x, edge, SCALE])
-    for block, same in zip(cheaper, one.hessian.call([x, edge, SCALE, 0.0]), strict=True):
-        assert np.allclose(block.full(), same.full(), atol=1e-12 * np.abs(hessian).max())
+    blocks = one.gauss_newton.call([x, edge, SCALE])
+    for block, exact in zip(blocks, one.hessian.call([x, edge, SCALE, 0.0]), strict=True):
+        assert np.allclose(block.full(), exact.full(), atol=1e-12 * np.abs(hessian).max())
 
 
 def error_of(residual):
@@ -88,30 +87,28 @@ def error_of(residual):
     return ca.Function("e", [x, edge, scale], [error(residual, x, edge[:7], edge[7:14], scale)])
 
 
-def test_errors_are_those_of_the_definition():
+def test_errors_follow_their_definition():
     rng = np.random.default_rng(3)
     for angle in (1e-9, 0.5, 3.0):
         edge = random_edge(rng, angle)
-        log, vec = (
-            error_of(r)(np.zeros(12), edge, SCALE).full()[:, 0] for r in OBJECTIVES.values()
-        )
+        log, vec = (error_of(r)(np.zeros(12), edge, SCALE).full()[:, 0] for r in RESIDUALS.values())
         assert np.allclose(log[:3], edge[:3] - edge[7:10])
         assert np.isclose(np.linalg.norm(log[3:]), angle, rtol=1e-6)
         assert np.isclose(np.linalg.norm(vec[3:]), 2 * np.sin(angle / 2), rtol=1e-6)
-        for residual in OBJECTIVES.values():  # NumPy's, of many edges, is the kernel's
+        for residual in RESIDUALS.values():  # the cost is half the squared weighted error
             weighted = weighted_errors(edge[None], residual)
-            cost = kernel(residual).gradient.call([np.zeros(12), edge, SCALE])[0]
+            cost = edge_kernel(residual).gradient.call([np.zeros(12), edge, SCALE])[0]
             assert np.isclose(0.5 * np.sum(weighted**2), float(cost), rtol=1e-12)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, np.pi - 1e-9, np.pi - 1e-12, np.pi])
 def test_finite_at_zero_and_near_pi(angle):
-    one, rng = kernel("log"), np.random.default_rng(4)
+    one, rng = edge_kernel("log"), np.random.default_rng(4)
     edge = random_edge(rng, angle)
     cost, gradient = one.gradient.call([np.zeros(12), edge, SCALE])
     assert np.isfinite(float(cost))
     assert np.isfinite(gradient.full()).all()
-    assert np.isfinite(whole_hessian(one, np.zeros(12), edge, 1.0)).all()
+    assert np.isfinite(assembled_hessian(one, np.zeros(12), edge, 1.0)).all()
     error = error_of("log")(np.zeros(12), edge, SCALE).full()[3:]
     assert np.isclose(np.linalg.norm(error), angle, atol=1e-7)
 

@@ -1,4 +1,4 @@
-"""Solving: the known optima, every start, what IPOPT's status does not say, disconnected graphs."""
+"""Solving: published optima, every start, optimality, disconnected graphs."""
 
 import numpy as np
 import pytest
@@ -84,7 +84,7 @@ def test_origin_start_on_the_papers_task(skin_graph, seed):
     assert len(solution.iterates) == solution.iterations + 1
 
 
-def test_interpreted_equals_compiled(skin_graph, monkeypatch):
+def test_without_a_compiler_the_result_is_the_same(skin_graph, monkeypatch):
     from meshskin.core import codegen
     from meshskin.estimation.posegraph import cholesky, edge_assembly, topology
 
@@ -92,7 +92,7 @@ def test_interpreted_equals_compiled(skin_graph, monkeypatch):
     edge_assembly.library.cache_clear()
     cholesky.library.cache_clear()
     codegen._warn_once.cache_clear()
-    monkeypatch.setattr(topology, "kept", topology.TopologyCache(1))
+    monkeypatch.setattr(topology, "topology_cache", topology.TopologyCache(1))
     monkeypatch.setenv("MESHSKIN_COMPILER", "none")
     with pytest.warns(RuntimeWarning, match="interpreted"):
         slow = skin_graph(40, seed=1)[0].solve()
@@ -105,7 +105,7 @@ def test_interpreted_equals_compiled(skin_graph, monkeypatch):
 def test_a_topology_is_built_once(skin_graph, monkeypatch):
     from meshskin.estimation.posegraph import topology
 
-    monkeypatch.setattr(topology, "kept", topology.TopologyCache(edges=1000))
+    monkeypatch.setattr(topology, "topology_cache", topology.TopologyCache(edges=1000))
     graphs = [skin_graph(40, seed=s)[0] for s in range(2)]
     other = skin_graph(50)[0]
     assert graphs[0].problem("log") is graphs[1].problem("log")
@@ -113,7 +113,7 @@ def test_a_topology_is_built_once(skin_graph, monkeypatch):
     assert graphs[0].problem("log") is not other.problem("log")
     first = graphs[0].problem("log")
     assert [g.solve().is_optimal for g in graphs] == [True, True]
-    for count in range(60, 80):  # forgotten once newer ones fill the room
+    for count in range(60, 80):  # dropped once newer ones fill the cache
         skin_graph(count)[0].problem("log")
     assert graphs[0].problem("log") is not first
 
@@ -148,9 +148,9 @@ def test_without_noise_the_truth_is_found(skin_graph, skin_poses):
 def test_components_are_anchored_one_by_one(skin_graph):
     a, _ = skin_graph(30, seed=1)
     b, _ = skin_graph(20, seed=2)
-    lonely = np.eye(4)[None]
+    isolated = np.eye(4)[None]
     both = PoseGraph(
-        np.concatenate([a.poses, lonely, b.poses]),
+        np.concatenate([a.poses, isolated, b.poses]),
         np.concatenate([a.edges, b.edges + 31]),
         np.concatenate([a.measurements, b.measurements]),
         np.concatenate([a.information, b.information]),
@@ -159,7 +159,7 @@ def test_components_are_anchored_one_by_one(skin_graph):
     solution = both.solve()
     assert solution.is_optimal
     assert np.allclose(solution.poses[:30], a.solve().poses, atol=1e-6)
-    assert np.array_equal(solution.poses[30], lonely[0])
+    assert np.array_equal(solution.poses[30], isolated[0])
     assert np.allclose(solution.poses[31:], b.solve().poses, atol=1e-6)
     assert np.allclose(both.solve(start="tree").poses, solution.poses, atol=1e-6)
 
@@ -167,22 +167,22 @@ def test_components_are_anchored_one_by_one(skin_graph):
 def test_edges_both_ways_and_twice(skin_graph):
     graph, _ = skin_graph(30, seed=4)
     i, j = graph.edges.T
-    turned = PoseGraph(
+    doubled = PoseGraph(
         graph.poses,
         np.concatenate([graph.edges, np.stack([j, i], axis=1), graph.edges]),
         np.concatenate([graph.measurements, se3.inverse(graph.measurements), graph.measurements]),
         np.eye(6),
     )
-    solution = turned.solve("chordal")
+    solution = doubled.solve("chordal")
     assert solution.is_optimal
-    assert np.isclose(solution.cost, cost(turned, solution.poses, "chordal"), rtol=1e-9)
+    assert np.isclose(solution.cost, cost(doubled, solution.poses, "chordal"), rtol=1e-9)
 
 
 def test_singular_information_is_accepted(skin_graph):
     graph, truth = skin_graph(60, seed=6, sigma=(1e-5, 1e-4))
     information = graph.information.copy()
-    information[::2, 3:, :] = information[::2, :, 3:] = 0.0  # every second: position only
-    information[1::2, 0, :] = information[1::2, :, 0] = 0.0  # the others: blind along x
+    information[::2, 3:, :] = information[::2, :, 3:] = 0.0  # every second edge: position only
+    information[1::2, 0, :] = information[1::2, :, 0] = 0.0  # the others: nothing along x
     singular = PoseGraph(graph.poses, graph.edges, graph.measurements, information)
     solution = singular.solve()
     assert solution.is_optimal
@@ -203,7 +203,7 @@ def test_correlated_information_of_condition_1e12(skin_graph):
 
 
 def test_rotations_at_pi(skin_graph):
-    """A ring whose displacements turn by pi: Log is at its edge in every pose."""
+    """Absolute rotations of pi about random axes, where Log is discontinuous."""
     rng = np.random.default_rng(8)
     axes = rng.normal(size=(12, 3))
     axes *= np.pi / np.linalg.norm(axes, axis=1)[:, None]
