@@ -7,7 +7,7 @@ import math
 import numbers
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -143,3 +143,14 @@ def replace_fields(config: T, changes: Mapping[str, Any]) -> T:
             kind = type(config).__name__.lower()
             raise UnknownNameError("field", name, names, f" of a {kind}")
     return dataclasses.replace(config, **changes)  # type: ignore[type-var]
+
+
+class NamedFields:
+    """Base of dataclasses whose callers misspell keywords: an unknown one names the known ones."""
+
+    def __new__(cls, *args: Any, **values: Any) -> Self:
+        for name in values:
+            if name not in cls.__dataclass_fields__:  # type: ignore[attr-defined]
+                known = cls.__dataclass_fields__  # type: ignore[attr-defined]
+                raise UnknownNameError("field", name, known, f" of a {cls.__name__}")
+        return super().__new__(cls)

@@ -10,16 +10,26 @@ import numpy as np
 from ..contact import AUTO, BATCHED
 from ..contact.indenter import Indenter
 from ..contact.material import Material
-from ..core.arguments import check_type, repr_short
+from ..core.arguments import (
+    NamedFields,
+    check_array,
+    check_name,
+    check_real,
+    check_type,
+    repr_short,
+)
 from ..core.config import check_fields, quantity
-from ..core.errors import ConfigError, UnknownNameError
+from ..core.errors import ConfigError
 from ..core.se3 import Array
 from ..geometry.body import Body
 
 
 @dataclass(frozen=True)
-class Belief:
-    """What the robot's owner knows: everything that calibration may use besides the recording."""
+class Belief(NamedFields):
+    """What the robot's owner knows: all that calibration may use besides the recording.
+
+    Raises ConfigError for an unknown field or a value out of range.
+    """
 
     body: Body
     indenter: Indenter
@@ -29,38 +39,71 @@ class Belief:
     """Ids (n,) of all taxels of the skin."""
     disc_radius: float = quantity("m", 2e-3, above=0.0, most=0.05)
     """Radius of a taxel's disc, m."""
-    contact: str = "hertz"
-    """Name of the contact model, or "auto": the first that holds in the recording's contacts."""
+    contact: str = AUTO
+    """Contact model, one of contact.BATCHED, or "auto": the first of them that holds in the
+    recording's contacts."""
     force_reference: float | None = quantity("N", None, above=0.0)
-    """Force of a usual contact, N; None: the median of the recording's."""
-    noise_sigma: float | None = quantity("Pa", None, least=0.0)
-    """Standard deviation of a reading's noise, Pa; None: unknown, taken from the residuals."""
+    """Typical contact force, N; None: the median of the recording's."""
+    noise_sigma: float | None = quantity("Pa", None, above=0.0)
+    """Standard deviation of a reading's noise, Pa; None: unknown, estimated from the residuals."""
     threshold: float = quantity("Pa", 0.0, least=0.0)
-    """Pressures up to this are not reported, Pa."""
-    saturation: float | None = quantity("Pa", None, least=0.0)
-    """Readings of this and more are at the end of the sensor's range, Pa."""
+    """Pressure up to which readings are not recorded, Pa."""
+    saturation: float | None = quantity("Pa", None, above=0.0)
+    """End of the sensors' range, Pa; readings from there on are censored. None: no such end."""
     unknown: tuple[str, ...] = ("modulus",)
-    """What is estimated beside the taxels: any of "modulus" (E*), "gain" and "offset" (of each
+    """What is estimated besides the taxels: any of "modulus" (E*), "gain" and "offset" (of each
     taxel), "force_scale", "force_offset", "indenter_offset" (3), "body_offset" (6). Gain and offset
-    are estimated undeclared, too, where without them taxels misfit that are none the worse."""
+    are tried undeclared, too, for taxels that do not fit without them."""
     priors: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations of unknowns before any data, where they are not the defaults."""
     headings: Array | None = None
-    """Rotations (m, 3, 3), world from body, of the recording's contacts: an unknown indenter offset
-    needs them. None: those that the recording itself may hold."""
+    """Rotations (m, 3, 3), world from body, of the recording's m contacts; an unknown indenter
+    offset needs them. None: those in the recording, if any."""
     module_slots: Array | None = None
-    """Places (slots, 3) of a rigid module's taxels in the module's frame, m (z = outward normal);
-    taxel ids are then slots * module + slot. None: every taxel by itself."""
+    """Positions (slots, 3) of a rigid module's taxels in the module's frame, m (z = outward
+    normal); taxel ids are then slots * module + slot. None: the taxels are independent."""
 
     def __post_init__(self) -> None:
         check_fields(self)
         for name, kind in {"body": Body, "indenter": Indenter, "material": Material}.items():
             check_type(kind, getattr(self, name), f"the {name} of a belief")
-        if self.contact not in (*BATCHED, AUTO):
-            raise UnknownNameError("contact model", str(self.contact), (*BATCHED, AUTO))
+        check_name("contact model", self.contact, (*BATCHED, AUTO))
         if isinstance(self.unknown, str) or not isinstance(self.unknown, Collection):
             raise ConfigError(
-                "what is unknown to a belief is a list of names",
+                "belief.unknown must be a list of names",
                 value=repr_short(self.unknown),
                 remedy=f'write unknown=("{self.unknown}",)',
             )
+        object.__setattr__(self, "taxel_ids", _checked_ids(self.taxel_ids))
+        check_type(Mapping, self.priors, "priors of a belief")
+        for name, sigma in self.priors.items():
+            check_real(f"prior of {name}", sigma, above=0.0)
+        if self.headings is not None:
+            headings = check_array("headings of a belief", self.headings)
+            gram = headings @ np.swapaxes(headings, -1, -2) if headings.ndim == 3 else np.zeros(1)
+            if headings.shape[1:] != (3, 3) or not np.allclose(gram, np.eye(3), atol=1e-6):
+                raise ConfigError(
+                    "headings of a belief must be rotation matrices",
+                    value=f"shape {headings.shape}",
+                    limit="(m, 3, 3), orthonormal within 1e-6",
+                )
+
+
+def _checked_ids(taxel_ids: object) -> np.ndarray:
+    """Taxel ids as integers (n,). Raises ConfigError."""
+    ids = check_array("taxel ids of a belief", taxel_ids)  # type: ignore[arg-type]
+    if ids.ndim != 1 or not len(ids):
+        raise ConfigError("taxel ids of a belief must be a list", value=f"shape {ids.shape}")
+    fractional = ~np.isfinite(ids) | (ids != np.round(ids))
+    if fractional.any():
+        raise ConfigError(
+            "taxel ids of a belief must be whole numbers", value=f"{ids[np.argmax(fractional)]:g}"
+        )
+    unique, count = np.unique(ids, return_counts=True)
+    if (count > 1).any():
+        raise ConfigError(
+            "taxel ids of a belief must be unique",
+            value=f"{int(unique[np.argmax(count > 1)])} {count.max()} times",
+            remedy="list every taxel once",
+        )
+    return ids.astype(np.int64)

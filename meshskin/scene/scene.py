@@ -1,12 +1,16 @@
 """The scene: a skinned body, an arm that carries it, the indenter, and the effects that are on.
 
-A scene is the world that `simulate` gets. `Scene.belief` is what the robot's owner knows of it,
-which is what `calibrate` gets: no taxel's pose is in it.
+Five objects carry the facts of a run, each made from those before it: the Scene (the world), the
+Plan (the path of the contact point, `plan_exploration(scene)`), the Recording (contacts and
+readings, `simulate(scene)`), the Belief (what the robot's owner knows, `scene.belief()`: no taxel's
+pose is in it), and the Calibration (`calibrate(recording, belief)`). All else is a view of a scene
+for one use: `Scene.rig` for the planner, `Scene.context` for the effects, `Scene.reading_model` for
+the sensors, and the ClosedLoopModel of the simulation for its step function.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -18,9 +22,16 @@ from ..contact import AUTO, BATCHED, ContactModel, Patch
 from ..contact.indenter import Indenter
 from ..contact.material import Indentation, Material
 from ..contact.reading import ReadingModel
-from ..core.arguments import check_name, check_real, check_type, replace_fields, repr_short
+from ..core.arguments import (
+    NamedFields,
+    check_name,
+    check_real,
+    check_type,
+    replace_fields,
+    repr_short,
+)
 from ..core.errors import ConfigError, SkinError
-from ..core.se3 import Array, is_rigid, orthonormal_basis, perpendicular, transform
+from ..core.se3 import Array, is_rigid, orthonormal_basis, perpendicular, poses_of_states, transform
 from ..effects import Context, NoiseEffect, check_effect
 from ..geometry.body import Body
 from ..robot.arm import Arm
@@ -30,29 +41,35 @@ from ..skin.modules import Modules
 from ..skin.skin import Skin
 from . import shipped_scenes
 from .belief import Belief
+from .file import read_tables, scene_fields
 from .settings import Exploration, Law, Loop, Readout
 
 if TYPE_CHECKING:
     from ..effects import Effect
 
-BENT = 1e-5
-"""Most that a taxel of a rigid module lies off its place, m: less than it is found to."""
+MODULE_TOLERANCE = 1e-5
+"""Largest deviation of a taxel from its slot in a rigid module, m: below the position error of an
+estimate (0.08 mm with 5 % noise), above the rounding of skin files (0.001 mm)."""
 ADAPTER = 0.02
-"""Length of the piece between flange and body when no mount is given, m."""
-
-
-LEAST_BUDGET = 1e-9
-"""Least error budget, m: so far apart do models that agree put the taxels, by rounding."""
+"""Length of the adapter between flange and body where no mount is given, m. Chosen."""
+MIN_MEAN_NORMAL = 0.05
+"""Least length of a skin's mean normal that gives its axis. Skins all round a body have 0.003 to
+0.018 (lattices of 5 to 15 mm on sphere, capsule, torus, ellipsoid), a half sphere has 0.5."""
+MIN_BUDGET = 1e-9
+"""Least error budget, m: positions by equal models differ by as much through rounding."""
 PARTS: dict[str, type] = {
     "body": Body, "skin": Skin, "indenter": Indenter, "arm": Arm, "material": Material,
     "law": Law, "exploration": Exploration, "readout": Readout, "loop": Loop,
 }  # fmt: skip
-"""Parts that every scene has."""
+"""Types of the parts that every scene has."""
 
 
 @dataclass(frozen=True)
-class Scene:
-    """A skinned body on an arm over a fixed indenter."""
+class Scene(NamedFields):
+    """A skinned body on an arm over a fixed indenter.
+
+    Raises ConfigError for an unknown field or a value out of range.
+    """
 
     body: Body
     skin: Skin
@@ -71,8 +88,8 @@ class Scene:
     budget: float | None = None
     """Taxel error, m, that may be left out: `ms.budget` decides what is on. None: it is decided."""
     contact: str = AUTO
-    """Contact model: of physics.contact.BATCHED, or "auto", the first of them that holds at every
-    taxel where any does."""
+    """Contact model, one of contact.BATCHED, or "auto": the first of them that holds at every taxel
+    at which any of them does."""
     payload: float = 1.0
     """Mass of the body, kg, spread evenly over its volume."""
     mount: Array | None = None
@@ -84,25 +101,27 @@ class Scene:
         if self.arm is None:
             raise ConfigError(
                 "a scene without an arm",
-                remedy="leave it out for the default one, which a quasi-static loop does not use",
+                remedy="omit it for the default arm, which a quasi-static loop does not use",
             )
         for name, kind in PARTS.items():
             check_type(kind, getattr(self, name), f"the {name} of a scene")
         if self.mount is not None and not is_rigid(self.mount):
-            limit = "a finite (4, 4) with a rotation in it"
             shape = np.shape(self.mount)
-            value = shape if shape != (4, 4) else repr_short(self.mount)
-            raise ConfigError("a mount is T_tip_body", value=value, limit=limit)
+            raise ConfigError(
+                "scene.mount must be a rigid transform T_tip_body",
+                value=shape if shape != (4, 4) else repr_short(self.mount),
+                limit="a finite (4, 4) with a rotation in it",
+            )
         check_real("payload of a scene", self.payload, "kg", least=0.0)
         if self.budget is not None:
             check_real("budget of a scene", self.budget)
-            if self.budget < LEAST_BUDGET:
+            if self.budget < MIN_BUDGET:
                 small = "no setting resolves so small an error budget"
                 raise ConfigError(
                     small if self.budget > 0 else "an error budget must be positive",
                     value=f"{1e3 * self.budget:g} mm",
-                    limit=f"at least {1e3 * LEAST_BUDGET:g} mm",
-                    remedy="for everything on, list the effects in the scene and give no budget",
+                    limit=f"at least {1e3 * MIN_BUDGET:g} mm",
+                    remedy="for all effects, list them in the scene and give no budget",
                 )
         check_type(Iterable, self.effects, "what is on in a scene")
         for effect in (*self.effects, *(self.candidates or ())):
@@ -115,25 +134,42 @@ class Scene:
     @classmethod
     def load(cls, name: str | Path) -> Scene:
         """A shipped scene by name, or a scene from a TOML file. Raises ConfigError."""
-        from .file import load
+        return cls.from_tables(*read_tables(name))
 
-        return load(name)
+    @classmethod
+    def from_tables(cls, data: Mapping[str, Any], folder: Path) -> Scene:
+        """The scene of merged TOML tables; relative paths start from `folder`.
+
+        Raises ConfigError.
+        """
+        return cls(**scene_fields(data, folder))
 
     def with_(self, **changes: Any) -> Scene:
-        """This scene with other parts. Raises ConfigError."""
+        """This scene with other values of some fields. Raises ConfigError."""
         return replace_fields(self, changes)
 
     @cached_property
     def axis(self) -> Array:
-        """Mean outward normal of the skin (3,), body frame."""
+        """Mean outward normal of the skin (3,), body frame; the body's z axis where the skin has
+        none because it is all round the body.
+        """
         mean = self.skin.normals.mean(axis=0)
-        return np.asarray(mean / np.linalg.norm(mean))
+        length = np.linalg.norm(mean)
+        return np.asarray(mean / length if length > MIN_MEAN_NORMAL else [0.0, 0.0, 1.0])
 
     @cached_property
     def mount_pose(self) -> Array:
-        """T_tip_body (4, 4)."""
+        """T_tip_body (4, 4). Raises ConfigError if an arm has no default mount for the skin."""
         if self.mount is not None:
             return np.asarray(self.mount, dtype=float)
+        length = float(np.linalg.norm(self.skin.normals.mean(axis=0)))
+        if self.loop.mode == "arm" and length <= MIN_MEAN_NORMAL:
+            raise ConfigError(
+                "a skin all round its body has no side to turn to the indenter",
+                value=f"a mean normal of length {length:.2g}",
+                limit=f"above {MIN_MEAN_NORMAL:g} for the default mount",
+                remedy="give mount=T_tip_body ([arm] mount_m in a scene file)",
+            )
         rotation = orthonormal_basis(self.axis, perpendicular(self.axis)).T
         back = -float((self.body.mesh.vertices @ self.axis).min())
         return transform(rotation, [0.0, 0.0, back + ADAPTER])
@@ -158,7 +194,7 @@ class Scene:
         return self.indentation.model(name)
 
     def invalid_reasons(self, curvature: Array) -> Array:
-        """Why the contact model does not hold (k,) at principal curvatures (k, 2), 1/m: strings, ""
+        """Reason (k,) why the contact model does not hold at principal curvatures (k, 2), 1/m; ""
         where it does.
         """
         return self.indentation.invalid_reasons(self.model.name, curvature)
@@ -170,24 +206,24 @@ class Scene:
 
     @cached_property
     def patch(self) -> Patch:
-        """The contact patch under the reference force at the skin's centre, or at the taxel next
+        """The contact patch under the reference force at the skin's centre, or at the taxel nearest
         to it at which the contact model holds. Raises ContactError where there is none.
         """
         positions = self.skin.positions
         near = np.argsort(np.linalg.norm(positions - positions.mean(axis=0), axis=1))
-        places = np.concatenate([positions.mean(axis=0)[None], positions[near]])
-        curvature = self.body.closest(places).curvature
+        sites = np.concatenate([positions.mean(axis=0)[None], positions[near]])
+        curvature = self.body.closest(sites).curvature
         good = np.flatnonzero(self.invalid_reasons(curvature) == "")
         return self.indentation.patch(self.model.name, curvature[good[0] if len(good) else 0])
 
     @property
     def threshold(self) -> float:
-        """Pressure up to which a reading is not reported, Pa."""
+        """Pressure up to which a reading is not recorded, Pa."""
         return self.readout.threshold_relative * self.patch.peak
 
     @property
     def reading_model(self) -> ReadingModel:
-        """How contacts become pressures where no effect changes it."""
+        """The pressures that contacts cause without effects."""
         return ReadingModel(
             self.model,
             self.skin.disc_radius,
@@ -245,7 +281,7 @@ class Scene:
 
     @property
     def frame_steps(self) -> int:
-        """Steps of the closed loop from frame to frame."""
+        """Steps of the closed loop per frame of readings."""
         return max(round(1.0 / (self.readout.rate * self.loop.dt)), 1)
 
     def body_pose(self, q: Array) -> Array:
@@ -254,17 +290,16 @@ class Scene:
         """
         if self.loop.mode == "arm":
             return np.asarray(self.arm.pose(q) @ self.mount_pose)
-        from ..core.se3 import poses_of_states
-
         return poses_of_states(q)
 
     def belief(self, **changes: Any) -> Belief:
         """What the owner of this scene knows; `changes` replace fields (a softer material, ...).
 
-        Raises ConfigError for what is no field of a Belief, or no value of it.
+        Raises ConfigError for an unknown field of a Belief or a value out of range.
         """
         context = self.context(0)
         sigma = [e.sigma(context) for e in self.effects if isinstance(e, NoiseEffect)]
+        noise = float(np.sqrt(np.sum(np.square(sigma))))
         known = Belief(
             body=self.body,
             indenter=self.indenter,
@@ -273,16 +308,16 @@ class Scene:
             taxel_ids=np.array(self.skin.ids),
             disc_radius=self.skin.disc_radius,
             force_reference=self.law.force_reference,
-            noise_sigma=float(np.sqrt(np.sum(np.square(sigma)))) if sigma else None,
+            noise_sigma=noise if noise > 0 else None,
             threshold=self.threshold,
             module_slots=self._module_slots(),
         )
         return replace_fields(known, changes)
 
     def _module_slots(self) -> Array | None:
-        """What a data sheet says of rigid modules, where the skin is of such; not their poses."""
+        """The slots of the data sheet where the skin consists of rigid modules; not their poses."""
         try:
-            Modules.of(self.skin, BENT)
+            Modules.of(self.skin, MODULE_TOLERANCE)
         except SkinError:
             return None
         return slots.OFFSETS

@@ -17,50 +17,36 @@ from ..geometry.region import Cap, Disc, Faces, HalfSpace, Patch, Region
 from ..skin.skin import Skin
 
 
-@dataclass(frozen=True)
-class _Sphere:
+@dataclass(frozen=True, kw_only=True)
+class _Primitive:
     shape: str
-    radius: float = quantity("m", above=0.0)
     faces: int | None = quantity("", None, above=0)
 
     def make(self, folder: Path) -> Body:
         check_fields(self)
-        return Body.sphere(self.radius, **given(faces=self.faces))
+        body: Body = getattr(Body, self.shape)(**given(vars(self), without=("shape",)))
+        return body
 
 
-@dataclass(frozen=True)
-class _Ellipsoid:
-    shape: str
+@dataclass(frozen=True, kw_only=True)
+class _Sphere(_Primitive):
+    radius: float = quantity("m", above=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Ellipsoid(_Primitive):
     radii: tuple[float, float, float] = quantity("m", above=0.0)
-    faces: int | None = quantity("", None, above=0)
-
-    def make(self, folder: Path) -> Body:
-        check_fields(self)
-        return Body.ellipsoid(self.radii, **given(faces=self.faces))
 
 
-@dataclass(frozen=True)
-class _Capsule:
-    shape: str
-    radius: float = quantity("m", above=0.0)
+@dataclass(frozen=True, kw_only=True)
+class _Capsule(_Sphere):
     length: float = quantity("m", above=0.0)
-    faces: int | None = quantity("", None, above=0)
-
-    def make(self, folder: Path) -> Body:
-        check_fields(self)
-        return Body.capsule(self.radius, self.length, **given(faces=self.faces))
 
 
-@dataclass(frozen=True)
-class _Torus:
-    shape: str
+@dataclass(frozen=True, kw_only=True)
+class _Torus(_Primitive):
     major: float = quantity("m", above=0.0)
     minor: float = quantity("m", above=0.0)
-    faces: int | None = quantity("", None, above=0)
-
-    def make(self, folder: Path) -> Body:
-        check_fields(self)
-        return Body.torus(self.major, self.minor, **given(faces=self.faces))
 
 
 @dataclass(frozen=True)
@@ -79,8 +65,6 @@ _SHAPES: dict[str, type] = {
     "capsule": _Capsule,
     "torus": _Torus,
 }
-
-
 _REGIONS: dict[str, type] = {
     "patch": Patch,
     "direction": Cap,
@@ -88,11 +72,13 @@ _REGIONS: dict[str, type] = {
     "normal": HalfSpace,
     "faces": Faces,
 }
-"""Kinds of a skin's region, by the key that each needs."""
+"""Kinds of a skin's region, by the key that only each of them has."""
 
 
 @dataclass(frozen=True)
 class SkinTable:
+    """[skin]: a file, or taxels on a lattice."""
+
     file: str | None = None
     count: int | None = quantity("", None, above=0)
     spacing: float | None = quantity("m", None, above=0.0)
@@ -100,34 +86,38 @@ class SkinTable:
     direction: tuple[float, ...] | None = quantity("", None)
     angle: float | None = quantity("rad", None, above=0.0, most=np.pi)
     region: Any = None
-    """a table, as {patch = "palm"}; goes before `direction` and `angle`"""
+    """A table, such as {patch = "palm"}; takes precedence over `direction` and `angle`."""
     seed: int = quantity("", 0)
 
     def part(self) -> Region | None:
-        """The part of the body that the skin is laid on. Raises ConfigError."""
+        """The part of the body that the skin covers; None: all. Raises ConfigError."""
         table, where = self.region, "skin.region"
         if table is None:
             if self.direction is None:
                 return None
-            table, where = {"direction": list(self.direction)}, "skin"
-            table |= given(angle_rad=self.angle)
+            where = "skin"
+            table = given({"direction": list(self.direction), "angle_rad": self.angle})
         if not isinstance(table, Mapping):
             remedy = f'write region = {{patch = "{table}"}}' if isinstance(table, str) else None
             raise ConfigError("skin.region must be a table", value=repr(table), remedy=remedy)
         kinds = [k for k in _REGIONS if any(key == k or key.startswith(f"{k}_") for key in table)]
         if len(kinds) != 1:
-            value = f"{' and '.join(kinds) or 'none'} in [skin.region]"
             raise ConfigError(
-                "kind of a region", value=value, limit=f"one of {', '.join(_REGIONS)}"
+                "skin.region must have the key of one kind of region",
+                value=" and ".join(kinds) or "none",
+                limit=f"one of {', '.join(_REGIONS)}",
             )
         for key in ("direction", "normal"):
             if key in table and (len(table[key]) != 3 or not np.any(table[key])):
-                raise ConfigError(f"{where}.{key} must be a vector of 3", value=table[key])
-        found: Region = from_table(_REGIONS[kinds[0]], table, where)
-        check_fields(found)
-        return found
+                raise ConfigError(
+                    f"{where}.{key} must be a nonzero vector of 3 numbers", value=table[key]
+                )
+        region: Region = from_table(_REGIONS[kinds[0]], table, where)
+        check_fields(region)
+        return region
 
     def make(self, body: Body, folder: Path) -> Skin:
+        """The skin on `body`; a file is relative to `folder`."""
         check_fields(self)
         if self.file is not None:
             return Skin.load(folder / self.file)
@@ -143,6 +133,8 @@ class SkinTable:
 
 @dataclass(frozen=True)
 class ArmTable:
+    """[arm]: the URDF file, what the arm carries, and where it stands."""
+
     urdf: str = "puma560.urdf"
     tip: str = "tool0"
     folders: tuple[str, ...] = ()
@@ -152,21 +144,23 @@ class ArmTable:
     base: tuple[float, float, float] = quantity("m", (0.0, 0.0, 0.0), least=-10, most=10)
     base_angles: tuple[float, float, float] = quantity("rad", (0.0, 0.0, 0.0))
 
-    def pose(self) -> Array | None:
-        """T_tip_body from a position and a rotation vector, or None."""
+    def mount_pose(self) -> Array | None:
+        """T_tip_body (4, 4) from a position and a rotation vector; None: the scene's default."""
         check_fields(self)
         if self.mount is None:
             return None
         return transform(exp_so3(self.mount_angles), self.mount)
 
-    def stand(self) -> Array:
-        """T_w_base from a position and a rotation vector."""
+    def base_pose(self) -> Array:
+        """T_w_base (4, 4) from a position and a rotation vector."""
         check_fields(self)
         return transform(exp_so3(self.base_angles), self.base)
 
 
 @dataclass(frozen=True)
-class WordsTable:
+class TextTable:
+    """The top-level keys whose values are text."""
+
     name: str | None = None
     description: str | None = None
     contact: str | None = None
@@ -174,16 +168,18 @@ class WordsTable:
 
 @dataclass(frozen=True)
 class BudgetTable:
+    """The top-level error budget."""
+
     budget: float | None = quantity("m", None, above=0.0)
 
 
-def given(**options: Any) -> dict[str, Any]:
-    """The options that are given."""
-    return {key: value for key, value in options.items() if value is not None}
+def given(options: Mapping[str, Any], without: tuple[str, ...] = ()) -> dict[str, Any]:
+    """The options that are not None."""
+    return {k: value for k, value in options.items() if value is not None and k not in without}
 
 
 def body_table(table: Mapping[str, Any]) -> Any:
-    """The checked table of a body; its `make(folder)` makes it."""
+    """The checked table of a body; its `make(folder)` gives the Body."""
     if "mesh" in table:
         return from_table(_Mesh, table, "body")
     shape = table.get("shape")

@@ -67,7 +67,7 @@ CALLS = {
         lambda s: s.with_(budget=0.0),
         "must be positive, got 0 mm",
     ),
-    "a mount of nothing": (lambda s: s.with_(mount=np.full((4, 4), np.nan)), "a mount .*finite"),
+    "a mount of nothing": (lambda s: s.with_(mount=np.full((4, 4), np.nan)), "mount must .*finite"),
     "effects of a number": (lambda s: s.with_(effects=3), "what is on .*got 3"),
     "a part that is none": (lambda s: s.with_(nam="x"), "unknown field 'nam'.*did you mean name"),
     "a field that is none": (lambda s: s.belief(noise=3), "'noise' .*did you mean noise_sigma"),

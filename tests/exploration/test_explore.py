@@ -52,9 +52,9 @@ def test_a_half_ball_is_explored_in_lanes_where_the_arm_cannot_turn_its_parallel
         ({"force": 0.0}, "force of an exploration is out of range, got 0 N, limit: above 0 N"),
         ({"dt": -1e-3}, "dt of an exploration is out of range, got -0.001 s, limit: above 0 s"),
         ({"frame": np.nan}, "frame of an exploration must be a finite number, got nan"),
-        ({"mount": np.eye(3)}, "a mount is T_tip_body"),
-        ({"mount": np.diag([1.0, 1.0, -1.0, 1.0])}, "a mount is T_tip_body"),
-        ({"mount": np.full((4, 4), np.nan)}, "a mount is T_tip_body"),
+        ({"mount": np.eye(3)}, "must be a rigid transform T_tip_body"),
+        ({"mount": np.diag([1.0, 1.0, -1.0, 1.0])}, "must be a rigid transform T_tip_body"),
+        ({"mount": np.full((4, 4), np.nan)}, "must be a rigid transform T_tip_body"),
     ],
 )
 def test_numbers_that_no_exploration_has_are_refused(sphere, wrong, message):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from meshskin import cli, explore
+from meshskin import Scene, cli, explore
 from meshskin.core.errors import ConfigError, MeshError, SkinError
 from meshskin.geometry.body import Body
 from meshskin.geometry.mesh import mesh_file, obj
@@ -267,7 +267,7 @@ def scene_tables(folder, region):
         'extends = "sphere"\n[body]\nmesh = "hand.obj"\nunits = "m"\n'
         f"[skin]\nspacing_mm = 8\nregion = {region}\n"
     )
-    return file.tables(folder / "scene.toml")
+    return file.read_tables(folder / "scene.toml")
 
 
 @pytest.mark.parametrize(
@@ -285,7 +285,7 @@ def test_every_region_can_be_given_in_a_scene(ball, tmp_path, table, region):
     data, folder = scene_tables(tmp_path, table)
     del data["skin"]["count"]
     file.check_tables(data)
-    scene = file.from_tables(data, folder)
+    scene = Scene.from_tables(data, folder)
     expected = Skin.cover(scene.body, spacing=8e-3, region=region)
     np.testing.assert_allclose(scene.skin.positions, expected.positions, atol=1e-12)
 
@@ -294,13 +294,13 @@ def test_every_region_can_be_given_in_a_scene(ball, tmp_path, table, region):
     ("table", "match"),
     [
         ('"palm"', r"""write region = {patch = "palm"}"""),
-        ("{}", "kind of a region, got none in"),
+        ("{}", "key of one kind of region, got none"),
         ('{patch = "palm", radius_mm = 3}', r"unknown key 'radius_mm' in \[skin.region\]"),
-        ('{patch = "palm", faces = [1]}', "got patch and faces in"),
+        ('{patch = "palm", faces = [1]}', "got patch and faces"),
         ("{point = [0, 0, 1], radius_mm = 3}", "point needs a unit in its name"),
         ("{point_mm = [0, 0, 100], radius_mm = -3}", "disc.radius is out of range"),
         ("{point_mm = [0, 0, 100]}", "lacks radius"),
-        ("{normal = [0, 0, 0], offset_mm = 0}", "normal must be a vector of 3"),
+        ("{normal = [0, 0, 0], offset_mm = 0}", "normal must be a nonzero vector of 3"),
     ],
 )
 def test_wrong_regions_in_a_scene_are_refused(tmp_path, table, match):

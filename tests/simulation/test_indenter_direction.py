@@ -15,7 +15,7 @@ from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap
 from meshskin.robot import dynamics
 from meshskin.robot.arm import Arm
-from meshskin.scene.file import from_tables, tables
+from meshskin.scene.file import read_tables
 from meshskin.simulation.closed_loop_model import ClosedLoopModel
 from meshskin.simulation.contact_samplers import closed_loop_sampler, static_sampler
 from meshskin.simulation.rollout import CompiledRollout
@@ -224,17 +224,17 @@ def test_every_integrator_holds_the_force_on_a_wall(walled, integrator):
 
 
 def test_a_scene_file_says_direction_and_base():
-    data, folder = tables("sphere")
+    data, folder = read_tables("sphere")
     data["indenter"] |= {"direction": [1, 0, 0], "position_m": [-0.6, -0.15, 0.5]}
     data["arm"] |= {"base_mm": [0, 0, 100], "base_angles_deg": [0, 0, 90]}
-    scene = from_tables(data, folder)
+    scene = ms.Scene.from_tables(data, folder)
     assert scene.indenter.direction == (1, 0, 0)
     turned = [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0.1], [0, 0, 0, 1]]
     np.testing.assert_allclose(scene.arm.base, turned, atol=1e-15)
     assert np.array_equal(ClosedLoopModel.of(scene).arm.base, scene.arm.base)
     data["arm"]["base_mm"] = [0, 0]
     with pytest.raises(ConfigError, match=r"base must be a tuple of 3 numbers, got \(0.0, 0.0\)"):
-        from_tables(data, folder)
+        ms.Scene.from_tables(data, folder)
 
 
 def test_a_wall_out_of_reach_is_named(sphere):

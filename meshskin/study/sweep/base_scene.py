@@ -72,9 +72,9 @@ class SceneFile:
     @classmethod
     def load(cls, name: str | Path) -> SceneFile:
         """The tables of a shipped scene or a TOML file."""
-        from ...scene.file import tables
+        from ...scene.file import read_tables
 
-        found, folder = tables(name)
+        found, folder = read_tables(name)
         return cls(found, folder.resolve())
 
     def check(self, parameters: SceneTable) -> None:
@@ -105,9 +105,9 @@ class SceneFile:
 
     def scene(self, parameters: SceneTable) -> Scene:
         """The scene with these parameters. Raises MeshskinError kinds."""
-        from ...scene.file import from_tables
+        from ...scene.scene import Scene
 
-        return from_tables(changed_tables(self.tables, parameters), self.folder)
+        return Scene.from_tables(changed_tables(self.tables, parameters), self.folder)
 
 
 class SceneObject:
@@ -159,13 +159,13 @@ class SceneObject:
         return dataclasses.replace(self._scene, **self._parts(parameters))
 
     def _parts(self, parameters: SceneTable) -> dict[str, Any]:
-        from ...scene.file import parts
+        from ...scene.file import plain_fields
 
         data = changed_tables(self._tables, parameters)
         for key in data:
             if key not in self._tables:
                 raise UnknownNameError("key", key, self._tables, " in the scene")
-        return parts(data)
+        return plain_fields(data)
 
 
 def _unpacked(
@@ -221,9 +221,9 @@ def _with_effect(effects: Any, rest: str, value: Any) -> list[dict[str, Any]]:
             value=f"effects = {effects!r}",
             remedy="list the effects in the scene",
         )
-    from ...scene.file import check_listed
+    from ...scene.file import check_table_list
 
-    check_listed("effects", effects)
+    check_table_list("effects", effects)
     listed = [dict(effect) for effect in effects]
     found = next((effect for effect in listed if effect.get("kind") == kind), None)
     if not quantity and not isinstance(value, bool):

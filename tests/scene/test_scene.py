@@ -1,0 +1,67 @@
+"""Scenes: fields, default mount, budget, and the files that they are loaded from."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin.core.errors import ConfigError, UnknownNameError
+
+
+def test_a_misspelt_field_names_the_known_ones(sphere):
+    with pytest.raises(UnknownNameError, match="unknown field 'indentor' of a Scene; did you mean"):
+        ms.Scene(body=sphere.body, skin=sphere.skin, indentor=sphere.indenter)
+    with pytest.raises(UnknownNameError, match="unknown field 'paylod' of a scene"):
+        sphere.with_(paylod=1.0)
+
+
+def test_the_default_mount_turns_the_skin_outward_along_the_tip(sphere):
+    pose = sphere.with_(mount=None).mount_pose
+    np.testing.assert_allclose(pose[:3, :3] @ sphere.axis, [0.0, 0.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(pose[:3, :3]), 1.0)
+    lowest = (sphere.body.mesh.vertices @ pose[:3, :3].T + pose[:3, 3])[:, 2].min()
+    assert lowest == pytest.approx(0.02)
+
+
+def test_a_skin_all_round_a_body_has_no_default_mount_on_an_arm():
+    body = ms.Body.sphere(0.05)
+    scene = ms.Scene(body=body, skin=ms.Skin.cover(body, spacing=12e-3))
+    with pytest.raises(ConfigError, match=r"all round its body .* give mount=T_tip_body"):
+        _ = scene.mount_pose
+    np.testing.assert_array_equal(scene.axis, [0.0, 0.0, 1.0])
+    assert np.isfinite(scene.with_(loop=replace(scene.loop, mode="quasi_static")).mount_pose).all()
+    given = np.eye(4)
+    np.testing.assert_array_equal(scene.with_(mount=given).mount_pose, given)
+
+
+@pytest.mark.parametrize(
+    "mount", [np.eye(3), np.diag([1.0, 1.0, -1.0, 1.0]), np.full((4, 4), np.nan)]
+)
+def test_a_mount_must_be_rigid(sphere, mount):
+    with pytest.raises(ConfigError, match="must be a rigid transform T_tip_body"):
+        sphere.with_(mount=mount)
+
+
+def test_a_body_or_skin_table_that_is_missing_is_named(tmp_path):
+    file = tmp_path / "bare.toml"
+    file.write_text("[skin]\ncount = 3\n")
+    with pytest.raises(ConfigError, match=r"the table \[body\] is missing in bare; add \[body\]"):
+        ms.Scene.load(file)
+
+
+def test_a_body_of_another_shape_replaces_that_of_the_parent(tmp_path):
+    file = tmp_path / "tube.toml"
+    file.write_text(
+        'extends = "sphere"\n[body]\nshape = "capsule"\nradius_mm = 60\nlength_mm = 100\n'
+        "[skin]\ncount = 10\nspacing_mm = 6\ndirection = [1, 0, 0]\nangle_deg = 30\n"
+    )
+    scene = ms.Scene.load(file)
+    assert scene.name == "tube"
+    assert np.ptp(scene.body.mesh.bounds[:, 2]) == pytest.approx(0.22)
+    assert scene.axis[0] > 0.9
+
+
+def test_a_delay_must_be_a_whole_number_of_steps(sphere):
+    with pytest.raises(ConfigError, match=r"whole number of steps, got 1.5 ms, .*delay_ms = 2"):
+        replace(sphere.loop, delay=1.5e-3)
