@@ -1,34 +1,45 @@
-"""A robot's own log: two CSV files, contacts and readings, in SI units or with the unit in the name
-of the column (px_mm, pressure_kpa, time_ms).
+"""A robot's own log: two CSV files, contacts and readings.
+
+Columns are in SI units or name their unit (px_mm, pressure_kpa, time_ms).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from ..core.config import UNITS
 from ..core.errors import RecordingError
-from ..core.se3 import Array
 
 SUFFIXES = {
     "": 1.0,
     **{name: factor for unit in ("m", "s", "N", "Pa") for name, factor in UNITS[unit].items()},
 }
-"""Units that a column of a CSV log may name, in SI."""
-NEEDED = {
+"""Unit suffixes of columns, with the factor to SI."""
+REQUIRED = {
     "contacts": ("time", "px", "py", "pz", "force"),
     "readings": ("time", "taxel", "pressure"),
 }
+"""Columns that each file must have."""
+LIMITS: dict[str, tuple[Callable[[Any], Any], str, str]] = {
+    "force": (lambda x: x <= 0, "above 0 N", "remove the rows without contact"),
+    "pressure": (lambda x: x < 0, "at least 0 Pa", "remove the offsets of the sensors"),
+    "taxel": (lambda x: x < 0, "at least 0", "remove the readings of what is no taxel"),
+}
+"""For a column: which values are invalid, the limit that they break, and the remedy."""
+UTF16 = (b"\xff\xfe", b"\xfe\xff")
+"""First bytes of a file in UTF-16."""
 
 
 def find(path: Path) -> tuple[Path, Path] | None:
-    """The CSV files of contacts and of readings at `path`: in a folder of that name, or with it as
-    the common part of their names; None where there is neither.
+    """The CSV files of contacts and of readings at `path`; None if there is neither.
 
-    Raises RecordingError where one of the two is missing.
+    They are in the folder `path`, or `path` is the common part of their names. Raises
+    RecordingError if one of the two is missing.
     """
     for contacts, readings in (
         (path / "contacts.csv", path / "readings.csv"),
@@ -37,7 +48,7 @@ def find(path: Path) -> tuple[Path, Path] | None:
         missing = [file for file in (contacts, readings) if not file.is_file()]
         if len(missing) == 1:
             raise RecordingError(
-                f"half a log: {missing[0]} is missing", remedy="put it beside the other one"
+                f"half a log: {missing[0]} is missing", remedy="put it beside the other file"
             )
         if not missing:
             return contacts, readings
@@ -46,49 +57,69 @@ def find(path: Path) -> tuple[Path, Path] | None:
 
 def read(file: Path, part: str) -> pa.Table:
     """The table of a CSV file, "contacts" or "readings", in SI units. Raises RecordingError."""
-    from pyarrow import csv
-
-    try:
-        table = csv.read_csv(file)
-    except (pa.ArrowInvalid, OSError) as error:
-        raise RecordingError(
-            f"{file} cannot be read: {str(error).splitlines()[0]}",
-            remedy="write one header line and numbers with commas between",
-        ) from error
     columns: dict[str, pa.Array] = {}
-    for label in table.column_names:
+    for label, values in _read_columns(file).items():
         name, _, suffix = label.strip().lower().partition("_")
         factor = SUFFIXES.get(suffix)
         if factor is None or name in columns:
             raise RecordingError(
-                f"a column of {file.name} that is unknown or twice there",
+                f"a column of {file.name} has an unknown unit or occurs twice",
                 value=label,
                 limit=f"units {', '.join(filter(None, SUFFIXES))}",
-                remedy="rename it or take it out",
+                remedy="rename or remove it",
             )
-        values = _numbers(table.column(label), label, file)
-        columns[name] = pa.array(_ids(values, file) if name == "taxel" else values * factor)
-    missing = [name for name in NEEDED[part] if name not in columns]
+        numbers = _integers(values, file) if name == "taxel" else _numbers(values, label, file)
+        if name in LIMITS:
+            invalid, limit, remedy = LIMITS[name]
+            if np.any(bad := invalid(numbers)):
+                row = int(np.argmax(bad))
+                value = f"{label} = {numbers[row]:g} in row {row}"
+                raise RecordingError(
+                    f"{name} of {file.name} is out of range",
+                    value=value, limit=limit, remedy=remedy,
+                )  # fmt: skip
+        columns[name] = pa.array(numbers if name == "taxel" else numbers * factor)
+    missing = [name for name in REQUIRED[part] if name not in columns]
     if missing:
         raise RecordingError(
             f"{file.name} lacks {', '.join(missing)}",
-            value=f"columns {', '.join(table.column_names)}",
-            remedy=f"it needs {', '.join(NEEDED[part])}, in SI units or as px_mm, pressure_kpa",
+            value=f"columns {', '.join(columns)}",
+            remedy=f"it needs {', '.join(REQUIRED[part])}, in SI units or as px_mm, pressure_kpa",
         )
     return pa.table(columns)
 
 
-def _numbers(column: pa.ChunkedArray, label: str, file: Path) -> Array:
-    """A column as numbers; RecordingError names the first entry that is none."""
-    values = column.to_numpy()
+def _read_columns(file: Path) -> dict[str, np.ndarray]:
+    """The columns of a CSV file by label. Raises RecordingError."""
+    from pyarrow import csv
+
+    try:
+        with file.open("rb") as stream:
+            if stream.read(2) in UTF16:
+                raise RecordingError(f"{file} is in UTF-16", remedy="save it as UTF-8")
+        table = csv.read_csv(file)
+        labels = table.column_names
+    except (pa.ArrowInvalid, OSError, UnicodeDecodeError) as error:
+        raise RecordingError(
+            f"{file} cannot be read: {str(error).splitlines()[0]}",
+            remedy="write one header line and numbers separated by commas, in UTF-8",
+        ) from error
+    if len(set(labels)) < len(labels):
+        twice = next(label for label in labels if labels.count(label) > 1)
+        raise RecordingError(f"the column {twice} of {file.name} occurs twice", remedy="remove one")
+    return {label: table.column(label).to_numpy() for label in labels}
+
+
+def _numbers(values: np.ndarray, label: str, file: Path) -> np.ndarray:
+    """A column as floats; RecordingError names the first entry that is not a number."""
     try:
         return np.asarray(values, dtype=float)
     except (ValueError, TypeError) as error:
         row = next(k for k, value in enumerate(values) if not _is_number(value))
         raise RecordingError(
-            f"a column of {file.name} is not of numbers",
+            f"a column of {file.name} must contain numbers",
             value=f"{label} = {values[row]} in row {row}",
-            remedy="write numbers with points for decimals and commas between, or take it out",
+            remedy="write numbers with decimal points, separated by commas, or remove the column",
         ) from error
 
 
@@ -100,12 +131,17 @@ def _is_number(text: object) -> bool:
     return True
 
 
-def _ids(values: Array, file: Path) -> np.ndarray:
-    """Taxel ids, which are whole numbers."""
-    whole = np.isfinite(values) & (values == np.round(values)) & (np.abs(values) < 2**31)
-    if not whole.all():
-        row = int(np.argmin(whole))
-        raise RecordingError(
-            f"a taxel id of {file.name} is no whole number", value=f"{values[row]:g} in row {row}"
-        )
-    return values.astype(np.int32)
+def _integers(values: np.ndarray, file: Path) -> np.ndarray:
+    """Taxel ids as integers, of 32 bits where these suffice. Raises RecordingError."""
+    if not np.issubdtype(values.dtype, np.integer):
+        numbers = _numbers(values, "taxel", file)
+        whole = np.isfinite(numbers) & (numbers == np.round(numbers)) & (np.abs(numbers) < 2**53)
+        if not whole.all():
+            row = int(np.argmin(whole))
+            raise RecordingError(
+                f"a taxel id of {file.name} must be a whole number",
+                value=f"{numbers[row]:g} in row {row}",
+            )
+        values = numbers
+    small = not len(values) or np.abs(values).max() < 2**31
+    return np.asarray(values).astype(np.int32 if small else np.int64)

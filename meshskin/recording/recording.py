@@ -1,17 +1,18 @@
 """The recording: what a simulation or a robot writes, and what calibration reads.
 
-Three Parquet tables. `contacts`, one row a frame in contact: time (s), px py pz (contact point in
-the body frame, m), nx ny nz (outward normal there), force (N), and, where they are known, qw qx qy
-qz (unit quaternion of the body's rotation, world from body). `readings`, sparse: time (s), taxel
-(id), pressure (Pa), only pressures above the threshold. `motion`, from simulations only, one row a
-step.
+A recording consists of Parquet tables. `contacts` has one row per frame in contact: time (s), px py
+pz (contact point in the body frame, m), nx ny nz (outward normal there), force (N), and optionally
+qw qx qy qz (unit quaternion of the body's rotation, world from body). `readings` is sparse: time
+(s), taxel (id), pressure (Pa), for pressures above the threshold. `motion`, from simulations only,
+has one row per step.
 
-A robot's own log may be two CSV files with the same columns (logs.py).
+A robot's own log may be two CSV files with the same columns (csv_log.py).
 """
 
 from __future__ import annotations
 
 import json
+import os
 import secrets
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -25,6 +26,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from ..core.arguments import repr_short
 from ..core.atomic_io import atomic
 from ..core.errors import RecordingError
 from ..core.se3 import Array
@@ -33,8 +35,8 @@ from . import csv_log
 CONTACTS = pa.schema(
     [(name, pa.float64()) for name in ("time", "px", "py", "pz", "nx", "ny", "nz", "force")]
 )
-HEADING = ("qw", "qx", "qy", "qz")
-"""Columns of `contacts` that a recording may lack."""
+QUATERNION = ("qw", "qx", "qy", "qz")
+"""Optional columns of `contacts`."""
 READINGS = pa.schema([("time", pa.float64()), ("taxel", pa.int32()), ("pressure", pa.float64())])
 _KEY = b"meshskin"
 _PARTS = ("contacts", "readings", "motion")
@@ -54,7 +56,8 @@ def part_path(path: str | Path, part: str) -> Path:
 class Recording:
     """Contacts and readings of one exploration, with metadata.
 
-    metadata holds at least: taxel_ids (all taxels, read or not), disc_radius_m, threshold_pa.
+    The metadata of a simulation hold at least taxel_ids (all taxels, read or not), disc_radius_m
+    and threshold_pa. Raises RecordingError for tables that lack a column or are not in order.
     """
 
     contacts: pa.Table
@@ -78,7 +81,7 @@ class Recording:
             raise RecordingError(
                 "contact times must increase",
                 value=f"{self.time[k]} s after {self.time[k - 1]} s in row {k} of contacts",
-                remedy="sort the rows by time, one row a frame",
+                remedy="sort the rows by time, one row per frame",
             )
 
     def __repr__(self) -> str:
@@ -113,25 +116,26 @@ class Recording:
     def headings(self) -> Array | None:
         """Rotations (m, 3, 3), world from body, of the contacts; None where not recorded.
 
-        Raises RecordingError for a quaternion that is none.
+        Raises RecordingError for a quaternion whose norm is not 1.
         """
         from scipy.spatial.transform import Rotation
 
-        if not set(HEADING) <= set(self.contacts.column_names):
+        if not set(QUATERNION) <= set(self.contacts.column_names):
             return None
-        quaternion = np.stack([_column(self.contacts, c) for c in HEADING], axis=1)
+        quaternion = np.stack([_column(self.contacts, c) for c in QUATERNION], axis=1)
         bad = np.flatnonzero(~(np.abs(np.linalg.norm(quaternion, axis=1) - 1) < 1e-3))
         if len(bad):
             raise RecordingError(
-                "a heading is no unit quaternion",
+                "qw, qx, qy, qz must be unit quaternions",
                 value=f"{quaternion[bad[0]].tolist()} in row {bad[0]} of contacts",
-                remedy="write qw, qx, qy, qz of the body's rotation, world from body",
+                limit="norm 1 within 1e-3",
+                remedy="write the body's rotation, world from body",
             )
         return np.asarray(Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]).as_matrix())
 
     @cached_property
     def reading_contact(self) -> np.ndarray:
-        """Row of `contacts` that each reading belongs to (k,)."""
+        """Row (k,) of `contacts` that each reading belongs to."""
         times = _column(self.readings, "time")
         row = np.searchsorted(self.time, times)
         bad = (row >= len(self.time)) | (
@@ -139,7 +143,7 @@ class Recording:
         )
         if np.any(bad):
             raise RecordingError(
-                "a reading has no contact of its time",
+                "a reading has no contact at its time",
                 value=f"{times[np.argmax(bad)]} s",
                 remedy="write one contact row for every frame of readings",
             )
@@ -156,7 +160,11 @@ class Recording:
         return _column(self.readings, "pressure")
 
     def save(self, path: str | Path) -> None:
-        """Write path.contacts.parquet, path.readings.parquet, path.motion.parquet, each whole."""
+        """Write path.contacts.parquet, path.readings.parquet and path.motion.parquet.
+
+        Raises OutputError if they cannot be written, RecordingError for metadata that JSON cannot
+        hold; no file is left behind then.
+        """
         with RecordingWriter(path, self.metadata) as writer:
             writer.write(contacts=self.contacts, readings=self.readings, motion=self.motion)
 
@@ -164,10 +172,12 @@ class Recording:
     def load(cls, path: str | Path) -> Recording:
         """Read the recording at `path` (the common part of its file names), memory-mapped.
 
-        Or CSV logs: the folder that holds contacts.csv and readings.csv, or the common part of
-        PATH.contacts.csv and PATH.readings.csv. Raises RecordingError if a table is missing, torn,
-        or belongs to another recording.
+        CSV logs are read, too: from the folder that holds contacts.csv and readings.csv, or by the
+        common part of PATH.contacts.csv and PATH.readings.csv. Raises RecordingError if a table is
+        missing, damaged, or belongs to another recording.
         """
+        if not isinstance(path, str | os.PathLike):
+            raise RecordingError("a recording is loaded by its path", value=repr_short(path))
         if not part_path(path, "contacts").exists() and (files := csv_log.find(Path(path))):
             contacts, readings = (csv_log.read(*each) for each in zip(files, _PARTS, strict=False))
             for name in ("nx", "ny", "nz"):
@@ -215,10 +225,10 @@ def _read_table(file: Path) -> tuple[pa.Table, dict[str, Any]]:
 
 
 class RecordingWriter:
-    """Streams tables to the files of a recording; they appear only when all is written.
+    """Streams tables to the files of a recording, which appear only when all are written.
 
     Use as a context manager; an exception inside leaves nothing behind. `metadata` is written last,
-    so it may be completed while the tables stream.
+    so that it may be completed while the tables stream.
     """
 
     def __init__(self, path: str | Path, metadata: Mapping[str, Any]) -> None:
@@ -250,10 +260,22 @@ class RecordingWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if kind is None:
-            header = json.dumps({**self.metadata, "recording_id": secrets.token_hex(8)})
+        if kind is not None:
+            self._stack.__exit__(kind, error, trace)
+            return
+        with self._stack:
+            header = self._header()
             for writer in self._writers.values():
                 writer.add_key_value_metadata({_KEY: header})
             if "motion" not in self._writers:
                 part_path(self.path, "motion").unlink(missing_ok=True)
-        self._stack.__exit__(kind, error, trace)
+
+    def _header(self) -> str:
+        """The metadata as JSON. Raises RecordingError."""
+        try:
+            return json.dumps({**self.metadata, "recording_id": secrets.token_hex(8)})
+        except (TypeError, ValueError) as error:
+            raise RecordingError(
+                f"metadata of a recording must be JSON values: {error}",
+                remedy="give numbers, texts, lists and dicts",
+            ) from error

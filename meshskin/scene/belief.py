@@ -36,7 +36,7 @@ class Belief(NamedFields):
     material: Material
     """Nominal material; the joint estimator estimates E* with the taxels."""
     taxel_ids: np.ndarray
-    """Ids (n,) of all taxels of the skin."""
+    """Ids (n,) of all taxels of the skin; none: those that the recording names."""
     disc_radius: float = quantity("m", 2e-3, above=0.0, most=0.05)
     """Radius of a taxel's disc, m."""
     contact: str = AUTO
@@ -92,7 +92,7 @@ class Belief(NamedFields):
 def _checked_ids(taxel_ids: object) -> np.ndarray:
     """Taxel ids as integers (n,). Raises ConfigError."""
     ids = check_array("taxel ids of a belief", taxel_ids)  # type: ignore[arg-type]
-    if ids.ndim != 1 or not len(ids):
+    if ids.ndim != 1:
         raise ConfigError("taxel ids of a belief must be a list", value=f"shape {ids.shape}")
     fractional = ~np.isfinite(ids) | (ids != np.round(ids))
     if fractional.any():

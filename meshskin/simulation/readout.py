@@ -11,7 +11,7 @@ import pyarrow as pa
 from .. import effects
 from ..core.se3 import Array, quaternion
 from ..effects.frames import Frames
-from ..recording.recording import CONTACTS, HEADING, READINGS, Recording
+from ..recording.recording import CONTACTS, QUATERNION, READINGS, Recording
 
 if TYPE_CHECKING:
     from ..scene.scene import Scene
@@ -87,7 +87,7 @@ def sensor_tables(
     headings = np.zeros((0, 4))
     if len(frames):
         headings = quaternion(scene.body_pose(frames.q)[:, :3, :3])[:, [3, 0, 1, 2]]
-    for name, column in zip(HEADING, headings.T, strict=True):
+    for name, column in zip(QUATERNION, headings.T, strict=True):
         contacts = contacts.append_column(name, pa.array(column))
     schema = _readings_schema(scene.skin.ids)
     if not len(frames):

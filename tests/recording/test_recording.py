@@ -7,6 +7,8 @@ import pytest
 from meshskin.core.errors import OutputError, RecordingError
 from meshskin.recording.recording import CONTACTS, READINGS, Recording, RecordingWriter, part_path
 
+READINGS_CSV = "time,taxel,pressure\n0,1,2\n"
+
 
 def tables(times=(0.0, 0.1, 0.2), read=(0.0, 0.2, 0.2)):
     n = len(times)
@@ -73,7 +75,7 @@ def test_what_is_inconsistent_is_named(tmp_path):
     with pytest.raises(RecordingError, match=r"contacts\.parquet is missing"):
         Recording.load(tmp_path / "nothing")
     contacts, readings = tables(read=(0.0, 0.15, 0.2))
-    with pytest.raises(RecordingError, match=r"no contact of its time, got 0.15 s"):
+    with pytest.raises(RecordingError, match=r"no contact at its time, got 0.15 s"):
         _ = Recording(contacts, readings, {}).reading_contact
     with pytest.raises(RecordingError, match="must increase"):
         Recording(*tables(times=(0.0, 0.2, 0.1)), {})
@@ -99,7 +101,7 @@ def test_headings(tmp_path):
     found = Recording.load(tmp_path / "r").headings
     assert np.allclose(found, [[[0, -1, 0], [1, 0, 0], [0, 0, 1]]] * 3)
     bent = turned.set_column(8, "qw", pa.array([half, half, 1.0]))
-    with pytest.raises(RecordingError, match=r"no unit quaternion.*row 2 of contacts"):
+    with pytest.raises(RecordingError, match=r"must be unit quaternions.*row 2 of contacts"):
         _ = Recording(bent, readings, {}).headings
 
 
@@ -139,18 +141,69 @@ def test_headers_may_have_blanks_and_capitals(tmp_path):
 @pytest.mark.parametrize(
     ("readings", "words"),
     [
-        ("time,taxel,pressure_psi\n0,1,2\n", "unknown or twice there, got pressure_psi.*kpa"),
-        ("time,taxel,pressure,pressure_kpa\n0,1,2,3\n", "unknown or twice there, got pressure_kpa"),
-        ("time,taxel,pressure\n0,1,2\n0,2,soft\n", "not of numbers, got pressure = soft in row 1"),
-        ("time;taxel;pressure\n0;1;2\n", "commas between"),
-        ("time,taxel,pressure\n0,1,2\n0,2.5,2\n", "no whole number, got 2.5 in row 1"),
-        ("time,taxel,pressure\n0,,2\n", "no whole number, got nan in row 0"),
+        ("time,taxel,pressure_psi\n0,1,2\n", "unknown unit or occurs twice, got pressure_psi.*kpa"),
+        (
+            "time,taxel,pressure,pressure_kpa\n0,1,2,3\n",
+            "occurs twice, got pressure_kpa",
+        ),
+        (
+            "time,taxel,pressure\n0,1,2\n0,2,soft\n",
+            "numbers, got pressure = soft in row 1",
+        ),
+        ("time;taxel;pressure\n0;1;2\n", "separated by commas"),
+        ("time,taxel,pressure\n0,1,2\n0,2.5,2\n", "must be a whole number, got 2.5 in row 1"),
+        ("time,taxel,pressure\n0,,2\n", "must be a whole number, got nan in row 0"),
         ("time,taxel,pressure\n0,1\n", "cannot be read"),
+        ("time,taxel,taxel,pressure\n0,1,1,2\n", "the column taxel of readings.csv occurs twice"),
+        (
+            "time,taxel,pressure\n0,1,-2\n",
+            "got pressure = -2 in row 0, limit: at least 0",
+        ),
+        ("time,taxel,pressure\n0,-4,2\n", "taxel .* got taxel = -4 in row 0, limit: at least 0"),
         ("time,pressure\n0,1\n", "readings.csv lacks taxel, got columns time, pressure; it needs"),
     ],
 )
 def test_logs_that_cannot_be_read(tmp_path, readings, words):
-    (tmp_path / "contacts.csv").write_text("time,px,py,pz,force\n0,1,2,3,2.5\n")
-    (tmp_path / "readings.csv").write_text(readings)
+    write_log(tmp_path, readings=readings)
     with pytest.raises(RecordingError, match=words):
         Recording.load(tmp_path)
+
+
+@pytest.mark.parametrize("force", ["0", "-1.5"])
+def test_a_force_that_is_not_positive_is_refused(tmp_path, force):
+    write_log(tmp_path, f"time,px,py,pz,force\n0,1,2,3,{force}\n")
+    message = rf"force of contacts.csv is out of range, got force = {force} in row 0, .* contact"
+    with pytest.raises(RecordingError, match=message):
+        Recording.load(tmp_path)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "latin-1"])
+def test_a_log_that_is_not_in_utf_8_is_refused(tmp_path, encoding):
+    write_log(tmp_path)
+    mark = "\ufeff" if encoding == "utf-16-be" else ""
+    text = f"{mark}time,taxel,pressure,\u00e9\n0,1,2,3\n"
+    (tmp_path / "readings.csv").write_bytes(text.encode(encoding))
+    with pytest.raises(RecordingError, match="UTF-"):
+        Recording.load(tmp_path)
+
+
+def test_taxel_ids_of_more_than_32_bits_are_kept(tmp_path):
+    write_log(tmp_path, readings="time,taxel,pressure\n0,3000000000,2\n")
+    assert Recording.load(tmp_path).reading_taxel.tolist() == [3000000000]
+
+
+def write_log(folder, contacts="time,px,py,pz,force\n0,1,2,3,2.5\n", readings=READINGS_CSV):
+    (folder / "contacts.csv").write_text(contacts)
+    (folder / "readings.csv").write_text(readings)
+
+
+@pytest.mark.parametrize("path", [None, 3])
+def test_a_recording_is_loaded_by_its_path(path):
+    with pytest.raises(RecordingError, match=f"is loaded by its path, got {path}"):
+        Recording.load(path)
+
+
+def test_metadata_that_json_cannot_hold_leave_no_file(tmp_path):
+    with pytest.raises(RecordingError, match=r"must be JSON values: .*set"):
+        Recording(*tables(), {"taxels": {1, 2}}).save(tmp_path / "r")
+    assert not list(tmp_path.iterdir())
