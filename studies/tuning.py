@@ -24,9 +24,9 @@ import numpy as np
 import meshskin as ms
 from meshskin.report import theme
 from meshskin.simulation.response import ForceResponse, force_response
-from meshskin.tuning.answer import Confirmation, Tuned, respond
 from meshskin.tuning.gains import Gains
 from meshskin.tuning.manoeuvre import Manoeuvre
+from meshskin.tuning.result import Confirmation, TuningResult, simulate_manoeuvre
 from meshskin.tuning.tune import Demands, Scenario, scenarios
 
 REST = 0.3
@@ -110,7 +110,7 @@ def hastened(scene: ms.Scene, distance: float) -> dict[str, Any]:
     """The manoeuvre in the least time, beside the scene's own."""
     tuned = ms.tune(scene, demands=HASTE, distance=distance)
     seen = tuned.confirm()
-    own = float(respond(scene, tuned.manoeuvres[0])[0][-1])
+    own = float(simulate_manoeuvre(scene, tuned.manoeuvres[0])[0][-1])
     row: dict[str, Any] = {
         "time_s": [own, float(seen.time[-1])],
         "difference": seen.difference,
@@ -126,7 +126,7 @@ def hastened(scene: ms.Scene, distance: float) -> dict[str, Any]:
 
 def quickest(
     scene: ms.Scene, overshoot: float, distance: float, start: Gains | None = None
-) -> Tuned:
+) -> TuningResult:
     """The least settling time at an overshoot, through RK4."""
     return ms.tune(
         with_integrator(scene, "rk4"),
@@ -142,19 +142,19 @@ def with_integrator(scene: ms.Scene, name: str) -> ms.Scene:
     return scene.with_(loop=replace(scene.loop, integrator=name))
 
 
-def touch(scene: ms.Scene, manoeuvre: Manoeuvre, tuned: Tuned | None = None) -> Touch:
+def touch(scene: ms.Scene, manoeuvre: Manoeuvre, tuned: TuningResult | None = None) -> Touch:
     """Time from the touch, force, and response of a scene's law over a rest of REST."""
     ramp = (tuned or scene).exploration.approach_ramp
     rested = replace(scene.exploration, approach_ramp=ramp, settle=REST)
-    time, force = respond(scene.with_(exploration=rested), manoeuvre)
+    time, force = simulate_manoeuvre(scene.with_(exploration=rested), manoeuvre)
     first = time <= time[np.argmax(force > 0)] + REST - 2 * scene.loop.dt
     response = force_response(time[first], force[first], scene.law.force_reference)
     return time - response.touch, force, response
 
 
-def gains_of(tuned: Tuned) -> dict[str, float]:
+def gains_of(tuned: TuningResult) -> dict[str, float]:
     """What was found, by name."""
-    gains = Gains.of(tuned.tuned)
+    gains = Gains.of(tuned.tuned_scene)
     return {name: float(getattr(gains, name)) for name in Gains.__dataclass_fields__}
 
 
@@ -164,7 +164,9 @@ def allowed(scene: ms.Scene, distance: float, overshoots: tuple[float, ...]) -> 
     best = quickest(scene, 0.0, distance)
     rows = [_row(touch(exact, best.manoeuvres[0])[2])]
     for overshoot in (0.0, *overshoots):
-        tuned = quickest(scene, overshoot, distance, Gains.of(best.tuned)) if overshoot else best
+        tuned = (
+            quickest(scene, overshoot, distance, Gains.of(best.tuned_scene)) if overshoot else best
+        )
         if tuned.value < best.value:  # else what a tighter limit allows is the best known
             best = tuned
         rows.append(_row(touch(exact.with_(law=best.law), best.manoeuvres[0], best)[2]))
@@ -196,9 +198,9 @@ def trade(scene: ms.Scene, distance: float, points: int) -> list[dict[str, float
     return rows
 
 
-def slowed(tuned: Tuned, spare: float, distance: float) -> Gains:
+def slowed(tuned: TuningResult, spare: float, distance: float) -> Gains:
     """The gains found, the slide slower by the time to spare: where the next search begins."""
-    gains = Gains.of(tuned.tuned)
+    gains = Gains.of(tuned.tuned_scene)
     slide = distance / gains.speed + gains.ramp
     slower = 1.0 + max(spare, 0.0) / slide
     return replace(gains, speed=gains.speed / slower, ramp=gains.ramp * slower)
@@ -282,7 +284,7 @@ def draw_trades(overshoot: list[Any], rows: list[dict[str, float]], out: Path) -
 
 
 @theme.styled
-def draw_corners(scene: ms.Scene, seen: list[Confirmation], tuned: Tuned, out: Path) -> None:
+def draw_corners(scene: ms.Scene, seen: list[Confirmation], tuned: TuningResult, out: Path) -> None:
     """The force in every corner with one set of gains, simulated and predicted."""
     figure = theme.canvas(7.0, 3.4)
     axes = theme.place(figure, 0.6, 0.6, 4.1, 2.4)

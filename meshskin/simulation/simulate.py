@@ -27,13 +27,7 @@ from ..scene.scene import Scene
 from . import stability
 from .closed_loop_model import ClosedLoopModel
 from .quasi_static import state_of_pose
-from .readout import (
-    FRAME_CELLS,
-    contact_frames,
-    effect_pipeline,
-    recording_metadata,
-    sensor_tables,
-)
+from .readout import FRAME_CELLS, contact_frames, effect_pipeline, recording_metadata, sensor_tables
 from .rollout import LENGTHS, Steps
 from .simulator import Simulator
 from .state_machine import PHASES, ExplorationStateMachine, PhaseSettings

@@ -1,10 +1,10 @@
 """The tuning as one nonlinear program over all scenarios, solved by IPOPT.
 
-    min  log value + WEIGHT |x - x_0|^2      subject to  limit_i(x) <= bound_i + whole_i slack_i
+    min  log value + WEIGHT |x - x_0|^2    subject to  limit_i(x) <= bound_i + relaxation_i slack_i
 
-x are the logarithms of the gains, `value` the worst of the scenarios: the time, or the RMS error of
-the force over the slide, or the settling time. The slacks are zero, but in the elastic problem,
-which minimises their sum to find out what stands in the way.
+x are the logarithms of the gains, `value` the worst of the scenarios: the time, the RMS error of
+the force over the slide, or the settling time. The slacks are zero, except in the elastic problem,
+which minimizes their sum to find the limits that cannot be met.
 
 Source of the elastic mode: Gill, Murray, Saunders, "SNOPT", SIAM Review 47(1), 2005, section 1.2.
 """
@@ -21,265 +21,263 @@ from numpy.typing import NDArray
 
 from ..core import ipopt
 from ..core.se3 import Array
-from .convergence import BROKEN, ConvergenceMonitor, ended
-from .descent import Model, descend, descended
+from .convergence import INFEASIBLE, ConvergenceMonitor, termination_message
+from .feasible_sqp import QuadraticModel, descend, descent_message
 from .gains import NAMES, Demands, Gains
-from .limits import WINDOW, Aim, Judge, Limit
-from .multipliers import MOVED, TOUCHED, apart, promised, pulls, sided
-from .shooting import ShootingInterval
+from .limits import WINDOW, Limit, Objective, objective_and_limits
+from .multipliers import ACTIVE, lagrange_multipliers, one_sided_multipliers, predicted_decrease
+from .shooting import SingleShooting
 
 WEIGHT = 1e-5
-"""Pull towards the start, that gains which matter to nothing rest."""
+"""Weight of the distance from the start, so that gains without influence stay where they are."""
 ELASTIC = 1e3
-"""Cost of a slack of 1 in the elastic problem, over that of the objective."""
+"""Cost of a slack of 1 in the elastic problem, relative to that of the objective."""
 DAMPING = 1.0
-"""Curvature given to the program for the least times: limits and times are nearly linear in the
-logarithms of the gains, the solution is a corner of limits, and a plain proximal term gets there in
-fewer steps than quasi-Newton or exact second derivatives (measured: 50, 100 and over 100)."""
+"""Hessian of the program for the least times. Limits and times are nearly linear in the logarithms
+of the gains and the solution is a corner of limits: a plain proximal term takes 50 iterations,
+quasi-Newton 100 and exact second derivatives over 100 (measured on the sphere)."""
 TOLERANCE = 1e-3
-"""Largest violation of a limit, in its scale, of a solution that is taken."""
-LEFT = 2e-3
-"""Largest promise of the slopes, part of the objective, of a search that is at its end."""
+"""Largest violation of a limit, in its scale, of an accepted solution."""
+MAX_PREDICTED_DECREASE = 2e-3
+"""Largest predicted decrease of the objective, relative to it, of a search that has converged:
+twice convergence.MIN_GAIN."""
+RELAXATION = 5e-3
+"""Change of a limit, relative to its bound, for its one-sided multipliers."""
 ONE_SIDED = 0.1
-"""Difference of a limit's two prices, part of the larger, from which on it has no one price."""
+"""Difference of a limit's two one-sided multipliers, relative to the larger, from which on there is
+a kink."""
 OPTIONS: dict[str, object] = {"mu_strategy": "adaptive", "tol": 1e-5, "max_iter": 200}
-"""Of IPOPT."""
+"""Options of IPOPT."""
 
 
 @dataclass(frozen=True)
 class TuningSolution:
-    """Where the solver ended."""
+    """A point where the solver ended."""
 
     gains: Gains
     value: float
-    """Objective: s, or part of the reference force."""
+    """Objective: s, or RMS error relative to the force asked for."""
     slacks: dict[str, float]
-    """How far each limit is broken, in its whole; empty where none is."""
+    """Violation of each limit that is not met, in Limit.relaxation."""
     multipliers: dict[str, float]
-    """By limit: what a relaxation by its whole gains in the objective; by gain: what its bound
-    holds back, for a change by the factor e."""
+    """By limit: decrease of the objective per relaxation of the limit; by range of a gain: decrease
+    for a range wider by the factor e."""
     one_sided: dict[str, tuple[float, float]]
-    """Limits whose relaxing gains less than their tightening costs: the two, as the multipliers."""
-    left: float
-    """What the slopes promise beyond, part of the objective."""
+    """Limits at a kink: decrease by relaxing and increase by tightening, as the multipliers."""
+    predicted_decrease: float
+    """Decrease of the objective that its slopes predict beyond this point, relative to it."""
     status: str
-    """How the search ended, in words."""
+    """How the search ended."""
     iterations: int
     seconds: float
 
 
 class TuningProblem:
-    """The program for some shots (scenarios), `steps` steps of the closed loop long."""
+    """The program for some scenarios, `steps` steps of the closed loop long.
+
+    start: the first gains; bounds (2, 8): lowest and highest gains; force: that the scene asks for,
+    N.
+    """
 
     def __init__(
         self,
-        shots: Sequence[ShootingInterval],
+        shootings: Sequence[SingleShooting],
         demands: Demands,
         objective: str,
         start: Gains,
-        span: Array,
+        bounds: Array,
         steps: int,
-        target: float,
+        force: float,
     ) -> None:
         began = perf_counter()
-        self.shots = shots
-        self.span, (self.low, self.high) = span, np.log(span)
+        self.bounds, (self.low, self.high) = bounds, np.log(bounds)
         self.first = np.clip(np.log(np.array(start.values, dtype=float)), self.low, self.high)
-        x = ca.MX.sym("x", len(NAMES))
+        x, worst = ca.MX.sym("x", len(NAMES)), ca.MX.sym("worst")
         gains = Gains(*(ca.exp(x[k]) for k in range(len(NAMES))))
-        judge = Judge(demands, objective, steps + -steps % WINDOW, target)
-        aims, limits = _judged(judge, shots, gains)
+        objectives: list[Objective] = []
+        limits: dict[str, list[Limit]] = {}
+        for shooting in shootings:
+            found = objective_and_limits(
+                shooting, gains, demands, objective, steps + -steps % WINDOW, force
+            )
+            objectives.append(found[0])
+            for limit in found[1]:
+                limits.setdefault(limit.name, []).append(limit)
         self.limits = {name: found[0] for name, found in limits.items()}
-        self.names = list(limits)
-        slack, worst = ca.MX.sym("slack", len(self.names)), ca.MX.sym("worst")
-        weight = ca.MX.sym("weight", 2)
-        values = [aim.value for aim in aims]
-        self._unit = self._first_value(values, x)
+        self.names, self.count = list(limits), len(objectives)
+        values = [one.value for one in objectives]
+        at_start = ca.Function("values", [x], [ca.vertcat(*values)])(self.first)
+        self._unit = float(np.abs(at_start.full()).max())
         above = [ca.log(value / self._unit) - worst for value in values]
-        self._rows, peaks = _listed(above, limits, "peaks")
-        self._fine, excess = _listed(above, limits, "excess")
-        self._whole = np.array([limit.whole / limit.scale for limit in self.limits.values()])
-        own = ca.DM(np.append(self._whole, 0.0)[self._rows])  # -1, of the objectives: the last
-        slacked = ca.vertcat(slack, 0.0)[self._rows.tolist()]
-        cost = worst + WEIGHT * ca.sumsqr(x - self.first)
+        self._peak_rows, peaks = _stack(above, limits, "peaks")
+        self._step_rows, excess = _stack(above, limits, "excess")
+        self._relaxation = np.array([one.relaxation / one.scale for one in self.limits.values()])
+
+        slack, weight = ca.MX.sym("slack", len(self.names)), ca.MX.sym("weight", 2)
+        factors = ca.DM(np.append(self._relaxation, 0.0)[self._peak_rows])
+        slacks = ca.vertcat(slack, 0.0)[self._peak_rows.tolist()]  # -1, of objectives: the 0.0
+        cost, point = worst + WEIGHT * ca.sumsqr(x - self.first), ca.vertcat(x, worst)
         nlp = {
-            "x": ca.vertcat(x, worst, slack),
+            "x": ca.vertcat(point, slack),
             "p": weight,
             "f": weight[0] * cost + weight[1] * ca.sum1(slack),
-            "g": peaks - own * slacked,
+            "g": peaks - factors * slacks,
         }
-        self.nlp, base = nlp, ca.vertcat(x, worst)
-        slopes = [ca.gradient(cost, base), excess, ca.jacobian(excess, base)]
-        self._slopes = ca.Function("slopes", [base], slopes)
-        self._limits = ca.Function("limits", [base], [excess])
-        bends = [aim.curvature(x) for aim in aims]
-        self._bends = ca.Function("bends", [base], [sum(bends[1:], bends[0]) / len(bends)])
-        self.watch = ConvergenceMonitor(nlp["x"].shape[0], nlp["g"].shape[0])
-        self.solver = _solver(nlp, objective, self.watch)
+        derivatives = [ca.gradient(cost, point), excess, ca.jacobian(excess, point)]
+        self._derivatives = ca.Function("derivatives", [point], derivatives)
+        self._excess = ca.Function("excess", [point], [excess])
+        curvatures = [one.curvature(x) for one in objectives]
+        self._curvature = ca.Function(
+            "curvature", [point], [sum(curvatures[1:], curvatures[0]) / self.count]
+        )
+        self.monitor = ConvergenceMonitor(nlp["x"].shape[0], nlp["g"].shape[0])
+        self.solver = _solver(nlp, objective, self.monitor)
         self.build_seconds = perf_counter() - began
 
     def solve(self, start: Gains | None = None, elastic: bool = False) -> TuningSolution:
-        """The solution from `start`; elastic: with slacks, at the least sum of them."""
-        began = perf_counter()
-        many = len(self.names)
+        """The solution from `start`; elastic: with the least sum of slacks."""
+        began, count = perf_counter(), len(self.names)
         first = self.first if start is None else np.log(np.array(start.values, dtype=float))
-        guess = np.concatenate([first, [0.0], np.full(many, 0.1 if elastic else 0.0)])
 
-        def broken(x: Array, g: Array) -> Array:
-            slack = np.append(self._whole * x[len(NAMES) + 1 :], 0.0)
-            return self._broken(g + slack[self._rows], self._rows)
+        def violation(x: Array, g: Array) -> Array:
+            slack = np.append(self._relaxation * x[len(NAMES) + 1 :], 0.0)
+            return self._violation(g + slack[self._peak_rows], self._peak_rows)
 
         def merit(x: Array, g: Array) -> float:
-            return float(broken(x, g).sum()) if elastic else self._merit(x, g, self._rows)
+            return float(violation(x, g).sum()) if elastic else self._merit(x, g, self._peak_rows)
 
-        self.watch.begin(merit)
+        self.monitor.reset(merit)
+        largest_slack = np.inf if elastic else 0.0
         self.solver(
-            x0=guess,
+            x0=np.concatenate([first, [0.0], np.full(count, 0.1 if elastic else 0.0)]),
             p=[1.0 / ELASTIC, 1.0] if elastic else [1.0, 0.0],
-            lbx=np.concatenate([self.low, [-np.inf], np.zeros(many)]),
-            ubx=np.concatenate([self.high, [np.inf], np.full(many, np.inf if elastic else 0.0)]),
+            lbx=np.concatenate([self.low, [-np.inf], np.zeros(count)]),
+            ubx=np.concatenate([self.high, [np.inf], np.full(count, largest_slack)]),
             lbg=-np.inf,
             ubg=0.0,
         )
-        stats, best = self.solver.stats(), self.watch.best
+        stats, best = self.solver.stats(), self.monitor.best
         assert best is not None  # the start is an iterate
-        status = ended(stats["return_status"], best.merit < BROKEN or elastic, self.watch.patience)
-        return self._solution(best.x[: len(guess) - many], status, int(stats["iter_count"]), began)
+        feasible = best.merit < INFEASIBLE or elastic
+        status = termination_message(stats["return_status"], feasible, self.monitor.patience)
+        point = best.x[: len(NAMES) + 1]
+        return self._solution(point, status, int(stats["iter_count"]), began)
 
     def descend(self, solution: TuningSolution) -> TuningSolution:
-        """Downhill from a solution that meets the limits, never leaving them."""
+        """Descent from a solution that meets the limits, without leaving them."""
         began = perf_counter()
         x = np.log([*solution.gains.values, solution.value / self._unit])
         x, count = descend(
-            x, self._model, self._limited, lambda x, g: self._merit(x, g, self._fine)
+            x, self._model, self._limits, lambda x, g: self._merit(x, g, self._step_rows)
         )
-        return self._solution(x, descended(count), count, began)
+        return self._solution(x, descent_message(count), count, began)
 
-    def _limited(self, x: Array) -> Array:
-        """The limits at every step, at (gains, worst) `x`."""
-        return np.array(self._limits(x)).ravel()
+    def _limits(self, x: Array) -> Array:
+        """The limits at every step, at (log gains, worst) x (9,)."""
+        return np.array(self._excess(x)).ravel()
 
-    def _model(self, x: Array) -> Model:
-        """Objective and limits about (gains, worst) `x`."""
-        slope, limits, slopes = (np.array(part) for part in self._slopes(x))
-        bent = DAMPING * np.eye(len(x))
-        bent[: len(NAMES), : len(NAMES)] += np.array(self._bends(x))
-        low, high = np.append(self.low, -np.inf), np.append(self.high, np.inf)
-        return Model(
-            slope.ravel(), limits.ravel(), slopes, bent,
-            np.minimum(low - x, 0.0), np.maximum(high - x, 0.0),
-        )  # fmt: skip
+    def _model(self, x: Array) -> QuadraticModel:
+        """Objective and limits about (log gains, worst) x (9,)."""
+        gradient, limits, jacobian = (np.array(part) for part in self._derivatives(x))
+        hessian = DAMPING * np.eye(len(x))
+        hessian[: len(NAMES), : len(NAMES)] += np.array(self._curvature(x))
+        return QuadraticModel(
+            gradient=gradient.ravel(),
+            limits=limits.ravel(),
+            jacobian=jacobian,
+            hessian=hessian,
+            low=np.minimum(np.append(self.low, -np.inf) - x, 0.0),
+            high=np.maximum(np.append(self.high, np.inf) - x, 0.0),
+        )
 
     def _solution(self, x: Array, status: str, iterations: int, began: float) -> TuningSolution:
-        """What a point (gains, worst) says."""
-        g = self._limited(x)
-        x = np.append(x[: len(NAMES)], x[len(NAMES)] + g[: len(self.shots)].max())
+        """The solution at a point (log gains, worst) x (9,)."""
+        g = self._limits(x)
+        x = np.append(x[: len(NAMES)], x[len(NAMES)] + g[: self.count].max())
         value = float(np.exp(x[-1])) * self._unit
         model = self._model(x)
-        over = self._broken(model.limits, self._fine)
-        multipliers, one_sided = self._prices(model, value)
-        left = promised(model)
-        more = f", where slopes still promise {100 * left:.2g} %" if left > LEFT else ""
+        violation = self._violation(model.limits, self._step_rows)
+        multipliers, one_sided = self._multipliers(model, value)
+        decrease = predicted_decrease(model)
+        if decrease > MAX_PREDICTED_DECREASE:
+            status += f", where slopes predict a further decrease of {100 * decrease:.2g} %"
         return TuningSolution(
-            gains=Gains(*np.clip(np.exp(x[: len(NAMES)]), *self.span).tolist()),
+            gains=Gains(*np.clip(np.exp(x[: len(NAMES)]), *self.bounds).tolist()),
             value=value,
             slacks={
-                n: float(v / self._whole[k])
-                for k, (n, v) in enumerate(zip(self.names, over, strict=True))
+                name: float(v / r)
+                for name, v, r in zip(self.names, violation, self._relaxation, strict=True)
                 if v > TOLERANCE
             },
             multipliers=multipliers,
             one_sided=one_sided,
-            left=left,
-            status=status + more,
+            predicted_decrease=decrease,
+            status=status,
             iterations=iterations,
             seconds=perf_counter() - began,
         )
 
-    def _prices(
-        self, model: Model, value: float
+    def _multipliers(
+        self, model: QuadraticModel, value: float
     ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
-        """Multipliers by limit and range, and limits with two prices, in the objective's unit."""
-        limits, ranges = pulls(model)
+        """Multipliers by limit and range, and those at a kink, in the objective's unit."""
+        limits, ranges = lagrange_multipliers(model)
         found: dict[str, float] = {}
-        sides: dict[str, tuple[float, float]] = {}
+        one_sided: dict[str, tuple[float, float]] = {}
         for k, (name, limit) in enumerate(self.limits.items()):
-            rows, told = self._fine == k, value * float(self._whole[k])
-            if model.limits[rows].max() > -TOUCHED:
-                found[name] = told * float(limits[rows].sum())
-                both = sided(model, rows, MOVED * limit.bound / limit.scale)
-                if both:
-                    sides[name] = float(told * both[0]), float(told * both[1])
-        held = self.low < self.high  # the others are gains that were given
+            rows, unit = self._step_rows == k, value * float(self._relaxation[k])
+            if model.limits[rows].max() > -ACTIVE:
+                found[name] = unit * float(limits[rows].sum())
+                sides = one_sided_multipliers(model, rows, RELAXATION * limit.bound / limit.scale)
+                if sides and abs(sides[1] - sides[0]) > ONE_SIDED * max(map(abs, sides)):
+                    one_sided[name] = unit * sides[0], unit * sides[1]
+        chosen = self.low < self.high  # the others are gains that were given
         for end in ranges.reshape(2, -1)[:, : len(NAMES)]:
-            pulled = np.flatnonzero(held & (end > 0.0))
-            found |= {f"range of {NAMES[k]}": value * float(end[k]) for k in pulled}
-        return found, apart(sides, ONE_SIDED)
+            active = np.flatnonzero(chosen & (end > 0.0))
+            found |= {f"range of {NAMES[k]}": value * float(end[k]) for k in active}
+        return found, one_sided
 
-    def _broken(self, g: Array, rows: NDArray[np.intp]) -> Array:
-        """How far each limit is broken where `rows` are `g`, in its scale; at least 0."""
-        over, some = np.zeros(len(self.names)), rows >= 0
-        np.maximum.at(over, rows[some], g[some])
-        return over
+    def _violation(self, g: Array, rows: NDArray[np.intp]) -> Array:
+        """Violation of each limit, in its scale, at least 0; rows: the limit of each g."""
+        violation, limits = np.zeros(len(self.names)), rows >= 0
+        np.maximum.at(violation, rows[limits], g[limits])
+        return violation
 
     def _merit(self, x: Array, g: Array, rows: NDArray[np.intp]) -> float:
-        """Of a point on the way to the solution: any that meets the limits is better than none."""
-        over = float(self._broken(g, rows).max())
-        value = float(np.exp(x[len(NAMES)] + g[: len(self.shots)].max())) * self._unit
-        return value if over < 0.5 * TOLERANCE else BROKEN * (1.0 + over)
-
-    def _first_value(self, values: Sequence[ca.MX], x: ca.MX) -> float:
-        """The objective at the start: its unit in the program."""
-        at = ca.Function("values", [x], [ca.vertcat(*values)])(self.first)
-        return float(np.abs(at.full()).max())
+        """The objective, or above INFEASIBLE where a limit is violated."""
+        violation = float(self._violation(g, rows).max())
+        value = float(np.exp(x[len(NAMES)] + g[: self.count].max())) * self._unit
+        return value if violation < 0.5 * TOLERANCE else INFEASIBLE * (1.0 + violation)
 
 
-def _judged(
-    judge: Judge, shots: Sequence[ShootingInterval], gains: Gains
-) -> tuple[list[Aim], dict[str, list[Limit]]]:
-    """The aim of each shot, and the limits of all of them by name."""
-    aims: list[Aim] = []
-    limits: dict[str, list[Limit]] = {}
-    for shot in shots:
-        aim, found = judge(shot, gains)
-        aims.append(aim)
-        for limit in found:
-            limits.setdefault(limit.name, []).append(limit)
-    return aims, limits
-
-
-def _solver(nlp: dict[str, ca.MX], objective: str, watch: ConvergenceMonitor) -> ca.Function:
-    """IPOPT on the program, under watch."""
-    options, hessian = OPTIONS, None
-    if objective != "force_error":
-        hessian = _damping(nlp)
-    else:  # the logarithm of an error that may vanish is bent: it needs its curvature
-        options = OPTIONS | {"hessian_approximation": "limited-memory"}
-    # no warnings of evaluations: a step too far is unstable, and IPOPT takes a shorter one
-    return ipopt.solver(
-        "tune", nlp, options, hessian=hessian, callback=watch, show_eval_warnings=False
-    )
-
-
-def _listed(
+def _stack(
     above: list[ca.MX], limits: Mapping[str, list[Limit]], what: str
 ) -> tuple[NDArray[np.intp], ca.MX]:
-    """Which limit (-1: none) each row is of, and the rows: the objectives, `what` of the limits."""
+    """Rows of the objectives and of `what` of the limits, and the limit of each row (objectives:
+    -1)."""
     parts = [(k, getattr(one, what)) for k, found in enumerate(limits.values()) for one in found]
     owner = [-1] * len(above) + [k for k, part in parts for _ in range(part.shape[0])]
     return np.array(owner, dtype=np.intp), ca.vertcat(*above, *(part for _, part in parts))
 
 
-def _damping(nlp: dict[str, ca.MX]) -> ca.Function:
-    """DAMPING on the gains in place of the Hessian of the Lagrangian."""
-    x, p, weight = nlp["x"], nlp["p"], ca.MX.sym("lam_f")
-    pull = ca.MX.sym("lam_g", nlp["g"].shape[0])
-    rest = x.shape[0] - len(NAMES)
-    hessian = ca.sparsify(ca.diag(ca.DM([DAMPING] * len(NAMES) + [0.0] * rest)))
-    return ca.Function(
-        "damping",
-        [ca.MX.sym("x", x.shape[0]), ca.MX.sym("p", p.shape[0]), weight, pull],
-        [ca.MX(hessian) * weight],
-        ["x", "p", "lam_f", "lam_g"],
-        ["triu_hess_gamma_x_x"],
+def _solver(nlp: dict[str, ca.MX], objective: str, monitor: ConvergenceMonitor) -> ca.Function:
+    """IPOPT on the program, with DAMPING on the gains as the Hessian for the least times."""
+    options, hessian = OPTIONS, None
+    if objective == "force_error":  # the logarithm of an error that may vanish is curved
+        options = OPTIONS | {"hessian_approximation": "limited-memory"}
+    else:
+        sizes = {name: nlp[name].shape[0] for name in ("x", "p", "g")}
+        inputs = [ca.MX.sym(name, k) for name, k in (*sizes.items(), ("lam_f", 1))]
+        x, p, lam_g, lam_f = inputs
+        diagonal = ca.DM([DAMPING] * len(NAMES) + [0.0] * (sizes["x"] - len(NAMES)))
+        hessian = ca.Function(
+            "damping",
+            [x, p, lam_f, lam_g],
+            [ca.MX(ca.sparsify(ca.diag(diagonal))) * lam_f],
+            ["x", "p", "lam_f", "lam_g"],
+            ["triu_hess_gamma_x_x"],
+        )
+    # no warnings of evaluations: too far a step is unstable, and IPOPT takes a shorter one
+    return ipopt.solver(
+        "tune", nlp, options, hessian=hessian, callback=monitor, show_eval_warnings=False
     )

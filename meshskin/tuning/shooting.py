@@ -1,10 +1,10 @@
-"""Shooting a manoeuvre through the closed loop's own step, as expressions of the gains.
+"""Single shooting: a manoeuvre through the closed loop's own step, as a function of the gains.
 
-The state is the step's, with the time since the first touch and the last depth beside it: the slide
-begins when the rest after the touch is over, wherever that falls, so that the whole is a function
-of the gains without events. Between two steps the time of the touch is interpolated from the
-depths. Torques are not held within their limits here: that they are is for the problem to see to,
-and then the simulator's are the same.
+The state is the step's, extended by the time since the first touch and the previous depth. The
+slide begins when the rest after the touch is over, at whatever time that is, so that the manoeuvre
+is a function of the gains without events. Between two steps the time of the touch is interpolated
+from the depths. Torques are not limited here: the program has them as constraints, and within these
+the simulator's torques are the same.
 """
 
 from __future__ import annotations
@@ -22,16 +22,17 @@ from ..simulation import quasi_static
 from ..simulation.closed_loop_model import ClosedLoopModel
 from ..simulation.state_machine import approach_fraction
 from ..simulation.step import step
-from .gains import NAMES, Gains, Scenario
-from .manoeuvre import Manoeuvre, travelled
+from .gains import NAMES, Gains
+from .manoeuvre import Manoeuvre, slide_distance
+from .scenarios import Scenario
 
-TINY = 1e-12
-"""Depth, m, that keeps the part of a step in contact from being 0 / 0."""
+MIN_DEPTH = 1e-12
+"""Depth, m, added to a denominator that is 0 where two depths in a row are 0."""
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """A manoeuvre as it is predicted, a row a step."""
+    """A predicted manoeuvre, one row a step."""
 
     scenario: Scenario
     time: Array
@@ -39,11 +40,11 @@ class Trajectory:
     force: Array
     """(k,), N."""
     depth: Array
-    """(k,), m; negative in the air."""
+    """(k,), m; negative without contact."""
     since: Array
     """Time since the first touch (k,), s; 0 before it."""
     torque: Array
-    """(k, n), N m; without columns where there is no arm."""
+    """(k, n), N m; no columns without an arm."""
     q: Array
     """Joint angles (k, n), rad."""
     qdot: Array
@@ -52,41 +53,36 @@ class Trajectory:
     """From the start to the end of the slide, s."""
 
 
-class ShootingInterval:
-    """One scenario of the problem: its world, its manoeuvre, the step that is shot through."""
+class SingleShooting:
+    """The manoeuvre of one scenario as a function of the gains."""
 
     def __init__(self, scene: Scene, scenario: Scenario, manoeuvre: Manoeuvre) -> None:
         self.scene, self.scenario, self.manoeuvre = scene, scenario, manoeuvre
         loop = ClosedLoopModel.of(scene)
-        free = replace(loop.arm, effort_limit=np.full_like(loop.arm.effort_limit, np.inf))
-        self.arm, self.loop = loop.arm, replace(loop, arm=free)
+        unlimited = replace(loop.arm, effort_limit=np.full_like(loop.arm.effort_limit, np.inf))
+        self.arm, self.loop = loop.arm, replace(loop, arm=unlimited)
         self.joints = loop.joints
-        self.one = _one(self.loop, manoeuvre)
+        self.step = _extended_step(self.loop, manoeuvre)
 
     @property
     def start(self) -> Array:
-        """State at rest at the standoff."""
-        begin = self.manoeuvre.start
-        q = quasi_static.state_of_pose(begin) if self.loop.mode == "quasi_static" else begin
-        state = np.zeros(self.one.size1_in(0))
+        """Extended state at rest at the standoff."""
+        start = self.manoeuvre.start
+        q = quasi_static.state_of_pose(start) if self.loop.mode == "quasi_static" else start
+        state = np.zeros(self.step.size1_in(0))
         state[: len(q)] = q
         state[-4:] = [*self.manoeuvre.foot, 0.0, -self.scene.exploration.standoff]
         return state
 
-    def roll(self, gains: ca.MX, steps: int) -> ca.MX:
-        """Rows `rows` of every step (m, steps), of gains (8,)."""
-        one, compile_ = self.one, self.scene.loop.compile
-        one = one if compile_ == "never" else compile_with_derivatives(one, len(NAMES))
-        several = one.mapaccum("shot", steps)
-        rolled: ca.MX = several(self.start, ca.repmat(gains, 1, steps), self.times(steps))[1]
-        return rolled
-
-    def times(self, steps: int) -> Array:
-        """Time at each step (1, steps), s."""
-        return np.arange(steps, dtype=np.float64)[None] * self.loop.dt
+    def roll(self, gains: Any, steps: int) -> Any:
+        """Rows `rows` of every step (m, steps), of CasADi gains (8,)."""
+        compiled = isinstance(gains, ca.MX) and self.scene.loop.compile != "never"
+        step = compile_with_derivatives(self.step, len(NAMES)) if compiled else self.step
+        time = np.arange(steps, dtype=np.float64)[None] * self.loop.dt
+        return step.mapaccum("shooting", steps)(self.start, ca.repmat(gains, 1, steps), time)[1]
 
     def rows(self) -> dict[str, slice]:
-        """What the rows of `roll` are."""
+        """Slices of the rows of `roll` by name."""
         n = self.joints
         ends = np.cumsum([0, 1, 1, 1, n, n, n])
         names = ("force", "depth", "since", "torque", "q", "qdot")
@@ -96,38 +92,36 @@ class ShootingInterval:
         """The manoeuvre with these gains, to the end of its slide."""
         slide = self.manoeuvre.distance / gains.speed + gains.ramp
         dt, standoff = self.loop.dt, self.scene.exploration.standoff
-        fall = 2.0 * standoff / gains.approach_speed + 20.0 / gains.gamma + gains.approach_ramp
-        steps = int(np.ceil((fall + gains.settle + slide) / dt)) + 2
-        several = self.one.mapaccum("shot", steps)
-        values = np.tile(np.array(gains.values), (steps, 1)).T
-        rolled = several(self.start, values, self.times(steps))[1].full()
+        approach = 2.0 * standoff / gains.approach_speed + 20.0 / gains.gamma + gains.approach_ramp
+        steps = int(np.ceil((approach + gains.settle + slide) / dt)) + 2
+        rolled = self.roll(ca.DM(gains.values), steps).full()
         rows = {k: rolled[s] for k, s in self.rows().items()}
         since = rows["since"][0]
         before = int(np.argmax(since > 0)) if since.any() else steps
         duration = before * dt - (since[before] if before < steps else 0.0) + gains.settle + slide
         count = min(int(np.ceil(duration / dt)) + 1, steps)
         return Trajectory(
-            self.scenario,
-            np.arange(count, dtype=np.float64) * dt,
-            rows["force"][0, :count],
-            rows["depth"][0, :count],
-            since[:count],
-            rows["torque"][:, :count].T,
-            rows["q"][:, :count].T,
-            rows["qdot"][:, :count].T,
-            float(duration),
+            scenario=self.scenario,
+            time=np.arange(count, dtype=np.float64) * dt,
+            force=rows["force"][0, :count],
+            depth=rows["depth"][0, :count],
+            since=since[:count],
+            torque=rows["torque"][:, :count].T,
+            q=rows["q"][:, :count].T,
+            qdot=rows["qdot"][:, :count].T,
+            duration=float(duration),
         )
 
 
-def _one(loop: ClosedLoopModel, manoeuvre: Manoeuvre) -> ca.Function:
-    """(state with clock and last depth, gains (8,), time) -> (the same after the step, its row)."""
+def _extended_step(loop: ClosedLoopModel, manoeuvre: Manoeuvre) -> ca.Function:
+    """(state with time since the touch and previous depth, gains (8,), time) -> (next, row)."""
     inner = step(loop)
     size = inner.size1_in(0)
     state, vector = ca.SX.sym("state", size + 2), ca.SX.sym("gains", len(NAMES))
     time = ca.SX.sym("time")
-    clock, last = state[size], state[size + 1]
+    since, previous = state[size], state[size + 1]
     gains = Gains(*(vector[k] for k in range(len(NAMES))))
-    reference = _reference(manoeuvre, clock - gains.settle, gains, loop.dt)
+    reference = _reference(manoeuvre, since - gains.settle, gains, loop.dt)
     parameters = replace(
         loop.parameters,
         gamma=gains.gamma,
@@ -140,20 +134,20 @@ def _one(loop: ClosedLoopModel, manoeuvre: Manoeuvre) -> ca.Function:
     )
     rows, n = loop.outputs, loop.joints
     depth = output[rows["depth"]]
-    touching = (ca.fmax(last, 0.0) + ca.fmax(depth, 0.0)) / (ca.fabs(last) + ca.fabs(depth) + TINY)
-    since = clock + loop.dt * touching
+    touching = ca.fmax(previous, 0.0) + ca.fmax(depth, 0.0)
+    touching /= ca.fabs(previous) + ca.fabs(depth) + MIN_DEPTH
+    since = since + loop.dt * touching
     row = ca.vertcat(
         output[rows["force"]], depth, since, output[rows["torque"]], state[:n], state[n : 2 * n]
     )
-    return ca.Function(
-        "one", [state, vector, time], [ca.vertcat(after, since, depth), row], {"cse": True}
-    )
+    following = ca.vertcat(after, since, depth)
+    return ca.Function("one", [state, vector, time], [following, row], {"cse": True})
 
 
 def _reference(manoeuvre: Manoeuvre, t: Any, gains: Gains, dt: float) -> Any:
-    """The path's row (18,) `t` s after the slide's begin: the twist carries to the next row."""
+    """The path's row (18,) `t` s after the slide's begin; the twist leads to the next row."""
     now, half, then = (
-        travelled(t + part * dt, gains.speed, gains.ramp, manoeuvre.distance)
+        slide_distance(t + part * dt, gains.speed, gains.ramp, manoeuvre.distance)
         for part in (0.0, 0.5, 1.0)
     )
     return manoeuvre.reference(now, half, (then - now) / dt)

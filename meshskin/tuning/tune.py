@@ -1,8 +1,8 @@
-"""The door: gains of the compliance law and speeds of the exploration by optimal control.
+"""`tune`: gains of the compliance law and speeds of the exploration by optimal control.
 
-Direct single shooting: the manoeuvre (approach, touch, rest, slide) is rolled out through the very
-step that `simulate` runs, in every scenario, and a nonlinear program over the seven gains is solved
-by IPOPT with derivatives by automatic differentiation.
+Direct single shooting: the manoeuvre (approach, touch, rest, slide) runs through the same step that
+`simulate` runs, in every scenario, and a nonlinear program over the eight gains is solved by IPOPT
+with derivatives by automatic differentiation.
 
 Source: Betts, "Practical Methods for Optimal Control and Estimation Using Nonlinear Programming"
 (2010), chapter 3; Waechter, Biegler, "On the implementation of an interior-point filter
@@ -11,7 +11,7 @@ line-search algorithm" (Math. Programming 106, 2006).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,32 +22,32 @@ from ..core.errors import ConfigError, TuningError, UnknownNameError
 from ..core.se3 import Array
 from ..scene.scene import Scene
 from ..simulation.response import force_response
-from . import manoeuvre as manoeuvres
-from .answer import Tuned, rounded
 from .convergence import SOLVED
-from .gains import Demands, Gains, Scenario, scenarios, span
+from .gains import Demands, Gains, gain_bounds
 from .limits import OBJECTIVES, Limit
-from .manoeuvre import Manoeuvre
-from .problem import LEFT, TuningProblem, TuningSolution
-from .scenarios import world
-from .shooting import ShootingInterval
+from .manoeuvre import plan_manoeuvre, slide_start
+from .problem import MAX_PREDICTED_DECREASE, TuningProblem, TuningSolution
+from .result import TuningResult, round_settle
+from .scenarios import Scenario, scenario_scene, scenarios
+from .shooting import SingleShooting
 
-__all__ = ["Demands", "Scenario", "Tuned", "scenarios", "tune"]
+__all__ = ["Demands", "Scenario", "TuningResult", "scenarios", "tune"]
 
 NOMINAL = Scenario()
-"""The world that the scene itself describes."""
-LEEWAY = 1.2
-"""Length of the rollout over the time of the start's manoeuvre."""
-ROUNDS, WORTH = 2, 1e-2
-"""How often a search is taken up again, and the gain of the last one that calls for it."""
-REST, HELD = 1.5, 3.0
-"""Rest at the start of the search, over the settling time there; that of a shot that is judged by
-its touch alone, over the one at the start."""
-SHARE = 0.99
-"""Most of the slide that its ramps may take, at the start."""
-GENTLE = 0.02
-"""Least time of the approach's ramp at the start of the search, s: shorter ones, of a step or two,
-have no slope."""
+"""The scenario that the scene itself describes."""
+HORIZON_MARGIN = 1.2
+"""Length of the shooting over the duration of the first manoeuvre, so that a search may become
+slower on its way."""
+MAX_RESTARTS, RESTART_GAIN = 2, 1e-2
+"""How often a search is restarted, and the relative gain of the last one that calls for it."""
+FIRST_REST, TOUCH_REST = 1.5, 3.0
+"""Rest at the start of the search over the settling time there; rest of a manoeuvre that is judged
+by its touch alone over that at the start."""
+MAX_RAMP_PART = 0.99
+"""Largest part of the slide that its ramps take at the start of the search."""
+MIN_APPROACH_RAMP = 0.02
+"""Least time of the approach's ramp at the start of the search, s: twenty steps of 1 ms. The
+derivative by a ramp of one or two steps vanishes."""
 
 
 def tune(
@@ -61,84 +61,86 @@ def tune(
     direction: ArrayLike | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     start: Gains | None = None,
-) -> Tuned:
+) -> TuningResult:
     """Choose gamma, L, f_ref and the speeds of a scene's closed loop over a manoeuvre.
 
     The body comes down from the standoff, touches the indenter, rests, and slides `distance` (m)
     along a geodesic from `place` (3,) in `direction` (3,), body frame; by default from the skin's
-    centre along its first principal direction. objective: "time", the least time of it all;
-    "force_error", the least RMS error of the force over the slide from the force that the scene
-    asks for; or "settling", the least time from the touch until the force stays within
-    `demands.settled` of its reference, the slide as the scene has it. The worst of the scenarios
+    center along its first principal direction. objective: "time", the least duration of the
+    manoeuvre; "force_error", the least RMS error of the force over the slide from the force that
+    the scene asks for; or "settling", the least time from the touch until the force stays within
+    `demands.settled` of its reference, with the slide of the scene. The worst of the scenarios
     `over` counts, and the demands hold in each (`scenarios` makes them from ranges). bounds: ranges
-    of single gains, SI. start: where the search begins; by default from the scene's own gains.
-    Delay, step, integrator and mode are those of `scene.loop`: a long step of low order damps, and
-    gains may come to count on it; "rk4" does not.
+    of single gains, SI. start: first gains of the search; by default the scene's own. Delay, step,
+    integrator and mode are those of `scene.loop`: a long step of low order damps, and gains may
+    rely on it; "rk4" does not.
 
-    Raises TuningError where no gains meet the demands, naming the limit to relax and how far;
-    UnknownNameError, ConfigError for arguments that cannot be, ReachError where the arm cannot make
-    the manoeuvre.
+    Raises TuningError where no gains meet the demands, with the limit to relax and by how much;
+    UnknownNameError, ConfigError for invalid arguments, ReachError where the arm cannot make the
+    manoeuvre.
     """
     if objective not in OBJECTIVES:
         raise UnknownNameError("objective", objective, OBJECTIVES)
     check_type(Scene, scene, "what is tuned")
     check_real("distance of the slide", distance, "m", above=0.0)
-    over = worlds(over)
+    over = check_scenarios(over)
     demands = demands or Demands()
     check_type(Demands, demands, "demands")
     if start is not None:
         check_type(Gains, start, "start")
-    spot, ahead = manoeuvres.where(scene, place, direction)
-    shots = _shots(scene, over, spot, ahead, distance)
-    target = scene.law.force_reference
-    first = start or _rested(shots[0], Gains.of(scene))
-    ranges = _ranges(shots[0], objective, bounds or {}, first)
+    point, ahead = slide_start(scene, place, direction)
+    shootings = _shootings(scene, over, point, ahead, distance)
+    force = scene.law.force_reference
+    first = start or _first_gains(shootings[0], Gains.of(scene))
+    ranges = _ranges(shootings[0], objective, bounds or {}, first)
     first = Gains(*np.clip(first.values, *ranges).tolist())
-    longest = max(shot.predict(first).duration for shot in shots)
+    longest = max(shooting.predict(first).duration for shooting in shootings)
     if objective == "force_error" and demands.time is None:
         demands = replace(demands, time=longest)
     horizon = _horizon(objective, demands, longest, distance / first.speed + first.ramp, first)
     steps = int(np.ceil(horizon / scene.loop.dt)) + 2
 
-    def posed(demands: Demands, objective: str) -> TuningProblem:
-        return TuningProblem(shots, demands, objective, first, ranges, steps, target)
+    def pose(demands: Demands, objective: str) -> TuningProblem:
+        return TuningProblem(shootings, demands, objective, first, ranges, steps, force)
 
-    problem = posed(demands, objective)
-    if demands.time is None or objective == "settling":
-        solution = _solved(problem)
+    problem = pose(demands, objective)
+    solution = problem.solve()
+    if not solution.slacks:
+        solution = _polished(problem, solution)
+    elif demands.time is None or objective == "settling":
+        solution = _from_nearest(problem)
     else:
-        solution = _in_time(
-            problem, demands.time, lambda: posed(replace(demands, time=None), "time")
-        )
-    gains = rounded(solution.gains, scene.loop.dt)
+        solution = _from_quickest(problem, pose(replace(demands, time=None), "time"), demands.time)
+    gains = round_settle(solution.gains, scene.loop.dt)
     applied = gains.applied(scene)
-    finals = _shots(applied, over, spot, ahead, distance, shots[0].manoeuvre.heading)
-    return Tuned(
+    heading = shootings[0].manoeuvre.heading
+    finals = _shootings(applied, over, point, ahead, distance, heading)
+    return TuningResult(
         scene=scene,
         law=applied.law,
         exploration=applied.exploration,
         objective=objective,
         value=solution.value,
-        trajectories=tuple(shot.predict(gains) for shot in finals),
+        trajectories=tuple(shooting.predict(gains) for shooting in finals),
         multipliers=solution.multipliers,
         one_sided=solution.one_sided,
-        left=solution.left,
+        predicted_decrease=solution.predicted_decrease,
         status=solution.status,
         iterations=solution.iterations,
         build_seconds=problem.build_seconds,
         solve_seconds=solution.seconds,
-        manoeuvres=tuple(shot.manoeuvre for shot in finals),
-        place=spot,
+        manoeuvres=tuple(shooting.manoeuvre for shooting in finals),
+        place=point,
     )
 
 
-def worlds(over: Scenario | Sequence[Scenario]) -> tuple[Scenario, ...]:
-    """The worlds that gains must serve. Raises ConfigError where there is none."""
+def check_scenarios(over: Scenario | Sequence[Scenario]) -> tuple[Scenario, ...]:
+    """The scenarios as a tuple. Raises ConfigError where there is none."""
     if isinstance(over, Scenario):
         return (over,)
     if not isinstance(over, Sequence) or not over or not all(isinstance(w, Scenario) for w in over):
         raise ConfigError(
-            "the worlds to tune over",
+            "over must be scenarios",
             value=repr_short(over),
             limit="one Scenario or more",
             remedy="leave over= out for the scene alone, or give scenarios(modulus=(0.8, 1.2))",
@@ -146,70 +148,71 @@ def worlds(over: Scenario | Sequence[Scenario]) -> tuple[Scenario, ...]:
     return tuple(over)
 
 
-def _solved(problem: TuningProblem) -> TuningSolution:
-    """The solution of a problem that has one. Raises TuningError where it has none."""
-    solution = problem.solve()
-    if not solution.slacks:
-        return _polished(problem, solution)
+def _from_nearest(problem: TuningProblem) -> TuningSolution:
+    """The solution of a problem, from the gains that violate its limits least.
+
+    Raises TuningError where these violate a limit.
+    """
     nearest = problem.solve(elastic=True)
     if nearest.slacks:
         raise _infeasible(problem.limits, nearest.slacks)
     return _from(problem, nearest.gains)
 
 
+def _from_quickest(
+    problem: TuningProblem, quickest: TuningProblem, longest: float
+) -> TuningSolution:
+    """The solution of a problem with a longest time, s, from the gains of the least time.
+
+    Raises TuningError where that time is longer.
+    """
+    found = quickest.solve()
+    found = _from_nearest(quickest) if found.slacks else _polished(quickest, found)
+    if found.value > longest:
+        raise TuningError(
+            "no gains meet the demands",
+            value=f"at best time of {found.value:.4g} s",
+            limit=f"{longest:.4g} s",
+            remedy="relax the time, or the limits that bind it: "
+            + ", ".join(name for name, value in found.multipliers.items() if value > 0),
+        )
+    return _from(problem, found.gains)
+
+
 def _from(problem: TuningProblem, gains: Gains) -> TuningSolution:
-    """The solution that is found from other gains than the first. Raises TuningError."""
+    """The solution that is found from `gains`. Raises TuningError."""
     found = problem.solve(gains)
     if found.slacks:
         raise TuningError(
             f"the demands are not met: the search {found.status}",
-            value=f"{max(found.slacks, key=lambda k: found.slacks[k])} broken",
+            value=f"{max(found.slacks, key=lambda k: found.slacks[k])} violated",
             remedy="give start= nearer to the solution, or relax a limit",
         )
     return _polished(problem, found)
 
 
-def _in_time(
-    problem: TuningProblem, longest: float, timeless: Callable[[], TuningProblem]
-) -> TuningSolution:
-    """The solution of a problem with a longest time, s: found from the least time that there is,
-    where the way to it is not found at once. Raises TuningError where that is longer.
-    """
-    solution = problem.solve()
-    if not solution.slacks:
-        return _polished(problem, solution)
-    quickest = _solved(timeless())
-    if quickest.value > longest:
-        raise TuningError(
-            "no gains meet the demands",
-            value=f"at best time of {quickest.value:.4g} s",
-            limit=f"{longest:.4g} s",
-            remedy="relax the time, or what binds it: "
-            + ", ".join(name for name, price in quickest.multipliers.items() if price > 0),
-        )
-    return _from(problem, quickest.gains)
-
-
 def _polished(problem: TuningProblem, solution: TuningSolution) -> TuningSolution:
-    """A solution that was left for want of progress, searched on from where it was.
+    """A solution of a search that stopped early, improved from there.
 
-    Downhill along the limits, and by searches that leave the tooth in which that ends.
+    By descent along the limits, and by searches that leave the tooth in which that ends.
     """
-    best = _lower(solution, problem.descend(solution)) if solution.left > LEFT else solution
-    for _ in range(ROUNDS):
+    best = solution
+    if best.predicted_decrease > MAX_PREDICTED_DECREASE:
+        best = _better(best, problem.descend(best))
+    for _ in range(MAX_RESTARTS):
         if best.status == SOLVED:
             break
         before = best.value
         again = problem.solve(best.gains)
-        best = _lower(best, again)
-        if not again.slacks and again.left > LEFT:
-            best = _lower(best, problem.descend(again))
-        if best.value > (1.0 - WORTH) * before:
+        best = _better(best, again)
+        if not again.slacks and again.predicted_decrease > MAX_PREDICTED_DECREASE:
+            best = _better(best, problem.descend(again))
+        if best.value > (1.0 - RESTART_GAIN) * before:
             break
     return best
 
 
-def _lower(one: TuningSolution, other: TuningSolution) -> TuningSolution:
+def _better(one: TuningSolution, other: TuningSolution) -> TuningSolution:
     """The better of two solutions, with the iterations and the time of both."""
     best = other if not other.slacks and other.value < one.value else one
     iterations, seconds = one.iterations + other.iterations, one.seconds + other.seconds
@@ -217,11 +220,11 @@ def _lower(one: TuningSolution, other: TuningSolution) -> TuningSolution:
 
 
 def _infeasible(limits: Mapping[str, Limit], slacks: Mapping[str, float]) -> TuningError:
-    """The error that says which limits to relax, and how far; the one farthest broken first."""
+    """The error that names the limits to relax and by how much, the most violated first."""
 
     def relaxed(name: str) -> str:
         limit = limits[name]
-        needed = limit.bound + limit.whole * slacks[name]
+        needed = limit.bound + limit.relaxation * slacks[name]
         return f"{name} of {needed:.4g} {limit.unit}".rstrip()
 
     worst, *others = sorted(slacks, key=lambda name: -slacks[name])
@@ -235,67 +238,66 @@ def _infeasible(limits: Mapping[str, Limit], slacks: Mapping[str, float]) -> Tun
     )
 
 
-def _shots(
+def _shootings(
     scene: Scene,
     over: Sequence[Scenario],
     place: Array,
     direction: Array,
     distance: float,
     heading: float | None = None,
-) -> list[ShootingInterval]:
+) -> list[SingleShooting]:
     """The manoeuvre in each scenario, on the same heading."""
-    shots: list[ShootingInterval] = []
+    shootings: list[SingleShooting] = []
     for scenario in dict.fromkeys(over):
-        lived = world(scene, scenario, place)
-        made: Manoeuvre = manoeuvres.plan(
-            lived, place / scenario.curvature, direction, distance, heading
-        )
-        heading = made.heading
-        shots.append(ShootingInterval(lived, scenario, made))
-    return shots
+        varied = scenario_scene(scene, scenario, place)
+        manoeuvre = plan_manoeuvre(varied, place / scenario.curvature, direction, distance, heading)
+        heading = manoeuvre.heading
+        shootings.append(SingleShooting(varied, scenario, manoeuvre))
+    return shootings
 
 
 def _ranges(
-    shot: ShootingInterval, objective: str, bounds: Mapping[str, tuple[float, float]], first: Gains
+    shooting: SingleShooting,
+    objective: str,
+    bounds: Mapping[str, tuple[float, float]],
+    first: Gains,
 ) -> Array:
-    """Lowest and highest gains (2, 8): one value for those that the objective does not call for."""
-    target, dt = shot.scene.law.force_reference, shot.loop.dt
+    """Lowest and highest gains (2, 8); equal for gains without influence on the objective."""
+    force, dt = shooting.scene.law.force_reference, shooting.loop.dt
     fixed: dict[str, float] = {}
-    if shot.joints == 0:  # without an arm: neither a velocity gain nor a jerk of torques
-        own = shot.scene.exploration.approach_ramp
+    if shooting.joints == 0:  # without an arm: neither a velocity gain nor a jerk of torques
+        own = shooting.scene.exploration.approach_ramp
         fixed |= {"rate": first.rate, "approach_ramp": max(own, dt)}
     if objective == "settling":
         fixed |= {"speed": first.speed, "ramp": first.ramp}
-        bounds = {"force_reference": (target, target)} | dict(bounds)
-    return span(dict(bounds) | {name: (value, value) for name, value in fixed.items()}, target)
+        bounds = {"force_reference": (force, force)} | dict(bounds)
+    return gain_bounds(dict(bounds) | {name: (v, v) for name, v in fixed.items()}, force)
 
 
 def _horizon(objective: str, demands: Demands, longest: float, slide: float, first: Gains) -> float:
-    """Length of the rollout, s: with leeway over the start's manoeuvre, s, and a time demanded; a
-    search that is judged by the touch ends soon after it, without the slide, s.
-    """
-    horizon = LEEWAY * longest
+    """Length of the shooting, s: the first manoeuvre or the time demanded, with a margin; for a
+    search that is judged by the touch alone, without the slide."""
+    horizon = HORIZON_MARGIN * longest
     if objective == "force_error" and demands.time:
-        horizon = max(horizon, LEEWAY * demands.time)
+        horizon = max(horizon, HORIZON_MARGIN * demands.time)
     if objective == "settling":
-        horizon -= LEEWAY * (slide - HELD * first.settle)
+        horizon -= HORIZON_MARGIN * (slide - TOUCH_REST * first.settle)
     return horizon
 
 
-def _rested(shot: ShootingInterval, gains: Gains) -> Gains:
-    """`gains` as a search begins: no more rest than their own settling calls for, an approach begun
-    gently, ramps of a slide that has room for them."""
-    longest = SHARE * shot.manoeuvre.distance / gains.speed
+def _first_gains(shooting: SingleShooting, gains: Gains) -> Gains:
+    """The first gains of a search: a rest no longer than the settling needs, a slow ramp of the
+    approach, ramps of the slide that fit into it."""
     gains = replace(
         gains,
-        approach_ramp=max(gains.approach_ramp, GENTLE),
-        ramp=min(gains.ramp, longest),
+        approach_ramp=max(gains.approach_ramp, MIN_APPROACH_RAMP),
+        ramp=min(gains.ramp, MAX_RAMP_PART * shooting.manoeuvre.distance / gains.speed),
     )
-    foretold = shot.predict(gains)
-    resting = foretold.since <= gains.settle
+    predicted = shooting.predict(gains)
+    resting = predicted.since <= gains.settle
     response = force_response(
-        foretold.time[resting], foretold.force[resting], gains.force_reference
+        predicted.time[resting], predicted.force[resting], gains.force_reference
     )
     if not np.isfinite(response.settling):
         return gains
-    return replace(gains, settle=min(gains.settle, REST * response.settling))
+    return replace(gains, settle=min(gains.settle, FIRST_REST * response.settling))

@@ -108,10 +108,10 @@ def test_wrong_calls(scene, call, message):
 
 
 def test_one_world_may_be_given_without_a_list(scene):
-    from meshskin.tuning.gains import Scenario
-    from meshskin.tuning.tune import worlds
+    from meshskin.tuning.scenarios import Scenario
+    from meshskin.tuning.tune import check_scenarios
 
-    assert worlds(Scenario(1.2)) == (Scenario(1.2),)
+    assert check_scenarios(Scenario(1.2)) == (Scenario(1.2),)
 
 
 def test_remedies_name_contact_models_that_a_scene_takes(scene):

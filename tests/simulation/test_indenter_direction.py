@@ -22,7 +22,7 @@ from meshskin.simulation.rollout import CompiledRollout
 from meshskin.simulation.simulate import prepare, run
 from meshskin.simulation.stability import inertia
 from meshskin.simulation.state_machine import SLIDE
-from meshskin.tuning.manoeuvre import plan
+from meshskin.tuning.manoeuvre import plan_manoeuvre
 
 WALL = ms.Indenter(position=(-0.6, -0.15, 0.5), direction=(1.0, 0.0, 0.0))
 SLANT = ms.Indenter(position=(-0.5, 0.3, 0.6), direction=(0.6, -0.2, 0.7))
@@ -186,7 +186,7 @@ def test_single_touches_and_presses_are_made_from_the_side(ellipsoid):
 
 
 def test_the_manoeuvre_of_the_tuning_comes_from_the_side(walled):
-    made = plan(walled, np.array([0.0, 0.0, -0.1]), np.array([1.0, 0.0, 0.0]), 0.02)
+    made = plan_manoeuvre(walled, np.array([0.0, 0.0, -0.1]), np.array([1.0, 0.0, 0.0]), 0.02)
     path = made.path(walled.body, walled.exploration, 1e-3)
     normals = np.einsum("kij,kj->ki", path.poses[:, :3, :3], path.normals)
     np.testing.assert_allclose(normals, np.tile([-1.0, 0.0, 0.0], (len(normals), 1)), atol=1e-5)

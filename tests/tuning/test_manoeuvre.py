@@ -8,7 +8,7 @@ import pytest
 
 from meshskin.core.errors import TuningError
 from meshskin.geometry.body import Body
-from meshskin.tuning.manoeuvre import fitted, plan, slide_path, travelled
+from meshskin.tuning.manoeuvre import fit_patch, plan_manoeuvre, slide_distance, slide_path
 
 BOTTOM = np.array([0.0, 0.0, -0.1])
 
@@ -25,7 +25,7 @@ def test_a_geodesic_of_the_sphere_is_a_great_circle():
     expected = 0.1 * (np.outer(np.sin(angle), ahead) - np.outer(np.cos(angle), [0, 0, 1]))
     np.testing.assert_allclose(points, expected, atol=1e-6)
     np.testing.assert_allclose(frames[:, :, 2], expected / 0.1, atol=1e-5)
-    with pytest.raises(TuningError, match="along the normal"):
+    with pytest.raises(TuningError, match="normal to the surface"):
         slide_path(Body.sphere(0.1), BOTTOM, BOTTOM, 0.05)
 
 
@@ -35,18 +35,18 @@ def test_the_patch_stands_for_the_surface_about_the_slide():
         (Body.capsule(0.05, 0.2), [0.05, 0.0, 0.0], [0.0, 1.0, 1.0]),
     ):
         _, points, frames = slide_path(body, np.array(place), np.array(ahead), 0.02)
-        assert fitted(body, points, frames)[2] < 2e-7  # of a depth of some mm
+        assert fit_patch(body, points, frames)[2] < 2e-7  # of a depth of some mm
 
 
 def test_a_surface_with_an_edge_is_refused(free):
     rod = free.with_(body=Body.cylinder(0.05, 0.1))
-    with pytest.raises(TuningError, match="smooth patch"):
-        plan(rod, np.array([0.05, 0.0, 0.045]), np.array([0.0, 0.0, 1.0]), 0.02)
+    with pytest.raises(TuningError, match="not a smooth patch"):
+        plan_manoeuvre(rod, np.array([0.05, 0.0, 0.045]), np.array([0.0, 0.0, 1.0]), 0.02)
 
 
 def test_the_body_faces_the_indenter_all_the_way(sphere):
     """Contact point over the indenter at the reference depth, its normal down, by the arm too."""
-    made = plan(sphere, BOTTOM, np.array([1.0, 0.0, 0.0]), 0.02)
+    made = plan_manoeuvre(sphere, BOTTOM, np.array([1.0, 0.0, 0.0]), 0.02)
     path = made.path(sphere.body, sphere.exploration, 1e-3)
     end = [0.1 * np.sin(0.2), 0.0, -0.1 * np.cos(0.2)]
     np.testing.assert_allclose(path.points[[0, -1]], [BOTTOM, end], atol=1e-6)
@@ -64,12 +64,12 @@ def test_the_body_faces_the_indenter_all_the_way(sphere):
 
 
 def test_the_reference_of_the_step_is_the_path_of_the_simulator(free):
-    made = plan(free, BOTTOM, np.array([1.0, 0.0, 0.0]), 0.02)
+    made = plan_manoeuvre(free, BOTTOM, np.array([1.0, 0.0, 0.0]), 0.02)
     speed, ramp, dt = free.exploration.speed, free.exploration.ramp, 1e-3
     path = made.path(free.body, free.exploration, dt)
     for k in (0, 40, 200, len(path.points) - 30):
         now, half, then = (
-            travelled(ca.DM((k + part) * dt), speed, ramp, 0.02) for part in (0.0, 0.5, 1.0)
+            slide_distance(ca.DM((k + part) * dt), speed, ramp, 0.02) for part in (0.0, 0.5, 1.0)
         )
         row = made.reference(now, half, (then - now) / dt)
         np.testing.assert_allclose(np.array(row).ravel(), path.references[k], atol=2e-5)
@@ -77,7 +77,7 @@ def test_the_reference_of_the_step_is_the_path_of_the_simulator(free):
 
 def test_the_slide_goes_its_distance_with_ramps():
     t = np.linspace(-0.1, 1.0, 2001)
-    s = np.array(travelled(ca.DM(t), 0.05, 0.1, 0.02)).ravel()
+    s = np.array(slide_distance(ca.DM(t), 0.05, 0.1, 0.02)).ravel()
     assert s[0] == 0.0
     assert s[-1] == pytest.approx(0.02)
     rate = np.diff(s) / np.diff(t)

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from meshskin.core.errors import ConfigError
-from meshskin.tuning.answer import respond
-from meshskin.tuning.gains import NAMES, Gains, Scenario, scenarios
-from meshskin.tuning.manoeuvre import plan
-from meshskin.tuning.scenarios import world
-from meshskin.tuning.shooting import ShootingInterval
+from meshskin.tuning.gains import NAMES, Gains
+from meshskin.tuning.manoeuvre import plan_manoeuvre
+from meshskin.tuning.result import simulate_manoeuvre
+from meshskin.tuning.scenarios import Scenario, scenario_scene, scenarios
+from meshskin.tuning.shooting import SingleShooting
 
 BOTTOM = np.array([0.0, 0.0, -0.1])
 AHEAD = np.array([1.0, 0.0, 0.0])
@@ -21,9 +21,9 @@ QUICK = {"settle": 0.05, "speed": 0.1, "ramp": 0.03, "approach_ramp": 0.02}
 def shot(scene, scenario=None, distance=0.005):
     """A shot in a scenario of a scene, as tune makes it."""
     scenario = scenario or Scenario()
-    lived = world(scene, scenario, BOTTOM)
-    made = plan(lived, BOTTOM / scenario.curvature, AHEAD, distance)
-    return ShootingInterval(lived, scenario, made)
+    lived = scenario_scene(scene, scenario, BOTTOM)
+    made = plan_manoeuvre(lived, BOTTOM / scenario.curvature, AHEAD, distance)
+    return SingleShooting(lived, scenario, made)
 
 
 def quick(scene, mode="arm", delay=0.0):
@@ -45,7 +45,7 @@ def test_the_predicted_force_is_the_simulated_one(sphere, mode, delay, scenario)
     """The same manoeuvre on the mesh's own faces, through the state machine: to 0.2 %."""
     one = shot(quick(sphere, mode, delay), scenario)
     foretold = one.predict(Gains.of(one.scene))
-    time, force = respond(one.scene, one.manoeuvre)
+    time, force = simulate_manoeuvre(one.scene, one.manoeuvre)
     count = min(len(force), len(foretold.force))
     assert abs(len(force) - len(foretold.force)) <= 2
     apart = np.abs(force[:count] - foretold.force[:count]).max()
@@ -73,7 +73,7 @@ def test_derivatives_by_the_gains_are_those_of_differences(sphere, mode):
 
 
 def test_a_scenario_is_a_world_of_its_own_and_the_law_believes_in_the_scene(sphere):
-    lived = world(sphere, Scenario(1.5, 2.0, 0.01), BOTTOM)
+    lived = scenario_scene(sphere, Scenario(1.5, 2.0, 0.01), BOTTOM)
     assert lived.material.effective_modulus == pytest.approx(
         1.5 * sphere.material.effective_modulus
     )
@@ -83,10 +83,10 @@ def test_a_scenario_is_a_world_of_its_own_and_the_law_believes_in_the_scene(sphe
     before, after = (s.mount_pose @ [*p, 1.0] for s, p in ((sphere, BOTTOM), (lived, BOTTOM / 2)))
     np.testing.assert_allclose(after, before, atol=1e-12)
     np.testing.assert_allclose(lived.arm.friction, 0.01 * sphere.arm.effort_limit)
-    assert world(sphere, Scenario(), BOTTOM) is sphere
+    assert scenario_scene(sphere, Scenario(), BOTTOM) is sphere
     weak = replace(sphere.arm, effort_limit=np.full(6, np.inf))
     with pytest.raises(ConfigError, match="torque limits"):
-        world(sphere.with_(arm=weak), Scenario(friction=0.1), BOTTOM)
+        scenario_scene(sphere.with_(arm=weak), Scenario(friction=0.1), BOTTOM)
 
 
 def test_ranges_make_their_corners_once():

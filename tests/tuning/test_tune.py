@@ -8,13 +8,13 @@ import pytest
 import meshskin as ms
 from meshskin.core.errors import ConfigError, TuningError, UnknownNameError
 from meshskin.simulation.response import force_response
-from meshskin.tuning.answer import respond
-from meshskin.tuning.convergence import ended
-from meshskin.tuning.descent import descended
+from meshskin.tuning.convergence import termination_message
+from meshskin.tuning.feasible_sqp import descent_message
 from meshskin.tuning.gains import Gains
-from meshskin.tuning.limits import LEAST, interpolated
+from meshskin.tuning.limits import MIN_OVERSHOOT, interpolate
 from meshskin.tuning.problem import TOLERANCE
-from meshskin.tuning.shooting import ShootingInterval
+from meshskin.tuning.result import simulate_manoeuvre
+from meshskin.tuning.shooting import SingleShooting
 from meshskin.tuning.tune import Demands, Scenario, scenarios
 
 DISTANCE = 5e-3
@@ -35,7 +35,7 @@ def tuned(small):
 
 
 def gains_of(tuned):
-    return Gains.of(tuned.tuned)
+    return Gains.of(tuned.tuned_scene)
 
 
 def kept(shot, gains, demands, target):
@@ -69,13 +69,13 @@ def test_it_prints_what_was_found_in_a_few_lines(tuned):
     assert f"{tuned.value:.4g} s" in text.splitlines()[0]
     assert f"{tuned.scene.law.gamma:.4g} -> {tuned.law.gamma:.4g}" in text
     assert ", ".join(tuned.binding) in text
-    assert f"The search: {tuned.status}" in text
+    assert f"Search: {tuned.status}" in text
 
 
 def touched(scene, manoeuvre, rest=0.3):
     """The response of a scene's law over a rest, before the slide."""
     rested = scene.with_(exploration=replace(scene.exploration, settle=rest))
-    time, force = respond(rested, manoeuvre)
+    time, force = simulate_manoeuvre(rested, manoeuvre)
     first = time <= time[np.argmax(force > 0)] + rest - 2 * scene.loop.dt
     return force_response(time[first], force[first], scene.law.force_reference)
 
@@ -86,9 +86,9 @@ def test_settling_is_halved_at_equal_overshoot(small):
         small, objective="settling", demands=Demands(overshoot=0.0), distance=DISTANCE, bounds=CALM
     )
     own = touched(small, tuned.manoeuvres[0])
-    found = touched(tuned.tuned, tuned.manoeuvres[0])
+    found = touched(tuned.tuned_scene, tuned.manoeuvres[0])
     assert own.overshoot < 1e-9
-    assert found.overshoot <= own.overshoot + 2 * LEAST
+    assert found.overshoot <= own.overshoot + 2 * MIN_OVERSHOOT
     assert found.settling <= 0.5 * own.settling
     assert found.settling == pytest.approx(tuned.value, abs=small.loop.dt)
     assert tuned.confirm().difference < 0.02
@@ -111,7 +111,7 @@ def test_older_readings_settle_later(small):
 
 def test_no_gains_about_it_are_better(small, tuned):
     """A grid over gamma, approach speed and rest about the solution: nothing feasible is faster."""
-    shot = ShootingInterval(small, Scenario(), tuned.manoeuvres[0])
+    shot = SingleShooting(small, Scenario(), tuned.manoeuvres[0])
     best, better = gains_of(tuned), []
     for gamma in np.linspace(0.7, 1.4, 8):
         for speed in np.linspace(0.7, 1.4, 8):
@@ -160,14 +160,16 @@ def test_least_force_error_costs_time(small, tuned):
 
 def test_how_the_search_ended_is_said_in_words(tuned):
     assert tuned.status == "solved"
-    assert tuned.left < 1e-6
+    assert tuned.predicted_decrease < 1e-6
     assert tuned.one_sided == {}
-    assert ended("User_Requested_Stop", True, 25) == (
-        "stopped at the best gains that meet the limits: no gain of 0.1 % in 25 iterations"
+    assert termination_message("User_Requested_Stop", True, 25) == (
+        "stopped at the best gains that meet the limits: no progress of 0.1 % in 25 iterations"
     )
-    assert ended("Restoration_Failed", False, 50).endswith("IPOPT says Restoration_Failed")
-    assert "40 steps were taken" in descended(40)
-    assert "no change of the gains by more than 0.01 %" in descended(39)
+    assert termination_message("Restoration_Failed", False, 50).endswith(
+        "IPOPT returned Restoration_Failed"
+    )
+    assert "40 steps were made" in descent_message(40)
+    assert "no change of the gains by more than 0.01 %" in descent_message(39)
 
 
 def test_the_price_of_time_is_right_for_the_least_force_error(small, tuned):
@@ -182,7 +184,7 @@ def test_the_price_of_time_is_right_for_the_least_force_error(small, tuned):
 
     found = least(1.0, gains_of(tuned))
     assert "User_Requested" not in found.status
-    assert found.left < 1e-3
+    assert found.predicted_decrease < 1e-3
     for part in (0.997, 1.003):
         gained = found.value - least(part, gains_of(found)).value
         assert gained == pytest.approx((part - 1.0) * found.multipliers["time"], rel=0.15)
@@ -225,10 +227,10 @@ def test_with_the_arm_settling_is_halved_at_no_more_overshoot(name):
     assert tuned.confirm().difference < 0.02
     torque = np.abs(tuned.trajectories[0].torque) / scene.arm.effort_limit
     assert torque.max() <= 1.0 + TOLERANCE
-    for integrator, spare in (("semi_implicit", 2 * LEAST), ("cvodes", 5e-4)):
+    for integrator, spare in (("semi_implicit", 2 * MIN_OVERSHOOT), ("cvodes", 5e-4)):
         loop = replace(scene.loop, integrator=integrator)
         before, after = (
-            touched(s.with_(loop=loop), tuned.manoeuvres[0]) for s in (scene, tuned.tuned)
+            touched(s.with_(loop=loop), tuned.manoeuvres[0]) for s in (scene, tuned.tuned_scene)
         )
         assert after.settling <= 0.5 * before.settling
         assert after.overshoot <= before.overshoot + spare
@@ -326,5 +328,5 @@ def test_interpolation_is_exact_for_quadratics():
 
     times = np.arange(20) * 0.1
     values = 1.0 + 2.0 * times - 3.0 * times**2
-    at = float(interpolated(ca.DM(values), ca.DM(times), 0.634, 0.1))
+    at = float(interpolate(ca.DM(values), ca.DM(times), 0.634, 0.1))
     assert at == pytest.approx(1.0 + 2.0 * 0.634 - 3.0 * 0.634**2)

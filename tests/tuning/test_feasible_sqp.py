@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from meshskin.tuning.descent import Model, descend
+from meshskin.tuning.feasible_sqp import QuadraticModel, descend
 
 
 def run(start, limits, slopes, centre, bent):
@@ -13,7 +13,7 @@ def run(start, limits, slopes, centre, bent):
     def model(x):
         taken.append(x)
         low, high = np.full(2, -5.0) - x, np.full(2, 5.0) - x
-        return Model(bent @ (x - centre), limits(x), slopes(x), bent, low, high)
+        return QuadraticModel(bent @ (x - centre), limits(x), slopes(x), bent, low, high)
 
     def merit(x, g):
         return 0.5 * (x - centre) @ bent @ (x - centre) if g.max() <= 1e-9 else 1e9
