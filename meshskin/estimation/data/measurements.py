@@ -157,7 +157,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     index = _taxel_index(recording.reading_taxel, np.asarray(belief.taxel_ids))
     _check_once(recording, index, len(belief.taxel_ids))
     hit = belief.body.closest(recording.points)
-    unit_checks.check_place(hit.distance)
+    unit_checks.check_place(belief.body, recording.points, hit.distance)
     belief = resolve_belief(belief, recording)
     pressed = recording.force > 0
     heard = pressed[recording.reading_contact] & (recording.pressure > 0)
@@ -169,6 +169,12 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     heard &= pressed[recording.reading_contact]
     hit, force, row = hit.take(pressed), recording.force[pressed], np.cumsum(pressed) - 1
     headings = recording.headings if belief.headings is None else belief.headings
+    if headings is not None and len(headings) != len(recording.time):
+        raise CalibrationError(
+            "belief.headings must have one rotation for each contact of the recording",
+            value=len(headings),
+            limit=len(recording.time),
+        )
     material = belief.material
     model = contact.ContactModel(belief.contact, material.poisson, material.thickness)
     patches = model.patches(

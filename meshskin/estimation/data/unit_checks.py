@@ -8,9 +8,17 @@ import numpy as np
 
 from ...core.errors import CalibrationError
 from ...core.se3 import Array
+from ...geometry.body import Body
 
 FAR_OFF = 0.02
 """Most by which contact points may typically lie off the believed surface, m."""
+SCALES = (1e-3, 1e3, 1e-6, 1e6)
+"""Errors of scale that mixing up m, mm and um causes."""
+CLOSE = 2e-3
+"""Typical distance from the surface, m, below which rescaled points are on it, and size above which
+they are not one point: a tenth of FAR_OFF."""
+SAMPLES = 100
+"""Points that are rescaled, about: a median needs no more."""
 PRESSURE = 30.0
 """Most by which the strongest readings may differ from the believed peak pressure."""
 FEW = 3
@@ -24,16 +32,30 @@ FORCES = {"kN": 1e-3, "mN": 1e3, "uN": 1e6}
 REMEDY = "check the units of pressure, force and modulus"
 
 
-def check_place(distance: Array) -> None:
-    """Refuse contact points that are nowhere near the surface: `distance` (m,), m, from it."""
+def check_place(body: Body, points: Array, distance: Array) -> None:
+    """Refuse contact points (m, 3) far from the surface: `distance` (m,), m, from it.
+
+    A unit that would put them on the surface is named. Raises CalibrationError.
+    """
     typical = float(np.median(np.abs(distance))) if len(distance) else 0.0
-    if typical > FAR_OFF:
-        raise CalibrationError(
-            "the contact points are not on the believed body",
-            value=f"typically {typical:.3g} m off its surface",
-            limit=f"{FAR_OFF} m",
-            remedy="check their units (m) and that they are in the body's frame",
-        )
+    if typical <= FAR_OFF:
+        return
+    some = points[:: max(len(points) // SAMPLES, 1)]
+    on_surface = [
+        factor
+        for factor in SCALES
+        if np.ptp(factor * some, axis=0).max() > CLOSE
+        and np.median(np.abs(body.closest(factor * some).distance)) < CLOSE
+    ]
+    raise CalibrationError(
+        "the contact points are not on the believed body",
+        value=f"typically {typical:.3g} m off its surface",
+        limit=f"{FAR_OFF} m",
+        remedy=f"times {on_surface[0]:g} they are on it: correct their unit, which a column of a "
+        "log names (px_mm, px_um)"
+        if on_surface
+        else "check their units (m) and that they are in the body's frame",
+    )
 
 
 def check_force(force: Array, reference: float) -> None:
