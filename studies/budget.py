@@ -38,7 +38,7 @@ from meshskin.report import theme
 from meshskin.scene import shipped_scenes
 from meshskin.simulation.readout import effect_pipeline
 from meshskin.simulation.simulate import prepare
-from meshskin.study.sensitivity.holdout import paired
+from meshskin.study.sensitivity.holdout import without_common_noise
 from meshskin.study.sensitivity.knobs import SECONDS
 from meshskin.study.sensitivity.replay import Replay
 
@@ -205,7 +205,7 @@ def row(scene: ms.Scene, error: float) -> dict[str, Any]:
     ledger = ms.budget(scene, error)
     took = process_time() - begin
     belief = ledger.belief
-    everything, scene = paired(ledger.everything, ledger.scene)
+    everything, scene = without_common_noise(ledger.everything, ledger.scene)
     path = plan_exploration(everything).path
     chosen, fast = calibrated(scene, path, belief, tolerance=ledger.tolerance)
     every, slow = calibrated(everything, path, belief)

@@ -15,14 +15,22 @@ from meshskin.effects.mesh_facets import facets
 from meshskin.effects.quantisation import Quantisation
 from meshskin.effects.relaxation import Relaxation
 from meshskin.geometry.region import Cap
-from meshskin.study.sensitivity.budget_trial import Trial
-from meshskin.study.sensitivity.candidates import candidates
+from meshskin.study.sensitivity.budget import BudgetTrial
 from meshskin.study.sensitivity.holdout import Holdout
-from meshskin.study.sensitivity.knobs import contact_models, knobs
-from meshskin.study.sensitivity.linearized import Solution, answering
+from meshskin.study.sensitivity.knobs import contact_models, mesh_bodies, scene_knobs
+from meshskin.study.sensitivity.linearized import Solution, determined_taxels
 from meshskin.study.sensitivity.replay import Replay
-from meshskin.study.sensitivity.screening import NEGLIGIBLE, screened
-from meshskin.study.sensitivity.selection import Item, choose, left_out, size, together
+from meshskin.study.sensitivity.selection import (
+    NEGLIGIBLE,
+    Item,
+    candidates,
+    choose,
+    left_out,
+    mean_length,
+    screened,
+    with_required,
+)
+from meshskin.study.sensitivity.setting import with_changes
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +51,9 @@ def solved(small, rehearsal):
     """Belief, recording without effects, and the solution there."""
     belief = small.with_(effects=(GaussianNoise(),)).belief()
     recording = rehearsal.recording((), 0)
-    return belief, recording, Solution.of(ms.calibrate(recording, belief))
+    found = ms.calibrate(recording, belief)
+    shared = np.array([value for value, _ in found.unknowns.values()])
+    return belief, recording, Solution(found.positions, shared)
 
 
 def moved(solved, recording):
@@ -73,7 +83,7 @@ def test_one_step_foretells_the_full_calibration(effect, rehearsal, solved):
     recording = rehearsal.recording((effect,), 3)
     full = ms.calibrate(recording, belief).positions - solution.points
     step = moved(solved, recording)
-    assert size(step - full) < 0.1 * size(full)
+    assert mean_length(step - full) < 0.1 * mean_length(full)
 
 
 def test_a_rehearsal_records_what_a_simulation_does(small, rehearsal):
@@ -111,7 +121,7 @@ def test_a_small_skin_is_not_cut(rehearsal):
 def test_dead_taxels_do_not_answer(small, rehearsal):
     belief = small.with_(effects=(GaussianNoise(),)).belief()
     broken = effects.find("broken_taxels")(dead=0.2, stuck=0.0)
-    lost = ~answering(rehearsal.recording((GaussianNoise(), broken), 2), belief)
+    lost = ~determined_taxels(rehearsal.recording((GaussianNoise(), broken), 2), belief)
     assert set(np.flatnonzero(lost)) == set(broken.chosen(small.context(2))[0])
 
 
@@ -162,7 +172,7 @@ def test_what_takes_off_most_for_its_seconds_comes_first():
     assert choose(items, 3.2, (), joint)[0] == {"dear"}
     assert choose(items, 1e-9, (), joint)[0] == {"cheap", "dear", "small"}
     assert choose(items, 6.0, ("small",), joint)[0] == {"small"}
-    assert size(choose(items, 3.2, (), joint)[1]) == pytest.approx(3.1)
+    assert mean_length(choose(items, 3.2, (), joint)[1]) == pytest.approx(3.1)
 
 
 def test_parts_that_cancel_or_require_each_other():
@@ -182,7 +192,7 @@ def test_what_does_not_add_up_is_measured():
 
     on, rest = choose(items, 2.5, (), joint)
     assert len(on) == 1
-    assert size(rest) == pytest.approx(1.0)
+    assert mean_length(rest) == pytest.approx(1.0)
 
 
 def test_candidates_are_what_applies(small):
@@ -202,40 +212,45 @@ def test_candidates_are_what_applies(small):
     assert refused == {"rival": "excluded by body_pose", "lone": "requires nobody"}
 
 
+def knobs(scene):
+    """The knobs of a scene, by name."""
+    return {k.name: k for k in scene_knobs(scene, mesh_bodies(scene), 10_000, 1_000.0)}
+
+
 def test_knobs_are_ladders_from_cheap_to_fine(small):
-    found = {knob.name: knob for knob in knobs(small, 10_000, 1_000.0)}
+    found = knobs(small)
     assert set(found) == {"contact model", "mesh", "time step"}
     for knob in found.values():
-        seconds = [rung.seconds for rung in knob.rungs]
+        seconds = [level.seconds for level in knob.levels]
         assert seconds == sorted(seconds)
     mesh, step = found["mesh"], found["time step"]
-    assert mesh.rungs[mesh.declared].changes["body"] is small.body
-    assert [len(r.changes["body"].mesh.faces) for r in mesh.rungs] == [320, 1280, 5120, 20480]
-    for rung in step.rungs:
-        fine = small.with_(**rung.changes)
+    bodies = mesh_bodies(small)
+    assert bodies[mesh.levels[mesh.declared].changes["faces"]] is small.body
+    assert [r.changes["faces"] for r in mesh.levels] == [320, 1280, 5120, 20480]
+    for level in step.levels:
+        fine = with_changes(small, level.changes)
         assert fine.frame_steps * fine.loop.dt == pytest.approx(0.01)
-    assert [r.label for r in found["contact model"].rungs] == ["hertz", "elliptic"]
+    assert [r.label for r in found["contact model"].levels] == ["hertz", "elliptic"]
     capsule = ms.Scene.load("capsule")  # a circle does not hold on its cylinder
-    assert "contact model" not in {k.name for k in knobs(capsule, 10_000, 1_000.0)}
-    for rung in mesh.rungs:
-        assert rung.changes["body"].facets is small.body.mesh, "the robot's mesh is what it is"
+    assert "contact model" not in knobs(capsule)
+    for body in bodies.values():
+        assert body.facets is small.body.mesh, "the mesh in the robot's software is not changed"
     sharp = small.with_(body=ms.Body.ellipsoid((0.09, 0.075, 0.06)))  # 320 faces: flat at its ends
-    (mesh,) = (knob for knob in knobs(sharp, 10_000, 1_000.0) if knob.name == "mesh")
-    assert [len(r.changes["body"].mesh.faces) for r in mesh.rungs] == [1280, 5120, 20480]
+    mesh = knobs(sharp)["mesh"]
+    assert [r.changes["faces"] for r in mesh.levels] == [1280, 5120, 20480]
     loaded = replace(small.body, exact=None)
-    found = {knob.name: knob for knob in knobs(small.with_(body=loaded), 10_000, 1_000.0)}
-    assert set(found) == {"contact model", "time step"}
+    assert set(knobs(small.with_(body=loaded))) == {"contact model", "time step"}
     for thickness, names in ((8e-3, []), (60e-3, ["hertz", "elliptic", "layered"])):
         material = replace(small.material, thickness=thickness)
-        models = contact_models(small.with_(material=material, contact="layered"), 1_000.0)
-        assert [r.label for r in models.rungs] == (names or ["layered"])
+        models = contact_models(small.with_(material=material, contact="layered"))
+        assert models == (names or ["layered"])
 
 
 @pytest.fixture(scope="module")
 def trial(small):
     """Noise, a threshold above it, and facets, on trial."""
     names = ("gaussian_noise", "sensing_range", "mesh_facets")
-    return Trial(small, effects.ordered([effects.find(n)() for n in names]), 0.2e-3, (0,))
+    return BudgetTrial(small, effects.ordered([effects.find(n)() for n in names]), 0.2e-3, (0,))
 
 
 def test_what_spares_readings_costs_less_than_nothing(trial):
@@ -247,7 +262,7 @@ def test_what_spares_readings_costs_less_than_nothing(trial):
 
 def test_facets_that_act_are_those_of_the_declared_mesh(trial):
     """However coarse or fine the mesh that the smooth surface is fitted to."""
-    with_them = trial.scene_of(together(["mesh_facets"], trial.items))
+    with_them = trial.scene_with(with_required(["mesh_facets"], trial.items))
     assert len(with_them.body.mesh.faces) == 320
     assert len(trial.everything.body.mesh.faces) == 20_480
     centres = 0.105 * with_them.skin.normals
@@ -258,15 +273,16 @@ def test_facets_that_act_are_those_of_the_declared_mesh(trial):
 
 
 def test_the_tolerance_is_measured(trial, small):
-    knob, moves = trial.resting
-    assert [rung.label for rung in knob.rungs] == ["1", "0.01", "1e-08"]
-    assert [rung.seconds for rung in knob.rungs] == sorted(r.seconds for r in knob.rungs)
-    assert size(moves[-1]) == 0.0 < size(moves[0])
-    recording, belief = trial.trial.whole[0], trial.belief
+    knob = trial.tolerance
+    moves = [level.shift for level in knob.levels]
+    assert [level.label for level in knob.levels] == ["1", "0.01", "1e-08"]
+    assert [level.seconds for level in knob.levels] == sorted(r.seconds for r in knob.levels)
+    assert mean_length(moves[-1]) == 0.0 < mean_length(moves[0])
+    recording, belief = trial.shifts.recordings[0], trial.belief
     loose, tight = (ms.calibrate(recording, belief, tolerance=t).positions for t in (1.0, 1e-8))
     np.testing.assert_allclose(moves[0], (loose - tight)[trial.halves.taxels[0]])
-    assert trial.tolerance_of(()) == 1.0
-    assert trial.tolerance_of({"solver tolerance:0", "solver tolerance:1"}) == 1e-8
+    assert trial.tolerance_with(()) == 1.0
+    assert trial.tolerance_with({"solver tolerance:0", "solver tolerance:1"}) == 1e-8
 
 
 def test_everything_on_is_calibrated_once(trial, monkeypatch):
@@ -274,6 +290,6 @@ def test_everything_on_is_calibrated_once(trial, monkeypatch):
     ran = []
     plain = aside._calibrated
     monkeypatch.setattr(aside, "_calibrated", lambda *args: ran.append(args) or plain(*args))
-    first, second = (aside.check(trial.scene_of(()), 1.0) for _ in range(2))
+    first, second = (aside.check(trial.scene_with(()), 1.0) for _ in range(2))
     assert (first.shift, first.seconds[0]) == (second.shift, second.seconds[0])
     assert len(ran) == 3

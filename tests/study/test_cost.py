@@ -11,8 +11,8 @@ from meshskin import cli
 from meshskin.core.errors import UnknownNameError
 from meshskin.geometry.region import Cap
 from meshskin.study.sensitivity.cost import Row, Setting, cost, front
-from meshskin.study.sensitivity.cost_models import Models
-from meshskin.study.sensitivity.setting import ladders
+from meshskin.study.sensitivity.cost_models import CostModel
+from meshskin.study.sensitivity.knobs import single_changes
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +104,7 @@ def test_what_is_stored_is_restored(costs):
 
 def test_models_give_back_what_was_measured(costs):
     single = [row for row in costs.rows if row.knob in ("scene", "dt", "rate", "method")]
-    models = Models.fit(single)
+    models = CostModel.fit(single)
     for row in [r for r in single if not r.failure]:
         error, numerical = models.error(row.setting)
         assert error == pytest.approx(row.error_mm, rel=0.02 if row.knob == "dt" else 1e-9)
@@ -114,7 +114,7 @@ def test_models_give_back_what_was_measured(costs):
 
 def test_ladders_turn_one_knob_at_a_time(scene):
     base = Setting.of(scene)
-    for knob, setting in ladders(base, scene):
+    for knob, setting in single_changes(base, scene):
         changed = [f for f in Setting.__dataclass_fields__
                    if getattr(setting, f) != getattr(base, f)]  # fmt: skip
         assert len(changed) <= (2 if knob == "integrator" else 1)
@@ -126,7 +126,7 @@ def test_a_mesh_has_no_other_faces_and_a_floating_body_no_integrator(scene):
     )
     base = Setting.of(found)
     assert base.faces is None
-    knobs = {knob for knob, _ in ladders(base, found)}
+    knobs = {knob for knob, _ in single_changes(base, found)}
     assert {"faces", "integrator"}.isdisjoint(knobs)
     assert {"dt", "lanes", "method"} <= knobs
     assert base.body(found.body) is found.body

@@ -9,9 +9,16 @@ import meshskin as ms
 from meshskin import cli, pipeline
 from meshskin.core.errors import ConfigError, StudyError
 from meshskin.geometry.region import Cap
-from meshskin.study.sensitivity.levels import Level, loops, models, surfaces, tolerances, worth
-from meshskin.study.sensitivity.numerical_error import Numerics
-from meshskin.study.sensitivity.pilot import at_length
+from meshskin.study.sensitivity.knobs import Level
+from meshskin.study.sensitivity.levels import (
+    contact_levels,
+    loop_levels,
+    surface_levels,
+    tolerance_levels,
+    worthwhile,
+)
+from meshskin.study.sensitivity.numerical_error import NumericalReference
+from meshskin.study.sensitivity.pilot import with_long_recording
 from meshskin.study.sensitivity.request import Pilot, Request
 from meshskin.study.sensitivity.setting import Setting
 
@@ -29,33 +36,33 @@ def pilot(**changes):
 
 
 def test_seconds_add_up():
-    promise = pilot().promise(BASE)
+    promise = pilot().predict(BASE)
     assert promise.processor_seconds == pytest.approx(1.5 + 1.0 + 0.1 + 0.1 + 0.2 + 0.4)
     assert promise.seconds == pytest.approx(3.0 + 2 * 1.8), "the machine ran at half its speed"
 
 
 def test_errors_go_with_the_contacts_and_stop_at_what_noise_is_not():
     four = replace(BASE, rate=400.0)
-    assert pilot().promise(four).error_mm == pytest.approx(0.05)
-    assert pilot(systematic_mm=0.3).promise(four).error_mm == pytest.approx(np.hypot(0.05, 0.3))
+    assert pilot().predict(four).error_mm == pytest.approx(0.05)
+    assert pilot(systematic_mm=0.3).predict(four).error_mm == pytest.approx(np.hypot(0.05, 0.3))
     half = replace(BASE, lane_spacing=2e-3)
-    assert pilot().promise(half).error_mm == pytest.approx(0.1 / np.sqrt(2))
+    assert pilot().predict(half).error_mm == pytest.approx(0.1 / np.sqrt(2))
 
 
 def test_an_accuracy_is_kept_by_the_cheapest_setting():
     tried = pilot()
     chosen = tried.choose(Request(accuracy_mm=0.05))
     assert all(p.error_mm <= 0.05 for p in chosen)
-    kept = [p for p in tried.promises() if p.error_mm <= 0.045]
+    kept = [p for p in tried.predictions() if p.error_mm <= 0.045]
     assert chosen[0].processor_seconds == min(p.processor_seconds for p in kept)
 
 
 def test_a_time_is_used_for_the_most_accurate_setting():
     tried = pilot()
     chosen = tried.choose(Request(seconds=8.0))
-    fits = [p for p in tried.promises() if p.seconds <= 8.0]
+    fits = [p for p in tried.predictions() if p.seconds <= 8.0]
     assert chosen[0].error_mm == min(p.error_mm for p in fits)
-    assert 0 < len(fits) < len(tried.promises())
+    assert 0 < len(fits) < len(tried.predictions())
 
 
 def test_runge_kutta_is_taken_where_the_step_would_spoil_the_accuracy():
@@ -80,8 +87,8 @@ def test_every_knob_is_turned_where_it_pays():
     fine = tried.choose(Request(accuracy_mm=0.03))[0]
     assert (fine.setting.dt, fine.setting.tolerance) == (1e-3, 1e-8)
     half = replace(BASE, lane_spacing=2e-3)
-    plain = tried.promise(half).processor_seconds
-    turned = tried.promise(half, [level[1] for level in knobs]).processor_seconds
+    plain = tried.predict(half).processor_seconds
+    turned = tried.predict(half, [level[1] for level in knobs]).processor_seconds
     assert turned - plain == pytest.approx(2 * -0.05 + 2 * -0.3 + 0.4)
 
 
@@ -89,7 +96,7 @@ def test_a_level_that_errs_more_must_spare_more_than_chance():
     own = Level({"dt": 1e-3}, 0.01, along=1.0)
     chance, spared = (replace(own, numerical_mm=0.02, along=x) for x in (0.9, 0.5))
     better = replace(own, numerical_mm=0.001, along=4.0)
-    assert worth((own, chance, spared, better)) == (own, spared, better)
+    assert worthwhile((own, chance, spared, better)) == (own, spared, better)
 
 
 @pytest.mark.slow
@@ -100,20 +107,20 @@ def test_levels_are_tried_on_the_reference_path():
     skin = ms.Skin.cover(whole.body, spacing=6e-3, count=30, region=region)
     scene = whole.with_(skin=skin)
     fine = scene.with_(loop=replace(scene.loop, dt=5e-4, integrator="rk4"))
-    numerics = Numerics(fine, 1e-10, "auto")
+    reference = NumericalReference(fine, 1e-10, "auto")
     found = {(x.changes["dt"], x.changes["integrator"]): x.numerical_mm
-             for x in loops(numerics, scene, (1, 2, 5))}  # fmt: skip
+             for x in loop_levels(reference, scene, (1, 2, 5))}  # fmt: skip
     assert next(iter(found)) == (1e-3, "semi_implicit")
     own, twice = found[1e-3, "semi_implicit"], found[2e-3, "semi_implicit"]
     assert twice / own == pytest.approx(2.0, rel=0.15)
     assert found[1e-3, "rk4"] < 0.1 * own
     assert (5e-3, "semi_implicit") not in found
-    names = [level.changes["contact"] for level in models(numerics, scene)]
+    names = [level.changes["contact"] for level in contact_levels(reference, scene)]
     assert names == ["hertz", "elliptic"]
-    (surface,) = surfaces(numerics, scene, 0.01)
+    (surface,) = surface_levels(reference, scene, 0.01)
     assert surface.changes == {"faces": 5120, "degree": 4}
     assert surface.numerical_mm < 1e-5
-    tight, _, loose = tolerances(ms.simulate(scene), scene.belief())
+    tight, _, loose = tolerance_levels(ms.simulate(scene), scene.belief())
     assert tight.error_mm == 0.0 < loose.error_mm < 0.005
 
 
@@ -121,8 +128,8 @@ def test_levels_are_tried_on_the_reference_path():
 def test_finer_faces_are_tried_where_the_own_ones_err_too_much():
     scene = ms.Scene.load("sphere_noisy")
     scene = scene.with_(body=ms.Body.sphere(0.1, 320), loop=replace(scene.loop, integrator="rk4"))
-    numerics = Numerics(scene, 1e-10, "auto")
-    own, _, finer = surfaces(numerics, scene, 1e-5)
+    reference = NumericalReference(scene, 1e-10, "auto")
+    own, _, finer = surface_levels(reference, scene, 1e-5)
     assert finer.changes["faces"] == 4 * own.changes["faces"]
     assert finer.numerical_mm < 0.1 * own.numerical_mm
     assert finer.once > 0
@@ -183,7 +190,7 @@ def test_the_prices_of_a_reading_are_those_of_a_long_recording(recording):
     wanted = Request(seconds=1e4)
     best = tried.choose(wanted)[0].setting
     many = tried.setting.lane_spacing / best.lane_spacing * best.rate / tried.setting.rate
-    longer = at_length(tried, recording, wanted, whole, joint)
+    longer = with_long_recording(tried, recording, wanted, whole, joint)
     assert lengths == [round(many) * readings]
     once, each = longer.estimating
     assert each == pytest.approx(3e-6)
@@ -191,7 +198,7 @@ def test_the_prices_of_a_reading_are_those_of_a_long_recording(recording):
     tight, loose = longer.knobs[0]
     assert (tight.once, tight.reading) == pytest.approx((0.26, 0.04))
     assert (loose.once, loose.reading) == pytest.approx((0.07, 0.03))
-    assert at_length(tried, recording, Request(accuracy_mm=1e-9), whole, joint) is tried
+    assert with_long_recording(tried, recording, Request(accuracy_mm=1e-9), whole, joint) is tried
 
 
 def test_a_method_that_finds_nothing_does_not_end_a_pilot(tmp_path):

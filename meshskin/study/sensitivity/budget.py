@@ -1,39 +1,51 @@
-"""The error budget: which effects a scene calls for, and how finely it must be computed.
+"""The error budget: which effects a scene needs, and how finely it must be computed.
 
-screen  effects whose own bounds are negligible are left out
-try     how far the taxels move for leaving out each of the others, and for each coarser setting
-        of the knobs, by one Gauss-Newton step from the solution with everything on
-choose  by millimetres per second, until the rest fits the budget, all of it together
-check   with everything on, in full, over contacts and seeds kept aside
+1. Effects whose own bounds are negligible are left out (selection.screened).
+2. The shift of the taxels without each other effect, and at each coarser level of each knob, is
+   estimated by one Gauss-Newton step from the solution with everything on (shifts).
+3. Effects and levels are chosen by the shift that they remove per second, until the rest fits the
+   budget, all of it together (selection.choose).
+4. The choice is checked against everything on, over contacts and seeds kept aside (holdout).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
 from numbers import Real
+from typing import Any
+
+import numpy as np
 
 from ...core.arguments import check_type
 from ...core.errors import ConfigError
+from ...core.se3 import Array
+from ...effects import Effect
+from ...exploration.plan import plan_exploration
 from ...scene.scene import Scene
 from .budget_report import BudgetReport, Check, Entry
-from .budget_trial import Trial
-from .candidates import candidates
 from .holdout import Holdout
-from .screening import NEGLIGIBLE
-from .selection import choose, size
+from .knobs import Knob, finest_step, mesh_bodies, scene_knobs
+from .replay import Replay
+from .selection import NEGLIGIBLE, Item, candidates, choose, left_out, mean_length, screened
+from .setting import with_changes
+from .shifts import EffectShifts, measured_knob, tolerance_knob
 
 __all__ = ["DEFAULT", "BudgetReport", "Check", "Entry", "budget"]
 
 DEFAULT = 0.2e-3
-"""Taxel error, m, that may be left out, where neither call nor scene says."""
+"""Taxel error, m, that may be left out if neither call nor scene gives one: a tenth of the radius
+of a usual taxel (2 mm)."""
 MARGIN = 0.7
-"""Part of the budget that the estimate may take: other contacts and seeds give other errors."""
-SEEDS, ASIDE = 2, 1
-"""Seeds that are tried, and seeds kept aside for the check."""
+"""Part of the budget that the estimate may take: the errors over other contacts and seeds differ
+from it (`python studies/budget.py`: by less than a factor of 2)."""
+SEEDS, HOLDOUT_SEEDS = 2, 1
+"""Number of seeds that are tried, and of seeds kept aside for the check."""
 CHECKS = 8
-"""Most checks: after one that exceeds the budget, or the estimate by far, or loses a taxel, more
-is added."""
+"""Most checks. After one that exceeds the budget, or exceeds the estimate by far, or loses a taxel,
+more is added; each lowers the limit by the factor by which it was exceeded."""
 
 Progress = Callable[[str, int, int], None]
 
@@ -45,16 +57,16 @@ def budget(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> BudgetReport:
-    """Decide what a scene calls for, so that what is left out moves the taxels little enough.
+    """Choose effects, contact model, mesh and time step such that the rest moves taxels little.
 
-    taxel_error, m: how far the calibrated taxels may be off, on average, for all that is left out;
-    by default the scene's own `budget`, or 0.2 mm. Chosen among are the scene's effects and its
-    `candidates` (by default every registered effect), contact models, meshes of a primitive, and
-    time steps. What the owner believes is the same throughout. seed: the first of the seeds that
-    are tried. Raises ConfigError for a budget that is not positive, else as `simulate` and
-    `calibrate`.
+    taxel_error: mean shift, m, of the calibrated taxels by all that is left out; by default the
+    scene's own `budget`, or 0.2 mm. The choice is among the scene's effects and its `candidates`
+    (by default every registered effect), contact models, meshes of a primitive, time steps and
+    tolerances of the calibration. The belief of the owner is the same throughout. seed: the first
+    of the seeds that are tried. Raises ConfigError for a budget that is not positive; otherwise as
+    `simulate` and `calibrate`.
     """
-    check_type(Scene, scene, "what is budgeted")
+    check_type(Scene, scene, "the scene of a budget")
     if taxel_error is None:
         taxel_error = DEFAULT if scene.budget is None else scene.budget
     check_type(Real, taxel_error, "an error budget")
@@ -66,15 +78,200 @@ def budget(
             remedy="to have everything on, simulate the scene without a budget",
         )
     effects, refused = candidates(scene, seed)
-    trial = Trial(scene, effects, taxel_error, range(seed, seed + SEEDS), progress)
-    aside, limit = range(seed + SEEDS, seed + SEEDS + ASIDE), MARGIN * taxel_error
-    kept = Holdout(trial.everything, trial.belief, trial.path, trial.halves, aside)
+    trial = BudgetTrial(scene, effects, taxel_error, range(seed, seed + SEEDS), progress)
+    aside, limit = range(seed + SEEDS, seed + SEEDS + HOLDOUT_SEEDS), MARGIN * taxel_error
+    holdout = Holdout(trial.everything, trial.belief, trial.path, trial.halves, aside)
     for _ in range(CHECKS):
-        on, rest = choose(trial.items, limit, trial.forced(limit), trial.joint)
-        check = kept.check(trial.scene_of(on), trial.tolerance_of(on))
-        believed = check.shift <= max(2.0 * size(rest), NEGLIGIBLE * taxel_error)
+        on, rest = choose(trial.items, limit, trial.forced(limit), trial.joint_shift)
+        estimate = mean_length(rest)
+        check = holdout.check(trial.scene_with(on), trial.tolerance_with(on))
+        confirmed = check.shift <= max(2.0 * estimate, NEGLIGIBLE * taxel_error)
         fits = check.shift <= taxel_error and check.lost == 0
-        if (fits and believed) or len(on) == len(trial.items):
+        if (fits and confirmed) or len(on) == len(trial.items):
             break
-        limit = MARGIN * min(limit, size(rest)) / max(check.shift / taxel_error, 1.0)
-    return trial.ledger(on, rest, check, limit, refused)
+        limit = MARGIN * min(limit, estimate) / max(check.shift / taxel_error, 1.0)
+    return trial.report(on, estimate, check, limit, refused)
+
+
+class BudgetTrial:
+    """The trial of a scene: everything on, and the worth of each part of it."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        effects: tuple[Effect, ...],
+        budget: float,
+        seeds: Sequence[int],
+        progress: Progress | None = None,
+    ) -> None:
+        self.scene, self.effects, self.budget = scene, effects, budget
+        self.screened = screened(effects, scene.context(seeds[0]), budget)
+        self.path = plan_exploration(finest_step(scene)).path
+        """Path of all runs, so that their explorations do not differ."""
+        replay = Replay.of(scene, self.path)
+        self.halves, self.frames = replay.halves(), replay.frames_in_all
+        self._bodies = mesh_bodies(scene)
+        self.belief = scene.with_(effects=effects).belief()
+        """Belief with all effects, of the scene as it is declared."""
+        knobs = scene_knobs(
+            scene.with_(effects=effects), self._bodies, replay.steps_in_all, self.frames
+        )
+        total = sum(len(knob.levels) for knob in knobs) + len(effects) + 1
+        count = 0
+
+        def done() -> None:
+            nonlocal count
+            count += 1
+            if progress is not None:
+                progress("budget", count, total)
+
+        self.knobs = tuple(
+            measured_knob(knob, replay, self._changed, self.path, self.halves, self.belief, done)
+            for knob in knobs
+        )
+        finest = {k: v for knob in self.knobs for k, v in knob.levels[-1].changes.items()}
+        self.everything = self._changed(finest).with_(effects=effects, budget=None)
+        """The scene with all effects, at the finest levels."""
+        self.shifts = EffectShifts(replay, self.halves, self.belief, effects, seeds)
+        self.tolerance = tolerance_knob(self.shifts, self.frames)
+        done()
+        self.changed: dict[str, int] = {}
+        """Taxels that are determined only with an effect, or only without it, by its name."""
+        cells = self.frames * len(scene.skin.ids)
+        self.seconds = {effect.name: effect.cost * cells for effect in effects}
+        """Seconds of an effect in the whole run: what it states, and those of the readings that it
+        adds or removes."""
+        items: list[Item] = []
+        for effect in effects:
+            if effect.name not in self.screened:
+                items.append(self._effect_item(effect))
+            done()
+        for knob in (*self.knobs, self.tolerance):
+            items += _knob_items(knob, len(seeds))
+        self.items = tuple(items)
+
+    def _changed(self, changes: Mapping[str, Any]) -> Scene:
+        """The scene with the changes of a level."""
+        scene = with_changes(self.scene, changes)
+        return scene.with_(body=self._bodies[changes["faces"]]) if "faces" in changes else scene
+
+    def _effect_item(self, effect: Effect) -> Item:
+        name = effect.name
+        omission = self.shifts.without(self._with_dependants(name))
+        self.changed[name] = omission.changed
+        self.seconds[name] += omission.fewer * self.tolerance.levels[0].seconds
+        required = tuple(n for n in effect.requires if n not in self.screened)
+        return Item(name, omission.shift, self.seconds[name], required)
+
+    def _with_dependants(self, name: str) -> set[str]:
+        """The effect and those that require it, directly or not."""
+        out, before = {name}, set[str]()
+        while out != before:
+            before = set(out)
+            out |= {e.name for e in self.effects if before & set(e.requires)}
+        return out
+
+    def forced(self, limit: float) -> dict[str, str]:
+        """The items that are on in any case, with the reason."""
+        out = {}
+        for effect in self.effects:
+            if self.changed.get(effect.name):
+                out[effect.name] = (
+                    f"{self.changed[effect.name]} of {len(self.halves.taxels[0])} taxels answer "
+                    "with it or without it only"
+                )
+        for item in self.items:
+            if item.name in out:
+                continue
+            if mean_length(item.shift) > limit:
+                out[item.name] = "alone more than may be left out"
+            elif item.seconds <= 0.0:
+                out[item.name] = "saves more readings to be calibrated than it costs"
+        return out
+
+    def joint_shift(self, on: Iterable[str]) -> Array:
+        """The shift of the taxels without all items but `on`, the effects tried together."""
+        on = set(on)
+        off = {e.name for e in self.effects if e.name not in on}
+        steps = [item for item in self.items if ":" in item.name]
+        return self.shifts.without(off).shift + left_out(on, steps)
+
+    def scene_with(self, on: Iterable[str]) -> Scene:
+        """The scene with these items on."""
+        on = set(on)
+        changes: dict[str, Any] = {}
+        for knob in self.knobs:
+            changes |= knob.levels[_level(knob, on)].changes
+        effects = tuple(e for e in self.effects if e.name in on)
+        return self._changed(changes).with_(effects=effects, budget=None)
+
+    def tolerance_with(self, on: Iterable[str]) -> float:
+        """The tolerance of the calibration with these items on."""
+        level = self.tolerance.levels[_level(self.tolerance, on)]
+        return float(level.changes["tolerance"])
+
+    def report(
+        self, on: Iterable[str], estimate: float, check: Check, limit: float,
+        refused: Mapping[str, str],
+    ) -> BudgetReport:  # fmt: skip
+        """The decision and its reasons."""
+        on, forced = set(on), self.forced(limit)
+        shifts = {item.name: mean_length(item.shift) for item in self.items}
+        entries = []
+        for effect in self.effects:
+            name, seconds = effect.name, self.seconds[effect.name]
+            if name in self.screened:
+                why = "screened: its bound is negligible"
+                entries.append(Entry(name, "off", False, self.screened[name], seconds, why))
+                continue
+            if name in on:
+                why = forced.get(name, "takes most off the rest for its seconds")
+            else:
+                why = "the budget bears it"
+            setting = "on" if name in on else "off"
+            entries.append(Entry(name, setting, name in on, shifts[name], seconds, why))
+        entries.sort(key=lambda entry: -entry.shift)
+        entries += [_knob_entry(knob, on) for knob in (*self.knobs, self.tolerance)]
+        entries += [Entry(name, "off", False, 0.0, 0.0, why) for name, why in refused.items()]
+        scene = self.scene_with(on)
+        return BudgetReport(
+            budget=self.budget,
+            entries=tuple(entries),
+            estimate=estimate,
+            check=check,
+            scene=scene,
+            everything=self.everything,
+            belief=replace(self.belief, body=scene.body),
+            tolerance=self.tolerance_with(on),
+        )
+
+
+def _knob_items(knob: Knob, seeds: int) -> list[Item]:
+    """One item for each step from a level of a knob to the next finer one."""
+    items = []
+    for k, (low, high) in enumerate(pairwise(knob.levels)):
+        shift = np.broadcast_to(low.shift - high.shift, (seeds, *low.shift.shape))
+        seconds = max(high.seconds - low.seconds, 1e-9)
+        coarser = (_step_name(knob, k - 1),) if k else ()
+        items.append(Item(_step_name(knob, k), shift, seconds, coarser))
+    return items
+
+
+def _level(knob: Knob, on: Iterable[str]) -> int:
+    """Index of the level of a knob with these items on."""
+    on = set(on)
+    return sum(_step_name(knob, k) in on for k in range(len(knob.levels) - 1))
+
+
+def _knob_entry(knob: Knob, on: Iterable[str]) -> Entry:
+    """The entry of a knob in the report."""
+    k, moves = _level(knob, on), [mean_length(level.shift) for level in knob.levels]
+    tried = zip(knob.levels, moves, strict=True)
+    why = ", ".join(f"{level.label} {1e3 * move:.2g} mm" for level, move in tried)
+    chosen = knob.levels[k]
+    return Entry(knob.name, chosen.label, True, moves[k], chosen.seconds, why)
+
+
+def _step_name(knob: Knob, k: int) -> str:
+    """Name of the item that is the step from level k of a knob to the next."""
+    return f"{knob.name}:{k}"

@@ -1,8 +1,8 @@
-"""What the measured rows say of settings that were not measured: their seconds and their errors.
+"""Predictions of seconds and errors of settings from the measured rows of a scene.
 
-Seconds: fixed, and for each step, frame and reading, by non-negative least squares. Errors: noise
-goes with the lanes, the rate and the estimator, each by its own measured factor; the numerical
-parts of loop, surface, contact and tolerance add in squares.
+Seconds: a fixed part, and parts per step, frame and reading, by non-negative least squares. Errors:
+the error by noise is multiplied by the measured factors of lanes, rate and estimator; the numerical
+parts of loop, surface, contact model and tolerance add in squares.
 """
 
 from __future__ import annotations
@@ -18,25 +18,28 @@ from .setting import Setting
 from .trial import Row
 
 ONCE = 0.5
-"""Part of a calibration's seconds that does not grow with its readings."""
+"""Part of the seconds of a calibration that does not grow with its readings. Chosen: a prediction
+of the seconds is corrected by a measurement of the setting that is chosen."""
 
 
 @dataclass(frozen=True)
-class Models:
-    """Predictions about one scene from the rows of its ladders; `base` is the scene's own row."""
+class CostModel:
+    """Predictions for one scene."""
 
     base: Row
+    """Row of the scene's own setting."""
     rows: tuple[Row, ...]
+    """Rows in which one knob was changed."""
     fixed: float
     """Seconds of every simulation."""
-    a_step: float
-    """Seconds of each step of the base's integrator, its path included."""
-    a_frame: float
+    per_step: float
+    """Seconds of each step of the scene's integrator, its planning included."""
+    per_frame: float
     """Seconds of each frame in contact."""
 
     @classmethod
-    def fit(cls, rows: Sequence[Row]) -> Models:
-        """From rows in which each knob was turned by itself."""
+    def fit(cls, rows: Sequence[Row]) -> CostModel:
+        """Fit the model to rows in which one knob was changed."""
         from scipy.optimize import nnls
 
         good = tuple(row for row in rows if not row.failure)
@@ -54,7 +57,7 @@ class Models:
         return cls(base, good, *(float(x) for x in found))
 
     def near(self, **knobs: Any) -> Row | None:
-        """The row at the base's setting but for some knobs; None if it was not measured."""
+        """The row that differs from the base in these knobs only; None if it was not measured."""
         wanted = replace(self.base.setting, **knobs)
         return next((row for row in self.rows if row.setting == wanted), None)
 
@@ -65,7 +68,7 @@ class Models:
         steps = base.steps * more * base.setting.dt / own.dt
         frames = more * own.rate / base.setting.rate
         loop = self.near(integrator=own.integrator)
-        simulate = self.fixed + self.a_step * steps + self.a_frame * base.contacts * frames
+        simulate = self.fixed + self.per_step * steps + self.per_frame * base.contacts * frames
         if loop is not None:
             simulate += (loop.seconds["simulate"] - base.seconds["simulate"]) * steps / base.steps
         surface, contact = self.near(faces=own.faces), self.near(contact=own.contact)
@@ -81,7 +84,7 @@ class Models:
         return load + max(simulate, self.fixed) + calibrate
 
     def error(self, setting: Setting) -> tuple[float, float]:
-        """Error and numerical part, mm; infinite where a knob's level was not measured or fails."""
+        """Error and numerical part, mm; infinite if a level was not measured or failed."""
         own = setting
         lanes, rate = self.near(lane_spacing=own.lane_spacing), self.near(rate=own.rate)
         method = self.near(method=own.method)
@@ -99,7 +102,7 @@ class Models:
         return error, float(np.sqrt(found[3].numerical_mm ** 2 + sum(more)))
 
     def settings(self) -> Iterator[Setting]:
-        """Every combination of the measured levels."""
+        """All combinations of the measured levels."""
         levels = {
             name: list(dict.fromkeys(getattr(row.setting, name) for row in self.rows))
             for name in ("faces", "contact", "lane_spacing", "rate", "method", "tolerance")
@@ -114,7 +117,7 @@ class Models:
                     yield made
 
     def cheapest(self, target_mm: float) -> Setting | None:
-        """The cheapest combination whose error and numerical part stay within `target_mm`."""
+        """The cheapest combination with error and numerical part within `target_mm`, mm."""
         best, least = None, float("inf")
         for setting in self.settings():
             if np.hypot(*self.error(setting)) <= target_mm:

@@ -1,146 +1,118 @@
-"""Levels of the knobs that a request may turn, each tried on the path of a pilot run.
+"""Levels of the knobs that a request may change, measured along the path of a pilot run.
 
-How far a level moves the taxels, as `cost` measures it, and what it takes. The estimator is no such
-knob: all of them run in any case, and the joint estimate errs least.
+Each function gives the levels of one knob, the scene's own first, with the shift of the taxels (as
+`cost` measures it) and the seconds. The estimator is not such a knob: a run uses all of them in any
+case, and the joint estimate has the smallest error.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from functools import partial
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from ...contact import BATCHED
 from ...core.errors import ConfigError, ContactError, ReachError, SimulationError
+from ...core.se3 import Array
 from ...estimation.calibrate import calibrate
-from ...estimation.joint.newton import NEWTON_TOLERANCE
-from .numerical_error import Numerics, mean_mm
+from .knobs import FINER, TOLERANCES, Level, contact_models, integrators
+from .numerical_error import NumericalReference, mean_mm
 from .second_routes import geometry
-from .setting import INTEGRATORS, Setting
+from .setting import Setting
+from .trial import timed
 
 if TYPE_CHECKING:
+    from ...geometry.body import Body
     from ...recording.recording import Recording
     from ...scene.belief import Belief
     from ...scene.scene import Scene
 
-COARSER = (2, 5)
-"""Steps of the loop, over the scene's own."""
-TOLERANCES = (NEWTON_TOLERANCE, 1e-2, 1.0)
-"""Newton decrements at which the estimate may rest."""
-SPARED = 0.8
-"""Part of the own level's seconds that a level that errs more may take: timings scatter."""
-FINER = 4
-"""Faces that are tried where the scene's own err too much, over those."""
+SAVED = 0.8
+"""A level with a larger error must take less than this part of the seconds of the scene's own
+level: repeated timings of a level differ by up to 20 %."""
 FINE = 0.1
-"""Part of the accuracy asked for that the scene's own surface may be off before finer ones are
-tried: coarser ones would be fitted besides, and save nothing."""
+"""Finer faces are tried if the scene's own surface takes more than this part of the accuracy asked
+for. Coarser ones would save nothing, because they would have to be fitted besides."""
 
 
-@dataclass(frozen=True)
-class Level:
-    """One level of a knob."""
-
-    changes: Mapping[str, Any] = field(default_factory=dict)
-    """What it changes of a setting."""
-    numerical_mm: float = 0.0
-    """How far it moves the taxels, in what is simulated."""
-    error_mm: float = 0.0
-    """The same, in the estimate."""
-    once: float = 0.0
-    """Processor seconds of what depends on it: however long the run is, ..."""
-    along: float = 0.0
-    """... along the pilot's path, ..."""
-    reading: float = 0.0
-    """... and of the pilot's readings. Only what levels of one knob differ by is believed."""
-
-    @property
-    def shift_mm(self) -> float:
-        """How far it moves the taxels in all."""
-        return float(np.hypot(self.numerical_mm, self.error_mm))
-
-    @property
-    def seconds(self) -> float:
-        """Processor seconds of the pilot."""
-        return self.once + self.along + self.reading
-
-
-def worth(levels: Sequence[Level]) -> tuple[Level, ...]:
-    """The first, and of the others those that err less, or take less by more than chance."""
+def worthwhile(levels: Sequence[Level]) -> tuple[Level, ...]:
+    """The first level, and the others that have a smaller error or take notably fewer seconds."""
     own, *others = levels
-    kept = [x for x in others if x.shift_mm < own.shift_mm or x.seconds < SPARED * own.seconds]
+    kept = [x for x in others if x.shift_mm < own.shift_mm or x.seconds < SAVED * own.seconds]
     return own, *kept
 
 
-def loops(numerics: Numerics, scene: Scene, factors: Iterable[float]) -> tuple[Level, ...]:
-    """Steps, by factors on the scene's own, and integrators, the scene's own first; those that the
-    loop cannot take are left out.
+def loop_levels(
+    reference: NumericalReference, scene: Scene, factors: Iterable[float]
+) -> tuple[Level, ...]:
+    """Time steps, as factors on the scene's own, with each integrator.
+
+    Those with which the loop cannot be run are left out.
     """
     own, out = scene.loop, []
-    others = INTEGRATORS if own.mode == "arm" else ()
-    for factor, integrator in product(factors, dict.fromkeys((own.integrator, *others))):
+    for factor, integrator in product(factors, integrators(scene)):
         try:
             loop = replace(own, dt=own.dt * factor, integrator=integrator)
-            made = numerics.bare(scene.with_(loop=loop))
-            begin = time.process_time()
-            frames = numerics.drive(made)
+            made = reference.bare(scene.with_(loop=loop))
+            frames, seconds = timed(partial(reference.drive, made))
         except (ConfigError, ContactError, ReachError, SimulationError):
             continue
-        seconds = time.process_time() - begin
-        moved = numerics.calibrate(numerics.read(made, frames)) - numerics.positions
+        moved = reference.calibrate(reference.read(made, frames)) - reference.positions
         changes = {"dt": loop.dt, "integrator": integrator}
         out.append(Level(changes, mean_mm(moved), along=seconds))
     return tuple(out)
 
 
-def models(numerics: Numerics, scene: Scene) -> tuple[Level, ...]:
-    """Contact models that hold at every taxel at which the scene's own does, that one first."""
-    curvature = scene.body.closest(scene.skin.positions).curvature
-    own, out = scene.invalid_reasons(curvature) == "", []
-    for name in sorted(BATCHED, key=lambda name: name != scene.model.name):
-        made = numerics.scene.with_(contact=name)
-        layer = scene.material.thickness is not None or scene.model.name == "layered"
-        if (name == "layered" and not layer) or not np.all(
-            (made.invalid_reasons(curvature) == "") | ~own
-        ):
-            continue
-        begin = time.process_time()
-        found = numerics.calibrate(numerics.read(made, numerics.frames))
-        seconds = time.process_time() - begin
-        out.append(Level({"contact": name}, mean_mm(found - numerics.positions), reading=seconds))
+def contact_levels(reference: NumericalReference, scene: Scene) -> tuple[Level, ...]:
+    """The contact models that hold where the scene's own model holds."""
+    out = []
+    for name in sorted(contact_models(scene), key=lambda name: name != scene.model.name):
+        made = reference.scene.with_(contact=name)
+
+        def positions(made: Scene = made) -> Array:
+            return reference.calibrate(reference.read(made, reference.frames))
+
+        found, seconds = timed(positions)
+        moved = mean_mm(found - reference.positions)
+        out.append(Level({"contact": name}, moved, reading=seconds))
     return tuple(out)
 
 
-def tolerances(recording: Recording, belief: Belief) -> tuple[Level, ...]:
-    """Tolerances of the joint estimate, the tightest first."""
-    out, places = [], []
-    for rest in TOLERANCES:
-        begin = time.process_time()
-        places.append(calibrate(recording, belief, tolerance=rest).positions)
-        seconds = time.process_time() - begin
-        moved = mean_mm(places[-1] - places[0])
-        out.append(Level({"tolerance": rest}, error_mm=moved, reading=seconds))
+def tolerance_levels(recording: Recording, belief: Belief) -> tuple[Level, ...]:
+    """Tolerances of the joint estimate."""
+    out, tightest = [], None
+    for tolerance in reversed(TOLERANCES):
+        found, seconds = timed(partial(calibrate, recording, belief, tolerance=tolerance))
+        tightest = found.positions if tightest is None else tightest
+        moved = mean_mm(found.positions - tightest)
+        out.append(Level({"tolerance": tolerance}, error_mm=moved, reading=seconds))
     return tuple(out)
 
 
-def surfaces(numerics: Numerics, scene: Scene, accuracy_mm: float) -> tuple[Level, ...]:
-    """Faces of a primitive's mesh, judged by the exact surface: finer ones only where it matters,
-    and the highest degree with them.
+def surface_levels(
+    reference: NumericalReference, scene: Scene, accuracy_mm: float
+) -> tuple[Level, ...]:
+    """Faces of a primitive's mesh, compared with its exact surface.
+
+    Finer ones, with the highest degree of the surface, are tried only if the scene's own take more
+    than FINE of the accuracy.
     """
     own = Setting.of(scene)
     if own.faces is None:
         return (Level(),)
-    out = [Level({"faces": own.faces, "degree": own.degree}, geometry(numerics).mean_mm)]
-    if out[0].numerical_mm > FINE * accuracy_mm:
+    error = geometry(reference).mean_mm
+    out = [Level({"faces": own.faces, "degree": own.degree}, error)]
+    if error > FINE * accuracy_mm:
         for faces in (own.faces, FINER * own.faces):
-            setting, begin = replace(own, faces=faces, degree=4), time.process_time()
-            body = setting.body(scene.body)
-            body.closest(scene.skin.positions)
-            once = time.process_time() - begin
-            made = numerics.scene.with_(body=body)
-            there = geometry(Numerics(made, numerics.tolerance, numerics.compile))
+
+            def fit(faces: int = faces) -> Body:
+                body = replace(own, faces=faces, degree=4).body(scene.body)
+                body.closest(scene.skin.positions)
+                return body
+
+            body, once = timed(fit)
+            made = reference.scene.with_(body=body)
+            there = geometry(NumericalReference(made, reference.tolerance, reference.compile))
             out.append(Level({"faces": faces, "degree": 4}, there.mean_mm, once=once))
     return tuple(out)

@@ -23,7 +23,6 @@ from ...estimation.joint.joint_estimator import JointEstimator
 from ...estimation.joint.parametrization import SurfaceParametrization
 
 if TYPE_CHECKING:
-    from ...estimation.calibration import Calibration
     from ...recording.recording import Recording
     from ...scene.belief import Belief
     from ...scene.scene import Scene
@@ -45,8 +44,6 @@ class Step:
     """(n, 3), m; NaN for a taxel that is not determined."""
     shared: Array
     """(ks,)."""
-    sigma: Array
-    """Standard deviation (n,), m, of a taxel's place along the surface; NaN as above."""
 
 
 @dataclass(frozen=True)
@@ -57,12 +54,6 @@ class Solution:
     """(n, 3), body frame, m; NaN for a taxel that is not determined."""
     shared: Array
     """The shared unknowns (ks,), in the order of the belief's."""
-
-    @classmethod
-    def of(cls, calibration: Calibration) -> Solution:
-        """What a joint calibration found."""
-        values = [value for value, _ in calibration.unknowns.values()]
-        return cls(calibration.positions, np.array(values))
 
     @classmethod
     def true(cls, scene: Scene) -> Solution:
@@ -104,15 +95,13 @@ class Solution:
         gradient = blocks.gradient + blocks.coupling @ shared
         local = -np.linalg.solve(blocks.hessian, gradient[:, :, None])[:, :2, 0]
         local = places.limit_step(np.asarray(local, dtype=float))
-        variance = np.diagonal(problem.covariances(state, left)[0], axis1=1, axis2=2)
-        move, sigma = np.full_like(self.points, np.nan), np.full(len(self.points), np.nan)
+        move = np.full_like(self.points, np.nan)
         move[live] = np.einsum("nij,nj->ni", charts.tangents, local)
-        sigma[live] = np.sqrt(variance[:, :2].sum(axis=1))
-        return Step(move, shared, sigma)
+        return Step(move, shared)
 
 
-def answering(recording: Recording, belief: Belief) -> np.ndarray:
-    """Which taxels (n,) say something of where they are: they are read, and not stuck."""
+def determined_taxels(recording: Recording, belief: Belief) -> np.ndarray:
+    """Which taxels (n,) have readings that determine their position: read, and not stuck."""
     data = gather(recording, belief)
     out = np.asarray(data.counts > 0)
     out[fault_detection.stuck_taxels(data).rows] = False

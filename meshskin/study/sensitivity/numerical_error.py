@@ -1,9 +1,9 @@
-"""The numerical part of a simulation: how far its discretisation alone moves the taxels.
+"""The numerical error of a simulation: the shift of the taxels by its discretisation alone.
 
-The closed loop of a setting runs along the same path as the reference's, without noise. What its
-skin reads is then taken as if it had been read in the reference's contacts, and calibrated: were
-both loops the same, nothing would move. So errors of the surface, of the contact model and of the
-integration all come out as one length, the shift of the taxels.
+The closed loop of a setting runs along the path of the reference, without noise. The pressures on
+its skin are assigned to the contacts of the reference and calibrated. If both loops were equal, no
+taxel would move, so errors of the surface, of the contact model and of the integration all appear
+as one length: the shift of the taxels.
 """
 
 from __future__ import annotations
@@ -29,14 +29,15 @@ if TYPE_CHECKING:
     from ...scene.scene import Scene
 
 SIGMA = 0.01
-"""Noise that weighs the readings where the scene has none, relative to the peak pressure."""
+"""Standard deviation by which the readings of a scene without noise are weighted, relative to the
+peak pressure: as in the shipped scene sphere_noisy."""
 
 
-class Numerics:
-    """Simulations beside a reference, on its path.
+class NumericalReference:
+    """A simulation at a fine setting, and the shift of others along its path.
 
-    `scene`: at the reference's setting, whose step divides that of all others; `tolerance`: of
-    the calibrations; `compile_`: of all loops, for they run many times.
+    scene: at the fine setting; its step divides that of all others. tolerance: of the calibrations.
+    compile_: of all loops, because they run many times.
     """
 
     def __init__(self, scene: Scene, tolerance: float, compile_: str = "always") -> None:
@@ -50,29 +51,32 @@ class Numerics:
         self.positions = self.calibrate(self.readings)
 
     def shift(self, scene: Scene) -> Array:
-        """How far (n, 3), m, the taxels move when `scene` takes the reference's place.
+        """The shift (n, 3), m, of the taxels if `scene` replaces the reference.
 
-        Raises SimulationError where the loop fails or loses contact, ContactError.
+        Raises SimulationError if the loop fails or loses contact, ContactError.
         """
         scene = self.bare(scene)
         return self.calibrate(self.read(scene, self.drive(scene))) - self.positions
 
     def bare(self, scene: Scene) -> Scene:
-        """A scene without effects."""
+        """A scene without effects, its loop compiled as the reference's."""
         return scene.with_(effects=(), loop=replace(scene.loop, compile=self.compile))
 
     @property
     def frame_period(self) -> float:
-        """Seconds from frame to frame."""
+        """Time between frames, s."""
         return self.scene.frame_steps * self.scene.loop.dt
 
     def drive(self, scene: Scene, rows: int | None = None) -> Frames:
-        """The frames along the reference's path, or its first `rows` rows, with a scene's loop."""
+        """The frames of a scene's loop along the reference's path, or its first `rows` rows.
+
+        Raises SimulationError.
+        """
         factor = scene.loop.dt / self.scene.loop.dt
         every = round(factor)
         if abs(factor - every) > 1e-6 or every < 1:
             raise SimulationError(
-                "the step is no multiple of the reference's", value=f"{scene.loop.dt} s"
+                "the step must be a multiple of the reference's", value=f"{scene.loop.dt} s"
             )
         whole = self.path if rows is None else self.path.segments[0].truncated(rows)
         path = whole.resampled(scene.loop.dt, scene.body)
@@ -95,13 +99,13 @@ class Numerics:
         return effect_pipeline(scene, 0).read(frames, scene.skin.poses)
 
     def calibrate(self, pressures: Array) -> Array:
-        """Positions (n, 3) by pressures (m, n) in the reference's contacts."""
+        """Positions (n, 3), m, from pressures (m, n), Pa, in the contacts of the reference."""
         chain = effects.EffectPipeline((), lambda frames, poses: pressures, (), (), EffectClock())
         recording = record(self.scene, self.frames, chain)
         return calibrate(recording, self.belief, tolerance=self.tolerance).positions
 
 
 def mean_mm(shift: Array) -> float:
-    """Mean length of shifts (n, 3), m, in mm, over the taxels that have one."""
+    """Mean length, mm, of shifts (n, 3), m, over the taxels that have one."""
     length = np.linalg.norm(shift, axis=1)
     return 1e3 * float(np.nanmean(length)) if np.isfinite(length).any() else float("nan")

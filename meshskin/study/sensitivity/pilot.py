@@ -1,7 +1,7 @@
-"""A pilot: a short run of a scene on its coarsest lanes, each of its parts timed.
+"""A pilot: a short run of a scene on wide lanes, each of its parts timed.
 
-What is paid once, for each step, each frame and each reading; and how far the levels of the knobs
-that a request may turn (levels.py) move the taxels on its path.
+It gives the seconds that are spent once, per step, per frame and per reading, and the shift of the
+taxels by the levels of the knobs that a request may change (levels.py).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -24,29 +24,37 @@ from ...recording.recording import Recording
 from ...simulation.contact_samplers import concatenate
 from ...simulation.readout import contact_frames, effect_pipeline, record
 from ...simulation.simulate import prepare, run, simulate
-from .levels import COARSER, loops, models, surfaces, tolerances, worth
-from .numerical_error import Numerics
+from .knobs import COARSER
+from .levels import (
+    contact_levels,
+    loop_levels,
+    surface_levels,
+    tolerance_levels,
+    worthwhile,
+)
+from .numerical_error import NumericalReference
 from .request import LANES, Pilot, Request
 from .setting import Setting
+from .trial import timed
 
 if TYPE_CHECKING:
     from ...estimation.calibration import Calibration
     from ...scene.belief import Belief
     from ...scene.scene import Scene
 
-    T = TypeVar("T")
 
 WIDEST = 0.8
-"""Largest spacing of lanes over the distance at which a taxel feels a contact."""
+"""Largest spacing of lanes relative to the distance at which a taxel responds to a contact: every
+taxel must respond."""
 THIN = 4
-"""Every so many readings are calibrated again, to tell fixed costs from those of a reading."""
-TRYING = 0.2
-"""Part of the seconds asked for within which a pilot goes on to try steps, models and surfaces."""
-LONGER = 0.05
-"""Part of a run's seconds within which its estimates are tried at length."""
-MAKING = 0.3
-"""Part of a preparation's seconds that makes the loop's functions: the rest, planning, goes with
-the path's length."""
+"""Every THIN-th contact is calibrated again, to separate fixed seconds from those of a reading."""
+LEVELS_SHARE = 0.2
+"""A pilot measures levels only if it has used less than this part of the seconds asked for."""
+REPEAT_SHARE = 0.05
+"""Part of the predicted seconds of a run that long recordings are estimated for."""
+BUILD_SHARE = 0.3
+"""Part of the seconds of a preparation that builds the functions of the loop. The rest, planning,
+is proportional to the length of the path."""
 
 
 def pilot(
@@ -57,13 +65,14 @@ def pilot(
     seed: int,
     began: tuple[float, float],
 ) -> Pilot:
-    """A short run of a scene.
+    """Run a scene on wide lanes and measure its parts.
 
-    methods: run beside the joint estimate; drawing: tells the processor seconds of a report; began:
-    perf_counter and process_time when the run was begun. Raises what a run raises.
+    methods: run beside the joint estimate. drawing: returns the processor seconds of a report.
+    began: perf_counter and process_time at the beginning of the run. Raises as `simulate` and
+    `calibrate`.
     """
     base = Setting.of(scene)
-    coarse = _coarse(base, scene.rig.sensing_radius)
+    coarse = _widest_lanes(base, scene.rig.sensing_radius)
     small = coarse.scene(scene, scene.body)
     (machine, path), preparing = timed(lambda: prepare(small))
     steps, looping = timed(lambda: list(run(small, machine, path)))
@@ -72,127 +81,125 @@ def pilot(
         frames = contact_frames(small, machine.loop, steps)
         return record(small, frames, effect_pipeline(small, seed))
 
-    recording, _ = timed(read)  # the first time pays for what the next ones find
+    recording, _ = timed(read)  # the first time takes longer
     _, reading = timed(read)
     belief = small.belief()
-    found = calibrate(recording, belief)  # the first one, again
+    found = calibrate(recording, belief)  # the first time takes longer
     few = _thinned(recording)
     cost, less = (_estimates(data, belief, methods) for data in (recording, few))
     each = max(cost - less, 0.0) / max(len(recording.pressure) - len(few.pressure), 1)
     bound = metrics.bound_mm(recording, belief, small.skin)["mean"]
     systematic = _systematic(small, found, seed)
     count = sum(len(part.time) for part in steps)
-    making = MAKING * preparing
-    tried = Pilot(
+    building = BUILD_SHARE * preparing
+    measured = Pilot(
         base, coarse, count, len(recording.time), len(recording.pressure), bound, systematic,
-        (worth(tolerances(recording, belief)),),
-        fixed=making + drawing(found),
-        each_step=(preparing - making + looping) / count,
+        (worthwhile(tolerance_levels(recording, belief)),),
+        fixed=building + drawing(found),
+        each_step=(preparing - building + looping) / count,
         each_contact=reading / max(len(recording.time), 1),
         estimating=(max(cost - each * len(recording.pressure), 0.0), each),
         spent=_since(began),
     )  # fmt: skip
-    if request.seconds is None or tried.spent[0] < TRYING * request.seconds:
-        tried = _with_levels(tried, small, request)
-    tried = at_length(
-        tried,
+    if request.seconds is None or measured.spent[0] < LEVELS_SHARE * request.seconds:
+        measured = _with_levels(measured, small, request)
+    measured = with_long_recording(
+        measured,
         recording,
         request,
         lambda data: _estimates(data, belief, methods),
         lambda data, rest: timed(lambda: calibrate(data, belief, tolerance=rest))[1],
     )
-    return replace(tried, spent=_since(began))
+    return replace(measured, spent=_since(began))
 
 
-def _coarse(base: Setting, reach: float) -> Setting:
-    """The setting with the widest lanes on which taxels still feel contacts, at `reach`, m."""
+def _widest_lanes(base: Setting, radius: float) -> Setting:
+    """The setting with the widest lanes on which taxels respond to contacts within `radius`, m."""
     own = base.lane_spacing
-    return replace(base, lane_spacing=max(min(LANES[-1] * own, WIDEST * reach), own))
+    return replace(base, lane_spacing=max(min(LANES[-1] * own, WIDEST * radius), own))
 
 
 def _since(began: tuple[float, float]) -> tuple[float, float]:
     return time.perf_counter() - began[0], time.process_time() - began[1]
 
 
-def _with_levels(tried: Pilot, scene: Scene, request: Request) -> Pilot:
-    """The pilot with levels of loop, contact model and surface, from Runge-Kutta at half the step.
+def _with_levels(measured: Pilot, scene: Scene, request: Request) -> Pilot:
+    """The pilot with levels of loop, contact model and surface.
 
-    Other steps and models are tried where the run would take longer over them than trying does.
+    Their reference is Runge-Kutta at half the step. Other steps and contact models are measured if
+    the run would take longer with them than their measurement.
     """
     loop = replace(scene.loop, integrator="rk4")
     fine = scene.with_(loop=replace(loop, dt=loop.dt / 2))
-    numerics = Numerics(fine, 1e-10, scene.loop.compile)
-    own = loops(numerics, scene, (1,))
-    knobs = [*tried.knobs, worth(own)]
+    reference = NumericalReference(fine, 1e-10, scene.loop.compile)
+    own = loop_levels(reference, scene, (1,))
+    knobs = [*measured.knobs, worthwhile(own)]
     if request.accuracy_mm is not None:
-        knobs.append(surfaces(numerics, scene, request.accuracy_mm))
-    tried = replace(tried, knobs=tuple(knobs))
+        knobs.append(surface_levels(reference, scene, request.accuracy_mm))
+    measured = replace(measured, knobs=tuple(knobs))
     try:
-        best = tried.choose(request)[0].setting
+        best = measured.choose(request)[0].setting
     except StudyError:
-        return tried
-    lanes = tried.setting.lane_spacing / best.lane_spacing
+        return measured
+    lanes = measured.setting.lane_spacing / best.lane_spacing
     if lanes > 2 * len(COARSER) * len(own):
-        knobs[1] = worth(own + loops(numerics, scene, COARSER))
-    frames = lanes * best.rate / tried.setting.rate
+        knobs[1] = worthwhile(own + loop_levels(reference, scene, COARSER))
+    frames = lanes * best.rate / measured.setting.rate
     if frames > 2 * len(BATCHED):
-        knobs.append(worth(models(numerics, scene)))
-    return replace(tried, knobs=tuple(knobs))
+        knobs.append(worthwhile(contact_levels(reference, scene)))
+    return replace(measured, knobs=tuple(knobs))
 
 
-def at_length(
-    tried: Pilot,
+def with_long_recording(
+    measured: Pilot,
     recording: Recording,
     request: Request,
     whole: Callable[[Recording], float],
     joint: Callable[[Recording, float], float],
 ) -> Pilot:
-    """The pilot with the prices of a reading in a long recording, where caches hold it no more and
-    what is paid once counts for little.
+    """The pilot with the seconds of a reading in a long recording, which does not fit the caches.
 
-    The pilot's recording is estimated from several times over: as often as the run that would be
-    chosen is longer, and as takes up to LONGER of its seconds. whole: processor seconds of all
-    estimates; joint: of the joint one at a tolerance.
+    The recording of the pilot is repeated: as often as the run that would be chosen is longer, and
+    as takes up to REPEAT_SHARE of its seconds. whole: gives the processor seconds of all estimates
+    of a recording; joint: those of the joint estimate at a tolerance.
     """
     try:
-        best = tried.choose(request)[0]
+        best = measured.choose(request)[0]
     except StudyError:
-        return tried
-    once, each = tried.estimating
-    lanes = tried.setting.lane_spacing / best.setting.lane_spacing
+        return measured
+    once, each = measured.estimating
+    lanes = measured.setting.lane_spacing / best.setting.lane_spacing
     longest = min(
-        tried.readings * lanes * best.setting.rate / tried.setting.rate,
-        LONGER * best.processor_seconds / max(each, 1e-9),
+        measured.readings * lanes * best.setting.rate / measured.setting.rate,
+        REPEAT_SHARE * best.processor_seconds / max(each, 1e-9),
     )
-    times = round(longest / max(tried.readings, 1))
+    times = round(longest / max(measured.readings, 1))
     if times < 2:
-        return tried
+        return measured
     long = recording
     for _ in range(times - 1):
         long = concatenate(long, recording)
 
     def split(short: float, long: float) -> tuple[float, float]:
-        """What is paid once, and for the pilot's readings."""
-        grown = max(long - short, 0.0) / (times - 1)
-        return max(short - grown, 0.0), grown
+        """The seconds that are spent once, and those of the pilot's readings."""
+        proportional = max(long - short, 0.0) / (times - 1)
+        return max(short - proportional, 0.0), proportional
 
-    once, grown = split(once + each * tried.readings, whole(long))
-    resting, *others = tried.knobs
+    once, proportional = split(once + each * measured.readings, whole(long))
+    tolerances, *others = measured.knobs
     levels = []
-    for level in resting:
+    for level in tolerances:
         first, later = split(level.reading, joint(long, level.changes["tolerance"]))
         levels.append(replace(level, once=first, reading=later))
-    return replace(tried, estimating=(once, grown / tried.readings), knobs=(tuple(levels), *others))
-
-
-def timed(work: Callable[[], T]) -> tuple[T, float]:
-    """What comes out, and its processor seconds."""
-    begin = time.process_time()
-    return work(), time.process_time() - begin
+    return replace(
+        measured,
+        estimating=(once, proportional / measured.readings),
+        knobs=(tuple(levels), *others),
+    )
 
 
 def _estimates(recording: Recording, belief: Belief, methods: Sequence[str]) -> float:
-    """Processor seconds of the joint estimate and of all methods, whether they find anything."""
+    """Processor seconds of the joint estimate and of all methods, including those that fail."""
     begin = time.process_time()
     calibrate(recording, belief)
     for method in methods:
@@ -202,7 +209,7 @@ def _estimates(recording: Recording, belief: Belief, methods: Sequence[str]) -> 
 
 
 def _thinned(recording: Recording) -> Recording:
-    """Every fourth contact of a recording."""
+    """Every THIN-th contact of a recording."""
     keep = np.arange(len(recording.time)) % THIN == 0
     return Recording(
         recording.contacts.filter(pa.array(keep)),
@@ -212,9 +219,9 @@ def _thinned(recording: Recording) -> Recording:
 
 
 def _systematic(scene: Scene, found: Calibration, seed: int) -> float:
-    """Mean error, mm, that is left without noise."""
+    """Mean error, mm, without noise."""
     rest = tuple(effect for effect in scene.effects if not isinstance(effect, NoiseEffect))
-    if len(rest) == len(scene.effects):  # there is none: the pilot's own error
+    if len(rest) == len(scene.effects):  # without noise: the pilot's own error
         error = metrics.position_errors(found, scene.skin)
     elif not rest:
         return 0.0

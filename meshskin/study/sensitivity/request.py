@@ -1,9 +1,9 @@
-"""An accuracy or a time asked for, and what a pilot run (pilot.py) promises of every setting.
+"""A request for an accuracy or a time, and the predictions of a pilot run (pilot.py) for it.
 
-Errors follow from the pilot's Cramér-Rao bound, which goes with the contacts to the power -1/2,
-from what the scene's effects leave behind without noise, and from the numerical parts of the levels
-of every other knob, which are tried on its path (levels.py). Nothing is kept from machine to
-machine, or from run to run.
+Predicted errors follow from the Cramér-Rao bound of the pilot, which is proportional to the number
+of contacts to the power -1/2, from the error that the scene's effects leave without noise, and from
+the measured errors of the levels of the other knobs (levels.py). Nothing is stored between runs or
+machines.
 """
 
 from __future__ import annotations
@@ -15,37 +15,38 @@ from itertools import product
 import numpy as np
 
 from ...core.errors import ConfigError, StudyError
-from .levels import Level
-from .setting import RATES, Setting
+from .knobs import RATES, Level
+from .setting import Setting
 
 LANES = tuple(2.0 ** (k / 2) for k in range(-6, 2))
-"""Spacings of lanes that may be chosen, over the scene's own."""
+"""Spacings of lanes that may be chosen, relative to the scene's own, from 1/8 to 1.4: each changes
+the expected error by 19 %."""
 SAFE = 0.9
-"""Part of the accuracy asked for that a promise may use up: errors scatter from run to run."""
+"""Part of the accuracy asked for that a prediction may use: errors scatter between seeds."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked of a run: one of the two."""
+    """A request for a run: an accuracy or a time."""
 
     accuracy_mm: float | None = None
     """Mean error of the taxels; the cheapest setting is chosen."""
     seconds: float | None = None
-    """Of the whole run, pilot and report included; the most accurate setting is chosen."""
+    """Time of the whole run with pilot and report; the most accurate setting is chosen."""
 
     def __post_init__(self) -> None:
         given = [v for v in (self.accuracy_mm, self.seconds) if v is not None]
         if len(given) != 1:
             raise ConfigError("an accuracy or a time can be asked for", remedy="give one of them")
         if not (np.isfinite(given[0]) and given[0] > 0):
-            what = "an accuracy" if self.seconds is None else "a time"
+            kind = "accuracy" if self.seconds is None else "time"
             raise ConfigError(
-                f"{what} that is asked for must be finite", value=self.words, limit="above 0"
+                f"the {kind} asked for must be finite", value=self.words, limit="above 0"
             )
 
     @property
     def words(self) -> str:
-        """What is asked for."""
+        """The value with its unit."""
         if self.accuracy_mm is not None:
             return f"{self.accuracy_mm:g} mm"
         return f"{self.seconds:g} s"
@@ -53,27 +54,32 @@ class Request:
 
 @dataclass(frozen=True)
 class Prediction:
-    """A setting, and what a run with it should come to."""
+    """A setting with the predicted error and seconds of a run."""
 
     setting: Setting
     error_mm: float
     """Mean error of the taxels against the truth."""
     numerical_mm: float
-    """Shift of the taxels by step, integrator, contact model and surface, as far as they were
-    tried."""
+    """Shift of the taxels by time step, integrator, contact model and surface, if measured."""
     seconds: float
-    """Of the whole run by the clock on the wall, what is already spent included."""
+    """Wall time of the whole run, including what is already spent."""
     processor_seconds: float
+    """Processor time of the whole run, including what is already spent."""
+
+    @property
+    def total_mm(self) -> float:
+        """Root of the sum of squares of error and numerical part."""
+        return float(np.hypot(self.error_mm, self.numerical_mm))
 
 
 @dataclass(frozen=True)
 class Pilot:
-    """What a short run showed; seconds are processor time."""
+    """The measurements of a short run; seconds are processor time."""
 
     base: Setting
-    """The scene's own setting."""
+    """Setting of the scene."""
     setting: Setting
-    """The pilot's."""
+    """Setting of the pilot."""
     steps: int
     contacts: int
     readings: int
@@ -82,25 +88,25 @@ class Pilot:
     systematic_mm: float
     """Mean error without noise."""
     knobs: tuple[tuple[Level, ...], ...]
-    """The levels of every knob beside lanes and rate that was tried, the scene's own first."""
+    """Measured levels of each knob other than lanes and rate, the scene's own level first."""
     fixed: float
-    """Making the loop, writing, and drawing the report."""
+    """Seconds of compiling the loop, writing, and drawing the report."""
     each_step: float
-    """Planning and running."""
+    """Seconds of planning and running a step."""
     each_contact: float
-    """Reading the skin."""
+    """Seconds of reading the skin in a contact."""
     estimating: tuple[float, float]
-    """Fixed, and for each reading: of the estimate and all that runs beside it."""
+    """Fixed seconds, and seconds per reading, of the estimate and all methods run beside it."""
     spent: tuple[float, float]
-    """On the wall and of the processor, from the run's beginning until the pilot was over."""
+    """Wall and processor seconds from the beginning of the run to the end of the pilot."""
 
     @property
     def slowdown(self) -> float:
-        """Seconds on the wall for each of the processor, as the machine was under the pilot."""
+        """Wall time over processor time during the pilot."""
         return max(self.spent[0] / max(self.spent[1], 1e-9), 1.0)
 
-    def promise(self, setting: Setting, levels: Sequence[Level] = ()) -> Prediction:
-        """Of a setting of lanes and rate, with these levels of other knobs."""
+    def predict(self, setting: Setting, levels: Sequence[Level] = ()) -> Prediction:
+        """The prediction for lanes and rate of `setting`, with these levels of the other knobs."""
         lanes = self.setting.lane_spacing / setting.lane_spacing
         many = lanes * setting.rate / self.setting.rate
         error = float(np.hypot(self.bound_mm / np.sqrt(many), self.systematic_mm))
@@ -120,45 +126,41 @@ class Pilot:
             self.spent[1] + more,
         )
 
-    def promises(self) -> list[Prediction]:
-        """Of all settings that may be chosen."""
+    def predictions(self) -> list[Prediction]:
+        """The predictions for all settings that may be chosen."""
         widest = self.setting.lane_spacing * (1 + 1e-9)
         lanes = [self.base.lane_spacing * factor for factor in LANES]
         lanes = [x for x in lanes if x < widest] + [self.setting.lane_spacing]
         made = [
-            self.promise(replace(self.base, lane_spacing=x, rate=self.base.rate * r), levels)
+            self.predict(replace(self.base, lane_spacing=x, rate=self.base.rate * r), levels)
             for x in dict.fromkeys(lanes)
             for r in RATES
             for levels in product(*self.knobs)
         ]
-        return [promise for promise in made if promise.setting.whole_frames]
+        return [prediction for prediction in made if prediction.setting.whole_frames]
 
     def choose(self, request: Request) -> list[Prediction]:
-        """The settings that keep a request, the best first. Raises StudyError if none does."""
-        promises = self.promises()
-
-        def total(p: Prediction) -> float:
-            return float(np.hypot(p.error_mm, p.numerical_mm))
-
+        """The predictions that fulfil a request, the best first. Raises StudyError if none does."""
+        predictions = self.predictions()
         if request.accuracy_mm is not None:
-            kept = [p for p in promises if total(p) <= SAFE * request.accuracy_mm]
+            kept = [p for p in predictions if p.total_mm <= SAFE * request.accuracy_mm]
             if kept:
                 return sorted(kept, key=lambda p: p.processor_seconds)
-            best = min(promises, key=total)
+            best = min(predictions, key=lambda p: p.total_mm)
             raise StudyError(
                 "the accuracy is out of reach",
                 value=request.words,
-                limit=f"{total(best):.3g} mm in {best.seconds:.3g} s at best",
-                remedy="quieter taxels, or fewer effects that the calibration does not know",
+                limit=f"{best.total_mm:.3g} mm in {best.seconds:.3g} s at best",
+                remedy="use quieter taxels, or fewer effects that the calibration does not model",
             )
         assert request.seconds is not None
-        kept = [p for p in promises if p.seconds <= request.seconds]
+        kept = [p for p in predictions if p.seconds <= request.seconds]
         if kept:
-            return sorted(kept, key=lambda p: (total(p), p.seconds))
-        quick = min(promises, key=lambda p: p.seconds)
+            return sorted(kept, key=lambda p: (p.total_mm, p.seconds))
+        quick = min(predictions, key=lambda p: p.seconds)
         raise StudyError(
             "the time is too short",
             value=request.words,
-            limit=f"{quick.seconds:.3g} s for {total(quick):.3g} mm at least",
+            limit=f"{quick.seconds:.3g} s for {quick.total_mm:.3g} mm at least",
             remedy="give more seconds",
         )

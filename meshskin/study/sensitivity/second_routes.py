@@ -1,7 +1,7 @@
-"""Second routes to the reference: what it computes, computed otherwise.
+"""Second routes to the reference of the numerical error: parts of it computed by other methods.
 
-Each route answers with the shift of the taxels that it causes in the reference's place. A reference
-whose second routes agree far below the errors that it measures can be believed.
+Each route gives the shift of the taxels if it replaces a part of the reference. A reference can be
+trusted if these shifts are far below the errors that it measures.
 """
 
 from __future__ import annotations
@@ -14,40 +14,41 @@ import numpy as np
 from ...contact import solve
 from ...core.errors import ContactError
 from ...simulation.readout import make_frames
-from .numerical_error import Numerics
+from .numerical_error import NumericalReference
 
 if TYPE_CHECKING:
     from ...core.se3 import Array
     from ...effects.frames import Frames
 
 WINDOW = 0.15
-"""Seconds of the path that CVODES runs along: it takes a thousand times as long."""
+"""Seconds of the path for which CVODES is run: it takes a thousand times as long."""
 
 
 @dataclass(frozen=True)
 class Route:
-    """A second route and how far from the reference it ends."""
+    """A second route and its distance from the reference."""
 
     name: str
-    """What is computed, and how it is computed otherwise."""
+    """The part of the reference and the other method."""
     mean_mm: float
     """Mean shift of the taxels that it moves."""
     largest_mm: float
+    """Largest shift of a taxel."""
 
 
-def routes(numerics: Numerics) -> tuple[Route, ...]:
-    """All second routes that the reference's scene has."""
+def routes(reference: NumericalReference) -> tuple[Route, ...]:
+    """All second routes that exist for the scene of the reference."""
     found = []
-    if numerics.scene.body.exact is not None:
-        found.append(geometry(numerics))
-    if numerics.scene.loop.mode == "arm":
-        found.append(integration(numerics))
-    return (*found, contact(numerics))
+    if reference.scene.body.exact is not None:
+        found.append(geometry(reference))
+    if reference.scene.loop.mode == "arm":
+        found.append(integration(reference))
+    return (*found, contact(reference))
 
 
-def geometry(numerics: Numerics) -> Route:
-    """The exact surface in place of patches on a mesh: foot, normal, curvature, depth and force."""
-    scene, frames = numerics.scene, numerics.frames
+def geometry(reference: NumericalReference) -> Route:
+    """The exact surface of a primitive instead of patches on a mesh."""
+    scene, frames = reference.scene, reference.frames
     exact = scene.body.exact
     assert exact is not None
     hit = exact.closest(frames.centres)
@@ -65,27 +66,27 @@ def geometry(numerics: Numerics) -> Route:
         curvature=hit.curvature,
         directions=hit.direction,
     )
-    return _route("surface: exact primitive", numerics, numerics.read(scene, there))
+    return _route("surface: exact primitive", reference, reference.read(scene, there))
 
 
-def integration(numerics: Numerics) -> Route:
-    """CVODES at 1e-10 in place of Runge-Kutta, along the start of the path."""
-    scene = numerics.scene
-    coarse = numerics.frame_period
+def integration(reference: NumericalReference) -> Route:
+    """CVODES with tolerance 1e-10 instead of Runge-Kutta, along the start of the path."""
+    scene = reference.scene
+    coarse = reference.frame_period
     slow = scene.with_(loop=replace(scene.loop, integrator="cvodes", dt=min(coarse, 1e-3)))
     rows = round(WINDOW / scene.loop.dt)
-    frames = numerics.drive(slow, rows)
-    pressures = numerics.readings.copy()
-    pressures[: len(frames)] = numerics.read(scene, _on(numerics, frames))
-    return _route(f"integration: CVODES, the first {WINDOW:g} s", numerics, pressures)
+    frames = reference.drive(slow, rows)
+    pressures = reference.readings.copy()
+    pressures[: len(frames)] = reference.read(scene, _on(reference, frames))
+    return _route(f"integration: CVODES, the first {WINDOW:g} s", reference, pressures)
 
 
-def contact(numerics: Numerics) -> Route:
-    """A boundary-element contact in place of the model's patch, at the skin's centre.
+def contact(reference: NumericalReference) -> Route:
+    """Boundary elements instead of the contact model, at the centre of the skin.
 
-    What it adds to the pressure over the patch there is added to every contact.
+    The difference in pressure there is added to every contact.
     """
-    scene = numerics.scene
+    scene = reference.scene
     centre = scene.body.closest(scene.skin.positions.mean(axis=0)[None])
     case: dict[str, Any] = {
         "force": scene.law.force_reference,
@@ -100,27 +101,27 @@ def contact(numerics: Numerics) -> Route:
         field, model = solve("field", **case), solve(scene.model.name, **case)
     except ContactError as error:
         return Route(f"contact: none ({error})", float("nan"), float("nan"))
-    frames, positions = numerics.frames, scene.skin.positions
-    row, col = np.nonzero(numerics.readings > 0)
+    frames, positions = reference.frames, scene.skin.positions
+    row, col = np.nonzero(reference.readings > 0)
     offset = positions[col] - frames.points[row]
     first = np.einsum("ij,ij->i", offset, frames.directions[row])
     second = np.einsum("ij,ij->i", offset, np.cross(frames.normals, frames.directions)[row])
     xy = np.stack([second, first], axis=1)  # a patch's x axis lies along the smaller curvature
-    pressures = numerics.readings.copy()
+    pressures = reference.readings.copy()
     pressures[row, col] += field.reading(xy, disc) - model.reading(xy, disc)
-    return _route("contact: boundary elements", numerics, np.maximum(pressures, 0.0))
+    return _route("contact: boundary elements", reference, np.maximum(pressures, 0.0))
 
 
-def _on(numerics: Numerics, frames: Frames) -> Frames:
-    """Frames as the reference's scene sees them."""
+def _on(reference: NumericalReference, frames: Frames) -> Frames:
+    """Frames with the indenter and contact of the reference's scene."""
     return make_frames(
-        numerics.scene, frames.time, frames.points, frames.normals, frames.force, frames.centres,
+        reference.scene, frames.time, frames.points, frames.normals, frames.force, frames.centres,
         frames.q,
     )  # fmt: skip
 
 
-def _route(name: str, numerics: Numerics, pressures: Array) -> Route:
-    shift = np.linalg.norm(numerics.calibrate(pressures) - numerics.positions, axis=1)
+def _route(name: str, reference: NumericalReference, pressures: Array) -> Route:
+    shift = np.linalg.norm(reference.calibrate(pressures) - reference.positions, axis=1)
     moved = shift[shift > 1e-12]
     if not len(moved):
         return Route(name, 0.0, 0.0)

@@ -1,104 +1,170 @@
-"""What is needed: items added by millimetres per second until the rest fits the budget."""
+"""Selection of what a scene needs: candidate effects, screening by bounds, and choice by cost.
+
+Items (effects, and steps from one level of a knob to the next finer one) are added by the shift
+that they remove per second, until the rest is within the limit.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ... import effects
+from ...core.errors import MeshskinError
 from ...core.se3 import Array
+from ...effects import Context, Effect
 
-Joint = Callable[[frozenset[str]], Array]
-"""How leaving out all but these items moves the taxels (seeds, n, 3), m."""
+if TYPE_CHECKING:
+    from ...scene.scene import Scene
+
+NEGLIGIBLE = 0.05
+"""Part of the budget that all effects that are screened out may take together, by their bounds:
+small against the 0.7 that the estimate may take (budget.MARGIN)."""
+
+JointShift = Callable[[frozenset[str]], Array]
+"""Shift of the taxels (seeds, n, 3), m, with these items on and all others left out."""
 
 
 @dataclass(frozen=True)
 class Item:
-    """An effect, or the step from one setting of a knob to the next finer one."""
+    """An effect, or the step from one level of a knob to the next finer one."""
 
     name: str
     shift: Array
-    """How leaving it out moves the taxels (seeds, n, 3), m; NaN where a taxel is not judged."""
+    """Shift of the taxels (seeds, n, 3), m, without it; NaN for a taxel that is not judged."""
     seconds: float
-    """What it costs in the whole run."""
+    """Seconds that it costs in the whole run."""
     requires: tuple[str, ...] = ()
     """Items that must be on with it."""
 
 
-def size(shift: Array) -> float:
-    """Mean length, m, of shifts (..., 3) over those that are numbers; 0 for none."""
+def candidates(scene: Scene, seed: int = 0) -> tuple[tuple[Effect, ...], dict[str, str]]:
+    """The effects from which a budget chooses, in order, and why each other one is refused.
+
+    They are the scene's effects, then its `candidates` or, if it has none, all registered effects
+    with their defaults. Of effects that exclude each other the first one is taken. An effect that
+    cannot be built in the scene (encoders without joints), or lacks what it requires, is refused.
+    """
+    context, taken, refused = scene.context(seed), list(scene.effects), {}
+    listed = effects.registered() if scene.candidates is None else scene.candidates
+    for effect in listed:
+        names = {e.name for e in taken}
+        if effect.name in names:
+            continue
+        rival = next((e.name for e in taken if _exclude(e, effect)), None)
+        if rival is not None:
+            refused[effect.name] = f"excluded by {rival}"
+            continue
+        try:
+            effect.build(context)
+        except MeshskinError as error:
+            refused[effect.name] = str(error)
+            continue
+        taken.append(effect)
+    while lacking := [e for e in taken if not set(e.requires) <= {other.name for other in taken}]:
+        for effect in lacking:
+            taken.remove(effect)
+            refused[effect.name] = f"requires {', '.join(effect.requires)}"
+    return effects.ordered(taken), refused
+
+
+def _exclude(one: Effect, other: Effect) -> bool:
+    return other.name in one.excludes or one.name in other.excludes
+
+
+def screened(candidates: Iterable[Effect], context: Context, budget: float) -> dict[str, float]:
+    """Effects that can be left out without a trial, with their bounds, m.
+
+    They are those of the smallest bounds whose sum is at most NEGLIGIBLE of the budget, except what
+    an effect that is not screened out requires.
+    """
+    candidates = tuple(candidates)
+    out: dict[str, float] = {}
+    for effect in sorted(candidates, key=lambda e: e.bound(context)):
+        bound = effect.bound(context)
+        if sum(out.values()) + bound > NEGLIGIBLE * budget:
+            break
+        out[effect.name] = bound
+    while wanted := {n for e in candidates if e.name not in out for n in e.requires} & set(out):
+        for name in wanted:
+            del out[name]
+    return out
+
+
+def mean_length(shift: Array) -> float:
+    """Mean length, m, of shifts (..., 3) over those that are finite; 0 if there are none."""
     length = np.linalg.norm(shift, axis=-1)
     known = length[np.isfinite(length)]
     return float(known.mean()) if len(known) else 0.0
 
 
 def choose(
-    items: Sequence[Item], limit: float, forced: Iterable[str], joint: Joint
+    items: Sequence[Item], limit: float, forced: Iterable[str], joint: JointShift
 ) -> tuple[frozenset[str], Array]:
-    """Names of the items to be on, and how leaving out the rest moves the taxels.
+    """Names of the items to be on, and the shift of the taxels without the others.
 
-    Added by how much of the rest each takes off for a second of its cost, until the rest moves the
-    taxels by at most `limit`, m; then those that turn out not to be needed are taken out again, the
-    most expensive first. Where shifts do not add up, which `joint` tells, more is added, one after
-    the other. `forced` items are on anyway.
+    Items are added by the shift that they remove per second of their cost, until the rest is at
+    most `limit`, m; then those that are not needed are removed again, the most expensive first. If
+    shifts do not add up, as `joint` tells, more items are added. `forced` items are always on.
     """
-    forced = together(forced, items)
-    on = pruned(grown(forced, items, limit), items, forced, limit)
+    forced = with_required(forced, items)
+    on = _prune(_grow(forced, items, limit), items, forced, limit)
     while True:
         rest = joint(on)
-        if size(rest) <= limit or len(on) == len(items):
+        if mean_length(rest) <= limit or len(on) == len(items):
             return on, rest
-        on |= added(on, items, rest)
+        on |= _most_useful(on, items, rest)
 
 
 def left_out(on: Iterable[str], items: Sequence[Item]) -> Array:
-    """The sum of the shifts of what is off."""
+    """The sum of the shifts of the items that are off."""
     on = set(on)
     return np.asarray(sum((item.shift for item in items if item.name not in on), np.zeros(3)))
 
 
-def grown(on: frozenset[str], items: Sequence[Item], limit: float) -> frozenset[str]:
-    """`on` with what takes off most of the rest in a second, again and again, while it is too much:
-    by the sum of the shifts.
-    """
-    while len(on) < len(items) and size(rest := left_out(on, items)) > limit:
-        on |= added(on, items, rest)
+def _grow(on: frozenset[str], items: Sequence[Item], limit: float) -> frozenset[str]:
+    """`on` and the most useful items, until the sum of the other shifts is within the limit."""
+    while len(on) < len(items) and mean_length(rest := left_out(on, items)) > limit:
+        on |= _most_useful(on, items, rest)
     return on
 
 
-def added(on: frozenset[str], items: Sequence[Item], rest: Array) -> frozenset[str]:
-    """What takes off most of `rest` in a second, with what it requires.
+def _most_useful(on: frozenset[str], items: Sequence[Item], rest: Array) -> frozenset[str]:
+    """The item that removes most of `rest` per second, with what it requires.
 
-    Where nothing takes anything off, for parts cancel each other, the largest for its seconds.
+    If no item removes any, because parts cancel each other: the largest one per second.
     """
 
     def rates(item: Item) -> tuple[float, float]:
-        new = together([item.name], items) - on
+        new = with_required([item.name], items) - on
         parts = [other for other in items if other.name in new]
         off = rest - sum((other.shift for other in parts), np.zeros(3))
         seconds = sum(other.seconds for other in parts)
-        return (size(rest) - size(off)) / seconds, size(item.shift) / seconds
+        return (mean_length(rest) - mean_length(off)) / seconds, mean_length(item.shift) / seconds
 
     known = {item.name: rates(item) for item in items if item.name not in on}
     by = 0 if any(rate[0] > 0 for rate in known.values()) else 1
-    return together([max(known, key=lambda name: known[name][by])], items)
+    return with_required([max(known, key=lambda name: known[name][by])], items)
 
 
-def pruned(
+def _prune(
     on: frozenset[str], items: Sequence[Item], forced: frozenset[str], limit: float
 ) -> frozenset[str]:
-    """`on` without what the budget can do without, the most expensive first."""
+    """`on` without the items that the limit does not need, the most expensive removed first."""
     for item in sorted(items, key=lambda item: -item.seconds):
         needed = {item.name} & forced or any(
             item.name in other.requires for other in items if other.name in on
         )
-        if item.name in on and not needed and size(left_out(on - {item.name}, items)) <= limit:
-            on = on - {item.name}
+        without = on - {item.name}
+        if item.name in on and not needed and mean_length(left_out(without, items)) <= limit:
+            on = without
     return on
 
 
-def together(names: Iterable[str], items: Sequence[Item]) -> frozenset[str]:
+def with_required(names: Iterable[str], items: Sequence[Item]) -> frozenset[str]:
     """The names with all that they require."""
     requires = {item.name: item.requires for item in items}
     out, new = frozenset[str](), frozenset(names)

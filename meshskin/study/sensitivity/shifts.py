@@ -1,10 +1,10 @@
-"""Shifts: how far the taxels move for leaving out effects, or for a coarser setting of a knob."""
+"""Shifts of the taxels by leaving out effects, and by coarser levels of the knobs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,8 +12,8 @@ from ...core.errors import ContactError, ReachError, SimulationError
 from ...core.se3 import Array
 from ...effects import Effect
 from ...estimation.calibrate import calibrate
-from .knobs import SECONDS, TOLERANCES, Knob, Rung
-from .linearized import Solution, answering
+from .knobs import SECONDS, TOLERANCES, Knob, Level
+from .linearized import Solution, determined_taxels
 from .replay import Halves, Replay
 
 if TYPE_CHECKING:
@@ -24,127 +24,115 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Without:
-    """What leaving effects out does."""
+class Omission:
+    """The consequences of leaving out effects."""
 
     shift: Array
-    """How it moves the taxels of the half (seeds, n, 3), m."""
+    """Shift of the taxels of the half (seeds, n, 3), m."""
     changed: int
-    """How many of them answer without these effects and not with them, or the other way (most of a
-    seed)."""
+    """Number of taxels that are determined only with these effects, or only without them (the
+    largest number over the seeds)."""
     fewer: float
-    """Part of the readings that are gone; negative where there are more."""
+    """Part of the readings that are lost; negative if there are more."""
 
 
 @dataclass
-class Effects:
-    """Effects on trial, over one half of a rehearsal: every run shares motion and noise."""
+class EffectShifts:
+    """Effects over one half of a replay, in which every run has the same motion and noise."""
 
-    rehearsal: Replay
+    replay: Replay
     halves: Halves
     belief: Belief
-    every: tuple[Effect, ...]
-    """All that can be on."""
+    effects: tuple[Effect, ...]
+    """All effects that can be on."""
     seeds: Sequence[int]
+    recordings: list[Recording] = field(init=False)
+    """Recordings with all effects on, one per seed."""
     solutions: list[Solution] = field(init=False)
-    """Of each seed, with everything on."""
-    whole: list[Recording] = field(init=False)
-    """Of each seed, with everything on."""
+    """Their solutions, at which the calibration is linearised."""
 
     def __post_init__(self) -> None:
-        self.whole = whole = [self._recording(self.every, seed) for seed in self.seeds]
-        true = Solution.true(self.rehearsal.scene)
-        self.solutions = [true.solved(recording, self.belief) for recording in whole]
-        pairs = zip(self.solutions, whole, strict=True)
-        steps = [solution.step(recording, self.belief) for solution, recording in pairs]
-        self._at_rest = [step.move for step in steps]
-        self._answering = [answering(recording, self.belief) for recording in whole]
+        self.recordings = [self._recording(self.effects, seed) for seed in self.seeds]
+        true = Solution.true(self.replay.scene)
+        self.solutions = [true.solved(recording, self.belief) for recording in self.recordings]
+        pairs = zip(self.solutions, self.recordings, strict=True)
+        self._residual = [solution.step(r, self.belief).move for solution, r in pairs]
+        self._determined = [determined_taxels(r, self.belief) for r in self.recordings]
 
-    def without(self, off: Iterable[str]) -> Without:
-        """What leaving effects out does."""
-        left = tuple(effect for effect in self.every if effect.name not in set(off))
+    def without(self, off: Iterable[str]) -> Omission:
+        """The consequences of leaving out effects, by name."""
+        kept = tuple(effect for effect in self.effects if effect.name not in set(off))
         rows, shifts, changed, fewer = self.halves.taxels[0], [], 0, 0.0
         for k, seed in enumerate(self.seeds):
-            recording = self._recording(left, seed)
+            recording, whole = self._recording(kept, seed), self.recordings[k]
             step = self.solutions[k].step(recording, self.belief)
-            shifts.append((step.move - self._at_rest[k])[rows])
-            answers = answering(recording, self.belief) != self._answering[k]
-            changed = max(changed, int(answers[rows].sum()))
-            there = self.whole[k]
-            few = 1.0 - len(recording.pressure) / max(len(there.pressure), 1)
-            fewer += few / len(self.seeds)
-        return Without(np.stack(shifts), changed, fewer)
+            shifts.append((step.move - self._residual[k])[rows])
+            differs = determined_taxels(recording, self.belief) != self._determined[k]
+            changed = max(changed, int(differs[rows].sum()))
+            lost = 1.0 - len(recording.pressure) / max(len(whole.pressure), 1)
+            fewer += lost / len(self.seeds)
+        return Omission(np.stack(shifts), changed, fewer)
 
     def _recording(self, effects: tuple[Effect, ...], seed: int) -> Recording:
-        return self.rehearsal.recording(effects, seed, self.halves)
+        return self.replay.recording(effects, seed, self.halves)
 
 
-def tolerance(trial: Effects, contacts: float) -> tuple[Knob, list[Array]]:
-    """The tolerance as a knob, and how each of its settings moves the taxels (n, 3), m.
+def tolerance_knob(shifts: EffectShifts, contacts: float) -> Knob:
+    """The solver tolerance as a knob, by full calibrations with everything on.
 
-    By full calibrations with everything on; contacts: of the whole run.
+    contacts: number of contacts of the whole run.
     """
-    recording, rows = trial.whole[0], trial.halves.taxels[0]
+    recording, rows = shifts.recordings[0], shifts.halves.taxels[0]
     readings = len(recording.pressure) / max(len(recording.time), 1) * contacts
-    rungs, places = [], []
-    for rest in TOLERANCES:
-        found = calibrate(recording, trial.belief, tolerance=rest)
-        turns = 1 if found.iterates is None else len(found.iterates)
-        seconds = SECONDS["reading"] * readings * turns
-        rungs.append(Rung(f"{rest:g}", {"tolerance": rest}, seconds))
-        places.append(found.positions[rows])
-    knob = Knob("solver tolerance", tuple(rungs), len(rungs) - 1)
-    return knob, [place - places[-1] for place in places]
+    levels = []
+    for tolerance in TOLERANCES:
+        found = calibrate(recording, shifts.belief, tolerance=tolerance)
+        iterations = 1 if found.iterates is None else len(found.iterates)
+        seconds = SECONDS["reading"] * readings * iterations
+        level = Level({"tolerance": tolerance}, reading=seconds, label=f"{tolerance:g}")
+        levels.append(replace(level, shift=found.positions[rows]))
+    return _against_finest("solver tolerance", levels, len(levels) - 1)
 
 
-@dataclass(frozen=True)
-class Rehearsed:
-    """A knob whose settings have been run, without effects."""
+def measured_knob(
+    knob: Knob,
+    replay: Replay,
+    scene_with: Callable[[Mapping[str, Any]], Scene],
+    path: Path,
+    halves: Halves,
+    belief: Belief,
+    done: Callable[[], None],
+) -> Knob:
+    """A knob with the shifts of its levels, measured along a path without effects.
 
-    knob: Knob
-    recordings: tuple[Recording, ...]
-    """Of the half, one a setting."""
-    scenes: tuple[Scene, ...]
+    replay: of the scene's own level; scene_with: the scene with the changes of a level; done:
+    called after each level. Levels that cannot be run (a time step may be too long for the touch),
+    or under which the contact model does not hold, are left out.
+    """
+    solution = Solution.true(replay.scene)
+    levels: list[Level] = []
+    for k, level in enumerate(knob.levels):
+        own, scene = k == knob.declared, scene_with(level.changes)
+        try:
+            run = replay if own else Replay.of(scene, path)
+        except (SimulationError, ReachError, ContactError):
+            continue
+        finally:
+            done()
+        recording = run.recording((), 0, halves)
+        try:
+            step = solution.step(recording, replace(belief, body=scene.body))
+        except ContactError:
+            if own:
+                raise
+            continue
+        if own:
+            declared = len(levels)
+        levels.append(replace(level, shift=step.move[halves.taxels[0]]))
+    return _against_finest(knob.name, levels, declared)
 
-    @classmethod
-    def of(
-        cls, knob: Knob, own: Replay, path: Path, halves: Halves, told: Callable[[], None]
-    ) -> Rehearsed:
-        """Run a knob's settings along a path, `own` being that of the scene; those that cannot be
-        run are left out (a time step may be too long for the touch).
-        """
-        kept: list[tuple[Rung, Recording, Scene]] = []
-        for rung in knob.rungs:
-            scene = own.scene.with_(**rung.changes)
-            try:
-                run = own if rung is knob.rungs[knob.declared] else Replay.of(scene, path)
-            except (SimulationError, ReachError, ContactError):
-                continue
-            finally:
-                told()
-            kept.append((rung, run.recording((), 0, halves), scene))
-        rungs, recordings, scenes = zip(*kept, strict=True)
-        declared = rungs.index(knob.rungs[knob.declared])
-        return cls(Knob(knob.name, rungs, declared), recordings, scenes)
 
-    def judged(self, belief: Belief, taxels: np.ndarray) -> tuple[Knob, list[Array]]:
-        """The knob, and how each of its settings moves the taxels against the finest (n, 3), m.
-
-        Without the others than the scene's own under which the contact model does not hold.
-        """
-        solution = Solution.true(self.scenes[0])
-        rungs, moves = [], []
-        for rung, recording, scene in zip(
-            self.knob.rungs, self.recordings, self.scenes, strict=True
-        ):
-            try:
-                step = solution.step(recording, replace(belief, body=scene.body))
-            except ContactError:
-                if rung is self.knob.rungs[self.knob.declared]:
-                    raise
-                continue
-            rungs.append(rung)
-            moves.append(step.move[taxels])
-        declared = rungs.index(self.knob.rungs[self.knob.declared])
-        knob = Knob(self.knob.name, tuple(rungs), declared)
-        return knob, [move - moves[-1] for move in moves]
+def _against_finest(name: str, levels: Sequence[Level], declared: int) -> Knob:
+    """A knob from levels whose `shift` holds positions or moves: the last is subtracted."""
+    finest = levels[-1].shift
+    return Knob(name, tuple(replace(x, shift=x.shift - finest) for x in levels), declared)
