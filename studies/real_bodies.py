@@ -34,7 +34,7 @@ from meshskin.estimation.uncertainty import metrics
 from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap
 from meshskin.report import theme
-from meshskin.skin.modules import Modules
+from meshskin.skin.skin import Modules
 
 MESHES = {
     "UR3e forearm": "ur3e_meshes/forearm.stl",

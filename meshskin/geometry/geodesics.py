@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..core.se3 import Array, perpendicular, shortest_rotation
 from .body import Body
@@ -91,7 +92,7 @@ def onto(vectors: Array, normals: Array) -> Array:
     return np.asarray(flat / length)
 
 
-def rotate_about(normals: Array, tangents: Array, angle: Array) -> Array:
+def rotate_about(normals: Array, tangents: Array, angle: ArrayLike) -> Array:
     """Tangents (..., 3) rotated about their unit normals (..., 3) by `angle` (...), rad."""
-    cosine, sine = np.cos(angle)[..., None], np.sin(angle)[..., None]
+    cosine, sine = np.asarray(np.cos(angle))[..., None], np.asarray(np.sin(angle))[..., None]
     return np.asarray(cosine * tangents + sine * np.cross(normals, tangents))

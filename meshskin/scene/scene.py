@@ -37,8 +37,7 @@ from ..geometry.body import Body
 from ..robot.arm import Arm
 from ..robot.contact_rig import ContactRig
 from ..skin import slots
-from ..skin.modules import Modules
-from ..skin.skin import Skin
+from ..skin.skin import Modules, Skin
 from . import shipped_scenes
 from .belief import Belief
 from .file import read_tables, scene_fields

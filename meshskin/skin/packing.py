@@ -1,8 +1,9 @@
-"""Modules packed on a surface: laid on the triangles of a relaxed lattice, and pushed apart.
+"""Packing of modules on a surface: placed on the triangles of a relaxed lattice, and pushed apart.
 
-Rows of triangles do not close up on a curved surface. A relaxed lattice spreads what is too much
-all over it: modules on its triangles crowd everywhere a little, and pushing each pair apart lets
-nearly all settle. Where some overlap when nothing moves any more, the most crowded ones go.
+Rows of triangles do not close on a curved surface. A relaxed lattice distributes the excess over
+the whole surface: modules on its triangles overlap a little everywhere, and pushing each pair apart
+settles nearly all. Where some overlap when the layout no longer improves, the most crowded are
+removed.
 """
 
 from __future__ import annotations
@@ -11,64 +12,66 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
+from ..core.arrays import Array, Index
 from ..geometry import region as regions
 from ..geometry.body import Body
-from . import lattice, slots, tile
+from . import lattice, module_pose, slots
+from .module_pose import CIRCUMRADIUS
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-
-CLOSER = 0.985
-"""spacing of the lattice, relative to the modules': a few too many settle better than too few"""
-CLEAR = 0.2e-3
-"""m, the least gap between modules that are taken as settled"""
+SITE_SPACING = 0.985
+"""Spacing of the lattice relative to that of the modules: a few modules too many settle into a
+denser layout than a few too few."""
+CLEARANCE = 0.2e-3
+"""Least gap between settled modules, m: a fifth of the gap of 1 mm between iCub's modules."""
 ROUNDS, PUSHES = 80, 12
-"""rounds at most, and pushes in each"""
+"""Largest number of rounds, and pushes in each between two fits to the surface."""
 REACH = 5e-3
-"""m, how far modules may move towards each other in a round and still be noticed"""
-STILL = 0.9
-"""share of the overlap that a round must leave less of, or the most crowded modules go"""
-GONE = 80
-"""of how many modules one goes at a time"""
+"""Distance by which two modules may approach each other in a round and still be considered, m."""
+PROGRESS = 0.9
+"""The most crowded modules are removed when a round leaves more than this part of the overlap."""
+REMOVED = 80
+"""One of so many modules is removed at a time, at least one."""
 
 
 def pack(body: Body, region: regions.Region, first: lattice.Lattice, spacing: float) -> Array:
     """Poses (m, 4, 4) of modules over a region that do not overlap, about `spacing` (m) apart."""
-    side = CLOSER * spacing * np.sqrt(3.0)
+    side = SITE_SPACING * spacing * np.sqrt(3.0)
     sites = lattice.relax(body, region, lattice.fill(body, region, side, first), side)
     corners = sites.at.point[_triangles(sites, side)]
-    middles = corners.mean(axis=1)
-    at = body.closest(middles)
-    headings = np.cross(corners[:, 0] - middles, at.normal)  # a corner lies along y
-    poses = tile.fit(body, region, middles, headings)
-    gap = spacing - tile.OUTLINE
+    centres = corners.mean(axis=1)
+    at = body.closest(centres)
+    headings = np.cross(corners[:, 0] - centres, at.normal)  # a corner lies along y
+    poses = module_pose.fit(body, region, centres, headings)
+    gap = spacing - CIRCUMRADIUS
     last = np.inf
     for _ in range(ROUNDS):
         if not len(poses):
             break
-        pushed, pairs = poses, _beside(poses, gap + REACH)
+        pushed, pairs = poses, _neighbours(poses, gap + REACH)
         for _ in range(PUSHES):
             pushed = push(pushed, pairs, gap)
-        pushed = tile.nearer(body, pushed)
-        good = tile.fits(body, region, pushed)
-        poses = np.where(good[:, None, None], pushed, poses)
-        one, two = _beside(poses, 0.0)
-        short = np.maximum(min(gap, CLEAR) - tile.apart(poses[one], poses[two])[0], 0.0)
-        if not short.any():
+        pushed = module_pose.fit_to_surface(body, pushed)
+        valid = module_pose.is_valid(body, region, pushed)
+        poses = np.where(valid[:, None, None], pushed, poses)
+        one, two = _neighbours(poses, 0.0)
+        separation = module_pose.separation(poses[one], poses[two])[0]
+        overlap = np.maximum(min(gap, CLEARANCE) - separation, 0.0)
+        if not overlap.any():
             break
-        if short.sum() < STILL * last:
-            last = short.sum()
+        if overlap.sum() < PROGRESS * last:
+            last = overlap.sum()
             continue
         last = np.inf
-        load = np.bincount(np.concatenate([one, two]), np.tile(short, 2), len(poses))
-        poses = np.delete(poses, _worst(poses, load), axis=0)
+        load = np.bincount(np.concatenate([one, two]), np.tile(overlap, 2), len(poses))
+        poses = np.delete(poses, _most_crowded(poses, load), axis=0)
     return poses
 
 
 def _triangles(sites: lattice.Lattice, side: float) -> Index:
-    """Triples (k, 3) of sites, each tied to the two others."""
-    one, two = lattice.ties(sites, lattice.REACH * side)
+    """Triples (k, 3) of sites that are neighbours of each other."""
+    one, two = lattice.neighbour_pairs(sites, lattice.SPRING_REACH * side)
     beside: list[set[int]] = [set() for _ in range(len(sites))]
     for a, b in zip(one.tolist(), two.tolist(), strict=True):
         beside[a].add(b)
@@ -83,44 +86,45 @@ def _triangles(sites: lattice.Lattice, side: float) -> Index:
     return np.array(found, dtype=np.intp).reshape(-1, 3)
 
 
-def _beside(poses: Array, gap: float) -> tuple[Index, Index]:
-    """Pairs of modules that may be nearer than a gap (m), and face the same way."""
-    from scipy.spatial import KDTree
-
-    reach = 2.0 * tile.OUTLINE + gap
+def _neighbours(poses: Array, gap: float) -> tuple[Index, Index]:
+    """Pairs of modules whose circumcircles are nearer than a gap (m), normals within 90 degrees."""
+    reach = 2.0 * CIRCUMRADIUS + gap
     one, two = KDTree(poses[:, :3, 3]).query_pairs(reach, output_type="ndarray").T
     facing = np.einsum("ki,ki->k", poses[one, :3, 2], poses[two, :3, 2]) > 0.0
     return one[facing], two[facing]
 
 
 def push(poses: Array, pairs: tuple[Index, Index], gap: float) -> Array:
-    """Poses (m, 4, 4) moved and turned so that pairs nearer than a gap (m) part by half of it."""
-    far, way, corner = tile.apart(poses[pairs[0]], poses[pairs[1]])
-    near = np.flatnonzero(far < gap)
+    """Poses (m, 4, 4) moved and rotated to halve what pairs lack to a gap (m).
+
+    Each pair is pushed apart at its nearest corner, as two plates by a force.
+    """
+    distance, direction, corner = module_pose.separation(poses[pairs[0]], poses[pairs[1]])
+    near = np.flatnonzero(distance < gap)
     ends = np.concatenate([pairs[0][near], pairs[1][near]])
-    half = 0.25 * (gap - far[near, None]) * way[near]
+    half = 0.25 * (gap - distance[near, None]) * direction[near]
     step = np.concatenate([-half, half])
     arm = np.tile(corner[near], (2, 1)) - poses[ends, :3, 3]
     lever = np.einsum("ki,ki->k", np.cross(arm, step), poses[ends, :3, 2])
-    lever /= np.einsum("ki,ki->k", arm, arm) + slots.SIDE**2 / 12.0  # as of a plate
+    lever /= (
+        np.einsum("ki,ki->k", arm, arm) + slots.SIDE**2 / 12.0
+    )  # moment of inertia of a plate about the corner
     count = len(poses)
     move = np.stack([np.bincount(ends, step[:, k], count) for k in range(3)], axis=1)
-    turn = np.bincount(ends, lever, count)[:, None]
+    angle = np.bincount(ends, lever, count)[:, None]
     x, y, z = (poses[:, :3, k] for k in range(3))
-    return tile.posed(poses[:, :3, 3] + move, z, np.cos(turn) * x + np.sin(turn) * y)
+    return module_pose.upright(poses[:, :3, 3] + move, z, np.cos(angle) * x + np.sin(angle) * y)
 
 
-def _worst(poses: Array, load: NDArray[Any]) -> Index:
-    """The most crowded modules, by their load (m,): one of GONE, far apart from each other."""
-    from scipy.spatial import KDTree
-
+def _most_crowded(poses: Array, load: NDArray[Any]) -> Index:
+    """The modules with the largest overlap `load` (m,): one of REMOVED, far from each other."""
     tree = KDTree(poses[:, :3, 3])
-    gone: list[int] = []
+    removed: list[int] = []
     beside = np.zeros(len(poses), dtype=bool)
     for k in np.argsort(-load, kind="stable").tolist():
-        if load[k] <= 0.0 or len(gone) >= max(1, len(poses) // GONE):
+        if load[k] <= 0.0 or len(removed) >= max(1, len(poses) // REMOVED):
             break
         if not beside[k]:
-            gone.append(k)
-            beside[tree.query_ball_point(poses[k, :3, 3], 4.0 * tile.OUTLINE)] = True
-    return np.array(gone, dtype=np.intp)
+            removed.append(k)
+            beside[tree.query_ball_point(poses[k, :3, 3], 4.0 * CIRCUMRADIUS)] = True
+    return np.array(removed, dtype=np.intp)

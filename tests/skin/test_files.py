@@ -137,7 +137,9 @@ def test_a_position_file_in_millimetres_with_constant_normals_is_put_on_a_body(t
     skin = Skin.cover(ball, spacing=5e-3, count=30)
     rows = np.column_stack([1e3 * skin.positions, np.tile([1.0, 0.0, 0.0], (30, 1))])
     np.savetxt(tmp_path / "mm.txt", rows, header="x", comments="#", fmt="%.6f")
-    with pytest.raises(SkinError, match=r"taxel \d+ off the surface of sphere.*units='mm'"):
+    with pytest.raises(
+        SkinError, match=r"taxel \d+ is too far from the surface of sphere.*units='mm'"
+    ):
         Skin.load(tmp_path / "mm.txt").onto(ball)
     with pytest.raises(SkinError, match="units of a skin file, got 'km'"):
         Skin.load(tmp_path / "mm.txt", units="km")

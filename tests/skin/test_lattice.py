@@ -39,7 +39,7 @@ def test_thinning_keeps_the_number_asked_for_and_closes_up():
     first = lattice.first_site(body, region, 6e-3, np.random.default_rng(0))
     sites = lattice.fill(body, region, 6e-3, first)
     count = len(sites) - 20
-    fewer = lattice.thin(body, region, sites, count)
+    fewer = lattice.decimate(body, region, sites, count)
     assert len(fewer) == count
     assert region.contains(body, fewer.at).all()
     assert fewer.spacing()[0] > sites.spacing()[0]

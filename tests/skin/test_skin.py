@@ -135,8 +135,11 @@ def test_outermost_point_of_a_direction():
         ({}, "without spacing and count"),
         ({"spacing": 3e-3}, "spacing of taxels, got 3 mm, limit: >= 4 mm"),
         ({"spacing": 5.0}, "lengths are in m"),
-        ({"spacing": 20e-3, "count": 5, "disc_radius": 0.0}, "taxel's disc, got 0 mm"),
-        ({"spacing": 20e-3, "count": 5, "disc_radius": -1.0}, "got -1000 mm, limit: above 0"),
+        (
+            {"spacing": 20e-3, "count": 5, "disc_radius": 0.0},
+            "disc radius of a taxel .* got 0 m, limit: above 0",
+        ),
+        ({"spacing": 20e-3, "count": 5, "disc_radius": -1.0}, "got -1 m, limit: above 0"),
         ({"spacing": float("nan")}, "spacing"),
         ({"count": 0}, "number of taxels"),
         ({"count": 50_000}, "spacing of taxels"),
@@ -201,3 +204,37 @@ def test_files_that_are_no_skin_are_refused(ball, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError):
         skin.save(tmp_path / "file" / "skin.csv")
+
+
+def test_ids_must_be_distinct_integers(ball):
+    poses = Skin.cover(ball, spacing=5e-3, count=3, region=BOTTOM).poses
+    with pytest.raises(SkinError, match="must be distinct, got 7 twice"):
+        Skin(poses, np.array([7, 1, 7]))
+    with pytest.raises(SkinError, match="must be integers, got type float64"):
+        Skin(poses, np.array([0.5, 1.0, 2.0]))
+
+
+def test_ids_beyond_32_bits_are_kept(ball, tmp_path):
+    ids = np.array([0, 2**31, 2**40], dtype=np.int64)
+    skin = Skin(Skin.cover(ball, spacing=5e-3, count=3, region=BOTTOM).poses, ids)
+    for kind in ("csv", "urdf", "ply", "glb"):
+        skin.save(tmp_path / f"skin.{kind}")
+        np.testing.assert_array_equal(Skin.load(tmp_path / f"skin.{kind}").ids, ids)
+    with pytest.raises(SkinError, match="id of a taxel in a position file"):
+        skin.save(tmp_path / "skin.txt")
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        np.diag([2.0, 2.0, 2.0, 1.0]),
+        np.diag([-1.0, 1.0, 1.0, 1.0]),
+        np.full((4, 4), np.nan),
+        np.eye(3),
+        "left",
+    ],
+)
+def test_a_skin_is_moved_by_rigid_transforms_only(ball, matrix):
+    skin = Skin.cover(ball, spacing=5e-3, count=3, region=BOTTOM)
+    with pytest.raises(SkinError, match="T_b_a must be a rigid transform"):
+        skin.moved(matrix)

@@ -22,6 +22,8 @@ Ids = NDArray[np.int64]
 
 FITS = 0.2e-3
 """m, by which the distances in a module of a file without header may differ from a module's"""
+MAX_SLOTS = 10_000_000
+"""Largest number of rows that are written, one a slot: 1 GB of text."""
 NO_MODULE, NO_TAXEL = -1, -2
 
 
@@ -93,8 +95,10 @@ def write(poses: Array, ids: Ids, name: str) -> str:
     Raises SkinError where an id is negative. What the format has no place for is lost: the turn
     about the normal, and the disc's radius.
     """
-    if ids.min() < 0:
-        raise SkinError("id of a taxel in a position file", value=int(ids.min()), limit=">= 0")
+    for worst in (int(ids.min()), int(ids.max())):
+        if not 0 <= worst < MAX_SLOTS:
+            limit = f"0 to {MAX_SLOTS - 1}"
+            raise SkinError("id of a taxel in a position file", value=worst, limit=limit)
     count = PER_MODULE * (int(ids.max()) // PER_MODULE + 1)
     rows = np.zeros((count, 6))
     rows[ids] = np.nan_to_num(np.column_stack([poses[:, :3, 3], poses[:, :3, 2]]))

@@ -1,0 +1,136 @@
+"""Layouts of taxels at a spacing, or in a number, on a region of a body's surface."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..core.arguments import check_real
+from ..core.errors import SkinError
+from ..core.provenance import random_stream
+from ..geometry import region as regions
+from ..geometry.body import Body
+from . import lattice
+from .lattice import Lattice
+
+MEAN_TOLERANCE = 0.01
+"""Largest relative error of the mean distance between nearest neighbours."""
+SCATTER_TOLERANCE = 0.03
+"""Largest relative standard deviation of that distance without relaxing: a lattice that closes, as
+on a small cap, has less than 0.01; grown over a whole sphere, torus or capsule 0.07 to 0.09."""
+RELAXED_SPACING = 0.96
+"""Mean distance between nearest neighbours of a relaxed lattice, relative to the perfect lattice of
+as many sites on a plane of the same area: 0.944 to 0.955 on whole spheres, tori and capsules. It
+is where the iteration for the spacing starts."""
+MAX_GROWN = 1500
+"""Largest number of sites that are grown one by one; a lattice of more is grown coarse and refined.
+Growing queries the surface anew for each ring, refining once for all sites."""
+RETRIES = 3
+"""Times that a lattice is laid out again with a corrected spacing. Two were needed at most on
+spheres, ellipsoids, tori and capsules."""
+
+
+def sites(
+    body: Body,
+    region: regions.Region,
+    spacing: float | None,
+    count: int | None,
+    disc_radius: float,
+    seed: int,
+) -> Lattice:
+    """The lattice sites of `Skin.cover`, which see. Raises SkinError."""
+    if spacing is None:
+        assert count is not None
+        found = _by_count(body, region, count, disc_radius, seed)
+    else:
+        check_real("spacing of taxels", spacing, "m", error=SkinError)
+        _check_spacing(body, spacing, disc_radius)
+        found = _by_spacing(body, region, spacing, seed, count)
+    if count is None:
+        return found
+    if len(found) < count:
+        raise SkinError(
+            "number of taxels", value=count, limit=f"the {len(found)} that fit the region",
+            remedy="a smaller spacing or a larger region",
+        )  # fmt: skip
+    return found.take(np.argsort(found.arc_length, kind="stable")[:count])
+
+
+def _check_spacing(body: Body, spacing: float, disc_radius: float) -> None:
+    """Raise SkinError for a spacing below the discs' diameter, or above the body's size."""
+    if not (np.isfinite(spacing) and 2.0 * disc_radius <= spacing):
+        raise SkinError(
+            "spacing of taxels",
+            value=f"{spacing * 1e3:g} mm",
+            limit=f">= {2e3 * disc_radius:g} mm, the discs' diameter",
+            remedy="a larger spacing or a smaller disc_radius",
+        )
+    if spacing > body.surface.scale:
+        raise SkinError(
+            "spacing of taxels",
+            value=f"{spacing * 1e3:g} mm",
+            limit=f"the body's {body.surface.scale * 1e3:g} mm",
+            remedy="lengths are in m",
+        )
+
+
+def _by_spacing(
+    body: Body, region: regions.Region, spacing: float, seed: int, count: int | None
+) -> Lattice:
+    """Sites at a mean distance of `spacing` (m); with `count`, at least so many about the centre.
+
+    Where the lattice cannot close evenly, its sites come closer than they should: it is laid out
+    again with a larger spacing.
+    """
+    first = lattice.first_site(body, region, spacing, random_stream(seed, "skin layout"))
+    refinements = 0 if count is not None else _refinements(regions.area(body, region), spacing)
+    target = spacing / RELAXED_SPACING if refinements else spacing
+    for _ in range(1 + RETRIES):
+        if count is None:
+            found = lattice.fill(body, region, target, first, refinements)
+        else:
+            margin = round(4.0 * np.sqrt(count))  # two rings, cut off by the caller
+            found = lattice.grow(body, region, target, first, count + margin)
+        if found.spacing()[1] > SCATTER_TOLERANCE:
+            found = lattice.relax(body, region, found, target)
+        mean, _ = found.spacing()
+        if len(found) < 3 or abs(mean / spacing - 1) < MEAN_TOLERANCE:
+            break
+        target *= spacing / mean
+    return _from_centre(body, region, found, spacing)
+
+
+def _by_count(
+    body: Body, region: regions.Region, count: int, disc_radius: float, seed: int
+) -> Lattice:
+    """At least `count` sites all over a region; exactly `count` if they had to be relaxed."""
+    area = regions.area(body, region)
+    spacing = float(np.sqrt(area / (lattice.ROW * count)))
+    if count > MAX_GROWN:
+        spacing *= 0.99 * RELAXED_SPACING  # 2 % too many, of which some are removed
+    for _ in range(8):
+        spacing = min(spacing, body.surface.scale)
+        _check_spacing(body, spacing, disc_radius)
+        first = lattice.first_site(body, region, spacing, random_stream(seed, "skin layout"))
+        found = lattice.fill(body, region, spacing, first, _refinements(area, spacing))
+        if found.spacing()[1] > SCATTER_TOLERANCE:
+            found = lattice.relax(body, region, found, spacing)
+            if len(found) > count > 2:
+                found = lattice.decimate(body, region, found, count)
+        if len(found) >= count:
+            break
+        spacing *= 0.995 * float(np.sqrt(len(found) / count))
+    return _from_centre(body, region, found, spacing)
+
+
+def _refinements(area: float, spacing: float) -> int:
+    """How often a lattice of MAX_GROWN sites on an area (m^2) is refined to a spacing (m)."""
+    number = area / (lattice.ROW * spacing**2)
+    return max(0, int(np.ceil(np.log(max(number, 1.0) / MAX_GROWN) / np.log(4.0))))
+
+
+def _from_centre(body: Body, region: regions.Region, found: Lattice, spacing: float) -> Lattice:
+    """The sites with arc lengths from the region's centre."""
+    arc_length = regions.arc_length(region.centre(body), found.at)
+    return replace(found, arc_length=np.maximum(arc_length, found.arc_length - spacing))
