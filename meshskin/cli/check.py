@@ -12,7 +12,7 @@ import numpy as np
 from ..core.errors import MeshError, OutputError
 
 if TYPE_CHECKING:
-    from ..geometry.mesh.check import Finding, Survey
+    from ..geometry.mesh.check import Finding, MeshCheck
 
 COLOURS = {"refused": "#c62828", "noted": "#ef6c00", "repaired": "#1565c0"}
 SIZES = {"refused": 5.0, "noted": 4.0, "repaired": 1.5}
@@ -46,7 +46,7 @@ def command(options: argparse.Namespace) -> int:
     """Print the findings; draw them if --out is given."""
     from ..geometry.body import check_extent
     from ..geometry.mesh import mesh_file
-    from ..geometry.mesh.check import survey
+    from ..geometry.mesh.check import check_mesh
 
     kind = None if options.out is None else options.out.suffix.lower()
     if kind not in (None, ".html", *PICTURES):
@@ -55,7 +55,7 @@ def command(options: argparse.Namespace) -> int:
         )
     scale = mesh_file.unit(options.mesh, options.units)
     raw = mesh_file.read(options.mesh, scale)
-    found = survey(raw.vertices, raw.faces, options.open)
+    found = check_mesh(raw.vertices, raw.faces, options.open)
     finite = found.vertices[np.isfinite(found.vertices).all(axis=1)]
     size = 1e3 * np.ptp(finite, axis=0) if len(finite) else np.zeros(3)
     print(f"{options.mesh.name}: {len(found.vertices)} vertices, {len(found.faces)} faces, "
@@ -82,7 +82,7 @@ def command(options: argparse.Namespace) -> int:
     return 0 if usable else 1
 
 
-def patches(found: Survey, names: Mapping[str, Any]) -> None:
+def patches(found: MeshCheck, names: Mapping[str, Any]) -> None:
     """Print the named patches of the mesh, which a skin may cover."""
     corners = 1e2 * found.vertices[found.faces] if names else np.zeros((0, 3, 3))
     for name, rows in sorted(found.patches(names).items()):
@@ -96,7 +96,7 @@ def thinned(rows: Any) -> Any:
     return rows[:: max(1, -(-len(rows) // DRAWN))]
 
 
-def shown(finding: Finding, found: Survey) -> Any:
+def shown(finding: Finding, found: MeshCheck) -> Any:
     """Points (k, 3) of a finding to draw, m; none for a repair of more than half the vertices.
 
     Merging the vertices of an STL file is such a repair.
@@ -105,13 +105,13 @@ def shown(finding: Finding, found: Survey) -> Any:
     return finding.points[:0] if everywhere else finding.points
 
 
-def named(finding: Finding, found: Survey) -> str:
+def named(finding: Finding, found: MeshCheck) -> str:
     """Text of a finding in the legend of a drawing."""
     hidden = len(finding.points) > len(shown(finding, found))
     return f"{finding.verdict}: {finding.what}" + (" (everywhere, not drawn)" if hidden else "")
 
 
-def drawable(found: Survey) -> Any:
+def drawable(found: MeshCheck) -> Any:
     """At most DRAWN faces (k, 3) whose vertices exist and are finite."""
     finite = np.asarray(np.isfinite(found.vertices).all(axis=1))
     named = (found.faces >= 0) & (found.faces < len(finite))
@@ -119,7 +119,7 @@ def drawable(found: Survey) -> Any:
     return thinned(faces[finite[faces].all(axis=1)])
 
 
-def picture(found: Survey, title: str, path: Path) -> None:
+def picture(found: MeshCheck, title: str, path: Path) -> None:
     """Draw the mesh and the points of the findings with matplotlib."""
     from matplotlib.figure import Figure
 
@@ -150,7 +150,7 @@ def picture(found: Survey, title: str, path: Path) -> None:
         figure.savefig(temporary, format=path.suffix.lower()[1:], dpi=150)
 
 
-def page(found: Survey, title: str, path: Path) -> None:
+def page(found: MeshCheck, title: str, path: Path) -> None:
     """Draw the mesh and the points of the findings as an interactive page with plotly."""
     import plotly.graph_objects as go
 

@@ -15,7 +15,7 @@ from ..core.arguments import check_integer, check_real, check_vector, check_vect
 from ..core.errors import MeshError
 from . import primitives, tessellate
 from .mesh import mesh_file
-from .mesh.check import survey
+from .mesh.check import check_mesh
 from .mesh.self_intersection import ray_scene
 from .surface.closest_point import Closest
 from .surface.heights import DEGREE
@@ -23,13 +23,13 @@ from .surface.surface import Surface
 
 Array = NDArray[np.float64]
 
-LARGEST, SMALLEST = 5.0, 5e-3
+MAX_EXTENT, MIN_EXTENT = 5.0, 5e-3
 """extents in m between which a body is believed"""
-ON_RAY = 1e-7
+RAY_TOLERANCE = 1e-7
 """largest offset from its ray, relative to the body's extent, of a hit"""
 FACES = 5120
 """default number of faces of a primitive"""
-MOST_FACES, SLENDER = 5_000_000, 1e4
+MAX_FACES, MAX_ASPECT = 5_000_000, 1e4
 """most faces of a primitive, and ratio of its lengths"""
 
 
@@ -63,7 +63,7 @@ class Body:
     crossed: NDArray[np.intp] | None = None
     """faces (k,) at which the mesh is known to pass through itself, or to have edges of more than
     two faces: about them the mesh's winding tells the sign of a distance"""
-    told: Any | None = field(default=None, repr=False)
+    robot_mesh: Any | None = field(default=None, repr=False)
     """the mesh (trimesh.Trimesh) that a robot's software has of the body; None: `mesh`"""
 
     def __repr__(self) -> str:
@@ -73,7 +73,7 @@ class Body:
     @property
     def facets(self) -> Any:
         """The flat mesh, trimesh.Trimesh in m, that a robot's software has of the body."""
-        return self.mesh if self.told is None else self.told
+        return self.mesh if self.robot_mesh is None else self.robot_mesh
 
     @cached_property
     def surface(self) -> Surface:
@@ -106,7 +106,7 @@ class Body:
         answer = self.surface.at(*self.surface.trace(o[rows], d[rows], first[rows]))
         way = np.sum((answer.point - o[rows]) * d[rows], axis=1)
         beside = np.linalg.norm(o[rows] + way[:, None] * d[rows] - answer.point, axis=1)
-        met = beside < ON_RAY * self.surface.scale
+        met = beside < RAY_TOLERANCE * self.surface.scale
         hit = rows[met]
 
         def spread(values: Array) -> Array:
@@ -153,7 +153,7 @@ class Body:
 
         path = Path(path)
         raw = mesh_file.read(path, mesh_file.unit(path, units))
-        found = survey(raw.vertices, raw.faces, open)
+        found = check_mesh(raw.vertices, raw.faces, open)
         for finding in found.refused:
             raise finding.error()
         check_extent(found.vertices)
@@ -170,7 +170,7 @@ class Body:
             raise MeshError(f"{self.name} is a mesh of its own, of no known surface to mesh anew")
         make = _PRIMITIVES[type(self.exact)]
         made = make(**vars(self.exact), faces=faces)
-        return replace(made, degree=self.degree, told=self.facets)
+        return replace(made, degree=self.degree, robot_mesh=self.facets)
 
     @classmethod
     def sphere(cls, radius: float = 0.1, faces: int = FACES) -> Body:
@@ -243,31 +243,31 @@ _PRIMITIVES: dict[type, Callable[..., Body]] = {
 def check_extent(vertices: Array) -> None:
     """Refuse vertices (n, 3), in m, of an unlikely size, naming the likely unit."""
     extent = float(np.max(np.ptp(vertices, axis=0)))
-    if SMALLEST <= extent <= LARGEST:
+    if MIN_EXTENT <= extent <= MAX_EXTENT:
         return
     names = {"mm": "millimetres", "cm": "centimetres", "in": "inches"}
-    likely = [u for u in names if SMALLEST <= extent * mesh_file.UNITS[u] <= LARGEST]
-    if extent > LARGEST and likely:
+    likely = [u for u in names if MIN_EXTENT <= extent * mesh_file.UNITS[u] <= MAX_EXTENT]
+    if extent > MAX_EXTENT and likely:
         unit = likely[0]
         remedy = f"likely {names[unit]}: units='{unit}', in a scene radius_{unit} and the like"
-    elif extent < SMALLEST and extent >= mesh_file.UNITS["mm"] * SMALLEST:
+    elif extent < MIN_EXTENT and extent >= mesh_file.UNITS["mm"] * MIN_EXTENT:
         remedy = "likely scaled to m already, or given in m twice: units='m'"
     else:
         remedy = "give lengths in m, or the file's units"
-    limit = f"{SMALLEST * 1e3:g} mm to {LARGEST:g} m"
+    limit = f"{MIN_EXTENT * 1e3:g} mm to {MAX_EXTENT:g} m"
     raise MeshError("largest extent", value=f"{extent:.4g} m", limit=limit, remedy=remedy)
 
 
 def _check_sizes(faces: int, **lengths: float) -> None:
     """Refuse lengths, m, and numbers of faces that no mesh can be made of."""
-    check_integer("number of faces", faces, least=1, most=MOST_FACES, error=MeshError)
+    check_integer("number of faces", faces, least=1, most=MAX_FACES, error=MeshError)
     for name, value in lengths.items():
         check_real(f"{name} of a primitive", value, "m", above=0.0, error=MeshError)
     slender = max(lengths.values()) / min(lengths.values())
-    if slender > SLENDER:
+    if slender > MAX_ASPECT:
         raise MeshError(
             "a primitive is too slender to be meshed",
             value=f"{' : '.join(lengths)} of {slender:.3g}",
-            limit=f"{SLENDER:g}",
+            limit=f"{MAX_ASPECT:g}",
             remedy="correct the lengths or their units",
         )

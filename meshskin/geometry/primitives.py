@@ -17,7 +17,7 @@ from .surface.closest_point import Closest
 Array = NDArray[np.float64]
 
 
-TINY = 1e-9
+MIN_TANGENT = 1e-9
 """length of a tangent, relative to one, below which it has no direction"""
 
 
@@ -38,7 +38,7 @@ def _answer(
     """The answer of curvatures k1 >= k2 (n,); `first` (n, 3): tangents along k1, or zero."""
     n = len(foot)
     curvature = np.stack([np.broadcast_to(k1, n), np.broadcast_to(k2, n)], axis=1)
-    nowhere = np.linalg.norm(first, axis=1, keepdims=True) < TINY
+    nowhere = np.linalg.norm(first, axis=1, keepdims=True) < MIN_TANGENT
     direction, _ = _unit(np.where(nowhere, perpendicular(normal), first), (1.0, 0.0, 0.0))
     return Closest(foot, distance, normal, curvature, direction, np.full(n, -1), np.zeros((n, 2)))
 

@@ -61,7 +61,7 @@ class Cap:
 
     def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
         """The points within the angle."""
-        outward = at.point - middle(body)
+        outward = at.point - bounding_box_centre(body)
         away = np.linalg.norm(outward, axis=1) * np.cos(min(self.angle, np.pi))
         return np.asarray(outward @ _unit(self.direction) >= away - 1e-15)
 
@@ -179,7 +179,7 @@ def _known(name: str, names: list[str]) -> str:
     return f"did you mean {near[0]}? {listed}" if near else listed
 
 
-def of(region: Region | str | None) -> Region:
+def as_region(region: Region | str | None) -> Region:
     """The region that is asked for: by a patch's name, or the whole surface without any."""
     if isinstance(region, str):
         return Patch(region)
@@ -190,7 +190,7 @@ def of(region: Region | str | None) -> Region:
     return Whole() if region is None else region
 
 
-def middle(body: Body) -> Array:
+def bounding_box_centre(body: Body) -> Array:
     """The middle (3,) of the bounding box, m."""
     vertices = body.surface.vertices
     return np.asarray(0.5 * (vertices.min(axis=0) + vertices.max(axis=0)))
@@ -198,7 +198,7 @@ def middle(body: Body) -> Array:
 
 def outermost(body: Body, direction: ArrayLike) -> Closest:
     """The surface point farthest out on the ray from the body's middle, or nearest to it."""
-    way, centre = _unit(direction), middle(body)
+    way, centre = _unit(direction), bounding_box_centre(body)
     far = centre + 2.0 * body.surface.scale * way
     hit = body.project([far], [-way])
     if hit.face[0] >= 0:

@@ -60,7 +60,7 @@ class Lattice:
     def joined(self, other: Lattice) -> Lattice:
         """These sites and those of another lattice."""
         return Lattice(
-            Closest.joined([self.at, other.at]),
+            Closest.concatenate([self.at, other.at]),
             np.concatenate([self.tangent, other.tangent]),
             np.concatenate([self.arc_length, other.arc_length]),
         )

@@ -100,7 +100,7 @@ class Skin:
                 "number of taxels", count, least=1, most=MAX_TAXELS, error=SkinError
             )
         check_real("disc radius of a taxel", disc_radius, "m", above=0.0, error=SkinError)
-        sites = taxel_layout.sites(body, regions.of(region), spacing, count, disc_radius, seed)
+        sites = taxel_layout.sites(body, regions.as_region(region), spacing, count, disc_radius, seed)
         rotation = se3.orthonormal_basis(sites.at.normal, sites.tangent)
         return cls(se3.transform(rotation, sites.at.point), np.arange(len(sites)), disc_radius)
 
@@ -121,7 +121,7 @@ class Skin:
         Raises SkinError where modules would overlap on a plane, or where too few fit.
         """
         check_type(Body, body, "the body of a skin")
-        poses = module_layout.module_poses(body, count, spacing, regions.of(region), seed)
+        poses = module_layout.module_poses(body, count, spacing, regions.as_region(region), seed)
         return Modules(poses, np.arange(len(poses)), disc_radius)
 
     @classmethod

@@ -86,7 +86,7 @@ def _scaled(scene: Scene, scale: float, place: Array) -> Scene:
     poses[:, :3, 3] *= scale
     shift = transform(np.eye(3), (1.0 - scale) * np.asarray(place))
     return scene.with_(
-        body=replace(body, mesh=mesh, exact=None, told=None),
+        body=replace(body, mesh=mesh, exact=None, robot_mesh=None),
         skin=replace(skin, poses=poses),
         mount=scene.mount_pose @ shift,
     )

@@ -117,10 +117,10 @@ def compare(name: str, body: Body, count: int) -> Iterator[Row]:
         surface = Surface(body.mesh, body.seams, degree=4 if method == "quartic" else 3)
         started = process_time()
         if method == "flat":
-            fitted = jets.fit(surface.vertices, surface.fans, degree=3)
+            fitted = jets.fit_jets(surface.vertices, surface.fans, degree=3)
             fitted = replace(fitted, degree=np.zeros_like(fitted.degree))
             across = surface.neighbours, surface.slot
-            surface.__dict__["_shape"] = blend.settle(fitted, surface.fans, *across)
+            surface.__dict__["_shape"] = blend.regularize(fitted, surface.fans, *across)
         surface.closest(points[:1])
         prepared = process_time() - started
         hit = surface.closest(points)

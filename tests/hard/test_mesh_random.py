@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from meshskin.core.errors import MeshError
-from meshskin.geometry.mesh.check import survey
+from meshskin.geometry.mesh.check import check_mesh
 from meshskin.geometry.mesh.triangles import closest_on_triangles
 from meshskin.geometry.mesh.winding_number import winding_number
 from meshskin.geometry.surface.surface import Surface
@@ -49,7 +49,7 @@ def meshes(draw):
 
 def a_right_answer_or_a_named_error(mesh):
     vertices, faces, offset, spoil, rng = mesh
-    found = survey(vertices, faces)
+    found = check_mesh(vertices, faces)
     if found.refused:
         assert spoil in ("drop", "nan", "collapse")
         assert isinstance(found.refused[0].error(), MeshError)
@@ -65,7 +65,7 @@ def a_right_answer_or_a_named_error(mesh):
     corners = (found.vertices - offset)[found.faces]
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     gap = np.sqrt(closest_on_triangles((points - offset)[:, None], a, b - a, c - a)[0].min(axis=1))
-    height = surface.lifts.max()
+    height = surface.offsets.max()
     assert np.all(np.abs(hit.distance) <= gap + height + 1e-9)
     clear = gap > height + 1e-9
     inside = np.array([winding_number(corners, p) > 0.5 for p in points - offset])

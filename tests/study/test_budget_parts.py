@@ -268,7 +268,7 @@ def test_facets_that_act_are_those_of_the_declared_mesh(trial):
     centres = 0.105 * with_them.skin.normals
     feet = [facets(scene.context(0))(centres) for scene in (trial.scene, with_them)]
     np.testing.assert_array_equal(feet[0], feet[1])
-    coarse = with_them.with_(body=replace(with_them.body, told=None))
+    coarse = with_them.with_(body=replace(with_them.body, robot_mesh=None))
     assert np.linalg.norm(facets(coarse.context(0))(centres)[0] - feet[0][0], axis=1).max() > 1e-4
 
 

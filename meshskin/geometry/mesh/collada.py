@@ -1,8 +1,7 @@
-"""Collada files (.dae), as URDFs name them for their links; read by pycollada.
+"""Collada files (.dae), the meshes of links in many URDFs; read by pycollada.
 
-Lengths are in the file's own unit, 1 m where it names none. Its axes are those of the link: the
-`up_axis` turns nothing. RViz and MoveIt take it so, and robots' files rely on it: those of TIAGo
-say Y_UP, which is the default, and agree with its STL files as they are.
+Lengths are in the unit of the file, 1 m by default. The `up_axis` is ignored, as RViz and MoveIt
+do: files of robots rely on it (TIAGo's say Y_UP, the default, and agree with its STL files).
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from .mesh_file import Array, Index, Triangles
 
 
 def read(path: Path) -> Triangles:
-    """The triangles of all that a file's scene shows, in m. Raises MeshError."""
+    """The triangles of the scene of a file, in m. Raises MeshError."""
     try:
         from collada import Collada, common
     except ImportError as error:
@@ -27,9 +26,9 @@ def read(path: Path) -> Triangles:
             remedy='pip install pycollada, or "meshskin[robots]"',
         ) from error
     if not path.is_file():
-        raise MeshError("no such mesh file", value=str(path))
+        raise MeshError("the mesh file does not exist", value=str(path))
     try:
-        # what is shown beside triangles may be unknown, or refer to nothing
+        # of what is not triangles, elements may be unknown and references broken
         unknown = [common.DaeUnsupportedError, common.DaeBrokenRefError]
         document = Collada(str(path), ignore=unknown)
         parts = list(_parts(document))
@@ -46,7 +45,7 @@ def read(path: Path) -> Triangles:
 
 
 def _parts(document: Any) -> Iterator[tuple[Array, Index]]:
-    """Corners (n, 3), in the file's unit, and faces (m, 3) of each part, placed by its nodes."""
+    """Vertices (n, 3), in the file's unit, and faces (m, 3) of each part, posed by its nodes."""
     if document.scene is None:
         return
     for shape in document.scene.objects("geometry"):

@@ -1,12 +1,12 @@
-"""Folds: where a mesh passes through itself, no normal tells inside from outside.
+"""Inside or outside of a mesh that passes through itself, or whose normals disagree at an edge.
 
-Of the faces that meet at the nearest point of a solid's edge, all face a point outside, and none a
-point inside. Where some do and others do not, the mesh is folded there, unless the faces that meet
-look about the same way: then the nearest point is a saddle's corner, such as the rim of a coarse
-cylinder has, and the normals tell. At a fold, how often the mesh winds about the point tells. Where
-parts of a mesh run into each other, sheets lie within it that have inside on both sides: every face
-knows how often the mesh winds about the points before it, and where sheets cross, it is counted for
-the point itself.
+Where the nearest point of a closed mesh lies on an edge or at a vertex, the faces that meet there
+all face a point outside, and none faces a point inside. Where only some do, either the normals of
+those faces differ little from their mean (a saddle vertex, as on the rim of a coarse cylinder), and
+the normals decide, or the mesh is folded back on itself, and the winding number at the point does.
+
+Where parts of a mesh intersect, faces lie within it that have inside on both sides: the winding
+number is computed once in front of each face, and near intersections at the query point itself.
 """
 
 from __future__ import annotations
@@ -18,27 +18,31 @@ from numpy.typing import NDArray
 
 from ...core.arrays import ranges
 from .topology import corners_by_vertex, face_components
-from .winding_number import Winding
+from .winding_number import WindingNumber
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 ON_EDGE = 1e-9
-"""barycentric weight below which a foot lies on an edge"""
-ALIKE = 0.65
-"""cosine of the angle from their middle up to which the normals of faces that meet show no fold: a
-little over half a right angle, as at the rim of a cylinder"""
-GRAZING = 1e-6
-"""sine of the angle over a face's plane, up to which a face neither faces a point nor turns away"""
-BEFORE = 1e-7
-"""how far before a face the turns about it are counted, in parts of the mesh's extent"""
+"""barycentric weight below which a point of a face lies on its edge: well above the rounding of the
+weights, 1e-16 over the sine of the face's smallest angle"""
+SADDLE_COSINE = 0.65
+"""least cosine of the angle between the normal of a face and the mean of those that meet it, at a
+saddle: cos 45 deg (the rim of a cylinder, cap and side) less 8 %"""
+GRAZING_SINE = 1e-6
+"""sine of a point's elevation over a face up to which it is taken to lie in the face's plane, where
+rounding would decide the sign"""
+STANDOFF = 1e-7
+"""distance in front of a face at which its winding number is computed, relative to the extent of
+the mesh: far above rounding, far below the thickness of a body"""
 
 
-class Folds:
-    """The faces around edges and corners of a mesh (vertices (n, 3) m, faces (m, 3)).
+class InsideOutside:
+    """Signs of points by the faces around their nearest edge or vertex, and by winding numbers.
 
-    `crossed` (k,): the faces at which the mesh passes through itself, or has edges of more than two
-    faces; `across` (m, 3): the faces across the edges, or -1.
+    The mesh has vertices (n, 3), m, faces (m, 3) with unit normals (m, 3), and neighbours `across`
+    (m, 3), -1 for none. `crossed` (k,): faces at which the mesh passes through itself, or that have
+    an edge of more than two faces.
     """
 
     def __init__(
@@ -54,10 +58,11 @@ class Folds:
         """whether no edge is a border"""
         self._vertices = vertices
 
-    def doubtful(self, face: Index, weight: Array, way: Array) -> Index:
-        """The rows of those whose feet are on folds.
+    def ambiguous(self, face: Index, weight: Array, offset: Array) -> Index:
+        """The rows (k,) of nearest points at which the mesh is folded back on itself.
 
-        `face` (n,) and `weight` (n, 3), barycentric: the feet, `way` (n, 3): from there, m.
+        `face` (n,) and `weight` (n, 3), barycentric: the nearest points of the flat mesh; `offset`
+        (n, 3), m: from them to the query points.
         """
         if not (self.closed or len(self.crossed)):
             return np.zeros(0, dtype=np.intp)
@@ -67,78 +72,82 @@ class Folds:
         end = 2 - np.argmax(on[rows][:, ::-1], axis=1)
         tail, head = self.faces[face[rows], start], self.faces[face[rows], end]
         size = self.first[tail + 1] - self.first[tail]
-        place = ranges(self.first[tail], size)
-        owner, row = self.order[place] // 3, np.repeat(np.arange(len(rows)), size)
-        meets = np.any(self.faces[owner] == head[row, None], axis=1)  # at a corner all do
+        owner = self.order[ranges(self.first[tail], size)] // 3
+        row = np.repeat(np.arange(len(rows)), size)
+        meets = np.any(self.faces[owner] == head[row, None], axis=1)  # at a vertex all do
         owner, row = owner[meets], row[meets]
-        unit = way[rows] / np.maximum(np.linalg.norm(way[rows], axis=1), 1e-300)[:, None]
+        unit = offset[rows] / np.maximum(np.linalg.norm(offset[rows], axis=1), 1e-300)[:, None]
         sine = np.einsum("ij,ij->i", self.normals[owner], unit[row])
-        facing = np.bincount(row[sine > GRAZING], minlength=len(rows))
-        turned = np.bincount(row[sine < -GRAZING], minlength=len(rows))
-        some = np.flatnonzero(((facing > 0) & (turned > 0))[row])
-        normal, row = self.normals[owner[some]], row[some]
-        means = np.zeros((2, len(rows), 3))  # of those that face the point, and of the others
-        np.add.at(means, ((sine[some] < 0.0).astype(int), row), normal)
+        front = np.bincount(row[sine > GRAZING_SINE], minlength=len(rows))
+        back = np.bincount(row[sine < -GRAZING_SINE], minlength=len(rows))
+        mixed = np.flatnonzero(((front > 0) & (back > 0))[row])
+        normal, row = self.normals[owner[mixed]], row[mixed]
+        means = np.zeros((2, len(rows), 3))  # of the faces in front of the point, and of the others
+        np.add.at(means, ((sine[mixed] < 0.0).astype(int), row), normal)
         means /= np.maximum(np.linalg.norm(means, axis=2, keepdims=True), 1e-300)
-        middle = means.sum(axis=0)[row]
-        away = np.einsum("ij,ij->i", normal, middle) < ALIKE * np.linalg.norm(middle, axis=1)
-        return np.asarray(rows[np.unique(row[away])])
+        mean = means.sum(axis=0)[row]
+        cosine = np.einsum("ij,ij->i", normal, mean)
+        folded = cosine < SADDLE_COSINE * np.linalg.norm(mean, axis=1)
+        return np.asarray(rows[np.unique(row[folded])])
 
     @cached_property
-    def _winding(self) -> Winding:
-        return Winding(self._vertices, self.faces)
+    def _winding(self) -> WindingNumber:
+        return WindingNumber(self._vertices, self.faces)
 
     @property
-    def _before(self) -> Array:
+    def _standoff(self) -> Array:
+        """Offsets (m, 3), m, to the front of the faces."""
         extent = float(np.max(np.ptp(self._vertices, axis=0)))
-        return BEFORE * extent * self._winding.outward * self.normals
+        return STANDOFF * extent * self._winding.outward * self.normals
 
     def side(self, points: Array) -> Array:
-        """+1 or -1 (n,): where points (n, 3), m, are outside or inside by the mesh's winding."""
-        return self._winding.outward * np.where(self._winding.about(points) > 0, -1.0, 1.0)
+        """+1 or -1 (n,): points (n, 3), m, outside or inside by their winding numbers."""
+        return self._winding.outward * np.where(self._winding.at(points) > 0, -1.0, 1.0)
 
-    def settle(
+    def resolve(
         self, side: Array, points: Array, face: Index, uv: Array, far: NDArray[np.bool_]
     ) -> Array:
-        """The sides (n,) of points (n, 3), m, from those of their feet's own faces.
+        """Sides (n,) of points (n, 3), m, from the sides of their nearest faces that they are on.
 
-        `face` (n,) and `uv` (n, 2): the feet; `far` (n,): whether a point is farther from the flat
-        face than the smooth surface is. A point at a sheet within the mesh is inside, whichever
-        side of the sheet it is on.
+        `face` (n,) and `uv` (n, 2): the nearest points; `far` (n,): whether a point is farther from
+        the flat face than the smooth surface is. A point at a face within the mesh is inside,
+        whichever side of the face it is on.
         """
         behind = side * self._winding.outward < 0.0
-        turns = self.level[face] + behind
+        winding = self.level[face] + behind
         rows = np.flatnonzero(self.mixed[face] & far)
-        turns[rows] = self._winding.about(points[rows])
+        winding[rows] = self._winding.at(points[rows])
         rows = np.flatnonzero(self.mixed[face] & ~far)
         weight = np.column_stack([1.0 - uv[rows].sum(axis=1), uv[rows]])
         foot = np.einsum("nk,nkc->nc", weight, self.corners[face[rows]])
-        turns[rows] = self._winding.about(foot + self._before[face[rows]]) + behind[rows]
-        return self._winding.outward * np.where(turns > 0, -1.0, 1.0)
+        winding[rows] = self._winding.at(foot + self._standoff[face[rows]]) + behind[rows]
+        return self._winding.outward * np.where(winding > 0, -1.0, 1.0)
 
     @cached_property
     def level(self) -> NDArray[np.int64]:
-        """The turns (m,) about the points before each face; where it is mixed, about its middle.
+        """Winding numbers (m,) in front of the faces; of a mixed face, in front of its middle.
 
-        In a mesh with borders it is that of most of the area that is connected with a face and not
-        crossed: what closes the borders may run through it.
+        In a mesh with borders it is that of most of the area connected with a face through faces
+        that are not crossed: the closure of a border may intersect the mesh.
         """
-        found = self._winding.about(self.corners.mean(axis=1) + self._before)
+        found = self._winding.at(self.corners.mean(axis=1) + self._standoff)
         if self._winding.closed:
             return found
         cut = np.zeros(len(self.faces), dtype=bool)
         cut[self.crossed] = True
         across = np.where(cut[:, None] | cut[self.across], -1, self.across)
-        part = face_components(across)
-        for k in np.unique(part[~cut]):
-            rows = np.flatnonzero(part == k)
+        a, b, c = np.swapaxes(self.corners, 0, 1)
+        areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        component = face_components(across)
+        for k in np.unique(component[~cut]):
+            rows = np.flatnonzero(component == k)
             levels, place = np.unique(found[rows], return_inverse=True)
-            found[rows] = levels[np.argmax(np.bincount(place.ravel(), self._areas[rows]))]
+            found[rows] = levels[np.argmax(np.bincount(place.ravel(), areas[rows]))]
         return found
 
     @cached_property
     def mixed(self) -> NDArray[np.bool_]:
-        """Which faces (m,) are crossed, or have a corner where faces of several levels meet."""
+        """Which faces (m,) are crossed, or have a vertex where faces of several levels meet."""
         at = np.zeros(len(self.first) - 1, dtype=bool)
         at[self.faces[self.crossed]] = True
         low = np.full(len(at), np.iinfo(np.int64).max)
@@ -148,8 +157,3 @@ class Folds:
             np.maximum.at(high, self.faces[:, k], self.level)
         at |= low < high
         return np.asarray(at[self.faces].any(axis=1))
-
-    @property
-    def _areas(self) -> Array:
-        a, b, c = np.swapaxes(self.corners, 0, 1)
-        return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1))

@@ -1,4 +1,4 @@
-"""Mesh files: their formats, units, triangles, and the names of their parts."""
+"""Mesh files: formats, units, triangles, and the names of parts."""
 
 from __future__ import annotations
 
@@ -20,15 +20,16 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
-"""units of a mesh file, in m"""
+"""length units of mesh files, in m"""
 FORMATS = ("stl", "obj", "ply", "off", "glb", "gltf")
+"""suffixes of the formats that are read"""
 METRES = ("glb", "gltf")
-"""formats that are in m by their standard"""
+"""formats whose standard says m"""
 
 
 @dataclass(frozen=True)
 class Triangles:
-    """What is in a mesh file, before any repair."""
+    """The content of a mesh file, before any repair."""
 
     vertices: Array
     """(n, 3) m"""
@@ -40,26 +41,30 @@ class Triangles:
 
 
 def unit(path: Path, units: str | None) -> float:
-    """Length in m of a file's unit."""
+    """The length unit of a file, in m, from `units` or from its format. Raises MeshError."""
     if units is None:
         if path.suffix.lower().lstrip(".") in METRES:
             return 1.0
         raise MeshError(
-            f"{path.name}: units are not in the file",
+            f"{path.name}: the file has no length unit",
             remedy=f"give units= (--units), one of {', '.join(UNITS)}",
         )
     if units not in UNITS:
-        raise MeshError("units of a mesh", value=repr(units), limit=f"one of {', '.join(UNITS)}")
+        raise MeshError(
+            "unknown units of a mesh", value=repr(units), limit=f"one of {', '.join(UNITS)}"
+        )
     return UNITS[units]
 
 
 def read(path: Path, scale: float = 1.0) -> Triangles:
-    """The triangles of a file, its lengths times `scale`. Raises MeshError."""
+    """The triangles of a file, lengths multiplied by `scale`. Raises MeshError."""
     kind = path.suffix.lower().lstrip(".")
     if kind not in FORMATS:
-        raise MeshError("format of a mesh", value=repr(kind), limit=f"one of {', '.join(FORMATS)}")
+        raise MeshError(
+            "unknown format of a mesh", value=repr(kind), limit=f"one of {', '.join(FORMATS)}"
+        )
     if not path.is_file():
-        raise MeshError("no such mesh file", value=str(path))
+        raise MeshError("the mesh file does not exist", value=str(path))
     try:
         if kind == "obj":
             text = path.read_text(encoding="utf-8", errors="replace")
@@ -68,10 +73,10 @@ def read(path: Path, scale: float = 1.0) -> Triangles:
             vertices, faces, names = _by_trimesh(path, kind)
     except MeshError:
         raise
-    except Exception as error:  # readers of damaged files raise anything
-        said = " ".join(f"{error}".split()) or type(error).__name__
+    except Exception as error:  # readers raise any exception for damaged files
+        reason = " ".join(f"{error}".split()) or type(error).__name__
         raise MeshError(
-            f"{path.name} cannot be read", value=said[:200], remedy="copy or export it again"
+            f"{path.name} cannot be read", value=reason[:200], remedy="copy or export it again"
         ) from error
     if not len(faces):
         raise MeshError(f"{path.name} has no faces", remedy="check the file in a mesh viewer")
@@ -86,7 +91,7 @@ def _by_trimesh(path: Path, kind: str) -> tuple[Array, Index, dict[str, Index]]:
     known = _gltf_names(path) if kind in METRES else set(scene.geometry)
     order = {name: k for k, name in enumerate(scene.geometry)}
     nodes = [(*scene.graph[node], node) for node in scene.graph.nodes_geometry]
-    nodes.sort(key=lambda entry: (order[entry[1]], entry[2]))  # theirs is not that of the file
+    nodes.sort(key=lambda entry: (order[entry[1]], entry[2]))  # trimesh's order is not the file's
     vertices: list[Array] = []
     faces: list[Index] = []
     named: dict[str, list[Index]] = {}
@@ -104,14 +109,14 @@ def _by_trimesh(path: Path, kind: str) -> tuple[Array, Index, dict[str, Index]]:
     if not faces:
         return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.intp), {}
     names = {name: np.concatenate(rows) for name, rows in named.items()}
-    lone = kind not in METRES and len(nodes) == 1  # trimesh calls it by the file
+    lone = kind not in METRES and len(nodes) == 1  # trimesh names it after the file
     return np.concatenate(vertices), np.concatenate(faces), {} if lone else names
 
 
 def _text(path: Path, kind: str) -> BytesIO | None:
-    """The text of an OFF or ASCII STL file in UTF-8, whatever it is written in; None for others.
+    """The text of an OFF or ASCII STL file in UTF-8, whatever its encoding; None for other files.
 
-    Raises MeshError for a binary STL of another length than it says.
+    Raises MeshError for a binary STL whose length is not that of its header.
     """
     if kind not in ("stl", "off"):
         return None
@@ -119,21 +124,21 @@ def _text(path: Path, kind: str) -> BytesIO | None:
     with path.open("rb") as file:
         head = file.read(84)
     if kind == "stl" and head:
-        whole = 84 + 50 * int.from_bytes(head[80:84], "little")
-        if len(head) == 84 and size == whole:
+        expected = 84 + 50 * int.from_bytes(head[80:84], "little")
+        if len(head) == 84 and size == expected:
             return None
         if not head.lstrip().lower().startswith(b"solid"):
             raise MeshError(
-                f"{path.name} is torn, or no STL",
+                f"{path.name} is truncated, or not an STL file",
                 value=f"{size} bytes",
-                limit=f"{whole} by its header" if len(head) == 84 else "a header of 84",
+                limit=f"{expected} by its header" if len(head) == 84 else "a header of 84 bytes",
                 remedy="copy or export it again",
             )
     return BytesIO(path.read_text(encoding="utf-8", errors="replace").encode())
 
 
 def _gltf_names(path: Path) -> set[str]:
-    """The names of nodes, meshes and materials in a glTF: trimesh adds its own to them."""
+    """The names of nodes, meshes and materials in a glTF file; trimesh adds names of its own."""
     data = path.read_bytes()
     if data.startswith(b"glTF"):  # binary: the text is the first chunk
         data = data[20 : 20 + int.from_bytes(data[12:16], "little")]
@@ -143,19 +148,19 @@ def _gltf_names(path: Path) -> set[str]:
 
 
 def _names(scene: Any, node: str, shape: str, mesh: Any, known: Collection[str]) -> Iterator[str]:
-    """What the file calls a mesh: its nodes upwards, its mesh, its material."""
+    """The names of a mesh in the file: of its nodes from the leaf up, its mesh, its material."""
     parents = scene.graph.transforms.parents
     material = getattr(getattr(mesh.visual, "material", None), "name", None)
     while node is not None:
-        yield from _written(node, known)
+        yield from _original(node, known)
         node = parents.get(node)
-    yield from _written(shape, known)
+    yield from _original(shape, known)
     if material in known:
         yield str(material)
 
 
-def _written(name: str, known: Collection[str]) -> Iterator[str]:
-    """The name as it stands in the file: trimesh numbers names that are there twice."""
+def _original(name: str, known: Collection[str]) -> Iterator[str]:
+    """The name as it is in the file: trimesh appends numbers to names that occur twice."""
     bare = re.sub(r"_\d+$", "", name)
     if name in known:
         yield name

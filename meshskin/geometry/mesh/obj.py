@@ -1,5 +1,6 @@
-"""Wavefront OBJ files: their triangles in the file's order, and what objects, groups and materials
-call them.
+"""Wavefront OBJ files: triangles in the order of the file, and names of objects, groups, materials.
+
+trimesh's reader sorts faces by material and keeps one name of each.
 """
 
 from __future__ import annotations
@@ -17,21 +18,22 @@ Index = NDArray[np.intp]
 
 
 def read(text: str, file: str) -> tuple[Array, Index, dict[str, Index]]:
-    """Vertices (n, 3), triangles (m, 3), and the triangles of each name, of an OBJ's text.
+    """Vertices (n, 3), triangles (m, 3), and triangles by name, from the text of an OBJ file.
 
     Names are those of objects (`o`), groups (`g`, of which a face may have several) and materials
-    (`usemtl`). Polygons are cut into fans from their first corner. Raises MeshError with the line.
+    (`usemtl`). Polygons become triangle fans about their first corner. Raises MeshError with the
+    line.
     """
-    places: list[float] = []  # three a vertex, as corners three a triangle
+    places: list[float] = []  # three numbers a vertex; `faces`: three a triangle
     faces: list[int] = []
-    spans: list[tuple[int, tuple[str, ...]]] = []  # first triangle, and its names from there on
+    spans: list[tuple[int, tuple[str, ...]]] = []  # first triangle, and the names from there on
     part: dict[str, tuple[str, ...]] = {}
     for number, words in _lines(text):
         key, values = words[0], words[1:]
         try:
             if key == "v":
                 if len(values) < 3:
-                    raise ValueError("a vertex of fewer than three coordinates")
+                    raise ValueError("a vertex needs three coordinates")
                 places += map(float, values[:3])
             elif key == "f":
                 corner = _corners(values, len(places) // 3)
@@ -57,25 +59,25 @@ def read(text: str, file: str) -> tuple[Array, Index, dict[str, Index]]:
 
 
 def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
-    """The number and the words of each line that is not empty; a backslash joins two lines."""
-    held: list[str] = []
+    """Number and words of each non-empty line; a backslash at its end continues a line."""
+    continued: list[str] = []
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.split()
         if words and words[-1].endswith("\\"):
-            held += [*words[:-1], *filter(None, [words[-1][:-1]])]
+            continued += [*words[:-1], *filter(None, [words[-1][:-1]])]
             continue
-        words, held = held + words, []
+        words, continued = continued + words, []
         if words:
             yield number, words
 
 
 def _corners(words: list[str], count: int) -> list[int]:
-    """The vertices of a face's corners "v/vt/vn", from 1; negative ones count from the last."""
+    """Vertices, from 1, of the corners "v/vt/vn" of a face; negative ones count from the last."""
     try:
         corner = [int(word.partition("/")[0]) for word in words]
     except ValueError:
-        said = takewhile(lambda word: not word.startswith("#"), words)
-        corner = [int(word.partition("/")[0]) for word in said]
+        words_before_comment = takewhile(lambda word: not word.startswith("#"), words)
+        corner = [int(word.partition("/")[0]) for word in words_before_comment]
     if len(corner) < 3:
-        raise ValueError("a face of fewer than three corners")
+        raise ValueError("a face needs three corners")
     return corner if min(corner) > 0 else [k if k >= 0 else k + count + 1 for k in corner]

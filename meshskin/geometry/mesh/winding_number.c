@@ -1,5 +1,5 @@
-/* How often a surface winds about points: solid angles of its triangles, and of whole clusters of
-   them from afar. Barill, Dickson, Schmidt, Levin, Jacobson, "Fast winding numbers for soups and
+/* Winding numbers: the sum of the solid angles of triangles, and of whole clusters of them from a
+   distance. Barill, Dickson, Schmidt, Levin, Jacobson, "Fast winding numbers for soups and
    clouds" (ACM Trans. Graphics 37, 2018), with the first term of the expansion. */
 
 #include <math.h>
@@ -31,10 +31,10 @@ static double half_angle(const double *corner, const double *p)
     return atan2(dot(a, cross), la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb);
 }
 
-/* Turns (n,) about points (n, 3); triangles (leaves * size, 9), leaf by leaf, of which those that
-   fill up a leaf are points; node k of the clusters (2 leaves,) has the children 2 k and 2 k + 1. */
+/* Winding numbers (n,) of points (n, 3); triangles (leaves * size, 9), leaf by leaf, of which those
+   that fill up a leaf have no area; node k of the clusters (2 leaves,) has the children 2 k and 2 k + 1. */
 void winding(int64_t leaves, int64_t size, const Cluster *node, const double *corner, int64_t n,
-             const double *points, double *turns)
+             const double *points, double *total)
 {
     int64_t stack[STACK];
     for (int64_t k = 0; k < n; k++) {
@@ -56,6 +56,6 @@ void winding(int64_t leaves, int64_t size, const Cluster *node, const double *co
                 for (int64_t i = 0; i < size; i++) near += half_angle(first + 9 * i, p);
             }
         }
-        turns[k] = near / (2.0 * PI) + far / (4.0 * PI);
+        total[k] = near / (2.0 * PI) + far / (4.0 * PI);
     }
 }

@@ -1,8 +1,11 @@
-"""How often a mesh winds about a point: a whole number, once its holes are closed far away.
+"""Winding numbers of points about a mesh.
 
-Every loop of border edges is drawn out to infinity against the area that it bounds: a hole in a
-body becomes a chimney, a sheet the lid of a well. So closed, a mesh winds once about its inside.
-A mesh wound inside out counts as if it were turned.
+The border of a mesh is closed at infinity: every loop of border edges is extruded along a ray
+against the area that it bounds. A mesh so closed has integer winding numbers, 1 inside and 0
+outside; one whose normals point inward counts as if it were inverted.
+
+Source: Barill, Dickson, Schmidt, Levin, Jacobson, "Fast winding numbers for soups and clouds", ACM
+Trans. Graphics 37 (2018). libigl has it, in C++; it takes triangle soups without closing borders.
 """
 
 from __future__ import annotations
@@ -22,73 +25,74 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 LEAF = 8
-"""triangles in a leaf of the tree"""
-FAR = 3.0
-"""in radii of a cluster: the distance from which its area stands for it"""
-WHOLE = 0.2
-"""how far from a whole number the sum over clusters may be before all triangles are summed"""
-SHEET = 0.02
-"""volume over area^1.5 up to which a mesh with borders is a sheet, of which neither side is within;
-that of a ball is 0.094"""
-BLOCK = 1_000_000
-"""solid angles taken at once"""
+"""triangles in a leaf of the tree: affects the speed alone"""
+FAR_RADII = 3.0
+"""distance, in radii of a cluster, from which its vector area stands for it: the sum over clusters
+is then within 0.02 of the integer (tests/geometry/mesh/test_inside_outside.py)"""
+INTEGER_TOLERANCE = 0.2
+"""distance of that sum from an integer beyond which all triangles are summed instead"""
+SHEET_VOLUME = 0.02
+"""volume over area^1.5 up to which a mesh with borders is a sheet, which encloses nothing and keeps
+its orientation; that of a ball is 0.094"""
+CHUNK = 1_000_000
+"""solid angles computed at once: bounds the memory, to about 100 MB"""
 
 
-class Winding:
-    """The turns of a mesh (vertices (n, 3) m, faces (m, 3)) about points."""
+class WindingNumber:
+    """Winding numbers of points about a mesh (vertices (n, 3) m, faces (m, 3))."""
 
     def __init__(self, vertices: Array, faces: Index) -> None:
-        self.border, self.way, capped = _border(vertices, faces)
+        self.border, self.direction, caps = _border(vertices, faces)
         self.closed = not len(self.border)
-        """whether no edge is run more often one way than the other"""
-        bulk, area = _bulk(np.concatenate([vertices[faces], capped]))
-        self.outward = -1 if bulk < (0.0 if self.closed else -SHEET * area**1.5) else 1
-        """-1 where the mesh is wound inside out"""
+        """whether there is no border"""
+        volume, area = _volume_and_area(np.concatenate([vertices[faces], caps]))
+        self.outward = -1 if volume < (0.0 if self.closed else -SHEET_VOLUME * area**1.5) else 1
+        """-1 where the normals of the mesh point inward"""
         if self.outward < 0:
             faces = faces[:, ::-1]
-            self.border, self.way, _ = _border(vertices, faces)
+            self.border, self.direction, _ = _border(vertices, faces)
         self.corners = np.ascontiguousarray(vertices[faces])
         self._nodes, self._leaves = _tree(self.corners)
 
-    def about(self, points: Array) -> NDArray[np.int64]:
-        """The whole turns (n,) about points (n, 3), m."""
-        beyond = self._chimneys(points)
+    def at(self, points: Array) -> NDArray[np.int64]:
+        """The winding numbers (n,) of points (n, 3), m."""
+        extrusion = self._of_extrusion(points)
         built = library()
         if built is None:
-            return np.asarray(np.round(self._exact(points) + beyond), dtype=np.int64)
-        total = self._clustered(built, points) + beyond
-        unsure = np.flatnonzero(np.abs(total - np.round(total)) > WHOLE)
-        total[unsure] = self._exact(points[unsure]) + beyond[unsure]
+            return np.asarray(np.round(self._exact(points) + extrusion), dtype=np.int64)
+        total = self._by_clusters(built, points) + extrusion
+        unsure = np.flatnonzero(np.abs(total - np.round(total)) > INTEGER_TOLERANCE)
+        total[unsure] = self._exact(points[unsure]) + extrusion[unsure]
         return np.asarray(np.round(total), dtype=np.int64)
 
-    def _clustered(self, built: ctypes.CDLL, points: Array) -> Array:
-        at, out = np.ascontiguousarray(points), np.empty(len(points))
+    def _by_clusters(self, built: ctypes.CDLL, points: Array) -> Array:
+        p, out = np.ascontiguousarray(points), np.empty(len(points))
         leaves = len(self._nodes) // 2
-        counts = [ctypes.c_int64(c) for c in (leaves, len(self._leaves) // leaves, len(at))]
-        arrays = [ctypes.c_void_p(a.ctypes.data) for a in (self._nodes, self._leaves, at, out)]
+        counts = [ctypes.c_int64(c) for c in (leaves, len(self._leaves) // leaves, len(p))]
+        arrays = [ctypes.c_void_p(a.ctypes.data) for a in (self._nodes, self._leaves, p, out)]
         built.winding(*counts[:2], *arrays[:2], counts[2], *arrays[2:])
         return out
 
     def _exact(self, points: Array) -> Array:
         return np.array([winding_number(self.corners, p) for p in points], dtype=float)
 
-    def _chimneys(self, points: Array) -> Array:
-        """The turns (n,) of the bands from the border edges to infinity."""
+    def _of_extrusion(self, points: Array) -> Array:
+        """The parts (n,) of the winding numbers due to the extruded border."""
         total = np.zeros(len(points))
-        count = max(1, BLOCK // max(len(self.border), 1))
+        count = max(1, CHUNK // max(len(self.border), 1))
         for first in range(0, len(points) if len(self.border) else 0, count):
-            p = points[first : first + count, None]
-            a, b = self.border[:, 1] - p, self.border[:, 0] - p  # the band runs against the mesh
+            p, d = points[first : first + count, None], self.direction
+            a, b = self.border[:, 1] - p, self.border[:, 0] - p  # against the mesh
             la, lb = np.linalg.norm(a, axis=2), np.linalg.norm(b, axis=2)
-            top = np.einsum("nkc,kc->nk", np.cross(a, b), self.way)
-            ad, bd = np.einsum("nkc,kc->nk", a, self.way), np.einsum("nkc,kc->nk", b, self.way)
+            top = np.einsum("nkc,kc->nk", np.cross(a, b), d)
+            ad, bd = np.einsum("nkc,kc->nk", a, d), np.einsum("nkc,kc->nk", b, d)
             below = la * lb + np.einsum("nkc,nkc->nk", a, b) + bd * la + ad * lb
             total[first : first + count] = np.arctan2(top, below).sum(axis=1) / (2 * np.pi)
         return total
 
 
 def winding_number(corners: Array, point: Array) -> float:
-    """How often a closed surface, triangles (m, 3, 3), winds about a point (3,).
+    """Winding number of a point (3,) about a closed surface of triangles (m, 3, 3).
 
     Source: Van Oosterom and Strackee, "The Solid Angle of a Plane Triangle" (1983).
     """
@@ -101,23 +105,23 @@ def winding_number(corners: Array, point: Array) -> float:
 
 @cache
 def library() -> ctypes.CDLL | None:
-    """The compiled sum; None, and one warning, without a C compiler."""
+    """The compiled sum over clusters; None, and one warning, without a C compiler."""
     text = Path(__file__).with_name("winding_number.c").read_text(encoding="utf-8")
     return codegen.compile_library("winding numbers", text)
 
 
-def _bulk(corners: Array) -> tuple[float, float]:
-    """Signed volume, m^3, within triangles (m, 3, 3), and their area, m^2."""
+def _volume_and_area(corners: Array) -> tuple[float, float]:
+    """Signed volume, m^3, enclosed by triangles (m, 3, 3), and their area, m^2."""
     a, b, c = np.swapaxes(corners - corners.reshape(-1, 3).mean(axis=0), 0, 1)
     volume = np.einsum("mc,mc->", a, np.cross(b, c)) / 6.0
     return float(volume), 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
 
 
 def _border(vertices: Array, faces: Index) -> tuple[Array, Array, Array]:
-    """Ends (k, 2, 3), m, of the border edges as the faces run them, and their ways (k, 3) out.
+    """Ends (k, 2, 3), m, of border half-edges, directions (k, 3) of extrusion, and caps (k, 3, 3).
 
-    An edge that is run more often one way than the other is there as often as that. Third, the
-    triangles (k, 3, 3) that close each loop from the middle of its corners.
+    An edge with more half-edges one way than the other is there as often as that. The caps are
+    triangles that close each loop from the mean of its vertices.
     """
     n = len(vertices)
     tail, head = faces.ravel(), faces[:, [1, 2, 0]].ravel()
@@ -134,19 +138,19 @@ def _border(vertices: Array, faces: Index) -> tuple[Array, Array, Array]:
     along = vertices[ends]
     count = np.bincount(loop)
     middle = np.stack([np.bincount(loop, along[:, 0, k]) / count for k in range(3)], axis=1)
-    away = along - middle[loop][:, None]
-    swept = np.cross(away[:, 0], away[:, 1])
+    spokes = along - middle[loop][:, None]
+    swept = np.cross(spokes[:, 0], spokes[:, 1])
     area = np.stack([np.bincount(loop, swept[:, k]) for k in range(3)], axis=1)
     size = np.linalg.norm(area, axis=1, keepdims=True)
-    way = np.where(size > 0.0, -area / np.maximum(size, 1e-300), [0.0, 0.0, 1.0])
-    capped = np.stack([along[:, 1], along[:, 0], middle[loop]], axis=1)
-    return along, way[loop], capped
+    direction = np.where(size > 0.0, -area / np.maximum(size, 1e-300), [0.0, 0.0, 1.0])
+    caps = np.stack([along[:, 1], along[:, 0], middle[loop]], axis=1)
+    return along, direction[loop], caps
 
 
 def _tree(corners: Array) -> tuple[Array, Array]:
     """Clusters (2 leaves, 7) of triangles (m, 3, 3), and the triangles leaf by leaf.
 
-    Of a cluster: the middle, weighted by area; the sum of the areas, as vectors; its far distance.
+    Of a cluster: the mean weighted by area, the vector area, and the distance that counts as far.
     """
     m = len(corners)
     leaves = 1 << max(0, int(np.ceil(np.log2(m / LEAF))))
@@ -154,8 +158,8 @@ def _tree(corners: Array) -> tuple[Array, Array]:
     sorted_ = corners[morton_order(corners.mean(axis=1))]
     place = np.arange(leaves * size) * m // (leaves * size)
     leaf = sorted_[place]
-    again = np.flatnonzero(place[1:] == place[:-1]) + 1
-    leaf[again] = leaf[again, :1]  # a point
+    padding = np.flatnonzero(place[1:] == place[:-1]) + 1
+    leaf[padding] = leaf[padding, :1]  # triangles without area
     area = 0.5 * np.cross(leaf[:, 1] - leaf[:, 0], leaf[:, 2] - leaf[:, 0])
     weight = np.maximum(np.linalg.norm(area, axis=1), 1e-300)
     node = np.zeros((2 * leaves, 7))
@@ -168,6 +172,6 @@ def _tree(corners: Array) -> tuple[Array, Array]:
         node[blocks : 2 * blocks, :3] = middle
         node[blocks : 2 * blocks, 3:6] = area.reshape(blocks, -1, 3).sum(axis=1)
         radius = np.linalg.norm(parts - middle[:, None], axis=2).max(axis=1)
-        node[blocks : 2 * blocks, 6] = FAR * radius
+        node[blocks : 2 * blocks, 6] = FAR_RADII * radius
         blocks //= 2
     return node, np.ascontiguousarray(leaf)

@@ -18,19 +18,19 @@ from . import patch
 from .creases import INNER, Creases, crease_curves
 from .fans import Fans
 from .heights import DEGREE, heights
-from .jets import FAITHFUL, Jets
+from .jets import TRUSTED_RESIDUAL, Jets
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-BULGE = 3e-3
+BULGE_MARGIN = 3e-3
 """lift of a patch from its face, over the shortest side, beyond what its tangents account for"""
-LEAN, SHARE = np.radians(1.0), 0.4
+TILT_MARGIN, TILT_SHARE = np.radians(1.0), 0.4
 """angle of a jet's normal from its face's, beyond the turn to the next faces (on a circle it
 is half of it), or 3/4 of this share of the largest turn at the vertex"""
-FINE = np.radians(6.0)
+MAX_TRUSTED_TILT = np.radians(6.0)
 """the same for faithful jets: twice the largest turn at the vertex, but no more than this"""
-FOLD, ROUNDS = 0.5, 6
+FOLD_COSINE, MAX_ROUNDS = 0.5, 6
 """cosine of the angle to its face from which a patch folds; rounds of unfolding"""
 CHUNK = 1024
 """faces blended at once: bounds the memory; products of more would wake BLAS's threads, which cost
@@ -43,7 +43,7 @@ BASIS = patch.monomials(NODES[:, 0], NODES[:, 1])
 """(21, 21) from coefficients to values at the nodes"""
 INVERSE = np.linalg.inv(BASIS)
 """(21, 21) from values at the nodes to coefficients"""
-SLOPE_U, SLOPE_V = patch.slopes(NODES[:, 0], NODES[:, 1])
+DERIVATIVE_U, DERIVATIVE_V = patch.slopes(NODES[:, 0], NODES[:, 1])
 """(21, 21) each, from coefficients to derivatives in u and v at the nodes"""
 
 
@@ -67,7 +67,7 @@ def _edge_tables() -> tuple[Index, Array]:
     return nodes, spread
 
 
-EDGE_NODES, SPREAD = _edge_tables()
+EDGE_NODES, EDGE_EXTENSION = _edge_tables()
 
 
 def _lift_tables() -> dict[int, tuple[Array, Array]]:
@@ -92,7 +92,7 @@ def _lift_tables() -> dict[int, tuple[Array, Array]]:
 LIFTS = _lift_tables()
 
 
-def settle(jets: Jets, fans: Fans, beyond: Index, slot: Index) -> tuple[Jets, Creases]:
+def regularize(jets: Jets, fans: Fans, beyond: Index, slot: Index) -> tuple[Jets, Creases]:
     """Jets and crease curves without bulges and folds; `beyond`, `slot`: topology.neighbours.
 
     Where a patch would fold, its creases become straight; where it still does, its jets flat.
@@ -100,12 +100,12 @@ def settle(jets: Jets, fans: Fans, beyond: Index, slot: Index) -> tuple[Jets, Cr
     jets = flatten_bulges(jets, fans)
     straight = np.zeros(fans.corner.shape, dtype=bool)
     creases = crease_curves(jets, fans, beyond, slot, straight)
-    doubtful = np.any(jets.miss[fans.corner] >= FAITHFUL, axis=1)
+    doubtful = np.any(jets.residual[fans.corner] >= TRUSTED_RESIDUAL, axis=1)
     doubtful[creases.face] = True
     suspect = np.flatnonzero(doubtful)
-    for trial in range(ROUNDS):
+    for trial in range(MAX_ROUNDS):
         folded = [
-            rows[folds(jets, fans.corner[rows], creases.of(rows))]
+            rows[is_folded(jets, fans.corner[rows], creases.of(rows))]
             for rows in np.split(suspect, range(CHUNK, len(suspect), CHUNK))
         ]
         bad = np.concatenate(folded)
@@ -123,18 +123,20 @@ def settle(jets: Jets, fans: Fans, beyond: Index, slot: Index) -> tuple[Jets, Cr
     return jets, creases
 
 
-def folds(jets: Jets, corner: Index, curved: tuple[Index, Index, Array]) -> NDArray[np.bool_]:
+def is_folded(jets: Jets, corner: Index, curved: tuple[Index, Index, Array]) -> NDArray[np.bool_]:
     """Whether the patches of faces with the fans `corner` (m, 3) turn from their faces anywhere."""
     values, _ = node_values(jets, corner, curved)
     coefficients = INVERSE @ values
-    normal = np.cross(SLOPE_U @ coefficients, SLOPE_V @ coefficients)
+    normal = np.cross(DERIVATIVE_U @ coefficients, DERIVATIVE_V @ coefficients)
     size = np.linalg.norm(normal, axis=2)
     flat = face_normals(jets.origin, corner)
     along = np.einsum("mnc,mc->mn", normal, flat)
-    return np.asarray(np.any(along < FOLD * size, axis=1) & flat.any(axis=1))
+    return np.asarray(np.any(along < FOLD_COSINE * size, axis=1) & flat.any(axis=1))
 
 
-def blend(jets: Jets, fans: Fans, creases: Creases, triangles: Array) -> tuple[Array, Array]:
+def blend_patches(
+    jets: Jets, fans: Fans, creases: Creases, triangles: Array
+) -> tuple[Array, Array]:
     """Patches (m, 21, 3) of the faces, and their largest distances (m,) from `triangles`, m.
 
     Two faces share the jets of a smooth edge and the curve of a crease: their patches meet exactly.
@@ -206,7 +208,7 @@ def node_values(
         face, k, curve = curved
         nodes = EDGE_NODES[k]
         move = curve - base[face[:, None], nodes]
-        np.add.at(base, face, SPREAD[k] @ move)
+        np.add.at(base, face, EDGE_EXTENSION[k] @ move)
     values, most = base.copy(), int(jets.degree[corner].max(initial=0))
     for j in range(3):
         fan = corner[:, j]
@@ -231,9 +233,9 @@ def flatten_bulges(jets: Jets, fans: Fans) -> Jets:
     degree = jets.degree.copy()
     turn = np.zeros(len(degree))
     for k in range(3):
-        np.maximum.at(turn, fans.corner[:, k], fans.turn)
+        np.maximum.at(turn, fans.corner[:, k], fans.angle)
     normals = jets.normals
-    suspect = np.flatnonzero(np.any(jets.miss[fans.corner] >= FAITHFUL, axis=1))
+    suspect = np.flatnonzero(np.any(jets.residual[fans.corner] >= TRUSTED_RESIDUAL, axis=1))
     for start in range(0, len(suspect), CHUNK):
         rows = suspect[start : start + CHUNK]
         corner = fans.corner[rows]
@@ -242,13 +244,17 @@ def flatten_bulges(jets: Jets, fans: Fans) -> Jets:
         values, base = node_values(jets, corner)
         flat = face_normals(jets.origin, corner)
         lean = np.arccos(np.clip(np.einsum("mkc,mc->mk", normals[corner], flat), -1.0, 1.0))
-        near = np.where(jets.miss[corner] < FAITHFUL, np.minimum(2.0 * turn, FINE)[corner], 0.0)
-        near = np.maximum(near, SHARE * turn[corner])
-        leaning = lean > np.maximum(fans.turn[rows, None], 0.75 * near) + LEAN
+        near = np.where(
+            jets.residual[corner] < TRUSTED_RESIDUAL,
+            np.minimum(2.0 * turn, MAX_TRUSTED_TILT)[corner],
+            0.0,
+        )
+        near = np.maximum(near, TILT_SHARE * turn[corner])
+        leaning = lean > np.maximum(fans.angle[rows, None], 0.75 * near) + TILT_MARGIN
         degree[corner[leaning]] = 0
         lift = np.linalg.norm(values - base, axis=2)
         offset = base[:, None] - places[:, :, None]
         tangent = np.abs(np.einsum("mknc,mkc->mkn", offset, normals[corner])).max(axis=1)
-        bulging = np.any(lift > tangent + BULGE * side[:, None], axis=1)
+        bulging = np.any(lift > tangent + BULGE_MARGIN * side[:, None], axis=1)
         degree[corner[bulging]] = 0
     return replace(jets, degree=degree)

@@ -55,7 +55,7 @@ class Closest:
         return Closest(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     @classmethod
-    def joined(cls, parts: Sequence[Closest]) -> Closest:
+    def concatenate(cls, parts: Sequence[Closest]) -> Closest:
         """The answers of several, one after the other."""
         return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
 
@@ -146,7 +146,7 @@ class ReferenceSearch:
 
     def closest(self, p: Array, face: Index | None) -> PatchPoints:
         """The closest points to p (n, 3), m; `face` (n,), where a search could start, is unused."""
-        lifts = self._surface.lifts
+        lifts = self._surface.offsets
         row, near, uv, distance = self._flat.nearby(p, 2.0 * float(lifts.max()))
         flat = None
         if face is None and not self._surface.smooth:

@@ -29,9 +29,9 @@ Long = NDArray[np.int64]
 
 LEAF = 4
 """faces in a leaf of the tree, at most, as in compiled_search.c"""
-FAR = 6
+CHECK_AFTER = 6
 """hops after which a walk is checked against the global nearest face"""
-FEW = 100
+UNSORTED = 100
 """queries, at most, that are taken as they come: more are sorted by place, for the cache"""
 _WHOLE, _REAL, _ADDRESS = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 
@@ -78,10 +78,16 @@ class CompiledSearch:
         patches = np.ascontiguousarray(surface.patches)
         beyond = np.ascontiguousarray(surface.neighbours, dtype=np.int64)
         slot = np.ascontiguousarray(surface.slot, dtype=np.int64)
-        lifts = None if surface.smooth else surface.lifts
-        nodes = tree(built, surface.vertices, surface.faces, lifts)
+        lifts = None if surface.smooth else surface.offsets
+        nodes = build_tree(built, surface.vertices, surface.faces, lifts)
         self._kept = patches, beyond, slot, *nodes  # the addresses below are theirs
-        ends = (newton.NEWTON_TOLERANCE, newton.STEP_TOLERANCE, FAR, newton.HOPS, newton.STEPS)
+        ends = (
+            newton.NEWTON_TOLERANCE,
+            newton.STEP_TOLERANCE,
+            CHECK_AFTER,
+            newton.HOPS,
+            newton.STEPS,
+        )
         self._surface = _Surface(*(a.ctypes.data for a in self._kept[:3]), *ends)
         self._tree = _pointers(nodes)
 
@@ -95,7 +101,7 @@ class CompiledSearch:
             None if warm else FlatPoints(np.empty(n, dtype=np.int64), np.empty((n, 2)), np.empty(n))
         )
         answers = _addresses(foot, uv, out, *(flat or (none, none, none)))
-        queue = morton_order(p) if n > FEW and not warm else np.arange(n)
+        queue = morton_order(p) if n > UNSORTED and not warm else np.arange(n)
         both = ctypes.byref(self._tree), ctypes.byref(self._surface), _WHOLE(n)
         self._library.closest(*both, *_addresses(queue, p), int(warm), int(self.sharp), *answers)
         return PatchPoints(foot, uv, tuple(out), flat if self.sharp else None)
@@ -120,14 +126,14 @@ class CompiledFlat:
     """The flat faces (m, 3) of a mesh of vertices (n, 3), m, nearest to points."""
 
     def __init__(self, vertices: Array, faces: Index, built: ctypes.CDLL) -> None:
-        self._library, self._kept = built, tree(built, vertices, faces)
+        self._library, self._kept = built, build_tree(built, vertices, faces)
         self._tree = _pointers(self._kept)
 
     def closest(self, p: Array) -> FlatPoints:
         """The nearest faces of p (n, 3), m, and where on them."""
         n = len(p)
         found = FlatPoints(np.empty(n, dtype=np.int64), np.empty((n, 2)), np.empty(n))
-        queue = morton_order(p) if n > FEW else np.arange(n)
+        queue = morton_order(p) if n > UNSORTED else np.arange(n)
         points = np.ascontiguousarray(p, dtype=float)
         self._library.flat(ctypes.byref(self._tree), _WHOLE(n), *_addresses(queue, points, *found))
         return found
@@ -140,7 +146,7 @@ def _pointers(nodes: tuple[Array, Array, Array, Long]) -> _Tree:
     return _Tree(*count, *(a.ctypes.data for a in nodes))
 
 
-def tree(
+def build_tree(
     built: ctypes.CDLL, vertices: Array, faces: Index, lifts: Array | None = None
 ) -> tuple[Array, Array, Array, Long]:
     """A balanced tree of cylinders over the faces (m, 3) of vertices (n, 3), m.

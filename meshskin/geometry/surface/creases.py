@@ -17,7 +17,7 @@ from .jets import Jets
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-BOW = 0.2
+MAX_BOW = 0.2
 """largest distance of a crease's curve from its chord, relative to the chord; nor may it be farther
 than the tangent planes at its ends"""
 INNER = np.arange(1, patch.DEGREE) / patch.DEGREE
@@ -66,7 +66,7 @@ def crease_curves(
     )
     length = np.linalg.norm(q - p, axis=1)
     along = (q - p) / np.maximum(length, 1e-300)[:, None]
-    most = BOW * length
+    most = MAX_BOW * length
     if len(a):
         normals = jets.normals
         ends = (tail, head, sides[1][0], sides[1][1])

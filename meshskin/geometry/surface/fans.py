@@ -16,10 +16,10 @@ from ..mesh.topology import connected_components, edge_keys
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-CREASE = np.radians(40.0)
+CREASE_ANGLE = np.radians(40.0)
 """turn from which an edge is a crease: of the two faces' normals, or of what the bend between them
 would come to over the longer of them, if it went on"""
-ROUNDING = np.radians(0.1)
+MIN_CREASE_ANGLE = np.radians(0.1)
 """turn that rounded vertices explain"""
 
 
@@ -33,15 +33,15 @@ class Fans:
     """(m, 3) the fan at each corner of each face"""
     sharp: NDArray[np.bool_]
     """(m, 3) whether the edge opposite each corner is a crease"""
-    split: NDArray[np.bool_]
+    on_crease: NDArray[np.bool_]
     """(j,) whether the fan lies on a crease or on a border"""
-    turn: Array
+    angle: Array
     """(m,) largest angle in rad between a face and the next ones that are not over a crease"""
     creased: bool
     """whether the mesh has creases, known seams apart, or borders"""
 
 
-def creases(
+def find_creases(
     vertices: Array, faces: Index, across: tuple[Index, Index]
 ) -> tuple[NDArray[np.bool_], Array]:
     """Whether the edge opposite each corner is a crease, and the turn there in rad (m, 3) each.
@@ -66,11 +66,15 @@ def creases(
         bend = np.einsum("mc,mc->m", normal, normal[beyond[:, k]])
         turn = np.arccos(np.clip(bend, -1.0, 1.0))
         turns[:, k] = np.where(beyond[:, k] >= 0, turn, 0.0)
-        out[:, k] = (turn * longer > CREASE * shorter) & (beyond[:, k] >= 0) & (turn > ROUNDING)
+        out[:, k] = (
+            (turn * longer > CREASE_ANGLE * shorter)
+            & (beyond[:, k] >= 0)
+            & (turn > MIN_CREASE_ANGLE)
+        )
     return out, turns
 
 
-def split(
+def split_fans(
     vertices: Array, faces: Index, across: tuple[Index, Index], seams: Index | None = None
 ) -> Fans:
     """The fans of a mesh; `across`: faces over the edges, and there the corner off the edge.
@@ -79,7 +83,7 @@ def split(
     as where a cylinder runs into a sphere.
     """
     n, (beyond, slot) = len(vertices), across
-    sharp, turns = creases(vertices, faces, across)
+    sharp, turns = find_creases(vertices, faces, across)
     creased = bool(sharp.any() or np.any(beyond < 0))
     if seams is not None and len(seams):
         tail, head = np.roll(faces, -1, axis=1), np.roll(faces, -2, axis=1)

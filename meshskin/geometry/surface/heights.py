@@ -11,17 +11,17 @@ DEGREE = 4
 POWERS = tuple((d - j, j) for d in range(1, DEGREE + 1) for j in range(d + 1))  # 14, no constant
 TERMS = {d: (d + 1) * (d + 2) // 2 - 1 for d in range(1, DEGREE + 1)}
 """number of monomials up to a degree"""
-INDEPENDENT = 1e-4
+MIN_PIVOT = 1e-4
 """smallest sine of the angle between a column of the fit and the columns before it"""
-DISTINCT = 0.02
+RANK_TOLERANCE = 0.02
 """the same, of a column that counts where a ring does not determine all"""
-STEEP, WAVY = 2.0, 0.8
+MAX_SLOPE, MAX_HIGH_ORDER = 2.0, 0.8
 """bounds of the sums of absolute coefficients, all and those above degree 2, of a believable fit,
 over the ring's radius; on a sphere, with q = ring radius over sphere radius, they are q + q^3 / 2
 and q^3 / 2"""
-DECAY = 0.2
+MAX_HIGH_ORDER_RATIO = 0.2
 """largest terms above degree 2, over those of degree 2, of a believable fit without spare points"""
-MISS = 0.01
+MAX_RESIDUAL = 0.01
 """bound of a believable fit's residual, RMS over the ring, relative to the ring's radius"""
 
 
@@ -50,12 +50,12 @@ def least_squares(
         :, [TERMS[d] - 1 for d in range(2, degree + 1)]
     ]
     rss = np.maximum(np.sum(height**2, axis=1)[:, None] - explained, 0.0)
-    good = (np.min(diagonal, axis=1) > INDEPENDENT) & believable(values, scale)
-    good &= rss[:, -1] < (MISS * scale.min(axis=1)) ** 2 * k
+    good = (np.min(diagonal, axis=1) > MIN_PIVOT) & plausible(values, scale)
+    good &= rss[:, -1] < (MAX_RESIDUAL * scale.min(axis=1)) ** 2 * k
     return good, values, rss
 
 
-def in_order(columns: Array, height: Array) -> tuple[Array, Array, Array, Array]:
+def rank_revealing_qr(columns: Array, height: Array) -> tuple[Array, Array, Array, Array]:
     """Factors of least squares (g, c, k) that leave out columns that depend on those before.
 
     Lengths of the columns (g, c), Q^T height (g, c), R (g, c, c), and which columns count (g, c).
@@ -70,25 +70,27 @@ def in_order(columns: Array, height: Array) -> tuple[Array, Array, Array, Array]
             rest = rest - np.einsum("gc,gck->gk", along, q[:, :j])
             r[:, :j, j] += along
         size = np.sqrt(np.einsum("gk,gk->g", rest, rest))
-        kept[:, j] = size > DISTINCT
+        kept[:, j] = size > RANK_TOLERANCE
         q[:, j] = np.where(kept[:, j, None], rest / np.maximum(size, 1e-300)[:, None], 0.0)
         r[:, :j, j] *= kept[:, j, None]
         r[:, j, j] = np.where(kept[:, j], size, 1.0)
     return length, np.einsum("gck,gk->gc", q, height), r, kept
 
 
-def believable(values: Array, scale: Array) -> NDArray[np.bool_]:
+def plausible(values: Array, scale: Array) -> NDArray[np.bool_]:
     """Whether coefficients (g, c), m, on rings of extents `scale` (g, 2), m, are of a surface."""
     shortest = scale.min(axis=1)
     slope = np.sum(np.abs(values[:, :2]) / scale, axis=1)
     size = np.abs(values) / shortest[:, None]
-    return np.asarray((slope + size[:, 2:].sum(axis=1) < STEEP) & (size[:, 5:].sum(axis=1) < WAVY))
+    return np.asarray(
+        (slope + size[:, 2:].sum(axis=1) < MAX_SLOPE) & (size[:, 5:].sum(axis=1) < MAX_HIGH_ORDER)
+    )
 
 
 def decaying(values: Array) -> NDArray[np.bool_]:
     """Whether the terms above degree 2 of coefficients (g, c) are small against those of it."""
     wave, bend = np.abs(values[:, 5:]).sum(axis=1), np.abs(values[:, 2:5]).sum(axis=1)
-    return np.asarray(wave <= DECAY * bend)
+    return np.asarray(wave <= MAX_HIGH_ORDER_RATIO * bend)
 
 
 def powers(x: Array, y: Array, degree: int) -> Array:

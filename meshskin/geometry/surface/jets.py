@@ -21,34 +21,34 @@ from .fans import Fans
 from .frames import fan_frames
 from .heights import (
     DEGREE,
-    MISS,
+    MAX_RESIDUAL,
     POWERS,
     TERMS,
-    believable,
     decaying,
-    in_order,
     least_squares,
+    plausible,
     powers,
+    rank_revealing_qr,
 )
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-PLANE = 1e-5
+PLANE_TOLERANCE = 1e-5
 """bound of the residual of a ring that is taken as flat, relative to the ring's radius"""
-EXPLAINED = 0.02
+MAX_UNEXPLAINED = 0.02
 """share of the heights' squares that a fit without spare points may leave"""
-SPARE = 2
+SPARE_POINTS = 2
 """points of a ring, beyond the terms of the fit and the fan itself, that a fit should have"""
-FAITHFUL = 0.01
+TRUSTED_RESIDUAL = 0.01
 """miss of a jet that is trusted on a wider ring, and with a normal that leans from its faces'"""
-CHANCE = 2.0
+VARIANCE_RATIO = 2.0
 """ratio of the variances of two fits' residuals that noise alone explains"""
-EXACT = 1e-14
+ROUNDING = 1e-14
 """square of a residual over that of the heights from which rounding explains it"""
-WIDEST = 4
+MAX_RINGS = 4
 """edges within which noisy vertices are averaged, at most"""
-MANY = 250_000
+MAX_QUARTIC_FANS = 250_000
 """fans beyond which quadrics are fitted: exact enough on faces so small, and four times as fast"""
 CHUNK = 2048
 """vertices fitted at once: bounds the memory"""
@@ -68,7 +68,7 @@ class Jets:
     """(j, 14) of x^i y^j in the order of POWERS, in m"""
     degree: NDArray[np.int64]
     """(j,) degree of each fit; 0: the faces stay flat here"""
-    miss: Array
+    residual: Array
     """(j,) residual of the fit over its heights, RMS; 1 where the ring had no points to spare"""
 
     @property
@@ -89,7 +89,7 @@ class _Fit:
     floor: Array  # (j,) sum of squares that rounding explains
 
 
-def steps(faces: Index, count: int) -> Any:
+def adjacency(faces: Index, count: int) -> Any:
     """Which of `count` nodes share an edge, and each with itself: CSR (count, count) of ones."""
     from scipy.sparse import csr_array, eye_array
 
@@ -100,16 +100,16 @@ def steps(faces: Index, count: int) -> Any:
     return csr_array(step + eye_array(count, dtype=np.float32))
 
 
-def fit(vertices: Array, fans: Fans, degree: int = DEGREE, order: int = 2) -> Jets:
+def fit_jets(vertices: Array, fans: Fans, degree: int = DEGREE, order: int = 2) -> Jets:
     """Jets of at most the given degree (2 to 4) on the `order`-ring of every fan.
 
     Where a ring is too small or too regular for the degree, or the fit is not believable, the next
     lower one is fitted, on the 1-ring at last; a fan that nothing fits keeps its flat faces.
     """
     points, count = vertices[fans.vertex], len(fans.vertex)
-    if count > MANY:
+    if count > MAX_QUARTIC_FANS:
         degree = 2
-    step = steps(fans.corner, count)
+    step = adjacency(fans.corner, count)
     frame = fan_frames(points, fans)
     jets = Jets(
         points.copy(), frame, np.ones((count, 2)), np.zeros((count, len(POWERS))),
@@ -121,12 +121,12 @@ def fit(vertices: Array, fans: Fans, degree: int = DEGREE, order: int = 2) -> Je
         reach = reach @ step
     _fit_rings(work, np.arange(count), reach, degree)
     if degree == DEGREE:
-        _smooth_noise(work, step, reach, fans.split)
-    small = np.diff(reach.indptr) <= TERMS[degree] + SPARE
+        _smooth_noise(work, step, reach, fans.on_crease)
+    small = np.diff(reach.indptr) <= TERMS[degree] + SPARE_POINTS
     poor = np.flatnonzero((jets.degree == 0) & small)
     if len(poor):  # beside a crease rings are small: one more, if the surface is smooth that far
         _fit_rings(work, poor, reach[poor] @ step, degree)
-        jets.degree[poor[jets.miss[poor] > 0.03 * FAITHFUL]] = 0
+        jets.degree[poor[jets.residual[poor] > 0.03 * TRUSTED_RESIDUAL]] = 0
     poor = np.flatnonzero(jets.degree == 0)
     if len(poor):
         for near in (reach, step):
@@ -145,18 +145,18 @@ def _fit_rings(work: _Fit, rows: Index, reach: Any, degree: int) -> None:
         ring = index[start[group][:, None] + np.arange(size[group[0]])]
         local = _local(jets, members, ring)
         solved, values, rss = least_squares(local, jets.scale[members], degree)
-        if len(ring[0]) <= TERMS[degree] + SPARE:
+        if len(ring[0]) <= TERMS[degree] + SPARE_POINTS:
             solved &= decaying(values)
         done = members[solved]
         work.rss[done, 2 : degree + 1] = rss[solved]
         work.dof[done, 2:] = [max(len(ring[0]) - 1 - TERMS[d], 0) for d in (2, 3, 4)]
         squares = np.sum(local[solved, 2] ** 2, axis=1)
-        work.floor[done] = EXACT * squares
+        work.floor[done] = ROUNDING * squares
         jets.coefficients[done] = 0.0
         jets.coefficients[done, : values.shape[1]] = values[solved]
         jets.degree[done] = degree
         if len(ring[0]) - 1 > TERMS[degree]:
-            jets.miss[done] = np.sqrt(rss[solved, -1] / np.maximum(squares, 1e-300))
+            jets.residual[done] = np.sqrt(rss[solved, -1] / np.maximum(squares, 1e-300))
 
 
 def _local(jets: Jets, members: Index, ring: Index) -> Array:
@@ -186,12 +186,12 @@ def _smooth_noise(work: _Fit, step: Any, reach: Any, split: NDArray[np.bool_]) -
     rss, dof = np.where(full[:, None], work.rss, 0.0), np.where(full[:, None], work.dof, 0.0)
     total, freedom = step @ rss[:, 2:], np.maximum(step @ dof[:, 2:], 1e-9)
     variance = total / freedom
-    chance = CHANCE * variance[:, 2]
+    chance = VARIANCE_RATIO * variance[:, 2]
     noisy = full & (variance[:, 1] <= chance) & (freedom[:, 2] >= 6)
     noisy &= total[:, 2] > step @ np.where(full, work.floor, 0.0)
     if noisy.sum() <= 0.5 * len(full):
         return
-    chance = np.maximum(chance, CHANCE * np.median(variance[noisy, 2]))
+    chance = np.maximum(chance, VARIANCE_RATIO * np.median(variance[noisy, 2]))
     known = freedom[:, 2] >= 6
     noisy, quadric = (known & (variance[:, k] <= chance) for k in (1, 0))
     cubic = np.flatnonzero(noisy & ~quadric)
@@ -200,11 +200,11 @@ def _smooth_noise(work: _Fit, step: Any, reach: Any, split: NDArray[np.bool_]) -
     limit = chance[rows]
     _fit_rings(work, rows, reach[rows], 2)
     ring = reach[rows]
-    for _ in range(WIDEST - 2):
+    for _ in range(MAX_RINGS - 2):
         ring = ring @ step
         accepted = _average(work.jets, rows, ring, limit, ~split[rows])
         rows, limit, ring = rows[accepted], limit[accepted], ring[accepted]
-    work.jets.miss[known & (work.jets.degree > 0)] = 0.0  # what they miss is noise
+    work.jets.residual[known & (work.jets.degree > 0)] = 0.0  # what they miss is noise
 
 
 def _average(
@@ -230,7 +230,7 @@ def _average(
         miss = np.einsum("gck,gc->gk", columns, values) - local[:, 2]
         freedom = size[group[0]] - 6
         good = np.einsum("gk,gk->g", miss, miss) <= limit[group] * max(freedom, 0)
-        good &= believable(np.asarray(values[:, :5], dtype=float), jets.scale[members])
+        good &= plausible(np.asarray(values[:, :5], dtype=float), jets.scale[members])
         accepted[group] = good
         jets.frame[members[~good]], jets.scale[members[~good]] = keep[0][~good], keep[1][~good]
         done = members[good]
@@ -256,28 +256,32 @@ def _fit_sparse(work: _Fit, rows: Index, reach: Any, degree: int) -> None:
         height, scale = local[:, 2], jets.scale[members]
         extent = scale.min(axis=1)
         best = np.full(len(members), np.inf)
-        length, half, triangle, kept = in_order(powers(local[:, 0], local[:, 1], degree), height)
+        length, half, triangle, kept = rank_revealing_qr(
+            powers(local[:, 0], local[:, 1], degree), height
+        )
         for trial in range(degree, 0, -1):
             c = TERMS[trial]
             values = np.linalg.solve(triangle[:, :c, :c], half[:, :c, None])[..., 0] / length[:, :c]
             rss = np.sum(height**2, axis=1) - np.sum(half[:, :c] ** 2, axis=1)
             rss, rank = np.maximum(rss, 0.0), kept[:, :c].sum(axis=1)
             freedom = size[group[0]] - 1 - rank
-            good = believable(values, scale) & (rss < (MISS * extent) ** 2 * size[group[0]])
-            good &= rss < EXPLAINED * np.sum(height**2, axis=1) + 1e-300
+            good = plausible(values, scale) & (rss < (MAX_RESIDUAL * extent) ** 2 * size[group[0]])
+            good &= rss < MAX_UNEXPLAINED * np.sum(height**2, axis=1) + 1e-300
             if trial == 1:
-                good &= rss < (PLANE * extent) ** 2 * size[group[0]]
+                good &= rss < (PLANE_TOLERANCE * extent) ** 2 * size[group[0]]
             elif trial > 2:
                 good &= (freedom > 0) | decaying(values)
             variance = rss / np.maximum(freedom, 1)
             best = np.minimum(best, np.where(good, variance, np.inf))
-            chosen = good & ((jets.degree[members] == 0) | (variance <= CHANCE * best))
+            chosen = good & ((jets.degree[members] == 0) | (variance <= VARIANCE_RATIO * best))
             done = members[chosen]
             jets.coefficients[done] = 0.0
             jets.coefficients[done, : values.shape[1]] = values[chosen]
             jets.degree[done] = trial
             squares = np.maximum(np.sum(height**2, axis=1), 1e-300)
-            jets.miss[done] = np.where(freedom > SPARE, np.sqrt(rss / squares), 1.0)[chosen]
+            jets.residual[done] = np.where(freedom > SPARE_POINTS, np.sqrt(rss / squares), 1.0)[
+                chosen
+            ]
 
 
 def size_groups(size: Index) -> list[Index]:

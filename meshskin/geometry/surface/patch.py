@@ -21,12 +21,12 @@ POWERS = tuple((d - j, j) for d in range(DEGREE + 1) for j in range(d + 1))
 ORDERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 """derivatives (in u, in v) of S, Su, Sv, Suu, Suv, Svv"""
 
-UMBILIC = 1e-12
+MIN_CURVATURE_GAP = 1e-12
 """(1/m)^2 under the root of the curvatures' difference: keeps its derivative finite on spheres"""
-FOCUS, FOLD, STRIDE = 1e-60, 1e-30, 0.5
+MIN_DETERMINANT, MIN_METRIC, MAX_STEP = 1e-60, 1e-30, 0.5
 """where the foot is not determined or the patch folds, CasADi's foot stays finite: least squared
 determinant of its Newton matrix, least of the patch's metric (m^4), longest step in u and v"""
-THIN = 1e-9
+MIN_SINE = 1e-9
 """sine of the angle between Su and Sv below which a face has no area"""
 
 
@@ -86,7 +86,7 @@ def shape(
     normal = np.cross(su, sv)
     e, f, g = (np.einsum("ij,ij->i", a, b) for a, b in ((su, su), (su, sv), (sv, sv)))
     area2 = np.einsum("ij,ij->i", normal, normal)  # = E G - F^2
-    thin = area2 <= THIN**2 * e * g
+    thin = area2 <= MIN_SINE**2 * e * g
     area2[thin] = np.inf
     normal /= np.sqrt(area2)[:, None]
     ll, m, n = (-np.einsum("ij,ij->i", a, normal) for a in (suu, suv, svv))
@@ -147,18 +147,18 @@ def casadi_foot(
         huv = ca.dot(su, sv) + ca.dot(r, suv)
         hvv = ca.dot(sv, sv) + ca.dot(r, svv)
         det = huu * hvv - huv * huv
-        scale = det / ca.fmax(det * det, FOCUS)
+        scale = det / ca.fmax(det * det, MIN_DETERMINANT)
         du, dv = (huv * gv - hvv * gu) * scale, (huv * gu - huu * gv) * scale
-        du, dv = (ca.fmin(ca.fmax(step, -STRIDE), STRIDE) for step in (du, dv))
+        du, dv = (ca.fmin(ca.fmax(step, -MAX_STEP), MAX_STEP) for step in (du, dv))
         u, v = u + du, v + dv
     turn_u, turn_v = suu * du + suv * dv, suv * du + svv * dv
     s = s + (su + 0.5 * turn_u) * du + (sv + 0.5 * turn_v) * dv
     su, sv = su + turn_u, sv + turn_v
     e, f, g = ca.dot(su, su), ca.dot(su, sv), ca.dot(sv, sv)
-    inverse_area2 = 1.0 / ca.fmax(e * g - f * f, FOLD)
+    inverse_area2 = 1.0 / ca.fmax(e * g - f * f, MIN_METRIC)
     normal = ca.cross(su, sv) * ca.sqrt(inverse_area2)
     ll, m, n = -ca.dot(suu, normal), -ca.dot(suv, normal), -ca.dot(svv, normal)
     mean = (0.5 * (e * n + g * ll) - f * m) * inverse_area2
     gauss = (ll * n - m * m) * inverse_area2
-    spread = ca.sqrt(ca.fmax(mean * mean - gauss, 0.0) + UMBILIC)
+    spread = ca.sqrt(ca.fmax(mean * mean - gauss, 0.0) + MIN_CURVATURE_GAP)
     return u, v, s, normal, ca.vertcat(mean + spread, mean - spread)

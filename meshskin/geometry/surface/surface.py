@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...core.arguments import check_vectors
 from ...core.errors import MeshError
 from ...core.se3 import orthonormal_basis
-from ..mesh.inside_outside import ON_EDGE, Folds
+from ..mesh.inside_outside import ON_EDGE, InsideOutside
 from ..mesh.topology import NEXT, PREVIOUS, neighbours
 from ..mesh.triangles import face_normals
 from . import blend, compiled_search, fans, heights, jets, newton, patch
@@ -26,7 +26,7 @@ from .compiled_search import CompiledSearch
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-SLACK = 1.3
+OFFSET_MARGIN = 1.3
 """a patch's height over its face, over that at its nodes"""
 
 
@@ -58,12 +58,12 @@ class Surface:
     @cached_property
     def fans(self) -> fans.Fans:
         """The vertices split at creases."""
-        return fans.split(self.vertices, self.faces, (self.neighbours, self.slot), self._seams)
+        return fans.split_fans(self.vertices, self.faces, (self.neighbours, self.slot), self._seams)
 
     @cached_property
     def _shape(self) -> tuple[jets.Jets, blend.Creases]:
-        fitted = jets.fit(self.vertices, self.fans, self._degree)
-        return blend.settle(fitted, self.fans, self.neighbours, self.slot)
+        fitted = jets.fit_jets(self.vertices, self.fans, self._degree)
+        return blend.regularize(fitted, self.fans, self.neighbours, self.slot)
 
     @property
     def jets(self) -> jets.Jets:
@@ -73,7 +73,7 @@ class Surface:
     @cached_property
     def _blend(self) -> tuple[Array, Array]:
         fitted, creases = self._shape
-        return blend.blend(fitted, self.fans, creases, self.vertices[self.faces])
+        return blend.blend_patches(fitted, self.fans, creases, self.vertices[self.faces])
 
     @property
     def patches(self) -> Array:
@@ -81,9 +81,9 @@ class Surface:
         return self._blend[0]
 
     @cached_property
-    def lifts(self) -> Array:
+    def offsets(self) -> Array:
         """Bounds (m,) of the distances in m between the patches and the flat faces."""
-        return SLACK * self._blend[1]
+        return OFFSET_MARGIN * self._blend[1]
 
     @cached_property
     def smooth(self) -> bool:
@@ -195,7 +195,7 @@ class Surface:
         """
         side = np.zeros(len(points))
         if flat is not None:
-            height = np.maximum(self.lifts[flat.face], self.lifts[hit.face])
+            height = np.maximum(self.offsets[flat.face], self.offsets[hit.face])
             rows = np.flatnonzero(flat.distance > height)
             face, uv = flat.face[rows], flat.uv[rows]
             weight = np.column_stack([1.0 - uv.sum(axis=1), uv])
@@ -203,7 +203,7 @@ class Surface:
             outward = self._outward(face, uv, self._flat_normals[face])
             way = points[rows] - foot
             side[rows] = np.einsum("ij,ij->i", way, outward)
-            doubtful = rows[self._folds.doubtful(face, weight, way)]
+            doubtful = rows[self._folds.ambiguous(face, weight, way)]
             if len(doubtful):  # the first asking builds a tree over the whole mesh
                 side[doubtful] = self._folds.side(points[doubtful])
         rows = np.flatnonzero(side == 0.0)
@@ -212,17 +212,17 @@ class Surface:
         if not len(self._crossed):
             return side
         if flat is None:
-            far = np.abs(hit.distance) > self.lifts[hit.face]
-            return self._folds.settle(side, points, hit.face, hit.uv, far)
+            far = np.abs(hit.distance) > self.offsets[hit.face]
+            return self._folds.resolve(side, points, hit.face, hit.uv, far)
         far = np.ones(len(points), dtype=bool)
         far[rows] = False  # the patch told
         at, uv = np.where(far, flat.face, hit.face), np.where(far[:, None], flat.uv, hit.uv)
-        return self._folds.settle(side, points, at, uv, far)
+        return self._folds.resolve(side, points, at, uv, far)
 
     @cached_property
-    def _folds(self) -> Folds:
+    def _folds(self) -> InsideOutside:
         normals = self._flat_normals
-        return Folds(self.vertices, self.faces, normals, self._crossed, self.neighbours)
+        return InsideOutside(self.vertices, self.faces, normals, self._crossed, self.neighbours)
 
     @cached_property
     def _flat_normals(self) -> Array:

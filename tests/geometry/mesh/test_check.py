@@ -6,8 +6,8 @@ import trimesh
 
 from meshskin import cli
 from meshskin.cli import check
-from meshskin.geometry.mesh.check import survey
-from meshskin.geometry.mesh.self_intersection import piercings
+from meshskin.geometry.mesh.check import check_mesh
+from meshskin.geometry.mesh.self_intersection import edge_face_intersections
 from meshskin.geometry.mesh.winding_number import winding_number
 
 
@@ -21,13 +21,13 @@ def verdicts(found):
 
 
 def test_a_clean_mesh_has_no_findings(ball):
-    found = survey(ball.vertices, ball.faces)
+    found = check_mesh(ball.vertices, ball.faces)
     assert found.findings == ()
     np.testing.assert_array_equal(found.faces, ball.faces)
 
 
 def test_a_hole_is_told_with_its_place_faces_and_length(ball):
-    (finding,) = survey(ball.vertices, ball.faces[1:]).refused
+    (finding,) = check_mesh(ball.vertices, ball.faces[1:]).refused
     assert "3 border edges, 1 hole, the longest" in finding.what
     gone = ball.triangles_center[0]
     assert np.linalg.norm(finding.points - gone, axis=1).max() < 0.02
@@ -36,12 +36,14 @@ def test_a_hole_is_told_with_its_place_faces_and_length(ball):
     ]
     assert sorted(finding.faces + 1) == beside
     assert "open=True" in finding.remedy
-    assert [v for v, _ in verdicts(survey(ball.vertices, ball.faces[1:], open=True))] == ["noted"]
+    assert [v for v, _ in verdicts(check_mesh(ball.vertices, ball.faces[1:], open=True))] == [
+        "noted"
+    ]
 
 
 def test_faces_are_told_by_their_numbers_in_the_file(ball):
     faces = np.vstack([ball.faces[:1], ball.faces[:1], ball.faces[2:]])  # a double, and a hole
-    found = survey(ball.vertices, faces)
+    found = check_mesh(ball.vertices, faces)
     assert found.repairs == ("1 duplicate faces dropped",)
     hole = found.refused[0]
     shared = [len(set(faces[f]) & set(ball.faces[1])) for f in hole.faces]
@@ -52,12 +54,12 @@ def test_a_hollow_ball_points_into_its_hollow(ball):
     inner = 0.5 * ball.vertices
     vertices = np.vstack([ball.vertices, inner])
     faces = np.vstack([ball.faces, ball.faces + len(inner)])
-    found = survey(vertices, faces)
+    found = check_mesh(vertices, faces)
     assert found.repairs == ("orientation of 1 of 2 parts inverted: normals pointed inward",)
     assert ("noted", "2 separate parts") in verdicts(found)
     mesh = trimesh.Trimesh(found.vertices, found.faces, process=False)
     assert mesh.volume == pytest.approx(ball.volume * (1 - 0.125))
-    again = survey(found.vertices, found.faces)
+    again = check_mesh(found.vertices, found.faces)
     assert again.repairs == ()
 
 
@@ -65,17 +67,17 @@ def test_overlap_is_found_where_it_is(ball):
     other = ball.copy()
     other.apply_translation([0.13, 0.01, 0.005])
     both = trimesh.util.concatenate([ball, other])
-    one, two, where = piercings(both.vertices, both.faces)
-    again = piercings(both.vertices, both.faces, closed=True)
+    one, two, where = edge_face_intersections(both.vertices, both.faces)
+    again = edge_face_intersections(both.vertices, both.faces, closed=True)
     assert len(again[0]) == len(one)
     np.testing.assert_allclose(np.sort(again[2], axis=0), np.sort(where, axis=0), atol=1e-6)
     half = len(ball.faces)
     assert np.all((one < half) != (two < half))
     assert np.all(np.abs(np.linalg.norm(where, axis=1) - 0.1) < 1.5e-3)
     assert np.all(np.abs(np.linalg.norm(where - [0.13, 0.01, 0.005], axis=1) - 0.1) < 1.5e-3)
-    refused = survey(both.vertices, both.faces).refused
-    assert "passes through itself" in refused[0].what
-    assert survey(both.vertices, both.faces, open=True).refused == ()
+    refused = check_mesh(both.vertices, both.faces).refused
+    assert "intersects itself" in refused[0].what
+    assert check_mesh(both.vertices, both.faces, open=True).refused == ()
 
 
 @pytest.mark.parametrize(
@@ -84,15 +86,15 @@ def test_overlap_is_found_where_it_is(ball):
      trimesh.creation.cylinder(0.03, 0.2), trimesh.creation.capsule(0.1, 0.02)],
 )  # fmt: skip
 def test_sound_meshes_do_not_overlap(mesh):
-    assert len(piercings(mesh.vertices, mesh.faces)[0]) == 0
+    assert len(edge_face_intersections(mesh.vertices, mesh.faces)[0]) == 0
     fine = mesh.subdivide().subdivide()
-    assert len(piercings(fine.vertices, fine.faces)[0]) == 0
+    assert len(edge_face_intersections(fine.vertices, fine.faces)[0]) == 0
 
 
 def test_an_edge_of_three_faces_is_told(ball):
     a, b = ball.faces[0][:2]
     vertices = np.vstack([ball.vertices, [[0.0, 0.0, 0.2]]])
-    found = survey(vertices, np.vstack([ball.faces, [[a, b, len(ball.vertices)]]]))
+    found = check_mesh(vertices, np.vstack([ball.faces, [[a, b, len(ball.vertices)]]]))
     assert any("1 edges of more than two faces" in f.what for f in found.refused)
 
 
@@ -105,8 +107,8 @@ def test_winding_number(ball):
 
 
 def test_indices_that_name_no_vertex_are_told():
-    found = survey(np.eye(3), np.array([[0, 1, 3]]))
-    assert "name vertices that are not there" in found.refused[0].what
+    found = check_mesh(np.eye(3), np.array([[0, 1, 3]]))
+    assert "refer to vertices that do not exist" in found.refused[0].what
 
 
 def test_command_says_what_and_where(ball, tmp_path, capsys):
@@ -151,7 +153,7 @@ def test_command_names_its_own_option(ball, tmp_path, capsys):
 def test_a_drawing_leaves_out_repairs_all_over_the_mesh(ball):
     """Every corner written by itself, as in an STL, and a hole: only the hole is shown."""
     corners = ball.triangles[1:].reshape(-1, 3)
-    found = survey(corners, np.arange(len(corners)).reshape(-1, 3))
+    found = check_mesh(corners, np.arange(len(corners)).reshape(-1, 3))
     merged, hole = found.findings
     assert len(check.shown(merged, found)) == 0
     assert check.named(merged, found).endswith("duplicate vertices merged (everywhere, not drawn)")

@@ -8,9 +8,9 @@ import trimesh
 
 from meshskin.geometry.body import Body
 from meshskin.geometry.mesh import winding_number as wn
-from meshskin.geometry.mesh.inside_outside import Folds
+from meshskin.geometry.mesh.inside_outside import InsideOutside
 from meshskin.geometry.mesh.topology import neighbours
-from meshskin.geometry.mesh.winding_number import Winding
+from meshskin.geometry.mesh.winding_number import WindingNumber
 from meshskin.geometry.mesh.winding_number import winding_number as turns
 
 from ...real_data import DATA, needs_icub
@@ -18,7 +18,9 @@ from ...real_data import DATA, needs_icub
 
 def folds(mesh):
     faces, none = np.asarray(mesh.faces), np.zeros(0, dtype=np.intp)
-    return Folds(np.asarray(mesh.vertices), faces, mesh.face_normals, none, neighbours(faces)[0])
+    return InsideOutside(
+        np.asarray(mesh.vertices), faces, mesh.face_normals, none, neighbours(faces)[0]
+    )
 
 
 def test_no_edge_of_a_solid_is_doubtful():
@@ -29,7 +31,7 @@ def test_no_edge_of_a_solid_is_doubtful():
     weight = trimesh.triangles.points_to_barycentric(box.triangles[face], foot)
     weight[weight < 1e-9] = 0.0
     assert (np.sum(weight > 0, axis=1) < 3).sum() > 200
-    assert not len(folds(box).doubtful(face, weight, points - foot))
+    assert not len(folds(box).ambiguous(face, weight, points - foot))
 
 
 def test_an_edge_folded_back_is_doubtful():
@@ -39,9 +41,9 @@ def test_an_edge_folded_back_is_doubtful():
     middle = np.array([[0.5, 0.5, 0.0]])
     fold = folds(mesh)
     assert fold.closed
-    assert list(fold.doubtful(np.array([0]), middle, np.array([[0.0, -1.0, 0.3]]))) == [0]
+    assert list(fold.ambiguous(np.array([0]), middle, np.array([[0.0, -1.0, 0.3]]))) == [0]
     corner = np.array([[1.0, 0.0, 0.0]])
-    assert list(fold.doubtful(np.array([0]), corner, np.array([[-1.0, -1.0, 0.4]]))) == [0]
+    assert list(fold.ambiguous(np.array([0]), corner, np.array([[-1.0, -1.0, 0.4]]))) == [0]
 
 
 def test_the_rim_of_a_coarse_cylinder_is_not_doubtful():
@@ -54,7 +56,7 @@ def test_the_rim_of_a_coarse_cylinder_is_not_doubtful():
     weight = trimesh.triangles.points_to_barycentric(body.mesh.triangles[face], foot)
     weight[weight < 1e-6] = 0.0
     fold, way = folds(body.mesh), points - foot
-    assert not len(fold.doubtful(face, weight, way))
+    assert not len(fold.ambiguous(face, weight, way))
     np.testing.assert_array_equal(fold.side(points), 1.0)
     assert np.all(body.closest(points).distance > 0.0)
 
@@ -75,7 +77,7 @@ def test_an_open_mesh_has_no_doubts():
     fold = folds(ball)
     assert not fold.closed
     away = -ball.triangles_center[:1]
-    assert not len(fold.doubtful(np.array([0]), np.array([[1.0, 0.0, 0.0]]), away))
+    assert not len(fold.ambiguous(np.array([0]), np.array([[1.0, 0.0, 0.0]]), away))
 
 
 def ball(centre=(0.0, 0.0, 0.0), radius=0.1, subdivisions=4):
@@ -98,7 +100,7 @@ def test_turns_are_those_of_all_triangles(each_way):
     points = np.random.default_rng(0).uniform(-0.15, 0.25, size=(150, 3))
     points = np.vstack([points, mesh.triangles_center[::40] + 1e-9 * mesh.face_normals[::40]])
     expected = [round(turns(mesh.triangles, p)) for p in points]
-    found = Winding(mesh.vertices, mesh.faces).about(points)
+    found = WindingNumber(mesh.vertices, mesh.faces).at(points)
     assert set(expected) == {0, 1, 2}
     np.testing.assert_array_equal(found, expected)
 
@@ -106,13 +108,13 @@ def test_turns_are_those_of_all_triangles(each_way):
 def test_holes_are_closed_far_away(each_way):
     """Chimneys stand on a ball's holes, a well hangs below a dome, both to infinity."""
     mesh = ball(subdivisions=3)
-    cut = Winding(mesh.vertices, mesh.faces[np.abs(mesh.triangles_center[:, 2]) < 0.09])
+    cut = WindingNumber(mesh.vertices, mesh.faces[np.abs(mesh.triangles_center[:, 2]) < 0.09])
     assert not cut.closed
     points = [[0, 0, 0.0], [0.05, 0, 0.08], [0, 0, 3.0], [0, 0, -3.0], [0.2, 0, 0], [0.1, 0, 0.5]]
-    np.testing.assert_array_equal(cut.about(np.array(points)), [1, 1, 1, 1, 0, 0])
-    dome = Winding(mesh.vertices, mesh.faces[mesh.triangles_center[:, 2] > 0.05])
+    np.testing.assert_array_equal(cut.at(np.array(points)), [1, 1, 1, 1, 0, 0])
+    dome = WindingNumber(mesh.vertices, mesh.faces[mesh.triangles_center[:, 2] > 0.05])
     points = [[0, 0, 0.08], [0, 0, -3.0], [0, 0, 0.12], [0.2, 0, 0.07], [0.2, 0, -1.0]]
-    np.testing.assert_array_equal(dome.about(np.array(points)), [1, 1, 0, 0, 0])
+    np.testing.assert_array_equal(dome.at(np.array(points)), [1, 1, 0, 0, 0])
 
 
 def test_every_soup_is_closed_to_whole_turns():
@@ -122,11 +124,11 @@ def test_every_soup_is_closed_to_whole_turns():
     faces = mesh.faces[rng.random(len(mesh.faces)) < 0.8]
     turned = rng.random(len(faces)) < 0.2
     faces = np.where(turned[:, None], faces[:, ::-1], faces)
-    soup = Winding(mesh.vertices, faces)
+    soup = WindingNumber(mesh.vertices, faces)
     points = rng.uniform(-0.15, 0.25, size=(100, 3))
-    total = soup._exact(points) + soup._chimneys(points)
+    total = soup._exact(points) + soup._of_extrusion(points)
     np.testing.assert_allclose(total, np.round(total), atol=1e-9)
-    np.testing.assert_array_equal(soup.about(points), np.round(total))
+    np.testing.assert_array_equal(soup.at(points), np.round(total))
 
 
 def loaded(mesh, folder, **options):
@@ -137,7 +139,7 @@ def loaded(mesh, folder, **options):
 def wrong(body, points, inside):
     """How many signs are wrong of points that are farther off than the patches from the mesh."""
     hit = body.closest(points)
-    clear = np.abs(hit.distance) > body.surface.lifts[hit.face]
+    clear = np.abs(hit.distance) > body.surface.offsets[hit.face]
     assert clear.sum() > 0.4 * len(points)
     return int(np.sum((hit.distance < 0.0)[clear] != inside[clear]))
 

@@ -1,11 +1,11 @@
-"""Edges of more than two faces: parted where sheets touch, left where the order is not sure."""
+"""Edges of more than two faces: split where parts touch, refused where the order is uncertain."""
 
 import numpy as np
 import pytest
 import trimesh
 
 from meshskin.geometry.body import Body
-from meshskin.geometry.mesh.check import survey
+from meshskin.geometry.mesh.check import check_mesh
 from meshskin.geometry.mesh.winding_number import winding_number
 
 
@@ -49,7 +49,7 @@ def load(mesh, folder):
 
 def signs_are_right(body, points):
     hit = body.closest(points)
-    clear = np.abs(hit.distance) > body.surface.lifts[hit.face] + 1e-9
+    clear = np.abs(hit.distance) > body.surface.offsets[hit.face] + 1e-9
     assert clear.sum() > 0.5 * len(points)
     inside = np.array([winding_number(body.mesh.triangles, p) > 0.5 for p in points])
     np.testing.assert_array_equal(hit.distance[clear] < 0.0, inside[clear])
@@ -58,7 +58,7 @@ def signs_are_right(body, points):
 def test_boxes_that_share_an_edge_are_two(tmp_path):
     mesh = touching(((0, 0, 0), (0.1, 0.1, 0.1)), ((0.1, 0.1, 0), (0.2, 0.2, 0.1)))
     body = load(mesh, tmp_path)
-    assert body.repairs[-1] == "1 edges of more than two faces parted: sheets touch there"
+    assert body.repairs[-1] == "1 edges of more than two faces split: parts touch there"
     assert body.mesh.is_watertight
     assert body.mesh.volume == pytest.approx(2e-3)
     assert len(body.crossed) == 4
@@ -78,7 +78,7 @@ def test_a_box_in_an_inner_corner_does_not_turn_the_sign(tmp_path):
     tips = np.vstack([[[2, 1, 0], [3, 4, 5]], np.reshape(sides, (-1, 3))])
     both = trimesh.Trimesh(np.vstack([vertices, tip]), np.vstack([faces, tips + 12]), process=False)
     body = load(both, tmp_path)
-    assert "parted" in body.repairs[-1]
+    assert "faces split" in body.repairs[-1]
     assert body.mesh.is_watertight
     points = np.random.default_rng(0).uniform([0.06, 0.06, 0.02], [0.14, 0.14, 0.08], (600, 3))
     signs_are_right(body, points)
@@ -87,14 +87,14 @@ def test_a_box_in_an_inner_corner_does_not_turn_the_sign(tmp_path):
 @pytest.mark.parametrize("pinched", [((4, 4), (4, 5)), ((3, 4), (4, 4), (5, 4)), ((2, 2), (3, 3))])
 def test_a_plate_pinched_along_edges_stays_one(tmp_path, pinched):
     body = load(plate(pinched=pinched), tmp_path)
-    assert f"{len(pinched) - 1} edges of more than two faces parted" in body.repairs[-1]
+    assert f"{len(pinched) - 1} edges of more than two faces split" in body.repairs[-1]
     assert body.mesh.is_watertight
     assert body.mesh.body_count == 1
     points = np.random.default_rng(0).uniform([-0.04, -0.04, -0.02], [0.04, 0.04, 0.02], (400, 3))
     signs_are_right(body, points)
 
 
-def test_three_boxes_about_one_edge_are_parted(tmp_path):
+def test_three_boxes_about_one_edge_are_split(tmp_path):
     """Six faces about an edge; a hexagon of which every other sixth is solid."""
     angle = np.radians([0, 60, 120, 180, 240, 300])
     ring = 0.1 * np.column_stack([np.cos(angle), np.sin(angle)])
@@ -115,17 +115,17 @@ def test_what_is_not_sure_is_refused():
     one = box((0, 0, 0), (0.1, 0.1, 0.1))
     a, b = one.faces[0][:2]
     fin = np.vstack([one.vertices, [[0.3, 0.3, 0.3]]])
-    refused = survey(fin, np.vstack([one.faces, [[a, b, 8]]])).refused
+    refused = check_mesh(fin, np.vstack([one.faces, [[a, b, 8]]])).refused
     assert any("edges of more than two faces" in f.what for f in refused)
     flush = touching(((0, 0, 0), (0.1, 0.1, 0.1)), ((0.1, 0, 0), (0.2, 0.1, 0.1)))
     flush.merge_vertices()
-    found = survey(flush.vertices, flush.faces)
-    assert not any("parted" in words for words in found.repairs)
+    found = check_mesh(flush.vertices, flush.faces)
+    assert not any("faces split" in words for words in found.repairs)
     assert found.refused
 
 
 def test_parting_moves_no_face():
     mesh = plate()
     before = mesh.triangles
-    found = survey(mesh.vertices, mesh.faces)
+    found = check_mesh(mesh.vertices, mesh.faces)
     np.testing.assert_array_equal(found.vertices[found.faces], before[np.argsort(found.row)])

@@ -60,7 +60,7 @@ def test_compiled_and_reference_search_agree(name):
     for found in (first, compiled.closest(points, first.face)):
         more = distance(found) - least
         assert np.all(more > -1e-9)
-        assert np.all(more < 1e-9 + surface.smooth * surface.lifts.max())
+        assert np.all(more < 1e-9 + surface.smooth * surface.offsets.max())
         assert np.mean(more > 1e-9) < 4e-3
     minima = [surface.at(*search.descend(points, first.face)).point for search in both(surface)]
     np.testing.assert_allclose(*minima, rtol=0, atol=1e-9)
