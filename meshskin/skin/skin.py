@@ -100,7 +100,9 @@ class Skin:
                 "number of taxels", count, least=1, most=MAX_TAXELS, error=SkinError
             )
         check_real("disc radius of a taxel", disc_radius, "m", above=0.0, error=SkinError)
-        sites = taxel_layout.sites(body, regions.as_region(region), spacing, count, disc_radius, seed)
+        sites = taxel_layout.sites(
+            body, regions.as_region(region), spacing, count, disc_radius, seed
+        )
         rotation = se3.orthonormal_basis(sites.at.normal, sites.tangent)
         return cls(se3.transform(rotation, sites.at.point), np.arange(len(sites)), disc_radius)
 
