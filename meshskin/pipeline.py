@@ -20,7 +20,7 @@ from .core.provenance import StageTimer, provenance
 from .estimation.calibrate import calibrate
 from .estimation.calibration import Calibration
 from .estimation.demonstration import Demonstration, demonstrate
-from .estimation.joint.newton import NEWTON_TOLERANCE
+from .estimation.joint.reduced_nlp import NEWTON_TOLERANCE
 from .estimation.uncertainty import metrics as truth
 from .recording.recording import Recording
 from .scene.belief import Belief

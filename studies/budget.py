@@ -30,7 +30,7 @@ import meshskin as ms
 from meshskin import effects
 from meshskin.core.atomic_io import write_text
 from meshskin.core.errors import ReachError
-from meshskin.estimation.joint.newton import NEWTON_TOLERANCE
+from meshskin.estimation.joint.reduced_nlp import NEWTON_TOLERANCE
 from meshskin.exploration.path import Path as Way
 from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap

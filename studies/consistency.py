@@ -42,7 +42,7 @@ from meshskin.effects.gain_offset import GainOffset
 from meshskin.effects.gaussian_noise import GaussianNoise
 from meshskin.effects.indenter_offset import IndenterOffset
 from meshskin.estimation.data.global_parameters import PRIORS, ROTATION
-from meshskin.estimation.joint.module_parametrization import SURFACE
+from meshskin.estimation.joint.module_parametrization import SURFACE_SIGMA
 from meshskin.estimation.uncertainty import metrics
 from meshskin.estimation.uncertainty.observability import TILT_SIGMA
 from meshskin.geometry.region import Cap
@@ -278,7 +278,7 @@ def settled(scene: ms.Scene, rng: np.random.Generator) -> tuple[ms.Scene, dict[s
     skin = scene.skin
     offsets = slots.OFFSETS[slots.slot(skin.ids)].reshape(-1, len(slots.TAXELS), 3)
     plane = np.stack([np.ones(offsets.shape[:2]), offsets[..., 1], -offsets[..., 0]], axis=2)
-    heights = rng.normal(scale=SURFACE, size=offsets.shape[:2])
+    heights = rng.normal(scale=SURFACE_SIGMA, size=offsets.shape[:2])
     lift = np.einsum("mij,mj->mi", np.linalg.pinv(plane), heights)
     none = np.zeros(len(lift))
     move = se3.transform(

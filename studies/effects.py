@@ -35,8 +35,8 @@ from meshskin.estimation import chart
 from meshskin.estimation.data.measurements import gather
 from meshskin.estimation.joint import fault_detection
 from meshskin.estimation.joint.joint_estimator import JointEstimator
-from meshskin.estimation.joint.newton import MAX_ITERATIONS
 from meshskin.estimation.joint.parametrization import SurfaceParametrization
+from meshskin.estimation.joint.reduced_nlp import MAX_ITERATIONS
 from meshskin.estimation.trilateration import coactivation, trilaterate
 from meshskin.report import theme
 
@@ -135,13 +135,13 @@ def from_all(recording: ms.Recording, belief: ms.Belief) -> np.ndarray:
     """The joint estimate (n, 3), m, that takes no reading for outlying."""
     data, body = gather(recording, belief), belief.body
     near = coactivation.without_distant_readings(data)
-    start = coactivation.initial_estimate(near, body)
+    start = coactivation.initial_estimate(near, trilaterate.least_squares(near))
     live = np.setdiff1d(np.flatnonzero(start.found), fault_detection.stuck_taxels(data).rows)
     frames = chart.charts_at(body, start.points[live], start.rotations[live])
     places = SurfaceParametrization(frames, float(np.median(data.radii)) / 2)
-    run = JointEstimator(data, body, live, places, np.ones(len(data.pressure)), MAX_ITERATIONS)
+    run = JointEstimator(data, live, places, np.ones(len(data.pressure)), MAX_ITERATIONS)
     run.converge()
-    run.restart(trilaterate.centroids(near, body)[live])
+    run.restart(trilaterate.centroids(near)[live])
     points = np.full(start.points.shape, np.nan)
     points[live] = run.problem.points(run.state)
     return points

@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from time import process_time
 from typing import TYPE_CHECKING
@@ -34,8 +35,9 @@ from meshskin.estimation.calibrate import METHODS
 from meshskin.estimation.data.measurements import Measurements, gather
 from meshskin.estimation.joint import maximum_likelihood
 from meshskin.estimation.joint.joint_estimator import JointEstimator
-from meshskin.estimation.joint.newton import MAX_ITERATIONS
 from meshskin.estimation.joint.parametrization import SurfaceParametrization
+from meshskin.estimation.joint.reduced_nlp import MAX_ITERATIONS
+from meshskin.estimation.result import EstimatorResult
 from meshskin.estimation.trilateration import coactivation, displacements, trilaterate
 from meshskin.estimation.uncertainty import metrics
 from meshskin.report import theme
@@ -119,9 +121,9 @@ def by_start(points: np.ndarray, seeds: range, levels: tuple[float, ...]) -> dic
     rows: dict[str, list[dict[str, float]]] = {}
     for seed in seeds:
         data = gather(ms.press(scene, points, seed=seed), scene.belief())
-        right = trilaterate.least_squares(data, scene.body)
-        best = maximum_likelihood.estimate(data, scene.body).points
-        graph = displacements.displacements(data, scene.body, right)
+        right = trilaterate.least_squares(data)
+        best = maximum_likelihood.estimate(data).points
+        graph = displacements.displacement_graph(data, right)
         least = graph.solve().cost
         rng = np.random.default_rng(seed)
         for level in levels:
@@ -131,7 +133,7 @@ def by_start(points: np.ndarray, seeds: range, levels: tuple[float, ...]) -> dic
             row = shares(data, scene, fit, best) | {"error_mm": level}
             row["posegraph"] = float(abs(graph_cost / least - 1) < SAME)
             rows.setdefault(f"{level:g}", []).append(row)
-        alone = coactivation.contact_centroid_start(data, scene.body)
+        alone = coactivation.contact_centroid_start(data)
         off = 1e3 * float(np.linalg.norm(alone.points - best, axis=1).mean())
         row = shares(data, scene, alone, best) | {"error_mm": off}
         rows.setdefault("co-activation", []).append(row)
@@ -150,21 +152,21 @@ def by_start(points: np.ndarray, seeds: range, levels: tuple[float, ...]) -> dic
 
 def displaced(
     scene: ms.Scene,
-    right: trilaterate.Fit,
+    right: EstimatorResult,
     points: np.ndarray,
     distance: float,
     rng: np.random.Generator,
-) -> trilaterate.Fit:
+) -> EstimatorResult:
     """`right` with its points (n, 3) moved by `distance`, m, each in a direction of its own."""
     angle = rng.uniform(-np.pi, np.pi, (len(points), 1))
     x, y = np.moveaxis(right.rotations[:, :, :2], 2, 0)
     hit = scene.body.closest(points + distance * (np.cos(angle) * x + np.sin(angle) * y))
     rotations = chart.align_normals(right.rotations, hit.normal)
-    return trilaterate.Fit(hit.point, rotations, right.covariance, right.chi2, right.reasons)
+    return replace(right, points=hit.point, rotations=rotations)
 
 
 def shares(
-    data: Measurements, scene: ms.Scene, start: trilaterate.Fit, best: np.ndarray
+    data: Measurements, scene: ms.Scene, start: EstimatorResult, best: np.ndarray
 ) -> dict[str, float]:
     """Share of taxels that end at their `best` places, and without restarts; 0 where one fails."""
 
@@ -175,20 +177,18 @@ def shares(
             return 0.0
 
     return {
-        "joint": share(lambda: maximum_likelihood.estimate(data, scene.body, start).points),
+        "joint": share(lambda: maximum_likelihood.estimate(data, start).points),
         "plain": share(lambda: steps_only(data, scene, start)),
     }
 
 
-def steps_only(data: Measurements, scene: ms.Scene, start: trilaterate.Fit) -> np.ndarray:
+def steps_only(data: Measurements, scene: ms.Scene, start: EstimatorResult) -> np.ndarray:
     """Points (n, 3) of the joint estimate without restarts and without doubt."""
     live, step = np.flatnonzero(start.found), float(np.median(data.radii)) / 2
     places = SurfaceParametrization(
         chart.charts_at(scene.body, start.points[live], start.rotations[live]), step
     )
-    run = JointEstimator(
-        data, scene.body, live, places, np.ones(len(data.pressure)), MAX_ITERATIONS
-    )
+    run = JointEstimator(data, live, places, np.ones(len(data.pressure)), MAX_ITERATIONS)
     run.converge()
     return run.problem.points(run.state)
 

@@ -31,8 +31,8 @@ import meshskin as ms
 from meshskin.estimation import chart
 from meshskin.estimation.data.measurements import gather
 from meshskin.estimation.joint.joint_estimator import JointEstimator
-from meshskin.estimation.joint.newton import MAX_ITERATIONS
 from meshskin.estimation.joint.parametrization import SurfaceParametrization
+from meshskin.estimation.joint.reduced_nlp import MAX_ITERATIONS
 from meshskin.estimation.trilateration import trilaterate
 from meshskin.estimation.uncertainty import metrics
 from meshskin.recording.recording import READINGS
@@ -179,11 +179,11 @@ def largest(rows: dict[float, float]) -> float:
 def left_out(world: World, recording: ms.Recording, hit: np.ndarray) -> np.ndarray:
     """Errors (n,), m, where the readings `hit` (k,) weigh nothing, and nothing is doubted."""
     data, body = gather(recording, world.belief), world.scene.body
-    start, live = trilaterate.least_squares(data, body), np.arange(len(data.ids))
+    start, live = trilaterate.least_squares(data), np.arange(len(data.ids))
     places = SurfaceParametrization(
         chart.charts_at(body, start.points, start.rotations), float(np.median(data.radii)) / 2
     )
-    run = JointEstimator(data, body, live, places, np.where(hit, 0.0, 1.0), MAX_ITERATIONS)
+    run = JointEstimator(data, live, places, np.where(hit, 0.0, 1.0), MAX_ITERATIONS)
     run.converge()
     return np.linalg.norm(run.problem.points(run.state) - world.skin.positions, axis=1)
 

@@ -1,4 +1,4 @@
-"""The calibration: where every taxel is, how certain that is, and what was not determined."""
+"""The calibration: poses of all taxels with covariances, and what the data did not determine."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from ..core.arguments import check_type
 from ..core.atomic_io import atomic, write_text
-from ..core.errors import CalibrationError
+from ..core.errors import CalibrationError, ConfigError
 from ..core.se3 import Array
+from .data.global_parameters import LOGARITHMS
 from .uncertainty.goodness_of_fit import GoodnessOfFit
 
 if TYPE_CHECKING:
@@ -33,8 +35,8 @@ _COLUMNS = {
     "reasons": "why",
 }
 """Columns of a file by field."""
-_LOCAL = "taxel_"
-"""Prefix of the columns of what each taxel has unknown beside its pose."""
+_NUISANCE = "taxel_"
+"""Prefix of the columns of nuisance parameters."""
 _HEADER = (
     "method",
     "anchor",
@@ -52,16 +54,16 @@ _HEADER = (
 class Calibration:
     """Poses of n taxels in the body frame, with their covariances. SI units.
 
-    A taxel that the data did not determine has NaN poses, an infinite covariance and the reason in
-    `reasons`; nothing is invented for it.
+    A taxel that the data did not determine has a pose of NaN, an infinite covariance and an entry
+    in `reasons`.
     """
 
     ids: np.ndarray
     """Taxel ids (n,)."""
     poses: Array
-    """T_body_taxel (n, 4, 4); z = outward normal, the spin about it is a convention."""
+    """T_body_taxel (n, 4, 4); z = outward normal, the rotation about it is a convention."""
     covariances: Array
-    """(n, 6, 6) in the taxel's frame, translation first, then rotation; inf where unseen."""
+    """(n, 6, 6) in the taxel's frame, translation first; inf where not determined."""
     observed: np.ndarray
     """(n, 6) bool: the degrees of freedom that the data and the named factors determined."""
     touched: np.ndarray
@@ -83,10 +85,10 @@ class Calibration:
     modulus_sigma: float | None = None
     """Its standard deviation, Pa; None: it was given, not estimated."""
     unknowns: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Shared unknowns that were estimated: value and standard deviation, SI units; of modulus and
-    force scale the natural logarithm of the factor to the nominal one."""
+    """Global parameters that were estimated: value and standard deviation, SI units; of modulus and
+    force scale the natural logarithm of the factor to the nominal one (`parameter_values`)."""
     undetermined: tuple[str, ...] = ()
-    """What of them the readings do not tell, in words: it rests on the priors."""
+    """Directions of the global parameters that rest on the priors, in words."""
     taxel_unknowns: Mapping[str, Array] = field(default_factory=dict)
     """"gain" (ln) and "offset" (Pa) where estimated: value and standard deviation (n, 2)."""
     faults: np.ndarray | None = None
@@ -94,11 +96,11 @@ class Calibration:
     fit: GoodnessOfFit | None = None
     """Whether the model explains the readings."""
     contact_centroids: Array | None = None
-    """Pressure-weighted middle (n, 3), m, of the contacts that each taxel answered; NaN: none."""
+    """Pressure-weighted centroid (n, 3), m, of the contacts of each taxel; NaN without any."""
     belief: Belief | None = field(default=None, repr=False, compare=False)
     """What it was estimated under; not saved."""
     iterates: Array | None = None
-    """Positions (k, n, 3), m, along the iterations, where they were kept."""
+    """Positions (k, n, 3), m, along the iterations; None where they were not kept."""
     seconds: Mapping[str, float] = field(default_factory=dict)
     """Seconds of the stages."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
@@ -125,9 +127,9 @@ class Calibration:
         return np.asarray(np.sqrt(variance[:, :2].sum(axis=1)))
 
     def next_contacts(self, k: int = 1, belief: Belief | None = None) -> NextContacts:
-        """The k contacts, ranked, that reduce the worst taxel's uncertainty most (explore.py).
+        """The k contacts, ranked, that reduce the largest uncertainties most (next_contact.py).
 
-        `belief` as in `calibrate`; only a calibration that was loaded from a file needs it. Raises
+        belief: as in `calibrate`; only a calibration that was loaded from a file needs it. Raises
         CalibrationError without one, for k < 1, or if no taxel was read.
         """
         from .next_contact import next_contacts
@@ -139,8 +141,26 @@ class Calibration:
             )
         return next_contacts(self, belief, k)
 
+    @property
+    def parameter_values(self) -> dict[str, tuple[float, float, str]]:
+        """Value, standard deviation and unit of each of `unknowns` in natural units.
+
+        The modulus is E* in Pa; a force scale is the factor of the true to the measured force.
+        """
+        out = {}
+        for label, (value, sigma) in self.unknowns.items():
+            name = label.split()[0]
+            if label == "modulus" and self.modulus is not None:
+                out[label] = self.modulus, self.modulus * sigma, "Pa"
+            elif name in LOGARITHMS:
+                out[label] = float(np.exp(value)), float(np.exp(value)) * sigma, ""
+            else:
+                unit = "N" if name == "force_offset" else "rad" if "rotation" in label else "m"
+                out[label] = value, sigma, unit
+        return out
+
     def save(self, path: str | Path) -> None:
-        """Write path.parquet, which `load` reads, and path.csv, a map for people (mm)."""
+        """Write path.parquet, which `load` reads, and path.csv, a table for people (mm)."""
         path = Path(path)
         columns = {column: _column(getattr(self, name)) for name, column in _COLUMNS.items()}
         steps = 0 if self.iterates is None else len(self.iterates)
@@ -150,7 +170,9 @@ class Calibration:
             columns["faults"] = _column(self.faults)
         if self.contact_centroids is not None:
             columns["middles"] = _column(self.contact_centroids)
-        columns |= {_LOCAL + name: _column(values) for name, values in self.taxel_unknowns.items()}
+        columns |= {
+            _NUISANCE + name: _column(values) for name, values in self.taxel_unknowns.items()
+        }
         header = {name: getattr(self, name) for name in _HEADER} | {"steps": steps}
         header["fit"] = None if self.fit is None else asdict(self.fit)
         table = pa.table(columns).replace_schema_metadata({_KEY: json.dumps(header).encode()})
@@ -160,7 +182,7 @@ class Calibration:
 
     @classmethod
     def load(cls, path: str | Path) -> Calibration:
-        """Read what `save` wrote at `path`. Raises CalibrationError if it is no calibration."""
+        """Read what `save` wrote at `path`. Raises CalibrationError for other files."""
         file = _part(Path(path), "parquet")
         if not file.exists():
             raise CalibrationError(f"no calibration at {path}", remedy="check the path")
@@ -188,9 +210,9 @@ class Calibration:
         if "middles" in table.column_names:
             values["contact_centroids"] = _array(table, "middles").reshape(n, 3)
         values["taxel_unknowns"] = {
-            name.removeprefix(_LOCAL): _array(table, name).reshape(n, 2)
+            name.removeprefix(_NUISANCE): _array(table, name).reshape(n, 2)
             for name in table.column_names
-            if name.startswith(_LOCAL)
+            if name.startswith(_NUISANCE)
         }
         fit = header.pop("fit", None)
         header["fit"] = None if fit is None else GoodnessOfFit(**fit)
@@ -200,30 +222,35 @@ class Calibration:
         return cls(**values, **header)
 
     def csv(self) -> str:
-        """The map as text: one row a taxel, lengths in mm, empty where not determined."""
+        """A table in CSV: one row a taxel, lengths in mm, empty where not determined."""
         rows = ["taxel,x_mm,y_mm,z_mm,nx,ny,nz,sigma_mm,readings,note"]
-        for k in range(len(self.ids)):
-            numbers = [
-                *1e3 * self.positions[k],
-                *self.poses[k, :3, 2],
-                1e3 * self.position_sigma[k],
-            ]
-            text = [f"{x:.6f}" if np.isfinite(x) else "" for x in numbers]
-            note = [
-                self.reasons[k],
-                "" if self.faults is None else self.faults[k].replace(",", ";"),
-            ]
-            words = "; ".join(filter(None, note))
-            rows.append(",".join([str(self.ids[k]), *text, str(self.readings[k]), words]))
+        numbers = np.column_stack(
+            [1e3 * self.positions, self.poses[:, :3, 2], 1e3 * self.position_sigma]
+        )
+        faults = np.full(len(self.ids), "") if self.faults is None else self.faults
+        for k, values in enumerate(numbers):
+            text = [f"{x:.6f}" if np.isfinite(x) else "" for x in values]
+            note = "; ".join(filter(None, [self.reasons[k], faults[k].replace(",", ";")]))
+            rows.append(",".join([str(self.ids[k]), *text, str(self.readings[k]), note]))
         return "\n".join(rows) + "\n"
 
     def report(self, path: str | Path, **options: Any) -> list[Path]:
-        """Write the report page; options (truth=skin, recording=, ...) as `report.page`.
+        """Write the report page, `path`.html; options (truth=skin, recording=, ...) as
+        `meshskin.report`.
 
-        body: by default that of the belief; a calibration that was loaded has none.
+        body: by default that of the belief; a calibration that was loaded has none. Returns the
+        files written. Raises ConfigError for a path with another suffix than .html and for a truth
+        that is not a Skin.
         """
         from ..report.page import report
+        from ..skin.skin import Skin
 
+        if Path(path).suffix not in ("", ".htm", ".html"):
+            raise ConfigError(
+                "a report is an HTML page", value=str(path), remedy="give a path that ends in .html"
+            )
+        if options.get("truth") is not None:
+            check_type(Skin, options["truth"], "the truth of a report")
         body = None if self.belief is None else self.belief.body
         return report(path, **{"body": body, "calibration": self, **options})
 

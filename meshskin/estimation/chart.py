@@ -1,8 +1,8 @@
 """Local coordinates on a body's surface: x(y) = x_0 + T y - n/2 y^T K y, with y (2,) in m.
 
 T holds two tangents, n is the outward normal, K the shape operator in T's basis (positive where
-convex). Estimators move in charts, and re-anchor them on the surface until they no longer move: so
-the result lies on the surface exactly, and K only speeds the way there.
+convex). Estimators move in charts and linearize them again about the closest surface points until
+they no longer move, so that the result is on the surface exactly; K only speeds convergence.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from ..geometry.body import Body
 
 STEP = 1e-4
-"""Step over which the change of the normal gives the curvature, m."""
+"""Step of the central difference that gives the curvature from the normals, m: small against the
+radii of curvature, and large enough for rounding errors of 1e-12 1/m."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,11 @@ class Charts:
     """T (n, 3, 2), orthonormal."""
     shape: Array
     """K (n, 2, 2), 1/m, symmetric."""
+
+    @property
+    def rotations(self) -> Array:
+        """Frames (n, 3, 3): the tangents and the normal as columns."""
+        return np.concatenate([self.tangents, self.normals[:, :, None]], axis=2)
 
     def __getitem__(self, rows: ArrayLike) -> Charts:
         """The charts of the given rows."""
@@ -54,7 +60,8 @@ class Charts:
 def charts_at(body: Body, points: Array, reference: Array | None = None) -> Charts:
     """Charts about the surface points closest to `points` (n, 3), body frame, m.
 
-    `reference` (n, 3, 3): rotations of frames nearby, whose x axes the tangents then continue.
+    reference (n, 3, 3): frames nearby, which the tangents continue by the shortest rotation; by
+    default the tangents are those of `frames`.
     """
     hit = body.closest(points)
     rotation = frames(hit.normal) if reference is None else align_normals(reference, hit.normal)
@@ -66,18 +73,18 @@ def charts_at(body: Body, points: Array, reference: Array | None = None) -> Char
     return Charts(hit.point, hit.normal, tangents, (shape + shape.transpose(0, 2, 1)) / 2)
 
 
-def carried(body: Body, points: Array, reference: Array, old: Charts) -> Charts:
-    """Charts about the surface points closest to `points` (n, 3), m, near charts `old`.
+def relinearized(body: Body, charts: Charts, y: Array) -> Charts:
+    """Charts about the surface points closest to those of `charts` at `y` (n, 2), m.
 
-    The tangents continue the frames `reference` (n, 3, 3); the shape operators are the old ones.
+    The tangents are continued by the shortest rotation; the shape operators are kept.
     """
-    hit = body.closest(points)
-    rotation = align_normals(reference, hit.normal)
-    return Charts(hit.point, hit.normal, rotation[:, :, :2], old.shape)
+    hit = body.closest(charts.at(y))
+    rotation = align_normals(charts.rotations, hit.normal)
+    return Charts(hit.point, hit.normal, rotation[:, :, :2], charts.shape)
 
 
 def align_normals(rotations: Array, normals: Array) -> Array:
-    """Frames (n, 3, 3) turned the least way so that their z axes are `normals` (n, 3)."""
+    """Frames (n, 3, 3) after the shortest rotations that take their z axes to `normals` (n, 3)."""
     broadcast = np.broadcast_to(rotations, (len(normals), 3, 3))
     return np.asarray(shortest_rotation(broadcast[:, :, 2], normals) @ broadcast)
 
@@ -85,7 +92,7 @@ def align_normals(rotations: Array, normals: Array) -> Array:
 def frames(normals: Array) -> Array:
     """Frames (n, 3, 3) with z = normal, and x transported from one frame at the mean normal.
 
-    The rule has one seam, opposite to the mean normal. The spin it gives is a convention.
+    It is discontinuous only opposite to the mean normal. The rotation about z is a convention.
     """
     mean = normals.mean(axis=0)
     length = np.linalg.norm(mean)

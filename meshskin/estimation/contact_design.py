@@ -1,15 +1,16 @@
-"""How few contacts could do: the best of all designs, and a bound that no exploration beats.
+"""Optimal design of contacts, and a lower bound of the error of any exploration.
 
-Contacts spread over places x with weights xi(x) that add up to one tell of taxel i
-M_i(xi) = sum_x xi(x) I_i(x), and N of them leave a mean expected error of Phi(xi) / sqrt(N) with
+A design has weights xi(x), of sum one, on candidate contacts x. Its information on taxel i is
+M_i(xi) = sum_x xi(x) I_i(x), and N contacts have the mean expected error Phi(xi) / sqrt(N), with
 Phi(xi) = mean_i E|M_i^(-1/2) z|, z standard normal. Phi is convex (the inverse root is operator
-convex and E|A z| a norm of A that grows with it) and of degree -1/2. With d(x) = -dPhi/dxi(x), the
-tangents at the multiples of any xi thus bound every other design from below:
+convex, and E|A z| is a norm that increases with A) and homogeneous of degree -1/2. With
+d(x) = -dPhi/dxi(x), the tangents at the multiples of any xi thus bound every other design:
 
     Phi(eta) >= Phi(xi) sqrt(Phi(xi) / (2 max_x d(x))),
 
-with equality at the best, to which multiplicative steps xi <- xi d^power lead. Where the taxels are
-is known here, and shared unknowns are, too: an exploration that has to find out can only need more.
+with equality at the optimum, to which multiplicative steps xi <- xi d^power converge. The taxels'
+positions and the global parameters are known here: an exploration that does not know them can only
+need more contacts.
 
 Source: Pukelsheim, "Optimal Design of Experiments" (2006), chapters 5 to 7 and 9.11.
 """
@@ -24,7 +25,7 @@ import numpy as np
 from ..core.errors import CalibrationError
 from ..core.se3 import Array
 from . import chart
-from .next_contact import slopes
+from .next_contact import expected_slopes
 from .uncertainty.observability import mean_distance
 
 if TYPE_CHECKING:
@@ -32,22 +33,24 @@ if TYPE_CHECKING:
     from ..scene.belief import Belief
 
 PITCH = 1.0 / 30.0
-"""Distance of the places, in distances at which a contact is felt."""
-FIRST = 9
-"""Of how many places one is in the first design."""
+"""Distance of the candidates, in reaches of a contact: the optimal error changes by its square."""
+FIRST_STRIDE = 9
+"""One of so many candidates is in the first design, which the later ones refine."""
 POWER = 0.7
-"""Exponent of the multiplicative steps xi <- xi d^power."""
-ROUNDS, STEPS = 6, 1000
-"""Most designs, each of the last one's places and of those that would tell more; steps of each."""
+"""Exponent of the multiplicative steps xi <- xi d^power: 2/3 is Newton-like for an objective of
+degree -1/2, and 1 would oscillate."""
+MAX_REFINEMENTS, MAX_STEPS = 6, 1000
+"""Largest numbers of designs, each of the last one's candidates and of those that would improve it,
+and of multiplicative steps of each."""
 GAP = 2e-3
-"""Relative distance of the design from its bound at which it is good enough."""
-IDLE = 1e-3
-"""Weight, relative to the mean one, below which a place is left out of the next design."""
+"""Relative distance of the design from its bound at which it is accepted."""
+MIN_WEIGHT = 1e-3
+"""Weight, relative to the mean one, below which a candidate is left out of the next design."""
 
 
 @dataclass(frozen=True)
 class Design:
-    """The best spread of contacts over places."""
+    """The optimal design of contacts."""
 
     points: Array
     """(c, 3) on the surface, m."""
@@ -56,35 +59,35 @@ class Design:
     error: float
     """Mean expected error times the root of the number of contacts, m."""
     bound: float
-    """What no design's is below, m."""
+    """Lower bound of `error` over all designs, m."""
 
 
 @dataclass(frozen=True)
 class Information:
-    """What contacts at c places tell of n taxels: p pairs."""
+    """Information of contacts at c candidates on n taxels: p pairs."""
 
     contact: np.ndarray
-    """Row (p,) of the place that each pair's contact is at."""
+    """Candidate (p,) of each pair."""
     taxel: np.ndarray
-    """Row (p,) of each pair's taxel."""
+    """Taxel (p,) of each pair."""
     slope: Array
     """(p, 2), 1/m: the pair's information is its square."""
-    places: int
+    candidates: int
     """c."""
     taxels: int
     """n."""
 
     def at(self, rows: np.ndarray) -> Information:
-        """What the contacts at some of the places tell."""
-        place = np.full(self.places, -1)
-        place[rows] = np.arange(len(rows))
-        mine = place[self.contact] >= 0
+        """The information of the candidates `rows` only."""
+        index = np.full(self.candidates, -1)
+        index[rows] = np.arange(len(rows))
+        mine = index[self.contact] >= 0
         return Information(
-            place[self.contact[mine]], self.taxel[mine], self.slope[mine], len(rows), self.taxels
+            index[self.contact[mine]], self.taxel[mine], self.slope[mine], len(rows), self.taxels
         )
 
     def total(self, weights: Array) -> Array:
-        """M (n, 2, 2), 1/m^2, of places weighted (c,)."""
+        """M (n, 2, 2), 1/m^2, of candidates with weights (c,)."""
         parts = [
             np.bincount(self.taxel, weights[self.contact] * product, self.taxels)
             for product in self._products()
@@ -94,11 +97,11 @@ class Information:
         )
 
     def gain(self, slope: Array) -> Array:
-        """-dPhi/dxi (c,) at each place, from -dPhi/dM (n, 2, 2)."""
+        """-dPhi/dxi (c,) of each candidate, from -dPhi/dM (n, 2, 2)."""
         a, b, c = slope[:, 0, 0], slope[:, 0, 1], slope[:, 1, 1]
         first, mixed, second = self._products()
         each = a[self.taxel] * first + 2 * b[self.taxel] * mixed + c[self.taxel] * second
-        return np.asarray(np.bincount(self.contact, each, self.places), float)
+        return np.asarray(np.bincount(self.contact, each, self.candidates), float)
 
     def _products(self) -> tuple[Array, Array, Array]:
         u, v = self.slope.T
@@ -106,51 +109,48 @@ class Information:
 
 
 def information(belief: Belief, taxels: Array, points: Array) -> Information:
-    """What contacts at `points` (c, 3) under the reference force tell of `taxels` (n, 3), m."""
+    """Information on `taxels` (n, 3) of contacts at `points` (c, 3), m, under a reference force."""
     charts, hit = chart.charts_at(belief.body, taxels), belief.body.closest(points)
-    contact, taxel, slope = slopes(charts, hit, belief, belief.material.effective_modulus)
+    contact, taxel, slope = expected_slopes(charts, hit, belief, belief.material.effective_modulus)
     return Information(contact, taxel, slope, len(points), len(taxels))
 
 
 def expected_error(belief: Belief, taxels: Array, points: Array) -> float:
-    """Mean expected error, m, of taxels (n, 3) after contacts at points (c, 3); inf where one is
-    not determined.
-    """
-    told = information(belief, taxels, points)
-    return mean_error(told.total(np.ones(len(points))))[0]
+    """Mean expected error, m, of `taxels` (n, 3) after contacts at `points` (c, 3), m."""
+    return mean_error(information(belief, taxels, points).total(np.ones(len(points))))[0]
 
 
 def optimal_design(belief: Belief, taxels: Array, reach: float) -> Design:
-    """The best spread of contacts over the surface about `taxels` (n, 3), each of which feels a
-    contact up to `reach` (m) away, and the bound.
+    """The optimal design on the surface about `taxels` (n, 3), m, that respond to contacts up to
+    `reach`, m, away, and its bound.
 
-    Raises CalibrationError where no contact tells a taxel's place.
+    Raises CalibrationError where no contact determines a taxel.
     """
-    points = _places(belief.body, taxels, PITCH * reach, reach)
-    told = information(belief, taxels, points)
-    rows, weights, bound = np.arange(0, len(points), FIRST), np.ones(0), 0.0
-    for _ in range(ROUNDS):
+    points = _candidates(belief.body, taxels, PITCH * reach, reach)
+    known = information(belief, taxels, points)
+    rows, weights, bound = np.arange(0, len(points), FIRST_STRIDE), np.ones(0), 0.0
+    for _ in range(MAX_REFINEMENTS):
         start = np.concatenate([weights, np.full(len(rows) - len(weights), 1.0 / len(rows))])
-        weights, error, slope = optimal_weights(told.at(rows), start / start.sum())
-        gain = told.gain(slope)
+        weights, error, slope = optimal_weights(known.at(rows), start / start.sum())
+        gain = known.gain(slope)
         bound = max(bound, _bound(error, gain))
         if bound > (1.0 - GAP) * error:
             break
-        busy = weights > IDLE / len(rows)
-        more = np.setdiff1d(np.flatnonzero(gain > 0.5 * error), rows[busy])
-        rows, weights = np.concatenate([rows[busy], more]), weights[busy]
+        used = weights > MIN_WEIGHT / len(rows)
+        more = np.setdiff1d(np.flatnonzero(gain > 0.5 * error), rows[used])
+        rows, weights = np.concatenate([rows[used], more]), weights[used]
     return Design(points[rows], weights, error, bound)
 
 
-def optimal_weights(told: Information, weights: Array) -> tuple[Array, float, Array]:
-    """The best weights (c,) of given places, their Phi, m, and -dPhi/dM (n, 2, 2)."""
-    for _ in range(STEPS):
-        error, slope = mean_error(told.total(weights))
+def optimal_weights(known: Information, weights: Array) -> tuple[Array, float, Array]:
+    """The optimal weights (c,) of given candidates, their Phi, m, and -dPhi/dM (n, 2, 2)."""
+    for _ in range(MAX_STEPS):
+        error, slope = mean_error(known.total(weights))
         if not np.isfinite(error):
             raise CalibrationError(
                 "no contact determines some taxel", remedy="lower the threshold or the noise"
             )
-        gain = told.gain(slope)
+        gain = known.gain(slope)
         if _bound(error, gain) > (1.0 - 0.5 * GAP) * error:
             break
         weights = weights * (gain / (0.5 * error)) ** POWER
@@ -159,7 +159,7 @@ def optimal_weights(told: Information, weights: Array) -> tuple[Array, float, Ar
 
 
 def _bound(error: float, gain: Array) -> float:
-    """The bound that the tangents at a design's multiples give."""
+    """The lower bound of Phi, m, from the tangents at a design's multiples."""
     return float(error * np.sqrt(0.5 * error / gain.max()))
 
 
@@ -185,8 +185,8 @@ def mean_error(total: Array) -> tuple[float, Array]:
     return mean, np.asarray(np.einsum("nij,nj,nkj->nik", axes, slope, axes))
 
 
-def _places(body: Body, taxels: Array, pitch: float, reach: float) -> Array:
-    """Points (c, 3) of the surface, about `pitch` apart, within `reach` of a taxel (n, 3), m."""
+def _candidates(body: Body, taxels: Array, pitch: float, reach: float) -> Array:
+    """Points (c, 3) of the surface, about `pitch` apart, within `reach` of a taxel (n, 3); m."""
     from scipy.spatial import cKDTree
 
     side = pitch * np.arange(-np.ceil(reach / pitch), np.ceil(reach / pitch) + 1)

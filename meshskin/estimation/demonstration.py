@@ -1,7 +1,7 @@
-"""The paper's demonstration: a pose graph of perturbed displacements, every pose at the origin.
+"""The paper's demonstration: a pose graph of perturbed displacements, solved from the origin.
 
 Source: Cannata, Denei, Mastrogiovanni (ICRA 2010), section III and figures 6-9. The displacements
-are the true ones of taxels that were active together, perturbed by white noise; no reading enters.
+are the true ones of taxels that were active together, perturbed by white noise; no reading is used.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from ..core.se3 import Array
 from ..recording.recording import Recording
 from .posegraph import PoseGraph
 
-TOGETHER = 3
-"""Contacts that two taxels must share for a displacement between them."""
+MIN_SHARED = 3
+"""Contacts that two taxels must share for a displacement between them: three circles."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Demonstration:
 
 
 def coactive_pairs(recording: Recording, ids: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Pairs (m, 2) of rows of `ids`, i < j, that at least three contacts activated together."""
+    """Pairs (m, 2) of rows of `ids`, i < j, that were active in at least MIN_SHARED contacts."""
     from scipy.sparse import coo_array
 
     order = np.argsort(ids)
@@ -50,24 +50,29 @@ def coactive_pairs(recording: Recording, ids: NDArray[np.int64]) -> NDArray[np.i
     shape = (len(recording.time), len(ids))
     active = coo_array((np.ones(len(column)), (recording.reading_contact, column)), shape=shape)
     shared = (active.T @ active).tocoo()
-    keep = (shared.data >= TOGETHER) & (shared.row < shared.col)
+    keep = (shared.data >= MIN_SHARED) & (shared.row < shared.col)
     return np.stack([shared.row[keep], shared.col[keep]], axis=1).astype(np.int64)
 
 
 def perturbed_graph(
-    poses: Array, pairs: NDArray[np.int64], sigma: float, turn: float, rng: np.random.Generator
+    poses: Array,
+    pairs: NDArray[np.int64],
+    sigma: float,
+    rotation_sigma: float,
+    rng: np.random.Generator,
 ) -> PoseGraph:
-    """Displacements between true `poses` (n, 4, 4) with noise of `sigma` (m) and `turn` (rad).
+    """Displacements between true `poses` (n, 4, 4) with noise of `sigma`, m, and `rotation_sigma`,
+    rad.
 
-    The first pose is the true one and anchors the graph; the information is the noise's own.
+    The first pose is the true one and anchors the graph; the information is that of the noise.
     """
     relative = se3.inverse(poses[pairs[:, 0]]) @ poses[pairs[:, 1]]
     measured = relative.copy()
     measured[:, :3, 3] += rng.normal(scale=sigma, size=(len(pairs), 3))
     measured[:, :3, :3] = relative[:, :3, :3] @ se3.exp_so3(
-        rng.normal(scale=turn, size=(len(pairs), 3))
+        rng.normal(scale=rotation_sigma, size=(len(pairs), 3))
     )
-    information = np.diag([sigma**-2] * 3 + [turn**-2] * 3)
+    information = np.diag([sigma**-2] * 3 + [rotation_sigma**-2] * 3)
     return PoseGraph(poses, pairs, measured, np.tile(information, (len(pairs), 1, 1)))
 
 
@@ -77,22 +82,26 @@ def demonstrate(
     recording: Recording,
     seed: int = 0,
     sigma: float = 1e-3,
-    turn: float = 0.02,
+    rotation_sigma: float = 0.02,
 ) -> Demonstration:
-    """Solve the perturbed graph of the true `poses` (n, 4, 4) from the origin.
+    """Solve the perturbed graph of the true `poses` (n, 4, 4) of the taxels `ids` from the origin.
 
-    Each iterate is aligned rigidly with the truth. Raises CalibrationError if no two taxels were
-    active together.
+    sigma, m, and rotation_sigma, rad: noise of the displacements. Each iterate is aligned rigidly
+    with the truth. Raises CalibrationError if no two taxels were active together.
     """
     pairs = coactive_pairs(recording, ids)
     if not len(pairs):
         raise CalibrationError(
             "no two taxels were active together",
-            remedy="a softer skin, more force or a closer spacing lets neighbours feel one contact",
+            remedy="use a softer skin, more force or a closer spacing",
         )
     rows, local = np.unique(pairs, return_inverse=True)
     graph = perturbed_graph(
-        poses[rows], local.reshape(-1, 2), sigma, turn, random_stream(seed, "demonstration")
+        poses[rows],
+        local.reshape(-1, 2),
+        sigma,
+        rotation_sigma,
+        random_stream(seed, "demonstration"),
     )
     solution = graph.solve(start="origin", keep_iterates=True)
     assert solution.iterates is not None
@@ -102,7 +111,7 @@ def demonstrate(
 
 
 def aligned(estimate: Array, truth: Array) -> Array:
-    """`estimate` (n, 3) moved rigidly onto `truth`; if all are one point, to its centre."""
+    """`estimate` (n, 3) aligned rigidly with `truth` (n, 3); a single point moves to its centre."""
     if np.ptp(estimate, axis=0).max() < 1e-12:
         return estimate + (truth.mean(axis=0) - estimate.mean(axis=0))
     pose = se3.align(estimate, truth)
@@ -124,11 +133,11 @@ class NoiseSweep:
 def noise_sweep(
     poses: Array, pairs: NDArray[np.int64], initial_errors: Array, seeds: int, turn: float = 20.0
 ) -> NoiseSweep:
-    """Solve graphs whose starts are off by `initial_errors` (k,), m, on average over the seeds.
+    """Solve graphs whose initial estimates have mean errors `initial_errors` (k,), m.
 
     The initial estimate chains the displacements along a breadth-first tree from the first taxel.
-    turn, rad/m: rotation noise that goes with a displacement's noise. A seed's noise is the same
-    at every level, scaled.
+    turn, rad/m: ratio of the rotation noise to the displacement noise. The noise of a seed is the
+    same at every level, scaled.
     """
     truth = poses[:, :3, 3]
 

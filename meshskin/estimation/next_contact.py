@@ -1,8 +1,8 @@
-"""What to touch next: the contacts that reduce the worst taxels' uncertainty most.
+"""The next contacts: those that reduce the largest uncertainties most.
 
-Each candidate contact about a taxel adds the expected information of its readings to all taxels in
-reach; contacts are chosen one by one, each against the sum of the third powers of the taxels'
-variances, which the worst dominate. Shared unknowns are taken as known.
+Each candidate contact near a taxel adds the expected information of its readings to all taxels in
+reach. Contacts are chosen greedily, each to minimize the sum of the third powers of the taxels'
+variances, which the largest dominate. Global parameters are taken as known.
 """
 
 from __future__ import annotations
@@ -12,14 +12,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..contact import ContactModel, Patches
+from ..contact import AUTO, ContactModel, Patches
+from ..core.arguments import check_integer
 from ..core.errors import CalibrationError
 from ..core.se3 import Array
 from . import chart
 from .data.measurements import NOMINAL_NOISE
-from .data.pairs import SLANT
+from .data.pairs import MAX_SLANT
+from .data.resolve_belief import with_valid_model
 from .joint.contacts import Contacts
-from .joint.patches import DISC_MEANS
+from .joint.pressure import disc_means
 from .uncertainty.observability import censored_information
 
 if TYPE_CHECKING:
@@ -27,14 +29,16 @@ if TYPE_CHECKING:
     from ..scene.belief import Belief
     from .calibration import Calibration
 
-WORST = 200
-"""Taxels about which candidates are laid."""
+MAX_TARGETS = 200
+"""Taxels, the most uncertain ones, about which candidates are placed: bounds the work."""
 RINGS = (0.3, 0.5, 0.7, 0.85, 1.0, 1.15, 1.3)
-"""Radii of the candidates about a taxel, in contact radii."""
+"""Radii of the candidates about a taxel, in contact radii: a reading informs most where the
+profile is steep, near the edge of the patch."""
 DIRECTIONS = 8
-"""Candidates on a ring."""
+"""Candidates on a ring: within 22.5 degrees of any direction."""
 POWER = 3
-"""Power of the variances in what is minimised."""
+"""Power of the variances in the objective: between their sum (1) and the largest (infinite), which
+would not count contacts that serve all taxels but the worst."""
 
 
 @dataclass(frozen=True)
@@ -48,32 +52,29 @@ class NextContacts:
     taxel: np.ndarray
     """Id (k,) of the taxel that gains most by each."""
     worst: Array
-    """Standard deviation (k,), m, of the worst taxel that is to be expected after each."""
+    """Expected standard deviation (k,), m, of the most uncertain taxel after each."""
     unreached: np.ndarray
-    """Ids of taxels of which nothing is known, not even where to touch: they need a sweep."""
+    """Ids of taxels without any reading: where to touch for them is not known."""
 
 
 def next_contacts(calibration: Calibration, belief: Belief, k: int = 1) -> NextContacts:
-    """The k contacts under the reference force that promise most.
+    """The k most informative contacts under the reference force.
 
-    Raises CalibrationError if no taxel was read at all, or k is not positive.
+    Raises CalibrationError if no taxel was read, the belief has no reference force, or k is not
+    positive; ContactError where no contact model holds.
     """
-    if k < 1:
-        raise CalibrationError("the number of contacts must be positive", value=k, limit=">= 1")
+    k = check_integer("number of next contacts", k, least=1, error=CalibrationError)
+    belief = _resolved(calibration, belief)
     modulus = calibration.modulus or belief.material.effective_modulus
     radius = float(_patches(np.zeros((1, 2)), belief, modulus).first[0])
     points, covariance = _known(calibration, belief, radius)
     near = np.flatnonzero(np.isfinite(points[:, 0]))
-    if not len(near):
-        raise CalibrationError(
-            "no taxel was read, so none can be aimed at", remedy="sweep the whole skin first"
-        )
     points, covariance, ids = points[near], covariance[near], calibration.ids[near]
     charts = chart.charts_at(belief.body, points)
-    covariance = _turned(calibration, near, charts, covariance)
+    covariance = _in_charts(calibration, near, charts, covariance)
     candidates = _candidates(charts, np.trace(covariance, axis1=1, axis2=2), radius)
     hit = belief.body.closest(candidates)
-    contact, taxel, slope = slopes(charts, hit, belief, modulus)
+    contact, taxel, slope = expected_slopes(charts, hit, belief, modulus)
     chosen, served, worst = [], [], []
     for _ in range(k):
         along = np.einsum("pij,pj->pi", covariance[taxel], slope)
@@ -89,26 +90,54 @@ def next_contacts(calibration: Calibration, belief: Belief, k: int = 1) -> NextC
             covariance[taxel[p]] -= np.outer(g, g) / (1 + slope[p] @ g)
         chosen.append(best)
         worst.append(float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).max())))
-    lost = np.setdiff1d(calibration.ids, ids)
-    return NextContacts(hit.point[chosen], hit.normal[chosen], ids[served], np.array(worst), lost)
+    unreached = np.setdiff1d(calibration.ids, ids)
+    return NextContacts(
+        hit.point[chosen], hit.normal[chosen], ids[served], np.array(worst), unreached
+    )
+
+
+def _resolved(calibration: Calibration, belief: Belief) -> Belief:
+    """The belief with a contact model that holds under its reference force at the taxels.
+
+    Raises CalibrationError if it has no reference force or no taxel was read.
+    """
+    if belief.force_reference is None:
+        raise CalibrationError(
+            "next contacts need a reference force",
+            value="belief.force_reference = None",
+            remedy="give the belief a force_reference",
+        )
+    points = calibration.positions
+    if calibration.contact_centroids is not None:
+        points = np.where(np.isfinite(points), points, calibration.contact_centroids)
+    points = points[np.isfinite(points[:, 0])]
+    if not len(points):
+        raise CalibrationError(
+            "no taxel was read, so that no contact can be aimed at one",
+            remedy="sweep the whole skin first",
+        )
+    if belief.contact != AUTO:
+        return belief
+    curvature = belief.body.closest(points).curvature
+    return with_valid_model(belief, np.full(len(points), belief.force_reference), curvature)
 
 
 def _known(calibration: Calibration, belief: Belief, radius: float) -> tuple[Array, Array]:
     """Points (n, 3) and covariances (n, 2, 2) along the surface; of a taxel that was read but is
-    not determined, the middle of its contacts, known to within the reach of one.
+    not determined, the centroid of its contacts, with the reach of a contact.
     """
     points, covariance = calibration.positions.copy(), calibration.covariances[:, :2, :2].copy()
-    rough = calibration.contact_centroids
-    open_ = ~calibration.observed[:, :2].all(axis=1)
-    points[open_] = np.nan if rough is None else rough[open_]
-    covariance[open_] = np.eye(2) * (radius + belief.disc_radius) ** 2
+    centroids = calibration.contact_centroids
+    unknown = ~calibration.observed[:, :2].all(axis=1)
+    points[unknown] = np.nan if centroids is None else centroids[unknown]
+    covariance[unknown] = np.eye(2) * (radius + belief.disc_radius) ** 2
     return points, covariance
 
 
-def _turned(
+def _in_charts(
     calibration: Calibration, rows: np.ndarray, charts: chart.Charts, covariance: Array
 ) -> Array:
-    """The covariances (n, 2, 2) from the taxels' frames into the charts' tangents."""
+    """Covariances (n, 2, 2) of the taxels `rows`, transformed to the charts' tangents."""
     axes = calibration.poses[rows, :3, :2]
     turn = np.einsum("nik,nil->nkl", charts.tangents, axes)
     turn = np.where(np.isfinite(axes[:, :1, :1]), turn, np.eye(2))
@@ -116,8 +145,8 @@ def _turned(
 
 
 def _candidates(charts: chart.Charts, variance: Array, radius: float) -> Array:
-    """Candidate points (c, 3) about the worst taxels."""
-    worst = np.argsort(-variance, kind="stable")[:WORST]
+    """Candidate points (c, 3), m, about the taxels with the largest `variance` (n,)."""
+    worst = np.argsort(-variance, kind="stable")[:MAX_TARGETS]
     angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     offsets = radius * np.concatenate([[[0.0, 0.0]], *(ring * circle for ring in RINGS)])
@@ -125,18 +154,21 @@ def _candidates(charts: chart.Charts, variance: Array, radius: float) -> Array:
     return charts[owner].at(np.tile(offsets, (len(worst), 1)))
 
 
-def slopes(
+def expected_slopes(
     charts: chart.Charts, hit: Closest, belief: Belief, modulus: float
 ) -> tuple[np.ndarray, np.ndarray, Array]:
-    """Contacts (p,) and taxels (p,) in reach, and the derivative (p, 2), 1/m, of each reading, in
-    units of its noise and as far as it is expected to be heard.
+    """Pairs of contacts (p,) at the points `hit` and taxels (p,) in reach, and the square roots
+    (p, 2), 1/m, of their expected information: derivatives of the reading in units of its noise,
+    weighted for censoring at the threshold.
     """
     from scipy.spatial import cKDTree
 
     patches = _patches(hit.curvature, belief, modulus)
-    sigma = belief.noise_sigma or NOMINAL_NOISE * float(np.median(patches.peak))
+    sigma = belief.noise_sigma
+    if sigma is None:
+        sigma = NOMINAL_NOISE * float(np.median(patches.peak))
     longest = np.maximum(patches.first, patches.second)
-    reach = SLANT * float(longest.max() + belief.disc_radius)
+    reach = MAX_SLANT * float(longest.max() + belief.disc_radius)
     pairs = cKDTree(hit.point).sparse_distance_matrix(
         cKDTree(charts.points), reach, output_type="ndarray"
     )
@@ -144,7 +176,7 @@ def slopes(
     offset = charts.points[taxel] - hit.point[contact]
     none = np.zeros((len(hit.point), 0))
     contacts = Contacts(hit.point, hit.normal, hit.direction, patches, (), none, None)
-    mean, slope, _ = DISC_MEANS[belief.contact](offset, contact, contacts, belief.disc_radius)
+    mean, slope, _ = disc_means(belief.contact, offset, contact, contacts, belief.disc_radius)
     scale = patches.peak[contact] / sigma
     weight = censored_information(belief.threshold / sigma - scale * mean)
     along = np.einsum("pi,pij->pj", slope, charts.tangents[taxel])
@@ -152,19 +184,9 @@ def slopes(
 
 
 def _patches(curvature: Array, belief: Belief, modulus: float) -> Patches:
-    """Patches under the reference force at curvatures (m, 2), 1/m.
-
-    Raises CalibrationError if the belief has none.
-    """
-    if belief.force_reference is None:
-        raise CalibrationError(
-            "next contacts need to know how hard they press",
-            value="belief.force_reference = None",
-            remedy="give the belief a force_reference",
-        )
+    """Patches under the reference force at curvatures (m, 2), 1/m, and E*, Pa."""
     material = belief.material
-    model = ContactModel(belief.contact, material.poisson, material.thickness)
-    return model.patches(
+    return ContactModel(belief.contact, material.poisson, material.thickness).patches(
         force=np.full(len(curvature), belief.force_reference),
         curvature=curvature,
         indenter_radius=belief.indenter.radius,

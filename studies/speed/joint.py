@@ -113,13 +113,13 @@ def measure(taxels: int, contact: str = "hertz") -> dict[str, float]:
 
     if taxels <= 1000:  # the small sizes as in a running program: kernel loaded, libraries imported
         small, belief, _ = world(60, seed=1, contact=contact)
-        estimate(gather(small, belief), belief.body)
+        estimate(gather(small, belief))
     recording, belief, truth = world(taxels, contact=contact)
     clock, cpu = perf_counter(), process_time()
     data = gather(recording, belief)
-    start = trilaterate.least_squares(data, belief.body)
+    start = trilaterate.least_squares(data)
     started = perf_counter() - clock
-    found = estimate(data, belief.body, start)
+    found = estimate(data, start)
     cpu, total = process_time() - cpu, perf_counter() - clock
     build = started + found.seconds["readings"]
     error = np.linalg.norm(found.points - truth, axis=1)

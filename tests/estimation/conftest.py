@@ -157,11 +157,11 @@ def derivative_holds():
 
     def check(world, case, column):
         data, contact, taxel = case
-        model = Likelihood(data, Readings.none(), data.shared)
-        scale = np.concatenate([np.full(3, 1e-3), [0.1, 1.0], 0.1 * data.shared.sigma])
+        model = Likelihood(data, Readings.none())
+        scale = np.concatenate([np.full(3, 1e-3), [0.1, 1.0], 0.1 * data.parameters.sigma])
         rng = np.random.default_rng(column)
         about = 0.3 * scale * rng.normal(size=len(scale))
-        fixed = LinearizedContacts(data.shared, data, world.body, about[5:])
+        fixed = LinearizedContacts(data, about[5:])
 
         def predict(x):
             points = world.truth[taxel] + x[:3]

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from meshskin.estimation.data.global_parameters import LOCAL, SIZES
+from meshskin.estimation.data.global_parameters import NUISANCE, SIZES
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +20,7 @@ def test_few_seeds(study, tmp_path, capsys):
     assert {"position", "tilt", "spin"} < set(found["modules"])
     assert len([name for name in found["body"] if name.startswith("body_offset")]) == 6
     seen = {name.split()[0] for rows in found.values() for name in rows}
-    assert seen > {*SIZES, *LOCAL}  # every unknown that a belief can declare
+    assert seen > {*SIZES, *NUISANCE}  # every unknown that a belief can declare
     for name, rows in found.items():
         assert rows["fit"]["false_alarms"] == 0
         if name != "body":  # where all taxels share its offset

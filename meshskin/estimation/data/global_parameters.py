@@ -1,7 +1,8 @@
-"""Unknowns shared by all readings: the contact modulus, the force, where the contacts are.
+"""Global parameters s, which all readings share: contact modulus, force, pose of the contacts.
 
-e = ln(E* / nominal), h the force's scale and b its offset, F_true = exp(h) F + b; an indenter
-offset, world frame, and a body offset (translation, rotation), body frame (contacts.py).
+e = ln(E* / nominal); scale h and offset b of the force, F_true = exp(h) F + b; an indenter offset
+in the world frame and a body offset (translation, rotation) in the body frame (joint/contacts.py).
+Each taxel may have nuisance parameters of its own, ln gain and offset.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ from ...core.errors import UnknownNameError
 from ...core.se3 import Array
 
 SIZES = {"modulus": 1, "force_scale": 1, "force_offset": 1, "indenter_offset": 3, "body_offset": 6}
-"""Shared unknowns and their numbers."""
-LOCAL = ("gain", "offset")
-"""Unknowns of each taxel beside its position."""
+"""Number of entries of each global parameter."""
+NUISANCE = ("gain", "offset")
+"""Parameters of each taxel beside its position."""
 PRIORS = {
     "modulus": 1.0,
     "force_scale": 0.3,
@@ -27,27 +28,31 @@ PRIORS = {
     "gain": 0.3,
     "offset": 0.3,
 }
-"""Standard deviations before any data: logarithms of modulus, force scale and gain; offsets of the
-force in reference forces, of the pressure in reference peaks, of indenter and body in m."""
+"""Default standard deviations of the priors: of the logarithms of modulus, force scale and gain; of
+the force offset in reference forces, of the pressure offset in reference peak pressures, of
+indenter and body offset in m. Weak on purpose: `Belief.priors` replaces them."""
 ROTATION = 10.0
-"""Standard deviation of a body's rotation, rad, for every m of its translation's."""
+"""Standard deviation of the body's rotation, rad, per m of that of its translation: the rotation
+that moves a point 0.1 m from the origin as far as the translation does."""
+LOGARITHMS = ("modulus", "force_scale", "gain")
+"""Parameters that are natural logarithms of a factor."""
 
 
 @dataclass(frozen=True)
 class GlobalParameters:
-    """The declared shared unknowns s (ks,), in SI units and logarithms, and their priors."""
+    """The declared global parameters s (ks,), in SI units and logarithms, with their priors."""
 
     names: tuple[str, ...]
     sigma: Array
-    """Standard deviations (ks,) of s about zero before any data."""
-    local_names: tuple[str, ...] = ()
+    """Prior standard deviations (ks,) of s about zero."""
+    nuisance_names: tuple[str, ...] = ()
     """Those of "gain" and "offset" that every taxel has."""
-    local_sigma: tuple[float, ...] = ()
-    """Their priors: of ln gain, and of the offset in Pa."""
+    nuisance_sigma: tuple[float, ...] = ()
+    """Their prior standard deviations: of ln gain, and of the offset in Pa."""
 
     @property
     def columns(self) -> dict[str, slice]:
-        """Where each unknown is in s."""
+        """The entries of s of each parameter."""
         ends = np.cumsum([SIZES[name] for name in self.names])
         return {n: slice(e - SIZES[n], e) for n, e in zip(self.names, map(int, ends), strict=True)}
 
@@ -62,14 +67,14 @@ class GlobalParameters:
         )
 
     @property
-    def moving(self) -> bool:
-        """Whether contact points move."""
+    def move_contacts(self) -> bool:
+        """Whether the contact points depend on s."""
         return "indenter_offset" in self.names or "body_offset" in self.names
 
-    def prior_words(self) -> tuple[str, ...]:
-        """Each prior in words."""
+    def describe_priors(self) -> tuple[str, ...]:
+        """One sentence for each prior."""
         sigma = {name: float(self.sigma[at.start]) for name, at in self.columns.items()}
-        sigma |= zip(self.local_names, self.local_sigma, strict=True)
+        sigma |= zip(self.nuisance_names, self.nuisance_sigma, strict=True)
         words = {
             "modulus": "E* within a factor {:.3g} of its nominal value (1 sigma)",
             "force_scale": "force within a factor {:.3g} of the measured one (1 sigma)",
@@ -80,30 +85,33 @@ class GlobalParameters:
             "offset": "offset of each taxel 0 +- {:.3g} Pa",
         }
         return tuple(
-            text.format(np.exp(sigma[name]) if "factor" in text else sigma[name])
+            text.format(np.exp(sigma[name]) if name in LOGARITHMS else sigma[name])
             for name, text in words.items()
             if name in sigma
         )
 
-    def unlike(self, peak: float) -> GlobalParameters:
-        """The same with a gain and an offset of each taxel, where they are not declared under the
-        usual priors; `peak`, Pa, is that of reference.
+    def with_nuisance(self, peak: float) -> GlobalParameters:
+        """These parameters, and a gain and an offset of each taxel.
+
+        Those that are not declared get the default priors; `peak`, Pa, is the reference peak.
         """
         sigma = {"gain": PRIORS["gain"], "offset": PRIORS["offset"] * peak}
-        sigma |= zip(self.local_names, self.local_sigma, strict=True)
-        return replace(self, local_names=LOCAL, local_sigma=tuple(sigma[name] for name in LOCAL))
+        sigma |= zip(self.nuisance_names, self.nuisance_sigma, strict=True)
+        values = tuple(sigma[name] for name in NUISANCE)
+        return replace(self, nuisance_names=NUISANCE, nuisance_sigma=values)
 
-    def value(self, name: str, s: Array, missing: float = 0.0) -> float:
-        """The entry of a scalar unknown, `missing` where it is not declared."""
-        return float(s[self.columns[name]][0]) if name in self.names else missing
+    def value(self, name: str, s: Array) -> float:
+        """The entry of a scalar parameter in s (ks,); 0 if it is not declared."""
+        return float(s[self.columns[name]][0]) if name in self.names else 0.0
 
 
-def declared(
+def declared_parameters(
     unknown: tuple[str, ...], priors: Mapping[str, float], force: float, peak: float
 ) -> GlobalParameters:
-    """The unknowns that a belief declares; `force`, N, and `peak`, Pa, are those of reference.
+    """The parameters that a belief declares `unknown`.
 
-    Raises UnknownNameError for a name that is none.
+    priors: standard deviations in place of PRIORS; force, N, and peak, Pa: the reference values.
+    Raises UnknownNameError for a name that does not exist.
     """
     for name in (*unknown, *priors):
         if name not in PRIORS:
@@ -114,11 +122,14 @@ def declared(
     sigma = [np.full(SIZES[name], prior[name]) for name in names]
     if "body_offset" in names:
         sigma[names.index("body_offset")][3:] *= ROTATION
-    local = tuple(name for name in LOCAL if name in unknown)
+    nuisance = tuple(name for name in NUISANCE if name in unknown)
     return GlobalParameters(
-        names, np.concatenate([*sigma, np.empty(0)]), local, tuple(prior[name] for name in local)
+        names,
+        np.concatenate([*sigma, np.empty(0)]),
+        nuisance,
+        tuple(prior[name] for name in nuisance),
     )
 
 
 MODULUS = GlobalParameters(("modulus",), np.ones(1))
-"""The modulus alone, as by default."""
+"""The default: E* is the only global parameter."""

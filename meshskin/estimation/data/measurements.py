@@ -1,4 +1,4 @@
-"""Readings beside the contacts they belong to, in the numbers of the believed contact model."""
+"""Readings with the contacts they belong to, in the terms of the believed contact model."""
 
 from __future__ import annotations
 
@@ -13,24 +13,26 @@ from ...contact.disc import disc_slope, invert_disc_mean
 from ...core.errors import CalibrationError, RecordingError
 from ...core.se3 import Array
 from . import unit_checks
-from .global_parameters import MODULUS, GlobalParameters, declared
+from .global_parameters import MODULUS, GlobalParameters, declared_parameters
 from .resolve_belief import resolve_belief, valid_contacts
 
 if TYPE_CHECKING:
+    from ...geometry.body import Body
     from ...geometry.surface.closest_point import Closest
     from ...recording.recording import Recording
     from ...scene.belief import Belief
 
 NOMINAL_NOISE = 0.01
-"""Standard deviation that weights the readings when none is known, relative to the median peak."""
+"""Standard deviation that weights the readings when none is known, relative to the median peak.
+Without a known noise the covariance is scaled by the residuals, so that it cancels there."""
 
 
 @dataclass(frozen=True)
 class Measurements:
     """m contacts and k readings of n taxels; everything that an estimator needs of a recording."""
 
-    ids: np.ndarray
-    """Taxel ids (n,), in the belief's order."""
+    belief: Belief
+    """With a reference force and a contact model (`resolve_belief`)."""
     points: Array
     """Contact points (m, 3), body frame, m."""
     normals: Array
@@ -39,16 +41,12 @@ class Measurements:
     """Unit tangents (m, 3) along the first principal curvature there."""
     curvature: Array
     """Principal curvatures (m, 2) there, 1/m."""
+    force: Array
+    """Measured forces (m,), N."""
     patches: contact.Patches
     """The contacts' patches at the nominal E*; `first` lies along `directions`."""
     model: contact.ContactModel
     """The believed contact model."""
-    indenter_radius: float
-    """m."""
-    modulus: float
-    """Nominal E*, Pa."""
-    disc: float
-    """Disc radius of a taxel, m."""
     contact: np.ndarray
     """Contact (k,) of each reading, a row of `points`."""
     taxel: np.ndarray
@@ -57,20 +55,39 @@ class Measurements:
     """Pressure (k,), Pa."""
     noise: float | None
     """Known standard deviation of a reading, Pa, or None."""
-    threshold: float
-    """Pressures up to this are silent, Pa."""
-    force: Array
-    """Measured forces (m,), N."""
     saturation: float = np.inf
-    """Readings of this and more are at the end of the sensor's range, Pa."""
-    shared: GlobalParameters = MODULUS
-    """What is unknown beside the taxels."""
+    """Upper end of the sensor's range, Pa: readings of this and more are saturated."""
+    parameters: GlobalParameters = MODULUS
+    """What is unknown beside the taxels' poses."""
     headings: Array | None = None
-    """World from body rotations (m, 3, 3), where known."""
-    slots: Array | None = None
-    """Places (slots, 3), m, of the taxels of rigid modules, in the module's frame."""
+    """Rotations (m, 3, 3), world from body, where known."""
     left_out: int = 0
-    """Contacts in which the contact model does not hold; none of them is in here."""
+    """Number of contacts left out because the contact model does not hold in them."""
+
+    @cached_property
+    def ids(self) -> np.ndarray:
+        """Taxel ids (n,), in the belief's order."""
+        return np.asarray(self.belief.taxel_ids)
+
+    @property
+    def body(self) -> Body:
+        """The believed body."""
+        return self.belief.body
+
+    @property
+    def disc(self) -> float:
+        """Disc radius of a taxel, m."""
+        return self.belief.disc_radius
+
+    @property
+    def threshold(self) -> float:
+        """Pressures up to this are silent, Pa."""
+        return self.belief.threshold
+
+    @property
+    def modulus(self) -> float:
+        """Nominal E*, Pa."""
+        return self.belief.material.effective_modulus
 
     @property
     def sigma(self) -> float:
@@ -92,26 +109,32 @@ class Measurements:
         """Peak pressures p_0 (m,), Pa, at the nominal E*."""
         return np.asarray(self.patches.peak)
 
-    @property
-    def height(self) -> Array:
-        """Height (m,) of the indenter's centre over the contact point, m."""
-        return np.asarray(self.indenter_radius - self.patches.depth)
+    def reach(self, scale: float = 1.0) -> Array:
+        """Distance (m,), m, across the contact at which a taxel's disc leaves the patch.
 
-    def on(self, hit: Closest) -> Measurements:
-        """The same with the contacts at the points `hit` of the body."""
-        patches = self.model.patches(
-            force=self.force,
-            curvature=hit.curvature,
-            indenter_radius=self.indenter_radius,
-            effective_modulus=self.modulus,
+        scale: contact radii relative to those at nominal E*.
+        """
+        return np.asarray(scale * self.longest + self.disc)
+
+    def select(self, rows: np.ndarray) -> Measurements:
+        """These measurements with the readings `rows` only (indices or bool)."""
+        part = replace(
+            self, contact=self.contact[rows], taxel=self.taxel[rows], pressure=self.pressure[rows]
         )
+        if self.model.name == "hertz":  # each reading's is independent of the others
+            part.__dict__["distance"] = self.distance[rows]
+            part.__dict__["slope"] = self.slope[rows]
+        return part
+
+    def at_contacts(self, hit: Closest) -> Measurements:
+        """These measurements with the contacts at the points `hit` of the body."""
         return replace(
             self,
             points=hit.point,
             normals=hit.normal,
             directions=hit.direction,
             curvature=hit.curvature,
-            patches=patches,
+            patches=_nominal_patches(self.model, self.belief, self.force, hit.curvature),
         )
 
     @cached_property
@@ -131,8 +154,8 @@ class Measurements:
 
     @cached_property
     def distance(self) -> Array:
-        """Distance (k,), m, from contact to taxel that each reading says (paper, eq. 15), under
-        circular patches.
+        """Distance (k,), m, from contact to taxel by each reading (paper, eq. 15), under circular
+        patches.
         """
         a = self.radii[self.contact]
         return a * invert_disc_mean(self.pressure / self.peaks[self.contact], self.disc / a)
@@ -148,70 +171,81 @@ class Measurements:
 def gather(recording: Recording, belief: Belief) -> Measurements:
     """The measurements of a recording under a belief.
 
-    Contacts without force (approach) have no patch and are left out, with their readings.
-    Raises RecordingError for values that are not finite or there twice, CalibrationError for no
-    readings or taxel ids that the belief does not know, ContactError where the contact model leaves
-    its range.
+    Contacts without force (approach) have no patch and are left out, with their readings. Raises
+    RecordingError for values that are not finite, taxels read twice in a contact;
+    CalibrationError for no readings, wrong units, unknown taxel ids and headings of another shape;
+    ContactError where the contact model leaves its range.
     """
     _check_finite(recording)
     index = _taxel_index(recording.reading_taxel, np.asarray(belief.taxel_ids))
-    _check_once(recording, index, len(belief.taxel_ids))
+    _check_unique(recording, index, len(belief.taxel_ids))
+    headings = _headings(recording, belief)
     hit = belief.body.closest(recording.points)
-    unit_checks.check_place(belief.body, recording.points, hit.distance)
+    unit_checks.check_points(belief.body, recording.points, hit.distance)
     belief = resolve_belief(belief, recording)
-    pressed = recording.force > 0
-    heard = pressed[recording.reading_contact] & (recording.pressure > 0)
-    _require(heard, recording, pressed)
+    used = recording.force > 0
+    read = used[recording.reading_contact] & (recording.pressure > 0)
+    _require_readings(read, recording, used)
     reference = belief.force_reference or 1.0
-    unit_checks.check_force(recording.force[pressed], reference)
-    holds = valid_contacts(recording.force[pressed], hit.curvature[pressed], belief)
-    pressed[pressed] = holds
-    heard &= pressed[recording.reading_contact]
-    hit, force, row = hit.take(pressed), recording.force[pressed], np.cumsum(pressed) - 1
-    headings = recording.headings if belief.headings is None else belief.headings
-    if headings is not None and len(headings) != len(recording.time):
-        raise CalibrationError(
-            "belief.headings must have one rotation for each contact of the recording",
-            value=len(headings),
-            limit=len(recording.time),
-        )
+    unit_checks.check_force(recording.force[used], reference)
+    valid = valid_contacts(recording.force[used], hit.curvature[used], belief)
+    used[used] = valid
+    read &= used[recording.reading_contact]
+    hit, force, row = hit.take(used), recording.force[used], np.cumsum(used) - 1
     material = belief.material
     model = contact.ContactModel(belief.contact, material.poisson, material.thickness)
-    patches = model.patches(
-        force=force,
-        curvature=hit.curvature,
-        indenter_radius=belief.indenter.radius,
-        effective_modulus=material.effective_modulus,
-    )
-    unit_checks.check_pressure(recording.pressure[heard], index[heard], patches.peak)
-    heard &= recording.pressure > belief.threshold
-    _require(heard, recording, pressed)
+    patches = _nominal_patches(model, belief, force, hit.curvature)
+    unit_checks.check_pressure(recording.pressure[read], index[read], patches.peak)
+    read &= recording.pressure > belief.threshold
+    _require_readings(read, recording, used)
+    peak = float(np.median(patches.peak))
     return Measurements(
-        ids=np.asarray(belief.taxel_ids),
-        points=recording.points[pressed],
+        belief=belief,
+        points=recording.points[used],
         normals=hit.normal,
         directions=hit.direction,
         curvature=hit.curvature,
+        force=force,
         patches=patches,
         model=model,
-        indenter_radius=belief.indenter.radius,
-        modulus=material.effective_modulus,
-        disc=belief.disc_radius,
-        contact=row[recording.reading_contact][heard],
-        taxel=index[heard],
-        pressure=recording.pressure[heard],
+        contact=row[recording.reading_contact][read],
+        taxel=index[read],
+        pressure=recording.pressure[read],
         noise=belief.noise_sigma,
-        threshold=belief.threshold,
-        force=force,
-        saturation=belief.saturation or np.inf,
-        shared=declared(belief.unknown, belief.priors, reference, float(np.median(patches.peak))),
-        slots=belief.module_slots,
-        headings=None if headings is None else np.asarray(headings)[pressed],
-        left_out=int(np.sum(~holds)),
+        saturation=np.inf if belief.saturation is None else belief.saturation,
+        parameters=declared_parameters(belief.unknown, belief.priors, reference, peak),
+        headings=None if headings is None else headings[used],
+        left_out=int(np.sum(~valid)),
     )
 
 
-def _require(heard: np.ndarray, recording: Recording, pressed: np.ndarray) -> None:
+def _nominal_patches(
+    model: contact.ContactModel, belief: Belief, force: Array, curvature: Array
+) -> contact.Patches:
+    """Patches of forces (m,), N, at curvatures (m, 2), 1/m, and the nominal E*."""
+    return model.patches(
+        force=force,
+        curvature=curvature,
+        indenter_radius=belief.indenter.radius,
+        effective_modulus=belief.material.effective_modulus,
+    )
+
+
+def _headings(recording: Recording, belief: Belief) -> Array | None:
+    """Rotations (m, 3, 3), world from body, of the belief, else of the recording."""
+    if belief.headings is None:
+        return recording.headings
+    headings, shape = np.asarray(belief.headings), (len(recording.time), 3, 3)
+    if headings.shape != shape:
+        raise CalibrationError(
+            "belief.headings must have one rotation for each contact of the recording",
+            value=f"shape {headings.shape}",
+            limit=f"shape {shape}",
+        )
+    return headings
+
+
+def _require_readings(read: np.ndarray, recording: Recording, pressed: np.ndarray) -> None:
     if not np.any(pressed) and len(recording.force):
         raise CalibrationError(
             "no contact is pressed",
@@ -219,7 +253,7 @@ def _require(heard: np.ndarray, recording: Recording, pressed: np.ndarray) -> No
             limit="above 0 N",
             remedy="a force is positive where it presses: check its sign",
         )
-    if not np.any(heard):
+    if not np.any(read):
         raise CalibrationError(
             "the recording has no readings of a pressed contact",
             value=f"{len(recording.pressure)} readings of at most "
@@ -245,8 +279,8 @@ def _check_finite(recording: Recording) -> None:
             )
 
 
-def _check_once(recording: Recording, index: np.ndarray, taxels: int) -> None:
-    """Refuse a taxel that is read twice in one contact: a copy would count as other noise."""
+def _check_unique(recording: Recording, index: np.ndarray, taxels: int) -> None:
+    """Refuse a taxel that is read twice in one contact: a copy would count as independent noise."""
     number = recording.reading_contact * taxels + index
     if np.all(np.diff(number) > 0):
         return
@@ -262,10 +296,10 @@ def _check_once(recording: Recording, index: np.ndarray, taxels: int) -> None:
 
 
 def _taxel_index(taxels: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """Row in `ids` of each taxel id."""
+    """Row in `ids` of each taxel id. Raises CalibrationError for ids that are not there."""
     order = np.argsort(ids, kind="stable")
-    place = np.minimum(np.searchsorted(ids[order], taxels), len(ids) - 1)
-    index = order[place]
+    row = np.minimum(np.searchsorted(ids[order], taxels), len(ids) - 1)
+    index = order[row]
     unknown = np.unique(taxels[ids[index] != taxels])
     if len(unknown):
         raise CalibrationError(
@@ -275,11 +309,3 @@ def _taxel_index(taxels: np.ndarray, ids: np.ndarray) -> np.ndarray:
             remedy="use the skin that was recorded",
         )
     return index
-
-
-def reach(data: Measurements, stretch: float = 1.0) -> Array:
-    """Distance (m,), m, across the contact beyond which patch and disc have parted.
-
-    `stretch`: contact radii relative to those at nominal E*.
-    """
-    return np.asarray(stretch * data.longest + data.disc)

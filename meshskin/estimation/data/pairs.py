@@ -1,4 +1,4 @@
-"""Pairs of a contact and a taxel: near each other, or silent where that says something."""
+"""Pairs of a contact and a taxel: near each other, or informative though the taxel was silent."""
 
 from __future__ import annotations
 
@@ -12,21 +12,25 @@ from ...core.se3 import Array
 if TYPE_CHECKING:
     from .measurements import Measurements
 
-SPARE = 0.4e-3
-"""Reach beyond patch and disc within which a taxel may be read, m."""
-QUIET = 4.0
-"""Sigmas below the threshold beyond which a silent reading says nothing: 1e-3 of a heard one."""
-SLANT = 1.25
-"""Distance in space over the one across the normal, at most, of a taxel near a contact."""
+REACH_MARGIN = 0.4e-3
+"""Distance beyond patch and disc within which a taxel still counts as in reach, m: readings are
+selected again when taxels and contacts have moved by half of it."""
+SILENT_SIGMAS = 4.0
+"""An expected pressure further below the threshold than this, in standard deviations, makes silence
+certain: the omitted cost -log Phi(4) is 3e-5, and the omitted information below 1e-3 of a
+reading's."""
+MAX_SLANT = 1.25
+"""Bound on the distance in space relative to the distance across the normal, for a taxel near a
+contact: holds up to 37 degrees out of the contact's tangent plane (arccos(1 / 1.25))."""
 CHUNK = 8192
-"""Taxels whose contacts are looked for at once."""
+"""Taxels whose contacts are searched at once: bounds the memory."""
 
 
 def near_pairs(data: Measurements, points: Array, radius: Array) -> tuple[np.ndarray, np.ndarray]:
     """Contacts and taxels (rows of `points`) less than `radius` (m,) apart across the normal, m."""
     from scipy.spatial import cKDTree
 
-    furthest = SLANT * float(radius.max())
+    furthest = MAX_SLANT * float(radius.max())
     tree = cKDTree(data.points)
     found: list[tuple[np.ndarray, np.ndarray]] = []
     for begin in range(0, len(points), CHUNK):
@@ -42,23 +46,23 @@ def near_pairs(data: Measurements, points: Array, radius: Array) -> tuple[np.nda
 
 
 def silent_pairs(
-    data: Measurements, live: np.ndarray, points: Array, stretch: float
+    data: Measurements, live: np.ndarray, points: Array, scale: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Contacts and taxels (rows of `live`, at `points`) whose silence says something.
+    """Contacts and taxels (rows of `live`, at `points`) without a reading, where that informs.
 
-    Where the pressure to expect is more than `QUIET` sigma below the threshold, it says nothing.
+    scale: contact radii relative to those at nominal E*.
     """
-    level = np.maximum(data.threshold - QUIET * data.sigma, 0.0) / (data.peaks * stretch**-2)
-    if "offset" in data.shared.local_names:  # where a taxel falls silent is not known, then
+    level = np.maximum(data.threshold - SILENT_SIGMAS * data.sigma, 0.0)
+    level = level / (data.peaks * scale**-2)
+    if "offset" in data.parameters.nuisance_names:  # the pressure at rest is not known, then
         level = np.zeros_like(level)
-    a = stretch * data.longest
+    a = scale * data.longest
     # A circle of the longer semi-axis under Hertz's profile has at least the patch's pressure.
-    radius = a * invert_disc_mean(level, data.disc / a, tolerance=1e-3) + SPARE
+    radius = a * invert_disc_mean(level, data.disc / a, tolerance=1e-3) + REACH_MARGIN
     contact, taxel = near_pairs(data, points, radius)
     number = live[taxel] * len(data.points) + contact
-    heard = np.sort(data.taxel * len(data.points) + data.contact)
-    if len(heard):
-        found = heard[np.minimum(np.searchsorted(heard, number), len(heard) - 1)]
-        quiet = found != number
-        contact, taxel = contact[quiet], taxel[quiet]
+    read = np.sort(data.taxel * len(data.points) + data.contact)
+    if len(read):
+        silent = read[np.minimum(np.searchsorted(read, number), len(read) - 1)] != number
+        contact, taxel = contact[silent], taxel[silent]
     return contact, taxel

@@ -1,4 +1,4 @@
-"""What a belief leaves to the recording: the usual force, the contact model that holds in it."""
+"""What a belief leaves to the recording: the reference force, and the contact model that holds."""
 
 from __future__ import annotations
 
@@ -16,17 +16,20 @@ if TYPE_CHECKING:
     from ...recording.recording import Recording
     from ...scene.belief import Belief
 
-MOST_OUT = 0.05
-"""Part of the contacts that may leave the contact model's range; they are left out."""
-SOME = 500
-"""Contacts, evenly, that choose the model."""
+MAX_INVALID = 0.05
+"""Largest fraction of the contacts that may be outside the contact model's range: those are left
+out. Chosen: a few edges or peaks of the force; more is a model that does not suit the recording."""
+MODEL_SAMPLE = 500
+"""Contacts, evenly spread over the recording, that choose the contact model: of a twentieth outside
+the range, MAX_INVALID, it sees 25."""
 
 
 def resolve_belief(belief: Belief, recording: Recording) -> Belief:
-    """The belief with the recording's median force as its reference, where it has none, and for
-    "auto" with the first contact model that holds in the recording's contacts.
+    """The belief with a reference force and a contact model.
 
-    Raises ContactError, of the most general model, where none does.
+    A missing reference force is the median force of the recording; contact "auto" becomes the first
+    model that holds in the recording's contacts. Raises ContactError, of the most general model,
+    where none does.
     """
     pressed = recording.force > 0
     if belief.force_reference is None:
@@ -35,46 +38,54 @@ def resolve_belief(belief: Belief, recording: Recording) -> Belief:
     if belief.contact != contact.AUTO:
         return belief
     rows = np.flatnonzero(pressed)
-    rows = rows[:: max(1, len(rows) // SOME)]
-    if not len(rows):
-        return replace(belief, contact=contact.BATCHED[0])
+    rows = rows[:: max(1, len(rows) // MODEL_SAMPLE)]
     curvature = belief.body.closest(recording.points[rows]).curvature
+    return with_valid_model(belief, recording.force[rows], curvature)
+
+
+def with_valid_model(belief: Belief, force: Array, curvature: Array) -> Belief:
+    """The belief with the first contact model that holds under forces (m,), N, at principal
+    curvatures (m, 2), 1/m.
+
+    Raises ContactError, of the most general model, where none does.
+    """
     *others, last = (
         replace(belief, contact=name)
         for name in contact.BATCHED
         if name != "layered" or belief.material.thickness is not None
     )
-    for chosen in others:
+    for candidate in others:
         with suppress(ContactError):
-            valid_contacts(recording.force[rows], curvature, chosen)
-            return chosen
-    valid_contacts(recording.force[rows], curvature, last)
+            valid_contacts(force, curvature, candidate)
+            return candidate
+    valid_contacts(force, curvature, last)
     return last
 
 
 def valid_contacts(force: Array, curvature: Array, belief: Belief) -> np.ndarray:
-    """In which contacts (m,) the contact model holds: all, or all but `MOST_OUT` of them.
+    """Contacts (m,) bool that are in the range of the contact model.
 
-    Raises the ContactError of the widest that leaves its range, where more do.
+    Raises the ContactError of the widest contact outside it, where more than MAX_INVALID of them
+    are.
     """
     material = belief.material
-    holds = contact.ContactModel(belief.contact, material.poisson, material.thickness).is_valid(
+    valid = contact.ContactModel(belief.contact, material.poisson, material.thickness).is_valid(
         force=force,
         curvature=curvature,
         indenter_radius=belief.indenter.radius,
         effective_modulus=material.effective_modulus,
     )
-    out = np.flatnonzero(~holds)
-    if len(out) > MOST_OUT * len(holds):
-        relative = np.maximum(curvature[out].mean(axis=1) + 1 / belief.indenter.radius, 0.0)
-        worst = out[np.argmax(force[out] * relative**2)]  # rises with a/R
+    invalid = np.flatnonzero(~valid)
+    if len(invalid) > MAX_INVALID * len(valid):
+        relative = np.maximum(curvature[invalid].mean(axis=1) + 1 / belief.indenter.radius, 0.0)
+        widest = invalid[np.argmax(force[invalid] * relative**2)]  # increases with a/R
         contact.solve(
             belief.contact,
-            force=float(force[worst]),
-            curvature=tuple(curvature[worst]),
+            force=float(force[widest]),
+            curvature=tuple(curvature[widest]),
             indenter_radius=belief.indenter.radius,
             modulus=material.young,
             poisson=material.poisson,
             thickness=material.thickness,
         )
-    return holds
+    return valid

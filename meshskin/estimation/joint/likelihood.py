@@ -1,8 +1,9 @@
 """The likelihood of all readings: its value, gradient and Gauss-Newton Hessian, taxel by taxel.
 
-Each taxel's unknowns are here its position x (3), in the body frame, its declared gain and offset;
-then come the shared unknowns. How x depends on coordinates in a chart or on a module's pose is not
-known here (places.py). Readings are sorted by taxel and taken in blocks that stay in the cache.
+The unknowns of a taxel are its position x (3) in the body frame, its declared nuisance parameters
+(gain and offset), and the global parameters. How x depends on coordinates in a chart or on a
+module's pose is the parametrization's (parametrization.py). Readings are sorted by taxel and
+evaluated in blocks that stay in the cache.
 """
 
 from __future__ import annotations
@@ -14,18 +15,16 @@ import numpy as np
 
 from ...core.arrays import ranges
 from ...core.se3 import Array
-from ..data.global_parameters import GlobalParameters
-from ..data.measurements import Measurements, reach
-from ..data.pairs import SPARE, silent_pairs
+from ..data.measurements import Measurements
+from ..data.pairs import REACH_MARGIN, silent_pairs
 from .contacts import Contacts
-from .patches import DISC_MEANS
-from .pressure import CENSORED, OBSERVED, SATURATED, costs
+from .pressure import CENSORED, OBSERVED, SATURATED, costs, disc_means
 
-CLEAR = 5.0
-"""Pressure, relative to the noise, above which a reading out of reach is kept: it is a misfit. With
-an unknown offset, above what the taxel reads in most contacts."""
+MISFIT_SIGMAS = 5.0
+"""Pressure, relative to the noise, above which a reading out of reach is kept: noise does not
+explain it. With an unknown offset, above what the taxel reads in most contacts."""
 BLOCK = 8192
-"""Readings of a block."""
+"""Readings of a block: their derivatives, some 100 B each, stay in the cache."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +38,11 @@ class Readings:
     level: Array
     """Pressure, threshold or end of the range (k,), Pa."""
     kind: np.ndarray
-    """HEARD, SILENT or SATURATED (k,)."""
+    """OBSERVED, CENSORED or SATURATED (k,)."""
     source: np.ndarray
     """Row (k,) of the measurement; -1 for a silent reading."""
     weight: Array
-    """Weight (k,); 0 takes a reading out."""
+    """Weight (k,); 0 removes a reading."""
     starts: np.ndarray
     """First reading (n + 1,) of each taxel, and k."""
 
@@ -67,31 +66,31 @@ def select(
     weight: Array,
     silent_weight: Array,
 ) -> Readings:
-    """The readings that say something of the taxels `live` (rows of data.ids), near `points`.
+    """The readings that inform about the taxels `live` (rows of data.ids), estimated at `points`.
 
-    With known noise, silent readings in reach are censored, and readings out of reach that are no
-    more than noise are left out. `log_radius`: that of the patches over the nominal; `weight` (k,)
-    of the measurements, `silent_weight` (n,) of each taxel's silent readings.
+    With known noise, silent readings in reach are censored, and readings out of reach that noise
+    explains are left out. log_radius: logarithm of the patches' radii over the nominal ones;
+    weight (k,): of the measurements; silent_weight (n,): of each taxel's silent readings.
     """
     place = np.full(len(data.ids), -1)
     place[live] = np.arange(len(live))
     mine = np.flatnonzero(place[data.taxel] >= 0)
     silent_contact = silent_taxel = np.empty(0, dtype=int)
-    stretch = float(np.exp(log_radius))
-    if data.noise:
+    scale = float(np.exp(log_radius))
+    if data.noise is not None:
         contact, taxel = data.contact[mine], place[data.taxel[mine]]
         offset = points[taxel] - data.points[contact]
         height = np.einsum("ki,ki->k", offset, data.normals[contact])
         across2 = np.einsum("ki,ki->k", offset, offset) - height**2
-        inside = across2 < (reach(data, stretch)[contact] + SPARE) ** 2
-        rest = data.rest if "offset" in data.shared.local_names else np.zeros(len(data.ids))
-        inside |= data.pressure[mine] > rest[data.taxel[mine]] + CLEAR * data.noise
+        inside = across2 < (data.reach(scale)[contact] + REACH_MARGIN) ** 2
+        rest = data.rest if "offset" in data.parameters.nuisance_names else np.zeros(len(data.ids))
+        inside |= data.pressure[mine] > rest[data.taxel[mine]] + MISFIT_SIGMAS * data.noise
         mine = mine[inside]
-        silent_contact, silent_taxel = silent_pairs(data, live, points, stretch)
+        silent_contact, silent_taxel = silent_pairs(data, live, points, scale)
     none = np.full(len(silent_contact), -1)
     contact = np.concatenate([data.contact[mine], silent_contact])
     taxel = np.concatenate([place[data.taxel[mine]], silent_taxel])
-    heard = np.where(data.pressure[mine] < data.saturation, OBSERVED, SATURATED)
+    kind = np.where(data.pressure[mine] < data.saturation, OBSERVED, SATURATED)
     level = np.concatenate(
         [np.minimum(data.pressure[mine], data.saturation), np.full(len(none), data.threshold)]
     )
@@ -100,7 +99,7 @@ def select(
         contact=contact[order],
         taxel=taxel[order],
         level=level[order],
-        kind=np.concatenate([heard, np.full(len(none), CENSORED)]).astype(np.int8)[order],
+        kind=np.concatenate([kind, np.full(len(none), CENSORED)]).astype(np.int8)[order],
         source=np.concatenate([mine, none])[order],
         weight=np.concatenate([weight[mine], silent_weight[silent_taxel]])[order],
         starts=np.searchsorted(taxel[order], np.arange(len(live) + 1)),
@@ -109,7 +108,7 @@ def select(
 
 @dataclass
 class Moments:
-    """Cost and derivatives of n taxels in their C unknowns: x (3), gain, offset, then shared."""
+    """Cost and derivatives of n taxels in C unknowns: x (3), nuisance and global parameters."""
 
     cost: Array
     """(n,)."""
@@ -118,20 +117,20 @@ class Moments:
     hessian: Array
     """(n, C, C)."""
     square: Array
-    """Sum of the squared residuals (n,) of heard readings, weighted."""
+    """Weighted sum of the squared residuals (n,) of observed readings."""
 
     @classmethod
     def zeros(cls, n: int, size: int) -> Moments:
-        """All zero."""
+        """Zeros for n taxels of `size` unknowns."""
         return cls(np.zeros(n), np.zeros((n, size)), np.zeros((n, size, size)), np.zeros(n))
 
     def put(self, rows: np.ndarray, other: Moments) -> None:
-        """Take over `other` for the taxels `rows`."""
+        """Replace those of the taxels `rows` by `other`."""
         self.cost[rows], self.gradient[rows] = other.cost, other.gradient
         self.hessian[rows], self.square[rows] = other.hessian, other.square
 
     def take(self, rows: np.ndarray) -> Moments:
-        """Those of the taxels `rows`."""
+        """The moments of the taxels `rows`."""
         return Moments(self.cost[rows], self.gradient[rows], self.hessian[rows], self.square[rows])
 
 
@@ -141,13 +140,12 @@ class Likelihood:
 
     data: Measurements
     readings: Readings
-    shared: GlobalParameters
 
     def moments(
-        self, rows: np.ndarray, points: Array, extras: Array, contacts: Contacts
+        self, rows: np.ndarray, points: Array, nuisance: Array, contacts: Contacts
     ) -> Moments:
-        """Of the taxels `rows`, at their points (r, 3), m, and gain and offset (r, extras)."""
-        size = 3 + extras.shape[1] + len(self.shared.sigma)
+        """Of the taxels `rows`, at points (r, 3), m, and nuisance parameters (r, .)."""
+        size = 3 + nuisance.shape[1] + len(self.data.parameters.sigma)
         out = Moments.zeros(len(rows), size)
         count = self.readings.starts[rows + 1] - self.readings.starts[rows]
         ends = np.cumsum(count)
@@ -156,60 +154,65 @@ class Likelihood:
             before = ends[begin] - count[begin]
             end = max(int(np.searchsorted(ends, before + BLOCK, side="right")), begin + 1)
             part = np.arange(begin, end)
-            heard = part[count[part] > 0]
-            if len(heard):
-                found = self._block(rows[heard], points[heard], extras[heard], contacts)
-                out.put(heard, found)
+            read = part[count[part] > 0]
+            if len(read):
+                found = self._block(rows[read], points[read], nuisance[read], contacts)
+                out.put(read, found)
             begin = end
-        for k, sigma in enumerate(self.local_sigma):
-            out.cost += (extras[:, k] / sigma) ** 2 / 2
-            out.gradient[:, 3 + k] += extras[:, k] / sigma**2
+        for k, sigma in enumerate(self.nuisance_sigma):
+            out.cost += (nuisance[:, k] / sigma) ** 2 / 2
+            out.gradient[:, 3 + k] += nuisance[:, k] / sigma**2
             out.hessian[:, 3 + k, 3 + k] += sigma**-2
         return out
 
     @property
-    def local_sigma(self) -> tuple[float, ...]:
-        """Priors of ln gain, and of the offset in units of the noise."""
+    def nuisance_sigma(self) -> tuple[float, ...]:
+        """Prior standard deviations of ln gain, and of the offset in units of the noise."""
         unit = {"gain": 1.0, "offset": self.data.sigma}
-        names = self.shared.local_names
-        return tuple(s / unit[name] for name, s in zip(names, self.shared.local_sigma, strict=True))
+        names = self.data.parameters.nuisance_names
+        return tuple(
+            s / unit[name]
+            for name, s in zip(names, self.data.parameters.nuisance_sigma, strict=True)
+        )
 
-    def means(self, points: Array, extras: Array, contacts: Contacts) -> Array:
-        """mu (k,), in units of the noise, of all readings; points (n, 3), extras (n, .)."""
-        parts = [mu for _, mu, _ in self._each(points, extras, contacts)]
+    def means(self, points: Array, nuisance: Array, contacts: Contacts) -> Array:
+        """mu (k,), in units of the noise, of all readings; points (n, 3), nuisance (n, .)."""
+        parts = [mu for _, mu, _ in self._each(points, nuisance, contacts)]
         return np.concatenate([np.empty(0), *parts])
 
     def leverages(
-        self, points: Array, extras: Array, contacts: Contacts, covariance: Array
+        self, points: Array, nuisance: Array, contacts: Contacts, covariance: Array
     ) -> Array:
-        """How much each reading (k,) moves its own mu: the diagonal of the hat matrix.
+        """The leverage of each reading (k,), d mu / d reading: the diagonal of the hat matrix.
 
-        covariance (n, C, C): of each taxel's unknowns and the shared ones. Source: Cook, Weisberg,
+        covariance (n, C, C): of each taxel's unknowns and the global ones. Source: Cook, Weisberg,
         "Residuals and Influence in Regression" (1982).
         """
         read, parts = self.readings, [np.empty(0)]
-        for part, mu, jacobian in self._each(points, extras, contacts):
+        for part, mu, jacobian in self._each(points, nuisance, contacts):
             curvature = costs(mu, read.level[part] / self.data.sigma, read.kind[part])[2]
             seen = np.einsum("kij,jk->ik", covariance[read.taxel[part]], jacobian)
             parts.append(read.weight[part] * curvature * np.sum(jacobian * seen, axis=0))
         return np.concatenate(parts)
 
     def _each(
-        self, points: Array, extras: Array, contacts: Contacts
+        self, points: Array, nuisance: Array, contacts: Contacts
     ) -> Iterator[tuple[slice, Array, Array]]:
         """Blocks of readings, their mu and its derivatives (C, k)."""
         read = self.readings
         for begin in range(0, len(read.taxel), BLOCK):
             part = slice(begin, begin + BLOCK)
             own = read.taxel[part]
-            yield part, *self.predict(read.contact[part], points[own], extras[own], contacts)
+            yield part, *self.predict(read.contact[part], points[own], nuisance[own], contacts)
 
-    def _block(self, rows: np.ndarray, points: Array, extras: Array, contacts: Contacts) -> Moments:
-        """What the readings of the taxels `rows` say, each of which has some; priors apart."""
+    def _block(
+        self, rows: np.ndarray, points: Array, nuisance: Array, contacts: Contacts
+    ) -> Moments:
+        """Moments of the readings of the taxels `rows`, each of which has some; without priors."""
         read = self.readings
         k, count = read.of(rows), read.starts[rows + 1] - read.starts[rows]
         owner, starts = np.repeat(np.arange(len(rows)), count), np.cumsum(count) - count
-        mu, jacobian = self.predict(read.contact[k], points[owner], extras[owner], contacts)
+        mu, jacobian = self.predict(read.contact[k], points[owner], nuisance[owner], contacts)
         level, weight = read.level[k] / self.data.sigma, read.weight[k]
         cost, rate, curvature = costs(mu, level, read.kind[k])
         square = np.where(read.kind[k] == OBSERVED, (mu - level) ** 2, 0.0)
@@ -227,26 +230,27 @@ class Likelihood:
         )
 
     def predict(
-        self, contact: np.ndarray, points: Array, extras: Array, contacts: Contacts
+        self, contact: np.ndarray, points: Array, nuisance: Array, contacts: Contacts
     ) -> tuple[Array, Array]:
         """mu (k,) in units of the noise, and its derivatives (C, k) in all unknowns."""
         offset = points - contacts.points[contact]
-        read = DISC_MEANS[self.data.model.name]
-        mean, by_point, by_shape = read(offset, contact, contacts, self.data.disc)
-        names = self.shared.local_names
+        mean, by_point, by_shape = disc_means(
+            self.data.model.name, offset, contact, contacts, self.data.disc
+        )
+        names = self.data.parameters.nuisance_names
         peak = contacts.peaks[contact] / self.data.sigma
         if "gain" in names:
-            peak = peak * np.exp(extras[:, names.index("gain")])
+            peak = peak * np.exp(nuisance[:, names.index("gain")])
         mu = peak * mean
-        jacobian = np.empty((3 + extras.shape[1] + len(self.shared.sigma), len(mu)))
+        jacobian = np.empty((3 + nuisance.shape[1] + len(self.data.parameters.sigma), len(mu)))
         jacobian[:3] = peak * by_point.T
         for row, name in enumerate(names, 3):
             jacobian[row] = mu if name == "gain" else 1.0
         first = 3 + len(names)
         by_shape = tuple(peak * by for by in by_shape)
-        if contacts.moves is not None:  # what moves the contact's frame moves the taxel back in it
+        if contacts.moves is not None:  # a motion of the contact's frame is the taxel's, reversed
             wrench = np.concatenate([by_point, np.cross(offset, by_point)], 1) * peak[:, None]
-        for row in range(len(self.shared.sigma)):
+        for row in range(len(self.data.parameters.sigma)):
             jacobian[first + row] = mu * contacts.log_peak[contact, row]
             for by, slope in zip(by_shape, contacts.shape, strict=True):
                 jacobian[first + row] += by * slope[contact, row]
@@ -255,5 +259,5 @@ class Likelihood:
                     "ki,ki->k", wrench, contacts.moves[contact, :, row]
                 )
         if "offset" in names:
-            mu = mu + extras[:, names.index("offset")]
+            mu = mu + nuisance[:, names.index("offset")]
         return mu, jacobian

@@ -2,10 +2,10 @@
 
     x_i = t + v + exp(w) R o_i,
 
-v, w being moves in the body frame. What round taxels do not show one by one, the spin about the
-normal, their module does. The surface is a factor of its own: the module lies as close to it as
-its taxels can, in the mean of squares, so each taxel's height over it costs (h / SURFACE)^2 / 2.
-A taxel that was never touched, or that is dead, is placed by the others of its module.
+v, w being moves in the body frame. The rotation about the normal, which single round taxels do not
+show, is observable for a module. The surface is a factor of its own: each taxel's height h over it
+costs (h / SURFACE_SIGMA)^2 / 2. A taxel that was never touched, or that is dead, follows from the
+others of its module.
 """
 
 from __future__ import annotations
@@ -21,19 +21,21 @@ from ...core.se3 import Array
 
 if TYPE_CHECKING:
     from ...geometry.body import Body
+    from ..data.measurements import Measurements
 
-SURFACE = 1e-4
-"""Standard deviation of a taxel's height over the surface, m."""
-ELSEWHERE = 3e-3
-"""Most by which single taxels typically lie off their places in their modules, m: half their
-distance from each other."""
+SURFACE_SIGMA = 1e-4
+"""Standard deviation of a taxel's height over the surface, m: how well a rigid triangle is glued on
+a body; a sphere of 0.1 m radius bends away by 0.3 mm over 8 mm."""
+MAX_OFFSET = 3e-3
+"""Largest median distance of single taxels from their positions in their modules, m: half the
+distance between neighbouring taxels, beyond which ids are wrong."""
 LEVER = 8e-3
-"""Length that turns a limit on moves into one on rotations, m."""
+"""Length that converts rotations into moves, m: the radius of a module."""
 
 
 @dataclass(frozen=True)
 class ModuleParametrization:
-    """n taxels on G modules; `places.Places`, with six coordinates (v, w) a module."""
+    """n taxels on G modules: a `Parametrization` with six coordinates (v, w) a module."""
 
     poses: Array
     """T_b_module (G, 4, 4)."""
@@ -44,7 +46,7 @@ class ModuleParametrization:
     step: float
     """Longest step, m."""
     height: Array
-    """Height (n,), m, of each taxel over the surface at the anchor."""
+    """Height (n,), m, of each taxel over the surface at z = 0."""
     normals: Array
     """Normals (n, 3) of the surface below each taxel."""
     size: int = 6
@@ -54,13 +56,13 @@ class ModuleParametrization:
     def about(
         cls, body: Body, poses: Array, group: np.ndarray, offsets: Array, step: float
     ) -> ModuleParametrization:
-        """Modules anchored at `poses` (G, 4, 4)."""
+        """Modules linearized at `poses` (G, 4, 4)."""
         hit = body.closest(_points(poses, group, offsets))
         return cls(poses, group, offsets, step, hit.distance, hit.normal)
 
     @property
     def count(self) -> int:
-        """G."""
+        """Number of modules."""
         return len(self.poses)
 
     def at(self, z: Array, groups: np.ndarray, rows: np.ndarray) -> tuple[Array, Array]:
@@ -72,7 +74,7 @@ class ModuleParametrization:
         return pose[:, :3, 3] + z[:, :3] + arm, slope
 
     def limit_step(self, step: Array) -> Array:
-        """Steps (g, ...), none longer than the limit."""
+        """Steps (g, ...) of which none moves a taxel by more than about the limit."""
         size = np.linalg.norm(step[:, :6] * np.repeat([1.0, LEVER], 3), axis=1)
         return np.asarray(step * np.minimum(1.0, self.step / np.maximum(size, 1e-300))[:, None])
 
@@ -85,9 +87,9 @@ class ModuleParametrization:
         x, slope = self.at(z[owner, :6], own, rows)
         normal = self.normals[rows]
         moved = x - _points(self.poses, own, self.offsets[rows])
-        r = (self.height[rows] + np.einsum("ri,ri->r", normal, moved)) / SURFACE
+        r = (self.height[rows] + np.einsum("ri,ri->r", normal, moved)) / SURFACE_SIGMA
         j = np.zeros((len(rows), z.shape[1]))
-        j[:, :6] = np.einsum("ri,rij->rj", normal, slope) / SURFACE
+        j[:, :6] = np.einsum("ri,rij->rj", normal, slope) / SURFACE_SIGMA
         g, d = z.shape
         cost, gradient, hessian = np.zeros(g), np.zeros((g, d)), np.zeros((g, d, d))
         np.add.at(cost, owner, r**2 / 2)
@@ -96,18 +98,18 @@ class ModuleParametrization:
         return cost, gradient, hessian
 
     def relinearized(self, body: Body, z: Array) -> ModuleParametrization:
-        """The modules about the coordinates z (G, 6)."""
+        """The modules linearized at the coordinates z (G, 6)."""
         poses = self.poses.copy()
         poses[:, :3, 3] += z[:, :3]
         poses[:, :3, :3] = se3.exp_so3(z[:, 3:]) @ poses[:, :3, :3]
         return ModuleParametrization.about(body, poses, self.group, self.offsets, self.step)
 
     def points(self) -> Array:
-        """Points (n, 3), m, at the anchors."""
+        """Points (n, 3), m, at z = 0."""
         return _points(self.poses, self.group, self.offsets)
 
     def rotations(self) -> Array:
-        """Frames (n, 3, 3) of the taxels: their modules'."""
+        """Frames (n, 3, 3) of the taxels: those of their modules."""
         return np.asarray(self.poses[self.group, :3, :3])
 
     def covariances(self, of_moves: Array) -> Array:
@@ -120,17 +122,19 @@ class ModuleParametrization:
         return np.asarray(into @ of_moves[self.group] @ np.swapaxes(into, 1, 2))
 
 
-def start(
-    body: Body, slots: Array, ids: np.ndarray, points: Array, found: np.ndarray, step: float
+def align_modules(
+    data: Measurements, points: Array, found: np.ndarray, step: float
 ) -> tuple[ModuleParametrization, np.ndarray]:
-    """Modules where at least two of their taxels are `found` (n,) at `points` (n, 3), m.
+    """Modules with at least two taxels `found` (n,) at `points` (n, 3), m, and the rows of all
+    their taxels.
 
-    Returns them, and the rows of all their taxels. A pose is aligned with points and normals.
-    Raises CalibrationError if there is no such module, or the taxels lie in no such modules.
+    A pose is aligned with points and surface normals. Raises CalibrationError if there is no such
+    module, or if the taxels are not arranged as in the modules.
     """
-    module, slot = np.divmod(ids, len(slots))
+    slots = np.asarray(data.belief.module_slots)
+    module, slot = np.divmod(data.ids, len(slots))
     normals = np.full_like(points, np.nan)
-    normals[found] = body.closest(points[found]).normal
+    normals[found] = data.body.closest(points[found]).normal
     poses, rows, off = [], [], []
     for number in np.unique(module[found]):
         own = np.flatnonzero(module == number)
@@ -152,17 +156,17 @@ def start(
             remedy="touch more taxels, or leave module_slots out of the belief",
         )
     typical = float(np.median(np.concatenate(off)))
-    if typical > ELSEWHERE:
+    if typical > MAX_OFFSET:
         raise CalibrationError(
-            "the taxels do not lie as in the rigid modules that are believed",
-            value=f"typically {1e3 * typical:.2g} mm off their places",
-            limit=f"{1e3 * ELSEWHERE:g} mm",
+            "the taxels are not arranged as in the rigid modules that are believed",
+            value=f"typically {1e3 * typical:.2g} mm off their positions",
+            limit=f"{1e3 * MAX_OFFSET:g} mm",
             remedy=f"check that ids are {len(slots)} module + slot, or leave the modules out",
         )
     group = np.repeat(np.arange(len(rows)), [len(own) for own in rows])
     every = np.concatenate(rows)
     return ModuleParametrization.about(
-        body, np.stack(poses), group, slots[slot[every]], step
+        data.body, np.stack(poses), group, slots[slot[every]], step
     ), every
 
 

@@ -1,8 +1,8 @@
-"""What shared unknowns the readings cannot tell apart, in words.
+"""Directions of the global parameters that the readings do not determine, in words.
 
-Directions of the shared unknowns, in standard deviations of their priors, of which the readings say
-less than the priors do. A taxel's gain takes part where it is declared: with gains, E* and the
-force's scale unknown, (E*, force, gain) has one exact null direction (1, 1, -1).
+Directions are in standard deviations of the priors; those count of which the readings have less
+information than the priors. A taxel's gain takes part where it is declared: with gains, E* and
+the force's scale unknown, (E*, force, gain) has the exact null direction (1, 1, -1).
 """
 
 from __future__ import annotations
@@ -12,30 +12,31 @@ import numpy as np
 from ...core.se3 import Array
 from ..data.global_parameters import GlobalParameters
 
-TAKES_PART = 0.05
-"""Smallest entry of a direction, relative to its largest, that is named."""
+MIN_COMPONENT = 0.05
+"""Least component of a direction, relative to its largest, that is named: smaller ones are below
+the two digits that are printed of the largest."""
 
 
 def undetermined(
-    shared: GlobalParameters, information: Array, gains: Array | None
+    parameters: GlobalParameters, information: Array, gains: Array | None
 ) -> tuple[str, ...]:
-    """The directions (weakest first) that the readings leave to the priors.
+    """The directions (weakest first) that rest on the priors.
 
-    `information` (ks, ks) is that of the readings alone; `gains` (ks,): how the mean ln gain
-    follows the shared unknowns, where gains are declared.
+    information (ks, ks): of the readings alone; gains (ks,): derivative of the mean ln gain by the
+    global parameters, where gains are declared.
     """
     if not len(information):
         return ()
-    value, vector = np.linalg.eigh(shared.sigma[:, None] * information * shared.sigma)
+    value, vector = np.linalg.eigh(parameters.sigma[:, None] * information * parameters.sigma)
     words = []
     for k in np.flatnonzero(value < 1.0):
         v = vector[:, k]
-        step = shared.sigma * v
-        part = np.abs(v) > TAKES_PART * np.abs(v).max()
-        direction = {shared.labels[i]: float(step[i]) for i in np.flatnonzero(part)}
+        step = parameters.sigma * v
+        named = np.flatnonzero(np.abs(v) > MIN_COMPONENT * np.abs(v).max())
+        direction = {parameters.labels[i]: float(step[i]) for i in named}
         if gains is not None:
             response = float(gains @ step)
-            if abs(response) > TAKES_PART * max(map(abs, direction.values())):
+            if abs(response) > MIN_COMPONENT * max(map(abs, direction.values())):
                 direction["gain"] = response
         words.append(_in_words(direction))
     return tuple(words)

@@ -1,7 +1,8 @@
-"""Where taxels may be: each by itself on the body's surface, or rigidly on modules.
+"""Parametrizations of taxel positions: each on the body's surface, or rigidly on modules.
 
-A place has groups of taxels with D coordinates z each: two in a chart of the surface for a free
-taxel, six of the pose for a module. Coordinates are small moves from the current anchors.
+A parametrization has groups of taxels with D coordinates z each: two in a chart of the surface for
+a single taxel, six of the pose for a module. Coordinates are small moves from the poses at which it
+was linearized.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ import numpy as np
 from ...core.se3 import Array
 from .. import chart
 from ..chart import Charts
-from ..trilateration import trilaterate
 
 if TYPE_CHECKING:
     from ...geometry.body import Body
@@ -25,7 +25,7 @@ class Parametrization(Protocol):
 
     @property
     def size(self) -> int:
-        """D."""
+        """D, the coordinates of a group."""
         ...
 
     @property
@@ -45,39 +45,39 @@ class Parametrization(Protocol):
         ...
 
     def limit_step(self, step: Array) -> Array:
-        """Steps (g, ...) whose first D entries are shortened to what the coordinates allow."""
+        """Steps (g, ...) shortened so that the linearization holds for their first D entries."""
         ...
 
     def prior(self, z: Array, groups: np.ndarray) -> tuple[Array, Array, Array]:
-        """Cost (g,), gradient and Hessian, as wide as z (g, .), of what is known unread."""
+        """Cost (g,), gradient and Hessian, as wide as z (g, .), of the prior."""
         ...
 
     def relinearized(self, body: Body, z: Array) -> Parametrization:
-        """The same places about the coordinates z (count, D)."""
+        """The parametrization linearized at the coordinates z (count, D)."""
         ...
 
     def points(self) -> Array:
-        """Points (n, 3), m, at the anchors."""
+        """Points (n, 3), m, at z = 0."""
         ...
 
     def rotations(self) -> Array:
-        """Frames (n, 3, 3) of the taxels at the anchors."""
+        """Frames (n, 3, 3) of the taxels at z = 0."""
         ...
 
 
 @dataclass(frozen=True)
 class SurfaceParametrization:
-    """Every taxel by itself, in a chart of the surface."""
+    """Every taxel is a group of its own, in a chart of the surface."""
 
     charts: Charts
     step: float
     """Longest step, m."""
     size: int = 2
-    """D."""
+    """Coordinates of a taxel."""
 
     @property
     def group(self) -> np.ndarray:
-        """Each taxel is its own group."""
+        """Group (n,) of each taxel: its own number."""
         return np.arange(self.count)
 
     @property
@@ -86,33 +86,32 @@ class SurfaceParametrization:
         return len(self.charts.points)
 
     def at(self, z: Array, groups: np.ndarray, rows: np.ndarray) -> tuple[Array, Array]:
-        """As `Parametrization.at`."""
+        """Points (r, 3), m, of the taxels `groups` at z (r, 2), and dx/dz (r, 3, 2)."""
         charts = self.charts[groups]
         return charts.at(z), charts.slope(z)
 
     def limit_step(self, step: Array) -> Array:
-        """As `Parametrization.limited`."""
+        """Steps (g, ...) whose first two entries are no longer than the limit."""
         size = np.linalg.norm(step[:, :2], axis=1)
         return step * np.minimum(1.0, self.step / np.maximum(size, 1e-300))[:, None]
 
     def prior(self, z: Array, groups: np.ndarray) -> tuple[Array, Array, Array]:
-        """Nothing is known: the surface is in the charts."""
+        """Zeros: that taxels are on the surface is in the charts."""
         g, d = z.shape
         return np.zeros(g), np.zeros((g, d)), np.zeros((g, d, d))
 
     def relinearized(self, body: Body, z: Array) -> SurfaceParametrization:
-        """As `Parametrization.anchored`; the curvature is kept, for it only speeds the way."""
-        rotations = trilaterate.frames_of(self.charts)
-        return replace(self, charts=chart.carried(body, self.charts.at(z), rotations, self.charts))
+        """Charts about the surface points closest to z (n, 2); the shape operators are kept."""
+        return replace(self, charts=chart.relinearized(body, self.charts, z))
 
     def points(self) -> Array:
-        """As `Parametrization.points`."""
+        """Points (n, 3), m, at z = 0."""
         return self.charts.points
 
     def rotations(self) -> Array:
-        """Frames (n, 3, 3) of the taxels; the spin is a convention."""
-        return trilaterate.frames_of(self.charts)
+        """Frames (n, 3, 3) of the taxels; the rotation about the normal is a convention."""
+        return self.charts.rotations
 
     def about(self, body: Body, points: Array) -> SurfaceParametrization:
-        """Places anchored about other points (n, 3), m."""
+        """The parametrization linearized at other points (n, 3), m."""
         return replace(self, charts=chart.charts_at(body, points, self.rotations()))

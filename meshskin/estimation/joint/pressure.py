@@ -1,42 +1,84 @@
-"""The pressure factor: what one reading says about its taxel's position and the contact.
+"""The measurement function: what a taxel reads, its derivatives, and the cost of a reading.
 
 A taxel at x reads, in units of the noise,
 
-    mu = g p_0 M(|v| / a, s / a) + o,   v = d - (d . n) n,   d = x - c,
+    mu = g p_0 M + o,   M = disc mean of (1 - u^2/a^2 - v^2/b^2)^m about (d . t, d . n x t),
 
-c being the contact point, n its normal, a and p_0 the radius and the peak of the Hertz patch, s the
-disc's radius, M the disc mean, g and o the taxel's gain and offset (patches that are no circles:
-pressure_elliptic.py). A reading y costs (mu - y)^2 / 2. A silent one says that y is below the
-threshold, a saturated one that y is above the sensor's range: they are censored (Tobit) and cost
--log Phi(-u), u = mu - threshold or range - mu. Hessians are Gauss-Newton: J^T J times the cost's
-curvature in mu, which is positive for all.
+d = x - c being its offset from the contact point c, n the normal there, t the direction of the
+patch's first semi-axis, a, b, p_0 and m the patch's semi-axes, peak and exponent (a = b, m = 1/2 on
+a sphere), g and o the taxel's gain and offset. A reading y costs (mu - y)^2 / 2. A silent one
+implies that y is below the threshold, a saturated one that y is above the sensor's range: they are
+censored (Tobit) and cost -log Phi(-u), u = mu - threshold or range - mu. Hessians are Gauss-Newton:
+J^T J times the cost's curvature in mu, which is positive for all kinds.
 """
 
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ...contact.disc import disc_mean_of_square
+from ...contact.ellipse import ellipse_gradient
 from ...core.codegen import compile_function
 from ...core.se3 import Array
-from .batch import BATCH, evaluate
 
 if TYPE_CHECKING:
     from .contacts import Contacts
 
-INPUTS = 8
 OBSERVED, CENSORED, SATURATED = 0, 1, -1
-"""Kinds of a reading; the sign is that of the censored side."""
+"""Kinds of a reading: observed, censored at the threshold, censored at the end of the range; the
+sign is that of the censored side."""
+BATCH = 256
+"""Columns evaluated in one call of a compiled kernel: they and the results stay in the cache."""
+MAX_NEGATIVE = 25.0
+"""Standard deviations at which u is clipped from below: erfcx overflows below -37, and lambda is
+under 1e-135 there."""
+
+MeanAndDerivatives = tuple[Array, Array, tuple[Array, ...]]
+"""M (k,), its gradient (k, 3), 1/m, in the offset, and its derivatives (k,) in the patch's shape:
+ln a, ln b and m, as far as the contact model has them."""
+
+
+def evaluate(kernel: ca.Function, count: int, *columns: ArrayLike) -> Array:
+    """The outputs (count, .) of `kernel`, a function mapped over BATCH columns.
+
+    columns: its inputs in order, arrays (count,) or (count, .), or numbers.
+    """
+    rows = -(-count // BATCH) * BATCH
+    x = np.ones((rows, kernel.size1_in(0)))
+    first = 0
+    for values in columns:
+        value = np.asarray(values)
+        width = value.shape[1] if value.ndim == 2 else 1
+        x[:count, first : first + width] = value if value.ndim != 1 else value[:, None]
+        first += width
+    out = np.empty((rows, kernel.size1_out(0)))
+    buffer: Any
+    buffer, call = kernel.buffer()
+    for begin in range(0, rows, BATCH):
+        buffer.set_arg(0, x[begin : begin + BATCH].data)
+        buffer.set_res(0, out[begin : begin + BATCH].data)
+        call()
+    return out[:count]
+
+
+def _mapped(name: str, x: ca.SX, *outputs: ca.SX) -> ca.Function:
+    return compile_function(ca.Function(name, [x], [ca.vertcat(*outputs)], {"cse": True})).map(
+        BATCH
+    )
 
 
 @functools.cache
-def kernel() -> ca.Function:
-    """(d (3), n (3), a, s) by columns -> M, its gradient in d (3), its derivative in ln a."""
-    x = ca.SX.sym("x", INPUTS)
+def circular_kernel() -> ca.Function:
+    """(d (3), n (3), a, s) by columns -> M, its gradient in d (3), its derivative in ln a.
+
+    s is the disc's radius.
+    """
+    x = ca.SX.sym("x", 8)
     d, n, a, s = x[:3], x[3:6], x[6], x[7]
     across = d - n * ca.dot(d, n)
     q, ratio = ca.SX.sym("q"), ca.SX.sym("ratio")
@@ -45,29 +87,55 @@ def kernel() -> ca.Function:
     outputs = (mean, ca.gradient(mean, q), ca.gradient(mean, ratio))
     m, by_q, by_ratio = ca.Function("disc", [q, ratio], outputs).call(point)
     by_log_a = -2 * point[0] * by_q - point[1] * by_ratio
-    out = ca.vertcat(m, 2 * by_q / a**2 * across, by_log_a)
-    return compile_function(ca.Function("pressure", [x], [out], {"cse": True})).map(BATCH)
+    return _mapped("pressure", x, m, 2 * by_q / a**2 * across, by_log_a)
 
 
-def mean_pressure(d: Array, n: Array, a: Array, s: float) -> tuple[Array, Array, Array]:
-    """M (k,), its gradient in d (k, 3), 1/m, and its derivative in ln a (k,).
-
-    d, n (k, 3): the taxel's offset from the contact, m, and the contact's normal; a (k,), m.
+@functools.cache
+def elliptic_kernel() -> ca.Function:
+    """(d (3), n (3), t (3), a, b, s) by columns, m = 1/2 -> M, its gradient in d (3), its
+    derivatives in ln a and ln b.
     """
-    out = evaluate(kernel(), len(a), d, n, a, s)
-    return out[:, 0], out[:, 1:4], out[:, 4]
+    x = ca.SX.sym("x", 12)
+    return _mapped("pressure_elliptic", x, *_elliptic_mean(x, 0.5)[:4])
 
 
-def circle(
-    offset: Array, rows: np.ndarray, contacts: Contacts, disc: float
-) -> tuple[Array, Array, tuple[Array, ...]]:
-    """M (k,) of taxels `offset` (k, 3), m, from the contacts `rows`, its gradient, 1/m, and its
-    derivatives in the patch's shape: ln a.
+@functools.cache
+def layered_kernel() -> ca.Function:
+    """(d (3), n (3), t (3), a, b, s, m) by columns -> M, its gradient in d (3), its derivatives in
+    ln a, ln b and m.
     """
-    mean, by_point, by_log_a = mean_pressure(
-        offset, contacts.normals[rows], contacts.patches.first[rows], disc
+    x = ca.SX.sym("x", 13)
+    return _mapped("pressure_profile", x, *_elliptic_mean(x, x[12]))
+
+
+def _elliptic_mean(x: ca.SX, exponent: ca.SX | float) -> tuple[ca.SX, ...]:
+    """M and its derivatives in d (3), ln a, ln b and the exponent, of the inputs `x`."""
+    first, second = x[6:9], ca.cross(x[3:6], x[6:9])
+    mean, by_x, by_y, *by_shape = ellipse_gradient(
+        ca.dot(x[:3], first), ca.dot(x[:3], second), x[9], x[10], x[11], exponent
     )
-    return mean, by_point, (by_log_a,)
+    return mean, by_x * first + by_y * second, *by_shape
+
+
+def disc_means(
+    model: str, offset: Array, rows: np.ndarray, contacts: Contacts, disc: float
+) -> MeanAndDerivatives:
+    """M of taxels `offset` (k, 3), m, from the contacts `rows` (k,), with its derivatives.
+
+    model: name of the contact model; disc: radius of a taxel, m.
+    """
+    patch, normals = contacts.patches, contacts.normals[rows]
+    if model == "hertz":
+        out = evaluate(circular_kernel(), len(rows), offset, normals, patch.first[rows], disc)
+    else:
+        columns = (
+            offset, normals, contacts.directions[rows], patch.first[rows], patch.second[rows], disc
+        )  # fmt: skip
+        if model == "elliptic":
+            out = evaluate(elliptic_kernel(), len(rows), *columns)
+        else:
+            out = evaluate(layered_kernel(), len(rows), *columns, patch.exponent[rows])
+    return out[:, 0], out[:, 1:4], tuple(out[:, 4:].T)
 
 
 def censored(u: Array) -> tuple[Array, Array, Array]:
@@ -78,14 +146,14 @@ def censored(u: Array) -> tuple[Array, Array, Array]:
     from scipy.special import erfcx, log_ndtr
 
     cost = -log_ndtr(-u)
-    tail = np.sqrt(2 / np.pi) / erfcx(np.maximum(u, -25.0) / np.sqrt(2))
+    tail = np.sqrt(2 / np.pi) / erfcx(np.maximum(u, -MAX_NEGATIVE) / np.sqrt(2))
     return cost, tail, np.maximum(tail * (tail - u), 0.0)
 
 
 def costs(mu: Array, level: Array, kind: Array) -> tuple[Array, Array, Array]:
     """Cost (k,) of readings, its derivative and its curvature in mu, all in units of the noise.
 
-    `level`: the reading, the threshold, or the end of the range, by `kind`.
+    level: the reading, the threshold, or the end of the range, by `kind`.
     """
     residual = mu - level
     cost, rate, curvature = residual**2 / 2, residual.copy(), np.ones_like(mu)

@@ -1,13 +1,15 @@
-"""The taxels eliminated from the shared unknowns: variable projection.
+"""Variable projection: the taxels' coordinates are eliminated from the global parameters.
 
-For given shared unknowns s every group of taxels settles at its own optimum z(s), by damped
-Gauss-Newton steps of all groups at once, each accepted or refused by itself. What is left is a
-problem in s alone, with
+For given global parameters s the coordinates z of every group of taxels are at their optimum z(s),
+found by damped Gauss-Newton steps of all groups at once, each accepted or rejected by itself. The
+reduced problem in s alone has
 
     F(s) = min_z f(z, s),   dF/ds = f_s - f_sz f_zz^-1 f_z,   d2F/ds2 = f_ss - f_sz f_zz^-1 f_zs
 
-(Gauss-Newton). The work grows with the readings, and a group that is hard to settle holds no other
-up. Source: Golub and Pereyra, "The differentiation of pseudo-inverses and nonlinear least squares
+(Gauss-Newton). The work is linear in the readings, and groups that converge slowly do not delay the
+others.
+
+Source: Golub and Pereyra, "The differentiation of pseudo-inverses and nonlinear least squares
 problems whose variables separate", SIAM J. Numer. Anal. 10 (1973).
 """
 
@@ -23,13 +25,14 @@ from .contacts import LinearizedContacts
 from .likelihood import Likelihood, Moments
 from .parametrization import Parametrization
 
-STEPS = 40
-"""Most steps of a group."""
-SETTLED = 1e-9
-"""Newton decrement, in units of the cost, at which a group rests."""
-PROXIMITY = 0.1
-"""Standard deviation, m, of a move that no reading resists: it keeps a loose taxel's system
-regular, and is far beyond what is believed of an estimate."""
+MAX_STEPS = 40
+"""Largest number of steps of a group; two to five are usual."""
+INNER_TOLERANCE = 1e-9
+"""Newton decrement, in units of the cost, at which a group has converged: a tenth of
+`reduced_nlp.NEWTON_TOLERANCE`."""
+LOOSE_SIGMA = 0.1
+"""Standard deviation, m, of a move that no reading determines: it keeps the system of such a taxel
+regular, and is far larger than any uncertainty that counts as an estimate."""
 
 
 @dataclass
@@ -37,18 +40,18 @@ class State:
     """All unknowns at one point, and the moments of the cost there."""
 
     z: Array
-    """Coordinates (G, D) of the groups, then gains and offsets of their taxels."""
+    """Coordinates (G, D) of the groups, then nuisance parameters of their taxels."""
     s: Array
-    """Shared unknowns (ks,)."""
+    """Global parameters (ks,)."""
     moments: Moments
     """Of the taxels."""
     decrement: Array
-    """Newton decrement (G,) of each group; large where it has not settled."""
+    """Newton decrement (G,) of each group."""
 
 
 @dataclass(frozen=True)
 class SchurComplement:
-    """The problem left in s at one point: cost, gradient (ks,) and Hessian (ks, ks), priors in."""
+    """The reduced problem at one s: cost, gradient (ks,) and Hessian (ks, ks), with the priors."""
 
     cost: float
     gradient: Array
@@ -56,7 +59,7 @@ class SchurComplement:
 
     @property
     def decrement(self) -> float:
-        """Newton decrement: the cost still to be gained."""
+        """Newton decrement: the expected decrease of the cost to the optimum."""
         if not len(self.gradient):
             return 0.0
         return float(self.gradient @ np.linalg.solve(self.hessian, self.gradient)) / 2
@@ -87,26 +90,26 @@ class TaxelBlocks:
 
 @dataclass
 class ReducedProblem:
-    """A likelihood with its places and contacts: what is settled and reduced."""
+    """A likelihood with its parametrization and contacts, and its reduction to s."""
 
     likelihood: Likelihood
     parametrization: Parametrization
     contacts: LinearizedContacts
-    inner_tolerance: float = SETTLED
-    """Newton decrement, in units of the cost, at which a group rests."""
+    inner_tolerance: float = INNER_TOLERANCE
+    """Newton decrement, in units of the cost, at which a group has converged."""
 
     def __post_init__(self) -> None:
         group = self.parametrization.group
         self.first = np.searchsorted(group, np.arange(self.parametrization.count + 1))
         self.slot = np.arange(len(group)) - self.first[group]
-        self.extra = len(self.likelihood.shared.local_names)
-        self.width = self.parametrization.size + self.extra * int(np.diff(self.first).max())
+        self.per_taxel = len(self.likelihood.data.parameters.nuisance_names)
+        self.width = self.parametrization.size + self.per_taxel * int(np.diff(self.first).max())
 
     def start(self, s: Array, z: Array | None = None) -> State:
-        """The state at the anchors, or at z (G, D), unsettled."""
+        """The state at z (G, D), zero by default, without optimization."""
         count, n = self.parametrization.count, len(self.parametrization.group)
         z = np.zeros((count, self.width)) if z is None else z.copy()
-        size = 3 + self.extra + len(s)
+        size = 3 + self.per_taxel + len(s)
         state = State(z, s, Moments.zeros(n, size), np.full(count, np.inf))
         groups = np.arange(count)
         rows, _ = self._taxels(groups)
@@ -114,22 +117,22 @@ class ReducedProblem:
         return state
 
     def solve_inner(self, state: State, groups: np.ndarray | None = None) -> None:
-        """Let the groups (all by default) settle at the state's s; changes the state."""
+        """Bring the groups (all by default) to their optimum at the state's s, in place."""
         groups = np.arange(self.parametrization.count) if groups is None else groups
         damping = np.zeros(len(groups))
-        for _ in range(STEPS):
+        for _ in range(MAX_STEPS):
             blocks = self.blocks(state, groups)
             step = blocks.steps(damping)
             state.decrement[groups] = blocks.decrement
-            open_ = state.decrement[groups] > self.inner_tolerance
-            groups, step, damping = groups[open_], step[open_], damping[open_]
+            active = state.decrement[groups] > self.inner_tolerance
+            groups, step, damping = groups[active], step[active], damping[active]
             if not len(groups):
                 return
             z = state.z[groups] + self.parametrization.limit_step(step)
             moments = self._moments(z, state.s, groups)
             rows, owner = self._taxels(groups)
             cost = np.bincount(owner, moments.cost) + self.parametrization.prior(z, groups)[0]
-            better = cost <= blocks.cost[open_] * (1 + 1e-13)
+            better = cost <= blocks.cost[active] * (1 + 1e-13)
             state.z[groups[better]] = z[better]
             keep = better[owner]
             state.moments.put(rows[keep], moments.take(keep))
@@ -140,31 +143,31 @@ class ReducedProblem:
         """The normal equations of `groups` (all by default) at the state."""
         groups = np.arange(self.parametrization.count) if groups is None else groups
         rows, owner = self._taxels(groups)
-        local, count = 3 + self.extra, len(groups)
-        lift = self._lift(state.z[groups], groups)
+        local, count = 3 + self.per_taxel, len(groups)
+        jacobian = self._jacobian(state.z[groups], groups)
         moments = state.moments.take(rows)
-        half = np.einsum("rci,rcd->rid", lift, moments.hessian[:, :local])
+        half = np.einsum("rci,rcd->rid", jacobian, moments.hessian[:, :local])
         cost, gradient, hessian = self.parametrization.prior(state.z[groups], groups)
-        hessian = hessian + np.eye(self.width) * self._unread(groups)[:, None]
+        hessian = hessian + np.eye(self.width) * self._regularization(groups)[:, None]
         return TaxelBlocks(
             cost=cost + np.bincount(owner, moments.cost, count),
             gradient=gradient
-            + _sums(np.einsum("rci,rc->ri", lift, moments.gradient[:, :local]), owner, count),
-            hessian=hessian + _sums(half[:, :, :local] @ lift, owner, count),
+            + _sums(np.einsum("rci,rc->ri", jacobian, moments.gradient[:, :local]), owner, count),
+            hessian=hessian + _sums(half[:, :, :local] @ jacobian, owner, count),
             coupling=_sums(half[:, :, local:], owner, count),
         )
 
     def reduce(self, state: State) -> SchurComplement:
-        """The problem left in s, at a settled state."""
+        """The reduced problem, at a state whose groups are at their optimum."""
         blocks = self.blocks(state)
-        local = 3 + self.extra
-        lever = np.linalg.solve(blocks.hessian, blocks.coupling)
+        local = 3 + self.per_taxel
+        response = np.linalg.solve(blocks.hessian, blocks.coupling)
         moments = state.moments
         data = moments.hessian[:, local:, local:].sum(axis=0)
-        data -= np.einsum("gik,gil->kl", blocks.coupling, lever)
+        data -= np.einsum("gik,gil->kl", blocks.coupling, response)
         gradient = moments.gradient[:, local:].sum(axis=0)
-        gradient -= np.einsum("gi,gik->k", blocks.gradient, lever)
-        weight = self.likelihood.shared.sigma**-2
+        gradient -= np.einsum("gi,gik->k", blocks.gradient, response)
+        weight = self.likelihood.data.parameters.sigma**-2
         return SchurComplement(
             cost=float(blocks.cost.sum() + weight @ state.s**2 / 2),
             gradient=gradient + weight * state.s,
@@ -172,24 +175,24 @@ class ReducedProblem:
         )
 
     def information(self, state: State) -> tuple[Array, Array | None]:
-        """What the readings alone say of s (ks, ks), without priors on s, gains and offsets; and
-        how the mean ln gain follows s (ks,), where gains are declared.
+        """Information (ks, ks) of the readings on s, without priors on s and nuisance parameters;
+        and the derivative (ks,) of the mean ln gain by s, where gains are declared.
         """
-        blocks, names = self.blocks(state), self.likelihood.shared.local_names
-        local = 3 + self.extra
+        blocks, names = self.blocks(state), self.likelihood.data.parameters.nuisance_names
+        local = 3 + self.per_taxel
         bare, group = blocks.hessian.copy(), self.parametrization.group
-        column = self.parametrization.size + self.extra * self.slot
-        for k, sigma in enumerate(self.likelihood.local_sigma):
+        column = self.parametrization.size + self.per_taxel * self.slot
+        for k, sigma in enumerate(self.likelihood.nuisance_sigma):
             bare[group, column + k, column + k] -= sigma**-2
-        lever = np.linalg.pinv(bare, rcond=1e-12, hermitian=True) @ blocks.coupling
+        response = np.linalg.pinv(bare, rcond=1e-12, hermitian=True) @ blocks.coupling
         total = state.moments.hessian[:, local:, local:].sum(axis=0)
         gains = None
         if "gain" in names:
-            gains = -lever[group, column + names.index("gain")].mean(axis=0)
-        return total - np.einsum("gik,gil->kl", blocks.coupling, lever), gains
+            gains = -response[group, column + names.index("gain")].mean(axis=0)
+        return total - np.einsum("gik,gil->kl", blocks.coupling, response), gains
 
-    def moved(self, state: State, s: Array) -> State:
-        """The state settled at other s (ks,), from where the groups are expected there."""
+    def solved_at(self, state: State, s: Array) -> State:
+        """The state at other s (ks,) with the groups at their optimum, from a first-order guess."""
         blocks = self.blocks(state)
         shift = -np.linalg.solve(blocks.hessian, blocks.coupling) @ (s - state.s)
         there = self.start(s, state.z + self.parametrization.limit_step(shift))
@@ -197,77 +200,79 @@ class ReducedProblem:
         return there
 
     def covariances(self, state: State, reduced: SchurComplement) -> tuple[Array, Array]:
-        """Of the groups' unknowns (G, D, D), s being unknown too, and of s (ks, ks)."""
+        """Covariances of the groups' unknowns (G, D, D), with s unknown, and of s (ks, ks)."""
         blocks = self.blocks(state)
         inverse = np.linalg.inv(blocks.hessian)
-        lever = inverse @ blocks.coupling
+        response = inverse @ blocks.coupling
         shared = np.asarray(np.linalg.inv(reduced.hessian))
-        return inverse + lever @ shared @ np.swapaxes(lever, 1, 2), shared
+        return inverse + response @ shared @ np.swapaxes(response, 1, 2), shared
 
     def leverages(self, state: State, reduced: SchurComplement) -> Array:
-        """How much each reading (k,) moves its own prediction: it keeps 1 less this of its noise
-        as a residual."""
+        """The leverage (k,) of each reading on its own prediction: the variance of its residual is
+        1 less this, in units of the noise."""
         blocks, groups, local = (
             self.blocks(state),
             np.arange(self.parametrization.count),
-            3 + self.extra,
+            3 + self.per_taxel,
         )
         inverse, shared = np.linalg.inv(blocks.hessian), np.linalg.inv(reduced.hessian)
-        lever = -inverse @ blocks.coupling
-        lift, own = self._lift(state.z, groups), self.parametrization.group
+        response = -inverse @ blocks.coupling
+        jacobian, own = self._jacobian(state.z, groups), self.parametrization.group
         full = np.empty((len(own), local + len(shared), local + len(shared)))
-        follows = lift @ lever[own]
+        follows = jacobian @ response[own]
         full[:, :local, local:] = follows @ shared
         full[:, local:, :local] = np.swapaxes(full[:, :local, local:], 1, 2)
         full[:, local:, local:] = shared
-        full[:, :local, :local] = lift @ inverse[own] @ np.swapaxes(lift, 1, 2)
+        full[:, :local, :local] = jacobian @ inverse[own] @ np.swapaxes(jacobian, 1, 2)
         full[:, :local, :local] += full[:, :local, local:] @ np.swapaxes(follows, 1, 2)
-        extras, contacts = self.extras(state.z, groups), self.contacts.at(state.s)
-        return self.likelihood.leverages(self.points(state), extras, contacts, full)
+        nuisance, contacts = self.nuisance(state.z, groups), self.contacts.at(state.s)
+        return self.likelihood.leverages(self.points(state), nuisance, contacts, full)
 
     def points(self, state: State) -> Array:
         """Points (n, 3), m, of all taxels at the state."""
         group, size = self.parametrization.group, self.parametrization.size
         return self.parametrization.at(state.z[group, :size], group, np.arange(len(group)))[0]
 
-    def extras(self, z: Array, groups: np.ndarray) -> Array:
-        """Gains and offsets (r, extras) of the taxels of `groups` with unknowns z (g, D)."""
+    def nuisance(self, z: Array, groups: np.ndarray) -> Array:
+        """Nuisance parameters (r, .) of the taxels of `groups` with unknowns z (g, D)."""
         rows, owner = self._taxels(groups)
         columns = (
-            self.parametrization.size + self.extra * self.slot[rows, None] + np.arange(self.extra)
+            self.parametrization.size
+            + self.per_taxel * self.slot[rows, None]
+            + np.arange(self.per_taxel)
         )
         return np.asarray(z[owner[:, None], columns])
 
     def _taxels(self, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Taxels (r,) of the groups, and the place in `groups` of each."""
+        """Taxels (r,) of the groups, and the index in `groups` of each."""
         count = self.first[groups + 1] - self.first[groups]
         return ranges(self.first[groups], count), np.repeat(np.arange(len(groups)), count)
 
     def _moments(self, z: Array, s: Array, groups: np.ndarray) -> Moments:
-        """Of the taxels of `groups` at z (g, D) and s."""
+        """Moments of the taxels of `groups` at z (g, D) and s."""
         rows, owner = self._taxels(groups)
         points, _ = self.parametrization.at(
             z[owner, : self.parametrization.size], groups[owner], rows
         )
         contacts = self.contacts.at(s)
-        return self.likelihood.moments(rows, points, self.extras(z, groups), contacts)
+        return self.likelihood.moments(rows, points, self.nuisance(z, groups), contacts)
 
-    def _lift(self, z: Array, groups: np.ndarray) -> Array:
-        """Derivatives (r, 3 + extras, D) of the taxels' unknowns by their groups'."""
+    def _jacobian(self, z: Array, groups: np.ndarray) -> Array:
+        """Derivatives (r, 3 + nuisance, D) of the taxels' unknowns by those of their groups."""
         rows, owner = self._taxels(groups)
         size = self.parametrization.size
-        lift = np.zeros((len(rows), 3 + self.extra, self.width))
-        lift[:, :3, :size] = self.parametrization.at(z[owner, :size], groups[owner], rows)[1]
-        for k in range(self.extra):
-            lift[np.arange(len(rows)), 3 + k, size + self.extra * self.slot[rows] + k] = 1.0
-        return lift
+        jacobian = np.zeros((len(rows), 3 + self.per_taxel, self.width))
+        jacobian[:, :3, :size] = self.parametrization.at(z[owner, :size], groups[owner], rows)[1]
+        for k in range(self.per_taxel):
+            jacobian[np.arange(len(rows)), 3 + k, size + self.per_taxel * self.slot[rows] + k] = 1.0
+        return jacobian
 
-    def _unread(self, groups: np.ndarray) -> Array:
-        """Weak information (g, D) that keeps a loose group's system regular."""
+    def _regularization(self, groups: np.ndarray) -> Array:
+        """Weak information (g, D) that keeps the system of an undetermined group regular."""
         count = (self.first[groups + 1] - self.first[groups])[:, None]
-        slot = (np.arange(self.width) - self.parametrization.size) // max(self.extra, 1)
+        slot = (np.arange(self.width) - self.parametrization.size) // max(self.per_taxel, 1)
         extra = np.arange(self.width) >= self.parametrization.size
-        return np.where(extra, np.where(slot >= count, 1.0, 0.0), PROXIMITY**-2)
+        return np.where(extra, np.where(slot >= count, 1.0, 0.0), LOOSE_SIGMA**-2)
 
 
 def _sums(values: Array, owner: np.ndarray, count: int) -> Array:

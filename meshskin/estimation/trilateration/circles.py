@@ -1,10 +1,9 @@
-"""The circles of trilateration: how far from its contact each reading says that its taxel is.
+"""The circles of trilateration: the distance of a taxel from a contact by each reading.
 
-Under a circular patch a reading is worth one distance, across the contact's normal. Under an
-ellipse with semi-axes a and b along t_1 and t_2 it is worth a closed curve, and the curves are very
-nearly circles in the plane of (g/a, g/b) times the coordinates along t_1 and t_2, g = sqrt(a b):
-exactly for point readings, and so well for a disc's that the little by which their radius depends
-on the direction is taken where the taxel is thought to be, and renewed with that thought.
+Under a circular patch a reading gives one distance, across the contact's normal. Under an ellipse
+with semi-axes a and b along t_1 and t_2 it gives a closed curve. In the plane scaled by g/a along
+t_1 and g/b along t_2, g = sqrt(a b), that curve is a circle for a point reading, and nearly one for
+a disc's mean: its radius is evaluated in the direction of the present estimate of the taxel.
 """
 
 from __future__ import annotations
@@ -18,8 +17,10 @@ from ...contact.ellipse import NODES, ellipse_gradient, invert_ellipse_mean
 from ...core.se3 import Array
 from ..data.measurements import Measurements
 
-FLAT = 0.05
-"""Slope, relative to p_0/a, below which a circle gains no more uncertainty."""
+SLOPE_FLOOR = 0.05
+"""Slope of the profile, relative to p_0/a, below which the weight of a circle falls no further:
+where the slope vanishes, noise over slope overstates the error of a distance that is bounded by the
+patch."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class Circles:
     owner: np.ndarray
     """Unknown point (k,) of each circle, rising."""
     reading: np.ndarray
-    """The reading (k,) that gave it."""
+    """Row (k,) of the reading."""
     centres: Array
     """Contact points (k, 3), m."""
     normals: Array
@@ -66,10 +67,11 @@ class Circles:
         return distance, across / distance[:, None]
 
     def conic(self, offset: Array, tangents: Array) -> tuple[Array, Array]:
-        """c (k, 2) and b (k,) of the equations |y|^2 - 2 c . y + b = r^2 of points y in planes.
+        """c (k, 2) and b (k,) of the equations q(y) - 2 c . y + b = r^2 of points y in planes.
 
-        The planes: through the points at `offset` (k, 3), m, from which the centres are seen, along
-        `tangents` (k, 3, 2). |y|^2 stands for a square that is much the same for all.
+        The planes pass through the points from which the centres are at `offset` (k, 3), m, along
+        `tangents` (k, 3, 2). q is a quadratic form that is nearly the same for all circles of a
+        point, so that differences of the equations are linear in y.
         """
         c = np.einsum("kij,ki->kj", tangents, offset)
         return c, np.einsum("kj,kj->k", c, c)
@@ -85,14 +87,14 @@ class Ellipses(Circles):
     """g/b t_2 (k, 3)."""
 
     def distance(self, offset: Array) -> tuple[Array, Array]:
-        """As of circles."""
+        """Scaled distances (k,), m, of points `offset` (k, 3), m, and their gradients (k, 3)."""
         u, v = (np.einsum("ki,ki->k", offset, axis) for axis in (self.first, self.second))
         distance = np.sqrt(u * u + v * v + 1e-18)
         gradient = u[:, None] * self.first + v[:, None] * self.second
         return distance, gradient / distance[:, None]
 
     def conic(self, offset: Array, tangents: Array) -> tuple[Array, Array]:
-        """As of circles."""
+        """c (k, 2) and b (k,) as `Circles.conic`, of the scaled distances."""
         c, b = np.zeros((len(offset), 2)), np.zeros(len(offset))
         for axis in (self.first, self.second):
             u = np.einsum("ki,ki->k", offset, axis)
@@ -110,8 +112,8 @@ def circles(
 ) -> Circles:
     """The circles of the readings `rows` (all by default), owned by their taxels or by `owner`.
 
-    points (n, 3), m, where the taxels roughly are, and the `nodes` of the disc mean matter under
-    ellipses only.
+    points (n, 3), m: estimates of the taxels; they and the `nodes` of the disc mean have an effect
+    under elliptic patches only.
     """
     rows = np.arange(len(data.pressure)) if rows is None else rows
     owners = data.taxel[rows] if owner is None else owner
@@ -123,14 +125,14 @@ def circles(
     if data.model.name == "hertz":
         radii, steepness = data.distance[rows], data.slope[rows] / scale
     else:
-        radii, steepness, axes = _along(data, points, rows, nodes)
+        radii, steepness, axes = _scaled_distances(data, points, rows, nodes)
     found = (
         owners,
         rows,
         data.points[contact],
         data.normals[contact],
         radii,
-        scale * np.hypot(steepness, FLAT) / data.sigma,
+        scale * np.hypot(steepness, SLOPE_FLOOR) / data.sigma,
         steepness,
         data.radii[contact],
         len(data.ids) if owner is None else int(owners.max(initial=-1)) + 1,
@@ -138,27 +140,27 @@ def circles(
     return Ellipses(*found, *axes) if axes else Circles(*found)
 
 
-def _along(
+def _scaled_distances(
     data: Measurements, points: Array, rows: np.ndarray, nodes: int
 ) -> tuple[Array, Array, list[Array]]:
-    """Scaled distance and slope (k,) of the readings `rows`, along the ways to their taxels at
-    `points`, and both scaled axes (k, 3).
+    """Scaled distance and steepness (k,) of the readings `rows`, in the directions of their taxels
+    at `points`, and both scaled axes (k, 3).
     """
-    asked, place = np.unique(rows, return_inverse=True)
-    contact = data.contact[asked]
+    distinct, inverse = np.unique(rows, return_inverse=True)
+    contact = data.contact[distinct]
     patch, g = data.patches.take(contact), data.radii[contact]
     axes = data.directions[contact], np.cross(data.normals[contact], data.directions[contact])
-    offset = points[data.taxel[asked]] - data.points[contact]
-    way = np.stack([np.einsum("ki,ki->k", offset, axis) for axis in axes], axis=1)
-    length = np.linalg.norm(way, axis=1, keepdims=True)
-    way = np.where(length > 0, way / np.where(length > 0, length, 1.0), [1.0, 0.0])
+    offset = points[data.taxel[distinct]] - data.points[contact]
+    toward = np.stack([np.einsum("ki,ki->k", offset, axis) for axis in axes], axis=1)
+    length = np.linalg.norm(toward, axis=1, keepdims=True)
+    toward = np.where(length > 0, toward / np.where(length > 0, length, 1.0), [1.0, 0.0])
     shape = patch.first, patch.second, data.disc, patch.exponent, nodes
-    r = invert_ellipse_mean(data.pressure[asked] / patch.peak, way, *shape)
-    slopes = ellipse_gradient(r * way[:, 0], r * way[:, 1], *shape)[1:3]
-    slope = np.einsum("ki,ik->k", way, slopes)
+    r = invert_ellipse_mean(data.pressure[distinct] / patch.peak, toward, *shape)
+    gradient = ellipse_gradient(r * toward[:, 0], r * toward[:, 1], *shape)[1:3]
+    slope = np.einsum("ki,ik->k", toward, gradient)
     first, second = g / patch.first, g / patch.second
-    stretch = np.hypot(first * way[:, 0], second * way[:, 1])
+    scale = np.hypot(first * toward[:, 0], second * toward[:, 1])
     scaled = [
-        (size[:, None] * axis)[place] for size, axis in zip((first, second), axes, strict=True)
+        (size[:, None] * axis)[inverse] for size, axis in zip((first, second), axes, strict=True)
     ]
-    return (r * stretch)[place], (np.abs(slope) * g / stretch)[place], scaled
+    return (r * scale)[inverse], (np.abs(slope) * g / scale)[inverse], scaled

@@ -1,71 +1,52 @@
-"""Trilateration: a taxel lies where the circles of its contacts meet (paper, eq. 15).
+"""Trilateration: a taxel is where the circles of its contacts meet (paper, eq. 15).
 
-Each reading says how far its taxel is from a contact: a circle about the contact point in the
+Each reading gives the distance of its taxel from a contact: a circle about the contact point in the
 tangent plane, or, under an elliptic patch, in the plane scaled along its axes (circles.py). The
 distance inverts the disc-averaged profile of the contact model. Two estimators: the paper's
 three circles, and weighted least squares over all circles. A reading at or above the profile's
-maximum has the distance 0. Near there the slope of the profile vanishes and the distance is
-uncertain; so it is at the patch's edge: least squares weighs each circle by its slope, the
-three circles are chosen where it is steep.
+maximum has the distance 0. The distance is uncertain there, where the slope of the profile
+vanishes, and at the patch's edge: least squares weights each circle by its slope, the three circles
+are chosen where it is steep.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import numpy as np
 
 from ...contact.ellipse import NODES
+from ...core.errors import CalibrationError
 from ...core.se3 import Array
 from .. import chart
 from ..chart import Charts
-from ..data.measurements import Measurements, reach
+from ..data.measurements import Measurements
+from ..result import SURFACE, EstimatorResult
 from .circles import Circles, circles
 
-if TYPE_CHECKING:
-    from ...geometry.body import Body
-
-FEW = "fewer than three readings"
-LINE = "contacts near a line"
-MISS = "circles that do not meet"
-NARROW = 0.05
-"""Least width of the contacts about their best line, relative to the contact radius."""
-ROUGH = 16
-"""Nodes of the disc mean of the first pass over ellipses: within 1e-3 of the peak."""
-STEEP = 0.3
-"""Slope, relative to p_0/a, that the paper's three circles should have."""
-
-
-@dataclass(frozen=True)
-class Fit:
-    """n points on the body, each with what is known of it."""
-
-    points: Array
-    """(n, 3), m; NaN where undetermined."""
-    rotations: Array
-    """Frames (n, 3, 3): z = outward normal, x by the rule of `chart.frames` or of the reference."""
-    covariance: Array
-    """(n, 2, 2) in the tangent plane, m^2; inf on the diagonal where undetermined."""
-    chi2: Array
-    """Weighted squared residuals per degree of freedom (n,); NaN with none left."""
-    reasons: np.ndarray
-    """Why a point is undetermined (n,): FEW, LINE or MISS; "" where it is determined."""
-
-    @property
-    def found(self) -> np.ndarray:
-        """Whether each point is determined (n,)."""
-        return np.asarray(self.reasons == "")
+TOO_FEW = "fewer than three readings"
+COLLINEAR = "contacts near a line"
+NO_INTERSECTION = "circles that do not meet"
+MIN_WIDTH = 0.05
+"""Least RMS width of the contacts about their best line, relative to the contact radius: below it
+the error across the line is some 20 times that along it, which is no longer an estimate."""
+COARSE_NODES = 16
+"""Nodes of the disc mean in the first pass over elliptic patches: within 1e-3 of the peak
+pressure."""
+MIN_STEEPNESS = 0.3
+"""Least slope, relative to p_0/a, of the profile at the paper's three circles, where a taxel has
+enough such readings. A point reading has it from 0.29 a to the edge of the patch."""
+FACTORS = ("distance of each reading, at the nominal E*", SURFACE)
 
 
-def centroids(data: Measurements, body: Body) -> Array:
-    """Where each taxel roughly is (n, 3), m: the mean contact point, weighted by pressure squared.
+def centroids(data: Measurements) -> Array:
+    """Mean contact points (n, 3), m, of the taxels, weighted by pressure squared, on the body.
 
-    Readings out of the patch's reach of a first mean (noise above a low threshold) are left out of
-    the second. NaN for a taxel without readings.
+    Readings further from a first mean than the patch reaches (noise above a low threshold) are left
+    out of the second. NaN for a taxel without readings.
     """
     weight = data.pressure**2
-    far = 1.5 * reach(data)[data.contact]
+    far = 1.5 * data.reach()[data.contact]
 
     def mean(weight: Array) -> Array:
         points = weight[:, None] * data.points[data.contact]
@@ -79,13 +60,15 @@ def centroids(data: Measurements, body: Body) -> Array:
     second = mean(np.where(off < far, weight, 0.0))
     start = np.where(np.isfinite(second), second, first)
     seen = np.isfinite(start[:, 0])
-    start[seen] = body.closest(start[seen]).point
+    start[seen] = data.body.closest(start[seen]).point
     return start
 
 
-def medians(data: Measurements, body: Body, rows: np.ndarray) -> Array:
-    """Where most readings of the taxels `rows` are (r, 3), m: the geometric median of the contact
-    points, weighted by pressure (Weiszfeld's iteration), which a minority elsewhere does not move.
+def medians(data: Measurements, rows: np.ndarray) -> Array:
+    """Geometric medians (r, 3), m, of the contact points of the taxels `rows`, on the body.
+
+    They are weighted by pressure; a minority of readings elsewhere hardly moves them. Source:
+    Weiszfeld, Tohoku Math. J. 43 (1937).
     """
     place = np.full(len(data.ids), -1)
     place[rows] = np.arange(len(rows))
@@ -98,57 +81,64 @@ def medians(data: Measurements, body: Body, rows: np.ndarray) -> Array:
         centre = np.stack(sums, axis=1) / total[:, None]
         gap = np.linalg.norm(points - centre[owner], axis=1)
         weight = power / np.maximum(gap, 0.1 * data.disc)
-    return np.asarray(body.closest(centre).point)
+    return np.asarray(data.body.closest(centre).point)
 
 
-def least_squares(data: Measurements, body: Body) -> Fit:
-    """Each taxel from all its readings: (n,) points, by weighted Gauss-Newton on the distances."""
-    start = centroids(data, body)
-    seen = np.isfinite(start[:, 0])
-    start[~seen] = data.points[0]
-    near, charts = _within_reach(data, start), chart.charts_at(body, start)
-    # The second time about the estimate, to take out the chart's own error.
-    for nodes in (ROUGH, NODES):
+def least_squares(data: Measurements) -> EstimatorResult:
+    """Each taxel from all its readings, by weighted Gauss-Newton on the distances."""
+    near, charts = _near_centroids(data)
+    # The second pass, about the estimate, removes the error of the chart.
+    for nodes in (COARSE_NODES, NODES):
         found = circles(near, charts.points, nodes=nodes)
         y, information, chi2 = solve(found, charts)
-        charts = chart.charts_at(body, charts.at(y), frames_of(charts))
-    return finish(found, charts, information, chi2)
+        charts = chart.charts_at(data.body, charts.at(y), charts.rotations)
+    return _result(found, charts, information, chi2)
 
 
-def three_circles(data: Measurements, body: Body) -> Fit:
+def three_circles(data: Measurements) -> EstimatorResult:
     """Each taxel from three well-separated contacts: the paper's method (eq. 15).
 
     The circles are intersected in the tangent plane by their radical centre.
     """
-    start = centroids(data, body)
-    seen = np.isfinite(start[:, 0])
-    start[~seen] = data.points[0]
-    near, charts = _within_reach(data, start), chart.charts_at(body, start)
+    near, charts = _near_centroids(data)
     three = _three(circles(near, charts.points), charts).reading
     for _ in range(3):
         found = circles(near, charts.points, three)
         y, information = _linear(found, charts, equal=True)
         far = np.linalg.norm(y, axis=1) > 2 * found.patch.max(initial=0.0)
         y[far] = 0.0
-        charts = chart.charts_at(body, charts.at(y), frames_of(charts))
-    residual, jacobian = _residuals(found, charts, np.zeros((found.count, 2)))
-    information = found.sum(jacobian[:, :, None] * jacobian[:, None, :])
-    fit = finish(found, charts, information, found.sum(residual**2))
-    why = np.where((fit.reasons == "") & far, MISS, fit.reasons)
-    return replace(fit, reasons=why, points=np.where((why == "")[:, None], fit.points, np.nan))
+        charts = chart.charts_at(data.body, charts.at(y), charts.rotations)
+    residual, information = _normal_matrix(found, charts, np.zeros((found.count, 2)))
+    fit = _result(found, charts, information, found.sum(residual**2))
+    reasons = np.where((fit.reasons == "") & far, NO_INTERSECTION, fit.reasons)
+    points = np.where((reasons == "")[:, None], fit.points, np.nan)
+    return replace(fit, reasons=reasons, points=points)
+
+
+def require_any(fit: EstimatorResult) -> None:
+    """Raise CalibrationError if no taxel is determined."""
+    if not fit.found.any():
+        raise CalibrationError(
+            "no taxel is determined by the recording",
+            value=", ".join(sorted(set(map(str, fit.reasons)))),
+            remedy="touch every taxel from at least three contacts that are not on a line",
+        )
 
 
 def intersect(found: Circles, charts: Charts) -> tuple[Array, Array, Array]:
-    """The radical centre of three well-separated circles of each point, as `solve` gives it."""
+    """The radical centre of three well-separated circles of each point.
+
+    Returns coordinates (n, 2), m, information (n, 2, 2), 1/m^2, and chi2 (n,), as `solve`.
+    """
     three = _three(found, charts)
     y, _ = _linear(three, charts, equal=True)
-    residual, jacobian = _residuals(three, charts, y)
-    information = three.sum(jacobian[:, :, None] * jacobian[:, None, :])
+    residual, information = _normal_matrix(three, charts, y)
     return y, information, three.sum(residual**2)
 
 
 def solve(found: Circles, charts: Charts, iterations: int = 8) -> tuple[Array, Array, Array]:
-    """Weighted least squares in the charts: coordinates (n, 2), information (n, 2, 2), chi2 (n,).
+    """Weighted least squares in the charts: coordinates (n, 2), m, information (n, 2, 2), 1/m^2,
+    and chi2 (n,) per degree of freedom.
 
     Starts from the linear solution; each step is limited to half a contact radius.
     """
@@ -163,62 +153,78 @@ def solve(found: Circles, charts: Charts, iterations: int = 8) -> tuple[Array, A
         y = y + step * np.minimum(1.0, limit / np.maximum(size, 1e-300))
         if np.max(size, initial=0.0) < 1e-9:
             break
-    residual, jacobian = _residuals(found, charts, y)
-    information = found.sum(jacobian[:, :, None] * jacobian[:, None, :])
+    residual, information = _normal_matrix(found, charts, y)
     freedom = np.bincount(found.owner, minlength=found.count) - 2
     chi2 = found.sum(residual**2) / np.where(freedom > 0, freedom, np.nan)
     return y, information, chi2
 
 
-def finish(found: Circles, charts: Charts, information: Array, chi2: Array) -> Fit:
-    """The fit at the origin of the charts, with NaN and the reason where it is undetermined."""
+def width(found: Circles, charts: Charts) -> Array:
+    """RMS width (n,) of the contacts about their best line, relative to the contact radius."""
+    own = found.owner
+    number = np.maximum(np.bincount(own, minlength=found.count), 1)
+    offset = (found.centres - charts.points[own]) / found.patch[:, None]
+    c = np.einsum("kij,ki->kj", charts.tangents[own], offset)
+    c = c - (found.sum(c) / number[:, None])[own]
+    scatter = found.sum(c[:, :, None] * c[:, None, :]) / number[:, None, None]
+    return np.sqrt(np.maximum(np.linalg.eigvalsh(scatter)[:, 0], 0.0))
+
+
+def _result(found: Circles, charts: Charts, information: Array, chi2: Array) -> EstimatorResult:
+    """The estimate at the origins of the charts; NaN and a reason where it is undetermined."""
     number = np.bincount(found.owner, minlength=found.count)
-    why = np.where(number < 3, FEW, "").astype(object)
-    why[(number >= 3) & (width(found, charts) < NARROW)] = LINE
-    bad = why != ""
-    points = np.where(bad[:, None], np.nan, charts.points)
-    safe = np.where(bad[:, None, None], np.eye(2), information)
-    covariance = np.linalg.inv(safe)
+    reasons = np.where(number < 3, TOO_FEW, "").astype(object)
+    reasons[(number >= 3) & (width(found, charts) < MIN_WIDTH)] = COLLINEAR
+    bad = reasons != ""
+    covariance = np.linalg.inv(np.where(bad[:, None, None], np.eye(2), information))
     covariance[bad] = np.diag([np.inf, np.inf])
-    return Fit(points, frames_of(charts), covariance, np.where(bad, np.nan, chi2), why)
+    return EstimatorResult(
+        points=np.where(bad[:, None], np.nan, charts.points),
+        rotations=charts.rotations,
+        covariance=covariance,
+        chi2=np.where(bad, np.nan, chi2),
+        reasons=reasons,
+        factors=FACTORS,
+    )
 
 
-def frames_of(charts: Charts) -> Array:
-    """Rotations (n, 3, 3) of the charts: tangents and normal."""
-    return np.concatenate([charts.tangents, charts.normals[:, :, None]], axis=2)
+def _near_centroids(data: Measurements) -> tuple[Measurements, Charts]:
+    """The readings whose contact can reach its taxel's centroid, with 1 mm to spare, and charts
+    about the centroids.
 
-
-def _within_reach(data: Measurements, start: Array) -> Measurements:
-    """The readings whose contact can reach its taxel's start (n, 3), with 1 mm to spare.
-
-    Readings within 3 sigma of nothing are left out: their distance would be a guess at the edge; so
-    are saturated ones of a taxel that has three others.
+    Left out are readings within 3 sigma of zero, whose distance would be a guess at the edge of the
+    patch, and saturated ones of a taxel that has three others.
     """
+    start = centroids(data)
+    start[~np.isfinite(start[:, 0])] = data.points[0]
     off = np.linalg.norm(data.points[data.contact] - start[data.taxel], axis=1)
-    keep = off < 1.3 * reach(data)[data.contact] + 1e-3
+    keep = off < 1.3 * data.reach()[data.contact] + 1e-3
     keep &= data.pressure > 3 * (data.noise or 0.0)
     full = data.pressure >= data.saturation
     others = np.bincount(data.taxel[keep & ~full], minlength=len(data.ids))
     keep &= ~full | (others[data.taxel] < 3)
-    part = {name: getattr(data, name)[keep] for name in ("contact", "taxel", "pressure")}
-    return replace(data, **part)
+    return data.select(keep), chart.charts_at(data.body, start)
 
 
 def _residuals(found: Circles, charts: Charts, y: Array) -> tuple[Array, Array]:
     """Weighted residuals (k,) and their derivatives (k, 2) by the owner's coordinates."""
     own = found.owner
     distance, gradient = found.distance(charts.at(y)[own] - found.centres)
-    sag = np.einsum("nij,nj->ni", charts.shape, y)
-    along = charts.tangents - charts.normals[:, :, None] * sag[:, None, :]  # dx/dy (n, 3, 2)
-    jacobian = np.einsum("ki,kij->kj", gradient, along[own])
+    jacobian = np.einsum("ki,kij->kj", gradient, charts.slope(y)[own])
     return found.weights * (distance - found.radii), found.weights[:, None] * jacobian
+
+
+def _normal_matrix(found: Circles, charts: Charts, y: Array) -> tuple[Array, Array]:
+    """Weighted residuals (k,), and J^T J (n, 2, 2) of each point at its coordinates y (n, 2)."""
+    residual, jacobian = _residuals(found, charts, y)
+    return residual, found.sum(jacobian[:, :, None] * jacobian[:, None, :])
 
 
 def _linear(found: Circles, charts: Charts, equal: bool = False) -> tuple[Array, Array]:
     """Intersection (n, 2) of the circles in the tangent planes by differences of their equations.
 
-    |y|^2 - 2 c . y + b = r^2 is linear in y once the weighted mean equation is taken off each.
-    Also the normal matrix (n, 2, 2). `equal`: without the weights of the distances.
+    |y|^2 - 2 c . y + b = r^2 is linear in y once the weighted mean equation is subtracted from
+    each. Also the normal matrix (n, 2, 2). equal: without the weights of the distances.
     """
     own = found.owner
     c, b = found.conic(found.centres - charts.points[own], charts.tangents[own])
@@ -240,26 +246,15 @@ def _solve2(matrix: Array, vector: Array) -> Array:
     return np.asarray(np.linalg.solve(damped, vector[:, :, None])[:, :, 0])
 
 
-def width(found: Circles, charts: Charts) -> Array:
-    """RMS width (n,) of the contacts about their best line, relative to the contact radius."""
-    own = found.owner
-    number = np.maximum(np.bincount(own, minlength=found.count), 1)
-    offset = (found.centres - charts.points[own]) / found.patch[:, None]
-    c = np.einsum("kij,ki->kj", charts.tangents[own], offset)
-    c = c - (found.sum(c) / number[:, None])[own]
-    scatter = found.sum(c[:, :, None] * c[:, None, :]) / number[:, None, None]
-    return np.sqrt(np.maximum(np.linalg.eigvalsh(scatter)[:, 0], 0.0))
-
-
 def _three(found: Circles, charts: Charts) -> Circles:
     """Three well-separated circles of each point, steep ones where these are not near a line.
 
-    A contact at rest is recorded again and again: three of its circles are no three circles.
+    A contact at rest is recorded repeatedly, so that three steep circles may be the same one.
     """
-    steep = found.steepness > STEEP
+    steep = found.steepness > MIN_STEEPNESS
     best = _well_separated(found.select(steep))
     enough = np.bincount(best.owner, minlength=found.count) == 3
-    enough &= width(best, charts) > NARROW
+    enough &= width(best, charts) > MIN_WIDTH
     return _well_separated(found.select(steep | ~enough[found.owner]))
 
 
@@ -273,18 +268,21 @@ def _well_separated(found: Circles) -> Circles:
     one = found.centres[first][found.owner]
     second = _farthest(found, np.linalg.norm(found.centres - one, axis=1))
     line = found.centres[second][found.owner] - one
-    off = np.linalg.norm(np.cross(found.centres - one, line), axis=1)
-    third = _farthest(found, off)
+    third = _farthest(found, np.linalg.norm(np.cross(found.centres - one, line), axis=1))
     keep = np.zeros(len(found.owner), dtype=bool)
     rows = np.stack([first, second, third])
-    keep[rows[found.owner[rows] == np.arange(found.count)]] = True
+    keep[rows[rows >= 0]] = True
     return found.select(keep)
 
 
 def _farthest(found: Circles, distance: Array) -> np.ndarray:
-    """Row (n,) of the circle of each point with the largest distance (k,); for no circle one of
-    another point.
+    """Row (n,) of the circle of each point with the largest distance (k,), the last of equal ones;
+    -1 for a point without circles.
     """
-    order = np.lexsort((distance, found.owner))
-    last = np.searchsorted(found.owner[order], np.arange(found.count), side="right") - 1
-    return np.asarray(order[np.maximum(last, 0)])
+    occupied, begin = np.unique(found.owner, return_index=True)
+    largest = np.zeros(found.count)
+    largest[occupied] = np.maximum.reduceat(distance, begin)
+    rows = np.where(distance == largest[found.owner], np.arange(len(distance)), -1)
+    out = np.full(found.count, -1)
+    out[occupied] = np.maximum.reduceat(rows, begin)
+    return out

@@ -1,7 +1,7 @@
-"""The gauge of a pose graph: displacements leave the pose of each connected part free.
+"""The gauge of a pose graph: displacements do not determine the pose of a connected part.
 
-Here a part is fixed by the rigid alignment of its positions with known ones, and the covariances
-are those that remain after it.
+Here the rigid alignment of a part's positions with known ones fixes it, and the covariances are
+those after the alignment.
 """
 
 from __future__ import annotations
@@ -16,16 +16,18 @@ from ..posegraph.cholesky import Cholesky
 from ..posegraph.marginals import covariances as marginals
 from ..posegraph.symmetric_blocks import SymmetricBlocks
 
-LEAST = 3
-"""Fewest taxels of a part that can be aligned."""
+MIN_PART = 3
+"""Fewest taxels of a part that can be aligned: three points determine a rotation."""
 
 
 def aligned(graph: PoseGraph, poses: Array) -> tuple[Array, np.ndarray]:
-    """`poses` (n, 4, 4), each part aligned with the graph's own positions; which could be (n,)."""
+    """`poses` (n, 4, 4) with each part aligned with the graph's own positions, and which of them
+    could be aligned (n,) bool.
+    """
     out, linked = poses.copy(), np.zeros(len(poses), dtype=bool)
     for rows in _parts(graph):
         source, target = poses[rows, :3, 3], graph.poses[rows, :3, 3]
-        if np.ptp(source, axis=0).max() < 1e-9:  # all at one point, as in a start at the origin
+        if np.ptp(source, axis=0).max() < 1e-9:  # all at one point, as at the origin
             out[rows, :3, 3] = target.mean(axis=0)
         else:
             out[rows] = se3.align(source, target) @ poses[rows]
@@ -36,15 +38,15 @@ def aligned(graph: PoseGraph, poses: Array) -> tuple[Array, np.ndarray]:
 def covariances(graph: PoseGraph, poses: Array, errors: Array | None = None) -> Array:
     """Covariances (n, 6, 6) of aligned `poses` (n, 4, 4), taxel frames; inf where not aligned.
 
-    With S the covariance given the part's first pose and N (6 n, 6) the moves of the whole, of
-    which N_t are the translations, the alignment leaves (I - A) S (I - A)^T with
-    A = N (N_t^T N_t)^-1 N_t^T. S takes displacements as independent, with the graph's information.
-    They are not, where they share readings: `errors` (m, 6, draws) of the m displacements, as they
-    may come together, say by how much the part's S is too small on average.
+    With S the covariance given the part's first pose and N (6 n, 6) the rigid motions of the part,
+    of which N_t are the translations, the alignment results in (I - A) S (I - A)^T with
+    A = N (N_t^T N_t)^-1 N_t^T. S assumes independent displacements with the graph's information.
+    They are correlated where they share readings: random `errors` (m, 6, draws) of the m
+    displacements give the mean factor by which the part's S is too small.
     """
     out = np.tile(np.diag([np.inf] * 6), (len(poses), 1, 1))
     information = gauss_newton_information(graph, poses)
-    pull = None if errors is None else _pull(graph, poses, errors)
+    gradients = None if errors is None else _gradients(graph, poses, errors)
     for rows in _parts(graph):
         free = (6 * rows[1:, None] + np.arange(6)).ravel()
         inner = information[free][:, free]
@@ -52,7 +54,7 @@ def covariances(graph: PoseGraph, poses: Array, errors: Array | None = None) -> 
         blocks = SymmetricBlocks.from_lower_triangle(sparse.csr_array(sparse.tril(inner)), 6)
         cholesky = Cholesky(len(rows) - 1, blocks.rows, blocks.columns)
         s[1:] = marginals(cholesky, blocks)
-        whole = _moves(poses[rows])
+        whole = _rigid_motions(poses[rows])
         shift = whole * np.repeat([1.0, 0.0], 3)[:, None]
         w = np.zeros((len(rows), 6, 6))
         w[1:] = cholesky.solve(blocks, shift[1:])
@@ -60,22 +62,22 @@ def covariances(graph: PoseGraph, poses: Array, errors: Array | None = None) -> 
         back = lever @ np.swapaxes(w, 1, 2)
         ends = lever @ np.einsum("nij,nik->jk", shift, w) @ np.swapaxes(lever, 1, 2)
         out[rows] = s - back - np.swapaxes(back, 1, 2) + ends
-        if pull is not None:
-            moves = np.zeros_like(pull[rows])
-            moves[1:] = cholesky.solve(blocks, pull[rows[1:]])
+        if gradients is not None:
+            moves = np.zeros_like(gradients[rows])
+            moves[1:] = cholesky.solve(blocks, gradients[rows[1:]])
             moves -= lever @ np.einsum("nij,nik->jk", shift, moves)
             out[rows] *= max(_excess(moves, out[rows]), 1.0)
     return out
 
 
 def _excess(moves: Array, covariance: Array) -> float:
-    """Mean square of `moves` (n, 6, draws) along the surface over that of (n, 6, 6)."""
+    """Mean square of `moves` (n, 6, draws) along the surface relative to `covariance` (n, 6, 6)."""
     along = moves[:, :2]
     return float(np.mean(along * np.linalg.solve(covariance[:, :2, :2], along)))
 
 
-def _pull(graph: PoseGraph, poses: Array, errors: Array) -> Array:
-    """What errors (m, 6, draws) of the displacements add to the cost's gradient (n, 6, draws)."""
+def _gradients(graph: PoseGraph, poses: Array, errors: Array) -> Array:
+    """The cost's gradients (n, 6, draws) that errors (m, 6, draws) of the displacements cause."""
     out = np.zeros((len(poses), 6, errors.shape[2]))
     for end, jacobian in zip(graph.edges.T, _jacobians(graph, poses), strict=True):
         np.add.at(out, end, np.swapaxes(jacobian, 1, 2) @ graph.information @ errors)
@@ -85,11 +87,11 @@ def _pull(graph: PoseGraph, poses: Array, errors: Array) -> Array:
 def _parts(graph: PoseGraph) -> list[np.ndarray]:
     """Rows of each connected part that can be aligned."""
     parts = [np.flatnonzero(graph.components == c) for c in np.unique(graph.components)]
-    return [rows for rows in parts if len(rows) >= LEAST]
+    return [rows for rows in parts if len(rows) >= MIN_PART]
 
 
-def _moves(poses: Array) -> Array:
-    """Local increments (n, 6, 6) of each pose under a shift and a rotation of the whole."""
+def _rigid_motions(poses: Array) -> Array:
+    """Local increments (n, 6, 6) of each pose per translation and rotation of the whole."""
     back = np.swapaxes(poses[:, :3, :3], 1, 2)
     out = np.zeros((len(poses), 6, 6))
     out[:, :3, :3] = out[:, 3:, 3:] = back

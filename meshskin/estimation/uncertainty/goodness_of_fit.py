@@ -4,24 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-SURE = 1e-3
-"""Probability below which the model is said not to fit."""
+SIGNIFICANCE = 1e-3
+"""Probability below which the model is said not to fit: one false alarm in 1000 calibrations."""
 
 
 @dataclass(frozen=True)
 class GoodnessOfFit:
-    """The squared residuals of the readings, in units of the noise, against what they should be."""
+    """The squared residuals of the readings, in units of the noise, and their expectation."""
 
     chi2: float
     """Sum of the squared residuals, outlying readings left out."""
     freedom: float
-    """Their number less the unknowns."""
+    """Degrees of freedom: their number less the leverages."""
     p: float
     """Probability of so large a sum where the model is right; NaN where the noise is not known."""
     words: str
     """What that means."""
     left_out: int = 0
-    """Readings taken for outlying, silences that cannot be among them."""
+    """Number of outlying readings, among them silences that are not plausible."""
 
     @property
     def reduced(self) -> float:
@@ -30,29 +30,30 @@ class GoodnessOfFit:
 
     @property
     def good(self) -> bool | None:
-        """Whether the model fits; None where that cannot be told."""
-        return None if self.p != self.p else self.p >= SURE
+        """Whether the model fits; None where it was not tested."""
+        return None if self.p != self.p else self.p >= SIGNIFICANCE
 
 
-def goodness(chi2: float, freedom: float, noise_known: bool, outlying: int = 0) -> GoodnessOfFit:
+def goodness_of_fit(
+    chi2: float, freedom: float, noise_known: bool, outlying: int = 0
+) -> GoodnessOfFit:
     """The test of `chi2` with `freedom` degrees; `outlying` readings were left out of it."""
-    from scipy.stats import chi2 as distribution
+    from scipy.special import chdtr, chdtrc  # scipy.stats takes half a second to import
 
     left_out = f" ({outlying} outlying readings left out)" if outlying else ""
     if not noise_known or freedom <= 0:
-        reason = "the noise is not known" if not noise_known else "too few readings"
-        return GoodnessOfFit(
-            chi2, freedom, float("nan"), f"not tested: {reason}{left_out}", outlying
-        )
-    p, ratio = float(distribution.sf(chi2, freedom)), chi2 / freedom
-    if p >= SURE:
-        words = f"the model fits: residuals are {ratio**0.5:.3f} of the noise, p = {p:.2g}"
-        if distribution.cdf(chi2, freedom) < SURE:
-            words = f"the noise is overstated: residuals are {ratio**0.5:.3f} of it"
-    else:
+        reason = "too few readings" if noise_known else "the noise is not known"
+        words = f"not tested: {reason}{left_out}"
+        return GoodnessOfFit(chi2, freedom, float("nan"), words, outlying)
+    p, ratio = float(chdtrc(freedom, chi2)), chi2 / freedom
+    if p < SIGNIFICANCE:
         words = (
             f"the model does not fit: residuals are {ratio**0.5:.3g} times the noise, p = {p:.2g}; "
             "declare what may be unknown (modulus, gain, force, indenter), believe another contact "
             "model (elliptic, layered), or state the true noise"
         )
+    elif chdtr(freedom, chi2) < SIGNIFICANCE:
+        words = f"the noise is overstated: residuals are {ratio**0.5:.3f} of it"
+    else:
+        words = f"the model fits: residuals are {ratio**0.5:.3f} of the noise, p = {p:.2g}"
     return GoodnessOfFit(chi2, freedom, p, words + left_out, outlying)

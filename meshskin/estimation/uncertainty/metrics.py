@@ -1,4 +1,4 @@
-"""The truth of the numbers: errors against a known skin, and whether the covariance holds."""
+"""Errors against a known skin, and whether the stated covariances hold."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from ...core import se3
 from ...core.errors import CalibrationError
 from ...core.se3 import Array
-from .observability import Bound, cramer_rao, mean_distance, true_positions
+from .observability import cramer_rao, true_positions
 
 if TYPE_CHECKING:
     from ...recording.recording import Recording
@@ -17,32 +17,25 @@ if TYPE_CHECKING:
     from ...skin.skin import Skin
     from ..calibration import Calibration
 
-__all__ = [
-    "Bound",
-    "bound_mm",
-    "cramer_rao",
-    "mean_distance",
-    "nees",
-    "nees_band",
-    "position_errors",
-    "summary_mm",
-    "true_positions",
-    "undetermined",
-]
+MIN_ALIGNED = 3
+"""Fewest taxels that determine a rigid alignment."""
 
 
 def position_errors(calibration: Calibration, skin: Skin, gauge: bool = False) -> Array:
-    """Distances (n,), m, from the truth; NaN for a taxel that is not determined.
+    """Distances (n,), m, from the true positions of `skin`; NaN for taxels that are undetermined.
 
-    `gauge`: after the rigid alignment that fits best, for a method that leaves the whole's pose
-    free. Raises CalibrationError if fewer than three taxels could be aligned.
+    gauge: after the rigid alignment that fits best, for a method that does not determine the pose
+    of the whole. Raises CalibrationError if fewer than three taxels could be aligned.
     """
     truth, found = true_positions(skin, calibration.ids), calibration.positions
     if gauge:
         good = np.isfinite(found).all(axis=1)
-        if good.sum() < 3:
+        if good.sum() < MIN_ALIGNED:
             raise CalibrationError(
-                "a rigid alignment needs three taxels", value=f"{good.sum()} determined"
+                "a rigid alignment needs three taxels",
+                value=f"{good.sum()} determined",
+                limit=f"at least {MIN_ALIGNED}",
+                remedy="touch more taxels",
             )
         pose = se3.align(found[good], truth[good])
         found = found @ pose[:3, :3].T + pose[:3, 3]
@@ -50,7 +43,7 @@ def position_errors(calibration: Calibration, skin: Skin, gauge: bool = False) -
 
 
 def summary_mm(errors: Array) -> dict[str, float]:
-    """Mean, rms and max, mm, of errors (n,), m, over those that are numbers."""
+    """Mean, rms and max, mm, of errors (n,), m; NaN entries are left out."""
     e = 1e3 * errors[np.isfinite(errors)]
     if not len(e):
         return dict.fromkeys(("mean", "rms", "max"), float("nan"))
@@ -64,7 +57,7 @@ def summary_mm(errors: Array) -> dict[str, float]:
 def nees(calibration: Calibration, skin: Skin) -> Array:
     """Normalised squared error (n,) along the surface: 2 on average where the covariance holds.
 
-    NaN for a taxel whose place along the surface is not determined.
+    NaN for a taxel whose position along the surface is not determined.
     """
     error = true_positions(skin, calibration.ids) - calibration.positions
     out = np.full(len(error), np.nan)
@@ -76,27 +69,28 @@ def nees(calibration: Calibration, skin: Skin) -> Array:
 
 
 def nees_band(count: int, confidence: float = 0.95) -> tuple[float, float]:
-    """The band that the mean NEES of `count` independent taxels keeps to with this confidence.
+    """The interval of the mean NEES of `count` independent taxels at this confidence.
 
     Source: Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation"
     (2001), section 5.4.
     """
-    from scipy.stats import chi2
+    from scipy.special import gammaincinv
 
     tail = (1 - confidence) / 2
-    return float(chi2.ppf(tail, 2 * count) / count), float(chi2.ppf(1 - tail, 2 * count) / count)
+    low, high = (float(2 * gammaincinv(count, p) / count) for p in (tail, 1 - tail))
+    return low, high
 
 
 def bound_mm(recording: Recording, belief: Belief, skin: Skin) -> dict[str, float]:
-    """Mean and rms error, mm, to expect of any unbiased estimate, at the truth `skin`."""
-    if belief.noise_sigma is None:  # nothing keeps an estimate from the truth
+    """The Cramér-Rao bound at the truth `skin`: mean and rms error, mm; zero without noise."""
+    if belief.noise_sigma is None:
         return {"mean": 0.0, "rms": 0.0}
     limit = cramer_rao(recording, belief, skin)
     return {"mean": 1e3 * limit.mean, "rms": 1e3 * limit.rms}
 
 
 def undetermined(calibration: Calibration) -> str:
-    """What the data did not determine, in words."""
+    """Taxels and degrees of freedom that the data did not determine, in words."""
     missing = ~calibration.observed
     whole = missing.all(axis=1)
     parts = []

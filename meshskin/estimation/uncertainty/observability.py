@@ -1,7 +1,7 @@
 """What the data can determine: degrees of freedom, covariances, and the Cramér-Rao bound.
 
-A round taxel's pressure depends on its two coordinates along the surface. The body's surface adds
-the position along the normal and both tilts, as far as it is trusted. Nothing shows the spin.
+A round taxel's pressure depends on its two coordinates along the surface. The believed surface adds
+the position along the normal and both tilts. The rotation about the normal is not observable.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from ...core.errors import CalibrationError
 from ...core.se3 import Array
 from .. import chart
 from ..data.global_parameters import GlobalParameters
-from ..data.measurements import Measurements, gather, reach
-from ..data.pairs import SPARE, near_pairs
+from ..data.measurements import Measurements, gather
+from ..data.pairs import REACH_MARGIN, near_pairs
 from ..joint.contacts import LinearizedContacts
 from ..joint.likelihood import Likelihood, Readings
 from ..trilateration.displacements import surface_motion
@@ -28,29 +28,32 @@ if TYPE_CHECKING:
     from ...skin.skin import Skin
 
 SURFACE_SIGMA = 1e-6
-"""Standard deviation to which the believed surface is trusted along its normal, m."""
+"""Standard deviation of the believed surface along its normal, m: the closest point's numerical
+error; how well the body's mesh fits the real body is not known to the calibration."""
 TILT_SIGMA = 1e-5
-"""The same for the direction of its normal, rad."""
+"""Standard deviation of the direction of its normal, rad: SURFACE_SIGMA over a radius of 0.1 m."""
 SPIN = 5
 """Column of the rotation about the taxel's own normal."""
+MIN_INFORMATION = 1e-9
+"""Least eigenvalue of a taxel's information, relative to the largest trace, at which it is bounded.
+"""
 
 
 @dataclass(frozen=True)
 class Bound:
-    """The Cramér-Rao bound of n taxels, all that the belief declares being unknown too."""
+    """The Cramér-Rao bound of n taxels, with the parameters that the belief declares unknown."""
 
     covariance: Array
     """(n, 2, 2), m^2, in the taxels' tangent planes; inf on the diagonal where unbounded."""
-    shared_sigma: Array
-    """Least standard deviations (ks,) of the shared unknowns, their priors included."""
-    shared: GlobalParameters
-    """Which these are."""
+    global_sigma: Array
+    """Bounds (ks,) on the standard deviations of the global parameters, priors included."""
+    parameters: GlobalParameters
+    """The global parameters."""
 
     @property
     def modulus_sigma(self) -> float:
-        """Least standard deviation of ln E*; 0 where E* is known."""
-        at = self.shared.columns
-        return float(self.shared_sigma[at["modulus"]][0]) if "modulus" in at else 0.0
+        """Bound on the standard deviation of ln E*; 0 where E* is known."""
+        return self.parameters.value("modulus", self.global_sigma)
 
     @property
     def expected(self) -> Array:
@@ -64,13 +67,13 @@ class Bound:
 
     @property
     def rms(self) -> float:
-        """Root of the mean squared error of such an estimate, m, over the same taxels."""
+        """Root mean square of the distance, m, over the taxels that have a bound."""
         trace = np.trace(self.covariance[self.bounded], axis1=1, axis2=2)
         return float(np.sqrt(np.mean(trace)))
 
     @property
     def bounded(self) -> np.ndarray:
-        """Whether the data of each taxel bound it (n,)."""
+        """Whether each taxel has a finite bound (n,) bool."""
         return np.asarray(np.isfinite(self.covariance).all(axis=(1, 2)))
 
 
@@ -82,16 +85,15 @@ def cramer_rao(recording: Recording, belief: Belief, skin: Skin) -> Bound:
     Raises CalibrationError if the belief knows no noise.
     """
     data = gather(recording, belief)
-    if not data.noise:
+    if data.noise is None:
         raise CalibrationError(
             "the Cramér-Rao bound needs the noise of the readings",
             value="belief.noise_sigma = None",
             remedy="give the belief a noise_sigma",
         )
     points = true_positions(skin, data.ids)
-    contact, taxel = near_pairs(data, points, reach(data) + SPARE)
-    h = _information(data, belief.body, points, contact, taxel)
-    return _bound(h, data.shared)
+    contact, taxel = near_pairs(data, points, data.reach() + REACH_MARGIN)
+    return _bound(_information(data, points, contact, taxel), data.parameters)
 
 
 def true_positions(skin: Skin, ids: np.ndarray) -> Array:
@@ -106,20 +108,20 @@ def true_positions(skin: Skin, ids: np.ndarray) -> Array:
 
 
 def _information(
-    data: Measurements, body: Body, points: Array, contact: np.ndarray, taxel: np.ndarray
+    data: Measurements, points: Array, contact: np.ndarray, taxel: np.ndarray
 ) -> Array:
-    """Expected information (n, c, c) on the two coordinates, the taxel's and the shared unknowns of
-    the pairs, at their nominal values.
+    """Expected information (n, c, c) of pairs of a contact and a taxel, at nominal parameters.
+
+    The c unknowns are two coordinates, the nuisance parameters and the global parameters.
     """
-    charts = chart.charts_at(body, points)
-    shared = data.shared
-    nominal = np.zeros(len(shared.sigma))
-    contacts = LinearizedContacts(shared, data, body, nominal).at(nominal)
+    charts, parameters = chart.charts_at(data.body, points), data.parameters
+    nominal = np.zeros(len(parameters.sigma))
+    contacts = LinearizedContacts(data, nominal).at(nominal)
     order = np.argsort(taxel, kind="stable")
     contact, taxel = contact[order], taxel[order]
-    model = Likelihood(data, Readings.none(), shared)
-    extras = np.zeros((len(taxel), len(shared.local_names)))
-    mu, slope = model.predict(contact, points[taxel], extras, contacts)
+    model = Likelihood(data, Readings.none())
+    nuisance = np.zeros((len(taxel), len(parameters.nuisance_names)))
+    mu, slope = model.predict(contact, points[taxel], nuisance, contacts)
     weight = censored_information(data.threshold / data.sigma - mu)
     slope = np.concatenate([np.einsum("kia,ik->ak", charts.tangents[taxel], slope[:3]), slope[3:]])
     size = len(slope)
@@ -127,27 +129,27 @@ def _information(
     for r in range(size):
         for c in range(r + 1):
             h[:, r, c] = h[:, c, r] = np.bincount(taxel, weight * slope[r] * slope[c], len(points))
-    for k, sigma in enumerate(model.local_sigma, 2):
+    for k, sigma in enumerate(model.nuisance_sigma, 2):
         h[:, k, k] += sigma**-2
     return h
 
 
-def _bound(h: Array, shared: GlobalParameters) -> Bound:
-    """The bound of information blocks (n, c, c), whose last rows are the shared unknowns'."""
-    local = h.shape[1] - len(shared.sigma)
+def _bound(h: Array, parameters: GlobalParameters) -> Bound:
+    """The bound of information blocks (n, c, c), whose last rows are the global parameters'."""
+    local = h.shape[1] - len(parameters.sigma)
     size = np.trace(h[:, :2, :2], axis1=1, axis2=2)
     least = np.linalg.eigvalsh(h[:, :2, :2])[:, 0]
-    seen = least > 1e-9 * max(float(size.max(initial=0.0)), 1e-300)
+    seen = least > MIN_INFORMATION * max(float(size.max(initial=0.0)), 1e-300)
     covariance = np.tile(np.diag([np.inf, np.inf]), (len(h), 1, 1))
     inverse = np.linalg.inv(h[seen, :local, :local])
-    lift = inverse @ h[seen, :local, local:]
+    response = inverse @ h[seen, :local, local:]
     rest = h[seen, local:, local:].sum(axis=0) - np.einsum(
-        "nik,nil->kl", h[seen, :local, local:], lift
+        "nik,nil->kl", h[seen, :local, local:], response
     )
-    common = np.linalg.inv(rest + np.diag(shared.sigma**-2))
-    full = inverse + lift @ common @ np.swapaxes(lift, 1, 2)
+    common = np.linalg.inv(rest + np.diag(parameters.sigma**-2))
+    full = inverse + response @ common @ np.swapaxes(response, 1, 2)
     covariance[seen] = full[:, :2, :2]
-    return Bound(covariance, np.sqrt(np.diag(common)), shared)
+    return Bound(covariance, np.sqrt(np.diag(common)), parameters)
 
 
 def censored_information(c: Array) -> Array:
@@ -178,8 +180,8 @@ def mean_distance(covariance: Array) -> Array:
 def pose_covariance(tangential: Array, shape: Array) -> Array:
     """Covariances (n, 6, 6) in the taxels' frames from those along the surface (n, 2, 2), m^2.
 
-    `shape` (n, 2, 2), 1/m, is the shape operator: it carries a move along the surface into tilt.
-    The spin has an infinite variance, and so has all of a taxel with an infinite `tangential`.
+    shape (n, 2, 2), 1/m: shape operators, which give the tilt of a move along the surface. The
+    variance about the normal is infinite; all are for a taxel with an infinite `tangential`.
     """
     out = np.zeros((len(tangential), 6, 6))
     good = np.isfinite(tangential).all(axis=(1, 2))

@@ -11,7 +11,7 @@ import numpy as np
 from ...core.se3 import Array
 from ...effects import NoiseEffect
 from ...estimation.calibrate import calibrate
-from ...estimation.joint.newton import NEWTON_TOLERANCE
+from ...estimation.joint.reduced_nlp import NEWTON_TOLERANCE
 from ...exploration.plan import plan_exploration
 from .budget_report import Check
 from .replay import Halves, Replay

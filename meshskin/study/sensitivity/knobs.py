@@ -13,7 +13,7 @@ import numpy as np
 from ...contact import BATCHED
 from ...core.se3 import Array
 from ...estimation.calibrate import METHODS
-from ...estimation.joint.newton import NEWTON_TOLERANCE
+from ...estimation.joint.reduced_nlp import NEWTON_TOLERANCE
 from .setting import Setting, with_changes
 
 if TYPE_CHECKING:

@@ -85,9 +85,7 @@ class Solution:
         charts = chart.charts_at(belief.body, self.points[live])
         stuck = np.isin(data.taxel, fault_detection.stuck_taxels(data).rows)
         places = SurfaceParametrization(charts, step=float(np.median(data.radii)))
-        run = JointEstimator(
-            data, belief.body, live, places, np.where(stuck, 0.0, 1.0), iterations=1
-        )
+        run = JointEstimator(data, live, places, np.where(stuck, 0.0, 1.0), iterations=1)
         run.relinearize(places, self.shared, select_anew=True)
         problem, state = run.problem, run.state
         blocks, left = problem.blocks(state), problem.reduce(state)

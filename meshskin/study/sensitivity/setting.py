@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from ...estimation.joint.newton import NEWTON_TOLERANCE
+from ...estimation.joint.reduced_nlp import NEWTON_TOLERANCE
 from ...geometry.body import Body
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...core.errors import ContactError, MeshskinError
 from ...estimation.calibrate import calibrate
-from ...estimation.joint.newton import NEWTON_TOLERANCE
+from ...estimation.joint.reduced_nlp import NEWTON_TOLERANCE
 from ...estimation.uncertainty import metrics
 from ...simulation.simulate import simulate
 from .numerical_error import NumericalReference, mean_mm

@@ -23,7 +23,7 @@ def error(world, found):
 def test_exact_on_ideal_data_with_the_wrong_modulus(world):
     for factor in (1.0, 2.5):
         found = maximum_likelihood.estimate(
-            gather(world.record(), world.belief(young=factor * world.young)), world.body
+            gather(world.record(), world.belief(young=factor * world.young))
         )
         assert error(world, found).max() < 1e-7
         assert found.modulus == pytest.approx(world.modulus, rel=1e-5)
@@ -31,7 +31,7 @@ def test_exact_on_ideal_data_with_the_wrong_modulus(world):
 
 def test_exact_on_an_ellipsoid(world):
     other = type(world)(extent=12e-3, body=Ellipsoid((0.1, 0.103, 0.099)))
-    found = maximum_likelihood.estimate(gather(other.record(), other.belief()), other.body)
+    found = maximum_likelihood.estimate(gather(other.record(), other.belief()))
     assert error(other, found).max() < 1e-6
     assert np.abs(other.body.closest(found.points).distance).max() < 1e-9
 
@@ -69,8 +69,8 @@ def test_reaches_the_bound_over_forty_seeds(world, sigma):
 
 def test_without_a_noise_model_the_residuals_scale_the_covariance(world):
     recording = world.record(0.01, 0.05)
-    known = maximum_likelihood.estimate(gather(recording, world.belief(0.01, 0.05)), world.body)
-    unknown = maximum_likelihood.estimate(gather(recording, world.belief(None, 0.05)), world.body)
+    known = maximum_likelihood.estimate(gather(recording, world.belief(0.01, 0.05)))
+    unknown = maximum_likelihood.estimate(gather(recording, world.belief(None, 0.05)))
     assert unknown.covariance == pytest.approx(known.covariance, rel=0.5, abs=3e-11)
     assert error(world, unknown).mean() < 20e-6
 
@@ -80,9 +80,7 @@ def test_silent_readings_keep_the_modulus_unbiased(world):
     for seed in range(5):
         data = gather(world.record(0.1, 0.1, seed), world.belief(0.1, 0.1))
         pair = (data, replace(data, noise=None))  # without a noise model they are left out
-        bias.append(
-            [maximum_likelihood.estimate(d, world.body).modulus / world.modulus - 1 for d in pair]
-        )
+        bias.append([maximum_likelihood.estimate(d).modulus / world.modulus - 1 for d in pair])
     censored, dropped = np.abs(np.mean(bias, axis=0))
     assert dropped > 0.02
     assert censored < 0.6 * dropped
@@ -90,14 +88,14 @@ def test_silent_readings_keep_the_modulus_unbiased(world):
 
 def test_a_start_in_the_wrong_place_is_mended(world):
     data = gather(world.record(0.01, 0.05), world.belief(0.01, 0.05))
-    good = trilaterate.least_squares(data, world.body)
+    good = trilaterate.least_squares(data)
     points = good.points.copy()
     wrong = [3, 17, 30]  # 10 mm off
     points[wrong] = world.body.closest(points[wrong] + [7e-3, -7e-3, 0]).point
     hit = world.body.closest(points)
     start = replace(good, points=points, rotations=chart.frames(hit.normal))
-    found = maximum_likelihood.estimate(data, world.body, start)
-    reference = maximum_likelihood.estimate(data, world.body)
+    found = maximum_likelihood.estimate(data, start)
+    reference = maximum_likelihood.estimate(data)
     assert set(found.restarted) <= set(wrong)
     assert len(found.restarted)
     assert np.allclose(found.points, reference.points, atol=1e-8)
@@ -109,7 +107,7 @@ def test_a_defective_taxel_shows_and_spares_the_others(world):
     broken = recording.reading_taxel == world.ids[20]
     pressure = pa.array(np.where(broken, 1.6, 1.0) * recording.pressure)
     bent = replace(recording, readings=recording.readings.set_column(2, "pressure", pressure))
-    found = maximum_likelihood.estimate(gather(bent, world.belief(0.01, 0.05)), world.body)
+    found = maximum_likelihood.estimate(gather(bent, world.belief(0.01, 0.05)))
     assert np.argmax(found.chi2) == 20
     assert found.chi2[20] > 50 * np.median(found.chi2)
     assert np.delete(error(world, found), 20).mean() < 25e-6
@@ -117,8 +115,8 @@ def test_a_defective_taxel_shows_and_spares_the_others(world):
 
 def test_iterates_start_at_the_trilateration_and_end_at_the_estimate(world):
     data = gather(world.record(0.01, 0.05), world.belief(0.01, 0.05))
-    found = maximum_likelihood.estimate(data, world.body)
-    start = trilaterate.least_squares(data, world.body)
+    found = maximum_likelihood.estimate(data)
+    start = trilaterate.least_squares(data)
     assert np.allclose(found.iterates[0], start.points, atol=1e-9)
     assert np.allclose(found.iterates[-1], found.points, atol=1e-8)
     assert len(found.iterates) > 2
@@ -129,4 +127,4 @@ def test_nothing_determined_is_refused(world):
     first = np.unique(data.taxel, return_index=True)[1]
     one = replace(data, **{n: getattr(data, n)[first] for n in ("contact", "taxel", "pressure")})
     with pytest.raises(CalibrationError, match=r"no taxel is determined.*fewer than three"):
-        maximum_likelihood.estimate(one, world.body)
+        maximum_likelihood.estimate(one)

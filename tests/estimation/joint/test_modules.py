@@ -132,7 +132,9 @@ def test_taxels_that_lie_in_no_such_modules_are_refused(tiled, clean, change):
     ids = tiled.world.ids
     other = ids[np.random.default_rng(0).permutation(len(ids))]
     wrong = change(recording, taxel=other[np.searchsorted(ids, recording.reading_taxel)])
-    with pytest.raises(CalibrationError, match=r"do not lie as in the rigid.* mm off.*12 module"):
+    with pytest.raises(
+        CalibrationError, match=r"are not arranged as in the rigid.* mm off.*12 module"
+    ):
         calibrate(wrong, tiled.belief)
 
 

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from meshskin.contact import ContactModel, Patches
-from meshskin.estimation.data.measurements import gather, reach
+from meshskin.estimation.data.measurements import gather
 from meshskin.estimation.data.pairs import near_pairs
 from meshskin.estimation.joint.contacts import Contacts, LinearizedContacts
 from meshskin.estimation.joint.likelihood import Likelihood, Readings
-from meshskin.estimation.joint.patches import DISC_MEANS, PATCHES_UNDER_LOAD
-from meshskin.estimation.joint.pressure import mean_pressure
-from meshskin.estimation.joint.pressure_elliptic import ellipse, profile
+from meshskin.estimation.joint.patch_derivatives import loaded_patches
+from meshskin.estimation.joint.pressure import disc_means
 from meshskin.geometry.primitives import Ellipsoid
 
 MODELS = {"elliptic": ContactModel("elliptic"), "layered": ContactModel("layered", 0.49, 4e-3)}
@@ -33,7 +32,7 @@ def cases(worlds):
         headings = np.broadcast_to(np.eye(3), (len(world.points), 3, 3))
         belief = world.belief(unknown=(*UNKNOWN, "body_offset"), headings=headings)
         data = gather(world.record(), belief)
-        out[name] = data, *(v[::11] for v in near_pairs(data, world.truth, reach(data) + 1e-3))
+        out[name] = data, *(v[::11] for v in near_pairs(data, world.truth, data.reach() + 1e-3))
     return out
 
 
@@ -47,14 +46,14 @@ def contacts(first, second, exponent, rng):
     return Contacts(0 * normals, normals, along, patches, (), np.zeros((len(first), 0)), None)
 
 
-@pytest.mark.parametrize("read", [ellipse, profile])
-def test_kernel_against_the_patch_and_finite_differences(read):
+@pytest.mark.parametrize("name", MODELS)
+def test_kernel_against_the_patch_and_finite_differences(name):
     rng = np.random.default_rng(0)
     a, b = rng.uniform(2e-3, 5e-3, (2, COUNT))
-    m = 0.5 if read is ellipse else rng.uniform(0.5, 1.0, COUNT)
+    m = 0.5 if name == "elliptic" else rng.uniform(0.5, 1.0, COUNT)
     d, rows = rng.normal(scale=3e-3, size=(COUNT, 3)), np.arange(COUNT)
     at = contacts(a, b, m, rng)
-    mean, slope, shape = read(d, rows, at, DISC)
+    mean, slope, shape = disc_means(name, d, rows, at, DISC)
     along, beside = at.directions, np.cross(at.normals, at.directions)
     x, y = (np.einsum("ki,ki->k", d, axis) for axis in (along, beside))
     assert np.allclose(mean, at.patches.reading(x, y, DISC), atol=1e-12)
@@ -65,7 +64,9 @@ def test_kernel_against_the_patch_and_finite_differences(read):
         return (change(h) - change(-h)) / (2 * h)
 
     for k, axis in enumerate(np.eye(3)):
-        found = numeric(lambda h, axis=axis: read(d + h * axis, rows, at, DISC)[0], 1e-8)
+        found = numeric(
+            lambda h, axis=axis: disc_means(name, d + h * axis, rows, at, DISC)[0], 1e-8
+        )
         assert np.allclose(found, slope[:, k], atol=0.5)
 
     def reshaped(la=0.0, lb=0.0, lm=0.0):
@@ -73,10 +74,10 @@ def test_kernel_against_the_patch_and_finite_differences(read):
         p = p._replace(first=p.first * np.exp(la), second=p.second * np.exp(lb))
         p = p._replace(exponent=p.exponent + lm) if lm else p
         other = Contacts(at.points, at.normals, at.directions, p, (), at.log_peak, None)
-        return read(d, rows, other, DISC)[0]
+        return disc_means(name, d, rows, other, DISC)[0]
 
     ways = (lambda h: reshaped(la=h), lambda h: reshaped(lb=h), lambda h: reshaped(lm=h))
-    assert len(shape) == (2 if read is ellipse else 3)
+    assert len(shape) == (2 if name == "elliptic" else 3)
     for way, by in zip(ways, shape, strict=False):
         assert np.abs(by).max() > 0.05
         assert np.allclose(numeric(way, 1e-5), by, atol=1e-3)
@@ -86,9 +87,9 @@ def test_a_circle_is_a_circle():
     rng = np.random.default_rng(1)
     a, d = rng.uniform(3e-3, 5e-3, COUNT), rng.normal(scale=3e-3, size=(COUNT, 3))
     at, rows = contacts(a, a, np.full(COUNT, 0.5), rng), np.arange(COUNT)
-    mean, slope, by_log_a = mean_pressure(d, at.normals, a, DISC)
-    for read in (ellipse, profile):
-        found = read(d, rows, at, DISC)
+    mean, slope, (by_log_a,) = disc_means("hertz", d, rows, at, DISC)
+    for name in MODELS:
+        found = disc_means(name, d, rows, at, DISC)
         assert np.allclose(found[0], mean, atol=1e-4)
         assert np.allclose(found[1], slope, atol=5.0)
         assert np.allclose(found[2][0] + found[2][1], by_log_a, atol=1e-2)
@@ -98,17 +99,17 @@ def test_a_circle_is_a_circle():
 def test_patches_follow_force_and_modulus(cases, name):
     data = cases[name][0]
     off = 0.2 * np.sin(np.arange(len(data.force)))
-    found, rates = PATCHES_UNDER_LOAD[name](data, off, -0.3)
+    found, rates = loaded_patches(data, off, -0.3)
     there = data.model.patches(
         force=data.force * np.exp(off),
         curvature=data.curvature,
-        indenter_radius=data.indenter_radius,
+        indenter_radius=data.belief.indenter.radius,
         effective_modulus=data.modulus * np.exp(-0.3),
     )
     for one, other in zip(found, there, strict=True):
         assert np.allclose(one, other, rtol=1e-11)
     h = 1e-5
-    up, down = (PATCHES_UNDER_LOAD[name](data, off + s * h, -0.3)[0] for s in (1, -1))
+    up, down = (loaded_patches(data, off + s * h, -0.3)[0] for s in (1, -1))
     logs = [np.log(getattr(up, k) / getattr(down, k)) / (2 * h) for k in ("first", "second")]
     for found_rate, numeric in zip(rates.shape, logs, strict=False):
         assert np.allclose(np.ravel(found_rate), numeric, atol=1e-8)
@@ -126,8 +127,8 @@ def test_an_endless_layer_is_a_half_space(worlds, cases):
     for name in MODELS:
         belief = world.belief(contact=name)
         thick = gather(world.record(), belief)
-        model = Likelihood(thick, Readings.none(), thick.shared)
-        at = LinearizedContacts(thick.shared, thick, world.body, np.zeros(1)).at(np.array([0.2]))
+        model = Likelihood(thick, Readings.none())
+        at = LinearizedContacts(thick, np.zeros(1)).at(np.array([0.2]))
         none = np.zeros((len(taxel), 0))
         means.append(model.predict(contact, world.truth[taxel], none, at))
     assert np.allclose(means[0][0], means[1][0], atol=1e-6 * means[0][0].max())
@@ -137,9 +138,9 @@ def test_an_endless_layer_is_a_half_space(worlds, cases):
 @pytest.mark.parametrize("name", MODELS)
 def test_prediction_is_the_world_s_reading(worlds, cases, name):
     data, contact, taxel = cases[name]
-    model = Likelihood(data, Readings.none(), data.shared)
-    s = np.zeros(len(data.shared.sigma))
-    at = LinearizedContacts(data.shared, data, worlds[name].body, s).at(s)
+    model = Likelihood(data, Readings.none())
+    s = np.zeros(len(data.parameters.sigma))
+    at = LinearizedContacts(data, s).at(s)
     mu, _ = model.predict(contact, worlds[name].truth[taxel], np.zeros((len(taxel), 2)), at)
     level = worlds[name].pressures()[contact, taxel]
     assert (level > 0).sum() > 100
@@ -155,20 +156,16 @@ def test_every_derivative(worlds, cases, name, column, derivative_holds):
 @pytest.mark.parametrize("name", MODELS)
 def test_moved_contacts_have_the_patches_of_where_they_are(worlds, cases, name):
     data = cases[name][0]
-    s = np.zeros(len(data.shared.sigma))
-    s[data.shared.columns["indenter_offset"]] = [0.0, 5e-3, 0.0]
-    moved = LinearizedContacts(data.shared, data, worlds[name].body, s).data
+    s = np.zeros(len(data.parameters.sigma))
+    s[data.parameters.columns["indenter_offset"]] = [0.0, 5e-3, 0.0]
+    moved = LinearizedContacts(data, s).data
     hit = worlds[name].body.closest(moved.points)
     assert np.allclose(moved.curvature, hit.curvature)
     there = data.model.patches(
         force=data.force,
         curvature=hit.curvature,
-        indenter_radius=data.indenter_radius,
+        indenter_radius=data.belief.indenter.radius,
         effective_modulus=data.modulus,
     )
     assert np.allclose(moved.patches.first, there.first)
     assert np.abs(moved.patches.first / data.patches.first - 1).max() > 0.01
-
-
-def test_a_kernel_for_every_model():
-    assert set(DISC_MEANS) == set(PATCHES_UNDER_LOAD) == {"hertz", *MODELS}

@@ -5,7 +5,7 @@ import pytest
 
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation.calibrate import calibrate
-from meshskin.estimation.data.global_parameters import PRIORS, declared
+from meshskin.estimation.data.global_parameters import PRIORS, declared_parameters
 from meshskin.estimation.data.measurements import gather
 from meshskin.estimation.joint.joint_estimator import JointEstimator
 from meshskin.estimation.uncertainty.metrics import nees, position_errors
@@ -88,7 +88,7 @@ def test_gains_that_do_not_converge_are_dropped(world, monkeypatch):
     converge = JointEstimator.converge
 
     def lost(run):
-        if run.data.shared.local_names:
+        if run.data.parameters.nuisance_names:
             raise CalibrationError("the joint estimate did not converge")
         converge(run)
 
@@ -99,12 +99,12 @@ def test_gains_that_do_not_converge_are_dropped(world, monkeypatch):
 
 
 def test_what_is_declared_keeps_its_prior():
-    shared = declared(("modulus", "gain"), {"gain": 0.1}, 3.0, 1e5)
-    both = shared.unlike(2e5)
-    assert both.local_names == ("gain", "offset")
-    assert both.local_sigma == (0.1, PRIORS["offset"] * 2e5)
+    shared = declared_parameters(("modulus", "gain"), {"gain": 0.1}, 3.0, 1e5)
+    both = shared.with_nuisance(2e5)
+    assert both.nuisance_names == ("gain", "offset")
+    assert both.nuisance_sigma == (0.1, PRIORS["offset"] * 2e5)
     assert both.names == shared.names
-    assert both.unlike(3e5) == both
+    assert both.with_nuisance(3e5) == both
 
 
 def test_what_a_taxel_reads_at_rest(world):

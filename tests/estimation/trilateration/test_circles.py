@@ -33,11 +33,11 @@ def test_ideal_data(oval):
     assert (data.patches.second / data.patches.first).max() > 1.3
     # The disc mean's sum errs by 1e-4 of the peak, which at the patch's edge is much in distance.
     for method, limit in ((trilaterate.least_squares, 6e-6), (trilaterate.three_circles, 2e-6)):
-        fit = method(data, oval.body)
+        fit = method(data)
         assert fit.found.all()
         assert error(oval, fit).max() < limit
     mistaken = replace(data, model=ContactModel())  # ellipses taken for circles
-    assert error(oval, trilaterate.least_squares(mistaken, oval.body)).max() > 60e-6
+    assert error(oval, trilaterate.least_squares(mistaken)).max() > 60e-6
 
 
 def test_from_anywhere_near(oval):
@@ -85,7 +85,7 @@ def test_on_a_sphere_the_ellipses_are_circles(world):
     steep = one.steepness > 0.3
     assert np.abs(one.radii - other.radii)[steep].max() < 2e-6
     assert np.allclose(one.weights[steep], other.weights[steep], rtol=0.03)
-    fits = [trilaterate.least_squares(data, world.body) for data in (round_, oval)]
+    fits = [trilaterate.least_squares(data) for data in (round_, oval)]
     assert np.abs(fits[0].points - fits[1].points).max() < 3e-6
 
 
@@ -93,7 +93,7 @@ def test_noise_gives_the_stated_errors(oval):
     normalised = []
     for seed in range(4):
         data = gather(oval.record(0.01, 0.05, seed), oval.belief(0.01, 0.05))
-        fit = trilaterate.least_squares(data, oval.body)
+        fit = trilaterate.least_squares(data)
         assert error(oval, fit).mean() < 20e-6
         local = np.einsum("nij,ni->nj", fit.rotations[:, :, :2], oval.truth - fit.points)
         weighed = np.einsum("ni,nij,nj->n", local, np.linalg.inv(fit.covariance), local)
@@ -109,6 +109,6 @@ def test_pressures_above_the_maximum_are_distance_zero(oval):
     found = circles(lifted, oval.truth)
     assert (found.radii == 0).sum() > 20
     assert np.isfinite(found.weights).all()
-    fit = trilaterate.least_squares(lifted, oval.body)
+    fit = trilaterate.least_squares(lifted)
     assert fit.found.all()
     assert error(oval, fit).max() < 0.1e-3

@@ -17,7 +17,7 @@ def data(world):
 
 @pytest.fixture(scope="module")
 def best(data, world):
-    return maximum_likelihood.estimate(data, world.body)
+    return maximum_likelihood.estimate(data)
 
 
 def errors(world, fit):
@@ -25,11 +25,9 @@ def errors(world, fit):
 
 
 def test_no_pressure_enters(world, data):
-    alone = coactivation.contact_centroid_start(data, world.body)
+    alone = coactivation.contact_centroid_start(data)
     blind = replace(data, pressure=np.random.default_rng(0).uniform(1, 2, len(data.pressure)))
-    assert np.array_equal(
-        coactivation.contact_centroid_start(blind, world.body).points, alone.points
-    )
+    assert np.array_equal(coactivation.contact_centroid_start(blind).points, alone.points)
     assert alone.found.all()
     error = errors(world, alone)
     assert error.mean() < 1.5e-3
@@ -40,26 +38,22 @@ def test_no_pressure_enters(world, data):
 
 
 def test_the_joint_estimate_reaches_its_optimum_from_there(world, data, best):
-    found = maximum_likelihood.estimate(
-        data, world.body, coactivation.contact_centroid_start(data, world.body)
-    )
+    found = maximum_likelihood.estimate(data, coactivation.contact_centroid_start(data))
     assert np.allclose(found.points, best.points, atol=1e-8)
 
 
-def test_where_trilateration_fails_co_activation_starts(world, data, best, monkeypatch):
-    right = trilaterate.least_squares(data, world.body)
-    points, why = right.points.copy(), right.reasons.copy()
+def test_the_contact_centroid_replaces_a_failed_trilateration(world, data, best):
+    right = trilaterate.least_squares(data)
+    points, reasons = right.points.copy(), right.reasons.copy()
     points[4] = world.body.closest(points[4] + [0.0, 12e-3, 0.0]).point
-    points[9], why[9] = np.nan, trilaterate.LINE
-    monkeypatch.setattr(
-        trilaterate, "least_squares", lambda *_: replace(right, points=points, reasons=why)
-    )
-    start = coactivation.initial_estimate(data, world.body)
-    alone = coactivation.contact_centroid_start(data, world.body)
+    points[9], reasons[9] = np.nan, trilaterate.COLLINEAR
+    failed = replace(right, points=points, reasons=reasons)
+    start = coactivation.initial_estimate(data, failed)
+    alone = coactivation.contact_centroid_start(data)
     same = np.flatnonzero(np.all(start.points == alone.points, axis=1))
     assert list(same) == [4, 9]
     assert start.found.all()
-    found = maximum_likelihood.estimate(data, world.body)
+    found = maximum_likelihood.estimate(data, trilaterated=failed)
     assert np.allclose(found.points, best.points, atol=1e-8)
 
 
@@ -70,8 +64,8 @@ def test_the_basin(world, data, best, error_mm):
     x, y = np.moveaxis(best.rotations[:, :, :2], 2, 0)
     away = np.cos(angle)[:, None] * x + np.sin(angle)[:, None] * y
     off = world.body.closest(best.points + 1e-3 * error_mm * away).point
-    start = replace(trilaterate.least_squares(data, world.body), points=off)
-    found = maximum_likelihood.estimate(data, world.body, start)
+    start = replace(trilaterate.least_squares(data), points=off)
+    found = maximum_likelihood.estimate(data, start)
     assert np.allclose(found.points, best.points, atol=1e-6)
 
 
@@ -85,8 +79,8 @@ def test_what_says_nothing(world, data):
     rng = np.random.default_rng(0)
     wild = columns["taxel"] == 8  # it answers wherever the skin is touched
     columns["contact"][wild] = rng.integers(len(data.points), size=wild.sum())
-    fit = coactivation.contact_centroid_start(replace(data, **columns), world.body)
-    reasons = {3: trilaterate.FEW, 5: trilaterate.LINE, 8: coactivation.EVERYWHERE}
+    fit = coactivation.contact_centroid_start(replace(data, **columns))
+    reasons = {3: trilaterate.TOO_FEW, 5: trilaterate.COLLINEAR, 8: coactivation.EVERYWHERE}
     for row, why in reasons.items():
         assert fit.reasons[row] == why
         assert np.isnan(fit.points[row]).all()
@@ -100,10 +94,10 @@ def test_false_answers_everywhere(world):
         data = gather(world.record(sigma, threshold, seed), belief)
         near = coactivation.without_distant_readings(data)
         assert len(near.pressure) < 0.6 * len(data.pressure)
-        start = coactivation.initial_estimate(near, world.body)
+        start = coactivation.initial_estimate(near, trilaterate.least_squares(near))
         assert errors(world, start).max() < 4e-3
-        right = maximum_likelihood.estimate(data, world.body, replace(start, points=world.truth))
-        found = maximum_likelihood.estimate(data, world.body)
+        right = maximum_likelihood.estimate(data, replace(start, points=world.truth))
+        found = maximum_likelihood.estimate(data)
         assert np.allclose(found.points, right.points, atol=1e-6)
         assert errors(world, found).mean() < 0.35e-3
 

@@ -6,19 +6,26 @@ import pytest
 from meshskin.core import se3
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation import chart
-from meshskin.estimation.adaptive import together
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.data.measurements import gather
 from meshskin.estimation.trilateration import trilaterate
 from meshskin.estimation.trilateration.displacements import (
-    displacements,
-    displacements_with_errors,
+    SharedContacts,
+    displacement_graph,
     error_covariance,
     expected_readings,
 )
 from meshskin.estimation.uncertainty.metrics import nees, position_errors
 from meshskin.geometry.primitives import Ellipsoid
 from meshskin.recording.recording import Recording
+from meshskin.simulation.contact_samplers import concatenate
+
+
+def measured_with_errors(data, draws):
+    """The pose graph of the displacements, and random errors (m, 6, draws) of its edges."""
+    fit = trilaterate.least_squares(data)
+    measured = SharedContacts(data, fit).displacements(draws=draws)
+    return measured.graph(fit, data.ids), measured.errors
 
 
 def residuals(graph, poses):
@@ -37,7 +44,7 @@ def true_poses(world, graph):
 
 
 def test_ideal_data_give_the_true_displacements(world):
-    graph = displacements(gather(world.record(), world.belief()), world.body)
+    graph = displacement_graph(gather(world.record(), world.belief()))
     assert len(graph.edges) > 2 * len(world.truth)
     assert np.array_equal(graph.ids, world.ids)
     assert len(np.unique(graph.components)) == 1
@@ -50,7 +57,7 @@ def test_information_fits_the_errors(world):
     ratio = []
     for seed in range(4):
         data = gather(world.record(0.01, 0.05, seed), world.belief(0.01, 0.05))
-        graph = displacements(data, world.body)
+        graph = displacement_graph(data)
         e = residuals(graph, true_poses(world, graph))
         ratio.append(np.einsum("mi,mij,mj->m", e, graph.information, e).mean())
     # Four directions carry noise, the floors add some variance of their own.
@@ -59,8 +66,8 @@ def test_information_fits_the_errors(world):
 
 def test_isotropic_information_is_one_for_all(world):
     data = gather(world.record(0.01, 0.05), world.belief(0.01, 0.05))
-    graph = displacements(data, world.body, isotropic=True)
-    full = displacements(data, world.body)
+    graph = displacement_graph(data, isotropic=True)
+    full = displacement_graph(data)
     assert np.array_equal(graph.edges, full.edges)
     assert np.ptp(graph.information, axis=0).max() == 0
     diagonal = np.diag(graph.information[0])
@@ -101,9 +108,9 @@ def test_covariance_against_moved_taxels():
 def test_no_neighbours_is_refused(world):
     lonely = type(world)(spacing=15e-3, extent=20e-3)
     data = gather(lonely.record(), lonely.belief())
-    assert trilaterate.least_squares(data, lonely.body).found.all()
+    assert trilaterate.least_squares(data).found.all()
     with pytest.raises(CalibrationError, match=r"no two taxels.*denser skin"):
-        displacements(data, lonely.body)
+        displacement_graph(data)
 
 
 @pytest.mark.parametrize("trilateration", [trilaterate.solve, trilaterate.intersect])
@@ -115,8 +122,8 @@ def test_a_contact_that_is_recorded_again_is_no_other_one(world, trilateration):
         whole.contacts.filter(keep), whole.readings.filter(keep[whole.reading_contact]),
         whole.metadata,
     )  # fmt: skip
-    often = together(together(few, few), together(few, few))
-    graph = displacements(gather(often, world.belief()), world.body, trilateration=trilateration)
+    often = concatenate(concatenate(few, few), concatenate(few, few))
+    graph = displacement_graph(gather(often, world.belief()), trilateration=trilateration)
     assert len(graph.edges) > 20
     assert np.abs(residuals(graph, true_poses(world, graph))[:, :3]).max() < 1e-5
 
@@ -131,7 +138,7 @@ def test_what_leaves_a_direction_open_is_no_displacement(world):
 
     data = gather(world.record(), world.belief())
     with pytest.raises(CalibrationError, match="no displacement can be trilaterated"):
-        displacements(data, world.body, trilateration=one_way)
+        displacement_graph(data, trilateration=one_way)
 
 
 def test_noise_above_a_low_threshold_makes_no_pairs(world):
@@ -140,7 +147,7 @@ def test_noise_above_a_low_threshold_makes_no_pairs(world):
     data = gather(recording, belief)
     n = len(data.ids)
     assert len(data.pressure) > 0.4 * n * len(data.points)
-    graph = displacements(data, belief.body)
+    graph = displacement_graph(data)
     apart = np.linalg.norm(world.truth[graph.edges[:, 0]] - world.truth[graph.edges[:, 1]], axis=1)
     assert apart.max() < 3 * (world.a.max() + belief.disc_radius)  # 1.5 of them about each
     found = calibrate(recording, belief, method="posegraph")
@@ -155,7 +162,7 @@ def test_readings_that_are_nearly_noise_do_not_shorten_displacements(world, nois
     longer = []
     for seed in range(4):
         data = gather(world.record(noise, threshold, seed), world.belief(noise, threshold))
-        graph = displacements(data, world.body)
+        graph = displacement_graph(data)
         i, j = graph.edges.T
         apart = np.linalg.norm(world.truth[i] - world.truth[j], axis=1)
         found = np.linalg.norm(graph.measurements[:, :3, 3], axis=1)
@@ -166,7 +173,7 @@ def test_readings_that_are_nearly_noise_do_not_shorten_displacements(world, nois
 
 def test_only_readings_that_are_expected_make_displacements(world):
     data = gather(world.record(0.02, 0.0), world.belief(0.02))
-    fit = trilaterate.least_squares(data, world.body)
+    fit = trilaterate.least_squares(data)
     kept = expected_readings(data, fit)
     expected = (world.pressures()[kept.contact, kept.taxel]) / data.sigma
     assert expected.min() > 1.0  # LEAST, at the estimated places
@@ -177,8 +184,8 @@ def test_only_readings_that_are_expected_make_displacements(world):
 
 def test_errors_are_drawn_as_the_information_says(world):
     data = gather(world.record(0.01, 0.05), world.belief(0.01, 0.05))
-    graph, errors = displacements_with_errors(data, world.body, draws=40)
-    again, none = displacements_with_errors(data, world.body, draws=0)
+    graph, errors = measured_with_errors(data, draws=40)
+    again, none = measured_with_errors(data, draws=0)
     assert np.array_equal(graph.measurements, again.measurements)
     assert none.shape == (len(graph.edges), 6, 0)
     spread = np.linalg.inv(graph.information)
@@ -190,7 +197,7 @@ def test_errors_are_drawn_as_the_information_says(world):
 def test_errors_of_a_reading_are_the_same_in_all_its_pairs(world):
     """Of a taxel's displacements to others, the errors agree: in information they would not."""
     data = gather(world.record(0.01, 0.05), world.belief(0.01, 0.05))
-    graph, errors = displacements_with_errors(data, world.body, draws=200)
+    graph, errors = measured_with_errors(data, draws=200)
     i = graph.edges[:, 0]
     a, b = np.nonzero(np.triu(i[:, None] == i, 1))
     alike = [np.corrcoef(errors[k, 0], errors[m, 0])[0, 1] for k, m in zip(a, b, strict=True)]

@@ -18,17 +18,18 @@ def error(world, fit):
 
 @pytest.mark.parametrize("method", [trilaterate.least_squares, trilaterate.three_circles])
 def test_exact_on_ideal_data(world, method):
-    fit = method(gather(world.record(), world.belief()), world.body)
+    fit = method(gather(world.record(), world.belief()))
     assert fit.found.all()
     assert error(world, fit).max() < 1e-7
     assert np.allclose(world.body.closest(fit.points).distance, 0, atol=1e-12)
 
 
 def test_exact_on_a_mesh_and_on_an_ellipsoid(world):
-    fit = trilaterate.least_squares(gather(world.record(), world.belief()), Body.sphere(0.1))
+    meshed = gather(world.record(), world.belief(body=Body.sphere(0.1)))
+    fit = trilaterate.least_squares(meshed)
     assert error(world, fit).max() < 1e-6
     other = type(world)(extent=12e-3, body=Ellipsoid((0.1, 0.103, 0.099)))
-    fit = trilaterate.least_squares(gather(other.record(), other.belief()), other.body)
+    fit = trilaterate.least_squares(gather(other.record(), other.belief()))
     assert error(other, fit).max() < 1e-6
 
 
@@ -36,23 +37,23 @@ def test_noise_gives_the_stated_errors(world):
     normalised, circles = [], []
     for seed in range(4):
         data = gather(world.record(0.01, 0.05, seed), world.belief(0.01, 0.05))
-        fit = trilaterate.least_squares(data, world.body)
+        fit = trilaterate.least_squares(data)
         assert error(world, fit).mean() < 20e-6
         local = np.einsum("nij,ni->nj", fit.rotations[:, :, :2], world.truth - fit.points)
         weighed = np.einsum("ni,nij,nj->n", local, np.linalg.inv(fit.covariance), local)
         normalised.append(weighed.mean())
-        circles.append(error(world, trilaterate.three_circles(data, world.body)).mean())
+        circles.append(error(world, trilaterate.three_circles(data)).mean())
     low, high = nees_band(4 * len(world.truth), 0.999)
     assert low < np.mean(normalised) < high
-    assert 0.05e-3 < np.mean(circles) < 0.25e-3
+    assert np.mean(circles) > 3 * error(world, fit).mean()  # three circles of some fifty
 
 
 def test_noise_above_no_threshold_does_not_draw_taxels_away(world):
     data = gather(world.record(0.01, 0.0), world.belief(0.01, 0.0))
     assert len(data.pressure) > 0.4 * len(world.points) * len(world.truth)
-    start = trilaterate.centroids(data, world.body)
+    start = trilaterate.centroids(data)
     assert np.linalg.norm(start - world.truth, axis=1).max() < 0.6e-3
-    assert error(world, trilaterate.least_squares(data, world.body)).mean() < 20e-6
+    assert error(world, trilaterate.least_squares(data)).mean() < 20e-6
 
 
 def test_pressures_above_the_maximum_are_distance_zero(world):
@@ -60,13 +61,9 @@ def test_pressures_above_the_maximum_are_distance_zero(world):
     strong = data.pressure > 0.9 * data.peaks[data.contact] * 0.9
     lifted = replace(data, pressure=np.where(strong, 1.3 * data.pressure, data.pressure))
     assert (lifted.distance == 0).sum() > 20
-    fit = trilaterate.least_squares(lifted, world.body)
+    fit = trilaterate.least_squares(lifted)
     assert fit.found.all()
     assert error(world, fit).max() < 0.1e-3
-
-
-def keep(data, rows):
-    return replace(data, **{n: getattr(data, n)[rows] for n in ("contact", "taxel", "pressure")})
 
 
 @pytest.mark.parametrize("method", [trilaterate.least_squares, trilaterate.three_circles])
@@ -79,11 +76,11 @@ def test_what_cannot_be_trilaterated_is_named(world, method):
     rows[(data.taxel == middle) & ~on_line[data.contact]] = False
     rows[np.flatnonzero(data.taxel == few)[2:]] = False
     rows[data.taxel == silent] = False
-    cut = keep(data, rows)
+    cut = data.select(rows)
     assert cut.counts[middle] > 5
-    fit = method(cut, world.body)
-    assert fit.reasons[middle] == trilaterate.LINE
-    assert (fit.reasons[[few, silent]] == trilaterate.FEW).all()
+    fit = method(cut)
+    assert fit.reasons[middle] == trilaterate.COLLINEAR
+    assert (fit.reasons[[few, silent]] == trilaterate.TOO_FEW).all()
     assert (~fit.found).sum() == 3
     assert np.isnan(fit.points[[middle, few, silent]]).all()
     assert np.isinf(fit.covariance[middle][[0, 1], [0, 1]]).all()

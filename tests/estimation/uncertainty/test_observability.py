@@ -12,12 +12,11 @@ from meshskin.core.errors import CalibrationError
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.uncertainty import observability
 from meshskin.estimation.uncertainty.metrics import (
-    cramer_rao,
-    mean_distance,
     nees_band,
     position_errors,
     summary_mm,
 )
+from meshskin.estimation.uncertainty.observability import cramer_rao, mean_distance
 
 
 def test_mean_distance_against_samples_and_closed_forms():

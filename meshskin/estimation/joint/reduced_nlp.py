@@ -1,7 +1,8 @@
-"""The problem in the few shared unknowns as a CasADi NLP, solved by IPOPT.
+"""The reduced problem in the few global parameters as a CasADi NLP, solved by IPOPT.
 
-Its functions are callbacks: each evaluation settles all taxels (eliminate.py). Unknowns are scaled
-by their information at the start, so that tolerances are in standard deviations.
+Its functions are callbacks: each evaluation optimizes all taxels (variable_projection.py). The
+parameters are scaled by their information at the start, so that tolerances are in standard
+deviations.
 """
 
 from __future__ import annotations
@@ -16,26 +17,26 @@ from ...core.se3 import Array
 from .variable_projection import ReducedProblem, SchurComplement, State
 
 MAX_ITERATIONS = 30
-"""Most iterations of IPOPT."""
+"""Largest number of IPOPT's iterations; five are usual."""
 NEWTON_TOLERANCE = 1e-8
-"""Newton decrement, in units of the cost, at which an estimate is at its optimum: a move of some
-1e-4 standard deviations."""
+"""Newton decrement, in units of the cost, at which an estimate is at its optimum: it is within
+sqrt(2e-8) = 1.4e-4 standard deviations."""
 
 
 def minimize(
     problem: ReducedProblem,
     state: State,
     iterations: int,
-    watch: Callable[[State], None],
+    record: Callable[[State], None],
     tolerance: float = NEWTON_TOLERANCE,
 ) -> tuple[State, str]:
-    """The state at the most likely shared unknowns, and IPOPT's status.
+    """The state at the most likely global parameters, and IPOPT's status.
 
-    `watch` sees the state of every new lowest cost; tolerance: Newton decrement to be reached.
+    record: called with the state of every new lowest cost; tolerance: Newton decrement to reach.
     """
     if not len(state.s):
-        return state, "nothing shared"
-    evaluator = _Evaluator(problem, state, watch)
+        return state, "no global parameters"
+    evaluator = _Evaluator(problem, state, record)
     x, size = ca.MX.sym("x", len(state.s)), len(state.s)
     factor, none, p = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0), ca.MX.sym("p", 0)
     cost = _function("cost", evaluator.cost, size, 1, 1)
@@ -59,12 +60,12 @@ def minimize(
 
 
 class _Evaluator:
-    """The reduced problem at scaled unknowns; keeps its last answer, and the best as a start."""
+    """The reduced problem at scaled parameters; keeps the last state, and the best as a start."""
 
     def __init__(
-        self, problem: ReducedProblem, state: State, watch: Callable[[State], None]
+        self, problem: ReducedProblem, state: State, record: Callable[[State], None]
     ) -> None:
-        self.problem, self.watch = problem, watch
+        self.problem, self.record = problem, record
         self.last = self.best = state
         self.reduced = self.lowest = problem.reduce(state)
         self.scale = 1 / np.sqrt(np.diag(self.reduced.hessian))
@@ -73,11 +74,11 @@ class _Evaluator:
     def at(self, x: Array) -> SchurComplement:
         s = self.scale * x
         if not np.array_equal(s, self.last.s):
-            self.last = self.problem.moved(self.best, s)
+            self.last = self.problem.solved_at(self.best, s)
             self.reduced = self.problem.reduce(self.last)
             if self.reduced.cost < self.lowest.cost:
                 self.best, self.lowest = self.last, self.reduced
-                self.watch(self.last)
+                self.record(self.last)
         return self.reduced
 
     def cost(self, x: Array) -> float:

@@ -10,8 +10,8 @@ from meshskin.estimation import chart
 from meshskin.estimation.data.measurements import gather
 from meshskin.estimation.joint.contacts import LinearizedContacts
 from meshskin.estimation.joint.likelihood import Likelihood, select
-from meshskin.estimation.joint.newton import minimize
 from meshskin.estimation.joint.parametrization import SurfaceParametrization
+from meshskin.estimation.joint.reduced_nlp import minimize
 from meshskin.estimation.joint.variable_projection import ReducedProblem
 
 
@@ -23,8 +23,8 @@ def problem(world):
     heard, silent = np.ones(len(data.pressure)), np.ones(len(live))
     readings = select(data, live, world.truth, 0.0, heard, silent)
     places = SurfaceParametrization(chart.charts_at(world.body, world.truth), 2e-3)
-    likelihood = Likelihood(data, readings, data.shared)
-    return ReducedProblem(likelihood, places, LinearizedContacts(data.shared, data, world.body, s))
+    likelihood = Likelihood(data, readings)
+    return ReducedProblem(likelihood, places, LinearizedContacts(data, s))
 
 
 def test_the_reduced_gradient_is_that_of_the_reduced_cost(problem):
@@ -35,7 +35,9 @@ def test_the_reduced_gradient_is_that_of_the_reduced_cost(problem):
     reduced = problem.reduce(state)
     for k, h in enumerate((1e-4, 1e-3)):
         step = h * np.eye(2)[k]
-        ahead, behind = (problem.reduce(problem.moved(state, about + s * step)) for s in (1, -1))
+        ahead, behind = (
+            problem.reduce(problem.solved_at(state, about + q * step)) for q in (1, -1)
+        )
         assert (ahead.cost - behind.cost) / (2 * h) == pytest.approx(
             reduced.gradient[k], rel=1e-3, abs=1e-3 * np.abs(reduced.gradient).max()
         )

@@ -42,10 +42,8 @@ def prepared(world, rigid):
         places = SurfaceParametrization(chart.charts_at(world.body, world.truth), 2e-3)
     weight = np.random.default_rng(0).uniform(0.2, 1.0, len(data.pressure))
     readings = select(data, live, places.points(), 0.0, weight, np.ones(len(live)))
-    likelihood = Likelihood(data, readings, data.shared)
-    problem = ReducedProblem(
-        likelihood, places, LinearizedContacts(data.shared, data, world.body, np.zeros(2))
-    )
+    likelihood = Likelihood(data, readings)
+    problem = ReducedProblem(likelihood, places, LinearizedContacts(data, np.zeros(2)))
     state = problem.start(np.zeros(2))
     problem.solve_inner(state)
     return problem, state
@@ -70,7 +68,7 @@ def test_leverages_are_the_diagonal_of_the_dense_hat_matrix(sparse, rigid):
     def mu(x):
         z, s = x[:-2].reshape(state.z.shape), x[-2:]
         points = places.at(z[group, :size], group, rows)[0]
-        extras = problem.extras(z, np.arange(places.count))
+        extras = problem.nuisance(z, np.arange(places.count))
         return likelihood.means(points, extras, problem.contacts.at(s))
 
     x = np.concatenate([state.z.ravel(), state.s])
@@ -79,13 +77,13 @@ def test_leverages_are_the_diagonal_of_the_dense_hat_matrix(sparse, rigid):
     slope, silent = differences(mu, x, scale), read.kind == CENSORED
     excess = mu(x) - read.level / likelihood.data.sigma
     weight = read.weight * np.where(silent, censored(excess)[2], 1.0)
-    known = np.tile(np.square(likelihood.local_sigma) ** -1.0, (problem.width - size) // 2)
+    known = np.tile(np.square(likelihood.nuisance_sigma) ** -1.0, (problem.width - size) // 2)
     known = np.concatenate([np.full(size, 1e2), known])
-    priors = np.concatenate([np.tile(known, places.count), likelihood.shared.sigma**-2.0])
+    priors = np.concatenate([np.tile(known, places.count), likelihood.data.parameters.sigma**-2.0])
     information = slope.T @ (weight[:, None] * slope) + np.diag(priors * scale**2)
     if rigid:  # and each taxel's height over the surface
         height = differences(lambda x: heights(places, x[:-2].reshape(state.z.shape)), x, scale)
-        information += height.T @ height / module_parametrization.SURFACE**2
+        information += height.T @ height / module_parametrization.SURFACE_SIGMA**2
     hat = weight * np.einsum("ki,ik->k", slope, np.linalg.solve(information, slope.T))
     own = problem.leverages(state, problem.reduce(state))
     assert silent.any()
