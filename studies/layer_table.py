@@ -1,10 +1,10 @@
-"""The table of the layered contact model, made with the project's own boundary elements.
+"""The table of the layered contact model, computed with boundary elements.
 
 A rigid paraboloid is pressed on an elastic layer bonded to a rigid base, for a grid of
 y = chi / (1 + chi), chi = a_Hertz / thickness, and Poisson's ratios, both at Chebyshev points. Each
-row gives the contact radius, the peak pressure and the approach in parts of Hertz's on a half-space
-of the same E*, and by how much ln(a/b) is smaller than Hertz's for relative curvatures 2 : 1. At
-chi = 0 all are 1. Deterministic; two minutes.
+row holds the ratios of contact radius, peak pressure and approach to Hertz's on a half-space of the
+same E*, and the ratio of ln(a/b) to Hertz's for relative curvatures 2 : 1. At chi = 0 all are 1.
+Deterministic; runs two minutes.
 
     OMP_NUM_THREADS=1 python studies/layer_table.py [--cells 192] [--out FILE]
 """
@@ -17,7 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from meshskin.contact import ContactProblem, boundary_elements, elliptic, layered
+from meshskin import contact
+from meshskin.contact import ContactProblem, boundary_elements, layered
 from meshskin.contact.array_backend import chebyshev_nodes
 
 CASE: dict = {"force": 1.0, "indenter_radius": 0.01, "modulus": 1e6}
@@ -57,7 +58,7 @@ def factors(chi: float, poisson: float, cells: int = 192) -> tuple[float, ...]:
 def press(curvature: float, chi: float, poisson: float, cells: int) -> boundary_elements.GridPatch:
     """The patch for curvatures (`curvature`, 0), 1/m, on a layer of sqrt(a b)_Hertz / chi."""
     case = CASE | {"poisson": poisson, "curvature": (curvature, 0.0)}
-    size = float(np.sqrt(np.prod(elliptic.solve(ContactProblem(**case)).semi_axes)))
+    size = float(np.sqrt(np.prod(contact.solve("elliptic", **case).semi_axes)))
     thickness = size / chi if chi > 0 else None
     return boundary_elements.solve(
         ContactProblem(**case, thickness=thickness), cells=cells, parabolic=True

@@ -1,9 +1,10 @@
-"""Contact models, one a file, and their doors for one contact and for many.
+"""Contact models of a rigid sphere on an elastic body.
 
-A model is a module with a function `solve` of a `ContactProblem`; those in `BATCHED` also answer
-for many contacts at once and as CasADi expressions, through `patches` and `force`. In the order of
-`MODELS` each takes in what the one before it cannot: circles, ellipses, thin layers, any gap.
-`multi_contact` finds the contacts of a sphere with a hollow body.
+In the order of `MODELS`, each model covers what the one before it cannot: circular patches,
+elliptic patches, thin layers, any gap. The models in `BATCHED` have closed forms or tables:
+`ContactModel` evaluates them for many contacts at once, also as CasADi expressions. `solve` solves
+one contact and checks that it lies in the range of the model. `multi_contact` finds the contacts of
+a sphere with a body that has hollows.
 """
 
 from __future__ import annotations
@@ -17,29 +18,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import ContactError, UnknownNameError
+from ..core.arguments import check_name
+from ..core.errors import ContactError
 from ..core.se3 import Array
 from .patch import Patch, Patches
-from .problem import MAX_LAYER_RATIO, MAX_WIDTH, ContactProblem, width
+from .problem import MAX_LAYER_RATIO, MAX_WIDTH, ContactProblem, check_ratio, width_ratio
 
 MODELS = ("hertz", "elliptic", "layered", "field")
-"""Names of the contact models, each a module of this folder."""
-MODULES = {"field": "boundary_elements"}
-"""Modules of the models that are named otherwise."""
+"""Names of the contact models; all but "field" (module boundary_elements) are modules here."""
 BATCHED = MODELS[:3]
-"""Names of the models that `patches` and `force` know."""
+"""Names of the models of ContactModel."""
 AUTO = "auto"
-"""In place of a name, of a scene or a belief: the first of BATCHED that holds."""
+"""In a scene or a belief, instead of a name: the first model of BATCHED that is valid."""
 
 __all__ = [
+    "AUTO",
     "BATCHED",
     "MODELS",
     "ContactModel",
     "ContactProblem",
     "Patch",
     "Patches",
-    "force",
-    "patches",
     "solve",
 ]
 
@@ -57,50 +56,71 @@ def solve(
 ) -> Patch:
     """The contact patch of a rigid spherical indenter pressed on a body.
 
-    force, N; curvature: the body's principal curvatures, 1/m, positive where convex (one number
-    for both equal); indenter_radius, m; modulus: the body's Young's modulus, Pa; poisson: its
-    Poisson's ratio; thickness of the body's soft layer, m, None for a half-space. With `upgrade`,
-    where the scene leaves the model's range the next model up takes it; `.model` of the patch
-    says which one did. Raises UnknownNameError for an unknown model, ContactError for what leaves
-    the range of the model (with `upgrade`, of all from it up).
+    model: one of MODELS; force, N; curvature: principal curvatures of the body, 1/m, positive where
+    convex (one number for both equal); indenter_radius, m; modulus: Young's modulus of the body,
+    Pa; poisson: its Poisson's ratio; thickness of its soft layer, m, None for a half-space;
+    upgrade: where the contact is out of range of the model, the next one in MODELS is tried. The
+    attribute `.model` of the patch is the name of the model used.
+
+    Raises UnknownNameError for an unknown model, ContactError for a contact out of range of the
+    model (with `upgrade`, of all models from it on).
     """
-    _known(model, MODELS)
-    # what is no contact at all is refused here, before any model is tried
-    setting = ContactProblem(force, curvature, indenter_radius, modulus, poisson, thickness)
-    for name in MODELS[MODELS.index(model) : -1] if upgrade else ():
+    check_name("contact model", model, MODELS)
+    problem = ContactProblem(force, curvature, indenter_radius, modulus, poisson, thickness)
+    names = MODELS[MODELS.index(model) :] if upgrade else (model,)
+    for name in names[:-1]:
         try:
-            patch: Patch = _module(name).solve(setting)
+            return _solve(name, problem)
         except ContactError:
             continue
-        return patch
-    patch = _module(MODELS[-1] if upgrade else model).solve(setting)
-    return patch
+    return _solve(names[-1], problem)
+
+
+def _solve(name: str, problem: ContactProblem) -> Patch:
+    """The patch of one model, in its range. Raises ContactError."""
+    if name == "field":
+        from . import boundary_elements
+
+        return boundary_elements.solve(problem)
+    check_ratio(problem.curvature_ratio, _module(name).MAX_CURVATURE_RATIO, name)
+    found = ContactModel(name, problem.poisson, problem.thickness).patches(
+        force=problem.force,
+        curvature=problem.curvature_pair,
+        indenter_radius=problem.indenter_radius,
+        effective_modulus=problem.effective_modulus,
+    )
+    axes = np.sort([found.first, found.second])[::-1]
+    problem.check_width(axes, name)
+    if name != "layered":
+        problem.check_thickness(axes, name)
+    return Patch(axes, float(found.peak), float(found.depth), name, float(found.exponent))
 
 
 @dataclass(frozen=True)
 class ContactModel:
-    """A batched contact model and the soft layer that it is asked about.
+    """A contact model of BATCHED and the soft layer that it is applied to.
 
-    Its methods take NumPy arrays, or CasADi expressions with a column of two curvatures.
+    The methods accept NumPy arrays, or CasADi expressions with a column of two curvatures.
     """
 
     name: str = "hertz"
     """One of BATCHED."""
     poisson: float = 0.49
-    """Poisson's ratio; it matters to `layered` only."""
+    """Poisson's ratio; only `layered` uses it."""
     thickness: float | None = None
-    """Thickness of the soft layer, m, None for a half-space; it matters to `layered` only."""
+    """Thickness of the soft layer, m, None for a half-space; `patches` of `layered` and `is_valid`
+    use it."""
 
     def __post_init__(self) -> None:
-        _known(self.name, BATCHED)
+        check_name("contact model", self.name, BATCHED)
 
     def patches(
         self, *, force: Any, curvature: Any, indenter_radius: Any, effective_modulus: Any
     ) -> Patches:
         """Patches under `force` (...), N, at `curvature` (..., 2), 1/m; effective_modulus: E*, Pa.
 
-        For `hertz` the circle of the mean curvature. Raises ContactError for NumPy values outside
-        the range of the model's series (not for its physical limits: `solve` has these).
+        `hertz` uses the mean curvature. Raises ContactError for NumPy values outside the series or
+        the table of the model; its physical limits are those of `is_valid`.
         """
         found: Patches = self._law.patches(force, curvature, indenter_radius, effective_modulus)
         return found
@@ -108,32 +128,27 @@ class ContactModel:
     def force(
         self, *, depth: Any, curvature: Any, indenter_radius: Any, effective_modulus: Any
     ) -> Any:
-        """Force, N, from the approach `depth` (...), m; other arguments and errors as `patches`.
+        """Force, N, from the approach `depth` (...), m; other arguments and errors as in `patches`.
 
         Zero, with finite derivatives, where depth <= 0.
         """
-        if self.name == "hertz":
-            radius = self._law.relative_radius(curvature, indenter_radius)
-            return self._law.force(depth, radius, effective_modulus)
-        return self._law.force(depth, curvature, indenter_radius, effective_modulus)
+        return self._law.force(depth, *self._shape(curvature, indenter_radius), effective_modulus)
 
     def slope(
         self, *, depth: Any, curvature: Any, indenter_radius: Any, effective_modulus: Any
     ) -> Any:
-        """dF/d(depth), N/m, at depths > 0; other arguments and errors as `force`.
+        """dF/d(depth), N/m, at depths > 0; other arguments and errors as in `force`.
 
-        For `layered` of CasADi expressions only.
+        For `layered`, of CasADi expressions only.
         """
-        if self.name == "hertz":
-            radius = self._law.relative_radius(curvature, indenter_radius)
-            return self._law.slope(depth, radius, effective_modulus)
-        if self.name == "elliptic":
-            return self._law.slope(depth, curvature, indenter_radius, effective_modulus)
+        shape = self._shape(curvature, indenter_radius)
+        if self.name != "layered":
+            return self._law.slope(depth, *shape, effective_modulus)
         import casadi as ca
 
-        at = ca.SX.sym("depth")
-        force = self._law.force(at, curvature, indenter_radius, effective_modulus)
-        return ca.substitute(ca.gradient(force, at), at, depth)
+        x = ca.SX.sym("depth")
+        force = self._law.force(x, *shape, effective_modulus)
+        return ca.substitute(ca.gradient(force, x), x, depth)
 
     def is_valid(
         self,
@@ -143,57 +158,46 @@ class ContactModel:
         indenter_radius: float,
         effective_modulus: float,
     ) -> NDArray[np.bool_]:
-        """Whether `solve` has a patch (k,) at `curvature` (k, 2), 1/m.
+        """Whether contacts (k,) at `curvature` (k, 2), 1/m, are in the range of the model.
 
-        `force` is one or (k,); other arguments as `patches`. All limits of the model, for many
-        contacts at once; `solve` says which one it is that does not hold.
+        `force` is a number or (k,); other arguments as in `patches`. `solve` raises an error that
+        names the limit exactly where this is False.
         """
         pairs = np.sort(np.asarray(curvature, dtype=float), axis=1)
         force = np.broadcast_to(np.asarray(force, dtype=float), len(pairs))
         try:
-            module, law = _module(self.name), self._law
-        except ContactError:  # a layer that the table does not know
+            law = self._law
+        except ContactError:  # a layer outside the table
             return np.zeros(len(pairs), dtype=bool)
         relative = pairs + 1 / indenter_radius
-        good = np.isfinite(pairs).all(axis=1) & (relative[:, 0] > 0)
-        good[good] = relative[good, 1] <= module.MAX_CURVATURE_RATIO * relative[good, 0]
+        valid = np.isfinite(pairs).all(axis=1) & (relative[:, 0] > 0)
+        max_ratio = _module(self.name).MAX_CURVATURE_RATIO
+        valid[valid] = relative[valid, 1] <= max_ratio * relative[valid, 0]
         if self.name == "layered":
-            chi = law.chi(force[good], pairs[good], indenter_radius, effective_modulus)
-            good[good] = chi <= module.MAX_CHI
-        found = law.patches(force[good], pairs[good], indenter_radius, effective_modulus)
+            chi = law.chi(force[valid], pairs[valid], indenter_radius, effective_modulus)
+            valid[valid] = chi <= _module(self.name).MAX_CHI
+        found = law.patches(force[valid], pairs[valid], indenter_radius, effective_modulus)
         axes = np.stack([found.first, found.second], axis=1)
-        fits = width(axes, pairs[good], indenter_radius) <= MAX_WIDTH
+        narrow = width_ratio(axes, pairs[valid], indenter_radius) <= MAX_WIDTH
         if self.thickness is not None and self.name != "layered":
-            fits &= axes.max(axis=1) <= MAX_LAYER_RATIO * self.thickness
-        good[good] = fits
-        return good
+            narrow &= axes.max(axis=1) <= MAX_LAYER_RATIO * self.thickness
+        valid[valid] = narrow
+        return valid
 
     @property
     def _law(self) -> Any:
+        """The functions patches, force and slope: a module, or a layer."""
         if self.name != "layered":
             return _module(self.name)
         thickness = math.inf if self.thickness is None else self.thickness
         return _module(self.name).BondedLayer(self.poisson, thickness)
 
-
-def patches(
-    model: str, *, poisson: float = 0.49, thickness: float | None = None, **contact: Any
-) -> Patches:
-    """Patches of many contacts by a model of `BATCHED`: see `ContactModel.patches`."""
-    return ContactModel(model, poisson, thickness).patches(**contact)
-
-
-def force(
-    model: str, *, poisson: float = 0.49, thickness: float | None = None, **contact: Any
-) -> Any:
-    """Force, N, from the approach, by a model of `BATCHED`: see `ContactModel.force`."""
-    return ContactModel(model, poisson, thickness).force(**contact)
+    def _shape(self, curvature: Any, indenter_radius: Any) -> tuple[Any, ...]:
+        """The geometry as force and slope take it: `hertz` takes the relative radius, m."""
+        if self.name == "hertz":
+            return (self._law.relative_radius(curvature, indenter_radius),)
+        return curvature, indenter_radius
 
 
-def _known(model: str, names: Sequence[str]) -> None:
-    if model not in names:
-        raise UnknownNameError("contact model", model, names)
-
-
-def _module(model: str) -> Any:
-    return import_module(f".{MODULES.get(model, model)}", __name__)
+def _module(name: str) -> Any:
+    return import_module(f".{name}", __name__)

@@ -1,4 +1,4 @@
-"""One source for NumPy and CasADi: the formulas are written once and take either."""
+"""Formulas that accept NumPy arrays and CasADi expressions, and Chebyshev series for both."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def is_casadi(*values: Any) -> bool:
 
 
 def functions(*values: Any) -> Any:
-    """The module whose sqrt, exp, log, fmin, fmax, atan2 take `values`: casadi or numpy."""
+    """The module with sqrt, exp, log, fmin, fmax, atan2 for `values`: casadi or numpy."""
     if not is_casadi(*values):
         return np
     import casadi
@@ -24,19 +24,22 @@ def functions(*values: Any) -> Any:
 
 
 def chebyshev_nodes(count: int) -> Array:
-    """Chebyshev points (count,) of the second kind in [-1, 1], rising, both ends among them."""
+    """Chebyshev points (count,) of the second kind in [-1, 1], ascending, including both ends."""
     return np.asarray(-np.cos(np.pi * np.arange(count) / (count - 1)))
 
 
 def chebyshev_coefficients(values: Array) -> Array:
-    """Coefficients (n, ...) of the series through `values` (n, ...) at `nodes(n)`."""
+    """Coefficients (n, ...) of the series through `values` (n, ...) at `chebyshev_nodes(n)`."""
     basis = np.polynomial.chebyshev.chebvander(chebyshev_nodes(len(values)), len(values) - 1)
     flat = np.linalg.solve(basis, values.reshape(len(values), -1))
     return np.asarray(flat.reshape(values.shape))
 
 
 def chebyshev_values(coefficients: Array, x: Any) -> list[Any]:
-    """The k series with `coefficients` (n, k), n > 2, at `x` in [-1, 1] (Clenshaw's recurrence)."""
+    """Values at `x` in [-1, 1] of the k series with `coefficients` (n, k), n > 2.
+
+    Clenshaw's recurrence: numpy's chebval does not accept CasADi expressions.
+    """
     double = 2 * x
     out = []
     for column in coefficients.T.tolist():

@@ -1,4 +1,4 @@
-"""Hertz contact with unequal curvatures: the exact ellipse, for NumPy and CasADi alike.
+"""Hertz contact with unequal curvatures: the exact ellipse, for NumPy arrays and CasADi.
 
 The gap is A x^2 + B y^2, with relative curvatures 2A and 2B. With semi-axes a and b, Carlson's
 integrals R_F and R_D, and p_0 = 3 F / (2 pi a b),
@@ -6,10 +6,10 @@ integrals R_F and R_D, and p_0 = 3 F / (2 pi a b),
     A = p_0 a b R_D(0, b^2, a^2) / (3 E*),  B = p_0 a b R_D(0, a^2, b^2) / (3 E*),
     delta = p_0 a b R_F(0, a^2, b^2) / E*,  p = p_0 sqrt(1 - x^2/a^2 - y^2/b^2).
 
-In units of the circular patch a_0, delta_0 with 1/R = A + B, three numbers give all: the aspect
-ln(a/b) / ln(B/A), the size sqrt(a b) / a_0 and the depth delta / delta_0. All are even and smooth
-in ln(B/A), so one Chebyshev series in its square holds each to 1e-9, without a branch at the
-circle. The coefficients are made from the equations when first asked for.
+Relative to the circular patch a_0, delta_0 with 1/R = A + B, the solution is given by the factors
+ln(a/b) / ln(B/A) (aspect), sqrt(a b) / a_0 (size) and delta / delta_0 (depth). They are even and
+smooth in ln(B/A), so that one Chebyshev series in its square represents each to 1e-9, without a
+branch at the circle. The coefficients are computed from the equations on first use.
 
 Source: K. L. Johnson, "Contact Mechanics" (1985), section 4.2, eq. 4.24-4.33; B. C. Carlson,
 Numerical Algorithms 10 (1995).
@@ -23,83 +23,59 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import ContactError
 from ..core.se3 import Array
 from . import hertz
 from .array_backend import chebyshev_coefficients, chebyshev_nodes, chebyshev_values, functions
-from .patch import Patch, Patches
-from .problem import ContactProblem, relative_curvatures
+from .patch import Patches
+from .problem import check_ratio, relative_curvatures
 
 MAX_CURVATURE_RATIO = 1000.0
-"""Largest B/A of the series: a patch 61 times as long as it is wide."""
+"""Largest B/A of the series: a patch 61 times as long as wide, beyond any contact of a skin."""
 TERMS = 24
-"""Terms of the series: the error is below 1e-9."""
-_END = math.log(MAX_CURVATURE_RATIO) ** 2
+"""Terms of the series: the error is below 1e-9 (tests/contact/test_elliptic.py)."""
+_MAX_SQUARE = math.log(MAX_CURVATURE_RATIO) ** 2
+"""Largest ln(B/A)^2 of the series."""
 
 
 def patches(force: Any, curvature: Any, indenter_radius: Any, modulus: Any) -> Patches:
-    """Patches of many contacts: `force` (...), N, `curvature` (..., 2), 1/m, E* `modulus`, Pa.
+    """Elliptic patches of many contacts.
 
-    NumPy arrays, or CasADi expressions with a column of two curvatures (there the ratio B/A is
-    held at the limit of the model). Raises ContactError for NumPy values outside the range.
+    force (...), N; curvature (..., 2), 1/m; modulus: E*, Pa. NumPy arrays, or CasADi expressions
+    with a column of two curvatures, whose ratio B/A is clipped at MAX_CURVATURE_RATIO. Raises
+    ContactError for NumPy values out of range.
     """
-    radius, aspect, size, sink = _geometry(curvature, indenter_radius)
+    radius, aspect, size, depth = _factors(curvature, indenter_radius)
     circle = hertz.contact_radius(force, radius, modulus)
     return Patches(
         first=circle * size * aspect,
         second=circle * size / aspect,
         peak=2 / math.pi * modulus * circle / (radius * size**2),
-        depth=hertz.depth(circle, radius) * sink,
+        depth=hertz.depth(circle, radius) * depth,
     )
 
 
 def force(depth: Any, curvature: Any, indenter_radius: Any, modulus: Any) -> Any:
-    """Force, N, from the approach `depth`, m; zero, with finite derivatives, where <= 0.
+    """Force, N, from the approach `depth`, m; zero, with finite derivatives, where depth <= 0.
 
-    Other arguments and errors as `patches`.
+    Other arguments and errors as in `patches`.
     """
-    radius, _, _, sink = _geometry(curvature, indenter_radius)
-    return hertz.force(depth / sink, radius, modulus)
+    radius, _, _, factor = _factors(curvature, indenter_radius)
+    return hertz.force(depth / factor, radius, modulus)
 
 
 def slope(depth: Any, curvature: Any, indenter_radius: Any, modulus: Any) -> Any:
-    """dF/d(depth), N/m, at approaches > 0, m; other arguments and errors as `patches`."""
-    radius, _, _, sink = _geometry(curvature, indenter_radius)
-    return hertz.slope(depth / sink, radius, modulus) / sink
+    """dF/d(depth), N/m, at approaches > 0, m; other arguments and errors as in `patches`."""
+    radius, _, _, factor = _factors(curvature, indenter_radius)
+    return hertz.slope(depth / factor, radius, modulus) / factor
 
 
-def stretch(curvature: Any, indenter_radius: Any) -> Any:
-    """sqrt(a/b), with a along the first principal direction; arguments as `patches`."""
-    return _geometry(curvature, indenter_radius)[1]
+def root_aspect(curvature: Any, indenter_radius: Any) -> Any:
+    """sqrt(a/b), where a lies along the first principal direction; arguments as in `patches`."""
+    return _factors(curvature, indenter_radius)[1]
 
 
-def solve(setting: ContactProblem) -> Patch:
-    """The elliptic Hertz patch of a rigid sphere on a body.
-
-    The patch's x axis lies along the body's principal direction of smaller curvature. Raises
-    ContactError for what leaves the model's range.
-    """
-    refuse_ratio(setting.ratio)
-    found = patches(setting.force, setting.pair, setting.indenter_radius, setting.e_star)
-    axes = np.sort([found.first, found.second])[::-1]
-    setting.refuse_wide(axes, "elliptic")
-    setting.refuse_layer(axes, "elliptic")
-    return Patch(axes, float(found.peak), float(found.depth), "elliptic")
-
-
-def refuse_ratio(ratio: float) -> None:
-    """Raise ContactError where B/A leaves the series."""
-    if not ratio <= MAX_CURVATURE_RATIO:
-        raise ContactError(
-            "the patch is longer than the elliptic model goes",
-            value=f"ratio of relative curvatures {ratio:.4g}",
-            limit=f"{MAX_CURVATURE_RATIO:g}",
-            remedy="use a smaller indenter",
-        )
-
-
-def exact(log_ratio: float) -> tuple[float, float, float]:
-    """Aspect, size and depth at ln(B/A) = `log_ratio` >= 0 from the equations, by root finding."""
+def exact_factors(log_ratio: float) -> tuple[float, float, float]:
+    """Aspect, size and depth at ln(B/A) = `log_ratio` >= 0, by root finding on the equations."""
     from scipy.optimize import brentq
     from scipy.special import elliprd, elliprf
 
@@ -111,27 +87,28 @@ def exact(log_ratio: float) -> tuple[float, float, float]:
         a, b = gap(log_aspect)
         return math.log(b / a) - log_ratio
 
-    circle = log_ratio < 1e-9  # below, the root is lost in rounding, and 2/3 is exact
+    circle = log_ratio < 1e-9  # below, rounding dominates the root, and the limit 2/3 is exact
     root = 0.0 if circle else brentq(excess, 0.0, log_ratio, xtol=1e-16, rtol=1e-15)
     size = (2 * sum(gap(root)) / math.pi) ** (1 / 3)
     depth = 2 / math.pi / size * elliprf(0, math.exp(root), math.exp(-root))
     return (2 / 3 if circle else root / log_ratio), size, float(depth)
 
 
-def _geometry(curvature: Any, indenter_radius: Any) -> tuple[Any, Any, Any, Any]:
+def _factors(curvature: Any, indenter_radius: Any) -> tuple[Any, Any, Any, Any]:
     """R, sqrt(a/b), sqrt(a b)/a_0, delta/delta_0; a lies along the first principal direction."""
     k1, k2 = relative_curvatures(curvature, indenter_radius)
     f = functions(k1, k2)
     log_ratio = f.log(k2 / k1)
     square = log_ratio**2
     if f is np:
-        refuse_ratio(math.exp(math.sqrt(np.max(square, initial=0.0)) - 1e-12))
-    aspect, size, depth = chebyshev_values(_series(), f.fmin(2 / _END * square, 2.0) - 1)
+        largest = math.exp(math.sqrt(np.max(square, initial=0.0)) - 1e-12)
+        check_ratio(largest, MAX_CURVATURE_RATIO, "elliptic")
+    aspect, size, depth = chebyshev_values(_series(), f.fmin(2 / _MAX_SQUARE * square, 2.0) - 1)
     return 2 / (k1 + k2), f.exp(log_ratio * aspect / 2), size, depth
 
 
 @functools.cache
 def _series() -> Array:
     """Chebyshev coefficients (TERMS, 3) in ln(B/A)^2 of aspect, size and depth."""
-    squares = _END / 2 * (1 + chebyshev_nodes(TERMS))
-    return chebyshev_coefficients(np.array([exact(math.sqrt(q)) for q in squares]))
+    squares = _MAX_SQUARE / 2 * (1 + chebyshev_nodes(TERMS))
+    return chebyshev_coefficients(np.array([exact_factors(math.sqrt(q)) for q in squares]))

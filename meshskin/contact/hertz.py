@@ -1,4 +1,4 @@
-"""Hertz contact of two spheres: closed forms, for NumPy arrays and CasADi expressions alike.
+"""Hertz contact of two spheres: closed forms for NumPy arrays and CasADi expressions.
 
     1/R = 1/R_1 + 1/R_2,  1/E* = (1 - nu_1^2)/E_1 + (1 - nu_2^2)/E_2,
     a = (3 F R / 4 E*)^(1/3),  delta = a^2 / R,  F = 4/3 E* sqrt(R) delta^(3/2),
@@ -13,29 +13,19 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
-from ..core.errors import ContactError
 from .array_backend import functions
-from .patch import Patch, Patches
-from .problem import ContactProblem, principal_curvatures
+from .patch import Patches
+from .problem import principal_curvatures
 
 MAX_CURVATURE_RATIO = 1.05
-"""Largest ratio of relative curvatures taken for a circle."""
-
-
-def effective_modulus(
-    young: Any, poisson: Any, indenter_young: Any = math.inf, indenter_poisson: Any = 0.0
-) -> Any:
-    """Contact modulus E*, Pa, from the Young's moduli, Pa, and Poisson's ratios of the two."""
-    compliance = (1 - poisson**2) / young
-    return 1 / (compliance + (1 - indenter_poisson**2) / indenter_young)
+"""Largest ratio of relative curvatures for a circular patch: at it the semi-axes of the ellipse
+differ by 3.3 % (a/b = ratio^(2/3)) and the peak pressure changes by 0.013 %."""
 
 
 def relative_radius(curvature: Any, indenter_radius: Any) -> Any:
     """Radius R, m, of the equivalent sphere: 1/R = mean principal curvature + 1/indenter radius.
 
-    `curvature`, 1/m, positive where convex: as `setting.principal_curvatures`.
+    `curvature`, 1/m, positive where convex, as in `problem.principal_curvatures`.
     """
     k1, k2 = principal_curvatures(curvature)
     return 1 / ((k1 + k2) / 2 + 1 / indenter_radius)
@@ -47,7 +37,7 @@ def contact_radius(force: Any, radius: Any, modulus: Any) -> Any:
 
 
 def peak_pressure(force: Any, contact_radius: Any) -> Any:
-    """Pressure p_0, Pa, at the centre, from the force, N, and the contact radius a, m."""
+    """Pressure p_0, Pa, at the centre from the force, N, and the contact radius a, m."""
     return 1.5 / math.pi * force / contact_radius**2
 
 
@@ -60,40 +50,21 @@ def force(depth: Any, radius: Any, modulus: Any) -> Any:
     """Force, N, from the approach delta, m; zero, with finite derivatives, where delta <= 0."""
     f = functions(depth, radius, modulus)
     positive = f.fmax(depth, 0.0)
-    # sqrt(fmax(delta, 0)) alone has an infinite derivative at 0.
+    # sqrt(fmax(delta, 0)) alone has an infinite derivative at 0
     return 4 / 3 * modulus * f.sqrt(radius) * positive * f.sqrt(f.fmax(depth, 1e-12))
 
 
 def slope(depth: Any, radius: Any, modulus: Any) -> Any:
-    """dF/d(depth), N/m, at approaches delta > 0, m; other arguments as `force`."""
+    """dF/d(depth), N/m, at approaches delta > 0, m; other arguments as in `force`."""
     return 2 * modulus * functions(depth, radius, modulus).sqrt(radius * depth)
 
 
 def patches(force: Any, curvature: Any, indenter_radius: Any, modulus: Any) -> Patches:
-    """Patches of many contacts: `force` (...), N, `curvature` (..., 2), 1/m, E* `modulus`, Pa.
+    """Circular patches of the mean curvature for many contacts.
 
-    Circles of the mean curvature. NumPy arrays or CasADi expressions, as `relative_radius`.
+    force (...), N; curvature (..., 2), 1/m; modulus: E*, Pa. NumPy arrays, or CasADi expressions
+    with a column of two curvatures.
     """
     radius = relative_radius(curvature, indenter_radius)
     a = contact_radius(force, radius, modulus)
     return Patches(a, a, 2 / math.pi * modulus * a / radius, depth(a, radius))
-
-
-def solve(setting: ContactProblem) -> Patch:
-    """The circular Hertz patch of a rigid sphere on a body.
-
-    Raises ContactError for what leaves the model's range.
-    """
-    if setting.ratio > MAX_CURVATURE_RATIO:
-        raise ContactError(
-            "hertz is for circular patches, and the relative curvatures are unequal",
-            value=f"ratio {setting.ratio:.3f}",
-            limit=f"{MAX_CURVATURE_RATIO}",
-            remedy="use elliptic, or a smaller indenter",
-        )
-    a = contact_radius(setting.force, setting.radius, setting.e_star)
-    axes = np.array([a, a])
-    setting.refuse_wide(axes, "hertz")
-    setting.refuse_layer(axes, "hertz")
-    peak = peak_pressure(setting.force, a) if a > 0 else 0.0
-    return Patch(axes, float(peak), float(depth(a, setting.radius)), "hertz")

@@ -1,4 +1,4 @@
-"""The indenter: a rigid sphere on a straight support, whose pose in the world is known."""
+"""The indenter: a rigid sphere on a straight support, at a known pose in the world."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.config import check_fields, quantity
 from ..core.errors import ConfigError
-from ..core.se3 import Array, exp_so3
+from ..core.se3 import Array, shortest_rotation
 
 
 @dataclass(frozen=True)
@@ -16,15 +16,15 @@ class Indenter:
     """A rigid sphere, fixed in the world."""
 
     radius: float = quantity("m", 0.01, above=0.0, least=1e-6, most=1.0)
-    """Radius r_e."""
+    """Radius r_e of the sphere."""
     position: tuple[float, float, float] = quantity("m", (0.424, -0.424, 0.7), least=-10, most=10)
-    """Centre, world; the default lies well inside the reach of a Puma 560."""
+    """Centre of the sphere, world frame; the default is well inside the workspace of a Puma 560."""
     support_radius: float | None = quantity("m", None, above=0.0, most=1.0)
-    """Radius of the column that carries the sphere; None: 0.4 of the sphere's."""
+    """Radius of the column that carries the sphere; None: 0.4 of the sphere's radius."""
     support_height: float = quantity("m", 0.1, above=0.0, most=10.0)
-    """Length of that column behind the sphere."""
+    """Length of the column behind the sphere."""
     direction: tuple[float, float, float] = quantity("", (0.0, 0.0, 1.0))
-    """Where it points, from the support to the sphere, world; its length is of no matter."""
+    """Vector of any length from the support to the sphere, world frame."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -42,21 +42,21 @@ class Indenter:
 
     @property
     def axis(self) -> Array:
-        """Unit vector (3,), world, in which it points: the body is pressed on it the other way."""
-        way = np.array(self.direction, dtype=float)
-        way /= np.abs(way).max()  # the square of a very small or large number is none
-        return np.asarray(way / np.linalg.norm(way))
+        """Unit vector (3,) from the support to the sphere, world frame.
+
+        The body is pressed against the indenter in the opposite direction.
+        """
+        axis = np.array(self.direction, dtype=float)
+        axis /= np.abs(axis).max()  # the square of a very small or large number is 0 or inf
+        return np.asarray(axis / np.linalg.norm(axis))
 
     @property
     def rotation(self) -> Array:
-        """Rotation (3, 3), world from the indenter's frame: its z axis points as it does.
+        """Rotation (3, 3), world from the frame of the indenter, whose z axis is `axis`.
 
-        The least turn out of the world's axes; half a turn about x where it points straight down.
+        The shortest rotation from the axes of the world.
         """
-        x, y, z = self.axis
-        sine = float(np.hypot(x, y))
-        axis = np.array([-y, x, 0.0]) / sine if sine > 0.0 else np.array([1.0, 0.0, 0.0])
-        return exp_so3(np.arctan2(sine, z) * axis)
+        return shortest_rotation([0.0, 0.0, 1.0], self.axis)
 
     @classmethod
     def sphere(
@@ -65,5 +65,5 @@ class Indenter:
         position: tuple[float, float, float] = (0.424, -0.424, 0.7),
         direction: tuple[float, float, float] = (0.0, 0.0, 1.0),
     ) -> Indenter:
-        """A sphere of `radius` (m) centred at `position` (m, world) that points in `direction`."""
+        """A sphere of `radius` (m) centred at `position` (m, world frame), see the fields."""
         return cls(radius, position, direction=direction)

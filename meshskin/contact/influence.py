@@ -1,14 +1,15 @@
-"""Surface displacement per pressure on a grid: elastic half-space, and bonded elastic layer.
+"""Surface displacement caused by pressure on a grid: elastic half-space and bonded elastic layer.
 
-A point force P on a half-space sinks the surface by P / (pi E* r); in Fourier space, per pressure,
-by 2 / (E* k). A layer of thickness t bonded to a rigid base, free of shear on top, multiplies it by
+A point force P displaces the surface of a half-space by P / (pi E* r); in Fourier space pressure of
+wavenumber k is multiplied by 2 / (E* k). For a layer of thickness t bonded to a rigid base, with a
+frictionless surface, this is multiplied by
 
     L(z) = (2 kappa sinh 2z - 4 z) / (2 kappa cosh 2z + 4 z^2 + 1 + kappa^2),
     z = k t, kappa = 3 - 4 nu.
 
-L - 1 falls like exp(-2 z): the layer's influence is the half-space's (exact for a rectangle) plus
-the smooth D(r/t) / (pi E* t), D(x) = integral_0^inf (L(z) - 1) J_0(z x) dz. So the grid has free
-surroundings in both cases, without periodic images, and any Poisson's ratio, 1/2 too, is good.
+L - 1 decays as exp(-2 z): the influence of the layer is that of the half-space (exact for a
+rectangle) plus the smooth D(r/t) / (pi E* t), D(x) = integral_0^inf (L(z) - 1) J_0(z x) dz. There
+are no periodic images in either case, and all Poisson's ratios including 1/2 are covered.
 
 Source: A. E. H. Love, Phil. Trans. R. Soc. A 228 (1929); K. L. Johnson, "Contact Mechanics" (1985),
 eq. 3.25; I. I. Vorovich, V. M. Aleksandrov, V. A. Babeshko, "Non-classical mixed problems of the
@@ -27,9 +28,9 @@ from ..core.errors import ContactError
 from ..core.se3 import Array
 
 LEAST_CELLS = 1.0
-"""Smallest number of grid cells in the thickness of a layer."""
-_END = 22.0
-"""Where exp(-2 z) z^2 has left double precision."""
+"""Smallest thickness of a layer in grid cells: D is smooth on the scale of the thickness."""
+_MAX_Z = 22.0
+"""End of the integral: exp(-2 z) z^2 is 4e-17 there, below double precision."""
 
 
 class Influence:
@@ -50,14 +51,14 @@ class Influence:
         from scipy import fft
 
         self.shape = shape
-        one = _rectangle(shape, spacing)
+        quadrant = _rectangle(shape, spacing)
         if thickness is not None:
-            one += _layer(shape, spacing, poisson, thickness)
+            quadrant += _layer(shape, spacing, poisson, thickness)
         self.padded = tuple(fft.next_fast_len(2 * n - 1, real=True) for n in shape)
         kernel = np.zeros(self.padded)
         n, m = shape
-        kernel[:n, :m] = one
-        kernel[-(n - 1) :, :m] = one[:0:-1]
+        kernel[:n, :m] = quadrant
+        kernel[-(n - 1) :, :m] = quadrant[:0:-1]
         kernel[:, -(m - 1) :] = kernel[:, m - 1 : 0 : -1]
         self._spectrum = fft.rfft2(kernel / (math.pi * modulus)).real  # even in x and y
 
@@ -90,14 +91,14 @@ def _rectangle(shape: tuple[int, int], spacing: tuple[float, float]) -> Array:
 def _layer(
     shape: tuple[int, int], spacing: tuple[float, float], poisson: float, thickness: float
 ) -> Array:
-    """pi E* times what the rigid base takes off `_rectangle`, mean over a cell."""
+    """pi E* times the change of `_rectangle` by the rigid base, mean over a cell."""
     dx, dy = (d / thickness for d in spacing)
     if max(dx, dy) * LEAST_CELLS > 1:
         raise ContactError(
-            "the layer is thinner than the grid resolves",
+            "the layer is too thin for the grid",
             value=f"thickness/cell = {1 / max(dx, dy):.2f}",
             limit=f">= {LEAST_CELLS:g}",
-            remedy="take a finer grid",
+            remedy="use a finer grid",
         )
     rho = np.hypot(np.arange(shape[0])[:, None] * dx, np.arange(shape[1]) * dy)
     # mean over a square cell: a Gaussian of the same variance, exact to fourth order
@@ -108,12 +109,12 @@ def _layer(
 
 @functools.lru_cache(maxsize=64)
 def _difference(poisson: float, variance: float, reach: float) -> Any:
-    """D(x) as a spline for 0 <= x <= reach; `variance` of the cell in units of t^2."""
+    """D(x) as a spline on 0 <= x <= reach; variance: of the cell, in units of t^2."""
     from scipy.interpolate import CubicSpline
     from scipy.special import j0
 
-    x, weight = np.polynomial.legendre.leggauss(64 + int(_END * reach / 2))
-    z = _END / 2 * (1 + x)
-    weight = _END / 2 * weight * layer_factor(z, poisson) * np.exp(-variance * z**2 / 2)
+    x, weight = np.polynomial.legendre.leggauss(64 + int(_MAX_Z * reach / 2))
+    z = _MAX_Z / 2 * (1 + x)
+    weight = _MAX_Z / 2 * weight * layer_factor(z, poisson) * np.exp(-variance * z**2 / 2)
     knots = np.linspace(0.0, reach, 65 + int(12 * reach))
     return CubicSpline(knots, j0(knots[:, None] * z) @ weight)

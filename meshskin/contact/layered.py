@@ -1,19 +1,19 @@
-"""A thin elastic layer bonded to a rigid core: Hertz with tabulated factors.
+"""A thin elastic layer bonded to a rigid core: Hertz's patch with tabulated factors.
 
-Radius, peak pressure and approach on a layer of thickness t, in parts of Hertz's on a half-space
-of the same E*, depend only on chi = a_Hertz / t and Poisson's ratio. The table holds them at
-Chebyshev points of chi / (1 + chi) and of Poisson's ratio, as the project's boundary elements
-(`field`) give them: studies/layer_table.py writes it. At chi = 0, an infinite thickness, all are 1
-and the patch is Hertz's. For one Poisson's ratio there remain three series in chi / (1 + chi).
+On a layer of thickness t, the ratios of contact radius, peak pressure and approach to Hertz's on a
+half-space of the same E* depend only on chi = a_Hertz / t and Poisson's ratio. The table holds them
+at Chebyshev points of chi / (1 + chi) and of Poisson's ratio, computed with boundary elements
+(`field`) by studies/layer_table.py. At chi = 0, an infinite thickness, all are 1. For one Poisson's
+ratio they are series in chi / (1 + chi).
 
-The profile is p_0 (1 - x^2/a^2 - y^2/b^2)^m, m = pi a b p_0 / F - 1, which carries the force
-exactly. An elliptic patch takes the factors of chi = sqrt(a b)_Hertz / t, and its ln(a/b) is
+The profile is p_0 (1 - x^2/a^2 - y^2/b^2)^m with m = pi a b p_0 / F - 1, whose integral is the
+force F. An elliptic patch takes the factors of chi = sqrt(a b)_Hertz / t, and its ln(a/b) is
 Hertz's times a fourth factor, tabulated for relative curvatures 2 : 1 (on a thin compressible layer
 a/b tends to (B/A)^(1/2), near the circle of a half-space to (B/A)^(2/3)).
 
 On circles, a, p_0 and depth are within 0.2 % of an axisymmetric finite-element contact (chi 0.1 to
-5, Poisson's ratio 0.3 to 0.49). The profile is the weaker part: means over discs of half the
-patch's radius are off by up to 2 % of p_0 on circles, 3.5 % at B/A = 3.
+5, Poisson's ratio 0.3 to 0.49). The profile is less accurate: means over discs of half the patch's
+radius differ by up to 2 % of p_0 on circles and 3.5 % at B/A = 3.
 """
 
 from __future__ import annotations
@@ -29,23 +29,31 @@ import numpy as np
 from ..core.errors import ContactError
 from ..core.se3 import Array
 from . import elliptic
-from .array_backend import chebyshev_coefficients, chebyshev_nodes, chebyshev_values, functions
-from .patch import Patch, Patches
-from .problem import FIELD, ContactProblem
+from .array_backend import (
+    chebyshev_coefficients,
+    chebyshev_nodes,
+    chebyshev_values,
+    functions,
+)
+from .patch import Patches
+from .problem import FIELD_REMEDY
 
 MAX_CHI = 10.0
-"""Largest a_Hertz / thickness of the table."""
+"""Largest a_Hertz / thickness of the table: there the approach is 0.08 (Poisson's ratio 1/2) to
+0.23 (0) of Hertz's."""
 CHIS, POISSONS = 21, 15
 """Chebyshev points of the table in chi / (1 + chi) and in Poisson's ratio, 0 to 0.5."""
 MAX_CURVATURE_RATIO = 3.0
-"""Largest B/A: there, p_0 is up to 3 % and the axes up to 2 % off those of `field`."""
+"""Largest B/A: there, p_0 differs by up to 3 % and the axes by up to 2 % from those of `field`."""
 TABLE = Path(__file__).with_name("layered.csv")
-_END = MAX_CHI / (1 + MAX_CHI)
+"""The table: chi, Poisson's ratio, and the four factors."""
+_MAX_ARGUMENT = MAX_CHI / (1 + MAX_CHI)
+"""Largest chi / (1 + chi) of the series."""
 
 
 @dataclass(frozen=True)
 class BondedLayer:
-    """A bonded layer: the factors of its Poisson's ratio, and the forces of its depths."""
+    """A bonded layer: the factors for its Poisson's ratio, and forces from approaches."""
 
     poisson: float
     """Poisson's ratio of the layer, 0 to 0.5."""
@@ -58,99 +66,78 @@ class BondedLayer:
                 "Poisson's ratio is outside the table of layered",
                 value=self.poisson,
                 limit="[0, 0.5]",
-                remedy=f'without a layer take "elliptic"; {FIELD}',
+                remedy=f'without a layer use "elliptic"; {FIELD_REMEDY}',
             )
         if not self.thickness > 0:
-            raise ContactError("thickness must be positive", value=f"{self.thickness} m")
+            raise ContactError(
+                "thickness must be positive", value=f"{self.thickness} m", limit="> 0"
+            )
 
     def factors(self, chi: Any) -> tuple[Any, Any, Any, Any]:
-        """Radius, peak pressure, approach, ln(a/b) in parts of Hertz's at `chi` = a_Hertz / t.
+        """Radius, peak pressure, approach and ln(a/b), relative to Hertz's, at `chi` = a_Hertz / t.
 
-        NumPy arrays, or CasADi expressions (there held at the end of the table).
+        NumPy arrays, or CasADi expressions, which are clipped at the end of the table.
         """
         f = functions(chi)
-        y = f.fmin(2 / _END * chi / (1 + chi), 2.0) - 1
-        radius, peak, depth, aspect = chebyshev_values(_factors(self.poisson), y)
+        y = f.fmin(2 / _MAX_ARGUMENT * chi / (1 + chi), 2.0) - 1
+        radius, peak, depth, aspect = chebyshev_values(_factor_series(self.poisson), y)
         return f.exp(radius), f.exp(peak), f.exp(depth), f.exp(aspect)
 
     def chi(self, force: Any, curvature: Any, indenter_radius: Any, modulus: Any) -> Any:
-        """a_Hertz / t of many contacts; arguments as `elliptic.patches`."""
-        whole = elliptic.patches(force, curvature, indenter_radius, modulus)
-        return _size(whole) / self.thickness
+        """a_Hertz / t of many contacts; arguments as in `elliptic.patches`."""
+        hertz = elliptic.patches(force, curvature, indenter_radius, modulus)
+        return _mean_radius(hertz) / self.thickness
 
     def patches(self, force: Any, curvature: Any, indenter_radius: Any, modulus: Any) -> Patches:
-        """Patches of many contacts; arguments as `elliptic.patches`, `modulus` is E*, Pa.
+        """Patches of many contacts; arguments as in `elliptic.patches`, `modulus` is E*, Pa.
 
-        Raises ContactError for NumPy values outside the range of the table.
+        Raises ContactError for NumPy values outside the table.
         """
-        whole = elliptic.patches(force, curvature, indenter_radius, modulus)
-        size = _size(whole)
+        hertz = elliptic.patches(force, curvature, indenter_radius, modulus)
+        size = _mean_radius(hertz)
         chi = size / self.thickness
         if functions(size) is np:
-            refuse_chi(float(np.max(chi, initial=0.0)))
+            _check_chi(float(np.max(chi, initial=0.0)))
         radius, peak, depth, aspect = self.factors(chi)
-        stretch = elliptic.stretch(curvature, indenter_radius) ** aspect
+        root_aspect = elliptic.root_aspect(curvature, indenter_radius) ** aspect
         return Patches(
-            first=size * radius * stretch,
-            second=size * radius / stretch,
-            peak=whole.peak * peak,
-            depth=whole.depth * depth,
+            first=size * radius * root_aspect,
+            second=size * radius / root_aspect,
+            peak=hertz.peak * peak,
+            depth=hertz.depth * depth,
             exponent=1.5 * radius**2 * peak - 1,
         )
 
     def force(self, depth: Any, curvature: Any, indenter_radius: Any, modulus: Any) -> Any:
-        """Force, N, from the approach `depth`, m; zero, with finite derivatives, where <= 0.
+        """Force, N, from the approach `depth`, m; zero, with finite derivatives, where depth <= 0.
 
-        Other arguments as `patches`. Beyond the table the force grows like Hertz's from its end.
+        Other arguments as in `patches`. Beyond the table the force grows like Hertz's.
         """
-        # the depth that a half-space would take under the same force
         f = functions(depth, curvature, indenter_radius, modulus)
-        sunk = f.fmax(depth, 0.0)
-        one = elliptic.patches(1.0, curvature, indenter_radius, modulus)
-        # a = a_1 (d/d_1)^(1/2) on the half-space; the square root is finite at 0 by its floor
-        mean = _size(one) / self.thickness
-        reach = mean * f.sqrt(f.fmax(sunk / one.depth, 1e-12))
-        y = f.fmin(2 * reach / (1 + reach) / _sunken_end(self.poisson), 2.0) - 1
-        (stiffer,) = chebyshev_values(_sunken(self.poisson), y)
-        return elliptic.force(sunk * f.exp(stiffer), curvature, indenter_radius, modulus)
+        positive = f.fmax(depth, 0.0)
+        unit = elliptic.patches(1.0, curvature, indenter_radius, modulus)
+        # on the half-space a = a_1 (d/d_1)^(1/2), the square root finite at 0 by its lower bound
+        scale = _mean_radius(unit) / self.thickness
+        z = scale * f.sqrt(f.fmax(positive / unit.depth, 1e-12))
+        y = f.fmin(2 * z / (1 + z) / _max_depth_argument(self.poisson), 2.0) - 1
+        (log_factor,) = chebyshev_values(_depth_series(self.poisson), y)
+        # the approach of a half-space under the same force
+        return elliptic.force(positive * f.exp(log_factor), curvature, indenter_radius, modulus)
 
 
-def solve(setting: ContactProblem) -> Patch:
-    """The patch of a rigid sphere on a bonded layer.
-
-    Without a thickness, of a half-space. Raises ContactError for what leaves the model's range.
-    """
-    if setting.ratio > MAX_CURVATURE_RATIO:
-        raise ContactError(
-            "the patch is too long for the factors of layered",
-            value=f"ratio of relative curvatures {setting.ratio:.3g}",
-            limit=f"{MAX_CURVATURE_RATIO:g}",
-            remedy=f"use a smaller indenter; {FIELD}",
-        )
-    layer = BondedLayer(
-        setting.poisson, math.inf if setting.thickness is None else setting.thickness
-    )
-    found = layer.patches(setting.force, setting.pair, setting.indenter_radius, setting.e_star)
-    axes = np.sort([found.first, found.second])[::-1]
-    setting.refuse_wide(axes, "layered")
-    return Patch(
-        axes, float(found.peak), float(found.depth), "layered", exponent=float(found.exponent)
-    )
-
-
-def _size(whole: Patches) -> Any:
+def _mean_radius(patches: Patches) -> Any:
     """sqrt(a b), m."""
-    return functions(whole.first, whole.second).sqrt(whole.first * whole.second)
+    return functions(patches.first, patches.second).sqrt(patches.first * patches.second)
 
 
-def refuse_chi(chi: float) -> None:
-    """Raise ContactError where chi leaves the table."""
+def _check_chi(chi: float) -> None:
+    """Raise ContactError where chi is outside the table."""
     if not chi <= MAX_CHI:
         raise ContactError(
-            "the layer is thinner than the table of layered goes",
+            "the layer is too thin for the table of layered",
             value=f"a_Hertz/thickness = {chi:.3g}",
             limit=f"{MAX_CHI:g}",
-            remedy=f"lower the force, or take a thicker layer; {FIELD}",
+            remedy=f"lower the force, or use a thicker layer; {FIELD_REMEDY}",
         )
 
 
@@ -164,22 +151,22 @@ def _table() -> Array:
 
 
 @functools.lru_cache(maxsize=64)
-def _factors(poisson: float) -> Array:
+def _factor_series(poisson: float) -> Array:
     """Coefficients (CHIS, 4) in chi / (1 + chi) for one Poisson's ratio."""
     basis = np.polynomial.chebyshev.chebvander(4 * poisson - 1, POISSONS - 1)[0]
     return np.asarray(np.einsum("ijk,j->ik", _table(), basis))
 
 
-def _sunken_end(poisson: float) -> float:
-    """z / (1 + z) at the end of the table, z = chi sqrt(depth factor): chi by its depth."""
-    depth = sum(_factors(poisson)[:, 2])
-    end = MAX_CHI * math.exp(depth / 2)
-    return end / (1 + end)
+def _max_depth_argument(poisson: float) -> float:
+    """z / (1 + z) at the end of the table, where z = chi sqrt(depth factor) = sqrt(depth R) / t."""
+    log_factor = sum(_factor_series(poisson)[:, 2])  # the value of the series at its end
+    z = MAX_CHI * math.exp(log_factor / 2)
+    return z / (1 + z)
 
 
 @functools.lru_cache(maxsize=64)
-def _sunken(poisson: float) -> Array:
-    """Coefficients (2 CHIS, 1) in z / (1 + z) of -ln(depth factor), z = sqrt(depth R) / t."""
+def _depth_series(poisson: float) -> Array:
+    """Coefficients (2 CHIS, 1) in z / (1 + z) of -ln(depth factor), see _max_depth_argument."""
     from scipy.optimize import brentq
 
     layer = BondedLayer(poisson, 1.0)
@@ -189,8 +176,8 @@ def _sunken(poisson: float) -> Array:
         return chi * math.sqrt(float(layer.factors(np.float64(chi))[2])) - z
 
     values = []
-    for y in _sunken_end(poisson) * (1 + chebyshev_nodes(2 * CHIS)) / 2:
+    for y in _max_depth_argument(poisson) * (1 + chebyshev_nodes(2 * CHIS)) / 2:
         z = y / (1 - y)
-        root = brentq(excess, 0.0, _END + 1e-9, args=(z,), xtol=1e-14) if z > 0 else 0.0
+        root = brentq(excess, 0.0, _MAX_ARGUMENT + 1e-9, args=(z,), xtol=1e-14) if z > 0 else 0.0
         values.append([-math.log(float(layer.factors(np.float64(root / (1 - root)))[2]))])
     return chebyshev_coefficients(np.array(values))

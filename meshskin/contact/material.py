@@ -1,4 +1,4 @@
-"""The skin's elastic material."""
+"""The elastic material of the skin, and its indentation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 from ..core.config import check_fields, quantity
 from ..core.errors import ContactError
 from ..core.se3 import Array
-from . import BATCHED, ContactModel, Patch, hertz, solve
+from . import BATCHED, ContactModel, Patch, solve
+from .problem import effective_modulus
 
 
 @dataclass(frozen=True)
@@ -29,28 +30,28 @@ class Material:
     @property
     def effective_modulus(self) -> float:
         """E* = E / (1 - nu^2) against a rigid indenter, Pa."""
-        return float(hertz.effective_modulus(self.young, self.poisson))
+        return float(effective_modulus(self.young, self.poisson))
 
 
 @dataclass(frozen=True)
 class Indentation:
-    """A rigid spherical indenter pressed on a material under one force.
-
-    Contact models are given by name, of physics.contact.BATCHED.
-    """
+    """A rigid spherical indenter pressed on a material under one force."""
 
     force: float
-    """N."""
+    """Contact force, N."""
     indenter_radius: float
-    """m."""
+    """Radius of the indenter, m."""
     material: Material
 
     def model(self, name: str) -> ContactModel:
-        """A contact model of this material. Raises UnknownNameError."""
+        """A contact model, one of BATCHED, of this material. Raises UnknownNameError."""
         return ContactModel(name, self.material.poisson, self.material.thickness)
 
     def patch(self, name: str, curvature: Array) -> Patch:
-        """The patch at principal curvatures (2,), 1/m. Raises ContactError where there is none."""
+        """The patch by the model `name` at principal curvatures (2,), 1/m.
+
+        Raises ContactError where the contact is out of range of the model.
+        """
         return solve(
             name,
             force=self.force,
@@ -62,25 +63,27 @@ class Indentation:
         )
 
     def invalid_reasons(self, name: str, curvature: Array) -> Array:
-        """Why a model does not hold (k,) at principal curvatures (k, 2), 1/m: strings, "" where it
-        does.
+        """Why the model `name` is not valid (k,) at principal curvatures (k, 2), 1/m.
+
+        Strings, "" where it is valid.
         """
-        holds = self.model(name).is_valid(
+        valid = self.model(name).is_valid(
             force=self.force,
             curvature=curvature,
             indenter_radius=self.indenter_radius,
             effective_modulus=self.material.effective_modulus,
         )
-        why, rows = np.full(len(curvature), "", dtype=object), np.flatnonzero(~holds)
+        rows = np.flatnonzero(~valid)
+        reasons = np.full(len(curvature), "", dtype=object)
         pairs, inverse = np.unique(np.round(curvature[rows], 2), axis=0, return_inverse=True)
         for k, pair in enumerate(pairs):
             try:
                 self.patch(name, pair)
             except ContactError as error:
-                why[rows[inverse.ravel() == k]] = f"{name} contact does not hold: {error.what}"
-        return why
+                reasons[rows[inverse.ravel() == k]] = f"{name} contact does not hold: {error.what}"
+        return reasons
 
     def first_valid_model(self, curvature: Array) -> str:
-        """The first model that holds at all of (k, 2) principal curvatures, 1/m, where any does."""
-        good = [int(np.sum(self.invalid_reasons(name, curvature) == "")) for name in BATCHED]
-        return BATCHED[int(np.argmax(good))]
+        """The first of BATCHED that is valid at as many of (k, 2) curvatures, 1/m, as any is."""
+        counts = [int(np.sum(self.invalid_reasons(name, curvature) == "")) for name in BATCHED]
+        return BATCHED[int(np.argmax(counts))]

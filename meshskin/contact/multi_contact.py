@@ -1,11 +1,11 @@
-"""Several contacts at once: where a sphere pressed on a hollow body touches it, and how hard.
+"""Several contacts at once: where a sphere pressed on a body with hollows touches it, and how hard.
 
-A contact is a local minimum of the distance from the sphere's centre to the surface that is below
-the sphere's radius. Faces in reach come from the KD-tree of the mesh's vertices; among them, those
-that no face at their vertices undercuts, or that are nearest inside, not on an edge, are the
-starts, and Newton walks on the smooth surface end in the minima. Each contact is then solved by
-itself: the displacement that one causes under another, about F / (pi E* distance) on a half-space,
-is left out.
+A contact is a local minimum of the distance from the sphere's centre to the surface that is smaller
+than the sphere's radius. Candidate faces come from the KD-tree of the mesh's vertices. Those whose
+neighbours are not closer, or whose closest point lies in their interior, are starting points of
+Newton iterations on the smooth surface, which end in the minima. Each contact is then solved
+separately: the displacement that one causes at another, about F / (pi E* distance) on a half-space,
+is neglected.
 """
 
 from __future__ import annotations
@@ -19,38 +19,41 @@ from ..core.errors import ContactError
 from ..core.se3 import Array
 from ..geometry.body import Body
 from ..geometry.mesh.triangles import closest_on_triangles
-from . import elliptic, layered
-from .patch import Patch
-from .problem import ContactProblem
+from . import ContactModel, Patch, solve
+from .problem import effective_modulus
 
-SAME = 1e-2
-"""Distance, in indenter radii, up to which two minima are one contact."""
-ON_EDGE = 0.02
-"""Angle, rad, between surface normal and line of centres above which a contact is on an edge."""
-CONFORMING = 1e-3
-"""Convexity of the gap, relative to the sphere's, below which contact is along a curve."""
-INSIDE = 1e-6
-"""Least barycentric weight of a foot inside a face."""
-_SLACK = 0.15
-"""How far a smooth patch may leave its flat face, in longest edges."""
+MERGE_DISTANCE = 1e-2
+"""Distance, in indenter radii, up to which two minima are one contact: far below the width of a
+patch, far above the convergence of Newton's iterations."""
+MAX_NORMAL_ANGLE = 0.02
+"""Angle, rad, between surface normal and line of centres above which a contact is on an edge: at a
+minimum on a smooth surface it is zero, within the accuracy of the surface's normals (1e-3)."""
+MIN_CONVEXITY = 1e-3
+"""Least 1 + curvature * distance, the convexity of the gap relative to that of the sphere: below,
+the sphere fits the body along a curve."""
+MIN_BARYCENTRIC = 1e-6
+"""Least barycentric weight of a closest point in the interior of a face; excludes rounding."""
+MAX_BULGE = 0.15
+"""Largest distance of the smooth surface from its flat face, in longest edges: that of an arc of
+67 degrees per edge, tan(67 deg / 4) / 2."""
 
 
 @dataclass(frozen=True)
 class IndenterContacts:
-    """The n places where a sphere penetrates a body, deepest first; body frame, SI units."""
+    """The n points where a sphere penetrates a body, deepest first; body frame, SI units."""
 
     point: Array
-    """(n, 3) nearest points of the surface, m"""
+    """Closest points (n, 3) of the surface, m."""
     normal: Array
-    """(n, 3) unit vectors from there to the sphere's centre"""
+    """Unit vectors (n, 3) from the points to the sphere's centre."""
     curvature: Array
-    """(n, 2) principal curvatures of the body, 1/m, positive where convex, larger first"""
+    """Principal curvatures (n, 2) of the body, 1/m, positive where convex, larger first."""
     depth: Array
-    """(n,) penetrations, m"""
+    """Penetrations (n,), m."""
     face: NDArray[np.intp]
-    """(n,) faces of the mesh"""
+    """Faces (n,) of the mesh."""
     smooth: NDArray[np.bool_]
-    """(n,) False on an edge or a corner, where no contact model here holds"""
+    """(n,) False on an edge or a corner, where no contact model is valid."""
 
     def __len__(self) -> int:
         """Number of contacts."""
@@ -60,8 +63,8 @@ class IndenterContacts:
 def find_contacts(body: Body, centre: ArrayLike, indenter_radius: float) -> IndenterContacts:
     """All contacts of a sphere of `indenter_radius`, m, centred at `centre` (3,), body frame, m.
 
-    None in reach gives an empty answer. Raises ContactError where the centre is inside the body,
-    and where the sphere fits the body along a curve.
+    Empty where the sphere does not touch the body. Raises ContactError where the centre is inside
+    the body, and where the sphere fits the body along a curve.
     """
     c = np.asarray(centre, dtype=float).reshape(3)
     if not (np.isfinite(c).all() and np.isfinite(indenter_radius) and indenter_radius > 0):
@@ -69,28 +72,28 @@ def find_contacts(body: Body, centre: ArrayLike, indenter_radius: float) -> Inde
             "centre and indenter radius must be finite, the radius positive",
             value=f"{c.tolist()}, {indenter_radius} m",
         )
-    starts = _starts(body, c, indenter_radius)
-    surface, here = body.surface, np.broadcast_to(c, (len(starts), 3))
-    hit = surface.descend(here, starts)
-    way = c - hit.point
-    distance = np.linalg.norm(way, axis=1)
-    normal = way / np.maximum(distance, 1e-300)[:, None]
-    smooth = np.linalg.norm(normal - hit.normal, axis=1) < ON_EDGE
-    # seen from inside: the far side of a thin wall, or the centre is in the body
-    outside = np.linalg.norm(normal + hit.normal, axis=1) > ON_EDGE
+    starts = _start_faces(body, c, indenter_radius)
+    hit = body.surface.descend(np.broadcast_to(c, (len(starts), 3)), starts)
+    offset = c - hit.point
+    distance = np.linalg.norm(offset, axis=1)
+    normal = offset / np.maximum(distance, 1e-300)[:, None]
+    smooth = np.linalg.norm(normal - hit.normal, axis=1) < MAX_NORMAL_ANGLE
+    # seen from the inside: the far side of a thin wall, or the centre is in the body
+    outside = np.linalg.norm(normal + hit.normal, axis=1) > MAX_NORMAL_ANGLE
     if not outside.any() and (len(starts) or body.mesh.is_watertight):
-        _refuse_inside(body, c)
-    bend = np.where(smooth, 1 + hit.curvature[:, 1] * distance, 1.0)
-    # where the distance bends down it has a saddle or a maximum, which is no contact
-    keep = np.flatnonzero(outside & (bend > -CONFORMING) & (distance < indenter_radius))
-    if len(keep) and bend[keep].min() < CONFORMING:
+        _check_outside(body, c)
+    convexity = np.where(smooth, 1 + hit.curvature[:, 1] * distance, 1.0)
+    # a negative convexity is a saddle or a maximum of the distance, which is no contact
+    keep = np.flatnonzero(outside & (convexity > -MIN_CONVEXITY) & (distance < indenter_radius))
+    if len(keep) and convexity[keep].min() < MIN_CONVEXITY:
         raise ContactError(
             "the indenter touches along a curve: no single contact point",
-            value=f"1 + curvature * distance = {bend[keep].min():.2g}",
-            limit=f"> {CONFORMING:g}",
+            value=f"1 + curvature * distance = {convexity[keep].min():.2g}",
+            limit=f"> {MIN_CONVEXITY:g}",
             remedy="use a smaller indenter",
         )
-    keep = _distinct(hit.point, keep[np.argsort(distance[keep])], SAME * indenter_radius)
+    nearest_first = keep[np.argsort(distance[keep])]
+    keep = _distinct(hit.point, nearest_first, MERGE_DISTANCE * indenter_radius)
     return IndenterContacts(
         point=hit.point[keep],
         normal=normal[keep],
@@ -101,8 +104,8 @@ def find_contacts(body: Body, centre: ArrayLike, indenter_radius: float) -> Inde
     )
 
 
-def _refuse_inside(body: Body, centre: Array) -> None:
-    """Raise ContactError if the indenter's centre (3,), body frame, m, lies in the body."""
+def _check_outside(body: Body, centre: Array) -> None:
+    """Raise ContactError if the indenter's centre (3,), body frame, m, lies inside the body."""
     signed = float(body.closest(centre[None]).distance[0])
     if signed <= 0:
         raise ContactError(
@@ -124,77 +127,84 @@ def solve_contacts(
 ) -> tuple[IndenterContacts, Array, list[Patch]]:
     """The contacts of a sphere at `centre`, their forces (n,), N, and their patches.
 
-    modulus: Young's, Pa; thickness, m, of a bonded layer (`layered`), None for a half-space
-    (`elliptic`). Raises ContactError for a contact on an edge, for patches that meet, and for what
-    leaves the model's range.
+    modulus: Young's modulus, Pa; thickness, m, of a bonded layer (`layered`), None for a half-space
+    (`elliptic`). Raises ContactError for a contact on an edge, for patches that overlap, and for
+    contacts out of range of the model.
     """
     found = find_contacts(body, centre, indenter_radius)
     if not found.smooth.all():
-        place = found.point[np.argmin(found.smooth)]
+        point = found.point[np.argmin(found.smooth)]
         raise ContactError(
-            "the indenter rests on an edge, where no contact model holds",
-            value="point " + ", ".join(f"{x:.4g}" for x in place) + " m",
-            remedy="keep the path off the body's edges, or round them",
+            "the indenter rests on an edge, where no contact model is valid",
+            value="point " + ", ".join(f"{x:.4g}" for x in point) + " m",
+            remedy="keep the path off the edges of the body, or round them",
         )
-    e_star = modulus / (1 - poisson**2)
-    if thickness is None:
-        force = elliptic.force(found.depth, found.curvature, indenter_radius, e_star)
-    else:
-        layer = layered.BondedLayer(poisson, thickness)
-        force = layer.force(found.depth, found.curvature, indenter_radius, e_star)
-    model = elliptic if thickness is None else layered
+    model = "elliptic" if thickness is None else "layered"
+    force = ContactModel(model, poisson, thickness).force(
+        depth=found.depth,
+        curvature=found.curvature,
+        indenter_radius=indenter_radius,
+        effective_modulus=effective_modulus(modulus, poisson),
+    )
     patches = [
-        model.solve(
-            ContactProblem(float(f), tuple(k), indenter_radius, modulus, poisson, thickness)
+        solve(
+            model,
+            force=f,
+            curvature=tuple(k),
+            indenter_radius=indenter_radius,
+            modulus=modulus,
+            poisson=poisson,
+            thickness=thickness,
         )
         for f, k in zip(force, found.curvature, strict=True)
     ]
-    _refuse_meeting(found, patches)
+    _check_separate(found, patches)
     return found, np.asarray(force), patches
 
 
-def _starts(body: Body, centre: Array, reach: float) -> NDArray[np.intp]:
-    """Faces near the sphere that hold a minimum by themselves, or that no neighbour undercuts."""
+def _start_faces(body: Body, centre: Array, reach: float) -> NDArray[np.intp]:
+    """Faces near the sphere that contain a minimum, or whose neighbours are not closer."""
     mesh = body.mesh
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     longest = float(mesh.edges_unique_length.max())
     # no point of a triangle is farther from all its vertices than its longest edge / sqrt(3)
-    near = mesh.kdtree.query_ball_point(centre, reach + longest * (3**-0.5 + _SLACK))
+    near = mesh.kdtree.query_ball_point(centre, reach + longest * (3**-0.5 + MAX_BULGE))
     if not near:
         return np.zeros(0, dtype=np.intp)
     candidates = np.unique(mesh.vertex_faces[near])
     candidates = candidates[candidates >= 0]
     a, b, c = (vertices[faces[candidates, k]] for k in range(3))
     gap2, uv = closest_on_triangles(centre[None], a, b - a, c - a)
-    gap, within = np.sqrt(gap2), np.minimum(uv.min(axis=1), 1.0 - uv.sum(axis=1)) > INSIDE
+    gap, weight = np.sqrt(gap2), np.minimum(uv.min(axis=1), 1.0 - uv.sum(axis=1))
     edge = np.sqrt(np.max([np.sum((v - w) ** 2, axis=1) for v, w in ((a, b), (b, c), (c, a))], 0))
-    inside = gap < reach + _SLACK * edge
-    candidates, gap, within = candidates[inside], gap[inside], within[inside]
+    reached = gap < reach + MAX_BULGE * edge
+    candidates, gap, interior = candidates[reached], gap[reached], weight[reached] > MIN_BARYCENTRIC
     corners = faces[candidates]
     around = np.full(len(vertices), np.inf)  # least gap of the faces at each vertex
     np.minimum.at(around, corners.ravel(), np.repeat(gap, 3))
     lowest = gap <= around[corners].min(axis=1) * (1 + 1e-9)
-    return np.asarray(candidates[lowest | within])
+    return np.asarray(candidates[lowest | interior])
 
 
-def _distinct(points: Array, rows: NDArray[np.intp], same: float) -> NDArray[np.intp]:
-    """`rows` without those whose point is within `same` of an earlier one's."""
+def _distinct(points: Array, rows: NDArray[np.intp], distance: float) -> NDArray[np.intp]:
+    """`rows` without those whose point is within `distance` of the point of an earlier row."""
     kept: list[int] = []
     for row in rows:
-        if all(np.linalg.norm(points[row] - points[k]) > same for k in kept):
+        if all(np.linalg.norm(points[row] - points[k]) > distance for k in kept):
             kept.append(int(row))
     return np.array(kept, dtype=np.intp)
 
 
-def _refuse_meeting(found: IndenterContacts, patches: list[Patch]) -> None:
+def _check_separate(found: IndenterContacts, patches: list[Patch]) -> None:
+    """Raise ContactError where two patches overlap."""
     for i, one in enumerate(patches):
         for k in range(i):
-            apart = float(np.linalg.norm(found.point[i] - found.point[k]))
-            together = float(one.semi_axes[0] + patches[k].semi_axes[0])
-            if apart < together:
+            distance = float(np.linalg.norm(found.point[i] - found.point[k]))
+            limit = float(one.semi_axes[0] + patches[k].semi_axes[0])
+            if distance < limit:
                 raise ContactError(
-                    "the patches of two contacts meet",
-                    value=f"{apart * 1e3:.3g} mm apart",
-                    limit=f"> {together * 1e3:.3g} mm",
+                    "the patches of two contacts overlap",
+                    value=f"distance {distance * 1e3:.3g} mm",
+                    limit=f"> {limit * 1e3:.3g} mm",
                     remedy="lower the force, or use a smaller indenter",
                 )

@@ -1,4 +1,4 @@
-"""The contact patch: what a contact model gives."""
+"""The contact patch: its size, its depth, and the pressure that taxels read in it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .ellipse import NODES, ellipse_mean
 class Patch:
     """An elliptic contact patch with the pressure p = peak (1 - x^2/a^2 - y^2/b^2)^exponent.
 
-    Its x axis lies along the body's principal direction of smaller curvature.
+    The x axis of its frame is the principal direction of smaller curvature of the body.
     """
 
     semi_axes: Array
@@ -26,12 +26,12 @@ class Patch:
     depth: float
     """Approach of the two bodies, m."""
     model: str
-    """Name of the contact model that gave it."""
+    """Name of the contact model that computed the patch."""
     exponent: float = 0.5
     """Exponent of the pressure profile; 1/2 for Hertz."""
 
     def pressure(self, xy: ArrayLike) -> Array:
-        """Pressure (...), Pa, at points `xy` (..., 2), m, in the patch's principal frame."""
+        """Pressure (...), Pa, at points `xy` (..., 2), m, in the principal frame of the patch."""
         xy = np.asarray(xy, dtype=float)
         if not self.semi_axes.all():
             return np.zeros(xy.shape[:-1])
@@ -66,14 +66,15 @@ class Patches(NamedTuple):
     def reading(self, x: Any, y: Any, disc_radius: Any, nodes: int = NODES) -> Any:
         """Mean pressure, Pa, over discs of `disc_radius`, m, centred at (x, y), m.
 
-        x, y: along the first and second principal direction, in the contact's tangent plane, from
-        the contact point. NumPy (broadcast) or CasADi; the error is given at `ellipse.NODES`.
+        x, y: coordinates in the tangent plane along the first and second principal directions,
+        relative to the contact point. NumPy (broadcast) or CasADi; for the error see
+        `ellipse.NODES`.
         """
         mean = ellipse_mean(x, y, self.first, self.second, disc_radius, self.exponent, nodes)
         return self.peak * mean
 
     def take(self, rows: Any) -> Patches:
-        """The patches of some contacts."""
+        """The patches of the contacts `rows`: a slice, a mask or indices."""
         exponent = self.exponent if np.ndim(self.exponent) == 0 else self.exponent[rows]
         return Patches(
             self.first[rows], self.second[rows], self.peak[rows], self.depth[rows], exponent

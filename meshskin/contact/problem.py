@@ -1,4 +1,4 @@
-"""What is pressed on what, checked, and the limits that the contact models share."""
+"""The contact problem: the arguments of `contact.solve`, and limits that the models share."""
 
 from __future__ import annotations
 
@@ -17,30 +17,40 @@ from ..core.se3 import Array
 from .array_backend import functions, is_casadi
 
 MAX_WIDTH = 0.52
-"""Largest a/R_s of a parabolic gap, 1/R_s^2 = 1/r^2 - k/r + k^2 for a sphere of radius r on the
-curvature k: there, boundary elements on true arcs are 4 % off in a and 2.5 % in p_0."""
+"""Largest a/R_s for a parabolic gap, 1/R_s^2 = 1/r^2 - k/r + k^2 for a sphere of radius r on the
+curvature k. At this limit boundary elements with circular arcs differ by 4 % in a and 2.5 % in p_0
+(tests/contact/test_models.py)."""
 MAX_LAYER_RATIO = 0.1
-"""Largest a/thickness taken for a half-space: there, a bonded layer is 7.6 % less deep."""
+"""Largest a/thickness for a half-space: there the approach on a bonded layer is 5 %
+(Poisson's ratio 0) to 7.5 % (1/2) smaller (tests/contact/test_layered.py)."""
+MIN_RELATIVE_CURVATURE = 1e-3
+"""Lower bound on relative curvatures in CasADi expressions, in units of 1/(indenter radius): they
+stay positive where an iterate of the closed loop or an optimiser passes a hollow. Far below the
+relative curvature of a valid contact."""
 
-FIELD = 'contact.solve(model="field") holds for a single contact'
-"""Of a remedy: scenes and estimators do not take boundary elements."""
-HOLLOWEST = 1e-3
-"""Least relative curvature of CasADi expressions, in parts of the indenter's."""
+FIELD_REMEDY = 'contact.solve(model="field") holds for a single contact'
+"""Remedy in messages: scenes and estimators do not accept the model "field"."""
 
 
 @dataclass(frozen=True)
 class ContactProblem:
-    """A rigid spherical indenter on a body: the arguments of `contact.solve`, checked.
+    """A rigid spherical indenter pressed on a body: the checked arguments of `contact.solve`.
 
-    Raises ContactError for values that are no contact at all, whatever the model.
+    Raises ContactError for values that no contact model accepts.
     """
 
     force: float
+    """Contact force, N."""
     curvature: float | Sequence[float]
+    """Principal curvatures of the body, 1/m, positive where convex; one number: both are equal."""
     indenter_radius: float
+    """Radius of the indenter, m."""
     modulus: float
+    """Young's modulus of the body, Pa."""
     poisson: float
+    """Poisson's ratio of the body."""
     thickness: float | None = None
+    """Thickness of the soft layer of the body, m; None: a half-space."""
 
     def __post_init__(self) -> None:
         for what in ("force", "indenter_radius", "modulus", "poisson", "thickness"):
@@ -57,78 +67,81 @@ class ContactProblem:
                 raise ContactError(f"{what} must be positive", value=f"{value} {unit}", limit="> 0")
         if not (math.isfinite(self.force) and self.force >= 0):
             raise ContactError(
-                "the indenter can only push", value=f"force {self.force} N", limit=">= 0 N, finite"
+                "force must be finite and not negative", value=f"{self.force} N", limit=">= 0 N"
             )
         if not -1 < self.poisson <= 0.5:
             raise ContactError(
-                "Poisson's ratio is outside its range", value=self.poisson, limit="(-1, 0.5]"
+                "Poisson's ratio is out of range", value=self.poisson, limit="(-1, 0.5]"
             )
         if np.shape(self.curvature) not in ((), (1,), (2,)):
             raise ContactError(
-                "a surface has two principal curvatures", value=self.curvature, limit="one or two"
+                "curvature must be one or two principal curvatures",
+                value=self.curvature,
+                limit="one or two numbers",
             )
-        if not np.isfinite(self.pair).all():
-            raise ContactError("a curvature is not finite", value=self.curvature)
-        if not self.relative[0] > 0:
-            raise ContactError(
-                "the body is more hollow than the indenter is round: no single contact point",
-                value=f"curvature {self.pair.min():.4g} 1/m",
-                limit=f"> {-1 / self.indenter_radius:.4g} 1/m",
-                remedy="use a smaller indenter",
-            )
+        if not np.isfinite(self.curvature_pair).all():
+            raise ContactError("curvature must be finite", value=self.curvature)
+        relative_curvatures(self.curvature_pair, self.indenter_radius)
 
     @cached_property
-    def pair(self) -> Array:
+    def curvature_pair(self) -> Array:
         """Both principal curvatures (2,) of the body, 1/m."""
         return np.array(np.broadcast_to(np.asarray(self.curvature, dtype=float), 2))
 
-    @cached_property
-    def relative(self) -> Array:
-        """Relative principal curvatures (2,), 1/m, smaller first."""
-        return np.sort(self.pair + 1 / self.indenter_radius)
+    @property
+    def curvature_ratio(self) -> float:
+        """Ratio B/A >= 1 of the relative principal curvatures."""
+        low, high = np.sort(self.curvature_pair + 1 / self.indenter_radius)
+        return float(high / low)
 
     @property
-    def ratio(self) -> float:
-        """Ratio B/A >= 1 of the relative curvatures."""
-        return float(self.relative[1] / self.relative[0])
-
-    @property
-    def e_star(self) -> float:
-        """Contact modulus E*, Pa, of the body against the rigid indenter."""
+    def effective_modulus(self) -> float:
+        """Contact modulus E* = E / (1 - nu^2), Pa, of the body against a rigid indenter."""
         return self.modulus / (1 - self.poisson**2)
 
-    @property
-    def radius(self) -> float:
-        """Relative radius R, m: one over the mean relative curvature."""
-        return float(2 / self.relative.sum())
-
-    def refuse_wide(self, axes: Array, model: str) -> None:
-        """Raise ContactError where semi-axes (2,), larger first, leave the parabolic gap."""
-        widest = float(width(axes, np.sort(self.pair), self.indenter_radius))
-        if widest > MAX_WIDTH:
+    def check_width(self, axes: Array, model: str) -> None:
+        """Raise ContactError where semi-axes (2,), m, larger first, exceed the parabolic gap."""
+        ratio = float(width_ratio(axes, np.sort(self.curvature_pair), self.indenter_radius))
+        if ratio > MAX_WIDTH:
             raise ContactError(
                 f"the contact is too wide for the parabolic gap of {model}",
-                value=f"a/R = {widest:.3g} (1/R^2 = 1/r^2 - k/r + k^2)",
+                value=f"a/R = {ratio:.3g} (1/R^2 = 1/r^2 - k/r + k^2)",
                 limit=MAX_WIDTH,
-                remedy=f"lower the force, or raise the modulus or the radii; {FIELD}",
+                remedy=f"lower the force, or raise the modulus or the radii; {FIELD_REMEDY}",
             )
 
-    def refuse_layer(self, axes: Array, model: str) -> None:
-        """Raise ContactError where the layer is too thin for a half-space under the patch."""
+    def check_thickness(self, axes: Array, model: str) -> None:
+        """Raise ContactError where the layer under the patch is too thin for a half-space."""
         if self.thickness is not None and axes[0] > MAX_LAYER_RATIO * self.thickness:
             raise ContactError(
                 f"the layer is too thin for the half-space of {model}",
                 value=f"a/thickness = {axes[0] / self.thickness:.3g}",
                 limit=MAX_LAYER_RATIO,
-                remedy='take contact = "layered", or leave thickness out to accept the half-space',
+                remedy='use contact = "layered", or omit thickness to assume a half-space',
             )
 
 
-def width(axes: Array, curvature: Array, indenter_radius: float) -> Array:
-    """a/R_s (...), the larger along the semi-axes (..., 2), m, at curvature (..., 2), 1/m.
+def check_ratio(ratio: float, limit: float, model: str) -> None:
+    """Raise ContactError where the `ratio` B/A of relative curvatures exceeds a model's `limit`."""
+    if not ratio <= limit:
+        smaller = "use a smaller indenter"
+        remedies = {
+            "hertz": f'use contact = "elliptic", or {smaller}',
+            "layered": f"{smaller}; {FIELD_REMEDY}",
+        }
+        raise ContactError(
+            f"the relative principal curvatures are too unequal for {model}",
+            value=f"ratio {ratio:.4g}",
+            limit=f"{limit:g}",
+            remedy=remedies.get(model, smaller),
+        )
 
-    True arcs add r^4 (k_1^3 + k_2^3) / 8 to the gap r^2 (k_1 + k_2) / 2 of two curvatures, so
-    the error goes with a^2 (k_1^2 - k_1 k_2 + k_2^2) / 4.
+
+def width_ratio(axes: Array, curvature: Array, indenter_radius: float) -> Array:
+    """a/R_s (...), the larger of both semi-axes (..., 2), m, at curvature (..., 2), 1/m.
+
+    Circular arcs add r^4 (k_1^3 + k_2^3) / 8 to the gap r^2 (k_1 + k_2) / 2 of two curvatures, so
+    that the error is proportional to a^2 (k_1^2 - k_1 k_2 + k_2^2) / 4.
     """
     tip = 1 / indenter_radius
     return np.asarray(
@@ -137,7 +150,7 @@ def width(axes: Array, curvature: Array, indenter_radius: float) -> Array:
 
 
 def principal_curvatures(curvature: Any) -> tuple[Any, Any]:
-    """The two columns of `curvature`: NumPy (..., 2), or a CasADi column of two.
+    """The two columns of `curvature`: a NumPy array (..., 2), or a CasADi column of two.
 
     Raises ContactError for another shape.
     """
@@ -146,7 +159,9 @@ def principal_curvatures(curvature: Any) -> tuple[Any, Any]:
     pairs = np.asarray(curvature, dtype=float)
     if not pairs.shape or pairs.shape[-1] != 2:
         raise ContactError(
-            "both principal curvatures are needed", value=f"shape {pairs.shape}", limit="(..., 2)"
+            "curvature must hold both principal curvatures",
+            value=f"shape {pairs.shape}",
+            limit="(..., 2)",
         )
     return pairs[..., 0], pairs[..., 1]
 
@@ -154,21 +169,31 @@ def principal_curvatures(curvature: Any) -> tuple[Any, Any]:
 def relative_curvatures(curvature: Any, indenter_radius: Any) -> tuple[Any, Any]:
     """Relative curvatures, 1/m, along the two principal directions, in the order of `curvature`.
 
-    `curvature`, 1/m, positive where convex, as `principal_curvatures`. CasADi's are held above
-    zero: a step of the closed loop stays finite in a hollow. Raises ContactError where the body is
-    more hollow than the indenter is round.
+    `curvature`, 1/m, positive where convex, as in `principal_curvatures`. CasADi expressions are
+    bounded from below by MIN_RELATIVE_CURVATURE. Raises ContactError where the body is more concave
+    than the indenter is convex.
     """
     k1, k2 = principal_curvatures(curvature)
     tip = 1 / indenter_radius
     first, second = k1 + tip, k2 + tip
     if is_casadi(curvature):
         f = functions(curvature)
-        return f.fmax(first, HOLLOWEST * tip), f.fmax(second, HOLLOWEST * tip)
+        return f.fmax(first, MIN_RELATIVE_CURVATURE * tip), f.fmax(
+            second, MIN_RELATIVE_CURVATURE * tip
+        )
     if not (np.all(first > 0) and np.all(second > 0)):
         raise ContactError(
-            "the body is more hollow than the indenter is round: no single contact point",
+            "the hollow of the body is tighter than the indenter: no single contact point",
             value=f"curvature {min(np.min(k1), np.min(k2)):.4g} 1/m",
-            limit="> -1/indenter radius",
+            limit=f"> {-np.min(tip):.4g} 1/m",
             remedy="use a smaller indenter",
         )
     return first, second
+
+
+def effective_modulus(
+    young: Any, poisson: Any, indenter_young: Any = math.inf, indenter_poisson: Any = 0.0
+) -> Any:
+    """Contact modulus E*, Pa, of two bodies with Young's moduli, Pa, and Poisson's ratios."""
+    compliance = (1 - poisson**2) / young
+    return 1 / (compliance + (1 - indenter_poisson**2) / indenter_young)

@@ -46,11 +46,10 @@ def batches(rng: np.random.Generator) -> dict[str, float]:
             "curvature": curvature,
             "indenter_radius": 0.01,
             "effective_modulus": E_STAR,
-            "poisson": 0.45,
-            "thickness": 2e-3,
         }
-        patch = best(partial(contact.patches, model, force=force, **given))
-        push = best(partial(contact.force, model, depth=depth, **given))
+        law = contact.ContactModel(model, poisson=0.45, thickness=2e-3)
+        patch = best(partial(law.patches, force=force, **given))
+        push = best(partial(law.force, depth=depth, **given))
         out[f"{model}: patch, us a contact"] = 1e6 * patch / COUNT
         out[f"{model}: force of a depth, us a contact"] = 1e6 * push / COUNT
     return out
@@ -61,7 +60,7 @@ def accuracy(rng: np.random.Generator) -> dict[str, float]:
     log_ratio = rng.uniform(0.0, np.log(elliptic.MAX_CURVATURE_RATIO), 1000)
     pairs = np.stack([np.zeros(1000), 100 * np.expm1(log_ratio)], axis=1)
     many = elliptic.patches(1.0, pairs, 0.01, E_STAR)
-    aspect, size, sink = np.array([elliptic.exact(t) for t in log_ratio]).T
+    aspect, size, sink = np.array([elliptic.exact_factors(t) for t in log_ratio]).T
     radius = 2 / (200 + pairs.sum(axis=1))
     circle = (0.75 * radius / E_STAR) ** (1 / 3)
     errors = (
@@ -82,7 +81,7 @@ def table_errors() -> np.ndarray:
     for _ in range(12):
         chi, poisson = float(np.exp(rng.uniform(np.log(0.1), np.log(10)))), rng.uniform(0.0, 0.5)
         case = CASE | {"poisson": poisson, "curvature": 0.0}
-        a = float(elliptic.solve(contact.ContactProblem(**case)).semi_axes[0])
+        a = float(contact.solve("elliptic", **case).semi_axes[0])
         whole = boundary_elements.solve(contact.ContactProblem(**case), parabolic=True, cells=192)
         thin = boundary_elements.solve(
             contact.ContactProblem(**case, thickness=a / chi), parabolic=True, cells=192

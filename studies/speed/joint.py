@@ -24,6 +24,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from meshskin.contact.problem import effective_modulus
+
 if TYPE_CHECKING:
     from meshskin.recording.recording import Recording
     from meshskin.scene.belief import Belief
@@ -43,7 +45,7 @@ def world(
     import pyarrow as pa
     from scipy.spatial import cKDTree
 
-    from meshskin.contact import ContactModel, hertz
+    from meshskin.contact import ContactModel
     from meshskin.contact.indenter import Indenter
     from meshskin.contact.material import Material
     from meshskin.contact.reading import disc_pressures
@@ -59,7 +61,7 @@ def world(
     contacts = body.closest(contacts + rng.normal(scale=0.5e-3, size=contacts.shape)).point
     hit = body.closest(contacts)
     force = FORCE * (1 + 0.01 * rng.normal(size=len(contacts)))
-    modulus = hertz.effective_modulus(YOUNG, POISSON)
+    modulus = effective_modulus(YOUNG, POISSON)
     model = ContactModel(contact, POISSON, LAYER if contact == "layered" else None)
     patches = model.patches(
         force=force, curvature=hit.curvature, indenter_radius=INDENTER, effective_modulus=modulus

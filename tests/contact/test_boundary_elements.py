@@ -1,11 +1,11 @@
-"""Boundary elements against tamaas, the elliptic closed form and the layer's integral."""
+"""Boundary elements against tamaas, the elliptic closed form and the integral of the layer."""
 
 import mpmath
 import numpy as np
 import pytest
 
 from meshskin import contact
-from meshskin.contact import boundary_elements, elliptic, influence
+from meshskin.contact import boundary_elements, influence
 from meshskin.core.errors import ContactError
 
 CASE = {"force": 1.0, "indenter_radius": 0.01, "modulus": 1e6, "poisson": 0.45}
@@ -13,7 +13,7 @@ PAIRS = [(10.0, 10.0), (60.0, -20.0), (300.0, 0.0)]
 
 
 @pytest.mark.parametrize("pair", PAIRS)
-def test_parabolic_gap_is_the_ellipse(pair):
+def test_parabolic_gap_gives_the_ellipse(pair):
     exact = contact.solve("elliptic", curvature=pair, **CASE)
     found = boundary_elements.solve(contact.ContactProblem(curvature=pair, **CASE), parabolic=True)
     assert found.peak == pytest.approx(exact.peak, rel=1e-3)
@@ -25,7 +25,7 @@ def test_parabolic_gap_is_the_ellipse(pair):
 
 
 def by_tamaas(gap, side, force):
-    """Pressures (n, n) on a square of `side` by tamaas, with free surroundings."""
+    """Pressures (n, n) on a square of `side` by tamaas, without periodic images."""
     tamaas = pytest.importorskip("tamaas")
     tamaas.set_log_level(tamaas.LogLevel.error)
     model = tamaas.ModelFactory.createModel(
@@ -48,9 +48,9 @@ def test_against_tamaas(pair, parabolic):
     gap = boundary_elements.sphere_gap(x[:, None], x[None], tuple(sorted(pair)), 0.01, parabolic)
     theirs = by_tamaas(gap, side, 1.0)
     body = influence.Influence((n, n), (side / n, side / n), 1e6 / (1 - 0.45**2), 0.45)
-    ours = boundary_elements.press(gap, body, 1.0, (side / n) ** 2, tolerance=1e-6)
+    ours = boundary_elements.solve_grid(gap, body, 1.0, (side / n) ** 2, tolerance=1e-6)
     assert np.abs(ours.pressure - theirs).max() < 1e-4 * exact.peak
-    if parabolic:  # elliptic: 0.01 % in the peak, which lies half a cell from the cells' centres
+    if parabolic:  # the peak lies half a cell from the centres of the cells
         offset = 1 - np.sum((x[n // 2] / exact.semi_axes) ** 2)
         assert theirs.max() == pytest.approx(exact.peak * np.sqrt(offset), rel=1e-4)
     grid = contact.solve("field", curvature=pair, **CASE) if not parabolic else None
@@ -59,7 +59,7 @@ def test_against_tamaas(pair, parabolic):
 
 
 @pytest.mark.parametrize("poisson", [-0.3, 0.0, 0.3, 0.49, 0.5])
-def test_layer_influence_is_its_integral(poisson):
+def test_layer_influence_equals_its_integral(poisson):
     spacing, t = 0.05, 1.0
     layer = influence.Influence((64, 32), (spacing, spacing), 1.0, poisson, t)
     load = np.zeros((64, 32))
@@ -81,7 +81,7 @@ def test_layer_influence_is_its_integral(poisson):
         assert found[i, 0] == pytest.approx(point, abs=2e-3 * spacing**2)
 
 
-def test_layer_factor_keeps_its_digits():
+def test_layer_factor_has_no_cancellation():
     for poisson in (0.0, 0.3, 0.5):
         for z in (1e-3, 0.1, 1.0, 5.0, 20.0):
             with mpmath.workdps(60):
@@ -92,7 +92,7 @@ def test_layer_factor_keeps_its_digits():
             assert found == pytest.approx(float(exact), rel=1e-12)
 
 
-def test_thick_layer_is_the_half_space_and_thin_is_stiffer():
+def test_thick_layer_equals_the_half_space_and_a_thinner_one_is_stiffer():
     whole = boundary_elements.solve(contact.ContactProblem(curvature=10.0, **CASE), parabolic=True)
     a = whole.semi_axes[0]
     thick = boundary_elements.solve(
@@ -107,13 +107,13 @@ def test_thick_layer_is_the_half_space_and_thin_is_stiffer():
     assert np.all(np.diff(depths) < 0)
 
 
-def test_any_gap_two_bumps_share_the_force():
+def test_two_bumps_share_the_force():
     n, h = 64, 1e-4
     x = (np.arange(n) - (n - 1) / 2) * h
     one = ((x - 1.5e-3) ** 2)[:, None] + x**2
     gap = np.minimum(one, one[::-1]) / 0.01
     body = influence.Influence((n, n), (h, h), 1e6, 0.45)
-    found = boundary_elements.press(gap, body, 0.05, h * h, tolerance=1e-7)
+    found = boundary_elements.solve_grid(gap, body, 0.05, h * h, tolerance=1e-7)
     assert found.pressure.sum() * h * h == pytest.approx(0.05)
     assert found.pressure == pytest.approx(found.pressure[::-1], abs=1e-3 * found.pressure.max())
     displaced = body(found.pressure) + gap - found.approach
@@ -131,23 +131,22 @@ def test_any_gap_two_bumps_share_the_force():
         ({"force": -1.0}, "-1.0"),
     ],
 )
-def test_refuses_what_leaves_the_range(change, names):
+def test_contacts_out_of_range_raise(change, names):
     with pytest.raises(ContactError, match="limit") as caught:
         contact.solve("field", **{"curvature": 0.0, **CASE} | change)
     assert names in str(caught.value)
 
 
-def test_press_refuses_what_is_not_finite():
+def test_gaps_and_forces_that_are_not_finite_raise():
     body = influence.Influence((4, 4), (1e-3, 1e-3), 1e6, 0.3)
     for gap, force in ((np.full((4, 4), np.nan), 1.0), (np.zeros((4, 4)), 0.0)):
         with pytest.raises(ContactError, match="finite"):
-            boundary_elements.press(gap, body, force, 1e-6)
+            boundary_elements.solve_grid(gap, body, force, 1e-6)
 
 
-def test_zero_force_is_an_empty_patch():
+def test_zero_force_gives_an_empty_patch():
     patch = contact.solve("field", curvature=0.0, **CASE | {"force": 0.0})
     assert (patch.peak, patch.depth) == (0.0, 0.0)
     assert patch.pressure([[0.0, 0.0]]) == 0.0
     assert patch.reading([[0.0, 0.0]], 1e-3) == 0.0
-    idle = contact.ContactProblem(curvature=0.0, **CASE | {"force": 0.0})
-    assert elliptic.solve(idle).peak == patch.peak
+    assert contact.solve("elliptic", curvature=0.0, **CASE | {"force": 0.0}).peak == patch.peak

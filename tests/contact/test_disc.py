@@ -1,4 +1,4 @@
-"""Disc-averaged Hertz pressure against adaptive quadrature, its derivatives, its inverse."""
+"""Disc mean of the Hertz pressure: adaptive quadrature, derivatives, inverse."""
 
 import casadi as ca
 import mpmath
@@ -31,7 +31,7 @@ def samples():
 
 @pytest.mark.parametrize("s", [0.1, 0.46, 0.9, 1.0, 1.5])
 @pytest.mark.parametrize("place", [0.0, 0.2, 0.5, 0.8, 0.97])
-def test_mean_against_quadrature(s, place):
+def test_mean_equals_adaptive_quadrature(s, place):
     rho = place * (1 + s)
     assert disc_mean(rho, s) == pytest.approx(by_rings(rho, s), abs=3e-6)
 
@@ -45,7 +45,7 @@ def test_closed_forms():
     assert disc_mean(0.4, 1e-3) == pytest.approx(float(mpmath.sqrt(1 - mpmath.mpf("0.16"))), 1e-5)
 
 
-def test_more_nodes_converge(samples):
+def test_error_decreases_with_the_nodes(samples):
     fine = disc_mean(*samples, nodes=40)
     errors = [np.abs(disc_mean(*samples, nodes=n) - fine).max() for n in (4, 8, 16)]
     assert errors[1] < 5e-6
@@ -83,7 +83,7 @@ def test_inverse_round_trip(samples):
     assert np.allclose(found[steep], rho[steep], atol=1e-6)
 
 
-def test_inverse_at_and_beyond_its_ends():
+def test_inverse_at_and_beyond_the_ends_of_its_range():
     s = 0.5
     peak = float(disc_mean(0.0, s))
     m = np.array([peak, peak + 0.3, 0.0, -0.1, np.nan])

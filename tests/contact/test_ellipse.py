@@ -1,4 +1,4 @@
-"""Disc means of elliptic patches against quadrature, their kin on the circle, their inverse."""
+"""Disc means of elliptic patches: quadrature, the circular case, derivatives, inverse."""
 
 import casadi as ca
 import numpy as np
@@ -34,7 +34,7 @@ def by_rings(x, y, a, b, s, exponent):
         (0.0, 1.0, 0.6, 1.4, 0.4),
     ],
 )
-def test_mean_against_quadrature(x, y, a, b, s, exponent):
+def test_mean_equals_adaptive_quadrature(x, y, a, b, s, exponent):
     found = ellipse_mean(x, y, a, b, s, exponent)
     assert found == pytest.approx(by_rings(x, y, a, b, s, exponent), abs=1e-4)
 
@@ -48,7 +48,7 @@ def samples():
 
 
 @pytest.mark.parametrize(("aspect", "limit"), [(1.0, 7e-5), (1.5, 1e-4), (3.0, 4e-4), (10.0, 2e-3)])
-def test_stated_error(samples, aspect, limit):
+def test_documented_error_of_the_nodes(samples, aspect, limit):
     rho, angle, s = samples
     a, b = np.sqrt(aspect), 1 / np.sqrt(aspect)
     at = rho * np.cos(angle) * a, rho * np.sin(angle) * b, a, b, s
@@ -58,7 +58,7 @@ def test_stated_error(samples, aspect, limit):
     assert errors[0] > 3 * errors[1] > 9 * errors[2]  # nodes^-2.5, at least nodes^-1.6
 
 
-def test_the_circle_is_the_disc_mean(samples):
+def test_circle_equals_the_disc_mean(samples):
     rho, angle, s = samples
     found = ellipse_mean(rho * np.cos(angle), rho * np.sin(angle), 1.0, 1.0, s)
     assert np.allclose(found, disc_mean(rho, s, nodes=40), atol=7e-5)
@@ -91,21 +91,21 @@ def test_casadi_agrees_and_gradients_are_finite(samples):
 
 def test_inverse_round_trip(samples):
     rho, angle, s = samples
-    way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    at = rho * way[:, 0], rho * way[:, 1]
+    unit = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    at = rho * unit[:, 0], rho * unit[:, 1]
     m = ellipse_mean(*at, 1.3, 0.8, s)
-    found = invert_ellipse_mean(m, way, 1.3, 0.8, s)
+    found = invert_ellipse_mean(m, unit, 1.3, 0.8, s)
     steep = (m > 1e-3) & (m < ellipse_mean(0.0, 0.0, 1.3, 0.8, s) - 1e-3)
     assert steep.sum() > 1000
     assert np.allclose(found[steep], rho[steep], atol=2e-4)
     m = disc_mean(rho, s)
     steep = (m > 1e-2) & (m < disc_mean(0 * s, s) - 1e-2)
-    found = invert_ellipse_mean(m, way, 1.0, 1.0, s)
+    found = invert_ellipse_mean(m, unit, 1.0, 1.0, s)
     assert np.allclose(found[steep], invert_disc_mean(m, s)[steep], atol=2e-3)
 
 
 @pytest.mark.parametrize("exponent", [0.5, np.array(0.5), np.array(0.8)])
-def test_gradient_is_that_of_the_sum(samples, exponent):
+def test_gradient_equals_automatic_differentiation(samples, exponent):
     rho, angle, s = samples
     x = ca.SX.sym("x", 5)  # x, y, ln a, ln b, exponent
     power = exponent if isinstance(exponent, float) else x[4]
@@ -121,7 +121,7 @@ def test_gradient_is_that_of_the_sum(samples, exponent):
     assert np.allclose(found[5], (up - down) / 2e-6, atol=1e-7)
 
 
-def test_inverse_at_and_beyond_its_ends():
+def test_inverse_at_and_beyond_the_ends_of_its_range():
     peak = float(ellipse_mean(0.0, 0.0, 1.0, 0.7, 0.5))
     m = np.array([peak, peak + 0.3, 0.0, -0.1, np.nan])
     found = invert_ellipse_mean(m, [1.0, 0.0], 1.0, 0.7, 0.5)

@@ -1,4 +1,4 @@
-"""The elliptic patch against the exact equations, its circle, its range, its derivatives."""
+"""The elliptic patch: exact equations, circular limit, range, derivatives."""
 
 import casadi as ca
 import mpmath
@@ -36,6 +36,13 @@ def by_johnson(force, curvature, indenter_radius, e_star):
         return [float(v) for v in (a, b, peak, peak * b * k / e_star)]
 
 
+def by_hertz(force, curvature, indenter_radius, e_star):
+    """a, b, p_0, depth of a circle, Johnson eq. 4.22-4.24."""
+    radius = 1 / (curvature[0] + 1 / indenter_radius)
+    a = np.cbrt(3 * force * radius / (4 * e_star))
+    return a, a, 3 * force / (2 * np.pi * a**2), a**2 / radius
+
+
 @pytest.mark.parametrize("ratio", [1.0001, 1.05, 1.5, 2, 5, 20, 100, 400, 990])
 def test_against_the_exact_equations(ratio):
     pair = (100 * ratio - 100, 0.0)
@@ -46,11 +53,11 @@ def test_against_the_exact_equations(ratio):
     assert elliptic.force(found.depth, np.array(pair), 0.01, E_STAR) == pytest.approx(1.0, rel=1e-8)
 
 
-def test_every_ratio_between_the_tabulated_points():
+def test_series_equals_the_equations_between_its_nodes():
     log_ratio = np.linspace(0.0, np.log(1000.0), 700)
     pair = np.stack([np.zeros(700), 100 * np.expm1(log_ratio)], axis=1)
     found = elliptic.patches(1.0, pair, 0.01, E_STAR)
-    aspect, size, depth = np.array([elliptic.exact(t) for t in log_ratio]).T
+    aspect, size, depth = np.array([elliptic.exact_factors(t) for t in log_ratio]).T
     radius = hertz.relative_radius(pair, 0.01)
     circle = hertz.contact_radius(1.0, radius, E_STAR)
     assert np.allclose(np.log(found.first / found.second), log_ratio * aspect, rtol=1e-8, atol=1e-9)
@@ -58,7 +65,7 @@ def test_every_ratio_between_the_tabulated_points():
     assert np.allclose(found.depth, circle**2 / radius * depth, rtol=1e-8, atol=0)
 
 
-def test_continuous_with_hertz():
+def test_circular_limit_equals_hertz():
     circle = contact.solve("hertz", curvature=10.0, **CASE)
     same = contact.solve("elliptic", curvature=10.0, **CASE)
     assert same.semi_axes == pytest.approx(circle.semi_axes, rel=1e-12)
@@ -73,15 +80,7 @@ def test_continuous_with_hertz():
 )
 def test_convex_flat_saddle_and_hollow(pair):
     patch = contact.solve("elliptic", curvature=pair, **CASE | {"force": 0.02})
-    a, b, peak, depth = (
-        by_johnson(0.02, pair, 0.01, E_STAR)
-        if pair[0] != pair[1]
-        else (
-            *contact.solve("hertz", curvature=pair, **CASE | {"force": 0.02}).semi_axes,
-            patch.peak,
-            patch.depth,
-        )
-    )
+    a, b, peak, depth = (by_johnson if pair[0] != pair[1] else by_hertz)(0.02, pair, 0.01, E_STAR)
     assert patch.semi_axes == pytest.approx([a, b], rel=1e-8)
     assert [patch.peak, patch.depth] == pytest.approx([peak, depth], rel=1e-8)
     assert patch.semi_axes[0] >= patch.semi_axes[1]
@@ -97,7 +96,7 @@ def test_pressure_carries_the_force():
     assert patch.pressure(grid).sum() * cell == pytest.approx(1.0, rel=1e-3)
 
 
-def test_casadi_alike_with_finite_derivatives():
+def test_casadi_equals_numpy_with_finite_derivatives():
     d, k = ca.SX.sym("d"), ca.SX.sym("k", 2)
     y = elliptic.force(d, k, 0.01, E_STAR)
     x = ca.vertcat(d, k)
@@ -120,7 +119,7 @@ def test_casadi_alike_with_finite_derivatives():
     assert [float(v) for v in whole([30.0, -20.0])] == pytest.approx(plain[:4], rel=1e-13)
 
 
-def test_zero_force_is_an_empty_patch():
+def test_zero_force_gives_an_empty_patch():
     patch = contact.solve("elliptic", curvature=(200.0, 0.0), **CASE | {"force": 0.0})
     assert (patch.peak, patch.depth) == (0.0, 0.0)
     assert patch.pressure([[0.0, 0.0]]) == 0.0
@@ -138,17 +137,17 @@ def test_zero_force_is_an_empty_patch():
         ({"poisson": 0.6}, "0.6"),
     ],
 )
-def test_refuses_what_leaves_the_range(change, names):
+def test_contacts_out_of_range_raise(change, names):
     case = {"curvature": (40.0, 0.0), **CASE} | change
     with pytest.raises(ContactError, match=r"limit|finite") as caught:
         contact.solve("elliptic", **case)
     assert names in str(caught.value)
 
 
-def test_batch_refuses_what_leaves_the_range():
+def test_batches_out_of_range_raise():
     with pytest.raises(ContactError, match="hollow"):
         elliptic.patches(1.0, np.array([[0.0, 0.0], [0.0, -100.0]]), 0.01, E_STAR)
-    with pytest.raises(ContactError, match="longer"):
+    with pytest.raises(ContactError, match="too unequal"):
         elliptic.patches(1.0, np.array([[0.0, 0.0], [0.0, -99.95]]), 0.01, E_STAR)
     with pytest.raises(ContactError, match="shape"):
         elliptic.patches(1.0, np.zeros(3), 0.01, E_STAR)

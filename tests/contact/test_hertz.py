@@ -1,4 +1,4 @@
-"""Hertz closed forms, their range, and the door `contact.solve`."""
+"""Hertz closed forms, their range, and `contact.solve`."""
 
 import casadi as ca
 import numpy as np
@@ -6,6 +6,7 @@ import pytest
 
 from meshskin import contact
 from meshskin.contact import hertz
+from meshskin.contact.problem import effective_modulus
 from meshskin.core.errors import ContactError, UnknownNameError
 
 CASE = {
@@ -33,7 +34,7 @@ def test_pressure_carries_the_force():
 
 
 def test_force_of_depth_inverts_depth_of_force():
-    e_star = hertz.effective_modulus(0.2e6, 0.49, 2e6, 0.3)
+    e_star = effective_modulus(0.2e6, 0.49, 2e6, 0.3)
     assert 1 / e_star == pytest.approx((1 - 0.49**2) / 0.2e6 + (1 - 0.09) / 2e6)
     radius = hertz.relative_radius(np.array([[10.0, 10.0], [0.0, 0.0]]), 0.01)
     assert radius == pytest.approx([1 / 110, 0.01])
@@ -42,7 +43,7 @@ def test_force_of_depth_inverts_depth_of_force():
     assert hertz.peak_pressure(3.0, a) == pytest.approx(2 / np.pi * e_star * a / radius)
 
 
-def test_casadi_alike_and_finite_at_zero_depth():
+def test_casadi_equals_numpy_with_finite_derivatives_at_zero_depth():
     d, k = ca.SX.sym("d"), ca.SX.sym("k", 2)
     y = hertz.force(d, hertz.relative_radius(k, 0.01), 0.26e6)
     f = ca.Function("f", [d, k], [y, ca.gradient(y, d)])
@@ -55,12 +56,12 @@ def test_casadi_alike_and_finite_at_zero_depth():
         assert np.isfinite(slope)
 
 
-def test_relative_radius_wants_pairs():
+def test_relative_radius_needs_both_curvatures():
     with pytest.raises(ContactError, match=r"shape \(3,\)"):
         hertz.relative_radius(np.full(3, 10.0), 0.01)
 
 
-def test_zero_force_is_an_empty_patch():
+def test_zero_force_gives_an_empty_patch():
     patch = contact.solve(**CASE | {"force": 0.0})
     assert (patch.peak, patch.depth) == (0.0, 0.0)
     assert patch.pressure([[0.0, 0.0]]) == 0.0
@@ -81,7 +82,7 @@ def test_zero_force_is_an_empty_patch():
         ({"thickness": 0.01}, "a/thickness = 0.427"),
     ],
 )
-def test_refuses_what_leaves_the_range(change, names):
+def test_contacts_out_of_range_raise(change, names):
     with pytest.raises(ContactError, match="limit") as caught:
         contact.solve(**CASE | change)
     assert names in str(caught.value)

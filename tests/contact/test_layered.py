@@ -1,4 +1,4 @@
-"""The layered model against an axisymmetric finite-element contact, its limits, its derivatives."""
+"""The layered model: axisymmetric finite elements, limits, derivatives."""
 
 import importlib.util
 from pathlib import Path
@@ -16,7 +16,7 @@ CASE = {"force": 1.0, "indenter_radius": 0.01, "modulus": 0.5e6, "poisson": 0.45
 
 
 def graded(first, ratio, end, most=np.inf):
-    """Points from 0 to `end` whose steps grow from about `first` by `ratio`, up to `most`."""
+    """Points from 0 to `end` whose steps grow from about `first` by `ratio` up to `most`."""
     steps = [first]
     while sum(steps) < end:
         steps.append(min(ratio * steps[-1], most))
@@ -26,8 +26,8 @@ def graded(first, ratio, end, most=np.inf):
 def by_finite_elements(thickness, poisson, fine=1.0):
     """Force, peak, depth of a rigid paraboloid z = r^2/2 with contact radius 1 on a bonded layer.
 
-    E = 1. Axisymmetric elasticity on quadratic quadrilaterals (scikit-fem), graded to the contact's
-    edge; frictionless. The depth is the one at which the edge carries nothing.
+    E = 1. Axisymmetric elasticity on quadratic quadrilaterals (scikit-fem), graded to the edge of
+    the contact; frictionless. The depth is that at which the pressure at the edge vanishes.
     """
     skfem = pytest.importorskip("skfem")
     from skfem.helpers import grad
@@ -76,31 +76,31 @@ def by_finite_elements(thickness, poisson, fine=1.0):
     return 2 * np.pi * reaction.sum(), peak, depth
 
 
-def in_parts_of_hertz(thickness, poisson, fine=1.0):
-    """chi, and radius, peak and depth of the finite elements in parts of Hertz's."""
+def relative_to_hertz(thickness, poisson, fine=1.0):
+    """chi, and radius, peak and depth of the finite elements relative to Hertz's."""
     force, peak, depth = by_finite_elements(thickness, poisson, fine)
     a = (0.75 * force * (1 - poisson**2)) ** (1 / 3)
     return a / thickness, np.array([1 / a, peak / (1.5 * force / (np.pi * a**2)), depth / a**2])
 
 
-def test_finite_elements_reach_hertz_and_converge():
-    chi, values = in_parts_of_hertz(200.0, 0.3)
+def test_finite_elements_converge_to_hertz():
+    chi, values = relative_to_hertz(200.0, 0.3)
     assert chi < 0.006
     assert values == pytest.approx(1.0, abs=0.01)
-    fine = in_parts_of_hertz(1.0, 0.45, fine=0.5)[1]
-    assert in_parts_of_hertz(1.0, 0.45)[1] == pytest.approx(fine, rel=3e-3)
+    fine = relative_to_hertz(1.0, 0.45, fine=0.5)[1]
+    assert relative_to_hertz(1.0, 0.45)[1] == pytest.approx(fine, rel=3e-3)
 
 
 @pytest.mark.parametrize("poisson", [0.3, 0.4, 0.45, 0.49])
 @pytest.mark.parametrize("thickness", [12.0, 2.2, 1.05, 0.6, 0.33])
 def test_against_finite_elements(thickness, poisson):
-    chi, values = in_parts_of_hertz(thickness, poisson)
+    chi, values = relative_to_hertz(thickness, poisson)
     assert 0.08 < chi < 5.5
     found = np.array(layered.BondedLayer(poisson, 1.0).factors(np.array(chi))[:3])
-    assert found == pytest.approx(values, rel=5e-3)  # 3 % was asked for
+    assert found == pytest.approx(values, rel=5e-3)
 
 
-def test_hertz_as_the_thickness_grows():
+def test_thick_layer_tends_to_hertz():
     whole = contact.solve("elliptic", curvature=(60.0, 0.0), **CASE)
     for thickness, limit in ((None, 1e-9), (1e6, 1e-7), (1.0, 5e-3)):
         patch = contact.solve("layered", curvature=(60.0, 0.0), thickness=thickness, **CASE)
@@ -147,14 +147,14 @@ def test_against_boundary_elements_on_ellipses(pair, poisson, thickness):
 
 
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.49, 0.5])
-def test_force_inverts_depth(poisson):
+def test_force_is_the_inverse_of_depth(poisson):
     layer, flat = layered.BondedLayer(poisson, 2e-3), np.zeros((60, 2))
     force = np.geomspace(1e-5, 1.0, 60) * 4 / 3 * 1e6 / 0.01 * (9.9 * 2e-3) ** 3
     found = layer.patches(force, flat, 0.01, 1e6)
     assert layer.force(found.depth, flat, 0.01, 1e6) == pytest.approx(force, rel=1e-8)
 
 
-def test_casadi_alike_with_finite_derivatives():
+def test_casadi_equals_numpy_with_finite_derivatives():
     layer, pair = layered.BondedLayer(0.49, 2e-3), [30.0, -20.0]
     f, k, d = ca.SX.sym("f"), ca.SX.sym("k", 2), ca.SX.sym("d")
     whole = ca.Function("p", [f, k], list(layer.patches(f, k, 0.01, 1e6)))
@@ -180,26 +180,26 @@ def test_casadi_alike_with_finite_derivatives():
         ({"thickness": -1e-3}, "thickness"),
     ],
 )
-def test_refuses_what_leaves_the_range(change, names):
+def test_contacts_out_of_range_raise(change, names):
     case = {"curvature": 0.0, "thickness": 2e-3, **CASE} | change
     with pytest.raises(ContactError, match="limit") as caught:
         contact.solve("layered", **case)
     assert names in str(caught.value)
 
 
-def test_batch_refuses_what_leaves_the_table():
-    with pytest.raises(ContactError, match="thinner"):
+def test_batches_outside_the_table_raise():
+    with pytest.raises(ContactError, match="too thin"):
         layered.BondedLayer(0.4, 1e-4).patches(np.array([1e-9, 1.0]), np.zeros((2, 2)), 0.01, 1e6)
 
 
-def test_zero_force_is_an_empty_patch():
+def test_zero_force_gives_an_empty_patch():
     patch = contact.solve("layered", curvature=0.0, thickness=2e-3, **CASE | {"force": 0.0})
     assert (patch.peak, patch.depth) == (0.0, 0.0)
     assert patch.reading([[0.0, 0.0]], 1e-3) == 0.0
 
 
 @pytest.mark.parametrize(("chi", "poisson"), [(10.0, 0.5), (0.37, 0.21), (2.6, 0.478)])
-def test_table_is_what_its_script_makes(chi, poisson):
+def test_table_is_the_output_of_its_study(chi, poisson):
     file = Path(__file__).parents[2] / "studies" / "layer_table.py"
     spec = importlib.util.spec_from_file_location("layer_table", file)
     script = importlib.util.module_from_spec(spec)

@@ -1,4 +1,4 @@
-"""The doors of the contact models: the next model up, many contacts at once, CasADi."""
+"""All contact models: upgrades, batches of contacts, CasADi expressions, ranges."""
 
 import casadi as ca
 import numpy as np
@@ -30,7 +30,7 @@ CASE = {
         ({"modulus": 0.02e6}, "field"),
     ],
 )
-def test_the_next_model_up_takes_it(change, model):
+def test_upgrade_uses_the_next_valid_model(change, model):
     case = CASE | change
     patch = contact.solve("hertz", upgrade=True, **case)
     assert patch.model == model
@@ -40,37 +40,37 @@ def test_the_next_model_up_takes_it(change, model):
             contact.solve("hertz", **case)
 
 
-def test_upgrade_starts_at_the_model_asked_for():
+def test_upgrade_starts_at_the_given_model():
     assert contact.solve("layered", upgrade=True, **CASE).model == "layered"
 
 
 @pytest.mark.parametrize(
     ("change", "names"),
     [
-        ({"force": -1.0}, "push"),
+        ({"force": -1.0}, "force must be finite and not negative"),
         ({"curvature": -120.0}, "hollow"),
         ({"modulus": 2e2}, "indenter radius"),
         ({"thickness": 1e-5}, "thickness/cell"),
     ],
 )
-def test_upgrade_ends_in_a_named_error(change, names):
+def test_upgrade_without_a_valid_model_raises(change, names):
     with pytest.raises(ContactError, match=names):
         contact.solve("hertz", upgrade=True, **CASE | change)
 
 
 @pytest.mark.parametrize("model", contact.BATCHED)
 @pytest.mark.parametrize("thickness", [None, 3e-3])
-def test_many_contacts_are_each_contact(model, thickness):
+def test_batch_equals_single_contacts(model, thickness):
     rng = np.random.default_rng(0)
     push = rng.uniform(0.1, 0.4, 6)
     curvature = np.repeat(rng.uniform(-20, 20, (6, 1)), 2, axis=1)
     if model != "hertz":
         curvature[:, 0] += 30.0
-    given = {"poisson": 0.45, "thickness": thickness, "indenter_radius": 0.01}
-    many = contact.patches(
-        model, force=push, curvature=curvature, effective_modulus=0.5e6 / (1 - 0.45**2), **given
-    )
-    alone = given if model == "layered" else given | {"thickness": None}
+    law = contact.ContactModel(model, poisson=0.45, thickness=thickness)
+    geometry = {"curvature": curvature, "indenter_radius": 0.01}
+    e_star = 0.5e6 / (1 - 0.45**2)
+    many = law.patches(force=push, effective_modulus=e_star, **geometry)
+    alone = {"thickness": thickness if model == "layered" else None}
     for k in range(6):
         one = contact.solve(
             model, **CASE | alone | {"force": push[k], "curvature": tuple(curvature[k])}
@@ -81,47 +81,37 @@ def test_many_contacts_are_each_contact(model, thickness):
         at = rng.uniform(-3e-3, 3e-3, 2)  # the first curvature is the larger: its axis is the minor
         reading = many.reading(*at, 2e-3)[k]
         assert reading == pytest.approx(float(one.reading(at[::-1], 2e-3)), abs=1e-9 * one.peak)
-    back = contact.force(
-        model,
-        depth=many.depth,
-        curvature=curvature,
-        effective_modulus=0.5e6 / (1 - 0.45**2),
-        **given,
-    )
+    back = law.force(depth=many.depth, effective_modulus=e_star, **geometry)
     assert back == pytest.approx(push, rel=1e-8)
 
 
 @pytest.mark.parametrize("model", contact.BATCHED)
-def test_as_casadi_expressions(model):
-    given = {"poisson": 0.45, "thickness": 3e-3, "indenter_radius": 0.01}
+def test_casadi_expressions_equal_numpy(model):
+    law = contact.ContactModel(model, poisson=0.45, thickness=3e-3)
     d, k, e = ca.SX.sym("d"), ca.SX.sym("k", 2), ca.SX.sym("e")
-    y = contact.force(model, depth=d, curvature=k, effective_modulus=e, **given)
-    patch = contact.patches(model, force=y, curvature=k, effective_modulus=e, **given)
+    symbols = {"curvature": k, "indenter_radius": 0.01, "effective_modulus": e}
+    y = law.force(depth=d, **symbols)
+    patch = law.patches(force=y, **symbols)
     x = ca.vertcat(d, k, e)
     f = ca.Function("f", [d, k, e], [y, ca.vertcat(*patch), ca.jacobian(ca.vertcat(*patch), x)])
     value, whole, jacobian = f(2e-4, [12.0, 8.0], 0.6e6)
-    push = contact.force(
-        model, depth=2e-4, curvature=np.array([12.0, 8.0]), effective_modulus=0.6e6, **given
-    )
-    plain = contact.patches(
-        model, force=push, curvature=np.array([12.0, 8.0]), effective_modulus=0.6e6, **given
-    )
+    numbers = symbols | {"curvature": np.array([12.0, 8.0]), "effective_modulus": 0.6e6}
+    push = law.force(depth=2e-4, **numbers)
+    plain = law.patches(force=push, **numbers)
     assert float(value) == pytest.approx(push)
     assert whole.full()[:, 0] == pytest.approx(np.array(plain, dtype=float))
     assert whole.full()[3, 0] == pytest.approx(2e-4)  # the depth comes back
     assert np.isfinite(jacobian.full()).all()
 
 
-def test_batch_of_an_unknown_model_names_the_nearest():
+def test_unknown_model_names_the_nearest():
     with pytest.raises(UnknownNameError, match="did you mean layered"):
-        contact.force(
-            "layred", depth=0.0, curvature=0.0, indenter_radius=1, effective_modulus=1, poisson=0
-        )
+        contact.ContactModel("layred")
 
 
 @pytest.mark.parametrize("curvature", [100.0, 10.0, 0.0, -50.0, -90.0])
-def test_parabolic_gaps_end_where_true_arcs_differ(curvature):
-    """At the limit of width the true arcs are about 4 % narrower, whatever the body's curvature."""
+def test_parabolic_gap_at_its_limit_of_width(curvature):
+    """At MAX_WIDTH circular arcs give 4 % smaller patches, whatever the curvature of the body."""
     tip, radius = 100.0, 1 / (100.0 + curvature)
     a = 0.519 / np.sqrt(tip**2 - tip * curvature + curvature**2)
     case = CASE | {"curvature": curvature, "modulus": 1e6, "poisson": 0.0}
@@ -133,7 +123,7 @@ def test_parabolic_gaps_end_where_true_arcs_differ(curvature):
         contact.solve("hertz", **case | {"force": 1.02 * case["force"]})
 
 
-def test_any_scene_has_a_patch_or_a_named_error():
+def test_any_arguments_give_a_patch_or_a_contact_error():
     rng = np.random.default_rng(5)
     solved = 0
     for _ in range(150):
@@ -162,26 +152,21 @@ def test_any_scene_has_a_patch_or_a_named_error():
 
 
 @pytest.mark.parametrize("model", contact.BATCHED)
-def test_in_a_closed_loop_on_a_sphere(model):
-    """At an umbilic, where the two curvatures meet, the force keeps its derivatives."""
+def test_derivatives_by_the_position_of_the_indenter_on_a_sphere(model):
+    """The force is smooth at an umbilic, where the two principal curvatures are equal."""
     body, centre = Body.sphere(0.1), np.array([0.0, 0.02, 0.107])
     hit = body.closest(centre[None])
     c, uv, x = ca.SX.sym("c", 21, 3), ca.SX.sym("uv", 2), ca.SX.sym("x", 3)
     _, _, foot, normal, curvature = casadi_foot(c, uv[0], uv[1], x)
-    given = {"indenter_radius": 0.01, "poisson": 0.49, "thickness": 3e-3}
-    y = contact.force(
-        model,
-        depth=0.01 - ca.dot(x - foot, normal),
-        curvature=curvature,
-        effective_modulus=0.26e6,
-        **given,
-    )
+    law = contact.ContactModel(model, poisson=0.49, thickness=3e-3)
+    given = {"indenter_radius": 0.01, "effective_modulus": 0.26e6}
+    y = law.force(depth=0.01 - ca.dot(x - foot, normal), curvature=curvature, **given)
     f = ca.Function("f", [c, uv, x], [y, ca.gradient(y, x), ca.hessian(y, x)[0]])
     value, gradient, hessian = f(body.surface.patches[hit.face[0]], hit.uv[0], centre)
     depth = 0.01 - (np.linalg.norm(centre) - 0.1)
-    flat = {"curvature": np.array([10.0, 10.0]), "effective_modulus": 0.26e6, **given}
-    assert float(value) == pytest.approx(contact.force(model, depth=depth, **flat), rel=1e-3)
-    slope = [contact.force(model, depth=depth + d, **flat) for d in (1e-7, -1e-7)]
+    given["curvature"] = np.array([10.0, 10.0])
+    assert float(value) == pytest.approx(law.force(depth=depth, **given), rel=1e-3)
+    slope = [law.force(depth=depth + d, **given) for d in (1e-7, -1e-7)]
     push = -(slope[0] - slope[1]) / 2e-7 * centre / np.linalg.norm(centre)
     assert gradient.full()[:, 0] == pytest.approx(push, rel=1e-2, abs=1.0)
     assert np.isfinite(hessian.full()).all()
@@ -190,7 +175,7 @@ def test_in_a_closed_loop_on_a_sphere(model):
 @pytest.mark.parametrize("poisson", [-0.2, 0.45])
 @pytest.mark.parametrize("thickness", [None, 3e-3, 0.05])
 @pytest.mark.parametrize("model", contact.BATCHED)
-def test_a_model_holds_for_many_contacts_where_it_solves_each(model, thickness, poisson):
+def test_is_valid_exactly_where_solve_succeeds(model, thickness, poisson):
     rng = np.random.default_rng(2)
     curvature = rng.uniform(-120, 300, (300, 2)) * 10.0 ** rng.uniform(-3, 0, (300, 1))
     curvature[0] = np.nan

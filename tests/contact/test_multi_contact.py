@@ -1,4 +1,4 @@
-"""Contacts of a sphere on hollow bodies: found where they are, none too many, and each solved."""
+"""Contacts of a sphere with bodies that have hollows: positions, number, forces and patches."""
 
 import numpy as np
 import pytest
@@ -60,7 +60,7 @@ def test_two_walls_of_a_v_groove():
 
 
 def test_two_sides_of_a_valley(valley):
-    """z = 100 x^2 is rounder than the sphere at its bottom: the sphere rests on both sides."""
+    """z = 100 x^2 is tighter than the sphere at its bottom: the sphere rests on both sides."""
     centre = np.array([0.0, 0.0, 0.0121])
     foot = minimize_scalar(
         lambda x: np.hypot(x, 100 * x**2 - centre[2]), bounds=(1e-3, 0.02), options={"xatol": 1e-12}
@@ -82,7 +82,7 @@ def test_unequal_sides_are_ordered_by_depth(valley):
     assert found.point[0, 0] > 0
 
 
-def test_each_is_what_its_model_gives(valley):
+def test_each_patch_is_that_of_its_model(valley):
     for thickness in (None, 3e-3):
         model = "elliptic" if thickness is None else "layered"
         found, force, patches = multi_contact.solve_contacts(
@@ -101,13 +101,13 @@ def test_each_is_what_its_model_gives(valley):
             assert alone.depth == pytest.approx(depth, rel=1e-8)
 
 
-def test_far_contacts_agree_with_one_field_over_both():
-    """Two bumps apart: boundary elements over both, with what one sinks the other."""
-    n, h, apart = 128, 1.2e-4, 8e-3
+def test_distant_contacts_equal_boundary_elements_over_both():
+    """Boundary elements over two distant bumps include the displacement of one by the other."""
+    n, h, separation = 128, 1.2e-4, 8e-3
     x = (np.arange(n) - (n - 1) / 2) * h
-    one = ((x - apart / 2) ** 2)[:, None] + x**2
+    one = ((x - separation / 2) ** 2)[:, None] + x**2
     e_star = 0.5e6 / (1 - 0.45**2)
-    whole = boundary_elements.press(
+    whole = boundary_elements.solve_grid(
         np.minimum(one, one[::-1]) / 0.02,
         influence.Influence((n, n), (h, h), e_star, 0.45),
         0.1,
@@ -115,7 +115,7 @@ def test_far_contacts_agree_with_one_field_over_both():
     )
     single = contact.solve("elliptic", force=0.05, curvature=0.0, indenter_radius=0.01, **SOFT)
     assert whole.pressure.max() == pytest.approx(single.peak, rel=5e-3)
-    neighbour = 0.05 / (np.pi * e_star * apart)  # what `press` leaves out, as its module says
+    neighbour = 0.05 / (np.pi * e_star * separation)  # neglected by solve_contacts
     assert whole.approach == pytest.approx(single.depth + neighbour, rel=5e-3)
 
 
@@ -128,7 +128,7 @@ def test_thin_wall_is_touched_from_outside_only():
     assert found.point[0] == pytest.approx([0.003, 0.002, 0.001], abs=1e-6)
 
 
-def test_refuses_a_ring_an_edge_and_an_inside():
+def test_rings_edges_and_centres_inside_the_body_raise():
     torus = Body.torus(0.05, 0.02)
     with pytest.raises(ContactError, match="along a curve"):
         multi_contact.find_contacts(torus, [0.0, 0.0, 0.0], 0.031)
@@ -143,16 +143,16 @@ def test_refuses_a_ring_an_edge_and_an_inside():
         multi_contact.solve_contacts(roof, [0.0, 0.0, 0.0095], 0.01, **SOFT)
 
 
-def test_refuses_patches_that_meet():
+def test_overlapping_patches_raise():
     shallow = height_field(lambda x, y: 52.0 * x**2)
     found = multi_contact.find_contacts(shallow, [0.0, 0.0, 0.0101], 0.0102)
     assert len(found) == 2
-    with pytest.raises(ContactError, match=r"meet|wide"):
+    with pytest.raises(ContactError, match=r"overlap|wide"):
         multi_contact.solve_contacts(shallow, [0.0, 0.0, 0.0101], 0.0102, **SOFT)
 
 
-def test_shallow_minima_on_a_fine_mesh():
-    """Flat faces put the minima some faces off: the walks must not fall into the other side."""
+def test_shallow_minima_on_a_fine_mesh_are_separate():
+    """The closest faces lie off the minima: the iterations must not end in the other minimum."""
     shallow = height_field(lambda x, y: 52.0 * x**2, n=241)
     found = multi_contact.find_contacts(shallow, [1e-6, 0.0, 0.0101], 0.0102)
     x = np.linspace(-0.01, 0.01, 2_000_001)

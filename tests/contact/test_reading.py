@@ -1,4 +1,4 @@
-"""Readings of the world, by any contact model: against quadrature of the patch over the disc."""
+"""Readings by all contact models: quadrature of the pressure over the disc."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from meshskin.contact.reading import disc_pressures
 E_STAR, DISC, INDENTER = 4e5, 2e-3, 0.01
 
 
-def place(body, where, rng, count=60):
+def contact_with_taxels(body, where, rng, count=60):
     """One contact of the body, and taxels about it in its tangent plane."""
     hit = body.closest([where])
     across = np.cross(hit.normal, hit.direction)
@@ -39,9 +39,9 @@ def readings(hit, taxels, model):
         ),
     ],
 )
-def test_a_reading_is_the_mean_of_the_patch_over_the_disc(model, body, where):
+def test_reading_is_the_mean_pressure_over_the_disc(model, body, where):
     rng = np.random.default_rng(2)
-    hit, xy, taxels = place(body, where, rng)
+    hit, xy, taxels = contact_with_taxels(body, where, rng)
     got = readings(hit, taxels, model)
     patch = contact.solve(
         model.name, force=3.0, curvature=tuple(hit.curvature[0]), indenter_radius=INDENTER,
@@ -61,9 +61,9 @@ def test_a_reading_is_the_mean_of_the_patch_over_the_disc(model, body, where):
     assert (got[far] == 0).all()
 
 
-def test_on_a_sphere_the_ellipse_and_a_thick_layer_read_as_hertz():
+def test_ellipse_and_thick_layer_equal_hertz_on_a_sphere():
     rng = np.random.default_rng(3)
-    hit, _, taxels = place(Body.sphere(0.1), (0.03, 0.02, -0.09), rng)
+    hit, _, taxels = contact_with_taxels(Body.sphere(0.1), (0.03, 0.02, -0.09), rng)
     hertz = readings(hit, taxels, ContactModel())
     peak = hertz.max()
     np.testing.assert_allclose(

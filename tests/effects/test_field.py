@@ -67,7 +67,7 @@ def test_a_thinner_layer_presses_harder_and_a_thick_one_is_no_layer(context, fra
         plain, 1e-4
     )
     assert Layer(0.05).bound(context) < Layer(8e-3).bound(context) < Layer(3e-3).bound(context)
-    with pytest.raises(ContactError, match="thinner than the table"):
+    with pytest.raises(ContactError, match="too thin for the table"):
         Layer(1e-4).build(context)
 
 

@@ -11,9 +11,10 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from meshskin.contact import ContactModel, hertz
+from meshskin.contact import ContactModel
 from meshskin.contact.disc import disc_mean
 from meshskin.contact.material import Material
+from meshskin.contact.problem import effective_modulus
 from meshskin.estimation.joint.contacts import LinearizedContacts
 from meshskin.estimation.joint.likelihood import Likelihood, Readings
 from meshskin.geometry.primitives import Sphere
@@ -49,7 +50,7 @@ class World:
         self.points, self.normals = hit.point, hit.normal
         self.directions = hit.direction
         self.force = FORCE * (1 + self.spread * np.sin(np.arange(len(self.points))))
-        self.modulus = hertz.effective_modulus(self.young, POISSON)
+        self.modulus = effective_modulus(self.young, POISSON)
         self.patches = self.model.patches(
             force=self.force,
             curvature=hit.curvature,
