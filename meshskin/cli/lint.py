@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ..skin.lint import Finding
+    from ..skin.lint import Defect
 
 SHOWN = 12
 """Ranges of numbers that one line shows."""
@@ -29,34 +29,34 @@ def add(commands: Any) -> None:
 
 
 def command(options: argparse.Namespace) -> int:
-    """Print the findings."""
+    """Print the defects."""
     from ..skin import files
     from ..skin.lint import check
 
     table = files.read(options.file, options.part)
-    findings = check(table)
+    defects = check(table)
     count = int(table.is_taxel().sum())
-    print(f"{options.file.name}: {table.format}, {count} taxels, {count_text(len(findings))}")
-    for finding in findings:
+    print(f"{options.file.name}: {table.format}, {count} taxels, {count_text(len(defects))}")
+    for defect in defects:
         print()
-        for line in lines(finding, None if options.all else SHOWN):
+        for line in lines(defect, None if options.all else SHOWN):
             print(line)
-    return 1 if findings else 0
+    return 1 if defects else 0
 
 
 def count_text(count: int) -> str:
-    """The number of findings as text."""
-    return {0: "no defect found", 1: "1 finding"}.get(count, f"{count} findings")
+    """The number of defects as text."""
+    return {0: "no defect found", 1: "1 defect"}.get(count, f"{count} defects")
 
 
-def lines(finding: Finding, shown: int | None) -> Iterator[str]:
-    """The lines of text that describe a finding."""
-    yield f"{finding.kind}: {finding.what}"
-    if finding.taxels:
-        yield f"  taxels   {numbers(finding.taxels, shown)}"
-    if finding.modules:
-        yield f"  modules  {numbers(finding.modules, shown)}"
-    yield f"  remedy   {finding.remedy}"
+def lines(defect: Defect, shown: int | None) -> Iterator[str]:
+    """The lines of text that describe a defect."""
+    yield f"{defect.kind}: {defect.what}"
+    if defect.taxels:
+        yield f"  taxels   {numbers(defect.taxels, shown)}"
+    if defect.modules:
+        yield f"  modules  {numbers(defect.modules, shown)}"
+    yield f"  remedy   {defect.remedy}"
 
 
 def numbers(values: Sequence[int], shown: int | None) -> str:

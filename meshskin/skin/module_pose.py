@@ -14,8 +14,8 @@ from ..geometry.surface.closest_point import Closest
 from . import slots
 
 MAX_OFFSET = 2.5e-3
-"""Largest distance of a taxel from the surface, m: about half the thickness of iCub's foam, which
-bridges the gap under a module on a curved cover."""
+"""Largest distance of a taxel from the surface, m. A module fitted to a sphere of radius R (mm) is
+off by 32 mm^2 / R: spheres down to a radius of 13 mm, a finger, can be covered."""
 ITERATIONS = 3
 """Linear least-squares fits of a pose to the surface; each starts at the closest points of the
 last."""

@@ -1,7 +1,9 @@
-"""Slots of the triangular modules that cover iCub: twelve a module, two of them thermal pads.
+"""Geometry of the triangular modules that cover iCub: twelve slots, two of them thermal pads.
 
-Slot frame: origin at slot 3, the middle of the triangle; z outward, x along the rows. A taxel's id
-is 12 * module + slot. Sources: the offsets of the module with ten taxels are those published in
+Frame of a module: origin at slot 3, the centre of the triangle; z outward, x along the rows. The id
+of a taxel is 12 * module + slot.
+
+Sources: the offsets of the module with ten taxels are those published in
 icub-taxel-positions (taxeltrans.txt); those of the first kind, with twelve taxels and no thermal
 pad, follow from the drawing in icub-main, iCubSkinGui (Triangle.h).
 """
@@ -13,7 +15,9 @@ from collections import Counter
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from ..core.arrays import Array
+
+Ids = NDArray[np.int64]
 
 PER_MODULE = 12
 """slots of a module"""
@@ -24,7 +28,7 @@ THERMAL = (6, 10)
 TAXELS = (0, 1, 2, 3, 4, 5, 7, 8, 9, 11)
 """slots that are taxels"""
 CENTRE = 3
-"""slot in the middle of the triangle, which represents its module in a position file"""
+"""slot at the centre of the triangle, which represents its module in a position file"""
 
 
 def _metres(*millimetres: tuple[float, float]) -> Array:
@@ -41,7 +45,7 @@ TWELVE_OFFSETS = _metres(
     *((7.5, -1.443), (10, -5.774), (5, -5.774), (0, -2.887), (-5, -5.774), (-10, -5.774)),
     *((-7.5, -1.443), (-2.5, 1.443), (-2.5, 7.217), (0, 11.547), (2.5, 7.217), (2.5, 1.443)),
 )
-"""(12, 3) slots of the first kind of module, twelve taxels; origin at the triangle's middle, m"""
+"""(12, 3) slots of the first kind of module, twelve taxels; origin at the triangle's centre, m"""
 CORNERS = (
     SIDE
     / np.sqrt(3.0)
@@ -51,17 +55,17 @@ CORNERS = (
 
 
 def module(ids: ArrayLike) -> NDArray[np.int64]:
-    """Modules of taxels by their ids (n,)."""
+    """Module numbers of the taxels with ids (n,)."""
     return np.asarray(ids, dtype=np.int64) // PER_MODULE
 
 
 def slot(ids: ArrayLike) -> NDArray[np.int64]:
-    """Slots of taxels by their ids (n,)."""
+    """Slots of the taxels with ids (n,)."""
     return np.asarray(ids, dtype=np.int64) % PER_MODULE
 
 
 def is_modular(ids: ArrayLike) -> bool:
-    """Whether ids (n,) look like those of modules with ten taxels: ten a module, none thermal."""
+    """Whether ids (n,) are those of modules with ten taxels: ten a module, none thermal."""
     numbers = np.asarray(ids, dtype=np.int64)
     if not len(numbers) or np.isin(slot(numbers), THERMAL).any():
         return False

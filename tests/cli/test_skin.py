@@ -34,7 +34,7 @@ def test_lint_names_taxels_modules_and_a_remedy(arm, tmp_path, capsys):
     Skin(poses, arm.ids).save(tmp_path / "arm.csv")
     assert cli.main(["lint", str(tmp_path / "arm.csv")]) == 1
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == "arm.csv: csv, 60 taxels, 1 finding"
+    assert lines[0] == "arm.csv: csv, 60 taxels, 1 defect"
     assert lines[2].startswith("duplicate positions: 60 taxels at 52 distinct positions")
     assert lines[3] == "  taxels   11-17, 19-20"
     assert lines[4] == "  modules  0-1"
@@ -54,7 +54,7 @@ def test_long_lists_are_cut_unless_asked_for(arm, tmp_path, capsys):
 def test_lint_of_what_cannot_be_read(tmp_path, capsys):
     assert "nowhere" in fails(capsys, "lint", tmp_path / "nowhere.txt")
     (tmp_path / "prose.txt").write_text("a skin, once upon a time")
-    assert "no skin file" in fails(capsys, "lint", tmp_path / "prose.txt")
+    assert "not a skin file" in fails(capsys, "lint", tmp_path / "prose.txt")
 
 
 def test_a_part_is_chosen(arm, tmp_path, capsys):

@@ -175,7 +175,7 @@ def edited(path, line, change):
 @pytest.mark.parametrize(
     ("line", "change", "match"),
     [
-        (1, lambda s: s.replace("qw", "w"), "is no skin file"),
+        (1, lambda s: s.replace("qw", "w"), "is not a skin file"),
         (3, lambda s: s + ",1", "taxel line 2"),
         (3, lambda s: s.replace(s.split(",")[2], "nan"), "taxel line 2"),
         (3, lambda s: s.replace(s.split(",")[2], "east"), "taxel line 2.*east"),

@@ -1,25 +1,32 @@
-"""File formats of bodies and skins, one a module; skin files are told apart by their content."""
+"""File formats of skins, one a module; the format of a file is recognized by its content."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.atomic_io import atomic, write_text
+from ...core.arrays import Array
+from ...core.atomic_io import atomic
 from ...core.errors import SkinError
 from . import csv, glb, icub, icub_layout, idyntree, ply, urdf
-from .table import Table
+from .table import SkinTable
 
-FORMATS = {"csv": "csv", "txt": "icub", "icub": "icub", "urdf": "urdf", "ply": "ply", "glb": "glb"}
-"""formats that are written, by suffix or name"""
-UNTURNED = ("icub",)
-"""formats that hold normals only, which may be missing"""
+FORMATS: dict[str, ModuleType] = {
+    "csv": csv,
+    "txt": icub,
+    "icub": icub,
+    "urdf": urdf,
+    "ply": ply,
+    "glb": glb,
+}
+"""Modules of the formats that are written, by suffix or name."""
 
 
-def read(path: Path, part: str | None = None) -> Table:
-    """What a skin file says, whatever its format; `part` chooses one of a URDF's skins.
+def read(path: Path, part: str | None = None) -> SkinTable:
+    """The rows of a skin file of any format; `part` chooses one of the skins of a URDF.
 
     Raises SkinError where it cannot be read.
     """
@@ -31,7 +38,7 @@ def read(path: Path, part: str | None = None) -> Table:
             return glb.read(data, path.name)
         text = data.decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise SkinError(f"{path.name} is no skin file", value=str(error)) from error
+        raise SkinError(f"{path.name} is not a skin file", value=str(error)) from error
     if text.startswith("ply"):
         return ply.read(text, path.name)
     if text.lstrip().startswith("<"):
@@ -40,50 +47,38 @@ def read(path: Path, part: str | None = None) -> Table:
         return idyntree.read(text, path.name)
     if "[SENSORS]" in text:
         return icub_layout.read(text, path.name)
-    if "[calibration]" in text or "taxel2Repr" in text or _is_rows(text):
+    if "[calibration]" in text or "taxel2Repr" in text or _starts_with_six_numbers(text):
         return icub.read(text, path.name)
     return csv.read(text, path.name)
 
 
 def check_format(kind: str) -> None:
-    """Raise SkinError if `kind` is none of FORMATS."""
+    """Raise SkinError unless `kind` is one of FORMATS."""
     if kind.lower() not in FORMATS:
         raise SkinError(
             "format of a skin file", value=kind, remedy=f"formats: {', '.join(FORMATS)}"
         )
 
 
-def write(
-    path: Path, kind: str, poses: NDArray[np.float64], ids: NDArray[np.int64], disc_radius: float
-) -> None:
-    """Write a skin in one stroke, as `kind`: one of FORMATS. Raises SkinError."""
+def write(path: Path, kind: str, poses: Array, ids: NDArray[np.int64], disc_radius: float) -> None:
+    """Write a skin atomically, as `kind`: one of FORMATS. Raises SkinError, OutputError."""
     check_format(kind)
-    name = FORMATS[kind]
+    module = FORMATS[kind]
     bare = int(np.isnan(poses).any(axis=(1, 2)).sum())
-    if bare and name not in UNTURNED:
+    if bare and module is not icub:
         raise SkinError(
-            f"taxels without a normal, for a {kind} file",
+            f"taxels without a normal cannot be written to a {kind} file",
             value=bare,
             limit="0",
             remedy="a position file (.txt), or take the normals from the body: skin.onto(body)",
         )
-    if name == "glb":
-        with atomic(path) as temporary:
-            temporary.write_bytes(glb.write(poses, ids, disc_radius))
-        return
-    if name == "icub":
-        text = icub.write(poses, ids, path.stem)
-    elif name == "urdf":
-        text = urdf.write(poses, ids, disc_radius, path.stem)
-    elif name == "ply":
-        text = ply.write(poses, ids, disc_radius)
-    else:
-        text = csv.write(poses, ids, disc_radius)
-    write_text(path, text)
+    content = module.write(poses, ids, disc_radius, path.stem)
+    with atomic(path) as temporary:
+        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
-def _is_rows(text: str) -> bool:
-    """Whether the first line that is no comment holds six numbers."""
+def _starts_with_six_numbers(text: str) -> bool:
+    """Whether the first line that is not a comment holds six numbers."""
     lines = (line.split("#")[0].split() for line in text.splitlines())
     first = next((fields for fields in lines if fields), [])
     try:

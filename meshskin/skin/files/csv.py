@@ -3,72 +3,59 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...core import se3
+from ...core.arrays import Array
 from ...core.errors import SkinError
-from .table import DISC_RADIUS, Table
-
-Array = NDArray[np.float64]
+from ..slots import Ids
+from .table import DISC_RADIUS, SkinTable, parse_numbers
 
 COLUMNS = ("id", "x", "y", "z", "nx", "ny", "nz", "qx", "qy", "qz", "qw")
-HEAD = "# meshskin skin"
+HEADER = "# meshskin skin"
+_RADIUS = "disc_radius_m="
 
 
-def write(poses: Array, ids: NDArray[np.int64], disc_radius: float) -> str:
+def write(poses: Array, ids: Ids, disc_radius: float, name: str) -> str:
     """Text of poses (n, 4, 4) and ids (n,), exact to the last bit of positions and normals."""
     rotation = poses[:, :3, :3]
     table = np.column_stack([poses[:, :3, 3], rotation[:, :, 2], se3.quaternion(rotation)])
-    lines = [f"{HEAD}, disc_radius_m={float(disc_radius)!r}", ",".join(COLUMNS)]
-    for name, row in zip(ids.tolist(), table.tolist(), strict=True):
-        lines.append(",".join([str(name), *(repr(value) for value in row)]))
+    lines = [f"{HEADER}, {_RADIUS}{float(disc_radius)!r}", ",".join(COLUMNS)]
+    for taxel, row in zip(ids.tolist(), table.tolist(), strict=True):
+        lines.append(",".join([str(taxel), *map(repr, row)]))
     return "\n".join(lines) + "\n"
 
 
-def read(text: str, name: str) -> Table:
-    """What a file's text says; SkinError where it is no such file. `name` is the file's."""
+def read(text: str, name: str) -> SkinTable:
+    """The rows of a file's text; `name` of the file is for errors. Raises SkinError."""
     lines = [line.strip() for line in text.splitlines() if line.strip()]
-    head = [line for line in lines if line.startswith("#")]
+    comments = [line for line in lines if line.startswith("#")]
     body = [line for line in lines if not line.startswith("#")]
     if not body or tuple(field.strip() for field in body[0].split(",")) != COLUMNS:
         raise SkinError(
-            f"{name} is no skin file",
+            f"{name} is not a skin file",
             value=repr(body[0][:60]) if body else "no lines",
             limit=f"columns {','.join(COLUMNS)}",
         )
-    rows = [_row(name, k, line) for k, line in enumerate(body[1:], start=1)]
-    if not rows:
+    if len(body) < 2:
         raise SkinError(f"{name} holds no taxels")
-    table = np.array([row[1] for row in rows])
-    return Table(
-        "csv",
-        np.array([row[0] for row in rows], dtype=np.int64),
-        table[:, :3],
-        table[:, 3:6],
-        table[:, 6:],
-        _disc_radius(name, head),
-    )
+    ids, rows = [], []
+    for number, line in enumerate(body[1:], start=1):
+        taxel, *fields = line.split(",")
+        where = f"{name}, taxel line {number}"
+        rows.append(parse_numbers(fields, len(COLUMNS) - 1, where, f"{len(COLUMNS)} columns"))
+        try:
+            ids.append(np.int64(int(taxel)))
+        except (ValueError, OverflowError) as error:
+            raise SkinError(where, value=str(error)) from error
+    table = np.array(rows)
+    columns = (table[:, :3], table[:, 3:6], table[:, 6:])
+    return SkinTable("csv", np.array(ids), *columns, _disc_radius(name, comments))
 
 
-def _row(name: str, number: int, line: str) -> tuple[int, list[float]]:
-    fields = line.split(",")
-    where = f"{name}, taxel line {number}"
-    try:
-        values = [float(field) for field in fields[1:]]
-        taxel = int(fields[0])
-    except ValueError as error:
-        raise SkinError(where, value=str(error)) from error
-    if len(fields) != len(COLUMNS):
-        raise SkinError(where, value=repr(line[:60]), limit=f"{len(COLUMNS)} numbers")
-    return taxel, values
-
-
-def _disc_radius(name: str, head: list[str]) -> float:
-    for line in head:
-        _, found, value = line.partition("disc_radius_m=")
+def _disc_radius(name: str, comments: list[str]) -> float:
+    """The disc radius in the comments, m. Raises SkinError."""
+    for line in comments:
+        _, found, value = line.partition(_RADIUS)
         if found:
-            try:
-                return float(value)
-            except ValueError as error:
-                raise SkinError(f"{name}: disc radius", value=repr(value)) from error
+            return float(parse_numbers([value], 1, f"{name}: disc radius")[0])
     return DISC_RADIUS

@@ -1,8 +1,8 @@
-"""iCub position files: a header, then one row `x y z nx ny nz` a slot (m, link frame).
+"""iCub position files: a header, then one row `x y z nx ny nz` for each slot (m, link frame).
 
-Source of the format: icub-main, app/skinGui/conf. An all-zero row is a slot without taxel;
-taxel2Repr names for each slot the taxel that represents its module, or -1 or -2 where there is
-none. A file without header holds taxels only, ten a module or in no modules.
+A row of zeros is a slot without taxel. taxel2Repr gives for each slot the taxel that represents its
+module, or -1 or -2 where there is no taxel. A file without header holds taxels only, ten a module
+or without modules. Source of the format: icub-main, app/skinGui/conf.
 """
 
 from __future__ import annotations
@@ -11,20 +11,19 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...core.arrays import Array
 from ...core.errors import SkinError
-from ..slots import CENTRE, OFFSETS, PER_MODULE, TAXELS, THERMAL, is_modular
-from .table import Table
+from ..slots import CENTRE, OFFSETS, PER_MODULE, TAXELS, THERMAL, Ids, is_modular
+from .table import SkinTable, parse_numbers
 
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
-
-FITS = 0.2e-3
-"""m, by which the distances in a module of a file without header may differ from a module's"""
+SHAPE_TOLERANCE = 0.2e-3
+"""Largest difference, m, between distances of taxels in a file without header and in a module, for
+the file to be read as modules. Positions rounded to 0.1 mm change distances by up to 0.17 mm."""
 MAX_SLOTS = 10_000_000
 """Largest number of rows that are written, one a slot: 1 GB of text."""
 NO_MODULE, NO_TAXEL = -1, -2
+"""Entries of taxel2Repr for a slot of an absent module, and for a thermal pad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +31,9 @@ class PositionFile:
     """A position file line for line."""
 
     header: tuple[tuple[str, str], ...]
-    """its lines before the rows, as key and value: name, spatial_sampling, taxel2Repr, ..."""
+    """lines before the rows as key and value: name, spatial_sampling, taxel2Repr, ..."""
     rows: Array
-    """(slots, 6) position in m and normal, as written"""
+    """(slots, 6) position, m, and normal, as written"""
 
     @property
     def representative(self) -> Ids | None:
@@ -44,9 +43,9 @@ class PositionFile:
 
 
 def parse(text: str, name: str) -> PositionFile:
-    """A file's text line for line; SkinError, with the line, where it is none."""
+    """The lines of a file. Raises SkinError, with the line, where one cannot be read."""
     header: list[tuple[str, str]] = []
-    rows: list[list[float]] = []
+    rows: list[Array] = []
     for number, line in enumerate(text.splitlines(), start=1):
         fields = line.split()
         if not fields or line.startswith(("#", "[")):
@@ -55,45 +54,37 @@ def parse(text: str, name: str) -> PositionFile:
             key, _, value = line.strip().replace("\t", " ").partition(" ")
             header.append((key, value.strip()))
             continue
-        try:
-            values = [float(field) for field in fields]
-        except ValueError as error:
-            raise SkinError(f"{name}, line {number}", value=str(error)) from error
-        if len(values) != 6:
-            raise SkinError(
-                f"{name}, line {number}", value=f"{len(values)} numbers", limit="x y z nx ny nz"
-            )
-        rows.append(values)
+        rows.append(parse_numbers(fields, 6, f"{name}, line {number}", "x y z nx ny nz"))
     if not rows:
         raise SkinError(f"{name} holds no taxels")
     return PositionFile(tuple(header), np.array(rows))
 
 
-def read(text: str, name: str) -> Table:
-    """What a file's text says of the slots that hold something."""
+def read(text: str, name: str) -> SkinTable:
+    """The slots of a file that are not empty. Raises SkinError."""
     file = parse(text, name)
     rows = file.rows
-    held = np.flatnonzero(np.any(rows != 0.0, axis=1))  # NaN counts as something
-    if not len(held):
+    filled = np.flatnonzero(np.any(rows != 0.0, axis=1))  # NaN is not zero
+    if not len(filled):
         raise SkinError(f"{name} holds no taxels", value="only rows of zeros")
-    ids = held.astype(np.int64)
+    ids = filled.astype(np.int64)
     if not file.header and _is_packed(rows):
         ids = np.add.outer(PER_MODULE * np.arange(len(rows) // len(TAXELS)), TAXELS).ravel()
-    return Table(
+    return SkinTable(
         "icub",
         ids,
-        rows[held, :3],
-        rows[held, 3:],
+        rows[filled, :3],
+        rows[filled, 3:],
         slots=len(rows) if file.header else None,
         representative=file.representative,
     )
 
 
-def write(poses: Array, ids: Ids, name: str) -> str:
+def write(poses: Array, ids: Ids, disc_radius: float, name: str) -> str:
     """Text of poses (n, 4, 4) and ids (n,): positions to 1 nm, normals to 1e-9.
 
-    Raises SkinError where an id is negative. What the format has no place for is lost: the turn
-    about the normal, and the disc's radius.
+    The rotation about the normal and the disc's radius are not part of the format. Raises SkinError
+    for an id that cannot be the number of a row.
     """
     for worst in (int(ids.min()), int(ids.max())):
         if not 0 <= worst < MAX_SLOTS:
@@ -120,11 +111,11 @@ def write(poses: Array, ids: Ids, name: str) -> str:
 
 
 def _is_packed(rows: Array) -> bool:
-    """Whether rows (n, 6) are modules of ten taxels, one after the other, thermal pads left out."""
+    """Whether rows (n, 6) are modules of ten taxels, without rows for thermal pads."""
     if len(rows) % len(TAXELS) or not np.isfinite(rows).all():
         return False
     points = rows[:, :3].reshape(-1, len(TAXELS), 3)
-    between = np.linalg.norm(points[:, :, None] - points[:, None], axis=3)
+    distances = np.linalg.norm(points[:, :, None] - points[:, None], axis=3)
     flat = OFFSETS[list(TAXELS)]
     ideal = np.linalg.norm(flat[:, None] - flat[None], axis=2)
-    return bool(np.max(np.abs(between - ideal)) < FITS)
+    return bool(np.max(np.abs(distances - ideal)) < SHAPE_TOLERANCE)

@@ -1,7 +1,7 @@
-"""Transforms in iDynTree's Python notation: the middles of modules, or the slots of one (mm).
+"""Transforms in iDynTree's Python notation: the centres of modules, or the slots of one (mm).
 
-Source of the files: icub-models-generator, icub-taxel-positions. Each is a rotation (row by row)
-and a position, assigned to `transform_..._TRIANGLE<n>` or `transform_..._TAXEL<n>`.
+Each is a rotation (row by row) and a position, assigned to `transform_..._TRIANGLE<n>` or
+`transform_..._TAXEL<n>`. Source of the files: icub-models-generator, icub-taxel-positions.
 """
 
 from __future__ import annotations
@@ -12,24 +12,25 @@ import numpy as np
 
 from ...core.errors import SkinError
 from ..slots import OFFSETS, PER_MODULE, TAXELS, THERMAL
-from .table import Table
+from .table import SkinTable, parse_numbers
 
 MARK = "iDynTree.Transform"
 UNIT = 1e-3
-"""m"""
-_ONE = re.compile(
+"""Unit of the positions, m."""
+_TRANSFORM = re.compile(
     r"_(TRIANGLE|TAXEL)(\d+)\s*=\s*iDynTree\.Transform\(\s*iDynTree\.Rotation\(([^)]*)\)"
     r"[\s,\\]*iDynTree\.Position\(([^)]*)\)"
 )
 
 
-def read(text: str, name: str) -> Table:
-    """The taxels of the modules, thermal pads left out; SkinError where there are none."""
+def read(text: str, name: str) -> SkinTable:
+    """The taxels of the modules, without thermal pads. Raises SkinError where there are none."""
     ids: list[int] = []
     positions, normals = [], []
-    for kind, number, rotation, position in _ONE.findall(text):
-        r = _numbers(rotation, 9, f"{name}: {kind}{number}").reshape(3, 3)
-        p = UNIT * _numbers(position, 3, f"{name}: {kind}{number}")
+    for kind, number, rotation, position in _TRANSFORM.findall(text):
+        where = f"{name}: {kind}{number}"
+        r = parse_numbers(rotation.replace("\\", " ").split(","), 9, where).reshape(3, 3)
+        p = UNIT * parse_numbers(position.replace("\\", " ").split(","), 3, where)
         if kind == "TRIANGLE":
             ids += [PER_MODULE * int(number) + slot for slot in TAXELS]
             positions.append(OFFSETS[list(TAXELS)] @ r.T + p)
@@ -40,19 +41,9 @@ def read(text: str, name: str) -> Table:
             normals.append(r[None, :, 2])
     if not ids:
         raise SkinError(f"{name} holds no taxels", limit="transforms of a TRIANGLE or a TAXEL")
-    return Table(
+    return SkinTable(
         "idyntree",
         np.array(ids, dtype=np.int64),
         np.concatenate(positions),
         np.concatenate(normals),
     )
-
-
-def _numbers(text: str, count: int, where: str) -> np.ndarray:
-    try:
-        values = [float(field) for field in text.replace("\\", " ").split(",")]
-    except ValueError as error:
-        raise SkinError(where, value=str(error)) from error
-    if len(values) != count:
-        raise SkinError(where, value=f"{len(values)} numbers", limit=count)
-    return np.array(values)

@@ -1,4 +1,4 @@
-"""What a skin file says, before anything is made of it."""
+"""The rows of a skin file as written, and what several formats share."""
 
 from __future__ import annotations
 
@@ -8,60 +8,63 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core import se3
+from ...core.arrays import Array, Index
 from ...core.errors import SkinError
-from ..slots import CENTRE, PER_MODULE, THERMAL, module, slot
-
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
+from ..slots import CENTRE, PER_MODULE, THERMAL, Ids, module, slot
 
 DISC_RADIUS = 2e-3
-"""radius in m of a taxel's disc where the file gives none"""
-MOST_OFF = 1e-3
-"""difference between a written normal and its frame, or of a quaternion's length from 1"""
+"""Radius of the disc of a taxel where none is given, m: that of the paper's skin
+(bodies/sphere.toml)."""
+FRAME_TOLERANCE = 1e-3
+"""Largest difference between a normal and the z axis of its quaternion, and between a quaternion's
+norm and 1: four printed digits leave 1e-4."""
+SPIKE_WIDTH = 0.12
+"""Base of the spikes of `frame_mesh`, relative to their length: for viewers."""
+MIN_CENTRES = 8
+"""Slots of a module whose taxel2Repr is the centre taxel, from which on it is triangular: ten are
+on a whole one, of which two may be missing."""
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
-    """Rows of a skin file, as they are written."""
+class SkinTable:
+    """Rows of a skin file as written."""
 
     format: str
-    """the format's name"""
+    """name of the format"""
     ids: Ids
-    """(n,) addresses of the rows that hold something"""
+    """(n,) ids of the rows that are not empty"""
     positions: Array
-    """(n, 3) m, body or link frame"""
+    """(n, 3) in the frame of the body or link, m"""
     normals: Array
-    """(n, 3) as written; zero where the file gives none"""
+    """(n, 3) as written; zero where the file has none"""
     quaternions: Array | None = None
-    """(n, 4) xyzw of the frames, where the file gives them"""
+    """(n, 4) xyzw of the frames, if the file has them"""
     disc_radius: float = DISC_RADIUS
     """m"""
     slots: int | None = None
-    """rows of a file that has one for each slot, with or without a taxel"""
+    """number of rows of a file with one row for each slot, empty ones included"""
     representative: Ids | None = None
-    """(k,) taxel2Repr: of each slot the one that represents its module, negative: no taxel"""
+    """(k,) taxel2Repr: for each slot the taxel that represents its module; negative: no taxel"""
 
     def is_thermal(self) -> NDArray[np.bool_]:
-        """Which rows (n,) are thermal pads: slots 6 and 10 of a triangular module.
-
-        taxel2Repr gives the modules that are not triangular away: they lack the centre taxel's
-        name in most slots.
-        """
+        """Which rows (n,) are thermal pads: slots 6 and 10 of a triangular module."""
         if self.slots is None:
             return np.zeros(len(self.ids), dtype=bool)
         return np.isin(slot(self.ids), THERMAL) & self.is_triangular(module(self.ids))
 
     def is_triangular(self, modules: Ids) -> NDArray[np.bool_]:
-        """Which of the modules (m,) of a file with slots are triangular, by taxel2Repr."""
-        representative = np.zeros(0, dtype=np.int64)
-        if self.representative is not None:
-            representative = self.representative
-        whole = len(representative) // PER_MODULE
-        listed = representative[: whole * PER_MODULE].reshape(whole, PER_MODULE)
+        """Which of the modules (m,) of a file with slots are triangular, by taxel2Repr.
+
+        Most of its slots name the centre taxel, or none a taxel. Modules that are not listed count
+        as triangular.
+        """
+        listed = np.zeros(0, dtype=np.int64) if self.representative is None else self.representative
+        whole = len(listed) // PER_MODULE
+        listed = listed[: whole * PER_MODULE].reshape(whole, PER_MODULE)
         centre = PER_MODULE * np.arange(whole) + CENTRE
-        plain = np.sum(listed == centre[:, None], axis=1) >= 8
-        plain |= np.all(listed < 0, axis=1)
-        return np.array([m >= whole or bool(plain[m]) for m in modules.tolist()], dtype=bool)
+        triangular = np.sum(listed == centre[:, None], axis=1) >= MIN_CENTRES
+        triangular |= np.all(listed < 0, axis=1)
+        return np.array([m >= whole or bool(triangular[m]) for m in modules.tolist()], dtype=bool)
 
     def is_taxel(self) -> NDArray[np.bool_]:
         """Which rows (n,) are taxels: those that taxel2Repr lists; beyond it all but thermal."""
@@ -73,32 +76,27 @@ class Table:
             taxel[known] = self.representative[self.ids[known]] >= 0
         return taxel
 
-    def take(self, rows: NDArray[np.bool_]) -> Table:
-        """Some rows, without what the file says of slots."""
+    def take(self, rows: NDArray[np.bool_] | Index) -> SkinTable:
+        """Some rows, without the information on slots."""
         quaternions = None if self.quaternions is None else self.quaternions[rows]
-        return Table(
-            self.format,
-            self.ids[rows],
-            self.positions[rows],
-            self.normals[rows],
-            quaternions,
-            self.disc_radius,
-        )
+        columns = (self.ids[rows], self.positions[rows], self.normals[rows])
+        return SkinTable(self.format, *columns, quaternions, self.disc_radius)
 
     def poses(self, name: str) -> Array:
-        """Poses (n, 4, 4) in the body frame; rotations are NaN where the file gives no normal.
+        """Poses (n, 4, 4) in the body frame; rotations are NaN where the file has no normal.
 
-        A file without frames leaves the turn about the normal open: a fixed convention sets it.
-        `name` is the file's, for the errors: SkinError where ids double or numbers are not finite.
+        Without quaternions the rotation about the normal is that of `se3.orthonormal_basis`. `name`
+        of the file is for errors: SkinError for repeated ids, numbers that are not finite, and
+        quaternions that are not of unit norm or disagree with their normal.
         """
         values, counts = np.unique(self.ids, return_counts=True)
         if np.any(counts > 1):
             raise SkinError(f"{name} names a taxel twice", value=int(values[counts > 1][0]))
-        finite = np.isfinite(self.positions).all(axis=1) & np.isfinite(self.normals).all(axis=1)
-        if self.quaternions is not None:
-            finite &= np.isfinite(self.quaternions).all(axis=1)
+        numbers = [self.positions, self.normals]
+        numbers += [] if self.quaternions is None else [self.quaternions]
+        finite = np.isfinite(np.concatenate(numbers, axis=1)).all(axis=1)
         if not finite.all():
-            row = int(np.flatnonzero(~finite)[0])
+            row = int(np.argmin(finite))
             raise SkinError(
                 f"{name}, taxel line {row + 1}: taxel {self.ids[row]}", limit="finite numbers"
             )
@@ -111,23 +109,46 @@ class Table:
         return se3.transform(se3.orthonormal_basis(normals), self.positions)
 
     def _rotations(self, name: str, quaternions: Array) -> Array:
+        """Rotations (n, 3, 3) of unit quaternions that agree with the normals. Raises SkinError."""
         from scipy.spatial.transform import Rotation
 
         length = np.linalg.norm(quaternions, axis=1)
-        if np.any(np.abs(length - 1.0) > MOST_OFF):
-            worst = int(np.argmax(np.abs(length - 1.0)))
-            raise SkinError(
-                f"{name}, taxel line {worst + 1}: length of the quaternion",
-                value=f"{length[worst]:.4g}",
-                limit="1",
-            )
+        row = int(np.argmax(np.abs(length - 1.0)))
+        if abs(length[row] - 1.0) > FRAME_TOLERANCE:
+            what = f"{name}, taxel line {row + 1}: length of the quaternion"
+            raise SkinError(what, value=f"{length[row]:.4g}", limit="1")
         rotation = Rotation.from_quat(quaternions).as_matrix()
         off = np.linalg.norm(rotation[:, :, 2] - self.normals, axis=1)
-        if np.any(off > MOST_OFF):
-            worst = int(np.argmax(off))
-            raise SkinError(
-                f"{name}, taxel line {worst + 1}: normal and quaternion disagree",
-                value=f"{off[worst]:.3g}",
-                limit=f"{MOST_OFF:g}",
-            )
+        row = int(np.argmax(off))
+        if off[row] > FRAME_TOLERANCE:
+            what = f"{name}, taxel line {row + 1}: normal and quaternion disagree"
+            raise SkinError(what, value=f"{off[row]:.3g}", limit=f"{FRAME_TOLERANCE:g}")
         return np.asarray(rotation)
+
+
+def parse_numbers(fields: list[str], count: int, where: str, limit: str | None = None) -> Array:
+    """`count` numbers of a file. Raises SkinError, with `where` they stand, for anything else."""
+    try:
+        values = np.array([float(field) for field in fields])
+    except ValueError as error:
+        raise SkinError(where, value=str(error)) from error
+    if len(values) != count:
+        raise SkinError(where, value=f"{len(values)} numbers", limit=limit or f"{count} numbers")
+    return values
+
+
+def frame_mesh(disc_radius: float) -> tuple[Array, Index, NDArray[np.uint8]]:
+    """A taxel's frame for viewers: vertices (12, 3), m, faces (12, 3) and vertex colours (12, 4).
+
+    Three spikes: x red, y green, each as long as the disc's radius; z (the normal) blue and twice
+    as long.
+    """
+    angle = 2.0 * np.pi * np.arange(3) / 3.0
+    base = SPIKE_WIDTH * np.column_stack([np.zeros(3), np.cos(angle), np.sin(angle)])
+    vertices, faces = [], []
+    for axis, length in enumerate((1.0, 1.0, 2.0)):
+        vertices.append(np.roll(np.vstack([base, [length, 0.0, 0.0]]), axis, axis=1))
+        faces.append(4 * axis + np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]))
+    colours = [[200, 40, 40, 255], [40, 160, 60, 255], [40, 80, 200, 255]]
+    rows = np.repeat(np.array(colours, dtype=np.uint8), 4, axis=0)
+    return disc_radius * np.concatenate(vertices), np.concatenate(faces), rows

@@ -1,8 +1,8 @@
-"""Taxel frames of a URDF: fixed joints `<part>_skin_<id>`, by whatever suffix, to a parent link.
+"""Taxel frames in URDF: fixed joints `<part>_skin_<id>`, with or without a suffix, to a link.
 
-In the URDF of iCub (icub-models) they are the frames of modules: the number is the module's, the
-origin its middle, z the outward normal; the turn about z is not the module's. A file that meshskin
-wrote holds one frame a taxel, with the taxel's disc to look at.
+In the URDF of iCub (icub-models) they are frames of modules: the number is the module's, the origin
+its centre, z the outward normal; the rotation about z is not the module's. A file written by
+meshskin holds one frame a taxel, with the taxel's disc for viewers.
 """
 
 from __future__ import annotations
@@ -11,21 +11,20 @@ import re
 import xml.etree.ElementTree as ET
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...core import se3
+from ...core.arrays import Array
 from ...core.errors import SkinError
-from .table import DISC_RADIUS, Table
-
-Array = NDArray[np.float64]
+from ..slots import Ids
+from .table import DISC_RADIUS, SkinTable, parse_numbers
 
 _NAME = re.compile(r"(.+)_skin_(\d+)(?:_fixed_joint|_joint)?")
 THICKNESS = 1e-3
-"""m, of a disc to look at"""
+"""Thickness of a disc for viewers, m."""
 
 
-def write(poses: Array, ids: NDArray[np.int64], disc_radius: float, part: str) -> str:
-    """Text with one link and one fixed joint a taxel, on the link `part`; exact to rounding."""
+def write(poses: Array, ids: Ids, disc_radius: float, part: str) -> str:
+    """Text with one link and one fixed joint a taxel on the link `part`; exact to rounding."""
     robot = ET.Element("robot", name=f"{part}_skin")
     ET.SubElement(robot, "link", name=part)
     for taxel, pose in zip(ids.tolist(), poses, strict=True):
@@ -41,12 +40,12 @@ def write(poses: Array, ids: NDArray[np.int64], disc_radius: float, part: str) -
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
 
 
-def read(text: str, name: str, part: str | None = None) -> Table:
-    """The frames of one part (the only one, if None), in its link's frame. Raises SkinError."""
+def read(text: str, name: str, part: str | None = None) -> SkinTable:
+    """The frames of one part (None: the only one) in the frame of its link. Raises SkinError."""
     try:
         robot = ET.fromstring(text)
     except ET.ParseError as error:
-        raise SkinError(f"{name} is no XML", value=str(error)) from error
+        raise SkinError(f"{name} is not XML", value=str(error)) from error
     frames: dict[str, list[tuple[int, ET.Element]]] = {}
     for joint in robot.findall("joint"):
         match = _NAME.fullmatch(joint.get("name", ""))
@@ -65,43 +64,36 @@ def read(text: str, name: str, part: str | None = None) -> Table:
         )
     poses = np.array([_pose(joint, name) for _, joint in frames[part]])
     radius = robot.find(f"link[@name='{part}_skin_{frames[part][0][0]}']/visual/geometry/cylinder")
-    return Table(
+    return SkinTable(
         "urdf",
         np.array([number for number, _ in frames[part]], dtype=np.int64),
         poses[:, :3, 3],
         poses[:, :3, 2],
         se3.quaternion(poses[:, :3, :3]),
-        DISC_RADIUS if radius is None else float(_numbers(radius.get("radius", ""), 1, name)[0]),
+        DISC_RADIUS
+        if radius is None
+        else float(parse_numbers([radius.get("radius", "")], 1, name)[0]),
     )
 
 
 def _pose(joint: ET.Element, name: str) -> Array:
+    """The pose (4, 4) of a joint in its parent link. Raises SkinError."""
     where = f"{name}: joint {joint.get('name')!r}"
     origin = joint.find("origin")
     given = {} if origin is None else origin.attrib
-    xyz = _numbers(given.get("xyz", "0 0 0"), 3, where)
-    rpy = _numbers(given.get("rpy", "0 0 0"), 3, where)
+    xyz, rpy = (parse_numbers(given.get(k, "0 0 0").split(), 3, where) for k in ("xyz", "rpy"))
     return se3.transform(se3.from_rpy(rpy), xyz)
 
 
 def _angles(r: Array) -> Array:
-    """Roll, pitch, yaw (3,) in rad of a rotation (3, 3); where they are not unique, yaw is 0."""
-    across = np.hypot(r[0, 0], r[1, 0])
-    pitch = np.arctan2(-r[2, 0], across)
-    if across < 1e-9:
+    """Roll, pitch, yaw (3,) in rad of a rotation (3, 3); yaw is 0 where they are not unique."""
+    cosine = np.hypot(r[0, 0], r[1, 0])
+    pitch = np.arctan2(-r[2, 0], cosine)
+    if cosine < 1e-9:
         return np.array([np.arctan2(-r[1, 2], r[1, 1]), pitch, 0.0])
     return np.array([np.arctan2(r[2, 1], r[2, 2]), pitch, np.arctan2(r[1, 0], r[0, 0])])
 
 
-def _numbers(text: str, count: int, where: str) -> Array:
-    try:
-        values = np.array([float(field) for field in text.split()])
-    except ValueError as error:
-        raise SkinError(where, value=str(error)) from error
-    if len(values) != count:
-        raise SkinError(where, value=repr(text), limit=f"{count} numbers")
-    return values
-
-
 def _text(values: Array) -> str:
+    """Numbers as text that is read back exactly."""
     return " ".join(repr(value) for value in values.tolist())

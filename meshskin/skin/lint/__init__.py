@@ -1,6 +1,6 @@
-"""What is wrong with a skin file: named defects, with the taxels at fault and a remedy.
+"""Defects of skin files: each has a name, a description, the taxels concerned and a remedy.
 
-Each check takes the rows of a file as they are written and gives what it finds.
+A check takes the rows of a file as written and yields defects.
 """
 
 from __future__ import annotations
@@ -11,32 +11,32 @@ from pathlib import Path
 import numpy as np
 
 from .. import files
-from ..files.table import Table
+from ..files.table import SkinTable
 from ..skin import Skin
-from . import normals, places, rows
-from .finding import Finding
+from . import normals, positions, rows
+from .defect import Defect
 
-__all__ = ["CHECKS", "Finding", "check", "lint"]
+__all__ = ["CHECKS", "Defect", "check", "lint"]
 
-CHECKS: tuple[Callable[[Table], Iterator[Finding]], ...] = (
+CHECKS: tuple[Callable[[SkinTable], Iterator[Defect]], ...] = (
     *(rows.not_finite, rows.ids, rows.counts, rows.thermal),
-    *(normals.normals, normals.frames, normals.turned),
-    *(places.duplicates, places.scale, places.alone),
+    *(normals.normals, normals.frames, normals.flipped),
+    *(positions.duplicates, positions.scale, positions.isolated),
 )
 
 
-def lint(skin: Skin | str | Path, part: str | None = None) -> tuple[Finding, ...]:
-    """What is wrong with a skin, or with a skin file; empty where nothing is.
+def lint(skin: Skin | str | Path, part: str | None = None) -> tuple[Defect, ...]:
+    """The defects of a skin, or of a skin file; empty if there are none.
 
-    `part` chooses one of a URDF's skins. Raises SkinError where a file cannot be read.
+    `part` chooses one of the skins of a URDF. Raises SkinError where a file cannot be read.
     """
     if isinstance(skin, Skin):
-        table = Table("skin", skin.ids, skin.positions, np.nan_to_num(skin.normals))
+        table = SkinTable("skin", skin.ids, skin.positions, np.nan_to_num(skin.normals))
     else:
         table = files.read(Path(skin), part)
     return check(table)
 
 
-def check(table: Table) -> tuple[Finding, ...]:
-    """What is wrong with the rows of a file."""
-    return tuple(finding for find in CHECKS for finding in find(table))
+def check(table: SkinTable) -> tuple[Defect, ...]:
+    """The defects of the rows of a file."""
+    return tuple(defect for find in CHECKS for defect in find(table))

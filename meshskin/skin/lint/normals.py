@@ -1,88 +1,91 @@
-"""What is wrong with normals, and with the side that modules are seen from."""
+"""Defects of normals, of frames, and of the side from which modules are seen."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from ...core import se3
 from .. import slots
-from ..files.table import Table
-from .finding import Array, Finding, by_module, distinct_rows, finding, modular, sound
+from ..files.table import SkinTable
+from .defect import Array, Defect, defect, distinct_rows, has_modules, located, module_rows
 from .rows import empty_slots
 
-UNIT = 0.01
-"""difference of a normal's length from 1: three printed digits leave 0.001"""
+LENGTH_TOLERANCE = 0.01
+"""Largest difference of the length of a normal from 1: three printed digits leave 0.001."""
 CONSTANT = 1e-6
-"""spread of normals that are one vector"""
-FLAT = 0.5e-3
-"""m, about a plane whose taxels may share one normal"""
+"""Largest range of the components of normals that are one constant vector: printed normals have at
+most six digits."""
+FLATNESS = 0.5e-3
+"""Largest distance of taxels from a plane on which they may share one normal, m."""
 NEIGHBOURS = 3
-"""of a taxel, whose normals its own is held against"""
-FITS = 1.5e-3
-"""m, mean distance within which taxels fit a module"""
+"""Nearest neighbours with whose normals that of a taxel is compared."""
+FIT_TOLERANCE = 1.5e-3
+"""Largest rms distance of taxels from the fitted module for its side to be decided, m: far below
+the 6.5 mm between neighbouring taxels."""
 
 
-def normals(table: Table) -> Iterator[Finding]:
+def normals(table: SkinTable) -> Iterator[Defect]:
     """Normals that are missing, not of unit length, or one constant vector."""
-    rows = sound(table)
+    rows = located(table)
     length = np.linalg.norm(rows.normals, axis=1)
     body = "take them from the body: skin.onto(body)"
-    given = length > 0.0  # false for NaN, which is another finding
+    given = length > 0.0  # False for NaN, which is another defect
     none = length == 0.0
     if none.any():
-        what = f"{none.sum()} of {len(none)} normals are (0, 0, 0): none is given"
+        what = f"{none.sum()} of {len(none)} normals are (0, 0, 0): the file has none"
         kind = "constant normals" if none.all() else "no normal"
-        yield finding(table, kind, what, body, rows.ids[none])
-    off = given & (np.abs(length - 1.0) > UNIT)
+        yield defect(table, kind, what, body, rows.ids[none])
+    off = given & (np.abs(length - 1.0) > LENGTH_TOLERANCE)
     if off.any():
         what = f"{off.sum()} normals are not of unit length ({length[off].min():.3g} to "
         what += f"{length[off].max():.3g})"
-        yield finding(table, "not unit", what, f"divide by their length, or {body}", rows.ids[off])
+        yield defect(table, "not unit", what, f"divide by their length, or {body}", rows.ids[off])
     n = rows.normals[given]
     if len(n) > 2 and np.ptp(n, axis=0).max() < CONSTANT:
         what = f"all {len(n)} normals are ({n[0, 0]:g}, {n[0, 1]:g}, {n[0, 2]:g}), "
         if not _flat(rows.positions[given], n[0]):
-            what += "on taxels that do not lie in a plane across it"
+            what += "on taxels that do not lie in a plane perpendicular to it"
         elif len(empty_slots(table)):
-            what += "and not all taxels of the part have a position: flat, or not known?"
+            what += (
+                "and not all taxels of the part have a position: a plane skin, or unknown normals?"
+            )
         else:
-            return  # a flat skin
+            return  # a plane skin
         remedy = f"{body}, or from whole modules: Modules.of(skin)"
-        yield finding(table, "constant normals", what, remedy, rows.ids[given])
+        yield defect(table, "constant normals", what, remedy, rows.ids[given])
 
 
 def _flat(points: Array, normal: Array) -> bool:
-    """Whether points (n, 3) lie in a plane across a normal."""
+    """Whether points (n, 3) lie in a plane perpendicular to a normal."""
     height = (points - points.mean(axis=0)) @ normal / np.linalg.norm(normal)
-    return float(np.abs(height).max()) < FLAT
+    return float(np.abs(height).max()) < FLATNESS
 
 
-def frames(table: Table) -> Iterator[Finding]:
-    """Quaternions that are none, or whose z is not the normal."""
+def frames(table: SkinTable) -> Iterator[Defect]:
+    """Quaternions that are not of unit norm, or whose z axis is not the normal."""
     from scipy.spatial.transform import Rotation
 
     if table.quaternions is None:
         return
     length = np.linalg.norm(table.quaternions, axis=1)
-    off = np.abs(length - 1.0) > UNIT
+    off = np.abs(length - 1.0) > LENGTH_TOLERANCE
     if off.any():
         what = f"{off.sum()} quaternions are not of unit length"
-        yield finding(table, "quaternion", what, "divide by their length", table.ids[off])
+        yield defect(table, "quaternion", what, "divide by their length", table.ids[off])
     usable = np.flatnonzero(~off & np.isfinite(length) & np.isfinite(table.normals).all(axis=1))
     z = Rotation.from_quat(table.quaternions[usable]).as_matrix()[:, :, 2]
-    unlike = usable[np.linalg.norm(z - table.normals[usable], axis=1) > UNIT]
-    if len(unlike):
-        what = f"{len(unlike)} frames have another z than the normal beside them"
-        yield finding(table, "frame", what, "decide which is right", table.ids[unlike])
+    differ = usable[np.linalg.norm(z - table.normals[usable], axis=1) > LENGTH_TOLERANCE]
+    if len(differ):
+        what = f"{len(differ)} frames have a z axis other than their normal"
+        yield defect(table, "frame", what, "find out which is correct", table.ids[differ])
 
 
-def turned(table: Table) -> Iterator[Finding]:
-    """Normals against those of the neighbours, and modules seen from the wrong side."""
-    from scipy.spatial import KDTree
-
-    rows = sound(table)
+def flipped(table: SkinTable) -> Iterator[Defect]:
+    """Normals opposite to those of the neighbours, and modules seen from the wrong side."""
+    rows = located(table)
     length = np.linalg.norm(rows.normals, axis=1)
     rows = rows.take(length > 0.0)
     n = rows.normals / length[length > 0.0, None]
@@ -93,19 +96,19 @@ def turned(table: Table) -> Iterator[Finding]:
         height = np.abs(np.einsum("ikj,ij->ik", offset, n))
         against &= np.all(height < 0.5 * np.linalg.norm(offset, axis=2), axis=1)
         if against.any():
-            what = f"{against.sum()} normals point against those of all neighbours"
-            yield finding(table, "flipped", what, "turn them outward", rows.ids[against])
-    if modular(table):
+            what = f"{against.sum()} normals are opposite to those of all neighbours"
+            yield defect(table, "flipped", what, "reverse them", rows.ids[against])
+    if has_modules(table):
         triangular = table.is_triangular(slots.module(rows.ids))
         yield from _mirrored(table, rows.take(triangular), n[triangular])
 
 
-def _mirrored(table: Table, rows: Table, n: Array) -> Iterator[Finding]:
-    """Modules whose slots run the other way round their normal than in a real module."""
+def _mirrored(table: SkinTable, rows: SkinTable, n: Array) -> Iterator[Defect]:
+    """Modules whose slots are in reverse order around the normal."""
     if not len(n) or np.ptp(n, axis=0).max() < CONSTANT:
-        return  # one constant vector says nothing of the sides
+        return  # a constant vector does not tell the sides
     wrong = []
-    for group in by_module(rows.ids):
+    for group in module_rows(rows.ids):
         own = group[distinct_rows(rows.positions[group])]
         outward, flat = n[own].mean(axis=0), slots.OFFSETS[slots.slot(rows.ids[own])]
         if len(own) < 4:
@@ -114,13 +117,15 @@ def _mirrored(table: Table, rows: Table, n: Array) -> Iterator[Finding]:
         off = flat @ pose[:3, :3].T + pose[:3, 3] - rows.positions[own]
         spread = np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False)[1]
         if (
-            np.sqrt(np.mean(np.sum(off**2, axis=1))) < FITS
+            np.sqrt(np.mean(np.sum(off**2, axis=1))) < FIT_TOLERANCE
             and spread > 5e-3
             and pose[:3, 2] @ outward < -0.5
         ):
             wrong.append(slots.module(rows.ids[own[0]]))
     if wrong:
         at = rows.ids[np.isin(slots.module(rows.ids), wrong)]
-        what = f"{len(wrong)} modules are mirrored: their slots run the wrong way round the normal"
-        remedy = "mirror the slots of the drawing (iCub's layouts have a column for it), or turn"
-        yield finding(table, "mirrored", what, f"{remedy} the normals", at)
+        what = (
+            f"{len(wrong)} modules are mirrored: their slots are in reverse order around the normal"
+        )
+        remedy = "mirror the slots of the drawing (iCub's layouts have a column for it), or reverse"
+        yield defect(table, "mirrored", what, f"{remedy} the normals", at)
