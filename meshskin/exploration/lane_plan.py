@@ -73,8 +73,8 @@ def lane_plan(scene: Scene, rig: ContactRig) -> Plan:
             f"{tuple(round(float(x), 3) for x in rig.indenter.position)} m",
             remedy="move indenter.position_m, change the mount, or use a smaller indenter",
         )
-    notes = collision.links(rig.arm).notes if rig.arm else ()
-    notes += rig.mounted.notes if rig.mounted else ()
+    notes = collision.arm_capsules(rig.arm).notes if rig.arm else ()
+    notes += rig.allowed_collisions.notes if rig.allowed_collisions else ()
     return Plan(replace(Path.concatenate(segments), unreachable=left_out), spacing, notes)
 
 
@@ -148,21 +148,21 @@ def reachable_nodes(
     points: Array,
     normals: Array,
     tangents: Array,
-    stretch: int = posture.STRETCH,
+    anchor_spacing: int = posture.ANCHOR_SPACING,
 ) -> tuple[posture.Nodes, NDArray[np.bool_], Array]:
     """Postures over all spins at contact points (m, 3), which of them (m, s, b) are free of
     collisions, and the reason (m,) where none is ("" elsewhere).
 
-    tangents (m, 3): headings at spin 0; stretch: as in `posture.solve_nodes`.
+    tangents (m, 3): headings at spin 0; anchor_spacing: as in `posture.solve_nodes`.
     """
     arm = rig.arm
     assert arm is not None
     poses = rig.spin_poses(points, normals, tangents)
-    nodes = posture.solve_nodes(arm, poses @ inverse(rig.mount), stretch)
+    nodes = posture.solve_nodes(arm, poses @ inverse(rig.mount), anchor_spacing)
     usable = nodes.within_limits.copy()
     m, s, b = np.nonzero(usable)
     hit = collision.arm_reasons(
-        arm, rig.body, nodes.q[m, s, b], poses[m, s], rig.indenter, rig.mounted
+        arm, rig.body, nodes.q[m, s, b], poses[m, s], rig.indenter, rig.allowed_collisions
     )
     usable[m, s, b] = hit == ""
     reason = np.full(len(usable), "", dtype=object)

@@ -45,7 +45,7 @@ def point_contacts(
         postures = [None] * len(rows)
     else:
         nodes, usable, reason[rows] = reachable_nodes(
-            rig, hit.point[rows], hit.normal[rows], tangents, stretch=1
+            rig, hit.point[rows], hit.normal[rows], tangents, anchor_spacing=1
         )
         found = np.flatnonzero(reason[rows] == "")
         spin, joints = posture.nearest_postures(nodes, usable, found)

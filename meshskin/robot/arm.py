@@ -1,7 +1,7 @@
 """Robot arms from URDF files: limits, kinematics, dynamics.
 
-The root link is fixed in the world at the pose `base`, by default the world's own frame; z of the
-world is up, gravity along -z. `T_w_tip` is the pose of the tip link. Jacobians stack the tip's
+The root link is fixed in the world at the pose `base`, by default the identity; the world's z axis
+points up. `T_w_tip` is the pose of the tip link. Jacobians stack the tip's
 linear velocity over its angular velocity, both in world axes (m/rad, rad/rad).
 
 Source: Featherstone, "Rigid Body Dynamics Algorithms" (2008).
@@ -26,7 +26,7 @@ from ..core.errors import ArmError
 from ..core.se3 import Array, inverse
 from . import inverse_kinematics as ik
 from .dynamics import Dynamics
-from .urdf import Joint, chain, check_links, drive, numbers, parse, reflected_inertias
+from .urdf import Joint, chain, check_tree, numbers, parse, reflected_inertias, resolve_mimic
 
 MOVING = ("revolute", "continuous", "prismatic")
 
@@ -39,17 +39,17 @@ def _range(joint: Joint) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
-class Driven:
-    """A moving joint of the chain and what moves it."""
+class DrivenJoint:
+    """A moving joint of the chain, and the joint of the arm that drives it."""
 
     joint: Joint
     column: int | None
-    """Which of the arm's joints; None: one beside the chain, held at zero."""
+    """Index of the arm's joint that drives it; None: a joint beside the chain, held at zero."""
     multiplier: float
     offset: float
 
     def position(self, q: ca.SX) -> ca.SX | float:
-        """Its position at the arm's joint angles `q` (n,)."""
+        """Position, rad or m, at the arm's joint angles `q` (n,)."""
         return self.offset + (0.0 if self.column is None else self.multiplier * q[self.column])
 
 
@@ -57,8 +57,8 @@ class Driven:
 class Arm:
     """A serial arm: the moving joints from the root link to the tip of a URDF file, in order.
 
-    Joints that mimic others are driven by these and not counted. Angles and torques (rad, N m) are
-    ways and forces (m, N) for prismatic joints.
+    Joints that mimic others are not counted. For prismatic joints, angles and torques (rad, N m)
+    stand for displacements and forces (m, N).
     """
 
     name: str
@@ -72,7 +72,7 @@ class Arm:
     effort_limit: Array
     """Largest joint torques (n,), N m; inf where the file gives none."""
     reflected_inertia: Array
-    """Motor inertia felt at the joint (n,), kg m^2: rotor inertia times gear ratio squared."""
+    """Motor inertia at the joint (n,), kg m^2: rotor inertia times gear ratio squared."""
     tip: str
     """Name of the link whose pose is controlled and that carries the payload."""
     urdf: str
@@ -82,9 +82,9 @@ class Arm:
     friction: Array
     """Coulomb friction of the joints (n,), N m; zero where the file gives none."""
     folders: tuple[str, ...] = ()
-    """Where the meshes of the links are looked for; only collisions need them."""
+    """Folders that are searched for the links' meshes, which only the collision check needs."""
     base: Array = field(default_factory=lambda: np.eye(4))
-    """T_w_base (4, 4): where the root link stands."""
+    """T_w_base (4, 4): pose of the root link."""
 
     def __repr__(self) -> str:
         return f"<Arm {self.name!r}: {len(self.joint_names)} joints, tip {self.tip!r}>"
@@ -95,12 +95,11 @@ class Arm:
     ) -> Arm:
         """Read an arm from the URDF file at `path`; `tip` names the link whose pose is controlled.
 
-        folders: where the links' meshes (`package://...`) are, besides the file's own folder and
-        those that it lies in.
-        Motors are read from `<transmission>` elements as Drake documents them: `rotor_inertia`
-        (kg m^2) and `gear_ratio` under `actuator`. Moving joints beside the chain are held at zero,
-        and so are those that drive a mimic joint of the chain from beside it.
-        Raises ArmError (no file, no URDF, no moving joint), UnknownNameError (no such tip).
+        folders: searched for the links' meshes (`package://...`), besides the file's folder and its
+        parents. Motors are read from `<transmission>` elements as Drake documents them:
+        `rotor_inertia` (kg m^2) and `gear_ratio` under `actuator`. Moving joints beside the chain
+        are held at zero, also those that drive a mimic joint of the chain. Raises ArmError (no
+        file, not a URDF, no moving joint), UnknownNameError (no such tip).
         """
         path = Path(path)
         try:
@@ -114,9 +113,9 @@ class Arm:
 
     @classmethod
     def from_text(cls, urdf: str, tip: str = "tool0", where: str = "") -> Arm:
-        """The arm described by URDF text; `where` is added to error messages. As `from_urdf`."""
+        """The arm described by URDF text, as `from_urdf`; `where` is appended to error messages."""
         robot = parse(urdf, where)
-        check_links(robot, where)
+        check_tree(robot, where)
         every = [j for j in chain(robot, tip, where) if j.kind != "fixed"]
         for j in every:
             if j.kind not in MOVING:
@@ -128,8 +127,8 @@ class Arm:
             raise ArmError(f"no moving joint leads to the link {tip!r}{where}", remedy="set tip=")
         inertia = reflected_inertias(robot, where)
         ranges = {j.name: _range(j) for j in moving}
-        for j in every:  # a mimic joint's range limits the one that drives it
-            driver = drive(j, robot, where)
+        for j in every:  # the range of a mimic joint limits the joint that drives it
+            driver = resolve_mimic(j, robot, where)
             if driver.joint in ranges and driver.multiplier:
                 ends = sorted((end - driver.offset) / driver.multiplier for end in _range(j))
                 low, high = ranges[driver.joint]
@@ -159,19 +158,25 @@ class Arm:
         """This arm with a rigid body mounted on its tip.
 
         `mass` in kg, `com` (3,) in m in the tip's frame, `inertia` (3, 3) in kg m^2 about the
-        centre of mass in the tip's axes. Raises ArmError for a body that cannot exist.
+        centre of mass in the tip's axes. Raises ArmError for a mass or inertia that no body has.
         """
         c, i = np.asarray(com, dtype=float), np.asarray(inertia, dtype=float)
         if c.shape != (3,) or i.shape != (3, 3):
             raise ArmError(
-                "payload of wrong shape", value=f"{c.shape}, {i.shape}", limit="(3,), (3, 3)"
+                "payload com and inertia have the wrong shape",
+                value=f"{c.shape}, {i.shape}",
+                limit="(3,), (3, 3)",
             )
         if not (np.isfinite(mass) and mass >= 0.0 and np.isfinite(c).all()):
             raise ArmError(
-                "payload mass or com", value=f"{mass} kg at {c}", limit="finite, mass >= 0"
+                "payload mass or com is out of range",
+                value=f"{mass} kg at {c}",
+                limit="finite, mass >= 0",
             )
         if not np.allclose(i, i.T) or np.linalg.eigvalsh(i)[0] < -1e-12 * np.abs(i).max():
-            raise ArmError("payload inertia is not symmetric and positive", value=i.tolist())
+            raise ArmError(
+                "payload inertia must be symmetric and positive semidefinite", value=i.tolist()
+            )
         robot = ET.fromstring(self.urdf)
         name = f"{self.tip}_payload{sum(1 for _ in robot.iter('link'))}"
         joint = ET.SubElement(robot, "joint", name=f"{name}_fixed", type="fixed")
@@ -186,12 +191,17 @@ class Arm:
         ET.SubElement(inertial, "inertia", entries)
         return replace(self, urdf=ET.tostring(robot, encoding="unicode"))
 
-    def standing(self, base: ArrayLike) -> Arm:
-        """This arm with its root link at `base`, T_w_base (4, 4). Raises ArmError for no pose."""
+    def with_base(self, base: ArrayLike) -> Arm:
+        """This arm with its root link at `base`, T_w_base (4, 4).
+
+        Raises ArmError if `base` is not a rigid transform.
+        """
         pose = np.array(base, dtype=float)
         rigid = pose.shape == (4, 4) and np.allclose(pose @ inverse(pose), np.eye(4), atol=1e-9)
         if not rigid or np.linalg.det(pose) < 0.0:
-            raise ArmError("base of an arm", value=pose.tolist(), limit="a pose T_w_base (4, 4)")
+            raise ArmError(
+                "base of an arm must be a rigid transform T_w_base (4, 4)", value=pose.tolist()
+            )
         return replace(self, base=pose)
 
     def dynamics(self) -> Dynamics:
@@ -205,35 +215,37 @@ class Arm:
     def kinematics(self, q: ca.SX) -> tuple[ca.SX, ca.SX]:
         """CasADi expressions of T_w_tip (4, 4) and the Jacobian (6, n) at joint angles (n,).
 
-        Raises ArmError for `q` of the wrong shape.
+        Raises ArmError if `q` has another shape.
         """
         if q.shape != (len(self.joint_names), 1):
-            raise ArmError("q of wrong shape", value=q.shape, limit=f"({len(self.joint_names)}, 1)")
+            raise ArmError(
+                "q has the wrong shape", value=q.shape, limit=f"({len(self.joint_names)}, 1)"
+            )
         pose, moved = ca.SX(ca.sparsify(ca.DM(self.base))), []
         driven = {d.joint.name: d for d in self.driven}
         for joint in chain(parse(self.urdf, ""), self.tip, ""):
             by = driven.get(joint.name)
             pose = pose @ joint.motion(by.position(q) if by else 0.0)
-            if by:  # the axis is the same before and after the joint's own motion
+            if by:  # the joint's own motion leaves its axis unchanged
                 moved.append((by, pose[:3, :3] @ joint.axis, pose[:3, 3]))
         jacobian = ca.SX.zeros(6, len(self.joint_names))
         for by, axis, point in moved:
             if by.column is not None:
                 slides = by.joint.kind == "prismatic"
-                way = axis if slides else ca.cross(axis, pose[:3, 3] - point)
-                turn = ca.SX.zeros(3) if slides else axis
-                jacobian[:, by.column] += by.multiplier * ca.vertcat(way, turn)
+                linear = axis if slides else ca.cross(axis, pose[:3, 3] - point)
+                angular = ca.SX.zeros(3) if slides else axis
+                jacobian[:, by.column] += by.multiplier * ca.vertcat(linear, angular)
         return ca.densify(pose), ca.densify(jacobian)
 
     @cached_property
-    def driven(self) -> tuple[Driven, ...]:
-        """Every moving joint of the chain, mimic ones too, in order."""
+    def driven(self) -> tuple[DrivenJoint, ...]:
+        """Every moving joint of the chain, mimic joints included, in order."""
         robot, found = parse(self.urdf, ""), []
         index = {name: k for k, name in enumerate(self.joint_names)}
         for joint in chain(robot, self.tip, ""):
             if joint.kind != "fixed":
-                by = drive(joint, robot, "")
-                found.append(Driven(joint, index.get(by.joint), by.multiplier, by.offset))
+                by = resolve_mimic(joint, robot, "")
+                found.append(DrivenJoint(joint, index.get(by.joint), by.multiplier, by.offset))
         return tuple(found)
 
     def pose(self, q: ArrayLike) -> Array:
@@ -246,7 +258,7 @@ class Arm:
 
     def _evaluate(self, output: int, q: ArrayLike) -> Array:
         """Output (..., a, b) of the kinematics at joint angles (..., n)."""
-        q = ik.shaped("q", q, (len(self.joint_names),), batch=None)
+        q = ik.check_shape("q", q, (len(self.joint_names),), batch=None)
         f = self._kinematics_function
         a, b = f.size_out(output)
         flat = f(q.reshape(-1, f.size1_in(0)).T)[output].full()  # (a, k b)
@@ -260,10 +272,10 @@ class Arm:
     def inverse_kinematics(self, poses: ArrayLike, seed: ArrayLike) -> Array:
         """Joint angles (k, n) whose tip follows `poses` T_w_tip (k, 4, 4), in order.
 
-        The path starts from the solution that Newton's method reaches from `seed` (n,) and stays on
-        its branch: every sample starts from the one before it, so that joints may wind up but never
-        jump. Position (m) and rotation (rad) errors end below 1e-10. Raises ReachError for the
-        first pose that cannot be reached or that breaks a joint limit, ArmError for wrong shapes.
+        The path starts at the solution that Newton's method finds from `seed` (n,) and stays on its
+        branch: every sample starts from the one before it, so that joints may wind up but do not
+        jump. Position (m) and rotation (rad) errors are below 1e-10. Raises ReachError for the
+        first pose that cannot be reached or that violates a joint limit, ArmError for wrong shapes.
         """
         return ik.inverse_kinematics(self, poses, seed)
 
@@ -271,7 +283,7 @@ class Arm:
         """Joint angles (n,) for one pose T_w_tip (4, 4): the solution farthest from all limits.
 
         Newton's method starts from `seeds` (k, n), or from 200 fixed pseudo-random ones between the
-        limits; whole turns are taken off. Raises ReachError where none reaches the pose, or none
+        limits; whole turns are removed. Raises ReachError where none reaches the pose, or none
         within the joint limits, ArmError for wrong shapes.
         """
         return ik.solve(self, pose, seeds)

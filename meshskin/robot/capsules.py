@@ -1,4 +1,4 @@
-"""Distances of capsules, and the balls that stand for them."""
+"""Distances of capsules, and the spheres that cover them."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from numpy.typing import NDArray
 from ..core.arrays import ranges
 from ..core.se3 import Array
 
-FINE = 0.5
-"""Distance of the balls that stand for a capsule, in its radii."""
+SPHERE_PITCH = 0.5
+"""Largest distance of the spheres that cover a capsule, relative to its radius: they then need
+radii larger by 3 % only, sqrt(1 + 1/16)."""
 
 
-def apart(ends: Array, box: Array) -> Array:
-    """Distances (...), m, of the boxes about segments (..., 2, 3), which are no nearer, or of
-    points (..., 1, 3), from a box (2, 3).
+def box_distance(ends: Array, box: Array) -> Array:
+    """Distances (...), m, from a box (2, 3) to the boxes about segments (..., 2, 3) or points
+    (..., 1, 3); a segment is at least as far.
     """
     first, last = ends[..., 0, :], ends[..., -1, :]
     low, high = np.minimum(first, last), np.maximum(first, last)
@@ -22,25 +23,23 @@ def apart(ends: Array, box: Array) -> Array:
     return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
-def covering(length: Array, radii: Array) -> tuple[NDArray[np.intp], Array]:
-    """How many balls (l,) cover capsules of the given lengths and radii (l,), m, and how large they
-    are (l,), m.
-    """
-    count = np.ceil(length / (FINE * radii)).astype(np.intp) + 1
+def covering_spheres(length: Array, radii: Array) -> tuple[NDArray[np.intp], Array]:
+    """Number (l,) and radius (l,), m, of spheres that cover capsules of lengths and radii (l,)."""
+    count = np.ceil(length / (SPHERE_PITCH * radii)).astype(np.intp) + 1
     return count, np.hypot(radii, 0.5 * length / np.maximum(count - 1, 1))
 
 
-def spread(count: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-    """Of which of (k,) axes each ball (p,) is, `count` (k,) on each, the how manieth there, and at
-    which part (p, 1).
+def sphere_samples(count: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """For `count` (k,) spheres on each of k axes, in order: the axis (p,) of each sphere, its
+    number (p,) there, and its relative position (p, 1).
     """
     owner = np.repeat(np.arange(len(count)), count)
-    place = ranges(np.zeros_like(count), count)
-    return owner, place, (place / np.maximum(count - 1, 1)[owner])[:, None]
+    number = ranges(np.zeros_like(count), count)
+    return owner, number, (number / np.maximum(count - 1, 1)[owner])[:, None]
 
 
 def segment_distance(a: Array, b: Array, c: Array, d: Array) -> Array:
-    """Distances (...) of segments a b (..., 3) from the one segment c d (3,).
+    """Distances (...) of segments a b (..., 3) from one segment c d (3,).
 
     Source: Ericson, "Real-Time Collision Detection" (2005), section 5.1.9.
     """

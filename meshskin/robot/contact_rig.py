@@ -52,11 +52,11 @@ class ContactRig:
         return collision.edge_points(self.body, 0.2 * self.patch_radius)
 
     @cached_property
-    def mounted(self) -> collision.Mounted | None:
+    def allowed_collisions(self) -> collision.AllowedCollisions | None:
         """The parts of the arm that are not checked against the body; None: no arm."""
         if self.arm is None:
             return None
-        return collision.mounted(self.arm, self.body, self.mount)
+        return collision.allowed_collisions(self.arm, self.body, self.mount)
 
     def contact_reasons(self, points: Array, normals: Array) -> Array:
         """Reason (k,) why the indenter cannot be pressed in at points (k, 3), "" where it can.
@@ -120,7 +120,7 @@ class ContactRig:
         hit = self.body.closest(sites[farthest_points(sites, SITES)])
         tangents = np.stack([transport_along(normal[None])[0] for normal in hit.normal])
         poses = self.spin_poses(hit.point, hit.normal, tangents)
-        nodes = posture.solve_nodes(self.arm, poses @ inverse(self.mount), stretch=1)
+        nodes = posture.solve_nodes(self.arm, poses @ inverse(self.mount), anchor_spacing=1)
         return nodes.q[nodes.within_limits]
 
 

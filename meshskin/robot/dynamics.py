@@ -1,6 +1,6 @@
-"""Equations of motion of an arm as CasADi expressions.
+"""Equations of motion of an arm as CasADi expressions, by the recursions of adam.
 
-Source: Featherstone, "Rigid Body Dynamics Algorithms" (2008); the recursions are those of adam.
+Source: Featherstone, "Rigid Body Dynamics Algorithms" (2008).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 
 from ..core.config import STANDARD_GRAVITY
 from ..core.errors import ArmError
-from .urdf import bare, massless, parse, rotation
+from .urdf import massless_links, parse, reduced_urdf, rotation
 
 if TYPE_CHECKING:
     from .arm import Arm
@@ -24,15 +24,14 @@ GRAVITY = np.array([0.0, 0.0, -STANDARD_GRAVITY])
 class Dynamics:
     """Expressions of an arm's equations of motion, M(q) qdd + bias(q, qd) = torque + J^T wrench.
 
-    Mimic joints are put in terms of those that drive them: with all joints' positions G q + o the
-    mass matrix is G^T M G, the bias G^T bias. Raises ArmError where a joint moves nothing that has
-    a mass.
+    Mimic joints are eliminated: with the positions of all joints G q + o the mass matrix is
+    G^T M G and the bias G^T bias. Raises ArmError if a joint moves no link that has a mass.
     """
 
     def __init__(self, arm: Arm) -> None:
         names = [by.joint.name for by in arm.driven]
         _check_masses(arm)
-        self._arm, self._adam = arm, _adam(bare(arm.urdf, arm.name, names), names)
+        self._arm, self._adam = arm, _adam(reduced_urdf(arm.urdf, arm.name, names), names)
         gather = np.zeros((len(names), len(arm.joint_names)))
         for row, by in enumerate(arm.driven):
             if by.column is not None:
@@ -68,11 +67,11 @@ class Dynamics:
 
 
 def _check_masses(arm: Arm) -> None:
-    """Raise ArmError where a joint's mass matrix entry would vanish for want of masses."""
+    """Raise ArmError if the last joint moves no mass, which makes the mass matrix singular."""
     robot, names = parse(arm.urdf, ""), [by.joint.name for by in arm.driven]
     last = arm.driven[-1]
     motor = last.column is not None and arm.reflected_inertia[last.column] > 0.0
-    links = massless(robot, last.joint, names)
+    links = massless_links(robot, last.joint, names)
     if links and not motor:
         raise ArmError(
             f"nothing that joint {last.joint.name!r} of {arm.name} moves has a mass",

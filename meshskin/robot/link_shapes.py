@@ -1,8 +1,8 @@
-"""The shapes of an arm's links as capsules, each of which holds its part of the link.
+"""Capsules that enclose the shapes of an arm's links.
 
-Boxes, cylinders and spheres are one capsule each; a mesh is cut into slabs across its longest
-direction, each held by the smallest of three capsules. What holds the surface holds the solid, as
-capsules are convex.
+Boxes, cylinders and spheres get one capsule each; a mesh is cut into slabs across its longest
+direction, and each slab gets the smallest of three capsules. A capsule that encloses the surface
+encloses the solid, as it is convex.
 
 Source of the enclosing circles: Badoiu, Clarkson, "Smaller core-sets for balls" (SODA 2003).
 """
@@ -22,19 +22,19 @@ from ..core.se3 import Array, transform
 from ..geometry.mesh import collada, mesh_file
 from .urdf import rotation, vector
 
-SLAB = 0.06
-"""Least width of the slabs that a mesh is cut into, m."""
-SLABS = 8
-"""Most slabs of a mesh."""
-SIDES = 16
-"""Corners of the polygon that stands about a cylinder."""
-CENTRINGS = 60
-"""Steps towards the middle of an enclosing circle."""
+MIN_SLAB = 0.06
+"""Least width of the slabs that a mesh is cut into, m. Chosen: about the radius of a link."""
+MAX_SLABS = 8
+"""Most slabs of a mesh. Chosen: the time of the collision check grows with it."""
+CYLINDER_SIDES = 16
+"""Corners of the polygon about a cylinder, which is 1 / cos(pi / 16) - 1 = 2 % wider."""
+CIRCLE_ITERATIONS = 60
+"""Iterations of an enclosing circle: its radius is then within 1 / 60 of the least (Source)."""
 
 
 @dataclass(frozen=True)
 class Capsule:
-    """What lies within `radius`, m, of the straight from `start` to `end` (3,), m."""
+    """All points within `radius`, m, of the segment from `start` to `end` (3,), m."""
 
     start: Array
     end: Array
@@ -47,10 +47,10 @@ class Capsule:
         return float(np.pi * self.radius**2 * (length + 4.0 / 3.0 * self.radius))
 
 
-def of_link(link: ET.Element, folders: Iterable[str]) -> tuple[list[Capsule], list[str]]:
-    """The capsules about a link's shapes, link frame, and what of them could not be read.
+def link_capsules(link: ET.Element, folders: Iterable[str]) -> tuple[list[Capsule], list[str]]:
+    """The capsules about a link's shapes, link frame, and why shapes could not be read.
 
-    Its collision shapes; its visual ones where it has no others, or none that can be read.
+    The collision shapes are used; the visual ones if no collision shape can be read.
     """
     lacking: list[str] = []
     for kind in ("collision", "visual"):
@@ -68,7 +68,7 @@ def of_link(link: ET.Element, folders: Iterable[str]) -> tuple[list[Capsule], li
 
 
 def _capsules(element: ET.Element, folders: Iterable[str]) -> list[Capsule]:
-    """The capsules about one shape. Raises MeshError for a mesh that cannot be had."""
+    """The capsules about one shape. Raises MeshError for a mesh that cannot be read."""
 
     def numbers(e: ET.Element | None, key: str, default: str) -> Array:
         return vector(e, key, default, len(default.split()), " of a link's shape")
@@ -84,25 +84,26 @@ def _capsules(element: ET.Element, folders: Iterable[str]) -> list[Capsule]:
         signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
         clouds = [signs * 0.5 * numbers(box, "size", "0 0 0")]
     elif cylinder is not None:
-        turn = 2 * np.pi * np.arange(SIDES) / SIDES
-        rim = numbers(cylinder, "radius", "0")[0] / np.cos(np.pi / SIDES)
+        turn = 2 * np.pi * np.arange(CYLINDER_SIDES) / CYLINDER_SIDES
+        rim = numbers(cylinder, "radius", "0")[0] / np.cos(np.pi / CYLINDER_SIDES)
         half = 0.5 * numbers(cylinder, "length", "0")[0]
-        ring = np.stack([rim * np.cos(turn), rim * np.sin(turn), np.full(SIDES, half)], axis=1)
+        ring = np.stack(
+            [rim * np.cos(turn), rim * np.sin(turn), np.full(CYLINDER_SIDES, half)], axis=1
+        )
         clouds = [np.concatenate([ring, ring * [1.0, 1.0, -1.0]])]
     elif mesh is not None:
-        path = located(mesh.get("filename", ""), folders)
+        path = find_mesh(mesh.get("filename", ""), folders)
         read = collada.read(path) if path.suffix.lower() == ".dae" else mesh_file.read(path)
         clouds = slabs(read.vertices * numbers(mesh, "scale", "1 1 1"), read.faces)
     else:
         return []
-    return [about(cloud @ pose[:3, :3].T + pose[:3, 3]) for cloud in clouds]
+    return [enclosing_capsule(cloud @ pose[:3, :3].T + pose[:3, 3]) for cloud in clouds]
 
 
-def located(name: str, folders: Iterable[str]) -> Path:
-    """The file that a URDF names by a path, `file://` or `package://`, under one of the `folders`.
+def find_mesh(name: str, folders: Iterable[str]) -> Path:
+    """The file that a URDF names by a path, `file://` or `package://`, in one of the `folders`.
 
-    The whole path counts first, then what is left of it without its first folders. Raises
-    MeshError.
+    The whole path is tried first, then the path without its first folders. Raises MeshError.
     """
     bare = name.partition("://")[2] or name
     if Path(bare).is_absolute() and Path(bare).is_file():
@@ -120,11 +121,11 @@ def located(name: str, folders: Iterable[str]) -> Path:
 
 
 def slabs(vertices: Array, faces: NDArray[np.intp]) -> list[Array]:
-    """Points (k, 3) whose hulls hold the parts of a mesh between planes across its length."""
+    """Points (k, 3) whose convex hulls enclose the slabs of a mesh across its length."""
     middle = vertices.mean(axis=0)
-    along = (vertices - middle) @ _axes(vertices - middle)[0]
+    along = (vertices - middle) @ _principal_axes(vertices - middle)[0]
     low, high = float(along.min()), float(along.max())
-    count = int(np.clip((high - low) // SLAB, 1, SLABS))
+    count = int(np.clip((high - low) // MIN_SLAB, 1, MAX_SLABS))
     ends = np.linspace(low, high, count + 1)
     a, b = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).T
     cuts = []
@@ -143,40 +144,40 @@ def slabs(vertices: Array, faces: NDArray[np.intp]) -> list[Array]:
     return [cloud for cloud in out if len(cloud)]
 
 
-def about(points: Array) -> Capsule:
-    """A small capsule that holds points (k, 3): along one of their three principal directions."""
+def enclosing_capsule(points: Array) -> Capsule:
+    """A small capsule that encloses points (k, 3), along one of their principal directions."""
     middle = points.mean(axis=0)
-    axes = _axes(points - middle)
-    found = [_along(points, middle, np.roll(axes, -k, axis=0)) for k in range(3)]
+    axes = _principal_axes(points - middle)
+    found = [_capsule_along(points, middle, np.roll(axes, -k, axis=0)) for k in range(3)]
     return min(found, key=lambda capsule: capsule.volume)
 
 
-def _axes(offset: Array) -> Array:
-    """The principal directions (3, 3), a row each, of offsets (k, 3), the longest first."""
+def _principal_axes(offset: Array) -> Array:
+    """The principal directions (3, 3) of offsets (k, 3), one per row, the longest first."""
     return np.asarray(np.linalg.eigh(offset.T @ offset)[1].T[::-1])
 
 
-def _along(points: Array, middle: Array, axes: Array) -> Capsule:
-    """The shortest capsule along the first of `axes` (3, 3) about the circle across it."""
+def _capsule_along(points: Array, middle: Array, axes: Array) -> Capsule:
+    """The shortest capsule along the first of `axes` (3, 3), as wide as the points across it."""
     along, *across = ((points - middle) @ axis for axis in axes)
     flat = np.stack(across, axis=1)
-    centre, off = _encircled(flat)
+    centre, off = _enclosing_circle(flat)
     radius = float(off.max())
     room = np.sqrt(np.maximum(radius**2 - off**2, 0.0))
     low, high = float((along + room).min()), float((along - room).max())
-    if low > high:  # a ball about any place between holds them all
+    if low > high:  # a sphere about any point between encloses them all
         low = high = 0.5 * (low + high)
     base = middle + centre @ axes[1:]
     return Capsule(base + low * axes[0], base + high * axes[0], radius)
 
 
-def _encircled(flat: Array) -> tuple[Array, Array]:
-    """The middle (2,) of about the smallest circle that holds points (k, 2), and how far (k,) they
-    are from it.
+def _enclosing_circle(flat: Array) -> tuple[Array, Array]:
+    """The centre (2,) of a nearly smallest circle that encloses points (k, 2), and their distances
+    (k,) from it.
     """
     middle = best = 0.5 * (flat.min(axis=0) + flat.max(axis=0))
     least = off = np.linalg.norm(flat - middle, axis=1)
-    for k in range(1, CENTRINGS):
+    for k in range(1, CIRCLE_ITERATIONS):
         middle = middle + (flat[np.argmax(off)] - middle) / (k + 1)
         off = np.linalg.norm(flat - middle, axis=1)
         if off.max() < least.max():

@@ -3,7 +3,7 @@
    JOINTS and TARGET are the lengths of its inputs; its outputs are the joints after the step and the
    residual before it. */
 
-static double once(double *q, const double *target, double *stepped) {
+static double newton_step(double *q, const double *target, double *stepped) {
   double residual;
   const double *in[2] = {q, target};
   double *out[2] = {stepped, &residual};
@@ -12,14 +12,14 @@ static double once(double *q, const double *target, double *stepped) {
 }
 
 /* Steps each row of `q` (count, JOINTS) towards its row of `targets` (count, TARGET), until its
-   residual, which is kept in `residual` (count,), is less than `tolerance`, `rounds` times at most. */
-EXPORT void arrive(int64_t count, double *q, const double *targets, int64_t rounds,
+   residual, which is kept in `residual` (count,), is less than `tolerance`, `iterations` times at most. */
+EXPORT void iterate(int64_t count, double *q, const double *targets, int64_t iterations,
                    double tolerance, double *residual) {
   for (int64_t k = 0; k < count; k++) {
     double *row = q + JOINTS * k, stepped[JOINTS];
     residual[k] = INFINITY;
-    for (int64_t round = 0; round < rounds; round++) {
-      residual[k] = once(row, targets + TARGET * k, stepped);
+    for (int64_t k_iteration = 0; k_iteration < iterations; k_iteration++) {
+      residual[k] = newton_step(row, targets + TARGET * k, stepped);
       if (!(residual[k] >= tolerance)) break;
       memcpy(row, stepped, sizeof stepped);
     }
@@ -32,7 +32,7 @@ EXPORT void track(int64_t count, double *state, const double *targets, int64_t s
   for (int64_t k = 0; k < count; k++) {
     double stepped[JOINTS];
     for (int64_t step = 0; step < steps; step++) {
-      once(state, targets + TARGET * k, stepped);
+      newton_step(state, targets + TARGET * k, stepped);
       memcpy(state, stepped, sizeof stepped);
     }
     memcpy(q + JOINTS * k, state, sizeof stepped);

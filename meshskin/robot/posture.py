@@ -1,10 +1,10 @@
-"""Postures along a way: which joint angles, which spin about the normal, and where to regrasp.
+"""Postures along a contact path: joint angles, spin about the normal, and where to regrasp.
 
-At every sample of the way the body may be turned about the contact's normal, and the arm may reach
-that pose in several postures. All of them, on a grid of spins, are nodes; two of consecutive
-samples are joined where the joints need not jump. The cheapest chain, by Bellman's dynamic
-programming, keeps off the joint limits, moves the joints little, and is broken (the arm lifts off
-and takes another posture) only where it must.
+At every sample of the path the body may be turned about the contact's normal, and the arm may reach
+each pose in several postures. All postures on a grid of spins are nodes; two nodes of consecutive
+samples are connected if no joint jumps between them. The cheapest chain, by dynamic programming,
+keeps away from the joint limits, moves the joints little, and is broken (the arm lifts off and
+takes another posture) only where it must be.
 
 Source: Descartes, "Cartesian path planning" of ROS-Industrial (ladder graph); Bellman (1957).
 """
@@ -19,35 +19,42 @@ from numpy.typing import NDArray
 
 from ..core.se3 import Array
 from .arm import Arm
-from .inverse_kinematics import TOLERANCE, flat, unwound
+from .inverse_kinematics import TOLERANCE, pose_rows, unwrapped
 
 SPINS = 24
-"""Spins about the normal that are tried at every sample."""
+"""Spins about the normal that are tried at every sample: every 15 degrees, within the largest step
+of a joint."""
 SPIN_STEP = 2 * np.pi / SPINS
 """Angle from spin to spin, rad."""
-ANCHORED = 4
+SPIN_STRIDE = 4
 """Every so many spins are solved from random starts; the others are followed from these."""
-STRETCH = 25
-"""Samples from one that is solved from random starts to the next."""
-STARTS = 48
-"""Random starts at each."""
-POSTURES = 8
-"""Most postures kept for a pose (whole turns apart)."""
-ROUNDS, FOLLOWING = 40, 5
-"""Newton steps from a random start, and from a neighbour."""
+ANCHOR_SPACING = 25
+"""Largest number of samples between two that are solved from random starts."""
+RANDOM_STARTS = 48
+"""Random starts of each solution: six for each posture that is kept."""
+MAX_POSTURES = 8
+"""Most postures kept for a pose, whole turns apart: an arm with a spherical wrist has eight (two
+each of shoulder, elbow and wrist)."""
+START_ITERATIONS, NEIGHBOUR_ITERATIONS = 40, 5
+"""Newton iterations from a random start, and from a neighbour."""
 MIN_MARGIN = 0.03
-"""Distance that is kept from every joint limit, rad."""
-NEAR = 0.3
+"""Least distance from every joint limit, rad: room for the smoothing of the spin, and for the
+closed loop's errors."""
+LIMIT_RANGE = 0.3
 """Distance from a joint limit below which a posture costs, rad."""
-NEAR_PRICE, MOVE_PRICE, SPIN_PRICE, BREAK_PRICE = 0.05, 1.0, 0.002, 10.0
-"""Of being at a limit, of one rad^2 of the joints, of one spin of the grid, of a regrasp."""
-JUMP = 0.3
-"""Largest move of a joint from sample to sample, rad."""
+LIMIT_COST, MOVE_COST, SPIN_COST, BREAK_COST = 0.05, 1.0, 0.002, 10.0
+"""Cost of a joint at its limit, of one rad^2 of joint motion, of one step of the spin, and of a
+regrasp. Chosen: a regrasp costs as much as 100 steps of 0.3 rad, as it takes seconds."""
+MAX_STEP = 0.3
+"""Largest motion of a joint from sample to sample, rad: more, at samples 3 mm apart, means that the
+posture changes its branch."""
+SAME = 1e-3
+"""Largest difference of two postures that count as one, rad: solutions are exact to 1e-10."""
 
 
 @dataclass(frozen=True)
 class Nodes:
-    """Postures of m samples at s spins, b each (entries that do not exist are not `solved`)."""
+    """Postures of m samples at s spins, b of each; entries beyond the last are not `solved`."""
 
     q: Array
     """(m, s, b, n), rad."""
@@ -68,54 +75,56 @@ class Nodes:
         return Nodes(self.q[rows], self.solved[rows], self.margin[rows], self.joint[rows])
 
 
-def solve_nodes(arm: Arm, targets: Array, stretch: int = STRETCH, seed: int = 0) -> Nodes:
+def solve_nodes(
+    arm: Arm, targets: Array, anchor_spacing: int = ANCHOR_SPACING, seed: int = 0
+) -> Nodes:
     """The postures for poses T_w_tip `targets` (m, s, 4, 4).
 
-    Every `stretch`-th sample is solved from random starts, the others from their neighbours, which
-    must be near then.
+    Samples at most `anchor_spacing` apart are solved from random starts, the others from their
+    neighbours, which must be near.
     """
     m, s = targets.shape[:2]
-    rows = flat(targets).reshape(m, s, 12)
+    rows = pose_rows(targets).reshape(m, s, 12)
     n = len(arm.joint_names)
-    q = np.full((m, s, POSTURES, n), np.nan)
+    q = np.full((m, s, MAX_POSTURES, n), np.nan)
     anchors = np.unique(
-        np.linspace(0, m - 1, max(math.ceil((m - 1) / stretch), 1) + 1).round().astype(int)
+        np.linspace(0, m - 1, max(math.ceil((m - 1) / anchor_spacing), 1) + 1).round().astype(int)
     )
     rng = np.random.default_rng(seed)
     for k in anchors:
-        q[k] = _anchor(arm, rows[k], rng)
+        q[k] = _solve_anchor(arm, rows[k], rng)
     middles = (anchors[:-1] + anchors[1:]) // 2
-    for away in range(1, stretch + 1):  # from all anchors at once
+    for away in range(1, anchor_spacing + 1):  # from all anchors at once
         on, back = anchors[:-1] + away, anchors[1:] - away
         on, back = on[on <= middles], back[back > middles]
         here, there = np.concatenate([on, back]), np.concatenate([on - 1, back + 1])
         if len(here):
-            moved = _follow(arm, q[there].reshape(-1, POSTURES, n), rows[here].reshape(-1, 12))
-            q[here] = moved.reshape(-1, s, POSTURES, n)
-    q = _whole_turns(arm, q)
+            moved = _follow(arm, q[there].reshape(-1, MAX_POSTURES, n), rows[here].reshape(-1, 12))
+            q[here] = moved.reshape(-1, s, MAX_POSTURES, n)
+    q = _with_whole_turns(arm, q)
     solved = np.isfinite(q[..., 0])
-    room = np.minimum(q - arm.lower, arm.upper - q)
-    room = np.where(np.isfinite(room), room, np.where(np.isnan(room), -np.inf, np.inf))
-    return Nodes(q, solved, room.min(axis=-1), room.argmin(axis=-1))
+    margin = np.minimum(q - arm.lower, arm.upper - q)
+    margin = np.where(np.isnan(margin), -np.inf, margin)
+    return Nodes(q, solved, margin.min(axis=-1), margin.argmin(axis=-1))
 
 
-def _anchor(arm: Arm, rows: Array, rng: np.random.Generator) -> Array:
-    """Postures (s, b, n) of one sample at all spins, from random starts."""
+def _solve_anchor(arm: Arm, rows: Array, rng: np.random.Generator) -> Array:
+    """Postures (s, b, n) of one sample at all spins, solved from random starts."""
     s, n = len(rows), len(arm.joint_names)
     low = np.where(np.isfinite(arm.lower), arm.lower, -math.pi)
     high = np.where(np.isfinite(arm.upper), arm.upper, math.pi)
-    out = np.full((s, POSTURES, n), np.nan)
-    some = np.arange(0, s, ANCHORED)
-    start = rng.uniform(low, high, (len(some) * STARTS, n))
-    found = _newton(arm, start, np.repeat(rows[some], STARTS, axis=0), ROUNDS)
-    for k, mine in zip(some, found.reshape(len(some), STARTS, n), strict=True):
+    out = np.full((s, MAX_POSTURES, n), np.nan)
+    some = np.arange(0, s, SPIN_STRIDE)
+    start = rng.uniform(low, high, (len(some) * RANDOM_STARTS, n))
+    found = _newton(arm, start, np.repeat(rows[some], RANDOM_STARTS, axis=0), START_ITERATIONS)
+    for k, mine in zip(some, found.reshape(len(some), RANDOM_STARTS, n), strict=True):
         mine = mine[np.isfinite(mine[:, 0])]
-        distinct = _distinct(unwound(arm, mine))
+        distinct = _distinct(unwrapped(arm, mine))
         out[k, : len(distinct)] = distinct
-    for shift in range(1, ANCHORED // 2 + 1):
-        for way in (1, -1):
-            here = (some + way * shift) % s
-            there = (some + way * (shift - 1)) % s
+    for shift in range(1, SPIN_STRIDE // 2 + 1):
+        for sign in (1, -1):
+            here = (some + sign * shift) % s
+            there = (some + sign * (shift - 1)) % s
             empty = np.isnan(out[here]).all(axis=(1, 2))
             here, there = here[empty], there[empty]
             if len(here):
@@ -124,41 +133,41 @@ def _anchor(arm: Arm, rows: Array, rng: np.random.Generator) -> Array:
 
 
 def _follow(arm: Arm, q: Array, rows: Array) -> Array:
-    """Postures (s, b, n) at `rows` (s, 12) from near ones; NaN where lost."""
+    """Postures (s, b, n) at `rows` (s, 12), followed from near ones; NaN where lost."""
     b = q.shape[1]
     out = np.full(q.shape, np.nan)
     live = np.isfinite(q[..., 0])
     targets = np.repeat(rows[:, None], b, axis=1)
-    moved = _newton(arm, q[live], targets[live], FOLLOWING)
-    jumped = np.abs(moved - q[live]).max(axis=-1, initial=0.0) > 3.0 * JUMP
+    moved = _newton(arm, q[live], targets[live], NEIGHBOUR_ITERATIONS)
+    jumped = np.abs(moved - q[live]).max(axis=-1, initial=0.0) > 3.0 * MAX_STEP
     out[live] = np.where(jumped[:, None], np.nan, moved)
     return out
 
 
-def _newton(arm: Arm, q: Array, targets: Array, rounds: int) -> Array:
-    """Newton from `q` (k, n) to `targets` (k, 12); NaN where it did not arrive."""
-    q, residual = arm.newton.arrive(q, targets, rounds + 1)
+def _newton(arm: Arm, q: Array, targets: Array, iterations: int) -> Array:
+    """Newton's method from `q` (k, n) to `targets` (k, 12); NaN where it did not converge."""
+    q, residual = arm.newton.iterate(q, targets, iterations + 1)
     q[residual >= TOLERANCE] = np.nan
     return q
 
 
 def _distinct(q: Array) -> Array:
-    """The different ones of `q` (k, n), at most POSTURES."""
+    """The distinct rows of `q` (k, n), at most MAX_POSTURES."""
     kept: list[Array] = []
     for one in q:
-        if len(kept) < POSTURES and all(np.abs(one - other).max() > 1e-3 for other in kept):
+        if len(kept) < MAX_POSTURES and all(np.abs(one - other).max() > SAME for other in kept):
             kept.append(one)
     return np.array(kept).reshape(-1, q.shape[1])
 
 
-def endless(arm: Arm) -> NDArray[np.bool_]:
-    """The joints (n,) whose whole turns are not told apart here: with a range of two or more."""
+def endless_joints(arm: Arm) -> NDArray[np.bool_]:
+    """The joints (n,) with a range of two turns or more: whole turns are equivalent for them."""
     return np.asarray(arm.upper - arm.lower > 4 * math.pi - 0.1)
 
 
-def _whole_turns(arm: Arm, q: Array) -> Array:
-    """`q` (m, s, b, n) with what whole turns of a joint with a range of more add."""
-    for j in np.flatnonzero((arm.upper - arm.lower > 2 * math.pi) & ~endless(arm)):
+def _with_whole_turns(arm: Arm, q: Array) -> Array:
+    """`q` (m, s, b, n) with the postures that a whole turn of one joint gives within its limits."""
+    for j in np.flatnonzero((arm.upper - arm.lower > 2 * math.pi) & ~endless_joints(arm)):
         for turn in (-2 * math.pi, 2 * math.pi):
             other = q.copy()
             other[..., j] += turn
@@ -170,75 +179,77 @@ def _whole_turns(arm: Arm, q: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Choice:
+class Chain:
     """The cheapest chain of postures over m samples."""
 
     q: Array
     """(m, n), rad."""
     spin: NDArray[np.intp]
-    """(m,) index of the spin, going on over whole turns."""
+    """(m,) index of the spin, continued over whole turns."""
     breaks: NDArray[np.bool_]
-    """(m,) True where the chain begins anew."""
+    """(m,) True where a new segment begins."""
 
 
 def cheapest_chain(
     arm: Arm, found: Nodes, usable: NDArray[np.bool_], starts: NDArray[np.bool_]
-) -> Choice:
-    """The cheapest chain over nodes that are `usable` (m, s, b), at least one a sample.
+) -> Chain:
+    """The cheapest chain over nodes that are `usable` (m, s, b), at least one for each sample.
 
-    starts (m,): samples that begin anew whatever came before.
+    starts (m,): samples at which a new segment begins in any case.
     """
     q, spins = found.q, found.q.shape[1]
-    price = NEAR_PRICE * np.maximum(0.0, 1.0 - found.margin / NEAR) ** 2
-    q, price = _packed(q, np.where(usable, price, np.inf))
-    turning, width = endless(arm), price.shape[2]
-    cost = price[0]
-    parents: NDArray[np.intp] = np.zeros(price.shape, dtype=np.intp)
-    fresh = np.ones(price.shape, dtype=bool)
+    node_cost = LIMIT_COST * np.maximum(0.0, 1.0 - found.margin / LIMIT_RANGE) ** 2
+    q, node_cost = _compact(q, np.where(usable, node_cost, np.inf))
+    endless, width = endless_joints(arm), node_cost.shape[2]
+    cost = node_cost[0]
+    parents: NDArray[np.intp] = np.zeros(node_cost.shape, dtype=np.intp)
+    restarts = np.ones(node_cost.shape, dtype=bool)
     turns = np.array([-1, 0, 1])
     rows = (np.arange(spins)[:, None] - turns) % spins  # (s, 3): the spins that one is turned from
     sources = (rows[:, :, None] * width + np.arange(width)).reshape(spins, -1)  # (s, 3 b): nodes
-    spun = np.repeat(SPIN_PRICE * np.abs(turns), width)
+    spun = np.repeat(SPIN_COST * np.abs(turns), width)
     for k in range(1, len(q)):
-        best = np.full(cost.shape, cost.min() + (0.0 if starts[k] else BREAK_PRICE))
+        best = np.full(cost.shape, cost.min() + (0.0 if starts[k] else BREAK_COST))
         parents[k] = int(np.argmin(cost))
         if not starts[k]:
             there = q[k - 1, rows].reshape(spins, 3 * width, -1)
-            total = cost.ravel()[sources][:, None] + _move(q[k], there, turning) + spun
+            total = cost.ravel()[sources][:, None] + _move_cost(q[k], there, endless) + spun
             from_ = np.argmin(total, axis=2)
             least = np.take_along_axis(total, from_[:, :, None], axis=2)[:, :, 0]
-            fresh[k] = least >= best
+            restarts[k] = least >= best
             best = np.minimum(best, least)
             before = np.take_along_axis(sources, from_, axis=1)
-            parents[k] = np.where(fresh[k], parents[k], before)
-        cost = best + price[k]
-    return _trace(q, cost, parents, fresh)
+            parents[k] = np.where(restarts[k], parents[k], before)
+        cost = best + node_cost[k]
+    return _backtrack(q, cost, parents, restarts)
 
 
-def _packed(q: Array, price: Array) -> tuple[Array, Array]:
-    """`q` (m, s, b, n) and `price` (m, s, b) with what is usable (of finite price) first, in order,
-    and only as many of each as are usable anywhere.
+def _compact(q: Array, node_cost: Array) -> tuple[Array, Array]:
+    """`q` (m, s, b, n) and `node_cost` (m, s, b) with the nodes of finite cost first, in order,
+    and only as many per spin as are finite anywhere.
     """
-    usable = np.isfinite(price)
+    usable = np.isfinite(node_cost)
     width = int(usable.sum(axis=2).max())
     order = np.argsort(~usable, axis=2, kind="stable")[:, :, :width]
     packed = np.take_along_axis(q, order[..., None], axis=2)
-    return packed, np.take_along_axis(price, order, axis=2)
+    return packed, np.take_along_axis(node_cost, order, axis=2)
 
 
-def _move(here: Array, there: Array, turning: NDArray[np.bool_]) -> Array:
-    """Price (s, b, c) of moving from postures `there` (s, c, n) to `here` (s, b, n)."""
+def _move_cost(here: Array, there: Array, endless: NDArray[np.bool_]) -> Array:
+    """Cost (s, b, c) of moving from postures `there` (s, c, n) to `here` (s, b, n)."""
     # joint by joint in memory, so that sums over the joints run along the pairs
     here, there = (np.ascontiguousarray(np.moveaxis(x, -1, 0)) for x in (here, there))
     move = np.abs(here[:, :, :, None] - there[:, :, None, :])
-    around = move[turning] % (2 * math.pi)
-    move[turning] = np.minimum(around, 2 * math.pi - around)
-    price = MOVE_PRICE * np.square(move).sum(axis=0)
-    return np.where(move.max(axis=0) <= JUMP, price, np.inf)
+    around = move[endless] % (2 * math.pi)
+    move[endless] = np.minimum(around, 2 * math.pi - around)
+    node_cost = MOVE_COST * np.square(move).sum(axis=0)
+    return np.where(move.max(axis=0) <= MAX_STEP, node_cost, np.inf)
 
 
-def _trace(q: Array, cost: Array, parents: NDArray[np.intp], fresh: NDArray[np.bool_]) -> Choice:
-    """Back along the parents from the cheapest end."""
+def _backtrack(
+    q: Array, cost: Array, parents: NDArray[np.intp], restarts: NDArray[np.bool_]
+) -> Chain:
+    """The chain that ends in the cheapest node, by its parents."""
     count, spins = len(parents), cost.shape[0]
     at = int(np.argmin(cost))
     node = np.empty(count, dtype=np.intp)
@@ -246,27 +257,26 @@ def _trace(q: Array, cost: Array, parents: NDArray[np.intp], fresh: NDArray[np.b
     for k in range(count - 1, -1, -1):
         node[k] = at
         s, b = divmod(at, cost.shape[1])
-        breaks[k] = fresh[k, s, b]
+        breaks[k] = restarts[k, s, b]
         at = int(parents[k, s, b])
     s, b = node // cost.shape[1], node % cost.shape[1]
     spin = s.copy()
     for k in range(1, count):
         step = (s[k] - s[k - 1] + spins // 2) % spins - spins // 2
         spin[k] = s[k] if breaks[k] else spin[k - 1] + step
-    return Choice(q[np.arange(count), s, b], spin, breaks)
+    return Chain(q[np.arange(count), s, b], spin, breaks)
 
 
 def nearest_postures(
     found: Nodes, usable: NDArray[np.bool_], rows: NDArray[np.intp]
 ) -> tuple[NDArray[np.intp], Array]:
-    """Spins (k,) and joint angles (k, n) at some samples, each near the one before and off limits.
-
-    The joints may move in the air between them, so that nothing need follow on.
+    """Spins (k,) and joint angles (k, n) at some samples, each near the one before and far from the
+    joint limits. Between the samples the arm moves through the air.
     """
     spins, joints = np.empty(len(rows), dtype=np.intp), np.empty((len(rows), found.q.shape[-1]))
-    price = np.where(usable, np.maximum(0.0, 1.0 - found.margin / NEAR) ** 2, np.inf)
+    node_cost = np.where(usable, np.maximum(0.0, 1.0 - found.margin / LIMIT_RANGE) ** 2, np.inf)
     for k, row in enumerate(rows):
-        cost = price[row]
+        cost = node_cost[row]
         if k:
             move = np.abs(found.q[row] - joints[k - 1]).max(axis=-1)
             cost = cost + np.where(usable[row], move, 0.0)

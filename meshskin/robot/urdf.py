@@ -1,4 +1,9 @@
-"""URDF text: its joints, links and motors, checked; and the bare text that adam reads."""
+"""URDF text: its joints, links and motors, checked; and the reduced text that adam reads.
+
+yourdfpy (0.0.60) was weighed for the parsing: it accepts axes of two numbers, joints to missing
+links and incomplete inertials, raises bare KeyErrors and AttributeErrors, and drops the motor
+elements; all checks here would remain.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +22,7 @@ from ..core.se3 import Array, from_rpy
 
 @dataclass(frozen=True)
 class Mimic:
-    """A joint that another one drives: its position is multiplier * q + offset."""
+    """The joint that drives another one, whose position is multiplier * q + offset."""
 
     joint: str
     multiplier: float
@@ -26,21 +31,27 @@ class Mimic:
 
 @dataclass(frozen=True)
 class Joint:
-    """One joint of a URDF file: where it sits on its parent link, and how it moves."""
+    """One joint of a URDF file."""
 
     name: str
     kind: str
+    """"revolute", "continuous", "prismatic", "fixed", ..."""
     parent: str
     child: str
-    xyz: Array  # (3,) m, origin in the parent link's frame
-    rpy: Array  # (3,) rad, fixed-axis roll, pitch, yaw of the origin
-    axis: Array  # (3,) unit vector in the joint's frame
-    limits: dict[str, float]  # lower, upper, velocity, effort: those that the file gives
-    dynamics: dict[str, float]  # damping, friction: those that the file gives
+    xyz: Array
+    """Origin (3,) in the parent link's frame, m."""
+    rpy: Array
+    """Fixed-axis roll, pitch and yaw (3,) of the origin, rad."""
+    axis: Array
+    """Unit vector (3,) in the joint's frame."""
+    limits: dict[str, float]
+    """Those of lower, upper, velocity and effort that the file gives."""
+    dynamics: dict[str, float]
+    """Damping and friction."""
     mimic: Mimic | None = None
 
     def motion(self, q: ca.SX | float) -> ca.SX:
-        """Pose (4, 4) of the child link in the parent link at joint position `q` (rad or m)."""
+        """Pose (4, 4) of the child link in the parent link at joint position `q`, rad or m."""
         origin, move = np.eye(4), ca.SX.eye(4)
         origin[:3, :3], origin[:3, 3] = rotation(self.rpy), self.xyz
         if self.kind == "prismatic":
@@ -54,22 +65,26 @@ class Joint:
 
 
 def rotation(rpy: ArrayLike) -> Array:
-    """Rotation matrix (3, 3) of URDF angles (3,), rad: as `se3.from_rpy`.
+    """Rotation matrix (3, 3) of URDF angles (3,), rad, as `se3.from_rpy`.
 
-    Entries within rounding of -1, 0, 1 are made exact: quarter turns then cost no instructions.
+    Entries within rounding of -1, 0 and 1 become exact, so that expressions of quarter turns have
+    no products.
     """
     r = from_rpy(rpy)
     return np.where(np.abs(r - np.round(r)) < 1e-15, np.round(r), r)
 
 
 def parse(urdf: str, where: str) -> ET.Element:
-    """Root element of URDF text; `where` is added to error messages, here and below."""
+    """Root element of URDF text. `where` is appended to error messages, as in all functions here.
+
+    Raises ArmError.
+    """
     try:
         robot = ET.fromstring(urdf)
     except ET.ParseError as error:
         raise ArmError(f"bad XML{where}: {error}") from error
     if robot.tag != "robot":
-        raise ArmError(f"no URDF{where}: the root element is <{robot.tag}>", limit="<robot>")
+        raise ArmError(f"not a URDF{where}: the root element is <{robot.tag}>", limit="<robot>")
     return robot
 
 
@@ -78,7 +93,7 @@ def _links(robot: ET.Element) -> list[str]:
     return [link.get("name", "") for link in robot.findall("link")]
 
 
-def check_links(robot: ET.Element, where: str) -> None:
+def check_tree(robot: ET.Element, where: str) -> None:
     """Raise ArmError unless the links form one tree and every inertial is complete."""
     links, joints = _links(robot), _joints(robot, where)
     for j in joints:
@@ -89,7 +104,9 @@ def check_links(robot: ET.Element, where: str) -> None:
     children = [j.child for j in joints]
     roots = [link for link in links if link not in children]
     if len(roots) != 1 or len(set(children)) != len(children):
-        raise ArmError(f"the links{where} form no tree", value=f"roots {roots}", limit="one root")
+        raise ArmError(
+            f"the links{where} do not form a tree", value=f"roots {roots}", limit="one root"
+        )
     for element in robot.findall("link"):
         if (inertial := element.find("inertial")) is not None:
             here = f" of link {element.get('name')!r}{where}"
@@ -99,7 +116,7 @@ def check_links(robot: ET.Element, where: str) -> None:
 
 
 def vector(element: ET.Element | None, key: str, default: str, size: int, where: str) -> Array:
-    """Numbers (size,) of an attribute."""
+    """The numbers (size,) of an attribute. Raises ArmError."""
     text = default if element is None else element.get(key, default)
     try:
         values = np.array([float(part) for part in text.split()])
@@ -111,7 +128,7 @@ def vector(element: ET.Element | None, key: str, default: str, size: int, where:
 
 
 def numbers(values: ArrayLike) -> str:
-    """Numbers as an attribute's text, exact to the last bit."""
+    """Numbers as the text of an attribute, exact to the last bit."""
     return " ".join(repr(float(v)) for v in np.asarray(values))
 
 
@@ -122,9 +139,11 @@ def _joints(robot: ET.Element, where: str) -> list[Joint]:
 
 def _joint(element: ET.Element, where: str) -> Joint:
     """One joint of the file."""
-    name = element.get("name", "")
     here = f" of joint {element.get('name')!r}{where}"
-    parent, child = _end(element, "parent"), _end(element, "child")
+    parent, child = (
+        "" if (end := element.find(key)) is None else end.get("link", "")
+        for key in ("parent", "child")
+    )
     if not (parent and child):
         raise ArmError(f"no parent or child{here}")
     origin, limit = element.find("origin"), element.find("limit")
@@ -137,7 +156,7 @@ def _joint(element: ET.Element, where: str) -> Joint:
         axis, length = np.array([1.0, 0.0, 0.0]), np.float64(1.0)
     given = {} if limit is None else limit.attrib
     return Joint(
-        name=name,
+        name=element.get("name", ""),
         kind=kind,
         parent=parent,
         child=child,
@@ -153,7 +172,7 @@ def _joint(element: ET.Element, where: str) -> Joint:
 
 
 def _mimic(element: ET.Element | None, where: str) -> Mimic | None:
-    """What drives a joint, if another one does."""
+    """The joint that drives another one, if any."""
     if element is None:
         return None
     multiplier = vector(element, "multiplier", "1", 1, where)[0]
@@ -161,8 +180,11 @@ def _mimic(element: ET.Element | None, where: str) -> Mimic | None:
     return Mimic(element.get("joint", ""), float(multiplier), float(offset))
 
 
-def drive(joint: Joint, robot: ET.Element, where: str) -> Mimic:
-    """The joint that moves `joint` in the end, itself where it mimics none. Raises ArmError."""
+def resolve_mimic(joint: Joint, robot: ET.Element, where: str) -> Mimic:
+    """The joint that `joint` follows through all mimics; itself if it mimics none.
+
+    Raises ArmError.
+    """
     joints = {j.name: j for j in _joints(robot, where)}
     name, multiplier, offset = joint.name, 1.0, 0.0
     for _ in joints:
@@ -170,20 +192,16 @@ def drive(joint: Joint, robot: ET.Element, where: str) -> Mimic:
         if mimic is None:
             return Mimic(name, multiplier, offset)
         if mimic.joint not in joints:
-            raise ArmError(f"joint {name!r}{where} mimics one that is missing", value=mimic.joint)
+            raise ArmError(
+                f"joint {name!r}{where} mimics a joint that is missing", value=mimic.joint
+            )
         name, offset = mimic.joint, offset + multiplier * mimic.offset
         multiplier *= mimic.multiplier
     raise ArmError(f"joint {joint.name!r}{where} mimics itself")
 
 
-def _end(joint: ET.Element, which: str) -> str:
-    """Name of a joint's `which` (parent or child) link; empty where the file gives none."""
-    element = joint.find(which)
-    return "" if element is None else element.get("link", "")
-
-
 def chain(robot: ET.Element, tip: str, where: str) -> list[Joint]:
-    """The joints from the root link to `tip`. Raises ArmError, UnknownNameError."""
+    """The joints from the root link to `tip`, in order. Raises ArmError, UnknownNameError."""
     joints, links = _joints(robot, where), _links(robot)
     if tip not in links:
         raise UnknownNameError("link", tip, links, where)
@@ -198,7 +216,7 @@ def chain(robot: ET.Element, tip: str, where: str) -> list[Joint]:
 
 
 def reflected_inertias(robot: ET.Element, where: str) -> dict[str, float]:
-    """Reflected inertia (kg m^2) of each joint that has a motor."""
+    """Reflected inertia, kg m^2, of each joint that has a motor."""
     motors: dict[str, float] = {}
     for transmission in robot.findall("transmission"):
         joint = transmission.find("joint")
@@ -213,8 +231,8 @@ def reflected_inertias(robot: ET.Element, where: str) -> dict[str, float]:
     return motors
 
 
-def massless(robot: ET.Element, joint: Joint, moving: Iterable[str]) -> list[str]:
-    """Links that `joint` moves rigidly, up to the next of the `moving`, if none has a mass."""
+def massless_links(robot: ET.Element, joint: Joint, moving: Iterable[str]) -> list[str]:
+    """The links that `joint` moves, up to the next of the `moving` joints, if none has a mass."""
     joints, free = _joints(robot, ""), set(moving)
     mass = {
         link.get("name", ""): float(vector(link.find("inertial/mass"), "value", "0", 1, "")[0])
@@ -226,8 +244,8 @@ def massless(robot: ET.Element, joint: Joint, moving: Iterable[str]) -> list[str
     return [] if any(mass[name] > 0.0 for name in moved) else moved
 
 
-def bare(urdf: str, name: str, moving: Iterable[str]) -> str:
-    """URDF text of links, inertials and joints only; joints not named in `moving` are fixed."""
+def reduced_urdf(urdf: str, name: str, moving: Iterable[str]) -> str:
+    """URDF text of links, inertials and joints only; joints not in `moving` become fixed."""
     source, free = parse(urdf, ""), set(moving)
     robot = ET.Element("robot", name=name)
     for link in source.findall("link"):

@@ -93,7 +93,7 @@ def scene_fields(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     beside = folder / table.urdf
     urdf = beside if beside.is_file() else shipped_scenes.folder() / table.urdf
     arm = Arm.from_urdf(urdf, tip=table.tip, folders=[folder / name for name in table.folders])
-    parts = {"body": body, "skin": skin, "arm": arm.standing(table.base_pose())}
+    parts = {"body": body, "skin": skin, "arm": arm.with_base(table.base_pose())}
     return parts | {"payload": table.payload, "mount": table.mount_pose()} | plain_fields(data)
 
 

@@ -12,7 +12,7 @@ from ..core.errors import PlaceError, ReachError, SimulationError
 from ..core.se3 import Array
 from ..geometry.body import Body
 from ..geometry.surface.closest_point import Closest
-from ..robot.collision import EDGY
+from ..robot.collision import EDGE_COSINE
 from . import transfer
 from .closed_loop_model import APPROACH_SPEED, REFERENCE, ClosedLoopModel, flat_anchor
 from .machine_code import machine_code
@@ -192,7 +192,7 @@ class Simulator:
         center = loop.indenter_centers(loop.body_poses(self.state[None, : self.size]))[0]
         hit = self.body.closest(center[None])
         offset = center - hit.point[0]
-        if hit.normal[0] @ offset < EDGY * np.linalg.norm(offset):
+        if hit.normal[0] @ offset < EDGE_COSINE * np.linalg.norm(offset):
             raise PlaceError(
                 f"the contact ran over an edge of the body at {self._at(self.state)}",
                 value=f"contact point {np.round(hit.point[0], 4).tolist()} m",

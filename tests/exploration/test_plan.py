@@ -143,11 +143,11 @@ def test_the_arm_keeps_off_the_support_and_the_body(sphere):
     plan = plan_exploration(sphere.with_(exploration=LANES))
     q = np.concatenate(list(angles(sphere, plan)))[::20]
     poses = sphere.arm.pose(q) @ sphere.mount_pose
-    held = collision.mounted(sphere.arm, sphere.body, sphere.mount_pose)
+    held = collision.allowed_collisions(sphere.arm, sphere.body, sphere.mount_pose)
     assert not collision.arm_reasons(sphere.arm, sphere.body, q, poses, sphere.indenter, held).any()
     wall = ms.Indenter(support_radius=0.004, support_height=0.6)
     # a column through the forearm: the indenter's place moved onto a link
-    ends = collision.links(sphere.arm).at(q[:1])[0]
+    ends = collision.arm_capsules(sphere.arm).at(q[:1])[0]
     middle = ends[-1].mean(axis=0)
     pierced = replace(wall, position=(middle[0], middle[1], middle[2] + 0.3))
     why = collision.arm_reasons(sphere.arm, sphere.body, q[:1], poses[:1], pierced, held)
@@ -165,7 +165,7 @@ def test_links_are_capsules_about_their_shapes():
       <origin xyz="0 0 0.4"/><axis xyz="0 0 1"/></joint><link name="arm"/>
       <joint name="k" type="fixed"><parent link="arm"/><child link="tool"/>
       <origin xyz="0.3 0 0"/></joint><link name="tool"/></robot>"""
-    found = collision.links(ms.Arm.from_text(boxed, "tool"))
+    found = collision.arm_capsules(ms.Arm.from_text(boxed, "tool"))
     assert found.names == ("base", "arm")
     ends = found.at(np.array([[np.pi / 2]]))[0]
     np.testing.assert_allclose(ends[1], [[0, 0, 0.4], [0, 0.3, 0.4]], atol=1e-12)

@@ -29,7 +29,7 @@ def judged(body, along, angles, axis="0 1 0"):
     arm = ms.Arm.from_text(BENT.replace("AXIS", axis), "tool")
     mount = transform(np.eye(3), (0.0, 0.0, along))
     q = np.stack([np.zeros(len(angles)), angles], axis=1)
-    held = collision.mounted(arm, body, mount)
+    held = collision.allowed_collisions(arm, body, mount)
     return list(collision.arm_reasons(arm, body, q, arm.pose(q) @ mount, AWAY, held)), held
 
 
@@ -38,7 +38,7 @@ def test_a_link_that_can_be_clear_of_the_body_is_judged_up_to_the_tip():
     why, held = judged(ms.Body.sphere(0.03), 0.08, [0.0, 1.5, 2.8])
     assert why == ["", "", collision.ARM_BODY]
     assert held.notes == ()
-    assert not held.joined.any()
+    assert not held.near_tip.any()
 
 
 def test_what_is_always_in_the_body_is_its_mount_however_far_from_the_tip():
@@ -46,7 +46,7 @@ def test_what_is_always_in_the_body_is_its_mount_however_far_from_the_tip():
     sleeve = ms.Body.capsule(0.05, 0.2)
     why, held = judged(sleeve, -0.17, [-2.0, 0.0, 2.0], axis="0 0 1")
     assert why == [""] * 3
-    assert held.inside.all()
+    assert held.everywhere.all()
     (note,) = held.notes
     assert note.startswith("link forearm: meets the body in every posture")
 
@@ -56,12 +56,12 @@ def test_of_a_link_that_always_meets_the_body_the_rest_is_judged():
     why, held = judged(ms.Body.capsule(0.03, 0.4), 0.0, [0.0, 1.5])
     assert why == [collision.ARM_BODY, ""]
     assert held.names == ("forearm",)
-    assert not held.inside.all()
+    assert not held.everywhere.all()
 
 
 @pytest.mark.parametrize("way", [(0.0, 0.0, 1.0), (0.48, -0.64, 0.6), (-1.0, 0.0, 0.0)])
 def test_nothing_that_meets_is_passed_over(sphere, way):
-    arm, shape = sphere.arm, collision.links(sphere.arm)
+    arm, shape = sphere.arm, collision.arm_capsules(sphere.arm)
     body, size = ms.Body.sphere(0.1), 0.1
     rng = np.random.default_rng(1)
     q = rng.uniform(np.maximum(arm.lower, -3), np.minimum(arm.upper, 3), (2000, len(arm.lower)))

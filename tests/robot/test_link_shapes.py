@@ -48,14 +48,14 @@ def toy(tmp_path):
 
 def capsules(text, folders=()):
     link = ET.fromstring(f"<link name='a'><collision>{text}</collision></link>")
-    return link_shapes.of_link(link, folders)
+    return link_shapes.link_capsules(link, folders)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_capsule_holds_its_points_and_touches_them(seed):
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(200, 3)) * [0.3, 0.1, 0.05] @ np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    found = link_shapes.about(points)
+    found = link_shapes.enclosing_capsule(points)
     assert off(points, found).max() == pytest.approx(0.0, abs=1e-12)
     box = np.prod(np.sort(np.ptp(points, axis=0)))
     assert found.volume < 2.0 * box
@@ -79,7 +79,7 @@ def test_primitives_are_held():
 
 def test_a_mesh_is_found_by_its_package_and_cut_into_slabs(toy):
     arm = ms.Arm.from_urdf(toy, tip="tool")
-    found = collision.links(arm)
+    found = collision.arm_capsules(arm)
     assert found.notes == ()
     assert found.names == ("base", *["bar"] * 6)
     assert (found.radii[1:] > np.hypot(0.05, 0.05)).all()
@@ -92,16 +92,18 @@ def test_a_mesh_is_found_by_its_package_and_cut_into_slabs(toy):
     elsewhere = toy.parents[2] / "elsewhere.urdf"
     for name in ("file://" + str(toy.parents[1] / "meshes" / "bar.stl"), "meshes/bar.stl"):
         elsewhere.write_text(TOY.replace("package://toy/meshes/bar.stl", name))
-        assert not collision.links(ms.Arm.from_urdf(elsewhere, "tool", [toy.parents[1]])).notes
+        assert not collision.arm_capsules(
+            ms.Arm.from_urdf(elsewhere, "tool", [toy.parents[1]])
+        ).notes
 
 
 def test_a_collada_mesh_is_held_as_the_stl_of_the_same_shape(toy):
     pytest.importorskip("collada")
     bar = trimesh.load_mesh(toy.parents[1] / "meshes" / "bar.stl")
     (toy.parents[1] / "meshes" / "bar.dae").write_bytes(trimesh.exchange.dae.export_collada(bar))
-    stl = collision.links(ms.Arm.from_urdf(toy, tip="tool"))
+    stl = collision.arm_capsules(ms.Arm.from_urdf(toy, tip="tool"))
     toy.write_text(TOY.replace("bar.stl", "bar.dae"))
-    found = collision.links(ms.Arm.from_urdf(toy, tip="tool"))
+    found = collision.arm_capsules(ms.Arm.from_urdf(toy, tip="tool"))
     assert found.notes == ()
     np.testing.assert_allclose(found.radii, stl.radii, rtol=1e-5)
     q = np.zeros((1, 1))
@@ -112,7 +114,7 @@ def test_a_collada_mesh_without_its_reader_says_in_a_note_how_to_get_it(toy, mon
     monkeypatch.setitem(sys.modules, "collada", None)
     (toy.parents[1] / "meshes" / "arm.dae").write_text("<COLLADA/>")
     toy.write_text(TOY.replace("bar.stl", "arm.dae").replace("<sphere", "<cone"))
-    (note,) = collision.links(ms.Arm.from_urdf(toy, tip="tool")).notes
+    (note,) = collision.arm_capsules(ms.Arm.from_urdf(toy, tip="tool")).notes
     assert note.startswith("link bar: the mesh 'arm.dae' is a Collada file")
     assert "pip install pycollada" in note
 
@@ -133,14 +135,14 @@ def test_a_mesh_that_is_not_there_is_named_in_the_plan(toy, sphere):
     lone.mkdir()
     (lone / "toy.urdf").write_text(TOY.replace("<sphere radius", "<cone radius"))
     arm = replace(ms.Arm.from_urdf(lone / "toy.urdf", tip="tool"), folders=(str(lone),))
-    found = collision.links(arm)
+    found = collision.arm_capsules(arm)
     assert found.names == ("base", "bar")
     assert found.radii[1] == collision.LINK_RADIUS
     (note,) = found.notes
     assert "link bar: the mesh 'package://toy/meshes/bar.stl'" in note
     assert "folders=" in note
     with pytest.raises(MeshError, match="in none of the arm's folders"):
-        link_shapes.located("package://toy/meshes/none.stl", arm.folders)
+        link_shapes.find_mesh("package://toy/meshes/none.stl", arm.folders)
     # and the plan of the Puma with that link's mesh says so, too
     elbow = '<link name="link3">'
     assert elbow in sphere.arm.urdf
@@ -178,11 +180,11 @@ def test_a_real_arm_agrees_with_coal_on_what_meets_the_support(name, tip):
     pin = pytest.importorskip("pinocchio")
     coal = pytest.importorskip("coal")
     arm = ms.Arm.from_urdf(urdf(name), tip=tip)
-    assert collision.links(arm).notes == ()
+    assert collision.arm_capsules(arm).notes == ()
     parents = [str(Path(folder)) for folder in arm.folders]
     model = pin.buildModelFromUrdf(str(urdf(name)))
     geometry = pin.buildGeomFromUrdf(model, str(urdf(name)), pin.COLLISION, package_dirs=parents)
-    chain = set(collision.links(arm).names)
+    chain = set(collision.arm_capsules(arm).names)
     chosen = [g for g in geometry.geometryObjects if model.frames[g.parentFrame].name in chain]
     assert len(chosen) >= 6
     place = ms.Indenter(position=(0.3, 0.2, 0.5), support_radius=0.01, support_height=0.3)

@@ -17,21 +17,21 @@ def test_machine_code_takes_the_steps_of_the_interpreter(sphere):
     interpreted = replace(arm.newton, code=None)
     rng = np.random.default_rng(0)
     goals = rng.uniform(-1.5, 1.5, (40, 6))
-    targets = inverse_kinematics.flat(arm.pose(goals))
+    targets = inverse_kinematics.pose_rows(arm.pose(goals))
     targets[0, 9:] += 9.0  # out of reach
-    q, residual = arm.newton.arrive(rng.uniform(-1.5, 1.5, goals.shape), targets, 0)
+    q, residual = arm.newton.iterate(rng.uniform(-1.5, 1.5, goals.shape), targets, 0)
     assert np.isinf(residual).all()
-    made, expected = (n.arrive(q, targets, 30) for n in (arm.newton, interpreted))
+    made, expected = (n.iterate(q, targets, 30) for n in (arm.newton, interpreted))
     np.testing.assert_allclose(made[0], expected[0], atol=1e-9)
     np.testing.assert_allclose(made[1], expected[1], rtol=1e-6, atol=1e-12)
     there = made[1] < inverse_kinematics.TOLERANCE
     assert 20 < there.sum() < 40
     np.testing.assert_allclose(
-        inverse_kinematics.flat(arm.pose(made[0]))[there], targets[there], atol=1e-9
+        inverse_kinematics.pose_rows(arm.pose(made[0]))[there], targets[there], atol=1e-9
     )
-    way = inverse_kinematics.flat(arm.pose(np.linspace(goals[1], goals[1] + 0.1, 30)))
+    way = inverse_kinematics.pose_rows(arm.pose(np.linspace(goals[1], goals[1] + 0.1, 30)))
     for n in (arm.newton, interpreted):
-        assert [x.shape for x in n.arrive(q[:0], targets[:0], 9)] == [(0, 6), (0,)]
+        assert [x.shape for x in n.iterate(q[:0], targets[:0], 9)] == [(0, 6), (0,)]
     tracked = [n.track(goals[1], way) for n in (arm.newton, interpreted)]
     np.testing.assert_allclose(tracked[0], tracked[1], atol=1e-10)
 
@@ -44,7 +44,7 @@ def test_nodes_reach_their_poses_from_every_anchor(sphere):
     q[..., 1] += way[:, None]
     q[..., 5] += angle
     targets = arm.pose(q)
-    found = posture.solve_nodes(arm, targets, stretch=5)
+    found = posture.solve_nodes(arm, targets, anchor_spacing=5)
     assert found.solved.any(axis=2).all()
     at = np.nonzero(found.solved)
     np.testing.assert_allclose(arm.pose(found.q[at]), targets[at[:2]], atol=1e-9)
@@ -66,17 +66,17 @@ def test_the_chain_is_the_cheapest_of_all(seed):
     found = posture.Nodes(q, usable, margin, np.zeros((m, s, b), dtype=int))
 
     def price(at):
-        near = np.maximum(0.0, 1.0 - margin[at] / posture.NEAR) ** 2
-        return posture.NEAR_PRICE * near
+        near = np.maximum(0.0, 1.0 - margin[at] / posture.LIMIT_RANGE) ** 2
+        return posture.LIMIT_COST * near
 
     def step(k, old, new):
         if starts[k]:
             return 0.0
         move = np.abs(q[k - 1][old] - q[k][new])
         move[0] = min(move[0] % (2 * np.pi), -move[0] % (2 * np.pi))
-        spun = posture.SPIN_PRICE * (old[0] != new[0])
-        moved = (move**2).sum() + spun if move.max() <= posture.JUMP else np.inf
-        return min(moved, posture.BREAK_PRICE)
+        spun = posture.SPIN_COST * (old[0] != new[0])
+        moved = (move**2).sum() + spun if move.max() <= posture.MAX_STEP else np.inf
+        return min(moved, posture.BREAK_COST)
 
     def cost(chain):
         moves = (step(k + 1, *pair) for k, pair in enumerate(pairwise(chain)))

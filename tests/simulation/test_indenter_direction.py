@@ -79,7 +79,7 @@ def test_what_is_turned_as_a_whole_does_the_same(sphere, recording, monkeypatch)
     base = transform(turn, shift)
     there = tuple((turn @ place.position + shift).tolist())
     monkeypatch.setattr(dynamics, "GRAVITY", turn @ dynamics.GRAVITY)
-    moved = sphere.with_(indenter=replace(place, position=there), arm=sphere.arm.standing(base))
+    moved = sphere.with_(indenter=replace(place, position=there), arm=sphere.arm.with_base(base))
     found = ms.simulate(moved, seed=1)
     assert found.metadata["force_error"] == pytest.approx(recording.metadata["force_error"])
     felt = [
@@ -103,7 +103,7 @@ def potential(arm, q):
         if mass is None or link.get("name") == robot.find("link").get("name"):
             continue  # the root does not move
         middle = [float(x) for x in link.find("inertial/origin").get("xyz").split()]
-        part = Arm.from_text(arm.urdf, tip=link.get("name")).standing(arm.base)
+        part = Arm.from_text(arm.urdf, tip=link.get("name")).with_base(arm.base)
         pose = part.pose(q[:, : len(part.joint_names)])
         energy += 9.80665 * float(mass.get("value")) * (pose[:, 2, :3] @ middle + pose[:, 2, 3])
     return energy
@@ -115,7 +115,7 @@ def test_at_rest_the_torques_carry_the_weight_and_the_contact(sphere, case):
     scene = sphere if case == "table" else sphere.with_(indenter=WALL)
     if case.endswith("base"):
         base = transform(exp_so3([-0.3, 0.2, 0.0]), [0.0, 0.0, 0.1])
-        scene = scene.with_(arm=scene.arm.standing(base))
+        scene = scene.with_(arm=scene.arm.with_base(base))
     scene = scene.with_(loop=replace(scene.loop, compile="never"))
     machine, path = prepare(scene)
     for steps in run(scene, machine, path):

@@ -163,7 +163,7 @@ def test_a_scene_made_in_python_is_a_base(sphere):
         again.scene({}).body.closest([[0.0, 0.02, 0.13]]).point,
         sphere.body.closest([[0.0, 0.02, 0.13]]).point,
     )
-    raised = sphere.with_(arm=sphere.arm.standing(transform(np.eye(3), [0.0, 0.0, 0.1])))
+    raised = sphere.with_(arm=sphere.arm.with_base(transform(np.eye(3), [0.0, 0.0, 0.1])))
     assert ms.Study("s", base=raised, grid=study.grid).cases()[0].key != first.key
     for body in (replace(sphere.body, degree=3), replace(sphere.body, robot_mesh=finer.mesh)):
         other = ms.Study("s", base=sphere.with_(body=body), grid=study.grid)
