@@ -1,4 +1,4 @@
-"""A context and frames that the effects are tried on."""
+"""A context and frames for the tests of effects."""
 
 import itertools
 
@@ -17,13 +17,13 @@ def context(sphere):
 
 @pytest.fixture(scope="session")
 def glide(sphere):
-    """frames(way, period): contacts on the sphere's bottom, along the x axis at way (m,), m."""
+    """frames(arc, period): contacts on the bottom of the sphere along the x axis at arc (m,), m."""
 
-    def frames(way, period=0.01, force=3.0, q=None):
-        way = np.asarray(way, dtype=float)
-        turn = exp_so3(np.outer(way / 0.1, [0.0, -1.0, 0.0]))
-        normals = turn @ [0.0, 0.0, -1.0]
-        m = len(way)
+    def frames(arc, period=0.01, force=3.0, q=None):
+        arc = np.asarray(arc, dtype=float)
+        rotation = exp_so3(np.outer(arc / 0.1, [0.0, -1.0, 0.0]))
+        normals = rotation @ [0.0, 0.0, -1.0]
+        m = len(arc)
 
         def closest_point(centres):
             hit = sphere.body.exact.closest(centres)
@@ -46,7 +46,7 @@ def glide(sphere):
 
 @pytest.fixture(scope="session")
 def split():
-    """split(act, *rows, frames): what a stateful function gives when fed in three batches."""
+    """split(act, frames, pressures): outputs of a stateful function called with three batches."""
 
     def run(act, frames, pressures=None):
         seams = [0, 1, len(frames) // 3, len(frames)]

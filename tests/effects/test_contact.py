@@ -1,4 +1,4 @@
-"""Friction, relaxation, cover and scan: what presses a taxel, and when it is read."""
+"""Friction, relaxation, cover fabric and scan order."""
 
 from dataclasses import replace
 
@@ -16,12 +16,12 @@ STEP = 5e-4
 
 
 def arc(frames, points=None):
-    """How far along the x axis the patch is, m of arc."""
+    """Arc length of the patch along the x axis, m."""
     p = frames.points if points is None else points
     return 0.1 * np.arctan2(p[:, 0], -p[:, 2])
 
 
-def test_a_sliding_patch_stays_behind_by_its_shear(context, glide):
+def test_sliding_patch_lags_by_the_shear_at_slip(context, glide):
     effect = Friction(coefficient=0.2)
     # 1.5 mu F / k_t, with Mindlin's tangential stiffness k_t = 8 a G / (2 - nu)
     stiffness = 8 * context.contact_radius * context.shear_modulus / (2 - context.poisson)
@@ -33,7 +33,7 @@ def test_a_sliding_patch_stays_behind_by_its_shear(context, glide):
     np.testing.assert_array_equal(got.normals, frames.normals)
 
 
-def test_the_skin_sticks_until_it_slides_and_after_a_reversal(context, glide):
+def test_contact_sticks_before_slip_and_after_a_reversal(context, glide):
     effect = Friction(coefficient=0.5)
     slip = effect.slip(context)
     there = np.linspace(0.0, 4 * slip, 200)
@@ -45,7 +45,7 @@ def test_the_skin_sticks_until_it_slides_and_after_a_reversal(context, glide):
     np.testing.assert_allclose(shear[199:], np.maximum(slip - back, -slip), rtol=5e-3, atol=2e-6)
 
 
-def test_friction_goes_with_the_force_and_ends_with_the_contact(context, glide):
+def test_shear_grows_with_the_force_and_ends_with_the_contact(context, glide):
     frames = glide(STEP * np.arange(60), force=24.0)
     effect = Friction()
     behind = arc(frames) - arc(effect.build(context)(frames))
@@ -63,27 +63,29 @@ def test_friction_does_not_depend_on_the_batches(context, glide, split):
     np.testing.assert_array_equal(whole, np.vstack([p.points for p in parts]))
 
 
-def test_a_place_pressed_suddenly_relaxes_as_the_standard_linear_solid(context, glide):
+def test_sudden_pressure_relaxes_as_the_standard_linear_solid(context, glide):
     effect = Relaxation(relaxed=0.7, time_constant=0.2)
     frames = glide(np.zeros(600))
     p = np.zeros((600, 2))
     p[400:, 0], p[:, 1] = 1.0, 1.0
     got = effect.build(context)(p, frames)
-    # the held force doubles back on the others: the pressed place reads G(t) / g in the end
+    # the force is controlled, so that the reading is G(t) / g
     age = frames.time[400:] - frames.time[400] + 0.005
     want = (0.7 + 0.3 * np.exp(-age / 0.2)) / 0.7
     np.testing.assert_allclose(got[400:, 0], want, rtol=2e-3)
-    np.testing.assert_allclose(got[:, 1], 1.0, rtol=1e-12)  # at rest the law holds the pressure
+    np.testing.assert_allclose(
+        got[:, 1], 1.0, rtol=1e-12
+    )  # at rest the controlled force keeps the pressure
     assert np.all(np.diff(got[400:, 0]) < 0)
 
 
 def along(way, a=4e-3):
-    """Hertz pressures of a patch that slides over a line of places, and the places."""
+    """Hertz pressures of a patch that slides over points on a line, and the points."""
     places = np.arange(-0.02, 0.06, STEP / 4)
     return np.sqrt(np.maximum(1 - ((places - way[:, None]) / a) ** 2, 0.0)), places
 
 
-def test_a_relaxing_patch_leads_and_lets_go_behind(context, glide):
+def test_relaxing_patch_leads_and_loses_contact_behind(context, glide):
     way = STEP * np.arange(80)
     p, places = along(way)
     got = Relaxation(relaxed=0.95, time_constant=0.1).build(context)(p, glide(way))
@@ -95,8 +97,8 @@ def test_a_relaxing_patch_leads_and_lets_go_behind(context, glide):
     np.testing.assert_array_equal(Relaxation(relaxed=1.0).build(context)(p, glide(way)), p)
 
 
-def test_relaxation_goes_with_the_rate(context, glide):
-    """Passed in far less or far more than the relaxation time, a place answers like a spring."""
+def test_relaxation_depends_on_the_rate(context, glide):
+    """Much faster or slower than the relaxation time, the skin responds as a spring."""
     way = STEP * np.arange(80)
     p, places = along(way)
 
@@ -112,7 +114,7 @@ def test_relaxation_goes_with_the_rate(context, glide):
     assert abs(fast) < middle / 10
 
 
-def test_relaxation_keeps_the_force_where_nothing_lets_go(context, glide):
+def test_relaxation_preserves_the_force_where_contact_is_kept(context, glide):
     way = STEP * np.arange(80)
     p = along(way)[0] + 1.0
     frames = glide(way, force=p.sum(axis=1))
@@ -121,8 +123,8 @@ def test_relaxation_keeps_the_force_where_nothing_lets_go(context, glide):
     assert np.abs(got - p).max() > 0.01
 
 
-def test_a_steadily_sliding_patch_leads_by_its_memory(context, glide):
-    """The memory h stays v tau behind: the first moment leads by v tau (1 - g) / g."""
+def test_lead_of_a_steadily_sliding_patch(context, glide):
+    """The state h lags by v tau, so that the first moment leads by v tau (1 - g) / g."""
     way = STEP * np.arange(80)
     patch, places = along(way)
     p = patch + 1.0
@@ -141,7 +143,7 @@ def test_relaxation_does_not_depend_on_the_batches(context, glide, split):
 
 
 def plane(side=81, step=4e-4):
-    """Poses of places on a square in the plane that touches the sphere's bottom."""
+    """Poses of points on a square in the tangent plane at the bottom of the sphere."""
     x = step * (np.arange(side) - side // 2)
     grid = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
     return transform(np.eye(3), np.column_stack([grid, np.full(len(grid), -0.1)]))
@@ -164,7 +166,7 @@ def hertz(sphere):
     return field
 
 
-def test_a_cover_spreads_pressure_and_keeps_the_force(sphere, context, glide):
+def test_cover_spreads_pressure_and_preserves_the_force(sphere, context, glide):
     frames, poses = glide([0.0]), plane()
     field = hertz(sphere)
     bare = field(frames, poses)[0]
@@ -177,8 +179,8 @@ def test_a_cover_spreads_pressure_and_keeps_the_force(sphere, context, glide):
 
 
 @pytest.mark.parametrize("width", [3e-4, 1e-3, 3e-3])
-def test_a_cover_is_bound_by_the_reading_that_it_changes_most(sphere, context, glide, width):
-    """Twice that part of the peak, in contact radii: below the rim's root as long as it is thin."""
+def test_bound_of_cover_is_its_largest_change_of_a_reading(sphere, context, glide, width):
+    """Twice the relative change in contact radii, which is below 2 sqrt(w a)."""
     frames, poses = glide([0.0]), plane()
     field, effect = hertz(sphere), CoverFabric(width=width)
     change = np.abs(effect.build(context)(field)(frames, poses) - field(frames, poses)).max()
@@ -187,8 +189,8 @@ def test_a_cover_is_bound_by_the_reading_that_it_changes_most(sphere, context, g
     assert effect.bound(context) < 2.0 * np.sqrt(width * context.contact_radius)
 
 
-def test_the_blur_is_exact_for_polynomials(context, glide):
-    """x^4 under a bell of variance w^2 is x^4 + 6 w^2 x^2 + 3 w^4."""
+def test_blur_is_exact_for_polynomials(context, glide):
+    """The mean of x^4 under a Gaussian of variance w^2 is x^4 + 6 w^2 x^2 + 3 w^4."""
 
     def quartic(frames, poses):
         return poses[None, :, 0, 3] ** 4
@@ -199,8 +201,8 @@ def test_the_blur_is_exact_for_polynomials(context, glide):
     np.testing.assert_allclose(got, x**4 + 6 * w**2 * x**2 + 3 * w**4, rtol=1e-9)
 
 
-def test_each_slot_reads_the_contact_of_its_own_time(context, glide):
-    """A field that says how far the contact is: 50 mm/s, so that a lag of 10 ms is 0.5 mm."""
+def test_each_slot_reads_the_contact_at_its_own_time(context, glide):
+    """The field is the arc length at 50 mm/s, so that a lag of 10 ms is 0.5 mm."""
 
     def where(frames, poses):
         return np.tile(arc(frames)[:, None], (1, len(poses)))
@@ -215,7 +217,7 @@ def test_each_slot_reads_the_contact_of_its_own_time(context, glide):
     assert effect.bound(context) == pytest.approx(0.05 * 9.5e-3)
 
 
-def test_slots_are_those_of_the_ids_where_modules_have_gaps(context, glide):
+def test_slots_follow_the_ids_where_modules_have_gaps(context, glide):
     """iCub's modules have no taxel in slots 6 and 10: the next module begins at slot 0 again."""
 
     def where(frames, poses):
@@ -232,7 +234,7 @@ def test_slots_are_those_of_the_ids_where_modules_have_gaps(context, glide):
     np.testing.assert_allclose(behind, np.tile(0.05 * lag, (17, 1)), rtol=1e-4, atol=1e-12)
 
 
-def test_a_scan_does_not_depend_on_the_batches(sphere, context, glide, split):
+def test_scan_does_not_depend_on_the_batches(sphere, context, glide, split):
     frames, poses = glide(STEP * np.arange(40)), context.skin.poses
     whole = ScanOrder(latency=0.013).build(context)(hertz(sphere))(frames, poses)
     field = ScanOrder(latency=0.013).build(context)(hertz(sphere))
@@ -241,7 +243,7 @@ def test_a_scan_does_not_depend_on_the_batches(sphere, context, glide, split):
     assert whole.max() > 0
 
 
-def test_a_scan_does_not_look_over_a_lost_contact(context, glide):
+def test_scan_does_not_look_back_over_a_lost_contact(context, glide):
     def where(frames, poses):
         return np.tile(arc(frames)[:, None], (1, len(poses)))
 

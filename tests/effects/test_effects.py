@@ -1,4 +1,4 @@
-"""Effects: named in TOML, imported only when named, each with a random stream of its own."""
+"""The registry of effects: TOML tables, order, conflicts, random streams, other packages."""
 
 import subprocess
 import sys
@@ -19,10 +19,10 @@ NEEDED = {
     "disc_averaging": {"radius_mm": 1},
     "joint_friction": {"torque_n_m": 0.1},
 }
-"""What effects without defaults are given."""
+"""Options of the effects without defaults."""
 
 
-def test_noise_has_its_standard_deviation_and_no_mean(context, glide):
+def test_noise_has_its_standard_deviation_and_zero_mean(context, glide):
     frames, sigma = glide(np.zeros(500)), 0.02 * context.peak_pressure
     noise = GaussianNoise(0.02).build(context)(np.full((500, 80), 1e4), frames) - 1e4
     assert noise.std() == pytest.approx(sigma, rel=0.02)
@@ -42,7 +42,7 @@ def test_bound_grows_with_the_noise(context):
     assert GaussianNoise(0.01).bound(context) == pytest.approx(0.03 * context.contact_radius)
 
 
-def test_toml_table_makes_the_effect():
+def test_effect_from_a_toml_table():
     found = effects.from_table({"kind": "gaussian_noise", "sigma_relative": 0.05})
     assert found == GaussianNoise(0.05)
     with pytest.raises(UnknownNameError, match="did you mean gaussian_noise"):
@@ -55,13 +55,13 @@ def test_toml_table_makes_the_effect():
         effects.from_table({"sigma_relative": 0.1})
 
 
-def test_only_the_stage_asked_for_is_built(context):
+def test_only_the_given_stage_is_built(context):
     assert effects.build((), context, "transducer") == ()
     assert effects.build((GaussianNoise(),), context, "pressure") == ()
     assert len(effects.build((GaussianNoise(),), context, "transducer")) == 1
 
 
-def test_conflicts_are_refused():
+def test_conflicts_raise():
     class Drift(GaussianNoise):
         name, stage, requires = "drift", "robot", ("thermometer",)
 
@@ -110,7 +110,7 @@ def test_objects_that_are_not_effects_are_refused(sphere, wrong):
     assert "\n" not in str(caught.value)
 
 
-def test_effects_act_in_the_order_of_the_signal_whatever_the_list():
+def test_effects_act_in_the_order_of_the_signal():
     class Late(GaussianNoise):
         name, stage = "late", "robot"
 
@@ -133,7 +133,7 @@ def test_effects_act_in_the_order_of_the_signal_whatever_the_list():
 
 
 @pytest.mark.parametrize("name", effects.CLASS_NAMES)
-def test_every_effect_keeps_the_form(name, context):
+def test_every_effect_has_the_interface(name, context):
     table = {"kind": name, **NEEDED.get(name, {})}
     effect = effects.from_table(table)
     assert effect.name == name
@@ -150,13 +150,13 @@ def test_every_effect_keeps_the_form(name, context):
     ]
 
 
-def test_what_must_be_known_of_a_robot_or_a_skin_is_not_registered_by_itself(context):
+def test_effects_without_defaults_are_not_registered(context):
     assert set(NEEDED) == set(effects.CLASS_NAMES) - {e.name for e in effects.registered()}
     with pytest.raises(ConfigError, match="thickness"):
         effects.from_table({"kind": "layer"})
 
 
-def test_the_order_of_the_stages_is_the_order_of_the_registry():
+def test_registry_is_in_the_order_of_the_stages():
     stages = [effects.STAGES.index(effects.find(name).stage) for name in effects.CLASS_NAMES]
     assert stages == sorted(stages)
 
@@ -191,7 +191,7 @@ class Blur(Toy):
 
 @pytest.fixture
 def toy(tmp_path, monkeypatch):
-    """A package outside of meshskin that brings an effect along."""
+    """Another package with entry points, some of them broken."""
     (tmp_path / "toy_effects.py").write_text(TOY)
     info = tmp_path / "toy_effects-1.0.dist-info"
     info.mkdir()
@@ -207,7 +207,7 @@ def toy(tmp_path, monkeypatch):
     sys.modules.pop("toy_effects", None)
 
 
-def test_another_package_adds_an_effect(toy, sphere, recording):
+def test_effect_of_another_package(toy, sphere, recording):
     twice = effects.from_table({"kind": "toy", "factor": 3.0})
     assert "toy" not in effects.CLASS_NAMES
     found = ms.simulate(sphere.with_(effects=(twice,)), seed=1)
@@ -217,7 +217,7 @@ def test_another_package_adds_an_effect(toy, sphere, recording):
 
 
 @pytest.mark.parametrize(
-    ("name", "why"),
+    ("name", "reason"),
     [
         ("gone", "cannot be loaded"),
         ("lost", "no_such_module"),
@@ -225,13 +225,13 @@ def test_another_package_adds_an_effect(toy, sphere, recording):
         ("raising", "RuntimeError: no licence found"),
     ],
 )
-def test_a_broken_entry_point_is_one_line(toy, name, why):
-    with pytest.raises(ConfigError, match=why) as caught:
+def test_broken_entry_point_raises_an_error_of_one_line(toy, name, reason):
+    with pytest.raises(ConfigError, match=reason) as caught:
         effects.find(name)
     assert "\n" not in str(caught.value)
 
 
-def test_broken_entry_points_are_named_and_left_out(toy):
+def test_broken_entry_points_are_left_out_with_a_warning(toy):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         found = [effect.name for effect in effects.registered()]
@@ -243,7 +243,7 @@ def test_broken_entry_points_are_named_and_left_out(toy):
     assert all("it is left out" in line and "\n" not in line for line in said)
 
 
-def test_without_that_package_there_is_no_such_effect():
+def test_effect_of_a_missing_package_is_unknown():
     with pytest.raises(UnknownNameError, match="unknown effect 'toy'"):
         effects.find("toy")
 

@@ -1,4 +1,4 @@
-"""Effects in a simulated scene: absent when off, alone when on, blind to batches, bounded."""
+"""Effects in a simulated scene: absent when off, independent, batched, below their bounds."""
 
 import functools
 import subprocess
@@ -25,12 +25,12 @@ SLOW = pytest.mark.slow
 RECORDED = [k for k in effects.CLASS_NAMES if effects.find(k).stage in ("geometry", "robot")]
 READ = [k for k in effects.CLASS_NAMES if k not in RECORDED]
 IDLE = ("gaussian_noise", "elliptic_patch")
-"""On in the scene without being asked for, and without anything to do on a sphere."""
+"""Effects that are on in the scene, or change nothing on a sphere."""
 
 
 @pytest.fixture(scope="module")
 def small():
-    """The noisy sphere with 19 taxels, which are soon explored."""
+    """The noisy sphere with 19 taxels, which takes 0.3 s to explore."""
     scene = ms.Scene.load("sphere_noisy")
     skin = ms.Skin.cover(scene.body, spacing=5e-3, count=19, region=Cap((0.0, 0.0, -1.0)))
     return scene.with_(skin=skin)
@@ -42,28 +42,28 @@ def plain(small):
 
 
 def make(name):
-    """An effect at its defaults, but with enough broken taxels for 19, and what some need."""
+    """An effect with its defaults, or OPTIONS where it has none or breaks no taxel of 19."""
     return effects.find(name)(**OPTIONS.get(name, {}))
 
 
 def run(scene, *names):
-    """The recording with more effects on."""
+    """The recording with additional effects."""
     return ms.simulate(scene.with_(effects=(*scene.effects, *map(make, names))), seed=1)
 
 
 @pytest.fixture(scope="module")
 def one(small):
-    """one(name): the recording with this effect more, kept."""
+    """one(name): the recording with this additional effect, cached."""
     return functools.cache(lambda name: run(small, name))
 
 
 def table(recording):
-    """Readings by contact and taxel."""
+    """Readings (Pa) by contact and taxel."""
     keys = zip(recording.reading_contact, recording.reading_taxel, strict=True)
     return dict(zip(keys, recording.pressure, strict=True))
 
 
-def test_off_means_that_no_module_is_imported_and_nothing_acts():
+def test_modules_of_effects_that_are_off_are_not_imported():
     code = (
         "import sys, meshskin as ms; from meshskin import effects; "
         "s = ms.Scene.load('sphere'); field = lambda f, p: None; "
@@ -76,18 +76,16 @@ def test_off_means_that_no_module_is_imported_and_nothing_acts():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_off_again_means_the_same_bits(small, plain, one):
-    """Effects that were on before, all of them imported and built, leave nothing behind."""
-    for name in effects.CLASS_NAMES:
-        if name != "gaussian_noise":
-            one(name)
+def test_effects_switched_off_again_leave_the_recording_bit_for_bit(small, plain):
+    """After a simulation with all effects that can be on together."""
+    run(small, *(name for name in effects.CLASS_NAMES if name not in IDLE))
     again = ms.simulate(small, seed=1)
     for table_of in ("contacts", "readings", "motion"):
         assert getattr(again, table_of).equals(getattr(plain, table_of))
 
 
 @pytest.mark.parametrize("name", RECORDED)
-def test_what_is_recorded_leaves_the_readings_bit_for_bit(name, one, plain):
+def test_effects_on_recorded_contacts_leave_the_readings_bit_for_bit(name, one, plain):
     other = one(name)
     assert other.readings.equals(plain.readings)
     assert not other.contacts.equals(plain.contacts)
@@ -95,20 +93,26 @@ def test_what_is_recorded_leaves_the_readings_bit_for_bit(name, one, plain):
 
 
 @pytest.mark.parametrize("name", [k for k in READ if k not in IDLE])
-def test_what_is_read_leaves_the_contacts_bit_for_bit(name, one, plain):
+def test_effects_on_readings_leave_the_contacts_bit_for_bit(name, one, plain):
     other = one(name)
     assert other.contacts.equals(plain.contacts)
     assert not other.readings.equals(plain.readings)
     assert other.motion.equals(plain.motion)
 
 
-@pytest.mark.parametrize("name", [k for k in DRAWING if k != "gaussian_noise"])
-def test_toggling_one_leaves_the_noise_of_another(name, small):
-    """The noise is what the noisy scene reads beyond the one without noise."""
+@pytest.fixture(scope="module")
+def quiet_and_noisy(small):
+    """The scene without and with noise, at a threshold of almost zero, and the readings of both."""
     quiet = small.with_(effects=(), readout=ms.Readout(threshold_relative=1e-9))
-    noisy = quiet.with_(effects=small.effects)
-    without = table(ms.simulate(quiet, seed=1)), table(ms.simulate(noisy, seed=1))
-    with_ = table(run(quiet, name)), table(run(noisy, name))
+    scenes = quiet, quiet.with_(effects=small.effects)
+    return scenes, [table(ms.simulate(scene, seed=1)) for scene in scenes]
+
+
+@pytest.mark.parametrize("name", [k for k in DRAWING if k != "gaussian_noise"])
+def test_switching_an_effect_leaves_the_noise_of_another(name, small, quiet_and_noisy):
+    """The noise is the difference of the readings of the scenes with and without noise."""
+    scenes, without = quiet_and_noisy
+    with_ = [table(run(scene, name)) for scene in scenes]
     live = without[0].keys() & without[1].keys() & with_[0].keys() & with_[1].keys()
     broken = make("broken_taxels").chosen(small.context(1))
     if name == "broken_taxels":
@@ -120,7 +124,9 @@ def test_toggling_one_leaves_the_noise_of_another(name, small):
 
 
 def test_no_effect_depends_on_the_batches(small, monkeypatch):
-    names = [k for k in effects.CLASS_NAMES if k not in (*IDLE, "cover_fabric")]  # slow, no state
+    names = [
+        k for k in effects.CLASS_NAMES if k not in (*IDLE, "cover_fabric")
+    ]  # the cover is slow and stateless
     whole = run(small, *names)
     monkeypatch.setattr(simulate, "FRAME_CELLS", 19 * 40)
     parts = run(small, *names)
@@ -133,23 +139,23 @@ def test_no_effect_depends_on_the_batches(small, monkeypatch):
 
 
 def test_the_frames_of_a_scene_are_contacts_with_the_indenter(small):
-    """Seen from an effect: the pose of the configuration puts the indenter where it stands."""
+    """The pose of each frame's configuration maps its centre to the position of the indenter."""
     seen: list[Frames] = []
 
-    class Spy(effects.BaseEffect):
-        name, stage, cost = "spy", "contact", 0.0
+    class Probe(effects.BaseEffect):
+        name, stage, cost = "probe", "contact", 0.0
 
         def bound(self, context):
             return 0.0
 
         def build(self, context):
-            def look(frames):
+            def record(frames):
                 seen.append((context, frames))
                 return frames
 
-            return look
+            return record
 
-    arm = small.with_(effects=(Spy(),))
+    arm = small.with_(effects=(Probe(),))
     floating = arm.with_(loop=ms.scene.settings.Loop(mode="quasi_static"))
     for scene in (arm, floating):
         seen.clear()
@@ -162,9 +168,8 @@ def test_the_frames_of_a_scene_are_contacts_with_the_indenter(small):
 
 
 @pytest.mark.parametrize("name", [k for k in effects.CLASS_NAMES if k not in IDLE])
-def test_leaving_an_effect_out_costs_no_more_than_its_bound(name, small, one, plain):
-    """The shift of the joint estimate that does not know of the effect; an estimate loses taxels
-    to broken ones."""
+def test_ignoring_an_effect_shifts_taxels_by_less_than_its_bound(name, small, one, plain):
+    """The shift of the joint estimate that ignores the effect; broken taxels may be missing."""
     belief = small.belief()
     effect = make(name)
     before, after = (ms.calibrate(r, belief).positions for r in (plain, one(name)))
@@ -177,8 +182,8 @@ def test_leaving_an_effect_out_costs_no_more_than_its_bound(name, small, one, pl
     "name",
     ["small", *(pytest.param(n, marks=SLOW) for n in ("ellipsoid", "capsule", "torus"))],
 )
-def test_the_encoders_bound_is_near_what_encoders_do(name, small):
-    """No seed's largest shift exceeds it, and the worst of six comes to more than a third."""
+def test_bound_of_encoder_is_near_the_shift_that_it_causes(name, small):
+    """The largest shift of six seeds lies between a third of the bound and the bound."""
     scene = small if name == "small" else ms.Scene.load(name)
     encoder = effects.find("encoder")()
     belief, bound = scene.belief(), encoder.bound(scene.context(0))
@@ -192,8 +197,8 @@ def test_the_encoders_bound_is_near_what_encoders_do(name, small):
     assert bound / 3 < max(shifts) <= bound
 
 
-def test_an_effect_can_stand_in_a_scene_file(tmp_path):
-    file = tmp_path / "worn.toml"
+def test_effects_are_read_from_a_scene_file(tmp_path):
+    file = tmp_path / "scene.toml"
     file.write_text(
         'extends = "sphere_noisy"\n[[effects]]\nkind = "friction"\ncoefficient = 0.3\n'
         '[[effects]]\nkind = "cover_fabric"\nwidth_mm = 0.5\n'

@@ -1,4 +1,4 @@
-"""Layer, ellipse, disc: what changes the relation of contacts and pressures itself."""
+"""Layer, elliptic patch and disc averaging: effects on the pressure field."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ REACH = np.linspace(0.0, 6e-3, 40)
 
 @pytest.fixture
 def frame(glide):
-    """One contact at the sphere's bottom."""
+    """One contact at the bottom of the sphere."""
     return glide(np.zeros(1))
 
 
@@ -29,13 +29,13 @@ def along(axis):
     return transform(np.eye(3), np.outer(REACH, np.eye(3)[axis]) - [0.0, 0.0, 0.1])
 
 
-def bent(frame, pair):
+def with_curvature(frame, pair):
     """The frame on a body of other principal curvatures, the larger along world x."""
     return replace(frame, curvature=np.array([pair]), directions=np.array([[1.0, 0.0, 0.0]]))
 
 
 def solved(context, model, pair, **more):
-    """The patch by the door for one contact."""
+    """The patch by contact.solve."""
     young = context.reading_model.effective_modulus * (1 - context.poisson**2)
     return ms.contact.solve(
         model,
@@ -49,14 +49,14 @@ def solved(context, model, pair, **more):
 
 
 @pytest.mark.parametrize("thickness", [3e-3, 8e-3, 0.05])
-def test_a_layer_reads_what_its_contact_model_says(context, frame, thickness):
+def test_layer_reads_the_pressure_of_its_contact_model(context, frame, thickness):
     read = Layer(thickness).build(context)(context.reading_model)(frame, along(0))[0]
     patch = solved(context, "layered", (10.0, 10.0), thickness=thickness)
     want = patch.reading(np.outer(REACH, [1.0, 0.0]), context.reading_model.disc_radius)
     np.testing.assert_allclose(read, want, atol=2e-4 * patch.peak)
 
 
-def test_a_thinner_layer_presses_harder_and_a_thick_one_is_no_layer(context, frame):
+def test_peak_grows_as_the_layer_gets_thinner(context, frame):
     middle, plain = along(0)[:1], context.reading_model(frame, along(0)[:1])[0, 0]
     peaks = [
         Layer(t).build(context)(context.reading_model)(frame, middle)[0, 0]
@@ -71,7 +71,7 @@ def test_a_thinner_layer_presses_harder_and_a_thick_one_is_no_layer(context, fra
         Layer(1e-4).build(context)
 
 
-def test_an_ellipse_reads_what_its_contact_model_says(context, frame):
+def test_elliptic_patch_reads_the_pressure_of_its_contact_model(context, frame):
     pair = (40.0, -5.0)
     field, patch = (
         EllipticPatch().build(context)(context.reading_model),
@@ -81,9 +81,11 @@ def test_an_ellipse_reads_what_its_contact_model_says(context, frame):
         want = patch.reading(
             np.outer(REACH, np.eye(2)[1 - axis]), context.reading_model.disc_radius
         )
-        got = field(bent(frame, pair), along(axis))[0]
+        got = field(with_curvature(frame, pair), along(axis))[0]
         np.testing.assert_allclose(got, want, atol=2e-4 * patch.peak)
-    circle, ellipse = (f(bent(frame, pair), along(0))[0] for f in (context.reading_model, field))
+    circle, ellipse = (
+        f(with_curvature(frame, pair), along(0))[0] for f in (context.reading_model, field)
+    )
     assert ellipse[-15] < circle[-15]  # shorter than the circle along the larger curvature
     same = field(frame, along(0)) - context.reading_model(frame, along(0))
     assert np.abs(same).max() < 1e-5 * context.peak_pressure
@@ -93,8 +95,8 @@ def test_an_ellipse_reads_what_its_contact_model_says(context, frame):
     assert EllipticPatch().build(context)(layered) == layered
 
 
-def test_what_leaving_out_the_ellipse_costs_is_below_its_bound():
-    """On a body on which circles just hold."""
+def test_ignoring_the_ellipse_shifts_taxels_by_less_than_its_bound():
+    """On a body near the limit of the circular model."""
     plain = ms.Scene.load("sphere_noisy")
     body = ms.Body.ellipsoid((0.1, 0.1, 0.115))
     skin = ms.Skin.cover(body, spacing=5e-3, count=19, region=Cap((0.0, -1.0, 0.0)))
@@ -106,7 +108,7 @@ def test_what_leaving_out_the_ellipse_costs_is_below_its_bound():
 
 
 def test_discs_average_the_hertz_profile(context, frame):
-    """A small disc reads it as it is; a wide one less in the middle and more at the rim."""
+    """A small disc reads the profile; a wide one reads less at the centre and more at the edge."""
     a, peak = context.contact_radius, context.peak_pressure
     point = DiscAveraging(5e-6).build(context)(context.reading_model)(frame, along(0))[0]
     want = peak * np.sqrt(np.maximum(1 - (REACH / a) ** 2, 0.0))
@@ -116,7 +118,7 @@ def test_discs_average_the_hertz_profile(context, frame):
     assert wide[-10] > point[-10] == 0.0
 
 
-def test_a_disc_is_the_disc_of_a_skin_that_has_it():
+def test_disc_averaging_equals_a_skin_with_that_disc():
     scene = ms.Scene.load("sphere_noisy")
     scene = scene.with_(loop=replace(scene.loop, mode="quasi_static"))
     other = scene.with_(skin=replace(scene.skin, disc_radius=1e-3))
@@ -124,10 +126,10 @@ def test_a_disc_is_the_disc_of_a_skin_that_has_it():
     assert ms.simulate(world, 1).readings.equals(ms.simulate(other, 1).readings)
 
 
-def test_they_act_together_and_below_a_cover(context, frame):
+def test_effects_on_the_field_act_together_under_a_cover(context, frame):
     chosen = (CoverFabric(1e-3), DiscAveraging(1e-3), Layer(5e-3))
-    chain = effects.EffectPipeline.from_effects(chosen, context, context.reading_model)
+    pipeline = effects.EffectPipeline.from_effects(chosen, context, context.reading_model)
     model = Layer(5e-3).build(context)(context.reading_model).model
     ideal = replace(context.reading_model, model=model, disc_radius=1e-3)
     want = CoverFabric(1e-3).build(context)(ideal)(frame, along(1))
-    np.testing.assert_array_equal(chain.field(frame, along(1)), want)
+    np.testing.assert_array_equal(pipeline.field(frame, along(1)), want)

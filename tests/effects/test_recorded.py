@@ -1,4 +1,4 @@
-"""What is recorded of a contact: facets, poses, offsets, joint angles, forces, sampling."""
+"""Effects on recorded contacts: facets, poses, offsets, joint angles, forces, sampling."""
 
 import math
 from dataclasses import replace
@@ -29,7 +29,7 @@ def frames(glide):
     return glide(STEP * np.arange(40))
 
 
-def test_facets_lie_inside_the_sphere_and_improve_with_the_mesh(context, frames):
+def test_facets_lie_inside_the_sphere_and_converge_with_the_mesh(context, frames):
     errors = []
     for faces in (320, 1280, 5120, 20480):
         body = Body.sphere(0.1, faces=faces)
@@ -44,14 +44,14 @@ def test_facets_lie_inside_the_sphere_and_improve_with_the_mesh(context, frames)
     assert errors[2] <= MeshFacets().bound(context)
 
 
-def test_facets_also_take_what_another_effect_moves(context, frames):
+def test_facets_apply_to_contacts_moved_by_another_effect(context, frames):
     turn = BodyPose(translation=(0.0, 0.0, 0.0), rotation=(0.0, 0.01, 0.0)).build(context)
     flat = MeshFacets().build(context)
     one, other = turn(flat(frames)), flat(turn(frames))
     np.testing.assert_allclose(one.points, other.points, atol=1e-9)
 
 
-def test_a_turned_body_turns_all_contacts(context, frames):
+def test_rotated_body_rotates_all_contacts(context, frames):
     w = (0.002, -0.003, 0.001)
     got = BodyPose(translation=(0.0, 0.0, 0.0), rotation=w).build(context)(frames)
     np.testing.assert_allclose(got.points, frames.points @ exp_so3(w).T, atol=1e-8)
@@ -59,7 +59,7 @@ def test_a_turned_body_turns_all_contacts(context, frames):
     np.testing.assert_allclose(still.points, frames.points, atol=1e-8)
 
 
-def test_a_displaced_body_shows_only_across_the_normal(context, glide):
+def test_displacement_of_the_body_moves_contacts_only_tangentially(context, glide):
     frames = glide(np.zeros(3))
     got = BodyPose(translation=(2e-4, 0.0, 0.0)).build(context)(frames)
     shrink = 0.1 / np.linalg.norm(frames.centres[0])
@@ -69,7 +69,7 @@ def test_a_displaced_body_shows_only_across_the_normal(context, glide):
     np.testing.assert_allclose(deep.centres[:, 2], frames.centres[:, 2] - 2e-4)
 
 
-def test_an_indenter_offset_is_fixed_in_the_world(context, glide):
+def test_indenter_offset_is_constant_in_the_world(context, glide):
     rng = np.random.default_rng(2)
     frames = glide(np.zeros(20), q=rng.uniform(-1, 1, (20, 6)))
     d = np.array([1e-4, -2e-4, 3e-4])
@@ -91,7 +91,7 @@ def angles(recording):
 
 
 def across(sphere, context, q, normals):
-    """How the indenter's centre moves over the surface, body frame, with the joints (k, 3, 6)."""
+    """Tangential Jacobian (k, 3, 6) of the indenter's centre in the body frame by the joints."""
     pose, jacobian = sphere.arm.pose(q), sphere.arm.jacobian(q)
     lever = context.indenter_position - pose[:, :3, 3]
     turning = np.cross(jacobian[:, 3:], lever[:, :, None], axis=1)
@@ -100,7 +100,7 @@ def across(sphere, context, q, normals):
     return local - normals[:, :, None] * (normals[:, None, :] @ local)
 
 
-def test_encoder_offsets_act_through_the_jacobian(sphere, context, recording):
+def test_encoder_offsets_displace_contacts_by_the_jacobian(sphere, context, recording):
     q = angles(recording)
     centres = recording.points[::40] + 0.008 * recording.normals[::40]
     effect = Encoder(offset_spread=1e-5, noise_spread=0.0)
@@ -121,8 +121,10 @@ def test_encoder_offsets_act_through_the_jacobian(sphere, context, recording):
     np.testing.assert_allclose(still.points, frames.points, atol=1e-9)
 
 
-def test_the_encoders_bound_knows_the_jacobian_of_all_postures(sphere, context, recording):
-    """Over the path that was taken it is the largest singular value, or little more."""
+def test_bound_of_encoder_is_the_largest_singular_value_over_all_postures(
+    sphere, context, recording
+):
+    """At most 5 % above that over the simulated path."""
     moves = across(sphere, context, angles(recording), recording.normals[::40])
     lever = np.linalg.norm(moves, 2, axis=(1, 2)).max() * 0.1 / 0.108
     one, both = Encoder(1e-4, 0.0), Encoder(3e-4, 4e-4)
@@ -152,7 +154,7 @@ def test_encoder_noise_is_one_stream_over_the_batches(context, frames, split):
         Encoder().build(replace(context, joints=0))
 
 
-def test_an_unknown_weight_reads_less_where_the_skin_faces_down(context, frames):
+def test_ignored_weight_reduces_the_force_where_the_skin_faces_down(context, frames):
     effect = GravityError(mass=0.1)
 
     def facing(rotation):
@@ -167,7 +169,7 @@ def test_an_unknown_weight_reads_less_where_the_skin_faces_down(context, frames)
     np.testing.assert_allclose(down, 0.1 * STANDARD_GRAVITY * frames.normals[:, 2])
 
 
-def test_a_force_sensor_has_its_bias_and_noise(context, glide, split):
+def test_force_sensor_has_its_bias_and_noise(context, glide, split):
     frames, effect = glide(np.zeros(4000)), ForceSensor(noise=0.1, bias=0.3)
     got = effect.build(context)(frames)
     error = got.force - frames.force
@@ -178,7 +180,7 @@ def test_a_force_sensor_has_its_bias_and_noise(context, glide, split):
     np.testing.assert_array_equal(np.concatenate([p.force for p in parts]), got.force)
 
 
-def test_slow_sampling_holds_the_robots_last_sample(context, frames):
+def test_slow_sampling_holds_the_last_sample(context, frames):
     got = Sampling(rate=25.0).build(context)(frames)
     np.testing.assert_array_equal(got.time, frames.time)
     np.testing.assert_array_equal(got.points, frames.points[4 * (np.arange(40) // 4)])
@@ -186,7 +188,7 @@ def test_slow_sampling_holds_the_robots_last_sample(context, frames):
     np.testing.assert_allclose(same.points, frames.points, atol=1e-12)
 
 
-def test_a_late_sample_is_the_delay_behind(context, frames):
+def test_late_samples_lag_by_the_delay(context, frames):
     got = Sampling(rate=100.0, delay=0.025).build(context)(frames)
     behind = np.linalg.norm(got.points - frames.points, axis=1)[5:]
     np.testing.assert_allclose(behind, 0.05 * 0.03, rtol=1e-3)  # 2.5 periods, the third whole
@@ -200,8 +202,8 @@ def test_sampling_does_not_depend_on_the_batches(context, frames, split):
     np.testing.assert_allclose(np.vstack([p.points for p in parts]), whole, atol=1e-15)
 
 
-def test_directions_between_frames_are_unit_tangents_whatever_their_sign(glide):
-    """A principal direction is known but for its sign, and on a sphere it is any tangent."""
+def test_interpolated_directions_are_unit_tangents_for_any_signs(glide):
+    """The sign of a principal direction is arbitrary; on a sphere it is any tangent."""
     frames = glide(5e-4 * np.arange(6))
     flipped = replace(frames, directions=frames.directions * [[1], [-1], [1], [-1], [-1], [1]])
     history = FrameHistory(0.1, 0.01)
@@ -211,8 +213,8 @@ def test_directions_between_frames_are_unit_tangents_whatever_their_sign(glide):
     np.testing.assert_allclose(np.sum(at.directions * at.normals, axis=1), 0.0, atol=1e-12)
 
 
-def test_a_sample_at_a_frames_own_time_is_that_frame_before_a_loss_of_contact(glide):
-    """Rounding above the last frame of a touch must not give the first of the next one."""
+def test_sample_at_the_time_of_the_last_frame_before_a_loss_of_contact(glide):
+    """A time above that of the last frame by rounding must not give the next contact."""
     frames = glide(5e-4 * np.arange(6))
     time = np.array([0.0, 0.01, 0.02, 0.5, 0.51, 0.52])
     history = FrameHistory(0.1, 0.01)
@@ -221,8 +223,8 @@ def test_a_sample_at_a_frames_own_time_is_that_frame_before_a_loss_of_contact(gl
     np.testing.assert_allclose(at.points, frames.points, atol=1e-12)
 
 
-def test_the_friction_of_one_joint_is_felt_over_its_lever(context, glide):
-    """A joint about the y axis, 0.4 m beside the contact: T over that, signed as it turns."""
+def test_friction_of_one_joint_acts_over_its_lever_arm(context, glide):
+    """A joint about the y axis, 0.4 m beside the contact: T / 0.4 m with the sign of its speed."""
 
     def swing(q):
         turn = exp_so3(np.outer(q[:, 0], [0.0, 1.0, 0.0]))
@@ -241,8 +243,8 @@ def test_the_friction_of_one_joint_is_felt_over_its_lever(context, glide):
         assert more[0] == 0.0  # not known to move yet
 
 
-def test_levers_are_the_jacobian_along_the_normal(context, sphere, frames):
-    """By the arm's own Jacobian at the tip, carried to the contact point."""
+def test_lever_arms_equal_the_jacobian_along_the_normal(context, sphere, frames):
+    """By the Jacobian of the arm at the tip, transferred to the contact point."""
     rng = np.random.default_rng(4)
     q = rng.uniform(-1.0, 1.0, (len(frames), 6))
     pose, jacobian = context.pose(q), np.stack([sphere.arm.jacobian(one) for one in q])

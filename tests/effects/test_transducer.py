@@ -1,4 +1,4 @@
-"""What taxels say of the pressure on them: closed forms, limits, signs, and no seam of batches."""
+"""Effects of the transducers: closed forms, limits, signs, independence of the batches."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ def pressures(context):
     return context.peak_pressure * np.random.default_rng(1).random((30, 80))
 
 
-def test_a_capacitor_follows_its_plates_and_saturates(context, glide):
+def test_capacitor_follows_the_plate_formula_and_saturates(context, glide):
     effect = Capacitive(largest_strain=0.6, half_relative=3.0)
     p0 = context.peak_pressure
     p = p0 * np.array([[1e-6, 0.3, 1.0, 1e6]])
@@ -36,7 +36,7 @@ def test_a_capacitor_follows_its_plates_and_saturates(context, glide):
     np.testing.assert_array_equal(linear, p)
 
 
-def test_gains_and_offsets_are_the_taxels_own(context, glide, pressures):
+def test_gains_and_offsets_differ_between_taxels(context, glide, pressures):
     frames = glide(np.zeros(30))
     act = GainOffset(gain_spread=0.1, offset_relative=0.02).build(context)
     low, high = act(0.0 * pressures, frames), act(pressures, frames)
@@ -50,7 +50,7 @@ def test_gains_and_offsets_are_the_taxels_own(context, glide, pressures):
     np.testing.assert_array_equal(same, pressures)
 
 
-def test_drift_starts_at_nothing_and_ends_warm(context, glide, pressures):
+def test_drift_starts_at_zero_and_ends_at_the_warm_skin(context, glide, pressures):
     effect = TemperatureDrift(gain_drift=0.1, offset_relative=0.05, time_constant=20.0)
     act, frames = effect.build(context), glide(np.zeros(30))
     at = replace(frames, time=np.linspace(0.0, 20.0 * np.log(2) * 29 / 10, 30))
@@ -64,12 +64,12 @@ def test_drift_starts_at_nothing_and_ends_warm(context, glide, pressures):
 
 
 def cycle(top, count=2001):
-    """0 to top and back, as a column for each of 80 taxels."""
+    """0 to `top` and back (2 count - 1, 80), the same for each taxel."""
     way = np.concatenate([np.linspace(0, top, count), np.linspace(top, 0, count)[1:]])
     return np.tile(way[:, None], (1, 80))
 
 
-def test_a_hysteresis_cycle_has_the_area_of_its_plays(context, glide):
+def test_area_of_a_hysteresis_cycle(context, glide):
     effect = Hysteresis(share=0.4, width_relative=0.2, plays=3)
     p0, act = context.peak_pressure, effect.build(context)
     act(cycle(p0), glide(np.zeros(4001)))
@@ -83,7 +83,7 @@ def test_a_hysteresis_cycle_has_the_area_of_its_plays(context, glide):
     assert np.abs(y - p).max() <= 0.4 * effect.mean_width * p0 * (1 + 1e-12)
 
 
-def test_hysteresis_forgets_small_loops_and_does_not_depend_on_speed(context, glide):
+def test_hysteresis_has_return_point_memory_and_is_rate_independent(context, glide):
     """Madelung's rules: a closed inner loop leaves no trace."""
     p0 = context.peak_pressure
 
@@ -108,7 +108,7 @@ def test_hysteresis_does_not_depend_on_the_batches(context, glide, pressures, sp
     np.testing.assert_array_equal(whole, np.vstack(parts))
 
 
-def test_crosstalk_keeps_the_sum_and_spares_the_uniform(context, glide, pressures):
+def test_crosstalk_preserves_sums_and_uniform_pressure(context, glide, pressures):
     frames = glide(np.zeros(30))
     act = Crosstalk(coupling=0.1).build(context)
     np.testing.assert_allclose(act(pressures, frames).sum(axis=1), pressures.sum(axis=1))
@@ -117,8 +117,8 @@ def test_crosstalk_keeps_the_sum_and_spares_the_uniform(context, glide, pressure
     one[0, 3] = 1.0
     got = act(one, frames)[0]
     gainers = np.flatnonzero(got * (np.arange(80) != 3))
-    apart = np.linalg.norm(context.skin.positions - context.skin.positions[3], axis=1)
-    assert set(gainers) == set(np.argsort(apart)[1 : 1 + len(gainers)])
+    distance = np.linalg.norm(context.skin.positions - context.skin.positions[3], axis=1)
+    assert set(gainers) == set(np.argsort(distance)[1 : 1 + len(gainers)])
     assert 3 <= len(gainers) <= 7
     assert 0.9 <= got[3] < 1.0
     assert np.all(got[gainers] > 0)
@@ -132,7 +132,7 @@ def test_crosstalk_stays_within_modules(context):
     np.testing.assert_array_equal(mixing, mixing.T)
 
 
-def test_the_sensing_range_cuts_both_ends(context, glide):
+def test_sensing_range_clips_both_ends(context, glide):
     p0 = context.peak_pressure
     act = SensingRange(threshold_relative=0.1, saturation_relative=0.7).build(context)
     got = act(p0 * np.array([[0.05, 0.1, 0.4, 0.7, 0.9]]), glide([0.0])) / p0
@@ -155,7 +155,7 @@ def test_quantisation_rounds_to_its_levels(bits, context, glide, pressures):
     np.testing.assert_allclose(ends, [[0.0, 1.5 * context.peak_pressure]])
 
 
-def test_broken_taxels_are_dead_or_stuck_and_no_others(context, glide, pressures):
+def test_broken_taxels_are_dead_or_stuck_and_others_unchanged(context, glide, pressures):
     effect = BrokenTaxels(dead=0.1, stuck=0.05, level_relative=0.3)
     dead, stuck = effect.chosen(context)
     assert (len(dead), len(stuck)) == (8, 4)
