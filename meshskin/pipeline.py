@@ -17,7 +17,7 @@ from .core.arguments import check_seed
 from .core.atomic_io import check_folder, write_json
 from .core.errors import CalibrationError, GraphError, ReachError
 from .core.provenance import StageTimer, provenance
-from .estimation.calibrate import calibrate
+from .estimation.calibrate import Estimation
 from .estimation.calibration import Calibration
 from .estimation.demonstration import Demonstration, demonstrate
 from .estimation.joint.reduced_nlp import NEWTON_TOLERANCE
@@ -114,10 +114,11 @@ def run(
     with clock.stage("calibrate"):
         belief = scene.belief() if ledger is None else ledger.belief
         tolerance = rest if ledger is None else ledger.tolerance
-        calibration = calibrate(recording, belief, tolerance=tolerance)
+        estimation = Estimation(recording, belief)
+        calibration = estimation.calibrate(tolerance=tolerance)
         calibration.save(folder / "calibration")
     with clock.stage("compare"):
-        comparisons, missing = _compared(recording, belief)
+        comparisons, missing = _compared(estimation)
         demonstration = _demonstrated(scene, recording, seed)
     with clock.stage("metrics"):
         force = _force(recording, scene)
@@ -177,14 +178,14 @@ def _promised(
 
 
 def _compared(
-    recording: Recording, belief: Belief
+    estimation: Estimation,
 ) -> tuple[dict[str, Calibration], dict[str, dict[str, Any]]]:
     """What the other methods find, and the metrics of those that find nothing, with the reason."""
     found: dict[str, Calibration] = {}
     missing: dict[str, dict[str, Any]] = {}
     for method in METHODS:
         try:
-            other = calibrate(recording, belief, method=method)
+            other = estimation.calibrate(method)
             _check_placed(other, FLOATING if method.startswith("posegraph") else 1)
         except (CalibrationError, GraphError) as error:
             missing[method] = {"mean": None, "rms": None, "max": None, "why": str(error)}

@@ -54,12 +54,20 @@ def disc_mean_of_square(q: Any, s: Any, nodes: int = 8) -> Any:
 
 def disc_slope(rho: Array, s: Array, nodes: int = 8) -> Array:
     """Derivative of `disc_mean` by rho: pi s^2 M' = integral_lo^x* 2 w (x - rho) / h dx."""
+    return _mean_and_slope(rho, s, nodes)[1]
+
+
+def _mean_and_slope(rho: Array, s: Array, nodes: int) -> tuple[Array, Array]:
+    """`disc_mean` and `disc_slope`, NumPy, from the same slices."""
     rho = np.sqrt(rho * rho + _MIN_RHO_SQUARE)
-    lo, cut, _ = _limits(np, rho, s)
-    total = np.zeros_like(rho * s)
+    lo, cut, hi = _limits(np, rho, s)
+    mean = np.pi / 2 * ((hi - hi**3 / 3) - (cut - cut**3 / 3))
+    slope = np.zeros_like(rho * s)
     for weight, x, h, w in _slices(np, rho, s, lo, cut, nodes):
-        total = total + weight * 2 * w * (x - rho) / h
-    return np.asarray(total / (np.pi * s * s))
+        mean = mean + weight * (h * w + (1 - x * x) * np.arctan2(h, w))
+        slope = slope + weight * 2 * w * (x - rho) / h
+    area = np.pi * s * s
+    return np.asarray(mean / area), np.asarray(slope / area)
 
 
 def _limits(f: Any, rho: Any, s: Any) -> tuple[Any, Any, Any]:
@@ -114,9 +122,10 @@ def _invert(m: Array, s: Array, nodes: int, tolerance: float) -> Array:
     low, high = np.fmax(s - 1.0, 0.0), 1.0 + s
     rho = (low + high) / 2
     for _ in range(MAX_ITERATIONS):
-        excess = disc_mean(rho, s, nodes) - m
+        mean, slope = _mean_and_slope(rho, s, nodes)
+        excess = mean - m
         low, high = np.where(excess >= 0, rho, low), np.where(excess >= 0, high, rho)
-        trial = rho - _newton_step(excess, m, disc_slope(rho, s, nodes))
+        trial = rho - _newton_step(excess, m, slope)
         inside = (trial > low) & (trial < high)
         new = np.where(inside, trial, (low + high) / 2)
         done = np.abs(new - rho) < tolerance

@@ -185,17 +185,17 @@ def test_a_method_that_finds_nothing_is_left_out_of_the_comparison(tmp_path, cap
 
 def test_a_method_that_places_nothing_is_left_out_of_the_comparison(tmp_path, monkeypatch):
     """It returns, without an error of its own, a calibration in which no taxel has a place."""
-    whole = pipeline.calibrate
+    whole = pipeline.Estimation.calibrate
 
-    def places_nothing(recording, belief, method="joint", **options):
-        found = whole(recording, belief, method=method, **options)
+    def places_nothing(estimation, method="joint", **options):
+        found = whole(estimation, method, **options)
         if method != "posegraph_paper":
             return found
         nowhere = np.full_like(found.poses, np.nan)
         why = np.full(len(found.ids), "shares too few contacts")
         return replace(found, poses=nowhere, reasons=why)
 
-    monkeypatch.setattr(pipeline, "calibrate", places_nothing)
+    monkeypatch.setattr(pipeline.Estimation, "calibrate", places_nothing)
     text = 'extends = "sphere"\n[skin]\ncount = 7'
     assert cli.main(["run", toml(tmp_path, text), "--out", str(tmp_path / "out")]) == 0
     m = json.loads((tmp_path / "out" / "metrics.json").read_text())
@@ -219,7 +219,7 @@ def test_what_an_earlier_run_found_is_not_left_beside_another_recording(tmp_path
 
     for name in ("report.html", "metrics.json", "calibration.csv", "notes.txt"):
         (tmp_path / name).write_text("of an earlier run")
-    monkeypatch.setattr(pipeline, "calibrate", fails)
+    monkeypatch.setattr(pipeline.Estimation, "calibrate", fails)
     text = 'extends = "sphere"\n[skin]\ncount = 3'
     assert cli.main(["run", toml(tmp_path, text), "--out", str(tmp_path), "--quiet"]) == 2
     kept = {file.name for file in tmp_path.iterdir()}

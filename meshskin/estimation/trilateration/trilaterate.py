@@ -260,29 +260,29 @@ def _three(found: Circles, charts: Charts) -> Circles:
 
 def _well_separated(found: Circles) -> Circles:
     """Three circles of each point: far from the mean, far from the first, far from their line."""
-    if not len(found.owner):
+    own, centres = found.owner, found.centres
+    if not len(own):
         return found
-    number = np.maximum(np.bincount(found.owner, minlength=found.count), 1)
-    mean = (found.sum(found.centres) / number[:, None])[found.owner]
-    first = _farthest(found, np.linalg.norm(found.centres - mean, axis=1))
-    one = found.centres[first][found.owner]
-    second = _farthest(found, np.linalg.norm(found.centres - one, axis=1))
-    line = found.centres[second][found.owner] - one
-    third = _farthest(found, np.linalg.norm(np.cross(found.centres - one, line), axis=1))
-    keep = np.zeros(len(found.owner), dtype=bool)
-    rows = np.stack([first, second, third])
-    keep[rows[rows >= 0]] = True
+    number = np.bincount(own, minlength=found.count)
+    occupied = np.flatnonzero(number)
+    begin = np.searchsorted(own, occupied)
+
+    def farthest(distance: Array) -> np.ndarray:
+        """Circle (n,) of each point with the largest distance (k,), the last of equal ones; 0 for
+        a point without circles."""
+        largest = np.zeros(found.count)
+        largest[occupied] = np.maximum.reduceat(distance, begin)
+        rows = np.where(distance == largest[own], np.arange(len(own)), 0)
+        out = np.zeros(found.count, dtype=int)
+        out[occupied] = np.maximum.reduceat(rows, begin)
+        return out
+
+    mean = (found.sum(centres) / np.maximum(number, 1)[:, None])[own]
+    first = farthest(np.linalg.norm(centres - mean, axis=1))
+    offset = centres - centres[first][own]
+    second = farthest(np.linalg.norm(offset, axis=1))
+    line = offset[second][own]
+    third = farthest(np.linalg.norm(np.cross(offset, line), axis=1))
+    keep = np.zeros(len(own), dtype=bool)
+    keep[np.stack([first, second, third])[:, occupied]] = True
     return found.select(keep)
-
-
-def _farthest(found: Circles, distance: Array) -> np.ndarray:
-    """Row (n,) of the circle of each point with the largest distance (k,), the last of equal ones;
-    -1 for a point without circles.
-    """
-    occupied, begin = np.unique(found.owner, return_index=True)
-    largest = np.zeros(found.count)
-    largest[occupied] = np.maximum.reduceat(distance, begin)
-    rows = np.where(distance == largest[found.owner], np.arange(len(distance)), -1)
-    out = np.full(found.count, -1)
-    out[occupied] = np.maximum.reduceat(rows, begin)
-    return out

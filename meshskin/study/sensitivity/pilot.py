@@ -18,7 +18,7 @@ import pyarrow as pa
 from ...contact import BATCHED
 from ...core.errors import CalibrationError, GraphError, StudyError
 from ...effects import NoiseEffect
-from ...estimation.calibrate import calibrate
+from ...estimation.calibrate import Estimation, calibrate
 from ...estimation.uncertainty import metrics
 from ...recording.recording import Recording
 from ...simulation.contact_samplers import concatenate
@@ -201,10 +201,11 @@ def with_long_recording(
 def _estimates(recording: Recording, belief: Belief, methods: Sequence[str]) -> float:
     """Processor seconds of the joint estimate and of all methods, including those that fail."""
     begin = time.process_time()
-    calibrate(recording, belief)
+    estimation = Estimation(recording, belief)
+    estimation.calibrate()
     for method in methods:
         with suppress(CalibrationError, GraphError):
-            calibrate(recording, belief, method=method)
+            estimation.calibrate(method)
     return time.process_time() - begin
 
 

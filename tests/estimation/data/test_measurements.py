@@ -34,6 +34,5 @@ def test_contact_points_of_another_frame_keep_the_general_remedy(world):
 def test_headings_must_be_one_for_each_contact(world):
     recording = world.record()
     few = np.broadcast_to(np.eye(3), (len(recording.time) - 1, 3, 3))
-    message = rf"one rotation .* got shape \({len(few)}, 3, 3\), limit: "
-    with pytest.raises(CalibrationError, match=message):
+    with pytest.raises(CalibrationError, match=rf"one rotation .* got shape \({len(few)}, 3, 3\)"):
         gather(recording, world.belief(unknown=("indenter_offset",), headings=few))
