@@ -58,7 +58,7 @@ def command(options: argparse.Namespace) -> int:
 def same(difference: Difference) -> bool:
     """Whether both skins have the same taxels at the same positions."""
     alone = len(difference.only_a) + len(difference.only_b)
-    return not alone and float(difference.as_they_are.max(initial=0.0)) <= SAME
+    return not alone and float(difference.unaligned.max(initial=0.0)) <= SAME
 
 
 def lines(difference: Difference, worst: int, shown: int | None) -> Iterator[str]:
@@ -71,7 +71,7 @@ def lines(difference: Difference, worst: int, shown: int | None) -> Iterator[str
         yield "equal within 1 um"
         return
     yield f"{'distance (mm)':28}{'taxels':>8}{'mean':>10}{'rms':>10}{'max':>10}"
-    yield row("without alignment", d.as_they_are)
+    yield row("without alignment", d.unaligned)
     yield row("aligned", d.aligned)
     if d.permutation:
         yield row(f"aligned and {d.unit}s permuted", d.paired)

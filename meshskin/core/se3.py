@@ -148,6 +148,12 @@ def shortest_rotation(source: ArrayLike, target: ArrayLike) -> Array:
     return np.asarray(rotation)
 
 
+def transform_points(pose: ArrayLike, points: ArrayLike) -> Array:
+    """Points (..., 3) transformed by one rigid transform (4, 4)."""
+    pose = np.asarray(pose, dtype=float)
+    return np.asarray(points @ pose[:3, :3].T + pose[:3, 3])
+
+
 def is_rigid(pose: ArrayLike) -> bool:
     """Whether `pose` is one finite (4, 4) transform that neither scales nor mirrors, to 1e-6."""
     try:

@@ -115,7 +115,7 @@ def aligned(estimate: Array, truth: Array) -> Array:
     if np.ptp(estimate, axis=0).max() < 1e-12:
         return estimate + (truth.mean(axis=0) - estimate.mean(axis=0))
     pose = se3.align(estimate, truth)
-    return np.asarray(estimate @ pose[:3, :3].T + pose[:3, 3])
+    return se3.transform_points(pose, estimate)
 
 
 @dataclass(frozen=True)

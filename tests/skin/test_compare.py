@@ -43,7 +43,7 @@ def renamed(skin, change, size=12):
 
 def test_a_skin_is_itself(arm):
     d = compare(arm, arm)
-    assert d.as_they_are.max() == 0.0
+    assert d.unaligned.max() == 0.0
     assert d.aligned.max() < 1e-15
     assert d.permutation == {}
     assert not d.explains
@@ -53,7 +53,7 @@ def test_a_skin_is_itself(arm):
 def test_a_motion_is_found(arm):
     d = compare(arm, moved(arm))
     np.testing.assert_allclose(d.alignment, MOTION, atol=1e-12)
-    assert d.as_they_are.min() > 0.01
+    assert d.unaligned.min() > 0.01
     assert d.aligned.max() < 1e-12
     assert d.sentences() == ()
 

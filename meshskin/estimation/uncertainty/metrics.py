@@ -38,7 +38,7 @@ def position_errors(calibration: Calibration, skin: Skin, gauge: bool = False) -
                 remedy="touch more taxels",
             )
         pose = se3.align(found[good], truth[good])
-        found = found @ pose[:3, :3].T + pose[:3, 3]
+        found = se3.transform_points(pose, found)
     return np.asarray(np.linalg.norm(found - truth, axis=1))
 
 

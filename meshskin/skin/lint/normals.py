@@ -114,7 +114,7 @@ def _mirrored(table: SkinTable, rows: SkinTable, n: Array) -> Iterator[Defect]:
         if len(own) < 4:
             continue
         pose = se3.align(flat, rows.positions[own])
-        off = flat @ pose[:3, :3].T + pose[:3, 3] - rows.positions[own]
+        off = se3.transform_points(pose, flat) - rows.positions[own]
         spread = np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False)[1]
         if (
             np.sqrt(np.mean(np.sum(off**2, axis=1))) < FIT_TOLERANCE
