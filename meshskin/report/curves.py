@@ -158,7 +158,8 @@ def errors(distances: Mapping[str, ArrayLike], bound: float | None = None) -> Fi
     for k, (name, values) in enumerate(rows.items()):
         axes = theme.place(figure, 2.6, 0.55 + 1.1 * (len(rows) - 1 - k), 6.2, 0.95)
         colour = theme.METHODS[k % len(theme.METHODS)]
-        counts, _, _ = axes.hist(np.clip(values, low, high), bins.tolist(), color=colour)
+        counts, _ = np.histogram(np.clip(values, low, high), bins)
+        axes.stairs(counts, bins, fill=True, color=colour)
         top = max(top, float(np.max(counts, initial=0)))
         _decade_axis(axes, low, high, minor=k == len(rows) - 1)
         _name_row(axes, name, values)

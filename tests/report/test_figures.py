@@ -115,7 +115,7 @@ def test_errors_count_every_taxel_once_and_mark_the_bound() -> None:
     rows = {"joint": 1e-5 * rng.random(80), "three circles": 1e-3 * rng.random(80)}
     rows["joint"][:2] = np.nan
     figure = curves.errors(rows, 4.2e-6)
-    counts = [sum(p.get_height() for p in a.patches) for a in figure.axes]
+    counts = [sum(p.get_data().values.sum() for p in a.patches) for a in figure.axes]
     assert counts == [78, 80]
     assert "Cramér-Rao expectation 0.00420 mm" in texts(figure)
     assert len({a.get_xlim() for a in figure.axes}) == 1
