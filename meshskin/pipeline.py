@@ -312,6 +312,6 @@ def _report(result: Result, folder: Path, seed: int, seconds: dict[str, float]) 
         demonstration=result.demonstration,
         metrics=result.metrics,
         seconds=seconds,
-        ledger=result.ledger,
+        budget=result.ledger,
         provenance=provenance(scene=result.scene.name, seed=seed),
     )

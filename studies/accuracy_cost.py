@@ -157,8 +157,8 @@ def report(requests: Sequence[dict[str, Any]]) -> None:
 @theme.styled
 def fronts(found: dict[str, Costs]) -> Any:
     """Error and numerical part together against seconds: every setting, and each scene's front."""
-    figure = theme.canvas(7.6, 4.6)
-    axes = theme.place(figure, 0.85, 0.65, 6.5, 3.5)
+    figure = theme.new_figure(7.6, 4.6)
+    axes = theme.add_axes(figure, 0.85, 0.65, 6.5, 3.5)
     for k, (name, costs) in enumerate(found.items()):
         colour = precision.COLOURS[k % len(precision.COLOURS)]
         x, y = ([getattr(r, key) for r in costs.whole] for key in ("time", "total_mm"))
@@ -172,7 +172,7 @@ def fronts(found: dict[str, Costs]) -> Any:
     axes.set(xscale="log", yscale="log", xlabel="processor time: load, simulate, calibrate (s)")
     axes.set(ylabel="error and numerical part (mm)", title="Stars: the scenes as they are")
     axes.legend(loc="upper right")
-    precision.plain_axes(axes)
+    precision.decimal_ticks(axes)
     return figure
 
 

@@ -248,7 +248,7 @@ def calibrated(
 @theme.styled
 def against(rows: dict[str, dict[str, float]], budget_mm: float) -> Figure:
     """Estimate against truth, with a factor of two to either side."""
-    figure = theme.canvas(4.6, 4.2)
+    figure = theme.new_figure(4.6, 4.2)
     axes = figure.add_subplot()
     true = np.array([r["true_mm"] for r in rows.values()])
     estimate = np.array([r["estimate_mm"] for r in rows.values()])

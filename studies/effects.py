@@ -224,7 +224,7 @@ def report(rows: dict[str, dict[str, float]], title: str) -> None:
 def shifts(rows: dict[str, dict[str, float]]) -> Figure:
     """Bars of the mean shift, with the largest and the bound, on a logarithmic scale."""
     names = sorted((n for n in rows if n != "(none)"), key=lambda name: rows[name]["shift_mm"])
-    figure = theme.canvas(6.4, 1.2 + 0.24 * len(names))
+    figure = theme.new_figure(6.4, 1.2 + 0.24 * len(names))
     axes = figure.add_subplot()
     place = np.arange(len(names))
 
@@ -254,7 +254,7 @@ def excesses(rows: dict[str, dict[str, float]], names: list[str]) -> Figure:
         pair = rows.get(f"{names[i]}+{names[j]}")
         if pair:
             grid[j, i], grid[i, j] = pair["excess_mm"], pair["excess_from_all_mm"]
-    figure = theme.canvas(7.5, 6.8)
+    figure = theme.new_figure(7.5, 6.8)
     axes = figure.add_subplot()
     image = axes.imshow(np.maximum(grid, 1e-5), norm="log", cmap=theme.SEQUENTIAL)
     labels = [name.replace("_", " ") for name in names]

@@ -231,7 +231,7 @@ def spiral(n: int, taxels: float, radius: float) -> np.ndarray:
 @theme.styled
 def draw(found: dict[str, dict[str, dict[str, float]]]) -> Figure:
     """One panel a sweep that was run."""
-    figure = theme.canvas(5.0 * len(found), 4.2)
+    figure = theme.new_figure(5.0 * len(found), 4.2)
     for axes, (sweep, rows) in zip(
         figure.subplots(1, len(found), squeeze=False)[0], found.items(), strict=True
     ):

@@ -199,7 +199,7 @@ def report(rows: dict[str, dict[str, float]], title: str) -> None:
 @theme.styled
 def drawn(curves: dict[str, tuple[Curve, Curve, float]]) -> Figure:
     """Mean error against contacts, a panel a pitch, and the line that no design is below."""
-    figure = theme.canvas(3.6 * len(curves), 3.2)
+    figure = theme.new_figure(3.6 * len(curves), 3.2)
     for k, (pitch, (fixed, adaptive, least)) in enumerate(curves.items()):
         axes = figure.add_subplot(1, len(curves), k + 1)
         axes.loglog(fixed["contacts"], fixed["error_mm"], "s-", color=theme.MUTED, label="lanes")

@@ -175,7 +175,7 @@ def line(row: dict[str, Any]) -> str:
 @theme.styled
 def draw(maps: dict[str, tuple[Any, ...]], out: Path) -> None:
     """The bodies, their taxels coloured by the error; crosses where none was reached or found."""
-    figure = theme.canvas(4.0 * len(maps), 4.2)
+    figure = theme.new_figure(4.0 * len(maps), 4.2)
     for k, (name, (body, positions, error)) in enumerate(maps.items()):
         axes = figure.add_subplot(1, len(maps), k + 1, projection="3d")
         side = _facing(positions, body.closest(positions).normal.mean(axis=0))

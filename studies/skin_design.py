@@ -147,10 +147,10 @@ def report(name: str, rows: list[dict[str, float]], seeds: range) -> None:
 @theme.styled
 def curves(rows: dict[str, list[dict[str, float]]]) -> Any:
     """A panel a property: error against its value."""
-    figure = theme.canvas(9.0, 5.8)
+    figure = theme.new_figure(9.0, 5.8)
     places = [(0.8, 3.55), (5.2, 3.55), (0.8, 0.95), (5.2, 0.95)]
     for (name, found), (left, bottom) in zip(rows.items(), places, strict=False):
-        axes = theme.place(figure, left, bottom, 3.6, 2.05)
+        axes = theme.add_axes(figure, left, bottom, 3.6, 2.05)
         x = [row[name] for row in found]
         for key, label, style in (
             ("joint_mm", "joint maximum likelihood", {"marker": "o", "color": theme.ESTIMATE}),
@@ -179,7 +179,7 @@ def curves(rows: dict[str, list[dict[str, float]]]) -> Any:
     handles: dict[str, Artist] = {}
     for name, axes in zip(rows, figure.axes, strict=True):
         axes.set_ylim(limits[:, 0].min(), limits[:, 1].max())
-        precision.plain_axes(axes)
+        precision.decimal_ticks(axes)
         axes.set_xticks(VALUES[name], [f"{value:g}" for value in VALUES[name]])
         axes.set_xticks([], minor=True)
         handles |= dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))

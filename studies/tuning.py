@@ -233,8 +233,8 @@ def corners(scene: ms.Scene, distance: float, out: Path) -> list[dict[str, Any]]
 @theme.styled
 def draw_touch(scene: ms.Scene, before: Touch, after: Touch, out: Path) -> None:
     """Figure 4 before and after, from the touch on, with the band of the settling."""
-    figure = theme.canvas(7.0, 3.2)
-    axes = theme.place(figure, 0.6, 0.6, 6.2, 2.2)
+    figure = theme.new_figure(7.0, 3.2)
+    axes = theme.add_axes(figure, 0.6, 0.6, 6.2, 2.2)
     reference = scene.law.force_reference
     axes.axhspan(0.98 * reference, 1.02 * reference, color=theme.FAINT, linewidth=0)
     axes.text(119, 1.03 * reference, "reference ± 2 %", ha="right", va="bottom", color=theme.MUTED)
@@ -254,8 +254,8 @@ def draw_touch(scene: ms.Scene, before: Touch, after: Touch, out: Path) -> None:
 @theme.styled
 def draw_trades(overshoot: list[Any], rows: list[dict[str, float]], out: Path) -> None:
     """What haste costs: overshoot for a quick touch, force error for a quick manoeuvre."""
-    figure = theme.canvas(8.6, 3.4)
-    axes = theme.place(figure, 0.7, 0.6, 3.4, 2.4)
+    figure = theme.new_figure(8.6, 3.4)
+    axes = theme.add_axes(figure, 0.7, 0.6, 3.4, 2.4)
     own, *found = overshoot
     axes.plot([100 * r["overshoot"] for r in found], [r["settling_ms"] for r in found], "o-",
               color=theme.ESTIMATE, label="tuned")  # fmt: skip
@@ -266,7 +266,7 @@ def draw_trades(overshoot: list[Any], rows: list[dict[str, float]], out: Path) -
              xlim=(-0.05 * most, 1.1 * most),
              title="Touch: settling against overshoot")  # fmt: skip
     axes.legend(loc="center right")
-    axes = theme.place(figure, 5.0, 0.6, 3.4, 2.4)
+    axes = theme.add_axes(figure, 5.0, 0.6, 3.4, 2.4)
     time = [row["time_s"] for row in rows]
     axes.plot(time, [100 * row["force_error"] for row in rows], "-", color=theme.ESTIMATE,
               label="predicted")  # fmt: skip
@@ -286,8 +286,8 @@ def draw_trades(overshoot: list[Any], rows: list[dict[str, float]], out: Path) -
 @theme.styled
 def draw_corners(scene: ms.Scene, seen: list[Confirmation], tuned: TuningResult, out: Path) -> None:
     """The force in every corner with one set of gains, simulated and predicted."""
-    figure = theme.canvas(7.0, 3.4)
-    axes = theme.place(figure, 0.6, 0.6, 4.1, 2.4)
+    figure = theme.new_figure(7.0, 3.4)
+    axes = theme.add_axes(figure, 0.6, 0.6, 4.1, 2.4)
     target, part = scene.law.force_reference, ROUGH.force
     axes.axhspan((1 - part) * target, (1 + part) * target, color=theme.FAINT, linewidth=0)
     shades = [theme.INK, *theme.METHODS[:4]]

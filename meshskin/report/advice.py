@@ -6,10 +6,9 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from .data import ReportData, has_gauge
+from .data import ReportData, has_gauge_freedom
 from .markup import Block, Table, Text
-from .plane import MM
-from .theme import measured
+from .theme import significant
 
 FREEDOMS = (
     "position along the skin, taxel x",
@@ -20,192 +19,193 @@ FREEDOMS = (
     "heading: rotation about the normal",
 )
 FEW_READINGS = 12
-"""Fewer readings than this leave a taxel's position weak."""
-NO_NOISE = 1e-4
-"""Stated uncertainties (mm) below this come from ideal data."""
-SUSPECT_CHI2 = 3.0
-"""Residuals this many times the typical taxel's are not noise."""
-FAR_FROM_BOUND = 1.5
-"""Errors this many times the Cramér-Rao expectation are not noise alone."""
+"""Fewer readings than this leave a taxel's position weak: its sigma is three times that of a taxel
+with 100 readings, a usual number."""
+NOISELESS_MM = 1e-4
+"""Stated uncertainties (mm) below this come from ideal data: the scene sphere, without noise, has
+1e-6, and sphere_noisy 1e-2."""
+OUTLYING_CHI2 = 3.0
+"""A reduced chi-square this many times the median is not noise: with 10 degrees of freedom its
+probability is below 1e-3."""
+MODEL_ERROR_RATIO = 1.5
+"""A mean error this many times the Cramér-Rao bound is not noise alone: the ratio has a standard
+deviation of 6 % with 80 taxels."""
 
 
-def listed(ids: Iterable[object], most: int = 20) -> str:
-    """Ids as text: 3, 17, 41 and 5 more."""
+def format_ids(ids: Iterable[object], most: int = 20) -> str:
+    """Ids as text, such as "3, 17, 41 and 5 more"."""
     names = [str(k) for k in ids]
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
 
 
-def bound_ratio(findings: ReportData) -> float | None:
-    """Mean error over the Cramér-Rao expectation; None if one of them is not known."""
-    bound = (findings.metrics.get("crlb_mm") or {}).get("mean")
-    given = findings.metrics.get("position_error_mm") or {}
-    if findings.truth is None or bound is None or not np.isfinite(bound) or bound <= 0:
+def bound_ratio(data: ReportData) -> float | None:
+    """Mean error over the Cramér-Rao bound; None if one of them is not known."""
+    bound = data.bound_mm
+    if data.truth is None or bound is None or not np.isfinite(bound) or bound <= 0:
         return None
-    mean = given.get("mean", findings.error_summary(findings.calibration.method)["mean"])
-    return float(mean / bound)
+    return float(data.main_errors["mean"] / bound)
 
 
-def determined(findings: ReportData) -> tuple[Block, ...]:
-    """Degrees of freedom, factors, anchor, and the taxels that are not there."""
-    c = findings.calibration
+def observability(data: ReportData) -> tuple[Block, ...]:
+    """The degrees of freedom that were determined, factors, anchor, and taxels not located."""
+    c = data.calibration
     observed = np.asarray(c.observed, dtype=bool)
-    touched = int(findings.touched.sum())
-    counts = observed[findings.touched].sum(axis=0) if touched else np.zeros(6, dtype=int)
+    touched = int(data.touched.sum())
+    counts = observed[data.touched].sum(axis=0) if touched else np.zeros(6, dtype=int)
     rows = tuple(
-        (name, f"{int(n)} of {touched}", _comment(k, int(n), touched))
+        (name, f"{int(n)} of {touched}", _observability_note(k, int(n), touched))
         for k, (name, n) in enumerate(zip(FREEDOMS, counts, strict=True))
     )
     lines = [
-        f"Factors used: {'; '.join(c.factors) or 'none named'}.",
-        f"Anchor (what fixes the whole's pose): {c.anchor or 'none named'}.",
+        f"Factors used: {'; '.join(c.factors) or 'none'}.",
+        f"Anchor, which fixes the pose of the whole skin: {c.anchor or 'none'}.",
     ]
-    if has_gauge(c) and findings.truth is not None:
+    if has_gauge_freedom(c) and data.truth is not None:
         lines.append(
-            "This method leaves the pose of the whole free: errors are given after the best "
-            "rigid alignment with the truth."
+            "This method does not determine the pose of the whole skin: errors are given after "
+            "the best rigid alignment with the truth."
         )
-    lines += missing(findings)
+    lines += missing_taxels(data)
     header = ("degree of freedom", "touched taxels", "")
     return (Table(header, rows, numeric=(1,)), Text(tuple(lines)))
 
 
-def missing(findings: ReportData) -> list[str]:
-    """Which taxels have no estimate, and why."""
-    c = findings.calibration
-    why = np.where(findings.located, "", np.asarray(c.reasons, dtype=str))
-    reasons = sorted(set(why[~findings.located].tolist()))
-    if not reasons:
+def missing_taxels(data: ReportData) -> list[str]:
+    """Which taxels have no estimate, and the reasons."""
+    c = data.calibration
+    reason_of = np.where(data.located, "", np.asarray(c.reasons, dtype=str))
+    reasons, counts = np.unique(reason_of[~data.located], return_counts=True)
+    if not len(reasons):
         return ["Every taxel was touched and located."]
-    many = {reason: int((why == reason).sum()) for reason in reasons}
     return [
-        f"{many[reason]} of {findings.count} taxels {'have' if many[reason] > 1 else 'has'} "
+        f"{count} of {data.count} taxels {'have' if count > 1 else 'has'} "
         f"no estimate ({reason or 'no reason given'}): "
-        f"{listed(np.asarray(c.ids)[why == reason])}."
-        for reason in reasons
+        f"{format_ids(np.asarray(c.ids)[~data.located & (reason_of == reason)])}."
+        for reason, count in zip(reasons.tolist(), counts.tolist(), strict=True)
     ]
 
 
-def _comment(freedom: int, count: int, touched: int) -> str:
+def _observability_note(freedom: int, count: int, touched: int) -> str:
     if count == touched:
         return "determined"
     if freedom == 5 and count == 0:
         return (
-            "not determined: a round taxel reads the same however it is turned about its normal; "
-            "the frame's heading is a convention"
+            "not determined: the reading of a round taxel does not depend on its heading; the "
+            "heading of its frame is a convention"
         )
     if count == 0:
         return "not determined by these data; no number is given"
     return f"not determined for {touched - count} taxels"
 
 
-def next_steps(findings: ReportData) -> Sequence[str]:
+def next_steps(data: ReportData) -> Sequence[str]:
     """Advice that follows from the numbers, most urgent first."""
-    steps = [*_contacts(findings), *_misfit(findings), *_noise(findings)]
-    if not np.asarray(findings.calibration.observed, dtype=bool)[:, 5].any():
+    steps = [*_contacts(data), *_model_errors(data), *_noise(data)]
+    if not np.asarray(data.calibration.observed, dtype=bool)[:, 5].any():
         steps.append(
-            "If the headings matter, take them from the known layout of the skin's modules: "
-            "no contact with a round taxel shows them."
+            "If headings are needed, take them from the known layout of the skin's modules: "
+            "contacts with round taxels do not determine them."
         )
-    if findings.truth is None:
+    if data.truth is None:
         steps.append(
-            "To see what error to expect, simulate this body, path and noise, and compare that "
-            "report's errors with the uncertainty stated here."
+            "To know what error to expect, simulate this body, path and noise, and compare the "
+            "errors in that report with the uncertainty stated here."
         )
     return tuple(steps)
 
 
-def _contacts(findings: ReportData) -> list[str]:
+def _contacts(data: ReportData) -> list[str]:
     """Where contacts are missing."""
-    c = findings.calibration
+    c = data.calibration
     ids, steps = np.asarray(c.ids), []
-    if not findings.touched.all():
+    if not data.touched.all():
         steps.append(
-            f"Extend the contact path to taxels {listed(ids[~findings.touched])}, "
+            f"Extend the contact path to taxels {format_ids(ids[~data.touched])}, "
             "or mark them as defective."
         )
-    weak = findings.touched & ~np.asarray(c.observed, dtype=bool)[:, :2].all(axis=1)
+    weak = data.touched & ~np.asarray(c.observed, dtype=bool)[:, :2].all(axis=1)
     if weak.any():
         steps.append(
-            f"Pass taxels {listed(ids[weak])} on both sides: they were touched, but from too few "
-            "sides to determine their place along the skin."
+            f"Pass taxels {format_ids(ids[weak])} on both sides: they were touched, but from too "
+            "few sides to determine their position along the skin."
         )
-    few = findings.touched & ~weak & (np.asarray(c.readings) < FEW_READINGS)
+    few = data.touched & ~weak & (np.asarray(c.readings) < FEW_READINGS)
     if few.any():
         steps.append(
             f"Press these taxels more often (fewer than {FEW_READINGS} readings each): "
-            f"{listed(ids[few])}."
+            f"{format_ids(ids[few])}."
         )
     return steps
 
 
-def _misfit(findings: ReportData) -> list[str]:
-    """What the readings say that the model does not."""
+def _model_errors(data: ReportData) -> list[str]:
+    """What to do where the readings do not agree with the model."""
     steps = []
-    bad = suspects(findings)
+    bad = outlying_taxels(data)
     if bad.any():
         steps.append(
-            f"Check taxels {listed(np.asarray(findings.calibration.ids)[bad])}: their residuals "
-            "are far above the others' (a wrong gain, a neighbour's wiring, or an estimate caught "
-            "in a wrong place)."
+            f"Check taxels {format_ids(np.asarray(data.calibration.ids)[bad])}: their residuals "
+            "are far above those of the other taxels (a wrong gain, swapped wiring, or an "
+            "estimate in a local minimum)."
         )
-    ratio = bound_ratio(findings)
-    if ratio is not None and ratio > FAR_FROM_BOUND:
+    ratio = bound_ratio(data)
+    if ratio is not None and ratio > MODEL_ERROR_RATIO:
         steps.append(
-            f"The error is {measured(ratio)} times the Cramér-Rao expectation: look for what the "
+            f"The error is {significant(ratio)} times the Cramér-Rao bound: look for what the "
             "model leaves out (contact model, indenter offset, gains) before recording more."
         )
     return steps
 
 
-def is_noiseless(findings: ReportData) -> bool:
-    """Whether the stated uncertainty is next to nothing."""
-    s = findings.sigma[np.isfinite(findings.sigma)] * MM
-    return bool(len(s) and np.median(s) < NO_NOISE)
+def is_noiseless(data: ReportData) -> bool:
+    """Whether the stated uncertainty is that of ideal data."""
+    s = data.finite_sigma_mm
+    return bool(len(s) and np.median(s) < NOISELESS_MM)
 
 
-def _noise(findings: ReportData) -> list[str]:
-    """What the stated uncertainty calls for."""
-    s = findings.sigma[np.isfinite(findings.sigma)] * MM
+def _noise(data: ReportData) -> list[str]:
+    """What to do about the stated uncertainty."""
+    s = data.finite_sigma_mm
     if not len(s):
         return []
-    if is_noiseless(findings):
+    if is_noiseless(data):
         return [
-            "These data are all but free of noise: simulate with the noise of the sensor, to see "
+            "These data contain almost no noise: simulate with the noise of the sensor to know "
             "what error to expect."
         ]
     return [
-        *_consistency(findings),
-        f"To halve the uncertainty of {measured(float(np.median(s)))} mm, record four times as "
+        *_consistency(data),
+        f"To halve the uncertainty of {significant(float(np.median(s)))} mm, record four times as "
         "many readings, or halve the sensor noise.",
     ]
 
 
-def _consistency(findings: ReportData) -> list[str]:
-    """What to do where the errors do not match the stated uncertainty."""
+def _consistency(data: ReportData) -> list[str]:
+    """What to do where the errors do not agree with the stated uncertainty."""
     from ..estimation.uncertainty.metrics import nees_band
 
-    given = findings.metrics.get("nees")
+    given = data.metrics.get("nees")
     mean = given.get("mean") if isinstance(given, Mapping) else given
-    count = int(findings.located.sum())
-    if findings.truth is None or mean is None or not count:
+    count = int(data.located.sum())
+    if data.truth is None or mean is None or not count:
         return []
     low, high = nees_band(count)
     if not np.isfinite(mean) or low <= mean <= high:
         return []
     side = "too small" if mean > high else "too large"
     return [
-        f"The stated uncertainty is {side}: NEES {measured(float(mean))} lies outside its 95 % "
-        f"band {measured(low)} to {measured(high)} (by chance in 1 run of 20). Check the noise "
-        "that the calibration was told, and what its model leaves out."
+        f"The stated uncertainty is {side}: the NEES of {significant(float(mean))} is outside its "
+        f"95 % band, {significant(low)} to {significant(high)} (by chance in 1 run of 20). Check "
+        "the noise given to the calibration, and what its model leaves out."
     ]
 
 
-def suspects(findings: ReportData) -> np.ndarray:
-    """Taxels (n,) whose chi-square lies far above the others'."""
-    chi2 = np.asarray(findings.calibration.chi2, dtype=float)
-    good = np.isfinite(chi2) & findings.touched
+def outlying_taxels(data: ReportData) -> np.ndarray:
+    """Which taxels (n,) have a chi-square far above those of the others."""
+    chi2 = np.asarray(data.calibration.chi2, dtype=float)
+    good = np.isfinite(chi2) & data.touched
     if not good.any():
-        return np.zeros(findings.count, dtype=bool)
+        return np.zeros(data.count, dtype=bool)
     typical = max(float(np.median(chi2[good])), 1.0)
-    return np.asarray(good & (np.where(good, chi2, 0.0) > SUSPECT_CHI2 * typical))
+    return np.asarray(good & (np.where(good, chi2, 0.0) > OUTLYING_CHI2 * typical))

@@ -1,4 +1,4 @@
-"""Figures over time, of error distributions, and over seeds."""
+"""Figures of the force over time, of error distributions, and of errors over seeds."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..core.se3 import Array
 from ..simulation.response import SETTLING_BAND
 from . import theme
 from .plane import MM
-from .theme import measured, number
+from .theme import compact, significant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,10 +39,7 @@ PAPER_CLAIMS = (
 
 
 def settling_time(time: ArrayLike, force: ArrayLike, reference: float, touch: float) -> float:
-    """Seconds (s) from `touch` until the force stays within 2 % of `reference` for 0.2 s.
-
-    NaN if it never does.
-    """
+    """Time (s) from `touch` until the force stays within 2 % of `reference` for 0.2 s, or NaN."""
     t, f = np.asarray(time, dtype=float), np.asarray(force, dtype=float)
     after = t >= touch
     t, outside = t[after], np.abs(f[after] - reference) > SETTLING_BAND * abs(reference)
@@ -54,7 +51,7 @@ def settling_time(time: ArrayLike, force: ArrayLike, reference: float, touch: fl
 
 
 def envelope(time: Array, values: Array, bins: int = 700) -> tuple[Array, Array]:
-    """Least and greatest values of each of `bins` spans of time: what a plot that wide can show."""
+    """Minima and maxima of `bins` intervals of time: all that a plot of so many pixels shows."""
     if len(time) <= 2 * bins:
         return time, values
     edges = np.linspace(0, len(time), bins + 1).astype(int)[:-1]
@@ -70,10 +67,10 @@ def force(
     touch: float | None = None,
     settling: float | None = None,
 ) -> Figure:
-    """Fig. 4: contact force against its reference: whole run, touch and settling, force held.
+    """Fig. 4: contact force and its reference: whole run, touch and settling, steady force.
 
     time (m,), s; force (m,), N; reference: one value or (m,), N; touch: time of first contact, s;
-    settling: from touch, s (both found from the force where not given).
+    settling: settling time after touch, s (by default both follow from the force).
     """
     t, f = np.asarray(time, dtype=float), np.asarray(force, dtype=float)
     ref = None if reference is None else np.broadcast_to(np.asarray(reference, float), t.shape)
@@ -85,8 +82,8 @@ def force(
     window = max(4 * settling, 0.05) if np.isfinite(settling) else 0.5
     near = (t >= touch - 0.15 * window) & (t <= touch + window)
     held = t >= touch + (window if np.isfinite(settling) else 0.0)
-    figure = theme.canvas(9.0, 3.2)
-    whole, zoom, close = (theme.place(figure, x, 0.55, 2.4, 2.1) for x in (0.6, 3.5, 6.45))
+    figure = theme.new_figure(9.0, 3.2)
+    whole, zoom, close = (theme.add_axes(figure, x, 0.55, 2.4, 2.1) for x in (0.6, 3.5, 6.45))
     every = np.ones(len(t), dtype=bool)
     for axes, x, chosen in ((whole, t, every), (zoom, (t - touch) * MM, near), (close, t, held)):
         axes.plot(*envelope(x[chosen], f[chosen]), color=theme.ESTIMATE, lw=1.0)
@@ -101,7 +98,7 @@ def force(
     zoom.set(xlabel="time after touch (ms)", title="Touch and settling")
     zoom.set_xlim(-0.15 * window * MM, window * MM)
     _mark_settling(zoom, settling)
-    _hold(close, f[held], goal)
+    _scale_to_reference(close, f[held], goal)
     _force_legend(figure, with_reference=np.isfinite(goal))
     return figure
 
@@ -111,7 +108,7 @@ def _mark_settling(axes: Axes, settling: float) -> None:
         return
     axes.axvline(settling * MM, color=theme.MUTED, lw=0.8, ls=":")
     axes.annotate(
-        f"within {100 * SETTLING_BAND:g} %\nafter {number(settling * MM)} ms",
+        f"within {100 * SETTLING_BAND:g} %\nafter {compact(settling * MM)} ms",
         (settling * MM, 0.1),
         (4, 0),
         xycoords=("data", "axes fraction"),
@@ -119,15 +116,15 @@ def _mark_settling(axes: Axes, settling: float) -> None:
     )
 
 
-def _hold(axes: Axes, force: Array, goal: float) -> None:
-    """Limits and title of the panel that shows the held force alone."""
-    axes.set(xlabel="time (s)", title="Force held")
+def _scale_to_reference(axes: Axes, force: Array, goal: float) -> None:
+    """Limits and title of the panel of the steady force."""
+    axes.set(xlabel="time (s)", title="Steady force")
     axes.ticklabel_format(axis="y", useOffset=False)
     if np.isfinite(goal):
         off = float(np.max(np.abs(force - goal), initial=0.0))
         half = 1.3 * off or SETTLING_BAND * goal
         axes.set_ylim(goal - half, goal + half)
-        axes.set_title(f"Force held, within {measured(off, 2)} N")
+        axes.set_title(f"Steady force, within {significant(off, 2)} N")
 
 
 def _force_legend(figure: Figure, with_reference: bool) -> None:
@@ -144,19 +141,19 @@ def _force_legend(figure: Figure, with_reference: bool) -> None:
 
 @theme.styled
 def errors(distances: Mapping[str, ArrayLike], bound: float | None = None) -> Figure:
-    """Histograms of position errors, one row a method, on one logarithmic axis.
+    """Histograms of position errors, one row per method, on a common logarithmic axis.
 
-    distances: method -> errors (n,), m, NaN where a method gives no estimate; bound: the mean
-    error that the Cramér-Rao bound lets one expect, m.
+    distances: method -> errors (n,), m, NaN where a method gives no estimate; bound: Cramér-Rao
+    bound on the mean error, m.
     """
     rows = {k: np.asarray(v, dtype=float).ravel() * MM for k, v in distances.items()}
     rows = {k: v[np.isfinite(v)] for k, v in rows.items()}
     low, high = _decades(np.concatenate([*rows.values(), [] if bound is None else [bound * MM]]))
     bins = np.geomspace(low, high, 8 * max(round(np.log10(high / low)), 1) + 1)
-    figure = theme.canvas(9.0, 0.85 + 1.1 * max(len(rows), 1))
+    figure = theme.new_figure(9.0, 0.85 + 1.1 * max(len(rows), 1))
     top = 0.0
     for k, (name, values) in enumerate(rows.items()):
-        axes = theme.place(figure, 2.6, 0.55 + 1.1 * (len(rows) - 1 - k), 6.2, 0.95)
+        axes = theme.add_axes(figure, 2.6, 0.55 + 1.1 * (len(rows) - 1 - k), 6.2, 0.95)
         colour = theme.METHODS[k % len(theme.METHODS)]
         counts, _ = np.histogram(np.clip(values, low, high), bins)
         axes.stairs(counts, bins, fill=True, color=colour)
@@ -176,12 +173,12 @@ def errors(distances: Mapping[str, ArrayLike], bound: float | None = None) -> Fi
 
 
 def _name_row(axes: Axes, name: str, errors: Array) -> None:
-    """The method's name and its mean error, mm, left of its histogram."""
+    """Write the method's name and its mean error, mm, left of its histogram."""
     mean = errors.mean() if len(errors) else float("nan")
     axes.text(
         -0.09,
         0.5,
-        f"{fill(name, 26)}\nmean {measured(mean)} mm",
+        f"{fill(name, 26)}\nmean {significant(mean)} mm",
         transform=axes.transAxes,
         ha="right",
         va="center",
@@ -190,11 +187,11 @@ def _name_row(axes: Axes, name: str, errors: Array) -> None:
 
 
 def _draw_bound(figure: Figure, bound: float, on_right: bool) -> None:
-    """A line at the bound, mm, through all rows; its label is left of it where it is far right."""
+    """A line at the bound, mm, through all rows, with a label to its right or left."""
     for axes in figure.axes:
         axes.axvline(bound, color=theme.INK, lw=1.0, ls="--")
     figure.axes[0].annotate(
-        f"Cramér-Rao expectation {measured(bound)} mm",
+        f"Cramér-Rao bound {significant(bound)} mm",
         (bound, 1.0),
         (-4 if on_right else 4, 3),
         xycoords=("data", "axes fraction"),
@@ -204,7 +201,7 @@ def _draw_bound(figure: Figure, bound: float, on_right: bool) -> None:
 
 
 def _decade_axis(axes: Axes, low: float, high: float, minor: bool) -> None:
-    """A logarithmic axis whose decades are written as plain numbers."""
+    """Make the x axis logarithmic, with decades as plain numbers."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
     axes.set_xscale("log")
@@ -216,8 +213,8 @@ def _decade_axis(axes: Axes, low: float, high: float, minor: bool) -> None:
 
 
 def _decade(value: float) -> str:
-    """A power of ten: 0.01, 1, 100; beyond that 10⁻⁶."""
-    text = number(value)
+    """A power of ten: 0.01, 1 or 100; outside 0.001 to 1000 such as 10⁻⁶."""
+    text = compact(value)
     return text if 1e-3 <= value <= 1e3 else text.removeprefix("1 × ")
 
 
@@ -235,17 +232,17 @@ def _decades(values: Array) -> tuple[float, float]:
 def initial_error(
     initial: ArrayLike, final: ArrayLike, claims: Sequence[Claim] = PAPER_CLAIMS
 ) -> Figure:
-    """Fig. 9: initial mean error against maximum-likelihood mean error over seeds.
+    """Fig. 9: mean error of the maximum-likelihood estimate over that of the start.
 
     initial (k,): mean error of the start, m; final (k, seeds): mean error reached, m, NaN where a
-    run failed; claims: published improvements, drawn beside.
+    run failed; claims: published improvements, for comparison.
     """
     x = np.asarray(initial, dtype=float) * MM
     y = np.asarray(final, dtype=float).reshape(len(x), -1) * MM
     low, middle, high = np.nanpercentile(y, [10, 50, 90], axis=1)
     order = np.argsort(x)
-    figure = theme.canvas(6.2, 4.4)
-    axes = theme.place(figure, 0.65, 0.6, 5.3, 3.45)
+    figure = theme.new_figure(6.2, 4.4)
+    axes = theme.add_axes(figure, 0.65, 0.6, 5.3, 3.45)
     limit = 1.04 * float(x.max())
     axes.plot([0, limit], [0, limit], color=theme.MUTED, lw=0.9, ls=":", label="no improvement")
     for claim, style in zip(claims, ("-", "--", "-.") * len(claims), strict=False):

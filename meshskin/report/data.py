@@ -1,4 +1,4 @@
-"""What a run found, as arrays matched taxel by taxel: what figures, tables and text draw from."""
+"""The data of a report: results of a run as arrays with one row per taxel."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.se3 import Array
-from .plane import Plane, tangent_plane
+from .plane import MM, Plane, tangent_plane
 
 if TYPE_CHECKING:
     from ..estimation.calibration import Calibration
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ..skin.skin import Skin
     from ..study.sensitivity.budget import BudgetReport
 
-NAMES = {
+METHOD_NAMES = {
     "joint": "joint maximum likelihood",
     "posegraph": "pose graph",
     "trilateration": "trilateration",
@@ -28,41 +28,41 @@ NAMES = {
     "posegraph_isotropic": "pose graph, isotropic",
     "posegraph_paper": "the paper's pose graph",
 }
-"""Readable names of methods; others keep their own, with spaces for underscores."""
-
-
-METHODS = {
-    "joint": "all readings at once, the taxels on the surface",
-    "trilateration": "least squares over all circles on which the readings put a taxel",
-    "three_circles": "three of these circles for each taxel",
+"""Names of methods for people; others keep their own, with spaces for underscores."""
+METHOD_DESCRIPTIONS = {
+    "joint": "all readings together, with the taxels on the surface",
+    "trilateration": "least squares over all circles that the readings of a taxel give",
+    "three_circles": "three of these circles per taxel",
     "posegraph": "displacements between taxels that were pressed together",
-    "posegraph_isotropic": "the same, every direction taken as equally well known",
-    "posegraph_paper": "displacements from three circles a taxel, as the paper has it",
+    "posegraph_isotropic": "these displacements with equal weights in all directions",
+    "posegraph_paper": "displacements from three circles per taxel, as in the paper",
 }
-"""What each method makes of the readings."""
-PAPER = (
+"""How each method uses the readings."""
+PAPER_REFERENCE = (
     "The paper is Cannata, Denei, Mastrogiovanni, Towards automated self-calibration of robot skin "
     "(ICRA 2010)."
 )
+DISC_RADIUS = 2e-3
+"""Radius (m) of the discs on maps where the recording does not give it: the paper's taxels."""
 
 
-def readable(method: str) -> str:
+def method_name(method: str) -> str:
     """A method's name for people."""
-    return NAMES.get(method, method.replace("_", " "))
+    return METHOD_NAMES.get(method, method.replace("_", " "))
 
 
 @dataclass(frozen=True)
 class Iterations:
     """Estimates along the iterations of a pose graph."""
 
-    steps: Array
+    positions: Array
     """Positions (k, j, 3), m."""
-    over: Array
-    """What they are drawn over (j, 3), m: the truth, or else their end."""
-    known: bool
-    """Whether `over` is the truth."""
-    demonstration: bool
-    """Whether they are the paper's demonstration: perturbed displacements, all at the origin."""
+    reference: Array
+    """Positions (j, 3), m, that they are compared with: the truth, or else the last iterate."""
+    has_truth: bool
+    """Whether `reference` is the truth."""
+    is_demonstration: bool
+    """Whether this is the paper's demonstration: perturbed displacements, started at the origin."""
 
     @classmethod
     def find(
@@ -71,36 +71,37 @@ class Iterations:
         truth: Skin | None,
         demonstration: Demonstration | None,
     ) -> Iterations | None:
-        """Of the demonstration, or else of the first pose graph that kept its iterates."""
+        """Those of the demonstration, or else of the first pose graph that kept its iterates."""
         if demonstration is not None:
             return cls(demonstration.iterates, demonstration.truth, True, True)
         for c in calibrations:
-            if has_gauge(c) and c.iterates is not None and len(c.iterates) > 1:
-                steps = np.asarray(c.iterates, dtype=float)
-                over = None if truth is None else matched(truth.ids, truth.positions, c.ids)
-                return cls(steps, steps[-1] if over is None else over, over is not None, False)
+            if has_gauge_freedom(c) and c.iterates is not None and len(c.iterates) > 1:
+                positions = np.asarray(c.iterates, dtype=float)
+                true = None if truth is None else rows_by_id(truth.ids, truth.positions, c.ids)
+                reference = positions[-1] if true is None else true
+                return cls(positions, reference, true is not None, False)
         return None
 
 
 @dataclass(frozen=True)
 class ReportData:
-    """A calibration and all that is known beside it. Arrays follow the order of calibration.ids."""
+    """A calibration and what belongs to it. Arrays have the order of calibration.ids."""
 
     calibration: Calibration
     recording: Recording | None
     truth: Array | None
-    """True poses (n, 4, 4); None: no truth."""
+    """True poses (n, 4, 4); None if unknown."""
     errors: Mapping[str, Array]
-    """Position errors (n,), m, of each method against the truth; the calibration's own first."""
+    """Position errors (n,), m, of each method, the calibration's own first; empty without truth."""
     iterations: Iterations | None
-    """None: no pose graph kept its iterates."""
+    """None if no pose graph kept its iterates."""
     metrics: Mapping[str, Any]
     seconds: Mapping[str, float]
     provenance: Mapping[str, Any]
-    estimating: Mapping[str, float] = field(default_factory=dict)
-    """Seconds of each method, as far as they were kept; the calibration's own first."""
-    ledger: BudgetReport | None = None
-    """What an error budget decided, where there was one."""
+    method_seconds: Mapping[str, float] = field(default_factory=dict)
+    """Seconds of each method, where known; the calibration's own first."""
+    budget: BudgetReport | None = None
+    """The decisions of an error budget, if there was one."""
 
     @classmethod
     def collect(
@@ -116,14 +117,14 @@ class ReportData:
         provenance: Mapping[str, Any],
     ) -> ReportData:
         """Match truth and comparisons to the calibration's taxels by their ids."""
-        true = None if truth is None else matched(truth.ids, truth.poses, calibration.ids)
+        true = None if truth is None else rows_by_id(truth.ids, truth.poses, calibration.ids)
         errors: dict[str, Array] = {}
-        estimating: dict[str, float] = {}
+        method_seconds: dict[str, float] = {}
         for name, other in {calibration.method: calibration, **comparisons}.items():
             if truth is not None:
                 errors[name] = _errors(other, truth, calibration.ids)
             if "total" in other.seconds:
-                estimating[name] = other.seconds["total"]
+                method_seconds[name] = other.seconds["total"]
         return cls(
             calibration,
             recording,
@@ -133,12 +134,12 @@ class ReportData:
             metrics,
             seconds or {k: v for k, v in calibration.seconds.items() if k != "total"},
             provenance or calibration.provenance,
-            estimating,
+            method_seconds,
         )
 
     @cached_property
     def count(self) -> int:
-        """How many taxels the skin has."""
+        """Number of taxels of the skin."""
         return len(self.calibration.ids)
 
     @cached_property
@@ -150,8 +151,8 @@ class ReportData:
     def covariances(self) -> Array:
         """Covariances (n, 3, 3), m^2, body frame, of the positions along the skin.
 
-        The part along the normal is left out: it says how far the body's surface is trusted, not
-        what the readings told. A place that the data did not determine makes the row NaN.
+        The part along the normal is left out: it follows from the trust in the body's surface, not
+        from the readings. Rows of positions that the data did not determine are NaN.
         """
         along = np.asarray(self.calibration.poses, dtype=float)[:, :3, :2]
         cov = np.asarray(self.calibration.covariances, dtype=float)[:, :2, :2]
@@ -172,8 +173,25 @@ class ReportData:
         return np.where(np.isfinite(sigma), sigma, np.nan)
 
     @cached_property
-    def where(self) -> Array:
-        """Where to draw each taxel (n, 3), m: its true place, or else the estimate."""
+    def finite_sigma_mm(self) -> Array:
+        """`sigma` of the taxels that were determined, mm."""
+        return np.asarray(self.sigma[np.isfinite(self.sigma)] * MM)
+
+    @property
+    def bound_mm(self) -> float | None:
+        """Cramér-Rao bound on the mean position error, mm; None if unknown."""
+        bound = (self.metrics.get("crlb_mm") or {}).get("mean")
+        return None if bound is None else float(bound)
+
+    @property
+    def main_errors(self) -> dict[str, float]:
+        """Mean, rms and max error (mm) of the calibration: from the metrics, or else computed."""
+        given = self.metrics.get("position_error_mm")
+        return dict(given) if given else self.error_summary(self.calibration.method)
+
+    @cached_property
+    def display_positions(self) -> Array:
+        """Position (n, 3), m, at which each taxel is drawn: the true one, or else the estimate."""
         return np.asarray(
             self.calibration.positions if self.truth is None else self.truth[:, :3, 3]
         )
@@ -182,23 +200,23 @@ class ReportData:
     def plane(self) -> Plane:
         """The tangent plane of all maps."""
         pose = self.calibration.poses if self.truth is None else self.truth
-        return tangent_plane(self.where, np.asarray(pose)[:, :3, 2])
+        return tangent_plane(self.display_positions, np.asarray(pose)[:, :3, 2])
 
     @cached_property
     def disc_radius(self) -> float:
         """Radius of a taxel's disc, m."""
         if self.recording is None:
-            return 2e-3
-        return float(self.recording.metadata.get("disc_radius_m", 2e-3))
+            return DISC_RADIUS
+        return float(self.recording.metadata.get("disc_radius_m", DISC_RADIUS))
 
     def error_summary(self, method: str) -> dict[str, float]:
-        """Mean, rms and max error (mm) of a method, over the taxels that it found."""
+        """Mean, rms and max error (mm) of a method, over the taxels that it located."""
         from ..estimation.uncertainty.metrics import summary_mm
 
         return summary_mm(self.errors[method])
 
 
-def matched(ids: ArrayLike, values: ArrayLike, wanted: ArrayLike) -> Array:
+def rows_by_id(ids: ArrayLike, values: ArrayLike, wanted: ArrayLike) -> Array:
     """Rows of `values` (n, ...) for the ids `wanted`; NaN where an id is missing."""
     have, want = np.asarray(ids), np.asarray(wanted)
     v = np.asarray(values, dtype=float)
@@ -210,8 +228,8 @@ def matched(ids: ArrayLike, values: ArrayLike, wanted: ArrayLike) -> Array:
     return out
 
 
-def has_gauge(calibration: Calibration) -> bool:
-    """Whether the method leaves the whole's pose free, so that errors count after alignment."""
+def has_gauge_freedom(calibration: Calibration) -> bool:
+    """Whether the method does not determine the pose of the whole: errors are after alignment."""
     return calibration.method.startswith("posegraph")
 
 
@@ -220,5 +238,5 @@ def _errors(calibration: Calibration, truth: Skin, ids: np.ndarray) -> Array:
     from ..estimation.uncertainty.metrics import position_errors
 
     found = np.isfinite(calibration.positions).all(axis=1).sum()
-    gauge = has_gauge(calibration) and found >= 3
-    return matched(calibration.ids, position_errors(calibration, truth, gauge), ids)
+    gauge = has_gauge_freedom(calibration) and found >= 3
+    return rows_by_id(calibration.ids, position_errors(calibration, truth, gauge), ids)

@@ -1,4 +1,4 @@
-"""Fewer faces for a picture: fine near the skin, coarse away from it, without cracks."""
+"""Decimation of a mesh for a picture: fine near the skin, coarse away from it, without cracks."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def decimate(
 
     vertices (v, 3), faces (f, 3), focus (n, 3) in one unit. Far vertices are merged by cells of a
     grid (Rossignac and Borrel's vertex clustering), which grows until the faces are few enough;
-    near ones stay as they are, unless the skin covers too much of the body for that. For pictures
-    only: distances must not be measured on the result.
+    near ones are unchanged, unless the skin covers too much of the body. The result is for
+    pictures only, not for measuring distances.
     """
     v, f = np.asarray(vertices, dtype=float), np.asarray(faces, dtype=np.int64)
     if len(f) <= limit:
@@ -34,9 +34,9 @@ def decimate(
 
 
 def _near(v: Array, f: Faces, focus: Array, faces: int) -> NDArray[np.bool_]:
-    """The vertices (v,) so near to the focus that about `faces` faces lie among them.
+    """The vertices (v,) nearest to the focus, with about `faces` faces between them.
 
-    None where that many faces would only make islands about the points of the focus.
+    None if so many faces would only cover separate patches around the points of the focus.
     """
     from scipy.spatial import cKDTree
 
@@ -60,10 +60,10 @@ def _normals(v: Array, f: Faces) -> Array:
 
 
 def _cluster(v: Array, f: Faces, near: NDArray[np.bool_], cell: float) -> tuple[Array, Faces]:
-    """Merge the vertices of each cell that are not near; the faces that are left."""
+    """Merge the vertices of each cell, except near ones; return vertices and remaining faces."""
     grid = np.floor((v - v.min(axis=0)) / cell).astype(np.int64)
     key = (grid[:, 0] << 40) + (grid[:, 1] << 20) + grid[:, 2]
-    key[near] = -1 - np.flatnonzero(near)  # its own cell
+    key[near] = -1 - np.flatnonzero(near)  # a cell of its own
     _, label = np.unique(key, return_inverse=True)
     count = np.bincount(label)
 
@@ -73,7 +73,7 @@ def _cluster(v: Array, f: Faces, near: NDArray[np.bool_], cell: float) -> tuple[
     centre, normal = mean(v), mean(_normals(v, f))
     g = label[f]
     g = g[(g[:, 0] != g[:, 1]) & (g[:, 1] != g[:, 2]) & (g[:, 2] != g[:, 0])]
-    # two faces on the same vertices are a fold, and vanish together: the surface stays closed
+    # two faces on the same vertices are a fold; both are removed, so that the surface stays closed
     _, first, times = np.unique(np.sort(g, axis=1), axis=0, return_index=True, return_counts=True)
     g = g[first[times % 2 == 1]]
     a, b, c = (centre[g[:, k]] for k in range(3))

@@ -1,4 +1,4 @@
-"""Which figures a run gets, and what is said under each."""
+"""The figures of a report, with their captions."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from . import curves, maps, precision, theme
-from .data import ReportData, readable
-from .markup import Picture
+from .data import ReportData, method_name
+from .markup import SavedFigure
 from .plane import MM
 
 if TYPE_CHECKING:
@@ -18,39 +18,39 @@ if TYPE_CHECKING:
 
 
 ACCURACY_TIME = "accuracy_time"
-"""Name of the figure that stands in a section of its own."""
+"""Name of the figure that has a section of its own."""
 
 
-def album(folder: Path, findings: ReportData) -> list[Picture]:
-    """Draw and save every figure that the findings allow, in the order of the page."""
+def draw_figures(folder: Path, data: ReportData) -> list[SavedFigure]:
+    """Draw and save every figure that the data allow, in the order of the page."""
     drawn = (force, estimates, errors, uncertainty, coverage, iterations, accuracy_time)
-    return [p for draw in drawn for p in [draw(folder, findings)] if p is not None]
+    return [p for draw in drawn for p in [draw(folder, data)] if p is not None]
 
 
-def _keep(
+def _save(
     folder: Path, name: str, figure: Figure, title: str, caption: str, alt: str = ""
-) -> Picture:
+) -> SavedFigure:
     png, svg = theme.save(figure, folder, name)
-    return Picture(png, svg, title, caption, alt or f"{title}. {caption}")
+    return SavedFigure(png, svg, title, caption, alt or f"{title}. {caption}")
 
 
-def _plane_note(findings: ReportData) -> str:
-    """A word of caution where the skin bends away from the plane that it is drawn on."""
-    pose = findings.calibration.poses if findings.truth is None else findings.truth
+def _projection_note(data: ReportData) -> str:
+    """A note for the caption where the skin is not nearly parallel to the plane of the map."""
+    pose = data.calibration.poses if data.truth is None else data.truth
     normals = np.asarray(pose)[:, :3, 2]
     normals = normals[np.isfinite(normals).all(axis=1)]
-    outward = np.cross(*findings.plane.axes)
+    outward = np.cross(*data.plane.axes)
     least = float(np.min(normals @ outward, initial=1.0))
     if least < 0:
-        return " The skin reaches around the body: its far side is drawn over the near one."
+        return " The skin extends around the body: its far side is drawn over the near side."
     if least < 0.5:
-        return " The skin bends by more than 60 degrees: towards the rim this projection squeezes."
+        return " The skin is inclined by more than 60 degrees at the rim, which appears shortened."
     return ""
 
 
-def force(folder: Path, findings: ReportData) -> Picture | None:
-    """Fig. 4: force against reference."""
-    recording = findings.recording
+def force(folder: Path, data: ReportData) -> SavedFigure | None:
+    """Fig. 4: contact force and its reference."""
+    recording = data.recording
     if recording is None or not len(recording.time):
         return None
     if recording.motion is not None and recording.motion.num_rows:
@@ -58,158 +58,156 @@ def force(folder: Path, findings: ReportData) -> Picture | None:
         time, values, goal = column["time"], column["force"], column["reference"]
     else:
         time, values = recording.time, recording.force
-        reference = findings.metrics.get("force", {}).get("reference_n")
+        reference = data.metrics.get("force", {}).get("reference_n")
         reference = recording.metadata.get("force_reference_n", reference)
         goal = None if reference is None else float(reference)
-    settling = findings.metrics.get("force", {}).get("settling_s")
-    return _keep(
+    settling = data.metrics.get("force", {}).get("settling_s")
+    return _save(
         folder,
         "fig4_force",
         curves.force(time, values, goal, settling=settling),
-        "Force against reference over time (the paper's fig. 4)",
-        "Left: the whole run. Middle: first touch and settling. Right: the force held while "
-        "sliding, enlarged. Good: it settles in less than 0.1 s without a jump past the band, and "
+        "Contact force and its reference over time (the paper's fig. 4)",
+        "Left: the whole run. Middle: first touch and settling. Right: the force while sliding, "
+        "enlarged. Good: the force settles in less than 0.1 s, does not overshoot the band, and "
         "never falls to zero afterwards.",
-        "Contact force over time beside its reference",
+        "Contact force and its reference over time",
     )
 
 
-def estimates(folder: Path, findings: ReportData) -> Picture | None:
-    """Fig. 5: estimates against truth."""
-    if findings.truth is None:
+def estimates(folder: Path, data: ReportData) -> SavedFigure | None:
+    """Fig. 5: estimates and true positions."""
+    if data.truth is None:
         return None
     figure = maps.estimates(
-        findings.where,
-        findings.calibration.positions,
-        disc_radius=findings.disc_radius,
-        plane=findings.plane,
+        data.display_positions,
+        data.calibration.positions,
+        disc_radius=data.disc_radius,
+        plane=data.plane,
     )
-    return _keep(
+    return _save(
         folder,
         "fig5_estimates",
         figure,
-        "Estimates against the truth (the paper's fig. 5)",
-        "True discs at their size and estimated centres, on the tangent plane at the skin's centre "
-        "seen from outside; the errors are enlarged as the legend says. Good: short error lines in "
-        "random directions; lines that all point one way mean a shift of the whole skin."
-        + _plane_note(findings),
-        "Map of true discs with estimated centres and enlarged error lines",
+        "Estimated and true positions (the paper's fig. 5)",
+        "True discs in their size and estimated centers, on the tangent plane at the skin's center "
+        "seen from outside; errors are enlarged by the factor in the legend. Good: short error "
+        "lines in random directions; lines in one direction mean a shift of the whole skin."
+        + _projection_note(data),
+        "Map of true discs with estimated centers and enlarged errors",
     )
 
 
-def errors(folder: Path, findings: ReportData) -> Picture | None:
-    """The error histogram."""
-    if not findings.errors:
+def errors(folder: Path, data: ReportData) -> SavedFigure | None:
+    """Histograms of the position errors."""
+    if not data.errors:
         return None
-    bound = findings.metrics.get("crlb_mm", {}).get("mean")
+    bound = data.bound_mm
     bound = None if bound is None or not np.isfinite(bound) or bound <= 0 else bound / MM
-    return _keep(
+    return _save(
         folder,
         "errors",
-        curves.errors({readable(k): v for k, v in findings.errors.items()}, bound),
+        curves.errors({method_name(k): v for k, v in data.errors.items()}, bound),
         "Position errors of every method",
-        "One count a taxel, on one logarithmic axis. Good: the joint estimate's errors lie about "
-        "the Cramér-Rao expectation (dashed), the best mean error that these readings allow."
+        "Number of taxels over their error, on a logarithmic axis. Good: the errors of the joint "
+        "estimate are near the Cramér-Rao bound (dashed), the lowest mean error of an unbiased "
+        "estimate."
         if bound is not None
-        else "One count a taxel, on one logarithmic axis. Good: further left.",
+        else "Number of taxels over their error, on a logarithmic axis. Further left is better.",
         "Histograms of position errors by method",
     )
 
 
-def uncertainty(folder: Path, findings: ReportData) -> Picture | None:
-    """The uncertainty map."""
-    if not np.isfinite(findings.sigma).any():
+def uncertainty(folder: Path, data: ReportData) -> SavedFigure | None:
+    """Map of the stated uncertainty."""
+    if not np.isfinite(data.sigma).any():
         return None
-    figure = maps.uncertainty(
-        findings.calibration.positions, findings.covariances, plane=findings.plane
-    )
-    return _keep(
+    figure = maps.uncertainty(data.calibration.positions, data.covariances, plane=data.plane)
+    return _save(
         folder,
         "uncertainty",
         figure,
         "Stated uncertainty of every taxel",
-        "1-sigma ellipses of the estimated positions, enlarged as the legend says. Good: small, "
-        "round and alike; long ones at the rim say in which direction the contact path missed "
-        "them." + _plane_note(findings),
-        "Map of 1-sigma ellipses by taxel",
+        "1-sigma ellipses of the estimated positions, enlarged by the factor in the legend. Good: "
+        "small, round ellipses of equal size; long ones at the rim point in the direction in which "
+        "contacts are missing." + _projection_note(data),
+        "Map of 1-sigma ellipses of the taxels",
     )
 
 
-def coverage(folder: Path, findings: ReportData) -> Picture | None:
-    """The coverage map."""
-    if not np.isfinite(findings.where).any():
+def coverage(folder: Path, data: ReportData) -> SavedFigure | None:
+    """Map of the number of readings."""
+    if not np.isfinite(data.display_positions).any():
         return None
-    path = None if findings.recording is None else findings.recording.points
+    path = None if data.recording is None else data.recording.points
     figure = maps.coverage(
-        findings.where,
-        findings.calibration.readings,
+        data.display_positions,
+        data.calibration.readings,
         path,
-        disc_radius=findings.disc_radius,
-        plane=findings.plane,
+        disc_radius=data.disc_radius,
+        plane=data.plane,
     )
-    missing = int((~findings.touched).sum())
-    lost = f" {missing} never touched cannot be drawn: their place is unknown."
-    return _keep(
+    missing = int((~data.touched).sum())
+    lost = f" {missing} untouched taxels are not drawn, because their position is unknown."
+    return _save(
         folder,
         "coverage",
         figure,
         "Coverage of the exploration",
-        "How many readings each taxel gave (colours on a logarithmic scale), and the path of the "
-        "contact over the skin. Good: no cross, passes on both sides of every taxel, and no taxel "
-        "far darker than its neighbours."
-        + (lost if missing and findings.truth is None else "")
-        + _plane_note(findings),
-        "Map of readings by taxel with the contact path",
+        "Number of readings of each taxel (colors on a logarithmic scale), and the path of the "
+        "contact over the skin. Good: no crosses, passes on both sides of every taxel, and no "
+        "taxel much darker than its neighbors."
+        + (lost if missing and data.truth is None else "")
+        + _projection_note(data),
+        "Map of readings per taxel with the contact path",
     )
 
 
-def accuracy_time(folder: Path, findings: ReportData) -> Picture | None:
-    """What this run's accuracy cost."""
+def accuracy_time(folder: Path, data: ReportData) -> SavedFigure | None:
+    """Errors and seconds of the estimators, and seconds of the stages."""
     points = {
-        readable(name): (seconds, float(np.nanmean(findings.errors[name])) * MM)
-        for name, seconds in findings.estimating.items()
-        if name in findings.errors and np.isfinite(findings.errors[name]).any()
+        method_name(name): (seconds, float(np.nanmean(data.errors[name])) * MM)
+        for name, seconds in data.method_seconds.items()
+        if name in data.errors and np.isfinite(data.errors[name]).any()
     }
-    if not points or not findings.seconds:
+    if not points or not data.seconds:
         return None
-    bound = findings.metrics.get("crlb_mm", {}).get("mean")
-    return _keep(
+    return _save(
         folder,
         ACCURACY_TIME,
-        precision.accuracy_time(points, findings.seconds, bound or None),
-        "Accuracy against time, of this run",
-        "Left: what each estimator that ran made of the same recording, and how long it took; "
-        "further left and lower is better, and none can be expected below the dashed line. Right: "
-        "where the run's time went.",
-        "Mean error against seconds of each estimator, and seconds of each stage",
+        precision.accuracy_time(points, data.seconds, data.bound_mm or None),
+        "Accuracy and time of this run",
+        "Left: mean error and time of each estimator on the same recording; further left and lower "
+        "is better, and the dashed line is the Cramér-Rao bound. Right: time of each stage of the "
+        "run.",
+        "Mean error over seconds of each estimator, and seconds of each stage",
     )
 
 
-def iterations(folder: Path, findings: ReportData) -> Picture | None:
-    """Fig. 6-8: the three panels for the page, and each as a file of its own."""
-    run = findings.iterations
+def iterations(folder: Path, data: ReportData) -> SavedFigure | None:
+    """Fig. 6-8: one figure of three panels for the page, and each panel as a file."""
+    run = data.iterations
     if run is None:
         return None
 
     def draw(only: int | None) -> Figure:
-        reference = "true taxel" if run.known else "end"
+        reference = "true taxel" if run.has_truth else "last iterate"
         return maps.iterations(
-            run.over, run.steps, plane=findings.plane, only=only, reference=reference
+            run.reference, run.positions, plane=data.plane, only=only, reference=reference
         )
 
-    goal = "truth" if run.known else "end"
+    goal = "truth" if run.has_truth else "last iterate"
     singles = (theme.save(draw(k), folder, f"fig{6 + k}_iteration") for k in range(3))
     also = tuple(file for pair in singles for file in pair)
-    start = "True displacements of neighbours with noise added, every taxel started at one point. "
-    picture = _keep(
+    start = "Displacements are the true ones with noise; all taxels start at one point. "
+    picture = _save(
         folder,
         "fig6-8_iterations",
         draw(None),
         "Pose-graph estimates along the iterations (the paper's fig. 6 to 8)",
-        (start if run.demonstration else "")
-        + f"Of {len(run.steps)} sets of estimates the first, the one nearest to half way and the "
-        f"last. The means above are distances in space from the {goal}; the map shows their part "
-        "along the skin. Good: in the last panel every estimate lies inside or beside its ring.",
+        (start if run.is_demonstration else "")
+        + f"The first, the last and the iterate nearest to half way, of {len(run.positions)} "
+        f"iterates. Means are distances in space from the {goal}; the maps show the part along the "
+        "skin. Good: in the last panel every estimate is inside its ring or next to it.",
         "Maps of the estimates at the first, middle and last iteration",
     )
     return replace(picture, also=also)

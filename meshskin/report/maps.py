@@ -9,20 +9,20 @@ from numpy.typing import ArrayLike
 
 from ..core.se3 import Array
 from . import theme
-from .plane import MM, ON_ROUTE, Plane, exaggeration, spacing, tangent_plane
-from .theme import count, measured, number
+from .plane import MAX_PATH_POINTS, MM, Plane, enlargement, spacing, tangent_plane
+from .theme import compact, grouped, significant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MANY = 500
-"""Beyond this many marks, a figure's dots are rasterised so that its SVG stays small."""
+RASTERIZE_ABOVE = 500
+"""Marks above which a figure's dots are rasterized: an SVG of 500 marks takes 0.1 MB."""
 
 
 def _map_axes(figure: Figure, xy: Array, left: float, bottom: float, size: float) -> Axes:
     """Square axes of one scale around points (n, 2), mm."""
-    axes = theme.place(figure, left, bottom, size, size)
+    axes = theme.add_axes(figure, left, bottom, size, size)
     p = xy[np.isfinite(xy).all(axis=1)]
     centre = (p.min(axis=0) + p.max(axis=0)) / 2 if len(p) else np.zeros(2)
     half = 0.55 * float(np.max(np.ptp(p, axis=0), initial=0.0)) if len(p) else 0.0
@@ -46,7 +46,7 @@ def _discs(axes: Axes, xy: Array, diameter: float, **style: Any) -> Any:
         units="xy",
         offsets=xy,
         offset_transform=axes.transData,
-        rasterized=len(xy) > MANY,
+        rasterized=len(xy) > RASTERIZE_ABOVE,
         **style,
     )
     axes.add_collection(discs, autolim=False)
@@ -58,7 +58,7 @@ def _segments(axes: Axes, start: Array, end: Array, **style: Any) -> None:
 
     lines = LineCollection(
         list(np.stack([start, end], axis=1)),
-        rasterized=len(start) > MANY,
+        rasterized=len(start) > RASTERIZE_ABOVE,
         capstyle="round",
         **style,
     )
@@ -98,7 +98,7 @@ def estimates(
     disc_radius: float = 2e-3,
     plane: Plane | None = None,
 ) -> Figure:
-    """Fig. 5: true discs and estimated centres on the tangent plane, errors drawn enlarged.
+    """Fig. 5: true discs and estimated centers on the tangent plane, with enlarged errors.
 
     truth, estimate (n, 3), m; NaN where a taxel has no estimate: its disc is crossed out.
     """
@@ -107,18 +107,18 @@ def estimates(
     a, b = plane.project(t), plane.project(e)
     seen = np.isfinite(b).all(axis=1)
     lengths = np.linalg.norm(b - a, axis=1)
-    factor = exaggeration(lengths[seen], 0.4 * spacing(t) * MM)
-    figure = theme.canvas(6.0, 6.1)
+    factor = enlargement(lengths[seen], 0.4 * spacing(t) * MM)
+    figure = theme.new_figure(6.0, 6.1)
     axes = _map_axes(figure, a, 0.65, 0.6, 5.0)
     _discs(axes, a, 2 * disc_radius * MM, facecolors="none", edgecolors=theme.TRUTH, linewidths=0.8)
     _segments(axes, a[seen], a[seen] + factor * (b - a)[seen], color=theme.WARNING, lw=1.3)
-    axes.plot(*b[seen].T, "o", ms=2.6, color=theme.ESTIMATE, rasterized=len(b) > MANY)
+    axes.plot(*b[seen].T, "o", ms=2.6, color=theme.ESTIMATE, rasterized=len(b) > RASTERIZE_ABOVE)
     axes.plot(*a[~seen].T, "x", ms=7, color=theme.WARNING)
     axes.set_xlabel("along the skin, first axis (mm)")
     handles = [
         _dot("true disc", mfc="none", mec=theme.TRUTH, ms=8),
         _dot("estimate", color=theme.ESTIMATE, ms=3),
-        _line(f"error × {count(factor)}", color=theme.WARNING),
+        _line(f"error × {grouped(factor)}", color=theme.WARNING),
     ]
     if not seen.all():
         handles.append(_line("no estimate", ls="", marker="x", color=theme.WARNING))
@@ -126,8 +126,8 @@ def estimates(
     return figure
 
 
-def _view(skin: Array, more: Array, beyond: float) -> Array:
-    """Points (n, 2) that one view should hold: the skin, and more up to `beyond` spans off it."""
+def _view_points(skin: Array, more: Array, beyond: float) -> Array:
+    """Points (n, 2) that a map contains: the skin, and `more` up to `beyond` of its extent away."""
     low, high = skin.min(axis=0), skin.max(axis=0)
     reach = beyond * max(float(np.max(high - low)), 1e-9)
     return np.concatenate([skin, np.clip(more, low - reach, high + reach)])
@@ -137,14 +137,14 @@ def _iteration_panel(axes: Axes, truth: Array, estimate: Array, title: str) -> N
     good = np.isfinite(estimate).all(axis=1) & np.isfinite(truth).all(axis=1)
     a, b = truth[good], estimate[good]
     _segments(axes, a, b, color=theme.FAINT, lw=0.7)
-    many = len(a) > MANY
+    many = len(a) > RASTERIZE_ABOVE
     axes.plot(*a.T, "o", ms=4.5, mfc="none", mec=theme.TRUTH, mew=0.8, rasterized=many)
     axes.plot(*b.T, "o", ms=2.6, color=theme.ESTIMATE, rasterized=many)
     axes.set_title(title)
 
 
-def pick_iterations(iterates: Array) -> tuple[int, int, int]:
-    """The first of iterates (k, n, 3), the one nearest to half way to the last, and the last."""
+def representative_iterations(iterates: Array) -> tuple[int, int, int]:
+    """Index of the first of iterates (k, n, 3), of the one nearest to half way, and of the last."""
     last = len(iterates) - 1
     if last < 2:
         return 0, 0, last
@@ -163,26 +163,30 @@ def iterations(
 ) -> Figure:
     """Fig. 6-8: pose-graph estimates at the first, a middle and the last iteration.
 
-    truth (n, 3), m: what they are drawn over; iterates (k, n, 3), m; the middle one is the
-    iterate nearest to half way between the first and the last. `only` (0, 1 or 2) draws one of
-    the three panels; `reference` names in the legend what `truth` holds.
+    truth (n, 3), m: positions to compare with; iterates (k, n, 3), m; the middle one is nearest to
+    half way between the first and the last. `only` (0, 1 or 2) draws one of the three panels;
+    `reference` is the name of `truth` in the legend.
     """
     t = np.asarray(truth, dtype=float)
     all_iterates = np.asarray(iterates, dtype=float)
     plane = plane or tangent_plane(t)
-    chosen = pick_iterations(all_iterates)
+    chosen = representative_iterations(all_iterates)
     flat = [plane.project(all_iterates[k]) for k in chosen]
     a = plane.project(t)
     together = np.concatenate(flat)
-    view = _view(a[np.isfinite(a).all(axis=1)], together[np.isfinite(together).all(axis=1)], 0.75)
+    view = _view_points(
+        a[np.isfinite(a).all(axis=1)], together[np.isfinite(together).all(axis=1)], 0.75
+    )
     panels = (0, 1, 2) if only is None else (only,)
     size = 2.75 if only is None else 3.9
-    figure = theme.canvas(0.75 + (size + 0.25) * len(panels), size + 1.25)
+    figure = theme.new_figure(0.75 + (size + 0.25) * len(panels), size + 1.25)
     for column, k in enumerate(panels):
         axes = _map_axes(figure, view, 0.65 + (size + 0.25) * column, 0.55, size)
         error = np.linalg.norm(all_iterates[chosen[k]] - t, axis=1)
         mean = float(np.nanmean(error)) * MM if np.isfinite(error).any() else float("nan")
-        _iteration_panel(axes, a, flat[k], f"Iteration {chosen[k]}: mean {measured(mean)} mm off")
+        _iteration_panel(
+            axes, a, flat[k], f"Iteration {chosen[k]}: mean {significant(mean)} mm off"
+        )
         axes.set_xlabel("first axis (mm)")
         if column:
             axes.set_ylabel("")
@@ -223,22 +227,22 @@ def coverage(
     xy = plane.project(p)
     drawn = np.isfinite(xy).all(axis=1)
     touched = (counts > 0) & drawn
-    figure = theme.canvas(6.6, 6.1)
+    figure = theme.new_figure(6.6, 6.1)
     route = plane.project(np.zeros((0, 3)) if path is None else path)
-    view = _view(xy[drawn], route, 0.2) if drawn.any() else route
+    view = _view_points(xy[drawn], route, 0.2) if drawn.any() else route
     axes = _map_axes(figure, view, 0.65, 0.6, 5.0)
     handles = []
     if len(route):
-        line = route[:: max(len(route) // ON_ROUTE, 1)]
+        line = route[:: max(len(route) // MAX_PATH_POINTS, 1)]
         axes.plot(*line.T, color=theme.MUTED, lw=0.5, alpha=0.7, zorder=3)
         handles.append(_line("path of the contact", color=theme.MUTED, lw=0.8))
     discs = _discs(axes, xy[touched], 2 * disc_radius * MM, cmap=theme.SEQUENTIAL, linewidths=0)
     discs.set_array(counts[touched])
     least, most = (counts[touched].min(), counts[touched].max()) if touched.any() else (1.0, 1.0)
     discs.set_norm(LogNorm(least, max(most, 2 * least)))
-    bar = theme.colour_bar(figure, discs, axes, "readings of the taxel")
+    bar = theme.color_bar(figure, discs, axes, "readings of the taxel")
     bar.ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: number(value)))
+    bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: compact(value)))
     bar.ax.yaxis.set_minor_locator(NullLocator())
     missed = ~touched & drawn
     if missed.any():
@@ -264,7 +268,7 @@ def ellipse_axes(covariances: ArrayLike) -> tuple[Array, Array]:
 def uncertainty(
     positions: ArrayLike, covariances: ArrayLike, *, plane: Plane | None = None
 ) -> Figure:
-    """The stated 1-sigma ellipse of each taxel's position, enlarged and coloured by its size.
+    """The stated 1-sigma ellipse of each taxel's position, enlarged, with its size as color.
 
     positions (n, 3), m; covariances (n, 3, 3) of the position, m^2, body frame; rows that are not
     finite are not drawn.
@@ -277,8 +281,8 @@ def uncertainty(
     sigma, heading = ellipse_axes(plane.project_covariance(covariances))
     good = np.isfinite(xy).all(axis=1) & np.isfinite(sigma).all(axis=1)
     xy, sigma, heading = xy[good], sigma[good], heading[good]
-    factor = exaggeration(sigma[:, 0], 0.35 * spacing(p) * MM)
-    figure = theme.canvas(6.6, 6.1)
+    factor = enlargement(sigma[:, 0], 0.35 * spacing(p) * MM)
+    figure = theme.new_figure(6.6, 6.1)
     axes = _map_axes(figure, xy, 0.65, 0.6, 5.0)
     ellipses = EllipseCollection(
         2 * factor * sigma[:, 0],
@@ -289,12 +293,12 @@ def uncertainty(
         offset_transform=axes.transData,
         cmap=theme.SEQUENTIAL,
         linewidths=0,
-        rasterized=len(xy) > MANY,
+        rasterized=len(xy) > RASTERIZE_ABOVE,
     )
     ellipses.set_array(sigma[:, 0])
     ellipses.set_clim(0, float(np.max(sigma, initial=1e-12)))
     axes.add_collection(ellipses, autolim=False)
-    bar = theme.colour_bar(figure, ellipses, axes, "largest 1-sigma along the skin (mm)")
+    bar = theme.color_bar(figure, ellipses, axes, "largest 1-sigma along the skin (mm)")
     bar.formatter.set_powerlimits((-3, 4))
-    _legend(axes, [_dot(f"1 sigma along the skin × {count(factor)}", color=theme.MUTED, ms=7)])
+    _legend(axes, [_dot(f"1 sigma along the skin × {grouped(factor)}", color=theme.MUTED, ms=7)])
     return figure

@@ -1,4 +1,4 @@
-"""The pieces of a page, and the HTML of each; every text from outside is escaped here."""
+"""The blocks of a page and their HTML; all text is escaped here."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from typing import Any
 
 from .theme import DPI
 
-SVG_LIMIT = 150_000
-"""Bytes of SVG beyond which a figure is inlined as PNG, if that is smaller."""
+MAX_SVG_BYTES = 150_000
+"""Bytes above which a figure is inlined as PNG, if that is smaller: ten figures then take less than
+2 MB."""
 
 
 @dataclass(frozen=True)
-class Number:
-    """A big number of the summary."""
+class KeyNumber:
+    """One of the most important numbers, at the top of the page."""
 
     label: str
     value: str
@@ -28,7 +29,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Text:
-    """Paragraphs; those after the first become a list if `listed`."""
+    """Paragraphs; those after the first are list items if `listed`."""
 
     lines: tuple[str, ...]
     listed: bool = False
@@ -36,18 +37,18 @@ class Text:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text; numeric columns (given by index) are aligned to the right."""
+    """Rows of text; columns with the indices `numeric` are aligned to the right."""
 
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     numeric: tuple[int, ...] = ()
-    folded: str = ""
-    """Not empty: the table is folded away under this line."""
+    collapsed: str = ""
+    """If not empty, the table is hidden until this line is clicked."""
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A saved figure with its title, and a caption of what one sees and what is good."""
+class SavedFigure:
+    """A saved figure with its title, and a caption that says what it shows and what is good."""
 
     png: Path
     svg: Path
@@ -64,14 +65,14 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class View:
-    """The 3D view: plotly's data and layout."""
+class View3D:
+    """The 3D view: data and layout of plotly."""
 
     figure: Mapping[str, Any]
     caption: str
 
 
-Block = Text | Table | Picture | View
+Block = Text | Table | SavedFigure | View3D
 
 
 @dataclass(frozen=True)
@@ -84,33 +85,33 @@ class Section:
 
 @dataclass(frozen=True)
 class Content:
-    """All that a report says."""
+    """The content of a page."""
 
     title: str
-    verdict: str
-    numbers: tuple[Number, ...]
+    summary: str
+    numbers: tuple[KeyNumber, ...]
     sections: tuple[Section, ...]
     subtitle: str = ""
 
 
 def anchor(title: str) -> str:
-    """The fragment by which a section's title is linked."""
+    """The fragment of a link to the section with this title."""
     return "".join(c if c.isalnum() else "-" for c in title.lower()).strip("-")
 
 
 def block(item: Block) -> str:
-    """The HTML of one piece."""
+    """The HTML of one block."""
     if isinstance(item, Text):
         return text(item)
     if isinstance(item, Table):
         return table(item)
-    if isinstance(item, Picture):
-        return picture(item)
-    return view(item)
+    if isinstance(item, SavedFigure):
+        return saved_figure(item)
+    return view_3d(item)
 
 
 def text(item: Text) -> str:
-    """Paragraphs, or one paragraph and a list."""
+    """The HTML of paragraphs, or of one paragraph and a list."""
     first, rest = item.lines[:1], item.lines[1:]
     if not item.listed:
         return "".join(f"<p>{escape(line)}</p>" for line in item.lines)
@@ -119,7 +120,7 @@ def text(item: Text) -> str:
 
 
 def table(item: Table) -> str:
-    """A table, folded away where asked."""
+    """The HTML of a table."""
 
     def row(cells: Sequence[str], tag: str) -> str:
         inner = "".join(
@@ -133,15 +134,15 @@ def table(item: Table) -> str:
         f'<div class="wide"><table><thead>{row(item.header, "th")}</thead>'
         f"<tbody>{body}</tbody></table></div>"
     )
-    if item.folded:
-        return f"<details><summary>{escape(item.folded)}</summary>{html}</details>"
+    if item.collapsed:
+        return f"<details><summary>{escape(item.collapsed)}</summary>{html}</details>"
     return html
 
 
-def picture(item: Picture) -> str:
-    """A figure inlined as SVG, as PNG where the SVG is large and the PNG smaller."""
+def saved_figure(item: SavedFigure) -> str:
+    """The HTML of a figure, inlined as SVG, or as PNG if the SVG is large and the PNG smaller."""
     kind, data = "svg+xml", item.svg.read_bytes()
-    if len(data) > max(SVG_LIMIT, item.png.stat().st_size):
+    if len(data) > max(MAX_SVG_BYTES, item.png.stat().st_size):
         kind, data = "png", item.png.read_bytes()
     size = f' width="{_width(data)}"' if kind == "png" else ""
     source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
@@ -154,25 +155,25 @@ def picture(item: Picture) -> str:
 
 
 def _width(png: bytes) -> int:
-    """Width at which a PNG has the size of its SVG, in CSS pixels (96 an inch)."""
+    """Width of a PNG in CSS pixels (96 per inch) at which it has the size of its SVG."""
     return round(int.from_bytes(png[16:20]) * 96 / DPI)
 
 
-def view(item: View) -> str:
-    """The place of the 3D view with its data; `page.html` draws it."""
+def view_3d(item: View3D) -> str:
+    """The HTML of the 3D view, with its data; view.js draws it."""
     data = json.dumps(item.figure, separators=(",", ":"), allow_nan=False)
     data = data.replace("<", "\\u003c").replace("\u2028", "\\u2028")
     return (
         '<figure class="card"><div id="view" role="img" aria-label="3D view of body and taxels">'
         "</div><img id=view-print alt='3D view of body and taxels'>"
-        "<noscript><p>The 3D view needs JavaScript; all figures below do not.</p></noscript>"
+        "<noscript><p>The 3D view needs JavaScript; the figures below do not.</p></noscript>"
         f"<figcaption>{escape(item.caption)}</figcaption></figure>"
         f'<script type="application/json" id="view-data">{data}</script>'
     )
 
 
-def number(item: Number) -> str:
-    """One tile of the summary."""
+def key_number(item: KeyNumber) -> str:
+    """The HTML of one of the most important numbers."""
     unit = f" <small>{escape(item.unit)}</small>" if item.unit else ""
     return (
         f"<div class=tile><dt>{escape(item.label)}</dt><dd>{escape(item.value)}{unit}</dd>"

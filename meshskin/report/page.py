@@ -1,4 +1,4 @@
-"""One self-contained HTML file: it opens without a network, prints, and can be mailed."""
+"""The page: one self-contained HTML file that needs no network."""
 
 from __future__ import annotations
 
@@ -25,28 +25,28 @@ if TYPE_CHECKING:
 
 
 def write(path: str | Path, content: Content) -> Path:
-    """Write `content` to `path` as one HTML file, whole or not at all.
+    """Write `content` to `path` as one HTML file, atomically.
 
-    Raises OutputError if the place cannot be written.
+    Raises OutputError if it cannot be written.
     """
     path = Path(path)
-    viewed = any(isinstance(b, markup.View) for s in content.sections for b in s.blocks)
+    has_view = any(isinstance(b, markup.View3D) for s in content.sections for b in s.blocks)
     links = (f'<a href="#{markup.anchor(s.title)}">{escape(s.title)}</a>' for s in content.sections)
-    page = Template(_piece("page.html")).substitute(
+    page = Template(_resource("page.html")).substitute(
         title=escape(content.title),
         subtitle=escape(content.subtitle),
-        verdict=escape(content.verdict),
-        style=_piece("style.css"),
-        numbers="".join(map(markup.number, content.numbers)),
+        summary=escape(content.summary),
+        style=_resource("style.css"),
+        numbers="".join(map(markup.key_number, content.numbers)),
         navigation="".join(links),
         sections="".join(map(_section, content.sections)),
-        scripts=_scripts() if viewed else "",
+        scripts=_scripts() if has_view else "",
     )
     write_text(path, page)
     return path
 
 
-def _piece(name: str) -> str:
+def _resource(name: str) -> str:
     return (resources.files(__package__) / name).read_text(encoding="utf-8")
 
 
@@ -57,10 +57,10 @@ def _section(section: Section) -> str:
 
 
 def _scripts() -> str:
-    """plotly.js from plotly's wheel, and the lines that draw the view."""
+    """The script plotly.js of the package plotly, and view.js, which draws the view."""
     library = resources.files("plotly") / "package_data" / "plotly.min.js"
     plotly = library.read_text(encoding="utf-8").replace("</script", "<\\/script")
-    return f"<script>{plotly}</script>\n<script>{_piece('view.js')}</script>"
+    return f"<script>{plotly}</script>\n<script>{_resource('view.js')}</script>"
 
 
 def report(
@@ -75,23 +75,24 @@ def report(
     metrics: Mapping[str, Any] | None = None,
     seconds: Mapping[str, float] | None = None,
     provenance: Mapping[str, Any] | None = None,
-    ledger: BudgetReport | None = None,
+    budget: BudgetReport | None = None,
 ) -> list[Path]:
-    """Write the page and, in the folder figures/ beside it, every figure as PNG and SVG.
+    """Write the page `path` and, in the folder figures/ beside it, every figure as PNG and SVG.
 
-    truth: the true skin, of a simulation; without it the report gives the stated uncertainty in
-    the place of errors. comparisons: other methods on the same recording. demonstration: the
-    pose graph from the origin (without it: the first pose graph that kept its iterates).
-    metrics: as in metrics.json. seconds: of each stage. ledger: what an error budget decided.
+    truth: the true skin of a simulation; without it the report gives the stated uncertainty in
+    place of errors. comparisons: calibrations of the same recording by other methods.
+    demonstration: the pose graph from the origin; without it, the first pose graph that kept its
+    iterates is shown. metrics: as in metrics.json. seconds: of each stage. budget: the decisions
+    of an error budget.
 
-    Returns the paths written, the page first. Raises OutputError if a place cannot be written.
+    Returns the paths written, the page first. Raises OutputError if a file cannot be written.
     """
     from .data import ReportData
-    from .figure_set import album
+    from .figure_set import draw_figures
     from .sections import content
 
     started = perf_counter()
-    findings = ReportData.collect(
+    data = ReportData.collect(
         calibration,
         recording=recording,
         truth=truth,
@@ -102,8 +103,8 @@ def report(
         provenance=provenance or {},
     )
     path = Path(path)
-    pictures = album(path.parent / "figures", findings)
-    times = {**findings.seconds, "figures": perf_counter() - started}
-    findings = replace(findings, seconds=times, ledger=ledger)
-    write(path, content(findings, pictures, body))
+    pictures = draw_figures(path.parent / "figures", data)
+    times = {**data.seconds, "figures": perf_counter() - started}
+    data = replace(data, seconds=times, budget=budget)
+    write(path, content(data, pictures, body))
     return [path, *(file for picture in pictures for file in picture.files)]

@@ -1,4 +1,4 @@
-"""The tangent plane at the skin's centre, on which maps are drawn, and what pictures share."""
+"""The tangent plane at the skin's center, on which maps are drawn, and helpers of all figures."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 from ..core.se3 import Array
 
 MM = 1e3
-"""mm in a metre."""
-ON_ROUTE = 4000
-"""The most points that the path of a contact is drawn with."""
+"""Millimetres per metre."""
+MAX_PATH_POINTS = 4000
+"""Most points of a drawn contact path: more cannot be told apart at 150 dpi."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +37,11 @@ class Plane:
 
 
 def tangent_plane(points: ArrayLike, normals: ArrayLike | None = None) -> Plane:
-    """The tangent plane of a skin at its centre.
+    """The tangent plane of a skin at its center, seen from outside.
 
     points (n, 3), m; normals (n, 3), outward. Rows that are not finite are left out. Without
-    normals the plane is the points' best-fitting one. The second axis is the body's y as seen in
-    the plane (x where y is nearly the plane's normal), and one looks at the skin from outside.
+    normals it is the plane that fits the points best. The second axis is the projection of the
+    body's y axis, or of its x axis where y is within 26 degrees of the plane's normal.
     """
     p = np.asarray(points, dtype=float).reshape(-1, 3)
     p = p[np.isfinite(p).all(axis=1)]
@@ -60,7 +60,7 @@ def tangent_plane(points: ArrayLike, normals: ArrayLike | None = None) -> Plane:
 
 
 def spacing(points: ArrayLike) -> float:
-    """Median distance (m) from each finite point (n, 3) to its nearest neighbour; 0 if alone."""
+    """Median distance (m) from finite points (n, 3) to their nearest neighbors; 0 for one point."""
     from scipy.spatial import cKDTree
 
     p = np.asarray(points, dtype=float).reshape(-1, 3)
@@ -70,10 +70,10 @@ def spacing(points: ArrayLike) -> float:
     return float(np.median(cKDTree(p).query(p, k=2)[0][:, 1]))
 
 
-def exaggeration(lengths: ArrayLike, wanted: float) -> float:
-    """The factor out of 1, 2, 5, 10, ... that brings the median length near `wanted`.
+def enlargement(lengths: ArrayLike, wanted: float) -> float:
+    """The largest factor of 1, 2, 5, 10, ... with which the median length is at most `wanted`.
 
-    Only enlarging: lengths that can be seen as they are keep the factor 1.
+    It is 1 where the median length is larger than that.
     """
     x = np.asarray(lengths, dtype=float).ravel()
     x = x[np.isfinite(x) & (x > 0)]

@@ -1,4 +1,4 @@
-"""Accuracy against time: the work-precision plot with its Pareto front, and its page."""
+"""Accuracy and time: the work-precision plot with its Pareto front, and the page of cost."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from ..core.se3 import Array
 from . import theme
-from .markup import Block, Content, Number, Picture, Section, Table, Text
-from .theme import measured, number
+from .markup import Block, Content, KeyNumber, SavedFigure, Section, Table, Text
+from .theme import compact, significant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
 COLOURS = (*theme.METHODS, theme.WARNING, theme.TRUTH, "#b59f00")
-SAID = {
+KNOB_NAMES = {
     "faces": "faces of the mesh",
     "degree": "degree of the surface",
     "contact": "contact model",
@@ -36,45 +36,47 @@ SAID = {
     "tolerance": "tolerance",
     "chosen": "combinations",
 }
-"""Knob -> its name for people."""
-WIDTH, HEIGHT = 0.55, 1.15
-"""Width of a letter and height of a line, in sizes of the type."""
-RANKED = tuple(SAID[k] for k in ("faces", "degree", "dt", "lanes", "rate", "tolerance"))
-"""Knobs whose levels have an order: their points are joined."""
-SIMULATED = tuple(
-    SAID[k] for k in ("faces", "degree", "contact", "dt", "integrator", "tolerance", "chosen")
+"""Names of knobs for people."""
+CHARACTER_WIDTH, LINE_HEIGHT = 0.55, 1.15
+"""Mean width of a character and height of a line, relative to the font size (DejaVu Sans)."""
+ORDERED_KNOBS = tuple(
+    KNOB_NAMES[k] for k in ("faces", "degree", "dt", "lanes", "rate", "tolerance")
+)
+"""Knobs with ordered levels: their points are joined."""
+NUMERICAL_KNOBS = tuple(
+    KNOB_NAMES[k] for k in ("faces", "degree", "contact", "dt", "integrator", "tolerance", "chosen")
 )
 """Knobs that the numerical part depends on."""
 
 
 @dataclass(frozen=True)
-class Series:
-    """The settings of one knob, in order."""
+class KnobSeries:
+    """Measured settings of one knob, in order."""
 
     name: str
     seconds: Array
     """(k,)."""
     total: Array
-    """Error against the truth and numerical part together (k,), mm."""
+    """Error with its numerical part (k,), mm."""
     numerical: Array
     """Numerical part (k,), mm."""
     labels: tuple[str, ...]
-    """What each setting is called, "" for none."""
+    """Name of each setting, or ""."""
 
 
-def series(costs: Costs) -> list[Series]:
-    """Measured settings by knob, the scene's own among each."""
+def knob_series(costs: Costs) -> list[KnobSeries]:
+    """Measured settings by knob, each with the scene's own setting."""
     own = next(row for row in costs.rows if row.knob == "scene")
     out = []
-    for knob, name in SAID.items():
+    for knob, name in KNOB_NAMES.items():
         rows = [row for row in costs.whole if row.knob == knob]
         if not rows:
             continue
-        if name in RANKED:
+        if name in ORDERED_KNOBS:
             field = "lane_spacing" if knob == "lanes" else knob
             rows = sorted([*rows, own], key=attrgetter(f"setting.{field}"))
         out.append(
-            Series(
+            KnobSeries(
                 name,
                 np.array([row.time for row in rows]),
                 np.array([row.total_mm for row in rows]),
@@ -87,28 +89,28 @@ def series(costs: Costs) -> list[Series]:
 
 @theme.styled
 def work_precision(
-    measured: Sequence[Series],
+    measured: Sequence[KnobSeries],
     own: tuple[float, float, float],
     front: Sequence[tuple[float, float]],
     targets: Sequence[float] = (),
 ) -> Figure:
-    """Error against seconds of every setting, and the numerical part of it beside.
+    """Error over seconds of every setting, and next to it the numerical part.
 
     own: seconds, total and numerical part, mm, of the scene as it is; front: seconds and total
-    error, mm, of the settings that none beats; targets, mm: drawn as lines.
+    error, mm, of the Pareto front; targets, mm: drawn as lines.
     """
-    figure = theme.canvas(9.6, 5.0)
-    left, right = (theme.place(figure, x, 1.1, 3.85, 3.5) for x in (0.75, 5.6))
+    figure = theme.new_figure(9.6, 5.0)
+    left, right = (theme.add_axes(figure, x, 1.1, 3.85, 3.5) for x in (0.75, 5.6))
     for k, s in enumerate(measured):
         style: dict[str, Any] = {
             "marker": MARKERS[k % len(MARKERS)],
             "color": COLOURS[k % len(COLOURS)],
         }
-        if s.name == SAID["chosen"]:
+        if s.name == KNOB_NAMES["chosen"]:
             style = {"marker": "o", "color": theme.INK, "mfc": "none", "mew": 1.3}
         for axes, values in ((left, s.total), (right, s.numerical)):
-            if axes is left or s.name in SIMULATED:
-                line = "-" if s.name in RANKED else ""
+            if axes is left or s.name in NUMERICAL_KNOBS:
+                line = "-" if s.name in ORDERED_KNOBS else ""
                 axes.plot(s.seconds, values, ls=line, lw=0.9, ms=5, label=s.name, **style)
     for axes, value in ((left, own[1]), (right, own[2])):
         axes.plot(own[0], value, "*", ms=12, color=theme.INK, label="the scene as it is", zorder=5)
@@ -121,24 +123,24 @@ def work_precision(
         if low < target < high:
             left.axhline(target, color=theme.FAINT, lw=0.8, zorder=0)
     for s in measured:
-        if s.name == SAID["method"]:
+        if s.name == KNOB_NAMES["method"]:
             names = [label.replace("_", " ") for label in s.labels]
-            named(left, np.stack([s.seconds, s.total], axis=1), names, 7.0, theme.MUTED)
-    left.set(ylabel="mean error of the taxels (mm)", title="Error, numerical part included")
+            label_points(left, np.stack([s.seconds, s.total], axis=1), names, 7.0, theme.MUTED)
+    left.set(ylabel="mean error of the taxels (mm)", title="Error with numerical part")
     right.set(ylabel="mean shift of the taxels (mm)", title="Numerical part, without noise")
     for axes in (left, right):
-        plain_axes(axes)
+        decimal_ticks(axes)
     handles, labels = left.get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncols=6, fontsize=8)
     return figure
 
 
-def named(
+def label_points(
     axes: Axes, points: ArrayLike, names: Sequence[str], size: float, color: str = theme.INK
 ) -> None:
-    """Write names beside points (n, 2), in data, those of near points above each other.
+    """Write names next to points (n, 2), in data coordinates, without overlaps.
 
-    To the right, and to the left where they would run out of the axes. size: of the type, points.
+    Names are on the right, or on the left where they would leave the axes. size: of the font.
     """
     from matplotlib.patheffects import withStroke
 
@@ -147,13 +149,13 @@ def named(
     end = axes.bbox.x1 * 72.0 / axes.figure.dpi
     taken: list[tuple[float, float, float]] = []
     for k in np.argsort(places[:, 1]):
-        width = WIDTH * size * len(names[k])
+        width = CHARACTER_WIDTH * size * len(names[k])
         inwards = places[k, 0] + width > end
         x, y = places[k] + [-6.0 if inwards else 6.0, 5.0]
         start = x - width if inwards else x
         for left, right, low in taken:
-            if left < start + width and start < right and y - low < HEIGHT * size:
-                y = low + HEIGHT * size
+            if left < start + width and start < right and y - low < LINE_HEIGHT * size:
+                y = low + LINE_HEIGHT * size
         taken.append((start, start + width, y))
         axes.annotate(
             names[k],
@@ -174,63 +176,67 @@ def accuracy_time(
     stages: Mapping[str, float],
     bound: float | None = None,
 ) -> Figure:
-    """What one run's accuracy cost: its estimators' seconds and errors, and its stages' seconds.
+    """Accuracy and time of one run: seconds and errors of estimators, and seconds of stages.
 
-    points: estimator -> (seconds, mean error in mm); stages: name -> seconds; bound: the mean error
-    that the Cramér-Rao bound lets one expect, mm.
+    points: estimator -> (seconds, mean error in mm); stages: name -> seconds; bound: Cramér-Rao
+    bound on the mean error, mm.
     """
-    figure = theme.canvas(9.0, 3.4)
-    left, right = (theme.place(figure, x, 0.6, w, 2.4) for x, w in ((0.95, 4.4), (6.7, 2.0)))
+    figure = theme.new_figure(9.0, 3.4)
+    left, right = (theme.add_axes(figure, x, 0.6, w, 2.4) for x, w in ((0.95, 4.4), (6.7, 2.0)))
     for k, (x, y) in enumerate(points.values()):
         left.plot(x, y, "o", color=COLOURS[k % len(COLOURS)], ms=8 if k == 0 else 5)
     if bound is not None and np.isfinite(bound):
         left.axhline(bound, color=theme.INK, lw=1.0, ls="--")
-        # in the middle: the quickest and the slowest estimator are often near the line
-        left.annotate(f"Cramér-Rao expectation {measured(bound)} mm", (0.5, bound), (0, -10),
+        # in the middle: the fastest and the slowest estimator are often near the line
+        left.annotate(f"Cramér-Rao bound {significant(bound)} mm", (0.5, bound), (0, -10),
                       xycoords=("axes fraction", "data"), textcoords="offset points", ha="center",
                       fontsize=8)  # fmt: skip
     left.set(xscale="log", yscale="log", xlabel="time of the estimate (s)")
     left.set(ylabel="mean error of the taxels (mm)", title="Estimators on this recording")
     left.margins(x=0.25, y=0.2)
-    plain_axes(left)
-    named(left, list(points.values()), list(points), 8.0)
+    decimal_ticks(left)
+    label_points(left, list(points.values()), list(points), 8.0)
     names = list(stages)[::-1]
     right.barh(names, [stages[name] for name in names], color=theme.ESTIMATE, height=0.6)
     right.tick_params(axis="y", length=0)
-    right.set(xlabel="seconds", title="Where the time went")
+    right.set(xlabel="seconds", title="Time of the stages")
     return figure
 
 
-def plain_axes(axes: Axes) -> None:
-    """Ticks in plain numbers: few seconds and decades of millimetres."""
+def decimal_ticks(axes: Axes) -> None:
+    """Ticks of logarithmic axes as plain decimal numbers."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
         span = high / low
         subs = (1.0,) if span > 100 else (1.0, 2.0, 5.0) if span > 8 else (1.0, 1.5, 2, 3, 4, 6)
         axis.set_major_locator(LogLocator(subs=subs, numticks=12))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: number(value).removeprefix("1 × ")))
+        axis.set_major_formatter(
+            FuncFormatter(lambda value, _: compact(value).removeprefix("1 × "))
+        )
         axis.set_minor_formatter(NullFormatter())
 
 
 def figure(costs: Costs, targets: Sequence[float]) -> Figure:
-    """The work-precision plot of what was measured."""
+    """The work-precision plot of measured costs."""
     own = next(row for row in costs.rows if row.knob == "scene")
     front = [(row.time, row.total_mm) for row in costs.front]
-    return work_precision(series(costs), (own.time, own.total_mm, own.numerical_mm), front, targets)
+    return work_precision(
+        knob_series(costs), (own.time, own.total_mm, own.numerical_mm), front, targets
+    )
 
 
-HEADER = ("to reach (mm)", "cheapest setting", "seconds", "error (mm)", "numerical part (mm)")
+HEADER = ("target (mm)", "fastest setting", "seconds", "error (mm)", "numerical part (mm)")
 
 
 def table(costs: Costs, targets: Sequence[float]) -> list[tuple[str, ...]]:
-    """For each target, mm: the cheapest measured setting that reaches it, as text."""
+    """For each target, mm, the fastest measured setting that reaches it, as text."""
     rows: list[tuple[str, ...]] = []
     for target in targets:
         row = costs.cheapest(target)
         if row is None:
             best = min(costs.whole, key=lambda r: r.total_mm)
-            said = f"none; best {measured(best.total_mm)}: {best.setting.words(costs.base)}"
+            said = f"none; best {significant(best.total_mm)}: {best.setting.words(costs.base)}"
             rows.append((f"{target:g}", said, "", "", ""))
             continue
         rows.append(
@@ -238,8 +244,8 @@ def table(costs: Costs, targets: Sequence[float]) -> list[tuple[str, ...]]:
                 f"{target:g}",
                 row.setting.words(costs.base),
                 f"{row.time:.2f}",
-                measured(row.error_mm),
-                measured(row.numerical_mm),
+                significant(row.error_mm),
+                significant(row.numerical_mm),
             )
         )
     return rows
@@ -250,44 +256,48 @@ def page(costs: Costs, targets: Sequence[float], png: Path, svg: Path) -> Conten
     own = next(row for row in costs.rows if row.knob == "scene")
     best = min(costs.whole, key=lambda r: r.total_mm)
     numbers = (
-        Number("The scene as it is", measured(own.error_mm), "mm", f"in {own.time:.2f} s"),
-        Number("Its numerical part", measured(own.numerical_mm), "mm", "by discretisation alone"),
-        Number("Most accurate", measured(best.total_mm), "mm", f"in {best.time:.2f} s"),
-        Number(
+        KeyNumber("The scene as it is", significant(own.error_mm), "mm", f"in {own.time:.2f} s"),
+        KeyNumber(
+            "Its numerical part", significant(own.numerical_mm), "mm", "by discretization alone"
+        ),
+        KeyNumber("Most accurate", significant(best.total_mm), "mm", f"in {best.time:.2f} s"),
+        KeyNumber(
             "Settings",
             str(len(costs.rows)),
             "",
             f"{costs.seeds} seed{'s' * (costs.seeds != 1)} each",
         ),
     )
-    picture = Picture(png, svg, "Error against processor time", CAPTION, "Work-precision plot")
+    picture = SavedFigure(png, svg, "Error against processor time", CAPTION, "Work-precision plot")
     reach = Table(HEADER, tuple(table(costs, targets)), numeric=(0, 2, 3, 4))
     return Content(
-        title=f"What accuracy costs: {costs.scene}",
-        verdict=f"The scene as it is: {measured(own.error_mm)} mm in {own.time:.2f} s of processor "
-        f"time; {measured(own.numerical_mm)} mm of it by discretisation.",
+        title=f"Accuracy and time: {costs.scene}",
+        summary=f"The scene as it is: {significant(own.error_mm)} mm in {own.time:.2f} s of "
+        f"processor time; {significant(own.numerical_mm)} mm of it by discretization.",
         numbers=numbers,
         sections=(
-            Section("The cheapest way to an accuracy", (reach,)),
-            Section("Work and precision", (picture,)),
-            Section("Can the reference be believed?", _routes(costs)),
-            Section("Every setting", (_settings(costs.rows, costs),)),
+            Section("Fastest settings for an accuracy", (reach,)),
+            Section("Work-precision diagram", (picture,)),
+            Section("Accuracy of the reference", _routes(costs)),
+            Section("All settings", (_settings(costs.rows, costs),)),
         ),
     )
 
 
 CAPTION = (
-    "Left: mean distance of the calibrated taxels from the truth, under the scene's noise, with "
-    "the numerical part (root of the sum of squares). Grey: settings that no other beats. Right: "
-    "how far mesh, contact model, step and tolerance alone move the taxels, from the reference."
+    "Left: mean error of the calibrated taxels with the noise of the scene and the numerical part "
+    "(root of the sum of squares). Grey: the Pareto front. Right: mean shift of the taxels from "
+    "the reference by mesh, contact model, step and tolerance alone."
 )
 
 
 def _routes(costs: Costs) -> tuple[Block, ...]:
     words = costs.reference.words(costs.base)
-    text = Text((f"Numerical parts are counted from {words}. Computed otherwise, it moves by:",))
-    rows = [(r.name, measured(r.mean_mm), measured(r.largest_mm)) for r in costs.routes]
-    return text, Table(("second route", "mean (mm)", "largest (mm)"), tuple(rows), numeric=(1, 2))
+    line = f"The reference of the numerical parts is {words}. Other settings differ from it by:"
+    rows = [(r.name, significant(r.mean_mm), significant(r.largest_mm)) for r in costs.routes]
+    return Text((line,)), Table(
+        ("setting", "mean (mm)", "largest (mm)"), tuple(rows), numeric=(1, 2)
+    )
 
 
 def _settings(rows: Sequence[Row], costs: Costs) -> Table:
@@ -295,15 +305,15 @@ def _settings(rows: Sequence[Row], costs: Costs) -> Table:
     best = set(map(id, costs.front))
     body = []
     for row in rows:
-        note = row.failure or ("on the front" if id(row) in best else "")
+        note = row.failure or ("Pareto front" if id(row) in best else "")
         if not row.failure and row not in costs.whole:
-            note = f"{row.located} taxels found"
+            note = f"{row.located} taxels located"
         values: Mapping[str, float] = {
             "error": row.error_mm, "bound": row.bound_mm, "numerical": row.numerical_mm
         }  # fmt: skip
-        cells = (measured(v) for v in values.values())
+        cells = (significant(v) for v in values.values())
         readings = "" if row.failure else str(row.readings)
         seconds = "" if row.failure else f"{row.time:.3f}"
         said = row.setting.words(costs.base)
-        body.append((SAID.get(row.knob, row.knob), said, *cells, readings, seconds, note))
-    return Table(header, tuple(body), numeric=(2, 3, 4, 5, 6), folded="All that was measured")
+        body.append((KNOB_NAMES.get(row.knob, row.knob), said, *cells, readings, seconds, note))
+    return Table(header, tuple(body), numeric=(2, 3, 4, 5, 6), collapsed="All measured settings")

@@ -1,6 +1,6 @@
-"""The 3D view: plotly's figure as plain JSON, written without plotly's (slow) Python objects.
+"""The 3D view: a plotly figure as plain JSON, without plotly's (slow) Python objects.
 
-Every array is packed as base64 of single precision in mm; plotly.js unpacks it.
+Arrays are base64 of single precision numbers in mm, which plotly.js decodes.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from numpy.typing import ArrayLike
 from ..core.se3 import Array
 from . import theme
 from .decimate import decimate
-from .plane import MM, ON_ROUTE, exaggeration, spacing, tangent_plane
-from .theme import count, measured, number
+from .plane import MAX_PATH_POINTS, MM, enlargement, spacing, tangent_plane
+from .theme import compact, grouped, significant
 
-FACES = 5000
-"""The most faces of the body that the page carries."""
+MAX_FACES = 5000
+"""Most faces of the body in the page: 0.1 MB."""
 
-FRAME = 0.4
-"""Length of a drawn frame's axes, in parts of the distance between taxels."""
+FRAME_LENGTH = 0.4
+"""Length of the axes of drawn frames, relative to the distance between taxels."""
 _AXES = (("x", "#d62728"), ("y", "#2ca02c"), ("z", "#1f77b4"))
-_MANY = 400
-"""The most taxels that get a frame and an ellipsoid; larger skins show every k-th."""
+_MAX_FRAMES = 400
+"""Most taxels with a frame and an ellipsoid; of larger skins every k-th has them."""
 
 
 def _packed(values: ArrayLike, kind: str = "f4") -> dict[str, str]:
@@ -43,8 +43,8 @@ def _mesh(vertices: Array, faces: ArrayLike) -> dict[str, Any]:
     }
 
 
-def _broken(starts: Array, ends: Array) -> Array:
-    """One polyline (3 n, 3) of separate segments; NaN lifts the pen."""
+def _separate_lines(starts: Array, ends: Array) -> Array:
+    """Separate segments as one polyline (3 n, 3), interrupted by NaN."""
     return np.stack([starts, ends, np.full_like(starts, np.nan)], axis=1).reshape(-1, 3)
 
 
@@ -61,15 +61,15 @@ def _markers(name: str, points: Array, texts: list[str], **marker: Any) -> dict[
 
 
 def body(vertices: ArrayLike, faces: ArrayLike, focus: ArrayLike, inward: float) -> dict[str, Any]:
-    """The body, drawn `inward` (m) along its normals so that points on it stay visible."""
-    v, f = decimate(vertices, faces, focus, FACES)
+    """The body, moved `inward` (m) along its normals so that points on it are visible."""
+    v, f = decimate(vertices, faces, focus, MAX_FACES)
     a, b, c = (v[f[:, k]] for k in range(3))
     normals = np.zeros_like(v)
     for k in range(3):
         np.add.at(normals, f[:, k], np.cross(b - a, c - a))
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     return _mesh(v - inward * normals, f) | {
-        "name": f"body (drawn {number(inward * MM, 2)} mm inward)",
+        "name": f"body (drawn {compact(inward * MM, 2)} mm inward)",
         "color": "#d9dce1",
         "lighting": {"ambient": 0.62, "diffuse": 0.5, "specular": 0.04, "roughness": 0.9},
         "hoverinfo": "skip",
@@ -78,9 +78,9 @@ def body(vertices: ArrayLike, faces: ArrayLike, focus: ArrayLike, inward: float)
 
 
 def frames(poses: Array, length: float, name: str, visible: bool = True) -> list[dict[str, Any]]:
-    """Short red, green and blue axes of poses (n, 4, 4), under one legend entry."""
+    """Red, green and blue axes of poses (n, 4, 4), with one legend entry."""
     good = poses[np.isfinite(poses).all(axis=(1, 2))]
-    good = good[:: -(-len(good) // _MANY) or 1]
+    good = good[:: -(-len(good) // _MAX_FRAMES) or 1]
     return [
         {
             "type": "scatter3d",
@@ -91,13 +91,13 @@ def frames(poses: Array, length: float, name: str, visible: bool = True) -> list
             "hoverinfo": "skip",
             "visible": True if visible else "legendonly",
             "line": {"color": colour, "width": 3},
-            **_xyz(_broken(good[:, :3, 3], good[:, :3, 3] + length * good[:, :3, k])),
+            **_xyz(_separate_lines(good[:, :3, 3], good[:, :3, 3] + length * good[:, :3, k])),
         }
         for k, (_, colour) in enumerate(_AXES)
     ]
 
 
-def _ball(rings: int, sectors: int) -> tuple[Array, Array]:
+def _unit_sphere(rings: int, sectors: int) -> tuple[Array, Array]:
     """A unit sphere of latitudes and longitudes: vertices, faces."""
     u, w = np.meshgrid(np.linspace(0, np.pi, rings), np.arange(sectors) * 2 * np.pi / sectors)
     v = np.stack([np.sin(u) * np.cos(w), np.sin(u) * np.sin(w), np.cos(u)], axis=-1)
@@ -110,21 +110,21 @@ def _ball(rings: int, sectors: int) -> tuple[Array, Array]:
 def ellipsoids(positions: Array, covariances: Array, wanted: float) -> dict[str, Any] | None:
     """1-sigma ellipsoids, enlarged until the median one's largest semi-axis is near `wanted` (m).
 
-    positions (n, 3), m; covariances (n, 3, 3), m^2, body frame; others than finite are left out.
+    positions (n, 3), m; covariances (n, 3, 3), m^2, body frame; rows must be finite to be drawn.
     """
     good = np.isfinite(positions).all(axis=1) & np.isfinite(covariances).all(axis=(1, 2))
     if not good.any():
         return None
     values, vectors = np.linalg.eigh(covariances[good])
     sigma = np.sqrt(np.maximum(values, 0.0))
-    factor = exaggeration(sigma[:, 2], wanted)
-    every = -(-int(good.sum()) // _MANY)
-    ball, faces = _ball(*((7, 12) if good.sum() <= 150 else (4, 8)))
+    factor = enlargement(sigma[:, 2], wanted)
+    every = -(-int(good.sum()) // _MAX_FRAMES)
+    ball, faces = _unit_sphere(*((7, 12) if good.sum() <= 150 else (4, 8)))
     axes = (factor * sigma[:, None, :] * vectors)[::every]
     points = positions[good][::every, None] + np.einsum("nij,vj->nvi", axes, ball)
     shifted = faces[None] + len(ball) * np.arange(len(points))[:, None, None]
     return _mesh(points.reshape(-1, 3), shifted.reshape(-1, 3)) | {
-        "name": f"1 sigma along the skin × {count(factor)}",
+        "name": f"1 sigma along the skin × {grouped(factor)}",
         "color": theme.ESTIMATE,
         "opacity": 0.35,
         "flatshading": False,
@@ -134,7 +134,7 @@ def ellipsoids(positions: Array, covariances: Array, wanted: float) -> dict[str,
     }
 
 
-def view(
+def view_3d(
     *,
     ids: ArrayLike,
     poses: ArrayLike,
@@ -164,7 +164,7 @@ def view(
         data += _true_taxels(names, true, pitch)
     data.append(_estimated_taxels(names, estimate, cov, true))
     label = "estimated frames" + ("" if heading_observed else " (heading: by convention)")
-    data += frames(estimate, FRAME * pitch, label)
+    data += frames(estimate, FRAME_LENGTH * pitch, label)
     if (balls := ellipsoids(estimate[:, :3, 3], cov, 0.3 * pitch)) is not None:
         data.append(balls)
     extent = skin if mesh is None else np.concatenate([skin, np.asarray(mesh[0], dtype=float)])
@@ -184,19 +184,19 @@ def _route(points: Array) -> dict[str, Any]:
         "name": "path of the contact",
         "line": line,
         "hoverinfo": "skip",
-        **_xyz(points[:: max(len(points) // ON_ROUTE, 1)]),
+        **_xyz(points[:: max(len(points) // MAX_PATH_POINTS, 1)]),
     }
 
 
 def _true_taxels(ids: Array, poses: Array, pitch: float) -> list[dict[str, Any]]:
-    """Marks at the true taxels; their frames (n, 4, 4) until asked for are hidden."""
+    """Marks at the true taxels (n, 4, 4), and their frames, hidden at first."""
     style = {"symbol": "circle-open", "size": 7, "color": theme.TRUTH, "line": {"width": 2}}
     marks = _markers("true taxels", poses[:, :3, 3], [f"true taxel {k}" for k in ids], **style)
-    return [marks, *frames(poses, FRAME * pitch, "true frames", visible=False)]
+    return [marks, *frames(poses, FRAME_LENGTH * pitch, "true frames", visible=False)]
 
 
 def _estimated_taxels(ids: Array, poses: Array, cov: Array, true: Array | None) -> dict[str, Any]:
-    """Marks at the estimates, which tell their uncertainty and, if the truth is known, error."""
+    """Marks at the estimates, with uncertainty and, if the truth is known, error as text."""
     positions = poses[:, :3, 3]
     good = np.isfinite(positions).all(axis=1)
     truth = None if true is None else true[good, :3, 3]
@@ -206,10 +206,10 @@ def _estimated_taxels(ids: Array, poses: Array, cov: Array, true: Array | None) 
 
 def _texts(ids: Array, positions: Array, truth: Array | None, cov: Array) -> list[str]:
     sigma = np.sqrt(np.maximum(np.trace(cov, axis1=1, axis2=2), 0.0)) * MM
-    texts = [f"taxel {k}<br>sigma {measured(s)} mm" for k, s in zip(ids, sigma, strict=True)]
+    texts = [f"taxel {k}<br>sigma {significant(s)} mm" for k, s in zip(ids, sigma, strict=True)]
     if truth is not None:
         error = np.linalg.norm(positions - truth, axis=1) * MM
-        texts = [f"{t}<br>error {measured(e)} mm" for t, e in zip(texts, error, strict=True)]
+        texts = [f"{t}<br>error {significant(e)} mm" for t, e in zip(texts, error, strict=True)]
     return texts
 
 

@@ -1,7 +1,7 @@
-"""The look of every figure: palette, type, axes of fixed margins, and saving.
+"""Style of all figures: palette, fonts, axes with fixed margins; saving; numbers as text.
 
-Figures are matplotlib's `Figure` objects with an Agg canvas; pyplot and its global state are never
-used, and matplotlib is imported only when a figure is made.
+Figures are matplotlib's `Figure` objects with an Agg canvas; pyplot and its global state are not
+used, and matplotlib is imported when a figure is made.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's palette, which colour-blind readers tell apart; one meaning a colour throughout.
+# The palette of Okabe and Ito, safe for color-blind readers; each color has one meaning.
 INK = "#1f2328"
 MUTED = "#6b7280"
 FAINT = "#d5d9de"
@@ -60,7 +60,7 @@ R = TypeVar("R")
 
 
 def styled(function: Callable[P, R]) -> Callable[P, R]:
-    """Run `function` with the report's style, and leave the caller's settings as they were."""
+    """Run `function` with the report's style; the caller's settings are restored."""
 
     @wraps(function)
     def inner(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -72,27 +72,24 @@ def styled(function: Callable[P, R]) -> Callable[P, R]:
     return inner
 
 
-def canvas(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float) -> Figure:
     """An empty figure of `width` x `height` inches."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), dpi=DPI)
-    FigureCanvasAgg(figure)
-    return figure
+    return Figure(figsize=(width, height), dpi=DPI)
 
 
-def place(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
-    """Axes at a place given in inches from the lower left corner.
+def add_axes(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
+    """Axes at a position in inches from the lower left corner.
 
-    Fixed margins cost nothing, where an automatic layout draws every figure twice.
+    Margins are fixed because an automatic layout draws every figure twice.
     """
     w, h = figure.get_size_inches()
     return figure.add_axes((left / w, bottom / h, width / w, height / h))
 
 
-def colour_bar(figure: Figure, artist: Any, axes: Axes, label: str) -> Any:
-    """A thin colour bar to the right of `axes`."""
+def color_bar(figure: Figure, artist: Any, axes: Axes, label: str) -> Any:
+    """A thin color bar to the right of `axes`."""
     box = axes.get_position()
     w = figure.get_size_inches()[0]
     bar = figure.add_axes((box.x1 + 0.12 / w, box.y0, 0.12 / w, box.height))
@@ -103,23 +100,25 @@ def colour_bar(figure: Figure, artist: Any, axes: Axes, label: str) -> Any:
 
 @styled
 def save(figure: Figure, folder: str | Path, name: str) -> tuple[Path, Path]:
-    """Write folder/name.png and folder/name.svg, each whole or not at all; their paths.
+    """Write folder/name.png and folder/name.svg, each atomically; return their paths.
 
     Raises OutputError if the folder cannot be written.
     """
     import numpy as np
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 
     png, svg = Path(folder) / f"{name}.png", Path(folder) / f"{name}.svg"
     axes = [axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)]
     for axis in axes:
         if not axis.label.get_text():
-            axis.set_label_coords(0.0, 0.0)  # spares measuring the tick labels
-    figure.canvas.draw()
-    pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]
+            axis.set_label_coords(0.0, 0.0)  # placing a label measures all tick labels
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())[..., :3]
     with atomic(png) as temporary:
         Image.fromarray(pixels).save(temporary, "png", compress_level=1, dpi=(DPI, DPI))
-    for axis in axes:  # keep the labels where they are: placing them measures all tick labels
+    for axis in axes:  # in the SVG, labels are where the PNG has them
         x, y = axis.label.get_transform().transform(axis.label.get_position())
         axis.set_label_coords(*axis.axes.transAxes.inverted().transform((x, y)))
     with atomic(svg) as temporary:
@@ -127,28 +126,27 @@ def save(figure: Figure, folder: str | Path, name: str) -> tuple[Path, Path]:
     return png, svg
 
 
-PLAIN = 4
-"""Digits of whole numbers that need no space between the thousands."""
+UNGROUPED_DIGITS = 4
+"""Digits of integers up to which no space separates the thousands."""
 
 
-def count(value: float) -> str:
-    """A whole number, thousands apart by a space that does not break."""
+def grouped(value: float) -> str:
+    """An integer with no-break spaces between the thousands."""
     return f"{value:,.0f}".replace(",", "\u00a0").replace("-", "−")
 
 
-def number(value: float | None, digits: int = 3) -> str:
-    """A number with up to `digits` significant digits, in decimal notation where that stays
-    readable."""
-    return _written(value, digits, zeros=False)
+def compact(value: float | None, digits: int = 3) -> str:
+    """A number with up to `digits` significant digits, without trailing zeros."""
+    return _format(value, digits, zeros=False)
 
 
-def measured(value: float | None, digits: int = 3) -> str:
-    """A measured number: always `digits` significant digits, zeros at the end too."""
-    return _written(value, digits, zeros=True)
+def significant(value: float | None, digits: int = 3) -> str:
+    """A number with exactly `digits` significant digits, trailing zeros included."""
+    return _format(value, digits, zeros=True)
 
 
-def _written(value: float | None, digits: int, zeros: bool) -> str:
-    """A number; zeros: whether those at its end are kept."""
+def _format(value: float | None, digits: int, zeros: bool) -> str:
+    """A number in decimal notation, or scientific where that is long; zeros: keep trailing ones."""
     if value is None or math.isnan(value):
         return "–"
     if math.isinf(value):
@@ -159,14 +157,14 @@ def _written(value: float | None, digits: int, zeros: bool) -> str:
     if not 1e-4 <= abs(value) < 1e7:
         sign = "⁻" if exponent[0] == "-" else ""
         power = exponent[1:].lstrip("0").translate(str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹"))
-        mantissa = mantissa if zeros else _bare(mantissa)
+        mantissa = mantissa if zeros else _strip_zeros(mantissa)
         return f"{mantissa} × 10{sign}{power}".replace("-", "−")
-    if abs(value) >= 10 ** min(digits, PLAIN):
-        return count(value)
+    if abs(value) >= 10 ** min(digits, UNGROUPED_DIGITS):
+        return grouped(value)
     text = f"{value:.{max(digits - 1 - int(exponent), 0)}f}"
-    return (text if zeros else _bare(text)).replace("-", "−")
+    return (text if zeros else _strip_zeros(text)).replace("-", "−")
 
 
-def _bare(text: str) -> str:
-    """Digits without zeros at the end of their fraction."""
+def _strip_zeros(text: str) -> str:
+    """A number without trailing zeros of its fraction."""
     return text.rstrip("0").rstrip(".") if "." in text else text

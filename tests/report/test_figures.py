@@ -1,4 +1,4 @@
-"""Figures show the numbers that they are given, and survive what is missing."""
+"""Figures show their data, and accept missing values."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ import pytest
 from meshskin.core.errors import OutputError
 from meshskin.report import curves, maps, precision, theme
 from meshskin.report.curves import envelope, settling_time
-from meshskin.report.maps import ellipse_axes, pick_iterations
-from meshskin.report.theme import measured, number
+from meshskin.report.maps import ellipse_axes, representative_iterations
+from meshskin.report.theme import compact, significant
 
 
 def texts(figure: object) -> str:
@@ -107,7 +107,7 @@ def test_iterations_give_first_middle_and_last_with_their_mean_error(case: Simpl
     ]
     alone = maps.iterations(truth, steps, only=1)
     assert [a.get_title(loc="left") for a in alone.axes] == ["Iteration 1: mean 5.00 mm off"]
-    assert pick_iterations(steps[:1]) == (0, 0, 0)
+    assert representative_iterations(steps[:1]) == (0, 0, 0)
 
 
 def test_errors_count_every_taxel_once_and_mark_the_bound() -> None:
@@ -117,7 +117,7 @@ def test_errors_count_every_taxel_once_and_mark_the_bound() -> None:
     figure = curves.errors(rows, 4.2e-6)
     counts = [sum(p.get_data().values.sum() for p in a.patches) for a in figure.axes]
     assert counts == [78, 80]
-    assert "Cramér-Rao expectation 0.00420 mm" in texts(figure)
+    assert "Cramér-Rao bound 0.00420 mm" in texts(figure)
     assert len({a.get_xlim() for a in figure.axes}) == 1
     curves.errors({"exact": np.zeros(5)})
     curves.errors({"nothing": np.full(5, np.nan)}, np.nan)
@@ -167,7 +167,7 @@ def test_initial_error_draws_the_claims_beside() -> None:
     ],
 )  # fmt: skip
 def test_numbers_read_well(value: float | None, text: str) -> None:
-    assert number(value) == text
+    assert compact(value) == text
 
 
 @pytest.mark.parametrize(
@@ -179,13 +179,13 @@ def test_numbers_read_well(value: float | None, text: str) -> None:
     ],
 )  # fmt: skip
 def test_measured_numbers_keep_their_last_zeros(value: float, text: str) -> None:
-    assert measured(value) == text
+    assert significant(value) == text
 
 
 def test_names_of_settings_stay_in_their_axes() -> None:
     seconds, error = np.array([0.1, 0.5, 2.0]), np.array([0.1, 0.02, 0.05])
     names = ("trilateration", "posegraph", "posegraph isotropic")
-    made = precision.Series("estimator", seconds, error, error, names)
+    made = precision.KnobSeries("estimator", seconds, error, error, names)
     figure = precision.work_precision([made], (0.3, 0.01, 1e-4), [(0.1, 0.1), (0.5, 0.02)])
     figure.draw_without_rendering()
     left = figure.axes[0]

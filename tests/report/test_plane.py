@@ -9,7 +9,7 @@ import pytest
 
 from meshskin.geometry.body import Body
 from meshskin.report.decimate import decimate
-from meshskin.report.plane import exaggeration, spacing, tangent_plane
+from meshskin.report.plane import enlargement, spacing, tangent_plane
 
 
 def test_the_plane_keeps_lengths_in_it_and_is_seen_from_outside(case: SimpleNamespace) -> None:
@@ -48,7 +48,7 @@ def test_spacing_is_the_median_distance_of_nearest_neighbours() -> None:
     ("length", "factor"), [(1e-3, 1000.0), (3e-3, 200.0), (0.4, 2.0), (5.0, 1.0), (0.0, 1.0)]
 )
 def test_exaggeration_is_a_round_factor_and_never_shrinks(length: float, factor: float) -> None:
-    assert exaggeration([length, np.nan, np.inf], 1.0) == factor
+    assert enlargement([length, np.nan, np.inf], 1.0) == factor
 
 
 def test_thinning_keeps_the_skin_and_the_shape(case: SimpleNamespace) -> None:

@@ -206,5 +206,5 @@ def test_a_whole_run_with_a_budget(tmp_path):
     assert result.ledger.check.faster > 3.0
     assert result.metrics["budget"]["budget_mm"] == pytest.approx(0.2)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "What was simulated, and what was left out" in page
+    assert "Error budget: simulated and neglected effects" in page
     assert np.isfinite(result.metrics["position_error_mm"]["mean"])

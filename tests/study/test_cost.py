@@ -137,7 +137,7 @@ def test_the_command_writes_page_figure_and_settings(costs, tmp_path):
 
     write(costs, tmp_path)
     page = (tmp_path / "cost.html").read_text()
-    for words in ("The cheapest way to an accuracy", "exact primitive", "the scene as it is"):
+    for words in ("Fastest settings for an accuracy", "exact primitive", "the scene as it is"):
         assert words in page
     record = json.loads((tmp_path / "cost.json").read_text())
     assert len(record["settings"]) == len(costs.rows)
@@ -152,7 +152,7 @@ def test_names_of_estimators_that_err_alike_do_not_overlap():
     from meshskin.report import precision
 
     names = ("trilateration", "three_circles", "posegraph", "posegraph_paper")
-    alike = precision.Series("estimator", np.array([0.4, 0.41, 0.42, 3.0]), np.full(4, 1e-6),
+    alike = precision.KnobSeries("estimator", np.array([0.4, 0.41, 0.42, 3.0]), np.full(4, 1e-6),
                              np.zeros(4), names)  # fmt: skip
     figure = precision.work_precision([alike], (0.5, 1e-6, 1e-6), [(0.4, 1e-6)])
     figure.canvas.draw()
