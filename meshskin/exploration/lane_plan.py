@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..core.errors import ReachError
 from ..core.se3 import Array, inverse
 from ..geometry.geodesics import transport_along
+from ..geometry.surface.closest_point import Closest
 from ..robot import collision, posture
 from ..robot.contact_rig import ContactRig
 from ..scene.scene import Scene
@@ -53,11 +54,12 @@ def lane_plan(scene: Scene, rig: ContactRig) -> Plan:
         spacing = spacing_for(rig.sensing_radius, exploration.contacts, pitch)
     step = min(STEP, 0.8 * spacing)
     blocked: list[Blocked] = []
-    pieces = []
+    pieces: list[Closest] = []
     for piece in cover(rig.body, sites, spacing, region_radius(sites, exploration.margin), step):
-        reason = rig.contact_reasons(piece.points, piece.normals)
-        blocked.append((piece.points, reason))
-        pieces += [piece[run] for run in runs(reason == "") if run.stop - run.start >= SHORT]
+        reason = rig.contact_reasons(piece.point, piece.normal)
+        blocked.append((piece.point, reason))
+        good = runs(reason == "")
+        pieces += [piece.take(run) for run in good if run.stop - run.start >= SHORT]
     paths = contact_paths(rig, pieces, spacing, step)
     if rig.arm is None:
         segments = [free_path(rig, path, exploration, dt) for path in paths]

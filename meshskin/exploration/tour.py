@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.se3 import Array
+from ..geometry.surface.closest_point import Closest
 from ..robot.contact_rig import ContactRig
-from .lanes import Piece
 
 LONGEST_LINK = 8.0
 """Longest slide from lane to lane, in lane spacings. Chosen: 28 mm take 0.6 s at 50 mm/s, less than
@@ -37,24 +37,24 @@ class ContactPath:
 
 
 def contact_paths(
-    rig: ContactRig, pieces: list[Piece], spacing: float, step: float
+    rig: ContactRig, pieces: list[Closest], spacing: float, step: float
 ) -> list[ContactPath]:
     """Join the pieces, each to the nearest one left, by slides where these are short and feasible.
 
     spacing: of the lanes, m; step: between samples of a slide, m.
     """
     remaining, paths = list(pieces), []
-    legs: list[Piece] = []
+    legs: list[Closest] = []
     while remaining:
-        here = legs[-1].points[-1] if legs else remaining[0].points[0]
-        ends = np.array([[p.points[0], p.points[-1]] for p in remaining])
+        here = legs[-1].point[-1] if legs else remaining[0].point[0]
+        ends = np.array([[p.point[0], p.point[-1]] for p in remaining])
         gap = np.linalg.norm(ends - here, axis=2)
         k, end = np.unravel_index(int(np.argmin(gap)), gap.shape)
         piece = remaining.pop(int(k))
-        piece = piece.reverse if end else piece
+        piece = piece.take(slice(None, None, -1)) if end else piece
         if legs:
             near = gap[k, end] < LONGEST_LINK * spacing
-            link = _link(rig, here, piece.points[0], step) if near else None
+            link = _link(rig, here, piece.point[0], step) if near else None
             if link is None:
                 paths.append(_concatenated(legs))
                 legs = []
@@ -64,21 +64,19 @@ def contact_paths(
     return [*paths, _concatenated(legs)] if legs else []
 
 
-def _link(rig: ContactRig, start: Array, end: Array, step: float) -> Piece | None:
+def _link(rig: ContactRig, start: Array, end: Array, step: float) -> Closest | None:
     """The straight slide over the surface, or None where the indenter does not fit along it."""
     count = max(int(np.ceil(np.linalg.norm(end - start) / step)), 1)
     s = np.linspace(0.0, 1.0, count + 1)[:, None]
     hit = rig.body.closest((1 - s) * start + s * end)
     reason = rig.contact_reasons(hit.point, hit.normal)
-    return None if (reason != "").any() else Piece(hit.point, hit.normal)
+    return None if (reason != "").any() else hit
 
 
-def _concatenated(legs: list[Piece]) -> ContactPath:
+def _concatenated(legs: list[Closest]) -> ContactPath:
     """Pieces that meet at their ends as one contact path."""
-    parts = [legs[0], *(leg[1:] for leg in legs[1:])]
-    stops = np.cumsum([len(part) for part in parts]) - 1
-    return ContactPath(
-        np.concatenate([p.points for p in parts]),
-        np.concatenate([p.normals for p in parts]),
-        (0, *(int(k) for k in np.unique(stops[stops > 0]))),
-    )
+    parts = [legs[0], *(leg.take(slice(1, None)) for leg in legs[1:])]
+    stops = np.cumsum([len(part.point) for part in parts]) - 1
+    whole = Closest.concatenate(parts)
+    stops = np.unique(stops[stops > 0])
+    return ContactPath(whole.point, whole.normal, (0, *(int(k) for k in stops)))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from meshskin.exploration.lanes import WIDEST, both_ways, cover, spacing_for
+from meshskin.exploration.lanes import MAX_SPACING, both_ways, cover, spacing_for
 from meshskin.geometry.body import Body
 from meshskin.geometry.region import Cap
 from meshskin.skin.skin import Skin
@@ -25,17 +25,17 @@ def test_lanes_pass_every_taxel_and_keep_their_distance(name):
     body, region = BODIES[name]
     sites = Skin.cover(body, count=80, spacing=5e-3, region=region).positions
     pieces = cover(body, sites, SPACING, KEEP, STEP)
-    points = np.concatenate([piece.points for piece in pieces])
+    points = np.concatenate([piece.point for piece in pieces])
     assert np.abs(body.closest(points).distance).max() < 1e-9
     assert cKDTree(points).query(sites)[0].max() < 0.5 * SPACING + STEP / 2
     for one, two in pairwise(pieces[3:-3]):
-        gap = cKDTree(two.points).query(one.points[2:-2])[0]
+        gap = cKDTree(two.point).query(one.point[2:-2])[0]
         beside = gap[gap < 1.5 * SPACING]
         assert len(beside) > len(gap) / 2
         # the nearest of samples 2 mm apart is up to 0.14 mm farther than the lane
         assert beside.min() > 0.99 * SPACING
         assert np.median(beside) < 1.05 * SPACING
-    length = sum(np.linalg.norm(np.diff(p.points, axis=0), axis=1).sum() for p in pieces)
+    length = sum(np.linalg.norm(np.diff(p.point, axis=0), axis=1).sum() for p in pieces)
     region_area = 80 * 0.5 * np.sqrt(3) * 5e-3**2
     assert length * SPACING < 1.4 * region_area
 
@@ -53,9 +53,9 @@ def test_a_whole_body_is_covered_about_once():
     body = Body.capsule(0.03, 0.06)
     sites = Skin.cover(body, spacing=6e-3).positions
     pieces = cover(body, sites, SPACING, KEEP + 1e-3, STEP)
-    points = np.concatenate([piece.points for piece in pieces])
+    points = np.concatenate([piece.point for piece in pieces])
     assert cKDTree(points).query(sites)[0].max() < SPACING
-    length = sum(np.linalg.norm(np.diff(p.points, axis=0), axis=1).sum() for p in pieces)
+    length = sum(np.linalg.norm(np.diff(p.point, axis=0), axis=1).sum() for p in pieces)
     assert 0.9 < length * SPACING / body.mesh.area < 1.3
 
 
@@ -68,7 +68,7 @@ def test_islands_are_both_covered():
         ]
     )
     pieces = cover(body, sites, SPACING, KEEP, STEP)
-    points = np.concatenate([piece.points for piece in pieces])
+    points = np.concatenate([piece.point for piece in pieces])
     assert cKDTree(points).query(sites)[0].max() < SPACING
     assert cKDTree(sites).query(points)[0].max() < KEEP + SPACING
 
@@ -77,4 +77,4 @@ def test_spacing_gives_the_contacts_that_are_wanted():
     reach, step = 6e-3, 0.5e-3
     spacing = spacing_for(reach, 100.0, step)
     assert np.pi * reach**2 / (spacing * step) == pytest.approx(100.0)
-    assert spacing_for(reach, 4.0, step) == pytest.approx(WIDEST * reach)
+    assert spacing_for(reach, 4.0, step) == pytest.approx(MAX_SPACING * reach)
