@@ -36,11 +36,6 @@ def contact_radius(force: Any, radius: Any, modulus: Any) -> Any:
     return (0.75 * force * radius / modulus) ** (1 / 3)
 
 
-def peak_pressure(force: Any, contact_radius: Any) -> Any:
-    """Pressure p_0, Pa, at the centre from the force, N, and the contact radius a, m."""
-    return 1.5 / math.pi * force / contact_radius**2
-
-
 def depth(contact_radius: Any, radius: Any) -> Any:
     """Approach delta, m, from the contact radius a, m, and the relative radius R, m."""
     return contact_radius**2 / radius

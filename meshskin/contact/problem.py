@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.arguments import check_array, repr_short
+from ..core.arguments import check_array, check_real
 from ..core.errors import ContactError
 from ..core.se3 import Array
 from .array_backend import functions, is_casadi
@@ -53,26 +52,13 @@ class ContactProblem:
     """Thickness of the soft layer of the body, m; None: a half-space."""
 
     def __post_init__(self) -> None:
-        for what in ("force", "indenter_radius", "modulus", "poisson", "thickness"):
-            value = getattr(self, what)
-            if value is not None and not isinstance(value, numbers.Real | np.ndarray):
-                raise ContactError(f"{what} must be a number", value=repr_short(value))
+        for name, unit in (("indenter_radius", "m"), ("modulus", "Pa"), ("thickness", "m")):
+            value = getattr(self, name)
+            if value is not None and not np.array_equal(value, math.inf):
+                check_real(name, value, unit, above=0.0, error=ContactError)
+        check_real("force", self.force, "N", least=0.0, error=ContactError)
+        check_real("poisson", self.poisson, above=-1.0, most=0.5, error=ContactError)
         check_array("curvature", self.curvature, error=ContactError)
-        for what, value, unit in (
-            ("indenter radius", self.indenter_radius, "m"),
-            ("modulus", self.modulus, "Pa"),
-            ("thickness", self.thickness, "m"),
-        ):
-            if value is not None and not value > 0:
-                raise ContactError(f"{what} must be positive", value=f"{value} {unit}", limit="> 0")
-        if not (math.isfinite(self.force) and self.force >= 0):
-            raise ContactError(
-                "force must be finite and not negative", value=f"{self.force} N", limit=">= 0 N"
-            )
-        if not -1 < self.poisson <= 0.5:
-            raise ContactError(
-                "Poisson's ratio is out of range", value=self.poisson, limit="(-1, 0.5]"
-            )
         if np.shape(self.curvature) not in ((), (1,), (2,)):
             raise ContactError(
                 "curvature must be one or two principal curvatures",

@@ -44,25 +44,16 @@ precision, where truncation and rounding errors balance at about 1e-11 of the de
 class Effect(Protocol):
     """An effect; its dataclass fields are the keys of its `[[effects]]` table in TOML."""
 
-    @property
-    def name(self) -> str:
-        """Name under which the effect is registered."""
-
-    @property
-    def stage(self) -> str:
-        """Stage at which the effect acts, one of STAGES."""
-
-    @property
-    def requires(self) -> tuple[str, ...]:
-        """Names of the effects that must be on with this one."""
-
-    @property
-    def excludes(self) -> tuple[str, ...]:
-        """Names of the effects that must be off with this one."""
-
-    @property
-    def cost(self) -> float:
-        """Computing time per taxel and frame, s, measured on one core with 80 taxels."""
+    name: ClassVar[str]
+    """Name under which the effect is registered."""
+    stage: ClassVar[str]
+    """Stage at which the effect acts, one of STAGES."""
+    requires: ClassVar[tuple[str, ...]]
+    """Names of the effects that must be on with this one."""
+    excludes: ClassVar[tuple[str, ...]]
+    """Names of the effects that must be off with this one."""
+    cost: ClassVar[float]
+    """Computing time per taxel and frame, s, measured on one core with 80 taxels."""
 
     def bound(self, context: Context) -> float:
         """Upper bound on the taxel position error, m, when an estimate ignores the effect."""

@@ -40,7 +40,9 @@ def test_force_of_depth_inverts_depth_of_force():
     assert radius == pytest.approx([1 / 110, 0.01])
     a = hertz.contact_radius(3.0, radius, e_star)
     assert hertz.force(hertz.depth(a, radius), radius, e_star) == pytest.approx([3.0, 3.0])
-    assert hertz.peak_pressure(3.0, a) == pytest.approx(2 / np.pi * e_star * a / radius)
+    curvature = np.array([[10.0, 10.0], [0.0, 0.0]])
+    peak = hertz.patches(3.0, curvature, 0.01, e_star).peak
+    assert peak == pytest.approx(3 * 3.0 / (2 * np.pi * a**2))
 
 
 def test_casadi_equals_numpy_with_finite_derivatives_at_zero_depth():
@@ -70,7 +72,7 @@ def test_zero_force_gives_an_empty_patch():
 @pytest.mark.parametrize(
     ("change", "names"),
     [
-        ({"force": -1.0}, "-1.0 N"),
+        ({"force": -1.0}, "got -1 N"),
         ({"force": float("nan")}, "nan"),
         ({"curvature": (20.0, 10.0)}, "ratio 1.091"),
         ({"curvature": -120.0}, "hollow"),
@@ -83,7 +85,7 @@ def test_zero_force_gives_an_empty_patch():
     ],
 )
 def test_contacts_out_of_range_raise(change, names):
-    with pytest.raises(ContactError, match="limit") as caught:
+    with pytest.raises(ContactError, match=r"limit|finite") as caught:
         contact.solve(**CASE | change)
     assert names in str(caught.value)
     assert "\n" not in str(caught.value)

@@ -40,6 +40,47 @@ def test_upgrade_uses_the_next_valid_model(change, model):
             contact.solve("hertz", **case)
 
 
+@pytest.mark.parametrize("model", contact.BATCHED)
+def test_slope_is_the_derivative_of_force(model):
+    law, depth, step = contact.ContactModel(model, poisson=0.45, thickness=3e-3), 2e-4, 1e-7
+    given = {
+        "curvature": np.array([12.0, 8.0]), "indenter_radius": 0.01, "effective_modulus": 0.6e6,
+    }  # fmt: skip
+    change = law.force(depth=depth + step, **given) - law.force(depth=depth - step, **given)
+    x, symbols = ca.SX.sym("x"), given | {"curvature": ca.DM([12.0, 8.0])}
+    slope = ca.Function("slope", [x], [law.slope(depth=x, **symbols)])
+    assert float(slope(depth)) == pytest.approx(change / (2 * step), rel=1e-6)
+    if model != "layered":
+        assert law.slope(depth=depth, **given) == pytest.approx(float(slope(depth)), rel=1e-12)
+
+
+@pytest.mark.parametrize("model", contact.BATCHED)
+def test_casadi_clips_hollows_at_a_thousandth_of_the_tip_curvature(model):
+    law, k = contact.ContactModel(model, poisson=0.45, thickness=1.0), ca.SX.sym("k", 2)
+    given = {"depth": 1e-5, "indenter_radius": 0.01, "effective_modulus": 0.6e6}
+    f = ca.Function("f", [k], [law.force(curvature=k, **given)])
+    if model == "hertz":  # the mean curvature alone is positive
+        assert float(f([-110.0, 0.0])) == pytest.approx(float(f([-55.0, -55.0])))
+        return
+    clipped = law.force(curvature=np.array([-99.9, 0.0]), **given)
+    assert float(f([-110.0, 0.0])) == pytest.approx(clipped, rel=1e-9)
+    assert np.isfinite(float(f([-300.0, -300.0])))
+
+
+@pytest.mark.parametrize("poisson", [0.0, 0.3, 0.5])
+def test_half_space_at_its_limit_of_thickness(poisson):
+    """At a = thickness / 10 the approach on a layer is at most 7.5 % smaller."""
+    case = CASE | {"poisson": poisson}
+    patch = contact.solve("hertz", **case)
+    limit = 10 * float(patch.semi_axes[0])
+    assert contact.solve("hertz", thickness=1.001 * limit, **case).depth == patch.depth
+    with pytest.raises(ContactError, match=r"a/thickness = 0.1, limit: 0\.1"):
+        contact.solve("hertz", thickness=0.999 * limit, **case)
+    layer = contact.solve("layered", thickness=limit, **case)
+    assert 0.924 < layer.depth / patch.depth < 0.95
+    assert layer.semi_axes == pytest.approx(patch.semi_axes, rel=1e-3)
+
+
 def test_upgrade_starts_at_the_given_model():
     assert contact.solve("layered", upgrade=True, **CASE).model == "layered"
 
@@ -47,7 +88,7 @@ def test_upgrade_starts_at_the_given_model():
 @pytest.mark.parametrize(
     ("change", "names"),
     [
-        ({"force": -1.0}, "force must be finite and not negative"),
+        ({"force": -1.0}, "force is out of range"),
         ({"curvature": -120.0}, "hollow"),
         ({"modulus": 2e2}, "indenter radius"),
         ({"thickness": 1e-5}, "thickness/cell"),
