@@ -1,4 +1,4 @@
-"""Wrong calls in Python: one line that names the value, the limit, and what to do."""
+"""Wrong arguments of the public functions: one line with the value, the limit and the remedy."""
 
 from pathlib import Path
 
@@ -19,12 +19,15 @@ BODIES = {
     "one semi-axis": (lambda: ms.Body.ellipsoid(0.1), "must be 3 numbers, got 0.1"),
     "a word": (lambda: ms.Body.ellipsoid("abc"), "must be numbers, got 'abc'"),
     "radius in words": (lambda: ms.Body.sphere("0.1"), "must be a finite number, got '0.1'"),
-    "no radius": (lambda: ms.Body.sphere(None), "must be a finite number, got None"),
+    "radius None": (lambda: ms.Body.sphere(None), "must be a finite number, got None"),
     "no faces": (lambda: ms.Body.sphere(0.1, faces=0), "faces .*got 0, limit: at least 1"),
     "countless faces": (lambda: ms.Body.sphere(0.1, faces=10**9), "limit: at most 5e.06"),
     "half a face": (lambda: ms.Body.torus(0.1, 0.03, faces=1.5), "an integer, got 1.5"),
-    "a hair": (lambda: ms.Body.capsule(1e-6, 1.0), "too slender .*got radius : length of 1e.06"),
-    "a torus of nothing": (lambda: ms.Body.torus(np.nan, 0.1), "finite number, got nan"),
+    "a slender capsule": (
+        lambda: ms.Body.capsule(1e-6, 1.0),
+        "too slender .*got radius : length of 1e.06",
+    ),
+    "a torus of nan": (lambda: ms.Body.torus(np.nan, 0.1), "finite number, got nan"),
 }
 
 
@@ -46,7 +49,7 @@ NAMES = {
 
 @pytest.mark.parametrize("call", NAMES.values(), ids=NAMES)
 @pytest.mark.parametrize("name", ["sphere", Path("sphere")])
-def test_a_name_is_no_scene(call, name):
+def test_a_name_in_place_of_a_scene(call, name):
     with pytest.raises(MeshskinError, match=r"must be a Scene, got .*Scene.load\('sphere'\)"):
         call(name)
 
@@ -107,7 +110,7 @@ def test_wrong_calls(scene, call, message):
     assert len(str(caught.value)) < 300
 
 
-def test_one_world_may_be_given_without_a_list(scene):
+def test_one_scenario_may_be_given_without_a_list(scene):
     from meshskin.tuning.scenarios import Scenario
     from meshskin.tuning.tune import check_scenarios
 
@@ -121,6 +124,6 @@ def test_remedies_name_contact_models_that_a_scene_takes(scene):
     assert 'contact.solve(model="field") holds for a single contact' in str(caught.value)
 
 
-def test_an_error_is_one_line_whatever_it_repeats():
+def test_messages_are_one_line_without_control_characters():
     error = MeshskinError("a bad row", value="1\x00\n2\t\x1b[31m", remedy="write it\nanew")
     assert str(error) == "a bad row, got 1? 2 ?[31m; write it anew"

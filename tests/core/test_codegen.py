@@ -1,4 +1,4 @@
-"""Compiled functions: equal to interpreted ones, cached by content, safe against torn files."""
+"""Compiled functions: equal to interpreted ones, cached by content, private, never damaged."""
 
 import os
 import subprocess
@@ -23,18 +23,18 @@ def cache(tmp_path, monkeypatch):
     return tmp_path / "cache"
 
 
-def bend(scale=1.0):
+def example(scale=1.0):
     x = ca.SX.sym("x", 3)
     y = scale * ca.sin(x[0]) * x[1] ** 2 + ca.atan2(x[2], x[0])
     gradient = ca.gradient(y, x)
-    function = ca.Function("bend", [x], [y, gradient], ["x"], ["y", "gradient"])
-    return function, ca.Function("bend_hessian", [x], [ca.tril(ca.jacobian(gradient, x))])
+    function = ca.Function("example", [x], [y, gradient], ["x"], ["y", "gradient"])
+    return function, ca.Function("example_hessian", [x], [ca.tril(ca.jacobian(gradient, x))])
 
 
 @needs_compiler
 def test_compiled_equals_interpreted_with_its_derivatives(cache):
     x = [0.3, -1.2, 2.0]
-    for function in bend():
+    for function in example():
         fast = compile_function(function)
         assert fast.class_name() == "External" != function.class_name()
         assert (fast.name(), fast.name_in(), fast.name_out()) == (
@@ -50,37 +50,37 @@ def test_compiled_equals_interpreted_with_its_derivatives(cache):
 
 
 @needs_compiler
-def test_cache_is_found_by_content(cache):
-    compile_function(bend()[0])
+def test_libraries_are_cached_by_content(cache):
+    compile_function(example()[0])
     library = next(cache.rglob("*.so"))
     before = library.stat().st_mtime_ns
-    compile_function(bend()[0])
+    compile_function(example()[0])
     assert list(cache.rglob("*.so")) == [library]
     assert library.stat().st_mtime_ns == before
-    compile_function(bend(scale=2.0)[0])
+    compile_function(example(scale=2.0)[0])
     assert len(list(cache.rglob("*.so"))) == 2
 
 
 @needs_compiler
-def test_a_library_is_found_only_after_it_was_built(cache):
+def test_a_cached_library_must_have_been_built(cache):
     text = "int answer(void) { return 42; }"
     assert module.cached_library(text) is None
     module.compile_library("answer", text)
     assert module.cached_library(text).answer() == 42
-    assert module.cached_library(text, (*module.FLAGS, "-O1")) is None  # another processor's, say
+    assert module.cached_library(text, (*module.FLAGS, "-O1")) is None  # flags are part of the key
 
 
 @needs_compiler
-@pytest.mark.parametrize("damage", ["half", "empty", "stranger"])
-def test_torn_file_is_rebuilt(cache, damage):
+@pytest.mark.parametrize("damage", ["half", "empty", "not a library"])
+def test_a_damaged_library_is_rebuilt(cache, damage):
     # In a process of its own: the file must not be one that this process has mapped.
     call(cache)
     library = next(cache.rglob("*.so"))
     whole = library.read_bytes()
     library.unlink()
-    torn = {"half": whole[: len(whole) // 2], "empty": b"", "stranger": b"no library"}[damage]
-    name = module.content_hash(torn) if damage == "stranger" else library.stem
-    library.with_name(f"{name}.so").write_bytes(torn)
+    damaged = {"half": whole[: len(whole) // 2], "empty": b"", "not a library": b"text"}[damage]
+    name = module.content_hash(damaged) if damage == "not a library" else library.stem
+    library.with_name(f"{name}.so").write_bytes(damaged)
     assert call(cache) == "External 4.0"
     (rebuilt,) = cache.rglob("*.so")
     assert module.content_hash(rebuilt.read_bytes()) == rebuilt.stem
@@ -98,14 +98,14 @@ def test_unwritable_cache_uses_a_temporary_folder(tmp_path, monkeypatch):
     blocked = tmp_path / "file"
     blocked.write_text("not a folder")
     monkeypatch.setenv("MESHSKIN_CACHE", str(blocked / "cache"))
-    assert compile_function(bend()[0]).class_name() == "External"
+    assert compile_function(example()[0]).class_name() == "External"
 
 
 @pytest.mark.parametrize("compiler", ["none", "no-such-compiler"])
 def test_without_compiler_interpreted_and_warned_once(cache, monkeypatch, compiler):
     monkeypatch.setenv("MESHSKIN_COMPILER", compiler)
     module._warn_once.cache_clear()
-    function = bend()[0]
+    function = example()[0]
     with pytest.warns(RuntimeWarning, match="no C compiler"):
         assert compile_function(function) is function
     with warnings.catch_warnings():
@@ -114,14 +114,14 @@ def test_without_compiler_interpreted_and_warned_once(cache, monkeypatch, compil
     assert not cache.exists()
 
 
-def test_compiler_that_fails_is_named(cache, monkeypatch):
+def test_a_compiler_that_fails_is_named(cache, monkeypatch):
     false = next((p for p in ("/bin/false", "/usr/bin/false") if Path(p).exists()), None)
     if false is None:
         pytest.skip("no `false` here")
     monkeypatch.setenv("MESHSKIN_COMPILER", false)
     module._warn_once.cache_clear()
-    function = bend()[0]
-    with pytest.warns(RuntimeWarning, match="cannot compile 'bend'"):
+    function = example()[0]
+    with pytest.warns(RuntimeWarning, match="cannot compile 'example'"):
         assert compile_function(function) is function
 
 
@@ -132,8 +132,8 @@ def test_a_compiler_that_does_not_run_is_named(cache, monkeypatch, tmp_path):
     broken.chmod(0o700)
     monkeypatch.setenv("MESHSKIN_COMPILER", str(broken))
     module._warn_once.cache_clear()
-    function = bend()[0]
-    with pytest.warns(RuntimeWarning, match="cc cannot compile 'bend'.*it does not run"):
+    function = example()[0]
+    with pytest.warns(RuntimeWarning, match="cc cannot compile 'example'.*it does not run"):
         assert compile_function(function) is function
 
 
@@ -147,7 +147,7 @@ def test_a_user_without_a_home_compiles_in_a_temporary_folder(monkeypatch):
     monkeypatch.setattr(Path, "home", no_home)
     assert cache_folder() is None
     assert module.cached_library("int answer(void) { return 42; }") is None
-    assert compile_function(bend()[0]).class_name() == "External"
+    assert compile_function(example()[0]).class_name() == "External"
 
 
 @needs_compiler
@@ -155,7 +155,7 @@ def test_a_user_without_a_home_compiles_in_a_temporary_folder(monkeypatch):
 def test_the_cache_is_private(cache):
     cache.mkdir()
     cache.chmod(0o777)
-    compile_function(bend()[0])
+    compile_function(example()[0])
     library = next(cache.rglob("*.so"))
     for path in (cache, library.parent, library):
         assert path.stat().st_mode & 0o777 == 0o700

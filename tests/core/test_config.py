@@ -11,7 +11,7 @@ from meshskin.scene.scene import Scene
 
 
 @dataclass(frozen=True)
-class Ball:
+class Example:
     radius: float = config.quantity("m", above=0.0)
     place: tuple[float, ...] = config.quantity("m", (0.0, 0.0))
     angle: float = config.quantity("rad", 0.0, most=math.pi)
@@ -25,9 +25,9 @@ class Ball:
 
 def test_units_are_converted():
     ball = config.from_table(
-        Ball, {"radius_mm": 100, "place_um": [1, 2e6], "angle_deg": 90}, "ball"
+        Example, {"radius_mm": 100, "place_um": [1, 2e6], "angle_deg": 90}, "ball"
     )
-    assert ball == Ball(0.1, (1e-6, 2.0), math.pi / 2)
+    assert ball == Example(0.1, (1e-6, 2.0), math.pi / 2)
 
 
 @pytest.mark.parametrize(
@@ -41,26 +41,30 @@ def test_units_are_converted():
         ({"radius_mm": 1, "radius_m": 1}, ConfigError, "given twice"),
         ({"radius_mm": 1, "angle_deg": 200}, ConfigError, "at most 3.14159 rad"),
         ({}, ConfigError, "lacks radius; add radius_m or radius_mm"),
-        ({"radius_m": [1, 2]}, ConfigError, r"ball.radius must be a finite number, got \(1, 2\)"),
+        (
+            {"radius_m": [1, 2]},
+            ConfigError,
+            r"example.radius must be a finite number, got \(1, 2\)",
+        ),
         ({"radius_m": 1, "centre_m": 2}, ConfigError, "must be a tuple of 3 numbers, got 2"),
         ({"radius_m": 1, "centre_m": [1, 2]}, ConfigError, "of 3 numbers, got \\(1, 2\\)"),
         ({"radius_m": 1, "place_m": 2}, ConfigError, "must be a tuple of numbers, got 2"),
         ({"radius_m": 1, "spots": 8.5}, ConfigError, "spots must be an integer, got 8.5"),
     ],
 )
-def test_a_wrong_table_is_named(table, error, message):
+def test_a_wrong_value_is_named_with_its_limit(table, error, message):
     with pytest.raises(error, match=message):
-        config.from_table(Ball, table, "ball")
+        config.from_table(Example, table, "ball")
 
 
-def test_bad_toml_names_the_line(tmp_path):
+def test_invalid_toml_is_refused_with_its_line(tmp_path):
     file = tmp_path / "x.toml"
     file.write_text("[body]\nradius_mm = \n")
     with pytest.raises(ConfigError, match=r"x.toml is not valid TOML.*line 2"):
         config.read_toml(file)
 
 
-def test_merge_goes_table_by_table():
+def test_tables_are_merged_by_key():
     assert config.merge({"a": {"x": 1, "y": 2}, "b": 3}, {"a": {"y": 4}}) == {
         "a": {"x": 1, "y": 4},
         "b": 3,
@@ -74,7 +78,7 @@ def test_merge_lets_another_unit_replace_a_quantity():
     }
 
 
-def test_a_class_is_named_as_in_the_file(tmp_path):
+def test_errors_name_the_table_of_the_file(tmp_path):
     wrong = {"[arm]\npayload_kg = -1": "arm.payload is out of range"}
     wrong['[[effects]]\nkind = "gaussian_noise"\nsigma_relative = -1'] = (
         "gaussian_noise.sigma_relative is out of range"
@@ -104,14 +108,14 @@ def test_a_class_is_named_as_in_the_file(tmp_path):
         ("[loop]\nintegrator = 4", "loop.integrator must be text in quotes, got 4"),
     ],
 )
-def test_values_of_another_kind_are_named(tmp_path, text, message):
+def test_values_of_a_wrong_type_are_refused(tmp_path, text, message):
     (tmp_path / "wrong.toml").write_text(f'extends = "sphere"\n{text}')
     with pytest.raises(MeshskinError, match=message):
         Scene.load(tmp_path / "wrong.toml")
 
 
 @pytest.mark.parametrize("parent", ["3", "[1]", "nan", "'nope'"])
-def test_a_parent_that_is_none_is_named(tmp_path, parent):
+def test_an_unknown_parent_is_refused(tmp_path, parent):
     (tmp_path / "wrong.toml").write_text(f"extends = {parent}\n")
     with pytest.raises(ConfigError, match=r"unknown scene 'nope'|name or its TOML file, got"):
         Scene.load(tmp_path / "wrong.toml")

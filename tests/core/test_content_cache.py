@@ -1,4 +1,4 @@
-"""What is built once: for equal contents, whichever objects hold them."""
+"""Cache by content: a function runs once for equal contents of different objects."""
 
 from dataclasses import fields, replace
 
@@ -24,12 +24,12 @@ def test_equal_contents_are_built_once():
     assert total.__doc__ == "A sum."
     assert [total(np.arange(3.0)), total(np.arange(3.0))] == [3.0, 3.0]
     assert built == [3]
-    assert total(np.arange(3)) == 3.0, "another type is another content"
+    assert total(np.arange(3)) == 3.0, "the type is part of the content"
     for k in range(4, 4 + content_cache.CACHE_SIZE):
         total(np.arange(float(k)))
     assert len(built) == 2 + content_cache.CACHE_SIZE
     total(np.arange(3.0))
-    assert len(built) == 3 + content_cache.CACHE_SIZE, "the oldest is given up"
+    assert len(built) == 3 + content_cache.CACHE_SIZE, "the least recently used is dropped"
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def test_scenes_of_the_same_content_share_their_functions(loop):
     assert newton(other.arm) is newton(loop.arm)
 
 
-def test_any_other_content_makes_other_functions(loop):
+def test_every_field_of_the_loop_is_part_of_the_content(loop):
     changed = {
         "arm": loop.arm.with_payload(0.1, np.zeros(3), 1e-4 * np.eye(3)),
         "mount": loop.mount @ np.diag([1.0, -1.0, -1.0, 1.0]),

@@ -1,4 +1,4 @@
-"""Rigid transforms against scipy's matrix exponential and closed round trips."""
+"""Rigid transforms against SciPy's matrix exponential, and inverses of each other."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ def test_exponential_is_the_matrix_exponential():
     np.testing.assert_allclose(se3.exp_so3(w), expected, atol=1e-14)
 
 
-def test_left_jacobian_is_how_the_exponential_turns():
+def test_left_jacobian_is_the_derivative_of_the_exponential():
     rng = np.random.default_rng(3)
     w = rng.normal(size=(20, 3)) * np.logspace(-6, 0.3, 20)[:, None]
     jacobian, step = se3.left_jacobian(w), 1e-6
@@ -23,7 +23,7 @@ def test_left_jacobian_is_how_the_exponential_turns():
         np.testing.assert_allclose(se3.log_so3(turned) / (2 * step), jacobian[:, :, k], atol=1e-7)
 
 
-def test_logarithm_undoes_the_exponential_up_to_pi():
+def test_logarithm_inverts_the_exponential_up_to_pi():
     axis = np.random.default_rng(2).normal(size=(8, 3))
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     for angle in (0.0, 1e-12, 1e-4, 1.0, 3.0, np.pi - 1e-9):

@@ -1,4 +1,4 @@
-"""Two skins: rigid motion, distances, exchanged and renamed modules and taxels."""
+"""Comparison of skins: alignment, distances, exchanged and renumbered modules and taxels."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def renamed(skin, change, size=12):
     return Skin(skin.poses, size * np.array(units) + skin.ids % size)
 
 
-def test_a_skin_is_itself(arm):
+def test_a_skin_equals_itself(arm):
     d = compare(arm, arm)
     assert d.unaligned.max() == 0.0
     assert d.aligned.max() < 1e-15
@@ -50,7 +50,7 @@ def test_a_skin_is_itself(arm):
     assert len(d.only_a) == len(d.only_b) == 0
 
 
-def test_a_motion_is_found(arm):
+def test_a_rigid_motion_is_found(arm):
     d = compare(arm, moved(arm))
     np.testing.assert_allclose(d.alignment, MOTION, atol=1e-12)
     assert d.unaligned.min() > 0.01
@@ -58,7 +58,7 @@ def test_a_motion_is_found(arm):
     assert d.sentences() == ()
 
 
-def test_noise_is_left_over_and_the_worst_taxel_named(plain):
+def test_noise_remains_and_the_worst_taxel_is_listed(plain):
     poses = moved(plain, 1e-4).poses
     poses[17, :3, 3] += 2e-3
     d = compare(plain, Skin(poses, plain.ids))
@@ -106,7 +106,7 @@ def test_renamed_modules_are_named(arm):
     assert d.explains
 
 
-def test_renumbered_chains_are_one_line():
+def test_a_renumbered_chain_is_one_sentence():
     assert words({1: 2, 2: 3, 3: 7, 4: 5, 5: 4, 6: 9}, "module") == (
         "modules renumbered: 1 -> 2 -> 3 -> 7 (A -> B)",
         "module 6 of A is module 9 of B",
@@ -114,8 +114,8 @@ def test_renumbered_chains_are_one_line():
     )
 
 
-def test_taxels_that_went_with_their_modules_are_told_by_modules():
-    """Modules 4 and 6 exchanged with their slots 0 and 5, module 8 turned on its place."""
+def test_taxels_that_moved_with_their_modules_are_described_by_modules():
+    """Modules 4 and 6 exchanged with their slots 0 and 5, module 8 rotated in its place."""
     swap = {0: 5, 5: 0}
     where = {4: 6, 6: 4, 8: 8, 9: 11, 11: 9}
     permutation = {
@@ -141,7 +141,7 @@ def test_exchanged_taxels_of_a_skin_without_modules(plain):
     assert d.explains
 
 
-def test_another_layout_is_no_permutation(plain):
+def test_another_layout_is_not_a_permutation(plain):
     other = Skin.cover(Body.sphere(), spacing=5e-3, count=80, region=Cap((0, 0, -1)), seed=5)
     assert not compare(plain, other).explains
 

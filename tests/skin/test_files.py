@@ -1,4 +1,4 @@
-"""Skin files: what each format says, round trips, refusals; real files where they are present."""
+"""Skin files: contents of each format, round trips, refusals; real files if they are present."""
 
 from dataclasses import replace
 
@@ -41,7 +41,7 @@ def assert_same(a, b, atol=1e-13):
 
 
 @pytest.mark.parametrize("kind", ["csv", "urdf", "ply", "glb"])
-def test_frames_come_back_whatever_the_suffix(skin, tmp_path, kind):
+def test_frames_are_read_back_whatever_the_suffix(skin, tmp_path, kind):
     skin.save(tmp_path / "skin.dat", format=kind)
     loaded = Skin.load(tmp_path / "skin.dat")
     np.testing.assert_array_equal(loaded.positions, skin.positions)
@@ -69,7 +69,7 @@ def test_a_position_file_of_modules_names_thermal_pads_and_empty_modules(tmp_pat
     assert_same(Skin.load(tmp_path / "arm.txt"), skin, atol=0.7e-9)
 
 
-def test_rows_that_the_file_calls_no_taxel_are_left_out(tmp_path):
+def test_rows_that_are_not_taxels_are_skipped(tmp_path):
     path = tmp_path / "arm.txt"
     modular().save(path)
     lines = path.read_text().splitlines()
@@ -79,7 +79,7 @@ def test_rows_that_the_file_calls_no_taxel_are_left_out(tmp_path):
     assert_same(Skin.load(path), modular(), atol=0.7e-9)
 
 
-def test_rows_alone_are_modules_where_they_fit_one(tmp_path):
+def test_rows_without_header_are_modules_if_they_fit(tmp_path):
     skin = modular((0, 1))
     rows = np.column_stack([skin.positions, skin.normals])
     np.savetxt(tmp_path / "foot.txt", rows, fmt="%.6f")
@@ -105,7 +105,7 @@ def test_taxels_without_normal_are_nan_until_a_body_gives_them(tmp_path):
 
 
 def test_a_skin_put_on_a_body_keeps_its_spins():
-    """A skin 2 mm off, its normals 20 degrees askew: upright again, turned by no more."""
+    """Positions 2 mm off and normals 20 degrees off are corrected by shortest rotations."""
     ball = Body.sphere()
     skin = Skin.cover(ball, spacing=5e-3, count=60)
     rng = np.random.default_rng(0)
@@ -116,13 +116,13 @@ def test_a_skin_put_on_a_body_keeps_its_spins():
     spin = np.array([se3.exp_so3(a * n) for a, n in zip(rng.normal(size=60), skin.normals,
                                                         strict=True)])  # fmt: skip
     spun = spin @ skin.poses[:, :3, :3]
-    askew = se3.transform(tilt @ spun, skin.positions + 2e-3 * skin.normals)
-    placed = replace(skin, poses=askew).onto(ball)
+    tilted = se3.transform(tilt @ spun, skin.positions + 2e-3 * skin.normals)
+    placed = replace(skin, poses=tilted).onto(ball)
     np.testing.assert_allclose(placed.positions, skin.positions, atol=1e-7)
     np.testing.assert_allclose(placed.poses[:, :3, :3], spun, atol=1e-5)  # undone by the shortest
 
 
-def test_a_frame_on_its_head_is_given_another():
+def test_a_frame_with_opposite_normal_is_set_anew():
     ball = Body.sphere()
     skin = Skin.cover(ball, spacing=5e-3, count=10)
     inward = skin.poses.copy()
@@ -162,7 +162,7 @@ def test_a_real_skin_with_constant_normals_is_put_on_its_real_link():
     there = skin.moved(se3.inverse(T_link_mesh))
     assert np.median(np.abs(body.closest(there.positions).distance)) < 1e-3
     placed = there.onto(body)
-    stands(placed, body)
+    assert_on_surface(placed, body)
     assert np.median(np.sum(placed.normals * there.normals, axis=1)) < 0.95  # not the file's
 
 
@@ -173,11 +173,11 @@ def test_a_real_skin_without_normals_is_put_on_its_real_link():
     skin = Skin.load(DATA / "icub_skin/positions/left_forearm_nomesh.txt")
     assert np.isnan(skin.normals).all()
     middle = body.mesh.bounds.mean(axis=0) - skin.positions.mean(axis=0)
-    stands(skin.moved(se3.transform(np.eye(3), middle)).onto(body, within=0.1), body)
+    assert_on_surface(skin.moved(se3.transform(np.eye(3), middle)).onto(body, within=0.1), body)
 
 
-def stands(skin, body):
-    """Every taxel on the surface, its frame upright."""
+def assert_on_surface(skin, body):
+    """Every taxel is on the surface, with its normal."""
     rotation = skin.poses[:, :3, :3]
     square = rotation @ np.swapaxes(rotation, 1, 2)
     np.testing.assert_allclose(square, np.broadcast_to(np.eye(3), square.shape), atol=1e-9)
@@ -237,7 +237,7 @@ def test_a_part_of_a_urdf_is_chosen(skin, tmp_path):
 
 
 @pytest.mark.parametrize("pitch", [np.pi / 2, -np.pi / 2, 1.0])
-def test_a_frame_whose_angles_are_not_unique_comes_back(tmp_path, pitch):
+def test_a_frame_at_gimbal_lock_is_read_back(tmp_path, pitch):
     rotation = se3.exp_so3([0, 0, 0.4]) @ se3.exp_so3([0, pitch, 0]) @ se3.exp_so3([0.7, 0, 0])
     one = Skin(se3.transform(rotation[None], [[0.1, 0.2, 0.3]]), np.array([7]))
     one.save(tmp_path / "one.urdf")
@@ -264,13 +264,13 @@ def test_a_frame_whose_angles_are_not_unique_comes_back(tmp_path, pitch):
         ('<robot><joint name="a_skin_1" type="fixed"><origin xyz="1 2"/></joint></robot>', "3 num"),
     ],
 )
-def test_spoiled_files_are_refused(tmp_path, text, match):
+def test_invalid_files_are_refused(tmp_path, text, match):
     (tmp_path / "skin").write_text(text)
     with pytest.raises(SkinError, match=match):
         Skin.load(tmp_path / "skin")
 
 
-def test_spoiled_glb_files_are_refused(skin, tmp_path):
+def test_invalid_glb_files_are_refused(skin, tmp_path):
     path = tmp_path / "skin.glb"
     skin.save(path)
     whole = path.read_bytes()
@@ -328,7 +328,7 @@ def test_the_urdf_of_icub_agrees_with_its_derived_table():
 
 
 @needs_skin
-def test_the_sole_in_three_files_is_one():
+def test_the_sole_is_the_same_in_two_files():
     """Transforms of its triangles and rows of its taxels place the same modules."""
     a = Skin.load(DATA / "icub_skin/cad/l_sole_transforms.txt")
     b = Skin.load(DATA / "icub_skin/cad/left_foot_mesh.txt")
@@ -336,10 +336,10 @@ def test_the_sole_in_three_files_is_one():
     np.testing.assert_allclose(a.positions, b.positions, atol=2e-6)
 
 
-def test_a_torn_ply_file_is_named(tmp_path):
+def test_a_truncated_ply_file_is_refused(tmp_path):
     skin = Skin.cover(Body.sphere(0.1), spacing=6e-3, count=9)
     skin.save(tmp_path / "skin.ply")
     text = (tmp_path / "skin.ply").read_text()
-    (tmp_path / "torn.ply").write_text(text[:-20])
+    (tmp_path / "truncated.ply").write_text(text[:-20])
     with pytest.raises(SkinError, match="the file is truncated"):
-        Skin.load(tmp_path / "torn.ply")
+        Skin.load(tmp_path / "truncated.ply")

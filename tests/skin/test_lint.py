@@ -1,4 +1,4 @@
-"""Defects of skin files: each is found where it was made, and nothing in a sound file."""
+"""Defects of skin files: each is found where it was made, and none in a correct file."""
 
 import numpy as np
 import pytest
@@ -38,19 +38,19 @@ def edit(path, change):
     path.write_text("\n".join(lines[:4] + text) + "\n")
 
 
-def kinds(findings):
-    return [finding.kind for finding in findings]
+def kinds(defects):
+    return [defect.kind for defect in defects]
 
 
-def one(findings, kind):
-    """The finding of a kind, which must be the only one."""
-    assert kinds(findings) == [kind]
-    assert findings[0].remedy
-    return findings[0]
+def one(defects, kind):
+    """The defect of a kind, which must be the only one."""
+    assert kinds(defects) == [kind]
+    assert defects[0].remedy
+    return defects[0]
 
 
 @pytest.mark.parametrize("kind", ["txt", "csv", "urdf", "ply", "glb"])
-def test_sound_skins_are_clean_in_every_format(arm, tmp_path, kind):
+def test_correct_skins_have_no_defects_in_every_format(arm, tmp_path, kind):
     plain = Skin.cover(Body.sphere(), spacing=5e-3, count=80, region=Cap((0, 0, 1)))
     flat = Skin(se3.transform(np.eye(3), plain.positions * [1, 1, 0]), plain.ids)
     for name, skin in {"arm": arm, "plain": plain, "flat": flat}.items():
@@ -59,10 +59,10 @@ def test_sound_skins_are_clean_in_every_format(arm, tmp_path, kind):
         assert lint(skin) == ()
 
 
-def test_a_whole_body_and_a_thin_one_are_clean():
-    assert lint(Skin.cover(Body.torus(0.1, 0.03), spacing=8e-3)) == ()
+def test_skins_of_a_whole_and_of_a_thin_body_have_no_defects():
+    assert lint(Skin.cover(Body.torus(0.1, 0.03), spacing=12e-3)) == ()
     thin = Body.ellipsoid((0.1, 0.1, 0.005))
-    assert lint(Skin.cover(thin, spacing=8e-3)) == ()
+    assert lint(Skin.cover(thin, spacing=12e-3)) == ()
 
 
 def change_one(row, value):
@@ -181,7 +181,7 @@ def test_a_taxel_far_from_all_others(file):
     assert found["isolated"].taxels == found["off module"].taxels == (60,)
 
 
-def test_a_normal_turned_inward(file):
+def test_an_inward_normal(file):
     edit(file, scaled(3, -1.0))
     assert one(lint(file), "flipped").taxels == (3,)
 
@@ -195,7 +195,7 @@ def test_modules_seen_from_the_wrong_side(arm):
     assert one(lint(Skin(poses, arm.ids)), "mirrored").modules == (3,)
 
 
-def test_spoiled_csv_lines_are_findings(arm, tmp_path):
+def test_invalid_csv_lines_are_defects(arm, tmp_path):
     path = tmp_path / "skin.csv"
     arm.save(path)
     lines = path.read_text().splitlines()
@@ -213,7 +213,7 @@ def test_spoiled_csv_lines_are_findings(arm, tmp_path):
     assert found["duplicate ids"].taxels == found["frame"].taxels
 
 
-def test_a_single_taxel_has_nothing_wrong():
+def test_a_single_taxel_has_no_defects():
     assert lint(Skin(np.eye(4)[None], np.array([0]))) == ()
 
 
@@ -261,7 +261,7 @@ def test_the_mirrored_modules_of_the_forearm_are_of_the_half_that_its_layout_mir
 
 
 @needs_skin
-def test_nothing_is_found_in_sound_real_files():
+def test_correct_real_files_have_no_defects():
     assert lint(DATA / "icub_skin/cad/left_foot_mesh.txt") == ()
     assert lint(DATA / "icub_skin/cad/l_sole_transforms.txt") == ()
     assert lint(DATA / "icub_skin/cad/taxeltrans.txt") == ()

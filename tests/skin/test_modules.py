@@ -18,8 +18,8 @@ from ..real_data import DATA, needs_skin
 TRIANGLE = np.sqrt(3.0) / 4.0 * slots.SIDE**2
 
 
-def assert_sound(body, modules, least):
-    """Rigid, near the surface, outward, without overlap, and at least this share covered."""
+def assert_valid(body, modules, least):
+    """Rigid, near the surface, outward, without overlap, and covering this part of the surface."""
     local = se3.inverse(modules.poses)[:, None] @ modules.skin.poses.reshape(-1, 10, 4, 4)
     flat = np.broadcast_to(slots.OFFSETS[list(slots.TAXELS)], local[..., :3, 3].shape)
     np.testing.assert_allclose(local[..., :3, 3], flat, atol=1e-15)
@@ -44,11 +44,11 @@ def assert_sound(body, modules, least):
 )
 def test_modules_cover_a_body_side_by_side(body, least):
     """A plane tiled at 1 mm between two modules is covered by 0.896."""
-    assert_sound(body, Skin.modules(body, seed=4), least)
+    assert_valid(body, Skin.modules(body, seed=4), least)
 
 
-def test_packed_modules_keep_apart():
-    """No two are nearer than what counts as settled, and most are about as far apart as asked."""
+def test_packed_modules_do_not_overlap():
+    """No two are nearer than the clearance, and most have about the requested gap."""
     body, region = Body.sphere(), HalfSpace((0.0, 0.0, 1.0), 0.03)
     first = lattice.first_site(body, region, SPACING, np.random.default_rng(0))
     poses = packing.pack(body, region, first, SPACING)
@@ -63,8 +63,8 @@ def test_packed_modules_keep_apart():
     np.testing.assert_allclose(np.linalg.norm(way, axis=1), 1.0)
 
 
-def test_a_push_parts_two_modules():
-    """Side to side half of what is lacking is left; hit by a corner off its middle, one turns."""
+def test_a_push_separates_two_modules():
+    """Side to side half of the overlap remains; one hit by a corner off its centre rotates."""
     pair, inner = (np.array([0]), np.array([1])), slots.SIDE / np.sqrt(12.0)
     here = np.eye(4)
     beside = se3.transform(se3.exp_so3([0.0, 0.0, np.pi]), [0.0, -2.0 * inner + 1e-3, 0.0])
@@ -91,7 +91,7 @@ def test_a_plane_is_tiled_without_gaps():
     assert np.median(away.min(axis=1)) == pytest.approx(18.3e-3, rel=0.005)
 
 
-def test_modules_in_number_and_region():
+def test_a_number_of_modules_in_a_region():
     body, region = Body.sphere(), HalfSpace((0.0, 0.0, 1.0), 0.0)
     modules = Skin.modules(body, count=12, region=region, seed=1, disc_radius=1.5e-3)
     assert len(modules) == 12
@@ -116,7 +116,7 @@ def test_two_parts_of_a_region_are_both_covered():
     assert 5 < up.sum() < len(up) - 5
 
 
-def test_overlap_is_told_by_separating_sides():
+def test_overlap_by_separating_axes():
     here = np.eye(4)
     inner = slots.SIDE / np.sqrt(12.0)
 
@@ -130,7 +130,7 @@ def test_overlap_is_told_by_separating_sides():
     assert not overlapping(here, behind[None])[0]
 
 
-def test_the_poses_of_modules_come_back_from_their_taxels():
+def test_modules_are_found_from_their_taxels():
     modules = Skin.modules(Body.sphere(), count=5)
     skin = modules.skin
     order = np.random.default_rng(0).permutation(len(skin))
@@ -167,7 +167,7 @@ def test_a_body_too_curved_for_a_rigid_module_is_refused():
 @needs_skin
 @pytest.mark.parametrize("name", ["left_leg_lower", "left_leg_upper", "left_arm", "left_foot"])
 def test_real_modules_have_a_pose_each(name):
-    """Files whose normals are one constant vector: the modules' own positions tell them."""
+    """Files whose normals are one constant vector: poses follow from the positions."""
     skin = Skin.load(DATA / f"icub_skin/positions/{name}.txt")
     modules = Modules.of(skin, most_off=2e-6)
     assert 10 * len(modules) == len(skin)

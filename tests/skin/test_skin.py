@@ -43,7 +43,7 @@ def test_the_papers_skin(ball, seed):
     assert np.linalg.norm(skin.positions[:, :2].mean(axis=0)) < 1e-3
 
 
-def test_frames_stand_on_the_surface_and_are_transported(ball):
+def test_frames_have_the_surface_normals_and_transported_tangents(ball):
     skin = Skin.cover(ball, spacing=5e-3, count=80, region=BOTTOM)
     rotation = skin.poses[:, :3, :3]
     np.testing.assert_allclose(
@@ -60,7 +60,7 @@ def test_frames_stand_on_the_surface_and_are_transported(ball):
     assert np.all(turn < tilt + 0.05)
 
 
-def test_the_seed_turns_and_shifts_the_lattice(ball):
+def test_the_seed_rotates_and_shifts_the_lattice(ball):
     first = Skin.cover(ball, spacing=5e-3, count=80, region=BOTTOM, seed=1)
     again = Skin.cover(ball, spacing=5e-3, count=80, region=BOTTOM, seed=1)
     other = Skin.cover(ball, spacing=5e-3, count=80, region=BOTTOM, seed=2)
@@ -97,7 +97,7 @@ def test_count_alone_takes_the_spacing_from_the_area(ball):
     assert skin.positions[:, 0].min() >= 0.02
 
 
-def test_regions_bound_the_taxels(ball):
+def test_taxels_are_within_their_region(ball):
     cap = Skin.cover(ball, spacing=5e-3, region=Cap((0, 0, 2), np.radians(30)))
     assert np.all(cap.normals[:, 2] >= np.cos(np.radians(30)) - 1e-9)
     disc = Skin.cover(ball, spacing=5e-3, region=Disc((0.1, 0.0, 0.0), 0.03))
@@ -184,7 +184,7 @@ def edited(path, line, change):
         (0, lambda s: "# disc_radius_m=wide", "disc radius"),
     ],
 )
-def test_spoiled_skin_files_are_refused(ball, tmp_path, line, change, match):
+def test_invalid_skin_files_are_refused(ball, tmp_path, line, change, match):
     path = tmp_path / "skin.csv"
     Skin.cover(ball, spacing=5e-3, count=7, region=BOTTOM).save(path)
     edited(path, line, change)
@@ -192,7 +192,7 @@ def test_spoiled_skin_files_are_refused(ball, tmp_path, line, change, match):
         Skin.load(path)
 
 
-def test_files_that_are_no_skin_are_refused(ball, tmp_path):
+def test_files_that_are_not_skins_are_refused(ball, tmp_path):
     (tmp_path / "bytes").write_bytes(b"\xff\xfe\x00\x81")
     (tmp_path / "empty.csv").write_text("")
     for name in ("bytes", "empty.csv", "nowhere.csv"):
