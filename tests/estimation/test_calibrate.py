@@ -1,4 +1,4 @@
-"""The door `calibrate`, and the calibration as a file."""
+"""`calibrate` with every method, and the calibration as a file."""
 
 from dataclasses import replace
 
@@ -7,8 +7,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from meshskin.core.errors import CalibrationError, ContactError, RecordingError, UnknownNameError
-from meshskin.estimation.calibrate import METHODS, UNTOUCHED, calibrate
+from meshskin.core.errors import (
+    CalibrationError,
+    ConfigError,
+    ContactError,
+    RecordingError,
+    UnknownNameError,
+)
+from meshskin.estimation.calibrate import METHODS, UNTOUCHED, Estimation, calibrate
 from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.uncertainty.metrics import position_errors
 
@@ -157,3 +163,41 @@ def test_a_loose_tolerance_stays_within_what_it_says(noisy):
         off.append(np.nanmax(away))
         assert off[-1] < 2 * np.sqrt(2 * tolerance)
     assert off[0] > 100 * off[2]
+
+
+def test_a_tolerance_must_be_positive(noisy):
+    for tolerance in (0.0, -1e-8, np.nan):
+        with pytest.raises(ConfigError, match="tolerance of a calibration"):
+            calibrate(*noisy, tolerance=tolerance)
+
+
+def test_methods_share_what_they_have_in_common(noisy):
+    """Each result of an `Estimation` is that of `calibrate`, in any order."""
+    estimation = Estimation(*noisy)
+    for method in ("posegraph_paper", "joint", "posegraph", "trilateration", "three_circles"):
+        alone = calibrate(*noisy, method=method)
+        together = estimation.calibrate(method)
+        assert np.array_equal(alone.poses, together.poses, equal_nan=True)
+        assert np.array_equal(alone.covariances, together.covariances)
+
+
+def test_parameters_in_natural_units(world, noisy):
+    recording, _ = noisy
+    belief = world.belief(0.01, 0.05, unknown=("modulus", "force_scale", "force_offset"))
+    found = calibrate(recording, belief)
+    modulus, scale, offset = (
+        found.parameter_values[name] for name in ("modulus", "force_scale", "force_offset")
+    )
+    assert modulus == (found.modulus, pytest.approx(found.modulus_sigma), "Pa")
+    value, sigma = found.unknowns["force_scale"]
+    assert scale == (pytest.approx(np.exp(value)), pytest.approx(np.exp(value) * sigma), "")
+    assert offset == (*found.unknowns["force_offset"], "N")
+
+
+def test_what_a_report_cannot_be(world, noisy, tmp_path):
+    found = calibrate(*noisy)
+    with pytest.raises(ConfigError, match=r"a report is an HTML page, got .*r\.pdf"):
+        found.report(tmp_path / "r.pdf")
+    with pytest.raises(ConfigError, match="the truth of a report must be a Skin"):
+        found.report(tmp_path / "r.html", truth=world.body)
+    assert list(tmp_path.iterdir()) == []

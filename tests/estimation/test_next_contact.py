@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import meshskin as ms
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.calibration import Calibration
@@ -85,3 +86,21 @@ def test_what_cannot_be_planned(world, change, tmp_path):
         again.next_contacts(2)
     same = again.next_contacts(2, belief)
     assert np.allclose(same.points, found.next_contacts(2).points)
+
+
+def test_the_contact_model_of_the_command_line(world, tmp_path):
+    """A loaded calibration and contact="auto": the first model that holds at the taxels."""
+    belief = world.belief(0.01, 0.05)
+    calibrate(world.record(0.01, 0.05), belief).save(tmp_path / "c")
+    auto = ms.Belief(
+        body=ms.Body.sphere(0.1), indenter=ms.Indenter.sphere(0.01), material=belief.material,
+        taxel_ids=world.ids, contact="auto", force_reference=3.0,
+        noise_sigma=belief.noise_sigma, threshold=belief.threshold,
+    )  # fmt: skip
+    loaded = Calibration.load(tmp_path / "c")
+    found, named = (
+        loaded.next_contacts(2, replace(auto, contact=name)) for name in ("auto", "hertz")
+    )
+    assert np.allclose(found.points, named.points)
+    with pytest.raises(CalibrationError, match="need a reference force"):
+        loaded.next_contacts(2, replace(auto, force_reference=None))

@@ -7,6 +7,7 @@ import pyarrow as pa
 import pytest
 
 from meshskin.core.errors import CalibrationError
+from meshskin.estimation.data import unit_checks
 from meshskin.estimation.data.measurements import gather
 from meshskin.recording.recording import Recording
 
@@ -36,3 +37,22 @@ def test_headings_must_be_one_for_each_contact(world):
     few = np.broadcast_to(np.eye(3), (len(recording.time) - 1, 3, 3))
     with pytest.raises(CalibrationError, match=rf"one rotation .* got shape \({len(few)}, 3, 3\)"):
         gather(recording, world.belief(unknown=("indenter_offset",), headings=few))
+
+
+@pytest.mark.parametrize("factor", [100.0, 0.01])
+def test_pressures_that_no_plausible_modulus_explains_are_refused(world, factor):
+    """E* may be wrong by a factor of 100, which changes the peak by 100^(2/3); units may not."""
+    recording = world.record()
+    k = recording.readings.column_names.index("pressure")
+    readings = recording.readings.set_column(k, "pressure", pa.array(factor * recording.pressure))
+    with pytest.raises(CalibrationError, match="the pressures cannot be in Pa"):
+        gather(Recording(recording.contacts, readings, {}), world.belief())
+    peaks = np.full(3, 1e4 * factor ** (2 / 3))
+    unit_checks.check_pressure(np.full(3, 1e4), np.zeros(3, dtype=int), peaks)
+
+
+def test_forces_in_another_unit_are_refused_and_weak_ones_are_not(world):
+    unit_checks.check_force(np.full(5, 0.05), 3.0)
+    for factor in (150.0, 1 / 150.0):
+        with pytest.raises(CalibrationError, match="the forces cannot be in N"):
+            unit_checks.check_force(np.full(5, 3.0 * factor), 3.0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pyarrow as pa
 import pytest
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation.calibrate import calibrate
@@ -241,3 +241,42 @@ def test_more_outlying_readings_than_plausible_are_a_misfit(world, monkeypatch):
     assert len(seen) == 2
     assert seen[0] == 1.0
     assert seen[1] > 1.5
+
+
+def test_readings_just_beyond_the_noise_are_outlying(world, clean, change):
+    """A third of a taxel's readings is 6 standard deviations off: seven of 1e9 sound ones are."""
+    recording, belief, _, _ = clean
+    own = np.flatnonzero(recording.reading_taxel == world.ids[18])[::3]
+    pressure = recording.pressure.copy()
+    pressure[own] += 6.0 * belief.noise_sigma
+    found = calibrate(change(recording, pressure=pressure), belief)
+    assert [k for k in range(len(world.ids)) if found.faults[k]] == [18]
+    named = int(found.faults[18].split()[0])
+    assert 0.6 * len(own) < named <= 1.1 * len(own)
+    assert position_errors(found, world.skin)[18] < 4 * found.position_sigma[18]
+
+
+def test_no_more_than_a_third_of_the_readings_is_called_outlying(world, clean, change):
+    """The median breaks down at one half; before, outliers are judged by most residuals' scale."""
+    recording, belief, _, _ = clean
+    rng = np.random.default_rng(7)
+    hit = rng.random(len(recording.pressure)) < 0.45
+    wild = rng.uniform(0.05, 2, len(hit)) * world.peak_reference
+    found = calibrate(change(recording, pressure=np.where(hit, wild, recording.pressure)), belief)
+    named = sum(int(f.split()[0]) for f in found.faults if "outlying" in f)
+    assert named < 0.35 * len(hit)
+    assert found.fit.good is False
+
+
+def test_a_taxel_misfits_beyond_chance_and_by_more_than_the_model():
+    """By the chi-square of 100 readings, two of them used up by its position."""
+    count = 100
+    taxel, one = np.zeros(count, dtype=int), np.ones(count)
+    kind = np.full(count, OBSERVED)
+    readings = Readings(taxel, taxel, one, kind, taxel, one, np.array([0, count]))
+
+    def misfits(square):
+        return len(fault_detection.misfitting_taxels(readings, np.full(count, square**0.5), 1.0))
+
+    rare, common = (chi2.isf(p, count - 2) / count for p in (1e-11, 1e-7))
+    assert (misfits(rare), misfits(common)) == (1, 0)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from meshskin.estimation import chart
 from meshskin.estimation.calibrate import calibrate
@@ -12,6 +13,7 @@ from meshskin.estimation.joint.likelihood import Likelihood, select
 from meshskin.estimation.joint.parametrization import SurfaceParametrization
 from meshskin.estimation.joint.pressure import CENSORED, censored
 from meshskin.estimation.joint.variable_projection import ReducedProblem
+from meshskin.estimation.uncertainty.goodness_of_fit import goodness_of_fit
 
 STEP = 1e-6
 
@@ -84,6 +86,14 @@ def test_leverages_are_the_diagonal_of_the_dense_hat_matrix(sparse, rigid):
     if rigid:  # and each taxel's height over the surface
         height = differences(lambda x: heights(places, x[:-2].reshape(state.z.shape)), x, scale)
         information += height.T @ height / module_parametrization.SURFACE_SIGMA**2
+    covariance = np.linalg.inv(information) * np.outer(scale, scale)
+    blocks, shared = problem.covariances(state, problem.reduce(state))
+    width = problem.width
+    for k, block in enumerate(blocks):
+        dense = covariance[k * width : (k + 1) * width, k * width : (k + 1) * width]
+        size = np.sqrt(np.outer(np.diag(dense), np.diag(dense)))
+        assert np.abs((block - dense) / size).max() < 5e-3
+    assert np.allclose(shared, covariance[-2:, -2:], rtol=1e-4)
     hat = weight * np.einsum("ki,ik->k", slope, np.linalg.solve(information, slope.T))
     own = problem.leverages(state, problem.reduce(state))
     assert silent.any()
@@ -97,10 +107,19 @@ def heights(places, z):
     return places.height + np.einsum("ni,ni->n", places.normals, x - places.points())
 
 
-@pytest.mark.slow
-def test_the_statistic_has_the_mean_of_one_at_few_readings_a_taxel(sparse):
+@pytest.mark.parametrize("seeds", [8, pytest.param(300, marks=pytest.mark.slow)])
+def test_the_statistic_has_the_mean_of_one_at_few_readings_a_taxel(sparse, seeds):
+    """Seven readings and two unknowns: without leverages the mean would be 5 / 7."""
     belief = sparse.belief(0.01, 0.05)
-    fits = [calibrate(sparse.record(0.01, 0.05, seed), belief).fit for seed in range(300)]
-    chi2, freedom = np.sum([(fit.chi2, fit.freedom) for fit in fits], axis=0)
-    assert abs(chi2 / freedom - 1) < 3 * np.sqrt(2 / freedom)
+    fits = [calibrate(sparse.record(0.01, 0.05, seed), belief).fit for seed in range(seeds)]
+    square, freedom = np.sum([(fit.chi2, fit.freedom) for fit in fits], axis=0)
+    assert abs(square / freedom - 1) < 3 * np.sqrt(2 / freedom)
     assert sum("overstated" in fit.words for fit in fits) <= 2
+
+
+def test_the_model_is_rejected_once_in_a_thousand():
+    for level, good in ((1e-2, True), (2e-3, True), (5e-4, False), (1e-8, False)):
+        assert goodness_of_fit(chi2.isf(level, 500), 500, noise_known=True).good is good
+    assert "overstated" in goodness_of_fit(chi2.ppf(5e-4, 500), 500, noise_known=True).words
+    assert goodness_of_fit(1e3, 500, noise_known=False).good is None
+    assert goodness_of_fit(0.0, 0.0, noise_known=True).words == "not tested: too few readings"

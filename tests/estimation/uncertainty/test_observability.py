@@ -100,3 +100,13 @@ def test_nees_band_holds_the_mean():
     low, high = nees_band(50)
     means = np.random.default_rng(1).chisquare(2, size=(20_000, 50)).mean(axis=1)
     assert np.mean((means > low) & (means < high)) == pytest.approx(0.95, abs=0.01)
+
+
+def test_the_covariance_along_the_normal_holds_and_is_the_smallest(world):
+    """The believed surface is the true one: only rounding separates taxels from it."""
+    found = calibrate(world.record(0.01, 0.05), world.belief(0.01, 0.05))
+    error = world.truth - found.positions
+    height = np.einsum("ni,ni->n", error, found.poses[:, :3, 2])
+    sigma = np.sqrt(np.diagonal(found.covariances, axis1=1, axis2=2))
+    assert (np.abs(height) < 4 * sigma[:, 2]).all()
+    assert (sigma[:, 2] < 0.5 * sigma[:, :2].min(axis=1)).all()
