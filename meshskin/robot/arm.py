@@ -26,7 +26,7 @@ from ..core.errors import ArmError
 from ..core.se3 import Array, inverse
 from . import inverse_kinematics as ik
 from .dynamics import Dynamics
-from .urdf import Joint, chain, check_tree, numbers, parse, reflected_inertias, resolve_mimic
+from .urdf import Joint, UrdfTree, numbers
 
 MOVING = ("revolute", "continuous", "prismatic")
 
@@ -114,9 +114,8 @@ class Arm:
     @classmethod
     def from_text(cls, urdf: str, tip: str = "tool0", where: str = "") -> Arm:
         """The arm described by URDF text, as `from_urdf`; `where` is appended to error messages."""
-        robot = parse(urdf, where)
-        check_tree(robot, where)
-        every = [j for j in chain(robot, tip, where) if j.kind != "fixed"]
+        robot = UrdfTree(urdf, where)
+        every = [j for j in robot.chain(tip) if j.kind != "fixed"]
         for j in every:
             if j.kind not in MOVING:
                 raise ArmError(f"joint {j.name!r}{where} is {j.kind}", limit=" or ".join(MOVING))
@@ -125,10 +124,10 @@ class Arm:
         moving = [j for j in every if j.mimic is None]
         if not moving:
             raise ArmError(f"no moving joint leads to the link {tip!r}{where}", remedy="set tip=")
-        inertia = reflected_inertias(robot, where)
+        inertia = robot.reflected_inertias()
         ranges = {j.name: _range(j) for j in moving}
         for j in every:  # the range of a mimic joint limits the joint that drives it
-            driver = resolve_mimic(j, robot, where)
+            driver = robot.resolve_mimic(j)
             if driver.joint in ranges and driver.multiplier:
                 ends = sorted((end - driver.offset) / driver.multiplier for end in _range(j))
                 low, high = ranges[driver.joint]
@@ -138,7 +137,7 @@ class Arm:
             return np.array([j.limits.get(key, math.inf) for j in moving])
 
         return cls(
-            name=robot.get("name", "arm"),
+            name=robot.root.get("name", "arm"),
             joint_names=tuple(ranges),
             lower=np.array([low for low, _ in ranges.values()]),
             upper=np.array([high for _, high in ranges.values()]),
@@ -223,7 +222,7 @@ class Arm:
             )
         pose, moved = ca.SX(ca.sparsify(ca.DM(self.base))), []
         driven = {d.joint.name: d for d in self.driven}
-        for joint in chain(parse(self.urdf, ""), self.tip, ""):
+        for joint in self.chain:
             by = driven.get(joint.name)
             pose = pose @ joint.motion(by.position(q) if by else 0.0)
             if by:  # the joint's own motion leaves its axis unchanged
@@ -240,13 +239,22 @@ class Arm:
     @cached_property
     def driven(self) -> tuple[DrivenJoint, ...]:
         """Every moving joint of the chain, mimic joints included, in order."""
-        robot, found = parse(self.urdf, ""), []
-        index = {name: k for k, name in enumerate(self.joint_names)}
-        for joint in chain(robot, self.tip, ""):
+        index, found = {name: k for k, name in enumerate(self.joint_names)}, []
+        for joint in self.chain:
             if joint.kind != "fixed":
-                by = resolve_mimic(joint, robot, "")
+                by = self.tree.resolve_mimic(joint)
                 found.append(DrivenJoint(joint, index.get(by.joint), by.multiplier, by.offset))
         return tuple(found)
+
+    @cached_property
+    def tree(self) -> UrdfTree:
+        """The links and joints of the URDF text."""
+        return UrdfTree(self.urdf)
+
+    @cached_property
+    def chain(self) -> tuple[Joint, ...]:
+        """The joints from the root link to the tip, fixed joints included, in order."""
+        return tuple(self.tree.chain(self.tip))
 
     def pose(self, q: ArrayLike) -> Array:
         """T_w_tip (..., 4, 4) at joint angles (..., n). Raises ArmError for a wrong shape."""

@@ -34,7 +34,6 @@ from ..geometry.body import Body
 from . import link_shapes
 from .arm import Arm
 from .capsules import box_distance, covering_spheres, segment_distance, sphere_samples
-from .urdf import chain, parse
 
 LINK_RADIUS = 0.03
 """Radius of a link without a shape, m. Chosen: slimmer than the links of the arms in the tests, so
@@ -170,13 +169,11 @@ def arm_capsules(arm: Arm) -> ArmCapsules:
 
     Raises ArmError for a bad shape.
     """
-    robot = parse(arm.urdf, "")
-    elements = {e.get("name", ""): e for e in robot.findall("link")}
     q = ca.SX.sym("q", len(arm.joint_names))
     driven = {by.joint.name: by for by in arm.driven}
     pose, ends, names, radii, notes = ca.SX(ca.sparsify(ca.DM(arm.base))), [], [], [], []
-    for joint in chain(robot, arm.tip, ""):
-        found, missing = link_shapes.link_capsules(elements[joint.parent], arm.folders)
+    for joint in arm.chain:
+        found, missing = link_shapes.link_capsules(arm.tree.links[joint.parent], arm.folders)
         if (missing or not found) and np.linalg.norm(joint.xyz) > 1e-6:
             found = [*found, link_shapes.Capsule(np.zeros(3), joint.xyz, LINK_RADIUS)]
         notes += [f"link {joint.parent}: {reason}" for reason in missing]
@@ -233,7 +230,7 @@ def allowed_collisions(arm: Arm, body: Body, mount: Array) -> AllowedCollisions:
 def _fixed_to_tip(arm: Arm) -> list[str]:
     """The links that are fixed to the tip, itself included."""
     links = [arm.tip]
-    for joint in reversed(chain(parse(arm.urdf, ""), arm.tip, "")):
+    for joint in reversed(arm.chain):
         if joint.kind != "fixed":
             break
         links.append(joint.parent)

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..core.config import STANDARD_GRAVITY
 from ..core.errors import ArmError
-from .urdf import massless_links, parse, reduced_urdf, rotation
+from .urdf import rotation
 
 if TYPE_CHECKING:
     from .arm import Arm
@@ -31,7 +31,7 @@ class Dynamics:
     def __init__(self, arm: Arm) -> None:
         names = [by.joint.name for by in arm.driven]
         _check_masses(arm)
-        self._arm, self._adam = arm, _adam(reduced_urdf(arm.urdf, arm.name, names), names)
+        self._arm, self._adam = arm, _adam(arm.tree.reduced(arm.name, names), names)
         gather = np.zeros((len(names), len(arm.joint_names)))
         for row, by in enumerate(arm.driven):
             if by.column is not None:
@@ -68,10 +68,10 @@ class Dynamics:
 
 def _check_masses(arm: Arm) -> None:
     """Raise ArmError if the last joint moves no mass, which makes the mass matrix singular."""
-    robot, names = parse(arm.urdf, ""), [by.joint.name for by in arm.driven]
+    names = [by.joint.name for by in arm.driven]
     last = arm.driven[-1]
     motor = last.column is not None and arm.reflected_inertia[last.column] > 0.0
-    links = massless_links(robot, last.joint, names)
+    links = arm.tree.massless_links(last.joint, names)
     if links and not motor:
         raise ArmError(
             f"nothing that joint {last.joint.name!r} of {arm.name} moves has a mass",

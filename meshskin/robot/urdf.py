@@ -7,6 +7,7 @@ elements; all checks here would remain.
 
 from __future__ import annotations
 
+import copy
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
@@ -74,45 +75,119 @@ def rotation(rpy: ArrayLike) -> Array:
     return np.where(np.abs(r - np.round(r)) < 1e-15, np.round(r), r)
 
 
-def parse(urdf: str, where: str) -> ET.Element:
-    """Root element of URDF text. `where` is appended to error messages, as in all functions here.
+class UrdfTree:
+    """The links, joints and motors of URDF text, checked.
 
-    Raises ArmError.
+    `where` is appended to error messages. Raises ArmError unless the links form one tree and every
+    inertial is complete.
     """
-    try:
-        robot = ET.fromstring(urdf)
-    except ET.ParseError as error:
-        raise ArmError(f"bad XML{where}: {error}") from error
-    if robot.tag != "robot":
-        raise ArmError(f"not a URDF{where}: the root element is <{robot.tag}>", limit="<robot>")
-    return robot
 
-
-def _links(robot: ET.Element) -> list[str]:
-    """Names of all links."""
-    return [link.get("name", "") for link in robot.findall("link")]
-
-
-def check_tree(robot: ET.Element, where: str) -> None:
-    """Raise ArmError unless the links form one tree and every inertial is complete."""
-    links, joints = _links(robot), _joints(robot, where)
-    for j in joints:
-        for link in {j.parent, j.child} - set(links):
+    def __init__(self, urdf: str, where: str = "") -> None:
+        self.where = where
+        try:
+            self.root = ET.fromstring(urdf)
+        except ET.ParseError as error:
+            raise ArmError(f"bad XML{where}: {error}") from error
+        if self.root.tag != "robot":
             raise ArmError(
-                f"joint {j.name!r}{where} names a link that is missing", value=repr(link)
+                f"not a URDF{where}: the root element is <{self.root.tag}>", limit="<robot>"
             )
-    children = [j.child for j in joints]
-    roots = [link for link in links if link not in children]
-    if len(roots) != 1 or len(set(children)) != len(children):
-        raise ArmError(
-            f"the links{where} do not form a tree", value=f"roots {roots}", limit="one root"
+        self.links = {e.get("name", ""): e for e in self.root.findall("link")}
+        self.joints = [_joint(element, where) for element in self.root.findall("joint")]
+        for j in self.joints:
+            for link in {j.parent, j.child} - set(self.links):
+                raise ArmError(
+                    f"joint {j.name!r}{where} names a link that is missing", value=repr(link)
+                )
+        children = [j.child for j in self.joints]
+        roots = [link for link in self.links if link not in children]
+        twice = len(self.links) < len(self.root.findall("link")) or len(set(children)) < len(
+            children
         )
-    for element in robot.findall("link"):
-        if (inertial := element.find("inertial")) is not None:
-            here = f" of link {element.get('name')!r}{where}"
-            vector(inertial.find("mass"), "value", "", 1, here)
-            for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"):
-                vector(inertial.find("inertia"), key, "", 1, here)
+        if len(roots) != 1 or twice:
+            raise ArmError(
+                f"the links{where} do not form a tree", value=f"roots {roots}", limit="one root"
+            )
+        for name, element in self.links.items():
+            if (inertial := element.find("inertial")) is not None:
+                here = f" of link {name!r}{where}"
+                vector(inertial.find("mass"), "value", "", 1, here)
+                for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"):
+                    vector(inertial.find("inertia"), key, "", 1, here)
+
+    def chain(self, tip: str) -> list[Joint]:
+        """The joints from the root link to `tip`, in order. Raises ArmError, UnknownNameError."""
+        if tip not in self.links:
+            raise UnknownNameError("link", tip, self.links, self.where)
+        above = {j.child: j for j in self.joints}
+        found: list[Joint] = []
+        while tip in above:
+            found.insert(0, above[tip])
+            tip = above[tip].parent
+            if len(found) > len(self.joints):
+                raise ArmError(f"the links form a loop{self.where}")
+        return found
+
+    def resolve_mimic(self, joint: Joint) -> Mimic:
+        """The joint that `joint` follows through all mimics; itself if it mimics none.
+
+        Raises ArmError.
+        """
+        joints = {j.name: j for j in self.joints}
+        name, multiplier, offset = joint.name, 1.0, 0.0
+        for _ in joints:
+            mimic = joints[name].mimic
+            if mimic is None:
+                return Mimic(name, multiplier, offset)
+            if mimic.joint not in joints:
+                raise ArmError(
+                    f"joint {name!r}{self.where} mimics a joint that is missing", value=mimic.joint
+                )
+            name, offset = mimic.joint, offset + multiplier * mimic.offset
+            multiplier *= mimic.multiplier
+        raise ArmError(f"joint {joint.name!r}{self.where} mimics itself")
+
+    def reflected_inertias(self) -> dict[str, float]:
+        """Reflected inertia, kg m^2, of each joint that has a motor."""
+        motors: dict[str, float] = {}
+        for transmission in self.root.findall("transmission"):
+            joint = transmission.find("joint")
+            if joint is None:
+                continue
+            name = joint.get("name", "")
+            found = {e.tag.rpartition("}")[2]: e for e in transmission.iter()}
+            here = f" of the motor of {name!r}{self.where}"
+            rotor = vector(found.get("rotor_inertia"), "value", "0", 1, here)[0]
+            gear = vector(found.get("gear_ratio"), "value", "1", 1, here)[0]
+            motors[name] = float(rotor * gear**2)
+        return motors
+
+    def massless_links(self, joint: Joint, moving: Iterable[str]) -> list[str]:
+        """The links that `joint` moves, up to the next `moving` joints, if none has a mass."""
+        free, moved = set(moving), [joint.child]
+        for name in moved:  # grows as it goes
+            moved += [j.child for j in self.joints if j.parent == name and j.name not in free]
+        masses = (vector(self.links[k].find("inertial/mass"), "value", "0", 1, "") for k in moved)
+        return [] if any(mass[0] > 0.0 for mass in masses) else moved
+
+    def reduced(self, name: str, moving: Iterable[str]) -> str:
+        """URDF text of links, inertials and joints only; joints not in `moving` become fixed."""
+        robot, free = ET.Element("robot", name=name), set(moving)
+        for link_name, link in self.links.items():
+            kept = ET.SubElement(robot, "link", name=link_name)
+            if (inertial := copy.deepcopy(link.find("inertial"))) is not None:
+                if inertial.find("origin") is None:
+                    ET.SubElement(inertial, "origin", xyz="0 0 0", rpy="0 0 0")
+                kept.append(inertial)
+        for j in self.joints:
+            kind = j.kind if j.name in free else "fixed"
+            joint = ET.SubElement(robot, "joint", name=j.name, type=kind)
+            ET.SubElement(joint, "parent", link=j.parent)
+            ET.SubElement(joint, "child", link=j.child)
+            ET.SubElement(joint, "origin", xyz=numbers(j.xyz), rpy=numbers(j.rpy))
+            ET.SubElement(joint, "axis", xyz=numbers(j.axis))
+            ET.SubElement(joint, "limit", lower="0", upper="0", effort="0", velocity="0")
+        return ET.tostring(robot, encoding="unicode")
 
 
 def vector(element: ET.Element | None, key: str, default: str, size: int, where: str) -> Array:
@@ -130,11 +205,6 @@ def vector(element: ET.Element | None, key: str, default: str, size: int, where:
 def numbers(values: ArrayLike) -> str:
     """Numbers as the text of an attribute, exact to the last bit."""
     return " ".join(repr(float(v)) for v in np.asarray(values))
-
-
-def _joints(robot: ET.Element, where: str) -> list[Joint]:
-    """All joints of the file."""
-    return [_joint(element, where) for element in robot.findall("joint")]
 
 
 def _joint(element: ET.Element, where: str) -> Joint:
@@ -178,88 +248,3 @@ def _mimic(element: ET.Element | None, where: str) -> Mimic | None:
     multiplier = vector(element, "multiplier", "1", 1, where)[0]
     offset = vector(element, "offset", "0", 1, where)[0]
     return Mimic(element.get("joint", ""), float(multiplier), float(offset))
-
-
-def resolve_mimic(joint: Joint, robot: ET.Element, where: str) -> Mimic:
-    """The joint that `joint` follows through all mimics; itself if it mimics none.
-
-    Raises ArmError.
-    """
-    joints = {j.name: j for j in _joints(robot, where)}
-    name, multiplier, offset = joint.name, 1.0, 0.0
-    for _ in joints:
-        mimic = joints[name].mimic
-        if mimic is None:
-            return Mimic(name, multiplier, offset)
-        if mimic.joint not in joints:
-            raise ArmError(
-                f"joint {name!r}{where} mimics a joint that is missing", value=mimic.joint
-            )
-        name, offset = mimic.joint, offset + multiplier * mimic.offset
-        multiplier *= mimic.multiplier
-    raise ArmError(f"joint {joint.name!r}{where} mimics itself")
-
-
-def chain(robot: ET.Element, tip: str, where: str) -> list[Joint]:
-    """The joints from the root link to `tip`, in order. Raises ArmError, UnknownNameError."""
-    joints, links = _joints(robot, where), _links(robot)
-    if tip not in links:
-        raise UnknownNameError("link", tip, links, where)
-    above = {j.child: j for j in joints}
-    found: list[Joint] = []
-    while tip in above:
-        found.insert(0, above[tip])
-        tip = above[tip].parent
-        if len(found) > len(joints):
-            raise ArmError(f"the links form a loop{where}")
-    return found
-
-
-def reflected_inertias(robot: ET.Element, where: str) -> dict[str, float]:
-    """Reflected inertia, kg m^2, of each joint that has a motor."""
-    motors: dict[str, float] = {}
-    for transmission in robot.findall("transmission"):
-        joint = transmission.find("joint")
-        if joint is None:
-            continue
-        name = joint.get("name", "")
-        found = {e.tag.rpartition("}")[2]: e for e in transmission.iter()}
-        here = f" of the motor of {name!r}{where}"
-        rotor = vector(found.get("rotor_inertia"), "value", "0", 1, here)[0]
-        gear = vector(found.get("gear_ratio"), "value", "1", 1, here)[0]
-        motors[name] = float(rotor * gear**2)
-    return motors
-
-
-def massless_links(robot: ET.Element, joint: Joint, moving: Iterable[str]) -> list[str]:
-    """The links that `joint` moves, up to the next of the `moving` joints, if none has a mass."""
-    joints, free = _joints(robot, ""), set(moving)
-    mass = {
-        link.get("name", ""): float(vector(link.find("inertial/mass"), "value", "0", 1, "")[0])
-        for link in robot.findall("link")
-    }
-    moved = [joint.child]
-    for name in moved:  # grows as it goes
-        moved += [j.child for j in joints if j.parent == name and j.name not in free]
-    return [] if any(mass[name] > 0.0 for name in moved) else moved
-
-
-def reduced_urdf(urdf: str, name: str, moving: Iterable[str]) -> str:
-    """URDF text of links, inertials and joints only; joints not in `moving` become fixed."""
-    source, free = parse(urdf, ""), set(moving)
-    robot = ET.Element("robot", name=name)
-    for link in source.findall("link"):
-        kept = ET.SubElement(robot, "link", name=link.get("name", ""))
-        if (inertial := link.find("inertial")) is not None:
-            if inertial.find("origin") is None:
-                ET.SubElement(inertial, "origin", xyz="0 0 0", rpy="0 0 0")
-            kept.append(inertial)
-    for j in _joints(source, ""):
-        kind = j.kind if j.name in free else "fixed"
-        joint = ET.SubElement(robot, "joint", name=j.name, type=kind)
-        ET.SubElement(joint, "parent", link=j.parent)
-        ET.SubElement(joint, "child", link=j.child)
-        ET.SubElement(joint, "origin", xyz=numbers(j.xyz), rpy=numbers(j.rpy))
-        ET.SubElement(joint, "axis", xyz=numbers(j.axis))
-        ET.SubElement(joint, "limit", lower="0", upper="0", effort="0", velocity="0")
-    return ET.tostring(robot, encoding="unicode")

@@ -16,7 +16,6 @@ from meshskin.core.se3 import exp_so3, transform
 from meshskin.robot.arm import Arm
 from meshskin.robot.collision import arm_capsules
 from meshskin.robot.dynamics import GRAVITY
-from meshskin.robot.urdf import chain
 
 PUMA = Path(__file__).parents[2] / "bodies" / "puma560.urdf"
 COLUMN = np.array([0.0, 0.0, 0.672])  # from the floor to the shoulder, m
@@ -102,7 +101,7 @@ def test_an_arm_on_a_wall_agrees_with_pinocchio(puma):
         transform(Rotation.from_euler("xyz", rpy).as_matrix(), xyz)
     )
     robot = ET.fromstring(arm.urdf)
-    root = chain(robot, arm.tip, "")[0].parent
+    root = arm.chain[0].parent
     ET.SubElement(robot, "link", name="ground")
     joint = ET.SubElement(robot, "joint", name="stand", type="fixed")
     ET.SubElement(joint, "origin", xyz="0.3 -0.2 1.1", rpy="0.4 1.2 -0.7")
