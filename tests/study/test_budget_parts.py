@@ -58,7 +58,7 @@ def solved(small, rehearsal):
 
 def moved(solved, recording):
     belief, plain, solution = solved
-    return solution.step(recording, belief).move - solution.step(plain, belief).move
+    return solution.step(recording, belief)[0] - solution.step(plain, belief)[0]
 
 
 def test_a_displaced_body_moves_the_taxels_as_its_feet_move(small, rehearsal, solved):

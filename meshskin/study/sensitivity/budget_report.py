@@ -1,4 +1,4 @@
-"""The ledger: what a budget decided, what it rests on, and how the check came out."""
+"""The report of a budget: its decisions with their reasons, the estimate and the check."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ class Entry:
 
     name: str
     setting: str
-    """"on" or "off"; of a knob its setting."""
+    """"on" or "off"; the level of a knob."""
     on: bool
-    """Whether the chosen scene has it; a knob is on where it is not at its coarsest setting."""
+    """Whether the chosen scene has it; knobs are always on."""
     shift: float
-    """How far the taxels move for leaving it out, m: mean over taxels and seeds. Of what was not
-    tried its bound; of a knob: of its setting against its finest."""
+    """Shift of the taxels without it, m, mean over taxels and seeds. Its bound if it was not tried;
+    for a knob, the shift of its level against the finest level."""
     seconds: float
-    """What it costs in the whole run."""
+    """Seconds that it costs in the whole run."""
     why: str
+    """Reason of the decision."""
 
     def row(self) -> tuple[str, str, str, str, str]:
-        """In words: name, setting, mm, seconds, why."""
+        """Name, setting, mm, seconds and reason as text."""
         return (
             self.name.replace("_", " "), self.setting, f"{1e3 * self.shift:.4f}",
             f"{round(self.seconds, 3) + 0.0:.3f}", self.why,
@@ -38,43 +39,43 @@ class Entry:
 
 @dataclass(frozen=True)
 class Check:
-    """Everything on against the scene that was chosen, over contacts and seeds kept aside."""
+    """Comparison of everything on with the chosen scene, over contacts and seeds kept aside."""
 
     shift: float
-    """How far the calibrated taxels move, m, mean: the true error of what was left out."""
+    """Mean shift of the calibrated taxels, m: the true error of what was left out."""
     taxels: int
-    """How many taxels were compared."""
+    """Number of taxels compared."""
     lost: int
-    """How many were found with everything on only."""
+    """Number of taxels located with everything on only."""
     seconds: tuple[float, float]
-    """Processor seconds of simulation and calibration, everything on, and as chosen."""
+    """Processor seconds of simulation and calibration with everything on, and as chosen."""
 
     @property
     def faster(self) -> float:
-        """How many times faster the chosen scene ran."""
+        """Ratio of the seconds with everything on to those of the chosen scene."""
         return self.seconds[0] / max(self.seconds[1], 1e-9)
 
 
 @dataclass(frozen=True)
 class BudgetReport:
-    """What `budget` decided."""
+    """The result of `budget`."""
 
     budget: float
-    """The taxel error, m, that may be left out."""
+    """Taxel error, m, that may be left out."""
     entries: tuple[Entry, ...]
-    """Effects and knobs, those that matter most first."""
+    """Effects by decreasing shift, knobs, and effects that were refused."""
     estimate: float
-    """How far all that is off moves the taxels together, m, by the linearised calibration."""
+    """Shift of the taxels by all that is off together, m, by the linearised calibration."""
     check: Check
-    """How that compares with the truth."""
+    """Comparison of the estimate with the truth."""
     scene: Scene = field(repr=False)
     """The chosen scene."""
     everything: Scene = field(repr=False)
     """The scene with everything on, at the finest settings."""
     belief: Belief = field(repr=False)
-    """What the owner knows, whatever is on."""
+    """Belief of the owner, whatever is on."""
     tolerance: float
-    """Newton decrement at which the calibration may rest (`calibrate`'s tolerance)."""
+    """Newton decrement at which the calibration may stop (`calibrate`'s tolerance)."""
 
     @property
     def fits(self) -> bool:
@@ -83,7 +84,7 @@ class BudgetReport:
 
     @property
     def seconds(self) -> float:
-        """What is on costs in the whole run, by the entries."""
+        """Seconds of all that is on in the whole run, by the entries."""
         return sum(entry.seconds for entry in self.entries if entry.on)
 
     def summary(self) -> tuple[str, ...]:
@@ -103,7 +104,7 @@ class BudgetReport:
         )
 
     def metrics(self) -> dict[str, Any]:
-        """The ledger for metrics.json."""
+        """The values for metrics.json."""
         return {
             "budget_mm": 1e3 * self.budget,
             "estimate_mm": 1e3 * self.estimate,
@@ -114,11 +115,11 @@ class BudgetReport:
         }
 
     def table(self) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
-        """Header and rows, in words."""
+        """Header and rows as text."""
         return HEADER, tuple(entry.row() for entry in self.entries)
 
     def __str__(self) -> str:
-        """The table, with the summary below."""
+        """The table with the summary below it."""
         header, entries = self.table()
         rows = [header, *entries]
         width = [max(len(row[k]) for row in rows) for k in range(4)]

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from ...scene.scene import Scene
 
 FINER = 4
-"""Refinement of mesh and time step by which discretisation errors become small against those of
-the scene's own: 4 times in first order of the step, 16 times in second order of the faces."""
+"""Refinement of mesh and time step at which discretisation errors are small against those of the
+scene's own: both converge at least in first order."""
 FACES = (1 / 16, 1 / 4, 1, FINER)
 """Numbers of faces of a primitive, relative to the scene's: one subdivision each."""
 FEWEST_FACES = 80
@@ -34,13 +34,13 @@ LONGEST_STEP = 0.01
 INTEGRATORS = ("semi_implicit", "linearly_implicit", "rk4")
 """Integrators of a fixed step that an arm's loop has."""
 LANES = (0.5, 0.7, 1.0, 1.4, 2.0)
-"""Spacings of the lanes relative to the scene's: half the contacts per level."""
+"""Spacings of the lanes relative to the scene's, which change the contacts by 1.4 per level."""
 RATES = (0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
 """Frame rates relative to the scene's that divide the usual 10 steps a frame."""
 TOLERANCES = (1.0, 1e-2, NEWTON_TOLERANCE)
-"""Newton decrements at which the estimate may stop: a unit of the decrement is one standard
-deviation of the estimate. `cost` shows the two decades between, TOLERANCES_SHOWN."""
-TOLERANCES_SHOWN = (1e-1, 1e-3, NEWTON_TOLERANCE)
+"""Newton decrements at which a budget or a request may stop the estimate."""
+COST_TOLERANCES = (1e-1, 1e-3, NEWTON_TOLERANCE)
+"""Newton decrements that `cost` measures."""
 SECONDS = {
     "face": 21e-6, "step": 13e-6, "hertz": 1e-7, "elliptic": 1.5e-6, "layered": 2.0e-6,
     "reading": 3e-6,
@@ -187,7 +187,7 @@ def single_changes(base: Setting, scene: Scene) -> Iterator[tuple[str, Setting]]
         yield "rate", replace(base, rate=base.rate * factor)
     for method in METHODS:
         yield "method", replace(base, method=method)
-    for tolerance in TOLERANCES_SHOWN:
+    for tolerance in COST_TOLERANCES:
         yield "tolerance", replace(base, tolerance=tolerance)
 
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 SAVED = 0.8
 """A level with a larger error must take less than this part of the seconds of the scene's own
-level: repeated timings of a level differ by up to 20 %."""
+level, because timings scatter."""
 FINE = 0.1
 """Finer faces are tried if the scene's own surface takes more than this part of the accuracy asked
 for. Coarser ones would save nothing, because they would have to be fitted besides."""

@@ -1,11 +1,11 @@
-"""The calibration linearised: how far one Gauss-Newton step moves the taxels.
+"""The linearised calibration: the shift of the taxels by one Gauss-Newton step.
 
-At a solution the gradient of the likelihood is zero. Readings (or contacts) that differ give it
-another gradient g there, and
+At a solution the gradient of the negative log likelihood is zero. For other readings (or contacts)
+it is g there, and the estimate moves, to first order in their difference, by
 
     shift = -H^-1 g,   H = J^T W J,
 
-over all taxels and what they share, is where the estimate goes, to first order in the difference.
+over all taxels and the unknowns that they share.
 """
 
 from __future__ import annotations
@@ -28,57 +28,49 @@ if TYPE_CHECKING:
     from ...scene.scene import Scene
 
 
-FAR = 5e-3
-"""m; a taxel that solves further from where it is has not been told by its readings."""
-STEPS = 12
+MAX_DISTANCE = 5e-3
+"""Distance, m, from its start beyond which a taxel counts as not determined: about the range in
+which it responds to a contact."""
+MAX_STEPS = 12
 """Most Gauss-Newton steps to a solution."""
-AT_REST = 1e-7
-"""Step, m, of the taxels at which a solution is found."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """A Gauss-Newton step of n taxels and what they share."""
-
-    move: Array
-    """(n, 3), m; NaN for a taxel that is not determined."""
-    shared: Array
-    """(ks,)."""
+STEP_TOLERANCE = 1e-7
+"""Step, m, of the taxels below which a solution is found: far below any budget."""
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Where the calibration is linearised: n taxels and what they share."""
+    """The point at which the calibration is linearised: n taxels and ks shared unknowns."""
 
     points: Array
-    """(n, 3), body frame, m; NaN for a taxel that is not determined."""
+    """Positions (n, 3), body frame, m; NaN for a taxel that is not determined."""
     shared: Array
-    """The shared unknowns (ks,), in the order of the belief's."""
+    """Shared unknowns (ks,), in the order of the belief's."""
 
     @classmethod
     def true(cls, scene: Scene) -> Solution:
-        """Where the calibration of a scene without effects ends, but for rounding."""
+        """The true positions: the solution for a scene without effects."""
         return cls(np.asarray(scene.skin.positions), np.zeros(1))
 
     def solved(self, recording: Recording, belief: Belief) -> Solution:
-        """The solution for a recording, by steps from this one; no reading is doubted.
+        """The solution for a recording, by steps from this one, without outlier rejection.
 
-        A taxel that moves by more than it reaches is none that the readings determine.
+        A taxel that moves by more than MAX_DISTANCE is not determined.
         """
         found = self
-        for _ in range(STEPS):
-            step = found.step(recording, belief)
-            found = Solution(found.points + step.move, found.shared + step.shared)
-            away = np.linalg.norm(found.points - self.points, axis=1) > FAR
+        for _ in range(MAX_STEPS):
+            move, shared = found.step(recording, belief)
+            found = Solution(found.points + move, found.shared + shared)
+            away = np.linalg.norm(found.points - self.points, axis=1) > MAX_DISTANCE
             found.points[away] = np.nan
-            if not np.nanmax(np.abs(step.move), initial=0.0) > AT_REST:
+            if not np.nanmax(np.abs(move), initial=0.0) > STEP_TOLERANCE:
                 break
         return found
 
-    def step(self, recording: Recording, belief: Belief) -> Step:
-        """The Gauss-Newton step on a recording.
+    def step(self, recording: Recording, belief: Belief) -> tuple[Array, Array]:
+        """The Gauss-Newton step for a recording: moves (n, 3), m, and shared unknowns (ks,).
 
-        The belief declares no unknowns of single taxels and no rigid modules. Raises as `gather`.
+        A taxel that is not determined moves by NaN. The belief must declare no unknowns of single
+        taxels and no rigid modules. Raises as `gather`.
         """
         data = gather(recording, belief)
         live = np.flatnonzero(np.isfinite(self.points[:, 0]) & (data.counts > 0))
@@ -95,7 +87,7 @@ class Solution:
         local = places.limit_step(np.asarray(local, dtype=float))
         move = np.full_like(self.points, np.nan)
         move[live] = np.einsum("nij,nj->ni", charts.tangents, local)
-        return Step(move, shared)
+        return move, shared
 
 
 def determined_taxels(recording: Recording, belief: Belief) -> np.ndarray:

@@ -1,8 +1,8 @@
-"""A rehearsal: a short piece of a scene's exploration, run once and read as often as needed.
+"""A replay: a part of a scene's exploration that is simulated once and read with any effects.
 
 Effects act on the contacts of the closed loop and never on the loop itself, so that one motion
-serves any choice of effects; with the same seed, what they have in common is the same, number by
-number. The skin is cut in two by a plane: one half to estimate from, one to check with.
+serves any choice of effects. With the same seed, the random numbers of common effects are equal.
+The skin is cut by a plane into two halves, one for the estimate and one for the check.
 """
 
 from __future__ import annotations
@@ -25,31 +25,31 @@ if TYPE_CHECKING:
     from ...scene.scene import Scene
 
 LONGEST = 40.0
-"""Most seconds of the path that are rehearsed."""
+"""Longest part of the path, s: above the 23 s of the whole path of the paper's sphere."""
 CELLS = 4e6
-"""Most pressures (frames times taxels) of a rehearsal."""
+"""Most pressures (frames times taxels): 32 MB."""
 CONTACT_STAGES = ("contact", "field")
-"""Stages that the pressures on the skin follow from."""
+"""Stages of effects that change the pressures on the skin."""
 RECORDED_STAGES = ("geometry", "robot")
-"""Stages that what is recorded of a contact follows from."""
-BESIDE = 5
-"""Frames beside those of a half that are computed, too."""
-FEWEST = 6
-"""Fewest taxels of a half; with fewer, both halves are the whole."""
+"""Stages of effects that change the recorded contacts."""
+MARGIN = 5
+"""Frames next to those of a half that are computed, too: effects with a memory use them."""
+FEWEST_TAXELS = 6
+"""Fewest taxels of a half; with fewer, both halves are the whole skin."""
 
 
 @dataclass(frozen=True)
 class Halves:
-    """The skin cut in two by a plane through its middle."""
+    """The skin, cut into two halves by a plane through its centroid."""
 
     origin: Array
-    """(3,), m."""
+    """Point of the plane (3,), m."""
     normal: Array
-    """(3,)."""
+    """Normal of the plane (3,)."""
     taxels: tuple[np.ndarray, np.ndarray]
-    """Rows of the taxels of either half all whose contacts are in it."""
+    """Rows of the taxels of each half all of whose contacts are in it."""
     cut: bool
-    """False where there are too few taxels: both halves are the whole."""
+    """False if there are too few taxels: both halves are the whole skin."""
 
     def frames(self, points: Array, half: int) -> np.ndarray:
         """Which of the contact points (m, 3) belong to a half (0 or 1)."""
@@ -60,7 +60,7 @@ class Halves:
 
 @dataclass
 class Replay:
-    """The contacts of a scene's (shortened) exploration."""
+    """The contacts of a scene's exploration, or of its first part."""
 
     scene: Scene
     frames: Frames
@@ -70,12 +70,12 @@ class Replay:
     """Steps of the closed loop of the whole exploration."""
     path: Array
     """Contact points (k, 3) of the whole path, body frame, m."""
-    rehearsed: int
-    """How many of them are rehearsed."""
+    replayed: int
+    """Number of points of the path that are replayed."""
     _pressed: dict[tuple[Any, ...], tuple[Frames, Array]] = field(default_factory=dict, repr=False)
-    """The pressures on the skin, by what they follow from."""
+    """Pressures on the skin, by seed, half and effects."""
     _recorded: dict[tuple[Any, ...], Frames] = field(default_factory=dict, repr=False)
-    """The contacts as they are recorded, by what acts on them."""
+    """Recorded contacts, by seed and effects."""
 
     @classmethod
     def of(cls, scene: Scene, path: Path | None = None) -> Replay:
@@ -94,19 +94,19 @@ class Replay:
     def recording(
         self, effects: Sequence[Effect], seed: int, halves: Halves | None = None, half: int = 0
     ) -> Recording:
-        """What is recorded with these effects; of one half only, where halves are given."""
+        """The recording with these effects; of one half only, if halves are given."""
         scene, mine = self.scene.with_(effects=ordered(effects)), np.ones(len(self.frames), bool)
         if halves is not None:
             mine = halves.frames(self.frames.points, half)
         chain = effect_pipeline(scene, seed)
-        pressed = (seed, half, *(e for e in scene.effects if e.stage in CONTACT_STAGES))
-        if pressed not in self._pressed:
-            self._pressed[pressed] = self._press(chain, mine)
-        frames, pressures = self._pressed[pressed]
-        told = (seed, *(e for e in scene.effects if e.stage in RECORDED_STAGES))
-        if told not in self._recorded:
-            self._recorded[told] = chain.record(self.frames)
-        recorded = self._recorded[told]
+        pressed_key = (seed, half, *(e for e in scene.effects if e.stage in CONTACT_STAGES))
+        if pressed_key not in self._pressed:
+            self._pressed[pressed_key] = self._press(chain, mine)
+        frames, pressures = self._pressed[pressed_key]
+        recorded_key = (seed, *(e for e in scene.effects if e.stage in RECORDED_STAGES))
+        if recorded_key not in self._recorded:
+            self._recorded[recorded_key] = chain.record(self.frames)
+        recorded = self._recorded[recorded_key]
         known = replace(
             chain,
             contact=(lambda _: frames,),
@@ -121,42 +121,42 @@ class Replay:
         )
 
     def _press(self, chain: EffectPipeline, mine: np.ndarray) -> tuple[Frames, Array]:
-        """What presses the skin, and the pressures (m, n), Pa, in the frames `mine` (m,); zero in
-        the others, but for a few beside them that effects look back to.
+        """The frames with the effects on contacts, and pressures (m, n), Pa, in the frames `mine`
+        (m,) and a few next to them; zero in the others.
         """
         frames, poses = self.frames, self.scene.skin.poses
         for act in chain.contact:
             frames = act(frames)
-        rows = np.convolve(mine, np.ones(2 * BESIDE + 1), mode="same") > 0
+        rows = np.convolve(mine, np.ones(2 * MARGIN + 1), mode="same") > 0
         pressures = np.zeros((len(frames), len(poses)))
         if rows.any():
             pressures[rows] = chain.field(frames.rows(rows), poses)
         return frames, pressures
 
     def halves(self) -> Halves:
-        """Cut the skin where it is longest.
+        """Cut the skin across its longest direction.
 
-        A taxel belongs to a half if every contact that reaches it, of the whole exploration, is in
-        that half and rehearsed, so that it is told there as much as in the whole.
+        A taxel belongs to a half if every contact of the whole exploration that reaches it is in
+        that half and replayed, so that it has all its readings there.
         """
         scene = self.scene
         reach = float(max(scene.patch.semi_axes)) + scene.skin.disc_radius
-        places = np.asarray(scene.skin.positions)
-        ready = np.flatnonzero(_far(places, self.path[self.rehearsed :], reach))
-        ready = ready if len(ready) else np.arange(len(places))
-        origin = places[ready].mean(axis=0)
-        normal = np.linalg.svd(places[ready] - origin)[2][0]
-        side = (places[ready] - origin) @ normal
+        positions = np.asarray(scene.skin.positions)
+        ready = np.flatnonzero(_far(positions, self.path[self.replayed :], reach))
+        ready = ready if len(ready) else np.arange(len(positions))
+        origin = positions[ready].mean(axis=0)
+        normal = np.linalg.svd(positions[ready] - origin)[2][0]
+        side = (positions[ready] - origin) @ normal
         cut = ready[side > reach], ready[side < -reach]
-        if min(map(len, cut)) < FEWEST:
+        if min(map(len, cut)) < FEWEST_TAXELS:
             return Halves(origin, normal, (ready, ready), False)
         return Halves(origin, normal, cut, True)
 
 
-def _far(places: Array, path: Array, reach: float) -> np.ndarray:
-    """Which places (n, 3) are beyond `reach`, m, of all points of a path (k, 3)."""
+def _far(positions: Array, path: Array, reach: float) -> np.ndarray:
+    """Which positions (n, 3) are farther than `reach`, m, from all points of a path (k, 3)."""
     from scipy.spatial import cKDTree
 
     if not len(path):
-        return np.ones(len(places), dtype=bool)
-    return np.asarray(cKDTree(path).query(places)[0] > reach)
+        return np.ones(len(positions), dtype=bool)
+    return np.asarray(cKDTree(path).query(positions)[0] > reach)

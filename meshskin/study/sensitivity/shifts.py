@@ -56,7 +56,7 @@ class EffectShifts:
         true = Solution.true(self.replay.scene)
         self.solutions = [true.solved(recording, self.belief) for recording in self.recordings]
         pairs = zip(self.solutions, self.recordings, strict=True)
-        self._residual = [solution.step(r, self.belief).move for solution, r in pairs]
+        self._residual = [solution.step(r, self.belief)[0] for solution, r in pairs]
         self._determined = [determined_taxels(r, self.belief) for r in self.recordings]
 
     def without(self, off: Iterable[str]) -> Omission:
@@ -65,8 +65,8 @@ class EffectShifts:
         rows, shifts, changed, fewer = self.halves.taxels[0], [], 0, 0.0
         for k, seed in enumerate(self.seeds):
             recording, whole = self._recording(kept, seed), self.recordings[k]
-            step = self.solutions[k].step(recording, self.belief)
-            shifts.append((step.move - self._residual[k])[rows])
+            move, _ = self.solutions[k].step(recording, self.belief)
+            shifts.append((move - self._residual[k])[rows])
             differs = determined_taxels(recording, self.belief) != self._determined[k]
             changed = max(changed, int(differs[rows].sum()))
             lost = 1.0 - len(recording.pressure) / max(len(whole.pressure), 1)
@@ -121,14 +121,14 @@ def measured_knob(
             done()
         recording = run.recording((), 0, halves)
         try:
-            step = solution.step(recording, replace(belief, body=scene.body))
+            move, _ = solution.step(recording, replace(belief, body=scene.body))
         except ContactError:
             if own:
                 raise
             continue
         if own:
             declared = len(levels)
-        levels.append(replace(level, shift=step.move[halves.taxels[0]]))
+        levels.append(replace(level, shift=move[halves.taxels[0]]))
     return _against_finest(knob.name, levels, declared)
 
 
