@@ -1,13 +1,14 @@
-"""What accuracy costs in time, for every scene that comes along.
+"""The cost of accuracy in time, scene by scene.
 
     python studies/accuracy_cost.py --out figures/ [--scenes sphere_noisy ...] [--full]
 
-Turns knobs of each scene (step, lanes, frame rate, estimator; --full: all, 3 seeds, and a finer
-reference), prints the cheapest way to 1, 0.3, 0.1, 0.03 and 0.01 mm, how second routes confirm the
-reference, and draws all scenes' work-precision fronts. Then asks runs for an accuracy and for a
-time, and prints what they promised beside what they came to. Seconds are processor time, which
-other work on the machine moves, too. What was measured is kept in the folder, scene by scene and
-request by request; --resume takes up from there (after a change of the code, measure anew).
+Changes the knobs of each scene (step, lanes, frame rate, estimator; with --full all of them, 3
+seeds, and a finer reference), prints the cheapest setting for 1, 0.3, 0.1, 0.03 and 0.01 mm and the
+second routes to the reference, and draws the work-precision fronts of all scenes. Then it requests
+runs of an accuracy and of a time, and prints predicted and actual values. Seconds are processor
+time, which other work on the machine changes, too. Measurements are written to the folder, scene by
+scene and request by request; --resume continues from them (after a change of the code, measure
+anew).
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
-"""Where belief and world differ: whether the test of fit says so, and what declaring it brings.
+"""Wrong beliefs: whether the test of fit rejects them, and the error with the unknown declared.
 
     python studies/beliefs.py [--seeds 5] [--json FILE]
 
-On the paper's sphere with 1 % noise: a skin 20 % softer than believed; an indenter that stands 1 mm
-off; layers of 4 and 1.5 mm on rigid ground taken for half-spaces of the same E*. Each is calibrated
-as believed, and with the unknown declared: E*, the indenter's offset, E* (a half-space of another
-E* stands for a layer that is not thin), the layer as what it is. Prints the mean error over the
-expectation of the Cramer-Rao bound at the truth, and in how many runs the test of fit refuses the
-model.
+The paper's sphere with 1 % noise, with four differences between world and belief: a skin 20 %
+softer than believed; an indenter displaced by 1 mm; layers of 4 and 1.5 mm on a rigid base that are
+believed to be half-spaces of the same E*. Each is calibrated with the wrong belief, and with the
+unknown declared: E*; the indenter's offset; E* (a half-space of another E* represents a layer that
+is not thin); the layer itself. The study prints the mean error over the Cramér-Rao bound at the
+truth, and the share of runs in which the test of fit rejects the model.
 """
 
 from __future__ import annotations

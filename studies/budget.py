@@ -1,15 +1,16 @@
-"""Does the error budget keep its word? Its estimates against the truth, over scenes and seeds.
+"""Validation of the error budget: its estimates against the true errors, over scenes and seeds.
 
     python studies/budget.py --out figures/ [--random 2] [--budget-mm 0.2] [--first 0] [--full]
 
 For the shipped scenes and random ones (bodies, materials, effects of random sizes), the budget
 chooses; then everything on and the chosen scene are simulated and calibrated over the whole skin,
-with a seed that the budget has not seen. Prints the estimated and the true error of what was left
-out, how much faster the chosen scene ran (processor time of planning, simulating and calibrating;
-the chosen scene before and after the other), and how many taxels are found with everything on only;
-draws one error against the other. --full takes 20 random scenes. With --json FILE each scene's row
-is kept there as it comes; the next run takes up from it (remove it after a change of the code).
---prices measures instead, on the paper's sphere, what the budget's counts are priced by.
+with a seed that the budget has not used. The study prints the estimated and the true error of what
+was left out, how much faster the chosen scene ran (processor time of planning, simulating and
+calibrating; the chosen scene is run before and after the other), and the number of taxels that are
+found with everything on only; it draws one error against the other. --full: 20 random scenes.
+--json FILE: each row is written as it comes, and the next run continues from it (remove the file
+after a change of the code). --prices: measure instead the seconds that the budget's counts are
+multiplied by, on the paper's sphere.
 """
 
 from __future__ import annotations

@@ -1,22 +1,22 @@
-"""Whether the joint estimate's certainty is right: normalised squared errors over many seeds.
+"""Consistency of the joint estimate: normalised squared errors over many seeds.
 
     python studies/consistency.py [--scenes ideal modulus ...] [--seeds 40] [--first 0] [--full]
                                   [--json FILE]
 
-Scenes on the paper's sphere, 1 % noise, 40 taxels and 800 contacts of 2 to 4 N: the ideal model; E*
-unknown and 20 % off; gains 5 % apart; gains and offsets; a force sensor with a bias, and one with a
-scale 5 % off; an indenter that stands off by 0.3 mm (1 sigma, drawn) along each axis; rigid modules
-that lie on the body to 0.1 mm a taxel; and 80 taxels on an ellipsoid that sits 0.4 mm and 5 mrad
-off on the arm. For the position along the surface, the tilt, the spin (of modules), each shared
-unknown, the gains and the offsets: mean squared error over its stated variance, 1 where the
-covariance holds, with the band that it keeps to in 95 of 100 such studies. Where taxels share an
-unknown their squares are not independent: the band is that of so many fewer squares as the scatter
-from seed to seed says (the design effect).
+Scenes on the paper's sphere with 1 % noise, 40 taxels and 800 contacts of 2 to 4 N: the ideal
+model; E* unknown and 20 % off; gains 5 % apart; gains and offsets; a force sensor with a bias, and
+one with a scale error of 5 %; an indenter displaced by 0.3 mm (1 sigma, random) along each axis;
+rigid modules that lie on the body within 0.1 mm per taxel; and 80 taxels on an ellipsoid that is
+mounted 0.4 mm and 5 mrad off. For the position along the surface, the tilt, the spin (of modules),
+each shared unknown, the gains and the offsets, the study prints the mean squared error over its
+stated variance, which is 1 for a correct covariance, with its 95 % band. Taxels that share an
+unknown have correlated errors: the band is that of the effective number of independent squares,
+from the scatter between seeds (the design effect).
 
-Of forty such quantities two are outside their bands by chance. So the verdict is on all of them
-together: by Holm's method, which is wrong once in twenty studies. It and the RMS errors, which may
-be 1.05 times the Cramer-Rao bound, decide the exit code. The test of fit is wrong once in 1,000.
---full takes 200 seeds, 0 to 199; --first another first one.
+Of forty such quantities, two are outside their bands by chance. The verdict is therefore on all of
+them together, by Holm's method with a level of 5 %. It and the RMS errors, which may be 1.05 times
+the Cramér-Rao bound, determine the exit code. The test of fit has a level of 0.1 %. --full: 200
+seeds; --first: the first seed.
 """
 
 from __future__ import annotations

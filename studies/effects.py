@@ -1,21 +1,20 @@
-"""What each effect does to the joint estimate on the paper's sphere, one at a time and in pairs.
+"""The effect of each error source on the joint estimate of the paper's sphere, single and in pairs.
 
     python studies/effects.py --out figures/ [--scene sphere_noisy] [--seeds 2] [--full]
 
-Each effect is on at its defaults, and the estimator does not know of it. Runs with and without it
-share their noise, so that the shift of the taxels is the effect's alone. Prints, for each effect,
-the mean error, the mean and largest shift, the bound that the effect states, E* over its nominal
-value, the chi-square that would give it away, and what the estimator took for outlying and left
-out, in percent of the readings (silences that cannot be count, too); draws the shifts. --full takes
-5 seeds, and, with the first of them, all pairs: how far the shift of two together is from the sum
-of their shifts.
+Each effect is on with its defaults and unknown to the estimator. Runs with and without it have the
+same noise, so that the shift of the taxels is caused by the effect alone. The study prints for each
+effect the mean error, the mean and largest shift, the bound that the effect states, E* relative to
+its nominal value, the chi-square of the fit, and the readings rejected as outliers in percent
+(including censored ones); it draws the shifts. --full: 5 seeds, and all pairs with the first of
+them: the distance of the shift of both from the sum of the two shifts.
 
-Where pairs do not add up, it is mostly for what the estimator leaves out. `sampling` alone holds
-each contact for two frames, and is right in the first: of the second's readings 45 % are found to
-be outlying, the rest fits, and most of the shift is gone. With `capacitive`, too, nothing fits
-whatever is left out: the model is judged wrong, most of those readings stay, and the shift of
-`sampling` comes back. So every pair is also estimated from all readings, none being taken for
-outlying: then the shifts of two effects are nearly those of both.
+Shifts of pairs that do not add up differ mostly by the outlier rejection. `sampling` alone holds
+each contact for two frames and is right in the first: 45 % of the readings of the second are
+rejected, the others fit, and most of the shift vanishes. With `capacitive` too, no subset fits: the
+model is judged wrong, most of those readings are kept, and the shift of `sampling` reappears.
+Therefore every pair is also estimated without rejection; then the shifts of two effects nearly add
+up to that of both.
 """
 
 from __future__ import annotations

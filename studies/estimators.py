@@ -1,17 +1,19 @@
-"""Every estimator on the same recordings: over the noise, the initial error, the size of the skin.
+"""All estimators on the same recordings, over noise, initial error and size of the skin.
 
     python studies/estimators.py --out figures/ [--seeds N] [--only noise start size] [--full]
 
-noise   the paper's sphere, contacts of its own exploration, sensor noise of 0.1 to 20 % of the peak
-        pressure, read above three of its standard deviations (5 % at least): mean position error of
-        each method over the expectation of the Cramer-Rao bound, and what the right information
-        matrices alone win back of the paper's isotropic ones at 5 %.
-start   from initial errors of 0.5 to 12 mm: share of taxels (joint) and of runs (pose graph) that
-        end at the optimum; beside them the joint estimate's Gauss-Newton steps without restarts,
-        and a start from co-activation alone.
-size    20 to 500 taxels (2,000 with --full) of the same density: error over bound, and seconds.
+noise   the paper's sphere with the contacts of its own exploration, sensor noise of 0.1 to 20 % of
+        the peak pressure, and a threshold of three standard deviations (at least 5 %): mean
+        position error of each method relative to the Cramér-Rao bound, and the share of the
+        improvement that the correct information matrices give over the paper's isotropic ones at
+        5 % noise.
+start   initial errors of 0.5 to 12 mm: share of taxels (joint) and of runs (pose graph) that end at
+        the optimum, also for Gauss-Newton steps of the joint estimate without restarts, and for a
+        start from co-activation alone.
+size    20 to 500 taxels (2,000 with --full) of equal density: error over bound, and seconds.
 
-Three seeds, ten with --full. The pose graph is compared up to a rigid motion, which it leaves open.
+Three seeds, ten with --full. The pose graph leaves a rigid motion undetermined; it is compared up
+to that.
 """
 
 from __future__ import annotations

@@ -1,17 +1,19 @@
-"""Contacts against error: geodesic lanes of fixed density, and contacts put where they tell most.
+"""Number of contacts against error: fixed lanes and adaptive exploration.
 
     python studies/exploration.py --out figures/ [--scene ellipsoid] [--pitch-mm 5 6.5] [--seeds 3]
                                   [--full]
 
-Both explore the same skin, laid at each pitch: 5 mm is the paper's, 6.5 mm that of iCub's modules.
-A contact is one reading of the whole skin at rest under the reference force. Fixed: lanes at the
-scene's spacing, contacts at steps of 0.5 mm along them (what 100 Hz at 50 mm/s gives) to 1 mm.
-Adaptive: a sparse first pass, then rounds of `Calibration.next_contacts`. Prints, at the mean
-errors of the lanes, the contacts that adaptive needs of theirs, as measured and by the Cramér-Rao
-bound at the contacts made (without the luck of the noise: some 0.03 with 12 seeds); the part below
-which no choice of contacts can come (estimation/design.py, which knows where the taxels are); and
-the same as the first for the worst stated uncertainty; draws the curves. --full: 12 seeds, and one
-adaptive run through the closed loop with the arm.
+Both explore the same skin at each pitch: 5 mm as in the paper, 6.5 mm as in iCub's modules. A
+contact is one reading of the whole skin at rest at the reference force. Fixed lanes have the
+scene's spacing, and contacts at steps of 0.5 mm (100 Hz at 50 mm/s) to 1 mm along them. Adaptive
+exploration makes a sparse first pass, then rounds of `Calibration.next_contacts`.
+
+The study prints, at the mean errors of the lanes, the ratio of the contacts that adaptive
+exploration needs to those of the lanes: as measured; by the Cramér-Rao bound at the contacts made,
+which is free of noise (the measured ratio scatters by 0.03 with 12 seeds); the lower limit of any
+design (estimation/design.py, which knows the taxels' positions); and the measured ratio for the
+largest stated uncertainty. It draws the curves. --full: 12 seeds, and one adaptive run through the
+closed loop with the arm.
 """
 
 from __future__ import annotations

@@ -2,16 +2,16 @@
 
     python studies/real_bodies.py DATA --out figures/ [--only NAME ...] [--full]
 
-DATA is a folder with ur3e_meshes/ and icub_body/ as their sources have them. The UR3e's forearm and
-the iCub's shank get taxels of a lattice (150 and 250; all over with --full), the iCub's forearm the
-modules of left_forearm_V2 where its URDF has them. The body is moved by hand (quasi-static) over an
-8 mm indenter in lanes 2.5 mm apart; noise is 1 % of the peak pressure. A taxel is reached where the
-plan names nothing that keeps contacts from it. The table: taxels, those that the body lets the
-indenter reach, touched, found; RMS error in mm of those reached and found; what their Cramer-Rao
-bound lets one expect; seconds. Below it, why taxels were not reached or not found.
+DATA is a folder that holds ur3e_meshes/ and icub_body/ as published by their sources. The UR3e's
+forearm and the iCub's shank get a lattice of taxels (150 and 250; the whole surface with --full),
+the iCub's forearm the modules of left_forearm_V2 at the poses in its URDF. The body is moved
+without arm dynamics (quasi-static) over an indenter of 8 mm in lanes 2.5 mm apart; noise is 1 % of
+the peak pressure. A taxel is reached if the plan gives no reason against contacts on it.
 
-The CAD meshes are coarse: turns of up to 20 degrees between facets count as round, what turns more
-is an edge, and no contact patch may lie over one.
+The table lists taxels, those that are reached, touched and found, the RMS error in mm of those
+reached and found, their Cramér-Rao bound, and seconds; below it, why taxels were not reached or not
+found. The CAD meshes are coarse: dihedral angles of up to 20 degrees count as smooth, larger ones
+as edges, and no contact patch may overlap an edge.
 """
 
 from __future__ import annotations

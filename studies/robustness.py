@@ -1,19 +1,22 @@
-"""What outlying readings and faulty taxels do to the joint estimate, and whether they are named.
+"""The joint estimate with outlying readings and faulty taxels: errors, and which are identified.
 
     python studies/robustness.py [--seeds 5] [--full] [--json FILE]
 
-On the paper's sphere with 1 % noise, 80 taxels and 2,000 contacts. First 5, 10, 15 and 20 % of all
-readings replaced by anything up to twice the peak, then 20 % of those of a fifth of the taxels:
-mean error over that of the clean recording, of the taxels that are hit and of the others. Beside it
-what no estimator can do without: the error where just the outlying readings are left out, by who is
-told which they are; and the error at the Fisher information of who is not told, for an outlying
-reading among the sound ones looks like one. Where outlying readings strike all taxels alike these
-pass 10 % by themselves: the bar is then that limit. Then the largest share of outlying readings of
-all taxels that costs at most 10 %. Then taxels that are dead, die half-way, are stuck, exchange
-their ids half-way, or drift with heat by a fifth of the peak: one, and a fifth of all. For these,
-the error of the other taxels over their clean one, the share of the faulty that is named, and how
-many of the others are. Exits 1 where an error is beyond its bar or a faulty taxel is not named.
---full takes 20 seeds.
+The paper's sphere with 1 % noise, 80 taxels and 2,000 contacts.
+
+Outlying readings: 5, 10, 15 and 20 % of all readings are replaced by uniform values up to twice the
+peak, then 20 % of the readings of a fifth of the taxels. The study prints the mean error over that
+of the clean recording, for the taxels concerned and for the others, with two references: the error
+with exactly the outlying readings removed, and the error by the Fisher information of an estimator
+that is not told which readings are outlying. Where all taxels are concerned these references exceed
+10 % themselves, and are the limit. Then it gives the largest share of outlying readings of all
+taxels that costs at most 10 %.
+
+Faulty taxels: one, or a fifth of all, are dead, die half-way, are stuck, exchange their ids
+half-way, or drift by a fifth of the peak. The study prints the error of the other taxels over their
+clean one, the share of faulty taxels that is identified, and the number of others that are accused.
+
+Exits with 1 if an error exceeds its limit or a faulty taxel is not identified. --full: 20 seeds.
 """
 
 from __future__ import annotations

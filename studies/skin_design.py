@@ -1,13 +1,13 @@
-"""What a skin's design does to the error: spacing, taxel radius, layer thickness and stiffness.
+"""The error as a function of the design of the skin: spacing, taxel radius, layer, stiffness.
 
     python studies/skin_design.py --out figures/ [--seeds 2] [--json FILE] [--full]
 
-One property at a time about the paper's sphere, moved without an arm along the same lanes, with the
-same transducers: their noise is 1 % of the original skin's peak pressure, in Pa. Prints and draws
-the mean error of the joint estimate beside its bound, and of the pose graph, whose displacements
-need neighbours under one patch (there is none where no two taxels are pressed together); and, for
-thin layers, of a calibration that believes them thick.
---full takes 5 seeds and twice the values.
+One property of the paper's sphere is changed at a time. The sphere is moved without an arm along
+the same lanes, with the same transducers: their noise is 1 % of the peak pressure of the original
+skin, in Pa. The study prints and draws the mean error of the joint estimate with its bound, that of
+the pose graph, whose displacements need neighbours under one patch (there are none if no two taxels
+are pressed together), and, for thin layers, that of a calibration that assumes a thick layer.
+--full: 5 seeds and twice the values.
 """
 
 from __future__ import annotations

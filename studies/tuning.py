@@ -1,14 +1,15 @@
-"""Gains by optimal control: figure 4 before and after, and what haste costs.
+"""Gains and speeds by optimal control: figure 4 before and after, and the cost of speed.
 
     python studies/tuning.py --out figures/ [--scenes sphere capsule] [--full] [--json FILE]
 
-Each scene is tuned twice. For the least settling time, with no more overshoot than its own gains
-have: through RK4, whose steps damp nothing, and judged over a rest of 0.3 s by the scene's own loop
-and by CVODES (fig4_tuned_SCENE). And for the least time of a manoeuvre: approach, touch, rest,
-slide of 20 mm. On the first scene, what haste costs (tuning_trade): settling time against the
-overshoot that is allowed, force error against the time of the manoeuvre, the joints with friction.
---full: more points, and the manoeuvre tuned over nine worlds at once, the corners of E*, curvature
-and friction, each of them simulated (tuning_corners). --quasi-static: without an arm.
+Each scene is tuned twice. First for the least settling time, with no more overshoot than with its
+own gains: predicted by RK4, which adds no numerical damping, and simulated over a rest of 0.3 s by
+the scene's own loop and by CVODES (fig4_tuned_SCENE). Second for the least time of a manoeuvre:
+approach, touch, rest, slide of 20 mm. For the first scene, with joint friction, the study also
+gives the trade-offs (tuning_trade): settling time against allowed overshoot, and force error
+against the time of the manoeuvre. --full: more points, and the manoeuvre tuned over nine scenarios
+at once, the corners of E*, curvature and friction, each of them simulated (tuning_corners).
+--quasi-static: without an arm.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
-"""The closed loop's rate, 80 taxels read at every step, and MuJoCo's beside it in the same run.
+"""Steps per second of the closed loop with 80 taxels read at every step, compared with MuJoCo.
 
     OMP_NUM_THREADS=1 python studies/speed/closed_loop.py [--repeats 7] [--json FILE]
 
-Explores the paper's sphere (5,120 faces) and two fine bodies (over 200,000 faces) with the arm and
-without it, interpreted and compiled, and a batch of 1,000 episodes. MuJoCo (`pip install mujoco`)
-gets the same arm, the sphere as a primitive, the indenter and 80 touch sensors: bare stepping in C,
-and with the compliance law in NumPy. Every rate is the best of some rounds over all cases, a second
-of processor time (of all threads), so that other work on the machine counts little. The last line
-is the table of ratios, reached over demanded; exits 1 where one is below 1.
+Explores the paper's sphere (5,120 faces) and two fine bodies (over 200,000 faces) with and without
+the arm, interpreted and compiled, and a batch of 1,000 episodes. MuJoCo (`pip install mujoco`) gets
+the same arm, the sphere as a primitive, the indenter and 80 touch sensors: stepping alone in C, and
+with the compliance law in NumPy. Every rate is the best of several rounds over all cases, in
+processor time of all threads, so that other work on the machine has little influence. The last line
+gives the ratios of reached to required rates; the exit code is 1 if one is below 1.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""The contact models' figures: errors against their oracles, and time a contact.
-
-hertz, elliptic, layered: batches of 10,000 contacts; elliptic against root finding on the exact
-equations, and against tamaas on a grid; layered against finite elements in the tests, here against
-the boundary elements that its table comes from, at random points of the table; field: one scene on
-96 x 96 cells, against the ellipse and, for a layer, against 288 x 288 cells; several: contacts a
-query on a torus of 20,000 faces; discs: the mean over the taxel.
+"""Errors of the contact models against reference solutions, and time per contact.
 
     OMP_NUM_THREADS=1 python studies/speed/contact.py
+
+hertz, elliptic, layered: batches of 10,000 contacts. elliptic: compared with root finding on the
+exact equations, and with tamaas on a grid. layered: compared with the boundary elements from which
+its table comes, at random points of the table (and with finite elements in the tests). field: one
+scene on 96 x 96 cells, compared with the ellipse and, for a layer, with 288 x 288 cells. several:
+contacts per query on a torus of 20,000 faces. discs: the mean over the taxel.
 """
 
 from __future__ import annotations

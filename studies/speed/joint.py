@@ -1,14 +1,13 @@
-"""How the joint estimate grows with the skin: seconds to build and to solve, and peak memory.
+"""The joint estimate as a function of the size of the skin: seconds and peak memory.
 
     python studies/speed/joint.py [--sizes 80 1000 10000] [--large] [--contact MODEL] [--json FILE]
 
-Taxels lie at random distances of some 5 mm on a sphere that grows with their number, so that the
-contact is the same at every size; 50 readings a taxel at 80 taxels, 40 beyond. Every size runs in a
-process of its own, on one thread. "build" is everything before the optimiser: gathering the
-recording, trilateration, choosing the readings; "solve" is the rest. Exits 1 where a size falls
-short of its limit, by the processor's seconds: those of the clock depend on what else runs.
-`--large` adds 100,000 taxels with 4 million readings. `--contact` is hertz, elliptic (whose patches
-are circles on a sphere, at the cost of ellipses) or layered (a layer of 6 mm).
+Taxels lie at random distances of about 5 mm on a sphere that grows with their number, so that the
+contact is the same at every size; 50 readings per taxel at 80 taxels, 40 above. Every size runs in
+its own process, on one thread. "build" is everything before the optimisation: gathering the
+recording, trilateration, selection of readings; "solve" is the rest. Exits with 1 if a size exceeds
+its limit in processor seconds. --large: 100,000 taxels with 4 million readings, too. --contact:
+hertz, elliptic (circles on a sphere, at the cost of ellipses) or layered (a layer of 6 mm).
 """
 
 from __future__ import annotations

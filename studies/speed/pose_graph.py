@@ -1,20 +1,20 @@
-"""How fast a pose graph of taxels is solved, beside GTSAM: same graphs, start, run; one core each.
+"""Seconds to solve a pose graph of taxels, compared with GTSAM on the same graphs and start.
 
     python studies/speed/pose_graph.py [taxels ...] [--full] [--repeats 3] [--json FILE]
 
 Graphs: taxels 5 mm apart on a sphere, each with the displacements to its nine nearest neighbours,
-1 mm and 0.02 rad of noise. Both start from our chordal start; GTSAM runs Gauss-Newton with METIS
-ordering at its default tolerances. Seconds of CPU time (one thread each, whatever else runs), the
+with noise of 1 mm and 0.02 rad. Both solvers start from our chordal start; GTSAM runs Gauss-Newton
+with METIS ordering and its default tolerances. Times are processor seconds (one thread each), the
 best of the repeats, interleaved:
 
-    solve     IPOPT with the check of its result; NLP and order of elimination found before
-    all       a new graph from its arrays: checking, building, start and solve
+    solve     IPOPT with the check of its result; NLP and elimination order known before
+    all       a new graph from its arrays: checks, building, start and solve
     again     a new graph of a topology that was solved before: start and solve
     optimise  GTSAM's `optimize()` alone
-    gtsam all its factor graph and values from the same arrays, and `optimize()`; its start is free
+    gtsam all GTSAM's factor graph and values from the same arrays, and `optimize()`
 
-The ratios that are judged divide by `optimise`, the stricter; those to `gtsam all` are printed
-too. Exit code 1 where one falls short of its target. `--full` adds 50,000 taxels, without GTSAM.
+The ratios that are judged divide by `optimise`, the stricter one; those to `gtsam all` are printed,
+too. The exit code is 1 if one misses its target. --full: 50,000 taxels, too, without GTSAM.
 """
 
 from __future__ import annotations

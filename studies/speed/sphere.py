@@ -1,10 +1,10 @@
-"""How long the whole job takes on the paper's sphere, and the closed loop's rate.
+"""Seconds of the whole job on the paper's sphere, and the rate of the closed loop.
 
     python studies/speed/sphere.py [--runs 5] [--json FILE]
 
-Runs `meshskin run sphere` as a user does, in a new process, and `import meshskin`, several times;
-prints the median and the best, and the steps a second of the closed loop with the arm's dynamics.
-Exits 1 where a figure falls short: 10 s a run, 0.6 s an import, 30,000 steps/s.
+Runs `meshskin run sphere` and `import meshskin` several times in new processes, and prints the
+median and the best, and the steps per second of the closed loop with the dynamics of the arm. Exits
+with 1 if a value misses its limit: 10 s per run, 0.6 s per import, 30,000 steps/s.
 """
 
 from __future__ import annotations

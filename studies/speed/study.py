@@ -1,10 +1,10 @@
-"""What a study costs beside its cases: overhead, use of the cores, expansion, resuming.
+"""Overhead of a study: per case, use of the cores, expansion of the grid, and resuming.
 
     python studies/speed/study.py [--cases 100000] [--out DIR] [--json FILE]
 
-Overhead: the time of trivial cases, times the workers. Use: the part of the workers' time that is
-spent inside cases of half a second, starting included. Resume: a sweep of which every case is done,
-in a process of its own (its peak memory is printed), over result files of the size of real ones.
+Overhead: the time of trivial cases, times the number of workers. Use: the part of the workers' time
+inside cases of half a second, including the start of the workers. Resume: a sweep whose cases are
+all done, in its own process (its peak memory is printed), with result files of realistic size.
 """
 
 from __future__ import annotations

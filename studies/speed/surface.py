@@ -1,15 +1,15 @@
-"""Closest points on meshes: error against the exact surface and time a query, beside other tools.
-
-For each primitive and mesh size, points within 20 mm of the surface (less where it bends sooner):
-flat faces, the smooth surface on cubic and on quartic vertex jets, each from a cold start; trimesh
-(in millimetres, where its absolute tolerance does no harm) and, if installed, libigl. Times are of
-the processor; without a C compiler the search runs in NumPy.
+"""Closest points on meshes: errors against exact surfaces and time per query, with other tools.
 
     OMP_NUM_THREADS=1 python studies/speed/surface.py [--points 10000] [--json results.json]
 
-Exit code 1 where a target is missed: on the ellipsoids and the torus of 20 k faces a contact point
-within 0.1 um RMS, normal 0.001 deg, curvature 0.1 %, and 3 us a query; on every body of 200 k faces
-at most 1.5 times the time at 20 k. How the time grows beyond that is printed, and has no target.
+For each primitive and mesh size, points within 20 mm of the surface (less where its radius of
+curvature is smaller): flat faces, and the smooth surface on cubic and on quartic vertex jets, from
+a cold start; trimesh (in millimetres, because its tolerance is absolute) and, if installed, libigl.
+Times are processor times; without a C compiler the search runs in NumPy.
+
+The exit code is 1 if a target is missed. Targets for ellipsoids and torus of 20,000 faces: contact
+points within 0.1 um RMS, normals within 0.001 deg, curvature within 0.1 %, and 3 us per query; for
+every body of 200,000 faces: at most 1.5 times the time at 20,000.
 """
 
 from __future__ import annotations
