@@ -39,7 +39,7 @@ ASKED = (
 )
 
 
-class How(TypedDict):
+class CostOptions(TypedDict):
     """How the costs of a scene are measured: arguments of `ms.cost`."""
 
     knobs: list[str]
@@ -62,7 +62,7 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
     knobs = options.knobs or (KNOBS if options.full else FEW)
 
     found: dict[str, Costs] = {}
-    how: How = {
+    cost_options: CostOptions = {
         "knobs": list(knobs),
         "seeds": 3 if options.full else 1,
         "finer": 8 if options.full else 4,
@@ -70,46 +70,46 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
     for name in scenes:
 
         def measured(name: str = name) -> dict[str, Any]:
-            return ms.cost(ms.Scene.load(name), **how).stored()
+            return ms.cost(ms.Scene.load(name), **cost_options).stored()
 
         file = options.out / f"accuracy_cost_{name}.json"
-        costs = Costs.restored(once(file, how, options.resume, measured))
+        costs = Costs.restored(stored_or_measured(file, cost_options, options.resume, measured))
         print(summary(costs), flush=True)
         found[name] = costs
-    theme.save(fronts(found), options.out, "accuracy_cost")
+    theme.save(draw_fronts(found), options.out, "accuracy_cost")
     for name, costs in found.items():
         theme.save(precision.figure(costs, TARGETS), options.out, f"accuracy_cost_{name}")
-    numbers: dict[str, Any] = {name: row(costs) for name, costs in found.items()}
+    numbers: dict[str, Any] = {name: scene_numbers(costs) for name, costs in found.items()}
     asked = scenes if options.full else options.asked
     numbers["requests"] = []
     for name, request in product(asked, ASKED):
         file = options.out / f"request_{name}_{request.words.replace(' ', '_')}.json"
 
-        def came(name: str = name, request: Request = request) -> dict[str, Any]:
-            return kept(name, request)
+        def run(name: str = name, request: Request = request) -> dict[str, Any]:
+            return run_request(name, request)
 
-        numbers["requests"].append(once(file, {}, options.resume, came))
+        numbers["requests"].append(stored_or_measured(file, {}, options.resume, run))
     if asked:
-        report(numbers["requests"])
+        print_requests(numbers["requests"])
     if options.json:
         options.json.write_text(json.dumps(numbers, indent=2))
     return numbers
 
 
-def once(
-    file: Path, how: Mapping[str, object], resume: bool, measure: Callable[[], dict[str, Any]]
+def stored_or_measured(
+    file: Path, asked: Mapping[str, object], resume: bool, measure: Callable[[], dict[str, Any]]
 ) -> dict[str, Any]:
-    """What `measure` returns, kept in a file; or what a run before measured in the same way."""
+    """The result of `measure`, stored in a file; or that of an earlier run with these options."""
     if resume and file.exists():
         before: dict[str, Any] = json.loads(file.read_text())
-        if before["how"] == how:
+        if before["how"] == asked:
             return dict(before["found"])
     found = measure()
-    write_text(file, json.dumps({"how": how, "found": found}))
+    write_text(file, json.dumps({"how": asked, "found": found}))
     return found
 
 
-def row(costs: Costs) -> dict[str, Any]:
+def scene_numbers(costs: Costs) -> dict[str, Any]:
     """The numbers of one scene."""
     own = costs.rows[0]
     best = {f"{t:g}": costs.cheapest(t) for t in TARGETS}
@@ -124,7 +124,7 @@ def row(costs: Costs) -> dict[str, Any]:
     }
 
 
-def kept(name: str, request: Request, seed: int = 1) -> dict[str, Any]:
+def run_request(name: str, request: Request, seed: int = 1) -> dict[str, Any]:
     """What a run promised, and came to over it; or why it refused."""
     try:
         with TemporaryDirectory() as place:
@@ -141,7 +141,7 @@ def kept(name: str, request: Request, seed: int = 1) -> dict[str, Any]:
     }
 
 
-def report(requests: Sequence[dict[str, Any]]) -> None:
+def print_requests(requests: Sequence[dict[str, Any]]) -> None:
     """Print promises beside outcomes."""
     print(f"  {'scene':14}{'asked':>9}{'promised mm':>13}{'came to':>10}{'promised s':>12}"
           f"{'came to':>9}{'processor s':>13}{'came to':>9}  setting")  # fmt: skip
@@ -156,7 +156,7 @@ def report(requests: Sequence[dict[str, Any]]) -> None:
 
 
 @theme.styled
-def fronts(found: dict[str, Costs]) -> Any:
+def draw_fronts(found: dict[str, Costs]) -> Any:
     """Error and numerical part together against seconds: every setting, and each scene's front."""
     figure = theme.new_figure(7.6, 4.6)
     axes = theme.add_axes(figure, 0.85, 0.65, 6.5, 3.5)

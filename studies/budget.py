@@ -81,18 +81,18 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
     parser.add_argument("--prices", action="store_true", help="measure the budget's prices")
     options = parser.parse_args(arguments)
     if options.prices:
-        return {"prices": prices()}
+        return {"prices": measure_prices()}
 
     shipped = shipped_scenes.scenes() if options.scenes is None else options.scenes
     count = 20 if options.full else options.random
     print(f"{'scene':22}{'estimate':>10}{'true':>10}{'ratio':>8}{'faster':>8}{'lost':>6}"
           f"{'took (s)':>10}  off")  # fmt: skip
     rows = {}
-    before = kept(options.json, options.budget_mm)
+    before = stored_rows(options.json, options.budget_mm)
     for name in (*shipped, *range(options.first, options.first + count)):
-        scene = ms.Scene.load(name) if isinstance(name, str) else drawn(name)
-        rows[scene.name] = before.get(scene.name) or row(scene, options.budget_mm * 1e-3)
-        print(line(scene.name, rows[scene.name]), flush=True)
+        scene = ms.Scene.load(name) if isinstance(name, str) else random_scene(name)
+        rows[scene.name] = before.get(scene.name) or measure_scene(scene, options.budget_mm * 1e-3)
+        print(row_text(scene.name, rows[scene.name]), flush=True)
         if options.json:
             write_text(options.json, json.dumps(before | rows, indent=2))
     ratio = np.array([r["estimate_mm"] / max(r["true_mm"], 1e-12) for r in rows.values()])
@@ -101,34 +101,36 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
     slowest = min(r["faster"] for r in rows.values())
     print(f"within a factor of 2: {100 * within:.0f} %; largest true error: {worst:.2f} of the "
           f"budget; least {slowest:.1f} times faster")  # fmt: skip
-    theme.save(against(rows, options.budget_mm), options.out, "budget")
+    theme.save(draw_errors(rows, options.budget_mm), options.out, "budget")
     return rows
 
 
-def prices() -> dict[str, float]:
+def measure_prices() -> dict[str, float]:
     """Seconds of each thing that the budget counts, beside those that it reckons with."""
     scene = ms.Scene.load("sphere_noisy")
     scene = scene.with_(loop=replace(scene.loop, compile="always"))
     path = plan_exploration(scene).path
     recording = ms.simulate(scene, path=path)  # the first time pays for what is built once
     found, faces = {}, len(scene.body.mesh.faces)
-    found["face"] = seconds(lambda: replace(scene.body).closest(scene.skin.positions)) / faces
+    found["face"] = best_seconds(lambda: replace(scene.body).closest(scene.skin.positions)) / faces
     steps, taxels = len(path.points), len(scene.skin.ids)
-    found["step"] = seconds(lambda: [plan_exploration(scene).path, Replay.of(scene, path)]) / steps
+    found["step"] = (
+        best_seconds(lambda: [plan_exploration(scene).path, Replay.of(scene, path)]) / steps
+    )
     frames = Replay.of(scene, path).frames
     for name in ("hertz", "elliptic", "layered"):
         read = effect_pipeline(scene.with_(contact=name, effects=()), 0).read
-        found[name] = seconds(partial(read, frames, scene.skin.poses)) / len(frames) / taxels
+        found[name] = best_seconds(partial(read, frames, scene.skin.poses)) / len(frames) / taxels
     iterates = ms.calibrate(recording, scene.belief()).iterates
     assert iterates is not None  # a joint estimate has them
     every = len(iterates) * len(recording.pressure)
-    found["reading"] = seconds(lambda: ms.calibrate(recording, scene.belief())) / every
+    found["reading"] = best_seconds(lambda: ms.calibrate(recording, scene.belief())) / every
     for name, value in found.items():
         print(f"{name:10}{value:10.2g} s, reckoned with {SECONDS[name]:.2g}")
     return found
 
 
-def seconds(work: Callable[[], Any]) -> float:
+def best_seconds(work: Callable[[], Any]) -> float:
     """Processor seconds, the best of three."""
     took = []
     for _ in range(3):
@@ -138,7 +140,7 @@ def seconds(work: Callable[[], Any]) -> float:
     return min(took)
 
 
-def kept(file: Path | None, budget_mm: float) -> dict[str, dict[str, Any]]:
+def stored_rows(file: Path | None, budget_mm: float) -> dict[str, dict[str, Any]]:
     """The rows of a run before, for the same budget."""
     if file is None or not file.exists():
         return {}
@@ -146,7 +148,7 @@ def kept(file: Path | None, budget_mm: float) -> dict[str, dict[str, Any]]:
     return {name: row for name, row in rows.items() if isclose(row["budget_mm"], budget_mm)}
 
 
-def drawn(number: int) -> ms.Scene:
+def random_scene(number: int) -> ms.Scene:
     """A random scene: a sphere or an ellipsoid, on an arm or without, with random effects."""
     rng = np.random.default_rng(number)
     size = rng.uniform(0.06, 0.14)
@@ -169,7 +171,7 @@ def drawn(number: int) -> ms.Scene:
         law=replace(plain.law, force_reference=rng.uniform(1.5, 3.5)),
         exploration=replace(plain.exploration, lane_spacing=rng.uniform(3e-3, 4.5e-3)),
         readout=ms.Readout(threshold_relative=float(rng.choice([0.0, 0.03]))),
-        candidates=tuple(sized(name, rng) for name in some(rng)),
+        candidates=tuple(scaled_effect(name, rng) for name in random_effects(rng)),
     )
     floating = scene.with_(loop=replace(plain.loop, mode="quasi_static"))
     if rng.random() < 0.5:
@@ -181,14 +183,14 @@ def drawn(number: int) -> ms.Scene:
     return scene
 
 
-def some(rng: np.random.Generator) -> list[str]:
+def random_effects(rng: np.random.Generator) -> list[str]:
     """Noise, and six to twelve other kinds of effects."""
     there = ("gaussian_noise", "elliptic_patch")  # the latter in the contact model
     names = [e.name for e in effects.registered() if e.name not in there]
     return ["gaussian_noise", *rng.permutation(names)[: rng.integers(6, 13)].tolist()]
 
 
-def sized(name: str, rng: np.random.Generator) -> effects.Effect:
+def scaled_effect(name: str, rng: np.random.Generator) -> effects.Effect:
     """An effect between a third and three times its default size."""
     effect: Any = effects.find(name)()
     if name not in SIZES:
@@ -200,7 +202,7 @@ def sized(name: str, rng: np.random.Generator) -> effects.Effect:
     return replace(effect, **{field: large})
 
 
-def row(scene: ms.Scene, error: float) -> dict[str, Any]:
+def measure_scene(scene: ms.Scene, error: float) -> dict[str, Any]:
     """What the budget estimated beside what is true."""
     begin = process_time()
     ledger = ms.budget(scene, error)
@@ -208,9 +210,9 @@ def row(scene: ms.Scene, error: float) -> dict[str, Any]:
     belief = ledger.belief
     everything, scene = without_common_noise(ledger.everything, ledger.scene)
     path = plan_exploration(everything).path
-    chosen, fast = calibrated(scene, path, belief, tolerance=ledger.tolerance)
-    every, slow = calibrated(everything, path, belief)
-    again = calibrated(scene, path, belief, tolerance=ledger.tolerance)[1]
+    chosen, fast = simulate_and_calibrate(scene, path, belief, tolerance=ledger.tolerance)
+    every, slow = simulate_and_calibrate(everything, path, belief)
+    again = simulate_and_calibrate(scene, path, belief, tolerance=ledger.tolerance)[1]
     true = np.linalg.norm(chosen.positions - every.positions, axis=1)
     return {
         "budget_mm": 1e3 * error,
@@ -225,7 +227,7 @@ def row(scene: ms.Scene, error: float) -> dict[str, Any]:
     }
 
 
-def line(name: str, row: dict[str, Any]) -> str:
+def row_text(name: str, row: dict[str, Any]) -> str:
     """A row in print."""
     ratio = row["estimate_mm"] / row["true_mm"]
     return (
@@ -234,7 +236,7 @@ def line(name: str, row: dict[str, Any]) -> str:
     )
 
 
-def calibrated(
+def simulate_and_calibrate(
     scene: ms.Scene, path: Way, belief: ms.Belief, tolerance: float = NEWTON_TOLERANCE
 ) -> tuple[ms.Calibration, float]:
     """The calibration of a scene's recording, and its processor seconds, simulation included."""
@@ -247,7 +249,7 @@ def calibrated(
 
 
 @theme.styled
-def against(rows: dict[str, dict[str, float]], budget_mm: float) -> Figure:
+def draw_errors(rows: dict[str, dict[str, float]], budget_mm: float) -> Figure:
     """Estimate against truth, with a factor of two to either side."""
     figure = theme.new_figure(4.6, 4.2)
     axes = figure.add_subplot()

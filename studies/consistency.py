@@ -142,13 +142,13 @@ def cases() -> dict[str, Case]:
             ideal,
             {"unknown": ("modulus", "indenter_offset"), "priors": {"indenter_offset": STANDS}},
             {"modulus": 0.0},
-            draw=displaced,
+            draw=random_displacement,
         ),
         "modules": Case(
             ideal.with_(skin=modules),
             {},
             {"modulus": 0.0},
-            draw=settled,
+            draw=random_mounting,
         ),
     }
 
@@ -261,7 +261,9 @@ def taxels(world: ms.Scene, seed: int) -> dict[str, np.ndarray]:
     return {"gain": gain, "offset": OFFSETS * context.peak_pressure * stream.standard_normal(n)}
 
 
-def displaced(scene: ms.Scene, rng: np.random.Generator) -> tuple[ms.Scene, dict[str, float]]:
+def random_displacement(
+    scene: ms.Scene, rng: np.random.Generator
+) -> tuple[ms.Scene, dict[str, float]]:
     """The indenter stands off."""
     offset = STANDS * rng.standard_normal(3)
     x, y, z = map(float, offset)
@@ -270,7 +272,7 @@ def displaced(scene: ms.Scene, rng: np.random.Generator) -> tuple[ms.Scene, dict
     return world, {label: -float(value) for label, value in zip(labels, offset, strict=True)}
 
 
-def settled(scene: ms.Scene, rng: np.random.Generator) -> tuple[ms.Scene, dict[str, float]]:
+def random_mounting(scene: ms.Scene, rng: np.random.Generator) -> tuple[ms.Scene, dict[str, float]]:
     """The skin's modules are as near to the surface as the estimator believes them to be.
 
     Each is moved along its normal and tilted as a plane through ten heights is that scatter so.
@@ -318,7 +320,7 @@ def band(nees: float, count: float) -> dict[str, float]:
     return {"nees": nees, "low": low, "high": high, "count": count, "p": p}
 
 
-def refused(found: dict[str, dict[str, dict[str, float]]]) -> list[str]:
+def inconsistent(found: dict[str, dict[str, dict[str, float]]]) -> list[str]:
     """What cannot be chance: quantities by Holm's method at LEVEL, and RMS errors beyond RMS.
 
     Source: Holm, "A simple sequentially rejective multiple test procedure", Scand. J. Statistics 6
@@ -389,7 +391,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, dict[str, fl
                       f"{'' if inside else '   outside'}", flush=True)  # fmt: skip
     every = [row for rows in found.values() for name, row in rows.items() if name != "fit"]
     outside = sum(not row["low"] < row["nees"] < row["high"] for row in every)
-    out = refused(found)
+    out = inconsistent(found)
     print(f"{outside} of {len(every)} outside their 95 % bands, {0.05 * len(every):.1f} by chance")
     print(f"beyond chance{':' if out else ': none'}", *out, sep="\n  ")
     if options.json:
@@ -398,4 +400,4 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, dict[str, fl
 
 
 if __name__ == "__main__":
-    sys.exit(bool(refused(main())))
+    sys.exit(bool(inconsistent(main())))

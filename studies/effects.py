@@ -82,33 +82,35 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
     scene = ms.Scene.load(options.scene)
     known = {e.name for e in scene.effects}
     chosen = {
-        name: made(name)
+        name: make_effect(name)
         for name in options.effects or [*(e.name for e in effects.registered()), *EXTRA]
     }
     chosen = {name: effect for name, effect in chosen.items() if effect.name not in known}
-    plain = find(scene, (), seeds)
-    single = {name: find(scene, (effect,), seeds) for name, effect in chosen.items()}
-    rows = {"(none)": row(scene, plain, plain)}
-    rows |= {name: row(scene, plain, found) for name, found in single.items()}
+    plain = simulate_and_calibrate(scene, (), seeds)
+    single = {
+        name: simulate_and_calibrate(scene, (effect,), seeds) for name, effect in chosen.items()
+    }
+    rows = {"(none)": effect_row(scene, plain, plain)}
+    rows |= {name: effect_row(scene, plain, found) for name, found in single.items()}
     for name, effect in chosen.items():
         rows[name]["bound_mm"] = 1e3 * effect.bound(scene.context(0))
-    report(rows, f"{options.scene}, {len(seeds)} seeds, lengths in mm")
-    theme.save(shifts(rows), options.out, "effects")
+    print_table(rows, f"{options.scene}, {len(seeds)} seeds, lengths in mm")
+    theme.save(draw_shifts(rows), options.out, "effects")
     if options.full or options.pairs:
-        rows |= pairs(scene, chosen, plain, single, seeds[:1])
-        theme.save(excesses(rows, list(chosen)), options.out, "effect_pairs")
+        rows |= pair_rows(scene, chosen, plain, single, seeds[:1])
+        theme.save(draw_excesses(rows, list(chosen)), options.out, "effect_pairs")
     if options.json:
         options.json.write_text(json.dumps(rows, indent=2))
     return rows
 
 
-def made(name: str) -> effects.Effect:
+def make_effect(name: str) -> effects.Effect:
     """An effect at its defaults, or one of EXTRA."""
     kind, fields = EXTRA.get(name, (name, {}))
     return effects.from_table({"kind": kind, **fields})
 
 
-def find(scene: ms.Scene, more: Sequence[effects.Effect], seeds: range) -> Found:
+def simulate_and_calibrate(scene: ms.Scene, more: Sequence[effects.Effect], seeds: range) -> Found:
     """Simulate with more effects, and calibrate without knowing of them."""
     belief = scene.belief()
     world = scene.with_(effects=(*scene.effects, *more))
@@ -119,18 +121,18 @@ def find(scene: ms.Scene, more: Sequence[effects.Effect], seeds: range) -> Found
         np.stack([run.positions for run in runs]),
         float(np.mean([run.modulus for run in runs])) / nominal,
         float(np.mean([np.nanmedian(run.chi2) for run in runs])),
-        float(np.mean([left_out(run) for run in runs])),
+        float(np.mean([rejected_percent(run) for run in runs])),
         recordings[0],
     )
 
 
-def left_out(run: ms.Calibration) -> float:
+def rejected_percent(run: ms.Calibration) -> float:
     """Readings taken for outlying, silences too, in percent."""
     assert run.fit is not None  # a joint estimate has one
     return float(100 * run.fit.left_out / run.readings.sum())
 
 
-def from_all(recording: ms.Recording, belief: ms.Belief) -> np.ndarray:
+def without_rejection(recording: ms.Recording, belief: ms.Belief) -> np.ndarray:
     """The joint estimate (n, 3), m, that takes no reading for outlying."""
     data, body = gather(recording, belief), belief.body
     near = coactivation.without_distant_readings(data)
@@ -146,7 +148,7 @@ def from_all(recording: ms.Recording, belief: ms.Belief) -> np.ndarray:
     return points
 
 
-def row(scene: ms.Scene, plain: Found, found: Found) -> dict[str, float]:
+def effect_row(scene: ms.Scene, plain: Found, found: Found) -> dict[str, float]:
     """The numbers of one scene beside those of the plain one."""
     error = np.linalg.norm(found.positions - scene.skin.positions, axis=2)
     shift = np.linalg.norm(found.positions - plain.positions, axis=2)
@@ -163,7 +165,7 @@ def row(scene: ms.Scene, plain: Found, found: Found) -> dict[str, float]:
     }
 
 
-def pairs(
+def pair_rows(
     scene: ms.Scene,
     chosen: dict[str, effects.Effect],
     plain: Found,
@@ -174,18 +176,18 @@ def pairs(
     and `excess_from_all_mm`, the same where no reading is taken for outlying.
     """
     first, belief, rows = plain._replace(positions=plain.positions[:1]), scene.belief(), {}
-    whole = {name: from_all(found.first, belief) for name, found in single.items()}
-    none = from_all(plain.first, belief)
+    whole = {name: without_rejection(found.first, belief) for name, found in single.items()}
+    none = without_rejection(plain.first, belief)
     for one, other in combinations(chosen, 2):
         two = chosen[one], chosen[other]
         if two[0].name == two[1].name or two[0].name in two[1].excludes:
             continue
-        both = find(scene, two, seed)
+        both = simulate_and_calibrate(scene, two, seed)
         parts = single[one], single[other]
-        rows[f"{one}+{other}"] = row(scene, first, both) | {
+        rows[f"{one}+{other}"] = effect_row(scene, first, both) | {
             "excess_mm": excess(*(p.positions[0] for p in (first, *parts, both))),
             "excess_from_all_mm": excess(
-                none, whole[one], whole[other], from_all(both.first, belief)
+                none, whole[one], whole[other], without_rejection(both.first, belief)
             ),
             "left_out_one": parts[0].left_out,
             "left_out_other": parts[1].left_out,
@@ -207,7 +209,7 @@ def excess(plain: np.ndarray, one: np.ndarray, other: np.ndarray, both: np.ndarr
     return 1e3 * float(np.nanmedian(np.linalg.norm(both - one - other + plain, axis=1)))
 
 
-def report(rows: dict[str, dict[str, float]], title: str) -> None:
+def print_table(rows: dict[str, dict[str, float]], title: str) -> None:
     """Print the table, the largest shift first."""
     print(title)
     print(f"  {'effect':18}{'error':>9}{'shift':>9}{'median':>9}{'largest':>9}{'bound':>9}"
@@ -220,7 +222,7 @@ def report(rows: dict[str, dict[str, float]], title: str) -> None:
 
 
 @theme.styled
-def shifts(rows: dict[str, dict[str, float]]) -> Figure:
+def draw_shifts(rows: dict[str, dict[str, float]]) -> Figure:
     """Bars of the mean shift, with the largest and the bound, on a logarithmic scale."""
     names = sorted((n for n in rows if n != "(none)"), key=lambda name: rows[name]["shift_mm"])
     figure = theme.new_figure(6.4, 1.2 + 0.24 * len(names))
@@ -244,7 +246,7 @@ def shifts(rows: dict[str, dict[str, float]]) -> Figure:
 
 
 @theme.styled
-def excesses(rows: dict[str, dict[str, float]], names: list[str]) -> Figure:
+def draw_excesses(rows: dict[str, dict[str, float]], names: list[str]) -> Figure:
     """Map of how far pairs are from the sum of their shifts: below the diagonal as estimated, above
     it with no reading taken for outlying.
     """

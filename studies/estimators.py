@@ -64,7 +64,7 @@ WORDS = {
 }
 
 
-def noisy(scene: ms.Scene, noise: float) -> ms.Scene:
+def with_noise(scene: ms.Scene, noise: float) -> ms.Scene:
     """The scene with so much noise, read above three standard deviations of it."""
     readout = ms.Readout(threshold_relative=max(0.05, 3 * noise))
     return scene.with_(effects=(GaussianNoise(noise),), readout=readout)
@@ -98,7 +98,7 @@ def compare(scene: ms.Scene, points: np.ndarray, seeds: range) -> dict[str, floa
 def by_noise(points: np.ndarray, seeds: range, levels: tuple[float, ...]) -> dict[str, dict]:
     """Rows of the noise levels."""
     scene = ms.Scene.load("sphere")
-    rows = {f"{level:g}": compare(noisy(scene, level), points, seeds) for level in levels}
+    rows = {f"{level:g}": compare(with_noise(scene, level), points, seeds) for level in levels}
     low, high = metrics.nees_band(len(seeds) * len(scene.skin))
     print(f"mean error over the bound's expectation, {len(seeds)} seeds, {len(points)} contacts")
     heads = "".join(f"{float(key):8.1%}" for key in rows)
@@ -119,7 +119,7 @@ def by_noise(points: np.ndarray, seeds: range, levels: tuple[float, ...]) -> dic
 
 def by_start(points: np.ndarray, seeds: range, levels: tuple[float, ...]) -> dict[str, dict]:
     """Rows of the initial errors, at 1 % noise; "co-activation" last."""
-    scene = noisy(ms.Scene.load("sphere"), 0.01)
+    scene = with_noise(ms.Scene.load("sphere"), 0.01)
     rows: dict[str, list[dict[str, float]]] = {}
     for seed in seeds:
         data = gather(ms.press(scene, points, seed=seed), scene.belief())
@@ -129,15 +129,15 @@ def by_start(points: np.ndarray, seeds: range, levels: tuple[float, ...]) -> dic
         least = graph.solve().cost
         rng = np.random.default_rng(seed)
         for level in levels:
-            fit = displaced(scene, right, best, 1e-3 * level, rng)
+            fit = displaced_points(scene, right, best, 1e-3 * level, rng)
             poses = se3.transform(fit.rotations, fit.points)
             graph_cost = graph.solve(start=poses).cost
-            row = shares(data, scene, fit, best) | {"error_mm": level}
+            row = optimum_shares(data, scene, fit, best) | {"error_mm": level}
             row["posegraph"] = float(abs(graph_cost / least - 1) < SAME)
             rows.setdefault(f"{level:g}", []).append(row)
         alone = coactivation.contact_centroid_start(data)
         off = 1e3 * float(np.linalg.norm(alone.points - best, axis=1).mean())
-        row = shares(data, scene, alone, best) | {"error_mm": off}
+        row = optimum_shares(data, scene, alone, best) | {"error_mm": off}
         rows.setdefault("co-activation", []).append(row)
     means = {
         key: {name: float(np.mean([r[name] for r in many])) for name in many[0]}
@@ -152,7 +152,7 @@ def by_start(points: np.ndarray, seeds: range, levels: tuple[float, ...]) -> dic
     return means
 
 
-def displaced(
+def displaced_points(
     scene: ms.Scene,
     right: EstimatorResult,
     points: np.ndarray,
@@ -167,7 +167,7 @@ def displaced(
     return replace(right, points=hit.point, rotations=rotations)
 
 
-def shares(
+def optimum_shares(
     data: Measurements, scene: ms.Scene, start: EstimatorResult, best: np.ndarray
 ) -> dict[str, float]:
     """Share of taxels that end at their `best` places, and without restarts; 0 where one fails."""
@@ -199,8 +199,8 @@ def by_size(seeds: range, sizes: tuple[int, ...]) -> dict[str, dict[str, float]]
     """Rows of skins of other sizes, at 5 % noise."""
     rows = {}
     for size in sizes:
-        scene, points = sized(size)
-        rows[str(size)] = compare(noisy(scene, 0.05), points, seeds)
+        scene, points = scaled_scene(size)
+        rows[str(size)] = compare(with_noise(scene, 0.05), points, seeds)
     print(f"mean error over the bound's expectation at 5 % noise, {PRESSES} contacts a taxel; "
           "processor seconds")  # fmt: skip
     print(f"  {'taxels':44}" + "".join(f"{size:>16}" for size in rows))
@@ -210,7 +210,7 @@ def by_size(seeds: range, sizes: tuple[int, ...]) -> dict[str, dict[str, float]]
     return rows
 
 
-def sized(taxels: int) -> tuple[ms.Scene, np.ndarray]:
+def scaled_scene(taxels: int) -> tuple[ms.Scene, np.ndarray]:
     """The paper's scene with a larger or smaller skin, on a sphere that grows with it; contacts."""
     radius = max(0.1, SPACING * np.sqrt(taxels / np.pi))
     body = ms.Body.sphere(radius)

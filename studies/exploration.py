@@ -67,21 +67,23 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
 
     rows, curves = {}, {}
     for pitch in options.pitch_mm:
-        scene = laid(ms.Scene.load(options.scene), pitch * 1e-3, options.count)
-        fixed, least = lanes(scene, seeds), best_of_all(scene)
-        adaptive = rounds(scene, seeds, int(fixed["contacts"].max()))
-        rows[f"{pitch:g}"] = compared(fixed, adaptive) | {"floor": floor_of(fixed, least)}
+        scene = with_pitch(ms.Scene.load(options.scene), pitch * 1e-3, options.count)
+        fixed, least = lane_curve(scene, seeds), optimal_error(scene)
+        adaptive = adaptive_curve(scene, seeds, int(fixed["contacts"].max()))
+        rows[f"{pitch:g}"] = contact_ratios(fixed, adaptive) | {
+            "floor": smallest_ratio(fixed, least)
+        }
         curves[f"{pitch:g}"] = fixed, adaptive, least
     report(rows, f"{options.scene}, {len(seeds)} seeds: adaptive contacts over those of lanes")
     if options.full:
         rows["closed loop"] = through_the_loop(ms.Scene.load(options.scene))
-    theme.save(drawn(curves), options.out, "exploration")
+    theme.save(draw_curves(curves), options.out, "exploration")
     if options.json:
         options.json.write_text(json.dumps(rows, indent=2))
     return rows
 
 
-def laid(scene: ms.Scene, pitch: float, count: int | None = None) -> ms.Scene:
+def with_pitch(scene: ms.Scene, pitch: float, count: int | None = None) -> ms.Scene:
     """The scene with its skin laid again, its taxels `pitch` (m) apart about the same middle."""
     middle = scene.skin.positions.mean(axis=0) - scene.body.mesh.bounds.mean(axis=0)
     region = Cap(tuple(middle))
@@ -98,7 +100,7 @@ def lane_contacts(scene: ms.Scene) -> list[np.ndarray]:
     return [path[np.searchsorted(along, np.arange(0.0, along[-1], step))] for step in STEPS]
 
 
-def lanes(scene: ms.Scene, seeds: range) -> Curve:
+def lane_curve(scene: ms.Scene, seeds: range) -> Curve:
     """The curve of fixed lanes."""
     belief = scene.belief()
     found: list[tuple[float, ...]] = []
@@ -108,22 +110,22 @@ def lanes(scene: ms.Scene, seeds: range) -> Curve:
         worst = [1e3 * run.position_sigma.max() for run in runs]
         mean, widest = float(np.mean(errors)), float(np.mean(worst))
         found.append((len(points), mean, widest, expected_mm(scene, points)))
-    return curve(found)
+    return sorted_curve(found)
 
 
-def best_of_all(scene: ms.Scene) -> float:
+def optimal_error(scene: ms.Scene) -> float:
     """Mean error, mm, times the root of the number of contacts, that no design is below."""
     belief, reach = scene.belief(), scene.rig.sensing_radius
     return 1e3 * contact_design.optimal_design(belief, scene.skin.positions, reach).bound
 
 
-def floor_of(fixed: Curve, least: float) -> float:
+def smallest_ratio(fixed: Curve, least: float) -> float:
     """Part of the lanes' contacts that the best of all designs needs for the error they leave."""
     needed = (least / fixed["expected_mm"]) ** 2 / fixed["contacts"]
     return float(np.exp(np.log(needed).mean()))
 
 
-def rounds(scene: ms.Scene, seeds: range, most: int) -> Curve:
+def adaptive_curve(scene: ms.Scene, seeds: range, most: int) -> Curve:
     """The curve of adaptive exploration with at most so many contacts."""
     found: dict[int, list[tuple[float, float, float]]] = {}
     for seed in seeds:
@@ -134,10 +136,10 @@ def rounds(scene: ms.Scene, seeds: range, most: int) -> Curve:
                 errors = error_mm(scene, one.positions), 1e3 * one.worst_sigma
                 found.setdefault(one.contacts, []).append((*errors, expected_mm(scene, made)))
     whole = {k: np.mean(v, axis=0) for k, v in found.items() if len(v) == len(seeds)}
-    return curve([(k, *whole[k]) for k in sorted(whole)])
+    return sorted_curve([(k, *whole[k]) for k in sorted(whole)])
 
 
-def curve(found: list[tuple[float, ...]]) -> Curve:
+def sorted_curve(found: list[tuple[float, ...]]) -> Curve:
     """A curve from its points."""
     columns = np.array(found, dtype=float).T
     return dict(zip(("contacts", "error_mm", "sigma_mm", "expected_mm"), columns, strict=True))
@@ -153,20 +155,20 @@ def error_mm(scene: ms.Scene, positions: np.ndarray) -> float:
     return 1e3 * float(np.linalg.norm(positions - scene.skin.positions, axis=1).mean())
 
 
-def compared(fixed: Curve, adaptive: Curve) -> dict[str, float]:
+def contact_ratios(fixed: Curve, adaptive: Curve) -> dict[str, float]:
     """Contacts of adaptive over those of lanes, at equal mean error and at equal worst sigma."""
     row: dict[str, float] = {}
     for key, name in COMPARED.items():
         levels = np.geomspace(fixed[key].min(), fixed[key].max(), LEVELS)
         near = adaptive[key] <= MARGIN * levels[-1]
-        needed = needs({k: v[near] for k, v in adaptive.items()}, key, levels)
-        ratio = needed / needs(fixed, key, levels)
+        needed = contacts_needed({k: v[near] for k, v in adaptive.items()}, key, levels)
+        ratio = needed / contacts_needed(fixed, key, levels)
         row |= {name: float(np.exp(np.log(ratio).mean()))}
         row |= {f"{name}_low": float(ratio.min()), f"{name}_high": float(ratio.max())}
     return row
 
 
-def needs(one: Curve, key: str, levels: np.ndarray) -> np.ndarray:
+def contacts_needed(one: Curve, key: str, levels: np.ndarray) -> np.ndarray:
     """Contacts at which a curve falls to the levels, by the straight line through its logarithms:
     errors go with a power of the contacts, and a line forgives the luck of single points."""
     slope, start = np.polyfit(np.log(one[key]), np.log(one["contacts"]), 1)
@@ -199,7 +201,7 @@ def report(rows: dict[str, dict[str, float]], title: str) -> None:
 
 
 @theme.styled
-def drawn(curves: dict[str, tuple[Curve, Curve, float]]) -> Figure:
+def draw_curves(curves: dict[str, tuple[Curve, Curve, float]]) -> Figure:
     """Mean error against contacts, a panel a pitch, and the line that no design is below."""
     figure = theme.new_figure(3.6 * len(curves), 3.2)
     for k, (pitch, (fixed, adaptive, least)) in enumerate(curves.items()):

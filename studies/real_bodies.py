@@ -56,12 +56,12 @@ def main() -> int:
     options = parser.parse_args()
     rows, maps = [], {}
     for name in options.only:
-        row, maps[name] = job(name, options.data, options.full)
+        row, maps[name] = measure_body(name, options.data, options.full)
         rows.append(row)
-        print(line(row), flush=True)
+        print(row_text(row), flush=True)
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "real_bodies.json").write_text(json.dumps(rows, indent=2) + "\n")
-    draw(maps, options.out)
+    draw_bodies(maps, options.out)
     return 0 if all(row["ratio"] <= BOUND for row in rows) else 1
 
 
@@ -126,7 +126,9 @@ def scene(body: ms.Body, skin: ms.Skin, name: str) -> ms.Scene:
     )
 
 
-def job(name: str, data: Path, full: bool = False) -> tuple[dict[str, Any], tuple[Any, ...]]:
+def measure_body(
+    name: str, data: Path, full: bool = False
+) -> tuple[dict[str, Any], tuple[Any, ...]]:
     """One body's row of the table, and what is drawn of it: positions (n, 3), errors (n,), mm."""
     started = perf_counter()
     world = scene(*BODIES[name](data, full), name)
@@ -159,7 +161,7 @@ def job(name: str, data: Path, full: bool = False) -> tuple[dict[str, Any], tupl
     return row, (world.body, world.skin.positions, np.where(reached & found, error, np.nan))
 
 
-def line(row: dict[str, Any]) -> str:
+def row_text(row: dict[str, Any]) -> str:
     """One row of the table, and the reasons below it."""
     text = (
         f"{row['body']:18s} {row['taxels']:5d} taxels {row['reached']:5d} reached "
@@ -173,7 +175,7 @@ def line(row: dict[str, Any]) -> str:
 
 
 @theme.styled
-def draw(maps: dict[str, tuple[Any, ...]], out: Path) -> None:
+def draw_bodies(maps: dict[str, tuple[Any, ...]], out: Path) -> None:
     """The bodies, their taxels coloured by the error; crosses where none was reached or found."""
     figure = theme.new_figure(4.0 * len(maps), 4.2)
     for k, (name, (body, positions, error)) in enumerate(maps.items()):

@@ -57,7 +57,7 @@ def dead(p: np.ndarray, bad: np.ndarray, peak: float) -> np.ndarray:
     return p
 
 
-def dies(p: np.ndarray, bad: np.ndarray, peak: float) -> np.ndarray:
+def dies_halfway(p: np.ndarray, bad: np.ndarray, peak: float) -> np.ndarray:
     """Nothing, from the middle on."""
     p[len(p) // 2 :, bad] = 0.0
     return p
@@ -77,13 +77,13 @@ def swapped(p: np.ndarray, bad: np.ndarray, peak: float) -> np.ndarray:
     return p
 
 
-def thermal(p: np.ndarray, bad: np.ndarray, peak: float) -> np.ndarray:
+def drifting(p: np.ndarray, bad: np.ndarray, peak: float) -> np.ndarray:
     """An offset that rises to a fifth of the peak."""
     p[:, bad] += 0.2 * peak * np.linspace(0, 1, len(p))[:, None]
     return p
 
 
-FAULTS: dict[str, Fault] = {f.__name__: f for f in (dead, dies, stuck, swapped, thermal)}
+FAULTS: dict[str, Fault] = {f.__name__: f for f in (dead, dies_halfway, stuck, swapped, drifting)}
 
 
 class World:
@@ -139,7 +139,7 @@ def outlying(world: World, share: float, seeds: range, part: float = 1.0) -> dic
         bent = with_pressures(sound, np.where(hit, wild, sound.pressure))
         clean, _ = world.errors(sound)
         error, found = world.errors(bent)
-        without = left_out(world, sound, hit)
+        without = without_readings(world, sound, hit)
         assert found.faults is not None
         words = [w for f in found.faults for w in f.split(", ") if "readings outlying" in w]
         named = sum(int(w.split()[0]) for w in words)
@@ -166,7 +166,7 @@ def efficiency(share: float) -> float:
     return float(np.trapezoid((r * sound) ** 2 / (sound + even), r) / (1 - share))
 
 
-def largest(rows: dict[float, float]) -> float:
+def largest_share(rows: dict[float, float]) -> float:
     """Share of outlying readings at which the error over the clean one is MOST.
 
     Errors by share; interpolated in 1 / error^2, in which an estimate from 1 - e of the readings is
@@ -179,7 +179,7 @@ def largest(rows: dict[float, float]) -> float:
     return float(np.interp(-(MOST**-2), -left, share))
 
 
-def left_out(world: World, recording: ms.Recording, hit: np.ndarray) -> np.ndarray:
+def without_readings(world: World, recording: ms.Recording, hit: np.ndarray) -> np.ndarray:
     """Errors (n,), m, where the readings `hit` (k,) weigh nothing, and nothing is doubted."""
     data, body = gather(recording, world.belief), world.scene.body
     start, live = trilaterate.least_squares(data), np.arange(len(data.ids))
@@ -217,7 +217,7 @@ def faulty(world: World, fault: Fault, count: int, seeds: range) -> dict[str, fl
     return dict(zip(names, map(float, np.mean(rows, axis=0)), strict=True))
 
 
-def short(rows: dict[str, dict[str, float]]) -> list[str]:
+def shortfalls(rows: dict[str, dict[str, float]]) -> list[str]:
     """What falls short of its bar, in words."""
     out = []
     for name, r in rows.items():
@@ -253,19 +253,20 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
         print(f"  {f'{share:.0%}{on}':<24}{r['error']:8.3f}{r['without']:14.3f}{r['limit']:8.3f}"
               f"{r['others']:8.3f}{r['named']:8.0%}", flush=True)  # fmt: skip
     errors = {share: rows[f"outlying {share:g}"]["error"] for share in SHARES}
-    rows["largest share"] = {"share": largest(errors)}
-    print(f"  within {MOST - 1:.0%} up to {largest(errors):.1%} of outlying readings on all taxels")
+    share = largest_share(errors)
+    rows["largest share"] = {"share": share}
+    print(f"  within {MOST - 1:.0%} up to {share:.1%} of outlying readings on all taxels")
     print(f"  {'faulty taxels':24}{'others':>8}{'named':>8}{'accused':>9}{'lost':>6}")
     for name, fault in FAULTS.items():
         for count in (2 if fault is swapped else 1, len(world.skin) // 5):
             r = rows[f"{name} {count}"] = faulty(world, fault, count, seeds)
             print(f"  {f'{count} {name}':24}{r['others']:8.3f}{r['named']:8.0%}"
                   f"{r['accused']:9.1f}{r['lost']:6.1f}", flush=True)  # fmt: skip
-    print(*short(rows), sep="\n")
+    print(*shortfalls(rows), sep="\n")
     if options.json:
         options.json.write_text(json.dumps(rows, indent=2))
     return rows
 
 
 if __name__ == "__main__":
-    sys.exit(bool(short(main())))
+    sys.exit(bool(shortfalls(main())))

@@ -64,22 +64,22 @@ def main(arguments: list[str] | None = None) -> dict[str, list[dict[str, float]]
     sigma = 0.01 * base.patch.peak
     rows = {}
     for name in options.only or VALUES:
-        values = between(VALUES[name]) if options.full else VALUES[name]
-        rows[name] = [measured(base, sigma, name, value, seeds) for value in values]
-        report(name, rows[name], seeds)
-    theme.save(curves(rows), options.out, "skin_design")
+        values = with_geometric_means(VALUES[name]) if options.full else VALUES[name]
+        rows[name] = [measure_design(base, sigma, name, value, seeds) for value in values]
+        print_rows(name, rows[name], seeds)
+    theme.save(draw_curves(rows), options.out, "skin_design")
     if options.json:
         options.json.write_text(json.dumps(rows, indent=2))
     return rows
 
 
-def between(values: tuple[float, ...]) -> tuple[float, ...]:
+def with_geometric_means(values: tuple[float, ...]) -> tuple[float, ...]:
     """The values and their geometric means."""
     more = [float(np.sqrt(a * b)) for a, b in pairwise(values)]
     return tuple(sorted([*values, *more]))
 
 
-def designed(base: ms.Scene, sigma: float, **design: float) -> ms.Scene:
+def designed_scene(base: ms.Scene, sigma: float, **design: float) -> ms.Scene:
     """The scene with a skin of this design and transducers with noise `sigma`, Pa."""
     disc = 1e-3 * design.get("disc_radius_mm", 2.0)
     skin = ms.Skin.cover(
@@ -102,11 +102,11 @@ def designed(base: ms.Scene, sigma: float, **design: float) -> ms.Scene:
     return made.with_(effects=(noise,), readout=readout)
 
 
-def measured(
+def measure_design(
     base: ms.Scene, sigma: float, name: str, value: float, seeds: range
 ) -> dict[str, float]:
     """Errors, mm, of one design, over seeds."""
-    scene = designed(base, sigma, **{name: value})
+    scene = designed_scene(base, sigma, **{name: value})
     belief = scene.belief()
     found: dict[str, list[float]] = {"joint": [], "posegraph": [], "thick": [], "bound": []}
     for seed in seeds:
@@ -133,7 +133,7 @@ def error(scene: ms.Scene, recording: ms.Recording, belief: ms.Belief, method: s
     return 1e3 * float(np.nanmean(off))
 
 
-def report(name: str, rows: list[dict[str, float]], seeds: range) -> None:
+def print_rows(name: str, rows: list[dict[str, float]], seeds: range) -> None:
     """Print the rows of a property."""
     print(f"{LABELS[name]}, {len(seeds)} seeds: mean errors in mm")
     print(f"  {'value':>8}{'patch mm':>10}{'joint':>10}{'bound':>10}{'pose graph':>12}"
@@ -145,7 +145,7 @@ def report(name: str, rows: list[dict[str, float]], seeds: range) -> None:
 
 
 @theme.styled
-def curves(rows: dict[str, list[dict[str, float]]]) -> Any:
+def draw_curves(rows: dict[str, list[dict[str, float]]]) -> Any:
     """A panel a property: error against its value."""
     figure = theme.new_figure(9.0, 5.8)
     places = [(0.8, 3.55), (5.2, 3.55), (0.8, 0.95), (5.2, 0.95)]

@@ -65,22 +65,22 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
         mode = "quasi_static" if options.quasi_static else scene.loop.mode
         loop = replace(scene.loop, mode=mode, delay=options.delay * 1e-3)
         worlds.append(scene.with_(loop=loop, effects=()))
-        found[name] = settled(worlds[-1], distance, options.out)
-        found[name] |= hastened(worlds[-1], distance)
+        found[name] = tune_settling(worlds[-1], distance, options.out)
+        found[name] |= tune_manoeuvre(worlds[-1], distance)
     first = worlds[0]
-    found["overshoot"] = allowed(first, distance, ALLOWED[options.full])
-    found["trade"] = trade(first, distance, options.points or (8 if options.full else 4))
+    found["overshoot"] = settling_trade(first, distance, ALLOWED[options.full])
+    found["trade"] = force_trade(first, distance, options.points or (8 if options.full else 4))
     draw_trades(found["overshoot"], found["trade"], options.out)
     if options.full:
-        found["corners"] = corners(first, distance, options.out)
+        found["corners"] = tune_corners(first, distance, options.out)
     if options.json:
         options.json.write_text(json.dumps(found, indent=1), encoding="utf-8")
     return found
 
 
-def settled(scene: ms.Scene, distance: float, out: Path) -> dict[str, Any]:
+def tune_settling(scene: ms.Scene, distance: float, out: Path) -> dict[str, Any]:
     """The least settling time at no more overshoot, before and after: numbers and figure 4."""
-    tuned = quickest(scene, 0.0, distance)
+    tuned = least_settling_time(scene, 0.0, distance)
     made = tuned.manoeuvres[0]
     before, after = touch(scene, made), touch(scene.with_(law=tuned.law), made, tuned)
     exact = with_integrator(scene, "cvodes")
@@ -96,18 +96,18 @@ def settled(scene: ms.Scene, distance: float, out: Path) -> dict[str, Any]:
         "holds_back": {k: tuned.multipliers[k] for k in tuned.binding[:5]},
         "law_solve_s": tuned.solve_seconds,
     }
-    print(f"{scene.name}: {told(responses)}; by CVODES {told(judged)}")
+    print(f"{scene.name}: {response_text(responses)}; by CVODES {response_text(judged)}")
     return row
 
 
-def told(pair: list[ForceResponse]) -> str:
+def response_text(pair: list[ForceResponse]) -> str:
     """Two responses in words."""
     one, two = pair
     return (f"settling {1e3 * one.settling:.0f} -> {1e3 * two.settling:.0f} ms, overshoot "
             f"{100 * one.overshoot:.3f} -> {100 * two.overshoot:.3f} %")  # fmt: skip
 
 
-def hastened(scene: ms.Scene, distance: float) -> dict[str, Any]:
+def tune_manoeuvre(scene: ms.Scene, distance: float) -> dict[str, Any]:
     """The manoeuvre in the least time, beside the scene's own."""
     tuned = ms.tune(scene, demands=HASTE, distance=distance)
     seen = tuned.confirm()
@@ -125,7 +125,7 @@ def hastened(scene: ms.Scene, distance: float) -> dict[str, Any]:
     return row
 
 
-def quickest(
+def least_settling_time(
     scene: ms.Scene, overshoot: float, distance: float, start: Gains | None = None
 ) -> TuningResult:
     """The least settling time at an overshoot, through RK4."""
@@ -159,14 +159,16 @@ def gains_of(tuned: TuningResult) -> dict[str, float]:
     return {name: float(getattr(gains, name)) for name in Gains.__dataclass_fields__}
 
 
-def allowed(scene: ms.Scene, distance: float, overshoots: tuple[float, ...]) -> list[Any]:
+def settling_trade(scene: ms.Scene, distance: float, overshoots: tuple[float, ...]) -> list[Any]:
     """Least settling times for some overshoots; the scene's own gains come first."""
     exact = with_integrator(scene, "rk4")
-    best = quickest(scene, 0.0, distance)
+    best = least_settling_time(scene, 0.0, distance)
     rows = [_row(touch(exact, best.manoeuvres[0])[2])]
     for overshoot in (0.0, *overshoots):
         tuned = (
-            quickest(scene, overshoot, distance, Gains.of(best.tuned_scene)) if overshoot else best
+            least_settling_time(scene, overshoot, distance, Gains.of(best.tuned_scene))
+            if overshoot
+            else best
         )
         if tuned.value < best.value:  # else what a tighter limit allows is the best known
             best = tuned
@@ -180,7 +182,7 @@ def _row(response: ForceResponse) -> dict[str, float]:
     return {"overshoot": response.overshoot, "settling_ms": 1e3 * response.settling}
 
 
-def trade(scene: ms.Scene, distance: float, points: int) -> list[dict[str, float]]:
+def force_trade(scene: ms.Scene, distance: float, points: int) -> list[dict[str, float]]:
     """Least force error within some times, from that of the fastest on."""
     over = (FRICTION,) if scene.loop.mode == "arm" else (Scenario(),)
     demands, rows = replace(HASTE, overshoot=0.03), []
@@ -188,7 +190,7 @@ def trade(scene: ms.Scene, distance: float, points: int) -> list[dict[str, float
     for factor in np.geomspace(1.03, 3.0, points):
         time = float(factor * fastest.value)
         within = replace(demands, time=time)
-        start = slowed(best, time - best.trajectories[0].duration, distance)
+        start = slowed_gains(best, time - best.trajectories[0].duration, distance)
         best = ms.tune(scene, objective="force_error", demands=within, over=over,
                        distance=distance, start=start)  # fmt: skip
         seen = best.confirm()
@@ -199,7 +201,7 @@ def trade(scene: ms.Scene, distance: float, points: int) -> list[dict[str, float
     return rows
 
 
-def slowed(tuned: TuningResult, spare: float, distance: float) -> Gains:
+def slowed_gains(tuned: TuningResult, spare: float, distance: float) -> Gains:
     """The gains found, the slide slower by the time to spare: where the next search begins."""
     gains = Gains.of(tuned.tuned_scene)
     slide = distance / gains.speed + gains.ramp
@@ -207,7 +209,7 @@ def slowed(tuned: TuningResult, spare: float, distance: float) -> Gains:
     return replace(gains, speed=gains.speed / slower, ramp=gains.ramp * slower)
 
 
-def corners(scene: ms.Scene, distance: float, out: Path) -> list[dict[str, Any]]:
+def tune_corners(scene: ms.Scene, distance: float, out: Path) -> list[dict[str, Any]]:
     """One set of gains for all the corners, and the simulator's word on each."""
     tuned = ms.tune(scene, demands=ROUGH, over=scenarios(**CORNERS), distance=distance)
     seen = [tuned.confirm(k) for k in range(len(tuned.trajectories))]

@@ -12,7 +12,7 @@ def study(script):
 
 
 def test_random_scenes_are_the_same_every_time(study):
-    one, again, other = study.drawn(9), study.drawn(9), study.drawn(10)
+    one, again, other = study.random_scene(9), study.random_scene(9), study.random_scene(10)
     np.testing.assert_array_equal(one.skin.positions, again.skin.positions)
     assert one.candidates == again.candidates
     assert one.candidates != other.candidates
@@ -21,7 +21,7 @@ def test_random_scenes_are_the_same_every_time(study):
 
 def test_effects_are_drawn_between_a_third_and_three_times_their_size(study):
     rng = np.random.default_rng(0)
-    sizes = [study.sized("body_pose", rng).translation[0] / 5e-4 for _ in range(100)]
+    sizes = [study.scaled_effect("body_pose", rng).translation[0] / 5e-4 for _ in range(100)]
     assert 1 / 3 <= min(sizes) < 0.5
     assert 2 < max(sizes) <= 3
 
@@ -41,7 +41,7 @@ def test_a_study_goes_on_where_it_was(study, tmp_path, capsys, monkeypatch):
         }
         return found | {"seconds": 1.0, "off": []}
 
-    monkeypatch.setattr(study, "row", row)
+    monkeypatch.setattr(study, "measure_scene", row)
     asked = ["--scenes", "sphere", "--random", "1", "--first", "9", "--out", str(tmp_path)]
     asked += ["--json", str(tmp_path / "x.json")]
     first = study.main(asked)

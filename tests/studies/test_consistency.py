@@ -25,7 +25,7 @@ def test_few_seeds(study, tmp_path, capsys):
         assert rows["fit"]["false_alarms"] == 0
         if name != "body":  # where all taxels share its offset
             assert abs(rows["position"]["nees"] - 1) < 0.3
-    refused = [words for words in study.refused(found) if "rms" not in words]
+    refused = [words for words in study.inconsistent(found) if "rms" not in words]
     assert refused == []
     assert "by chance" in capsys.readouterr().out
 
@@ -34,12 +34,12 @@ def test_the_verdict_is_on_all_quantities_together(study):
     def rows(*p):
         return {str(k): {"nees": 1.2, "p": x} for k, x in enumerate(p)} | {"fit": {}}
 
-    assert study.refused({"a": rows(0.03, 0.02, 0.5), "b": rows(0.3)}) == []
+    assert study.inconsistent({"a": rows(0.03, 0.02, 0.5), "b": rows(0.3)}) == []
     # 0.012 < 0.05 / 4, then 0.016 < 0.05 / 3, then 0.03 > 0.05 / 2
-    words = study.refused({"a": rows(0.016, 0.03, 0.5), "b": rows(0.012)})
+    words = study.inconsistent({"a": rows(0.016, 0.03, 0.5), "b": rows(0.012)})
     assert [w.split(",")[0] for w in words] == ["b: 0", "a: 0"]
     far = {"c": {"fit": {"rms_over_bound": 1.06}}}
-    assert study.refused(far) == ["c: rms / bound 1.060"]
+    assert study.inconsistent(far) == ["c: rms / bound 1.060"]
 
 
 def test_squares_that_are_not_independent_count_as_fewer(study):
@@ -64,5 +64,5 @@ def test_the_band_holds_what_it_says(study):
 @pytest.mark.slow
 def test_two_hundred_seeds(study):
     found = study.main(["--full"])
-    assert study.refused(found) == []
+    assert study.inconsistent(found) == []
     assert all(rows["fit"]["false_alarms"] <= 0.01 for rows in found.values())

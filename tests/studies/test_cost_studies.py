@@ -30,10 +30,10 @@ def test_what_was_measured_is_kept(script, tmp_path):
         return {"x": float("nan"), "n": len(ran)}
 
     file = tmp_path / "out" / "x.json"
-    assert module.once(file, {"seeds": 1}, True, measure)["n"] == 1
-    assert module.once(file, {"seeds": 1}, True, measure)["n"] == 1
-    assert module.once(file, {"seeds": 3}, True, measure)["n"] == 2
-    assert module.once(file, {"seeds": 3}, False, measure)["n"] == 3
+    assert module.stored_or_measured(file, {"seeds": 1}, True, measure)["n"] == 1
+    assert module.stored_or_measured(file, {"seeds": 1}, True, measure)["n"] == 1
+    assert module.stored_or_measured(file, {"seeds": 3}, True, measure)["n"] == 2
+    assert module.stored_or_measured(file, {"seeds": 3}, False, measure)["n"] == 3
 
 
 def test_skin_design(script, tmp_path, capsys):

@@ -18,11 +18,11 @@ def test_taxels_on_the_ur3e_are_found_to_their_bound(study, monkeypatch, tmp_pat
         return body, study.ms.Skin(skin.poses[keep], skin.ids[keep], skin.disc_radius)
 
     monkeypatch.setitem(study.BODIES, "UR3e forearm", few)
-    row, drawn = study.job("UR3e forearm", DATA)
+    row, drawn = study.measure_body("UR3e forearm", DATA)
     assert row["taxels"] == 40
     assert row["found"] >= 0.9 * row["reached"] > 20
     assert row["reached"] + sum(row["not_reached"].values()) == 40
     assert row["ratio"] < study.BOUND
-    assert "reached" in study.line(row)
-    study.draw({"UR3e forearm": drawn}, tmp_path)
+    assert "reached" in study.row_text(row)
+    study.draw_bodies({"UR3e forearm": drawn}, tmp_path)
     assert (tmp_path / "real_bodies.png").stat().st_size > 10_000

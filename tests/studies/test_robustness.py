@@ -42,8 +42,8 @@ def test_the_limit_of_who_is_not_told(study):
 
 def test_the_largest_share_within_ten_per_cent(study):
     errors = {e: 1 / np.sqrt(1 - e) for e in (0.05, 0.1, 0.15, 0.2)}
-    assert study.largest(errors) == pytest.approx(1 - 1.1**-2)
-    assert study.largest({0.05: 1.01, 0.2: 1.05}) == 0.2
+    assert study.largest_share(errors) == pytest.approx(1 - 1.1**-2)
+    assert study.largest_share({0.05: 1.01, 0.2: 1.05}) == 0.2
 
 
 def test_what_is_short_of_its_bar_is_said(study):
@@ -51,12 +51,12 @@ def test_what_is_short_of_its_bar_is_said(study):
     spared = {"error": 1.2, "limit": 1.1, "others": 1.01, "named": 1.0}
     fault = {"others": 1.05, "named": 1.0}
     good = {"outlying 0.2": alone, "outlying 0.2 on 20%": spared, "2 dead": fault}
-    assert study.short(good | {"largest share": {"share": 0.1}}) == []
-    assert len(study.short({"outlying 0.2": alone | {"error": 1.15}})) == 1
-    assert len(study.short({"2 dead": {"others": 1.2, "named": 0.5}})) == 2
+    assert study.shortfalls(good | {"largest share": {"share": 0.1}}) == []
+    assert len(study.shortfalls({"outlying 0.2": alone | {"error": 1.15}})) == 1
+    assert len(study.shortfalls({"2 dead": {"others": 1.2, "named": 0.5}})) == 2
 
 
-@pytest.mark.parametrize("name", ["dead", "dies", "stuck", "swapped", "thermal"])
+@pytest.mark.parametrize("name", ["dead", "dies_halfway", "stuck", "swapped", "drifting"])
 def test_a_fifth_of_all_taxels(study, world, name):
     found = study.faulty(world, study.FAULTS[name], 16, range(1))
     assert found["others"] < 1.1
@@ -67,6 +67,6 @@ def test_a_fifth_of_all_taxels(study, world, name):
 
 def test_what_dead_taxels_do_not_say_is_not_held_against_the_model(study, world):
     bad = np.random.default_rng(2000).choice(len(world.skin), 16, replace=False)
-    _, found = world.errors(world.record(0, study.dies, bad))
+    _, found = world.errors(world.record(0, study.dies_halfway, bad))
     assert found.fit.good
     assert set(np.flatnonzero(found.faults != "")) == set(bad)

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pebble
+
 from ...core.errors import StudyError
 from .base_scene import BaseScene
 from .case import Case, RunFunction, checked_results
@@ -23,6 +25,10 @@ from .outcome import MEMORY, RAISED, Limits, Outcome
 RETIRED = 86
 """Exit code of a worker that ends because its last case ran out of memory. Any code that neither
 Python nor a signal uses would do."""
+LOCK_TIMEOUT = 5.0
+"""Time, s, that a worker waits for the lock of the pool's pipe, which is held for milliseconds. If
+a worker is killed while it holds the lock, the others end after twice this time, and the pool is
+started again; pebble's default of 60 s would delay a study by two minutes."""
 _PR_SET_PDEATHSIG = 1
 
 
@@ -74,6 +80,7 @@ def initialize(setup: WorkerSetup) -> None:
     if os.name == "posix":
         os.setpgid(0, 0)  # the pool ends the whole group: the worker and what its cases started
     _die_with_parent()
+    pebble.CONSTS.channel_lock_timeout = LOCK_TIMEOUT
     os.dup2(2, 1)  # standard output is the caller's; cases print to standard error
     worker = _Worker(setup)
     try:
