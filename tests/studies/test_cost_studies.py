@@ -37,19 +37,17 @@ def test_what_was_measured_is_kept(script, tmp_path):
 
 
 def test_skin_design(script, tmp_path, capsys):
-    asked = ["--seeds", "1", "--only", "thickness_mm", "young_kpa"]
+    asked = ["--seeds", "1", "--only", "thickness_mm"]
     file = tmp_path / "x.json"
     module = script("skin_design")
-    module.VALUES = {"thickness_mm": (3.0, 20.0), "young_kpa": (100.0, 800.0)}
+    module.VALUES = {"thickness_mm": (3.0, 20.0)}
     found = module.main([*asked, "--out", str(tmp_path), "--json", str(file)])
     assert json.loads(file.read_text()) == found
     thin, thick = found["thickness_mm"]
     assert thin["joint_mm"] == pytest.approx(0.0065, rel=0.1)
     assert thin["thick_mm"] > 1.1 * thin["joint_mm"], "a thin layer is no half-space"
     assert thick["thick_mm"] == pytest.approx(thick["joint_mm"], rel=0.02)
-    soft, stiff = found["young_kpa"]
-    assert stiff["bound_mm"] < 0.4 * soft["bound_mm"]
-    for row in (thin, thick, soft, stiff):
+    for row in (thin, thick):
         assert row["joint_mm"] == pytest.approx(row["bound_mm"], rel=0.2)
     assert (tmp_path / "skin_design.png").stat().st_size > 10_000
     assert "as if thick" in capsys.readouterr().out

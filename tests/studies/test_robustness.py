@@ -4,6 +4,11 @@ import numpy as np
 import pytest
 
 
+def slow(value):
+    """A parameter of the slow suite."""
+    return pytest.param(value, marks=pytest.mark.slow)
+
+
 @pytest.fixture(scope="module")
 def study(script):
     return script("robustness")
@@ -14,7 +19,7 @@ def world(study):
     return study.World()
 
 
-@pytest.mark.parametrize("share", [0.1, 0.2])
+@pytest.mark.parametrize("share", [slow(0.1), 0.2])
 def test_outlying_readings_cost_little_more_than_leaving_just_them_out(study, world, share):
     found = study.outlying(world, share, range(1))
     assert found["error"] < 1.06 * found["without"]
@@ -56,7 +61,9 @@ def test_what_is_short_of_its_bar_is_said(study):
     assert len(study.shortfalls({"2 dead": {"others": 1.2, "named": 0.5}})) == 2
 
 
-@pytest.mark.parametrize("name", ["dead", "dies_halfway", "stuck", "swapped", "drifting"])
+@pytest.mark.parametrize(
+    "name", ["dead", "dies_halfway", "stuck", *map(slow, ["swapped", "drifting"])]
+)
 def test_a_fifth_of_all_taxels(study, world, name):
     found = study.faulty(world, study.FAULTS[name], 16, range(1))
     assert found["others"] < 1.1

@@ -2,7 +2,10 @@
 
 import json
 
+import pytest
 
+
+@pytest.mark.slow
 def test_tuning(script, tmp_path, capsys):
     small = ["--scenes", "sphere", "--quasi-static", "--delay", "4", "--distance", "5"]
     rest = ["--points", "2", "--out", str(tmp_path), "--json", str(tmp_path / "found.json")]

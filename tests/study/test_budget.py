@@ -65,6 +65,7 @@ def test_the_estimate_is_checked_against_the_truth(ledger):
     assert ledger.check.taxels >= 5
 
 
+@pytest.mark.slow
 def test_an_estimate_that_the_check_belies_is_not_believed(scene, ledger, monkeypatch):
     """Where the truth is far beyond the estimate, more is added, though it is within the budget."""
     limits = []
@@ -158,7 +159,7 @@ def test_a_scene_file_leaves_the_effects_to_a_budget(tmp_path):
             "no setting resolves so small .* got 1e-09 mm, limit: at",
         ),
         ("budget = 1", "unknown key 'budget'"),
-        ('[[candidates]]\nkind = "friction"', "candidates need a budget"),
+        ('[[candidates]]\nkind = "friction"', "candidates need an error budget"),
         ('effects = "auto"\n[[candidates]]\nkind = "frction"', "did you mean friction"),
     ],
 )
@@ -168,7 +169,7 @@ def test_a_scene_file_that_cannot_be_meant_is_refused(tmp_path, text, error):
 
 
 def test_nothing_undecided_is_simulated(scene):
-    with pytest.raises(ConfigError, match=r"not been decided.*ms.budget\(scene\).scene"):
+    with pytest.raises(ConfigError, match=r"not been resolved.*ms.budget\(scene\).scene"):
         ms.simulate(scene.with_(budget=1e-4))
 
 

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -178,9 +179,14 @@ def test_the_command_lets_a_budget_decide_first(scene, costs, tmp_path, monkeypa
     """Of a scene whose effects a budget chooses, what it calls for is measured, as it would run."""
     seen = []
     monkeypatch.setattr(ms.Scene, "load", lambda name: scene.with_(budget=1.0, candidates=()))
+    chosen = scene.with_(effects=(), budget=None)
+    monkeypatch.setattr(
+        "meshskin.study.sensitivity.budget.budget",
+        lambda of, **_: seen.append(of) or SimpleNamespace(scene=chosen),
+    )
     monkeypatch.setattr(
         "meshskin.study.sensitivity.cost.cost", lambda of, **_: seen.append(of) or costs
     )
     assert cli.main(["cost", "any", "--out", str(tmp_path), "--quiet"]) == 0
-    assert seen[0].budget is None
-    assert seen[0].effects == ()  # noise of 1 % moves no taxel by a metre
+    assert seen[0].budget == 1.0
+    assert seen[1] is chosen

@@ -163,6 +163,7 @@ def test_a_run_keeps_its_promise(tmp_path):
     assert result.metrics["seconds"]["pilot"] > 0
 
 
+@pytest.mark.slow
 def test_out_of_reach_is_one_line(capsys, tmp_path):
     out = ["--out", str(tmp_path), "--quiet"]
     assert cli.main(["run", "sphere_noisy", *out, "--accuracy-mm", "1e-6"]) == 2
