@@ -102,11 +102,11 @@ def test_the_ledger_prints_as_a_table(ledger):
 
 
 def test_the_ledger_stands_in_the_report(ledger):
-    (section,) = sections.budget(SimpleNamespace(budget_report=ledger))
+    (section,) = sections.budget(SimpleNamespace(budget=ledger))
     text, table = section.blocks
     assert text.lines == ledger.summary()
     assert len(table.rows) == len(ledger.entries)
-    assert sections.budget(SimpleNamespace(budget_report=None)) == ()
+    assert sections.budget(SimpleNamespace(budget=None)) == ()
 
 
 @pytest.mark.slow
