@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..geometry.surface.facets import Facets
+from ..geometry.surface.surface import Facets
 from .base import BaseEffect, Context, FrameTransform
 from .frames import ClosestPoint, Frames
 

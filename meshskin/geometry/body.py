@@ -1,7 +1,8 @@
-"""A body: a checked triangle mesh in m, with the smooth surface on it."""
+"""A body: a checked triangle mesh in m, and its smooth surface."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -11,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.arguments import check_integer, check_real, check_vector, check_vectors
+from ..core.arguments import check_integer, check_real, check_vector, check_vectors, repr_short
 from ..core.errors import MeshError
 from . import primitives, tessellate
 from .mesh import mesh_file
@@ -24,20 +25,20 @@ from .surface.surface import Surface
 Array = NDArray[np.float64]
 
 MAX_EXTENT, MIN_EXTENT = 5.0, 5e-3
-"""extents in m between which a body is believed"""
+"""largest and least extent of a body, m: others are most likely in another unit"""
 RAY_TOLERANCE = 1e-7
-"""largest offset from its ray, relative to the body's extent, of a hit"""
+"""largest distance of a hit from its ray, relative to the extent of the body"""
 FACES = 5120
-"""default number of faces of a primitive"""
+"""default number of faces of a primitive: see `Body.sphere` for its accuracy"""
 MAX_FACES, MAX_ASPECT = 5_000_000, 1e4
-"""most faces of a primitive, and ratio of its lengths"""
+"""largest number of faces of a primitive (2.5 GB of patches), and largest ratio of its lengths"""
 
 
 class Exact(Protocol):
-    """The exact surface that a mesh stands for."""
+    """The exact surface that a mesh approximates."""
 
     def closest(self, points: ArrayLike) -> Closest:
-        """Closest points, as `Body.closest`."""
+        """The closest points to `points` (n, 3), m, in the body frame."""
         ...
 
 
@@ -46,25 +47,25 @@ class Body:
     """A closed surface in the body frame, in m."""
 
     name: str
-    """file stem, or kind of primitive"""
+    """stem of the file name, or kind of primitive"""
     mesh: Any
     """trimesh.Trimesh, in m, counter-clockwise faces seen from outside"""
     exact: Exact | None = None
     """the exact surface, of a primitive"""
     repairs: tuple[str, ...] = field(default=())
-    """what was put right in the mesh when it was loaded"""
+    """descriptions of the repairs made to the mesh when it was loaded"""
     patches: Mapping[str, NDArray[np.intp]] = field(default_factory=dict)
-    """the faces (k,) of each named part of the file, a skin's regions by name: objects, groups and
-    materials of an OBJ, nodes, meshes and materials of a GLB, solids of an ASCII STL"""
+    """faces (k,) by the name of a part in the file, by which a skin's region can be given: objects,
+    groups and materials of an OBJ, nodes, meshes and materials of a GLB, solids of an ASCII STL"""
     seams: NDArray[np.intp] | None = None
-    """(k, 2) edges, by their vertices, over which the curvature is known to jump"""
+    """(k, 2) edges, by their vertices, across which the curvature is known to jump"""
     degree: int = DEGREE
-    """highest degree (2 to 4) of the polynomials that the surface is fitted with"""
+    """highest degree (2 to 4) of the polynomials that are fitted to the mesh"""
     crossed: NDArray[np.intp] | None = None
-    """faces (k,) at which the mesh is known to pass through itself, or to have edges of more than
-    two faces: about them the mesh's winding tells the sign of a distance"""
+    """faces (k,) known to intersect others, or to have edges of more than two faces: near them the
+    sign of a distance is decided by the winding number"""
     robot_mesh: Any | None = field(default=None, repr=False)
-    """the mesh (trimesh.Trimesh) that a robot's software has of the body; None: `mesh`"""
+    """the mesh (trimesh.Trimesh) that the software of a robot has of the body; None: `mesh`"""
 
     def __repr__(self) -> str:
         size = " x ".join(f"{1e3 * x:.4g}" for x in self.mesh.extents)
@@ -72,59 +73,49 @@ class Body:
 
     @property
     def facets(self) -> Any:
-        """The flat mesh, trimesh.Trimesh in m, that a robot's software has of the body."""
+        """The flat mesh, trimesh.Trimesh in m, that the software of a robot has of the body."""
         return self.mesh if self.robot_mesh is None else self.robot_mesh
 
     @cached_property
     def surface(self) -> Surface:
-        """The smooth surface; fitted when first asked for."""
+        """The smooth surface, fitted on first use."""
         return Surface(self.mesh, self.seams, self.degree, self.crossed)
 
     def closest(self, points: ArrayLike, face: ArrayLike | None = None) -> Closest:
         """Closest points of the smooth surface to `points` (n, 3), body frame, m.
 
-        `face` (n,): faces to start the search from, when known. Raises MeshError where a point
-        is not finite.
+        `face` (n,): faces from which the search may start. Raises MeshError where a point is not
+        finite.
         """
         return self.surface.closest(points, face)
 
     def project(self, origins: ArrayLike, directions: ArrayLike) -> Closest:
         """First hits of rays with the smooth surface: `origins`, `directions` (n, 3), body frame.
 
-        The distance is the way along the ray in m. A ray that misses, or that meets the flat mesh
-        but passes the smooth surface, has face -1, and NaN in its other entries. The face is found
-        on the flat mesh (embree, single precision), the hit on the patch. Raises MeshError.
+        The distance is that along the ray in m. A ray that misses the flat mesh or the smooth
+        surface has face -1 and NaN in all other entries. The face is found on the flat mesh
+        (embree, single precision), the hit on its patch. Raises MeshError where a ray is not finite
+        or has no direction.
         """
         o = check_vectors("origins of rays", origins, error=MeshError)
         d = check_vectors("directions of rays", directions, error=MeshError).copy()
         length = np.linalg.norm(d, axis=1)
         if not (np.isfinite(o).all() and np.isfinite(d).all() and np.all(length > 0)):
-            raise MeshError("a ray is not finite or has no direction")
+            raise MeshError("rays must be finite, and directions not zero")
         d /= length[:, None]
         first = self._first_hit(o, d)
         rows = np.flatnonzero(first >= 0)
-        answer = self.surface.at(*self.surface.trace(o[rows], d[rows], first[rows]))
-        way = np.sum((answer.point - o[rows]) * d[rows], axis=1)
-        beside = np.linalg.norm(o[rows] + way[:, None] * d[rows] - answer.point, axis=1)
-        met = beside < RAY_TOLERANCE * self.surface.scale
-        hit = rows[met]
-
-        def spread(values: Array) -> Array:
-            out = np.full((len(o), *values.shape[1:]), np.nan)
-            out[hit] = values[met]
-            return out
-
-        face = np.full(len(o), -1, dtype=np.intp)
-        face[hit] = answer.face[met]
-        return Closest(
-            spread(answer.point),
-            spread(way),
-            spread(answer.normal),
-            spread(answer.curvature),
-            spread(answer.direction),
-            face,
-            spread(answer.uv),
-        )
+        hit = self.surface.at(*self.surface.trace(o[rows], d[rows], first[rows]))
+        distance = np.sum((hit.point - o[rows]) * d[rows], axis=1)
+        off_ray = np.linalg.norm(o[rows] + distance[:, None] * d[rows] - hit.point, axis=1)
+        met = off_ray < RAY_TOLERANCE * self.surface.scale
+        hit, rows = replace(hit, distance=distance).take(met), rows[met]
+        spread = {}
+        for name, values in vars(hit).items():
+            missed = -1 if name == "face" else np.nan
+            spread[name] = np.full((len(o), *values.shape[1:]), missed, dtype=values.dtype)
+            spread[name][rows] = values
+        return Closest(**spread)
 
     def _first_hit(self, origins: Array, directions: Array) -> NDArray[np.intp]:
         centre, scale, scene = self._ray_scene
@@ -134,7 +125,7 @@ class Body:
 
     @cached_property
     def _ray_scene(self) -> tuple[Array, float, Any]:
-        """Centre and scale that bring the mesh near one, and embree's scene of it."""
+        """Centre and extent of the mesh, m, and the embree scene of it, scaled by them."""
         vertices = self.surface.vertices
         centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
         scaled = (vertices - centre) / self.surface.scale
@@ -144,13 +135,15 @@ class Body:
     def load(cls, path: str | Path, units: str | None = None, open: bool = False) -> Body:
         """A body from an STL, OBJ, PLY, OFF, GLB or glTF file.
 
-        `units` ("m", "cm", "mm", "in") is required but for glTF, which is in m by its standard.
-        With `open`, a mesh with borders is taken. What is safe to repair is repaired and listed in
-        `.repairs`; the rest raises MeshError with the value at fault and the remedy. What the file
-        calls its parts is kept in `.patches`.
+        `units` ("m", "cm", "mm", "in") is required except for glTF, whose standard is m. With
+        `open`, a mesh with borders is accepted. Safe repairs are made and listed in `.repairs`;
+        other defects raise MeshError with the value and the remedy. The names of parts in the file
+        are kept in `.patches`.
         """
         import trimesh
 
+        if not isinstance(path, str | os.PathLike):
+            raise MeshError("the path of a mesh must be a string or a path", value=repr_short(path))
         path = Path(path)
         raw = mesh_file.read(path, mesh_file.unit(path, units))
         found = check_mesh(raw.vertices, raw.faces, open)
@@ -162,12 +155,12 @@ class Body:
         return cls(path.stem, mesh, None, found.repairs, patches, crossed=found.crossed)
 
     def remeshed(self, faces: int) -> Body:
-        """The same primitive as about `faces` triangles; its `facets` stay what they are.
+        """The primitive meshed with about `faces` triangles; its `facets` remain those of now.
 
-        Raises MeshError where it is none.
+        Raises MeshError where the body is not a primitive.
         """
         if self.exact is None:
-            raise MeshError(f"{self.name} is a mesh of its own, of no known surface to mesh anew")
+            raise MeshError(f"{self.name} is not a primitive: its exact surface is not known")
         make = _PRIMITIVES[type(self.exact)]
         made = make(**vars(self.exact), faces=faces)
         return replace(made, degree=self.degree, robot_mesh=self.facets)
@@ -176,8 +169,8 @@ class Body:
     def sphere(cls, radius: float = 0.1, faces: int = FACES) -> Body:
         """Sphere about the origin, radius in m, as an icosphere.
 
-        The default of 5,120 faces is by measurement on the 0.1 m sphere: contact point off by
-        at most 0.01 um, distance 0.004 um, normal 7e-5 deg, curvature 6e-5 of its value.
+        With the default of 5,120 faces, measured at 0.1 m, the errors are at most 0.01 um in the
+        closest point, 0.004 um in the distance, 7e-5 deg in the normal, 6e-5 of the curvature.
         """
         _check_sizes(faces, radius=radius)
         vertices, triangles = tessellate.sphere(faces)
@@ -210,7 +203,7 @@ class Body:
         """Torus about z: radius `major` of the ring, `minor` of the tube, in m."""
         _check_sizes(faces, minor=minor, major=major)
         if not major > minor:
-            raise MeshError("the torus meets itself", value=f"{major} m", limit=f"> minor {minor}")
+            raise MeshError("the torus intersects itself", value=f"{major} m", limit=f"> {minor} m")
         vertices, triangles = tessellate.torus(major, minor, faces)
         return cls._of("torus", vertices, triangles, primitives.Torus(major, minor))
 
@@ -237,11 +230,11 @@ _PRIMITIVES: dict[type, Callable[..., Body]] = {
     primitives.Capsule: Body.capsule,
     primitives.Torus: Body.torus,
 }
-"""Exact surface -> what makes its mesh from the surface's fields and a number of faces"""
+"""exact surface -> function that meshes it, of the fields of the surface and a number of faces"""
 
 
 def check_extent(vertices: Array) -> None:
-    """Refuse vertices (n, 3), in m, of an unlikely size, naming the likely unit."""
+    """Raise MeshError, with the likely unit, for vertices (n, 3), m, of an improbable extent."""
     extent = float(np.max(np.ptp(vertices, axis=0)))
     if MIN_EXTENT <= extent <= MAX_EXTENT:
         return
@@ -249,7 +242,7 @@ def check_extent(vertices: Array) -> None:
     likely = [u for u in names if MIN_EXTENT <= extent * mesh_file.UNITS[u] <= MAX_EXTENT]
     if extent > MAX_EXTENT and likely:
         unit = likely[0]
-        remedy = f"likely {names[unit]}: units='{unit}', in a scene radius_{unit} and the like"
+        remedy = f"likely {names[unit]}: units='{unit}', or radius_{unit} etc. in a scene file"
     elif extent < MIN_EXTENT and extent >= mesh_file.UNITS["mm"] * MIN_EXTENT:
         remedy = "likely scaled to m already, or given in m twice: units='m'"
     else:
@@ -259,14 +252,14 @@ def check_extent(vertices: Array) -> None:
 
 
 def _check_sizes(faces: int, **lengths: float) -> None:
-    """Refuse lengths, m, and numbers of faces that no mesh can be made of."""
+    """Raise MeshError for lengths, m, and numbers of faces that cannot be meshed."""
     check_integer("number of faces", faces, least=1, most=MAX_FACES, error=MeshError)
     for name, value in lengths.items():
         check_real(f"{name} of a primitive", value, "m", above=0.0, error=MeshError)
     slender = max(lengths.values()) / min(lengths.values())
     if slender > MAX_ASPECT:
         raise MeshError(
-            "a primitive is too slender to be meshed",
+            "the ratio of the lengths of a primitive is too large",
             value=f"{' : '.join(lengths)} of {slender:.3g}",
             limit=f"{MAX_ASPECT:g}",
             remedy="correct the lengths or their units",

@@ -1,6 +1,6 @@
-"""Exact surfaces of the primitives, centred at the origin: oracles, and truth for studies.
+"""Exact surfaces of the primitives, centred at the origin.
 
-Each answers `closest(points)` like a body, with `face` -1 and `uv` zero. Curvatures from do Carmo,
+Each has `closest(points)` like a body; `face` is -1 and `uv` zero. Curvatures from do Carmo,
 "Differential Geometry of Curves and Surfaces", chapter 3.
 """
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 MIN_TANGENT = 1e-9
-"""length of a tangent, relative to one, below which it has no direction"""
+"""norm of a tangent below which it is rounding, and any other is taken"""
 
 
 def _points(points: ArrayLike) -> Array:
@@ -26,7 +26,7 @@ def _points(points: ArrayLike) -> Array:
 
 
 def _unit(vectors: Array, fallback: tuple[float, float, float]) -> tuple[Array, Array]:
-    """Unit vectors (n, 3) and lengths (n,); zero vectors point along the fallback."""
+    """Unit vectors (n, 3) and norms (n,); the fallback for zero vectors."""
     length = np.linalg.norm(vectors, axis=1)
     safe = np.where(length > 0, length, 1.0)[:, None]
     return np.where(length[:, None] > 0, vectors / safe, fallback), length
@@ -35,7 +35,7 @@ def _unit(vectors: Array, fallback: tuple[float, float, float]) -> tuple[Array, 
 def _answer(
     foot: Array, distance: Array, normal: Array, k1: ArrayLike, k2: ArrayLike, first: Array
 ) -> Closest:
-    """The answer of curvatures k1 >= k2 (n,); `first` (n, 3): tangents along k1, or zero."""
+    """The result for curvatures k1 >= k2 (n,); `first` (n, 3): tangents along k1, or zero."""
     n = len(foot)
     curvature = np.stack([np.broadcast_to(k1, n), np.broadcast_to(k2, n)], axis=1)
     nowhere = np.linalg.norm(first, axis=1, keepdims=True) < MIN_TANGENT

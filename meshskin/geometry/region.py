@@ -1,4 +1,4 @@
-"""Regions of a body's surface: where a skin is laid, and about which point."""
+"""Regions of the surface of a body, on which skins are laid out, and their centres."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .surface.closest_point import Closest
 
 Array = NDArray[np.float64]
 SHOWN = 20
-"""names of patches in a message"""
+"""most names of patches listed in a message"""
 
 
 @runtime_checkable
@@ -26,17 +26,17 @@ class Region(Protocol):
     """A part of a surface, with a centre on it."""
 
     def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
-        """Which of the surface points (n,) belong to it."""
+        """Which (n,) of the surface points belong to the region."""
         ...
 
     def centre(self, body: Body) -> Closest:
-        """Its centre: one surface point."""
+        """The centre of the region: one surface point."""
         ...
 
 
 @dataclass(frozen=True)
 class Whole:
-    """The whole surface, about the point that the direction from the body's middle leaves by."""
+    """The whole surface, with the outermost point in a direction as its centre."""
 
     direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """body frame; need not be a unit vector"""
@@ -52,12 +52,12 @@ class Whole:
 
 @dataclass(frozen=True)
 class Cap:
-    """The points seen from the body's middle within an angle of a direction."""
+    """The points within an angle of a direction, seen from the centre of the bounding box."""
 
     direction: tuple[float, float, float] = quantity("")
     """body frame; need not be a unit vector"""
     angle: float = quantity("rad", np.pi, above=0.0, most=np.pi)
-    """half opening, in rad"""
+    """largest angle, in rad"""
 
     def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
         """The points within the angle."""
@@ -72,10 +72,10 @@ class Cap:
 
 @dataclass(frozen=True)
 class Disc:
-    """The points within a way over the surface of a point of it."""
+    """The points within a geodesic distance of a point of the surface."""
 
     point: tuple[float, float, float] = quantity("m")
-    """body frame, m; its closest surface point counts"""
+    """body frame, m; replaced by its closest surface point"""
     radius: float = quantity("m", above=0.0)
     """geodesic radius, m"""
 
@@ -95,10 +95,10 @@ class HalfSpace:
     normal: tuple[float, float, float] = quantity("")
     """body frame; need not be a unit vector"""
     offset: float = quantity("m")
-    """m, along the unit normal from the frame's origin"""
+    """m, along the unit normal from the origin of the frame"""
 
     def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
-        """The points on the far side of the plane."""
+        """The points beyond the plane."""
         return np.asarray(at.point @ _unit(self.normal) >= self.offset)
 
     def centre(self, body: Body) -> Closest:
@@ -109,49 +109,51 @@ class HalfSpace:
 
 @dataclass(frozen=True, eq=False)
 class Faces:
-    """Faces of a mesh: by their numbers in `body.mesh.faces`, or by a mask of all of them."""
+    """Faces of a mesh: by their rows in `body.mesh.faces`, or by a mask over all of them."""
 
     faces: Sequence[int] | NDArray[np.intp] | NDArray[np.bool_]
-    """(k,) numbers, or (m,) bool"""
+    """(k,) rows, or (m,) bool"""
 
     def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
         """The points on one of the faces."""
         return np.isin(at.face, self._numbers(body))
 
     def centre(self, body: Body) -> Closest:
-        """The face middle nearest to the mean of the faces' middles."""
-        middles = face_points(body, self._numbers(body), 1)
-        off = np.linalg.norm(middles.point - middles.point.mean(axis=0), axis=1)
+        """The face centroid nearest to the mean of the centroids."""
+        centroids = face_points(body, self._numbers(body), 1)
+        off = np.linalg.norm(centroids.point - centroids.point.mean(axis=0), axis=1)
         k = int(np.argmin(off))
-        return body.surface.at(middles.face[[k]], middles.uv[[k]])
+        return body.surface.at(centroids.face[[k]], centroids.uv[[k]])
 
     def _numbers(self, body: Body) -> NDArray[np.intp]:
         given, count = np.asarray(self.faces), len(body.surface.faces)
         if given.dtype == bool:
             if given.shape != (count,):
-                raise SkinError("shape of a face mask", value=given.shape, limit=f"({count},)")
+                raise SkinError(
+                    "wrong shape of a face mask", value=given.shape, limit=f"({count},)"
+                )
             given = np.flatnonzero(given)
         if not given.size:
-            raise SkinError("faces of a region", value="none", limit="one or more")
+            raise SkinError("a region needs faces", value="none", limit="at least 1")
         if given.dtype.kind not in "iu" or given.min() < 0 or given.max() >= count:
             wrong = given if given.dtype.kind not in "iu" else given[(given < 0) | (given >= count)]
-            raise SkinError("face of a region", value=wrong.flat[0], limit=f"0 to {count - 1}")
+            raise SkinError("no such face", value=wrong.flat[0], limit=f"0 to {count - 1}")
         return given.astype(np.intp)
 
 
 @dataclass(frozen=True)
 class Patch:
-    """A part of the body by the name that its mesh file gives it: see `Body.patches`."""
+    """A part of the body by its name in the mesh file: see `Body.patches`."""
 
     patch: str
-    """one of the body's patches"""
+    """a key of `Body.patches`"""
 
     def contains(self, body: Body, at: Closest) -> NDArray[np.bool_]:
         """The points on the patch's faces."""
         return self._faces(body).contains(body, at)
 
     def centre(self, body: Body) -> Closest:
-        """The face middle nearest to the mean of the faces' middles."""
+        """The face centroid nearest to the mean of the centroids."""
         return self._faces(body).centre(body)
 
     def _faces(self, body: Body) -> Faces:
@@ -162,16 +164,16 @@ class Patch:
                 remedy=_known(self.patch, [*body.patches]),
             )
         if not len(found):
-            raise SkinError(f"patch {self.patch!r} of {body.name} has no faces left after repairs")
+            raise SkinError(f"patch {self.patch!r} of {body.name} has no faces after repairs")
         return Faces(found)
 
 
 def _known(name: str, names: list[str]) -> str:
-    """What to do where a name is not among those of a body's patches."""
+    """The remedy where a name is not among those of the patches of a body."""
     if not names:
         return (
-            "its file names no parts: objects, groups and materials of an OBJ, nodes, meshes and "
-            "materials of a GLB are patches; or give a disc, a half-space or faces"
+            "its file has no named parts (objects, groups and materials of an OBJ; nodes, meshes "
+            "and materials of a GLB); give a disc, a half-space or faces"
         )
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     few, more = ", ".join(sorted(names)[:SHOWN]), len(names) - SHOWN
@@ -180,36 +182,34 @@ def _known(name: str, names: list[str]) -> str:
 
 
 def as_region(region: Region | str | None) -> Region:
-    """The region that is asked for: by a patch's name, or the whole surface without any."""
+    """The region itself, the patch of a name, or the whole surface for None. Raises SkinError."""
     if isinstance(region, str):
         return Patch(region)
     if region is not None and not isinstance(region, Region):
-        raise SkinError(
-            "a region of a body is none", value=repr(region), limit="a patch's name, or a Region"
-        )
+        raise SkinError("a region must be the name of a patch or a Region", value=repr(region))
     return Whole() if region is None else region
 
 
 def bounding_box_centre(body: Body) -> Array:
-    """The middle (3,) of the bounding box, m."""
+    """The centre (3,) of the bounding box, m."""
     vertices = body.surface.vertices
     return np.asarray(0.5 * (vertices.min(axis=0) + vertices.max(axis=0)))
 
 
 def outermost(body: Body, direction: ArrayLike) -> Closest:
-    """The surface point farthest out on the ray from the body's middle, or nearest to it."""
-    way, centre = _unit(direction), bounding_box_centre(body)
-    far = centre + 2.0 * body.surface.scale * way
-    hit = body.project([far], [-way])
+    """The outermost point on the ray from the centre of the bounding box, or that nearest to it."""
+    unit, centre = _unit(direction), bounding_box_centre(body)
+    far = centre + 2.0 * body.surface.scale * unit
+    hit = body.project([far], [-unit])
     if hit.face[0] >= 0:
         return hit
     return body.closest([far])
 
 
 def area(body: Body, region: Region) -> float:
-    """Area of a region in m^2: that of the flat faces, each by the share of its parts within.
+    """Area of a region in m^2: that of the flat faces, by the share of each within the region.
 
-    Faces at the region's border count by their 9 parts, the others by their middle.
+    The share is taken at the centroid, and near the border of the region at those of 9 parts.
     """
     surface = body.surface
     a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
@@ -217,8 +217,10 @@ def area(body: Body, region: Region) -> float:
     if isinstance(region, Whole):
         return float(areas.sum())
     share = region.contains(body, face_points(body, np.arange(len(areas)), 1)).astype(float)
-    around = share[surface.neighbours]
-    border = np.flatnonzero(np.any((around != share[:, None]) & (surface.neighbours >= 0), axis=1))
+    neighbours = share[surface.neighbours]
+    border = np.flatnonzero(
+        np.any((neighbours != share[:, None]) & (surface.neighbours >= 0), axis=1)
+    )
     if len(border):
         within = region.contains(body, face_points(body, border, 3))
         share[border] = within.reshape(len(border), -1).mean(axis=1)
@@ -226,13 +228,13 @@ def area(body: Body, region: Region) -> float:
 
 
 def face_points(body: Body, faces: NDArray[np.intp], cuts: int) -> Closest:
-    """The smooth surface at the middles of the cuts^2 equal parts of each face (n,)."""
+    """The smooth surface at the centroids of the cuts^2 equal parts of each face (n,)."""
     uv = subdivision_centroids(cuts)[:, 1:]
     return body.surface.at(np.repeat(faces, len(uv)), np.tile(uv, (len(faces), 1)))
 
 
 def arc_length(start: Closest, end: Closest) -> Array:
-    """Ways (n,) in m over the surface from one point to n others, taken as arcs of circles.
+    """Arc lengths (n,) in m from one surface point to n others, as of circular arcs.
 
     A chord c between normals that differ by theta spans an arc c (theta / 2) / sin(theta / 2):
     exact on a sphere and a plane.
@@ -247,5 +249,5 @@ def _unit(vector: ArrayLike) -> Array:
     v = np.asarray(vector, dtype=float).reshape(3)
     length = np.linalg.norm(v)
     if not (np.isfinite(length) and length > 0):
-        raise SkinError("direction of a region", value=v.tolist(), limit="a vector, not zero")
+        raise SkinError("a direction must be finite and not zero", value=v.tolist())
     return np.asarray(v / length)

@@ -20,35 +20,36 @@ def sphere(faces: int) -> tuple[Array, Index]:
 
 
 def ellipsoid(radii: Array, faces: int) -> tuple[Array, Index]:
-    """Ellipsoid of semi-axes `radii` (3,): an icosphere carried over so as to suit its bends.
+    """Ellipsoid of semi-axes `radii` (3,), as the image of an icosphere.
 
-    Scaling the sphere by the radii leaves large turns at sharp ends, the inverse of the Gauss map
-    large faces on flat sides; halfway between, both keep to the square root of the radii's ratio.
+    Scaling the sphere by the radii leaves large angles between faces at sharp ends, the inverse of
+    the Gauss map large faces on flat sides; halfway between, both vary by the square root of the
+    ratio of the radii.
     """
     directions, triangles = sphere(faces)
-    stretched = np.sqrt(radii) * directions
-    return radii * stretched / np.linalg.norm(stretched, axis=1, keepdims=True), triangles
+    scaled = np.sqrt(radii) * directions
+    return radii * scaled / np.linalg.norm(scaled, axis=1, keepdims=True), triangles
 
 
 def cylinder(radius: float, length: float, faces: int) -> tuple[Array, Index]:
-    """Cylinder along z with flat caps: rows of even triangles on the side, rings on the caps."""
+    """Cylinder along z with flat caps: rows of triangles on the side, rings on the caps."""
     area = 2.0 * np.pi * radius * (radius + length)
     step = float(np.sqrt(area / (faces * np.sqrt(3.0) / 4.0)))
     n = max(2, round(2.0 * np.pi * radius / (6.0 * step)))
     rows = max(1, round(length / (2.0 * np.pi * radius / (6 * n) * np.sqrt(3.0) / 2.0)))
     counts = [1, *(6 * k for k in range(1, n + 1))]
-    reach = [radius * k / n for k in range(n + 1)]
+    radii_ = [radius * k / n for k in range(n + 1)]
     heights = [0.5 * length] * (n + 1) + list(np.linspace(0.5, -0.5, rows + 1)[1:] * length)
     heights += [-0.5 * length] * n
     counts += [6 * n] * rows + counts[:n][::-1]
-    reach += [radius] * rows + reach[:n][::-1]
-    return _stitch(_rings(heights, reach, counts, range(n, n + rows + 1)))
+    radii_ += [radius] * rows + radii_[:n][::-1]
+    return _stitch(_rings(heights, radii_, counts, range(n, n + rows + 1)))
 
 
 def capsule(radius: float, length: float, faces: int) -> tuple[Array, Index, Index]:
-    """Capsule along z: rows of even triangles on the cylinder, half octahedra at its ends.
+    """Capsule along z: rows of triangles on the cylinder, half octahedra at its ends.
 
-    The third is the seams (k, 2), edges by their vertices, where the cylinder becomes a sphere.
+    Third, the seams (k, 2): edges, by their vertices, between the cylinder and the half spheres.
     """
     area_sphere, area_side = 4.0 * np.pi * radius**2, 2.0 * np.pi * radius * length
     n = max(2, round(float(np.sqrt(faces / 8.0 * area_sphere / (area_sphere + area_side)))))
@@ -63,9 +64,9 @@ def capsule(radius: float, length: float, faces: int) -> tuple[Array, Index, Ind
     heights += [-0.5 * length] * n
     latitude += list(np.linspace(0.0, -0.5 * np.pi, n + 1)[1:])
     counts += counts[:n][::-1]
-    reach = (radius * np.cos(latitude)).tolist()
+    radii_ = (radius * np.cos(latitude)).tolist()
     heights = (heights + radius * np.sin(latitude)).tolist()
-    rings = _rings(heights, reach, counts, range(n, n + rows + 1))
+    rings = _rings(heights, radii_, counts, range(n, n + rows + 1))
     starts = np.concatenate([[0], np.cumsum(counts)])
     around = np.arange(4 * n)
     seam = np.column_stack([around, (around + 1) % (4 * n)])
@@ -80,27 +81,29 @@ def torus(major: float, minor: float, faces: int) -> tuple[Array, Index]:
     a, b = 2.0 * np.pi * i / around, 2.0 * np.pi * (j + 0.5 * (i % 2)) / across
     if around % 2:
         b = 2.0 * np.pi * j / across
-    reach = major + minor * np.cos(b)
-    vertices = np.stack([reach * np.cos(a), reach * np.sin(a), minor * np.sin(b)], axis=-1)
-    here, up = i * across + j, i * across + (j + 1) % across
+    radii_ = major + minor * np.cos(b)
+    vertices = np.stack([radii_ * np.cos(a), radii_ * np.sin(a), minor * np.sin(b)], axis=-1)
+    node, up = i * across + j, i * across + (j + 1) % across
     east, east_up = ((i + 1) % around) * across + j, ((i + 1) % around) * across + (j + 1) % across
-    lean = (i % 2 == 1) & (around % 2 == 0)
+    odd = (i % 2 == 1) & (around % 2 == 0)
     first = np.where(
-        lean[..., None], np.stack([here, east, east_up], -1), np.stack([here, east, up], -1)
+        odd[..., None], np.stack([node, east, east_up], -1), np.stack([node, east, up], -1)
     )
     second = np.where(
-        lean[..., None], np.stack([here, east_up, up], -1), np.stack([east, east_up, up], -1)
+        odd[..., None], np.stack([node, east_up, up], -1), np.stack([east, east_up, up], -1)
     )
     return vertices.reshape(-1, 3), np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
 
 
-def _rings(heights: list[float], reach: list[float], counts: list[int], side: range) -> list[Array]:
-    """Closed rings of points (count, 3), each at a height and a reach from the axis, m.
+def _rings(
+    heights: list[float], radii_: list[float], counts: list[int], side: range
+) -> list[Array]:
+    """Closed rings of points (count, 3), each at a height and a radius, m.
 
-    Every other one of those of the `side` is turned by half a step, for even triangles.
+    Every second ring of the `side` is rotated by half a step: its triangles are equilateral.
     """
     rings = []
-    for k, (z, r, count) in enumerate(zip(heights, reach, counts, strict=True)):
+    for k, (z, r, count) in enumerate(zip(heights, radii_, counts, strict=True)):
         shift = 0.5 * ((k - side.start) % 2) if k in side else 0.0
         a = (np.arange(count) + shift) * 2.0 * np.pi / count
         rings.append(np.column_stack([r * np.cos(a), r * np.sin(a), np.full(count, z)]))
@@ -108,7 +111,7 @@ def _rings(heights: list[float], reach: list[float], counts: list[int], side: ra
 
 
 def _stitch(rings: list[Array]) -> tuple[Array, Index]:
-    """Join closed rings of points, top to bottom, by the shorter diagonal at each step."""
+    """Triangulate between closed rings of points, top to bottom, in the order of their angles."""
     starts = np.concatenate([[0], np.cumsum([len(ring) for ring in rings])])
     faces: list[tuple[int, int, int]] = []
     for k in range(len(rings) - 1):

@@ -25,7 +25,7 @@ BODIES = {
     "half a face": (lambda: ms.Body.torus(0.1, 0.03, faces=1.5), "an integer, got 1.5"),
     "a slender capsule": (
         lambda: ms.Body.capsule(1e-6, 1.0),
-        "too slender .*got radius : length of 1e.06",
+        "lengths .*got radius : length of 1e.06",
     ),
     "a torus of nan": (lambda: ms.Body.torus(np.nan, 0.1), "finite number, got nan"),
 }

@@ -96,6 +96,12 @@ def test_a_faceless_or_missing_file_is_refused(tmp_path):
         Body.load(tmp_path / "points.step", units="m")
 
 
+@pytest.mark.parametrize("path", [None, 3, b"ball.stl"])
+def test_a_path_of_another_type_is_refused(path):
+    with pytest.raises(MeshError, match="path of a mesh must be a string or a path, got"):
+        Body.load(path, units="mm")
+
+
 def write_off(path, vertices, faces):
     lines = ["OFF", f"{len(vertices)} {len(faces)} 0"]
     lines += [" ".join(str(x) for x in v) for v in vertices]
@@ -222,7 +228,7 @@ def test_a_primitive_is_meshed_anew(body):
 
 def test_a_mesh_of_its_own_is_not_meshed_anew(ball, tmp_path):
     ball.export(tmp_path / "ball.stl")
-    with pytest.raises(MeshError, match="no known surface"):
+    with pytest.raises(MeshError, match="not a primitive"):
         Body.load(tmp_path / "ball.stl", units="mm").remeshed(320)
 
 

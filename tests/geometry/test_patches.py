@@ -153,7 +153,7 @@ def test_names_survive_repairs_that_renumber_faces(ball, tmp_path):
     assert_parts(body, ball)
     assert len(body.patches["flat"]) == 0
     assert set(body.patches["again"]) < set(body.patches["thumb"])  # by the faces that stayed
-    with pytest.raises(SkinError, match="patch 'flat' of hand has no faces left after repairs"):
+    with pytest.raises(SkinError, match="patch 'flat' of hand has no faces after repairs"):
         Skin.cover(body, spacing=6e-3, region="flat")
 
 
@@ -194,13 +194,13 @@ def test_an_unknown_patch_is_refused_with_the_names_there_are(ball, tmp_path, na
 def test_a_format_without_names_says_which_have_them(ball, tmp_path, suffix):
     ball.export(tmp_path / f"hand.{suffix}")
     body = Body.load(tmp_path / f"hand.{suffix}", units="m")
-    with pytest.raises(SkinError, match=r"its file names no parts: .*OBJ.*GLB"):
+    with pytest.raises(SkinError, match=r"its file has no named parts .*OBJ.*GLB"):
         Skin.cover(body, spacing=6e-3, region="palm")
 
 
 @pytest.mark.parametrize(
     ("faces", "match"),
-    [(np.zeros(3, dtype=bool), "shape of a face mask"), ([0.5], "face of a region, got 0.5")],
+    [(np.zeros(3, dtype=bool), "shape of a face mask"), ([0.5], "no such face, got 0.5")],
 )
 def test_wrong_masks_are_refused(faces, match):
     with pytest.raises(SkinError, match=match):

@@ -116,7 +116,7 @@ def test_self_overlap(load, ball):
         load(both.vertices, both.faces)
 
 
-def test_folds_do_not_turn_the_sign(load, ball):
+def test_inside_outside_do_not_turn_the_sign(load, ball):
     """Two neighbours changed places: by the normals alone 7 % of the signs near them are wrong."""
     vertices = ball.vertices.copy()
     one, two = ball.faces[np.argmax(ball.triangles_center[:, 2])][:2]
@@ -132,7 +132,7 @@ def test_folds_do_not_turn_the_sign(load, ball):
     clear = np.abs(hit.distance) > 2.0 * body.surface.offsets.max()
     assert not np.any(((hit.distance < 0) != inside)[clear])
     blind = replace(body, crossed=None)  # as if the crossings were not known, nor the winding
-    blind.surface._folds.closed = False
+    blind.surface._inside_outside.closed = False
     assert np.mean(((blind.closest(points).distance < 0) != inside)[clear]) > 0.02
 
 

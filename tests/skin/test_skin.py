@@ -144,9 +144,9 @@ def test_outermost_point_of_a_direction():
         ({"count": 0}, "number of taxels"),
         ({"count": 50_000}, "spacing of taxels"),
         ({"spacing": 20e-3, "count": 1000}, "number of taxels, got 1000, limit: the"),
-        ({"count": 5, "region": Cap((0, 0, 0))}, "direction of a region"),
-        ({"count": 5, "region": Faces(())}, "faces of a region"),
-        ({"spacing": 5e-3, "region": Faces((0, 6000))}, "face of a region, got 6000, limit: 0 to"),
+        ({"count": 5, "region": Cap((0, 0, 0))}, "a direction must be finite"),
+        ({"count": 5, "region": Faces(())}, "a region needs faces"),
+        ({"spacing": 5e-3, "region": Faces((0, 6000))}, "no such face, got 6000, limit: 0 to"),
         ({"spacing": 5e-3, "region": HalfSpace((0, 0, 1), 0.2)}, "a region without surface"),
     ],
 )

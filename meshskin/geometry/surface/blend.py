@@ -1,8 +1,8 @@
-"""Patches of a mesh from its jets: the barycentric blend of the jets at a face's corners.
+"""Patches of a mesh: barycentric blends of the jets at the corners of each face.
 
-S = sum_i w_i P_i, where P_i lifts the base point of the face along jet i's normal to jet i. The
-base is the flat face; beside a crease it is moved within the surface, so that the patches of both
-sides end on one curve, where the two sides' surfaces meet.
+S = sum_i w_i P_i, where P_i projects a point of the base along the normal of jet i onto jet i. The
+base is the flat face; at a crease its edge is moved to the curve in which the surfaces of both
+sides intersect, so that the patches of both faces end on it.
 """
 
 from __future__ import annotations
@@ -24,19 +24,21 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 BULGE_MARGIN = 3e-3
-"""lift of a patch from its face, over the shortest side, beyond what its tangents account for"""
+"""largest height of a patch over its face, beyond that of the tangent planes at its corners,
+relative to the shortest side of the face"""
 TILT_MARGIN, TILT_SHARE = np.radians(1.0), 0.4
-"""angle of a jet's normal from its face's, beyond the turn to the next faces (on a circle it
-is half of it), or 3/4 of this share of the largest turn at the vertex"""
+"""margin of the angle between the normals of a jet and of its face over the largest angle between
+the face and its neighbours (on a circle it is half of that), or over 3/4 of this share of the
+largest such angle at the vertex"""
 MAX_TRUSTED_TILT = np.radians(6.0)
-"""the same for faithful jets: twice the largest turn at the vertex, but no more than this"""
+"""for jets of a small residual, twice the largest such angle at the vertex, up to this limit"""
 FOLD_COSINE, MAX_ROUNDS = 0.5, 6
-"""cosine of the angle to its face from which a patch folds; rounds of unfolding"""
+"""cosine of the angle to its face from which a patch is folded; most rounds of regularization"""
 CHUNK = 1024
-"""faces blended at once: bounds the memory; products of more would wake BLAS's threads, which cost
-more than they save"""
+"""faces blended at once: bounds the memory, and keeps products too small for BLAS to use threads,
+which cost more than they save"""
 NODES = np.array(patch.POWERS) / patch.DEGREE
-"""(21, 2) u, v of the points that fix a quintic"""
+"""(21, 2) u, v of the nodes that determine a quintic"""
 WEIGHTS = np.column_stack([1.0 - NODES.sum(axis=1), NODES])
 """(21, 3) their barycentric weights"""
 BASIS = patch.monomials(NODES[:, 0], NODES[:, 1])
@@ -48,9 +50,9 @@ DERIVATIVE_U, DERIVATIVE_V = patch.slopes(NODES[:, 0], NODES[:, 1])
 
 
 def _edge_tables() -> tuple[Index, Array]:
-    """The inner nodes (3, 4) of the edges opposite the corners, and how they move all (3, 21, 4).
+    """Inner nodes (3, 4) of the edges opposite the corners, and their effect (3, 21, 4) on all.
 
-    A move of an edge's curve, as a quintic in Bernstein form, extends to the face by the Bernstein
+    A displacement of an edge, a quintic in Bernstein form, extends to the face by the Bernstein
     polynomials of the same control points.
     """
     d = patch.DEGREE
@@ -71,10 +73,10 @@ EDGE_NODES, EDGE_EXTENSION = _edge_tables()
 
 
 def _lift_tables() -> dict[int, tuple[Array, Array]]:
-    """For lifts of a degree: nodes (q, 2) that fix them, and patches (3, r, q) from values there.
+    """For heights of each degree: nodes (q, 2), and patches (3, r, q) from the heights there.
 
-    The nodes are the weights of the corners after the lift's own; the patches, of a degree more,
-    are lifts times the weight of their corner.
+    The nodes are the weights of the two corners after the jet's own; the patches, of one degree
+    more, are the heights times the weight of the jet's corner.
     """
     tables = {}
     for degree in range(1, DEGREE + 1):
@@ -95,7 +97,7 @@ LIFTS = _lift_tables()
 def regularize(jets: Jets, fans: Fans, beyond: Index, slot: Index) -> tuple[Jets, Creases]:
     """Jets and crease curves without bulges and folds; `beyond`, `slot`: topology.neighbours.
 
-    Where a patch would fold, its creases become straight; where it still does, its jets flat.
+    Creases of a folded patch become straight; where it remains folded, its jets become flat.
     """
     jets = flatten_bulges(jets, fans)
     straight = np.zeros(fans.corner.shape, dtype=bool)
@@ -124,7 +126,7 @@ def regularize(jets: Jets, fans: Fans, beyond: Index, slot: Index) -> tuple[Jets
 
 
 def is_folded(jets: Jets, corner: Index, curved: tuple[Index, Index, Array]) -> NDArray[np.bool_]:
-    """Whether the patches of faces with the fans `corner` (m, 3) turn from their faces anywhere."""
+    """Whether patches of faces with the fans `corner` (m, 3) turn away from their faces."""
     values, _ = node_values(jets, corner, curved)
     coefficients = INVERSE @ values
     normal = np.cross(DERIVATIVE_U @ coefficients, DERIVATIVE_V @ coefficients)
@@ -137,19 +139,19 @@ def is_folded(jets: Jets, corner: Index, curved: tuple[Index, Index, Array]) -> 
 def blend_patches(
     jets: Jets, fans: Fans, creases: Creases, triangles: Array
 ) -> tuple[Array, Array]:
-    """Patches (m, 21, 3) of the faces, and their largest distances (m,) from `triangles`, m.
+    """Patches (m, 21, 3) of the faces, and their largest distances (m,), m, from `triangles`.
 
-    Two faces share the jets of a smooth edge and the curve of a crease: their patches meet exactly.
-    `triangles` (m, 3, 3): the flat faces; the distances are those at the nodes.
+    Neighbouring faces share the jets of a smooth edge, or the curve of a crease: their patches meet
+    exactly. `triangles` (m, 3, 3), m: the flat faces; the distances are those at the nodes.
     """
     m = len(fans.corner)
-    out, lift2 = np.zeros((m, len(NODES), 3)), np.empty(m)
+    out, height2 = np.zeros((m, len(NODES), 3)), np.empty(m)
     for start in range(0, m, CHUNK):
         some = slice(start, start + CHUNK)
-        flat, over = _flat_based(jets, fans.corner[some], triangles[some])
+        flat, offset = _flat_based(jets, fans.corner[some], triangles[some])
         for axis, values in enumerate(flat):
             out[some, : len(values), axis] = values.T
-        lift2[some] = np.einsum("ckm,ckm->km", over, over).max(axis=0)
+        height2[some] = np.einsum("ckm,ckm->km", offset, offset).max(axis=0)
         place, k, curve = creases.of(np.arange(start, min(start + CHUNK, m)))
         if len(place):
             curved, owner = np.unique(place, return_inverse=True)
@@ -157,26 +159,26 @@ def blend_patches(
             values, _ = node_values(jets, fans.corner[rows], (owner, k, curve))
             out[rows] = INVERSE @ values
             values -= WEIGHTS @ triangles[rows]
-            lift2[rows] = np.einsum("mnc,mnc->mn", values, values).max(axis=1)
-    return out, np.sqrt(lift2)
+            height2[rows] = np.einsum("mnc,mnc->mn", values, values).max(axis=1)
+    return out, np.sqrt(height2)
 
 
 def _flat_based(jets: Jets, corner: Index, triangles: Array) -> tuple[Array, Array]:
-    """Patches (3, r, m) of faces with straight edges, and their nodes' offsets from `triangles`.
+    """Patches (3, r, m) of faces with straight edges, and offsets of nodes from `triangles`.
 
-    The place over a flat base is linear in u and v: a lift is a polynomial of its jet's degree, and
-    fixed by few of the nodes; coefficients beyond the first r are zero. The last axis is that of
-    the faces, in which NumPy is fast.
+    The base point is linear in u and v: a height is a polynomial of the degree of its jet, and
+    determined by few nodes; coefficients beyond the first r are zero. The last axis is that of the
+    faces, for NumPy's speed.
     """
     degree = jets.degree[corner]
     most = max(1, int(degree.max(initial=0)))
     nodes, to_patch = LIFTS[most]
-    places = np.moveaxis(jets.origin[corner], 0, 2)  # (corner, xyz, m)
+    origins = np.moveaxis(jets.origin[corner], 0, 2)  # (corner, xyz, m)
     out = np.zeros((3, to_patch.shape[1], len(corner)))
     for k in range(3):
         fan = corner[:, k]
         frame, scale = np.moveaxis(jets.frame[fan], 0, 2).copy(), jets.scale[fan].T
-        sides = places[[k - 2, k - 1]] - places[k]
+        sides = origins[[k - 2, k - 1]] - origins[k]
         x, y, z = np.einsum("scm,acm->asm", sides, frame)
         coefficients = jets.coefficients[fan].T.copy()
         lift = heights(coefficients, nodes @ (x / scale[0]), nodes @ (y / scale[1]), most)
@@ -184,26 +186,26 @@ def _flat_based(jets: Jets, corner: Index, triangles: Array) -> tuple[Array, Arr
         lift *= degree[:, k] > 0
         out += (to_patch[k] @ lift) * frame[2][:, None]
     flat = np.moveaxis(triangles, 0, 2)
-    out[:, :3] += _linear(places - flat)  # an averaged jet does not start at its vertex
-    over = BASIS[:, : out.shape[1]] @ out
+    out[:, :3] += _linear(origins - flat)  # the origin of a jet may differ from its vertex
+    offset = BASIS[:, : out.shape[1]] @ out
     out[:, :3] += _linear(flat)
-    return out, over
+    return out, offset
 
 
 def _linear(corners: Array) -> Array:
-    """The first coefficients (3, 3, m) of flat faces with `corners` (corner, 3, m)."""
+    """The linear coefficients (3, 3, m) of flat faces with `corners` (corner, 3, m)."""
     return np.stack([corners[0], corners[1] - corners[0], corners[2] - corners[0]], axis=1)
 
 
 def node_values(
     jets: Jets, corner: Index, curved: tuple[Index, Index, Array] | None = None
 ) -> tuple[Array, Array]:
-    """The surface (m, 21, 3) at the nodes of faces with the fans `corner` (m, 3), and its base.
+    """Patches (m, 21, 3) at the nodes of faces with the fans `corner` (m, 3), and their base.
 
-    `curved`: faces, the corners opposite their creases, and the creases' inner points (e, 4, 3).
+    `curved`: faces, the corners opposite their creases, and inner points of these (e, 4, 3).
     """
-    places = jets.origin[corner]  # (m, 3, 3)
-    base = WEIGHTS @ places
+    origins = jets.origin[corner]  # (m, 3, 3)
+    base = WEIGHTS @ origins
     if curved is not None and len(curved[0]):
         face, k, curve = curved
         nodes = EDGE_NODES[k]
@@ -213,7 +215,7 @@ def node_values(
     for j in range(3):
         fan = corner[:, j]
         frame, scale = jets.frame[fan], jets.scale[fan]
-        local = (base - places[:, [j]]) @ np.swapaxes(frame, 1, 2)
+        local = (base - origins[:, [j]]) @ np.swapaxes(frame, 1, 2)
         x, y = local[..., 0] / scale[:, :1], local[..., 1] / scale[:, 1:]
         lift = heights(jets.coefficients[fan].T[:, :, None], x, y, most) - local[..., 2]
         lift *= WEIGHTS[:, j] * (jets.degree[fan] > 0)[:, None]
@@ -224,36 +226,36 @@ def node_values(
 
 
 def flatten_bulges(jets: Jets, fans: Fans) -> Jets:
-    """The jets, but flat at the fans of faces whose patches bulge beyond belief.
+    """The jets, made flat at the fans of faces whose patches bulge.
 
-    Between two points of an arc, the arc is half as high over the chord as its tangents are; no
-    patch may be higher than the highest of the tangent planes at its corners, and no tangent plane
-    lean more than the next faces do.
+    An arc is half as high over its chord as its end tangents are: no patch may be higher than the
+    highest of the tangent planes at its corners, and no tangent plane may be inclined to its face
+    by more than the neighbouring faces are.
     """
     degree = jets.degree.copy()
-    turn = np.zeros(len(degree))
+    largest = np.zeros(len(degree))
     for k in range(3):
-        np.maximum.at(turn, fans.corner[:, k], fans.angle)
+        np.maximum.at(largest, fans.corner[:, k], fans.angle)
     normals = jets.normals
     suspect = np.flatnonzero(np.any(jets.residual[fans.corner] >= TRUSTED_RESIDUAL, axis=1))
     for start in range(0, len(suspect), CHUNK):
         rows = suspect[start : start + CHUNK]
         corner = fans.corner[rows]
-        places = jets.origin[corner]
-        side = np.linalg.norm(places - places[:, [1, 2, 0]], axis=2).min(axis=1)
+        origins = jets.origin[corner]
+        side = np.linalg.norm(origins - origins[:, [1, 2, 0]], axis=2).min(axis=1)
         values, base = node_values(jets, corner)
         flat = face_normals(jets.origin, corner)
-        lean = np.arccos(np.clip(np.einsum("mkc,mc->mk", normals[corner], flat), -1.0, 1.0))
-        near = np.where(
+        tilt = np.arccos(np.clip(np.einsum("mkc,mc->mk", normals[corner], flat), -1.0, 1.0))
+        allowed = np.where(
             jets.residual[corner] < TRUSTED_RESIDUAL,
-            np.minimum(2.0 * turn, MAX_TRUSTED_TILT)[corner],
+            np.minimum(2.0 * largest, MAX_TRUSTED_TILT)[corner],
             0.0,
         )
-        near = np.maximum(near, TILT_SHARE * turn[corner])
-        leaning = lean > np.maximum(fans.angle[rows, None], 0.75 * near) + TILT_MARGIN
-        degree[corner[leaning]] = 0
+        allowed = np.maximum(allowed, TILT_SHARE * largest[corner])
+        tilted = tilt > np.maximum(fans.angle[rows, None], 0.75 * allowed) + TILT_MARGIN
+        degree[corner[tilted]] = 0
         lift = np.linalg.norm(values - base, axis=2)
-        offset = base[:, None] - places[:, :, None]
+        offset = base[:, None] - origins[:, :, None]
         tangent = np.abs(np.einsum("mknc,mkc->mkn", offset, normals[corner])).max(axis=1)
         bulging = np.any(lift > tangent + BULGE_MARGIN * side[:, None], axis=1)
         degree[corner[bulging]] = 0

@@ -146,15 +146,15 @@ class ReferenceSearch:
 
     def closest(self, p: Array, face: Index | None) -> PatchPoints:
         """The closest points to p (n, 3), m; `face` (n,), where a search could start, is unused."""
-        lifts = self._surface.offsets
-        row, near, uv, distance = self._flat.nearby(p, 2.0 * float(lifts.max()))
+        offsets = self._surface.offsets
+        row, near, uv, distance = self._flat.nearby(p, 2.0 * float(offsets.max()))
         flat = None
         if face is None and not self._surface.smooth:
             best = newton.least_of_rows(row, distance)
             flat = FlatPoints(near[best], uv[best], distance[best])
         bound = np.full(len(p), np.inf)
-        np.minimum.at(bound, row, distance + lifts[near])
-        possible = distance - lifts[near] <= (1.0 + 1e-12) * bound[row]
+        np.minimum.at(bound, row, distance + offsets[near])
+        possible = distance - offsets[near] <= (1.0 + 1e-12) * bound[row]
         row, near, uv = row[possible], near[possible], uv[possible]
         found, uv = newton.descend(self._surface, near, p[row], newton.point_distance, uv)
         derivatives = self.derivatives(found, uv)

@@ -1,6 +1,7 @@
-/* Closest points on a surface of quintic patches: the nearest flat face by a tree of cylinders
-   (cylinders.c comes before this text), Newton walks over the patches from there, and from every
-   face that may be nearer. The walk is walk.py's, step by step. All lengths in m, in one frame. */
+/* Closest points of a surface of quintic patches: the nearest flat face by a tree of cylinders
+   (cylinders.c precedes this text), and Newton's method over the patches from there, and from every
+   face that may be nearer. The iteration is that of newton.py, from which rays and the reference
+   search take it. All lengths in m, in one frame. */
 
 #define STACK 128  /* more than twice the levels of any tree */
 #define LEAF 4     /* faces in a leaf, at most, as in compiled_search.py */
@@ -10,7 +11,7 @@ typedef struct {
     const double *patch;     /* (m, 21, 3) */
     const int64_t *beyond;   /* (m, 3) faces across the edges, or -1 */
     const int64_t *slot;     /* (m, 3) the corners off those edges there */
-    double quadratic, still; /* steps after which a walk is at its end */
+    double quadratic, still; /* largest last steps */
     int64_t far, hops, steps;
 } Surface;
 

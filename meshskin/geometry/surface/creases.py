@@ -1,4 +1,4 @@
-"""The curves of a mesh's creases, from the jets on both sides of them."""
+"""Curves of the creases of a mesh, in which the jets of both sides intersect."""
 
 from __future__ import annotations
 
@@ -18,27 +18,31 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 MAX_BOW = 0.2
-"""largest distance of a crease's curve from its chord, relative to the chord; nor may it be farther
-than the tangent planes at its ends"""
+"""largest distance of a crease's curve from its chord, relative to the chord: an arc of 87 deg; the
+tangent planes at the ends bound it too"""
+ITERATIONS = 8
+"""steps of the projection on both sides; MISMATCH checks the result"""
+MISMATCH = 1e-3
+"""largest distance of a curve from both sides, relative to the chord, after the iterations"""
 INNER = np.arange(1, patch.DEGREE) / patch.DEGREE
-"""(4,) weights of an edge's head at its inner nodes"""
+"""(4,) weights of the head of an edge at its inner nodes"""
 
 
 @dataclass(frozen=True)
 class Creases:
-    """The curves of the creases, once for each of their two faces, in the order of the faces."""
+    """Curves of the creases, one for each of their two faces, sorted by face."""
 
     face: Index
     """(e,)"""
     corner: Index
     """(e,) the corner opposite the crease"""
     curve: Array
-    """(e, 4, 3) inner points, m, from the edge's tail to its head in this face"""
+    """(e, 4, 3) inner points, m, from the tail to the head of the half-edge of this face"""
 
     def of(self, rows: Index) -> tuple[Index, Index, Array]:
-        """Those of the sorted faces `rows` (k,): places in `rows`, corners, points."""
-        low, high = np.searchsorted(self.face, rows), np.searchsorted(self.face, rows, side="right")
-        count = high - low
+        """Those of the sorted faces `rows` (k,): positions in `rows`, corners, inner points."""
+        low, end = (np.searchsorted(self.face, rows, side=side) for side in ("left", "right"))
+        count = end - low
         place = np.repeat(np.arange(len(rows)), count)
         pick = ranges(low, count)
         return place, self.corner[pick], self.curve[pick]
@@ -47,9 +51,9 @@ class Creases:
 def crease_curves(
     jets: Jets, fans: Fans, beyond: Index, slot: Index, chords: NDArray[np.bool_]
 ) -> Creases:
-    """The curves of the creases, from where the surfaces of both sides meet.
+    """Curves of the creases, in which the surfaces of both sides intersect.
 
-    Where those do not meet near the chord, and where `chords` (m, 3) says so, it is the chord.
+    Where those do not intersect near the chord, and where `chords` (m, 3) is true, the chord.
     """
     edge = np.flatnonzero(fans.sharp.ravel())
     face, k = np.divmod(edge, 3)
@@ -70,19 +74,20 @@ def crease_curves(
     if len(a):
         normals = jets.normals
         ends = (tail, head, sides[1][0], sides[1][1])
-        rise = np.max([_rise(jets, normals, fan, chord) for fan in ends], axis=0)
-        meet = np.linalg.norm(np.cross(flat[: len(a)], flat[len(a) :]), axis=1)
-        most = np.minimum(most, rise / np.maximum(meet, 0.3))
-        for f, k in ((a, ka), (b, kb)):  # nor beyond the middle of the faces beside it
-            tip = jets.origin[fans.corner[f, k]] - p
-            most = np.minimum(most, 0.5 * np.linalg.norm(np.cross(along, tip), axis=1))
+        bound = np.max([_tangent_distance(jets, normals, fan, chord) for fan in ends], axis=0)
+        sine = np.linalg.norm(np.cross(flat[: len(a)], flat[len(a) :]), axis=1)
+        most = np.minimum(most, bound / np.maximum(sine, 0.3))
+        for f, k in ((a, ka), (b, kb)):  # and by half the height of the faces
+            apex = jets.origin[fans.corner[f, k]] - p
+            most = np.minimum(most, 0.5 * np.linalg.norm(np.cross(along, apex), axis=1))
     most = most[:, None, None]
     curve = chord.copy()
-    for _ in range(8):
-        curve = chord + np.clip(curve + _towards(jets, sides, curve, along) - chord, -most, most)
+    for _ in range(ITERATIONS):
+        curve = curve + _projection_step(jets, sides, curve, along)
+        curve = chord + np.clip(curve - chord, -most, most)
     bow = np.linalg.norm(curve - chord, axis=2).max(axis=1)
-    left = np.abs(_towards(jets, sides, curve, along)).max(axis=(1, 2))
-    straight = ~((bow < most[:, 0, 0]) & (left < 1e-3 * length))
+    mismatch = np.abs(_projection_step(jets, sides, curve, along)).max(axis=(1, 2))
+    straight = ~((bow < most[:, 0, 0]) & (mismatch < MISMATCH * length))
     straight |= chords[a, ka]
     curve[straight] = chord[straight]
     face, corner = np.concatenate([a, b]), np.concatenate([ka, kb])
@@ -90,23 +95,23 @@ def crease_curves(
     return Creases(face[order], corner[order], np.concatenate([curve, curve[:, ::-1]])[order])
 
 
-def _rise(jets: Jets, normals: Array, fan: Index, points: Array) -> Array:
-    """Largest distances (e,) of points (e, 4, 3) from the tangent planes of fans (e,)."""
+def _tangent_distance(jets: Jets, normals: Array, fan: Index, points: Array) -> Array:
+    """Largest distances (e,) of points (e, 4, 3) from the tangent planes at fans (e,)."""
     offset = points - jets.origin[fan][:, None]
-    high = np.abs(np.einsum("etc,ec->et", offset, normals[fan])).max(axis=1)
-    return np.where(jets.degree[fan] > 0, high, 0.0)
+    distance = np.abs(np.einsum("etc,ec->et", offset, normals[fan])).max(axis=1)
+    return np.where(jets.degree[fan] > 0, distance, 0.0)
 
 
-def _towards(
+def _projection_step(
     jets: Jets, sides: tuple[tuple[Index, Index, Array], ...], points: Array, along: Array
 ) -> Array:
-    """Moves (e, 4, 3), across the edges, of points towards the surfaces of both sides.
+    """Steps (e, 4, 3), perpendicular to the edges, from points towards both surfaces.
 
-    Sides that are nearly tangent are met halfway (damped least squares).
+    By damped least squares: of nearly tangent surfaces the step leads halfway.
     """
-    normals, misses = [], []
+    normals, distances = [], []
     for tail, head, flat in sides:
-        normal, miss = np.zeros_like(points), np.zeros(points.shape[:2])
+        normal, distance = np.zeros_like(points), np.zeros(points.shape[:2])
         for fan, weight in ((tail, 1.0 - INNER), (head, INNER)):
             frame, scale = jets.frame[fan], jets.scale[fan]
             up = np.where((jets.degree[fan] > 0)[:, None], frame[:, 2], flat)
@@ -115,12 +120,12 @@ def _towards(
             x, y = local[..., 0] / scale[:, :1], local[..., 1] / scale[:, 1:]
             height = heights(jets.coefficients[fan].T[:, :, None], x, y)
             height *= (jets.degree[fan] > 0)[:, None]
-            miss += weight * (np.einsum("etc,ec->et", offset, up) - height)
+            distance += weight * (np.einsum("etc,ec->et", offset, up) - height)
             normal += weight[:, None] * up[:, None]
         normal -= np.einsum("etc,ec->et", normal, along)[..., None] * along[:, None]
         normals.append(normal)
-        misses.append(miss)
-    (one, two), (r1, r2) = normals, misses
+        distances.append(distance)
+    (one, two), (r1, r2) = normals, distances
     aa, ab, bb = (np.einsum("etc,etc->et", f, g) for f, g in ((one, one), (one, two), (two, two)))
     aa, bb = aa + 1e-3, bb + 1e-3
     det = aa * bb - ab * ab

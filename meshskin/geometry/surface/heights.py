@@ -1,4 +1,4 @@
-"""Height fields as polynomials of degree 1 to 4 in two variables, fitted to rings in batches."""
+"""Polynomial height fields of degree 1 to 4 in two variables, fitted in batches."""
 
 from __future__ import annotations
 
@@ -8,34 +8,36 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 DEGREE = 4
-POWERS = tuple((d - j, j) for d in range(1, DEGREE + 1) for j in range(d + 1))  # 14, no constant
+"""highest degree"""
+POWERS = tuple((d - j, j) for d in range(1, DEGREE + 1) for j in range(d + 1))
+"""(i, j) of the 14 monomials x^i y^j, by total degree, without the constant"""
 TERMS = {d: (d + 1) * (d + 2) // 2 - 1 for d in range(1, DEGREE + 1)}
-"""number of monomials up to a degree"""
+"""number of monomials up to each degree"""
 MIN_PIVOT = 1e-4
-"""smallest sine of the angle between a column of the fit and the columns before it"""
+"""least sine of the angle between a column of the fit and the columns before it"""
 RANK_TOLERANCE = 0.02
-"""the same, of a column that counts where a ring does not determine all"""
+"""least such sine of a column that is kept where a ring does not determine all columns"""
 MAX_SLOPE, MAX_HIGH_ORDER = 2.0, 0.8
-"""bounds of the sums of absolute coefficients, all and those above degree 2, of a believable fit,
-over the ring's radius; on a sphere, with q = ring radius over sphere radius, they are q + q^3 / 2
-and q^3 / 2"""
+"""bounds of the sums of absolute coefficients, of all and of those above degree 2, of a plausible
+fit over the radius of its ring; on a sphere, with q = ring radius / sphere radius, the sums are
+q + q^3 / 2 and q^3 / 2: q up to 1.1 is plausible"""
 MAX_HIGH_ORDER_RATIO = 0.2
-"""largest terms above degree 2, over those of degree 2, of a believable fit without spare points"""
+"""largest terms above degree 2, over those of degree 2, of a plausible fit without spare points"""
 MAX_RESIDUAL = 0.01
-"""bound of a believable fit's residual, RMS over the ring, relative to the ring's radius"""
+"""largest RMS residual of a plausible fit, relative to the radius of the ring"""
 
 
 def least_squares(
     local: Array, scale: Array, degree: int
 ) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Least-squares heights of rings (g, 3, k) by Cholesky: which to believe, coefficients, RSS.
+    """Least-squares heights of rings (g, 3, k) by Cholesky: which are plausible, coefficients, RSS.
 
     The sums of squared residuals (g, degree - 1) are those of the degrees from 2: the columns are
     in the order of degree, so one factor serves all.
     """
     columns = powers(local[:, 0], local[:, 1], degree)  # (g, c, k)
     g, c, k = columns.shape
-    if k - 1 < c:  # the fan itself, among the k, says nothing
+    if k - 1 < c:  # the fan itself, one of the k, has height zero
         return np.zeros(g, dtype=bool), np.zeros((g, c)), np.zeros((g, degree - 1))
     height = local[:, 2]
     length = np.sqrt(np.einsum("gck,gck->gc", columns, columns))
@@ -56,16 +58,17 @@ def least_squares(
 
 
 def rank_revealing_qr(columns: Array, height: Array) -> tuple[Array, Array, Array, Array]:
-    """Factors of least squares (g, c, k) that leave out columns that depend on those before.
+    """QR factors of columns (g, c, k) by Gram-Schmidt, without columns that depend on those before.
 
-    Lengths of the columns (g, c), Q^T height (g, c), R (g, c, c), and which columns count (g, c).
+    Gives the norms of the columns (g, c), Q^T height (g, c), R (g, c, c), and which columns (g, c)
+    are kept.
     """
     length = np.maximum(np.sqrt(np.einsum("gck,gck->gc", columns, columns)), 1e-300)
     g, c, _ = columns.shape
     q, r, kept = np.zeros_like(columns), np.zeros((g, c, c)), np.zeros((g, c), dtype=bool)
     for j in range(c):
         rest = columns[:, j] / length[:, j, None]
-        for _ in range(2):  # once is not orthogonal enough
+        for _ in range(2):  # a second pass restores orthogonality
             along = np.einsum("gck,gk->gc", q[:, :j], rest)
             rest = rest - np.einsum("gc,gck->gk", along, q[:, :j])
             r[:, :j, j] += along
@@ -78,7 +81,7 @@ def rank_revealing_qr(columns: Array, height: Array) -> tuple[Array, Array, Arra
 
 
 def plausible(values: Array, scale: Array) -> NDArray[np.bool_]:
-    """Whether coefficients (g, c), m, on rings of extents `scale` (g, 2), m, are of a surface."""
+    """Whether coefficients (g, c), m, on rings of extents `scale` (g, 2), m, are small enough."""
     shortest = scale.min(axis=1)
     slope = np.sum(np.abs(values[:, :2]) / scale, axis=1)
     size = np.abs(values) / shortest[:, None]
@@ -88,7 +91,7 @@ def plausible(values: Array, scale: Array) -> NDArray[np.bool_]:
 
 
 def decaying(values: Array) -> NDArray[np.bool_]:
-    """Whether the terms above degree 2 of coefficients (g, c) are small against those of it."""
+    """Whether the terms of coefficients (g, c) above degree 2 are small next to those of it."""
     wave, bend = np.abs(values[:, 5:]).sum(axis=1), np.abs(values[:, 2:5]).sum(axis=1)
     return np.asarray(wave <= MAX_HIGH_ORDER_RATIO * bend)
 
@@ -109,7 +112,7 @@ def powers(x: Array, y: Array, degree: int) -> Array:
 def heights(coefficients: Array, x: Array, y: Array, degree: int = DEGREE) -> Array:
     """Heights h(x, y), m, of jets (14, ...) at x, y (...), which are relative to their scales.
 
-    No coefficient beyond `degree` may count.
+    Coefficients beyond `degree` are taken as zero.
     """
     c = dict(zip(POWERS, coefficients, strict=True))
     total = np.zeros_like(x)

@@ -1,12 +1,11 @@
-"""Vertex jets: polynomial height fields fitted to the vertices around each vertex.
+"""Osculating jets: polynomial height fields fitted to the vertices around each vertex.
 
-At a fan (fans.py: a vertex, on one side of the creases that meet there), in a frame (t1, t2, n),
-the surface is the height h(x, y), a polynomial fitted by least squares to the vertices within some
-edges. The degree is the lowest whose residual is no larger than chance makes it; where the vertices
-are so noisy that this is a quadric, wider rings are taken as long as the residual stays the same.
+In a frame (t1, t2, n) at a fan (fans.py) the surface is a height h(x, y), a polynomial fitted by
+least squares to the vertices within a number of edges, the ring. The degree is the lowest whose
+residual is explained by noise; where that is 2, rings are widened while the residual stays equal.
 Source: Cazals and Pouget, "Estimating differential quantities using polynomial fitting of
-osculating jets", Computer Aided Geometric Design 22 (2005): a degree-d jet gives normals to order
-h^d and curvatures to order h^(d-1).
+osculating jets", Computer Aided Geometric Design 22 (2005): a jet of degree d gives normals to
+order h^d and curvatures to order h^(d-1). CGAL has it, in C++; libigl fits quadrics alone.
 """
 
 from __future__ import annotations
@@ -17,8 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .fans import Fans
-from .frames import fan_frames
+from .fans import Fans, fan_frames
 from .heights import (
     DEGREE,
     MAX_RESIDUAL,
@@ -35,23 +33,26 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 PLANE_TOLERANCE = 1e-5
-"""bound of the residual of a ring that is taken as flat, relative to the ring's radius"""
+"""largest residual of a ring that is taken as plane, relative to the radius of the ring"""
 MAX_UNEXPLAINED = 0.02
-"""share of the heights' squares that a fit without spare points may leave"""
+"""largest sum of squared residuals of a fit to a sparse ring, over that of the heights"""
 SPARE_POINTS = 2
-"""points of a ring, beyond the terms of the fit and the fan itself, that a fit should have"""
+"""points beyond the number of terms from which the residual of a fit says how good it is"""
 TRUSTED_RESIDUAL = 0.01
-"""miss of a jet that is trusted on a wider ring, and with a normal that leans from its faces'"""
+"""relative residual of a jet that is accepted on a wider ring, and whose normal may be inclined to
+its faces'"""
 VARIANCE_RATIO = 2.0
-"""ratio of the variances of two fits' residuals that noise alone explains"""
+"""ratio of the residual variances of two fits up to which noise explains the difference: that of an
+F test at 6 and 20 degrees of freedom is exceeded by explained in 11 % of cases"""
 ROUNDING = 1e-14
-"""square of a residual over that of the heights from which rounding explains it"""
+"""squared residual over squared heights up to which it is rounding: 1e-7 is single precision"""
 MAX_RINGS = 4
-"""edges within which noisy vertices are averaged, at most"""
+"""largest ring, in edges, for noisy vertices"""
 MAX_QUARTIC_FANS = 250_000
-"""fans beyond which quadrics are fitted: exact enough on faces so small, and four times as fast"""
+"""number of fans above which quadrics are fitted: accurate enough on faces so small, and four times
+as fast (studies/speed/surface.py)"""
 CHUNK = 2048
-"""vertices fitted at once: bounds the memory"""
+"""fans fitted at once: bounds the memory"""
 
 
 @dataclass(frozen=True)
@@ -59,17 +60,17 @@ class Jets:
     """Height fields at j fans."""
 
     origin: Array
-    """(j, 3) where the height is zero, in m: the vertex, or its mean place among noisy ones"""
+    """(j, 3) points of height zero, in m: the vertex, or its fitted position on noisy meshes"""
     frame: Array
     """(j, 3, 3) rows t1, t2, normal; t1 along the crease, beside one"""
     scale: Array
-    """(j, 2) extents of the ring in m, which x and y are divided by"""
+    """(j, 2) extents of the ring in m, by which x and y are divided"""
     coefficients: Array
     """(j, 14) of x^i y^j in the order of POWERS, in m"""
     degree: NDArray[np.int64]
-    """(j,) degree of each fit; 0: the faces stay flat here"""
+    """(j,) degree of each fit; 0: the faces stay flat"""
     residual: Array
-    """(j,) residual of the fit over its heights, RMS; 1 where the ring had no points to spare"""
+    """(j,) RMS residual of the fit over the RMS height; 1 where the ring had no points to spare"""
 
     @property
     def normals(self) -> Array:
@@ -81,64 +82,64 @@ class Jets:
 
 @dataclass
 class _Fit:
-    """The fits in progress, and their residuals."""
+    """Fits in progress, and their residuals."""
 
     jets: Jets
-    rss: Array  # (j, 5) sum of squares of the residual by degree; row's NaN: not fitted
-    dof: Array  # (j, 5) its degrees of freedom
-    floor: Array  # (j,) sum of squares that rounding explains
+    rss: Array  # (j, 5) sums of squared residuals by degree; NaN: not fitted
+    dof: Array  # (j, 5) their degrees of freedom
+    floor: Array  # (j,) sums of squares that rounding explains
 
 
 def adjacency(faces: Index, count: int) -> Any:
-    """Which of `count` nodes share an edge, and each with itself: CSR (count, count) of ones."""
+    """Adjacency matrix of `count` nodes, with ones on the diagonal: CSR (count, count)."""
     from scipy.sparse import csr_array, eye_array
 
     i = faces[:, [0, 1, 2, 1, 2, 0]].ravel()
     j = faces[:, [1, 2, 0, 0, 1, 2]].ravel()
     ones = np.ones(len(i), dtype=np.float32)
-    step = csr_array((ones, (i, j)), shape=(count, count))
-    return csr_array(step + eye_array(count, dtype=np.float32))
+    adjacent = csr_array((ones, (i, j)), shape=(count, count))
+    return csr_array(adjacent + eye_array(count, dtype=np.float32))
 
 
 def fit_jets(vertices: Array, fans: Fans, degree: int = DEGREE, order: int = 2) -> Jets:
     """Jets of at most the given degree (2 to 4) on the `order`-ring of every fan.
 
-    Where a ring is too small or too regular for the degree, or the fit is not believable, the next
-    lower one is fitted, on the 1-ring at last; a fan that nothing fits keeps its flat faces.
+    Where a ring is too small or too regular for the degree, or the fit is implausible, the next
+    lower degree is fitted, finally on the 1-ring; a fan without a plausible fit keeps flat faces.
     """
     points, count = vertices[fans.vertex], len(fans.vertex)
     if count > MAX_QUARTIC_FANS:
         degree = 2
-    step = adjacency(fans.corner, count)
+    adjacent = adjacency(fans.corner, count)
     frame = fan_frames(points, fans)
     jets = Jets(
         points.copy(), frame, np.ones((count, 2)), np.zeros((count, len(POWERS))),
         np.zeros(count, dtype=np.int64), np.ones(count),
     )  # fmt: skip
-    work = _Fit(jets, np.full((count, 5), np.nan), np.zeros((count, 5)), np.zeros(count))
-    reach = step
+    fits = _Fit(jets, np.full((count, 5), np.nan), np.zeros((count, 5)), np.zeros(count))
+    rings = adjacent
     for _ in range(order - 1):
-        reach = reach @ step
-    _fit_rings(work, np.arange(count), reach, degree)
+        rings = rings @ adjacent
+    _fit_rings(fits, np.arange(count), rings, degree)
     if degree == DEGREE:
-        _smooth_noise(work, step, reach, fans.on_crease)
-    small = np.diff(reach.indptr) <= TERMS[degree] + SPARE_POINTS
+        _smooth_noise(fits, adjacent, rings, fans.on_crease)
+    small = np.diff(rings.indptr) <= TERMS[degree] + SPARE_POINTS
     poor = np.flatnonzero((jets.degree == 0) & small)
-    if len(poor):  # beside a crease rings are small: one more, if the surface is smooth that far
-        _fit_rings(work, poor, reach[poor] @ step, degree)
+    if len(poor):  # beside a crease: a wider ring, if the surface is smooth that far
+        _fit_rings(fits, poor, rings[poor] @ adjacent, degree)
         jets.degree[poor[jets.residual[poor] > 0.03 * TRUSTED_RESIDUAL]] = 0
     poor = np.flatnonzero(jets.degree == 0)
     if len(poor):
-        for near in (reach, step):
-            _fit_sparse(work, poor, near[poor], degree)
+        for near in (rings, adjacent):
+            _fit_sparse(fits, poor, near[poor], degree)
             poor = poor[jets.degree[poor] == 0]
     return jets
 
 
-def _fit_rings(work: _Fit, rows: Index, reach: Any, degree: int) -> None:
-    """Fit the fans `rows` (r,) to their rings, the rows of `reach` (r, n), in place."""
-    jets = work.jets
-    start, index = reach.indptr.astype(np.intp), reach.indices
+def _fit_rings(fits: _Fit, rows: Index, rings: Any, degree: int) -> None:
+    """Fit the fans `rows` (r,) to their rings, the rows of `rings` (r, n), in place."""
+    jets = fits.jets
+    start, index = rings.indptr.astype(np.intp), rings.indices
     size = np.diff(start)
     for group in size_groups(size):
         members = rows[group]
@@ -148,10 +149,10 @@ def _fit_rings(work: _Fit, rows: Index, reach: Any, degree: int) -> None:
         if len(ring[0]) <= TERMS[degree] + SPARE_POINTS:
             solved &= decaying(values)
         done = members[solved]
-        work.rss[done, 2 : degree + 1] = rss[solved]
-        work.dof[done, 2:] = [max(len(ring[0]) - 1 - TERMS[d], 0) for d in (2, 3, 4)]
+        fits.rss[done, 2 : degree + 1] = rss[solved]
+        fits.dof[done, 2:] = [max(len(ring[0]) - 1 - TERMS[d], 0) for d in (2, 3, 4)]
         squares = np.sum(local[solved, 2] ** 2, axis=1)
-        work.floor[done] = ROUNDING * squares
+        fits.floor[done] = ROUNDING * squares
         jets.coefficients[done] = 0.0
         jets.coefficients[done, : values.shape[1]] = values[solved]
         jets.degree[done] = degree
@@ -174,47 +175,47 @@ def _local(jets: Jets, members: Index, ring: Index) -> Array:
     return np.asarray(local)
 
 
-def _smooth_noise(work: _Fit, step: Any, reach: Any, split: NDArray[np.bool_]) -> None:
-    """Lower the degree, and then widen the rings, of fans whose residual is no more than noise.
+def _smooth_noise(fits: _Fit, adjacent: Any, rings: Any, fixed: NDArray[np.bool_]) -> None:
+    """Lower the degree, then widen the rings, of fans whose residual is explained by noise.
 
     Only where most of the mesh is noisy: a scan, not a few bad vertices. Residuals are pooled over
-    the fans next to each other. Fans inside the surface move to the fitted height.
+    adjacent fans. Fans off the creases and borders move to the fitted height.
     """
-    full = ~np.isnan(work.rss[:, 4])
+    full = ~np.isnan(fits.rss[:, 4])
     if not full.any():
         return
-    rss, dof = np.where(full[:, None], work.rss, 0.0), np.where(full[:, None], work.dof, 0.0)
-    total, freedom = step @ rss[:, 2:], np.maximum(step @ dof[:, 2:], 1e-9)
+    rss, dof = np.where(full[:, None], fits.rss, 0.0), np.where(full[:, None], fits.dof, 0.0)
+    total, freedom = adjacent @ rss[:, 2:], np.maximum(adjacent @ dof[:, 2:], 1e-9)
     variance = total / freedom
-    chance = VARIANCE_RATIO * variance[:, 2]
-    noisy = full & (variance[:, 1] <= chance) & (freedom[:, 2] >= 6)
-    noisy &= total[:, 2] > step @ np.where(full, work.floor, 0.0)
+    explained = VARIANCE_RATIO * variance[:, 2]
+    noisy = full & (variance[:, 1] <= explained) & (freedom[:, 2] >= 6)
+    noisy &= total[:, 2] > adjacent @ np.where(full, fits.floor, 0.0)
     if noisy.sum() <= 0.5 * len(full):
         return
-    chance = np.maximum(chance, VARIANCE_RATIO * np.median(variance[noisy, 2]))
+    explained = np.maximum(explained, VARIANCE_RATIO * np.median(variance[noisy, 2]))
     known = freedom[:, 2] >= 6
-    noisy, quadric = (known & (variance[:, k] <= chance) for k in (1, 0))
+    noisy, quadric = (known & (variance[:, k] <= explained) for k in (1, 0))
     cubic = np.flatnonzero(noisy & ~quadric)
-    _fit_rings(work, cubic, reach[cubic], 3)
+    _fit_rings(fits, cubic, rings[cubic], 3)
     rows = np.flatnonzero(quadric)
-    limit = chance[rows]
-    _fit_rings(work, rows, reach[rows], 2)
-    ring = reach[rows]
+    limit = explained[rows]
+    _fit_rings(fits, rows, rings[rows], 2)
+    ring = rings[rows]
     for _ in range(MAX_RINGS - 2):
-        ring = ring @ step
-        accepted = _average(work.jets, rows, ring, limit, ~split[rows])
+        ring = ring @ adjacent
+        accepted = _average(fits.jets, rows, ring, limit, ~fixed[rows])
         rows, limit, ring = rows[accepted], limit[accepted], ring[accepted]
-    work.jets.residual[known & (work.jets.degree > 0)] = 0.0  # what they miss is noise
+    fits.jets.residual[known & (fits.jets.degree > 0)] = 0.0  # their residual is noise
 
 
 def _average(
-    jets: Jets, rows: Index, reach: Any, limit: Array, moving: NDArray[np.bool_]
+    jets: Jets, rows: Index, rings: Any, limit: Array, moving: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Quadrics on wide rings where the residual's variance keeps to the limit (r,): which rows.
+    """Quadrics on wide rings where the residual variance is within `limit` (r,): which rows.
 
-    A `moving` fan takes the fitted height as its origin.
+    The origin of a `moving` fan moves to the fitted height.
     """
-    start, index = reach.indptr.astype(np.intp), reach.indices
+    start, index = rings.indptr.astype(np.intp), rings.indices
     size = np.diff(start)
     accepted = np.zeros(len(rows), dtype=bool)
     for group in size_groups(size):
@@ -242,13 +243,13 @@ def _average(
     return accepted
 
 
-def _fit_sparse(work: _Fit, rows: Index, reach: Any, degree: int) -> None:
-    """Fit fans whose rings do not determine a polynomial: of all that fit, the least one.
+def _fit_sparse(fits: _Fit, rows: Index, rings: Any, degree: int) -> None:
+    """Fit fans whose rings do not determine a polynomial, by the columns that they do determine.
 
-    A coarse cylinder's side is of this kind: its vertices lie on two circles.
+    An example is the side of a coarse cylinder, whose vertices lie on two circles.
     """
-    jets = work.jets
-    start, index = reach.indptr.astype(np.intp), reach.indices
+    jets = fits.jets
+    start, index = rings.indptr.astype(np.intp), rings.indices
     size = np.diff(start)
     for group in size_groups(size):
         members = rows[group]

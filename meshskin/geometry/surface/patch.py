@@ -22,16 +22,18 @@ ORDERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 """derivatives (in u, in v) of S, Su, Sv, Suu, Suv, Svv"""
 
 MIN_CURVATURE_GAP = 1e-12
-"""(1/m)^2 under the root of the curvatures' difference: keeps its derivative finite on spheres"""
+"""(1/m)^2, added under the root of the difference of the curvatures: its derivative stays finite on
+a sphere, and the curvatures change by at most 1e-6 1/m"""
 MIN_DETERMINANT, MIN_METRIC, MAX_STEP = 1e-60, 1e-30, 0.5
-"""where the foot is not determined or the patch folds, CasADi's foot stays finite: least squared
-determinant of its Newton matrix, least of the patch's metric (m^4), longest step in u and v"""
+"""bounds that keep CasADi's closest point finite where it is not determined or the patch is folded:
+least squared determinant of the Newton matrix (m^8), least determinant of the metric (m^4), both
+far below those of a face of 1 um, and longest step in u and v, half a face"""
 MIN_SINE = 1e-9
-"""sine of the angle between Su and Sv below which a face has no area"""
+"""sine of the angle between Su and Sv up to which a face has no area"""
 
 
 def _derivative_table() -> tuple[NDArray[np.intp], Array]:
-    """Where and with which factor d^a/du^a d^b/dv^b of each monomial is found among them."""
+    """Index and factor of each derivative of each monomial among the monomials, both (6, 21)."""
     index = {power: k for k, power in enumerate(POWERS)}
     source = np.zeros((len(ORDERS), len(POWERS)), dtype=np.intp)
     factor = np.zeros((len(ORDERS), len(POWERS)))
@@ -52,7 +54,7 @@ def monomials(u: ArrayLike, v: ArrayLike) -> Array:
     out = np.empty((*np.broadcast_shapes(u.shape, v.shape), len(POWERS)))
     out[..., 0] = 1.0
     start = 0
-    for degree in range(1, DEGREE + 1):  # each degree is the one before times u, and v times v^d-1
+    for degree in range(1, DEGREE + 1):  # the degree before times u, and v^d
         below, here = slice(start, start + degree), start + degree
         out[..., here : here + degree] = out[..., below] * u[..., None]
         out[..., here + degree] = out[..., here - 1] * v
@@ -127,15 +129,15 @@ def _casadi_derivatives(coefficients: Any, u: Any, v: Any) -> list[Any]:
 def casadi_foot(
     coefficients: Any, u: Any, v: Any, point: Any, iterations: int = 1
 ) -> tuple[Any, Any, Any, Any, Any]:
-    """Foot of `point` on one patch by Newton steps from (u, v), without branches.
+    """Closest point of one patch to `point` by Newton steps from (u, v), without branches.
 
     Solves (S - p) . Su = 0 = (S - p) . Sv with the exact second derivatives. Takes
     `coefficients` (21, 3), scalars `u`, `v` and `point` (3, 1), all SX (or MX, DM), in the body
     frame and m. Gives (u, v, S (3, 1), outward normal (3, 1), curvatures (2, 1), larger first).
 
-    Meant for tracking: S and its tangents follow the last step to second order by the derivatives
-    at hand, an error of the order of Newton's own, at half the cost of evaluating anew; the
-    curvature is the one before that step.
+    For tracking: after the last step S and its tangents are extrapolated to second order, with an
+    error of the order of Newton's own, at half the cost of an evaluation; the curvature is that
+    before the last step.
     """
     import casadi as ca
 

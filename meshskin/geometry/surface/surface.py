@@ -1,7 +1,8 @@
 """The smooth surface of a mesh: closest points, normals and curvatures on patches.
 
-Each face carries a quintic patch (blend.py); neighbouring patches meet exactly, at creases too.
-Closest points are found in C (compiled_search.py), without a compiler in NumPy (search.py).
+Each face has a quintic patch (blend.py); neighbouring patches meet exactly, at creases too. Closest
+points are found in C (compiled_search.py), or without a compiler by trimesh's R-tree and NumPy
+(closest_point.py).
 """
 
 from __future__ import annotations
@@ -20,18 +21,18 @@ from ..mesh.inside_outside import ON_EDGE, InsideOutside
 from ..mesh.topology import NEXT, PREVIOUS, neighbours
 from ..mesh.triangles import face_normals
 from . import blend, compiled_search, fans, heights, jets, newton, patch
-from .closest_point import Closest, FlatPoints, ReferenceSearch
-from .compiled_search import CompiledSearch
+from .closest_point import Closest, FlatPoints, ReferenceFlat, ReferenceSearch
+from .compiled_search import CompiledFlat, CompiledSearch
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 OFFSET_MARGIN = 1.3
-"""a patch's height over its face, over that at its nodes"""
+"""bound of the height of a patch over its face, relative to the largest height at its nodes"""
 
 
 class Surface:
-    """Smooth surface over a triangle mesh (an object with `.vertices` (n, 3) m, `.faces` (m, 3)).
+    """Smooth surface of a triangle mesh (an object with `.vertices` (n, 3) m, `.faces` (m, 3)).
 
     Faces are counter-clockwise seen from outside. Vertices are in the body frame.
     """
@@ -43,10 +44,10 @@ class Surface:
         degree: int = heights.DEGREE,
         crossed: ArrayLike | None = None,
     ) -> None:
-        """`seams` (k, 2): pairs of vertices over whose edges the curvature jumps, where known.
+        """`seams` (k, 2): pairs of vertices across whose edges the curvature is known to jump.
 
-        `degree` (2 to 4): the highest of the height fields at the vertices. `crossed` (k,): faces
-        at which the mesh passes through itself, or has edges of more than two faces, where known.
+        `degree` (2 to 4): highest degree of the height fields at the vertices. `crossed` (k,):
+        faces known to intersect others, or to have edges of more than two faces.
         """
         self.vertices: Array = np.array(mesh.vertices, dtype=float)
         self.faces: Index = np.array(mesh.faces, dtype=np.intp)
@@ -57,7 +58,7 @@ class Surface:
 
     @cached_property
     def fans(self) -> fans.Fans:
-        """The vertices split at creases."""
+        """The fans of the vertices between creases."""
         return fans.split_fans(self.vertices, self.faces, (self.neighbours, self.slot), self._seams)
 
     @cached_property
@@ -87,14 +88,14 @@ class Surface:
 
     @cached_property
     def smooth(self) -> bool:
-        """Whether there is no crease, border, thin wall, or vertex that keeps its flat faces."""
+        """Whether there are no creases, borders, thin walls, and vertices that keep flat faces."""
         if self.fans.creased or len(self._crossed) or np.any(self.jets.degree == 0):
             return False
         return not thin_walled(self.vertices, self.faces)
 
     @cached_property
     def scale(self) -> float:
-        """Largest extent of the mesh in m: proximity searches divide by it."""
+        """Largest extent of the mesh in m."""
         return float(np.max(np.ptp(self.vertices, axis=0)))
 
     @cached_property
@@ -103,14 +104,14 @@ class Surface:
         return ReferenceSearch(self) if built is None else CompiledSearch(self, built)
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but the search, whose addresses mean nothing elsewhere."""
+        """All but the search, whose addresses are valid in this process alone."""
         return {name: value for name, value in self.__dict__.items() if name != "_search"}
 
     def closest(self, points: ArrayLike, face: ArrayLike | None = None) -> Closest:
         """Closest points of the smooth surface to `points` (n, 3), body frame, m.
 
-        `face` (n,) may name the faces to start from (warm start). Raises MeshError where a point
-        is not finite or a face not of the mesh.
+        The search may start from the faces `face` (n,) (warm start). Raises MeshError where a point
+        is not finite or a face does not exist.
         """
         p = _finite(points)
         start = None if face is None else self._known(face, len(p))
@@ -121,21 +122,21 @@ class Surface:
         return replace(hit, distance=np.copysign(hit.distance, self._side(p, hit, flat)))
 
     def descend(self, points: ArrayLike, face: ArrayLike) -> Closest:
-        """Local minima of the distance to `points` (n, 3), m, that walks from `face` (n,) end in.
+        """Local minima of the distance to `points` (n, 3), m, by descent from `face` (n,).
 
-        Not the closest of all, as of `closest`; the sign of the distance is by the normal there.
-        Raises MeshError where a point is not finite or a face not of the mesh.
+        Unlike `closest`, they need not be the global minima; the sign of the distance is that of
+        the normal there. Raises MeshError where a point is not finite or a face does not exist.
         """
         p = _finite(points)
         return self.at(*self._search.descend(p, self._known(face, len(p))), p)
 
     def _known(self, face: ArrayLike, count: int) -> Index:
-        """Faces (count,), after a look that they are of this mesh."""
+        """Faces (count,). Raises MeshError where one is not of this mesh."""
         known = np.broadcast_to(np.asarray(face, dtype=np.intp), count)
         beside = np.flatnonzero((known < 0) | (known >= len(self.faces)))
         if len(beside):
             raise MeshError(
-                "a face is not of the mesh",
+                "no such face of the mesh",
                 value=int(known[beside[0]]),
                 limit=f"0 to {len(self.faces) - 1}",
                 remedy=f"row {beside[0]}: -1 is the face of a ray that missed",
@@ -146,8 +147,8 @@ class Surface:
         """The surface at `face` (n,), `uv` (n, 2); distances are those of `points` (n, 3), m."""
         uv = np.asarray(uv, dtype=float)
         face = self._known(face, len(uv))
-        offered = None if points is None else np.asarray(points, dtype=float)
-        return self._answer(face, uv, self._search.derivatives(face, uv), offered)
+        query = None if points is None else np.asarray(points, dtype=float)
+        return self._answer(face, uv, self._search.derivatives(face, uv), query)
 
     def _answer(
         self, face: Index, uv: Array, derivatives: tuple[Array, ...], points: Array | None
@@ -155,7 +156,7 @@ class Surface:
         s, su, sv, *second = derivatives
         normal, curvature, direction = patch.shape((su, sv), (second[0], second[1], second[2]))
         thin = np.flatnonzero(~normal.any(axis=1))
-        if len(thin):  # a face without area takes its normal from its corners
+        if len(thin):  # faces without area take the mean normal of their corners
             total = self.jets.frame[self.fans.corner[face[thin]], 2].sum(axis=1)
             normal[thin] = total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None]
             direction[thin] = orthonormal_basis(normal[thin])[:, :, 0]
@@ -165,16 +166,16 @@ class Surface:
         return Closest(s, distance, normal, curvature, direction, face, uv)
 
     def trace(self, origins: Array, directions: Array, face: Index) -> tuple[Index, Array]:
-        """Where rays (n, 3) meet the surface near the faces `face` (n,): faces (n,), uv (n, 2)."""
+        """Points nearest to rays (n, 3), by descent from `face` (n,): faces (n,), uv (n, 2)."""
         e1, e2, _ = np.moveaxis(orthonormal_basis(directions), 2, 0)
         target = np.stack([origins, e1, e2], axis=1)
         return newton.descend(self, face, target, newton.ray_distance)
 
     def _outward(self, face: Index, uv: Array, normal: Array) -> Array:
-        """Directions (n, 3) that tell outside from inside at creases and corners too.
+        """Pseudonormals (n, 3): their sides decide between outside and inside at creases too.
 
-        There the normal of one face does not tell; the sum over the faces that meet, weighted by
-        their angles, does: Baerentzen and Aanaes, IEEE Trans. Vis. Comp. Graphics 11 (2005).
+        There the sum of the normals of the faces that meet, weighted by their angles, replaces the
+        normal of one face: Baerentzen and Aanaes, IEEE Trans. Vis. Comp. Graphics 11 (2005).
         """
         off = np.column_stack([1.0 - uv.sum(axis=1), uv]) < ON_EDGE
         normal = normal.copy()
@@ -188,10 +189,10 @@ class Surface:
         return normal
 
     def _side(self, points: Array, hit: Closest, flat: FlatPoints | None) -> Array:
-        """On which side (n,), by its sign, of the surface points are.
+        """Sides (n,), by their signs, of the surface that points are on.
 
-        Where a point is farther from the flat mesh than the patches are, that tells: the patches
-        of a coarse thin body may pass through each other, its faces do not.
+        Where a point is farther from the flat mesh than the patches are, the flat mesh decides: the
+        patches of a coarse thin body may intersect, its faces do not.
         """
         side = np.zeros(len(points))
         if flat is not None:
@@ -201,11 +202,11 @@ class Surface:
             weight = np.column_stack([1.0 - uv.sum(axis=1), uv])
             foot = np.einsum("nk,nkc->nc", weight, self.vertices[self.faces[face]])
             outward = self._outward(face, uv, self._flat_normals[face])
-            way = points[rows] - foot
-            side[rows] = np.einsum("ij,ij->i", way, outward)
-            doubtful = rows[self._folds.ambiguous(face, weight, way)]
-            if len(doubtful):  # the first asking builds a tree over the whole mesh
-                side[doubtful] = self._folds.side(points[doubtful])
+            offset = points[rows] - foot
+            side[rows] = np.einsum("ij,ij->i", offset, outward)
+            doubtful = rows[self._inside_outside.ambiguous(face, weight, offset)]
+            if len(doubtful):  # the first query builds a tree over the mesh
+                side[doubtful] = self._inside_outside.side(points[doubtful])
         rows = np.flatnonzero(side == 0.0)
         outward = self._outward(hit.face[rows], hit.uv[rows], hit.normal[rows])
         side[rows] = np.einsum("ij,ij->i", points[rows] - hit.point[rows], outward)
@@ -213,14 +214,14 @@ class Surface:
             return side
         if flat is None:
             far = np.abs(hit.distance) > self.offsets[hit.face]
-            return self._folds.resolve(side, points, hit.face, hit.uv, far)
+            return self._inside_outside.resolve(side, points, hit.face, hit.uv, far)
         far = np.ones(len(points), dtype=bool)
-        far[rows] = False  # the patch told
+        far[rows] = False  # decided by the patch
         at, uv = np.where(far, flat.face, hit.face), np.where(far[:, None], flat.uv, hit.uv)
-        return self._folds.resolve(side, points, at, uv, far)
+        return self._inside_outside.resolve(side, points, at, uv, far)
 
     @cached_property
-    def _folds(self) -> InsideOutside:
+    def _inside_outside(self) -> InsideOutside:
         normals = self._flat_normals
         return InsideOutside(self.vertices, self.faces, normals, self._crossed, self.neighbours)
 
@@ -251,15 +252,38 @@ def _finite(points: ArrayLike) -> Array:
     return p
 
 
+class Facets:
+    """Flat faces of a triangle mesh (an object with `.vertices` (n, 3) m, `.faces` (m, 3))."""
+
+    def __init__(self, mesh: Any) -> None:
+        vertices: Array = np.array(mesh.vertices, dtype=float)
+        faces = np.array(mesh.faces, dtype=np.intp)
+        self._corners = vertices[faces]
+        built = compiled_search.library()
+        self._search = (
+            ReferenceFlat(vertices, faces)
+            if built is None
+            else CompiledFlat(vertices, faces, built)
+        )
+
+    def closest(self, points: Array) -> tuple[Array, Array]:
+        """The closest points (n, 3), m, to points (n, 3), m, and the normals (n, 3) there."""
+        found = self._search.closest(points)
+        a, b, c = (self._corners[found.face, k] for k in range(3))
+        normals = np.cross(b - a, c - a)
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        return a + found.uv[:, :1] * (b - a) + found.uv[:, 1:] * (c - a), normals
+
+
 def thin_walled(vertices: Array, faces: Index) -> bool:
-    """Whether faces that look away from each other are within about three faces' sizes."""
+    """Whether faces whose normals are opposed are within about three face sizes of each other."""
     from scipy.spatial import KDTree
 
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     normal, middle = np.cross(b - a, c - a), (a + b + c) / 3.0
-    some = slice(None, None, max(1, len(faces) // 20_000))
+    sample = slice(None, None, max(1, len(faces) // 20_000))
     middle -= middle[0]
-    tree = KDTree(middle, compact_nodes=False, balanced_tree=False)  # soon built, for few queries
-    near = tree.query(middle[some], k=min(24, len(faces)))[1]
-    facing = np.einsum("nc,nkc->nk", normal[some], normal[near.reshape(len(near), -1)])
+    tree = KDTree(middle, compact_nodes=False, balanced_tree=False)  # fast to build
+    near = tree.query(middle[sample], k=min(24, len(faces)))[1]
+    facing = np.einsum("nc,nkc->nk", normal[sample], normal[near.reshape(len(near), -1)])
     return bool(np.any(facing < 0.0))

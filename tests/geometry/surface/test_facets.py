@@ -7,7 +7,7 @@ import trimesh
 from meshskin.core import codegen
 from meshskin.geometry.surface import compiled_search
 from meshskin.geometry.surface.closest_point import ReferenceFlat
-from meshskin.geometry.surface.facets import Facets
+from meshskin.geometry.surface.surface import Facets
 
 MESHES = {
     "sphere": lambda: trimesh.creation.icosphere(subdivisions=3, radius=0.1),
