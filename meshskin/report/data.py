@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -67,7 +67,7 @@ class Iterations:
     @classmethod
     def find(
         cls,
-        calibrations: Sequence[Calibration],
+        calibrations: Iterable[Calibration],
         truth: Skin | None,
         demonstration: Demonstration | None,
     ) -> Iterations | None:
@@ -108,19 +108,21 @@ class ReportData:
         cls,
         calibration: Calibration,
         *,
-        recording: Recording | None,
-        truth: Skin | None,
-        comparisons: Mapping[str, Calibration],
-        demonstration: Demonstration | None,
-        metrics: Mapping[str, Any],
-        seconds: Mapping[str, float],
-        provenance: Mapping[str, Any],
+        recording: Recording | None = None,
+        truth: Skin | None = None,
+        comparisons: Mapping[str, Calibration] | None = None,
+        demonstration: Demonstration | None = None,
+        metrics: Mapping[str, Any] | None = None,
+        seconds: Mapping[str, float] | None = None,
+        provenance: Mapping[str, Any] | None = None,
+        budget: BudgetReport | None = None,
     ) -> ReportData:
         """Match truth and comparisons to the calibration's taxels by their ids."""
         true = None if truth is None else rows_by_id(truth.ids, truth.poses, calibration.ids)
+        methods = {calibration.method: calibration, **(comparisons or {})}
         errors: dict[str, Array] = {}
         method_seconds: dict[str, float] = {}
-        for name, other in {calibration.method: calibration, **comparisons}.items():
+        for name, other in methods.items():
             if truth is not None:
                 errors[name] = _errors(other, truth, calibration.ids)
             if "total" in other.seconds:
@@ -130,11 +132,12 @@ class ReportData:
             recording,
             true,
             errors,
-            Iterations.find((calibration, *comparisons.values()), truth, demonstration),
-            metrics,
+            Iterations.find(methods.values(), truth, demonstration),
+            metrics or {},
             seconds or {k: v for k, v in calibration.seconds.items() if k != "total"},
             provenance or calibration.provenance,
             method_seconds,
+            budget,
         )
 
     @cached_property

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.se3 import Array
-from .plane import spacing
+from .plane import finite_rows, spacing
 
 Faces = NDArray[np.int64]
 
@@ -40,7 +40,7 @@ def _near(v: Array, f: Faces, focus: Array, faces: int) -> NDArray[np.bool_]:
     """
     from scipy.spatial import cKDTree
 
-    focus = focus[np.isfinite(focus).all(axis=1)]
+    focus = finite_rows(focus)
     if not len(focus):
         return np.zeros(len(v), dtype=bool)
     distance = cKDTree(focus).query(v)[0]
@@ -50,7 +50,7 @@ def _near(v: Array, f: Faces, focus: Array, faces: int) -> NDArray[np.bool_]:
     return np.asarray(distance <= radius)
 
 
-def _normals(v: Array, f: Faces) -> Array:
+def vertex_normals(v: Array, f: Faces) -> Array:
     """Normals (v, 3) of the vertices, not of unit length."""
     a, b, c = (v[f[:, k]] for k in range(3))
     cross = np.cross(b - a, c - a)
@@ -70,7 +70,7 @@ def _cluster(v: Array, f: Faces, near: NDArray[np.bool_], cell: float) -> tuple[
     def mean(values: Array) -> Array:
         return np.stack([np.bincount(label, values[:, k]) / count for k in range(3)], axis=1)
 
-    centre, normal = mean(v), mean(_normals(v, f))
+    centre, normal = mean(v), mean(vertex_normals(v, f))
     g = label[f]
     g = g[(g[:, 0] != g[:, 1]) & (g[:, 1] != g[:, 2]) & (g[:, 2] != g[:, 0])]
     # two faces on the same vertices are a fold; both are removed, so that the surface stays closed

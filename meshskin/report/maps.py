@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from ..core.se3 import Array
 from . import theme
-from .plane import MAX_PATH_POINTS, MM, Plane, enlargement, spacing, tangent_plane
+from .plane import MAX_PATH_POINTS, MM, Plane, enlargement, finite_rows, spacing, tangent_plane
 from .theme import compact, grouped, significant
 
 if TYPE_CHECKING:
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RASTERIZE_ABOVE = 500
-"""Marks above which a figure's dots are rasterized: an SVG of 500 marks takes 0.1 MB."""
+"""Marks above which a figure's marks are rasterized: each takes 1 kB of SVG."""
 
 
 def _map_axes(figure: Figure, xy: Array, left: float, bottom: float, size: float) -> Axes:
     """Square axes of one scale around points (n, 2), mm."""
     axes = theme.add_axes(figure, left, bottom, size, size)
-    p = xy[np.isfinite(xy).all(axis=1)]
+    p = finite_rows(xy)
     centre = (p.min(axis=0) + p.max(axis=0)) / 2 if len(p) else np.zeros(2)
     half = 0.55 * float(np.max(np.ptp(p, axis=0), initial=0.0)) if len(p) else 0.0
     half = half or 1.0
@@ -34,23 +34,25 @@ def _map_axes(figure: Figure, xy: Array, left: float, bottom: float, size: float
     return axes
 
 
-def _discs(axes: Axes, xy: Array, diameter: float, **style: Any) -> Any:
-    """Circles of one diameter (mm) at points (n, 2), mm."""
+def _ellipses(
+    axes: Axes, xy: Array, diameters: ArrayLike, heading: Array | float = 0.0, **style: Any
+) -> Any:
+    """Ellipses of `diameters` (n, 2) or one, mm, and `heading` (degrees) at points (n, 2), mm."""
     from matplotlib.collections import EllipseCollection
 
-    size = np.full(len(xy), diameter)
-    discs = EllipseCollection(
-        size,
-        size,
-        np.zeros(len(xy)),
+    width, height = np.broadcast_to(diameters, xy.shape).T
+    ellipses = EllipseCollection(
+        width,
+        height,
+        np.broadcast_to(heading, len(xy)),
         units="xy",
         offsets=xy,
         offset_transform=axes.transData,
         rasterized=len(xy) > RASTERIZE_ABOVE,
         **style,
     )
-    axes.add_collection(discs, autolim=False)
-    return discs
+    axes.add_collection(ellipses, autolim=False)
+    return ellipses
 
 
 def _segments(axes: Axes, start: Array, end: Array, **style: Any) -> None:
@@ -78,16 +80,15 @@ def _legend(axes: Axes, handles: list[Any]) -> None:
     )
 
 
-def _dot(label: str, **style: Any) -> Any:
-    from matplotlib.lines import Line2D
-
-    return Line2D([], [], ls="", marker="o", label=label, **style)
-
-
-def _line(label: str, **style: Any) -> Any:
+def _handle(label: str, **style: Any) -> Any:
+    """A legend entry."""
     from matplotlib.lines import Line2D
 
     return Line2D([], [], label=label, **style)
+
+
+DOT: dict[str, Any] = {"ls": "", "marker": "o"}
+CROSS: dict[str, Any] = {"ls": "", "marker": "x", "color": theme.WARNING}
 
 
 @theme.styled
@@ -110,18 +111,20 @@ def estimates(
     factor = enlargement(lengths[seen], 0.4 * spacing(t) * MM)
     figure = theme.new_figure(6.0, 6.1)
     axes = _map_axes(figure, a, 0.65, 0.6, 5.0)
-    _discs(axes, a, 2 * disc_radius * MM, facecolors="none", edgecolors=theme.TRUTH, linewidths=0.8)
+    _ellipses(
+        axes, a, 2 * disc_radius * MM, facecolors="none", edgecolors=theme.TRUTH, linewidths=0.8
+    )
     _segments(axes, a[seen], a[seen] + factor * (b - a)[seen], color=theme.WARNING, lw=1.3)
     axes.plot(*b[seen].T, "o", ms=2.6, color=theme.ESTIMATE, rasterized=len(b) > RASTERIZE_ABOVE)
     axes.plot(*a[~seen].T, "x", ms=7, color=theme.WARNING)
     axes.set_xlabel("along the skin, first axis (mm)")
     handles = [
-        _dot("true disc", mfc="none", mec=theme.TRUTH, ms=8),
-        _dot("estimate", color=theme.ESTIMATE, ms=3),
-        _line(f"error × {grouped(factor)}", color=theme.WARNING),
+        _handle("true disc", **DOT, mfc="none", mec=theme.TRUTH, ms=8),
+        _handle("estimate", **DOT, color=theme.ESTIMATE, ms=3),
+        _handle(f"error × {grouped(factor)}", color=theme.WARNING),
     ]
     if not seen.all():
-        handles.append(_line("no estimate", ls="", marker="x", color=theme.WARNING))
+        handles.append(_handle("no estimate", **CROSS))
     _legend(axes, handles)
     return figure
 
@@ -173,10 +176,7 @@ def iterations(
     chosen = representative_iterations(all_iterates)
     flat = [plane.project(all_iterates[k]) for k in chosen]
     a = plane.project(t)
-    together = np.concatenate(flat)
-    view = _view_points(
-        a[np.isfinite(a).all(axis=1)], together[np.isfinite(together).all(axis=1)], 0.75
-    )
+    view = _view_points(finite_rows(a), finite_rows(np.concatenate(flat)), 0.75)
     panels = (0, 1, 2) if only is None else (only,)
     size = 2.75 if only is None else 3.9
     figure = theme.new_figure(0.75 + (size + 0.25) * len(panels), size + 1.25)
@@ -193,9 +193,9 @@ def iterations(
             axes.tick_params(labelleft=False)
     figure.legend(
         handles=[
-            _dot(reference, mfc="none", mec=theme.TRUTH, ms=5),
-            _dot("estimate", color=theme.ESTIMATE, ms=3.5),
-            _line("from each to its estimate", color=theme.FAINT),
+            _handle(reference, **DOT, mfc="none", mec=theme.TRUTH, ms=5),
+            _handle("estimate", **DOT, color=theme.ESTIMATE, ms=3.5),
+            _handle("from each to its estimate", color=theme.FAINT),
         ],
         loc="upper left",
         bbox_to_anchor=(0.6 / figure.get_size_inches()[0], 1.0),
@@ -235,8 +235,8 @@ def coverage(
     if len(route):
         line = route[:: max(len(route) // MAX_PATH_POINTS, 1)]
         axes.plot(*line.T, color=theme.MUTED, lw=0.5, alpha=0.7, zorder=3)
-        handles.append(_line("path of the contact", color=theme.MUTED, lw=0.8))
-    discs = _discs(axes, xy[touched], 2 * disc_radius * MM, cmap=theme.SEQUENTIAL, linewidths=0)
+        handles.append(_handle("path of the contact", color=theme.MUTED, lw=0.8))
+    discs = _ellipses(axes, xy[touched], 2 * disc_radius * MM, cmap=theme.SEQUENTIAL, linewidths=0)
     discs.set_array(counts[touched])
     least, most = (counts[touched].min(), counts[touched].max()) if touched.any() else (1.0, 1.0)
     discs.set_norm(LogNorm(least, max(most, 2 * least)))
@@ -247,9 +247,9 @@ def coverage(
     missed = ~touched & drawn
     if missed.any():
         diameter = 2 * disc_radius * MM
-        _discs(axes, xy[missed], diameter, facecolors="white", edgecolors=theme.WARNING)
+        _ellipses(axes, xy[missed], diameter, facecolors="white", edgecolors=theme.WARNING)
         axes.plot(*xy[missed].T, "x", ms=6, color=theme.WARNING)
-        handles.append(_line("never touched", ls="", marker="x", color=theme.WARNING))
+        handles.append(_handle("never touched", **CROSS))
     _legend(axes, handles)
     return figure
 
@@ -273,8 +273,6 @@ def uncertainty(
     positions (n, 3), m; covariances (n, 3, 3) of the position, m^2, body frame; rows that are not
     finite are not drawn.
     """
-    from matplotlib.collections import EllipseCollection
-
     p = np.asarray(positions, dtype=float)
     plane = plane or tangent_plane(p)
     xy = plane.project(p)
@@ -284,21 +282,12 @@ def uncertainty(
     factor = enlargement(sigma[:, 0], 0.35 * spacing(p) * MM)
     figure = theme.new_figure(6.6, 6.1)
     axes = _map_axes(figure, xy, 0.65, 0.6, 5.0)
-    ellipses = EllipseCollection(
-        2 * factor * sigma[:, 0],
-        2 * factor * sigma[:, 1],
-        heading,
-        units="xy",
-        offsets=xy,
-        offset_transform=axes.transData,
-        cmap=theme.SEQUENTIAL,
-        linewidths=0,
-        rasterized=len(xy) > RASTERIZE_ABOVE,
-    )
+    style: dict[str, Any] = {"cmap": theme.SEQUENTIAL, "linewidths": 0}
+    ellipses = _ellipses(axes, xy, 2 * factor * sigma, heading, **style)
     ellipses.set_array(sigma[:, 0])
     ellipses.set_clim(0, float(np.max(sigma, initial=1e-12)))
-    axes.add_collection(ellipses, autolim=False)
     bar = theme.color_bar(figure, ellipses, axes, "largest 1-sigma along the skin (mm)")
     bar.formatter.set_powerlimits((-3, 4))
-    _legend(axes, [_dot(f"1 sigma along the skin × {grouped(factor)}", color=theme.MUTED, ms=7)])
+    label = f"1 sigma along the skin × {grouped(factor)}"
+    _legend(axes, [_handle(label, **DOT, color=theme.MUTED, ms=7)])
     return figure

@@ -13,8 +13,7 @@ from typing import Any
 from .theme import DPI
 
 MAX_SVG_BYTES = 150_000
-"""Bytes above which a figure is inlined as PNG, if that is smaller: ten figures then take less than
-2 MB."""
+"""Bytes above which a figure is inlined as PNG, if that is smaller."""
 
 
 @dataclass(frozen=True)

@@ -96,15 +96,16 @@ def report(
         calibration,
         recording=recording,
         truth=truth,
-        comparisons=comparisons or {},
+        comparisons=comparisons,
         demonstration=demonstration,
-        metrics=metrics or {},
-        seconds=seconds or {},
-        provenance=provenance or {},
+        metrics=metrics,
+        seconds=seconds,
+        provenance=provenance,
+        budget=budget,
     )
     path = Path(path)
     pictures = draw_figures(path.parent / "figures", data)
     times = {**data.seconds, "figures": perf_counter() - started}
-    data = replace(data, seconds=times, budget=budget)
+    data = replace(data, seconds=times)
     write(path, content(data, pictures, body))
     return [path, *(file for picture in pictures for file in picture.files)]

@@ -12,7 +12,7 @@ from ..core.se3 import Array
 MM = 1e3
 """Millimetres per metre."""
 MAX_PATH_POINTS = 4000
-"""Most points of a drawn contact path: more cannot be told apart at 150 dpi."""
+"""Most points of a drawn contact path: a path of 20 widths of a map has one every 4 pixels."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,12 @@ class Plane:
         return np.asarray(self.axes @ c @ self.axes.T * MM**2)
 
 
+def finite_rows(values: ArrayLike) -> Array:
+    """The rows of `values` (n, k) that are finite."""
+    v = np.asarray(values, dtype=float)
+    return np.asarray(v[np.isfinite(v).all(axis=1)])
+
+
 def tangent_plane(points: ArrayLike, normals: ArrayLike | None = None) -> Plane:
     """The tangent plane of a skin at its center, seen from outside.
 
@@ -43,13 +49,11 @@ def tangent_plane(points: ArrayLike, normals: ArrayLike | None = None) -> Plane:
     normals it is the plane that fits the points best. The second axis is the projection of the
     body's y axis, or of its x axis where y is within 26 degrees of the plane's normal.
     """
-    p = np.asarray(points, dtype=float).reshape(-1, 3)
-    p = p[np.isfinite(p).all(axis=1)]
+    p = finite_rows(np.reshape(points, (-1, 3)))
     origin = p.mean(axis=0) if len(p) else np.zeros(3)
     normal = np.zeros(3)
     if normals is not None:
-        n = np.asarray(normals, dtype=float).reshape(-1, 3)
-        normal = n[np.isfinite(n).all(axis=1)].sum(axis=0)
+        normal = finite_rows(np.reshape(normals, (-1, 3))).sum(axis=0)
     if np.linalg.norm(normal) < 1e-9:
         normal = np.linalg.svd(p - origin)[2][-1] if len(p) > 2 else np.array([0.0, 0.0, 1.0])
     normal = normal / np.linalg.norm(normal)
@@ -63,8 +67,7 @@ def spacing(points: ArrayLike) -> float:
     """Median distance (m) from finite points (n, 3) to their nearest neighbors; 0 for one point."""
     from scipy.spatial import cKDTree
 
-    p = np.asarray(points, dtype=float).reshape(-1, 3)
-    p = p[np.isfinite(p).all(axis=1)]
+    p = finite_rows(np.reshape(points, (-1, 3)))
     if len(p) < 2:
         return 0.0
     return float(np.median(cKDTree(p).query(p, k=2)[0][:, 1]))

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from ..core.se3 import Array
 from . import theme
-from .decimate import decimate
-from .plane import MAX_PATH_POINTS, MM, enlargement, spacing, tangent_plane
+from .decimate import decimate, vertex_normals
+from .plane import MAX_PATH_POINTS, MM, enlargement, finite_rows, spacing, tangent_plane
 from .theme import compact, grouped, significant
 
 MAX_FACES = 5000
@@ -63,10 +63,7 @@ def _markers(name: str, points: Array, texts: list[str], **marker: Any) -> dict[
 def body(vertices: ArrayLike, faces: ArrayLike, focus: ArrayLike, inward: float) -> dict[str, Any]:
     """The body, moved `inward` (m) along its normals so that points on it are visible."""
     v, f = decimate(vertices, faces, focus, MAX_FACES)
-    a, b, c = (v[f[:, k]] for k in range(3))
-    normals = np.zeros_like(v)
-    for k in range(3):
-        np.add.at(normals, f[:, k], np.cross(b - a, c - a))
+    normals = vertex_normals(v, f)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     return _mesh(v - inward * normals, f) | {
         "name": f"body (drawn {compact(inward * MM, 2)} mm inward)",
@@ -215,13 +212,13 @@ def _texts(ids: Array, positions: Array, truth: Array | None, cov: Array) -> lis
 
 def _layout(skin: Array, normals: Array, extent: Array) -> dict[str, Any]:
     """Axes around everything, and a camera that looks at the skin from outside."""
-    extent = extent[np.isfinite(extent).all(axis=1)]
+    extent = finite_rows(extent)
     low, high = (extent.min(axis=0), extent.max(axis=0)) if len(extent) else np.zeros((2, 3))
     pad = 0.03 * float(np.max(high - low)) or 0.01
     low, high = low - pad, high + pad
     size = float(np.max(high - low))
     plane = tangent_plane(skin, normals)
-    good = skin[np.isfinite(skin).all(axis=1)]
+    good = finite_rows(skin)
     radius = float(np.max(np.linalg.norm(good - plane.origin, axis=1), initial=0.05 * size))
     outward = np.cross(*plane.axes)
     across, up = plane.axes

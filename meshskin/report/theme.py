@@ -54,6 +54,7 @@ STYLE: dict[str, Any] = {
     "svg.hashsalt": "meshskin",
 }
 DPI = 150
+"""Pixels per inch of PNG files: 900 to 1400 pixels of width."""
 
 P = ParamSpec("P")
 R = TypeVar("R")

@@ -97,7 +97,7 @@ def write(case: SimpleNamespace, folder: Path, body: Body | None, **changes: Any
 
 def write_text(case: SimpleNamespace, folder: Path, **changes: Any) -> Page:
     """The page without its figures, which take most of the time."""
-    given: dict[str, Any] = {"demonstration": None} | inputs(case) | changes
+    given = inputs(case) | changes
     data = ReportData.collect(given.pop("calibration"), **given)
     return Page(page.write(folder / "report.html", content(data, [], None)))
 
@@ -301,10 +301,7 @@ def test_any_content_can_be_written(tmp_path: Path) -> None:
 
 
 def collect(c: Calibration, truth: Skin | None, shown: Demonstration | None = None) -> ReportData:
-    return ReportData.collect(
-        c, recording=None, truth=truth, comparisons={}, demonstration=shown, metrics={},
-        seconds={}, provenance={},
-    )  # fmt: skip
+    return ReportData.collect(c, truth=truth, demonstration=shown)
 
 
 def test_advice_follows_the_numbers(case: SimpleNamespace) -> None:

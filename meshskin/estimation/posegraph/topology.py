@@ -61,4 +61,5 @@ class TopologyCache:
 
 
 topology_cache = TopologyCache(edges=400_000)
-"""The cache of the process. The limit is about 1 GB: an edge takes 2 to 3 kB, mostly of IPOPT."""
+"""The cache of the process. An edge takes up to 15 kB after solving with both residuals (torus3D),
+mostly in IPOPT, so that the limit is about 6 GB."""
