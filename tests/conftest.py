@@ -50,7 +50,7 @@ def arm():
 
 @pytest.fixture(scope="session")
 def prepared(sphere):
-    """Machine and path of the paper's scene, by mode."""
+    """Simulator and path of the paper's scene, by mode."""
     made = {}
 
     def get(mode="arm", **loop):
@@ -58,9 +58,9 @@ def prepared(sphere):
         if key not in made:
             scene = sphere.with_(loop=replace(sphere.loop, mode=mode, compile="never", **loop))
             made[key] = prepare(scene)
-        machine, path = made[key]
-        machine.reset()
-        return machine, path
+        simulator, path = made[key]
+        simulator.reset()
+        return simulator, path
 
     return get
 
@@ -68,7 +68,7 @@ def prepared(sphere):
 @pytest.fixture(scope="session")
 def along(prepared, sphere):
     """Joint angles (k, 6) along the path of the paper's scene."""
-    machine, path = prepared()
-    machine.reset()
+    simulator, path = prepared()
+    simulator.reset()
     poses = path.poses @ np.linalg.inv(sphere.mount_pose)
-    return machine.loop.arm.inverse_kinematics(poses, machine.state[:6])
+    return simulator.loop.arm.inverse_kinematics(poses, simulator.state[:6])

@@ -1,9 +1,14 @@
-"""Rollouts: consecutive steps along a track until the foot point leaves its faces."""
+"""Rollouts: consecutive steps along a track until the foot point leaves its faces.
+
+`run(state, track, parameters, until_touch)` returns states (k + 1, n), `state` first, and outputs
+(k, m), valid until the next run. k is the track's length or less: the run ends after a step whose
+foot point lies further than FACE_MARGIN outside its face, or, if `until_touch`, after the first
+step in contact. parameters (9,): see closed_loop_model.Parameters.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -43,23 +48,6 @@ class Steps:
     """Point pressures (k, taxels), Pa, where they were asked for."""
 
 
-class Rollout(Protocol):
-    """Runs the closed loop along tracks."""
-
-    lengths: tuple[int, int]
-    """Steps of a short and of a long call."""
-
-    def run(
-        self, state: Array, track: Track, parameters: Array, until_touch: bool
-    ) -> tuple[Array, Array]:
-        """States (k + 1, n), `state` first, and outputs (k, m), valid until the next run.
-
-        k is the track's length or less: the run ends after a step whose foot point lies further
-        than FACE_MARGIN outside its face, or, if `until_touch`, after the first step in contact.
-        parameters (9,): see closed_loop_model.Parameters.
-        """
-
-
 class CompiledRollout:
     """Steps in machine code."""
 
@@ -72,7 +60,7 @@ class CompiledRollout:
     def run(
         self, state: Array, track: Track, parameters: Array, until_touch: bool
     ) -> tuple[Array, Array]:
-        """States (k + 1, n) and outputs (k, m); see Rollout.run."""
+        """States (k + 1, n) and outputs (k, m) along a track; see the module."""
         states, outputs, count = self._states, self._outputs, len(track)
         states[0] = state
         done = self._code.steps(
@@ -101,7 +89,7 @@ class InterpretedRollout:
     def run(
         self, state: Array, track: Track, parameters: Array, until_touch: bool
     ) -> tuple[Array, Array]:
-        """States (k + 1, n) and outputs (k, m); see Rollout.run."""
+        """States (k + 1, n) and outputs (k, m) along a track; see the module."""
         block, count = self._blocks[len(track) > self.lengths[0]], len(track)
         block.state[:], block.parameters[:] = state, parameters
         self._fill(block, track)
@@ -131,3 +119,6 @@ class InterpretedRollout:
         if face not in self._patches:
             self._patches[face] = self._surface.patches[face].T.ravel()
         return self._patches[face]
+
+
+Rollout = CompiledRollout | InterpretedRollout

@@ -69,7 +69,7 @@ class TuningSolution:
     status: str
     """How the search ended."""
     iterations: int
-    seconds: float
+    solve_seconds: float
 
 
 class TuningProblem:
@@ -214,7 +214,7 @@ class TuningProblem:
             predicted_decrease=decrease,
             status=status,
             iterations=iterations,
-            seconds=perf_counter() - began,
+            solve_seconds=perf_counter() - began,
         )
 
     def _multipliers(

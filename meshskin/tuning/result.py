@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from ..simulation.response import ForceResponse, force_response
 from ..simulation.simulate import simulate
 from .gains import Gains
 from .manoeuvre import Manoeuvre
+from .problem import TuningSolution
 from .scenarios import Scenario, scenario_scene
 from .shooting import Trajectory
 
@@ -53,51 +54,48 @@ class Confirmation:
     for."""
 
 
-@dataclass(frozen=True, eq=False)
-class TuningResult:
-    """Gains and speeds for a scene; `tuned_scene` is the scene with them."""
+@dataclass(frozen=True, eq=False, repr=False)
+class TuningResult(TuningSolution):
+    """Gains and speeds for a scene; `tuned_scene` is the scene with them.
+
+    `gains` have a rest of whole steps, as the simulator has it. Multipliers are the decrease of the
+    objective for a limit relaxed by 1 (overshoot and forces: by the reference force), by a whole
+    limit that has a unit, or, for the range of a gain, for a range wider by the factor e. Where the
+    predicted decrease is not small (0.002) the search ended at a kink, and they are not valid.
+    """
 
     scene: Scene
     """The scene that was tuned, with its own gains."""
-    law: Law
-    exploration: Exploration
-    """With the speeds found: approach (in the law), rest, slide and its ramps."""
     objective: str
     """"time", "force_error" or "settling"."""
-    value: float
-    """Worst of the scenarios: s, or RMS error relative to the force that the scene asks for."""
     trajectories: tuple[Trajectory, ...]
     """The predicted manoeuvre in each scenario, the scene itself first."""
-    multipliers: dict[str, float]
-    """Decrease of the objective for a limit relaxed by 1 (overshoot and forces: by the reference
-    force), by a whole limit that has a unit, or, for the range of a gain, by a range wider by the
-    factor e."""
-    one_sided: dict[str, tuple[float, float]]
-    """Limits at which the objective has a kink: its decrease by relaxing and its increase by
-    tightening, in the multipliers' unit. Such a limit's single multiplier need not lie between."""
-    predicted_decrease: float
-    """Decrease of the objective that its slopes predict beyond the gains found, relative to it.
-    Where it is not small (0.002) the search ended at a kink, and the multipliers are not valid."""
-    status: str
-    """How the search ended: "solved", or where it stopped and why."""
-    iterations: int
-    build_seconds: float
-    solve_seconds: float
     manoeuvres: tuple[Manoeuvre, ...]
     """The manoeuvre in each scenario, on the tuned scene."""
     place: Array
     """Where the slide begins (3,), body frame, m."""
+    build_seconds: float
+
+    @property
+    def tuned_scene(self) -> Scene:
+        """The scene with the gains and speeds found."""
+        return self.gains.applied(self.scene)
+
+    @property
+    def law(self) -> Law:
+        """The compliance law found."""
+        return self.tuned_scene.law
+
+    @property
+    def exploration(self) -> Exploration:
+        """The exploration with the rest, the slide's speed and the ramps found."""
+        return self.tuned_scene.exploration
 
     @property
     def binding(self) -> tuple[str, ...]:
         """The limits that bind, the largest multiplier first."""
         found = {k: v for k, v in self.multipliers.items() if v > BINDING * abs(self.value)}
         return tuple(sorted(found, key=lambda name: -found[name]))
-
-    @property
-    def tuned_scene(self) -> Scene:
-        """The scene with the gains and speeds found."""
-        return self.scene.with_(law=self.law, exploration=self.exploration)
 
     def __str__(self) -> str:
         """Objective, gains before and after, binding limits, status, predicted durations."""
@@ -124,7 +122,8 @@ class TuningResult:
             )
         )
 
-    __repr__ = __str__
+    def __repr__(self) -> str:
+        return str(self)
 
     def confirm(self, which: int = 0) -> Confirmation:
         """Simulate the manoeuvre in scenario number `which`, on the body's own surface.
@@ -155,8 +154,3 @@ def simulate_manoeuvre(scene: Scene, manoeuvre: Manoeuvre) -> tuple[Array, Array
     motion = simulate(scene.with_(effects=()), path=path).motion
     assert motion is not None  # a simulation always has one
     return motion.column("time").to_numpy(), motion.column("force").to_numpy()
-
-
-def round_settle(gains: Gains, dt: float) -> Gains:
-    """The gains with a rest of whole steps, as the simulator has it."""
-    return replace(gains, settle=float(dt * np.ceil(gains.settle / dt - 1e-6)))

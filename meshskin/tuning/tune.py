@@ -27,7 +27,7 @@ from .gains import Demands, Gains, gain_bounds
 from .limits import OBJECTIVES, Limit
 from .manoeuvre import plan_manoeuvre, slide_start
 from .problem import MAX_PREDICTED_DECREASE, TuningProblem, TuningSolution
-from .result import TuningResult, round_settle
+from .result import TuningResult
 from .scenarios import Scenario, scenario_scene, scenarios
 from .shooting import SingleShooting
 
@@ -111,26 +111,18 @@ def tune(
         solution = _from_nearest(problem)
     else:
         solution = _from_quickest(problem, pose(replace(demands, time=None), "time"), demands.time)
-    gains = round_settle(solution.gains, scene.loop.dt)
-    applied = gains.applied(scene)
+    dt, gains = scene.loop.dt, solution.gains
+    gains = replace(gains, settle=float(dt * np.ceil(gains.settle / dt - 1e-6)))
     heading = shootings[0].manoeuvre.heading
-    finals = _shootings(applied, over, point, ahead, distance, heading)
+    finals = _shootings(gains.applied(scene), over, point, ahead, distance, heading)
     return TuningResult(
+        **vars(solution) | {"gains": gains},
         scene=scene,
-        law=applied.law,
-        exploration=applied.exploration,
         objective=objective,
-        value=solution.value,
         trajectories=tuple(shooting.predict(gains) for shooting in finals),
-        multipliers=solution.multipliers,
-        one_sided=solution.one_sided,
-        predicted_decrease=solution.predicted_decrease,
-        status=solution.status,
-        iterations=solution.iterations,
-        build_seconds=problem.build_seconds,
-        solve_seconds=solution.seconds,
         manoeuvres=tuple(shooting.manoeuvre for shooting in finals),
         place=point,
+        build_seconds=problem.build_seconds,
     )
 
 
@@ -215,8 +207,11 @@ def _polished(problem: TuningProblem, solution: TuningSolution) -> TuningSolutio
 def _better(one: TuningSolution, other: TuningSolution) -> TuningSolution:
     """The better of two solutions, with the iterations and the time of both."""
     best = other if not other.slacks and other.value < one.value else one
-    iterations, seconds = one.iterations + other.iterations, one.seconds + other.seconds
-    return replace(best, iterations=iterations, seconds=seconds)
+    return replace(
+        best,
+        iterations=one.iterations + other.iterations,
+        solve_seconds=one.solve_seconds + other.solve_seconds,
+    )
 
 
 def _infeasible(limits: Mapping[str, Limit], slacks: Mapping[str, float]) -> TuningError:

@@ -64,15 +64,15 @@ def cap() -> Cap:
 def loop_case(scene: ms.Scene, mode: str, compile_: str) -> Callable[[], float]:
     """Steps a second of the closed loop over the scene's exploration, all taxels read."""
     scene = scene.with_(loop=replace(scene.loop, mode=mode, compile=compile_))
-    machine, path = prepare(scene, taxels=scene.skin.positions)
+    simulator, path = prepare(scene, taxels=scene.skin.positions)
 
     def rate() -> float:
-        machine.reset()
+        simulator.reset()
         started = process_time()
-        for steps in run(scene, machine, path):
+        for steps in run(scene, simulator, path):
             assert steps.readings is not None
             assert steps.readings.shape == (len(steps.time), len(scene.skin.ids))
-        return machine.steps / (process_time() - started)
+        return simulator.steps / (process_time() - started)
 
     return rate
 
@@ -80,13 +80,13 @@ def loop_case(scene: ms.Scene, mode: str, compile_: str) -> Callable[[], float]:
 def batch_case(scene: ms.Scene) -> Callable[[], float]:
     """Steps a second of all episodes of a batch along the path, without an arm."""
     scene = scene.with_(loop=replace(scene.loop, mode="quasi_static"))
-    machine, path = prepare(scene)
+    simulator, path = prepare(scene)
     track = Track.of(path, scene.body.surface)
     rows = np.linspace(0, len(track) - BATCH_STEPS, EPISODES).astype(np.intp)
 
     def rate() -> float:
         batch = BatchSimulator(
-            scene.body, machine.loop, track, rows, compile_="always", taxels=scene.skin.positions
+            scene.body, simulator.loop, track, rows, compile_="always", taxels=scene.skin.positions
         )
         started = process_time()
         for _ in range(BATCH_STEPS):

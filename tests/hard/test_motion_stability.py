@@ -33,13 +33,13 @@ needs_compiler = pytest.mark.skipif(codegen.find_compiler() is None, reason="no 
 
 @pytest.fixture(scope="module")
 def base(sphere):
-    """Machine and path of the paper's scene."""
+    """Simulator and path of the paper's scene."""
     return prepare(sphere.with_(loop=replace(sphere.loop, compile="never")))
 
 
 @pytest.fixture(scope="module")
 def place(base, sphere):
-    """A machine of the paper's scene before its touch, with another contact, law and integrator."""
+    """A simulator of the paper's scene before its touch, with another contact or law."""
     base, path = base
     arm, tip = base.loop.arm, np.linalg.inv(sphere.mount_pose)
     home = base.state[:6].copy()
@@ -57,21 +57,21 @@ def place(base, sphere):
         lever = pose[:3, 3] - arm.pose(q)[:3, 3]
         jacobian = arm.jacobian(q)
         jacobian[:3] -= hat(lever) @ jacobian[3:]
-        machine = Simulator(body or sphere.body, made, q, path.points[0])
-        machine.state[6:12] = np.linalg.solve(jacobian, [0, 0, -speed, 0, 0, 0])
+        simulator = Simulator(body or sphere.body, made, q, path.points[0])
+        simulator.state[6:12] = np.linalg.solve(jacobian, [0, 0, -speed, 0, 0, 0])
         stiffness = 4 / 3 * made.effective_modulus * np.sqrt(RADIUS)
         row = path.references[:1].copy()
         row[0, 2] = pose[2, 3] - gap - (3.0 / stiffness) ** (2 / 3)
         row[0, 12:] = 0.0
-        return machine, Track(row, np.array([machine.face]), IDENTITY_MAP[None]).hold(0, 32)
+        return simulator, Track(row, np.array([simulator.face]), IDENTITY_MAP[None]).hold(0, 32)
 
     return at
 
 
-def forces(machine, track, steps):
+def forces(simulator, track, steps):
     found, done = [], 0
     while done < steps:
-        out = machine.advance(track, 0).outputs
+        out = simulator.advance(track, 0).outputs
         assert np.isfinite(out).all()
         found.append(out[:, 6])
         done += len(out)
@@ -79,19 +79,25 @@ def forces(machine, track, steps):
 
 
 def longest(place, young, speed, integrator):
-    machine, track = place(young=young, speed=speed, integrator=integrator)
-    q, loop = machine.state[:6], machine.loop
+    simulator, track = place(young=young, speed=speed, integrator=integrator)
+    q, loop = simulator.state[:6], simulator.loop
     accurate = stability.touch_limit(loop, stability.inertia(loop, q), CURVATURE, speed)
     most = min(accurate, stability.MAX_STEP)
-    return stability.stable_limit(machine, q, track.references[0], most)
+    return stability.stable_limit(simulator, q, track.references[0], most)
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 @pytest.mark.parametrize(
     ("young", "speed"),
     [
-        *((1e4, 0.5), (2e5, 0.5), (2e5, 0.05), (1e7, 0.5), (1e7, 0.05)),
-        *((1e9, 0.5), (1e9, 0.05), (1e9, 1e-3), (2e11, 0.5), (2e11, 0.05), (2e11, 1e-3)),
+        *((1e4, 0.5), (2e5, 0.05), (1e9, 0.5), (2e11, 1e-3)),
+        *(
+            pytest.param(young, speed, marks=pytest.mark.slow)
+            for young, speed in (
+                *((2e5, 0.5), (1e7, 0.5), (1e7, 0.05), (1e9, 0.05), (1e9, 1e-3)),
+                *((2e11, 0.5), (2e11, 0.05)),
+            )
+        ),
     ],
 )
 def test_at_the_longest_step_the_touch_keeps_its_stated_error(place, young, speed, integrator):
@@ -99,10 +105,10 @@ def test_at_the_longest_step_the_touch_keeps_its_stated_error(place, young, spee
     assert 1e-5 <= dt <= 1e-2
     found = {}
     for name in (integrator, "cvodes"):
-        machine, track = place(
+        simulator, track = place(
             young=young, speed=speed, gap=2.5 * speed * dt, integrator=name, dt=dt
         )
-        found[name] = forces(machine, track, 60)
+        found[name] = forces(simulator, track, 60)
     peak = max(found["cvodes"].max(), 3.0)
     assert found["cvodes"].max() > 0
     assert np.abs(found[integrator] - found["cvodes"]).max() <= stability.MAX_FORCE_ERROR * peak
@@ -114,15 +120,15 @@ def judged(place, young, speed, integrator, dt):
     count = int(np.clip(np.clip(8 * depth / speed, 5e-4, 0.06) / dt, 40, 400))
     found = {}
     for name in (integrator, "cvodes"):
-        machine, track = place(
+        simulator, track = place(
             young=young, speed=speed, gap=2.5 * speed * dt, integrator=name, dt=dt
         )
-        still = machine.state, track.references[0]
+        still = simulator.state, track.references[0]
         if name == integrator:
-            stated = stability.estimate_error(machine, *still, count)
+            stated = stability.estimate_error(simulator, *still, count)
             if stated > KEPT:
                 return stated, None
-        found[name] = stability.predict_forces(machine, *still, count)
+        found[name] = stability.predict_forces(simulator, *still, count)
     exact = found["cvodes"]
     assert exact.max() > 0
     return stated, np.abs(found[integrator] - exact).max() / max(exact.max(), 3.0)
@@ -164,12 +170,12 @@ def test_the_run_itself_keeps_the_error_that_is_stated(sphere, integrator):
     """The paper's scene: approach, touch and hold, from 5 mm above the indenter."""
     found = {}
     for name in (integrator, "cvodes"):
-        machine, path = prepare(
+        simulator, path = prepare(
             sphere.with_(loop=replace(sphere.loop, integrator=name, compile="never"))
         )
-        found[name] = forces(machine, Track.of(path, sphere.body.surface).hold(0, 256), 220)
+        found[name] = forces(simulator, Track.of(path, sphere.body.surface).hold(0, 256), 220)
         if name == integrator:
-            stated = machine.touch_error()
+            stated = simulator.touch_error()
     error = np.abs(found[integrator] - found["cvodes"]).max() / 3.0
     assert error <= stated < {"rk4": 1e-3}.get(integrator, 0.1)
     assert found["cvodes"][-1] == pytest.approx(3.0, abs=0.01)
@@ -180,14 +186,14 @@ def test_delayed_readings_are_as_old_in_shorter_steps(sphere):
     scene = sphere.with_(
         law=replace(sphere.law, gamma=20.0), loop=replace(sphere.loop, delay=4e-3, compile="never")
     )
-    machine, path = prepare(scene)
-    stated = machine.touch_error()
+    simulator, path = prepare(scene)
+    stated = simulator.touch_error()
     assert 0 < stated < 0.1
     track = Track.of(path, sphere.body.surface).hold(0, 256)
-    state, row = machine.state.copy(), track.references[0]
-    own = stability.predict_forces(machine, state, row, 256)
-    finer = stability.predict_forces(machine, state, row, 512, parts=2)[::2]
-    np.testing.assert_allclose(own, forces(machine, track, 256), atol=1e-9)
+    state, row = simulator.state.copy(), track.references[0]
+    own = stability.predict_forces(simulator, state, row, 256)
+    finer = stability.predict_forces(simulator, state, row, 512, parts=2)[::2]
+    np.testing.assert_allclose(own, forces(simulator, track, 256), atol=1e-9)
     assert 1e-4 < np.abs(own - finer).max() < 3.0 * stated
 
 
@@ -203,18 +209,18 @@ def test_a_step_too_long_is_refused_and_the_step_named_works(sphere, integrator,
         prepare(scene(0.01))
     named = float(re.search(r"set loop.dt_ms = ([\d.e-]+)", str(caught.value))[1])
     assert 1e-2 < named < 10
-    machine, path = prepare(scene(named * 1e-3))
+    simulator, path = prepare(scene(named * 1e-3))
     track = Track.of(path, sphere.body.surface).hold(0, 256)
-    found = forces(machine, track, round(1000 / named))
+    found = forces(simulator, track, round(1000 / named))
     assert found.max() > 0
     assert abs(found[-1] - 3.0) < 0.05
 
 
 def test_a_loop_that_no_step_can_save_is_named(place, monkeypatch):
-    machine, track = place(integrator="rk4")
+    simulator, track = place(integrator="rk4")
     monkeypatch.setattr(stability, "spectral_radius", lambda *_: 2.0)
     with pytest.raises(SimulationError, match=r"unstable at every step, got law.gamma = 50"):
-        stability.stable_limit(machine, machine.state[:6], track.references[0], 1e-3)
+        stability.stable_limit(simulator, simulator.state[:6], track.references[0], 1e-3)
 
 
 def test_convergence_orders(place):
@@ -222,11 +228,11 @@ def test_convergence_orders(place):
     law = Law(approach_speed=1.0, force_reference=3.0)  # no limit is met: the field is smooth
 
     def end(integrator, dt):
-        machine, track = place(gap=-1.8e-3, law=law, integrator=integrator, dt=dt)
-        machine.state[11] = 0.3  # spin, and the path's pull against it
+        simulator, track = place(gap=-1.8e-3, law=law, integrator=integrator, dt=dt)
+        simulator.state[11] = 0.3  # spin, and the path's pull against it
         for _ in range(round(0.016 / dt / 4)):
-            forces(machine, track[:4], 4)
-        return machine.state[:12].copy()
+            forces(simulator, track[:4], 4)
+        return simulator.state[:12].copy()
 
     exact = end("cvodes", 4e-3)
     for integrator, order, steps in (
@@ -260,19 +266,22 @@ def test_energy_does_not_drift_over_10000_contact_periods(sphere):
     loop = ClosedLoopModel(
         arm, np.eye(4), np.array([0.5, 0.0, 0.89 + depth]), 0.01, modulus, Law(torque="off"), dt
     )
-    machine = Simulator(sphere.body, loop, np.array([-depth]), np.array([0.0, 0.0, -0.1]))
-    track = Track(np.zeros((1, 18)), np.array([machine.face]), IDENTITY_MAP[None]).hold(0, 256)
+    simulator = Simulator(
+        sphere.body, loop, np.array([-depth]), np.array([0.0, 0.0, -0.1]),
+        compile_="auto", steps=10_000 * 64,
+    )  # fmt: skip
+    track = Track(np.zeros((1, 18)), np.array([simulator.face]), IDENTITY_MAP[None]).hold(0, 256)
     means, values = [], np.array(loop.parameters.values)
-    while machine.steps < 10_000 * 64:
-        states, outputs = machine.rollout.run(machine.state, track, values, False)
-        machine.state[:] = states[-1]
-        machine.steps += len(outputs)
+    while simulator.steps < 10_000 * 64:
+        states, outputs = simulator.rollout.run(simulator.state, track, values, False)
+        simulator.state[:] = states[-1]
+        simulator.steps += len(outputs)
         angle, speed = states[:-1, 0], states[:-1, 1]
         pressed = np.maximum(outputs[:, 7], 0.0)
         energy = 0.5 * inertia * speed**2 - weight * np.sin(angle)
         means.append(np.mean(energy + 0.4 * stiffness * pressed**2.5))
     rest = -weight * np.sin(0.0) + 0.4 * stiffness * depth**2.5
-    assert machine.steps >= 640_000
+    assert simulator.steps >= 640_000
     swing = np.mean(means[:25]) - rest
     assert swing > 0
     assert abs(np.mean(means[-25:]) - np.mean(means[:25])) < 1e-4 * swing
@@ -338,19 +347,19 @@ def drift(body, hanging, periods):
     """Energies (10,), J, of the tenths of a swing of the hanging arm, and the least depth, m."""
     loop, home, modes, energy = hanging
     pose = loop.arm.pose(home) @ loop.mount
-    machine = Simulator(
+    simulator = Simulator(
         body,
         loop,
         home,
         pose[:3, :3].T @ (loop.indenter_position - pose[:3, 3]),
         compile_="always",
     )
-    machine.state[6:12] = modes @ (0.08 * np.array([0.0, 1.0, -1.0, 1.0, 1.0, 0.2]))
+    simulator.state[6:12] = modes @ (0.08 * np.array([0.0, 1.0, -1.0, 1.0, 1.0, 0.2]))
     found, energies = [], {}
-    while machine.steps < FINE * periods:
-        still = np.full(512, machine.face)
+    while simulator.steps < FINE * periods:
+        still = np.full(512, simulator.face)
         track = Track(np.zeros((512, 18)), still, np.tile(IDENTITY_MAP, (512, 1)))
-        q = machine.advance(track, 0).q
+        q = simulator.advance(track, 0).q
         count = len(range(0, len(q) - 1, SPARSE))
         if not count:
             continue
@@ -382,42 +391,44 @@ def test_the_energy_of_a_six_joint_arm_does_not_drift(hanging, periods, faces):
     assert np.abs(energies / energies[0] - 1.0).max() < 1e-4
 
 
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_contact_that_is_lost_comes_back(place, integrator):
-    """Thrown off the indenter at 0.3 m/s: touches again and holds, as CVODES has it."""
-    found = {}
-    for name in (integrator, "cvodes"):
-        machine, track = place(
+def test_contact_that_is_lost_is_made_again(place):
+    """Thrown off the indenter at 0.3 m/s: touches again and holds, as in CVODES' solution."""
+    found, estimate = {}, {}
+    for name in (*INTEGRATORS, "cvodes"):
+        simulator, track = place(
             young=1e7, gap=-1e-4, speed=-0.3, law=Law(approach_speed=0.1), dt=3e-4, integrator=name
         )
-        if name == integrator:
-            stated = stability.estimate_error(machine, machine.state, track.references[0], 600)
-        found[name] = forces(machine, track, 600)
-    mine, exact = found[integrator], found["cvodes"]
+        start = simulator.state, track.references[0]
+        estimate[name] = stability.estimate_error(simulator, *start, 600)
+        found[name] = forces(simulator, track, 600)
+    exact = found["cvodes"]
     assert (exact == 0).any()
     assert exact[0] > 0
-    assert mine[-1] == pytest.approx(3.0, rel=0.1)
-    assert np.abs(mine - exact).max() <= stated * max(exact.max(), 3.0)
+    for name in INTEGRATORS:
+        assert found[name][-1] == pytest.approx(3.0, rel=0.1)
+        assert np.abs(found[name] - exact).max() <= estimate[name] * max(exact.max(), 3.0), name
 
 
 @pytest.mark.parametrize("integrator", [*INTEGRATORS, "cvodes"])
 def test_touch_without_penetration_and_depth_zero_are_finite(place, integrator):
-    machine, track = place(gap=0.0, integrator=integrator)
-    found = forces(machine, track, 64)
+    simulator, track = place(gap=0.0, integrator=integrator)
+    found = forces(simulator, track, 64)
     assert found[0] == pytest.approx(0.0, abs=1e-3)
     assert found[-1] > 0
 
 
 def test_a_singular_posture_stays_finite_and_holds_the_force(sphere, base):
     """The Puma's wrist straight: two axes in line."""
-    machine, _ = base
-    arm, law = machine.loop.arm, Law(approach_speed=0.05)
+    simulator, _ = base
+    arm, law = simulator.loop.arm, Law(approach_speed=0.05)
     q = np.array([0.0, 0.9, -2.6, 0.0, 0.0, 0.0])
     assert np.linalg.cond(arm.jacobian(q)) > 1e6
     pose = arm.pose(q) @ sphere.mount_pose
     down = pose[:3, :3].T @ [0, 0, -1.0]
     foot = pose[:3, 3] + pose[:3, :3] @ (0.1 * down)
-    loop = replace(machine.loop, law=law, indenter_position=foot - np.array([0, 0, 0.012]), dt=1e-3)
+    loop = replace(
+        simulator.loop, law=law, indenter_position=foot - np.array([0, 0, 0.012]), dt=1e-3
+    )
     there = Simulator(sphere.body, loop, q, 0.1 * down)
     row = np.concatenate([pose[:3, 3], pose[:3, :3].T.ravel(), np.zeros(6)])
     track = Track(row[None], np.array([there.face]), IDENTITY_MAP[None]).hold(0, 32)
@@ -426,11 +437,11 @@ def test_a_singular_posture_stays_finite_and_holds_the_force(sphere, base):
 
 
 def test_a_joint_limit_is_named_with_time_and_posture(place):
-    machine, track = place(gap=1e-3)
-    machine.state[11] = 60.0  # the last joint spins, as fast as nothing brakes
-    free = replace(machine.loop, law=Law(torque="off"))
-    spun = Simulator(machine.body, free, machine.state[:6], machine.body.mesh.vertices[0])
-    spun.state[:] = machine.state
+    simulator, track = place(gap=1e-3)
+    simulator.state[11] = 60.0  # the last joint spins, as fast as nothing brakes
+    free = replace(simulator.loop, law=Law(torque="off"))
+    spun = Simulator(simulator.body, free, simulator.state[:6], simulator.body.mesh.vertices[0])
+    spun.state[:] = simulator.state
     with pytest.raises(ReachError, match=r"joint6 left its range at t = 0\.\d+ s, q = .*rad"):
         forces(spun, track, 2000)
 
@@ -438,30 +449,44 @@ def test_a_joint_limit_is_named_with_time_and_posture(place):
 def test_an_edge_of_the_body_is_named(place):
     """A cube slides over its indenter until the edge."""
     box = Body(name="box", mesh=trimesh.creation.box((0.2, 0.2, 0.2)).subdivide().subdivide())
-    machine, track = place(body=box, law=Law(approach_speed=0.05))
+    simulator, track = place(body=box, law=Law(approach_speed=0.05))
     moving = track.references.copy()
     moving[:, 12] = 0.4
     time = 0.0
     with pytest.raises(SimulationError, match=r"over an edge of the body at t = .*round the edge"):
         while time < 0.5:
             moving[:, 0] = track.references[:, 0] + 0.4 * (time + 1e-3 * np.arange(len(track)))
-            steps = machine.advance(replace(track, references=moving), 2)
+            steps = simulator.advance(replace(track, references=moving), 2)
             time += 1e-3 * len(steps.time)
 
 
-def test_numbers_of_the_stated_limits(place):
-    """Touch times by the formula, for the paper's sphere."""
-    machine, _ = place(speed=0.1)
-    slow = stability.touch_limit(machine.loop, 5.0, CURVATURE, 0.1)
-    wanted = (3.0 / (4 / 3 * 2e5 / (1 - NU**2) * np.sqrt(RADIUS))) ** (2 / 3)
-    assert slow == pytest.approx(0.2 * wanted / 0.1)
+def test_the_touch_time_is_that_of_the_slowest_of_depth_impact_and_stop(place):
+    """The reference depth; else the depth of an elastic impact, (2/5) K d^(5/2) = m v^2 / 2, unless
+    the velocity gain stops the arm before, in v (1 - log 2) / rate."""
+    loop = place(speed=0.1)[0].loop
+
+    def limit(modulus, mass, v, **law):
+        changed = replace(loop, effective_modulus=modulus, law=replace(loop.law, **law))
+        return stability.touch_limit(changed, mass, CURVATURE, v) * v / 0.2
+
+    def stiffness(modulus):
+        return 4 / 3 * modulus * np.sqrt(RADIUS)
+
+    soft, stiff = 2e5 / (1 - NU**2), 1e9
+    assert limit(soft, 5.0, 0.1) == pytest.approx((3.0 / stiffness(soft)) ** (2 / 3))
+    impact = (0.5 * 5.0 * 0.1**2 / (0.4 * stiffness(stiff))) ** 0.4
+    assert limit(stiff, 5.0, 0.1, torque="off") == pytest.approx(impact)
+    stop = 0.1 * (1 - np.log(2)) / 1e3
+    assert limit(stiff, 5.0, 0.1, rate=1e3) == pytest.approx(stop, rel=0.03)
+    slow = {"shape": "identity", "gain": 5.0 * 1e3}  # a rate of gain / mass
+    assert limit(stiff, 5.0, 0.1, **slow) == pytest.approx(stop, rel=0.03)
 
 
 def slid(scene, count, **loop):
     """Forces (count,) from the first step of sliding on."""
-    machine, path = prepare(scene.with_(loop=replace(scene.loop, compile="never", **loop)))
+    simulator, path = prepare(scene.with_(loop=replace(scene.loop, compile="never", **loop)))
     found = []
-    for steps in run(scene, machine, path):
+    for steps in run(scene, simulator, path):
         if steps.phase == SLIDE:
             found.extend(steps.outputs[:, 6])
         if len(found) >= count:
@@ -496,8 +521,8 @@ def test_the_quasi_static_touch_keeps_its_stated_error(sphere, young):
     touch = {}
     for dt in (1e-3, 1e-4):
         loop = replace(scene.loop, mode="quasi_static", dt=dt, compile="never")
-        machine, path = prepare(scene.with_(loop=loop))
-        found = forces(machine, Track.of(path, sphere.body.surface).hold(0, 256), round(0.3 / dt))
+        simulator, path = prepare(scene.with_(loop=loop))
+        found = forces(simulator, Track.of(path, sphere.body.surface).hold(0, 256), round(0.3 / dt))
         touch[dt] = found[:: round(1e-3 / dt)]
     reference = scene.law.force_reference
     assert touch[1e-4][-1] == pytest.approx(reference, rel=0.02)

@@ -1,4 +1,4 @@
-"""Batches: every episode is what the machine gives alone; own parameters; failures named."""
+"""Batches: every episode is what the simulator gives alone; own parameters; failures named."""
 
 from dataclasses import replace
 
@@ -19,30 +19,30 @@ def track(prepared, sphere):
 
 
 def test_an_episode_of_the_batch_is_the_machine_alone(prepared, sphere, track, along):
-    machine, path = prepared()
+    simulator, path = prepared()
     rows = np.array([300, 2000])
-    batch = BatchSimulator(sphere.body, machine.loop, track, rows, along[rows], compile_="never")
+    batch = BatchSimulator(sphere.body, simulator.loop, track, rows, along[rows], compile_="never")
     found = np.array([batch.advance().copy() for _ in range(200)])
     for k, row in enumerate(rows):
-        machine.reset()
-        machine.state[:6] = along[row]
+        simulator.reset()
+        simulator.state[:6] = along[row]
         hit = sphere.body.closest(path.points[row : row + 1])
-        machine.state[-2:], machine.face = hit.uv[0], int(hit.face[0])
-        alone = machine.advance(track[row : row + 200], 2).outputs
+        simulator.state[-2:], simulator.face = hit.uv[0], int(hit.face[0])
+        alone = simulator.advance(track[row : row + 200], 2).outputs
         np.testing.assert_allclose(found[: len(alone), k], alone, rtol=1e-6, atol=1e-9)
         assert len(alone) == 200
 
 
 @pytest.mark.skipif(module.find_compiler() is None, reason="no C compiler here")
 def test_a_compiled_batch_is_the_interpreted_one(prepared, sphere, track):
-    machine, _ = prepared("quasi_static")
+    simulator, _ = prepared("quasi_static")
     rows = np.linspace(0, len(track) - 300, 40).astype(int)
     wanted = np.linspace(1.0, 4.0, 40)
-    own = machine.loop.parameters
+    own = simulator.loop.parameters
     parameters = np.array([replace(own, force_reference=f).values for f in wanted])
     one, other = (
         BatchSimulator(
-            sphere.body, machine.loop, track, rows,
+            sphere.body, simulator.loop, track, rows,
             parameters=parameters, compile_=compile_, taxels=sphere.skin.positions,
         )
         for compile_ in ("never", "always")
@@ -56,27 +56,27 @@ def test_a_compiled_batch_is_the_interpreted_one(prepared, sphere, track):
 
 
 def test_without_an_arm_every_episode_holds_the_force(prepared, sphere, track):
-    machine, _ = prepared("quasi_static")
+    simulator, _ = prepared("quasi_static")
     rows = np.linspace(0, len(track) - 300, 40).astype(int)
     batch = BatchSimulator(
-        sphere.body, machine.loop, track, rows, compile_="never", taxels=sphere.skin.positions
+        sphere.body, simulator.loop, track, rows, compile_="never", taxels=sphere.skin.positions
     )
     for _ in range(250):
         found = batch.advance()
     np.testing.assert_allclose(found[:, 6], 3.0, rtol=1e-4)
-    exact = PointReadings(machine.loop, sphere.skin.positions)(found)
+    exact = PointReadings(simulator.loop, sphere.skin.positions)(found)
     np.testing.assert_allclose(batch.readings, exact, atol=1e-3 * exact.max())
     assert (batch.readings[:30].max(axis=1) > 0).all()  # the last lanes run outside the skin
 
 
 def test_episodes_have_their_own_parameters_and_rest_at_the_end(prepared, sphere, track):
-    machine, path = prepared("quasi_static")
-    own = machine.loop.parameters
+    simulator, path = prepared("quasi_static")
+    own = simulator.loop.parameters
     wanted = np.array([1.0, 2.0, 4.0])
     parameters = np.array([replace(own, force_reference=f).values for f in wanted])
     rows = np.full(3, len(track) - 20)
     batch = BatchSimulator(
-        sphere.body, machine.loop, track, rows, parameters=parameters, compile_="never"
+        sphere.body, simulator.loop, track, rows, parameters=parameters, compile_="never"
     )
     for _ in range(400):
         found = batch.advance()
@@ -86,11 +86,16 @@ def test_episodes_have_their_own_parameters_and_rest_at_the_end(prepared, sphere
 
 
 def test_a_diverging_episode_is_named(prepared, sphere, track):
-    machine, _ = prepared("quasi_static")
-    own = machine.loop.parameters
+    simulator, _ = prepared("quasi_static")
+    own = simulator.loop.parameters
     parameters = np.array([own.values, replace(own, effective_modulus=np.nan).values])
     batch = BatchSimulator(
-        sphere.body, machine.loop, track, np.array([0, 0]), parameters=parameters, compile_="never"
+        sphere.body,
+        simulator.loop,
+        track,
+        np.array([0, 0]),
+        parameters=parameters,
+        compile_="never",
     )
     with pytest.raises(SimulationError, match=r"episode 1 diverged at t = 0.0000 s"):
         batch.advance()

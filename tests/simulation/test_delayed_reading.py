@@ -126,8 +126,8 @@ def test_a_delay_limits_gamma_and_says_so(sphere, delay):
     omega = brentq(lambda w: np.arctan(w / rate) + w * delay - np.pi / 2, 1.0, 1e4)
     critical = omega * np.hypot(omega, rate) / rate
     late = sphere.with_(loop=replace(sphere.loop, delay=delay))
-    machine, _ = prepare(late.with_(law=replace(sphere.law, gamma=0.8 * critical)))
-    state, _ = machine.rest_state(machine.state[:6])
+    simulator, _ = prepare(late.with_(law=replace(sphere.law, gamma=0.8 * critical)))
+    state, _ = simulator.rest_state(simulator.state[:6])
     np.testing.assert_array_equal(state[13:-2:2], 0.0)  # still in the air: no force is heard
     assert (state[12:-2:2] < 0).all()
     with pytest.raises(SimulationError, match=r"lower law\.gamma"):

@@ -59,27 +59,27 @@ def floating(sphere):
 
 
 def test_a_body_is_lifted_off_by_hand_and_its_force_falls_to_nothing(floating):
-    machine, pose = floating
+    simulator, pose = floating
     heights = np.linspace(0.0, 5e-3, 40)
     poses = np.tile(pose, (40, 1, 1))
     poses[:, 2, 3] += heights
-    steps = machine.move(state_of_pose(poses), LEAVE)
+    steps = simulator.move(state_of_pose(poses), LEAVE)
     force, depth = steps.outputs[:, 6], steps.outputs[:, 7]
     np.testing.assert_allclose(depth, 2e-3 - heights, atol=1e-7)
     expected = 4 / 3 * 2.6e5 * np.sqrt(1 / 110) * np.maximum(depth, 0.0) ** 1.5
     np.testing.assert_allclose(force, expected, atol=1e-3)
-    np.testing.assert_allclose(machine.state[:7], state_of_pose(poses[-1]), atol=1e-12)
+    np.testing.assert_allclose(simulator.state[:7], state_of_pose(poses[-1]), atol=1e-12)
 
 
 def test_a_way_that_meets_the_indenter_again_is_refused(floating):
-    machine, pose = floating
+    simulator, pose = floating
     poses = np.tile(pose, (30, 1, 1))
     poses[:, 2, 3] += 5e-3 * np.sin(np.linspace(0.0, np.pi, 30))
-    assert not machine.is_clear(poses)
+    assert not simulator.is_clear(poses)
     with pytest.raises(SimulationError, match=r"meets the indenter in the air .* 2 mm deep"):
-        machine.move(state_of_pose(poses), LEAVE)
+        simulator.move(state_of_pose(poses), LEAVE)
     high = transform(exp_so3([[0.3, 0.0, 0.0]]), [[0.0, 0.0, 0.2]])
-    assert machine.is_clear(high)
+    assert simulator.is_clear(high)
 
 
 def test_a_part_given_up_is_no_end_and_all_of_it_is(sphere, monkeypatch):
@@ -87,7 +87,7 @@ def test_a_part_given_up_is_no_end_and_all_of_it_is(sphere, monkeypatch):
         loop=replace(sphere.loop, mode="quasi_static"),
         exploration=replace(sphere.exploration, lane_spacing=0.012),
     )
-    machine, path = prepare(scene)
+    simulator, path = prepare(scene)
     track = Track.of(path, scene.body.surface)
     half = len(track) // 2
     advance, calls = Simulator.advance, {"slides": 0, "fail": range(10**6)}
@@ -99,8 +99,8 @@ def test_a_part_given_up_is_no_end_and_all_of_it_is(sphere, monkeypatch):
         return advance(self, track, phase, **more)
 
     def explore(tracks):
-        machine.reset()
-        explorer = ExplorationStateMachine(machine, tracks, PhaseSettings(5e-3, 0.3))
+        simulator.reset()
+        explorer = ExplorationStateMachine(simulator, tracks, PhaseSettings(5e-3, 0.3))
         steps = [s for s in explorer.run() if s.phase == SLIDE]
         return explorer.skips, sum(len(s.time) for s in steps)
 

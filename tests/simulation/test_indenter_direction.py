@@ -117,12 +117,12 @@ def test_at_rest_the_torques_carry_the_weight_and_the_contact(sphere, case):
         base = transform(exp_so3([-0.3, 0.2, 0.0]), [0.0, 0.0, 0.1])
         scene = scene.with_(arm=scene.arm.with_base(base))
     scene = scene.with_(loop=replace(scene.loop, compile="never"))
-    machine, path = prepare(scene)
-    for steps in run(scene, machine, path):
+    simulator, path = prepare(scene)
+    for steps in run(scene, simulator, path):
         if steps.phase == SLIDE:  # before it the touch is at rest
             break
         last = steps
-    loop, q = machine.loop, last.q[-1]
+    loop, q = simulator.loop, last.q[-1]
     rows = {name: last.outputs[-1, rows] for name, rows in loop.outputs.items()}
     assert rows["force"][0] == pytest.approx(3.0, rel=1e-3)
 
@@ -177,8 +177,8 @@ def test_between_places_the_body_is_lifted_the_way_the_indenter_points(sphere):
 
 def test_single_touches_and_presses_are_made_from_the_side(ellipsoid):
     points = ellipsoid.skin.positions[::6]
-    for toucher in (static_sampler, closed_loop_sampler):
-        recording, why = toucher(ellipsoid, 0)(points)
+    for sampler in (static_sampler, closed_loop_sampler):
+        recording, why = sampler(ellipsoid, 0)(points)
         assert set(why) == {""}
         assert len(recording.time) == len(points)
         np.testing.assert_allclose(faced(recording) @ SLANT.axis, -1.0, atol=1e-4)
@@ -200,10 +200,10 @@ def test_compiled_steps_equal_interpreted_ones(walled):
     found = []
     for choice in ("never", "always"):
         scene = walled.with_(loop=replace(walled.loop, compile=choice))
-        machine, path = prepare(scene)
-        assert isinstance(machine.rollout, CompiledRollout) == (choice == "always")
+        simulator, path = prepare(scene)
+        assert isinstance(simulator.rollout, CompiledRollout) == (choice == "always")
         rows = []
-        for steps in run(scene, machine, path):
+        for steps in run(scene, simulator, path):
             rows.append(np.hstack([steps.q, steps.outputs]))
             if sum(map(len, rows)) > 1000:
                 break
@@ -211,12 +211,15 @@ def test_compiled_steps_equal_interpreted_ones(walled):
     np.testing.assert_allclose(found[1], found[0], rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("integrator", ["linearly_implicit", "rk4", "cvodes"])
+@pytest.mark.parametrize(
+    "integrator",
+    ["linearly_implicit", "rk4", pytest.param("cvodes", marks=pytest.mark.slow)],
+)
 def test_every_integrator_holds_the_force_on_a_wall(walled, integrator):
     scene = walled.with_(loop=replace(walled.loop, integrator=integrator))
-    machine, path = prepare(scene)
-    total, force = 0, machine.loop.outputs["force"].start
-    for steps in run(scene, machine, path):
+    simulator, path = prepare(scene)
+    total, force = 0, simulator.loop.outputs["force"].start
+    for steps in run(scene, simulator, path):
         total += len(steps.time)
         if total > 800:
             break

@@ -1,10 +1,11 @@
-"""The compliance law: zeta against automatic differentiation, its normal inverse, its limits."""
+"""The compliance law: against automatic differentiation, closed forms and limits."""
 
 import casadi as ca
 import numpy as np
 import pytest
 
 from meshskin.core.errors import ConfigError, UnknownNameError
+from meshskin.core.se3 import exp_so3
 from meshskin.geometry.body import Body
 from meshskin.geometry.surface.patch import casadi_foot
 from meshskin.scene.settings import Law
@@ -13,7 +14,9 @@ from meshskin.simulation.law import (
     force_rows,
     force_speed,
     general_zeta,
+    path_twist,
     slope_depth,
+    touch_speed,
     zeta,
 )
 
@@ -127,3 +130,56 @@ def test_on_the_sphere_the_general_law_is_the_papers():
     inverse = np.linalg.pinv(paper @ jacobian[:3])
     along = 1.5 * np.sqrt(delta)
     np.testing.assert_allclose(np.linalg.pinv(rows) @ n / along, inverse @ n, rtol=1e-8)
+
+
+def test_without_contact_the_speed_grows_with_the_gap():
+    """gamma (f_ref / slope + gap), at most the approach speed in either direction."""
+    law, slope = Law(gamma=20.0, force_reference=3.0, approach_speed=0.1), 1e4
+    for gap in (0.0, 1e-3, 3e-3):
+        wanted = 20.0 * (3.0 / slope + gap)
+        assert float(force_speed(law, slope, -gap, 0.0)) == pytest.approx(wanted)
+    assert float(force_speed(law, slope, -1.0, 0.0)) == 0.1
+    assert float(force_speed(law, slope, 1e-3, 1e9)) == -0.1
+    assert float(force_speed(law, slope, 1e-3, 3.0)) == 0.0
+
+
+def test_the_touch_speed_is_the_force_speed_at_the_reference_slope():
+    """Hertz: f_ref = K d^(3/2), slope 3/2 K d^(1/2) at the depth of `slope_depth`."""
+    law, depth = Law(gamma=20.0, approach_speed=1.0), 8e-4
+    stiffness = law.force_reference / depth**1.5
+    slope = 1.5 * stiffness * np.sqrt(float(slope_depth(0.0, depth)))
+    expected = float(force_speed(law, slope, 0.0, 0.0))
+    assert touch_speed(law, depth) == pytest.approx(expected, rel=1e-9)
+    assert touch_speed(Law(gamma=20.0, approach_speed=1e-3), depth) == 1e-3
+
+
+def twist(pose_error, reference_twist, ahead=0.0, track_normal=0.0):
+    """`path_twist` of a body at the origin whose reference differs by (rotation vector, shift)."""
+    reference = [*pose_error[3:], *exp_so3(pose_error[:3]).T.ravel(), *reference_twist]
+    found = path_twist(
+        ca.DM(reference), 7.0, ca.DM.zeros(3), ca.DM.eye(3), ca.DM([0.0, 0.0, -0.1]),
+        ca.DM([0.0, 0.0, -1.0]), track_normal, ahead,
+    )  # fmt: skip
+    return np.concatenate([np.array(part).ravel() for part in found])
+
+
+def test_the_path_twist_follows_the_reference_to_first_order():
+    """omega = omega_ref + k log(R_ref R^T), v = v_ref + k (x_ref - x) + omega x lever."""
+    rotation, shift = np.array([2e-4, -1e-4, 3e-4]), np.array([1e-3, 2e-3, -5e-4])
+    velocity, omega = np.array([0.02, -0.01, 0.03]), np.array([0.1, 0.2, -0.3])
+    found = twist([*rotation, *shift], [*velocity, *omega], track_normal=1.0)
+    spin = omega + 7.0 * rotation
+    moved = velocity + 7.0 * shift + np.cross(spin, [0.0, 0.0, -0.1])
+    np.testing.assert_allclose(found, [*spin, *moved], atol=1e-9)
+    held = twist([*rotation, *shift], [*velocity, *omega])
+    np.testing.assert_allclose(held, [*spin, *moved[:2], 0.0], atol=1e-9)
+    # `ahead` seconds later the reference has moved on by its own twist
+    later = twist([*rotation, *shift], [*velocity, *omega], ahead=0.01, track_normal=1.0)
+    now = [*(rotation + 0.01 * omega), *(shift + 0.01 * velocity)]
+    np.testing.assert_allclose(later, twist(now, [*velocity, *omega], 0.0, 1.0), atol=2e-5)
+
+
+def test_a_damped_row_loses_the_square_of_its_damping():
+    """One row j: |j| x / (j^2 + damping^2)."""
+    found = damped_inverse(ca.DM([[2.0, 0.0]]), ca.DM([0.5]), ca.DM([3.0]))
+    np.testing.assert_allclose(np.array(found).ravel(), [2.0 * 3.0 / 4.25, 0.0])

@@ -1,4 +1,4 @@
-"""The machine: runs across faces, strays and comes back, says what went wrong, reads taxels."""
+"""The simulator: runs across faces, strays and comes back, says what went wrong, reads taxels."""
 
 from dataclasses import replace
 
@@ -20,9 +20,9 @@ from meshskin.simulation.track import IDENTITY_MAP, Track, face_maps
 needs_compiler = pytest.mark.skipif(module.find_compiler() is None, reason="no C compiler here")
 
 
-def outputs(scene, machine, path, count=3000):
+def outputs(scene, simulator, path, count=3000):
     found, total = [], 0
-    for steps in run(scene, machine, path):
+    for steps in run(scene, simulator, path):
         found.append(steps.outputs)
         total += len(steps.time)
         if total >= count:
@@ -32,21 +32,21 @@ def outputs(scene, machine, path, count=3000):
 
 @pytest.mark.parametrize("mode", ["arm", "quasi_static"])
 def test_the_contact_runs_across_faces_without_a_hop(prepared, sphere, mode):
-    machine, path = prepared(mode)
-    found = outputs(sphere, machine, path)
-    assert machine.relocations == 0
+    simulator, path = prepared(mode)
+    found = outputs(sphere, simulator, path)
+    assert simulator.relocations == 0
     assert len(np.unique(path.faces[:2500])) > 5
     np.testing.assert_allclose(np.linalg.norm(found[:, :3], axis=1), 0.1, atol=1e-7)
     assert found[600:, 6] == pytest.approx(3.0, rel=2e-3)
 
 
 def test_a_path_that_names_the_wrong_faces_costs_hops_and_nothing_else(prepared, sphere):
-    machine, path = prepared()
-    right = outputs(sphere, machine, path)
-    machine.reset()
+    simulator, path = prepared()
+    right = outputs(sphere, simulator, path)
+    simulator.reset()
     there = sphere.body.closest(path.points + np.array([0.01, 0.0, 0.0])).face
-    wrong = outputs(sphere, machine, replace(path, faces=there))
-    assert machine.relocations > 2
+    wrong = outputs(sphere, simulator, replace(path, faces=there))
+    assert simulator.relocations > 2
     np.testing.assert_allclose(wrong[:, :8], right[:, :8], atol=2e-5)
 
 
@@ -68,7 +68,7 @@ def test_crossings_carry_a_point_of_the_common_edge_exactly():
 
 @pytest.fixture(scope="module")
 def compiled(sphere):
-    """A machine of the paper's scene in machine code that reads all taxels, by mode."""
+    """A simulator of the paper's scene in machine code that reads all taxels, by mode."""
     made = {}
 
     def get(mode="arm"):
@@ -84,21 +84,21 @@ def compiled(sphere):
 @needs_compiler
 @pytest.mark.parametrize("mode", ["arm", "quasi_static"])
 def test_compiled_and_interpreted_agree_to_the_last_digits(prepared, compiled, sphere, mode):
-    machine, path = prepared(mode)
+    simulator, path = prepared(mode)
     fast, _ = compiled(mode)
-    one, other = (outputs(sphere, m, path, 1000) for m in (machine, fast))
+    one, other = (outputs(sphere, m, path, 1000) for m in (simulator, fast))
     # fused multiply-add rounds once where the interpreter rounds twice
     assert (np.abs(one - other) <= 5e-12 * np.abs(one).max(axis=0)).all()
 
 
 @needs_compiler
 def test_compiled_readings_are_those_of_numpy(compiled, sphere):
-    machine, path = compiled()
-    found = outputs(sphere, machine, path, 2000)
+    simulator, path = compiled()
+    found = outputs(sphere, simulator, path, 2000)
     taxels = np.vstack([sphere.skin.positions, -sphere.skin.positions])
-    slow = PointReadings(machine.loop, taxels)(found)
+    slow = PointReadings(simulator.loop, taxels)(found)
     for dtype, error in ((np.float64, 1e-9), (np.float32, 1e-3)):
-        fast = PointReadings(machine.loop, taxels, dtype, machine.readings._code)(found)
+        fast = PointReadings(simulator.loop, taxels, dtype, simulator.readings._code)(found)
         assert fast.dtype == dtype
         np.testing.assert_allclose(fast, slow, atol=error * slow.max())
     assert np.count_nonzero(slow) > 1000
@@ -107,11 +107,11 @@ def test_compiled_readings_are_those_of_numpy(compiled, sphere):
 @needs_compiler
 def test_machine_code_ends_where_the_interpreter_does(prepared, compiled, sphere):
     """At the touch, where the foot leaves its face, and where a number is not finite."""
-    machine, path = prepared()
+    simulator, path = prepared()
     fast, _ = compiled()
     track = Track.of(path, sphere.body.surface)
     first, ends = int(track.faces[0]), []
-    for one in (machine, fast):
+    for one in (simulator, fast):
         steps = one.advance(track.hold(0, 32), 0, until_touch=True)
         while not steps.outputs[-1, 6] > 0:
             steps = one.advance(track.hold(0, 32), 0, until_touch=True)
@@ -145,10 +145,10 @@ def test_auto_takes_what_an_earlier_run_built(sphere, tmp_path, monkeypatch):
 
 
 def test_torques_stay_within_the_arms_limits_and_are_counted(prepared, sphere):
-    machine, path = prepared()
-    outputs(sphere, machine, path, 1000)
-    assert not machine.saturated.any()
-    effort = machine.loop.arm.effort_limit.copy()
+    simulator, path = prepared()
+    outputs(sphere, simulator, path, 1000)
+    assert not simulator.saturated.any()
+    effort = simulator.loop.arm.effort_limit.copy()
     effort[1] = 15.0  # not enough to carry the arm
     arm = replace(sphere.arm, effort_limit=effort)
     weak, path = prepare(sphere.with_(arm=arm, loop=replace(sphere.loop, compile="never")))
@@ -160,17 +160,17 @@ def test_torques_stay_within_the_arms_limits_and_are_counted(prepared, sphere):
 
 
 def test_a_number_that_is_not_finite_never_leaves_the_loop(prepared, sphere):
-    machine, path = prepared()
-    machine.state[3] = np.nan
+    simulator, path = prepared()
+    simulator.state[3] = np.nan
     with pytest.raises(SimulationError, match=r"diverged at t = 0.0000 s, q = .*nan"):
-        machine.advance(Track.of(path, sphere.body.surface).hold(0, 32), 0)
+        simulator.advance(Track.of(path, sphere.body.surface).hold(0, 32), 0)
 
 
 def test_point_readings_are_hertz_in_the_tangent_plane(prepared, sphere):
-    machine, path = prepared("quasi_static")
+    simulator, path = prepared("quasi_static")
     x = sphere.skin.positions
     reader = Simulator(
-        sphere.body, machine.loop, machine.start, path.points[0], taxels=np.vstack([x, -x])
+        sphere.body, simulator.loop, simulator.start, path.points[0], taxels=np.vstack([x, -x])
     )
     for steps in run(sphere, reader, path):
         if steps.phase == 3:
@@ -179,7 +179,7 @@ def test_point_readings_are_hertz_in_the_tangent_plane(prepared, sphere):
     point, normal, force = steps.outputs[k, :3], steps.outputs[k, 3:6], steps.outputs[k, 6]
     offset = x - point
     r = np.linalg.norm(offset - np.outer(offset @ normal, normal), axis=1)
-    a = hertz.contact_radius(force, 1 / 110, machine.loop.effective_modulus)
+    a = hertz.contact_radius(force, 1 / 110, simulator.loop.effective_modulus)
     expected = 1.5 * force / (np.pi * a**2) * np.sqrt(np.maximum(1 - (r / a) ** 2, 0))
     assert np.count_nonzero(expected) > 1
     np.testing.assert_allclose(steps.readings[k, :80], expected, atol=1e-4 * expected.max())

@@ -14,7 +14,7 @@ from meshskin.simulation.simulate import prepare, run
 from meshskin.simulation.state_machine import PHASES, ExplorationStateMachine, PhaseSettings
 from meshskin.simulation.track import Track
 
-MANNER = PhaseSettings(standoff=5e-3, settle=0.3)
+SETTINGS = PhaseSettings(standoff=5e-3, settle=0.3)
 
 
 @pytest.fixture
@@ -24,9 +24,9 @@ def track(prepared, sphere):
 
 @pytest.mark.parametrize("mode", ["arm", "quasi_static"])
 def test_two_places_run_through_every_phase_in_order(prepared, sphere, track, mode):
-    machine, path = prepared(mode)
+    simulator, path = prepared(mode)
     places = [track[:400], track[1500:1900]]
-    explorer = ExplorationStateMachine(machine, places, MANNER)
+    explorer = ExplorationStateMachine(simulator, places, SETTINGS)
     found = list(explorer.run())
     order = [PHASES[phase] for phase, _ in groupby(found, key=lambda steps: steps.phase)]
     once = ["approach", "touch", "hold", "slide"]
@@ -43,16 +43,16 @@ def test_two_places_run_through_every_phase_in_order(prepared, sphere, track, mo
     point = found[-1].outputs[-1, :3]
     assert np.linalg.norm(point - path.points[1899]) < 5e-4
     times = np.concatenate([s.time for s in found])
-    np.testing.assert_allclose(np.diff(times), machine.loop.dt, rtol=1e-6)
+    np.testing.assert_allclose(np.diff(times), simulator.loop.dt, rtol=1e-6)
 
 
 def test_contact_that_is_lost_is_sought_again_where_it_was_lost(prepared, sphere, track):
-    machine, _ = prepared("quasi_static")
-    explorer = ExplorationStateMachine(machine, [track[:600]], MANNER)
+    simulator, _ = prepared("quasi_static")
+    explorer = ExplorationStateMachine(simulator, [track[:600]], SETTINGS)
     knocked, after = False, []
     for steps in explorer.run():
         if steps.phase == state_machine.SLIDE and explorer.row > 250 and not knocked:
-            machine.state[2] += 0.01  # thrown 8 mm clear of the indenter
+            simulator.state[2] += 0.01  # thrown 8 mm clear of the indenter
             knocked = True
         elif knocked:
             after.append(steps)
@@ -64,19 +64,19 @@ def test_contact_that_is_lost_is_sought_again_where_it_was_lost(prepared, sphere
 
 
 def test_contact_that_cannot_be_kept_is_given_up_by_name(prepared, track):
-    machine, _ = prepared("quasi_static")
-    explorer = ExplorationStateMachine(machine, [track[:3000]], MANNER)
+    simulator, _ = prepared("quasi_static")
+    explorer = ExplorationStateMachine(simulator, [track[:3000]], SETTINGS)
     with pytest.raises(SimulationError, match=r"lost 6 times at row \d+ of place 0"):
         for steps in explorer.run():
             if steps.phase == state_machine.SLIDE:
-                machine.state[2] += 0.01
+                simulator.state[2] += 0.01
 
 
 def test_an_indenter_that_is_not_there_is_named(prepared, track):
-    machine, _ = prepared("quasi_static")
-    machine.state[2] += 1.0
+    simulator, _ = prepared("quasi_static")
+    simulator.state[2] += 1.0
     with pytest.raises(SimulationError, match=r"did not touch the indenter, got .* s of approach"):
-        list(ExplorationStateMachine(machine, [track], MANNER).run())
+        list(ExplorationStateMachine(simulator, [track], SETTINGS).run())
 
 
 @pytest.mark.parametrize("surface", ["sphere", "exact"])
@@ -89,9 +89,9 @@ def test_either_surface_of_the_law_holds_the_force_on_an_ellipsoid(sphere, surfa
         arm=replace(sphere.arm, lower=np.full(6, -9.0), upper=np.full(6, 9.0)),
         loop=replace(sphere.loop, compile="never"),
     )
-    machine, path = prepare(scene)
+    simulator, path = prepare(scene)
     force = np.concatenate(
-        [s.outputs[:, 6] for s in run(scene, machine, path) if s.phase == state_machine.SLIDE]
+        [s.outputs[:, 6] for s in run(scene, simulator, path) if s.phase == state_machine.SLIDE]
     )
     assert force == pytest.approx(3.0, abs=0.03)
 
@@ -100,12 +100,12 @@ def test_the_approach_gains_its_speed_evenly(prepared, sphere, track):
     """Without an arm the body moves as it is asked to: v t / ramp, then v; the touch is later."""
     heights, touched = {}, {}
     for ramp in (0.0, 0.04):
-        machine, _ = prepared("quasi_static")
-        explorer = ExplorationStateMachine(machine, [track[:50]], replace(MANNER, ramp=ramp))
+        simulator, _ = prepared("quasi_static")
+        explorer = ExplorationStateMachine(simulator, [track[:50]], replace(SETTINGS, ramp=ramp))
         found = [steps for steps in explorer.run() if steps.phase == state_machine.APPROACH]
         heights[ramp] = np.concatenate([steps.q[:, 2] for steps in found])
         touched[ramp] = len(heights[ramp])
-    dt, speed = machine.loop.dt, sphere.law.approach_speed
+    dt, speed = simulator.loop.dt, sphere.law.approach_speed
     fall = -np.diff(heights[0.04])
     part = np.minimum((np.arange(len(fall)) + 1) * dt / 0.04, 1.0)
     np.testing.assert_allclose(fall, part * speed * dt, rtol=1e-6)

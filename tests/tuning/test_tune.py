@@ -1,4 +1,4 @@
-"""The tuning on a small scene: against a grid, against the simulator, and where it must refuse."""
+"""Tuning of a small scene: against a grid, against the simulator, and its errors."""
 
 from dataclasses import replace
 
@@ -61,7 +61,7 @@ def test_the_simulator_confirms_what_was_predicted(small, tuned):
     assert seen.time[-1] == pytest.approx(tuned.value, abs=3e-3)
 
 
-def test_it_prints_what_was_found_in_a_few_lines(tuned):
+def test_the_result_prints_in_a_few_lines(tuned):
     text = str(tuned)
     assert repr(tuned) == text
     assert len(text.splitlines()) <= 12
@@ -80,6 +80,7 @@ def touched(scene, manoeuvre, rest=0.3):
     return force_response(time[first], force[first], scene.law.force_reference)
 
 
+@pytest.mark.slow
 def test_settling_is_halved_at_equal_overshoot(small):
     """No more overshoot than the scene's own gains have, which is none."""
     tuned = ms.tune(
@@ -104,12 +105,15 @@ def test_older_readings_settle_later(small):
         late = small.with_(loop=replace(small.loop, delay=delay))
         tuned = ms.tune(late, objective="settling", distance=DISTANCE, bounds=CALM)
         assert tuned.confirm().difference < 0.02
+        assert {"overshoot", "settled"} & set(tuned.binding)
+        assert tuned.law.force_reference == small.law.force_reference
+        assert tuned.exploration.speed == small.exploration.speed
         found.append((tuned.value, tuned.law.gamma))
     assert found[1][0] > 1.3 * found[0][0]
     assert found[1][1] < 0.7 * found[0][1]
 
 
-def test_no_gains_about_it_are_better(small, tuned):
+def test_no_gains_near_the_solution_are_better(small, tuned):
     """A grid over gamma, approach speed and rest about the solution: nothing feasible is faster."""
     shot = SingleShooting(small, Scenario(), tuned.manoeuvres[0])
     best, better = gains_of(tuned), []
@@ -131,7 +135,7 @@ def test_no_gains_about_it_are_better(small, tuned):
     assert min(better) > tuned.value * (1.0 - 0.01)
 
 
-def test_what_binds_is_named_and_its_price_is_right(small, tuned):
+def test_binding_limits_are_named_with_the_right_multiplier(small, tuned):
     """The multiplier of the overshoot is the gain of a wider one."""
     assert "overshoot" in tuned.binding
     assert "settled" in tuned.binding
@@ -158,7 +162,7 @@ def test_least_force_error_costs_time(small, tuned):
     assert seen.error <= 1.05 * exact.value
 
 
-def test_how_the_search_ended_is_said_in_words(tuned):
+def test_messages_of_how_a_search_ended(tuned):
     assert tuned.status == "solved"
     assert tuned.predicted_decrease < 1e-6
     assert tuned.one_sided == {}
@@ -172,7 +176,8 @@ def test_how_the_search_ended_is_said_in_words(tuned):
     assert "no change of the gains by more than 0.01 %" in descent_message(39)
 
 
-def test_the_price_of_time_is_right_for_the_least_force_error(small, tuned):
+@pytest.mark.slow
+def test_the_multiplier_of_time_is_right_for_the_least_force_error(small, tuned):
     """0.3 % of it more or less, searched from the solution, which is at its end, in no tooth."""
 
     def least(part, start):
@@ -201,11 +206,11 @@ def test_every_scenario_keeps_the_demands(small):
         assert highest <= DEMANDS.overshoot + 2 * TOLERANCE
 
 
-def test_what_cannot_be_met_says_what_to_relax(small):
+def test_demands_that_cannot_be_met_name_the_limit_to_relax(small, tuned):
     with pytest.raises(TuningError, match="relax the time") as raised:
         ms.tune(small, demands=replace(DEMANDS, time=0.02), distance=DISTANCE, bounds=CALM)
     assert raised.value.limit == "0.02 s"
-    best = ms.tune(small, demands=DEMANDS, distance=DISTANCE, bounds=CALM).value
+    best = tuned.value
     assert raised.value.value == f"at best time of {best:.4g} s"
     met = ms.tune(small, demands=replace(DEMANDS, time=1.01 * best), distance=DISTANCE, bounds=CALM)
     assert met.value <= 1.01 * best
@@ -286,7 +291,7 @@ def test_each_limit_of_the_joints_binds_and_is_named_where_it_cannot_be_kept(lim
 
 
 @pytest.mark.slow
-def test_where_tightening_costs_more_than_relaxing_gains_both_prices_are_right():
+def test_one_sided_multipliers_are_right():
     """The largest speed of the ellipsoid's arm, re-solved with 0.5 % more and less of it."""
     scene = ms.Scene.load("ellipsoid")
     tuned = ms.tune(scene)
@@ -314,7 +319,7 @@ def test_on_other_bodies_the_simulator_confirms_every_objective(name):
     assert settled.value < 0.5 * touched(scene, settled.manoeuvres[0]).settling
 
 
-def test_arguments_that_cannot_be_are_named(small):
+def test_invalid_arguments_are_named(small):
     with pytest.raises(UnknownNameError, match="did you mean force_error"):
         ms.tune(small, objective="force_eror")
     with pytest.raises(ConfigError, match="gama"):
