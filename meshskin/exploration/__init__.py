@@ -1,1 +1,1 @@
-"""Exploration: where the contact point goes, planned for the arm."""
+"""Exploration: paths of the contact point over a skin, planned for the arm."""

@@ -1,4 +1,4 @@
-"""The planner's one entrance: where the contact point goes, planned for the arm.
+"""The entrance of the planner: paths of the contact point over a skin, planned for the arm.
 
 Caps of spheres are explored by the paper's parallels about the skin's axis, as far as the arm can
 turn them; every other skin by geodesic lanes.

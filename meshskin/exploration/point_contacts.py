@@ -14,14 +14,14 @@ from .path import Path
 
 
 def nearest_neighbour_order(points: Array) -> NDArray[np.intp]:
-    """The order (k,) of points (k, 3) from the first, each next one the nearest of those left."""
+    """The order (k,) of points (k, 3), from the first, in which each next one is the nearest."""
     order = [0]
-    left = np.ones(len(points), dtype=bool)
-    left[0] = False
-    while left.any():
+    remaining = np.ones(len(points), dtype=bool)
+    remaining[0] = False
+    while remaining.any():
         distance = np.linalg.norm(points - points[order[-1]], axis=1)
-        order.append(int(np.argmin(np.where(left, distance, np.inf))))
-        left[order[-1]] = False
+        order.append(int(np.argmin(np.where(remaining, distance, np.inf))))
+        remaining[order[-1]] = False
     return np.array(order, dtype=np.intp)
 
 
@@ -30,9 +30,8 @@ def point_contacts(
 ) -> tuple[list[Path], Array]:
     """A path at rest on each of the points (k, 3) that can be touched, in their order.
 
-    Each path has `steps` rows of `dt` s. Gives the reason (k,), too, why a point cannot be touched,
-    "" where it can. A posture is as near to the one before as its distance from the joint limits
-    lets it be.
+    Each path has `steps` rows of `dt` s. The second result is the reason (k,) why a point cannot be
+    touched, "" where it can. Each posture is near the one before and far from the joint limits.
     """
     hit = rig.body.closest(points)
     reason = rig.contact_reasons(hit.point, hit.normal)

@@ -1,4 +1,4 @@
-"""Contact paths: pieces of lanes joined to one way that the contact point slides along."""
+"""Contact paths: pieces of lanes, joined by slides, that are followed without lifting off."""
 
 from __future__ import annotations
 

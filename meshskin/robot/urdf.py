@@ -165,7 +165,7 @@ class UrdfTree:
     def massless_links(self, joint: Joint, moving: Iterable[str]) -> list[str]:
         """The links that `joint` moves, up to the next `moving` joints, if none has a mass."""
         free, moved = set(moving), [joint.child]
-        for name in moved:  # grows as it goes
+        for name in moved:  # grows while it is iterated
             moved += [j.child for j in self.joints if j.parent == name and j.name not in free]
         masses = (vector(self.links[k].find("inertial/mass"), "value", "0", 1, "") for k in moved)
         return [] if any(mass[0] > 0.0 for mass in masses) else moved

@@ -83,9 +83,10 @@ class Scene(NamedFields):
     loop: Loop = field(default_factory=Loop)
     effects: tuple[Effect, ...] = ()
     candidates: tuple[Effect, ...] | None = None
-    """What an error budget may put on beside `effects`; None: every registered effect."""
+    """Effects that an error budget may add to `effects`; None: every registered effect."""
     budget: float | None = None
-    """Taxel error, m, that may be left out: `ms.budget` decides what is on. None: it is decided."""
+    """Taxel error, m, that omitted effects may cause: `ms.budget` decides which are on. None: the
+    effects are those listed."""
     contact: str = AUTO
     """Contact model, one of contact.BATCHED, or "auto": the first of them that holds at every taxel
     at which any of them does."""

@@ -133,7 +133,7 @@ class SkinTable:
 
 @dataclass(frozen=True)
 class ArmTable:
-    """[arm]: the URDF file, what the arm carries, and where it stands."""
+    """[arm]: the URDF file, the payload and the mount, and the pose of the base."""
 
     urdf: str = "puma560.urdf"
     tip: str = "tool0"

@@ -59,7 +59,7 @@ def test_a_half_ball_is_explored_in_lanes_where_the_arm_cannot_turn_its_parallel
 )
 def test_numbers_that_no_exploration_has_are_refused(sphere, wrong, message):
     with pytest.raises(ConfigError, match=message):
-        ms.explore(sphere.body, DOWN, **({"arm": sphere.arm, "mount": np.eye(4)} | wrong))
+        ms.explore(sphere.body, sphere.skin, **({"arm": sphere.arm, "mount": np.eye(4)} | wrong))
 
 
 def test_the_plan_of_a_body_and_a_skin_is_followed_by_their_scene(sphere):

@@ -1,4 +1,4 @@
-"""Geodesic lanes: they pass every taxel, keep their distance, and close round whole bodies."""
+"""Geodesic lanes pass every taxel at a constant spacing, and close round whole bodies."""
 
 from itertools import pairwise
 
@@ -59,7 +59,7 @@ def test_a_whole_body_is_covered_about_once():
     assert 0.9 < length * SPACING / body.mesh.area < 1.3
 
 
-def test_islands_are_both_covered():
+def test_two_separate_regions_are_covered():
     body = BODIES["sphere"][0]
     sites = np.concatenate(
         [
@@ -73,7 +73,7 @@ def test_islands_are_both_covered():
     assert cKDTree(sites).query(points)[0].max() < KEEP + SPACING
 
 
-def test_spacing_gives_the_contacts_that_are_wanted():
+def test_the_spacing_gives_the_wanted_number_of_contacts():
     reach, step = 6e-3, 0.5e-3
     spacing = spacing_for(reach, 100.0, step)
     assert np.pi * reach**2 / (spacing * step) == pytest.approx(100.0)

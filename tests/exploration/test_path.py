@@ -45,7 +45,7 @@ def test_lanes_cover_the_cap_with_at_most_their_spacing(sphere, path, extent):
     assert gap.max() < 0.5 * 3.5e-3 + 0.5e-3
 
 
-def test_speeds_stay_within_their_limits_and_twists_carry_the_poses(path):
+def test_speeds_are_within_their_limits_and_twists_integrate_to_the_poses(path):
     speed = np.linalg.norm(np.diff(path.points, axis=0), axis=1) / DT
     assert speed.max() <= 0.05 * 1.01
     turn = np.linalg.norm(path.twists[:, 3:], axis=1)
@@ -55,7 +55,7 @@ def test_speeds_stay_within_their_limits_and_twists_carry_the_poses(path):
     assert np.abs(np.diff(path.twists[:, 5])).max() < 2.5 * np.pi / 2 * DT / 0.1 * 1.1
 
 
-def test_the_spin_comes_back(extent):
+def test_the_azimuth_stays_within_half_a_turn(extent):
     angles = lane_angles(polar_angles(extent, 0.1, Exploration()), 0.1, Exploration(), DT)
     assert np.abs(angles[:, 1]).max() <= np.pi + 1e-12
     assert np.all(np.diff(angles[:, 0]) >= 0)

@@ -1,4 +1,4 @@
-"""Plans for an arm: within its limits, broken where they end, and honest about what is left out."""
+"""Plans for an arm: within its limits, broken where they end, with reasons for what is left out."""
 
 from dataclasses import replace
 
@@ -13,16 +13,17 @@ from meshskin.exploration.lane_plan import LIMIT, OUT_OF_REACH
 from meshskin.exploration.parallels import is_cap
 from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap, HalfSpace
-from meshskin.robot import capsules, collision
+from meshskin.robot import collision
 
 LANES = ms.Exploration(pattern="lanes")
+SPARSE = ms.Exploration(pattern="lanes", lane_spacing=6e-3)
 
 
 def angles(scene, plan):
-    """Joint angles (k, n) along each place of a plan, followed from its posture."""
-    for place in plan.segments:
-        poses = place.poses[::5] @ inverse(scene.mount_pose)
-        yield scene.arm.inverse_kinematics(poses, place.postures[0])
+    """Joint angles (k, n) along each segment of a plan, followed from its posture."""
+    for segment in plan.segments:
+        poses = segment.poses[::5] @ inverse(scene.mount_pose)
+        yield scene.arm.inverse_kinematics(poses, segment.postures[0])
 
 
 @pytest.fixture(scope="module", params=["ellipsoid", "capsule", "torus"])
@@ -35,7 +36,7 @@ def plan(scene):
     return plan_exploration(scene)
 
 
-def test_the_plan_sees_every_taxel_of_the_shipped_bodies_within_all_limits(scene, plan):
+def test_the_plan_covers_the_shipped_bodies_within_all_limits(scene, plan):
     assert plan.unreachable == {}
     points = plan.path.points
     assert cKDTree(points).query(scene.skin.positions)[0].max() < 0.5 * plan.spacing + 0.5e-3
@@ -61,7 +62,7 @@ def test_the_indenter_meets_the_body_where_the_path_says(scene, plan):
     assert down[:, 2].max() < -np.cos(np.radians(2.0))
 
 
-def test_a_cap_of_a_sphere_keeps_the_parallels(sphere, scene):
+def test_the_skin_of_the_sphere_is_a_cap(sphere, scene):
     assert is_cap(sphere)
     assert not is_cap(scene)
     with pytest.raises(UnknownNameError, match="did you mean lanes"):
@@ -81,7 +82,7 @@ def test_a_region_without_taxels_and_a_body_without_an_arm():
     assert len(wide.path.points) < len(plan.path.points)
 
 
-def test_lanes_lie_as_close_as_the_patch_asks():
+def test_the_spacing_of_lanes_follows_the_contact_patch():
     body, region = ms.Body.sphere(0.05), HalfSpace((0.0, 0.0, 1.0), 0.045)
     plain, small = (
         ms.explore(
@@ -107,7 +108,7 @@ def test_a_joint_that_cannot_turn_enough_is_named(sphere):
         plan_exploration(sphere.with_(exploration=LANES, arm=stiff))
 
 
-def test_where_a_joint_ends_the_taxels_are_listed_and_the_rest_is_explored(sphere):
+def test_taxels_beyond_a_joint_limit_are_listed_and_the_others_explored(sphere):
     arm = replace(sphere.arm, lower=sphere.arm.lower.copy(), upper=sphere.arm.upper.copy())
     wide = ms.Skin.cover(sphere.body, count=24, spacing=16e-3, region=Cap((0.0, 0.0, -1.0)))
     arm.lower[4], arm.upper[4] = -1.2, -0.9
@@ -134,12 +135,14 @@ def test_the_inside_of_a_narrow_ring_is_left_out_with_the_reason():
     assert not outside & set(small.unreachable)
     assert {small.unreachable.get(k) for k in inside} == {collision.SUPPORT}  # the ring's far side
     large = ms.Indenter(radius=0.04, support_radius=1e-3, support_height=1e-3)
-    plan = ms.explore(body, skin, indenter=large, force=10.0, mode="quasi_static")
+    plan = ms.explore(
+        body, skin, indenter=large, force=10.0, exploration=SPARSE, mode="quasi_static"
+    )
     assert not outside & set(plan.unreachable)
     assert {plan.unreachable.get(k) for k in inside} == {collision.HOLLOW}
 
 
-def test_the_arm_keeps_off_the_support_and_the_body(sphere):
+def test_the_arm_avoids_the_support_and_the_body(sphere):
     plan = plan_exploration(sphere.with_(exploration=LANES))
     q = np.concatenate(list(angles(sphere, plan)))[::20]
     poses = sphere.arm.pose(q) @ sphere.mount_pose
@@ -156,39 +159,3 @@ def test_the_arm_keeps_off_the_support_and_the_body(sphere):
     shifted[0, :3, 3] = ends[0].mean(axis=0)  # the body about the upper arm
     why = collision.arm_reasons(sphere.arm, sphere.body, q[:1], shifted, sphere.indenter, held)
     assert why[0] == collision.ARM_BODY
-
-
-def test_links_are_capsules_about_their_shapes():
-    boxed = """<robot name="r"><link name="base"><collision><origin xyz="0 0 0.2"/>
-      <geometry><cylinder radius="0.05" length="0.4"/></geometry></collision></link>
-      <joint name="j" type="continuous"><parent link="base"/><child link="arm"/>
-      <origin xyz="0 0 0.4"/><axis xyz="0 0 1"/></joint><link name="arm"/>
-      <joint name="k" type="fixed"><parent link="arm"/><child link="tool"/>
-      <origin xyz="0.3 0 0"/></joint><link name="tool"/></robot>"""
-    found = collision.arm_capsules(ms.Arm.from_text(boxed, "tool"))
-    assert found.names == ("base", "arm")
-    ends = found.at(np.array([[np.pi / 2]]))[0]
-    np.testing.assert_allclose(ends[1], [[0, 0, 0.4], [0, 0.3, 0.4]], atol=1e-12)
-    assert found.radii[1] == collision.LINK_RADIUS
-    assert 0.05 <= found.radii[0] < 0.08
-    assert np.abs(ends[0][:, :2]).max() < 1e-9
-    low, high = np.sort(ends[0][:, 2])
-    assert low - found.radii[0] <= 1e-9
-    assert high + found.radii[0] >= 0.4 - 1e-9
-
-
-def test_capsules_part_by_the_distance_of_their_segments():
-    rng = np.random.default_rng(3)
-    a, b = rng.normal(size=(2, 60, 3))
-    c, d = rng.normal(size=(2, 3))
-    a[0], b[0] = c + np.eye(3)[0], d + np.eye(3)[0]  # parallel
-    b[1] = a[1]  # a point
-    part = np.linspace(0.0, 1.0, 101)[:, None]
-    dense = np.linalg.norm(
-        (a[:, None] * (1 - part) + b[:, None] * part)[:, :, None]
-        - (c * (1 - part) + d * part)[None, None],
-        axis=-1,
-    ).min(axis=(1, 2))
-    got = capsules.segment_distance(a, b, c, d)
-    assert (got <= dense + 1e-12).all()
-    np.testing.assert_allclose(got, dense, atol=0.05)

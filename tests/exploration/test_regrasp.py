@@ -1,4 +1,4 @@
-"""Postures change in the air: up, over in joint space, down, and touch again."""
+"""Changes of posture in the air: lift off, move in joint space, descend, and touch again."""
 
 from dataclasses import replace
 from itertools import groupby
@@ -21,7 +21,7 @@ WALL = ms.Indenter(position=(-0.6, -0.15, 0.5), direction=(1.0, 0.0, 0.0))
 
 @pytest.fixture(scope="module")
 def islands():
-    """Two islands of skin on a ball, too far apart to slide from one to the other."""
+    """Two islands of skin on a sphere, too far apart to slide from one to the other."""
     body = ms.Body.sphere(0.1)
     parts = [
         ms.Skin.cover(body, count=4, spacing=5e-3, region=Cap(way))
@@ -36,7 +36,7 @@ def islands():
 
 
 @pytest.mark.parametrize("indenter", [ms.Indenter(), WALL])
-def test_the_arm_lifts_off_takes_the_posture_of_the_next_place_and_touches_again(islands, indenter):
+def test_the_arm_lifts_off_changes_its_posture_and_touches_again(islands, indenter):
     scene = islands.with_(indenter=indenter, loop=replace(islands.loop, compile="never"))
     machine, path = prepare(scene)
     assert len(path.segments) == len(path.postures) == 2
@@ -55,7 +55,7 @@ def test_the_arm_lifts_off_takes_the_posture_of_the_next_place_and_touches_again
     assert near.max() < 3e-3
 
 
-def test_a_recording_says_what_its_exploration_left_out(islands):
+def test_the_metadata_hold_the_reasons_of_taxels_that_are_left_out(islands):
     arm = replace(islands.arm, lower=islands.arm.lower.copy())
     free = plan_exploration(islands)
     poses = np.concatenate([place.poses[::40] for place in free.segments])
@@ -68,7 +68,7 @@ def test_a_recording_says_what_its_exploration_left_out(islands):
     assert set(recording.reading_taxel) >= set(scene.skin.ids) - set(plan.unreachable)
 
 
-def test_a_joint_that_cannot_go_on_breaks_the_lane_instead():
+def test_a_joint_limit_breaks_a_lane():
     whole = ms.Scene.load("capsule")
     skin = ms.Skin.cover(whole.body, count=30, spacing=5e-3, region=Cap((1.0, 0.0, 0.0)))
     free = plan_exploration(whole.with_(skin=skin))
@@ -93,7 +93,7 @@ def test_a_joint_that_cannot_go_on_breaks_the_lane_instead():
 
 
 @pytest.mark.parametrize("indenter", [ms.Indenter(), WALL])
-def test_the_way_between_postures_keeps_off_the_indenter(islands, indenter):
+def test_the_transfer_between_postures_avoids_the_indenter(islands, indenter):
     islands = islands.with_(indenter=indenter)
     arm, mount = islands.arm, islands.mount_pose
     plan = plan_exploration(islands)

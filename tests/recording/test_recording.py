@@ -1,4 +1,4 @@
-"""Recordings round-trip, are whole or absent, and say what is wrong with them."""
+"""Recordings round-trip, are complete or absent, and are refused with the reason."""
 
 import numpy as np
 import pyarrow as pa
@@ -39,7 +39,7 @@ def test_streaming_equals_saving_at_once(tmp_path):
     assert Recording.load(tmp_path / "s").readings.equals(readings)
 
 
-def test_an_interruption_leaves_nothing_and_keeps_what_was_there(tmp_path):
+def test_an_interruption_keeps_the_files_that_were_there(tmp_path):
     contacts, readings = tables()
     Recording(contacts, readings, {"run": 1}).save(tmp_path / "r")
     before = sorted(tmp_path.iterdir())
@@ -62,7 +62,7 @@ def test_tables_of_two_recordings_do_not_mix(tmp_path):
         Recording.load(tmp_path / "a")
 
 
-def test_a_torn_table_is_named(tmp_path):
+def test_a_damaged_table_is_named(tmp_path):
     contacts, readings = tables()
     Recording(contacts, readings, {}).save(tmp_path / "r")
     file = part_path(tmp_path / "r", "contacts")
@@ -71,7 +71,7 @@ def test_a_torn_table_is_named(tmp_path):
         Recording.load(tmp_path / "r")
 
 
-def test_what_is_inconsistent_is_named(tmp_path):
+def test_inconsistent_tables_are_refused(tmp_path):
     with pytest.raises(RecordingError, match=r"contacts\.parquet is missing"):
         Recording.load(tmp_path / "nothing")
     contacts, readings = tables(read=(0.0, 0.15, 0.2))

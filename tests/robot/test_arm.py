@@ -62,7 +62,7 @@ def model(arm):
 
 
 def oracle(arm, q, qd):
-    """The same from pinocchio; joints beside the chain locked at zero."""
+    """M, bias, pose and Jacobian from pinocchio; joints beside the chain are locked at zero."""
     pin = pytest.importorskip("pinocchio")
     full = pin.buildModelFromXML(arm.urdf)
     beside = [j for j in range(1, full.njoints) if full.names[j] not in arm.joint_names]
@@ -94,8 +94,8 @@ def test_puma_agrees_with_pinocchio(puma, payloads):
             np.testing.assert_allclose(ours.full(), theirs, rtol=0, atol=1e-10)
 
 
-def test_an_arm_on_a_wall_agrees_with_pinocchio(puma):
-    """Its base as a fixed joint of the URDF: poses, Jacobians and gravity are the world's."""
+def test_an_arm_on_a_moved_base_agrees_with_pinocchio(puma):
+    """The base is a fixed joint of pinocchio's URDF; gravity is along the world's -z."""
     xyz, rpy = (0.3, -0.2, 1.1), (0.4, 1.2, -0.7)
     arm = puma.with_payload(1.5, COM, INERTIA).with_base(
         transform(Rotation.from_euler("xyz", rpy).as_matrix(), xyz)
@@ -124,12 +124,12 @@ def test_an_arm_on_a_wall_agrees_with_pinocchio(puma):
 @pytest.mark.parametrize(
     "base", [np.eye(3), 2.0 * np.eye(4), np.diag([1.0, 1.0, -1.0, 1.0]), np.full((4, 4), np.nan)]
 )
-def test_a_base_that_is_no_pose_is_refused(puma, base):
+def test_a_base_must_be_a_rigid_transform(puma, base):
     with pytest.raises(ArmError, match=r"base of an arm must be a rigid transform T_w_base"):
         puma.with_base(base)
 
 
-def test_odd_arm_agrees_with_pinocchio():
+def test_an_arm_with_skew_axes_agrees_with_pinocchio():
     arm = Arm.from_text(ODD, tip="tip").with_payload(0.7, COM, INERTIA)
     assert arm.joint_names == ("turn", "spin")
     np.testing.assert_array_equal(arm.lower, [-1.0, -np.inf])
@@ -141,7 +141,7 @@ def test_odd_arm_agrees_with_pinocchio():
             np.testing.assert_allclose(ours.full(), theirs, rtol=0, atol=1e-10)
 
 
-def test_a_sliding_joint_agrees_with_pinocchio():
+def test_a_prismatic_joint_agrees_with_pinocchio():
     text = ODD.replace(
         'type="revolute"><parent link="root"/>', 'type="prismatic"><parent link="root"/>'
     )
@@ -169,7 +169,7 @@ def test_a_mimic_joint_agrees_with_pinocchio():
             np.testing.assert_allclose(ours, theirs, atol=1e-12)
 
 
-def test_the_range_of_a_mimic_joint_limits_the_one_that_drives_it():
+def test_the_range_of_a_mimic_joint_limits_its_driver():
     spin = '<joint name="spin" type="continuous">'
     limited = ODD.replace(spin, spin.replace("continuous", "revolute")).replace(
         '<axis xyz="0 1 1"/>',
@@ -189,7 +189,7 @@ def test_a_joint_that_moves_no_mass_is_named():
     assert arm.with_payload(1.0, COM, INERTIA).dynamics()
 
 
-def test_expressions_are_light(puma):
+def test_expressions_have_few_instructions(puma):
     assert model(puma).n_instructions() < 1600
     assert model(puma.with_payload(1.0, COM, INERTIA)).n_instructions() < 1900
 
@@ -272,7 +272,7 @@ def test_inverse_kinematics_follows_a_path(puma):
 
 
 def test_inverse_kinematics_winds_up_without_jumping(puma):
-    """The last joint turns past half a turn: the angle goes on, as the joint would."""
+    """The last joint turns beyond half a turn, and its angle is continuous."""
     q = np.tile([0.3, 0.6, -2.6, 0.2, 0.7, 0.0], (300, 1))
     q[:, 5] = np.linspace(-4.0, 4.0, 300)
     np.testing.assert_allclose(puma.inverse_kinematics(puma.pose(q), q[0]), q, atol=1e-9)
@@ -295,20 +295,20 @@ def test_path_out_of_reach_names_the_sample(puma):
     assert abs(int(str(caught.value).split("pose ")[1].split()[0]) - np.argmax(far)) <= 1
 
 
-def test_solve_finds_the_roomiest_configuration(puma):
+def test_solve_finds_the_posture_farthest_from_the_joint_limits(puma):
     rng = np.random.default_rng(4)
 
-    def room(q):
+    def margin(q):
         return np.minimum(q - puma.lower, puma.upper - q).min()
 
     for q in rng.uniform(puma.lower, puma.upper, (20, 6)):
         found = puma.solve(puma.pose(q))
         np.testing.assert_allclose(puma.pose(found), puma.pose(q), atol=2e-10)
-        assert room(found) >= room(q) - 1e-6
+        assert margin(found) >= margin(q) - 1e-6
         np.testing.assert_array_equal(found, puma.solve(puma.pose(q)))
 
 
-def test_solve_keeps_to_the_given_seed(puma):
+def test_solve_starts_from_the_given_seed(puma):
     q = np.array([0.3, 0.6, -2.6, 0.2, 0.7, 0.1])
     np.testing.assert_allclose(puma.solve(puma.pose(q), seeds=[q + 0.05]), q, atol=1e-9)
     wound = q + 2 * np.pi * np.eye(6)[5]
@@ -372,7 +372,7 @@ def test_unknown_tip_suggests_near_names():
         Arm.from_urdf(PUMA, tip="tool1")
 
 
-def test_files_that_are_no_arm(tmp_path):
+def test_unreadable_files_are_refused(tmp_path):
     with pytest.raises(ArmError, match="cannot read"):
         Arm.from_urdf(tmp_path / "none.urdf")
     (tmp_path / "bad.urdf").write_text("<robot><link></robot>")

@@ -1,4 +1,4 @@
-"""What the arm meets, against points that are strewn densely along its links."""
+"""Collisions of the arm, against dense samples of its links."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 
 import meshskin as ms
 from meshskin.core.se3 import transform
-from meshskin.robot import collision
+from meshskin.robot import capsules, collision
 
 BENT = """<robot name="bent"><link name="base"/>
   <joint name="turn" type="revolute"><parent link="base"/><child link="forearm"/>
@@ -22,45 +22,45 @@ BENT = """<robot name="bent"><link name="base"/>
 AWAY = ms.Indenter(position=(5.0, 5.0, 5.0))
 
 
-def judged(body, along, angles, axis="0 1 0"):
+def reasons(body, along, angles, axis="0 1 0"):
     """Why a body `along` the tip's axis, m, collides with a forearm of 0.3 m at wrist angles, and
-    what counts as its mount.
+    what belongs to its mount.
     """
     arm = ms.Arm.from_text(BENT.replace("AXIS", axis), "tool")
     mount = transform(np.eye(3), (0.0, 0.0, along))
     q = np.stack([np.zeros(len(angles)), angles], axis=1)
-    held = collision.allowed_collisions(arm, body, mount)
-    return list(collision.arm_reasons(arm, body, q, arm.pose(q) @ mount, AWAY, held)), held
+    allowed = collision.allowed_collisions(arm, body, mount)
+    return list(collision.arm_reasons(arm, body, q, arm.pose(q) @ mount, AWAY, allowed)), allowed
 
 
-def test_a_link_that_can_be_clear_of_the_body_is_judged_up_to_the_tip():
-    """A ball of 3 cm, 10 cm before the joint: folded back it lies on the forearm."""
-    why, held = judged(ms.Body.sphere(0.03), 0.08, [0.0, 1.5, 2.8])
-    assert why == ["", "", collision.ARM_BODY]
-    assert held.notes == ()
-    assert not held.near_tip.any()
+def test_a_link_that_can_be_clear_of_the_body_is_checked_up_to_the_tip():
+    """A sphere of radius 3 cm, 10 cm from the joint, meets the forearm in a folded wrist."""
+    reason, allowed = reasons(ms.Body.sphere(0.03), 0.08, [0.0, 1.5, 2.8])
+    assert reason == ["", "", collision.ARM_BODY]
+    assert allowed.notes == ()
+    assert not allowed.near_tip.any()
 
 
-def test_what_is_always_in_the_body_is_its_mount_however_far_from_the_tip():
-    """A sleeve about the forearm that rolls: nothing could be explored were it judged."""
+def test_spheres_that_are_always_in_the_body_are_not_checked():
+    """A sleeve about the forearm, which only rolls in it."""
     sleeve = ms.Body.capsule(0.05, 0.2)
-    why, held = judged(sleeve, -0.17, [-2.0, 0.0, 2.0], axis="0 0 1")
-    assert why == [""] * 3
-    assert held.everywhere.all()
-    (note,) = held.notes
+    reason, allowed = reasons(sleeve, -0.17, [-2.0, 0.0, 2.0], axis="0 0 1")
+    assert reason == [""] * 3
+    assert allowed.everywhere.all()
+    (note,) = allowed.notes
     assert note.startswith("link forearm: meets the body in every posture")
 
 
-def test_of_a_link_that_always_meets_the_body_the_rest_is_judged():
-    """A rod through the wrist: it lies along the forearm, or across it."""
-    why, held = judged(ms.Body.capsule(0.03, 0.4), 0.0, [0.0, 1.5])
-    assert why == [collision.ARM_BODY, ""]
-    assert held.names == ("forearm",)
-    assert not held.everywhere.all()
+def test_the_far_part_of_a_link_that_always_meets_the_body_is_checked():
+    """A rod through the wrist lies along the forearm, or across it."""
+    reason, allowed = reasons(ms.Body.capsule(0.03, 0.4), 0.0, [0.0, 1.5])
+    assert reason == [collision.ARM_BODY, ""]
+    assert allowed.names == ("forearm",)
+    assert not allowed.everywhere.all()
 
 
 @pytest.mark.parametrize("way", [(0.0, 0.0, 1.0), (0.48, -0.64, 0.6), (-1.0, 0.0, 0.0)])
-def test_nothing_that_meets_is_passed_over(sphere, way):
+def test_all_collisions_are_found(sphere, way):
     arm, shape = sphere.arm, collision.arm_capsules(sphere.arm)
     body, size = ms.Body.sphere(0.1), 0.1
     rng = np.random.default_rng(1)
@@ -86,3 +86,39 @@ def test_nothing_that_meets_is_passed_over(sphere, way):
     assert (got[struck] == collision.ARM_BODY).all()
     assert (got[support & apart[1]] == collision.ARM_SUPPORT).all()
     assert (got[apart[0] & apart[1]] == "").all()
+
+
+def test_capsules_enclose_the_shapes_of_links():
+    boxed = """<robot name="r"><link name="base"><collision><origin xyz="0 0 0.2"/>
+      <geometry><cylinder radius="0.05" length="0.4"/></geometry></collision></link>
+      <joint name="j" type="continuous"><parent link="base"/><child link="arm"/>
+      <origin xyz="0 0 0.4"/><axis xyz="0 0 1"/></joint><link name="arm"/>
+      <joint name="k" type="fixed"><parent link="arm"/><child link="tool"/>
+      <origin xyz="0.3 0 0"/></joint><link name="tool"/></robot>"""
+    found = collision.arm_capsules(ms.Arm.from_text(boxed, "tool"))
+    assert found.names == ("base", "arm")
+    ends = found.at(np.array([[np.pi / 2]]))[0]
+    np.testing.assert_allclose(ends[1], [[0, 0, 0.4], [0, 0.3, 0.4]], atol=1e-12)
+    assert found.radii[1] == collision.LINK_RADIUS
+    assert 0.05 <= found.radii[0] < 0.08
+    assert np.abs(ends[0][:, :2]).max() < 1e-9
+    low, high = np.sort(ends[0][:, 2])
+    assert low - found.radii[0] <= 1e-9
+    assert high + found.radii[0] >= 0.4 - 1e-9
+
+
+def test_the_distance_of_segments_agrees_with_dense_samples():
+    rng = np.random.default_rng(3)
+    a, b = rng.normal(size=(2, 60, 3))
+    c, d = rng.normal(size=(2, 3))
+    a[0], b[0] = c + np.eye(3)[0], d + np.eye(3)[0]  # parallel
+    b[1] = a[1]  # a point
+    part = np.linspace(0.0, 1.0, 101)[:, None]
+    dense = np.linalg.norm(
+        (a[:, None] * (1 - part) + b[:, None] * part)[:, :, None]
+        - (c * (1 - part) + d * part)[None, None],
+        axis=-1,
+    ).min(axis=(1, 2))
+    got = capsules.segment_distance(a, b, c, d)
+    assert (got <= dense + 1e-12).all()
+    np.testing.assert_allclose(got, dense, atol=0.05)

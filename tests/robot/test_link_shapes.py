@@ -1,4 +1,4 @@
-"""The capsules of an arm's links hold its shapes, meshes too, and no more than they must."""
+"""The capsules of an arm's links enclose its shapes, meshes included, closely."""
 
 import sys
 import xml.etree.ElementTree as ET
@@ -52,7 +52,7 @@ def capsules(text, folders=()):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_capsule_holds_its_points_and_touches_them(seed):
+def test_a_capsule_encloses_its_points_and_touches_them(seed):
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(200, 3)) * [0.3, 0.1, 0.05] @ np.linalg.qr(rng.normal(size=(3, 3)))[0]
     found = link_shapes.enclosing_capsule(points)
@@ -61,7 +61,7 @@ def test_a_capsule_holds_its_points_and_touches_them(seed):
     assert found.volume < 2.0 * box
 
 
-def test_primitives_are_held():
+def test_primitives_are_enclosed():
     (ball,), _ = capsules("<origin xyz='1 2 3'/><geometry><sphere radius='0.3'/></geometry>")
     np.testing.assert_array_equal(ball.start, [1.0, 2.0, 3.0])
     assert (ball.start == ball.end).all()
@@ -97,7 +97,7 @@ def test_a_mesh_is_found_by_its_package_and_cut_into_slabs(toy):
         ).notes
 
 
-def test_a_collada_mesh_is_held_as_the_stl_of_the_same_shape(toy):
+def test_a_collada_mesh_has_the_capsules_of_the_same_stl(toy):
     pytest.importorskip("collada")
     bar = trimesh.load_mesh(toy.parents[1] / "meshes" / "bar.stl")
     (toy.parents[1] / "meshes" / "bar.dae").write_bytes(trimesh.exchange.dae.export_collada(bar))
@@ -110,7 +110,7 @@ def test_a_collada_mesh_is_held_as_the_stl_of_the_same_shape(toy):
     np.testing.assert_allclose(found.at(q), stl.at(q), atol=1e-5)
 
 
-def test_a_collada_mesh_without_its_reader_says_in_a_note_how_to_get_it(toy, monkeypatch):
+def test_a_collada_mesh_without_pycollada_gives_a_note(toy, monkeypatch):
     monkeypatch.setitem(sys.modules, "collada", None)
     (toy.parents[1] / "meshes" / "arm.dae").write_text("<COLLADA/>")
     toy.write_text(TOY.replace("bar.stl", "arm.dae").replace("<sphere", "<cone"))
@@ -154,7 +154,7 @@ def test_a_mesh_that_is_not_there_is_named_in_the_plan(toy, sphere):
     assert [note.partition(":")[0] for note in plan.notes] == ["link link3", "link link4"]
 
 
-def test_a_thick_link_meets_what_a_thin_one_would_not(toy):
+def test_the_width_of_a_link_counts(toy):
     arm = ms.Arm.from_urdf(toy, tip="tool")
     thin = replace(arm, urdf=TOY.replace("bar.stl", "none.stl").replace("<sphere", "<cone"))
     body, q, far = ms.Body.sphere(0.02), np.zeros((1, 1)), np.eye(4)[None] + 0.0

@@ -1,4 +1,4 @@
-"""Chains of postures: Newton's method in machine code, and Bellman's programme."""
+"""Chains of postures: Newton's method in machine code, and dynamic programming."""
 
 from dataclasses import replace
 from itertools import pairwise, product
@@ -10,7 +10,7 @@ import pytest
 from meshskin.robot import inverse_kinematics, posture
 
 
-def test_machine_code_takes_the_steps_of_the_interpreter(sphere):
+def test_machine_code_agrees_with_the_interpreter(sphere):
     arm = sphere.arm
     if arm.newton.code is None:
         pytest.skip("no C compiler")
