@@ -38,7 +38,7 @@ def assert_valid(body, modules, least):
         pytest.param(Body.sphere(), 0.8, marks=pytest.mark.slow),
         pytest.param(Body.capsule(0.05, 0.2), 0.74, marks=pytest.mark.slow),
         pytest.param(Body.torus(0.1, 0.04), 0.74, marks=pytest.mark.slow),
-        (Body.ellipsoid((0.06, 0.08, 0.12)), 0.78),
+        (Body.ellipsoid((0.05, 0.06, 0.09)), 0.78),
     ],
     ids=lambda value: getattr(value, "name", None),
 )

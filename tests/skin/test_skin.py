@@ -71,7 +71,7 @@ def test_the_seed_rotates_and_shifts_the_lattice(ball):
 @pytest.mark.parametrize(
     ("body", "spacing"),
     [
-        (Body.sphere(), 10e-3),
+        pytest.param(Body.sphere(), 10e-3, marks=pytest.mark.slow),
         (Body.ellipsoid((0.1, 0.07, 0.05)), 8e-3),
         (Body.torus(0.1, 0.04), 10e-3),
         (Body.capsule(0.05, 0.2), 10e-3),
