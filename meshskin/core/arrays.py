@@ -1,6 +1,8 @@
-"""Types of arrays, and ragged arrays: rows of unequal length, one after the other in one array."""
+"""Array types, and operations on groups of rows that NumPy does not have."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,3 +14,25 @@ Index = NDArray[np.intp]
 def ranges(first: Index, count: Index) -> Index:
     """The integers first[k], ..., first[k] + count[k] - 1 of every k, concatenated."""
     return np.repeat(first - np.cumsum(count) + count, count) + np.arange(count.sum())
+
+
+def runs(mask: NDArray[np.bool_]) -> list[slice]:
+    """The slices of consecutive True values of `mask` (n,)."""
+    change = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    return [slice(int(a), int(b)) for a, b in change.reshape(-1, 2)]
+
+
+def sums_by_group(values: Array, group: NDArray[np.integer], groups: int = 0) -> Array:
+    """Sums (m, ...) of the rows of `values` (k, ...) that have the same number in `group` (k,).
+
+    m is `groups`, or the largest number plus one if that is more.
+    """
+    flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
+    sums = np.stack([np.bincount(group, column, groups) for column in flat.T], axis=1, dtype=float)
+    return sums.reshape(len(sums), *values.shape[1:])
+
+
+def rows_by_key(keys: NDArray[Any]) -> list[Index]:
+    """Rows of equal `keys` (n,), in the order of the keys; one empty group for no keys."""
+    order = np.argsort(keys, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(keys[order])) + 1)

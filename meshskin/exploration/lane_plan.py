@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arrays import runs
 from ..core.errors import ReachError
 from ..core.se3 import Array, inverse
 from ..geometry.geodesics import transport_along
@@ -18,7 +19,7 @@ from ..robot.contact_rig import ContactRig
 from ..scene.scene import Scene
 from ..scene.settings import Exploration
 from ..skin.skin import Skin
-from .lanes import cover, runs, spacing_for
+from .lanes import cover, spacing_for
 from .path import Path, Plan
 from .timing import arm_path, free_path
 from .tour import ContactPath, contact_paths

@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arrays import runs
 from ..core.se3 import Array
 from ..geometry.body import Body
 from ..geometry.geodesics import geodesic, onto
@@ -229,12 +230,6 @@ def _offset(body: Body, chain: Closest, shift: float, step: float) -> list[Close
             resampled = np.stack([np.interp(even, s, x) for x in points.T], axis=1)
             out.append(body.closest(resampled))
     return out
-
-
-def runs(mask: NDArray[np.bool_]) -> list[slice]:
-    """The runs of consecutive True values."""
-    change = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
-    return [slice(int(a), int(b)) for a, b in change.reshape(-1, 2)]
 
 
 def _runs(mask: NDArray[np.bool_], gap: int) -> list[slice]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.arrays import sums_by_group
 from ..core.se3 import Array
 from .plane import finite_rows, spacing
 
@@ -54,9 +55,7 @@ def vertex_normals(v: Array, f: Faces) -> Array:
     """Normals (v, 3) of the vertices, not of unit length."""
     a, b, c = (v[f[:, k]] for k in range(3))
     cross = np.cross(b - a, c - a)
-    return np.stack(
-        [sum(np.bincount(f[:, k], cross[:, d], len(v)) for k in range(3)) for d in range(3)], axis=1
-    )
+    return np.asarray(sum(sums_by_group(cross, f[:, k], len(v)) for k in range(3)))
 
 
 def _cluster(v: Array, f: Faces, near: NDArray[np.bool_], cell: float) -> tuple[Array, Faces]:
@@ -68,7 +67,7 @@ def _cluster(v: Array, f: Faces, near: NDArray[np.bool_], cell: float) -> tuple[
     count = np.bincount(label)
 
     def mean(values: Array) -> Array:
-        return np.stack([np.bincount(label, values[:, k]) / count for k in range(3)], axis=1)
+        return sums_by_group(values, label) / count[:, None]
 
     centre, normal = mean(v), mean(vertex_normals(v, f))
     g = label[f]

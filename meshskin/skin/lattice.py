@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ..core.arrays import Array, Index
+from ..core.arrays import Array, Index, sums_by_group
 from ..core.errors import SkinError
 from ..core.se3 import orthonormal_basis
 from ..geometry import region as regions
@@ -234,8 +234,7 @@ def _propose(
     if not len(free):
         return Lattice(at, tangent, np.zeros(0))
     chosen, group = np.unique(_clusters(at.point, clearance), return_inverse=True)
-    total = np.stack([np.bincount(group, at.point[:, k]) for k in range(3)], axis=1)
-    mean = total / np.bincount(group)[:, None]
+    mean = sums_by_group(at.point, group) / np.bincount(group)[:, None]
     merged = body.closest(mean, face=at.face[chosen])
     new = Lattice(merged, onto(tangent[chosen], merged.normal), np.zeros(len(chosen)))
     keep = np.flatnonzero(tree.query(merged.point)[0] > clearance)
@@ -256,8 +255,7 @@ def _relax_springs(body: Body, region: regions.Region, sites: Lattice, spacing: 
         strain = 1.0 - spacing / length
         strain[strain > 0] *= 0.5  # tension is half as stiff as compression
         pull = strain[:, None] * between
-        pull = np.concatenate([pull, -pull])
-        force = np.stack([np.bincount(ends, p, minlength=len(point)) for p in pull.T], axis=1)
+        force = sums_by_group(np.concatenate([pull, -pull]), ends, len(point))
         force -= np.einsum("ij,ij->i", force, normal)[:, None] * normal
         moved = moved + 0.25 * force
     after = body.closest(moved, face=sites.at.face)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ..core.arrays import Array, Index
+from ..core.arrays import Array, Index, sums_by_group
 from ..geometry import region as regions
 from ..geometry.body import Body
 from . import lattice, module_pose, slots
@@ -110,7 +110,7 @@ def push(poses: Array, pairs: tuple[Index, Index], gap: float) -> Array:
         np.einsum("ki,ki->k", arm, arm) + slots.SIDE**2 / 12.0
     )  # moment of inertia of a plate about the corner
     count = len(poses)
-    move = np.stack([np.bincount(ends, step[:, k], count) for k in range(3)], axis=1)
+    move = sums_by_group(step, ends, count)
     angle = np.bincount(ends, lever, count)[:, None]
     x, y, z = (poses[:, :3, k] for k in range(3))
     return module_pose.upright(poses[:, :3, 3] + move, z, np.cos(angle) * x + np.sin(angle) * y)

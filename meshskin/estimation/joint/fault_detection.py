@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...core.arrays import sums_by_group
 from ...core.se3 import Array
 from ..data.measurements import Measurements
 from .likelihood import Readings
@@ -117,7 +118,7 @@ def stuck_taxels(data: Measurements) -> StuckTaxels:
     off = data.pressure - mean[data.taxel]
     deviation = np.sqrt(np.bincount(data.taxel, off**2, len(data.ids)) / count)
     points = data.points[data.contact]
-    centre = np.stack([np.bincount(data.taxel, x, len(count)) / count for x in points.T], axis=1)
+    centre = sums_by_group(points, data.taxel, len(count)) / count[:, None]
     gap = np.sum((points - centre[data.taxel]) ** 2, axis=1)
     limit = (STUCK_SPREAD * data.reach()[data.contact]) ** 2
     far = np.bincount(data.taxel, gap - limit, len(count)) > 0
@@ -211,11 +212,11 @@ def swapped_taxels(
     power = np.where(out, readings.level**2, 0.0)
     total = np.bincount(readings.taxel, power, len(points))
     contact_points = data.points[readings.contact]
-    sums = [np.bincount(readings.taxel, power * x, len(points)) for x in contact_points.T]
+    sums = sums_by_group(power[:, None] * contact_points, readings.taxel, len(points))
     faulty = faulty[total[faulty] > 0]
     if len(faulty) < 2:
         return {}
-    centres = np.stack(sums, axis=1)[faulty] / total[faulty, None]
+    centres = sums[faulty] / total[faulty, None]
     gap = np.linalg.norm(centres[:, None] - points[faulty], axis=2)
     nearest = gap.argmin(axis=1)
     limit = 0.5 * float(np.median(data.reach()))

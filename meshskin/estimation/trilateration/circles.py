@@ -14,6 +14,7 @@ from typing import Self
 import numpy as np
 
 from ...contact.ellipse import NODES, ellipse_gradient, invert_ellipse_mean
+from ...core.arrays import sums_by_group
 from ...core.se3 import Array
 from ..data.measurements import Measurements
 
@@ -48,10 +49,7 @@ class Circles:
 
     def sum(self, values: Array) -> Array:
         """Sums (n, ...) over the circles of each point, of values (k, ...)."""
-        flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
-        columns = [np.bincount(self.owner, column, self.count) for column in flat.T]
-        total: Array = np.stack(columns, axis=1, dtype=float)
-        return total.reshape(self.count, *values.shape[1:])
+        return sums_by_group(values, self.owner, self.count)
 
     def select(self, keep: np.ndarray) -> Self:
         """The circles where `keep` (k,) is true."""

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...core.arrays import sums_by_group
 from ...core.se3 import Array
 from .. import chart
 from ..data.measurements import Measurements
@@ -111,7 +112,7 @@ def without_distant_readings(data: Measurements) -> Measurements:
     """
     n, where = len(data.ids), data.points[data.contact]
     count = np.maximum(data.counts, 1)[:, None]
-    mean = np.stack([np.bincount(data.taxel, x, n) for x in where.T], axis=1) / count
+    mean = sums_by_group(where, data.taxel, n) / count
     square = np.bincount(data.taxel, np.sum((where - mean[data.taxel]) ** 2, axis=1), n)
     reach = float(np.median(data.reach()))
     wide = np.flatnonzero(np.sqrt(square / count[:, 0]) > FALSE_SPREAD * reach)

@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...contact.ellipse import NODES
+from ...core.arrays import sums_by_group
 from ...core.errors import CalibrationError
 from ...core.se3 import Array
 from .. import chart
@@ -51,9 +52,8 @@ def centroids(data: Measurements) -> Array:
     def mean(weight: Array) -> Array:
         points = weight[:, None] * data.points[data.contact]
         total = np.bincount(data.taxel, weight, len(data.ids))
-        columns = [np.bincount(data.taxel, column, len(data.ids)) for column in points.T]
         with np.errstate(invalid="ignore"):
-            return np.stack(columns, axis=1) / total[:, None]
+            return sums_by_group(points, data.taxel, len(data.ids)) / total[:, None]
 
     first = mean(weight)
     off = np.linalg.norm(data.points[data.contact] - first[data.taxel], axis=1)
@@ -77,8 +77,7 @@ def medians(data: Measurements, rows: np.ndarray) -> Array:
     weight = power = np.maximum(data.pressure[mine], 0.0)
     for _ in range(30):
         total = np.maximum(np.bincount(owner, weight, len(rows)), 1e-300)
-        sums = [np.bincount(owner, weight * x, len(rows)) for x in points.T]
-        centre = np.stack(sums, axis=1) / total[:, None]
+        centre = sums_by_group(weight[:, None] * points, owner, len(rows)) / total[:, None]
         gap = np.linalg.norm(points - centre[owner], axis=1)
         weight = power / np.maximum(gap, 0.1 * data.disc)
     return np.asarray(data.body.closest(centre).point)

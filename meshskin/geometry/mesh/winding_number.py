@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core import codegen
+from ...core.arrays import sums_by_group
 from .topology import connected_components, edge_keys
 from .triangles import morton_order
 
@@ -140,7 +141,7 @@ def _border(vertices: Array, faces: Index) -> tuple[Array, Array, Array]:
     middle = np.stack([np.bincount(loop, along[:, 0, k]) / count for k in range(3)], axis=1)
     spokes = along - middle[loop][:, None]
     swept = np.cross(spokes[:, 0], spokes[:, 1])
-    area = np.stack([np.bincount(loop, swept[:, k]) for k in range(3)], axis=1)
+    area = sums_by_group(swept, loop)
     size = np.linalg.norm(area, axis=1, keepdims=True)
     direction = np.where(size > 0.0, -area / np.maximum(size, 1e-300), [0.0, 0.0, 1.0])
     caps = np.stack([along[:, 1], along[:, 0], middle[loop]], axis=1)

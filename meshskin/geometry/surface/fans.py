@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.arrays import sums_by_group
 from ...core.se3 import orthonormal_basis
 from ..mesh.topology import connected_components, edge_keys
 
@@ -136,10 +137,7 @@ def vertex_normals(vertices: Array, faces: Index) -> Array:
     """Outward unit normals (n, 3) at the vertices, each face weighted by its area."""
     a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
     cross = np.cross(b - a, c - a)
-    flat = faces.ravel()
-    total = np.stack(
-        [np.bincount(flat, np.repeat(cross[:, k], 3), len(vertices)) for k in range(3)], axis=1
-    )
+    total = sums_by_group(np.repeat(cross, 3, axis=0), faces.ravel(), len(vertices))
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return np.where(length > 0, total / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
 

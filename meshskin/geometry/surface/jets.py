@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.arrays import rows_by_key
 from .fans import Fans, fan_frames
 from .heights import (
     DEGREE,
@@ -287,9 +288,4 @@ def _fit_sparse(fits: _Fit, rows: Index, rings: Any, degree: int) -> None:
 
 def size_groups(size: Index) -> list[Index]:
     """Indices grouped by equal `size` (n,), in groups of at most CHUNK."""
-    if not len(size):
-        return []
-    by_size = np.argsort(size, kind="stable")
-    cuts = np.flatnonzero(np.diff(size[by_size])) + 1
-    groups = np.split(by_size, cuts)
-    return [g[k : k + CHUNK] for g in groups for k in range(0, len(g), CHUNK)]
+    return [g[k : k + CHUNK] for g in rows_by_key(size) for k in range(0, len(g), CHUNK)]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.arrays import Array
+from ...core.arrays import Array, rows_by_key
 from .. import slots
 from ..files.table import SkinTable
 
@@ -68,4 +68,4 @@ def distinct_rows(points: Array) -> NDArray[np.intp]:
 def module_rows(ids: NDArray[np.int64]) -> list[NDArray[np.intp]]:
     """Rows of the taxels of each module."""
     order = np.argsort(ids, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(slots.module(ids[order]))) + 1)
+    return [order[rows] for rows in rows_by_key(slots.module(ids[order]))]

@@ -1,0 +1,30 @@
+"""Operations on groups of rows, against loops."""
+
+import numpy as np
+
+from meshskin.core.arrays import ranges, rows_by_key, runs, sums_by_group
+
+
+def test_ranges_are_concatenated():
+    first, count = np.array([3, 0, 7]), np.array([2, 0, 3])
+    assert ranges(first, count).tolist() == [3, 4, 7, 8, 9]
+
+
+def test_runs_are_the_slices_of_true_values():
+    mask = np.array([True, True, False, True, False, False, True])
+    assert runs(mask) == [slice(0, 2), slice(3, 4), slice(6, 7)]
+    assert runs(~mask) == [slice(2, 3), slice(4, 6)]
+    assert runs(mask[:0]) == []
+
+
+def test_sums_by_group_of_any_shape():
+    rng = np.random.default_rng(0)
+    values, group = rng.normal(size=(20, 2, 3)), rng.integers(0, 4, 20)
+    expected = [values[group == k].sum(axis=0) for k in range(6)]
+    np.testing.assert_allclose(sums_by_group(values, group, 6), expected, atol=1e-14)
+    assert sums_by_group(values, group).shape == (group.max() + 1, 2, 3)
+
+
+def test_rows_by_key_keep_their_order():
+    groups = rows_by_key(np.array([5, 1, 5, 1, 9]))
+    assert [g.tolist() for g in groups] == [[1, 3], [0, 2], [4]]
