@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.se3 import Array
-from . import ContactModel
+from . import ContactModel, Patches
 from .disc import disc_mean
 
 if TYPE_CHECKING:
@@ -43,18 +43,47 @@ class ReadingModel:
 
     def __call__(self, frames: Frames, poses: Array) -> Array:
         """Pressures (m, n), Pa, of taxels at `poses` (n, 4, 4) in m frames."""
-        return disc_pressures(
-            frames.points,
-            frames.normals,
-            frames.directions,
-            frames.force,
-            frames.curvature,
-            positions=poses[:, :3, 3],
-            disc_radius=self.disc_radius,
-            indenter_radius=self.indenter_radius,
-            effective_modulus=self.effective_modulus,
-            model=self.model,
-        )
+        f = frames
+        contacts = f.points, f.normals, f.directions, f.force, f.curvature
+        return self.pressures(*contacts, poses[:, :3, 3])
+
+    def pressures(
+        self,
+        points: Array,
+        normals: Array,
+        directions: Array,
+        force: Array,
+        curvature: Array,
+        positions: Array,
+    ) -> Array:
+        """Mean contact pressures (m, n), Pa, of n taxels in m contacts.
+
+        points, normals (m, 3): contact points and outward normals; directions (m, 3): first
+        principal directions of the body there; force (m,), N; curvature (m, 2), principal, 1/m;
+        positions (n, 3) of the taxels on the undeformed surface, all in the body frame, m. The
+        position of a taxel in the patch is its projection onto the tangent plane of the contact, as
+        in Hertz's theory. Raises ContactError where a contact is outside the series or the table of
+        the contact model.
+        """
+        patches = self._patches(force, curvature)
+        reach = np.maximum(patches.first, patches.second) + self.disc_radius
+        row, col, offset = _pairs_in_reach(points, positions, reach)
+        out = np.zeros((len(points), len(positions)))
+        if self.model.name == "hertz":
+            height = np.einsum("ij,ij->i", offset, normals[row])
+            distance = np.sqrt(np.maximum(np.einsum("ij,ij->i", offset, offset) - height**2, 0.0))
+            a = patches.first[row]
+            mean = patches.peak[row] * disc_mean(distance / a, self.disc_radius / a, nodes=NODES)
+            out[row, col] = np.maximum(mean, 0.0)
+            return out
+        x = np.einsum("ij,ij->i", offset, directions[row])
+        y = np.einsum("ij,ij->i", offset, np.cross(normals, directions)[row])
+        for start in range(0, len(row), CHUNK):
+            part = slice(start, start + CHUNK)
+            own = patches.take(row[part])
+            mean = own.reading(x[part], y[part], self.disc_radius, nodes=ELLIPSE_NODES)
+            out[row[part], col[part]] = np.where(mean > MIN_READING * own.peak, mean, 0.0)
+        return out
 
     def max_difference(self, other: ReadingModel, force: float, curvature: Array) -> float:
         """Largest difference of the readings of two models, relative to p_0 of this one; at most 1.
@@ -62,81 +91,22 @@ class ReadingModel:
         In contacts under `force`, N, at principal curvatures (k, 2), 1/m, along both axes of the
         patch.
         """
-        patches = [
-            model.patches(
-                force=force,
-                curvature=curvature,
-                indenter_radius=self.indenter_radius,
-                effective_modulus=self.effective_modulus,
-            )
-            for model in (self.model, other.model)
-        ]
+        patches = [one._patches(force, curvature) for one in (self, other)]
         longest = max(float(np.max([p.first, p.second])) for p in patches)
         steps = np.linspace(0.0, longest + max(self.disc_radius, other.disc_radius), SAMPLES)
         k, (x, y, z) = len(curvature), np.eye(3)
         contacts = (np.zeros((k, 3)), np.tile(z, (k, 1)), np.tile(x, (k, 1)), np.full(k, force))
-        mine, theirs = (
-            disc_pressures(
-                *contacts,
-                curvature,
-                positions=np.concatenate([np.outer(steps, x), np.outer(steps, y)]),
-                disc_radius=one.disc_radius,
-                indenter_radius=one.indenter_radius,
-                effective_modulus=one.effective_modulus,
-                model=one.model,
-            )
-            for one in (self, other)
-        )
+        positions = np.concatenate([np.outer(steps, x), np.outer(steps, y)])
+        mine, theirs = (one.pressures(*contacts, curvature, positions) for one in (self, other))
         return min(float(np.abs(theirs - mine).max() / np.min(patches[0].peak)), 1.0)
 
-
-def disc_pressures(
-    points: Array,
-    normals: Array,
-    directions: Array,
-    force: Array,
-    curvature: Array,
-    *,
-    positions: Array,
-    disc_radius: float,
-    indenter_radius: float,
-    effective_modulus: float,
-    model: ContactModel | None = None,
-) -> Array:
-    """Mean contact pressures (m, n), Pa, of n taxels in m contacts.
-
-    points, normals (m, 3): contact points and outward normals; directions (m, 3): first principal
-    directions of the body there; force (m,), N; curvature (m, 2), principal, 1/m; positions (n, 3)
-    of the taxels on the undeformed surface, all in the body frame, m; model: contact model, by
-    default circular Hertz. The position of a taxel in the patch is its projection onto the tangent
-    plane of the contact, as in Hertz's theory. Raises ContactError where a contact is outside the
-    series or the table of the model.
-    """
-    model = model or ContactModel()
-    patches = model.patches(
-        force=force,
-        curvature=curvature,
-        indenter_radius=indenter_radius,
-        effective_modulus=effective_modulus,
-    )
-    reach = np.maximum(patches.first, patches.second)
-    row, col, offset = _pairs_in_reach(points, positions, reach + disc_radius)
-    out = np.zeros((len(points), len(positions)))
-    if model.name == "hertz":
-        height = np.einsum("ij,ij->i", offset, normals[row])
-        distance = np.sqrt(np.maximum(np.einsum("ij,ij->i", offset, offset) - height**2, 0.0))
-        a = patches.first[row]
-        mean = patches.peak[row] * disc_mean(distance / a, disc_radius / a, nodes=NODES)
-        out[row, col] = np.maximum(mean, 0.0)
-        return out
-    x = np.einsum("ij,ij->i", offset, directions[row])
-    y = np.einsum("ij,ij->i", offset, np.cross(normals, directions)[row])
-    for start in range(0, len(row), CHUNK):
-        part = slice(start, start + CHUNK)
-        own = patches.take(row[part])
-        mean = own.reading(x[part], y[part], disc_radius, nodes=ELLIPSE_NODES)
-        out[row[part], col[part]] = np.where(mean > MIN_READING * own.peak, mean, 0.0)
-    return out
+    def _patches(self, force: float | Array, curvature: Array) -> Patches:
+        return self.model.patches(
+            force=force,
+            curvature=curvature,
+            indenter_radius=self.indenter_radius,
+            effective_modulus=self.effective_modulus,
+        )
 
 
 def _pairs_in_reach(

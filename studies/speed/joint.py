@@ -47,7 +47,7 @@ def world(
     from meshskin.contact import ContactModel
     from meshskin.contact.indenter import Indenter
     from meshskin.contact.material import Material
-    from meshskin.contact.reading import disc_pressures
+    from meshskin.contact.reading import ReadingModel
     from meshskin.geometry.body import Body
     from meshskin.recording.recording import CONTACTS, READINGS, Recording
     from meshskin.scene.belief import Belief
@@ -70,11 +70,9 @@ def world(
     for begin in range(0, len(contacts), 500):
         rows = slice(begin, begin + 500)
         near = np.unique(np.concatenate(tree.query_ball_point(contacts[rows], 0.01)).astype(int))
-        p = disc_pressures(
+        p = ReadingModel(model, DISC, INDENTER, modulus).pressures(
             hit.point[rows], hit.normal[rows], hit.direction[rows], force[rows],
-            hit.curvature[rows],
-            positions=truth[near], disc_radius=DISC, indenter_radius=INDENTER,
-            effective_modulus=modulus, model=model,
+            hit.curvature[rows], truth[near],
         )  # fmt: skip
         row, column = np.nonzero(p)
         value = p[row, column] + NOISE * peak * rng.normal(size=len(row))

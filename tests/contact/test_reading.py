@@ -5,7 +5,7 @@ import pytest
 
 from meshskin import Body, contact
 from meshskin.contact import ContactModel
-from meshskin.contact.reading import disc_pressures
+from meshskin.contact.reading import ReadingModel
 
 E_STAR, DISC, INDENTER = 4e5, 2e-3, 0.01
 
@@ -20,11 +20,10 @@ def contact_with_taxels(body, where, rng, count=60):
 
 
 def readings(hit, taxels, model):
-    return disc_pressures(
-        hit.point, hit.normal, hit.direction, np.array([3.0]), hit.curvature,
-        positions=taxels, disc_radius=DISC, indenter_radius=INDENTER,
-        effective_modulus=E_STAR, model=model,
-    )[0]  # fmt: skip
+    """Pressures of the taxels in one contact of 3 N."""
+    return ReadingModel(model, DISC, INDENTER, E_STAR).pressures(
+        hit.point, hit.normal, hit.direction, np.array([3.0]), hit.curvature, taxels
+    )[0]
 
 
 @pytest.mark.parametrize(
@@ -71,3 +70,16 @@ def test_ellipse_and_thick_layer_equal_hertz_on_a_sphere():
     )
     thick = ContactModel("layered", 0.49, 10.0)
     np.testing.assert_allclose(readings(hit, taxels, thick), hertz, atol=2e-3 * peak)
+
+
+def test_largest_difference_of_two_models():
+    """Under Hertz a disc of radius s a reads 2 (1 - (1 - s^2)^1.5) / (3 s^2) p_0 at the centre."""
+    curvature, force = np.array([[10.0, 10.0], [10.0, 10.0]]), 3.0
+    point, disc = (ReadingModel(ContactModel(), s, INDENTER, E_STAR) for s in (1e-6, DISC))
+    s = DISC / np.cbrt(0.75 * force / 110 / E_STAR)
+    centre = 2 * (1 - (1 - s**2) ** 1.5) / (3 * s**2)
+    difference = point.max_difference(disc, force, curvature)
+    assert 1 - centre <= difference < 0.25  # larger at the edge, where the profile is steepest
+    assert point.max_difference(point, force, curvature) == 0.0
+    stiff = ReadingModel(ContactModel(), DISC, INDENTER, 100 * E_STAR)
+    assert disc.max_difference(stiff, force, curvature) == 1.0

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from meshskin.contact.reading import disc_pressures
 from meshskin.core.se3 import transform
 from meshskin.effects.cover_fabric import CoverFabric
 from meshskin.effects.friction import Friction
@@ -73,9 +72,7 @@ def test_sudden_pressure_relaxes_as_the_standard_linear_solid(context, glide):
     age = frames.time[400:] - frames.time[400] + 0.005
     want = (0.7 + 0.3 * np.exp(-age / 0.2)) / 0.7
     np.testing.assert_allclose(got[400:, 0], want, rtol=2e-3)
-    np.testing.assert_allclose(
-        got[:, 1], 1.0, rtol=1e-12
-    )  # at rest the controlled force keeps the pressure
+    np.testing.assert_allclose(got[:, 1], 1.0, rtol=1e-12)  # constant at rest
     assert np.all(np.diff(got[400:, 0]) < 0)
 
 
@@ -149,26 +146,9 @@ def plane(side=81, step=4e-4):
     return transform(np.eye(3), np.column_stack([grid, np.full(len(grid), -0.1)]))
 
 
-def hertz(sphere):
-    def field(frames, poses):
-        return disc_pressures(
-            frames.points,
-            frames.normals,
-            frames.directions,
-            frames.force,
-            frames.curvature,
-            positions=poses[:, :3, 3],
-            disc_radius=2e-3,
-            indenter_radius=0.01,
-            effective_modulus=sphere.material.effective_modulus,
-        )
-
-    return field
-
-
 def test_cover_spreads_pressure_and_preserves_the_force(sphere, context, glide):
     frames, poses = glide([0.0]), plane()
-    field = hertz(sphere)
+    field = sphere.reading_model
     bare = field(frames, poses)[0]
     covered = CoverFabric(width=1e-3).build(context)(field)(frames, poses)[0]
     assert bare.sum() * 1.6e-7 == pytest.approx(3.0, rel=1e-3)
@@ -182,7 +162,7 @@ def test_cover_spreads_pressure_and_preserves_the_force(sphere, context, glide):
 def test_bound_of_cover_is_its_largest_change_of_a_reading(sphere, context, glide, width):
     """Twice the relative change in contact radii, which is below 2 sqrt(w a)."""
     frames, poses = glide([0.0]), plane()
-    field, effect = hertz(sphere), CoverFabric(width=width)
+    field, effect = sphere.reading_model, CoverFabric(width=width)
     change = np.abs(effect.build(context)(field)(frames, poses) - field(frames, poses)).max()
     bound = 2.0 * change / context.peak_pressure * context.contact_radius
     assert effect.bound(context) == pytest.approx(bound, rel=0.02)
@@ -236,8 +216,8 @@ def test_slots_follow_the_ids_where_modules_have_gaps(context, glide):
 
 def test_scan_does_not_depend_on_the_batches(sphere, context, glide, split):
     frames, poses = glide(STEP * np.arange(40)), context.skin.poses
-    whole = ScanOrder(latency=0.013).build(context)(hertz(sphere))(frames, poses)
-    field = ScanOrder(latency=0.013).build(context)(hertz(sphere))
+    whole = ScanOrder(latency=0.013).build(context)(sphere.reading_model)(frames, poses)
+    field = ScanOrder(latency=0.013).build(context)(sphere.reading_model)
     parts = split(lambda some: field(some, poses), frames)
     np.testing.assert_allclose(np.vstack(parts), whole, rtol=1e-12, atol=1e-9)
     assert whole.max() > 0
