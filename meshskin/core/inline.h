@@ -1,4 +1,4 @@
-/* What goes before code that runs at every step. */
+/* Placed before generated code that runs at every step. */
 
 #include <math.h>
 #include <stdint.h>
@@ -11,7 +11,7 @@
 #endif
 #define CASADI_SYMBOL_EXPORT static inline
 
-/* As the library's, but one instruction each; of two numbers, one of which is none, the second. */
+/* fmax and fmin as one instruction each; if one argument is NaN, the result is the second. */
 static inline double larger(double x, double y) { return x > y ? x : y; }
 static inline double smaller(double x, double y) { return x < y ? x : y; }
 #define fmax larger

@@ -68,7 +68,7 @@ def log_so3(rotation: ArrayLike) -> Array:
 
 
 def from_rpy(rpy: ArrayLike) -> Array:
-    """Rotation (3, 3) of a URDF's fixed-axis angles (3,), rad: Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Rotation (3, 3) Rz(yaw) Ry(pitch) Rx(roll) of roll, pitch, yaw (3,) as in URDF, rad."""
     (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
     return np.array(
         [
@@ -155,33 +155,35 @@ def transform_points(pose: ArrayLike, points: ArrayLike) -> Array:
 
 
 def is_rigid(pose: ArrayLike) -> bool:
-    """Whether `pose` is one finite (4, 4) transform that neither scales nor mirrors, to 1e-6."""
+    """Whether `pose` is a finite (4, 4) rigid transform without reflection, within 1e-6."""
     try:
         given = np.asarray(pose, dtype=float)
     except (TypeError, ValueError):
         return False
     if given.shape != (4, 4) or not np.isfinite(given).all():
         return False
-    turn = given[:3, :3]
+    rotation = given[:3, :3]
     rows = np.abs(given[3] - [0.0, 0.0, 0.0, 1.0]).max()
     return bool(
-        np.abs(turn @ turn.T - np.eye(3)).max() < 1e-6 and rows < 1e-6 and np.linalg.det(turn) > 0
+        np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-6
+        and rows < 1e-6
+        and np.linalg.det(rotation) > 0
     )
 
 
-def interpolate(start: ArrayLike, goal: ArrayLike, part: ArrayLike) -> Array:
-    """Poses (k, 4, 4) at parts (k,) of the way between two (4, 4).
+def interpolate(start: ArrayLike, goal: ArrayLike, fraction: ArrayLike) -> Array:
+    """Poses (k, 4, 4) at fractions (k,) between two poses (4, 4).
 
-    The origin goes straight, the rotation about one axis of the world, each in proportion.
+    The origin moves on a straight line, the rotation about a fixed axis, both at constant speed.
     """
     a, b = np.asarray(start, dtype=float), np.asarray(goal, dtype=float)
-    s = np.asarray(part, dtype=float)[:, None]
+    s = np.asarray(fraction, dtype=float)[:, None]
     rotation = exp_so3(s * log_so3(b[:3, :3] @ a[:3, :3].T)) @ a[:3, :3]
     return transform(rotation, a[:3, 3] + s * (b[:3, 3] - a[:3, 3]))
 
 
 def align(source: ArrayLike, target: ArrayLike) -> Array:
-    """The rigid transform (4, 4) that best maps points `source` (n, 3) onto `target` (n, 3).
+    """The rigid transform (4, 4) of points `source` (n, 3) to `target` (n, 3) by least squares.
 
     Source: Umeyama, IEEE PAMI 13 (1991), without the scale.
     """
@@ -194,7 +196,7 @@ def align(source: ArrayLike, target: ArrayLike) -> Array:
 
 
 def casadi_quaternion_product(p: ca.SX, q: ca.SX) -> ca.SX:
-    """Hamilton product of CasADi quaternions (4,), xyzw: the rotation `p` after `q`."""
+    """Hamilton product of CasADi quaternions (4,), xyzw: the rotation `q`, followed by `p`."""
     import casadi as ca
 
     v = p[3] * q[:3] + q[3] * p[:3] + ca.cross(p[:3], q[:3])
@@ -230,7 +232,7 @@ def casadi_cayley(a: ca.SX) -> ca.SX:
 def casadi_log(q: ca.SX) -> ca.SX:
     """Rotation vector (3,), in rad, of a CasADi unit quaternion (4,), xyzw.
 
-    Value, gradient and Hessian are finite everywhere, at the identity and at pi too.
+    Value, gradient and Hessian are finite everywhere, also at the identity and at pi.
     """
     import casadi as ca
 
@@ -249,8 +251,8 @@ def cayley(a: ArrayLike) -> Array:
 
 
 def poses_of_states(states: Array) -> Array:
-    """T_w_b (k, 4, 4) of states (k, 7 or more)."""
+    """T_w_b (k, 4, 4) of states (k, 7 or more): position, m, and unit quaternion wxyz."""
     from scipy.spatial.transform import Rotation
 
-    turn = Rotation.from_quat(states[:, [4, 5, 6, 3]]).as_matrix()
-    return transform(turn, states[:, :3])
+    rotation = Rotation.from_quat(states[:, [4, 5, 6, 3]]).as_matrix()
+    return transform(rotation, states[:, :3])
