@@ -1,17 +1,17 @@
-"""Adaptive exploration: after a first pass, contacts go where they tell most.
+"""Adaptive exploration: after a first pass, contacts are where they are most informative.
 
-Rounds of touch, calibrate, and `Calibration.next_contacts`, until the stated uncertainty of every
-taxel is below a target, or nothing that can be touched brings it there.
+Rounds of touch, calibrate and `Calibration.next_contacts`, until the stated uncertainty of every
+taxel is below a target, or no contact reduces it further.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..core.arguments import check_integer, check_real, check_type
+from ..core.arguments import check_integer, check_real, check_type, check_vectors
 from ..core.errors import ConfigError, ReachError
 from ..core.se3 import Array
 from ..exploration.lane_plan import NOT_COVERED
@@ -22,52 +22,54 @@ from ..simulation.contact_samplers import ContactSamplerFactory, concatenate, st
 from .calibrate import calibrate
 from .calibration import Calibration
 
-FIRST_SPACING, FIRST_STEP = 0.9, 0.9
-"""Distances between the first pass's lanes, and between contacts along them, in distances at which
-a contact is felt."""
-GAP = 0.5
-"""Distance from all contacts, in the same unit, at which a silent taxel is looked for."""
+FIRST_SPACING = 0.9
+"""Distances between the lanes of the first pass, and between contacts along them, in sensing radii:
+just below 1, at which every taxel is touched by few contacts."""
+SECOND_SPACING = 0.5
+"""Spacing of the lanes on which taxels without a reading are sought, in sensing radii; contacts
+closer than this to previous ones are left out."""
 BATCH = 0.2
-"""Contacts of a round, relative to all so far."""
-LEAST_BATCH = 8
-"""Contacts of a round at least."""
-FRUITLESS = 0.98
-"""Part to which a round must bring down the worst uncertainty to be worth another one."""
+"""Contacts of a round, relative to all previous ones."""
+MIN_BATCH = 8
+"""Least number of contacts of a round."""
+MIN_IMPROVEMENT = 0.98
+"""A round improves if the largest uncertainty falls below this fraction of the smallest so far."""
 PATIENCE = 3
-"""Rounds without that after which the worst taxel is given up."""
+"""Rounds without improvement after which the most uncertain taxels are given up."""
 
-NEVER = "never read"
-STUCK = "further contacts tell nothing more"
-SPENT = "the contacts allowed are used up"
+NEVER_READ = "never read"
+NO_IMPROVEMENT = "further contacts do not reduce its uncertainty"
+BUDGET_USED = "the contacts allowed are used up"
+NO_CONTACT = "no contact that would reduce its uncertainty can be made"
 
 
 @dataclass(frozen=True)
 class Round:
-    """Where an adaptive exploration stood after a round."""
+    """The state of an adaptive exploration after a round."""
 
     contacts: int
-    """So far."""
+    """Contacts so far."""
     mean_sigma: float
     """Mean standard deviation, m, of the taxels that are determined."""
     worst_sigma: float
-    """The largest, m, of those that are not given up; infinite where one is not determined."""
+    """The largest, m, of those that are not given up; inf where one is not determined."""
     above: int
     """Taxels above the target or not determined, given up or not."""
     positions: Array
-    """(n, 3), m: the estimates."""
+    """Estimates (n, 3), m."""
 
 
 @dataclass(frozen=True)
 class Adaptive:
-    """What an adaptive exploration found."""
+    """The result of an adaptive exploration."""
 
     recording: Recording
-    """Of all contacts."""
+    """All contacts."""
     calibration: Calibration
-    """From all of them."""
+    """From all contacts."""
     rounds: tuple[Round, ...]
     unmet: Mapping[int, str]
-    """Why each taxel (by id) above the target is so."""
+    """The reason for each taxel (by id) above the target."""
 
     def __repr__(self) -> str:
         return (
@@ -85,64 +87,60 @@ def adapt(
     touch: ContactSamplerFactory = static_sampler,
     points: Array | None = None,
 ) -> Adaptive:
-    """Explore until the stated uncertainty of every taxel is at most `target` (m) or cannot be.
+    """Explore until the stated uncertainty of every taxel is at most `target`, m, or cannot be.
 
-    The uncertainty is `Calibration.position_sigma`. most: contacts in all. touch: `pressed`, or
-    `touched` for the closed loop with the arm. points (k, 3): of the first pass; by default sparse
-    contacts on geodesic lanes. Raises ConfigError for a target that is not positive or that any
-    touch would meet, and for fewer contacts than the first pass has; ReachError where nothing can
-    be touched.
+    The uncertainty is `Calibration.position_sigma`. most: contacts in all. touch: static contacts
+    by default; `closed_loop_sampler` simulates the arm. points (k, 3), m: contacts of the first
+    pass; by default sparse ones on geodesic lanes. Raises ConfigError for a target outside (0,
+    sensing radius) and for fewer contacts than the first pass has; ReachError if no contact can be
+    made.
     """
     check_type(Scene, scene, "what is explored")
     check_real("target of an adaptive exploration", target)
     check_integer("most contacts", most, least=1)
-    _check_target(target, scene.rig.sensing_radius)
-    unreachable: Mapping[int, str] = {}
-    if points is None:
-        points, unreachable = first_pass(scene)
-    points = _checked(points, most)
-    belief, stand = scene.belief(), _Standing(target, dict(unreachable))
-    reach_out = touch(scene, seed)
-    recording, _ = reach_out(points)
-    if not calibrate(recording, belief).touched.all():
-        gaps = between(scene, recording.points)[: most - len(recording.time)]
-        recording = concatenate(recording, reach_out(gaps)[0]) if len(gaps) else recording
-    while True:
-        calibration = calibrate(recording, belief)
-        left = stand.judge(calibration, len(recording.time), most)
-        if left <= 0:
-            return Adaptive(recording, calibration, tuple(stand.rounds), stand.unmet)
-        batch = min(max(LEAST_BATCH, int(BATCH * len(recording.time))), left)
-        wanted = _without(calibration, stand.unmet).next_contacts(batch)
-        enough = int(np.argmax(wanted.worst <= target)) + 1 if wanted.worst[-1] <= target else batch
-        try:
-            more, why = reach_out(wanted.points[:enough])
-        except ReachError:
-            stand.give_up(wanted.taxel[:enough], "no contact that would tell more can be made")
-            continue
-        recording = concatenate(recording, more)
-        for taxel in np.unique(wanted.taxel[:enough]):
-            mine = why[wanted.taxel[:enough] == taxel]
-            if (mine != "").all():
-                stand.give_up(np.array([taxel]), str(mine[0]))
-
-
-def _check_target(target: float, reach: float) -> None:
-    if not 0 < target < reach:
+    if not 0 < target < scene.rig.sensing_radius:
         raise ConfigError(
             "the target of an adaptive exploration",
             value=f"{target} m",
-            limit=f"above 0, below the {reach:.2g} m at which a contact is felt",
+            limit=f"above 0, below the {scene.rig.sensing_radius:.2g} m at which a contact is felt",
         )
+    unreachable: Mapping[int, str] = {}
+    if points is None:
+        points, unreachable = lane_contacts(scene, FIRST_SPACING)
+    points = _checked(points, most)
+    belief, progress = scene.belief(), _Progress(target, dict(unreachable))
+    sample = touch(scene, seed)
+    recording, _ = sample(points)
+    if not calibrate(recording, belief).touched.all():
+        gaps = _gaps(scene, recording.points)[: most - len(recording.time)]
+        recording = concatenate(recording, sample(gaps)[0]) if len(gaps) else recording
+    while True:
+        calibration = calibrate(recording, belief)
+        remaining = progress.update(calibration, len(recording.time), most)
+        if remaining <= 0:
+            return Adaptive(recording, calibration, tuple(progress.rounds), progress.unmet)
+        batch = min(max(MIN_BATCH, int(BATCH * len(recording.time))), remaining)
+        planned = _without(calibration, progress.unmet).next_contacts(batch)
+        reached = planned.worst <= target
+        count = int(np.argmax(reached)) + 1 if reached[-1] else batch
+        taxels = planned.taxel[:count]
+        try:
+            more, reasons = sample(planned.points[:count])
+        except ReachError:
+            progress.give_up(taxels, NO_CONTACT)
+            continue
+        recording = concatenate(recording, more)
+        for taxel in np.unique(taxels):
+            failed = reasons[taxels == taxel]
+            if (failed != "").all():
+                progress.give_up(np.array([taxel]), str(failed[0]))
 
 
 def _checked(points: Array, most: int) -> Array:
-    """The points (k, 3) of the first pass. Raises ConfigError."""
-    points = np.asarray(points, dtype=float)
-    if points.ndim != 2 or points.shape[1] != 3 or not len(points):
-        raise ConfigError(
-            "the points of the first pass", value=f"shape {points.shape}", limit="(k, 3), k > 0"
-        )
+    """The points (k, 3), m, of the first pass. Raises ConfigError."""
+    points = check_vectors("the points of the first pass", points)
+    if not len(points):
+        raise ConfigError("the first pass needs a contact", value=f"shape {points.shape}")
     if len(points) > most:
         raise ConfigError(
             "the first pass takes all contacts allowed",
@@ -153,86 +151,85 @@ def _checked(points: Array, most: int) -> Array:
     return points
 
 
-class _Standing:
-    """What is reached, and which taxels are given up."""
+@dataclass
+class _Progress:
+    """The rounds, and the taxels that are given up."""
 
-    def __init__(self, target: float, unmet: dict[int, str]) -> None:
-        self.target, self.unmet = target, unmet
-        self.rounds: list[Round] = []
-        self._record: tuple[float, float] = (np.inf, np.inf)
-        self._vain = 0
+    target: float
+    unmet: dict[int, str]
+    rounds: list[Round] = field(default_factory=list)
+    best: tuple[float, float] = (np.inf, np.inf)
+    """Fewest undetermined taxels, and smallest largest uncertainty, m, so far."""
+    stagnant: int = 0
+    """Rounds without improvement."""
 
-    def give_up(self, taxels: Array, why: str) -> None:
-        """Aim at these taxels no more."""
-        self.unmet |= {int(k): why for k in taxels}
+    def give_up(self, taxels: Array, reason: str) -> None:
+        """Plan no more contacts for these taxels (ids)."""
+        self.unmet |= {int(k): reason for k in taxels}
 
-    def judge(self, calibration: Calibration, contacts: int, most: int) -> int:
-        """Note the round; how many contacts may still be made, 0 when it is over."""
-        sigma = np.where(
-            calibration.observed[:, :2].all(axis=1), calibration.position_sigma, np.inf
-        )
+    def update(self, calibration: Calibration, contacts: int, most: int) -> int:
+        """Add a round; returns the number of contacts that may still be made, 0 at the end."""
+        determined = calibration.observed[:, :2].all(axis=1)
+        sigma = np.where(determined, calibration.position_sigma, np.inf)
         above = sigma > self.target
         self.unmet = {k: w for k, w in self.unmet.items() if above[calibration.ids == k].all()}
-        open_ = above & ~np.isin(calibration.ids, list(self.unmet))
-        silent = open_ & ~calibration.touched
-        self.give_up(calibration.ids[silent], NEVER)
-        open_ &= ~silent
+        pending = above & ~np.isin(calibration.ids, list(self.unmet))
+        self.give_up(calibration.ids[pending & ~calibration.touched], NEVER_READ)
+        pending &= calibration.touched
         aimed = ~np.isin(calibration.ids, list(self.unmet))
         worst = float(sigma[aimed].max(initial=0.0))
         known = sigma[np.isfinite(sigma)]
         mean = float(known.mean()) if len(known) else np.inf
         self.rounds.append(Round(contacts, mean, worst, int(above.sum()), calibration.positions))
-        if open_.any() and contacts >= most:
-            self.give_up(calibration.ids[open_], SPENT)
+        if pending.any() and contacts >= most:
+            self.give_up(calibration.ids[pending], BUDGET_USED)
             return 0
-        # what is not determined yet counts first, then the worst of what is
-        lost = float((~np.isfinite(sigma[open_])).sum())
-        last = float(sigma[open_ & np.isfinite(sigma)].max(initial=0.0))
-        better = lost < self._record[0] or last < FRUITLESS * self._record[1]
-        self._vain = 0 if better else self._vain + 1
-        self._record = min(lost, self._record[0]), min(last, self._record[1])
-        if self._vain == PATIENCE and open_.any():
-            hopeless = open_ & (sigma >= worst)
-            self.give_up(calibration.ids[hopeless], STUCK)
-            open_ &= ~hopeless
-            self._record, self._vain = (np.inf, np.inf), 0
-        return most - contacts if open_.any() else 0
+        # undetermined taxels count first, then the most uncertain of the determined ones
+        undetermined = float((~np.isfinite(sigma[pending])).sum())
+        largest = float(sigma[pending & np.isfinite(sigma)].max(initial=0.0))
+        better = undetermined < self.best[0] or largest < MIN_IMPROVEMENT * self.best[1]
+        self.stagnant = 0 if better else self.stagnant + 1
+        self.best = min(undetermined, self.best[0]), min(largest, self.best[1])
+        if self.stagnant == PATIENCE and pending.any():
+            hopeless = pending & (sigma >= worst)
+            self.give_up(calibration.ids[hopeless], NO_IMPROVEMENT)
+            pending &= ~hopeless
+            self.best, self.stagnant = (np.inf, np.inf), 0
+        return most - contacts if pending.any() else 0
 
 
-def first_pass(
-    scene: Scene, spacing: float = FIRST_SPACING, step: float = FIRST_STEP
-) -> tuple[Array, Mapping[int, str]]:
-    """Contact points (k, 3) on geodesic lanes, their distances in distances at which a contact is
-    felt, and the taxels that cannot be reached.
+def lane_contacts(scene: Scene, spacing: float) -> tuple[Array, Mapping[int, str]]:
+    """Contact points (k, 3), m, `spacing` sensing radii apart on geodesic lanes, and the taxels (by
+    id) that cannot be reached, with the reason.
     """
-    reach = scene.rig.sensing_radius
-    lanes = replace(scene.exploration, pattern="lanes", lane_spacing=spacing * reach, contacts=None)
-    found = plan_exploration(scene.with_(exploration=lanes))
+    step = spacing * scene.rig.sensing_radius
+    lanes = replace(scene.exploration, pattern="lanes", lane_spacing=step, contacts=None)
+    plan = plan_exploration(scene.with_(exploration=lanes))
     parts = []
-    for place in found.segments:
-        way = np.linalg.norm(np.diff(place.points, axis=0), axis=1)
-        along = np.concatenate([[0.0], np.cumsum(way)])
-        parts.append(place.points[np.searchsorted(along, np.arange(0.0, along[-1], step * reach))])
-    hopeless = {k: why for k, why in found.unreachable.items() if why != NOT_COVERED}
-    return np.concatenate(parts), hopeless
+    for segment in plan.segments:
+        lengths = np.linalg.norm(np.diff(segment.points, axis=0), axis=1)
+        along = np.concatenate([[0.0], np.cumsum(lengths)])
+        rows = np.searchsorted(along, np.arange(0.0, along[-1], step))
+        parts.append(segment.points[rows])
+    unreachable = {k: why for k, why in plan.unreachable.items() if why != NOT_COVERED}
+    return np.concatenate(parts), unreachable
 
 
-def between(scene: Scene, points: Array) -> Array:
-    """Contact points (k, 3) in the gaps of a first pass at `points` (m, 3), for silent taxels."""
+def _gaps(scene: Scene, points: Array) -> Array:
+    """Contact points (k, 3), m, between those at `points` (m, 3), for taxels without a reading."""
     from scipy.spatial import cKDTree
 
-    dense, _ = first_pass(scene, GAP, GAP)
-    return dense[cKDTree(points).query(dense)[0] > GAP * scene.rig.sensing_radius]
+    dense, _ = lane_contacts(scene, SECOND_SPACING)
+    distance = cKDTree(points).query(dense)[0]
+    return dense[distance > SECOND_SPACING * scene.rig.sensing_radius]
 
 
 def _without(calibration: Calibration, given_up: Mapping[int, str]) -> Calibration:
-    """The calibration with nothing known of some taxels, so that none is aimed at."""
+    """The calibration with the taxels that are given up unknown, so that none is aimed at."""
     rows = np.isin(calibration.ids, list(given_up))
     poses, observed = calibration.poses.copy(), calibration.observed.copy()
     poses[rows], observed[rows] = np.nan, False
-    middles = (
-        None if calibration.contact_centroids is None else calibration.contact_centroids.copy()
-    )
-    if middles is not None:
-        middles[rows] = np.nan
-    return replace(calibration, poses=poses, observed=observed, contact_centroids=middles)
+    assert calibration.contact_centroids is not None  # it was calibrated, not loaded
+    centroids = calibration.contact_centroids.copy()
+    centroids[rows] = np.nan
+    return replace(calibration, poses=poses, observed=observed, contact_centroids=centroids)

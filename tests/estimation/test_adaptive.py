@@ -14,7 +14,7 @@ from meshskin.effects.gravity_error import GravityError
 from meshskin.effects.sampling import Sampling
 from meshskin.effects.scan_order import ScanOrder
 from meshskin.effects.temperature_drift import TemperatureDrift
-from meshskin.estimation.adaptive import NEVER, SPENT, adapt
+from meshskin.estimation.adaptive import BUDGET_USED, NEVER_READ, adapt
 from meshskin.geometry.region import Cap
 from meshskin.robot import collision
 from meshskin.simulation.contact_samplers import (
@@ -66,13 +66,13 @@ def test_a_tighter_target_takes_more_contacts(scene):
 def test_a_dead_taxel_and_a_spent_budget_are_named(scene):
     dead = scene.with_(effects=(*scene.effects, BrokenTaxels(dead=0.06, stuck=0.0)))
     found = adapt(dead, 2 * TARGET, seed=2)
-    assert list(found.unmet.values()) == [NEVER]
+    assert list(found.unmet.values()) == [NEVER_READ]
     lost = found.calibration.ids == next(iter(found.unmet))
     assert not found.calibration.touched[lost].any()
     assert found.calibration.position_sigma[~lost].max() <= 2 * TARGET
     short = adapt(scene, TARGET / 10, seed=2, most=60)
     assert len(short.recording.time) <= 60
-    assert set(short.unmet.values()) == {SPENT}
+    assert set(short.unmet.values()) == {BUDGET_USED}
 
 
 def test_what_cannot_be_asked(scene):
@@ -82,9 +82,10 @@ def test_what_cannot_be_asked(scene):
         adapt(scene, 30)
     with pytest.raises(ConfigError, match=r"first pass .* most=5; allow more"):
         adapt(scene, TARGET, most=5)
-    for points in (np.zeros((0, 3)), np.zeros((4, 2))):
-        with pytest.raises(ConfigError, match=r"points of the first pass, got shape \(\d, \d\)"):
-            adapt(scene, TARGET, points=points)
+    with pytest.raises(ConfigError, match="the first pass needs a contact"):
+        adapt(scene, TARGET, points=np.zeros((0, 3)))
+    with pytest.raises(ConfigError, match=r"the points of the first pass must be .* got .*4, 2"):
+        adapt(scene, TARGET, points=np.zeros((4, 2)))
     hollow = ms.Body.torus(0.06, 0.04)
     inside = np.array([[0.02, 0.0, 0.0]])
     ring = scene.with_(body=hollow)
