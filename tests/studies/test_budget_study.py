@@ -26,7 +26,7 @@ def test_effects_are_drawn_between_a_third_and_three_times_their_size(study):
     assert 2 < max(sizes) <= 3
 
 
-def test_a_study_goes_on_where_it_was(study, tmp_path, capsys, monkeypatch):
+def test_a_study_continues_from_stored_rows(study, tmp_path, capsys, monkeypatch):
     """Rows of the same budget are kept; another budget measures anew."""
     ran = []
 
@@ -54,7 +54,7 @@ def test_a_study_goes_on_where_it_was(study, tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.slow
-def test_prices_are_measured(study, capsys):
+def test_prices_can_be_measured(study, capsys):
     """What the budget reckons with is in proportion to what things take."""
     found = study.main(["--prices"])["prices"]
     assert set(found) == set(study.SECONDS)
@@ -63,7 +63,7 @@ def test_prices_are_measured(study, capsys):
 
 
 @pytest.mark.slow
-def test_the_budget_keeps_its_word(study, tmp_path, capsys):
+def test_the_true_error_is_within_the_budget(study, tmp_path, capsys):
     file = tmp_path / "x.json"
     asked = ["--scenes", "sphere_noisy", "--first", "8", "--random", "2"]
     rows = study.main([*asked, "--out", str(tmp_path), "--json", str(file)])

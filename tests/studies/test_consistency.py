@@ -42,7 +42,7 @@ def test_the_verdict_is_on_all_quantities_together(study):
     assert study.inconsistent(far) == ["c: rms / bound 1.060"]
 
 
-def test_squares_that_are_not_independent_count_as_fewer(study):
+def test_correlated_squares_count_as_fewer(study):
     rng = np.random.default_rng(0)
     alone = [rng.normal(size=50) ** 2 for _ in range(400)]
     assert study.design_effect(alone) == pytest.approx(1.0, abs=0.2)
@@ -51,7 +51,7 @@ def test_squares_that_are_not_independent_count_as_fewer(study):
     assert study.design_effect(alike[:9]) == 50
 
 
-def test_the_band_holds_what_it_says(study):
+def test_the_band_has_its_stated_probability(study):
     rng, inside, refused = np.random.default_rng(1), 0, 0
     for _ in range(1000):
         row = study.band(float(np.mean(rng.normal(size=40) ** 2)), 40)

@@ -21,7 +21,7 @@ def test_accuracy_cost(script, tmp_path, capsys):
     assert "cheapest setting" in capsys.readouterr().out
 
 
-def test_what_was_measured_is_kept(script, tmp_path):
+def test_measurements_are_stored(script, tmp_path):
     """A resumed study measures nothing again, unless it is asked for something else."""
     module, ran = script("accuracy_cost"), []
 

@@ -20,21 +20,21 @@ def world(study):
 
 
 @pytest.mark.parametrize("share", [slow(0.1), 0.2])
-def test_outlying_readings_cost_little_more_than_leaving_just_them_out(study, world, share):
+def test_outlying_readings_cost_little_more_than_removing_exactly_them(study, world, share):
     found = study.outlying(world, share, range(1))
     assert found["error"] < 1.06 * found["without"]
     assert found["without"] < 1.1 / np.sqrt(1 - share)
     assert 0.9 < found["named"] < 1.05
 
 
-def test_outlying_readings_of_some_taxels_spare_the_others(study, world):
+def test_outlying_readings_of_some_taxels_do_not_affect_the_others(study, world):
     found = study.outlying(world, 0.2, range(1), 0.2)
     assert found["others"] < 1.02
     assert found["error"] < 1.06 * found["limit"]
     assert found["named"] > 0.9
 
 
-def test_the_limit_of_who_is_not_told(study):
+def test_the_efficiency_is_the_fisher_information(study):
     assert study.efficiency(1e-9) == pytest.approx(1.0, abs=1e-6)
     rng, share = np.random.default_rng(0), 0.2  # the score's variance is the information
     width = (study.WILD - study.THRESHOLD) / study.NOISE
@@ -51,7 +51,7 @@ def test_the_largest_share_within_ten_per_cent(study):
     assert study.largest_share({0.05: 1.01, 0.2: 1.05}) == 0.2
 
 
-def test_what_is_short_of_its_bar_is_said(study):
+def test_errors_beyond_their_limits_are_listed(study):
     alone = {"error": 1.12, "limit": 1.11, "others": float("nan"), "named": 1.0}
     spared = {"error": 1.2, "limit": 1.1, "others": 1.01, "named": 1.0}
     fault = {"others": 1.05, "named": 1.0}
@@ -72,7 +72,7 @@ def test_a_fifth_of_all_taxels(study, world, name):
     assert found["lost"] == 0
 
 
-def test_what_dead_taxels_do_not_say_is_not_held_against_the_model(study, world):
+def test_dead_taxels_do_not_make_the_fit_bad(study, world):
     bad = np.random.default_rng(2000).choice(len(world.skin), 16, replace=False)
     _, found = world.errors(world.record(0, study.dies_halfway, bad))
     assert found.fit.good

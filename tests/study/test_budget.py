@@ -1,4 +1,4 @@
-"""The error budget as one uses it: call, scene file, command line, ledger; and what it refuses."""
+"""The error budget: call, scene file, command line, report, and refused input."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -33,41 +33,41 @@ def scene():
 
 
 @pytest.fixture(scope="module")
-def ledger(scene):
+def report(scene):
     return ms.budget(scene, 0.2e-3)
 
 
-def test_the_ledger_says_what_is_on(ledger):
-    entries = {entry.name: entry for entry in ledger.entries}
+def test_the_report_lists_what_is_on(report):
+    entries = {entry.name: entry for entry in report.entries}
     assert set(KINDS) < set(entries)
     assert entries["body_pose"].on  # 0.5 mm, alone beyond 0.2
     assert entries["body_pose"].shift == pytest.approx(0.45e-3, rel=0.1)
     assert not entries["cover_fabric"].on
-    chosen = {e.name for e in ledger.scene.effects}
+    chosen = {e.name for e in report.scene.effects}
     assert chosen == {name for name in KINDS if entries[name].on}
-    assert {e.name for e in ledger.everything.effects} == set(KINDS)
-    assert ledger.scene.budget is None
-    assert ledger.scene.loop.dt >= ledger.everything.loop.dt
+    assert {e.name for e in report.everything.effects} == set(KINDS)
+    assert report.scene.budget is None
+    assert report.scene.loop.dt >= report.everything.loop.dt
 
 
-def test_the_ledger_sums(ledger):
-    off = [entry.shift for entry in ledger.entries if not entry.on]
-    knobs = [e.shift for e in ledger.entries if e.name in ("mesh", "time step", "contact model")]
-    assert ledger.estimate <= 1.1 * (sum(off) + sum(knobs))
-    assert ledger.seconds == pytest.approx(sum(e.seconds for e in ledger.entries if e.on))
-    assert ledger.seconds < sum(e.seconds for e in ledger.entries)
+def test_the_entries_of_the_report_add_up(report):
+    off = [entry.shift for entry in report.entries if not entry.on]
+    knobs = [e.shift for e in report.entries if e.name in ("mesh", "time step", "contact model")]
+    assert report.estimate <= 1.1 * (sum(off) + sum(knobs))
+    assert report.seconds == pytest.approx(sum(e.seconds for e in report.entries if e.on))
+    assert report.seconds < sum(e.seconds for e in report.entries)
 
 
-def test_the_estimate_is_checked_against_the_truth(ledger):
-    assert ledger.fits
-    assert ledger.check.shift <= ledger.budget
-    assert 0.5 < ledger.estimate / ledger.check.shift < 2.0
-    assert ledger.check.taxels >= 5
+def test_the_estimate_is_checked_against_the_truth(report):
+    assert report.fits
+    assert report.check.shift <= report.budget
+    assert 0.5 < report.estimate / report.check.shift < 2.0
+    assert report.check.taxels >= 5
 
 
 @pytest.mark.slow
-def test_an_estimate_that_the_check_belies_is_not_believed(scene, ledger, monkeypatch):
-    """Where the truth is far beyond the estimate, more is added, though it is within the budget."""
+def test_more_is_added_if_the_check_contradicts_the_estimate(scene, report, monkeypatch):
+    """If the true error is far above the estimate, more is added, even within the budget."""
     limits = []
 
     def chosen(items, limit, *others):
@@ -87,39 +87,39 @@ def test_an_estimate_that_the_check_belies_is_not_believed(scene, ledger, monkey
     assert limits[0] == pytest.approx(0.08e-3)
     assert limits[1] <= 0.4 * limits[0]
     assert again.estimate < 0.04e-3
-    assert ledger.estimate > again.estimate
+    assert report.estimate > again.estimate
 
 
-def test_the_ledger_prints_as_a_table(ledger):
-    lines = str(ledger).splitlines()
+def test_the_report_prints_as_a_table(report):
+    lines = str(report).splitlines()
     assert lines[0].split()[:3] == ["effect", "mm", "seconds"]
-    assert len(lines) == 1 + len(ledger.entries) + len(ledger.summary())
+    assert len(lines) == 1 + len(report.entries) + len(report.summary())
     assert any(line.startswith("body pose") and " on " in line for line in lines)
-    metrics = ledger.metrics()
+    metrics = report.metrics()
     assert metrics["budget_mm"] == pytest.approx(0.2)
     assert metrics["on"]["body_pose"] == "on"
     assert "cover_fabric" in metrics["off_mm"]
 
 
-def test_the_ledger_stands_in_the_report(ledger):
-    (section,) = sections.budget(SimpleNamespace(budget=ledger))
+def test_the_budget_is_a_section_of_the_report_of_a_run(report):
+    (section,) = sections.budget(SimpleNamespace(budget=report))
     text, table = section.blocks
-    assert text.lines == ledger.summary()
-    assert len(table.rows) == len(ledger.entries)
+    assert text.lines == report.summary()
+    assert len(table.rows) == len(report.entries)
     assert sections.budget(SimpleNamespace(budget=None)) == ()
 
 
 @pytest.mark.slow
-def test_the_same_call_decides_the_same(scene, ledger):
+def test_the_same_call_decides_the_same(scene, report):
     again = ms.budget(scene, 0.2e-3)
-    assert again.entries == ledger.entries
-    assert again.estimate == ledger.estimate
+    assert again.entries == report.entries
+    assert again.estimate == report.estimate
 
 
 @pytest.mark.slow
-def test_a_small_budget_needs_more(scene, ledger):
+def test_a_small_budget_needs_more(scene, report):
     fine = ms.budget(scene, 0.02e-3)
-    assert {e.name for e in fine.scene.effects} > {e.name for e in ledger.scene.effects}
+    assert {e.name for e in fine.scene.effects} > {e.name for e in report.scene.effects}
     assert fine.estimate < 0.02e-3 or len(fine.scene.effects) == len(KINDS)
 
 
@@ -135,7 +135,7 @@ def toml(tmp_path, text):
     return file
 
 
-def test_a_scene_file_leaves_the_effects_to_a_budget(tmp_path):
+def test_a_scene_file_can_leave_the_effects_to_a_budget(tmp_path):
     auto = 'extends = "sphere_noisy"\neffects = "auto"\n'
     scene = ms.Scene.load(toml(tmp_path, auto))
     assert (scene.effects, scene.candidates, scene.budget) == ((), None, 0.2e-3)
@@ -163,12 +163,12 @@ def test_a_scene_file_leaves_the_effects_to_a_budget(tmp_path):
         ('effects = "auto"\n[[candidates]]\nkind = "frction"', "did you mean friction"),
     ],
 )
-def test_a_scene_file_that_cannot_be_meant_is_refused(tmp_path, text, error):
+def test_an_invalid_scene_file_is_refused(tmp_path, text, error):
     with pytest.raises(ConfigError, match=error):
         ms.Scene.load(toml(tmp_path, f'extends = "sphere"\n{text}\n'))
 
 
-def test_nothing_undecided_is_simulated(scene):
+def test_a_scene_with_an_unresolved_budget_is_not_simulated(scene):
     with pytest.raises(ConfigError, match=r"not been resolved.*ms.budget\(scene\).scene"):
         ms.simulate(scene.with_(budget=1e-4))
 
@@ -186,7 +186,7 @@ def test_a_study_cannot_change_an_effect_that_a_budget_decides_on():
         base_scene.changed_tables({"effects": "auto"}, {"effects.friction": True})
 
 
-def test_the_command_line_hands_the_budget_on(tmp_path, monkeypatch):
+def test_the_command_line_passes_the_budget_on(tmp_path, monkeypatch):
     seen = {}
     monkeypatch.setattr(pipeline, "run", lambda *args, **options: seen.update(options))
     assert cli.main(["run", "sphere", "--out", str(tmp_path), "--quiet", "--budget-mm", "0.3"]) == 0

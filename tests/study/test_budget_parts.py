@@ -42,15 +42,15 @@ def small():
 
 
 @pytest.fixture(scope="module")
-def rehearsal(small):
+def replay(small):
     return Replay.of(small)
 
 
 @pytest.fixture(scope="module")
-def solved(small, rehearsal):
+def solved(small, replay):
     """Belief, recording without effects, and the solution there."""
     belief = small.with_(effects=(GaussianNoise(),)).belief()
-    recording = rehearsal.recording((), 0)
+    recording = replay.recording((), 0)
     found = ms.calibrate(recording, belief)
     shared = np.array([value for value, _ in found.unknowns.values()])
     return belief, recording, Solution(found.positions, shared)
@@ -61,11 +61,11 @@ def moved(solved, recording):
     return solution.step(recording, belief)[0] - solution.step(plain, belief)[0]
 
 
-def test_a_displaced_body_moves_the_taxels_as_its_feet_move(small, rehearsal, solved):
+def test_a_displaced_body_moves_the_taxels_as_its_feet_move(small, replay, solved):
     """The foot of a centre that moves along the sphere moves by R / (R + r) of it, r being the
     indenter's radius less the depth."""
     offset = 5e-5
-    recording = rehearsal.recording((BodyPose(translation=(offset, 0.0, 0.0)),), 0)
+    recording = replay.recording((BodyPose(translation=(offset, 0.0, 0.0)),), 0)
     shift = moved(solved, recording)
     normals = small.skin.normals
     height = small.indenter.radius - small.patch.depth
@@ -78,30 +78,30 @@ def test_a_displaced_body_moves_the_taxels_as_its_feet_move(small, rehearsal, so
     [IndenterOffset((5e-5, 3e-5, 0.0)), GainOffset(0.005, 0.0), Relaxation(0.99)],
     ids=lambda effect: effect.name,
 )
-def test_one_step_foretells_the_full_calibration(effect, rehearsal, solved):
+def test_one_step_predicts_the_full_calibration(effect, replay, solved):
     belief, _, solution = solved
-    recording = rehearsal.recording((effect,), 3)
+    recording = replay.recording((effect,), 3)
     full = ms.calibrate(recording, belief).positions - solution.points
     step = moved(solved, recording)
     assert mean_length(step - full) < 0.1 * mean_length(full)
 
 
-def test_a_rehearsal_records_what_a_simulation_does(small, rehearsal):
+def test_a_replay_records_the_same_as_a_simulation(small, replay):
     chosen = (GaussianNoise(), BodyPose(), effects.find("friction")(), effects.find("scan_order")())
     simulated = ms.simulate(small.with_(effects=effects.ordered(chosen)), seed=5)
-    rehearsed = rehearsal.recording(chosen, 5)
+    replayed = replay.recording(chosen, 5)
     for name in ("time", "points", "normals", "force", "reading_taxel", "pressure"):
-        np.testing.assert_allclose(getattr(rehearsed, name), getattr(simulated, name), rtol=1e-9)
+        np.testing.assert_allclose(getattr(replayed, name), getattr(simulated, name), rtol=1e-9)
 
 
 def test_halves_hold_every_contact_of_their_taxels(small):
     skin = ms.Skin.cover(small.body, spacing=5e-3, count=60, region=Cap((0.0, 0.0, -1.0)))
-    rehearsal, noisy = Replay.of(small.with_(skin=skin)), (GaussianNoise(), Relaxation())
-    whole, halves = rehearsal.recording(noisy, 1), rehearsal.halves()
+    replay, noisy = Replay.of(small.with_(skin=skin)), (GaussianNoise(), Relaxation())
+    whole, halves = replay.recording(noisy, 1), replay.halves()
     assert halves.cut
     assert not set(halves.taxels[0]) & set(halves.taxels[1])
     for half in (0, 1):
-        part = rehearsal.recording(noisy, 1, halves, half)
+        part = replay.recording(noisy, 1, halves, half)
         for taxel in halves.taxels[half]:
             mine, there = (
                 np.sort(r.pressure[(r.reading_taxel == taxel) & (r.pressure > 8e3)])
@@ -111,17 +111,17 @@ def test_halves_hold_every_contact_of_their_taxels(small):
             np.testing.assert_allclose(mine, there)
 
 
-def test_a_small_skin_is_not_cut(rehearsal):
-    halves = rehearsal.halves()
+def test_a_small_skin_is_not_cut(replay):
+    halves = replay.halves()
     assert not halves.cut
     assert len(halves.taxels[0]) == len(halves.taxels[1]) == 20
-    assert halves.frames(rehearsal.frames.points, 1).all()
+    assert halves.frames(replay.frames.points, 1).all()
 
 
-def test_dead_taxels_do_not_answer(small, rehearsal):
+def test_dead_taxels_are_not_determined(small, replay):
     belief = small.with_(effects=(GaussianNoise(),)).belief()
     broken = effects.find("broken_taxels")(dead=0.2, stuck=0.0)
-    lost = ~determined_taxels(rehearsal.recording((GaussianNoise(), broken), 2), belief)
+    lost = ~determined_taxels(replay.recording((GaussianNoise(), broken), 2), belief)
     assert set(np.flatnonzero(lost)) == set(broken.chosen(small.context(2))[0])
 
 
@@ -161,7 +161,7 @@ def item(name, x, y, seconds, requires=()):
     return Item(name, np.array([[[x, y, 0.0]]]), seconds, requires)
 
 
-def test_what_takes_off_most_for_its_seconds_comes_first():
+def test_items_are_chosen_by_shift_per_second():
     items = [item("cheap", 3.0, 0.0, 1.0), item("dear", 0.0, 4.0, 100.0), item("small", 0.1, 0, 1)]
 
     def joint(on):
@@ -182,7 +182,7 @@ def test_parts_that_cancel_or_require_each_other():
     assert choose(ladder, 1.5, (), lambda on: left_out(on, ladder))[0] == {"k:0", "k:1"}
 
 
-def test_what_does_not_add_up_is_measured():
+def test_shifts_that_do_not_add_up_are_measured_together():
     """Two effects that together do three times the sum of what they do alone."""
     items = [item("a", 1.0, 0.0, 1.0), item("b", 1.0, 0.0, 2.0)]
 
@@ -195,7 +195,7 @@ def test_what_does_not_add_up_is_measured():
     assert mean_length(rest) == pytest.approx(1.0)
 
 
-def test_candidates_are_what_applies(small):
+def test_candidates_are_the_effects_that_can_be_built(small):
     found, refused = candidates(small)
     names = {e.name for e in found}
     assert "encoder" not in names
@@ -217,7 +217,7 @@ def knobs(scene):
     return {k.name: k for k in scene_knobs(scene, mesh_bodies(scene), 10_000, 1_000.0)}
 
 
-def test_knobs_are_ladders_from_cheap_to_fine(small):
+def test_levels_of_knobs_are_ordered_from_cheap_to_fine(small):
     found = knobs(small)
     assert set(found) == {"contact model", "mesh", "time step"}
     for knob in found.values():
@@ -253,14 +253,14 @@ def trial(small):
     return BudgetTrial(small, effects.ordered([effects.find(n)() for n in names]), 0.2e-3, (0,))
 
 
-def test_what_spares_readings_costs_less_than_nothing(trial):
+def test_an_effect_that_removes_readings_has_negative_seconds(trial):
     """Noise makes every taxel answer in every contact; a threshold takes most of that away."""
     assert trial.seconds["sensing_range"] < 0 < trial.seconds["gaussian_noise"]
     assert "saves more readings" in trial.forced(1.0)["sensing_range"]
     assert "gaussian_noise" not in trial.forced(1.0)
 
 
-def test_facets_that_act_are_those_of_the_declared_mesh(trial):
+def test_facets_are_those_of_the_declared_mesh(trial):
     """However coarse or fine the mesh that the smooth surface is fitted to."""
     with_them = trial.scene_with(with_required(["mesh_facets"], trial.items))
     assert len(with_them.body.mesh.faces) == 320

@@ -34,7 +34,7 @@ def test_the_grid_is_the_product_of_its_lists_and_the_seeds():
     assert len({c.key for c in cases}) == 4
 
 
-def test_several_grids_are_joined_and_what_comes_twice_is_one_case():
+def test_several_grids_are_joined_without_duplicate_cases():
     grids = [{"material.young_kpa": [100, 200]}, {"material.young_kpa": [200, 300]}]
     assert keys(grid=grids) == keys(grid={"material.young_kpa": [100, 200, 300]})
 
@@ -121,7 +121,7 @@ def test_a_study_without_a_scene_is_refused_before_anything_runs():
         ms.Study("bare", grid={"a": [1]}).cases()
 
 
-def test_effects_are_changed_put_in_and_taken_out():
+def test_effects_are_changed_added_and_removed():
     noise = {"kind": "gaussian_noise", "sigma_relative": 0.01}
     assert changed_tables({}, {NOISE: 0.01})["effects"] == [noise]
     with_noise = {"effects": [noise]}
@@ -148,7 +148,7 @@ def test_parameters_reach_the_scene_and_the_belief():
     assert case.own == {"x": 7}
 
 
-def test_a_scene_made_in_python_is_a_base(sphere):
+def test_a_scene_made_in_python_can_be_the_base(sphere):
     import pickle
 
     finer = ms.Body.sphere(0.1, faces=20_480)
@@ -172,7 +172,7 @@ def test_a_scene_made_in_python_is_a_base(sphere):
         ms.Study("s", base=sphere, grid={"skin.spacing_mm": [5]}).cases()
 
 
-def test_what_a_run_function_may_return():
+def test_results_of_a_run_function_are_checked():
     assert checked_results({"a": np.float64(1.5), "b": np.int32(2), "c": None, "d": True}, {}) == {
         "a": 1.5,
         "b": 2,

@@ -85,7 +85,7 @@ def test_a_cluster_gives_the_same_table(dask, tmp_path):
     assert there.column("status").to_pylist().count("failed") == 1
 
 
-def test_kill_9_of_a_worker_of_the_cluster_costs_nothing_but_time(dask, tmp_path):
+def test_cases_of_a_killed_dask_worker_are_run_again(dask, tmp_path):
     _, address = scheduler(dask, tmp_path)
     workers = [worker(dask, address) for _ in range(2)]
     study = slow_study(tmp_path / "marks")
@@ -102,7 +102,7 @@ def test_kill_9_of_a_worker_of_the_cluster_costs_nothing_but_time(dask, tmp_path
     ).read_bytes()
 
 
-def test_kill_9_of_the_scheduler_is_one_line_and_a_second_run_goes_on(dask, tmp_path):
+def test_a_killed_scheduler_is_one_error_line_and_a_second_run_resumes(dask, tmp_path):
     process, address = scheduler(dask, tmp_path)
     worker(dask, address)
     study = slow_study(tmp_path / "marks")
@@ -122,7 +122,7 @@ def test_kill_9_of_the_scheduler_is_one_line_and_a_second_run_goes_on(dask, tmp_
     ).read_bytes()
 
 
-def test_where_no_scheduler_is_is_one_line(tmp_path, monkeypatch):
+def test_a_missing_scheduler_is_one_error_line(tmp_path, monkeypatch):
     pytest.importorskip("distributed", reason="needs dask[distributed]")
     monkeypatch.setattr("meshskin.study.sweep.cluster.CONNECT_TIMEOUT", 1.0)
     study = ms.Study("s", run=study_runs.plain)
@@ -131,7 +131,7 @@ def test_where_no_scheduler_is_is_one_line(tmp_path, monkeypatch):
             study.sweep(tmp_path / "out", scheduler=address)
 
 
-def test_a_client_that_failed_waits_for_no_lock_when_it_is_collected():
+def test_a_failed_client_is_collected_without_waiting_for_a_lock():
     """Garbage is collected in any thread, that of the next client's loop, too."""
     utils = pytest.importorskip("distributed.utils", reason="needs dask[distributed]")
     from meshskin.study.sweep import cluster
@@ -145,7 +145,7 @@ def test_a_client_that_failed_waits_for_no_lock_when_it_is_collected():
         assert not thread.is_alive()
 
 
-def test_without_dask_the_pip_line_is_named(tmp_path, monkeypatch):
+def test_without_dask_the_error_names_the_pip_command(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     monkeypatch.delitem(sys.modules, "meshskin.study.sweep.cluster", raising=False)
     with pytest.raises(StudyError, match=r'pip install "meshskin\[cluster\]"'):

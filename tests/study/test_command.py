@@ -48,7 +48,7 @@ def test_failed_cases_are_listed_and_the_exit_code_says_so(study, tmp_path, caps
         ("run.x = [", 'run = "study_runs:plain"', "not valid TOML"),
     ],
 )
-def test_a_mistake_is_one_line(study, tmp_path, capsys, grid, head, line):
+def test_a_mistake_is_one_error_line(study, tmp_path, capsys, grid, head, line):
     assert cli.main(["study", study(grid, head), "--out", str(tmp_path / "out")]) == 2
     words = capsys.readouterr().err.strip().splitlines()
     assert len(words) == 1
@@ -56,13 +56,13 @@ def test_a_mistake_is_one_line(study, tmp_path, capsys, grid, head, line):
     assert line in words[0]
 
 
-def test_a_missing_file_is_one_line(tmp_path, capsys):
+def test_a_missing_file_is_one_error_line(tmp_path, capsys):
     assert cli.main(["study", str(tmp_path / "no.toml"), "--out", str(tmp_path)]) == 2
     assert "cannot read" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("head", ['base = "broken.toml"', 'run = "broken.py:case"'])
-def test_what_a_study_starts_from_may_be_broken(study, tmp_path, capsys, head):
+def test_a_broken_base_or_run_function_is_one_error_line(study, tmp_path, capsys, head):
     (tmp_path / "broken.toml").write_text('extends = "sphere"\neffects = [1]\n')
     (tmp_path / "broken.py").write_text("raise RuntimeError('not\\nhere')\n")
     file = study("effects.gaussian_noise.sigma_relative = [0.01]", head)

@@ -52,7 +52,7 @@ def test_the_numerical_part_is_of_the_integrators_order(costs):
     assert own.numerical_mm < 0.1 * own.error_mm
 
 
-def test_errors_keep_to_the_bound_and_fall_with_the_readings(costs):
+def test_errors_are_near_the_bound_and_fall_with_the_readings(costs):
     for row in [costs.rows[0], *rows(costs, "rate")]:
         assert row.error_mm == pytest.approx(row.bound_mm, rel=0.6)
         expected = costs.rows[0].bound_mm * np.sqrt(costs.base.rate / row.setting.rate)
@@ -61,14 +61,14 @@ def test_errors_keep_to_the_bound_and_fall_with_the_readings(costs):
     assert by_method["three_circles"] > 4 * costs.rows[0].error_mm
 
 
-def test_a_step_that_cannot_be_taken_is_a_row_that_says_why(costs):
+def test_a_setting_that_fails_is_a_row_with_the_reason(costs):
     failed = [row for row in costs.rows if row.failure]
     assert [1e3 * row.setting.dt for row in failed] == [5.0]
     assert "too long" in failed[0].failure
     assert failed[0] not in costs.whole
 
 
-def test_nothing_beats_the_front(costs):
+def test_no_row_beats_the_front(costs):
     for one in costs.front:
         for other in costs.whole:
             assert not (other.time < one.time and other.total_mm < one.total_mm)
@@ -95,7 +95,7 @@ def test_records_are_plain(costs):
     assert sum(r["front"] for r in records) == len(costs.front)
 
 
-def test_what_is_stored_is_restored(costs):
+def test_stored_costs_are_restored(costs):
     again = type(costs).restored(json.loads(json.dumps(costs.stored())))
     assert str(again) == str(costs)
     assert again.cheapest(0.1) == costs.cheapest(0.1)
@@ -103,7 +103,7 @@ def test_what_is_stored_is_restored(costs):
     assert again.stored().keys() == costs.stored().keys()
 
 
-def test_models_give_back_what_was_measured(costs):
+def test_the_cost_model_reproduces_the_measurements(costs):
     single = [row for row in costs.rows if row.knob in ("scene", "dt", "rate", "method")]
     models = CostModel.fit(single)
     for row in [r for r in single if not r.failure]:
@@ -113,7 +113,7 @@ def test_models_give_back_what_was_measured(costs):
     assert models.error(replace(costs.base, dt=0.25e-3)) == (np.inf, np.inf)
 
 
-def test_ladders_turn_one_knob_at_a_time(scene):
+def test_single_changes_change_one_knob_at_a_time(scene):
     base = Setting.of(scene)
     for knob, setting in single_changes(base, scene):
         changed = [f for f in Setting.__dataclass_fields__
@@ -121,7 +121,7 @@ def test_ladders_turn_one_knob_at_a_time(scene):
         assert len(changed) <= (2 if knob == "integrator" else 1)
 
 
-def test_a_mesh_has_no_other_faces_and_a_floating_body_no_integrator(scene):
+def test_a_loaded_mesh_has_no_other_faces_and_a_body_without_arm_no_integrator(scene):
     found = scene.with_(
         body=replace(scene.body, exact=None), loop=replace(scene.loop, mode="quasi_static")
     )
@@ -163,7 +163,7 @@ def test_names_of_estimators_that_err_alike_do_not_overlap():
         assert not any(one.overlaps(other) for other in texts[:k])
 
 
-def test_the_skin_stays_where_it_is(scene):
+def test_a_setting_does_not_move_the_skin(scene):
     coarse = replace(Setting.of(scene), faces=1280)
     made = coarse.scene(scene, coarse.body(scene.body))
     assert len(made.body.mesh.faces) == 1280
@@ -175,7 +175,7 @@ def test_an_unknown_knob(scene):
         cost(scene, knobs=("rat",))
 
 
-def test_the_command_lets_a_budget_decide_first(scene, costs, tmp_path, monkeypatch):
+def test_the_command_resolves_a_budget_first(scene, costs, tmp_path, monkeypatch):
     """Of a scene whose effects a budget chooses, what it calls for is measured, as it would run."""
     seen = []
     monkeypatch.setattr(ms.Scene, "load", lambda name: scene.with_(budget=1.0, candidates=()))

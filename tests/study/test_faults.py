@@ -87,7 +87,7 @@ def rows(table):
 
 
 @POSIX
-def test_a_worker_killed_from_outside_costs_nothing_but_time(tmp_path):
+def test_cases_of_a_killed_worker_are_run_again(tmp_path):
     marks = tmp_path / "marks"
     study = slow_study(marks)
     killed = []
@@ -108,7 +108,7 @@ def test_a_worker_killed_from_outside_costs_nothing_but_time(tmp_path):
 
 
 @LINUX
-def test_kill_9_of_the_parent_takes_the_workers_along_and_a_second_run_goes_on(tmp_path):
+def test_workers_die_with_a_killed_parent_and_a_second_run_resumes(tmp_path):
     out, marks = tmp_path / "a", tmp_path / "marks"
     parent = start(out, marks, sleep=0.2)
     until(lambda: len(results(out)) >= 3)
@@ -128,7 +128,7 @@ def test_kill_9_of_the_parent_takes_the_workers_along_and_a_second_run_goes_on(t
 
 
 @LINUX
-def test_no_worker_hangs_on_when_its_parent_is_killed(tmp_path):
+def test_hanging_workers_die_with_a_killed_parent(tmp_path):
     code = (
         "import meshskin as ms, study_runs\n"
         "grid = {'run.trouble': [TROUBLE], 'run.mark': [MARK]}\n"
@@ -157,7 +157,7 @@ def test_no_worker_hangs_on_when_its_parent_is_killed(tmp_path):
 
 
 @POSIX
-def test_an_interrupted_run_leaves_no_worker_and_no_half_file(tmp_path):
+def test_an_interrupted_run_leaves_no_worker_and_no_temporary_file(tmp_path):
     out, marks = tmp_path / "a", tmp_path / "marks"
     parent = start(out, marks, sleep=0.2)
     until(lambda: len(results(out)) >= 2)
@@ -183,9 +183,7 @@ def test_an_interrupted_run_leaves_no_worker_and_no_half_file(tmp_path):
         ("sys.exit", {}, "SystemExit: 5"),
     ],
 )
-def test_a_case_in_trouble_is_a_row_that_says_so_and_the_others_are_done(
-    out, trouble, limits, error
-):
+def test_a_failed_case_is_a_row_and_the_others_are_done(out, trouble, limits, error):
     study = ms.Study(
         "s", grid={"run.trouble": [trouble]}, seeds=5, run=study_runs.troubled, **limits
     )
@@ -232,7 +230,7 @@ def test_a_case_whose_worker_dies_once_is_tried_again(out, tmp_path):
 
 
 @POSIX
-def test_a_full_disk_is_one_line_and_what_is_done_is_kept(tmp_path):
+def test_a_full_disk_is_one_error_line_and_finished_cases_are_kept(tmp_path):
     """The limit on file sizes fails a write as a full disk does, with another number."""
     import resource
 
@@ -277,7 +275,7 @@ def test_a_disk_that_is_really_full(tmp_path):
         subprocess.run(["umount", str(disk)], check=True)
 
 
-def test_a_second_run_on_the_same_folder_is_refused_and_the_first_goes_on(tmp_path):
+def test_a_second_run_on_the_same_folder_is_refused(tmp_path):
     out, marks = tmp_path / "a", tmp_path / "marks"
     first = start(out, marks, sleep=0.2)
     until(lambda: len(results(out)) >= 1)
@@ -288,7 +286,7 @@ def test_a_second_run_on_the_same_folder_is_refused_and_the_first_goes_on(tmp_pa
     assert len(results(out)) == 12
 
 
-def test_a_torn_result_is_run_again(tmp_path):
+def test_an_incomplete_result_is_run_again(tmp_path):
     study, out = slow_study(tmp_path / "marks", sleep=0.0), tmp_path / "a"
     study.sweep(out)
     whole = (out / "table.parquet").read_bytes()
@@ -317,7 +315,7 @@ def test_workers_that_cannot_start_end_the_sweep(out, tmp_path, monkeypatch):
             ms.Study("s", run=broken_runs.run).sweep(out, workers=1)
 
 
-def test_a_script_needs_its_guard_and_is_told_so(tmp_path):
+def test_a_script_without_main_guard_is_refused(tmp_path):
     script = tmp_path / "script.py"
     text = "import meshskin as ms\ndef mine(case):\n    return {'y': case.seed}\n"
     study = "ms.Study('s', seeds=2, run=mine)"

@@ -1,4 +1,4 @@
-"""An accuracy or a time asked for: what the pilot's numbers promise, and what the run comes to."""
+"""Requests for an accuracy or a time: predictions from a pilot, and actual runs."""
 
 from dataclasses import replace
 
@@ -36,12 +36,12 @@ def pilot(**changes):
 
 
 def test_seconds_add_up():
-    promise = pilot().predict(BASE)
-    assert promise.processor_seconds == pytest.approx(1.5 + 1.0 + 0.1 + 0.1 + 0.2 + 0.4)
-    assert promise.seconds == pytest.approx(3.0 + 2 * 1.8), "the machine ran at half its speed"
+    prediction = pilot().predict(BASE)
+    assert prediction.processor_seconds == pytest.approx(1.5 + 1.0 + 0.1 + 0.1 + 0.2 + 0.4)
+    assert prediction.seconds == pytest.approx(3.0 + 2 * 1.8), "the machine ran at half its speed"
 
 
-def test_errors_go_with_the_contacts_and_stop_at_what_noise_is_not():
+def test_errors_fall_with_the_contacts_down_to_the_systematic_error():
     four = replace(BASE, rate=400.0)
     assert pilot().predict(four).error_mm == pytest.approx(0.05)
     assert pilot(systematic_mm=0.3).predict(four).error_mm == pytest.approx(np.hypot(0.05, 0.3))
@@ -49,50 +49,50 @@ def test_errors_go_with_the_contacts_and_stop_at_what_noise_is_not():
     assert pilot().predict(half).error_mm == pytest.approx(0.1 / np.sqrt(2))
 
 
-def test_an_accuracy_is_kept_by_the_cheapest_setting():
-    tried = pilot()
-    chosen = tried.choose(Request(accuracy_mm=0.05))
+def test_the_cheapest_setting_is_chosen_for_an_accuracy():
+    measured = pilot()
+    chosen = measured.choose(Request(accuracy_mm=0.05))
     assert all(p.error_mm <= 0.05 for p in chosen)
-    kept = [p for p in tried.predictions() if p.error_mm <= 0.045]
+    kept = [p for p in measured.predictions() if p.error_mm <= 0.045]
     assert chosen[0].processor_seconds == min(p.processor_seconds for p in kept)
 
 
-def test_a_time_is_used_for_the_most_accurate_setting():
-    tried = pilot()
-    chosen = tried.choose(Request(seconds=8.0))
-    fits = [p for p in tried.predictions() if p.seconds <= 8.0]
+def test_the_most_accurate_setting_is_chosen_for_a_time():
+    measured = pilot()
+    chosen = measured.choose(Request(seconds=8.0))
+    fits = [p for p in measured.predictions() if p.seconds <= 8.0]
     assert chosen[0].error_mm == min(p.error_mm for p in fits)
-    assert 0 < len(fits) < len(tried.predictions())
+    assert 0 < len(fits) < len(measured.predictions())
 
 
-def test_runge_kutta_is_taken_where_the_step_would_spoil_the_accuracy():
+def test_runge_kutta_is_chosen_if_the_step_error_is_too_large():
     own = Level({"integrator": "semi_implicit"}, 0.2, along=0.1)
-    tried = pilot(knobs=((own, Level({"integrator": "rk4"}, 1e-5, along=0.4)),))
-    assert tried.choose(Request(accuracy_mm=0.1))[0].setting.integrator == "rk4"
-    assert tried.choose(Request(accuracy_mm=1.0))[0].setting.integrator == "semi_implicit"
+    measured = pilot(knobs=((own, Level({"integrator": "rk4"}, 1e-5, along=0.4)),))
+    assert measured.choose(Request(accuracy_mm=0.1))[0].setting.integrator == "rk4"
+    assert measured.choose(Request(accuracy_mm=1.0))[0].setting.integrator == "semi_implicit"
 
 
-def test_every_knob_is_turned_where_it_pays():
+def test_every_knob_is_changed_if_that_is_worthwhile():
     """Levels add their parts in squares, and their seconds with lanes, readings, or once."""
     knobs = (
         (Level({"dt": 1e-3}, along=0.1), Level({"dt": 2e-3}, 0.03, along=0.05)),
         (Level({"tolerance": 1e-8}, reading=0.4), Level({"tolerance": 1.0}, 0, 0.04, reading=0.1)),
         (Level({"faces": 5120}, 0.01), Level({"faces": 20480}, once=0.4)),
     )
-    tried = pilot(knobs=knobs)
-    cheap = tried.choose(Request(accuracy_mm=1.0))[0]
+    measured = pilot(knobs=knobs)
+    cheap = measured.choose(Request(accuracy_mm=1.0))[0]
     assert (cheap.setting.dt, cheap.setting.tolerance, cheap.setting.faces) == (2e-3, 1.0, 5120)
     assert cheap.numerical_mm == pytest.approx(np.hypot(0.03, 0.01))
     assert cheap.error_mm > 0.04
-    fine = tried.choose(Request(accuracy_mm=0.03))[0]
+    fine = measured.choose(Request(accuracy_mm=0.03))[0]
     assert (fine.setting.dt, fine.setting.tolerance) == (1e-3, 1e-8)
     half = replace(BASE, lane_spacing=2e-3)
-    plain = tried.predict(half).processor_seconds
-    turned = tried.predict(half, [level[1] for level in knobs]).processor_seconds
+    plain = measured.predict(half).processor_seconds
+    turned = measured.predict(half, [level[1] for level in knobs]).processor_seconds
     assert turned - plain == pytest.approx(2 * -0.05 + 2 * -0.3 + 0.4)
 
 
-def test_a_level_that_errs_more_must_spare_more_than_chance():
+def test_a_level_with_a_larger_error_must_save_time():
     own = Level({"dt": 1e-3}, 0.01, along=1.0)
     chance, spared = (replace(own, numerical_mm=0.02, along=x) for x in (0.9, 0.5))
     better = replace(own, numerical_mm=0.001, along=4.0)
@@ -100,7 +100,7 @@ def test_a_level_that_errs_more_must_spare_more_than_chance():
 
 
 @pytest.mark.slow
-def test_levels_are_tried_on_the_reference_path():
+def test_levels_are_measured_on_the_reference_path():
     """Twice the step moves the taxels further, Runge-Kutta hardly; what cannot run is left out."""
     whole = ms.Scene.load("sphere_noisy")
     region = Cap(direction=(0.0, 0.0, -1.0))
@@ -125,7 +125,7 @@ def test_levels_are_tried_on_the_reference_path():
 
 
 @pytest.mark.slow
-def test_finer_faces_are_tried_where_the_own_ones_err_too_much():
+def test_finer_faces_are_measured_if_the_own_surface_is_too_coarse():
     scene = ms.Scene.load("sphere_noisy")
     scene = scene.with_(body=ms.Body.sphere(0.1, 320), loop=replace(scene.loop, integrator="rk4"))
     reference = NumericalReference(scene, 1e-10, "auto")
@@ -135,7 +135,7 @@ def test_finer_faces_are_tried_where_the_own_ones_err_too_much():
     assert finer.once > 0
 
 
-def test_what_cannot_be_kept_names_the_best():
+def test_a_request_out_of_reach_names_the_best_setting():
     with pytest.raises(StudyError, match=r"out of reach, got 1e-06 mm, limit: 0\.01"):
         pilot().choose(Request(accuracy_mm=1e-6))
     with pytest.raises(StudyError, match=r"too short, got 0\.1 s, limit: 5\.\d+ s for 0\.2 mm"):
@@ -148,23 +148,23 @@ def test_a_request_is_one_positive_number(given):
         Request(**given)
 
 
-def test_a_run_keeps_its_promise(tmp_path):
-    """The error is within a factor of 1.5 of what was promised, and within what was asked."""
+def test_a_run_agrees_with_its_prediction(tmp_path):
+    """The error is within a factor of 1.5 of the prediction, and within the request."""
     result = pipeline.run("sphere_noisy", tmp_path, seed=2, request=Request(accuracy_mm=0.05))
-    promise = result.metrics["promise"]
-    assert promise["asked"] == "0.05 mm"
-    assert "frames/s" in promise["setting"]
-    came = promise["came_to"]["error_mm"]
+    prediction = result.metrics["promise"]
+    assert prediction["asked"] == "0.05 mm"
+    assert "frames/s" in prediction["setting"]
+    came = prediction["came_to"]["error_mm"]
     assert came == result.metrics["position_error_mm"]["mean"]
-    assert promise["error_mm"] / 1.5 < came < min(1.5 * promise["error_mm"], 0.05)
+    assert prediction["error_mm"] / 1.5 < came < min(1.5 * prediction["error_mm"], 0.05)
     assert result.metrics["readings"] < 4000, "fewer than the scene's own 8,000"
-    assert 0 < promise["numerical_mm"] < 0.002
-    assert np.hypot(promise["error_mm"], promise["numerical_mm"]) < 0.05
+    assert 0 < prediction["numerical_mm"] < 0.002
+    assert np.hypot(prediction["error_mm"], prediction["numerical_mm"]) < 0.05
     assert result.metrics["seconds"]["pilot"] > 0
 
 
 @pytest.mark.slow
-def test_out_of_reach_is_one_line(capsys, tmp_path):
+def test_an_accuracy_out_of_reach_is_one_error_line(capsys, tmp_path):
     out = ["--out", str(tmp_path), "--quiet"]
     assert cli.main(["run", "sphere_noisy", *out, "--accuracy-mm", "1e-6"]) == 2
     line = capsys.readouterr().err.strip()
@@ -173,11 +173,11 @@ def test_out_of_reach_is_one_line(capsys, tmp_path):
     assert "at best" in line
 
 
-def test_the_prices_of_a_reading_are_those_of_a_long_recording(recording):
+def test_the_seconds_of_a_reading_are_those_of_a_long_recording(recording):
     """Caches hold the pilot's readings, and no longer the run's; what is paid once stays."""
     readings = len(recording.pressure)
     resting = Level({"tolerance": 1e-8}, reading=0.3), Level({"tolerance": 0.01}, reading=0.1)
-    tried = pilot(readings=readings, estimating=(0.1, 1e-6), fixed=200.0, knobs=(resting,))
+    measured = pilot(readings=readings, estimating=(0.1, 1e-6), fixed=200.0, knobs=(resting,))
     lengths = []
 
     def whole(data):
@@ -189,9 +189,9 @@ def test_the_prices_of_a_reading_are_those_of_a_long_recording(recording):
         return 0.3 + 0.04 * more if rest < 1e-3 else 0.1 + 0.03 * more
 
     wanted = Request(seconds=1e4)
-    best = tried.choose(wanted)[0].setting
-    many = tried.setting.lane_spacing / best.lane_spacing * best.rate / tried.setting.rate
-    longer = with_long_recording(tried, recording, wanted, whole, joint)
+    best = measured.choose(wanted)[0].setting
+    many = measured.setting.lane_spacing / best.lane_spacing * best.rate / measured.setting.rate
+    longer = with_long_recording(measured, recording, wanted, whole, joint)
     assert lengths == [round(many) * readings]
     once, each = longer.estimating
     assert each == pytest.approx(3e-6)
@@ -199,7 +199,8 @@ def test_the_prices_of_a_reading_are_those_of_a_long_recording(recording):
     tight, loose = longer.knobs[0]
     assert (tight.once, tight.reading) == pytest.approx((0.26, 0.04))
     assert (loose.once, loose.reading) == pytest.approx((0.07, 0.03))
-    assert with_long_recording(tried, recording, Request(accuracy_mm=1e-9), whole, joint) is tried
+    unreachable = Request(accuracy_mm=1e-9)
+    assert with_long_recording(measured, recording, unreachable, whole, joint) is measured
 
 
 def test_a_method_that_finds_nothing_does_not_end_a_pilot(tmp_path):

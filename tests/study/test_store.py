@@ -16,7 +16,7 @@ from meshskin.study.sweep.store import Store
 KEY = "3fa0b1c2d3e4f506"
 
 
-def test_a_result_comes_back_as_it_was(out):
+def test_a_result_is_read_as_it_was_written(out):
     store, limits = Store(out), Limits(5.0, None)
     outcome = Outcome(KEY, {"y": 0.1 + 0.2, "n": 3, "bad": math.inf}, seconds=1.5, limits=limits)
     store.write(outcome)
@@ -25,7 +25,7 @@ def test_a_result_comes_back_as_it_was(out):
     assert store.read("0" * 16) is None
 
 
-def test_a_torn_file_counts_as_none_wherever_it_is_torn(out):
+def test_an_incomplete_file_is_ignored(out):
     store = Store(out)
     store.write(Outcome(KEY, {"y": 1.0}))
     file = store.file(KEY)
@@ -49,7 +49,7 @@ def test_a_result_of_another_schema_is_ignored_with_a_note(out):
             assert store.read(KEY) is None
 
 
-def test_a_file_under_another_name_is_no_result(out):
+def test_a_result_under_another_name_is_ignored(out):
     store = Store(out)
     store.write(Outcome(KEY, {"y": 1.0}))
     other = KEY[:-1] + "7"
@@ -57,7 +57,7 @@ def test_a_file_under_another_name_is_no_result(out):
     assert store.read(other) is None
 
 
-def test_what_a_killed_writer_left_is_removed(out):
+def test_the_temporary_file_of_a_killed_writer_is_removed(out):
     store = Store(out)
     store.write(Outcome(KEY))
     left = store.file(KEY).parent / ".x.json.abc.part"
@@ -66,7 +66,7 @@ def test_what_a_killed_writer_left_is_removed(out):
     assert not left.exists()
 
 
-def test_one_process_writes_and_its_death_frees_the_folder(out):
+def test_one_process_holds_the_lock_and_its_death_releases_it(out):
     code = (
         "import sys, time; from meshskin.study.sweep.store import Store\n"
         "with Store(sys.argv[1]).lock(): print('held', flush=True); time.sleep(60)"
@@ -86,13 +86,13 @@ def test_one_process_writes_and_its_death_frees_the_folder(out):
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write anywhere")
-def test_an_unwritable_folder_is_one_line(tmp_path):
+def test_an_unwritable_folder_is_one_error_line(tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(OutputError, match="cannot write"), Store(tmp_path / "out").lock():
         pass
 
 
-def test_a_folder_that_is_a_file_is_one_line(out):
+def test_a_file_in_place_of_the_folder_is_one_error_line(out):
     out.touch()
     with pytest.raises(OutputError, match="cannot write"), Store(out).lock():
         pass
@@ -113,5 +113,5 @@ def test_a_folder_that_is_a_file_is_one_line(out):
         (MEMORY, Limits(), Limits(), True),
     ],
 )
-def test_what_is_run_again(reason, then, now, is_final):
+def test_outcomes_that_are_not_final_are_run_again(reason, then, now, is_final):
     assert Outcome(KEY, reason=reason, limits=then).is_final(now) is is_final

@@ -58,7 +58,7 @@ def test_a_scene_made_in_python_gives_the_numbers_of_its_file(tmp_path, noisy):
     assert rows[0]["status"] == "done"
 
 
-def test_a_second_run_runs_nothing_and_a_change_what_it_touches(out, tmp_path):
+def test_a_second_run_runs_only_the_cases_that_changed(out, tmp_path):
     (tmp_path / "marks").mkdir()
     own = {"run.marks": [str(tmp_path / "marks")], "run.sleep": [0.0]}
 
@@ -110,13 +110,13 @@ def test_the_table_of_an_unfinished_study_says_what_is_missing(out):
     assert large.table(out).column("status").to_pylist() == ["done", "missing", "done", "missing"]
 
 
-def test_prints_of_a_case_do_not_disturb(out, capfd):
+def test_output_of_a_case_goes_to_standard_error(out, capfd):
     table = ms.Study("s", seeds=3, run=study_runs.chatty).sweep(out, workers=1)
     assert table.column("status").to_pylist() == ["done"] * 3
     assert "child" in capfd.readouterr().err
 
 
-def test_workers_have_one_thread_and_one_order_of_sets(out):
+def test_workers_have_one_thread_and_a_fixed_hash_seed(out):
     table = ms.Study("s", seeds=6, run=study_runs.surroundings).sweep(out, workers=3)
     assert set(table.column("threads").to_pylist()) == {"1"}
     assert len(set(table.column("hashes").to_pylist())) == 1
@@ -164,7 +164,7 @@ def test_a_study_is_a_toml_file(tmp_path):
             ms.Study.load(tmp_path / "study.toml")
 
 
-def test_a_run_function_stands_in_a_file_beside_the_study(tmp_path, out):
+def test_a_run_function_can_be_in_a_file_next_to_the_study(tmp_path, out):
     (tmp_path / "mine.py").write_text("def run(case):\n    return {'y': 2 * case.own['x']}\n")
     file = tmp_path / "study.toml"
     file.write_text('run = "mine.py:run"\n[grid]\nrun.x = [1, 2]\n')
@@ -180,7 +180,7 @@ def test_a_run_function_stands_in_a_file_beside_the_study(tmp_path, out):
         ms.Study.load(file)
 
 
-def test_numpy_arrays_are_lists(out):
+def test_numpy_arrays_can_be_in_a_grid(out):
     study = ms.Study(
         "s", grid={"run.x": np.linspace(0, 1, 3)}, seeds=np.arange(2), run=study_runs.plain
     )
@@ -197,6 +197,6 @@ def test_the_shipped_study_has_its_cases():
 
 
 @pytest.mark.parametrize("seeds", [2.5, "12", None])
-def test_seeds_that_are_none_are_refused(seeds):
+def test_invalid_seeds_are_refused(seeds):
     with pytest.raises(ConfigError, match="seeds must be whole numbers, or their number, got"):
         ms.Study("s", grid=X, seeds=seeds, run=study_runs.plain)

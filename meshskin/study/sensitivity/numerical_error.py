@@ -62,11 +62,6 @@ class NumericalReference:
         """A scene without effects, its loop compiled as the reference's."""
         return scene.with_(effects=(), loop=replace(scene.loop, compile=self.compile))
 
-    @property
-    def frame_period(self) -> float:
-        """Time between frames, s."""
-        return self.scene.frame_steps * self.scene.loop.dt
-
     def drive(self, scene: Scene, rows: int | None = None) -> Frames:
         """The frames of a scene's loop along the reference's path, or its first `rows` rows.
 

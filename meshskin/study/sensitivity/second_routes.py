@@ -72,8 +72,8 @@ def geometry(reference: NumericalReference) -> Route:
 def integration(reference: NumericalReference) -> Route:
     """CVODES with tolerance 1e-10 instead of Runge-Kutta, along the start of the path."""
     scene = reference.scene
-    coarse = reference.frame_period
-    slow = scene.with_(loop=replace(scene.loop, integrator="cvodes", dt=min(coarse, 1e-3)))
+    frame_period = scene.frame_steps * scene.loop.dt
+    slow = scene.with_(loop=replace(scene.loop, integrator="cvodes", dt=min(frame_period, 1e-3)))
     rows = round(WINDOW / scene.loop.dt)
     frames = reference.drive(slow, rows)
     pressures = reference.readings.copy()

@@ -37,8 +37,8 @@ ATTEMPTS = 3
 A worker may be killed from outside (once, or twice by bad luck); a case that kills its worker does
 so every time."""
 TASKS_AHEAD = 4
-"""Tasks per worker that are handed to the pool at a time: no worker waits for the parent, and the
-tasks of a long study are not all held in memory. The overhead of a case is the same from 2 on."""
+"""Tasks per worker that are handed to the pool at a time: no worker waits while the parent writes a
+result, and the tasks of a long study are not all held in memory."""
 ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
