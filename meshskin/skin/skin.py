@@ -223,11 +223,11 @@ class Modules:
         return module_pose.corners(self.poses)
 
     @classmethod
-    def of(cls, skin: Skin, most_off: float = 1e-3) -> Modules:
+    def of(cls, skin: Skin, tolerance: float = 1e-3) -> Modules:
         """The modules of a skin, by a least-squares fit to the positions of their ten taxels.
 
         Normals are not used: a skin whose file has none, or wrong ones, gets those of its modules.
-        Raises SkinError where a module is not complete, or a taxel is more than `most_off` (m) from
+        Raises SkinError where a module is not complete, or a taxel is more than `tolerance` (m) from
         its place in the module.
         """
         numbers = np.unique(slots.module(skin.ids))
@@ -241,10 +241,10 @@ class Modules:
         modules = cls(poses, numbers, skin.disc_radius)
         off = np.linalg.norm(modules.skin.positions.reshape(points.shape) - points, axis=2)
         worst = int(np.argmax(off.max(axis=1)))
-        if off[worst].max() > most_off:
+        if off[worst].max() > tolerance:
             raise SkinError(
                 f"taxels of module {numbers[worst]} deviate from those of a module",
                 value=f"{1e3 * off[worst].max():.2g} mm",
-                limit=f"{1e3 * most_off:g} mm",
+                limit=f"{1e3 * tolerance:g} mm",
             )
         return modules

@@ -169,7 +169,7 @@ def test_a_body_too_curved_for_a_rigid_module_is_refused():
 def test_real_modules_have_a_pose_each(name):
     """Files whose normals are one constant vector: poses follow from the positions."""
     skin = Skin.load(DATA / f"icub_skin/positions/{name}.txt")
-    modules = Modules.of(skin, most_off=2e-6)
+    modules = Modules.of(skin, tolerance=2e-6)
     assert 10 * len(modules) == len(skin)
     if name == "left_foot":
         np.testing.assert_allclose(np.abs(modules.poses[:, 2, 2]), 1.0, atol=1e-6)
