@@ -227,8 +227,8 @@ class Modules:
         """The modules of a skin, by a least-squares fit to the positions of their ten taxels.
 
         Normals are not used: a skin whose file has none, or wrong ones, gets those of its modules.
-        Raises SkinError where a module is not complete, or a taxel is more than `tolerance` (m) from
-        its place in the module.
+        Raises SkinError where a module is not complete, or a taxel is more than `tolerance` (m)
+        from its place in the module.
         """
         numbers = np.unique(slots.module(skin.ids))
         if not slots.is_modular(skin.ids):

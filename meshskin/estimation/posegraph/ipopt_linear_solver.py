@@ -18,6 +18,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ...core import ipopt
 from .cholesky import Cholesky, CSymbolic
 from .ordering import IntArray
 
@@ -96,10 +97,8 @@ def is_supported() -> bool:
     if library is None:
         return False
     nlp: dict[str, Any] = {"x": x, "f": ca.sumsqr(x - 1)}
-    quiet = {"print_level": 0, "sb": "yes"}
-    options: dict[str, Any] = {"print_time": False, "ipopt": {**_options(library), **quiet}}
     try:
-        solver = ca.nlpsol("trial", "ipopt", nlp, options)
+        solver = ipopt.solver("trial", nlp, _options(library))
         with linear_solver.activate() as context:
             solver(x0=np.zeros(6))
     except RuntimeError:  # an option that this IPOPT does not know
