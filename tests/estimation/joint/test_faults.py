@@ -280,3 +280,13 @@ def test_a_taxel_misfits_beyond_chance_and_by_more_than_the_model():
 
     rare, common = (chi2.isf(p, count - 2) / count for p in (1e-11, 1e-7))
     assert (misfits(rare), misfits(common)) == (1, 0)
+
+
+@pytest.mark.parametrize(("presses", "fault"), [(1, False), (2, False), (4, True)])
+def test_a_taxel_that_ignores_several_presses_is_faulty(presses, fault):
+    """One or two outlying silences may be lost readings, four are a dead taxel."""
+    taxel, one = np.zeros(10, dtype=int), np.ones(10)
+    weight = np.where(np.arange(10) < presses, 0.1, 1.0)
+    kind = np.full(10, CENSORED)
+    readings = Readings(taxel, taxel, one, kind, taxel, weight, np.array([0, 10]))
+    assert fault_detection.unanswered_presses(readings).all() == fault

@@ -197,7 +197,7 @@ def test_errors_are_drawn_as_the_information_says(world):
 def test_errors_of_a_reading_are_the_same_in_all_its_pairs(world):
     """Of a taxel's displacements to others, the errors agree: in information they would not."""
     data = gather(world.record(0.01, 0.05), world.belief(0.01, 0.05))
-    graph, errors = measured_with_errors(data, draws=200)
+    graph, errors = measured_with_errors(data, draws=60)
     i = graph.edges[:, 0]
     a, b = np.nonzero(np.triu(i[:, None] == i, 1))
     alike = [np.corrcoef(errors[k, 0], errors[m, 0])[0, 1] for k, m in zip(a, b, strict=True)]
