@@ -25,7 +25,7 @@ from .timing import arm_path, free_path
 from .tour import ContactPath, contact_paths
 
 STEP = 3e-3
-"""Largest distance of samples along a lane, m: half a taxel's pitch of the finest skins."""
+"""Largest distance of samples along a lane, m: about half the distance of neighbouring taxels."""
 SHORT = 3
 """Fewest samples of a lane that are worth a segment: a spline needs as many."""
 ENOUGH = 4

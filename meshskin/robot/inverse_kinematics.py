@@ -36,7 +36,7 @@ TRACKING_STEPS = 2
 PATH_ITERATIONS, SEED_ITERATIONS = 30, 100
 """Most iterations for a pose, from near it and from a seed."""
 SEEDS = 200
-"""Random seeds of `solve`: all eight postures of a six-joint arm are found with near certainty."""
+"""Random seeds of `solve`: they find all eight postures of the Puma at each of 12 random poses."""
 _WHOLE, _REAL, _ADDRESS = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 
 
