@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from meshskin.core import codegen
 from meshskin.geometry.body import Body
 from meshskin.geometry.mesh import winding_number as wn
 from meshskin.geometry.mesh.inside_outside import InsideOutside
@@ -103,6 +104,30 @@ def test_turns_are_those_of_all_triangles(each_way):
     found = WindingNumber(mesh.vertices, mesh.faces).at(points)
     assert set(expected) == {0, 1, 2}
     np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.skipif(codegen.find_compiler() is None, reason="no C compiler here")
+def test_sums_over_clusters_are_near_integers():
+    centre = [0.13, 0.01, 0.0]
+    mesh = trimesh.util.concatenate([ball(subdivisions=3), ball(centre, 0.08, 3)])
+    points = np.random.default_rng(0).uniform(-0.15, 0.25, size=(3000, 3))
+    height = np.linalg.norm(points, axis=1) - 0.1, np.linalg.norm(points - centre, axis=1) - 0.08
+    clear = np.all(np.abs(height) > 2e-3, axis=0)
+    total = WindingNumber(mesh.vertices, mesh.faces)._by_clusters(wn.library(), points)
+    assert np.abs(total - np.sum(np.less(height, 0.0), axis=0))[clear].max() < 0.03
+
+
+def test_winding_numbers_of_many_nested_surfaces():
+    """48 spheres 0.1 mm apart: errors of the clusters add up, and all triangles are summed."""
+    mesh = trimesh.util.concatenate(
+        [ball(radius=r, subdivisions=2) for r in np.linspace(0.1, 0.104, 48)]
+    )
+    rng = np.random.default_rng(0)
+    direction = rng.normal(size=(600, 3))
+    radius = np.concatenate([rng.uniform(0.02, 0.095, 300), rng.uniform(0.106, 0.2, 300)])
+    points = radius[:, None] * direction / np.linalg.norm(direction, axis=1)[:, None]
+    found = WindingNumber(mesh.vertices, mesh.faces).at(points)
+    np.testing.assert_array_equal(found, np.where(radius < 0.1, 48, 0))
 
 
 def test_holes_are_closed_far_away(each_way):
