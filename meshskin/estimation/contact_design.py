@@ -37,8 +37,8 @@ PITCH = 1.0 / 30.0
 FIRST_STRIDE = 9
 """One of so many candidates is in the first design, which the later ones refine."""
 POWER = 0.7
-"""Exponent of the multiplicative steps xi <- xi d^power: 2/3 is Newton-like for an objective of
-degree -1/2, and 1 would oscillate."""
+"""Exponent of the multiplicative steps xi <- xi d^power. Chosen: from 0.4 to 1.3 the steps converge
+to the same error, with 466 to 144 of them (four taxels of sphere_noisy)."""
 MAX_REFINEMENTS, MAX_STEPS = 6, 1000
 """Largest numbers of designs, each of the last one's candidates and of those that would improve it,
 and of multiplicative steps of each."""

@@ -75,8 +75,10 @@ def test_a_recording_with_a_scene(recording, tmp_path, capsys):
     said = capsys.readouterr().out
     assert " kPa +- " in said
     assert "% apart (1 sigma)" in said
-    assert cli.main([*asked, str(tmp_path / "given"), "--unknown", "gain"]) == 0
-    assert re.search(r"E\*  .* kPa, given\n", capsys.readouterr().out)
+    assert cli.main([*asked, str(tmp_path / "given"), "--unknown", "gain", "force_scale"]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"E\*  .* kPa, given\n", said)
+    assert re.search(r"force_scale +(1|0\.9|1\.0)[\d.]* \+- ", said)  # a factor, not a logarithm
     given = ms.Calibration.load(tmp_path / "given" / "calibration")
     assert given.modulus_sigma is None
     page = (tmp_path / "given" / "report.html").read_text()

@@ -33,8 +33,8 @@ and curvatures of a mesh change discontinuously from face to face, and the linea
 """
 MAX_CHI2 = 4.0
 """Chi-square per degree of freedom above which a taxel is started again: readings that are fitted
-at the wrong optimum differ by many standard deviations, sound ones of 20 exceed it by chance with a
-probability of 1e-8."""
+at the wrong optimum differ by many standard deviations; 20 sound ones exceed it by chance with a
+probability of 2e-8."""
 MAX_CHI2_UNKNOWN_NOISE = 25.0
 """MAX_CHI2 where the noise is not known: residuals of 5 % of the peak pressure; but at least
 MAX_CHI2 times the median taxel's."""

@@ -30,7 +30,8 @@ MAX_OFFSET = 3e-3
 """Largest median distance of single taxels from their positions in their modules, m: half the
 distance between neighbouring taxels, beyond which ids are wrong."""
 LEVER = 8e-3
-"""Length that converts rotations into moves, m: the radius of a module."""
+"""Length that converts rotations into moves, m: about the distance of its taxels from a module's
+centre."""
 
 
 @dataclass(frozen=True)

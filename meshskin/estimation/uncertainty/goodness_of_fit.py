@@ -38,7 +38,7 @@ def goodness_of_fit(
     chi2: float, freedom: float, noise_known: bool, outlying: int = 0
 ) -> GoodnessOfFit:
     """The test of `chi2` with `freedom` degrees; `outlying` readings were left out of it."""
-    from scipy.special import chdtr, chdtrc  # scipy.stats takes half a second to import
+    from scipy.special import chdtr, chdtrc  # scipy.stats imports slowly
 
     left_out = f" ({outlying} outlying readings left out)" if outlying else ""
     if not noise_known or freedom <= 0:
