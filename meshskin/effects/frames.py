@@ -120,8 +120,8 @@ class FrameHistory:
         after = np.clip(after, 0, len(known) - 1)
         before = np.maximum(after - 1, 0)
         step = known.time[after] - known.time[before]
-        whole = (step > MAX_FRAME_GAP * self.period) | (step <= 0)
-        part = np.where(whole, 1.0, (time - known.time[before]) / np.where(whole, 1.0, step))
+        use_next = (step > MAX_FRAME_GAP * self.period) | (step <= 0)
+        part = np.where(use_next, 1.0, (time - known.time[before]) / np.where(use_next, 1.0, step))
         weight = np.clip(part, 0.0, 1.0)
         late, early = known.rows(after), known.rows(before)
 

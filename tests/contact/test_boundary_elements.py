@@ -93,13 +93,15 @@ def test_layer_factor_has_no_cancellation():
 
 
 def test_thick_layer_equals_the_half_space_and_a_thinner_one_is_stiffer():
-    whole = boundary_elements.solve(contact.ContactProblem(curvature=10.0, **CASE), parabolic=True)
-    a = whole.semi_axes[0]
+    half_space = boundary_elements.solve(
+        contact.ContactProblem(curvature=10.0, **CASE), parabolic=True
+    )
+    a = half_space.semi_axes[0]
     thick = boundary_elements.solve(
         contact.ContactProblem(curvature=10.0, thickness=300 * a, **CASE), parabolic=True
     )
-    assert thick.peak == pytest.approx(whole.peak, rel=1e-3)
-    assert thick.depth == pytest.approx(whole.depth, rel=5e-3)
+    assert thick.peak == pytest.approx(half_space.peak, rel=1e-3)
+    assert thick.depth == pytest.approx(half_space.depth, rel=5e-3)
     layers = (
         contact.ContactProblem(curvature=10.0, thickness=t * a, **CASE) for t in (2, 1, 0.5, 0.2)
     )
@@ -128,7 +130,7 @@ def test_two_bumps_share_the_force():
         ({"thickness": 5e-5}, "thickness/cell"),
         ({"modulus": 2e3}, "indenter radius"),
         ({"curvature": (0.0, -99.95)}, "2000"),
-        ({"force": -1.0}, "-1.0"),
+        ({"force": -1.0}, "-1 N"),
     ],
 )
 def test_contacts_out_of_range_raise(change, names):

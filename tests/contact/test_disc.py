@@ -30,9 +30,9 @@ def samples():
 
 
 @pytest.mark.parametrize("s", [0.1, 0.46, 0.9, 1.0, 1.5])
-@pytest.mark.parametrize("place", [0.0, 0.2, 0.5, 0.8, 0.97])
-def test_mean_equals_adaptive_quadrature(s, place):
-    rho = place * (1 + s)
+@pytest.mark.parametrize("fraction", [0.0, 0.2, 0.5, 0.8, 0.97])
+def test_mean_equals_adaptive_quadrature(s, fraction):
+    rho = fraction * (1 + s)
     assert disc_mean(rho, s) == pytest.approx(by_rings(rho, s), abs=3e-6)
 
 

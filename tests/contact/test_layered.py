@@ -53,9 +53,9 @@ def by_finite_elements(thickness, poisson, fine=1.0):
     radial = np.isin(np.arange(basis.N), dofs.all(["u^1"]))
     touching = np.flatnonzero(~radial & (y > -1e-12) & (x < 1 + 1e-12))
     touching = touching[np.argsort(x[touching])]
-    held = (y < -thickness + 1e-12) | (radial & (x < 1e-12))
-    held[touching] = True
-    free = np.flatnonzero(~held)
+    fixed = (y < -thickness + 1e-12) | (radial & (x < 1e-12))
+    fixed[touching] = True
+    free = np.flatnonzero(~fixed)
     given = np.zeros((basis.N, 2))  # unit depth, and the paraboloid
     given[touching] = np.stack([-np.ones(len(touching)), x[touching] ** 2 / 2], axis=1)
     given[free] = splu(stiffness[free][:, free]).solve(-(stiffness[free] @ given))
@@ -101,11 +101,13 @@ def test_against_finite_elements(thickness, poisson):
 
 
 def test_thick_layer_tends_to_hertz():
-    whole = contact.solve("elliptic", curvature=(60.0, 0.0), **CASE)
+    reference = contact.solve("elliptic", curvature=(60.0, 0.0), **CASE)
     for thickness, limit in ((None, 1e-9), (1e6, 1e-7), (1.0, 5e-3)):
         patch = contact.solve("layered", curvature=(60.0, 0.0), thickness=thickness, **CASE)
-        assert patch.semi_axes == pytest.approx(whole.semi_axes, rel=limit)
-        assert [patch.peak, patch.depth] == pytest.approx([whole.peak, whole.depth], rel=limit)
+        assert patch.semi_axes == pytest.approx(reference.semi_axes, rel=limit)
+        assert [patch.peak, patch.depth] == pytest.approx(
+            [reference.peak, reference.depth], rel=limit
+        )
         assert patch.exponent == pytest.approx(0.5, abs=limit)
 
 
@@ -138,12 +140,12 @@ def test_pressure_carries_the_force():
 def test_against_boundary_elements_on_ellipses(pair, poisson, thickness):
     case = CASE | {"poisson": poisson, "force": 0.1, "curvature": pair, "thickness": thickness}
     patch = contact.solve("layered", **case)
-    whole = boundary_elements.solve(contact.ContactProblem(**case), parabolic=True)
-    assert patch.semi_axes == pytest.approx(whole.semi_axes, rel=0.02)
-    assert [patch.peak, patch.depth] == pytest.approx([whole.peak, whole.depth], rel=0.02)
+    reference = boundary_elements.solve(contact.ContactProblem(**case), parabolic=True)
+    assert patch.semi_axes == pytest.approx(reference.semi_axes, rel=0.02)
+    assert [patch.peak, patch.depth] == pytest.approx([reference.peak, reference.depth], rel=0.02)
     xy = np.random.default_rng(0).uniform(-1.2, 1.2, (100, 2)) * patch.semi_axes
     disc = float(patch.semi_axes[1]) / 2
-    assert np.abs(patch.reading(xy, disc) - whole.reading(xy, disc)).max() < 0.03 * patch.peak
+    assert np.abs(patch.reading(xy, disc) - reference.reading(xy, disc)).max() < 0.03 * patch.peak
 
 
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.49, 0.5])
@@ -157,9 +159,9 @@ def test_force_is_the_inverse_of_depth(poisson):
 def test_casadi_equals_numpy_with_finite_derivatives():
     layer, pair = layered.BondedLayer(0.49, 2e-3), [30.0, -20.0]
     f, k, d = ca.SX.sym("f"), ca.SX.sym("k", 2), ca.SX.sym("d")
-    whole = ca.Function("p", [f, k], list(layer.patches(f, k, 0.01, 1e6)))
+    reference = ca.Function("p", [f, k], list(layer.patches(f, k, 0.01, 1e6)))
     plain = layer.patches(1.0, np.array(pair), 0.01, 1e6)
-    assert [float(v) for v in whole(1.0, pair)] == pytest.approx(list(plain), rel=1e-12)
+    assert [float(v) for v in reference(1.0, pair)] == pytest.approx(list(plain), rel=1e-12)
     y = layer.force(d, k, 0.01, 1e6)
     push = ca.Function("f", [d, k], [y, ca.gradient(y, d), ca.hessian(y, ca.vertcat(d, k))[0]])
     step = 1e-8

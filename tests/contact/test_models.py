@@ -135,13 +135,13 @@ def test_casadi_expressions_equal_numpy(model):
     patch = law.patches(force=y, **symbols)
     x = ca.vertcat(d, k, e)
     f = ca.Function("f", [d, k, e], [y, ca.vertcat(*patch), ca.jacobian(ca.vertcat(*patch), x)])
-    value, whole, jacobian = f(2e-4, [12.0, 8.0], 0.6e6)
+    value, patches, jacobian = f(2e-4, [12.0, 8.0], 0.6e6)
     numbers = symbols | {"curvature": np.array([12.0, 8.0]), "effective_modulus": 0.6e6}
     push = law.force(depth=2e-4, **numbers)
     plain = law.patches(force=push, **numbers)
     assert float(value) == pytest.approx(push)
-    assert whole.full()[:, 0] == pytest.approx(np.array(plain, dtype=float))
-    assert whole.full()[3, 0] == pytest.approx(2e-4)  # the depth comes back
+    assert patches.full()[:, 0] == pytest.approx(np.array(plain, dtype=float))
+    assert patches.full()[3, 0] == pytest.approx(2e-4)  # the depth comes back
     assert np.isfinite(jacobian.full()).all()
 
 

@@ -107,16 +107,16 @@ def test_distant_contacts_equal_boundary_elements_over_both():
     x = (np.arange(n) - (n - 1) / 2) * h
     one = ((x - separation / 2) ** 2)[:, None] + x**2
     e_star = 0.5e6 / (1 - 0.45**2)
-    whole = boundary_elements.solve_grid(
+    both = boundary_elements.solve_grid(
         np.minimum(one, one[::-1]) / 0.02,
         influence.Influence((n, n), (h, h), e_star, 0.45),
         0.1,
         h**2,
     )
     single = contact.solve("elliptic", force=0.05, curvature=0.0, indenter_radius=0.01, **SOFT)
-    assert whole.pressure.max() == pytest.approx(single.peak, rel=5e-3)
+    assert both.pressure.max() == pytest.approx(single.peak, rel=5e-3)
     neighbour = 0.05 / (np.pi * e_star * separation)  # neglected by solve_contacts
-    assert whole.approach == pytest.approx(single.depth + neighbour, rel=5e-3)
+    assert both.approach == pytest.approx(single.depth + neighbour, rel=5e-3)
 
 
 def test_thin_wall_is_touched_from_outside_only():

@@ -83,3 +83,13 @@ def test_largest_difference_of_two_models():
     assert point.max_difference(point, force, curvature) == 0.0
     stiff = ReadingModel(ContactModel(), DISC, INDENTER, 100 * E_STAR)
     assert disc.max_difference(stiff, force, curvature) == 1.0
+
+
+@pytest.mark.parametrize("model", [ContactModel(), ContactModel("elliptic")])
+def test_taxels_are_projected_onto_the_tangent_plane(model):
+    rng = np.random.default_rng(4)
+    hit, xy, taxels = contact_with_taxels(Body.sphere(0.1), (0.03, 0.02, -0.09), rng)
+    lifted = taxels + np.linspace(-1e-3, 1e-3, len(taxels))[:, None] * hit.normal
+    near = np.linalg.norm(xy, axis=1) < 4e-3
+    flat = readings(hit, taxels[near], model)
+    np.testing.assert_allclose(readings(hit, lifted[near], model), flat, atol=1e-9 * flat.max())

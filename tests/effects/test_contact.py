@@ -36,11 +36,11 @@ def test_contact_sticks_before_slip_and_after_a_reversal(context, glide):
     effect = Friction(coefficient=0.5)
     slip = effect.slip(context)
     there = np.linspace(0.0, 4 * slip, 200)
-    way = np.concatenate([there, there[::-1][1:]])
-    shear = way - arc(effect.build(context)(glide(way)))
-    stuck = way[:200] < 0.9 * slip
-    np.testing.assert_allclose(shear[:200][stuck], way[:200][stuck], rtol=1e-3, atol=1e-9)
-    back = 4 * slip - way[199:]
+    path = np.concatenate([there, there[::-1][1:]])
+    shear = path - arc(effect.build(context)(glide(path)))
+    stuck = path[:200] < 0.9 * slip
+    np.testing.assert_allclose(shear[:200][stuck], path[:200][stuck], rtol=1e-3, atol=1e-9)
+    back = 4 * slip - path[199:]
     np.testing.assert_allclose(shear[199:], np.maximum(slip - back, -slip), rtol=5e-3, atol=2e-6)
 
 
@@ -49,8 +49,8 @@ def test_shear_grows_with_the_force_and_ends_with_the_contact(context, glide):
     effect = Friction()
     behind = arc(frames) - arc(effect.build(context)(frames))
     assert behind[-1] == pytest.approx(4 * effect.slip(context), rel=1e-3)
-    none = Friction(coefficient=0.0).build(context)(frames)
-    np.testing.assert_allclose(none.points, frames.points, atol=1e-15)
+    frictionless = Friction(coefficient=0.0).build(context)(frames)
+    np.testing.assert_allclose(frictionless.points, frames.points, atol=1e-15)
     lost = glide(STEP * np.arange(60), period=0.02)
     np.testing.assert_allclose(effect.build(context)(lost).points, lost.points, atol=1e-15)
 
@@ -76,33 +76,33 @@ def test_sudden_pressure_relaxes_as_the_standard_linear_solid(context, glide):
     assert np.all(np.diff(got[400:, 0]) < 0)
 
 
-def along(way, a=4e-3):
+def along(path, a=4e-3):
     """Hertz pressures of a patch that slides over points on a line, and the points."""
-    places = np.arange(-0.02, 0.06, STEP / 4)
-    return np.sqrt(np.maximum(1 - ((places - way[:, None]) / a) ** 2, 0.0)), places
+    positions = np.arange(-0.02, 0.06, STEP / 4)
+    return np.sqrt(np.maximum(1 - ((positions - path[:, None]) / a) ** 2, 0.0)), positions
 
 
 def test_relaxing_patch_leads_and_loses_contact_behind(context, glide):
-    way = STEP * np.arange(80)
-    p, places = along(way)
-    got = Relaxation(relaxed=0.95, time_constant=0.1).build(context)(p, glide(way))
-    lead = (got @ places / got.sum(axis=1) - way)[40:]
+    path = STEP * np.arange(80)
+    p, positions = along(path)
+    got = Relaxation(relaxed=0.95, time_constant=0.1).build(context)(p, glide(path))
+    lead = (got @ positions / got.sum(axis=1) - path)[40:]
     assert np.all(lead > 2e-5)
     assert np.all(got[p == 0] == 0)
     excess = got[40:].sum(axis=1) / p[40:].sum(axis=1)
     assert np.all((excess > 1.0) & (excess < 1.03))
-    np.testing.assert_array_equal(Relaxation(relaxed=1.0).build(context)(p, glide(way)), p)
+    np.testing.assert_array_equal(Relaxation(relaxed=1.0).build(context)(p, glide(path)), p)
 
 
 def test_relaxation_depends_on_the_rate(context, glide):
     """Much faster or slower than the relaxation time, the skin responds as a spring."""
-    way = STEP * np.arange(80)
-    p, places = along(way)
+    path = STEP * np.arange(80)
+    p, positions = along(path)
 
     def lead(time_constant):
         act = Relaxation(relaxed=0.9, time_constant=time_constant).build(context)
-        got = act(p, glide(way))[40:]
-        return float(np.mean(got @ places / got.sum(axis=1) - way[40:]))
+        got = act(p, glide(path))[40:]
+        return float(np.mean(got @ positions / got.sum(axis=1) - path[40:]))
 
     # the patch of 8 mm passes at 50 mm/s in 0.16 s
     slow, middle, fast = lead(1e-3), lead(0.08), lead(20.0)
@@ -112,9 +112,9 @@ def test_relaxation_depends_on_the_rate(context, glide):
 
 
 def test_relaxation_preserves_the_force_where_contact_is_kept(context, glide):
-    way = STEP * np.arange(80)
-    p = along(way)[0] + 1.0
-    frames = glide(way, force=p.sum(axis=1))
+    path = STEP * np.arange(80)
+    p = along(path)[0] + 1.0
+    frames = glide(path, force=p.sum(axis=1))
     got = Relaxation(relaxed=0.6, time_constant=0.1).build(context)(p, frames)
     np.testing.assert_allclose(got.sum(axis=1), p.sum(axis=1), rtol=1e-12)
     assert np.abs(got - p).max() > 0.01
@@ -122,20 +122,20 @@ def test_relaxation_preserves_the_force_where_contact_is_kept(context, glide):
 
 def test_lead_of_a_steadily_sliding_patch(context, glide):
     """The state h lags by v tau, so that the first moment leads by v tau (1 - g) / g."""
-    way = STEP * np.arange(80)
-    patch, places = along(way)
+    path = STEP * np.arange(80)
+    patch, positions = along(path)
     p = patch + 1.0
-    frames = glide(way, force=p.sum(axis=1))
+    frames = glide(path, force=p.sum(axis=1))
     got = Relaxation(relaxed=0.8, time_constant=0.04).build(context)(p, frames)
-    lead = ((got - 1.0) @ places / patch.sum(axis=1) - way)[60:]
+    lead = ((got - 1.0) @ positions / patch.sum(axis=1) - path)[60:]
     np.testing.assert_allclose(lead, 0.05 * 0.04 * 0.2 / 0.8, rtol=1e-3)
 
 
 def test_relaxation_does_not_depend_on_the_batches(context, glide, split):
-    way = STEP * np.arange(80)
-    p, _ = along(way)
-    whole = Relaxation().build(context)(p, glide(way))
-    parts = split(Relaxation().build(context), glide(way), p)
+    path = STEP * np.arange(80)
+    p, _ = along(path)
+    whole = Relaxation().build(context)(p, glide(path))
+    parts = split(Relaxation().build(context), glide(path), p)
     np.testing.assert_array_equal(whole, np.vstack(parts))
 
 

@@ -237,10 +237,10 @@ def test_broken_entry_points_are_left_out_with_a_warning(toy):
         found = [effect.name for effect in effects.registered()]
     assert found[-1] == "toy"
     assert "gaussian_noise" in found
-    said = [str(w.message) for w in caught]
-    assert "sigma of the effect blur must be a method" in said[0]
-    assert [line.split()[2] for line in said[1:]] == ["gone", "lost", "number", "raising"]
-    assert all("it is left out" in line and "\n" not in line for line in said)
+    messages = [str(w.message) for w in caught]
+    assert "sigma of the effect blur must be a method" in messages[0]
+    assert [line.split()[2] for line in messages[1:]] == ["gone", "lost", "number", "raising"]
+    assert all("it is left out" in line and "\n" not in line for line in messages)
 
 
 def test_effect_of_a_missing_package_is_unknown():

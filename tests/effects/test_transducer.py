@@ -65,8 +65,8 @@ def test_drift_starts_at_zero_and_ends_at_the_warm_skin(context, glide, pressure
 
 def cycle(top, count=2001):
     """0 to `top` and back (2 count - 1, 80), the same for each taxel."""
-    way = np.concatenate([np.linspace(0, top, count), np.linspace(top, 0, count)[1:]])
-    return np.tile(way[:, None], (1, 80))
+    path = np.concatenate([np.linspace(0, top, count), np.linspace(top, 0, count)[1:]])
+    return np.tile(path[:, None], (1, 80))
 
 
 def test_area_of_a_hysteresis_cycle(context, glide):
