@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -12,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ..core.arguments import check_type
+from ..core.arguments import check_name, check_type
 from ..core.atomic_io import atomic, write_text
 from ..core.errors import CalibrationError, ConfigError
 from ..core.se3 import Array
@@ -240,11 +241,14 @@ class Calibration:
 
         body: by default that of the belief; a calibration that was loaded has none. Returns the
         files written. Raises ConfigError for a path with another suffix than .html and for a truth
-        that is not a Skin.
+        that is not a Skin, UnknownNameError for an unknown option.
         """
         from ..report.page import report
         from ..skin.skin import Skin
 
+        known = list(inspect.signature(report).parameters)
+        for name in options:
+            check_name("option of a report", name, known)
         if Path(path).suffix not in ("", ".htm", ".html"):
             raise ConfigError(
                 "a report is an HTML page", value=str(path), remedy="give a path that ends in .html"

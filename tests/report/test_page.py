@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from meshskin.core.errors import OutputError
+from meshskin.core.errors import OutputError, UnknownNameError
 from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.demonstration import Demonstration
 from meshskin.geometry.body import Body
@@ -228,6 +228,11 @@ def test_the_body_is_that_of_the_belief(case: SimpleNamespace, tmp_path: Path, b
     c = case.calibration()
     known = replace(c, belief=SimpleNamespace(body=body))
     assert "body (drawn" in known.report(tmp_path / "body.html")[0].read_text(encoding="utf-8")
+
+
+def test_a_misspelt_option_names_the_known_one(case: SimpleNamespace, tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match=r"option of a report 'truht'.*did you mean truth"):
+        case.calibration().report(tmp_path / "report.html", truht=case.skin())
 
 
 def test_one_taxel_has_no_estimate(case: SimpleNamespace, tmp_path: Path) -> None:
