@@ -27,6 +27,13 @@ SAMPLES = 100
 """Points along each axis of the patch at which two models are compared."""
 CHUNK = 20_000
 """Readings computed at once: arrays of 0.2 MB, which fit the cache of a processor."""
+SHEET_FACING = 0.5
+"""Least cosine of the angle between the normals of a contact and of a taxel that it presses: 60
+degrees. Patch and disc of a contact that the models hold for span less on a smooth surface."""
+SHEET_SLOPE = 0.5
+"""Largest slope of the chord from a contact to a taxel that it presses, against the plane whose
+normal is the mean of both normals. It is 0 on a surface of constant curvature; 0.5 admits a step of
+half the distance."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +52,7 @@ class ReadingModel:
         """Pressures (m, n), Pa, of taxels at `poses` (n, 4, 4) in m frames."""
         f = frames
         contacts = f.points, f.normals, f.directions, f.force, f.curvature
-        return self.pressures(*contacts, poses[:, :3, 3])
+        return self.pressures(*contacts, poses[:, :3, 3], poses[:, :3, 2])
 
     def pressures(
         self,
@@ -55,6 +62,7 @@ class ReadingModel:
         force: Array,
         curvature: Array,
         positions: Array,
+        taxel_normals: Array | None = None,
     ) -> Array:
         """Mean contact pressures (m, n), Pa, of n taxels in m contacts.
 
@@ -62,12 +70,16 @@ class ReadingModel:
         principal directions of the body there; force (m,), N; curvature (m, 2), principal, 1/m;
         positions (n, 3) of the taxels on the undeformed surface, all in the body frame, m. The
         position of a taxel in the patch is its projection onto the tangent plane of the contact, as
-        in Hertz's theory. Raises ContactError where a contact is outside the series or the table of
-        the contact model.
+        in Hertz's theory. With taxel_normals (n, 3), outward, a contact presses only the taxels of
+        its own sheet of skin (`same_sheet`). Raises ContactError where a contact is outside the
+        series or the table of the contact model.
         """
         patches = self._patches(force, curvature)
         reach = np.maximum(patches.first, patches.second) + self.disc_radius
         row, col, offset = _pairs_in_reach(points, positions, reach)
+        if taxel_normals is not None:
+            same = same_sheet(offset, normals[row], taxel_normals[col])
+            row, col, offset = row[same], col[same], offset[same]
         out = np.zeros((len(points), len(positions)))
         if self.model.name == "hertz":
             height = np.einsum("ij,ij->i", offset, normals[row])
@@ -107,6 +119,21 @@ class ReadingModel:
             indenter_radius=self.indenter_radius,
             effective_modulus=self.effective_modulus,
         )
+
+
+def same_sheet(offset: Array, contact_normals: Array, taxel_normals: Array) -> np.ndarray:
+    """Whether taxels lie on the sheet of skin that a contact presses (k,) bool.
+
+    offset (k, 3), m: from the contact to the taxel; outward unit normals (k, 3) of both. The
+    normals must face the same side, and the chord must run along the surface: between two points of
+    a surface of constant curvature it is perpendicular to the sum of their normals. So a taxel on
+    the far side of a plate, or on another sheet above or below, is not pressed.
+    """
+    total = contact_normals + taxel_normals
+    across = np.einsum("ki,ki->k", offset, total)
+    facing = np.einsum("ki,ki->k", contact_normals, taxel_normals) > SHEET_FACING
+    bound = SHEET_SLOPE**2 * np.sum(total**2, axis=1) * np.sum(offset**2, axis=1)
+    return np.asarray(facing & (across**2 <= bound))
 
 
 def _pairs_in_reach(

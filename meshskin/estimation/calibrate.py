@@ -89,6 +89,7 @@ class Estimation:
             undetermined=result.undetermined,
             taxel_unknowns=result.taxel_unknowns,
             faults=result.faults,
+            rivals=result.rivals,
             fit=result.fit,
             contact_centroids=trilaterate.centroids(data),
             belief=data.belief,

@@ -94,6 +94,9 @@ class Calibration:
     """"gain" (ln) and "offset" (Pa) where estimated: value and standard deviation (n, 2)."""
     faults: np.ndarray | None = None
     """What is wrong with a taxel (n,) str, "" where nothing was found; None: not looked for."""
+    rivals: Array | None = None
+    """Other positions (n, 3), m, that fit the readings nearly as well, NaN where there is none; the
+    covariance holds their distance as a standard deviation. None: not looked for."""
     fit: GoodnessOfFit | None = None
     """Whether the model explains the readings."""
     contact_centroids: Array | None = None
@@ -171,6 +174,8 @@ class Calibration:
             columns["faults"] = _column(self.faults)
         if self.contact_centroids is not None:
             columns["middles"] = _column(self.contact_centroids)
+        if self.rivals is not None and np.isfinite(self.rivals).any():
+            columns["rivals"] = _column(self.rivals)
         columns |= {
             _NUISANCE + name: _column(values) for name, values in self.taxel_unknowns.items()
         }
@@ -210,6 +215,8 @@ class Calibration:
             values["faults"] = _array(table, "faults")
         if "middles" in table.column_names:
             values["contact_centroids"] = _array(table, "middles").reshape(n, 3)
+        if "rivals" in table.column_names:
+            values["rivals"] = _array(table, "rivals").reshape(n, 3)
         values["taxel_unknowns"] = {
             name.removeprefix(_NUISANCE): _array(table, name).reshape(n, 2)
             for name in table.column_names

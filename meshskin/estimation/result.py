@@ -50,6 +50,9 @@ class EstimatorResult:
     """"gain" (ln) and "offset" (Pa) where estimated: value and standard deviation (n, 2)."""
     faults: np.ndarray | None = None
     """What is wrong with a taxel (n,) str; "" where nothing was found; None: not looked for."""
+    rivals: Array | None = None
+    """Other positions (n, 3), m, that fit the readings nearly as well; NaN where there is none. The
+    covariance then holds the distance as a standard deviation."""
     fit: GoodnessOfFit | None = None
     """Whether the model explains the readings."""
     iterates: Array | None = None

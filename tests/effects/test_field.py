@@ -26,7 +26,8 @@ def frame(glide):
 
 def along(axis):
     """Taxels (40, 4, 4) on the bottom's tangent plane, along world x (0) or y (1)."""
-    return transform(np.eye(3), np.outer(REACH, np.eye(3)[axis]) - [0.0, 0.0, 0.1])
+    down = np.diag([1.0, -1.0, -1.0])  # taxel normals point outward
+    return transform(down, np.outer(REACH, np.eye(3)[axis]) - [0.0, 0.0, 0.1])
 
 
 def with_curvature(frame, pair):

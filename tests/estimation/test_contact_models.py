@@ -168,7 +168,9 @@ def test_silence_is_looked_for_wherever_it_says_something(worlds, name):
     recording = world.record(0.0, 0.1)
     data = gather(recording, world.belief(0.01, 0.1))
     n = len(world.ids)
-    contact, taxel = silent_pairs(data, np.arange(n), world.truth, 1.0)
+    contact, taxel = silent_pairs(
+        data, np.arange(n), world.truth, data.body.closest(world.truth).normal, 1.0
+    )
     looked = set((contact * n + taxel).tolist())
     pressures = world.pressures() / world.peak_reference
     telling = np.flatnonzero(((pressures > 0.06) & (pressures < 0.1)).ravel())

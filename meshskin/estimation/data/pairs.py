@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...contact.disc import invert_disc_mean
+from ...contact.reading import same_sheet
 from ...core.se3 import Array
 
 if TYPE_CHECKING:
@@ -26,8 +27,13 @@ CHUNK = 8192
 """Taxels whose contacts are searched at once: bounds the memory."""
 
 
-def near_pairs(data: Measurements, points: Array, radius: Array) -> tuple[np.ndarray, np.ndarray]:
-    """Contacts and taxels (rows of `points`) less than `radius` (m,) apart across the normal, m."""
+def near_pairs(
+    data: Measurements, points: Array, normals: Array, radius: Array
+) -> tuple[np.ndarray, np.ndarray]:
+    """Contacts and taxels less than `radius` (m,), m, apart across the normal, on the same sheet.
+
+    points (n, 3), m, and outward normals (n, 3): of the taxels.
+    """
     from scipy.spatial import cKDTree
 
     furthest = MAX_SLANT * float(radius.max())
@@ -40,16 +46,18 @@ def near_pairs(data: Measurements, points: Array, radius: Array) -> tuple[np.nda
         offset = points[taxel] - data.points[contact]
         height = np.einsum("ki,ki->k", offset, data.normals[contact])
         keep = pairs["v"] ** 2 - height**2 < radius[contact] ** 2
+        keep &= same_sheet(offset, data.normals[contact], normals[taxel])
         found.append((contact[keep], taxel[keep]))
     contacts, taxels = zip(*found, strict=True)
     return np.concatenate(contacts), np.concatenate(taxels)
 
 
 def silent_pairs(
-    data: Measurements, live: np.ndarray, points: Array, scale: float
+    data: Measurements, live: np.ndarray, points: Array, normals: Array, scale: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Contacts and taxels (rows of `live`, at `points`) without a reading, where that informs.
+    """Contacts and taxels (rows of `live`) without a reading, where that informs.
 
+    points (n, 3), m, and outward normals (n, 3): of the taxels `live`;
     scale: contact radii relative to those at nominal E*.
     """
     level = np.maximum(data.threshold - SILENT_SIGMAS * data.sigma, 0.0)
@@ -59,7 +67,7 @@ def silent_pairs(
     a = scale * data.longest
     # A circle of the longer semi-axis under Hertz's profile has at least the patch's pressure.
     radius = a * invert_disc_mean(level, data.disc / a, tolerance=1e-3) + REACH_MARGIN
-    contact, taxel = near_pairs(data, points, radius)
+    contact, taxel = near_pairs(data, points, normals, radius)
     number = live[taxel] * len(data.points) + contact
     read = np.sort(data.taxel * len(data.points) + data.contact)
     if len(read):

@@ -96,8 +96,9 @@ class JointEstimator:
             clock = time.perf_counter()
             points = parametrization.points()
             readings = select(
-                contacts.data, self.live, points, log_radius, self.weight, self.silent_weight
-            )
+                contacts.data, self.live, points, parametrization.rotations()[:, :, 2],
+                log_radius, self.weight, self.silent_weight,
+            )  # fmt: skip
             self.likelihood = Likelihood(self.data, readings)
             self.selected_at = points, contacts.data.points, log_radius
             self.seconds["readings"] += time.perf_counter() - clock

@@ -62,11 +62,14 @@ def select(
     data: Measurements,
     live: np.ndarray,
     points: Array,
+    normals: Array,
     log_radius: float,
     weight: Array,
     silent_weight: Array,
 ) -> Readings:
-    """The readings that inform about the taxels `live` (rows of data.ids), estimated at `points`.
+    """The readings that inform about the taxels `live` (rows of data.ids).
+
+    points (n, 3), m, and outward normals (n, 3): of these taxels, as estimated.
 
     With known noise, silent readings in reach are censored, and readings out of reach that noise
     explains are left out. log_radius: logarithm of the patches' radii over the nominal ones;
@@ -86,7 +89,7 @@ def select(
         rest = data.rest if "offset" in data.parameters.nuisance_names else np.zeros(len(data.ids))
         inside |= data.pressure[mine] > rest[data.taxel[mine]] + MISFIT_SIGMAS * data.noise
         mine = mine[inside]
-        silent_contact, silent_taxel = silent_pairs(data, live, points, scale)
+        silent_contact, silent_taxel = silent_pairs(data, live, points, normals, scale)
     none = np.full(len(silent_contact), -1)
     contact = np.concatenate([data.contact[mine], silent_contact])
     taxel = np.concatenate([place[data.taxel[mine]], silent_taxel])

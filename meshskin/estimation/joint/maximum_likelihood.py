@@ -31,12 +31,15 @@ from .outlier_rejection import reject_outliers
 from .parametrization import Parametrization, SurfaceParametrization
 from .pressure import CENSORED, OBSERVED
 from .reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
+from .rival_optima import RivalOptima, resolve_rivals
 from .variable_projection import SchurComplement
 
 UNCONVERGED = "its position does not converge"
 """Reason of a taxel that is not determined though its trilateration is."""
 MOSTLY_OUTLIERS = "most of its readings are outlying"
 """Reason of a taxel whose estimate is dropped; its fault says what was found."""
+RIVAL = "a second position {:.2g} mm away fits nearly as well"
+"""Fault of a taxel whose readings have two optima."""
 MIN_CLEARANCE = 3.0
 """Distance of a predicted reading from threshold and saturation, in standard deviations, from which
 its residual enters the test of fit: 1e-3 of such readings are censored."""
@@ -88,6 +91,11 @@ def estimate(
     estimator.converge()
     restarted = estimator.restart(trilaterate.centroids(near)[live])
     estimator = reject_outliers(estimator)
+    rivals = resolve_rivals(estimator)
+    distances = np.linalg.norm(rivals.points - estimator.problem.points(estimator.state), axis=1)
+    for k in np.flatnonzero(np.isfinite(distances)):
+        words = (estimator.faults[live[k]], RIVAL.format(1e3 * distances[k]))
+        estimator.faults[live[k]] = ", ".join(filter(None, words))
     for row, level in zip(stuck.rows, stuck.level, strict=True):
         estimator.faults[row] = f"stuck at {level / 1e3:.3g} kPa"
     if estimator.unconverged.all():
@@ -96,7 +104,7 @@ def estimate(
             value=f"{len(live)} taxels still move after {MAX_RELINEARIZATIONS} linearizations",
             remedy="check the contact model and the units of force and pressure",
         )
-    return _result(estimator, data, reasons, restarted, clock)
+    return _result(estimator, data, reasons, restarted, rivals, clock)
 
 
 def _result(
@@ -104,6 +112,7 @@ def _result(
     declared: Measurements,
     reasons: np.ndarray,
     restarted: np.ndarray,
+    rivals: RivalOptima,
     clock: float,
 ) -> EstimatorResult:
     """The result for all taxels; `declared`: the data with the belief's own parameters."""
@@ -134,7 +143,10 @@ def _result(
         tangential, pose_covariances = six[:, :2, :2], dropped(six)
         surface: tuple[str, ...] = (MODULES, MODULE_SURFACE)
     else:
-        tangential, pose_covariances = scale * covariance[:, :2, :2], None
+        apart = np.nan_to_num(rivals.points - parametrization.points())
+        apart = np.einsum("kij,ki->kj", parametrization.rotations()[:, :, :2], apart)
+        tangential = scale * covariance[:, :2, :2] + apart[:, :, None] * apart[:, None, :]
+        pose_covariances = None
         surface = (SURFACE,)
     if parameters.nuisance_names != declared.parameters.nuisance_names:
         surface += (UNDECLARED_GAINS,)
@@ -175,6 +187,7 @@ def _result(
             for k, name in enumerate(parameters.nuisance_names)
         },
         faults=estimator.faults,
+        rivals=spread(rivals.points, np.nan),
         fit=fit,
         iterates=np.stack([spread(points, np.nan) for points in estimator.iterates]),
         restarted=estimator.live[restarted],

@@ -92,7 +92,9 @@ def cramer_rao(recording: Recording, belief: Belief, skin: Skin) -> Bound:
             remedy="give the belief a noise_sigma",
         )
     points = true_positions(skin, data.ids)
-    contact, taxel = near_pairs(data, points, data.reach() + REACH_MARGIN)
+    contact, taxel = near_pairs(
+        data, points, data.body.closest(points).normal, data.reach() + REACH_MARGIN
+    )
     return _bound(_information(data, points, contact, taxel), data.parameters)
 
 

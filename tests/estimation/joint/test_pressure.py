@@ -23,7 +23,12 @@ def case(world):
     headings = np.broadcast_to(np.eye(3), (len(world.points), 3, 3))
     unknown = (*EVERY, "body_offset")
     data = gather(world.record(), world.belief(unknown=unknown, headings=headings))
-    contact, taxel = (v[::23] for v in near_pairs(data, world.truth, data.reach() + 1e-3))
+    contact, taxel = (
+        v[::23]
+        for v in near_pairs(
+            data, world.truth, data.body.closest(world.truth).normal, data.reach() + 1e-3
+        )
+    )
     return data, contact, taxel
 
 

@@ -32,7 +32,15 @@ def cases(worlds):
         headings = np.broadcast_to(np.eye(3), (len(world.points), 3, 3))
         belief = world.belief(unknown=(*UNKNOWN, "body_offset"), headings=headings)
         data = gather(world.record(), belief)
-        out[name] = data, *(v[::11] for v in near_pairs(data, world.truth, data.reach() + 1e-3))
+        out[name] = (
+            data,
+            *(
+                v[::11]
+                for v in near_pairs(
+                    data, world.truth, data.body.closest(world.truth).normal, data.reach() + 1e-3
+                )
+            ),
+        )
     return out
 
 

@@ -21,7 +21,9 @@ def problem(world):
     data = gather(world.record(0.01, 0.05), belief)
     s, live = np.zeros(2), np.arange(len(world.ids))
     heard, silent = np.ones(len(data.pressure)), np.ones(len(live))
-    readings = select(data, live, world.truth, 0.0, heard, silent)
+    readings = select(
+        data, live, world.truth, data.body.closest(world.truth).normal, 0.0, heard, silent
+    )
     places = SurfaceParametrization(chart.charts_at(world.body, world.truth), 2e-3)
     likelihood = Likelihood(data, readings)
     return ReducedProblem(likelihood, places, LinearizedContacts(data, s))

@@ -43,7 +43,9 @@ def prepared(world, rigid):
     else:
         places = SurfaceParametrization(chart.charts_at(world.body, world.truth), 2e-3)
     weight = np.random.default_rng(0).uniform(0.2, 1.0, len(data.pressure))
-    readings = select(data, live, places.points(), 0.0, weight, np.ones(len(live)))
+    readings = select(
+        data, live, places.points(), places.rotations()[:, :, 2], 0.0, weight, np.ones(len(live))
+    )
     likelihood = Likelihood(data, readings)
     problem = ReducedProblem(likelihood, places, LinearizedContacts(data, np.zeros(2)))
     state = problem.start(np.zeros(2))

@@ -1,0 +1,214 @@
+"""Rival optima: other positions at which the readings of a taxel fit nearly as well.
+
+A taxel that was touched from one side only, or along a line, may have two optima: its position and
+the mirror image on the other side of its contacts. A covariance describes one optimum and does not
+know of the other. So a taxel whose contacts leave a wide sector of directions open is started again
+from the mirror image and from a ring about its contacts, with the global parameters fixed. Optima
+that fit better replace the estimate; those that fit nearly as well are its rivals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...contact.reading import same_sheet
+from ...core.se3 import Array
+from .joint_estimator import JointEstimator
+from .likelihood import Likelihood, Readings, select
+from .parametrization import SurfaceParametrization
+from .pressure import OBSERVED
+from .variable_projection import ReducedProblem
+
+OPEN_SECTOR = np.radians(150.0)
+"""Angle between the directions from a taxel to neighboring contacts up to which its optimum is
+unique: it lies among its contacts. All rivals found on robot links had more than 190 degrees."""
+DIRECTIONS = 8
+"""Starting points on the ring about the contacts."""
+RING = 0.8
+"""Radius of the ring, in reaches of a contact."""
+ITERATIONS = 4
+"""Relinearizations of the charts on the way to a rival optimum."""
+MAX_LOG_ODDS = 15.0
+"""Largest difference of the log-likelihoods at which an optimum is a rival: odds of 3e-7, the
+probability of an error of 5 standard deviations."""
+MIN_DISTANCE = 0.05
+"""Least distance of a rival from the estimate, in reaches of a contact."""
+MIN_ON_SHEET = 0.5
+"""Least part of the responding contacts that must press the sheet of skin of a rival."""
+MAX_MOVES = 3
+"""Largest number of times that taxels are moved to better optima."""
+
+
+@dataclass(frozen=True)
+class RivalOptima:
+    """The most likely rival of each live taxel; NaN and inf where there is none."""
+
+    points: Array
+    """(n, 3), body frame, m."""
+    log_odds: Array
+    """Log-likelihood (n,) of the estimate minus that of the rival."""
+
+
+def resolve_rivals(estimator: JointEstimator) -> RivalOptima:
+    """Move taxels to rival optima that fit better; returns the rivals that remain."""
+    for _ in range(MAX_MOVES):
+        rivals = find_rivals(estimator)
+        better = rivals.log_odds < 0.0
+        if not better.any():
+            break
+        points = estimator.problem.points(estimator.state)
+        estimator.start_at(np.where(better[:, None], rivals.points, points), select_anew=True)
+        estimator.converge()
+    return rivals
+
+
+def find_rivals(estimator: JointEstimator) -> RivalOptima:
+    """The rival optima of a converged estimate."""
+    n = len(estimator.live)
+    best = RivalOptima(np.full((n, 3), np.nan), np.full(n, np.inf))
+    if not isinstance(estimator.problem.parametrization, SurfaceParametrization):
+        return best
+    points = estimator.problem.points(estimator.state)
+    rows = np.flatnonzero(open_sectors(estimator, points) > OPEN_SECTOR)
+    if not len(rows):
+        return best
+    reach = float(np.median(estimator.data.reach()))
+    estimate = points[rows], estimator.state.z[rows]
+    for start in _starts(estimator, rows, points[rows], reach):
+        found = _optimum(estimator, rows, start)
+        valid = np.linalg.norm(found[0] - points[rows], axis=1) > MIN_DISTANCE * reach
+        valid &= _part_on_sheet(estimator, rows, found[0]) >= MIN_ON_SHEET
+        odds = np.where(valid, _log_odds(estimator, rows, estimate, found), np.inf)
+        better = (odds < best.log_odds[rows]) & (odds < MAX_LOG_ODDS)
+        best.points[rows[better]] = found[0][better]
+        best.log_odds[rows[better]] = odds[better]
+    return best
+
+
+def open_sectors(estimator: JointEstimator, points: Array) -> Array:
+    """Largest angle (n,), rad, between the directions from taxels at `points` (n, 3) to neighboring
+    contacts that they respond to, in the tangent plane."""
+    taxel, contact, _ = _responses(estimator)
+    frames = estimator.problem.parametrization.rotations()[taxel]
+    offset = estimator.problem.contacts.data.points[contact] - points[taxel]
+    x, y, _ = np.einsum("kij,ki->jk", frames, offset)
+    angle = np.arctan2(y, x)
+    order = np.lexsort((angle, taxel))
+    parts = np.split(angle[order], np.searchsorted(taxel[order], np.arange(1, len(points))))
+    return np.array(
+        [
+            np.diff(np.append(part, part[:1] + 2 * np.pi)).max(initial=0.0) or 2 * np.pi
+            for part in parts
+        ]
+    )
+
+
+def _responses(estimator: JointEstimator) -> tuple[np.ndarray, np.ndarray, Array]:
+    """Taxel, contact and level (k,), Pa, of the observed readings that are not outlying."""
+    read = estimator.likelihood.readings
+    used = (read.kind == OBSERVED) & (read.weight > 0.5)
+    return read.taxel[used], read.contact[used], read.level[used]
+
+
+def _part_on_sheet(estimator: JointEstimator, rows: np.ndarray, points: Array) -> Array:
+    """Part (r,) of the responding contacts that press the sheet of skin at `points` (r, 3)."""
+    taxel, contact, _ = _responses(estimator)
+    place = np.full(len(estimator.live), -1)
+    place[rows] = np.arange(len(rows))
+    mine = place[taxel] >= 0
+    owner, contact = place[taxel[mine]], contact[mine]
+    contacts, normals = estimator.problem.contacts.data, estimator.data.body.closest(points).normal
+    on = same_sheet(
+        points[owner] - contacts.points[contact], contacts.normals[contact], normals[owner]
+    )
+    return np.bincount(owner[on], minlength=len(rows)) / np.maximum(
+        np.bincount(owner, minlength=len(rows)), 1
+    )
+
+
+def _starts(
+    estimator: JointEstimator, rows: np.ndarray, points: Array, reach: float
+) -> list[Array]:
+    """Starting points (r, 3): the mirror image in the line of the contacts, the ring about them."""
+    contacts = estimator.problem.contacts.data.points
+    frames = estimator.problem.parametrization.rotations()[rows]
+    taxel, contact, level = _responses(estimator)
+    center, axis = points.copy(), np.zeros_like(points)
+    for k, row in enumerate(rows):
+        mine = taxel == row
+        if mine.any():
+            center[k] = level[mine] @ contacts[contact[mine]] / level[mine].sum()
+            flat = (contacts[contact[mine]] - center[k]) @ frames[k, :, :2]
+            axis[k] = frames[k, :, :2] @ np.linalg.svd(flat, full_matrices=False)[2][0]
+    offset = points - center
+    kept = np.einsum("ki,ki->k", offset, axis)[:, None] * axis
+    kept += np.einsum("ki,ki->k", offset, frames[:, :, 2])[:, None] * frames[:, :, 2]
+    angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    ring = [np.cos(t) * frames[:, :, 0] + np.sin(t) * frames[:, :, 1] for t in angles]
+    return [center + 2 * kept - offset, *(center + RING * reach * way for way in ring)]
+
+
+def _problem(
+    estimator: JointEstimator, rows: np.ndarray, points: Array, readings: Readings
+) -> ReducedProblem:
+    """The problem of the taxels `rows` alone, linearized at `points` (r, 3)."""
+    whole = estimator.problem.parametrization
+    assert isinstance(whole, SurfaceParametrization)
+    own = replace(whole, charts=whole.charts[rows]).about(estimator.data.body, points)
+    likelihood = Likelihood(estimator.data, readings)
+    return ReducedProblem(likelihood, own, estimator.problem.contacts, estimator.inner_tolerance)
+
+
+def _readings(estimator: JointEstimator, rows: np.ndarray, points: Array) -> Readings:
+    """The readings that inform about the taxels `rows` at `points` (r, 3)."""
+    return select(
+        estimator.problem.contacts.data, estimator.live[rows], points,
+        estimator.data.body.closest(points).normal, estimator.selected_at[2],
+        estimator.weight, estimator.silent_weight[rows],
+    )  # fmt: skip
+
+
+def _optimum(estimator: JointEstimator, rows: np.ndarray, start: Array) -> tuple[Array, Array]:
+    """Points (r, 3) and unknowns (r, D) of the optima reached from `start` (r, 3), with the global
+    parameters fixed."""
+    points, z = start, estimator.state.z[rows].copy()
+    for _ in range(ITERATIONS):
+        z[:, :2] = 0.0
+        problem = _problem(estimator, rows, points, _readings(estimator, rows, points))
+        state = problem.start(estimator.state.s, z)
+        problem.solve_inner(state)
+        z = state.z.copy()
+        points = estimator.data.body.closest(problem.points(state)).point
+    return points, z
+
+
+def _log_odds(
+    estimator: JointEstimator,
+    rows: np.ndarray,
+    first: tuple[Array, Array],
+    second: tuple[Array, Array],
+) -> Array:
+    """Log-likelihood (r,) of taxels at the points and unknowns `first` minus that at `second`, of
+    all readings that inform about either."""
+    readings = union(*(_readings(estimator, rows, points) for points, _ in (first, second)))
+    costs = []
+    for points, z in (first, second):
+        problem = _problem(estimator, rows, points, readings)
+        nuisance = z.copy()
+        nuisance[:, :2] = 0.0
+        state = problem.start(estimator.state.s, nuisance)
+        costs.append(problem.blocks(state).cost)
+    return np.asarray(costs[1] - costs[0])
+
+
+def union(first: Readings, second: Readings) -> Readings:
+    """The readings of the same taxels that are in either."""
+    names = ("contact", "taxel", "level", "kind", "source", "weight")
+    columns = {n: np.concatenate([getattr(first, n), getattr(second, n)]) for n in names}
+    pairs = np.stack([columns["taxel"], columns["contact"]])
+    kept = np.unique(pairs, axis=1, return_index=True)[1]
+    columns = {name: values[kept] for name, values in columns.items()}
+    starts = np.searchsorted(columns["taxel"], np.arange(len(first.starts)))
+    return Readings(**columns, starts=starts)

@@ -1,0 +1,103 @@
+"""Rival optima: mirror images of taxels that were touched along a line; the faces of a plate."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+import meshskin as ms
+from meshskin.contact.reading import same_sheet
+from meshskin.core.se3 import exp_so3
+from meshskin.effects.gaussian_noise import GaussianNoise
+
+
+@pytest.fixture(scope="module")
+def line(sphere):
+    """A scene with 10 % noise, its calibration, and the row of its outermost taxel: touched in
+    a strip 0.7 mm wide whose middle is 1.5 mm beside it."""
+    scene = sphere.with_(
+        effects=(GaussianNoise(sigma_relative=0.1),),
+        readout=replace(sphere.readout, threshold_relative=0.2),
+    )
+    points, normals = scene.skin.positions, scene.skin.normals
+    far = int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))
+    inward = points.mean(axis=0) - points[far]
+    side = inward - normals[far] * (inward @ normals[far])
+    side /= np.linalg.norm(side)
+    steps, zigzag = np.linspace(-4e-3, 4e-3, 17)[:, None], (-1.0) ** np.arange(17)[:, None]
+    strip = points[far] + (1.5e-3 + 0.35e-3 * zigzag) * side
+    strip = strip + steps * np.cross(normals[far], side)
+    middle = points.mean(axis=0) + np.random.default_rng(0).normal(scale=6e-3, size=(400, 3))
+    away = np.linalg.norm(middle - points[far], axis=1) > 14e-3
+    recording = ms.press(scene, np.concatenate([strip, middle[away]]), seed=3)
+    return scene, ms.calibrate(recording, scene.belief()), far
+
+
+def test_a_taxel_touched_along_a_line_has_a_rival_at_its_mirror_image(line):
+    scene, calibration, far = line
+    truth, estimate = scene.skin.positions[far], calibration.positions[far]
+    rival = calibration.rivals[far]
+    errors = [np.linalg.norm(estimate - truth), np.linalg.norm(rival - truth)]
+    assert min(errors) < 0.5e-3
+    assert max(errors) == pytest.approx(3e-3, rel=0.2)  # twice the distance of the strip's middle
+    assert calibration.position_sigma[far] > 0.9 * np.linalg.norm(rival - estimate)
+    assert "second position" in calibration.faults[far]
+
+
+def test_no_taxel_is_confidently_wrong(line):
+    scene, calibration, _ = line
+    error = np.linalg.norm(calibration.positions - scene.skin.positions, axis=1)
+    assert not np.any((error > 0.3e-3) & (error > 5 * calibration.position_sigma))
+
+
+def test_taxels_among_their_contacts_have_no_rivals(noisy, noisy_recording):
+    calibration = ms.calibrate(noisy_recording, noisy.belief())
+    assert not np.isfinite(calibration.rivals).any()
+
+
+def test_rivals_are_saved(line, tmp_path):
+    _, calibration, _ = line
+    calibration.save(tmp_path / "calibration")
+    again = ms.Calibration.load(tmp_path / "calibration")
+    assert np.array_equal(again.rivals, calibration.rivals, equal_nan=True)
+
+
+@pytest.mark.parametrize("thickness", [3.0, 5.0])
+def test_taxels_of_a_plate_are_estimated_on_their_own_face(noisy, tmp_path, thickness):
+    box = trimesh.creation.box((50, 40, thickness))
+    for _ in range(3):
+        box = box.subdivide()
+    box.export(tmp_path / "plate.stl")
+    body = ms.Body.load(tmp_path / "plate.stl", units="mm")
+    whole = ms.Skin.cover(body, spacing=8e-3, seed=1)
+    on_face = np.abs(whole.normals[:, 2]) > 0.9
+    skin = ms.Skin(whole.poses[on_face], np.arange(on_face.sum()), whole.disc_radius)
+    scene = noisy.with_(
+        body=body, skin=skin, contact="hertz", indenter=ms.Indenter.sphere(8e-3),
+        material=ms.Material(young=0.4e6),
+    )  # fmt: skip
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-1, 1, (700, 3)) * [22e-3, 17e-3, 0.0]
+    points[:, 2] = np.where(rng.random(700) < 0.5, 0.5e-3, -0.5e-3) * thickness
+    calibration = ms.calibrate(ms.press(scene, points, seed=1), scene.belief())
+    found = np.isfinite(calibration.positions[:, 0])
+    assert found.mean() > 0.8
+    side = np.sign(calibration.positions[found, 2])
+    assert np.array_equal(side, np.sign(skin.positions[found, 2]))
+
+
+def test_points_of_a_sphere_within_60_degrees_are_on_one_sheet():
+    angle = np.radians([1.0, 20.0, 59.0, 61.0, 120.0])
+    normal = np.einsum("kij,j->ki", exp_so3(angle[:, None] * [1.0, 0.0, 0.0]), [0.0, 0.0, 1.0])
+    for radius in (0.1, -0.1):  # convex and concave
+        offset = radius * (normal - [0.0, 0.0, 1.0])
+        same = same_sheet(offset, np.tile([0.0, 0.0, 1.0], (5, 1)), normal)
+        assert same.tolist() == [True, True, True, False, False]
+
+
+def test_steps_and_far_sides_are_other_sheets():
+    up = np.array([0.0, 0.0, 1.0])
+    offset = np.array([[2.0, 0.0, -0.9], [2.0, 0.0, -1.3], [0.1, 0.0, -3.0], [1.0, 0.0, 0.0]])
+    taxel = np.array([up, up, -up, up])
+    assert same_sheet(offset, np.tile(up, (4, 1)), taxel).tolist() == [True, False, False, True]
