@@ -120,8 +120,8 @@ class Body:
     def _first_hit(self, origins: Array, directions: Array) -> NDArray[np.intp]:
         centre, scale, scene = self._ray_scene
         start = np.ascontiguousarray((origins - centre) / scale, dtype=np.float32)
-        way = np.ascontiguousarray(directions, dtype=np.float32)
-        return np.asarray(scene.run(start, way), dtype=np.intp)
+        ahead = np.ascontiguousarray(directions, dtype=np.float32)
+        return np.asarray(scene.run(start, ahead), dtype=np.intp)
 
     @cached_property
     def _ray_scene(self) -> tuple[Array, float, Any]:

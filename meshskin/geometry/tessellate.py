@@ -38,12 +38,12 @@ def cylinder(radius: float, length: float, faces: int) -> tuple[Array, Index]:
     n = max(2, round(2.0 * np.pi * radius / (6.0 * step)))
     rows = max(1, round(length / (2.0 * np.pi * radius / (6 * n) * np.sqrt(3.0) / 2.0)))
     counts = [1, *(6 * k for k in range(1, n + 1))]
-    radii_ = [radius * k / n for k in range(n + 1)]
+    radial = [radius * k / n for k in range(n + 1)]
     heights = [0.5 * length] * (n + 1) + list(np.linspace(0.5, -0.5, rows + 1)[1:] * length)
     heights += [-0.5 * length] * n
     counts += [6 * n] * rows + counts[:n][::-1]
-    radii_ += [radius] * rows + radii_[:n][::-1]
-    return _stitch(_rings(heights, radii_, counts, range(n, n + rows + 1)))
+    radial += [radius] * rows + radial[:n][::-1]
+    return _stitch(_rings(heights, radial, counts, range(n, n + rows + 1)))
 
 
 def capsule(radius: float, length: float, faces: int) -> tuple[Array, Index, Index]:
@@ -64,9 +64,9 @@ def capsule(radius: float, length: float, faces: int) -> tuple[Array, Index, Ind
     heights += [-0.5 * length] * n
     latitude += list(np.linspace(0.0, -0.5 * np.pi, n + 1)[1:])
     counts += counts[:n][::-1]
-    radii_ = (radius * np.cos(latitude)).tolist()
+    radial = (radius * np.cos(latitude)).tolist()
     heights = (heights + radius * np.sin(latitude)).tolist()
-    rings = _rings(heights, radii_, counts, range(n, n + rows + 1))
+    rings = _rings(heights, radial, counts, range(n, n + rows + 1))
     starts = np.concatenate([[0], np.cumsum(counts)])
     around = np.arange(4 * n)
     seam = np.column_stack([around, (around + 1) % (4 * n)])
@@ -81,8 +81,8 @@ def torus(major: float, minor: float, faces: int) -> tuple[Array, Index]:
     a, b = 2.0 * np.pi * i / around, 2.0 * np.pi * (j + 0.5 * (i % 2)) / across
     if around % 2:
         b = 2.0 * np.pi * j / across
-    radii_ = major + minor * np.cos(b)
-    vertices = np.stack([radii_ * np.cos(a), radii_ * np.sin(a), minor * np.sin(b)], axis=-1)
+    radial = major + minor * np.cos(b)
+    vertices = np.stack([radial * np.cos(a), radial * np.sin(a), minor * np.sin(b)], axis=-1)
     node, up = i * across + j, i * across + (j + 1) % across
     east, east_up = ((i + 1) % around) * across + j, ((i + 1) % around) * across + (j + 1) % across
     odd = (i % 2 == 1) & (around % 2 == 0)
@@ -96,14 +96,14 @@ def torus(major: float, minor: float, faces: int) -> tuple[Array, Index]:
 
 
 def _rings(
-    heights: list[float], radii_: list[float], counts: list[int], side: range
+    heights: list[float], radial: list[float], counts: list[int], side: range
 ) -> list[Array]:
     """Closed rings of points (count, 3), each at a height and a radius, m.
 
     Every second ring of the `side` is rotated by half a step: its triangles are equilateral.
     """
     rings = []
-    for k, (z, r, count) in enumerate(zip(heights, radii_, counts, strict=True)):
+    for k, (z, r, count) in enumerate(zip(heights, radial, counts, strict=True)):
         shift = 0.5 * ((k - side.start) % 2) if k in side else 0.0
         a = (np.arange(count) + shift) * 2.0 * np.pi / count
         rings.append(np.column_stack([r * np.cos(a), r * np.sin(a), np.full(count, z)]))

@@ -10,6 +10,7 @@ order h^d and curvatures to order h^(d-1). CGAL has it, in C++; libigl fits quad
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -140,11 +141,7 @@ def fit_jets(vertices: Array, fans: Fans, degree: int = DEGREE, order: int = 2) 
 def _fit_rings(fits: _Fit, rows: Index, rings: Any, degree: int) -> None:
     """Fit the fans `rows` (r,) to their rings, the rows of `rings` (r, n), in place."""
     jets = fits.jets
-    start, index = rings.indptr.astype(np.intp), rings.indices
-    size = np.diff(start)
-    for group in size_groups(size):
-        members = rows[group]
-        ring = index[start[group][:, None] + np.arange(size[group[0]])]
+    for _, members, ring in _groups(rows, rings):
         local = _local(jets, members, ring)
         solved, values, rss = least_squares(local, jets.scale[members], degree)
         if len(ring[0]) <= TERMS[degree] + SPARE_POINTS:
@@ -216,13 +213,10 @@ def _average(
 
     The origin of a `moving` fan moves to the fitted height.
     """
-    start, index = rings.indptr.astype(np.intp), rings.indices
-    size = np.diff(start)
     accepted = np.zeros(len(rows), dtype=bool)
-    for group in size_groups(size):
-        members = rows[group]
+    for group, members, ring in _groups(rows, rings):
         keep = jets.frame[members], jets.scale[members]
-        local = _local(jets, members, index[start[group][:, None] + np.arange(size[group[0]])])
+        local = _local(jets, members, ring)
         columns = powers(local[:, 0], local[:, 1], 2)
         constant = np.broadcast_to(moving[group][:, None, None], (*columns.shape[:1], 1, 1))
         columns = np.concatenate([columns, constant * np.ones((1, 1, columns.shape[2]))], axis=1)
@@ -230,7 +224,7 @@ def _average(
         normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(6)
         values = np.linalg.solve(normal, columns @ local[:, 2, :, None])[..., 0]
         miss = np.einsum("gck,gc->gk", columns, values) - local[:, 2]
-        freedom = size[group[0]] - 6
+        freedom = ring.shape[1] - 6
         good = np.einsum("gk,gk->g", miss, miss) <= limit[group] * max(freedom, 0)
         good &= plausible(np.asarray(values[:, :5], dtype=float), jets.scale[members])
         accepted[group] = good
@@ -250,11 +244,8 @@ def _fit_sparse(fits: _Fit, rows: Index, rings: Any, degree: int) -> None:
     An example is the side of a coarse cylinder, whose vertices lie on two circles.
     """
     jets = fits.jets
-    start, index = rings.indptr.astype(np.intp), rings.indices
-    size = np.diff(start)
-    for group in size_groups(size):
-        members = rows[group]
-        local = _local(jets, members, index[start[group][:, None] + np.arange(size[group[0]])])
+    for _, members, ring in _groups(rows, rings):
+        local, count = _local(jets, members, ring), ring.shape[1]
         height, scale = local[:, 2], jets.scale[members]
         extent = scale.min(axis=1)
         best = np.full(len(members), np.inf)
@@ -266,11 +257,11 @@ def _fit_sparse(fits: _Fit, rows: Index, rings: Any, degree: int) -> None:
             values = np.linalg.solve(triangle[:, :c, :c], half[:, :c, None])[..., 0] / length[:, :c]
             rss = np.sum(height**2, axis=1) - np.sum(half[:, :c] ** 2, axis=1)
             rss, rank = np.maximum(rss, 0.0), kept[:, :c].sum(axis=1)
-            freedom = size[group[0]] - 1 - rank
-            good = plausible(values, scale) & (rss < (MAX_RESIDUAL * extent) ** 2 * size[group[0]])
+            freedom = count - 1 - rank
+            good = plausible(values, scale) & (rss < (MAX_RESIDUAL * extent) ** 2 * count)
             good &= rss < MAX_UNEXPLAINED * np.sum(height**2, axis=1) + 1e-300
             if trial == 1:
-                good &= rss < (PLANE_TOLERANCE * extent) ** 2 * size[group[0]]
+                good &= rss < (PLANE_TOLERANCE * extent) ** 2 * count
             elif trial > 2:
                 good &= (freedom > 0) | decaying(values)
             variance = rss / np.maximum(freedom, 1)
@@ -284,6 +275,17 @@ def _fit_sparse(fits: _Fit, rows: Index, rings: Any, degree: int) -> None:
             jets.residual[done] = np.where(freedom > SPARE_POINTS, np.sqrt(rss / squares), 1.0)[
                 chosen
             ]
+
+
+def _groups(rows: Index, rings: Any) -> Iterator[tuple[Index, Index, Index]]:
+    """Fans `rows` (r,) by the size of their rings, the rows of `rings` (r, n); at most CHUNK each.
+
+    Yields indices (g,) into `rows`, the fans (g,), and their rings (g, k).
+    """
+    start, index = rings.indptr.astype(np.intp), rings.indices
+    size = np.diff(start)
+    for group in size_groups(size):
+        yield group, rows[group], index[start[group][:, None] + np.arange(size[group[0]])]
 
 
 def size_groups(size: Index) -> list[Index]:

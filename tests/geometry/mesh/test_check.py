@@ -1,4 +1,4 @@
-"""What is found in meshes, what is mended, and what is said about the rest."""
+"""Checks of meshes: findings, repairs, and the messages about what is refused."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Folds: told from edges of solids, and the side of a point by the mesh's winding."""
+"""Inside or outside: folded edges, winding numbers, and meshes that intersect themselves."""
 
 from dataclasses import replace
 
