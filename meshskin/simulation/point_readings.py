@@ -34,10 +34,12 @@ class PointReadings:
     ) -> None:
         self.rows, self.dtype, self._code = loop.outputs, dtype, code
         self._taxels = np.ascontiguousarray(np.transpose(positions), dtype=dtype)
-        self._origin = np.mean(positions, axis=0)  # near the taxels, against cancellation
-        self._offsets = np.transpose(positions - self._origin)
-        self._squares = np.sum(self._offsets**2, axis=0).astype(dtype)
-        self._offsets = self._offsets.astype(dtype)
+        self.origin = np.mean(positions, axis=0)
+        x = np.asarray(positions, dtype=float) - self.origin
+        ones = np.ones(len(x))
+        self._spread = np.stack([*x.T, np.sum(x * x, axis=1), ones]).astype(dtype)  # (5, n)
+        self._height = np.stack([*x.T, ones]).astype(dtype)  # (4, n)
+        self._scratch = np.empty((0, len(x)), dtype)
 
     def __call__(self, outputs: Array, out: Any = None) -> Array:
         """Pressures (k, n), Pa, of outputs (k, m); `out`: an array for the result."""
@@ -46,20 +48,38 @@ class PointReadings:
                 out = np.empty((len(outputs), self._taxels.shape[1]), self.dtype)
             self._code.read(self._taxels, outputs, out)
             return np.asarray(out)
-        rows, dtype = self.rows, self.dtype
-        c, normal = outputs[:, rows["point"]] - self._origin, outputs[:, rows["normal"]]
-        area = np.maximum(outputs[:, rows["depth"]] * outputs[:, rows["radius"]], MIN_AREA)
-        force = outputs[:, rows["force"]]
-        # p^2 = p_0^2 max(0, 1 - (|x - c|^2 - h^2) / a^2), h^2 at most a^2: taxels further than a
-        # from the tangent plane, as on the far side of the body, read nothing
-        scale = (force > 0) * (1.5 / np.pi * force / area) ** 2 / area
-        height = (np.sqrt(scale) * normal).astype(dtype) @ self._offsets
-        height -= np.sqrt(scale) * np.sum(c * normal, axis=1, keepdims=True).astype(dtype)
-        height *= height
-        np.minimum(height, (scale * area).astype(dtype), out=height)
-        inside = np.matmul((2.0 * scale * c).astype(dtype), self._offsets, out=out)
-        inside -= scale.astype(dtype) * self._squares
-        inside += (scale * (area - np.sum(c * c, axis=1, keepdims=True))).astype(dtype)
-        inside += height
+        spread, height = self._factors(outputs)
+        if len(self._scratch) < len(outputs):
+            self._scratch = np.empty((len(outputs), self._scratch.shape[1]), self.dtype)
+        # p_0^2 ((x - c) . n)^2 / a^2 and p_0^2 (1 - |x - c|^2 / a^2), each as one matrix product
+        across = np.matmul(height, self._height, out=self._scratch[: len(outputs)])
+        across *= across
+        # taxels further than a from the tangent plane, as on the far side, read nothing
+        peak = (outputs[:, self.rows["force"]] > 0) * self._peak(outputs) ** 2
+        np.minimum(across, peak.astype(self.dtype), out=across)
+        inside: Array = np.matmul(spread, self._spread, out=out)
+        inside += across
         np.maximum(inside, 0.0, out=inside)
-        return np.asarray(np.sqrt(inside, out=inside))
+        return np.sqrt(inside, out=inside)
+
+    def _area(self, outputs: Array) -> Array:
+        """a^2 (k, 1), m^2."""
+        rows = self.rows
+        return np.maximum(outputs[:, rows["depth"]] * outputs[:, rows["radius"]], MIN_AREA)
+
+    def _peak(self, outputs: Array) -> Array:
+        """p_0 (k, 1), Pa."""
+        return np.asarray(1.5 / np.pi * outputs[:, self.rows["force"]] / self._area(outputs))
+
+    def _factors(self, outputs: Array) -> tuple[Array, Array]:
+        """Left factors (k, 5) and (k, 4) of the two products."""
+        c = outputs[:, self.rows["point"]] - self.origin
+        normal = outputs[:, self.rows["normal"]]
+        area, peak = self._area(outputs), self._peak(outputs)
+        scale = peak * peak / area
+        inner = np.einsum("ij,ij->i", c, c)[:, None]
+        spread = np.concatenate([2.0 * scale * c, -scale, scale * (area - inner)], axis=1)
+        root = np.sqrt(scale)
+        along = np.einsum("ij,ij->i", c, normal)[:, None]
+        height = np.concatenate([root * normal, -root * along], axis=1)
+        return spread.astype(self.dtype), height.astype(self.dtype)

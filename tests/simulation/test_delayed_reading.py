@@ -56,8 +56,8 @@ def test_the_memory_is_a_shift_register_of_the_contact(arm, body, integrator):
         np.testing.assert_array_equal(kept[age:, 2 - age], seen[: len(seen) - age])
 
 
-def test_what_is_heard_late_is_the_force_of_then(arm, body):
-    """With an old reading in its memory, the step's torque is that of the moment of the reading."""
+def test_the_law_uses_the_delayed_measurement(arm, body):
+    """With a delayed measurement in its memory, the step's torque is that of the moment of the reading."""
     loop, like = pressed(arm, body, LAW, 1.5e-3)
     now, late = step(loop), step(replace(loop, delay=1))
     still = (like.references[0], like.anchors[0], like.parameters)
@@ -66,7 +66,9 @@ def test_what_is_heard_late_is_the_force_of_then(arm, body):
     reading = [output[rows["depth"].start], output[rows["force"].start]]
     state = np.concatenate([like.state[:12], reading, like.state[-2:]])
     np.testing.assert_allclose(late(state, *still)[1].full().ravel(), output, rtol=1e-12)
-    state[13] -= 1.0  # it hears 1 N less: it asks for more by gamma / slope, and lifts 1 N less
+    state[13] -= (
+        1.0  # it measures 1 N less: it asks for more by gamma / slope, and compensates 1 N less
+    )
     less = late(state, *still)[1].full().ravel()
     assert np.abs(less[rows["torque"]] - output[rows["torque"]]).max() > 0.1
     np.testing.assert_array_equal(less[: rows["torque"].start], output[: rows["torque"].start])
@@ -98,16 +100,16 @@ def test_friction_comes_from_the_urdf(arm):
     np.testing.assert_array_equal(rough.friction, np.full(6, 1.5))
 
 
-def test_a_law_that_believes_in_another_modulus_asks_for_another_speed(arm, body):
+def test_a_law_that_assumes_another_modulus_asks_for_another_speed(arm, body):
     """Without an arm, at the same depth: speed = gamma (f_ref - F) / slope, slope ~ E*."""
     loop, like = pressed(arm, body, LAW, 1.0e-3)
     free = replace(loop, mode="quasi_static")
-    believing = replace(LAW, effective_modulus=2.0 * loop.effective_modulus)
+    assuming = replace(LAW, effective_modulus=2.0 * loop.effective_modulus)
     state = np.concatenate([like.references[0, :3], [1.0, 0, 0, 0], like.state[-2:]])
     rest = (like.references[0], like.anchors[0], like.parameters)
     moves = [
         step(replace(free, law=law))(state, *rest)[0].full().ravel()[:3] - state[:3]
-        for law in (LAW, believing)
+        for law in (LAW, assuming)
     ]
     assert np.linalg.norm(moves[0]) > 1e-6
     np.testing.assert_allclose(moves[0], 2.0 * moves[1], rtol=1e-9, atol=1e-15)
@@ -128,7 +130,7 @@ def test_a_delay_limits_gamma_and_says_so(sphere, delay):
     late = sphere.with_(loop=replace(sphere.loop, delay=delay))
     simulator, _ = prepare(late.with_(law=replace(sphere.law, gamma=0.8 * critical)))
     state, _ = simulator.rest_state(simulator.state[:6])
-    np.testing.assert_array_equal(state[13:-2:2], 0.0)  # still in the air: no force is heard
+    np.testing.assert_array_equal(state[13:-2:2], 0.0)  # still in the air: the force is zero
     assert (state[12:-2:2] < 0).all()
     with pytest.raises(SimulationError, match=r"lower law\.gamma"):
         prepare(late.with_(law=replace(sphere.law, gamma=1.2 * critical)))

@@ -1,4 +1,4 @@
-"""Prices of limits, against closed forms."""
+"""Multipliers of limits, against closed forms."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def test_where_a_third_limit_meets_them_relaxing_gains_nothing_and_tightening_co
     assert both == pytest.approx((0.0, 1 / 3), abs=1e-6)
 
 
-def test_the_end_of_a_range_has_its_multiplier_and_slopes_that_lead_on_are_told():
+def test_the_end_of_a_range_has_its_multiplier_and_the_predicted_decrease_is_that_of_the_model():
     free = corner(third=1.0)
     walled = QuadraticModel(
         free.gradient,

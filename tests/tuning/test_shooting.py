@@ -1,4 +1,4 @@
-"""Shots against the simulator, and their derivatives against finite differences."""
+"""Single shooting against the simulator, and their derivatives against finite differences."""
 
 from dataclasses import replace
 
@@ -18,12 +18,12 @@ AHEAD = np.array([1.0, 0.0, 0.0])
 QUICK = {"settle": 0.05, "speed": 0.1, "ramp": 0.03, "approach_ramp": 0.02}
 
 
-def shot(scene, scenario=None, distance=0.005):
-    """A shot in a scenario of a scene, as tune makes it."""
+def shooting_of(scene, scenario=None, distance=0.005):
+    """The shooting of a scenario of a scene, as in `tune`."""
     scenario = scenario or Scenario()
-    lived = scenario_scene(scene, scenario, BOTTOM)
-    made = plan_manoeuvre(lived, BOTTOM / scenario.curvature, AHEAD, distance)
-    return SingleShooting(lived, scenario, made)
+    varied = scenario_scene(scene, scenario, BOTTOM)
+    made = plan_manoeuvre(varied, BOTTOM / scenario.curvature, AHEAD, distance)
+    return SingleShooting(varied, scenario, made)
 
 
 def quick(scene, mode="arm", delay=0.0):
@@ -43,20 +43,20 @@ def quick(scene, mode="arm", delay=0.0):
 )
 def test_the_predicted_force_is_the_simulated_one(sphere, mode, delay, scenario):
     """The same manoeuvre on the mesh's own faces, through the state machine: to 0.2 %."""
-    one = shot(quick(sphere, mode, delay), scenario)
-    foretold = one.predict(Gains.of(one.scene))
+    one = shooting_of(quick(sphere, mode, delay), scenario)
+    predicted = one.predict(Gains.of(one.scene))
     time, force = simulate_manoeuvre(one.scene, one.manoeuvre)
-    count = min(len(force), len(foretold.force))
-    assert abs(len(force) - len(foretold.force)) <= 2
-    apart = np.abs(force[:count] - foretold.force[:count]).max()
+    count = min(len(force), len(predicted.force))
+    assert abs(len(force) - len(predicted.force)) <= 2
+    difference = np.abs(force[:count] - predicted.force[:count]).max()
     assert force.max() > 2.0
-    assert apart < 2e-3 * sphere.law.force_reference
-    assert foretold.duration == pytest.approx(time[-1], abs=2 * sphere.loop.dt)
+    assert difference < 2e-3 * sphere.law.force_reference
+    assert predicted.duration == pytest.approx(time[-1], abs=2 * sphere.loop.dt)
 
 
 @pytest.mark.parametrize("mode", ["quasi_static", "arm"])
 def test_derivatives_by_the_gains_are_those_of_differences(sphere, mode):
-    one = shot(quick(sphere, mode, 2e-3))
+    one = shooting_of(quick(sphere, mode, 2e-3))
     x = ca.MX.sym("x", len(NAMES))
     rows = one.roll(ca.exp(x), 200)[:3, :]
     both = ca.Function("both", [x], [rows, ca.jacobian(ca.vec(rows), x)])
@@ -72,17 +72,17 @@ def test_derivatives_by_the_gains_are_those_of_differences(sphere, mode):
         np.testing.assert_allclose(slope[:, k], difference, atol=2e-4 * size)
 
 
-def test_a_scenario_is_a_world_of_its_own_and_the_law_believes_in_the_scene(sphere):
-    lived = scenario_scene(sphere, Scenario(1.5, 2.0, 0.01), BOTTOM)
-    assert lived.material.effective_modulus == pytest.approx(
+def test_a_scenario_changes_the_scene_and_not_what_the_law_assumes(sphere):
+    varied = scenario_scene(sphere, Scenario(1.5, 2.0, 0.01), BOTTOM)
+    assert varied.material.effective_modulus == pytest.approx(
         1.5 * sphere.material.effective_modulus
     )
-    assert lived.law.effective_modulus == sphere.material.effective_modulus
-    hit = lived.body.closest(BOTTOM[None] / 2.0)
+    assert varied.law.effective_modulus == sphere.material.effective_modulus
+    hit = varied.body.closest(BOTTOM[None] / 2.0)
     np.testing.assert_allclose(hit.curvature, 20.0, rtol=1e-3)
-    before, after = (s.mount_pose @ [*p, 1.0] for s, p in ((sphere, BOTTOM), (lived, BOTTOM / 2)))
+    before, after = (s.mount_pose @ [*p, 1.0] for s, p in ((sphere, BOTTOM), (varied, BOTTOM / 2)))
     np.testing.assert_allclose(after, before, atol=1e-12)
-    np.testing.assert_allclose(lived.arm.friction, 0.01 * sphere.arm.effort_limit)
+    np.testing.assert_allclose(varied.arm.friction, 0.01 * sphere.arm.effort_limit)
     assert scenario_scene(sphere, Scenario(), BOTTOM) is sphere
     weak = replace(sphere.arm, effort_limit=np.full(6, np.inf))
     with pytest.raises(ConfigError, match="torque limits"):

@@ -38,16 +38,16 @@ def gains_of(tuned):
     return Gains.of(tuned.tuned_scene)
 
 
-def kept(shot, gains, demands, target):
+def kept(shooting, gains, demands, target):
     """Whether a manoeuvre keeps the demands on the force, and how long it takes: by its numbers."""
-    foretold = shot.predict(gains)
-    error = foretold.force / gains.force_reference - 1.0
-    sliding = foretold.since > gains.settle
-    first = np.interp(gains.settle, foretold.since, error)
+    predicted = shooting.predict(gains)
+    error = predicted.force / gains.force_reference - 1.0
+    sliding = predicted.since > gains.settle
+    first = np.interp(gains.settle, predicted.since, error)
     good = error.max() <= demands.overshoot + TOLERANCE
     good &= abs(first) <= demands.settled + TOLERANCE
-    good &= np.abs(foretold.force[sliding] / target - 1.0).max() <= demands.force + TOLERANCE
-    return bool(good), foretold.duration
+    good &= np.abs(predicted.force[sliding] / target - 1.0).max() <= demands.force + TOLERANCE
+    return bool(good), predicted.duration
 
 
 def test_the_simulator_confirms_what_was_predicted(small, tuned):
@@ -115,7 +115,7 @@ def test_older_readings_settle_later(small):
 
 def test_no_gains_near_the_solution_are_better(small, tuned):
     """A grid over gamma, approach speed and rest about the solution: nothing feasible is faster."""
-    shot = SingleShooting(small, Scenario(), tuned.manoeuvres[0])
+    shooting = SingleShooting(small, Scenario(), tuned.manoeuvres[0])
     best, better = gains_of(tuned), []
     for gamma in np.linspace(0.7, 1.4, 8):
         for speed in np.linspace(0.7, 1.4, 8):
@@ -128,7 +128,7 @@ def test_no_gains_near_the_solution_are_better(small, tuned):
                 )
                 if tried.approach_speed > CALM["approach_speed"][1]:
                     continue
-                good, time = kept(shot, tried, DEMANDS, small.law.force_reference)
+                good, time = kept(shooting, tried, DEMANDS, small.law.force_reference)
                 if good:
                     better.append(time)
     assert better  # the grid is no empty claim
@@ -243,25 +243,25 @@ def test_with_the_arm_settling_is_halved_at_no_more_overshoot(name):
 
 @pytest.mark.slow
 def test_over_all_corners_the_simulator_confirms_force_and_limits():
-    """E*, curvature and friction of the joints at once, nine worlds in one program."""
+    """E*, curvature and friction of the joints at once, nine scenarios in one program."""
     scene = ms.Scene.load("sphere").with_(effects=())
     over = scenarios(modulus=(0.8, 1.2), curvature=(0.8, 1.25), friction=(0.0, 0.01))
     demands = Demands(overshoot=0.1, settled=0.05, force=0.1)
     tuned = ms.tune(scene, demands=demands, over=over, distance=DISTANCE)
     limit, reference = scene.arm.effort_limit, tuned.law.force_reference
     assert len(tuned.trajectories) == 9
-    for k, foretold in enumerate(tuned.trajectories):
+    for k, predicted in enumerate(tuned.trajectories):
         seen = tuned.confirm(k)
         assert seen.scenario == over[k]
         assert seen.difference < 0.02
         assert seen.simulated.max() / reference - 1.0 <= demands.overshoot + 2 * TOLERANCE
-        sliding = foretold.since[: len(seen.time)] > tuned.exploration.settle
+        sliding = predicted.since[: len(seen.time)] > tuned.exploration.settle
         error = np.abs(seen.simulated[sliding] / scene.law.force_reference - 1.0)
         assert error.max() <= demands.force + 2 * TOLERANCE
-        assert (np.abs(foretold.torque) <= (1.0 + 2 * TOLERANCE) * limit).all()
-        assert foretold.duration <= tuned.value + scene.loop.dt
+        assert (np.abs(predicted.torque) <= (1.0 + 2 * TOLERANCE) * limit).all()
+        assert predicted.duration <= tuned.value + scene.loop.dt
     alone = ms.tune(scene, demands=demands, distance=DISTANCE)
-    assert alone.value <= tuned.value * (1.0 + TOLERANCE)  # that all are served has its price
+    assert alone.value <= tuned.value * (1.0 + TOLERANCE)  # serving all scenarios has a cost
 
 
 @pytest.mark.slow
@@ -298,10 +298,10 @@ def test_one_sided_multipliers_are_right():
     ((name, (wide, tight)),) = ((k, v) for k, v in tuned.one_sided.items() if "speed of" in k)
     assert f"{name} (one-sided)" in str(tuned)
     assert tight > 1.2 * wide
-    for part, price in ((1.005, wide), (0.995, tight)):
+    for part, multiplier in ((1.005, wide), (0.995, tight)):
         again = ms.tune(scene, demands=Demands(velocity=part), start=gains_of(tuned))
         gained = (tuned.value - again.value) / (part - 1.0)
-        assert gained == pytest.approx(price, rel=0.15)
+        assert gained == pytest.approx(multiplier, rel=0.15)
 
 
 @pytest.mark.slow
