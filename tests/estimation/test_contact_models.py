@@ -192,7 +192,7 @@ def test_an_estimate_outside_the_model_is_refused(world):
 
 def test_what_leaves_the_model_is_refused(worlds):
     world = worlds["elliptic"]
-    with pytest.raises(ContactError, match="too unequal for hertz.*elliptic"):
+    with pytest.raises(ContactError, match=r"too unequal for hertz.*elliptic"):
         gather(world.record(), world.belief(contact="hertz"))
     layer = Material(young=world.young, poisson=0.49, thickness=4e-3)
     with pytest.raises(ContactError, match="too thin for the half-space of elliptic"):

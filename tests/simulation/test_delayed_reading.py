@@ -57,7 +57,7 @@ def test_the_memory_is_a_shift_register_of_the_contact(arm, body, integrator):
 
 
 def test_the_law_uses_the_delayed_measurement(arm, body):
-    """With a delayed measurement in its memory, the step's torque is that of the moment of the reading."""
+    """The step's torque is that of the moment of the measurement."""
     loop, like = pressed(arm, body, LAW, 1.5e-3)
     now, late = step(loop), step(replace(loop, delay=1))
     still = (like.references[0], like.anchors[0], like.parameters)

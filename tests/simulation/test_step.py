@@ -188,3 +188,26 @@ def test_at_its_torque_limit_a_joint_has_the_stiffness_of_the_contact_alone(arm,
     (_, stiffness, unlimited), derivative = terms(weak, body, Law(), 1e-3)
     np.testing.assert_allclose(-derivative, stiffness, rtol=1e-4, atol=1e-3 * abs(stiffness).max())
     assert not unlimited.any()
+
+
+@pytest.mark.parametrize("shape", ["inertia", "identity"])
+def test_the_linearly_implicit_step_solves_its_equation(arm, body, shape):
+    """(M + h L + h^2 a b^T) dv = h (f - h a (b . qdot)) at a speed into the contact."""
+    loop, block = pressed(arm, body, Law(shape=shape, gain=5.0), 1e-3, 5e-3)
+    loop = replace(loop, integrator="linearly_implicit")
+    dynamics = ClosedLoopDynamics(loop)
+    state, q, qdot, contact_state = dynamics.state()
+    now = dynamics.at(q, qdot, contact_state)
+    parts = [now.mass, now.force, now.stiffness, now.depth_gradient, now.unlimited]
+    inputs = (block.state, block.references[0], block.anchors[0], block.parameters)
+    block.state[6:12] = speed = 1e-2 * np.array([1.0, -2.0, 3.0, -1.0, 2.0, 0.5])
+    found = ca.Function("parts", [state, *dynamics.inputs], parts)(*inputs)
+    mass, force, a, b, unlimited = (np.squeeze(part.full()) for part in found)
+    assert unlimited.all()
+    gain = loop.law.rate * mass if shape == "inertia" else 5.0 * np.eye(6)
+    h = loop.dt
+    left = mass + h * gain + h**2 * np.outer(a, b)
+    expected = np.linalg.solve(left, h * (force - h * a * (b @ speed)))
+    after = step(loop)(*inputs)[0].full().ravel()
+    np.testing.assert_allclose(after[6:12] - speed, expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(after[:6] - block.state[:6], h * after[6:12], atol=1e-14)
