@@ -26,7 +26,7 @@ def test_effects(script, tmp_path, capsys):
 @pytest.mark.slow
 def test_quantisation_at_two_resolutions(script, tmp_path):
     """The shift is proportional to the step, 1/64 with 6 bits more; variants are not paired."""
-    names = ["quantisation", "quantisation_16"]
+    names = ["body_pose", "quantisation", "quantisation_16"]
     asked = ["--seeds", "1", "--pairs", "--effects", *names]
     found = script("effects").main([*asked, "--out", str(tmp_path)])
     assert 0 < found["quantisation_16"]["shift_mm"] < found["quantisation"]["shift_mm"] / 50
