@@ -125,6 +125,19 @@ def test_a_singular_node_is_named(make):
     assert caught.value.node == 13
 
 
+@pytest.mark.parametrize(("pivot", "singular"), [(1e-15, True), (1e-9, False)])
+def test_a_pivot_of_rounding_is_singular(pivot, singular, make):
+    values = np.concatenate([np.ones(N + 1), [pivot]])[:, None, None]
+    each = np.arange(N)
+    matrix = SymmetricBlocks(np.append(each, [1, 1]), np.append(each, [0, 1]), values)
+    system = make(np.array([[0, 1]]))
+    if singular:
+        with pytest.raises(SingularMatrixError):
+            system.diagonal_of_inverse(matrix, 1e-13)
+    else:
+        assert np.isclose(system.diagonal_of_inverse(matrix, 1e-13)[1, 0, 0] * pivot, 1, rtol=1e-5)
+
+
 def test_threads_may_share_a_factorization():
     pairs = links("grid")
     system = Cholesky(N, *pairs.T)

@@ -6,6 +6,7 @@ import pytest
 from meshskin.core import se3
 from meshskin.core.errors import UnknownNameError
 from meshskin.estimation.posegraph import PoseGraph
+from meshskin.estimation.posegraph import robust as functions
 
 
 def with_outliers(graph, share, seed=0):
@@ -53,3 +54,19 @@ def test_without_outliers_little_is_lost(skin_graph):
 def test_unknown_name(skin_graph):
     with pytest.raises(UnknownNameError, match="did you mean huber"):
         skin_graph(10)[0].solve(robust="hubert")
+
+
+@pytest.mark.parametrize(
+    ("weight", "cost"),
+    [
+        (functions.geman_mcclure, lambda x, c: 3 * c * x / (3 * c + x)),
+        (functions.huber, lambda x, c: x if x < c else 2 * np.sqrt(c * x) - c),
+        (functions.cauchy, lambda x, c: c * np.log(1 + x / c)),
+    ],
+)
+def test_weights_are_the_derivatives_of_robust_costs(weight, cost):
+    """Then a fixed point of reweighting is a stationary point of the robust cost."""
+    limit, h = 16.8, 1e-4
+    for x in (0.1, 5.0, 16.0, 20.0, 500.0):
+        slope = (cost(x + h, limit) - cost(x - h, limit)) / (2 * h)
+        assert np.isclose(weight(np.array(x), np.array(limit), 3.0), slope, rtol=1e-6)
