@@ -1,4 +1,4 @@
-"""Adaptive exploration: it meets its target, or says why not, and the arm can make its touches."""
+"""Adaptive exploration: targets, reasons for unmet ones, contacts by the arm."""
 
 from dataclasses import replace
 
@@ -75,7 +75,7 @@ def test_a_dead_taxel_and_a_spent_budget_are_named(scene):
     assert set(short.unmet.values()) == {BUDGET_USED}
 
 
-def test_what_cannot_be_asked(scene):
+def test_invalid_arguments(scene):
     with pytest.raises(ConfigError, match="target"):
         adapt(scene, 0.0)
     with pytest.raises(ConfigError, match=r"got 30 m, limit: above 0, below the 0.006"):
@@ -93,7 +93,7 @@ def test_what_cannot_be_asked(scene):
         static_sampler(ring, 0)(inside)
 
 
-def test_the_arm_sets_the_body_down_on_every_contact(scene):
+def test_the_arm_makes_every_contact(scene):
     points = scene.skin.positions[[0, 5, 11, 17]]
     recording, why = closed_loop_sampler(scene, 1)(points)
     assert (why == "").all()
@@ -115,7 +115,7 @@ def test_the_last_contact_of_a_slide_is_kept(scene):
     assert len(kept.pressure) == (whole.reading_contact == len(whole.time) - 1).sum()
 
 
-def test_presses_need_no_arm_and_know_of_no_sliding(scene):
+def test_static_contacts_need_no_arm_and_do_not_slide(scene):
     ideal = scene.with_(effects=())
     points = scene.body.closest(scene.skin.positions).point
     (first, _), (second, _) = map(static_sampler(ideal, 0), (points[:9], points[9:]))
@@ -133,7 +133,7 @@ def test_presses_need_no_arm_and_know_of_no_sliding(scene):
         static_sampler(scene.with_(effects=(Encoder(),)), 0)
 
 
-def test_what_drifts_drifts_on_from_round_to_round(scene):
+def test_drift_continues_between_rounds(scene):
     warm = TemperatureDrift(gain_drift=1.0, offset_relative=0.0, time_constant=2.0)
     touch = static_sampler(scene.with_(effects=(warm,)), 0)
     point = scene.body.closest(scene.skin.positions[:1]).point

@@ -72,7 +72,7 @@ def test_save_and_load(world, noisy, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["calibration.csv", "calibration.parquet"]
 
 
-def test_files_that_are_no_calibration(tmp_path):
+def test_files_that_hold_no_calibration(tmp_path):
     with pytest.raises(CalibrationError, match="no calibration at"):
         Calibration.load(tmp_path / "none")
     (tmp_path / "torn.parquet").write_bytes(b"PAR1 and no more")
@@ -84,7 +84,7 @@ def test_files_that_are_no_calibration(tmp_path):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_untouched_taxels_are_named_and_not_invented(world, method, tmp_path):
+def test_untouched_taxels_are_undetermined(world, method, tmp_path):
     recording, belief = world.record(), world.belief()
     keep = ~np.isin(recording.reading_taxel, world.ids[[4, 9]])
     cut = replace(recording, readings=recording.readings.filter(pa.array(keep)))
@@ -194,7 +194,7 @@ def test_parameters_in_natural_units(world, noisy):
     assert offset == (*found.unknowns["force_offset"], "N")
 
 
-def test_what_a_report_cannot_be(world, noisy, tmp_path):
+def test_invalid_reports(world, noisy, tmp_path):
     found = calibrate(*noisy)
     with pytest.raises(ConfigError, match=r"a report is an HTML page, got .*r\.pdf"):
         found.report(tmp_path / "r.pdf")

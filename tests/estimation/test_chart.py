@@ -1,4 +1,4 @@
-"""Charts: on the surface to third order, frames without seams."""
+"""Charts: third-order contact with the surface, continuous frames."""
 
 import numpy as np
 import pytest

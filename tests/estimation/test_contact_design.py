@@ -1,4 +1,4 @@
-"""The best design of contacts: no other is below its bound, and none could be."""
+"""Optimal design of contacts and its lower bound."""
 
 from dataclasses import replace
 

@@ -1,5 +1,5 @@
-"""The whole estimate under elliptic and layered patches: at its bound, certain of it, and honest
-where the belief has another contact model than the world.
+"""The joint estimate under elliptic and layered patches, also where the belief has another contact
+model than the world.
 """
 
 from dataclasses import replace
@@ -37,7 +37,7 @@ def rms(found, world):
 
 @pytest.mark.parametrize("seeds", [6, pytest.param(20, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", MODELS)
-def test_at_the_bound_and_certain_of_it(worlds, name, seeds):
+def test_reaches_the_bound_with_consistent_covariance(worlds, name, seeds):
     world = worlds[name]
     belief, square, normalised, moduli = world.belief(0.01, 0.05), [], [], []
     bound = cramer_rao(world.record(0.01, 0.05), belief, world.skin)
@@ -84,7 +84,7 @@ def half_space(world, **changes):
     return world.belief(0.01, 0.05, contact="hertz", material=material, **changes)
 
 
-def test_a_layer_taken_for_a_half_space_is_seen(world):
+def test_a_layer_believed_to_be_a_half_space_does_not_fit(world):
     """By the readings of one force where E* is known; of several forces, whatever E* is."""
     for spread, unknown, least in ((0.01, (), 1.3), (0.6, ("modulus",), 1.2)):
         thin = type(world)(extent=15e-3, model=ContactModel("layered", 0.49, 3e-3), spread=spread)
@@ -99,7 +99,7 @@ def test_a_layer_taken_for_a_half_space_is_seen(world):
         assert rms(found, thin) < 1.2 * bound.rms
 
 
-def test_an_unknown_modulus_takes_up_a_layer_under_one_force(world):
+def test_an_unknown_modulus_absorbs_a_layer_at_one_force(world):
     """Then nothing is seen of the layer but in E*, and the taxels come out right."""
     thin = type(world)(extent=15e-3, model=ContactModel("layered", 0.49, 3e-3))
     recording = thin.record(0.01, 0.05, seed=1)
@@ -163,7 +163,7 @@ def test_next_contacts_aim_at_the_worst(worlds, name):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_silence_is_looked_for_wherever_it_says_something(worlds, name):
+def test_silent_pairs_include_all_informative_ones(worlds, name):
     world = worlds[name]
     recording = world.record(0.0, 0.1)
     data = gather(recording, world.belief(0.01, 0.1))
@@ -190,7 +190,7 @@ def test_an_estimate_outside_the_model_is_refused(world):
         calibrate(thin.record(), belief)
 
 
-def test_what_leaves_the_model_is_refused(worlds):
+def test_contacts_outside_the_model_are_refused(worlds):
     world = worlds["elliptic"]
     with pytest.raises(ContactError, match=r"too unequal for hertz.*elliptic"):
         gather(world.record(), world.belief(contact="hertz"))

@@ -1,4 +1,4 @@
-"""What to touch next: aimed at the worst taxel, and worth what it promises."""
+"""Next contacts: aimed at the most uncertain taxel, with the predicted uncertainty."""
 
 from dataclasses import replace
 
@@ -73,7 +73,7 @@ def test_a_taxel_touched_too_seldom_is_determined_afterwards(world):
     assert np.linalg.norm(more.positions[18] - world.truth[18]) < 0.2e-3
 
 
-def test_what_cannot_be_planned(world, change, tmp_path):
+def test_next_contacts_that_cannot_be_planned(world, change, tmp_path):
     belief = world.belief(0.01, 0.05)
     recording = world.record(0.01, 0.05)
     found = calibrate(change(recording, keep=recording.reading_taxel != world.ids[4]), belief)

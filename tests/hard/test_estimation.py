@@ -1,4 +1,4 @@
-"""Hard cases of the estimators: a right answer with its uncertainty, or a named error."""
+"""Hard cases of the estimators: a correct estimate with its uncertainty, or a named error."""
 
 import importlib.util
 import warnings

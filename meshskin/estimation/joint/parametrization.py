@@ -26,43 +26,34 @@ class Parametrization(Protocol):
     @property
     def size(self) -> int:
         """D, the coordinates of a group."""
-        ...
 
     @property
     def group(self) -> np.ndarray:
         """Group (n,) of each taxel, rising."""
-        ...
 
     @property
     def count(self) -> int:
         """Number of groups."""
-        ...
 
     def at(self, z: Array, groups: np.ndarray, rows: np.ndarray) -> tuple[Array, Array]:
         """Points (r, 3), m, of the taxels `rows`, and dx/dz (r, 3, D).
 
         groups (r,) and z (r, D) are those of each taxel."""
-        ...
 
     def limit_step(self, step: Array) -> Array:
         """Steps (g, ...) shortened so that the linearization holds for their first D entries."""
-        ...
 
     def prior(self, z: Array, groups: np.ndarray) -> tuple[Array, Array, Array]:
         """Cost (g,), gradient and Hessian, as wide as z (g, .), of the prior."""
-        ...
 
     def relinearized(self, body: Body, z: Array) -> Parametrization:
         """The parametrization linearized at the coordinates z (count, D)."""
-        ...
 
     def points(self) -> Array:
         """Points (n, 3), m, at z = 0."""
-        ...
 
     def rotations(self) -> Array:
         """Frames (n, 3, 3) of the taxels at z = 0."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What a belief leaves to the recording, and what no recording may hold."""
+"""Resolution of beliefs by the recording, and invalid beliefs and recordings."""
 
 from dataclasses import replace
 
@@ -103,14 +103,14 @@ def test_a_taxel_read_twice_in_one_contact(world):
         gather(Recording(recording.contacts, twice, {}), world.belief())
 
 
-def test_forces_that_pull(world):
+def test_negative_forces(world):
     recording = world.record()
     contacts = recording.contacts.set_column(7, "force", pa.array(-recording.force))
     with pytest.raises(CalibrationError, match=r"forces of at most -2\.9.* N.*check its sign"):
         gather(Recording(contacts, recording.readings, {}), world.belief())
 
 
-def test_one_contact_is_not_taken_for_other_units(world):
+def test_one_weak_contact_is_not_a_wrong_unit(world):
     """Pressed beside the taxels it reads, it is weak, not in kPa."""
     recording = world.record()
     strong = np.zeros(len(recording.time))

@@ -1,4 +1,4 @@
-"""Outlying readings and broken taxels: found, named, and kept from the others."""
+"""Outlying readings and faulty taxels: detected, named, without effect on the others."""
 
 import numpy as np
 import pyarrow as pa
@@ -105,7 +105,7 @@ def test_a_taxel_touched_on_a_ring_is_not_stuck(world, change):
     )
 
 
-def test_a_taxel_that_dies_on_the_way(world, clean, change):
+def test_a_taxel_that_fails_during_the_recording(world, clean, change):
     recording, belief, reference, _ = clean
     late = recording.reading_contact > len(recording.time) / 2
     keep = ~(late & (recording.reading_taxel == world.ids[9]))
@@ -114,7 +114,7 @@ def test_a_taxel_that_dies_on_the_way(world, clean, change):
     assert others(position_errors(found, world.skin), [9], reference) < 1.05
 
 
-def test_many_taxels_with_a_loose_wire_leave_a_model_that_fits(world, clean, change):
+def test_many_taxels_with_a_loose_wire(world, clean, change):
     recording, belief, reference, _ = clean
     dying = np.arange(0, len(world.ids), 5)
     off = recording.reading_contact % 40 > 20
@@ -132,7 +132,7 @@ def test_a_misfit_that_all_taxels_share_is_no_fault_of_any(world):
     assert not found.fit.good
 
 
-def test_taxels_that_warm_up_and_always_answer_do_not_speak_for_most(world, clean):
+def test_drifting_taxels_with_most_readings_are_the_faulty_ones(world, clean):
     """A fifth of the taxels gives three quarters of the readings: the typical taxel is sound."""
     recording, belief, reference, _ = clean
     warm, time = np.arange(0, len(world.ids), 5), recording.time
@@ -178,14 +178,14 @@ def test_a_taxel_that_drifts(world, clean, change):
     assert others(position_errors(found, world.skin), [11], reference) < 1.05
 
 
-def test_a_wrong_model_is_no_outlier(world, clean):
+def test_a_wrong_model_gives_no_faults(world, clean):
     found = calibrate(clean[0], world.belief(0.01, 0.05, young=0.8 * world.young, unknown=()))
     assert not found.fit.good
     assert "does not fit" in found.fit.words
     assert not any(found.faults)
 
 
-def test_a_doubt_that_does_not_converge_is_dropped(world, clean, change, monkeypatch):
+def test_outlier_rejection_that_does_not_converge_is_dropped(world, clean, change, monkeypatch):
     """What was believed before is the answer, not an error."""
     recording = clean[0]
     hit = np.random.default_rng(5).random(len(recording.pressure)) < 0.02
@@ -211,7 +211,7 @@ def test_the_test_of_fit_is_calibrated(world):
     assert calibrate(world.record(0.01, 0.05), world.belief(None, 0.05)).fit.good is None
 
 
-def test_the_plausibility_is_the_likelihood_of_a_mixture():
+def test_mean_log_likelihood_of_a_mixture():
     """Against scipy's densities, two taxels of two and of one readings."""
     kind, taxel = np.array([OBSERVED, OBSERVED, OBSERVED, CENSORED]), np.array([0, 0, 1, 1])
     one = np.zeros(4)

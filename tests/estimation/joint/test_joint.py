@@ -1,4 +1,4 @@
-"""The joint estimate: exact on exact data, at the Cramér-Rao bound with noise, hard to mislead."""
+"""The joint estimate: exact on ideal data, at the Cramér-Rao bound with noise, wrong starts."""
 
 from dataclasses import replace
 
@@ -49,7 +49,7 @@ def many(world, seeds, sigma=0.01):
     return np.array(ratio), np.array(normalised)
 
 
-def test_reaches_the_bound_and_states_it(world):
+def test_reaches_the_bound_with_consistent_covariance(world):
     seeds = 6
     ratio, normalised = many(world, seeds)
     # The mean of n errors, each Rayleigh-like, scatters by 0.52 / sqrt(n) of itself.
@@ -86,7 +86,7 @@ def test_silent_readings_keep_the_modulus_unbiased(world):
     assert censored < 0.6 * dropped
 
 
-def test_a_start_in_the_wrong_place_is_mended(world):
+def test_a_wrong_start_is_restarted_from_the_centroid(world):
     data = gather(world.record(0.01, 0.05), world.belief(0.01, 0.05))
     good = trilaterate.least_squares(data)
     points = good.points.copy()
@@ -102,7 +102,7 @@ def test_a_start_in_the_wrong_place_is_mended(world):
     assert len(reference.restarted) == 0
 
 
-def test_a_defective_taxel_shows_and_spares_the_others(world):
+def test_a_defective_taxel_misfits_and_does_not_affect_the_others(world):
     recording = world.record(0.01, 0.05)
     broken = recording.reading_taxel == world.ids[20]
     pressure = pa.array(np.where(broken, 1.6, 1.0) * recording.pressure)

@@ -1,4 +1,4 @@
-"""Rigid modules: spin observed, dead and exchanged taxels placed and named by their module."""
+"""Rigid modules: observable rotation, dead and swapped taxels."""
 
 import numpy as np
 import pytest
@@ -93,7 +93,7 @@ def test_a_dead_taxel_is_placed_and_named(tiled, clean, change):
     assert sum(fault != "" for fault in found.faults) == 1
 
 
-def test_a_dead_taxel_among_unlike_ones_is_named(tiled, clean, change):
+def test_a_dead_taxel_among_taxels_of_different_gain_is_named(tiled, clean, change):
     recording = clean[0]
     gain = np.exp(0.1 * np.random.default_rng(3).normal(size=70))
     place = np.argsort(tiled.belief.taxel_ids)[
@@ -108,7 +108,7 @@ def test_a_dead_taxel_among_unlike_ones_is_named(tiled, clean, change):
     assert "gain" in found.taxel_unknowns
 
 
-def test_taxels_exchanged_from_the_start_are_named(tiled, clean, change):
+def test_swapped_taxels_are_named(tiled, clean, change):
     recording = clean[0]
     taxel = recording.reading_taxel.copy()
     taxel[recording.reading_taxel == 15] = 20
@@ -120,14 +120,14 @@ def test_taxels_exchanged_from_the_start_are_named(tiled, clean, change):
     assert position_errors(found, tiled.world.skin).mean() < 40e-6
 
 
-def test_no_module_to_be_placed(tiled, clean, change):
+def test_modules_with_one_determined_taxel_are_refused(tiled, clean, change):
     recording = clean[0]
     few = np.isin(recording.reading_taxel, [0, 12, 24])
     with pytest.raises(CalibrationError, match=r"no module has two taxels.*leave module_slots"):
         calibrate(change(recording, keep=few), tiled.belief)
 
 
-def test_taxels_that_lie_in_no_such_modules_are_refused(tiled, clean, change):
+def test_taxels_that_are_not_arranged_in_modules_are_refused(tiled, clean, change):
     recording, _ = clean
     ids = tiled.world.ids
     other = ids[np.random.default_rng(0).permutation(len(ids))]
@@ -138,7 +138,7 @@ def test_taxels_that_lie_in_no_such_modules_are_refused(tiled, clean, change):
         calibrate(wrong, tiled.belief)
 
 
-def test_a_scene_of_modules_tells_its_owner_their_layout_and_no_pose():
+def test_the_belief_of_a_scene_of_modules_has_their_layout():
     base = ms.Scene.load("sphere_noisy")
     skin = ms.Skin.modules(base.body, 2).skin
     scene = base.with_(skin=skin)

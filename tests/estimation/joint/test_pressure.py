@@ -1,4 +1,4 @@
-"""The pressure factor against the world's readings, finite differences and scipy."""
+"""Predicted pressures, their derivatives, and the cost of censored readings."""
 
 import numpy as np
 import pytest
@@ -99,7 +99,7 @@ def test_contacts_move_with_the_indenter_and_the_body(world, case):
     assert np.allclose(world.body.closest(there.points).distance, 0, atol=1e-12)
 
 
-def test_what_cannot_be_declared(world):
+def test_invalid_declarations(world):
     with pytest.raises(UnknownNameError, match="did you mean gain"):
         declared_parameters(("gian",), {}, 3.0, 1e5)
     assert len(declared_parameters(tuple(PRIORS), {"gain": 0.1}, 3.0, 1e5).sigma) == 12
@@ -131,7 +131,7 @@ def test_costs_and_their_derivatives(kind):
     assert (far < 1e-8) == (kind != 0)
 
 
-def test_contacts_are_plain_without_moves(world):
+def test_contacts_that_do_not_move_have_scaled_patches(world):
     data = gather(world.record(), world.belief())
     contacts = LinearizedContacts(data, np.zeros(1)).at(np.log([0.8]))
     assert isinstance(contacts, Contacts)

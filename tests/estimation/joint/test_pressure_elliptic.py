@@ -1,4 +1,4 @@
-"""The pressure factor on ellipses and layers: finite differences, circles, other forces and E*."""
+"""Predicted pressures under elliptic and layered patches, and their derivatives."""
 
 import numpy as np
 import pytest
@@ -91,7 +91,7 @@ def test_kernel_against_the_patch_and_finite_differences(name):
         assert np.allclose(numeric(way, 1e-5), by, atol=1e-3)
 
 
-def test_a_circle_is_a_circle():
+def test_equal_semi_axes_give_the_circular_mean():
     rng = np.random.default_rng(1)
     a, d = rng.uniform(3e-3, 5e-3, COUNT), rng.normal(scale=3e-3, size=(COUNT, 3))
     at, rows = contacts(a, a, np.full(COUNT, 0.5), rng), np.arange(COUNT)
@@ -104,7 +104,7 @@ def test_a_circle_is_a_circle():
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_patches_follow_force_and_modulus(cases, name):
+def test_patches_and_derivatives_under_other_force_and_modulus(cases, name):
     data = cases[name][0]
     off = 0.2 * np.sin(np.arange(len(data.force)))
     found, rates = loaded_patches(data, off, -0.3)
@@ -128,7 +128,7 @@ def test_patches_follow_force_and_modulus(cases, name):
         assert np.abs(rates.shape[0] - 1 / 3).min() > 0.01
 
 
-def test_an_endless_layer_is_a_half_space(worlds, cases):
+def test_a_layer_without_thickness_is_a_half_space(worlds, cases):
     _, contact, taxel = cases["elliptic"]
     world = worlds["elliptic"]
     means = []
@@ -162,7 +162,7 @@ def test_every_derivative(worlds, cases, name, column, derivative_holds):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_moved_contacts_have_the_patches_of_where_they_are(worlds, cases, name):
+def test_moved_contacts_have_the_patches_of_the_new_curvature(worlds, cases, name):
     data = cases[name][0]
     s = np.zeros(len(data.parameters.sigma))
     s[data.parameters.columns["indenter_offset"]] = [0.0, 5e-3, 0.0]

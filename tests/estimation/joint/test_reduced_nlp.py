@@ -1,4 +1,4 @@
-"""Elimination and IPOPT: the reduced problem's derivatives, and the speed study's own result."""
+"""The reduced problem: derivatives, IPOPT, and the speed study's result."""
 
 import importlib.util
 from pathlib import Path
@@ -47,7 +47,7 @@ def test_the_reduced_gradient_is_that_of_the_reduced_cost(problem):
         assert np.allclose(curvature, reduced.hessian[k], rtol=0.15)  # Gauss-Newton's
 
 
-def test_ipopt_finds_where_it_vanishes(problem):
+def test_ipopt_finds_the_optimum(problem):
     state = problem.start(np.array([0.3, 0.2]))
     problem.solve_inner(state)
     costs = []
@@ -59,7 +59,7 @@ def test_ipopt_finds_where_it_vanishes(problem):
     assert (np.diff(costs) < 0).all()
 
 
-def test_settling_is_each_taxel_s_own_matter(problem, world):
+def test_taxels_are_optimized_independently(problem, world):
     z = np.zeros((len(world.ids), 3))
     z[5, :2] = 4e-3  # one taxel far off holds no other up
     state, plain = problem.start(np.zeros(2), z), problem.start(np.zeros(2))

@@ -1,4 +1,4 @@
-"""Taxels that only differ in gain and offset: told apart from those that are broken."""
+"""Taxels that differ in gain and offset are distinguished from faulty ones."""
 
 import numpy as np
 import pytest
@@ -60,7 +60,7 @@ def test_one_taxel_of_twice_the_gain(world):
     assert position_errors(found, world.skin)[7] < 60e-6
 
 
-def test_the_broken_among_them_are_named(world):
+def test_faulty_taxels_among_taxels_of_different_gain_are_named(world):
     bad = [9, 18, 20]
 
     def fault(p):
@@ -77,7 +77,7 @@ def test_the_broken_among_them_are_named(world):
     assert nees(found, world.skin).mean() < 3.0
 
 
-def test_sound_and_alike_taxels_get_no_gains(world):
+def test_sound_taxels_of_equal_gain_get_no_gains(world):
     found = calibrate(world.record(0.01, 0.05), world.belief(0.01, 0.05))
     assert not found.taxel_unknowns
     assert not any("undeclared" in words for words in found.factors)
@@ -107,7 +107,7 @@ def test_what_is_declared_keeps_its_prior():
     assert both.with_nuisance(3e5) == both
 
 
-def test_what_a_taxel_reads_at_rest(world):
+def test_reading_at_rest(world):
     offset = np.zeros(len(world.ids))
     offset[[2, 5]] = 0.1, 0.3
     recording = record(world, np.ones(len(world.ids)), offset, noise=0.01)

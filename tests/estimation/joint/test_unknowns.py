@@ -1,4 +1,4 @@
-"""Unknowns that a belief declares: found within their covariances, null directions by name."""
+"""Declared global and nuisance parameters: estimates within their covariances, null directions."""
 
 import numpy as np
 import pytest
@@ -99,7 +99,7 @@ def test_indenter_offset_with_varied_heading(world):
         assert near(found, f"indenter_offset {axis}", truth) < limit
 
 
-def test_what_a_sphere_does_not_show_of_the_body_is_named(world):
+def test_the_rotation_of_a_sphere_is_undetermined(world):
     belief = world.belief(0.01, 0.05, unknown=("modulus", "body_offset"))
     found = calibrate(record(world), belief)
     assert any("rotation z" in words for words in found.undetermined)
@@ -107,7 +107,7 @@ def test_what_a_sphere_does_not_show_of_the_body_is_named(world):
     assert found.fit.good
 
 
-def test_an_ellipsoid_shows_where_it_is(world):
+def test_the_pose_of_an_ellipsoid_is_determined(world):
     body = Ellipsoid((0.06, 0.045, 0.1))
     other = type(world)(extent=20e-3, step=1e-3, body=body, model=ContactModel("elliptic"))
     shift, turn = np.array([3e-4, -2e-4, 1e-4]), np.array([4e-3, -3e-3, 2e-3])
@@ -144,6 +144,6 @@ def test_saturated_readings_are_censored_from_above(world):
     assert found.fit.good
 
 
-def test_an_unknown_that_is_none(world):
+def test_an_unknown_parameter_name(world):
     with pytest.raises(UnknownNameError, match="did you mean modulus"):
         gather(world.record(), world.belief(unknown=("modulos",)))

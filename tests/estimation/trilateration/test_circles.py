@@ -40,7 +40,7 @@ def test_ideal_data(oval):
     assert error(oval, trilaterate.least_squares(mistaken)).max() > 60e-6
 
 
-def test_from_anywhere_near(oval):
+def test_radii_depend_little_on_the_initial_position(oval):
     """The little by which the radius depends on the direction is renewed with the estimate."""
     data = gather(oval.record(), oval.belief())
     rng = np.random.default_rng(2)

@@ -1,4 +1,4 @@
-"""Starts from co-activation: no pressure in them, near enough for the joint estimate."""
+"""Initial estimates from co-activation: independent of pressure, close enough to converge."""
 
 from dataclasses import replace
 
@@ -58,7 +58,7 @@ def test_the_contact_centroid_replaces_a_failed_trilateration(world, data, best)
 
 
 @pytest.mark.parametrize("error_mm", [0.5, 2, 4, 6, 12])
-def test_the_basin(world, data, best, error_mm):
+def test_the_joint_estimate_converges_from_displaced_starts(world, data, best, error_mm):
     rng = np.random.default_rng(1)
     angle = rng.uniform(-np.pi, np.pi, len(world.truth))
     x, y = np.moveaxis(best.rotations[:, :, :2], 2, 0)
@@ -69,7 +69,7 @@ def test_the_basin(world, data, best, error_mm):
     assert np.allclose(found.points, best.points, atol=1e-6)
 
 
-def test_what_says_nothing(world, data):
+def test_reasons_of_taxels_without_a_start(world, data):
     few = np.flatnonzero(data.taxel == 3)[:2]
     line = np.flatnonzero((data.taxel == 5) & (np.abs(data.points[data.contact, 1]
                           - data.points[data.contact[data.taxel == 5][0], 1]) < 1e-4))  # fmt: skip
@@ -87,7 +87,7 @@ def test_what_says_nothing(world, data):
     assert fit.found.sum() == len(world.truth) - 3
 
 
-def test_false_answers_everywhere(world):
+def test_false_responses_all_over_the_body(world):
     sigma, threshold = 0.2, 0.2  # a third of all contacts and taxels
     belief = world.belief(sigma, threshold)
     for seed in range(2):
@@ -102,5 +102,5 @@ def test_false_answers_everywhere(world):
         assert errors(world, found).mean() < 0.35e-3
 
 
-def test_sound_recordings_are_left_as_they_are(data):
+def test_sound_recordings_are_unchanged(data):
     assert coactivation.without_distant_readings(data) is data

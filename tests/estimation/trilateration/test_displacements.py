@@ -64,7 +64,7 @@ def test_information_fits_the_errors(world):
     assert 1.2 < np.mean(ratio) < 4.5
 
 
-def test_isotropic_information_is_one_for_all(world):
+def test_isotropic_information_is_equal_for_all_edges(world):
     data = gather(world.record(0.01, 0.05), world.belief(0.01, 0.05))
     graph = displacement_graph(data, isotropic=True)
     full = displacement_graph(data)
@@ -114,7 +114,7 @@ def test_no_neighbours_is_refused(world):
 
 
 @pytest.mark.parametrize("trilateration", [trilaterate.solve, trilaterate.intersect])
-def test_a_contact_that_is_recorded_again_is_no_other_one(world, trilateration):
+def test_repeated_contacts_do_not_count_as_distinct_circles(world, trilateration):
     """Of few contacts, each recorded four times, three steep circles may all be the same."""
     whole = world.record()
     keep = np.arange(len(whole.time)) % 12 == 0
@@ -128,7 +128,7 @@ def test_a_contact_that_is_recorded_again_is_no_other_one(world, trilateration):
     assert np.abs(residuals(graph, true_poses(world, graph))[:, :3]).max() < 1e-5
 
 
-def test_what_leaves_a_direction_open_is_no_displacement(world):
+def test_displacements_with_an_undetermined_direction_are_left_out(world):
     """Circles whose centres are the same, or lie behind each other, inform of one direction."""
 
     def one_way(found, charts):
@@ -157,7 +157,7 @@ def test_noise_above_a_low_threshold_makes_no_pairs(world):
 
 
 @pytest.mark.parametrize(("noise", "threshold"), [(0.02, 0.0), (0.05, 0.1)])
-def test_readings_that_are_nearly_noise_do_not_shorten_displacements(world, noise, threshold):
+def test_readings_near_the_noise_do_not_bias_displacements(world, noise, threshold):
     """Of readings that noise has raised over a limit all seem nearer than they are."""
     longer = []
     for seed in range(4):
@@ -171,7 +171,7 @@ def test_readings_that_are_nearly_noise_do_not_shorten_displacements(world, nois
     assert abs(np.mean(longer)) < 2e-3
 
 
-def test_only_readings_that_are_expected_make_displacements(world):
+def test_only_readings_with_a_clear_expected_pressure_are_used(world):
     data = gather(world.record(0.02, 0.0), world.belief(0.02))
     fit = trilaterate.least_squares(data)
     kept = expected_readings(data, fit)
@@ -182,7 +182,7 @@ def test_only_readings_that_are_expected_make_displacements(world):
     assert world.pressures()[lost // 1000, lost % 1000].max() < 3.0 * data.sigma
 
 
-def test_errors_are_drawn_as_the_information_says(world):
+def test_random_errors_agree_with_the_information(world):
     data = gather(world.record(0.01, 0.05), world.belief(0.01, 0.05))
     graph, errors = measured_with_errors(data, draws=40)
     again, none = measured_with_errors(data, draws=0)
@@ -194,7 +194,7 @@ def test_errors_are_drawn_as_the_information_says(world):
     assert np.median(size / told) == pytest.approx(1.0, abs=0.1)
 
 
-def test_errors_of_a_reading_are_the_same_in_all_its_pairs(world):
+def test_errors_of_edges_that_share_readings_are_correlated(world):
     """Of a taxel's displacements to others, the errors agree: in information they would not."""
     data = gather(world.record(0.01, 0.05), world.belief(0.01, 0.05))
     graph, errors = measured_with_errors(data, draws=60)
@@ -206,7 +206,7 @@ def test_errors_of_a_reading_are_the_same_in_all_its_pairs(world):
 
 @pytest.mark.parametrize("method", ["posegraph", "posegraph_isotropic"])
 @pytest.mark.parametrize(("noise", "threshold"), [(0.02, 0.0), (0.01, 0.05)])
-def test_the_graph_says_how_certain_it_is(world, noise, threshold, method):
+def test_nees_of_the_pose_graph(world, noise, threshold, method):
     square = []
     for seed in range(6):
         recording, belief = world.record(noise, threshold, seed), world.belief(noise, threshold)

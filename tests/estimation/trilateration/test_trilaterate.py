@@ -1,4 +1,4 @@
-"""Trilateration: exact on exact data, sound on noisy data, and honest where it is not possible."""
+"""Trilateration: exact on ideal data, consistent on noisy data, reasons where impossible."""
 
 from dataclasses import replace
 
@@ -48,7 +48,7 @@ def test_noise_gives_the_stated_errors(world):
     assert np.mean(circles) > 3 * error(world, fit).mean()  # three circles of some fifty
 
 
-def test_noise_above_no_threshold_does_not_draw_taxels_away(world):
+def test_noise_without_a_threshold_does_not_bias_positions(world):
     data = gather(world.record(0.01, 0.0), world.belief(0.01, 0.0))
     assert len(data.pressure) > 0.4 * len(world.points) * len(world.truth)
     start = trilaterate.centroids(data)
@@ -67,7 +67,7 @@ def test_pressures_above_the_maximum_are_distance_zero(world):
 
 
 @pytest.mark.parametrize("method", [trilaterate.least_squares, trilaterate.three_circles])
-def test_what_cannot_be_trilaterated_is_named(world, method):
+def test_reasons_of_undetermined_taxels(world, method):
     data = gather(world.record(), world.belief())
     middle, few, silent = 10, 11, 12
     line = np.abs(data.points[:, 1] - world.truth[middle, 1]).argmin()

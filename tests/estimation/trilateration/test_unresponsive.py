@@ -1,4 +1,4 @@
-"""Taxels that were read and never pressed: with no threshold their noise answers everywhere."""
+"""Taxels that were never pressed: without a threshold their noise gives readings everywhere."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def pressed_on_one_side(world, noise, threshold, seed=0):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_what_was_never_pressed_is_given_no_place(world, seed):
+def test_taxels_that_were_never_pressed_are_undetermined(world, seed):
     recording, near = pressed_on_one_side(world, 0.01, 0.0, seed)
     assert 0.2 < near.mean() < 0.8
     assert (np.bincount(recording.reading_taxel)[world.ids] > 100).all(), "all of them answer"
@@ -36,7 +36,7 @@ def test_what_was_never_pressed_is_given_no_place(world, seed):
 
 
 @pytest.mark.parametrize("threshold", [0.0, 0.3])
-def test_what_was_pressed_has_its_place_where_noise_is_as_loud(world, threshold):
+def test_pressed_taxels_are_found_in_noise_as_large_as_the_signal(world, threshold):
     recording, belief = world.record(0.3, threshold), world.belief(0.3, threshold)
     data = gather(recording, belief)
     nowhere = np.full((len(data.ids), 3), np.nan)

@@ -1,4 +1,4 @@
-"""The gauge: alignment part by part, and the covariance that it leaves."""
+"""The gauge: alignment of connected parts, and the covariance after it."""
 
 import numpy as np
 import pytest
@@ -55,7 +55,7 @@ def test_covariance_against_linearised_alignment(graph):
     assert np.allclose(told[:7], blocks, atol=2e-3 * np.abs(blocks).max())
 
 
-def test_errors_that_come_together_widen_the_covariance(graph):
+def test_correlated_errors_increase_the_covariance(graph):
     rng, told = np.random.default_rng(2), gauge.covariances(graph, graph.poses)
     root = np.linalg.cholesky(np.linalg.inv(graph.information))
     apart = root @ rng.normal(size=(len(graph.edges), 6, 4000))

@@ -41,7 +41,7 @@ def test_censored_information_is_the_mean_squared_score(c):
     )
 
 
-def test_bound_grows_with_the_noise_and_knows_its_limits(world):
+def test_bound_increases_with_the_noise_and_marks_unbounded_taxels(world):
     recording = world.record(0.01, 0.05)
     bounds = [cramer_rao(recording, world.belief(s, 0.05), world.skin) for s in (0.01, 0.02)]
     assert 1.7 < bounds[1].mean / bounds[0].mean < 2.3
@@ -67,7 +67,7 @@ def test_unknown_modulus_costs_information(world):
     assert 1e-4 < found.modulus_sigma < 3e-3
 
 
-def test_pose_covariance_carries_moves_into_tilt():
+def test_pose_covariance_maps_translations_to_tilt():
     tangential = np.array([np.diag([4e-10, 1e-10]), np.diag([np.inf, np.inf])])
     shape = np.array([np.diag([10.0, 5.0])] * 2)
     covariance = observability.pose_covariance(tangential, shape)
