@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+"""Real numbers."""
 Index = NDArray[np.intp]
+"""Rows of arrays."""
 
 
 def ranges(first: Index, count: Index) -> Index:
