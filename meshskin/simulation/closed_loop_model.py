@@ -177,11 +177,14 @@ def flat_anchor(patch: Array, change: Array | None = None) -> Array:
 
 
 def _arm_with_payload(scene: Scene) -> Arm:
-    """The arm with the body's mass at its tip, as a homogeneous solid."""
-    if scene.payload == 0:
+    """The arm with the body's mass at its tip, as a homogeneous solid; with its convex hull for an
+    open mesh, which encloses no volume. A quasi-static loop has no use for the mass.
+    """
+    if scene.payload == 0 or scene.loop.mode == "quasi_static":
         return scene.arm
     mesh, pose = scene.body.mesh, scene.mount_pose
-    density = scene.payload / abs(mesh.volume)
+    mesh = mesh if mesh.is_volume else mesh.convex_hull
+    density = scene.payload / mesh.volume
     inertia = pose[:3, :3] @ (np.asarray(mesh.moment_inertia) * density) @ pose[:3, :3].T
     com = pose[:3, :3] @ np.asarray(mesh.center_mass) + pose[:3, 3]
     return scene.arm.with_payload(scene.payload, com, inertia)

@@ -1,5 +1,7 @@
 """The body's mass at the arm's tip against pinocchio."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -42,3 +44,19 @@ def test_the_mass_of_an_eccentric_body_is_mounted_with_its_pose():
     expected = np.triu(pin.crba(model, data, q))
     np.testing.assert_allclose(mass, expected + np.triu(expected, 1).T, atol=1e-10)
     np.testing.assert_allclose(bias[:, 0], pin.nonLinearEffects(model, data, q, 0.5 * q), atol=1e-9)
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+def test_an_open_body_weighs_as_its_convex_hull_and_a_quasi_static_loop_asks_no_mass(inverted):
+    """A dome without its base, and the same inside out: neither encloses a volume."""
+    mesh = ms.Body.sphere(0.05).mesh.copy()
+    mesh.update_faces(mesh.triangles_center[:, 2] < 0.0)
+    if inverted:
+        mesh.invert()
+    body = ms.Body(name="dome", mesh=mesh)
+    skin = ms.Skin.cover(body, spacing=6e-3, count=5, region=Cap((0.0, 0.0, -1.0)))
+    scene = ms.Scene(body=body, skin=skin, payload=1.7)
+    hull = scene.with_(body=ms.Body(name="hull", mesh=mesh.convex_hull))
+    assert ClosedLoopModel.of(scene).arm.urdf == ClosedLoopModel.of(hull).arm.urdf
+    still = scene.with_(loop=replace(scene.loop, mode="quasi_static"))
+    assert ClosedLoopModel.of(still).arm is scene.arm

@@ -73,7 +73,8 @@ class MeshCheck:
     row: Index
     """(k,) rows of `faces` for the k faces of the file, or for their duplicates; -1: dropped"""
     crossed: Index
-    """rows (l,) of `faces` that intersect others, or have edges of more than two faces"""
+    """rows (l,) of `faces` that intersect others, or have edges of more than two faces, and one of
+    each solid part within another one"""
 
     @property
     def repairs(self) -> tuple[str, ...]:
@@ -115,7 +116,9 @@ def check_mesh(vertices: Array, faces: Index, open: bool = False) -> MeshCheck:
         return _refused(vertices, faces, no_area)
     across = repair.make_winding_consistent(edit)
     component = face_components(across)
-    if not open and repair.orient_outward(edit, component):
+    turned, nested = repair.orient_outward(edit, across, component, open)
+    nested = edit.number[nested]
+    if turned:
         across, _ = neighbours(edit.faces)
     split = non_manifold.split_edges(edit) if np.any(across < 0) else NONE
     if len(split):
@@ -132,7 +135,7 @@ def check_mesh(vertices: Array, faces: Index, open: bool = False) -> MeshCheck:
     row = np.full(len(faces), -1)
     row[edit.number] = np.arange(len(edit.faces))
     row[edit.twins[:, 0]] = row[edit.twins[:, 1]]
-    numbers = np.concatenate([split, *(f.faces for f in findings if f.crossing)])
+    numbers = np.concatenate([split, nested, *(f.faces for f in findings if f.crossing)])
     crossed = np.unique(row[numbers])
     faces = np.ascontiguousarray(edit.faces)
     return MeshCheck(edit.vertices, faces, tuple(findings), row, crossed)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from .topology import connected_components, edge_keys, edge_pairs, neighbours
-from .winding_number import winding_number
+from .topology import NEXT, PREVIOUS, connected_components, edge_keys, edge_pairs, neighbours
+from .winding_number import WindingNumber
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -16,6 +16,9 @@ Index = NDArray[np.intp]
 MERGE_TOLERANCE = 1e-7
 """distance between vertices that are merged, relative to the extent: the rounding of the single
 precision in which STL files are written is 6e-8 of the largest coordinate"""
+SAMPLES = 24
+"""vertices of a part, all of which are within the part that encloses it: parts that intersect have
+some outside"""
 
 
 @dataclass
@@ -116,31 +119,82 @@ def make_winding_consistent(edit: MeshEdit) -> Index:
     return across
 
 
-def orient_outward(edit: MeshEdit, part: Index) -> bool:
-    """Invert closed components `part` (m,) whose normals point into the solid; whether any do.
+def orient_outward(
+    edit: MeshEdit, across: Index, component: Index, open: bool = False
+) -> tuple[bool, Index]:
+    """Invert the closed parts whose normals point into the solid; parts with borders stay.
 
-    A component within an odd number of others bounds a cavity: its normals point into the cavity.
+    `across` (m, 3): neighbours, -1 for none; `component` (m,): connected components. A closed part
+    has a positive volume, unless it lies wholly within a solid part of the other orientation: then
+    it bounds a cavity. With `open`, a mesh whose outer closed parts all point inward is left as it
+    is: it may be meant so. Also returned is whether any part was inverted, and a face (k,) of each
+    solid part that lies within another one.
     """
-    count = int(part.max()) + 1 if len(part) else 0
+    count = int(component.max(initial=-1)) + 1
     corners = edit.vertices[edit.faces]
     corners = corners - corners.reshape(-1, 3).mean(axis=0)
     volume = np.einsum("mc,mc->m", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
-    inward = np.bincount(part, volume, minlength=count) < 0.0
-    if count > 1:
-        first = np.array([np.argmax(part == k) for k in range(count)])
-        for k in range(count):
-            within = sum(
-                abs(winding_number(corners[part == j], corners[first[k], 0])) > 0.5
-                for j in range(count)
-                if j != k
-            )
-            inward[k] ^= bool(within % 2)
-    inverted = inward[part]
+    size = np.asarray(np.bincount(component, volume, minlength=count), dtype=float)
+    closed = _closed_parts(edit.faces, across, component, count)
+    parent = _enclosing_parts(edit, component, size, closed)
+    outer = closed & (parent < 0)
+    if open and np.all(size[outer] < 0.0):
+        return False, np.zeros(0, dtype=np.intp)
+    target = np.where(closed, 1, np.where(size < 0.0, -1, 1))
+    for k in np.flatnonzero(parent >= 0)[np.argsort(-np.abs(size[parent >= 0]))]:
+        solid = target[parent[k]] > 0
+        if solid and (size[k] < 0.0) != (size[parent[k]] < 0.0):
+            target[k] = -1
+    wrong = closed & ((size < 0.0) != (target < 0))
+    inverted = wrong[component]
     if inverted.any():
-        which = "" if count == 1 else f" of {int(inward.sum())} of {count} parts"
+        which = "" if count == 1 else f" of {int(wrong.sum())} of {count} parts"
         edit.note(f"orientation{which} inverted: normals pointed inward", edit.centroids(inverted))
         edit.faces = np.where(inverted[:, None], edit.faces[:, ::-1], edit.faces)
-    return bool(inverted.any())
+    nested = np.flatnonzero((parent >= 0) & (target > 0) & (target[parent] > 0))
+    first = np.unique(component, return_index=True)[1]
+    return bool(inverted.any()), first[nested]
+
+
+def _closed_parts(faces: Index, across: Index, component: Index, count: int) -> NDArray[np.bool_]:
+    """Which of `count` parts (k,) have no border: each edge has as many half-edges either way."""
+    face, corner = np.nonzero(across < 0)
+    tail, head = faces[face, NEXT[corner]], faces[face, PREVIOUS[corner]]
+    edges = int(faces.max(initial=-1)) + 1
+    key = component[face] * edges**2 + edge_keys(tail, head, edges)
+    unique, place = np.unique(key, return_inverse=True)
+    excess = np.bincount(place.ravel(), np.where(tail < head, 1, -1), minlength=len(unique))
+    closed = np.ones(count, dtype=bool)
+    closed[unique[excess != 0] // edges**2] = False
+    return closed
+
+
+def _enclosing_parts(
+    edit: MeshEdit, component: Index, size: Array, closed: NDArray[np.bool_]
+) -> Index:
+    """The smallest closed part (k,) that each closed part lies wholly within; -1: none.
+
+    `component` (m,): the part of each face; `size` (k,): volumes; `closed` (k,).
+    """
+    parent = np.full(len(size), -1)
+    if len(size) < 2:
+        return parent
+    order = np.argsort(component, kind="stable")
+    rows = np.split(order, np.cumsum(np.bincount(component))[:-1])
+    low, high = (
+        np.array([edge(edit.vertices[edit.faces[r]], axis=(0, 1)) for r in rows])
+        for edge in (np.min, np.max)
+    )
+    for k in np.flatnonzero(closed)[np.argsort(-np.abs(size[closed]))]:  # the largest first
+        boxed = closed & np.all(low > low[k], axis=1) & np.all(high < high[k], axis=1)
+        within = np.flatnonzero(boxed)
+        if not len(within):
+            continue
+        picked = [rows[j][np.linspace(0, len(rows[j]) - 1, SAMPLES).astype(int)] for j in within]
+        points = edit.vertices[edit.faces[np.array(picked)]][:, :, 0]
+        number = WindingNumber(edit.vertices, edit.faces[rows[k]]).at(points.reshape(-1, 3))
+        parent[within[np.all(number.reshape(points.shape[:2]) > 0, axis=1)]] = k
+    return parent
 
 
 def inconsistent_faces(faces: Index) -> NDArray[np.bool_]:

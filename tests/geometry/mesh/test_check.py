@@ -6,6 +6,7 @@ import trimesh
 
 from meshskin import cli
 from meshskin.cli import check
+from meshskin.geometry.body import Body
 from meshskin.geometry.mesh.check import check_mesh
 from meshskin.geometry.mesh.self_intersection import edge_face_intersections
 from meshskin.geometry.mesh.winding_number import winding_number
@@ -50,17 +51,80 @@ def test_faces_are_told_by_their_numbers_in_the_file(ball):
     assert shared == [2, 2, 2]
 
 
-def test_a_hollow_ball_points_into_its_hollow(ball):
-    inner = 0.5 * ball.vertices
-    vertices = np.vstack([ball.vertices, inner])
-    faces = np.vstack([ball.faces, ball.faces + len(inner)])
-    found = check_mesh(vertices, faces)
+def united(*parts, inverted=()):
+    """Vertices and faces of parts in one mesh; those with a number in `inverted` wound inward."""
+    first = np.cumsum([0, *(len(p.vertices) for p in parts)])
+    faces = [
+        (p.faces[:, ::-1] if k in inverted else p.faces) + first[k] for k, p in enumerate(parts)
+    ]
+    return np.vstack([p.vertices for p in parts]), np.vstack(faces)
+
+
+def volumes(found, parts):
+    """Signed volumes, m^3, of the parts of a checked mesh, given as they were united."""
+    rows = np.split(np.arange(len(found.faces)), np.cumsum([len(p.faces) for p in parts])[:-1])
+    corners = found.vertices[found.faces]
+    six = np.einsum("mc,mc->m", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+    return np.array([six[r].sum() / 6.0 for r in rows])
+
+
+def shifted(ball, x, scale=1.0):
+    return ball.copy().apply_scale(scale).apply_translation([x, 0.0, 0.0])
+
+
+def test_a_part_with_inward_normals_is_inverted_and_a_sound_one_is_not(ball):
+    parts = ball, shifted(ball, 0.3)
+    found = check_mesh(*united(*parts, inverted=(1,)))
     assert found.repairs == ("orientation of 1 of 2 parts inverted: normals pointed inward",)
-    assert ("noted", "2 separate parts") in verdicts(found)
+    np.testing.assert_allclose(volumes(found, parts), ball.volume, rtol=1e-12)
+    np.testing.assert_array_equal(found.faces[: len(ball.faces)], ball.faces)
+    assert check_mesh(found.vertices, found.faces).repairs == ()
+
+
+@pytest.mark.parametrize(("inverted", "turned"), [((1,), False), ((0,), True)])
+def test_a_part_wound_against_the_part_around_it_bounds_a_cavity(ball, inverted, turned):
+    parts = ball, shifted(ball, 0.0, 0.5)
+    found = check_mesh(*united(*parts, inverted=inverted))
+    assert bool(found.repairs) == turned
+    np.testing.assert_allclose(volumes(found, parts), ball.volume * np.array([1.0, -0.125]))
     mesh = trimesh.Trimesh(found.vertices, found.faces, process=False)
-    assert mesh.volume == pytest.approx(ball.volume * (1 - 0.125))
-    again = check_mesh(found.vertices, found.faces)
-    assert again.repairs == ()
+    distance = Body("hollow", mesh, crossed=found.crossed).closest(np.zeros((1, 3))).distance
+    assert distance[0] == pytest.approx(0.05, rel=0.01)
+
+
+@pytest.mark.parametrize("inverted", [(), (0, 1)])
+def test_a_part_wound_like_the_part_around_it_is_a_solid(ball, inverted):
+    parts = ball, shifted(ball, 0.0, 0.5)
+    found = check_mesh(*united(*parts, inverted=inverted))
+    np.testing.assert_allclose(volumes(found, parts), ball.volume * np.array([1.0, 0.125]))
+    mesh = trimesh.Trimesh(found.vertices, found.faces, process=False)
+    points = np.array([[0.02, 0.0, 0.0], [0.06, 0.0, 0.0], [0.11, 0.0, 0.0]])
+    distance = Body("two solids", mesh, crossed=found.crossed).closest(points).distance
+    np.testing.assert_allclose(distance, [-0.03, -0.01, 0.01], atol=5e-4)
+
+
+def test_parts_that_intersect_are_not_inverted(ball):
+    parts = ball, shifted(ball, 0.08, 0.9)
+    found = check_mesh(*united(*parts, inverted=(1,)), open=True)
+    assert found.repairs == ("orientation of 1 of 2 parts inverted: normals pointed inward",)
+    assert (volumes(found, parts) > 0.0).all()
+
+
+def test_a_part_with_a_border_keeps_its_orientation(ball):
+    dome = ball.copy()
+    dome.update_faces(ball.triangles_center[:, 0] > 0.0)
+    dome.invert()
+    parts = dome, shifted(ball, 0.4), shifted(ball, 0.8)
+    found = check_mesh(*united(*parts, inverted=(2,)), open=True)
+    assert "orientation of 1 of 3 parts inverted: normals pointed inward" in found.repairs
+    np.testing.assert_array_equal(np.sign(volumes(found, parts)), [-1.0, 1.0, 1.0])
+
+
+def test_an_open_mesh_that_points_inward_as_a_whole_stays(ball):
+    parts = ball, shifted(ball, 0.3)
+    found = check_mesh(*united(*parts, inverted=(0, 1)), open=True)
+    assert found.repairs == ()
+    assert (volumes(found, parts) < 0.0).all()
 
 
 def test_overlap_is_found_where_it_is(ball):
