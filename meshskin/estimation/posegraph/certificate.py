@@ -36,6 +36,14 @@ published optima."""
 NEGLIGIBLE_COST = 1e-20
 """Gap that counts as zero, as a share of the cost of residuals as large as the displacements: the
 square of a relative residual of 1e-10."""
+POSITION_ROUNDING = 16 * 2.0**-53
+"""Rounding of a residual of translation as a share of the positions that it is the difference of:
+about ten operations. A cost below that of such residuals is zero."""
+NO_WEIGHT = (
+    "the chordal objective is zero everywhere: no displacement has translation or rotation "
+    "information of full rank"
+)
+"""What is said where no displacement has a weight in the chordal objective."""
 FACTORIZATION_ROUNDING = 1e-14
 """Rounding of the factorization, as a share of the largest diagonal entry: theorem 10.3 bounds it
 by (k + 1) 1.1e-16, with k nonzeros in a row of the factor; 90 are typical."""
@@ -53,6 +61,8 @@ class Certificate:
     """Gap up to which the poses are certified."""
     poses: Array
     """(n, 4, 4) the examined poses: a minimum of the chordal objective."""
+    obstacle: str = ""
+    """Why nothing can be certified; empty where the objective can be examined."""
 
     @property
     def relative_gap(self) -> float:
@@ -62,9 +72,13 @@ class Certificate:
     @property
     def certified(self) -> bool:
         """Whether the poses are proven to be globally optimal."""
-        return self.gap <= self.limit
+        return not self.obstacle and self.gap <= self.limit
 
     def __str__(self) -> str:
+        if self.obstacle:
+            return f"not certified: {self.obstacle}"
+        if 0.0 <= self.cost <= self.limit:
+            return f"certified: chordal cost {self.cost:.1e}, zero up to rounding"
         verdict = "certified" if self.certified else "not certified"
         return (
             f"{verdict}: chordal cost {self.cost:.9g}, relative gap at most {self.relative_gap:.1e}"
@@ -79,10 +93,18 @@ def certify(graph: PoseGraph, poses: Array) -> Certificate:
     n = len(poses)
     if not len(graph.edges):
         return Certificate(0.0, 0.0, 0.0, poses)
+    (tau, kappa), lengths = graph.chordal_weights, graph.measurements[:, :3, 3]
+    if not (tau.any() or kappa.any()):
+        return Certificate(0.0, 0.0, 0.0, poses, NO_WEIGHT)
+    cost = chordal_cost(graph, poses)
+    scale = float(tau @ np.sum(lengths**2, axis=1) + 3 * kappa.sum())
+    far = float(tau @ np.sum(poses[graph.edges, :3, 3] ** 2, axis=(1, 2)))
+    limit = max(CERTIFIED_GAP * cost, NEGLIGIBLE_COST * scale, POSITION_ROUNDING**2 * far)
+    if cost <= limit:  # the residuals are zero up to rounding
+        return Certificate(cost, cost, limit, poses)
     form = quadratic_form(graph)
     x = np.swapaxes(poses[:, :3, [3, 0, 1, 2]], 1, 2)  # X^T, block by block
     product = form @ x
-    cost = float(np.sum(product * x))
     multipliers = np.einsum("nba,ncb->nac", poses[:, :3, :3], product[:, 1:])
     multipliers = (multipliers + np.swapaxes(multipliers, 1, 2)) / 2
     bound = float(np.trace(multipliers, axis1=1, axis2=2).sum())
@@ -90,15 +112,22 @@ def certify(graph: PoseGraph, poses: Array) -> Certificate:
     subtracted[:, 1:, 1:] = multipliers
     slack = form.add_diagonal(-subtracted)
     rounding = FACTORIZATION_ROUNDING * float(slack.diagonal(n)[:, 1:].max())
-    (tau, kappa), lengths = graph.chordal_weights, graph.measurements[:, :3, 3]
-    negligible = NEGLIGIBLE_COST * float(tau @ np.sum(lengths**2, axis=1) + 3 * kappa.sum())
-    limit = max(CERTIFIED_GAP * cost, negligible)
     for relative_gap in RELATIVE_GAPS:
         delta = relative_gap * cost / (3 * n)
         if delta > 2 * rounding and is_positive_definite(graph, slack, delta - rounding):
             gap = abs(cost - bound) + 3 * n * delta
             return Certificate(cost, min(gap, cost), limit, poses)
     return Certificate(cost, cost, limit, poses)  # the cost is a sum of squares
+
+
+def chordal_cost(graph: PoseGraph, poses: Array) -> float:
+    """The chordal objective at `poses` (n, 4, 4), summed over squares: never negative."""
+    (tau, kappa), measured = graph.chordal_weights, graph.measurements
+    one, two = poses[graph.edges[:, 0]], poses[graph.edges[:, 1]]
+    turn = two[:, :3, :3] - one[:, :3, :3] @ measured[:, :3, :3]
+    step = np.einsum("eab,eb->ea", one[:, :3, :3], measured[:, :3, 3])
+    shift = two[:, :3, 3] - one[:, :3, 3] - step
+    return float(kappa @ np.sum(turn**2, axis=(1, 2)) + tau @ np.sum(shift**2, axis=1))
 
 
 def quadratic_form(graph: PoseGraph) -> SymmetricBlocks:
@@ -117,7 +146,8 @@ def quadratic_form(graph: PoseGraph) -> SymmetricBlocks:
 
 
 def is_positive_definite(graph: PoseGraph, slack: SymmetricBlocks, delta: float) -> bool:
-    """Whether `slack` + delta diag(0, I) is positive definite, without the anchors' translations.
+    """Whether `slack` + delta diag(0, I) is positive definite, without the anchors' translations
+    and those without weight, whose rows are zero.
 
     The matrix is scaled to a unit diagonal.
     """
@@ -125,6 +155,7 @@ def is_positive_definite(graph: PoseGraph, slack: SymmetricBlocks, delta: float)
     diagonal = slack.diagonal(n) + delta * np.array([0.0, 1.0, 1.0, 1.0])
     fixed = np.zeros((n, 4), dtype=bool)
     fixed[graph.anchors, 0] = True
+    fixed[:, 0] |= diagonal[:, 0] == 0.0
     if (diagonal[~fixed] <= 0.0).any():
         return False
     scale = np.where(fixed, 0.0, np.where(fixed, 1.0, diagonal) ** -0.5)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -20,10 +21,6 @@ if TYPE_CHECKING:
     from .solve import PoseGraphSolution
     from .topology import Topology
 
-SINGULAR = 1e-12
-"""A matrix (3, 3) is singular if its condition number is above 1 / SINGULAR: its inverse would have
-fewer than four correct digits."""
-
 
 @dataclass(frozen=True, eq=False)
 class PoseGraph:
@@ -41,7 +38,8 @@ class PoseGraph:
     measurements: Array
     """(m, 4, 4) measured T_i_j."""
     information: Array
-    """(m, 6, 6) inverse covariance of e; symmetric, positive semidefinite, may be singular."""
+    """(m, 6, 6) inverse covariance of e; symmetric, may be singular. The geodesic objective takes
+    `semidefinite_information`, the chordal one `chordal_weights`."""
     ids: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     """(n,) ids of the poses in files; 0 to n - 1 by default."""
 
@@ -82,12 +80,39 @@ class PoseGraph:
     def chordal_weights(self) -> tuple[Array, Array]:
         """(tau, kappa), (m,) each: 3 / tr(inv(I_t)) and 3 / (2 tr(inv(I_R))), 0 where singular.
 
+        The information need not be positive semidefinite as (6, 6): the rest of it is not used.
+        A block whose inverse has a negative trace has the weight 0, with a warning that counts
+        these displacements.
         Source: Rosen et al., "SE-Sync", IJRR 38 (2019), section 6.
         """
-        return (
-            3.0 * _inverse_trace(self.information[:, :3, :3]),
-            1.5 * _inverse_trace(self.information[:, 3:, 3:]),
+        (translation, no_translation), (rotation, no_rotation) = (
+            _inverse_trace(self.information[:, part, part]) for part in (slice(3), slice(3, 6))
         )
+        if count := int((no_translation | no_rotation).sum()):
+            warnings.warn(
+                f"the information of {count} of {len(self.edges)} displacements has a translation "
+                "or rotation block that is not positive semidefinite: its chordal weight is zero",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+        return 3.0 * translation, 1.5 * rotation
+
+    @cached_property
+    def semidefinite_information(self) -> Array:
+        """(m, 6, 6) `information`, where it is not positive semidefinite the nearest such matrix.
+
+        A warning counts the displacements whose information is projected.
+        """
+        projected, indefinite = validation.project_to_semidefinite(self.information)
+        if count := int(indefinite.sum()):
+            warnings.warn(
+                f"the information of {count} of {len(self.edges)} displacements is not positive "
+                "semidefinite: projected onto the semidefinite cone",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+        projected.setflags(write=False)
+        return projected
 
     @property
     def topology(self) -> Topology:
@@ -102,7 +127,10 @@ class PoseGraph:
 
     @classmethod
     def load(cls, path: str | Path) -> PoseGraph:
-        """The graph in a g2o file (VERTEX_SE3:QUAT, EDGE_SE3:QUAT).
+        """The graph in a g2o file (VERTEX_SE3:QUAT, EDGE_SE3:QUAT; VERTEX_SE2, EDGE_SE2).
+
+        A 2D graph is loaded into the plane z = 0; `g2o.lift_information` gives the information
+        about z, roll and pitch, and the solution stays in the plane.
 
         Raises GraphError with the number of a line that cannot be read.
         """
@@ -111,7 +139,7 @@ class PoseGraph:
         return cls(**g2o.read(path))
 
     def save(self, path: str | Path) -> None:
-        """Write a g2o file with all digits. Raises OutputError if it cannot be written."""
+        """Write a 3D g2o file with all digits. Raises OutputError if it cannot be written."""
         from . import g2o
 
         g2o.write(path, self.poses, self.edges, self.measurements, self.information, self.ids)
@@ -139,16 +167,22 @@ class PoseGraph:
         the chordal start and return the result of lower cost; see its `certificate`.
         limit: most iterations of IPOPT; the `status` says where they are too few.
 
-        Raises UnknownNameError, GraphError.
+        Raises UnknownNameError; GraphError where no displacement has information (for the
+        chordal objective: where the blocks of all information matrices are singular).
         """
         from .solve import solve
 
         return solve(self, objective, start, robust, keep_iterates, certify, limit)
 
 
-def _inverse_trace(matrices: Array) -> Array:
-    """1 / tr(inv(M)) of positive semidefinite `matrices` (m, 3, 3); 0 where singular."""
+def _inverse_trace(matrices: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """1 / tr(inv(M)) of symmetric `matrices` (m, 3, 3), and where it is negative.
+
+    0 where it is negative or M is singular.
+    """
     values = np.linalg.eigvalsh(matrices)
-    singular = values[:, 0] <= SINGULAR * values[:, 2]
-    safe = np.where(singular[:, None], 1.0, values)
-    return np.asarray(np.where(singular, 0.0, 1.0 / np.sum(1.0 / safe, axis=1)))
+    size = np.abs(values)
+    singular = size.min(axis=1) <= validation.SINGULAR * size.max(axis=1)
+    trace = np.sum(1.0 / np.where(singular[:, None], 1.0, values), axis=1)
+    negative = trace <= 0.0
+    return np.where(singular | negative, 0.0, 1.0 / np.where(negative, 1.0, trace)), negative

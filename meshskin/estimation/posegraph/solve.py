@@ -88,16 +88,17 @@ class PoseGraphSolution:
         """Proof of global optimality, computed when first asked for.
 
         It is about the chordal objective with the `weights`: its minimum next to `poses` is
-        examined.
+        examined. Where that objective is zero everywhere, nothing is certified.
         """
         graph = self.graph
         if not (self.weights == 1.0).all():
             information = graph.information * self.weights[:, None, None]
             graph = replace(graph, information=information)
         estimate = Estimate(self.poses)
-        if len(graph.edges):
+        tau, kappa = graph.chordal_weights
+        if tau.any() or kappa.any():
             problem = graph.problem(RESIDUALS["chordal"])
-            root = chordal_sqrt_information(*graph.chordal_weights)
+            root = chordal_sqrt_information(tau, kappa)
             minimize(problem, graph, root, estimate, STAGES[1:], tolerance=CERTIFICATE_TOLERANCE)
         return certificates.certify(graph, estimate.poses)
 
@@ -175,14 +176,15 @@ def _solve(
     started, build = perf_counter(), 0.0
     weights = np.ones(len(graph.edges))
     if len(graph.edges):
+        root = _sqrt_information(graph, objective)
+        _check_weights(root, objective)
         far = isinstance(start, str) and start == "origin"
         problem = graph.problem(RESIDUALS[objective])
         chordal = graph.problem(RESIDUALS["chordal"]) if far else problem
         build = perf_counter() - started
         if far:
-            root = chordal_sqrt_information(*starts.initial_weights(graph))
-            minimize(chordal, graph, root, estimate, FAR_STAGES, keep_iterates, limit=limit)
-        root = _sqrt_information(graph, objective)
+            near = chordal_sqrt_information(*starts.initial_weights(graph))
+            minimize(chordal, graph, near, estimate, FAR_STAGES, keep_iterates, limit=limit)
         if robust is None:
             minimize(problem, graph, root, estimate, STAGES, keep_iterates, limit=limit)
         else:
@@ -210,4 +212,19 @@ def _sqrt_information(graph: PoseGraph, objective: str) -> Array:
     """W (m, 6, 6) with cost = |W e|^2 / 2, e the kernel's residual."""
     if objective == "chordal":
         return chordal_sqrt_information(*graph.chordal_weights)
-    return geodesic_sqrt_information(graph.information)
+    return geodesic_sqrt_information(graph.semidefinite_information)
+
+
+def _check_weights(root: Array, objective: str) -> None:
+    """Raise GraphError if the square roots `root` (m, 6, 6) of the weights are all zero."""
+    if root.any():
+        return
+    if objective == "chordal":
+        raise GraphError(
+            certificates.NO_WEIGHT,
+            remedy="use objective='geodesic', which takes singular information",
+        )
+    raise GraphError(
+        "the objective is zero everywhere: no displacement has information",
+        remedy="give information matrices that are not zero",
+    )

@@ -84,9 +84,9 @@ STARTS = {"chordal": chordal, "tree": tree, "origin": origin}
 def initial_weights(graph: PoseGraph) -> tuple[Array, Array]:
     """(tau, kappa), (m,) each: chordal weights, where singular the mean of the information."""
     tau, kappa = graph.chordal_weights
-    mean = np.trace(graph.information[:, :3, :3], axis1=1, axis2=2) / 3
-    mean_r = np.trace(graph.information[:, 3:, 3:], axis1=1, axis2=2) / 6
-    return np.where(tau > 0, tau, mean), np.where(kappa > 0, kappa, mean_r)
+    blocks = graph.information[:, :3, :3], graph.information[:, 3:, 3:]
+    mean, mean_r = (np.maximum(np.linalg.eigvalsh(b), 0.0).mean(axis=1) for b in blocks)
+    return np.where(tau > 0, tau, mean), np.where(kappa > 0, kappa, mean_r / 2)
 
 
 def _levels(order: IntArray, parents: IntArray) -> list[IntArray]:

@@ -11,8 +11,11 @@ from ...core.se3 import Array
 ROTATION_TOLERANCE = 1e-6
 """Largest entry of R^T R - I: files with seven digits stay below it."""
 INFORMATION_TOLERANCE = 1e-9
-"""Largest asymmetry and negative eigenvalue of an information matrix, relative to its largest
-entry: the rounding of files with ten digits."""
+"""Largest asymmetry and negative eigenvalue of an information matrix that count as rounding,
+relative to its largest entry: the rounding of files with ten digits."""
+SINGULAR = 1e-12
+"""A matrix is singular if its condition number is above 1 / SINGULAR: its inverse would have
+fewer than four correct digits."""
 MAX_INFORMATION = 1e100
 """Largest entry of an information matrix: the squares of larger ones leave double precision."""
 
@@ -72,7 +75,7 @@ def edge_indices(values: ArrayLike, poses: int) -> NDArray[np.int64]:
 
 
 def information_matrices(values: ArrayLike, count: int) -> Array:
-    """A copy of symmetric positive semidefinite matrices (count, 6, 6); one (6, 6) serves all."""
+    """A copy of symmetric matrices (count, 6, 6); one (6, 6) serves all."""
     array = np.array(values, dtype=float)
     if array.shape == (6, 6):
         array = np.tile(array, (count, 1, 1))
@@ -92,18 +95,32 @@ def information_matrices(values: ArrayLike, count: int) -> Array:
         )
     asymmetry = np.abs(array - np.swapaxes(array, 1, 2)).max(axis=(1, 2))
     array = (array + np.swapaxes(array, 1, 2)) / 2
-    lowest = np.linalg.eigvalsh(array)[:, 0]
-    limit = INFORMATION_TOLERANCE * size
-    wrong = (asymmetry > limit) | (lowest < -limit)
+    wrong = asymmetry > INFORMATION_TOLERANCE * size
     if wrong.any():
         row = int(np.argmax(wrong))
         raise GraphError(
-            "information must be symmetric positive semidefinite",
-            value=f"edge {row}: lowest eigenvalue {lowest[row]:.3g}, "
-            f"asymmetry {asymmetry[row]:.3g}",
+            "information must be symmetric",
+            value=f"edge {row}: asymmetry {asymmetry[row]:.3g}",
             limit=f"{INFORMATION_TOLERANCE:g} of its largest entry",
         )
     return array
+
+
+def project_to_semidefinite(matrices: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """The nearest positive semidefinite matrices to `matrices` (m, k, k), and which have changed.
+
+    Negative eigenvalues become zero; those within `INFORMATION_TOLERANCE` are rounding, and their
+    matrices stay as they are.
+    Source: Higham, "Computing a nearest symmetric positive semidefinite matrix", Linear Algebra
+    and its Applications 103 (1988).
+    """
+    values, vectors = np.linalg.eigh(matrices)
+    size = np.abs(matrices).max(axis=(1, 2), initial=0.0)
+    indefinite = values[:, 0] < -INFORMATION_TOLERANCE * size
+    projected = np.array(matrices)
+    half = vectors[indefinite] * np.sqrt(np.maximum(values[indefinite], 0.0))[:, None, :]
+    projected[indefinite] = half @ np.swapaxes(half, 1, 2)
+    return projected, indefinite
 
 
 def _check_finite(message: str, item: str, array: Array) -> None:

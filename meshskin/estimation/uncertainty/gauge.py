@@ -80,7 +80,7 @@ def _gradients(graph: PoseGraph, poses: Array, errors: Array) -> Array:
     """The cost's gradients (n, 6, draws) that errors (m, 6, draws) of the displacements cause."""
     out = np.zeros((len(poses), 6, errors.shape[2]))
     for end, jacobian in zip(graph.edges.T, _jacobians(graph, poses), strict=True):
-        np.add.at(out, end, np.swapaxes(jacobian, 1, 2) @ graph.information @ errors)
+        np.add.at(out, end, np.swapaxes(jacobian, 1, 2) @ graph.semidefinite_information @ errors)
     return out
 
 
@@ -115,7 +115,9 @@ def _jacobians(graph: PoseGraph, poses: Array) -> tuple[Array, Array]:
 def gauss_newton_information(graph: PoseGraph, poses: Array) -> sparse.csr_array:
     """Gauss-Newton information (6 n, 6 n) on local increments of the poses."""
     ends = tuple(zip(graph.edges.T, _jacobians(graph, poses), strict=True))
-    blocks = [np.swapaxes(a, 1, 2) @ graph.information @ b for _, a in ends for _, b in ends]
+    blocks = [
+        np.swapaxes(a, 1, 2) @ graph.semidefinite_information @ b for _, a in ends for _, b in ends
+    ]
     rows = np.concatenate([a for a, _ in ends for _ in ends])
     columns = np.concatenate([b for _ in ends for b, _ in ends])
     index = 6 * np.stack([rows, columns])[:, :, None, None]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from meshskin.core import se3
+from meshskin.core.errors import GraphError
 from meshskin.estimation.posegraph import PoseGraph
 from meshskin.estimation.posegraph.certificate import certify, is_positive_definite, quadratic_form
 
@@ -133,3 +134,43 @@ def test_definiteness_against_dense_eigenvalues(skin_graph, off):
     assert smallest < 0.0
     largest = slack.diagonal(40)[:, 1:].max()
     assert is_positive_definite(graph, slack, off * largest - smallest) == (off > 0)
+
+
+@pytest.mark.parametrize("count", [3, 20, 200])
+@pytest.mark.parametrize("objective", ["geodesic", "chordal"])
+def test_exact_graphs_are_certified(skin_graph, count, objective):
+    """Where all residuals are zero the cost is zero up to rounding, and never negative."""
+    graph, _ = skin_graph(count, sigma=(1e-3, 0.02))
+    truth = np.array(graph.poses)
+    truth[:, :3, 3] += 100.0  # far from the origin: positions are rounded
+    i, j = graph.edges.T
+    exact = PoseGraph(truth, graph.edges, se3.inverse(truth[i]) @ truth[j], graph.information)
+    certificate = exact.solve(objective).certificate
+    assert certificate.certified
+    assert 0.0 <= certificate.cost <= 1e-15 * graph.solve("chordal").cost
+    assert "zero up to rounding" in str(certificate)
+
+
+def test_rotations_alone_are_certified(skin_graph):
+    """Without information about translations, the positions have no weight and no constraint."""
+    graph, _ = skin_graph(30)
+    information = np.array(graph.information)
+    information[:, :3] = information[:, :, :3] = 0.0
+    rotations = PoseGraph(graph.poses, graph.edges, graph.measurements, information)
+    assert rotations.solve("chordal").certificate.certified
+
+
+def test_zero_and_singular_information_are_named(skin_graph):
+    graph, _ = skin_graph(10)
+    arrays = graph.poses, graph.edges, graph.measurements
+    for objective, message in (("geodesic", "has information"), ("chordal", "of full rank")):
+        for start in ("chordal", "tree", "origin"):
+            with pytest.raises(GraphError, match=message):
+                PoseGraph(*arrays, np.zeros((6, 6))).solve(objective, start=start)
+    singular = PoseGraph(*arrays, graph.information * np.array([1, 1, 0, 1, 1, 0]))
+    with pytest.raises(GraphError, match="use objective='geodesic'"):
+        singular.solve("chordal")
+    for solution in (singular.solve(), singular.solve(start="tree", certify=True)):
+        assert solution.is_optimal
+        assert not solution.certificate.certified
+        assert "zero everywhere" in str(solution.certificate)
