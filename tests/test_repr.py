@@ -58,4 +58,6 @@ def test_estimates_print_what_came_of_them(sphere):
     eyes = np.tile(np.eye(4), (3, 1, 1))
     graph = ms.PoseGraph(eyes, np.array([[0, 1], [1, 2]]), eyes[:2], np.tile(np.eye(6), (2, 1, 1)))
     assert repr(graph) == "<PoseGraph: 3 poses, 2 displacements>"
-    assert repr(graph.solve()).startswith(f"<PoseGraphSolution of {graph!r}: optimal, geodesic cost")
+    assert repr(graph.solve()).startswith(
+        f"<PoseGraphSolution of {graph!r}: optimal, geodesic cost"
+    )

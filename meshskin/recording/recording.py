@@ -38,6 +38,9 @@ CONTACTS = pa.schema(
 QUATERNION = ("qw", "qx", "qy", "qz")
 """Optional columns of `contacts`."""
 READINGS = pa.schema([("time", pa.float64()), ("taxel", pa.int32()), ("pressure", pa.float64())])
+MAX_TIME_LAG = 0.49
+"""Largest distance in time of a reading from its contact, in frames: at half a frame two contacts
+are equally near."""
 _KEY = b"meshskin"
 _PARTS = ("contacts", "readings", "motion")
 
@@ -135,19 +138,45 @@ class Recording:
 
     @cached_property
     def reading_contact(self) -> np.ndarray:
-        """Row (k,) of `contacts` that each reading belongs to."""
-        times = _column(self.readings, "time")
-        row = np.searchsorted(self.time, times)
-        bad = (row >= len(self.time)) | (
-            self.time[np.minimum(row, len(self.time) - 1)] != times if len(self.time) else True
+        """Row (k,) of `contacts` that each reading belongs to: the nearest in time.
+
+        Raises RecordingError for a reading further than half a frame from every contact.
+        """
+        times, row = _column(self.readings, "time"), self._nearest_contact
+        far = (
+            np.abs(self.time_lag) > MAX_TIME_LAG * self.frame
+            if len(self.time)
+            else np.ones(len(times), dtype=bool)
         )
-        if np.any(bad):
+        far |= np.isnan(times)
+        if np.any(far):
             raise RecordingError(
                 "a reading has no contact at its time",
-                value=f"{times[np.argmax(bad)]} s",
+                value=f"{times[np.argmax(far)]} s",
+                limit=f"within {MAX_TIME_LAG * self.frame:.3g} s of a contact",
                 remedy="write one contact row for every frame of readings",
             )
         return row
+
+    @cached_property
+    def _nearest_contact(self) -> np.ndarray:
+        """Row (k,) of the contact nearest in time to each reading."""
+        times, last = _column(self.readings, "time"), max(len(self.time) - 1, 0)
+        row = np.minimum(np.searchsorted(self.time, times), last)
+        if not last or np.array_equal(self.time[row], times):
+            return row
+        before = np.maximum(row - 1, 0)
+        return np.where(times - self.time[before] < self.time[row] - times, before, row)
+
+    @property
+    def frame(self) -> float:
+        """Median time from one contact to the next, s; 0 for fewer than two contacts."""
+        return float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
+
+    @cached_property
+    def time_lag(self) -> Array:
+        """Time (k,), s, of each reading after that of its contact."""
+        return _column(self.readings, "time") - self.time[self._nearest_contact]
 
     @cached_property
     def reading_taxel(self) -> np.ndarray:

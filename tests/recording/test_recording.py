@@ -77,6 +77,10 @@ def test_inconsistent_tables_are_refused(tmp_path):
     contacts, readings = tables(read=(0.0, 0.15, 0.2))
     with pytest.raises(RecordingError, match=r"no contact at its time, got 0.15 s"):
         _ = Recording(contacts, readings, {}).reading_contact
+    _, late = tables(read=(0.004, 0.104, 0.196))
+    shifted = Recording(contacts, late, {})
+    assert shifted.reading_contact.tolist() == [0, 1, 2]
+    assert np.allclose(shifted.time_lag, [0.004, 0.004, -0.004])
     with pytest.raises(RecordingError, match="must increase"):
         Recording(*tables(times=(0.0, 0.2, 0.1)), {})
     with pytest.raises(RecordingError, match="lacks force"):

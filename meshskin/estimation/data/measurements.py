@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -63,6 +63,9 @@ class Measurements:
     """Rotations (m, 3, 3), world from body, where known."""
     left_out: int = 0
     """Number of contacts left out because the contact model does not hold in them."""
+    corrupt: np.ndarray = field(default_factory=lambda: np.empty((0, 2), dtype=int))
+    """Contact and taxel (c, 2) of readings that were left out as negative or corrupt: rows of
+    `points` and of `ids`. They are not silences."""
 
     @cached_property
     def ids(self) -> np.ndarray:
@@ -171,8 +174,9 @@ class Measurements:
 def gather(recording: Recording, belief: Belief) -> Measurements:
     """The measurements of a recording under a belief.
 
-    Contacts without force (approach) have no patch and are left out, with their readings. Raises
-    RecordingError for values that are not finite, taxels read twice in a contact;
+    Contacts without force (approach) have no patch and are left out, with their readings; so are a
+    few corrupt readings (`unit_checks.corrupt_readings`). Raises RecordingError for contacts that
+    are not finite and for many such readings, taxels read twice in a contact;
     CalibrationError for no readings, wrong units, unknown taxel ids and headings of another shape;
     ContactError where the contact model leaves its range.
     """
@@ -185,12 +189,15 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     belief = resolve_belief(belief, recording)
     used = recording.force > 0
     read = used[recording.reading_contact] & (recording.pressure > 0)
+    corrupt = unit_checks.corrupt_readings(recording.pressure, index)
+    read &= ~corrupt
     _require_readings(read, recording, used)
     reference = belief.force_reference or 1.0
     unit_checks.check_force(recording.force[used], reference)
     valid = valid_contacts(recording.force[used], hit.curvature[used], belief)
     used[used] = valid
     read &= used[recording.reading_contact]
+    corrupt = (corrupt | (recording.pressure < 0)) & used[recording.reading_contact]
     hit, force, row = hit.take(used), recording.force[used], np.cumsum(used) - 1
     material = belief.material
     model = contact.ContactModel(belief.contact, material.poisson, material.thickness)
@@ -216,6 +223,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         parameters=declared_parameters(belief.unknown, belief.priors, reference, peak),
         headings=None if headings is None else headings[used],
         left_out=int(np.sum(~valid)),
+        corrupt=np.column_stack([row[recording.reading_contact], index])[corrupt],
     )
 
 
@@ -266,8 +274,9 @@ def _check_finite(recording: Recording) -> None:
     columns = {
         "contact point": recording.points.sum(axis=1),
         "force": recording.force,
-        "pressure": recording.pressure,
     }
+    if unit_checks.too_many_corrupt(~np.isfinite(recording.pressure)):
+        columns["pressure"] = recording.pressure
     for what, values in columns.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):

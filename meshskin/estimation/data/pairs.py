@@ -69,7 +69,9 @@ def silent_pairs(
     radius = a * invert_disc_mean(level, data.disc / a, tolerance=1e-3) + REACH_MARGIN
     contact, taxel = near_pairs(data, points, normals, radius)
     number = live[taxel] * len(data.points) + contact
-    read = np.sort(data.taxel * len(data.points) + data.contact)
+    known = data.taxel * len(data.points) + data.contact
+    left_out = data.corrupt[:, 1] * len(data.points) + data.corrupt[:, 0]
+    read = np.sort(np.concatenate([known, left_out]))
     if len(read):
         silent = read[np.minimum(np.searchsorted(read, number), len(read) - 1)] != number
         contact, taxel = contact[silent], taxel[silent]

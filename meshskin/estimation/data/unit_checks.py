@@ -1,4 +1,6 @@
-"""Checks of units: values that no plausible scene explains are refused, with the likely cause."""
+"""Checks of values that no plausible scene explains: wrong units are refused with the likely cause,
+single corrupt readings left out.
+"""
 
 from __future__ import annotations
 
@@ -35,6 +37,13 @@ FORCE_UNITS = {"kN": 1e-3, "mN": 1e3, "uN": 1e6}
 MATCH = 20.0
 """A unit is named as the cause if it explains the ratio within this factor."""
 REMEDY = "check the units of pressure, force and modulus"
+CORRUPT_RATIO = 10.0
+"""Pressure, relative to the typical strongest reading of a taxel, above which a reading is corrupt.
+Peaks grow as F^(1/3), and gains differ by a factor of 2.5 at three standard deviations of their
+prior: less than 10 together even at ten times the force."""
+MAX_CORRUPT = 0.01
+"""Fraction of corrupt readings up to which they are left out: more are no accident of single
+numbers, but a wrong unit or a broken sensor, which the test of fit shows."""
 
 
 def check_points(body: Body, points: Array, distance: Array) -> None:
@@ -107,3 +116,31 @@ def _likely_unit(ratio: float, units: Mapping[str, float], expected: str) -> str
     near = min(units, key=lambda name: abs(np.log(ratio / units[name])))
     match = 1 / MATCH < ratio / units[near] < MATCH
     return f"they look like {near} taken for {expected}; " if match else ""
+
+
+def corrupt_readings(pressure: Array, taxel: np.ndarray) -> np.ndarray:
+    """Readings (k,) bool of taxels (k,) that no contact explains: not finite, or CORRUPT_RATIO
+    times what taxels read at most. None where they are more than MAX_CORRUPT.
+
+    A taxel's largest reading may be the corrupt one: its second largest counts.
+    """
+    lost = ~np.isfinite(pressure)
+    level = np.where(lost, 0.0, pressure)
+    order = np.lexsort((-level, taxel))
+    first = np.flatnonzero(np.diff(taxel[order], prepend=-1))
+    count = np.diff(np.append(first, len(order)))
+    many = count >= MIN_READINGS
+    if not many.any():
+        return lost
+    first, count = first[many], count[many]
+    typical = float(np.median(level[order[first + 1]]))
+    bound = np.full(int(taxel.max()) + 1, typical)
+    own = taxel[order[first]]
+    bound[own] = np.maximum(typical, level[order[first + count // 2]])
+    wild = level > CORRUPT_RATIO * bound[taxel]
+    return lost if typical <= 0 or too_many_corrupt(wild) else lost | wild
+
+
+def too_many_corrupt(corrupt: np.ndarray) -> bool:
+    """Whether more than MAX_CORRUPT of the readings (k,) are corrupt; a single one never is."""
+    return bool(np.sum(corrupt) > max(1.0, MAX_CORRUPT * len(corrupt)))

@@ -96,6 +96,9 @@ def estimate(
     for k in np.flatnonzero(np.isfinite(distances)):
         words = (estimator.faults[live[k]], RIVAL.format(1e3 * distances[k]))
         estimator.faults[live[k]] = ", ".join(filter(None, words))
+    for row, count in zip(*np.unique(data.corrupt[:, 1], return_counts=True), strict=True):
+        left_out = f"{count} corrupt or negative readings left out"
+        estimator.faults[row] = ", ".join(filter(None, (estimator.faults[row], left_out)))
     for row, level in zip(stuck.rows, stuck.level, strict=True):
         estimator.faults[row] = f"stuck at {level / 1e3:.3g} kPa"
     if estimator.unconverged.all():
