@@ -93,7 +93,7 @@ def test_unknown_scene(capsys, tmp_path):
     ("options", "words"),
     [
         (["run", "sphere", "--seed", "-1"], "seed is out of range, got -1, limit: at least 0"),
-        (["run", "sphere", "--accuracy-mm", "nan"], "an accuracy that is asked for must be finite"),
+        (["run", "sphere", "--accuracy-mm", "nan"], "the accuracy asked for must be finite"),
         (["run", "sphere", "--seconds", "0"], "got 0 s, limit: above 0"),
         (["cost", "sphere", "--seeds", "0"], "seeds is out of range, got 0, limit: at least 1"),
     ],

@@ -143,7 +143,8 @@ def plane(side=81, step=4e-4):
     """Poses of points on a square in the tangent plane at the bottom of the sphere."""
     x = step * (np.arange(side) - side // 2)
     grid = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
-    return transform(np.eye(3), np.column_stack([grid, np.full(len(grid), -0.1)]))
+    down = np.diag([1.0, -1.0, -1.0])  # taxel normals point outward
+    return transform(down, np.column_stack([grid, np.full(len(grid), -0.1)]))
 
 
 def test_cover_spreads_pressure_and_preserves_the_force(sphere, context, glide):
