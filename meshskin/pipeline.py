@@ -1,4 +1,8 @@
-"""The whole job: from a scene to a recording, a calibration, metrics, figures and a report."""
+"""The pipeline of one run: scene, recording, calibration, metrics, figures and report.
+
+Each package is entered once: the scene is loaded, simulated into a recording, calibrated under the
+belief, compared with the other methods, assessed against the true skin, and reported.
+"""
 
 from __future__ import annotations
 
@@ -29,24 +33,25 @@ from .simulation.response import ForceResponse, force_response
 from .simulation.simulate import Progress, simulate
 
 if TYPE_CHECKING:
-    from .exploration.path import Path as Way
+    from .exploration.path import Path as ExplorationPath
     from .skin.skin import Skin
     from .study.sensitivity.budget import BudgetReport
     from .study.sensitivity.request import Request
 
 METHODS = ("trilateration", "three_circles", "posegraph", "posegraph_isotropic", "posegraph_paper")
-"""Methods that run on the same recording beside the joint estimate."""
+"""Methods that calibrate the same recording for comparison with the joint estimate."""
 RESULTS = ("calibration.parquet", "calibration.csv", "metrics.json", "report.html")
-"""Files that follow from a recording."""
-FLOATING = 3
-"""Taxels by which a whole that floats is laid on the truth."""
+"""Files that a calibration writes; those of an earlier recording are removed."""
+MIN_ALIGNED = 3
+"""Least number of taxels that determine the rigid motion between a pose graph and the truth."""
 MAPS = 16
-"""A report takes as much processor time as this many maps of the estimates."""
+"""Processor time of a report in units of the time of one map of the estimates (measured on the
+shipped scenes; it predicts the time of a request)."""
 
 
 @contextmanager
 def _stage(name: str, progress: Progress | None) -> Iterator[None]:
-    """Show a stage whose length is not known before it ends."""
+    """Report the progress of a stage of unknown length."""
     if progress is not None:
         progress(name, 0, 1)
     yield
@@ -56,7 +61,7 @@ def _stage(name: str, progress: Progress | None) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Result:
-    """What a run found."""
+    """Inputs and results of a run."""
 
     scene: Scene
     recording: Recording
@@ -65,12 +70,12 @@ class Result:
     demonstration: Demonstration | None
     force: ForceResponse
     metrics: dict[str, Any]
-    ledger: BudgetReport | None = None
-    """What an error budget decided, where there was one."""
+    budget: BudgetReport | None = None
+    """The decisions of the error budget; None: the scene has no budget."""
 
 
-def forget(folder: Path) -> None:
-    """Take out what an earlier run found: it is not of the new recording."""
+def remove_results(folder: Path) -> None:
+    """Remove the result files of an earlier recording."""
     for name in RESULTS:
         (folder / name).unlink(missing_ok=True)
 
@@ -83,110 +88,109 @@ def run(
     request: Request | None = None,
     budget: float | None = None,
 ) -> Result:
-    """Run a scene through the whole job and write everything into `folder`.
+    """Simulate, calibrate and report a scene; write all files into `folder`.
 
-    request: an accuracy or a time; a pilot run then chooses every setting, and the metrics hold
-    what it promised. budget: taxel error, m, that may be left out, in place of the scene's
-    own; `ms.budget` then decides what is on. Raises MeshskinError kinds: what is wrong, the value,
-    the limit, and what to do.
+    name: shipped scene or TOML file; request: an accuracy or a time, for which a pilot run chooses
+    the settings (the metrics hold its prediction); budget: taxel error, m, that may be neglected,
+    in place of the scene's own: `ms.budget` then chooses the effects. Raises a MeshskinError that
+    names the value, the limit and the remedy.
     """
-    from .study.sensitivity.budget import budget as decide
+    from .study.sensitivity.budget import budget as apply_budget
 
     check_seed(seed)
-    folder, clock = Path(folder), StageTimer()
-    with clock.stage("load"):
+    folder, timer = Path(folder), StageTimer()
+    with timer.stage("load"):
         scene = Scene.load(name)
         if budget is not None:
             scene = scene.with_(budget=budget)
         check_folder(folder)
-    ledger = None
+    decided = None
     if scene.budget is not None:
-        with clock.stage("budget"):
-            ledger = decide(scene, seed=seed, progress=progress)
-            scene = ledger.scene
-    path, promise, rest = None, None, NEWTON_TOLERANCE
+        with timer.stage("budget"):
+            decided = apply_budget(scene, seed=seed, progress=progress)
+            scene = decided.scene
+    path, prediction, tolerance = None, None, NEWTON_TOLERANCE
     if request is not None:
-        with clock.stage("pilot"), _stage("pilot", progress):
-            scene, path, rest, promise = _promised(scene, request, seed, clock)
-    with clock.stage("simulate"):
+        with timer.stage("pilot"), _stage("pilot", progress):
+            scene, path, tolerance, prediction = _settings_for(scene, request, seed, timer)
+    with timer.stage("simulate"):
         recording = simulate(scene, seed, path=path, out=folder / "recording", progress=progress)
-    forget(folder)
-    with clock.stage("calibrate"):
-        belief = scene.belief() if ledger is None else ledger.belief
-        tolerance = rest if ledger is None else ledger.tolerance
+    remove_results(folder)
+    with timer.stage("calibrate"):
+        belief = scene.belief() if decided is None else decided.belief
+        tolerance = tolerance if decided is None else decided.tolerance
         estimation = Estimation(recording, belief)
         calibration = estimation.calibrate(tolerance=tolerance)
         calibration.save(folder / "calibration")
-    with clock.stage("compare"):
-        comparisons, missing = _compared(estimation)
-        demonstration = _demonstrated(scene, recording, seed)
-    with clock.stage("metrics"):
+    with timer.stage("compare"):
+        comparisons, missing = _compare(estimation)
+        demonstration = _demonstrate(scene, recording, seed)
+    with timer.stage("metrics"):
         force = _force(recording, scene)
         metrics = _assess(scene, belief, recording, calibration, force, demonstration)
         metrics |= _errors(comparisons, scene.skin) | missing
-        if ledger is not None:
-            metrics["budget"] = ledger.metrics()
-        if promise is not None:
-            metrics["promise"] = promise
+        if decided is not None:
+            metrics["budget"] = decided.metrics()
+        if prediction is not None:
+            metrics["promise"] = prediction
     result = Result(
-        scene, recording, calibration, comparisons, demonstration, force, metrics, ledger
+        scene, recording, calibration, comparisons, demonstration, force, metrics, decided
     )
-    with clock.stage("report"):
-        _report(result, folder, seed, clock.seconds)
-    if promise is not None:
-        promise["came_to"] = {
+    with timer.stage("report"):
+        _write_report(result, folder, seed, timer.seconds)
+    if prediction is not None:
+        prediction["came_to"] = {
             "error_mm": metrics["position_error_mm"]["mean"],
-            "seconds": sum(clock.seconds.values()),
-            "processor_seconds": clock.processor,
+            "seconds": sum(timer.seconds.values()),
+            "processor_seconds": timer.processor,
         }
-    metrics["seconds"] = {k: round(v, 4) for k, v in clock.seconds.items()}
+    metrics["seconds"] = {k: round(v, 4) for k, v in timer.seconds.items()}
     write_json(folder / "metrics.json", metrics)
     return result
 
 
-def _promised(
-    scene: Scene, request: Request, seed: int, clock: StageTimer
-) -> tuple[Scene, Way, float, dict[str, Any]]:
-    """The scene at the setting that keeps a request best, its path, the tolerance of its estimate,
-    and what is promised.
+def _settings_for(
+    scene: Scene, request: Request, seed: int, timer: StageTimer
+) -> tuple[Scene, ExplorationPath, float, dict[str, Any]]:
+    """The scene with the settings that meet a request best, its path, tolerance and prediction.
 
-    Raises StudyError where nothing keeps it.
+    Raises StudyError if no settings meet it, ReachError if the arm cannot follow their paths.
     """
     from .exploration.plan import plan_exploration
     from .study.sensitivity.pilot import pilot
 
-    tried = pilot(scene, request, METHODS, _drawing(scene), seed, clock.start)
+    tried = pilot(scene, request, METHODS, _report_time(scene), seed, timer.start)
     reason: ReachError | None = None
-    for promise in tried.choose(request):
-        made = promise.setting.scene(scene, promise.setting.body(scene.body))
+    for prediction in tried.choose(request):
+        chosen = prediction.setting.scene(scene, prediction.setting.body(scene.body))
         try:
-            path = plan_exploration(made).path
+            path = plan_exploration(chosen).path
         except ReachError as error:
             reason = error
             continue
-        said = {
+        record = {
             "asked": request.words,
-            "setting": promise.setting.words(tried.base),
-            "error_mm": promise.error_mm,
-            "numerical_mm": promise.numerical_mm,
-            "seconds": promise.seconds,
-            "processor_seconds": promise.processor_seconds,
+            "setting": prediction.setting.words(tried.base),
+            "error_mm": prediction.error_mm,
+            "numerical_mm": prediction.numerical_mm,
+            "seconds": prediction.seconds,
+            "processor_seconds": prediction.processor_seconds,
         }
-        return made, path, promise.setting.tolerance, said
+        return chosen, path, prediction.setting.tolerance, record
     assert reason is not None
     raise reason
 
 
-def _compared(
+def _compare(
     estimation: Estimation,
 ) -> tuple[dict[str, Calibration], dict[str, dict[str, Any]]]:
-    """What the other methods find, and the metrics of those that find nothing, with the reason."""
+    """Calibrations by the other methods, and metrics with the reason of those that fail."""
     found: dict[str, Calibration] = {}
     missing: dict[str, dict[str, Any]] = {}
     for method in METHODS:
         try:
             other = estimation.calibrate(method)
-            _check_placed(other, FLOATING if method.startswith("posegraph") else 1)
+            _check_placed(other, MIN_ALIGNED if method.startswith("posegraph") else 1)
         except (CalibrationError, GraphError) as error:
             missing[method] = {"mean": None, "rms": None, "max": None, "why": str(error)}
         else:
@@ -195,7 +199,7 @@ def _compared(
 
 
 def _check_placed(found: Calibration, fewest: int) -> None:
-    """Raise CalibrationError where fewer taxels are placed than can be compared with the truth."""
+    """Raise CalibrationError if too few taxels have a position to be compared with the truth."""
     placed = np.isfinite(found.positions).all(axis=1)
     if placed.sum() < fewest:
         reasons = Counter(map(str, np.asarray(found.reasons)[~placed])).most_common(1)
@@ -205,16 +209,16 @@ def _check_placed(found: Calibration, fewest: int) -> None:
         )
 
 
-def _demonstrated(scene: Scene, recording: Recording, seed: int) -> Demonstration | None:
-    """The paper's own demonstration, where taxels share contacts."""
+def _demonstrate(scene: Scene, recording: Recording, seed: int) -> Demonstration | None:
+    """The paper's demonstration; None if taxels share too few contacts."""
     try:
         return demonstrate(scene.skin.poses, scene.skin.ids, recording, seed)
     except (CalibrationError, GraphError):
         return None
 
 
-def _drawing(scene: Scene) -> Callable[[Calibration], float]:
-    """Tells the processor seconds that a report takes on this machine, by those of one map."""
+def _report_time(scene: Scene) -> Callable[[Calibration], float]:
+    """A function that predicts the processor seconds of a report from those of one map."""
     from .report import maps, theme
     from .report.plane import tangent_plane
 
@@ -234,7 +238,7 @@ def _drawing(scene: Scene) -> Callable[[Calibration], float]:
 
 
 def _force(recording: Recording, scene: Scene) -> ForceResponse:
-    """How the force of a simulated recording follows its reference."""
+    """The response of the contact force in a simulated recording."""
     motion = recording.motion
     assert motion is not None
     return force_response(
@@ -277,7 +281,7 @@ def _assess(
 
 
 def _errors(comparisons: dict[str, Calibration], skin: Skin) -> dict[str, dict[str, Any]]:
-    """The position errors of what the other methods found, mm."""
+    """Position errors, mm, of the other methods."""
     errors = {}
     for method, other in comparisons.items():
         # displacements say nothing about the pose of the whole
@@ -298,8 +302,8 @@ def _force_metrics(force: ForceResponse) -> dict[str, float]:
     }
 
 
-def _report(result: Result, folder: Path, seed: int, seconds: dict[str, float]) -> None:
-    """Write the page and the figures."""
+def _write_report(result: Result, folder: Path, seed: int, seconds: dict[str, float]) -> None:
+    """Write the report page and the figures."""
     from .report.page import report
 
     report(
@@ -312,6 +316,6 @@ def _report(result: Result, folder: Path, seed: int, seconds: dict[str, float]) 
         demonstration=result.demonstration,
         metrics=result.metrics,
         seconds=seconds,
-        budget=result.ledger,
+        budget=result.budget,
         provenance=provenance(scene=result.scene.name, seed=seed),
     )

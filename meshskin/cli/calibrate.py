@@ -97,7 +97,7 @@ def command(options: argparse.Namespace) -> int:
     from ..core.atomic_io import check_folder, check_writable, write_json
     from ..core.provenance import provenance
     from ..estimation.calibrate import calibrate
-    from ..pipeline import forget
+    from ..pipeline import remove_results
     from ..recording.recording import Recording
     from ..skin.files import check_format
 
@@ -110,7 +110,7 @@ def command(options: argparse.Namespace) -> int:
     if options.export is not None:
         check_writable(options.export)
     found = calibrate(recording, belief, method=options.method)
-    forget(options.out)
+    remove_results(options.out)
     found.save(options.out / "calibration")
     if options.export is not None:
         export(found, belief, options.export)

@@ -67,8 +67,8 @@ def command(options: argparse.Namespace) -> int:
             request=_request(options),
         )
     if not options.quiet:
-        if result.ledger is not None:
-            print(result.ledger)
+        if result.budget is not None:
+            print(result.budget)
         print(summary(result, options.out))
     return 0
 
