@@ -49,7 +49,11 @@ def command(options: argparse.Namespace) -> int:
 
     a, b = (Skin.load(path, options.part) for path in (options.a, options.b))
     difference = compare(a, b)
-    print(f"A: {options.a.name}, {len(a)} taxels\nB: {options.b.name}, {len(b)} taxels")
+    for name, path, skin in (("A", options.a, a), ("B", options.b, b)):
+        kind = "module frames" if name == difference.frames else "taxels"
+        print(f"{name}: {path.name}, {len(skin)} {kind}")
+    if difference.by_modules:
+        print("modules are compared: the ids of one file are numbers of modules")
     for line in lines(difference, options.worst, None if options.all else SHOWN):
         print(line)
     return 0 if same(difference) else 1
@@ -66,11 +70,12 @@ def lines(difference: Difference, worst: int, shown: int | None) -> Iterator[str
     from ..core import se3
 
     d = difference
+    entity = "module" if d.by_modules else "taxel"
     yield f"{len(d.ids)} in both, {len(d.only_a)} only in A, {len(d.only_b)} only in B"
     if same(d):
         yield "equal within 1 um"
         return
-    yield f"{'distance (mm)':28}{'taxels':>8}{'mean':>10}{'rms':>10}{'max':>10}"
+    yield f"{'distance (mm)':28}{entity + 's':>8}{'mean':>10}{'rms':>10}{'max':>10}"
     yield row("without alignment", d.unaligned)
     yield row("aligned", d.aligned)
     if d.permutation:
@@ -87,12 +92,12 @@ def lines(difference: Difference, worst: int, shown: int | None) -> Iterator[str
     if len(left := sentences[len(sentences[:shown]) :]):
         yield f"and {len(left)} more lines (--all)"
     if d.permutation:
-        yield f"this explains {'the difference' if d.explains else 'a part of the difference'}"
+        yield "this explains the difference: it removes at least half of it"
     else:
         yield "no exchange of ids explains a difference"
     listed = [(taxel, off) for taxel, off in d.worst(worst) if off > SAME]
     if listed:
-        yield "worst taxels (mm): " + ", ".join(f"{t}: {1e3 * off:.3f}" for t, off in listed)
+        yield f"worst {entity}s (mm): " + ", ".join(f"{t}: {1e3 * off:.3f}" for t, off in listed)
 
 
 def row(name: str, distance: NDArray[np.float64]) -> str:

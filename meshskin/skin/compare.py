@@ -1,17 +1,20 @@
-"""Comparison of two skins: their alignment, and a permutation of ids that explains differences."""
+"""Comparison of two skins: their alignment, and a permutation of ids that explains differences.
+
+A file of module frames (a URDF of iCub) is compared with the modules of a file of taxels.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import KDTree
 
-from ..core import se3
 from ..core.arguments import check_type
 from ..core.arrays import Array
 from ..core.errors import SkinError
 from . import id_permutation, slots
-from .pairing import pair
+from .pairing import Pairing, distances, pair, pairing_by_id
 from .skin import Skin
 from .slots import Ids
 
@@ -20,11 +23,17 @@ TAXEL_RATIO = 0.9
 that of the modules: single taxels always fit a little better."""
 EXPLAINED = 0.5
 """A permutation explains a difference if it leaves at most this part of the rms distance."""
+MIN_TAXELS = 3
+"""Least mean number of ids in a module of a skin of taxels; modules of iCub have 10 or 12."""
 
 
 @dataclass(frozen=True, eq=False)
 class Difference:
-    """Differences between skins A and B; distances in m."""
+    """Differences between skins A and B; distances in m.
+
+    Where one of them is a skin of module frames, "taxel" means the frame of a module, and ids are
+    numbers of modules: `by_modules` says so.
+    """
 
     ids: Ids
     """(n,) ids of taxels in both"""
@@ -41,22 +50,24 @@ class Difference:
     unit: str
     """what was paired: "module" or "taxel" """
     permutation: dict[int, int]
-    """units paired with one of another number: number in A -> number in B"""
+    """units paired with one of another number: number in A -> number in B; empty unless that
+    removes at least half of the difference"""
     paired_ids: Ids
     """(p,) ids in A of the taxels whose unit has a partner in B"""
     paired: Array
     """(p,) their distances after alignment and permutation"""
+    frames: str = ""
+    """the skin whose taxels are frames of modules, "A" or "B"; empty if neither is"""
+
+    @property
+    def by_modules(self) -> bool:
+        """Whether ids are numbers of modules, because one skin is of module frames."""
+        return bool(self.frames)
 
     @property
     def explains(self) -> bool:
-        """Whether the permutation explains the difference: it removes half of it or more."""
-        if not self.permutation:
-            return False
-        size = slots.PER_MODULE if self.unit == "module" else 1
-        only_a = np.unique(self.only_a // size)
-        if np.isin(list(self.permutation), only_a).all():
-            return True  # renumbered units alone: none of those in both has moved
-        return rms(self.paired) <= EXPLAINED * rms(self.aligned)
+        """Whether a permutation of ids removes half of the difference or more."""
+        return bool(self.permutation)
 
     def sentences(self) -> tuple[str, ...]:
         """The permutation in words: exchanges, cycles, renumbered units."""
@@ -76,20 +87,30 @@ def rms(values: Array) -> float:
 def compare(a: Skin, b: Skin) -> Difference:
     """The differences between skins A and B, with the alignment and a permutation of ids.
 
-    Taxels without a position are ignored. Raises SkinError where a skin has fewer than 3 taxels.
+    Taxels without a position are ignored. If the ids of one skin are the numbers of the other's
+    modules, modules are compared, each at its slot 3 (or the mean of its taxels). Raises SkinError
+    where a skin has fewer than 3 taxels.
     """
     (ids_a, at_a), (ids_b, at_b) = _positions(a, "A"), _positions(b, "B")
+    frames_a, frames_b = _is_frames(ids_a, ids_b), _is_frames(ids_b, ids_a)
+    if frames_a:
+        ids_b, at_b = module_centres(ids_b, at_b)
+    elif frames_b:
+        ids_a, at_a = module_centres(ids_a, at_a)
+    by_modules = frames_a or frames_b
     ids, rows_a, rows_b = np.intersect1d(ids_a, ids_b, return_indices=True)
     before = np.linalg.norm(at_a[rows_a] - at_b[rows_b], axis=1)
-    modules, taxels = (pair(ids_a, at_a, ids_b, at_b, size) for size in (slots.PER_MODULE, 1))
+    taxels = pair(ids_a, at_a, ids_b, at_b, 1)
+    modules = None if by_modules else pair(ids_a, at_a, ids_b, at_b, slots.PER_MODULE)
     assert taxels is not None
     best = taxels
     if modules is not None and modules.score <= taxels.score / TAXEL_RATIO + 1e-9:
         best = modules
-    after = np.linalg.norm(at_a[rows_a] - se3.transform_points(best.pose, at_b[rows_b]), axis=1)
-    off = np.linalg.norm(
-        at_a[best.rows_a] - se3.transform_points(best.pose, at_b[best.rows_b]), axis=1
-    )
+    own = pairing_by_id(at_a, at_b, rows_a, rows_b)
+    if own is not None and best.moved and not _removes_half(own, best, ids_a, at_a, at_b):
+        best = own
+    after = distances(best.pose, at_a[rows_a], at_b[rows_b])
+    off = distances(best.pose, at_a[best.rows_a], at_b[best.rows_b])
     return Difference(
         ids,
         np.setdiff1d(ids_a, ids_b),
@@ -97,11 +118,58 @@ def compare(a: Skin, b: Skin) -> Difference:
         before,
         best.pose,
         after,
-        "taxel" if best.size == 1 else "module",
+        "taxel" if best.size == 1 and not by_modules else "module",
         best.moved,
         ids_a[best.rows_a],
         off,
+        "A" if frames_a else "B" if frames_b else "",
     )
+
+
+def module_centres(ids: Ids, at: Array) -> tuple[Ids, Array]:
+    """Numbers (m,) and centres (m, 3) of the modules of taxels with sorted ids at `at` (n, 3).
+
+    The centre is slot 3, the origin of the module's frame; without it the mean of the taxels.
+    """
+    numbers, index = np.unique(slots.module(ids), return_inverse=True)
+    centres = np.stack([np.bincount(index, at[:, k]) / np.bincount(index) for k in range(3)], 1)
+    origin = slots.slot(ids) == slots.CENTRE
+    centres[index[origin]] = at[origin]
+    return numbers, centres
+
+
+def _is_frames(ids: Ids, others: Ids) -> bool:
+    """Whether `ids` are numbers of the modules of a skin of taxels with the ids `others`.
+
+    At least half of them are, and more of them than are ids of its taxels; or some would be thermal
+    pads, of which it has none.
+    """
+    numbers = np.unique(slots.module(others))
+    if len(others) < MIN_TAXELS * len(numbers) or len(numbers) < 3:
+        return False
+    share = float(np.isin(ids, numbers).mean())
+    thermal = [bool(np.isin(slots.slot(i), slots.THERMAL).any()) for i in (ids, others)]
+    more = share > float(np.isin(ids, others).mean())
+    return share >= 0.5 and (more or thermal == [True, False])
+
+
+def _removes_half(own: Pairing, other: Pairing, ids: Ids, at_a: Array, at_b: Array) -> bool:
+    """Whether the pairing `other` leaves at most half of the rms distance of the pairing by id.
+
+    Over the taxels of A that either of them pairs; one that is not paired counts as being one
+    spacing away.
+    """
+    _, spacing = KDTree(at_a).query(at_a, k=2)[0].T
+    if other.size > 1:
+        _, centres = module_centres(ids, at_a)
+        spacing = KDTree(centres).query(centres, k=2)[0][:, 1]
+    left = []
+    for pairing in (own, other):
+        distance = np.full(len(at_a), float(np.median(spacing)))
+        a, b = at_a[pairing.rows_a], at_b[pairing.rows_b]
+        distance[pairing.rows_a] = distances(pairing.pose, a, b)
+        left.append(rms(distance[np.union1d(own.rows_a, other.rows_a)]))
+    return left[1] <= EXPLAINED * left[0]
 
 
 def _positions(skin: Skin, name: str) -> tuple[Ids, Array]:

@@ -88,6 +88,24 @@ def pair(ids_a: Ids, at_a: Array, ids_b: Ids, at_b: Array, size: int) -> Pairing
     return Pairing(pose, size, changed, rows[found], rows_there, score)
 
 
+def pairing_by_id(at_a: Array, at_b: Array, rows_a: Index, rows_b: Index) -> Pairing | None:
+    """The pairing of taxels of the same id, in these rows; None if there are fewer than 3.
+
+    Of a robust alignment and the least-squares alignment it has the one of smaller rms distance.
+    """
+    if len(rows_a) < 3:
+        return None
+    a, b = at_a[rows_a], at_b[rows_b]
+    poses = _robust_align(b, a), se3.align(b, a)
+    pose = min(poses, key=lambda pose: float(np.sum(distances(pose, a, b) ** 2)))
+    return Pairing(pose, 1, {}, rows_a, rows_b, float(distances(pose, a, b).mean()))
+
+
+def distances(pose: Array, at_a: Array, at_b: Array) -> Array:
+    """(n,) distances of points (n, 3) of A to those of B, which `pose` T_a_b aligns, m."""
+    return np.asarray(np.linalg.norm(at_a - se3.transform_points(pose, at_b), axis=1))
+
+
 def _units(ids: Ids, size: int) -> Ids:
     """Numbers of the units of ids."""
     return np.unique(ids // size)
