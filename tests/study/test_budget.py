@@ -203,8 +203,8 @@ def test_the_command_line_refuses_a_negative_budget(tmp_path, capsys):
 @pytest.mark.slow
 def test_a_whole_run_with_a_budget(tmp_path):
     result = pipeline.run("sphere_noisy", tmp_path, budget=0.2e-3)
-    assert result.ledger.fits
-    assert result.ledger.check.faster > 3.0
+    assert result.budget.fits
+    assert result.budget.check.faster > 3.0
     assert result.metrics["budget"]["budget_mm"] == pytest.approx(0.2)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "Error budget: simulated and neglected effects" in page
