@@ -30,8 +30,10 @@ def add(commands: Any) -> None:
         description="Find defects of a mesh. Exit code 0: it can be a body; 1: it cannot; "
         "2: the file cannot be read.",
     )
-    parser.add_argument("mesh", type=Path, metavar="MESH", help="STL, OBJ, PLY, OFF or glTF file")
-    parser.add_argument("--units", help="m, cm, mm or in; required except for glTF")
+    parser.add_argument(
+        "mesh", type=Path, metavar="MESH", help="STL, OBJ, PLY, OFF, glTF or Collada file"
+    )
+    parser.add_argument("--units", help="m, cm, mm or in; required except for glTF and Collada")
     parser.add_argument("--open", action="store_true", help="accept an open mesh")
     parser.add_argument(
         "--out",

@@ -56,7 +56,8 @@ class Body:
     """descriptions of the repairs made to the mesh when it was loaded"""
     patches: Mapping[str, NDArray[np.intp]] = field(default_factory=dict)
     """faces (k,) by the name of a part in the file, by which a skin's region can be given: objects,
-    groups and materials of an OBJ, nodes, meshes and materials of a GLB, solids of an ASCII STL"""
+    groups and materials of an OBJ, nodes, meshes and materials of a GLB, geometries and materials
+    of a Collada file, solids of an ASCII STL"""
     seams: NDArray[np.intp] | None = None
     """(k, 2) edges, by their vertices, across which the curvature is known to jump"""
     degree: int = DEGREE
@@ -133,12 +134,12 @@ class Body:
 
     @classmethod
     def load(cls, path: str | Path, units: str | None = None, open: bool = False) -> Body:
-        """A body from an STL, OBJ, PLY, OFF, GLB or glTF file.
+        """A body from an STL, OBJ, PLY, OFF, GLB, glTF or Collada (.dae, by pycollada) file.
 
-        `units` ("m", "cm", "mm", "in") is required except for glTF, whose standard is m. With
-        `open`, a mesh with borders is accepted. Safe repairs are made and listed in `.repairs`;
-        other defects raise MeshError with the value and the remedy. The names of parts in the file
-        are kept in `.patches`.
+        `units` ("m", "cm", "mm", "in") is required except for glTF, whose standard is m, and for
+        Collada files, which say it. With `open`, a mesh with borders is accepted. Safe repairs are
+        made and listed in `.repairs`; other defects raise MeshError with the value and the remedy.
+        The names of parts in the file are kept in `.patches`.
         """
         import trimesh
 

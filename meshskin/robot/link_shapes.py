@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import MeshError
 from ..core.se3 import Array, transform
-from ..geometry.mesh import collada, mesh_file
+from ..geometry.mesh import mesh_file
 from .urdf import rotation, vector
 
 MIN_SLAB = 0.06
@@ -93,7 +93,7 @@ def _capsules(element: ET.Element, folders: Iterable[str]) -> list[Capsule]:
         clouds = [np.concatenate([ring, ring * [1.0, 1.0, -1.0]])]
     elif mesh is not None:
         path = find_mesh(mesh.get("filename", ""), folders)
-        read = collada.read(path) if path.suffix.lower() == ".dae" else mesh_file.read(path)
+        read = mesh_file.read(path)
         clouds = slabs(read.vertices * numbers(mesh, "scale", "1 1 1"), read.faces)
     else:
         return []

@@ -11,13 +11,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...core.errors import MeshError
-from .mesh_file import Array, Index, Triangles
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 
-def read(path: Path) -> Triangles:
-    """The triangles of the scene of a file, in m. Raises MeshError."""
+def read(path: Path, scale: float | None = None) -> tuple[Array, Index, dict[str, Index]]:
+    """Vertices (n, 3), m, and faces (m, 3) of the scene of a file, and the faces (k,) of the named
+    parts: its geometries and materials.
+
+    `scale`: the unit in m; None: that of the file. Raises MeshError.
+    """
     try:
         from collada import Collada, common
     except ImportError as error:
@@ -25,27 +32,32 @@ def read(path: Path) -> Triangles:
             f"the mesh {path.name!r} is a Collada file, which needs pycollada",
             remedy='pip install pycollada, or "meshskin[robots]"',
         ) from error
-    if not path.is_file():
-        raise MeshError("the mesh file does not exist", value=str(path))
     try:
         # of what is not triangles, elements may be unknown and references broken
         unknown = [common.DaeUnsupportedError, common.DaeBrokenRefError]
         document = Collada(str(path), ignore=unknown)
         parts = list(_parts(document))
     except (common.DaeError, ValueError, KeyError, IndexError, TypeError, OSError) as error:
-        raise MeshError(f"{path.name} cannot be read", value=f"{error}") from error
-    if not parts:
-        raise MeshError(f"{path.name} has no faces", remedy="check the file in a mesh viewer")
-    firsts = np.cumsum([0, *(len(vertices) for vertices, _ in parts[:-1])])
-    scale = document.assetInfo.unitmeter or 1.0
-    return Triangles(
-        scale * np.concatenate([vertices for vertices, _ in parts]),
-        np.concatenate([faces + k for (_, faces), k in zip(parts, firsts, strict=True)]),
-    )
+        reason = " ".join(f"{error}".split()) or type(error).__name__
+        raise MeshError(
+            f"{path.name} cannot be read", value=reason[:200], remedy="copy or export it again"
+        ) from error
+    vertices, faces = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.intp)]
+    named: dict[str, list[Index]] = {}
+    corner = first = 0
+    for points, triangles, names in parts:
+        vertices.append(points)
+        faces.append(triangles + corner)
+        for name in dict.fromkeys(names):
+            named.setdefault(name, []).append(np.arange(first, first + len(triangles)))
+        corner, first = corner + len(points), first + len(triangles)
+    unit = document.assetInfo.unitmeter or 1.0 if scale is None else scale
+    rows = {name: np.concatenate(numbers) for name, numbers in named.items()}
+    return unit * np.concatenate(vertices), np.concatenate(faces), rows
 
 
-def _parts(document: Any) -> Iterator[tuple[Array, Index]]:
-    """Vertices (n, 3), in the file's unit, and faces (m, 3) of each part, posed by its nodes."""
+def _parts(document: Any) -> Iterator[tuple[Array, Index, list[str]]]:
+    """Vertices (n, 3), in the file's unit, faces (m, 3) and names of each part, in its pose."""
     if document.scene is None:
         return
     for shape in document.scene.objects("geometry"):
@@ -53,4 +65,11 @@ def _parts(document: Any) -> Iterator[tuple[Array, Index]]:
             triangles = part.triangleset() if hasattr(part, "triangleset") else part
             faces = getattr(triangles, "vertex_index", None)
             if faces is not None and np.ndim(faces) == 2 and np.shape(faces)[1] == 3:
-                yield np.array(triangles.vertex, dtype=float), np.array(faces, dtype=np.intp)
+                names = (
+                    getattr(source, "name", None) for source in (shape.original, part.material)
+                )
+                yield (
+                    np.array(triangles.vertex, dtype=float),
+                    np.array(faces, dtype=np.intp),
+                    [str(name) for name in names if name],
+                )

@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import MeshError
-from . import obj
+from . import collada, obj
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
 """length units of mesh files, in m"""
-FORMATS = ("stl", "obj", "ply", "off", "glb", "gltf")
+FORMATS = ("stl", "obj", "ply", "off", "glb", "gltf", "dae")
 """suffixes of the formats that are read"""
 METRES = ("glb", "gltf")
 """formats whose standard says m"""
@@ -37,13 +37,19 @@ class Triangles:
     """(m, 3)"""
     names: dict[str, Index] = field(default_factory=dict)
     """the faces (k,) of each named part: objects, groups and materials of an OBJ; nodes, meshes and
-    materials of a GLB; solids of an ASCII STL that has several"""
+    materials of a GLB; geometries and materials of a Collada file; solids of an ASCII STL that has
+    several"""
 
 
-def unit(path: Path, units: str | None) -> float:
-    """The length unit of a file, in m, from `units` or from its format. Raises MeshError."""
+def unit(path: Path, units: str | None) -> float | None:
+    """The length unit of a file, in m, from `units` or its format; None: the file says it.
+
+    Raises MeshError.
+    """
     if units is None:
-        if path.suffix.lower().lstrip(".") in METRES:
+        if _kind(path) == "dae":
+            return None
+        if _kind(path) in METRES:
             return 1.0
         raise MeshError(
             f"{path.name}: the file has no length unit",
@@ -56,9 +62,16 @@ def unit(path: Path, units: str | None) -> float:
     return UNITS[units]
 
 
-def read(path: Path, scale: float = 1.0) -> Triangles:
-    """The triangles of a file, lengths multiplied by `scale`. Raises MeshError."""
-    kind = path.suffix.lower().lstrip(".")
+def _kind(path: Path) -> str:
+    return path.suffix.lower().lstrip(".")
+
+
+def read(path: Path, scale: float | None = None) -> Triangles:
+    """The triangles of a file whose unit is `scale`, m; None: 1 m, or what a Collada file says.
+
+    Raises MeshError.
+    """
+    kind = _kind(path)
     if kind not in FORMATS:
         raise MeshError(
             "unknown format of a mesh", value=repr(kind), limit=f"one of {', '.join(FORMATS)}"
@@ -69,6 +82,9 @@ def read(path: Path, scale: float = 1.0) -> Triangles:
         if kind == "obj":
             text = path.read_text(encoding="utf-8", errors="replace")
             vertices, faces, names = obj.read(text, path.name)
+        elif kind == "dae":
+            vertices, faces, names = collada.read(path, scale)
+            scale = 1.0
         else:
             vertices, faces, names = _by_trimesh(path, kind)
     except MeshError:
@@ -80,7 +96,7 @@ def read(path: Path, scale: float = 1.0) -> Triangles:
         ) from error
     if not len(faces):
         raise MeshError(f"{path.name} has no faces", remedy="check the file in a mesh viewer")
-    return Triangles(vertices * scale, faces, names)
+    return Triangles(vertices * (1.0 if scale is None else scale), faces, names)
 
 
 def _by_trimesh(path: Path, kind: str) -> tuple[Array, Index, dict[str, Index]]:

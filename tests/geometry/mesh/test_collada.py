@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 
+import meshskin as ms
+from meshskin import cli
 from meshskin.core.errors import MeshError
-from meshskin.geometry.mesh import collada, mesh_file
+from meshskin.geometry.mesh import mesh_file
 
 SIZE = (0.4, 0.1, 0.06)
 MATRIX = np.array([[0.0, -1, 0, 30], [1, 0, 0, -20], [0, 0, 1, 5], [0, 0, 0, 1.0]])
@@ -81,7 +83,7 @@ MM = '<unit name="millimeter" meter="0.001"/>'
 @pytest.mark.parametrize("up", ["", "<up_axis>Y_UP</up_axis>", "<up_axis>Z_UP</up_axis>"])
 def test_lengths_are_in_the_files_unit_and_axes_those_of_the_link(tmp_path, stl, unit, up, scale):
     pytest.importorskip("collada")
-    found, same = solid(collada.read(written(tmp_path / "box.dae", unit, up, scale))), solid(stl)
+    found, same = solid(mesh_file.read(written(tmp_path / "box.dae", unit, up, scale))), solid(stl)
     np.testing.assert_allclose(found.bounds, same.bounds, atol=1e-7)
     assert found.volume == pytest.approx(np.prod(SIZE), rel=1e-6)
     np.testing.assert_allclose(found.moment_inertia, same.moment_inertia, rtol=1e-5, atol=1e-12)
@@ -89,7 +91,7 @@ def test_lengths_are_in_the_files_unit_and_axes_those_of_the_link(tmp_path, stl,
 
 def test_polygons_are_cut_into_triangles(tmp_path, stl):
     pytest.importorskip("collada")
-    found = solid(collada.read(written(tmp_path / "box.dae", MM, "", polygons=True)))
+    found = solid(mesh_file.read(written(tmp_path / "box.dae", MM, "", polygons=True)))
     assert len(found.faces) == 12
     assert found.area == pytest.approx(solid(stl).area, rel=1e-6)
     np.testing.assert_allclose(found.bounds, solid(stl).bounds, atol=1e-7)
@@ -97,20 +99,22 @@ def test_polygons_are_cut_into_triangles(tmp_path, stl):
 
 def test_what_cannot_be_read_is_named(tmp_path, monkeypatch):
     path = tmp_path / "box.dae"
+    path.touch()
     monkeypatch.setitem(sys.modules, "collada", None)
     with pytest.raises(MeshError, match=r"'box.dae' is a Collada .* pip install pycollada"):
-        collada.read(path)
+        mesh_file.read(path)
     monkeypatch.undo()
+    path.unlink()
     pytest.importorskip("collada")
     with pytest.raises(MeshError, match="the mesh file does not exist"):
-        collada.read(path)
+        mesh_file.read(path)
     path.write_text("<COLLADA>")
     with pytest.raises(MeshError, match=r"box\.dae cannot be read"):
-        collada.read(path)
+        mesh_file.read(path)
     text = written(path, MM, "").read_text()
     path.write_text(text.replace('<instance_geometry url="#box"/>', ""))
     with pytest.raises(MeshError, match=r"box\.dae has no faces"):
-        collada.read(path)
+        mesh_file.read(path)
 
 
 @pytest.mark.parametrize("name", ["arm_2", "arm_3", "arm_5", "arm_6"])
@@ -123,7 +127,31 @@ def test_a_robots_file_that_says_y_up_agrees_with_its_stl_as_it_is(name):
     places = {f.name: Path(str(f.locate())) for f in every if "tiago_description" in str(f)}
     path = places[f"{name}_collision.dae"]
     assert "Y_UP" in path.read_text()
-    rough, fine = collada.read(path), mesh_file.read(places[f"{name}.stl"])
+    rough, fine = mesh_file.read(path), mesh_file.read(places[f"{name}.stl"])
     for edge in (np.min, np.max):  # the one is a hull of the other
         low, same = edge(rough.vertices, axis=0), edge(fine.vertices, axis=0)
         np.testing.assert_allclose(low, same, atol=6e-3)
+
+
+def test_a_body_is_loaded_and_checked_from_a_collada_file(tmp_path, capsys, monkeypatch):
+    pytest.importorskip("collada")
+    path = written(tmp_path / "box.dae", MM, "")
+    body = ms.Body.load(path)
+    np.testing.assert_allclose(sorted(body.mesh.extents), sorted(SIZE), rtol=1e-6)
+    assert body.mesh.volume == pytest.approx(np.prod(SIZE), rel=1e-6)
+    inches = written(tmp_path / "inch.dae", "", "", scale=1 / 0.0254)  # a file without its unit
+    np.testing.assert_allclose(sorted(ms.Body.load(inches, units="in").mesh.extents), sorted(SIZE))
+    assert cli.main(["check", str(path)]) == 0
+    assert "100 x 400 x 60 mm\n" in capsys.readouterr().out
+    monkeypatch.setitem(sys.modules, "collada", None)
+    assert cli.main(["check", str(path)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "pip install pycollada" in line
+
+
+def test_geometries_and_materials_are_named_parts(tmp_path):
+    pytest.importorskip("collada")
+    path = tmp_path / "box.dae"
+    text = written(path, MM, "").read_text().replace('id="box"', 'id="box" name="palm"')
+    path.write_text(text)
+    assert {name: len(rows) for name, rows in ms.Body.load(path).patches.items()} == {"palm": 12}
