@@ -139,9 +139,13 @@ class Simulator:
         self.seconds += perf_counter() - started
         return Steps(time, q, outputs, phase, readings)
 
-    def is_clear(self, poses: Array) -> bool:
-        """Whether the body at T_w_b (k, 4, 4) nowhere meets the indenter."""
-        return bool(transfer.penetration(self.loop, self.body, poses)[1].max() < 0.0)
+    def is_clear(self, poses: Array, leaving: bool = False) -> bool:
+        """Whether the body at T_w_b (k, 4, 4) nowhere meets the indenter.
+
+        leaving: apart from the contact that it may start in.
+        """
+        meets = transfer.penetration(self.loop, self.body, poses)[1] >= 0.0
+        return not (meets & ~np.logical_and.accumulate(meets) if leaving else meets).any()
 
     def move(self, q: Array, phase: int) -> Steps:
         """Move exactly along configurations `q` (k, n), one row a step, and end at rest.

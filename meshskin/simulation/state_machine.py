@@ -90,11 +90,20 @@ class ExplorationStateMachine:
         """The steps as they are made.
 
         Where contact cannot be made or kept, or runs over an edge, a part of the place is given
-        up. Raises PlaceError where it is the only place, or no place can be explored.
+        up; all of it where the body cannot come to it through the air. Raises PlaceError where it
+        is the only place, or no place can be explored.
         """
         failed: PlaceError | None = None
+        last: Track | None = None  # the one that the contact has followed
         for place, track in enumerate(self.tracks):
             self.place, self.row, lost = place, 0, 0
+            if last is not None:
+                try:
+                    yield from self._travel(last, track)
+                except PlaceError as error:
+                    failed, self.skips = error, self.skips + 1
+                    continue
+            last = track
             while self.row < len(track):
                 try:
                     yield from self._make_contact(track)
@@ -108,8 +117,6 @@ class ExplorationStateMachine:
                         raise
                     failed = error
                     yield from self._skip(track)
-            if self.place + 1 < len(self.tracks):
-                yield from self._travel(track, self.tracks[self.place + 1])
         if failed is not None and not self.explored:
             raise failed
 
@@ -118,8 +125,12 @@ class ExplorationStateMachine:
         self.skips += 1
         rows = max(round(SKIP_TIME / self.simulator.loop.dt), 1)
         self.row = len(track) if self.simulator.loop.joints else self.row + rows
-        if self.row < len(track):
-            yield from self._float(self._above(track.references[self.row]))
+        while self.row < len(track):
+            try:
+                yield from self._float(self._above(track.references[self.row]))
+                return
+            except PlaceError:
+                self.row += rows
 
     def _make_contact(self, track: Track) -> Iterator[Steps]:
         """Approach until the first contact, let the force settle, hold."""
@@ -197,11 +208,14 @@ class ExplorationStateMachine:
                 motion = motion[len(steps.time) :]
         if self.postures is not None:
             self.phase = NEXT
-            yield simulator.move(self._regrasp(goal, self.postures[self.place + 1]), NEXT)
+            yield simulator.move(self._regrasp(goal, self.postures[self.place]), NEXT)
 
     def _float(self, goal: Array) -> Iterator[Steps]:
-        """Without an arm: up, as far as turning needs, and over to `goal` (4, 4), in the air."""
-        simulator, standoff, up = self.simulator, self.settings.standoff, self._up
+        """Without an arm: up, as far as turning needs, and over to `goal` (4, 4), in the air.
+
+        Raises PlaceError where the body meets the indenter on each of these paths.
+        """
+        simulator = self.simulator
         low = poses_of_states(simulator.state[None])[0]
         middle = np.append(simulator.body.mesh.bounds.mean(axis=0), 1.0)
         deviation = np.linalg.norm((low - goal) @ middle)
@@ -211,13 +225,41 @@ class ExplorationStateMachine:
                 value=f"position {np.round(low[:3, 3], 3).tolist()} m",
                 remedy="keep the exploration to smooth parts of the body",
             )
-        for lift in standoff * 2.0 ** np.arange(MAX_LIFTS):
-            high, over = _raised(low, lift * up), _raised(goal, (lift - standoff) * up)
-            if simulator.is_clear(_blend(high, over, CLEARANCE_STRIDE * simulator.loop.dt)):
-                break
+        high, over = self._clear_poses(low, goal)
         for self.phase, start, end in ((LEAVE, low, high), (NEXT, high, over), (NEXT, over, goal)):
             poses = _blend(start, end, simulator.loop.dt)
             yield simulator.move(state_of_pose(poses), self.phase)
+
+    def _clear_poses(self, low: Array, goal: Array) -> tuple[Array, Array]:
+        """Poses (4, 4) above `low` and above `goal` between which the body turns without contact.
+
+        They are the lowest, of one lift; else one of them is as high as it can be. Raises
+        PlaceError if there are none.
+        """
+        simulator, standoff, up = self.simulator, self.settings.standoff, self._up
+        dt = CLEARANCE_STRIDE * simulator.loop.dt
+        highs: list[Array] = []
+        overs: list[Array] = []
+        rises = descends = True  # straight
+        for lift in standoff * 2.0 ** np.arange(MAX_LIFTS):
+            high, over = _raised(low, lift * up), _raised(goal, (lift - standoff) * up)
+            rises = rises and simulator.is_clear(_blend(low, high, dt), leaving=True)
+            descends = descends and simulator.is_clear(_blend(over, goal, dt))
+            if rises and descends and simulator.is_clear(_blend(high, over, dt)):
+                return high, over
+            highs += [high] if rises else []
+            overs += [over] if descends else []
+        pairs = [(h, o) for h in highs[-1:] for o in overs]
+        pairs += [(h, o) for h in highs for o in overs[-1:]]
+        for high, over in pairs:
+            if simulator.is_clear(_blend(high, over, dt)):
+                return high, over
+        raise PlaceError(
+            f"the body meets the indenter on every path through the air to place {self.place}",
+            value=f"lifts up to {standoff * 2.0 ** (MAX_LIFTS - 1):.3g} m",
+            remedy="keep the exploration off the inside of the body, or raise "
+            "exploration.standoff_mm",
+        )
 
     def _regrasp(self, goal: Track, posture: Array) -> Array:
         """Joint angles (k, n) from the present ones to a posture above the start of a track."""

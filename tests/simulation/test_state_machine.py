@@ -8,9 +8,14 @@ import pytest
 
 import meshskin as ms
 from meshskin.core.errors import SimulationError
+from meshskin.core.se3 import exp_so3, poses_of_states, transform
 from meshskin.geometry.region import Cap
-from meshskin.simulation import state_machine
+from meshskin.scene.settings import Law
+from meshskin.simulation import state_machine, transfer
+from meshskin.simulation.closed_loop_model import ClosedLoopModel
+from meshskin.simulation.quasi_static import state_of_pose
 from meshskin.simulation.simulate import prepare, run
+from meshskin.simulation.simulator import Simulator
 from meshskin.simulation.state_machine import PHASES, ExplorationStateMachine, PhaseSettings
 from meshskin.simulation.track import Track
 
@@ -70,6 +75,45 @@ def test_contact_that_cannot_be_kept_is_given_up_by_name(prepared, track):
         for steps in explorer.run():
             if steps.phase == state_machine.SLIDE:
                 simulator.state[2] += 0.01
+
+
+def test_a_place_that_the_body_cannot_come_to_is_given_up(prepared, sphere, track):
+    """At the second place the indenter would be within the ball."""
+    simulator, path = prepared("quasi_static")
+    within = track[1000:1200]
+    references = within.references.copy()
+    references[:, 2] -= 0.05
+    places = [track[:300], replace(within, references=references), track[1500:1800]]
+    explorer = ExplorationStateMachine(simulator, places, SETTINGS)
+    steps = [s for s in explorer.run() if s.phase == state_machine.SLIDE]
+    assert (explorer.skips, sum(len(s.time) for s in steps)) == (1, 600)
+    assert (
+        np.linalg.norm(steps[-1].outputs[-1, :3] - prepared("quasi_static")[1].points[1799]) < 1e-3
+    )
+
+
+def test_a_ring_turns_about_the_indenter_where_a_higher_lift_would_meet_it(arm):
+    """From the outer to the inner equator of a torus, whose other side is 80 mm away from there."""
+    body = ms.Body.torus(0.08, 0.02, faces=2000)
+    loop = ClosedLoopModel(
+        arm=arm, mount=np.eye(4), indenter_position=np.zeros(3), indenter_radius=0.01,
+        effective_modulus=2.6e5, law=Law(), dt=1e-3, mode="quasi_static",
+    )  # fmt: skip
+    turn = exp_so3([0.0, 0.5 * np.pi, 0.0])  # the ring's x axis points down
+
+    def touching(x, normal):
+        pose = transform(exp_so3([0.0, 0.5 * np.pi * (1 - normal), 0.0]) @ turn, np.zeros(3))
+        pose[:3, 3] = -pose[:3, :3] @ [x + normal * 0.0099, 0.0, 0.0]
+        return pose
+
+    low, goal = touching(0.1, 1.0), touching(0.06, -1.0)
+    goal[2, 3] += SETTINGS.standoff
+    simulator = Simulator(body, loop, state_of_pose(low), np.array([0.1, 0.0, 0.0]))
+    assert transfer.penetration(loop, body, low[None])[1][0] == pytest.approx(1e-4, abs=1e-5)
+    explorer = ExplorationStateMachine(simulator, [], SETTINGS)
+    for steps in explorer._float(goal):
+        assert not steps.outputs[20:, 6].any()
+    np.testing.assert_allclose(poses_of_states(simulator.state[None])[0], goal, atol=1e-9)
 
 
 def test_an_indenter_that_is_not_there_is_named(prepared, track):
