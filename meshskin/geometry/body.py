@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..core.arguments import check_integer, check_real, check_vector, check_vectors, repr_short
 from ..core.errors import MeshError
 from . import primitives, tessellate
-from .mesh import mesh_file
+from .mesh import link_mesh, mesh_file
 from .mesh.check import check_mesh
 from .mesh.self_intersection import ray_scene
 from .surface.closest_point import Closest
@@ -141,19 +141,40 @@ class Body:
         made and listed in `.repairs`; other defects raise MeshError with the value and the remedy.
         The names of parts in the file are kept in `.patches`.
         """
+        path = _path(path, "a mesh")
+        raw = mesh_file.read(path, mesh_file.unit(path, units))
+        return cls._from_triangles(path.stem, raw, open)
+
+    @classmethod
+    def from_urdf(
+        cls,
+        path: str | Path,
+        link: str,
+        folders: Iterable[str | Path] = (),
+        kind: str = "visual",
+        open: bool = False,
+    ) -> Body:
+        """The body of a link in a URDF file, in the link frame, with scale and origin of its mesh.
+
+        `folders`: searched for the mesh (`package://...`), besides the file's folder and its
+        parents, as `Arm.from_urdf` does; `kind`: "visual" or "collision"; `open`: as of `load`.
+        Several meshes of the link become one. Raises MeshError, UnknownNameError.
+        """
+        raw = link_mesh.read(_path(path, "a URDF file"), link, folders, kind)
+        return cls._from_triangles(link, raw, open)
+
+    @classmethod
+    def _from_triangles(cls, name: str, raw: mesh_file.Triangles, open: bool) -> Body:
+        """The body of the triangles of a file, checked and repaired. Raises MeshError."""
         import trimesh
 
-        if not isinstance(path, str | os.PathLike):
-            raise MeshError("the path of a mesh must be a string or a path", value=repr_short(path))
-        path = Path(path)
-        raw = mesh_file.read(path, mesh_file.unit(path, units))
         found = check_mesh(raw.vertices, raw.faces, open)
         for finding in found.refused:
             raise finding.error()
         check_extent(found.vertices)
         mesh = trimesh.Trimesh(found.vertices, found.faces, process=False)
         patches = found.patches(raw.names)
-        return cls(path.stem, mesh, None, found.repairs, patches, crossed=found.crossed)
+        return cls(name, mesh, None, found.repairs, patches, crossed=found.crossed)
 
     def remeshed(self, faces: int) -> Body:
         """The primitive meshed with about `faces` triangles; its `facets` remain those of now.
@@ -250,6 +271,13 @@ def check_extent(vertices: Array) -> None:
         remedy = "give lengths in m, or the file's units"
     limit = f"{MIN_EXTENT * 1e3:g} mm to {MAX_EXTENT:g} m"
     raise MeshError("largest extent", value=f"{extent:.4g} m", limit=limit, remedy=remedy)
+
+
+def _path(path: str | Path, of: str) -> Path:
+    """The path of a file. Raises MeshError for another type."""
+    if not isinstance(path, str | os.PathLike):
+        raise MeshError(f"the path of {of} must be a string or a path", value=repr_short(path))
+    return Path(path)
 
 
 def _check_sizes(faces: int, **lengths: float) -> None:

@@ -12,7 +12,6 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from ..core.errors import MeshError
 from ..core.se3 import Array, transform
 from ..geometry.mesh import mesh_file
+from ..geometry.mesh.link_mesh import find_mesh
 from .urdf import rotation, vector
 
 MIN_SLAB = 0.06
@@ -98,26 +98,6 @@ def _capsules(element: ET.Element, folders: Iterable[str]) -> list[Capsule]:
     else:
         return []
     return [enclosing_capsule(cloud @ pose[:3, :3].T + pose[:3, 3]) for cloud in clouds]
-
-
-def find_mesh(name: str, folders: Iterable[str]) -> Path:
-    """The file that a URDF names by a path, `file://` or `package://`, in one of the `folders`.
-
-    The whole path is tried first, then the path without its first folders. Raises MeshError.
-    """
-    bare = name.partition("://")[2] or name
-    if Path(bare).is_absolute() and Path(bare).is_file():
-        return Path(bare)
-    parts = PurePosixPath(bare.lstrip("/")).parts
-    where = [Path(folder) for folder in folders]
-    for k in range(len(parts)):
-        for folder in where:
-            if (path := folder.joinpath(*parts[k:])).is_file():
-                return path
-    raise MeshError(
-        f"the mesh {name!r} is in none of the arm's folders",
-        remedy="give Arm.from_urdf folders=, or [arm] folders in the scene",
-    )
 
 
 def slabs(vertices: Array, faces: NDArray[np.intp]) -> list[Array]:

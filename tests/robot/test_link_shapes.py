@@ -11,6 +11,7 @@ import trimesh
 
 import meshskin as ms
 from meshskin.core.errors import ArmError, MeshError
+from meshskin.geometry.mesh.link_mesh import find_mesh
 from meshskin.robot import collision, link_shapes
 
 from .test_real_arms import urdf
@@ -141,8 +142,8 @@ def test_a_mesh_that_is_not_there_is_named_in_the_plan(toy, sphere):
     (note,) = found.notes
     assert "link bar: the mesh 'package://toy/meshes/bar.stl'" in note
     assert "folders=" in note
-    with pytest.raises(MeshError, match="in none of the arm's folders"):
-        link_shapes.find_mesh("package://toy/meshes/none.stl", arm.folders)
+    with pytest.raises(MeshError, match="in none of the folders"):
+        find_mesh("package://toy/meshes/none.stl", arm.folders)
     # and the plan of the Puma with that link's mesh says so, too
     elbow = '<link name="link3">'
     assert elbow in sphere.arm.urdf

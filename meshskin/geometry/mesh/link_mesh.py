@@ -1,0 +1,106 @@
+"""The mesh of a link in a URDF file, with its scale and origin, in the link frame."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import MeshError, UnknownNameError
+from ...core.se3 import from_rpy
+from . import mesh_file
+from .mesh_file import Triangles
+
+Array = NDArray[np.float64]
+KINDS = ("visual", "collision")
+"""elements of a link that have a geometry"""
+
+
+def read(
+    urdf: Path, link: str, folders: Iterable[str | Path] = (), kind: str = "visual"
+) -> Triangles:
+    """The triangles, m, link frame, of all meshes of a link; `kind`: one of KINDS.
+
+    `folders` are searched for the files, besides the folder of the URDF file and its parents.
+    Raises MeshError, UnknownNameError.
+    """
+    if kind not in KINDS:
+        raise UnknownNameError("kind of a link's mesh", kind, KINDS)
+    try:
+        root = ET.fromstring(urdf.read_bytes())
+    except (OSError, ET.ParseError) as error:
+        raise MeshError(f"cannot read the URDF file {str(urdf)!r}: {error}") from error
+    links = {element.get("name", ""): element for element in root.findall("link")}
+    if link not in links:
+        raise UnknownNameError("link", link, links, f" in {urdf.name}")
+    where = f" of link {link!r} in {urdf.name}"
+    every = [*folders, *urdf.resolve().parents[:-1]]
+    shapes = links[link].findall(kind)
+    found = [_placed(s, every, where) for s in shapes if s.find("geometry/mesh") is not None]
+    if not found:
+        kinds = [e.tag for shape in shapes for e in shape.findall("geometry/*")]
+        raise MeshError(
+            f"no {kind} mesh{where}",
+            value=", ".join(kinds) or f"no <{kind}>",
+            remedy='choose another link, or kind="collision", or a body such as Body.capsule',
+        )
+    corners = np.cumsum([0, *(len(one.vertices) for one in found)])
+    first = np.cumsum([0, *(len(one.faces) for one in found)])
+    names: dict[str, list[NDArray[np.intp]]] = {}
+    for one, row in zip(found, first, strict=False):
+        for name, rows in one.names.items():
+            names.setdefault(name, []).append(rows + row)
+    return Triangles(
+        np.concatenate([one.vertices for one in found]),
+        np.concatenate([one.faces + k for one, k in zip(found, corners, strict=False)]),
+        {name: np.concatenate(rows) for name, rows in names.items()},
+    )
+
+
+def _placed(shape: ET.Element, folders: Iterable[str | Path], where: str) -> Triangles:
+    """The triangles, m, link frame, of a shape that is a mesh. Raises MeshError."""
+    mesh, origin = shape.find("geometry/mesh"), shape.find("origin")
+    assert mesh is not None
+    scale = _numbers(mesh, "scale", "1 1 1", where)
+    if not scale.all():
+        raise MeshError(f"the scale of the mesh{where} is zero", value=scale.tolist())
+    raw = mesh_file.read(find_mesh(mesh.get("filename", ""), folders))
+    turn = from_rpy(_numbers(origin, "rpy", "0 0 0", where))
+    vertices = (raw.vertices * scale) @ turn.T + _numbers(origin, "xyz", "0 0 0", where)
+    mirrored = np.prod(scale) < 0.0
+    return Triangles(vertices, raw.faces[:, ::-1] if mirrored else raw.faces, raw.names)
+
+
+def _numbers(element: ET.Element | None, key: str, default: str, where: str) -> Array:
+    """The three numbers of an attribute. Raises MeshError."""
+    text = default if element is None else element.get(key, default)
+    try:
+        values = np.array([float(part) for part in text.split()])
+    except ValueError:
+        values = np.full(3, np.nan)
+    if values.shape != (3,) or not np.isfinite(values).all():
+        raise MeshError(f"bad {key}{where}", value=repr(text), limit="3 numbers")
+    return values
+
+
+def find_mesh(name: str, folders: Iterable[str | Path]) -> Path:
+    """The file that a URDF names by a path, `file://` or `package://`, in one of the `folders`.
+
+    The whole path is tried first, then the path without its first folders. Raises MeshError.
+    """
+    bare = name.partition("://")[2] or name
+    if Path(bare).is_absolute() and Path(bare).is_file():
+        return Path(bare)
+    parts = PurePosixPath(bare.lstrip("/")).parts
+    where = [Path(folder) for folder in folders]
+    for k in range(len(parts)):
+        for folder in where:
+            if (path := folder.joinpath(*parts[k:])).is_file():
+                return path
+    raise MeshError(
+        f"the mesh {name!r} is in none of the folders that are searched",
+        remedy="give from_urdf folders=, or [arm] folders in the scene",
+    )
