@@ -86,6 +86,9 @@ def add(commands: Any) -> None:
         "--method", default="joint", help="estimator: joint (default), posegraph, ..."
     )
     parser.add_argument(
+        "--iterations", type=int, metavar="N", help="iteration limit of the joint estimate"
+    )
+    parser.add_argument(
         "--export", type=Path, metavar="FILE", help="write the skin map to FILE; its suffix gives "
         "the format: .txt (iCub position file), .csv, .urdf, .ply or .glb",
     )  # fmt: skip
@@ -109,7 +112,8 @@ def command(options: argparse.Namespace) -> int:
     check_folder(options.out)
     if options.export is not None:
         check_writable(options.export)
-    found = calibrate(recording, belief, method=options.method)
+    limit = {} if options.iterations is None else {"iterations": options.iterations}
+    found = calibrate(recording, belief, method=options.method, **limit)
     remove_results(options.out)
     found.save(options.out / "calibration")
     if options.export is not None:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.arguments import check_name, check_real, check_type
+from ..core.arguments import check_integer, check_name, check_real, check_type
+from ..core.blas import single_threaded
 from ..core.errors import CalibrationError
 from ..core.provenance import digest, provenance
 from ..recording.recording import Recording
@@ -18,7 +19,7 @@ from . import chart
 from .calibration import Calibration
 from .data.measurements import gather
 from .joint import maximum_likelihood
-from .joint.reduced_nlp import NEWTON_TOLERANCE
+from .joint.reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
 from .result import EstimatorResult
 from .trilateration import trilaterate
 from .trilateration.displacements import Displacements, SharedContacts, Trilateration
@@ -53,12 +54,19 @@ class Estimation:
         self._displacements: dict[Trilateration, Displacements] = {}
         self._seconds = time.perf_counter() - begin
 
-    def calibrate(self, method: str = "joint", tolerance: float = NEWTON_TOLERANCE) -> Calibration:
+    @single_threaded()
+    def calibrate(
+        self,
+        method: str = "joint",
+        tolerance: float = NEWTON_TOLERANCE,
+        iterations: int = MAX_ITERATIONS,
+    ) -> Calibration:
         """The calibration by a method; arguments and errors as `calibrate`."""
         check_name("method", method, tuple(METHODS))
         check_real("tolerance of a calibration", tolerance, above=0.0)
+        iterations = check_integer("limit of iterations", iterations, least=1)
         begin, data = time.perf_counter(), self.data
-        result = self.joint(tolerance) if method == "joint" else METHODS[method](self)
+        result = self.joint(tolerance, iterations) if method == "joint" else METHODS[method](self)
         covariance = result.pose_covariances
         if covariance is None:
             shape = observability.shape_operators(data.body, result.points, result.rotations)
@@ -102,10 +110,15 @@ class Estimation:
             ),
         )
 
-    def joint(self, tolerance: float = NEWTON_TOLERANCE) -> EstimatorResult:
-        """Maximum likelihood over all readings."""
+    def joint(
+        self, tolerance: float = NEWTON_TOLERANCE, iterations: int = MAX_ITERATIONS
+    ) -> EstimatorResult:
+        """Maximum likelihood over all readings; arguments as `calibrate`."""
         return maximum_likelihood.estimate(
-            self.data, tolerance=tolerance, trilaterated=self.least_squares
+            self.data,
+            iterations=iterations,
+            tolerance=tolerance,
+            trilaterated=self.least_squares,
         )
 
     @cached_property
@@ -207,6 +220,7 @@ def calibrate(
     belief: Belief,
     method: str = "joint",
     tolerance: float = NEWTON_TOLERANCE,
+    iterations: int = MAX_ITERATIONS,
 ) -> Calibration:
     """Estimate the pose of every taxel of `belief.taxel_ids` from the readings of `recording`.
 
@@ -215,11 +229,14 @@ def calibrate(
     "posegraph_paper", with displacements from three circles, too, as in the paper;
     "trilateration", least squares over all circles of a taxel; "three_circles", the paper's.
     tolerance: the Newton decrement at which the joint estimate has converged (a move of
-    sqrt(2 tolerance) standard deviations); the other methods do not use it.
-    Raises UnknownNameError for another method, ConfigError for a tolerance that is not positive,
+    sqrt(2 tolerance) standard deviations).
+    iterations: the most iterations of IPOPT over the shared unknowns, in each linearization. Other
+    methods use neither.
+    Raises UnknownNameError for another method, ConfigError for a tolerance that is not positive or
+    a limit of iterations that is not a positive integer,
     RecordingError for values that are not finite, CalibrationError for a scene in place of a
     belief, no readings, unknown taxels or nothing determined, ContactError where the believed
     contact model leaves its range.
     """
     check_name("method", method, tuple(METHODS))
-    return Estimation(recording, belief).calibrate(method, tolerance)
+    return Estimation(recording, belief).calibrate(method, tolerance, iterations)

@@ -16,6 +16,7 @@ from meshskin.core.errors import (
 )
 from meshskin.estimation.calibrate import METHODS, UNTOUCHED, Estimation, calibrate
 from meshskin.estimation.calibration import Calibration
+from meshskin.estimation.joint import maximum_likelihood
 from meshskin.estimation.uncertainty.metrics import position_errors
 
 
@@ -172,6 +173,24 @@ def test_a_loose_tolerance_stays_within_what_it_says(noisy):
         off.append(np.nanmax(away))
         assert off[-1] < 2 * np.sqrt(2 * tolerance)
     assert off[0] > 100 * off[2]
+
+
+def test_a_limit_of_iterations_must_be_a_positive_integer(noisy):
+    for iterations in (0, -1, 1.5, True):
+        with pytest.raises(ConfigError, match="limit of iterations"):
+            calibrate(*noisy, iterations=iterations)
+
+
+def test_a_limit_of_iterations_reaches_the_optimizer(noisy, monkeypatch):
+    seen, estimate = [], maximum_likelihood.estimate
+
+    def observed(*args, **options):
+        seen.append(options["iterations"])
+        return estimate(*args, **options)
+
+    monkeypatch.setattr(maximum_likelihood, "estimate", observed)
+    calibrate(*noisy, iterations=7)
+    assert seen == [7]
 
 
 def test_a_tolerance_must_be_positive(noisy):

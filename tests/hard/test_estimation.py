@@ -199,6 +199,8 @@ def test_an_iteration_limit_of_one(world, noisy):
     far = gather(noisy[0], world.belief(0.01, 0.05, young=2.5 * world.young))
     with pytest.raises(CalibrationError, match=r"did not converge.*raise the iteration limit"):
         maximum_likelihood.estimate(far, iterations=1)
+    with pytest.raises(CalibrationError, match=r"calibrate\(iterations=\.\.\.\)"):
+        calibrate(noisy[0], far.belief, iterations=1)
     assert maximum_likelihood.estimate(far).modulus == pytest.approx(world.modulus, rel=0.01)
 
 

@@ -162,8 +162,8 @@ class JointEstimator:
                 "the joint estimate did not converge",
                 value=f"Newton decrement {reduced.decrement:.3g}, {status}",
                 limit=limit,
-                remedy="raise the iteration limit; check the contact model, the noise and the "
-                "units of force and pressure",
+                remedy="raise the iteration limit, calibrate(iterations=...); check the contact "
+                "model, the noise and the units of force and pressure",
             )
 
     def record(self, state: State) -> None:

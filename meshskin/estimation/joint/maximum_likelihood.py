@@ -16,6 +16,7 @@ import time
 
 import numpy as np
 
+from ...core.blas import single_threaded
 from ...core.errors import CalibrationError
 from ...core.se3 import Array
 from .. import chart
@@ -49,6 +50,7 @@ MODULE_SURFACE = "body surface: modules lie on it to 0.1 mm a taxel"
 UNDECLARED_GAINS = "gain and offset of each taxel, undeclared: without them taxels misfit"
 
 
+@single_threaded()
 def estimate(
     data: Measurements,
     start: EstimatorResult | None = None,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...core.blas import single_threaded
 from ...core.errors import GraphError, UnknownNameError
 from ...core.se3 import Array
 from . import certificate as certificates
@@ -84,6 +85,7 @@ class PoseGraphSolution:
         return self.status == "optimal"
 
     @cached_property
+    @single_threaded()
     def certificate(self) -> certificates.Certificate:
         """Proof of global optimality, computed when first asked for.
 
@@ -121,6 +123,7 @@ class PoseGraphSolution:
         return self._covariances.copy()
 
     @cached_property
+    @single_threaded()
     def _covariances(self) -> Array:
         graph = self.graph
         if not len(graph.edges):
@@ -134,6 +137,7 @@ class PoseGraphSolution:
         return covariances
 
 
+@single_threaded()
 def solve(
     graph: PoseGraph,
     objective: str = "geodesic",
