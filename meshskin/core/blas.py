@@ -21,6 +21,9 @@ _nested = threading.local()
 def single_threaded() -> Iterator[None]:
     """Limit the BLAS libraries of the process to one thread, in a `with` block or as a decorator.
 
+        with single_threaded():
+            numpy.linalg.cholesky(blocks)
+
     Blocks may be nested: the outermost sets the limit, which takes 2 ms, and restores the numbers
     of threads at its end, also after an exception. The numbers belong to the process: while blocks
     in several threads overlap, threadpoolctl decides which of them sets the limit. Results do not
