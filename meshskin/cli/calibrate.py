@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.errors import CalibrationError, ConfigError
+from . import body_options
 
 if TYPE_CHECKING:
     from ..estimation.calibration import Calibration
@@ -25,7 +26,9 @@ per frame in contact, contact points in the body frame) and readings.csv (column
 pressure). Columns are in SI units or name their unit: px_mm, pressure_kpa, time_ms.
 """
 
-SCENE_OPTIONS = ("body", "units", "indenter_radius_mm", "young_kpa", "poisson", "thickness_mm")
+SCENE_OPTIONS = (
+    "body", *body_options.NAMES, "indenter_radius_mm", "young_kpa", "poisson", "thickness_mm",
+)  # fmt: skip
 """Options whose values come from the scene when --scene is given."""
 SHOWN = 8
 """Taxels with faults that the summary lists; metrics.json has all."""
@@ -45,9 +48,12 @@ def add(commands: Any) -> None:
     )
     known = parser.add_argument_group("known properties of the robot")
     known.add_argument(
-        "--body", type=Path, metavar="MESH", help="mesh of the body that the skin covers"
+        "--body",
+        type=Path,
+        metavar="MESH",
+        help=f"mesh of the body that the skin covers: {body_options.HELP}",
     )
-    known.add_argument("--units", help="unit of the mesh: m, cm, mm or in")
+    body_options.add(known)
     known.add_argument(
         "--indenter-radius-mm", type=float, metavar="R", help="radius of the indenter"
     )
@@ -181,7 +187,6 @@ def _by_options(options: argparse.Namespace) -> Belief:
     from ..contact import AUTO
     from ..contact.indenter import Indenter
     from ..contact.material import Material
-    from ..geometry.body import Body
     from ..scene.belief import Belief
 
     needed = {
@@ -198,7 +203,7 @@ def _by_options(options: argparse.Namespace) -> Belief:
     poisson = 0.49 if options.poisson is None else options.poisson
     thickness = None if options.thickness_mm is None else 1e-3 * options.thickness_mm
     return Belief(
-        body=Body.load(options.body, units=options.units),
+        body=body_options.load(options.body, options),
         indenter=Indenter.sphere(1e-3 * options.indenter_radius_mm),
         material=Material(1e3 * options.young_kpa, poisson, thickness),
         taxel_ids=np.empty(0, dtype=int),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.errors import MeshError, OutputError
+from . import body_options
 
 if TYPE_CHECKING:
     from ..geometry.mesh.check import Finding, MeshCheck
@@ -30,11 +31,8 @@ def add(commands: Any) -> None:
         description="Find defects of a mesh. Exit code 0: it can be a body; 1: it cannot; "
         "2: the file cannot be read.",
     )
-    parser.add_argument(
-        "mesh", type=Path, metavar="MESH", help="STL, OBJ, PLY, OFF, glTF or Collada file"
-    )
-    parser.add_argument("--units", help="m, cm, mm or in; required except for glTF and Collada")
-    parser.add_argument("--open", action="store_true", help="accept an open mesh")
+    parser.add_argument("mesh", type=Path, metavar="MESH", help=body_options.HELP)
+    body_options.add(parser)
     parser.add_argument(
         "--out",
         type=Path,
@@ -47,7 +45,6 @@ def add(commands: Any) -> None:
 def command(options: argparse.Namespace) -> int:
     """Print the findings; draw them if --out is given."""
     from ..geometry.body import check_extent
-    from ..geometry.mesh import mesh_file
     from ..geometry.mesh.check import check_mesh
 
     kind = None if options.out is None else options.out.suffix.lower()
@@ -55,9 +52,8 @@ def command(options: argparse.Namespace) -> int:
         raise OutputError(
             "unknown suffix of a drawing", value=kind, limit=f".html, {', '.join(PICTURES)}"
         )
-    scale = mesh_file.unit(options.mesh, options.units)
-    raw = mesh_file.read(options.mesh, scale)
-    found = check_mesh(raw.vertices, raw.faces, options.open)
+    raw = body_options.triangles(options.mesh, options)
+    found = check_mesh(raw.vertices, raw.faces, bool(options.open))
     finite = found.vertices[np.isfinite(found.vertices).all(axis=1)]
     size = 1e3 * np.ptp(finite, axis=0) if len(finite) else np.zeros(3)
     print(f"{options.mesh.name}: {len(found.vertices)} vertices, {len(found.faces)} faces, "

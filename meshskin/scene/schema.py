@@ -51,11 +51,19 @@ class _Torus(_Primitive):
 
 @dataclass(frozen=True)
 class _Mesh:
+    """A mesh file; with `link`, the meshes of that link of a URDF file, sought in `folders`."""
+
     mesh: str
     units: str | None = None
     open: bool = False
+    link: str | None = None
+    folders: tuple[str, ...] = ()
+    link_mesh: str = "visual"
 
     def make(self, folder: Path) -> Body:
+        if self.link is not None:
+            folders = [folder / name for name in self.folders]
+            return Body.from_urdf(folder / self.mesh, self.link, folders, self.link_mesh, self.open)
         return Body.load(folder / self.mesh, units=self.units, open=self.open)
 
 

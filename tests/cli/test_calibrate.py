@@ -1,5 +1,6 @@
 """Calibration of a robot's own log from the command line."""
 
+import argparse
 import json
 import re
 
@@ -8,6 +9,9 @@ import pytest
 
 import meshskin as ms
 from meshskin import cli
+from meshskin.cli import calibrate
+from meshskin.core.errors import ConfigError, MeshError
+from meshskin.scene.schema import body_table
 
 
 @pytest.fixture(scope="module")
@@ -102,6 +106,8 @@ def test_a_recording_with_a_scene(recording, tmp_path, capsys):
             ["--scene", "sphere_noisy", "--units", "mm"],
             "got --units together with --scene; remove either",
         ),
+        (["--scene", "sphere_noisy", "--open"], "got --open together with --scene; remove either"),
+        (["--scene", "sphere_noisy", "--link-mesh", "visual"], "got --link-mesh together"),
         (["--scene", "sphere_noisy", "--export", "map.xyz"], "format of a skin file"),
     ],
 )
@@ -130,6 +136,60 @@ def test_a_body_that_is_no_sphere_needs_no_contact_model_named(tmp_path):
     assert seen.sum() > 5
     off = np.linalg.norm(found.positions[seen] - scene.skin.positions[seen], axis=1)
     assert np.median(off) < 0.05e-3
+
+
+def body_of(log, *options):
+    """The body of the belief that options of the command describe."""
+    parser = argparse.ArgumentParser()
+    calibrate.add(parser.add_subparsers())
+    rest = ["--indenter-radius-mm", "10", "--young-kpa", "150", "--out", "out"]
+    asked = ["calibrate", str(log), "--body", *map(str, options), *rest]
+    return calibrate.belief_of(parser.parse_args(asked), ms.Recording.load(log)).body
+
+
+def test_every_option_of_a_body_is_one_of_calibrate_and_check(log, tmp_path, capsys, scene):
+    """An open mesh, and the link of a URDF file whose mesh is in another folder."""
+    dome = scene.body.mesh.copy()
+    dome.update_faces(dome.triangles_center[:, 2] < 0.0)
+    (tmp_path / "meshes").mkdir()
+    file = tmp_path / "meshes" / "dome.stl"
+    dome.export(file)
+    with pytest.raises(MeshError, match="not watertight"):
+        body_of(log, file, "--units", "m")
+    assert len(body_of(log, file, "--units", "m", "--open").mesh.faces) == len(dome.faces)
+    assert cli.main(["check", str(file), "--units", "m", "--open"]) == 0
+    (tmp_path / "urdf").mkdir()
+    urdf = tmp_path / "urdf" / "toy.urdf"
+    shape = '<geometry><mesh filename="package://toy/dome.stl"/></geometry>'
+    urdf.write_text(
+        f"""<robot name="toy"><link name="palm"><visual><origin xyz="0 0 1"/>{shape}</visual>
+        <collision>{shape}</collision></link></robot>"""
+    )
+    link = ["--link", "palm", "--folder", tmp_path / "meshes", "--open"]
+    assert body_of(log, urdf, *link).mesh.bounds[1, 2] == pytest.approx(1.0, abs=6e-3)
+    low = body_of(log, urdf, *link, "--link-mesh", "collision").mesh.bounds[1, 2]
+    assert low == pytest.approx(0.0, abs=6e-3)
+    assert cli.main(["check", str(urdf), *map(str, link)]) == 0
+    assert "can be a body" in capsys.readouterr().out
+    table = {"mesh": "urdf/toy.urdf", "link": "palm", "folders": ["meshes"], "open": True}
+    assert body_table(table).make(tmp_path).mesh.bounds[1, 2] == pytest.approx(1.0, abs=6e-3)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["toy.urdf"], "toy.urdf is a URDF file; name one of its links: --link"),
+        (["toy.urdf", "--link", "palm", "--units", "mm"], "got --units; remove it"),
+        (
+            ["ball.stl", "--units", "mm", "--folder", "."],
+            "--folder is for a URDF file",
+        ),
+        (["ball.stl", "--link-mesh", "visual"], "--link-mesh is for a URDF file"),
+    ],
+)
+def test_options_of_a_body_that_do_not_go_together(log, options, words):
+    with pytest.raises(ConfigError, match=re.escape(words)):
+        body_of(log, *options)
 
 
 def test_no_log(tmp_path, capsys):

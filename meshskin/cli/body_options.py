@@ -1,0 +1,72 @@
+"""Options of commands that read a mesh: unit, borders, and the link of a URDF file."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from ..geometry.body import Body
+    from ..geometry.mesh.mesh_file import Triangles
+
+NAMES = ("units", "open", "link", "folder", "link_mesh")
+"""Names of the options."""
+HELP = "STL, OBJ, PLY, OFF, glTF or Collada file, or a URDF file with --link"
+
+
+def add(parser: Any) -> None:
+    """Add the options to a parser or a group of one."""
+    parser.add_argument("--units", help="m, cm, mm or in; required except for glTF, Collada, URDF")
+    parser.add_argument(
+        "--open", action="store_true", default=None, help="accept an open mesh, with borders"
+    )
+    parser.add_argument("--link", help="link whose mesh is taken from the URDF file")
+    parser.add_argument(
+        "--folder",
+        type=Path,
+        action="append",
+        metavar="DIR",
+        help="folder that is searched for the meshes of the URDF file; may be repeated",
+    )
+    parser.add_argument(
+        "--link-mesh", metavar="KIND", help="mesh of the link: visual (default) or collision"
+    )
+
+
+def triangles(path: Path, options: argparse.Namespace) -> Triangles:
+    """The content of the mesh file, or of the meshes of the link. Raises MeshError."""
+    from ..geometry.mesh import link_mesh, mesh_file
+
+    _check(path, options)
+    if options.link is None:
+        return mesh_file.read(path, mesh_file.unit(path, options.units))
+    return link_mesh.read(path, options.link, options.folder or (), options.link_mesh or "visual")
+
+
+def load(path: Path, options: argparse.Namespace) -> Body:
+    """The body of the mesh file, or of the meshes of the link. Raises MeshError."""
+    from ..geometry.body import Body
+
+    _check(path, options)
+    open_ = bool(options.open)
+    if options.link is None:
+        return Body.load(path, units=options.units, open=open_)
+    folders, kind = options.folder or (), options.link_mesh or "visual"
+    return Body.from_urdf(path, options.link, folders, kind, open=open_)
+
+
+def _check(path: Path, options: argparse.Namespace) -> None:
+    """Raise ConfigError for options that do not go together."""
+    if options.link is None:
+        for name in ("folder", "link_mesh"):
+            if getattr(options, name) is not None:
+                raise ConfigError(
+                    f"--{name.replace('_', '-')} is for a URDF file", remedy="give --link, too"
+                )
+        if path.suffix.lower() == ".urdf":
+            raise ConfigError(f"{path.name} is a URDF file", remedy="name one of its links: --link")
+    elif options.units is not None:
+        raise ConfigError("lengths of a URDF file are in m", value="--units", remedy="remove it")
