@@ -104,7 +104,7 @@ def compare(a: Skin, b: Skin) -> Difference:
     modules = None if by_modules else pair(ids_a, at_a, ids_b, at_b, slots.PER_MODULE)
     assert taxels is not None
     best = taxels
-    if modules is not None and modules.score <= taxels.score / TAXEL_RATIO + 1e-9:
+    if modules is not None and _as_close(modules, taxels, at_a, at_b):
         best = modules
     own = pairing_by_id(at_a, at_b, rows_a, rows_b)
     if own is not None and best.moved and not _removes_half(own, best, ids_a, at_a, at_b):
@@ -151,6 +151,20 @@ def _is_frames(ids: Ids, others: Ids) -> bool:
     thermal = [bool(np.isin(slots.slot(i), slots.THERMAL).any()) for i in (ids, others)]
     more = share > float(np.isin(ids, others).mean())
     return share >= 0.5 and (more or thermal == [True, False])
+
+
+def _as_close(modules: Pairing, taxels: Pairing, at_a: Array, at_b: Array) -> bool:
+    """Whether pairing modules fits as closely as pairing taxels one by one: over all units, or over
+    the pairs alone, if it pairs as many taxels.
+    """
+    if modules.score <= taxels.score / TAXEL_RATIO + 1e-9:
+        return True
+    if len(modules.rows_a) < len(taxels.rows_a):
+        return False
+    one, other = (
+        float(distances(p.pose, at_a[p.rows_a], at_b[p.rows_b]).mean()) for p in (modules, taxels)
+    )
+    return one <= other / TAXEL_RATIO + 1e-9
 
 
 def _removes_half(own: Pairing, other: Pairing, ids: Ids, at_a: Array, at_b: Array) -> bool:

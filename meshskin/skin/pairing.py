@@ -59,8 +59,8 @@ def pair(ids_a: Ids, at_a: Array, ids_b: Ids, at_b: Array, size: int) -> Pairing
         pose, partner = start, np.full(len(units_a), -2)
         for _ in range(MAX_ITERATIONS):
             aligned = se3.transform_points(pose, at_b[rows_b])
-            nearest = _partners(at_a[rows_a], aligned, units_a, units_b)
-            now = _consistent(nearest, units_a, units_b)
+            nearest, vacant = _partners(at_a[rows_a], aligned, units_a, units_b)
+            now = _consistent(nearest, units_a, units_b, vacant)
             if np.array_equal(now, partner):
                 break
             partner = now
@@ -76,14 +76,15 @@ def pair(ids_a: Ids, at_a: Array, ids_b: Ids, at_b: Array, size: int) -> Pairing
         if best is None or score < best[0]:
             best = score, pose, partner
     assert best is not None
-    score, _, partner = best
+    score, pose, partner = best
     paired = partner >= 0
     pairs = dict(zip(units_a[paired].tolist(), units_b[partner[paired]].tolist(), strict=True))
     rows = np.flatnonzero(np.isin(ids_a // size, list(pairs)))
     target = np.array([pairs[unit] for unit in (ids_a[rows] // size).tolist()], dtype=np.int64)
     expected = size * target + ids_a[rows] % size
     _, found, rows_there = np.intersect1d(expected, ids_b, return_indices=True)
-    pose = _robust_align(at_b[rows_there], at_a[rows[found]])
+    if len(found) >= 3:
+        pose = _robust_align(at_b[rows_there], at_a[rows[found]])
     changed = {u: v for u, v in pairs.items() if u != v}
     return Pairing(pose, size, changed, rows[found], rows_there, score)
 
@@ -158,8 +159,9 @@ def _robust_align(source: Array, target: Array) -> Array:
     return pose
 
 
-def _partners(at_a: Array, at_b: Array, units_a: Ids, units_b: Ids) -> Index:
-    """For each unit of A (u, s, 3) its partner among those of B (v, s, 3); -1 if it has none.
+def _partners(at_a: Array, at_b: Array, units_a: Ids, units_b: Ids) -> tuple[Index, Ids]:
+    """For each unit of A (u, s, 3) its partner among those of B (v, s, 3), -1 if it has none; and
+    the units of A at whose place there is none of B.
 
     The unit of the same id is the partner unless another one is at the place, much nearer, and
     nearest both ways.
@@ -182,17 +184,17 @@ def _partners(at_a: Array, at_b: Array, units_a: Ids, units_b: Ids) -> Index:
         np.isin(partner, near_a[swap]) & ~swap
     )  # of the same id, but now the partner of another unit
     partner[taken] = -1
-    return partner
+    return partner, units_a[off_a >= SAME_PLACE * neighbour]
 
 
-def _consistent(partner: Index, units_a: Ids, units_b: Ids) -> Index:
+def _consistent(partner: Index, units_a: Ids, units_b: Ids, vacant: Ids) -> Index:
     """The partners without moves that belong neither to a cycle nor to a renumbering.
 
-    A unit may only move to a number whose unit moves too, or that A does not have; and only from a
-    number to which another unit moves, or that B does not have.
+    A unit may only move to a number whose unit moves too, or that A does not have, or whose place
+    is `vacant` in B; and only from a number to which another unit moves, or that B does not have.
     """
     partner = partner.copy()
-    known_a, known_b = set(units_a.tolist()), set(units_b.tolist())
+    known_a, known_b = set(units_a.tolist()) - set(vacant.tolist()), set(units_b.tolist())
     index_b = {unit: k for k, unit in enumerate(units_b.tolist())}
     row_a = {unit: k for k, unit in enumerate(units_a.tolist())}
     rows = np.flatnonzero(partner >= 0)

@@ -1,5 +1,7 @@
 """Comparison of skins: alignment, distances, exchanged and renumbered modules and taxels."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -176,6 +178,23 @@ def test_exchanged_module_frames_are_named(arm):
     assert rms(d.paired) < 3e-4
 
 
+def test_a_number_whose_module_was_removed_is_used_again(arm):
+    """Module 19 is taken off, and module 5 gets its number."""
+    kept = Skin(arm.poses[slots.module(arm.ids) != 19], arm.ids[slots.module(arm.ids) != 19])
+    d = compare(arm, renamed(moved(kept), {5: 19}))
+    assert d.sentences() == ("module 5 of A is module 19 of B",)
+    assert d.paired.max() < 1e-12
+    assert set(slots.module(d.paired_ids).tolist()) == set(range(19))
+
+
+def test_skins_without_a_common_id(plain):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        d = compare(plain, Skin(plain.poses[:20] + 0.0, plain.ids[:20] + 1000))
+    assert len(d.ids) == 0
+    assert np.isfinite(d.alignment).all()
+
+
 def test_a_few_taxels_of_modules_are_not_module_frames(arm):
     part = np.flatnonzero(slots.module(arm.ids) < 2)
     d = compare(arm, Skin(arm.poses[part], arm.ids[part]))
@@ -256,5 +275,8 @@ def test_real_module_frames():
     d = compare(foot, Skin.load(urdf, "r_sole"))
     assert "modules 0 and 8 exchanged" in d.sentences()
     assert d.paired.max() < 2e-6
+    leg = Skin.load(DATA / "icub_skin/positions/left_leg_lower.txt")
+    d = compare(leg, Skin.load(urdf, "r_lower_leg"))
+    assert d.permutation == {22: 20, 23: 19, 43: 46, 46: 43}  # the other leg is wired differently
     mesh = Skin.load(DATA / "icub_skin/cad/left_foot_mesh.txt")
     assert compare(mesh, Skin.load(urdf, "l_sole")).paired.max() < 2e-6
