@@ -5,6 +5,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
+from meshskin.core.se3 import shortest_rotation
 from meshskin.geometry.body import Body
 from meshskin.geometry.geodesics import geodesic, march, onto, transport, transport_along
 
@@ -50,3 +51,17 @@ def test_a_vector_along_its_normal_becomes_a_unit_tangent():
     assert np.allclose(np.linalg.norm(tangents, axis=1), 1.0)
     assert np.allclose(tangents @ Z, 0.0)
     assert np.allclose(tangents[1], X)
+
+
+def test_transport_is_the_shortest_rotation_of_the_normal():
+    rng = np.random.default_rng(3)
+    before, after = (v / np.linalg.norm(v, axis=1)[:, None] for v in rng.normal(size=(2, 50, 3)))
+    tangents = onto(rng.normal(size=(50, 3)), before)
+    rotated = np.einsum("nij,nj->ni", shortest_rotation(before, after), tangents)
+    np.testing.assert_allclose(transport(tangents, before, after), rotated, atol=1e-9)
+
+
+def test_a_geodesic_starts_in_its_direction():
+    points = [at.point[0] for at, _ in islice(geodesic(SPHERE, POLE, X, 0.01), 4)]
+    angles = [np.arctan2(point[0], point[2]) for point in points]
+    assert np.allclose(angles, np.arange(4) * np.arctan(0.1), atol=1e-5)
