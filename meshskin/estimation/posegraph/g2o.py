@@ -18,8 +18,8 @@ from ...core.arrays import Index
 from ...core.atomic_io import write_text
 from ...core.errors import GraphError
 from ...core.se3 import Array
+from .information import SINGULAR
 from .ordering import Int64Array
-from .validation import SINGULAR
 
 FIELDS = {"VERTEX_SE3:QUAT": 8, "EDGE_SE3:QUAT": 30, "VERTEX_SE2": 4, "EDGE_SE2": 11}
 """Tags that are read, and their numbers per line."""

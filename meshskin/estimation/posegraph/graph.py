@@ -14,7 +14,7 @@ from scipy import sparse
 
 from ...core.errors import GraphError
 from ...core.se3 import Array
-from . import validation
+from . import information, validation
 
 if TYPE_CHECKING:
     from .problem import PoseGraphProblem
@@ -56,7 +56,7 @@ class PoseGraph:
             "poses": poses,
             "edges": edges,
             "measurements": validation.transforms("measurements", self.measurements, len(edges)),
-            "information": validation.information_matrices(self.information, len(edges)),
+            "information": information.information_matrices(self.information, len(edges)),
             "ids": ids,
         }
         for name, value in values.items():
@@ -85,17 +85,15 @@ class PoseGraph:
         these displacements.
         Source: Rosen et al., "SE-Sync", IJRR 38 (2019), section 6.
         """
-        (translation, no_translation), (rotation, no_rotation) = (
-            _inverse_trace(self.information[:, part, part]) for part in (slice(3), slice(3, 6))
-        )
-        if count := int((no_translation | no_rotation).sum()):
+        tau, kappa, negative = information.chordal_weights(self.information)
+        if count := int(negative.sum()):
             warnings.warn(
                 f"the information of {count} of {len(self.edges)} displacements has a translation "
                 "or rotation block that is not positive semidefinite: its chordal weight is zero",
                 RuntimeWarning,
                 stacklevel=2,
             )
-        return 3.0 * translation, 1.5 * rotation
+        return tau, kappa
 
     @cached_property
     def semidefinite_information(self) -> Array:
@@ -103,7 +101,7 @@ class PoseGraph:
 
         A warning counts the displacements whose information is projected.
         """
-        projected, indefinite = validation.project_to_semidefinite(self.information)
+        projected, indefinite = information.project_to_semidefinite(self.information)
         if count := int(indefinite.sum()):
             warnings.warn(
                 f"the information of {count} of {len(self.edges)} displacements is not positive "
@@ -173,16 +171,3 @@ class PoseGraph:
         from .solve import solve
 
         return solve(self, objective, start, robust, keep_iterates, certify, limit)
-
-
-def _inverse_trace(matrices: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """1 / tr(inv(M)) of symmetric `matrices` (m, 3, 3), and where it is negative.
-
-    0 where it is negative or M is singular.
-    """
-    values = np.linalg.eigvalsh(matrices)
-    size = np.abs(values)
-    singular = size.min(axis=1) <= validation.SINGULAR * size.max(axis=1)
-    trace = np.sum(1.0 / np.where(singular[:, None], 1.0, values), axis=1)
-    negative = trace <= 0.0
-    return np.where(singular | negative, 0.0, 1.0 / np.where(negative, 1.0, trace)), negative

@@ -73,7 +73,9 @@ def minimize_reweighted(
     The information must be right in scale: the limit on a chi-square is the quantile of its
     distribution at `INLIER_PROBABILITY`, with the rank of the information as degrees of freedom.
     """
-    rank = np.linalg.matrix_rank(graph.semidefinite_information, hermitian=True)
+    geodesic = problem.residual == "log"
+    information = graph.semidefinite_information if geodesic else graph.information
+    rank = np.linalg.matrix_rank(information, hermitian=True)
     chi2_limit = 2.0 * gammaincinv(np.maximum(rank, 1) / 2.0, INLIER_PROBABILITY)
 
     def chi_squares(weight: Array) -> Array:

@@ -229,6 +229,6 @@ def _check_weights(root: Array, objective: str) -> None:
             remedy="use objective='geodesic', which takes singular information",
         )
     raise GraphError(
-        "the objective is zero everywhere: no displacement has information",
-        remedy="give information matrices that are not zero",
+        "the objective is zero everywhere: no displacement has positive information",
+        remedy="give information matrices that are positive definite",
     )

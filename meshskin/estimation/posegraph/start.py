@@ -12,6 +12,7 @@ from scipy.sparse import csgraph
 from ...core import se3
 from ...core.errors import GraphError, UnknownNameError
 from ...core.se3 import Array
+from .information import chordal_weights
 from .ordering import IntArray
 from .superlu import SingularMatrixError
 from .symmetric_blocks import SymmetricBlocks, sum_by_index
@@ -83,7 +84,7 @@ STARTS = {"chordal": chordal, "tree": tree, "origin": origin}
 
 def initial_weights(graph: PoseGraph) -> tuple[Array, Array]:
     """(tau, kappa), (m,) each: chordal weights, where singular the mean of the information."""
-    tau, kappa = graph.chordal_weights
+    tau, kappa, _ = chordal_weights(graph.information)
     blocks = graph.information[:, :3, :3], graph.information[:, 3:, 3:]
     mean, mean_r = (np.maximum(np.linalg.eigvalsh(b), 0.0).mean(axis=1) for b in blocks)
     return np.where(tau > 0, tau, mean), np.where(kappa > 0, kappa, mean_r / 2)

@@ -10,14 +10,6 @@ from ...core.se3 import Array
 
 ROTATION_TOLERANCE = 1e-6
 """Largest entry of R^T R - I: files with seven digits stay below it."""
-INFORMATION_TOLERANCE = 1e-9
-"""Largest asymmetry and negative eigenvalue of an information matrix that count as rounding,
-relative to its largest entry: the rounding of files with ten digits."""
-SINGULAR = 1e-12
-"""A matrix is singular if its condition number is above 1 / SINGULAR: its inverse would have
-fewer than four correct digits."""
-MAX_INFORMATION = 1e100
-"""Largest entry of an information matrix: the squares of larger ones leave double precision."""
 
 
 def transforms(name: str, values: ArrayLike, count: int | None = None) -> Array:
@@ -29,7 +21,7 @@ def transforms(name: str, values: ArrayLike, count: int | None = None) -> Array:
     if array.shape != shape or (not len(array) and name == "poses"):
         wanted = "(n, 4, 4)" if count is None else str(shape)
         raise GraphError(f"{name} have the wrong shape", value=array.shape, limit=wanted)
-    _check_finite(f"{name} must be finite", "row", array)
+    check_finite(f"{name} must be finite", "row", array)
     r = array[:, :3, :3]
     error = np.abs(np.swapaxes(r, 1, 2) @ r - np.eye(3)).max(axis=(1, 2), initial=0.0)
     error = np.where(np.linalg.det(r) > 0, error, np.inf)
@@ -74,56 +66,8 @@ def edge_indices(values: ArrayLike, poses: int) -> NDArray[np.int64]:
     return edges
 
 
-def information_matrices(values: ArrayLike, count: int) -> Array:
-    """A copy of symmetric matrices (count, 6, 6); one (6, 6) serves all."""
-    array = np.array(values, dtype=float)
-    if array.shape == (6, 6):
-        array = np.tile(array, (count, 1, 1))
-    if array.size == 0 and count == 0:
-        return np.empty((0, 6, 6))
-    if array.shape != (count, 6, 6):
-        raise GraphError("information has the wrong shape", value=array.shape, limit=(count, 6, 6))
-    _check_finite("information must be finite", "edge", array)
-    size = np.abs(array).max(axis=(1, 2))
-    if (size > MAX_INFORMATION).any():
-        row = int(np.argmax(size > MAX_INFORMATION))
-        raise GraphError(
-            "information is too large to compute with",
-            value=f"edge {row}: {size[row]:.3g}",
-            limit=f"{MAX_INFORMATION:g}",
-            remedy="scale all information matrices down: the poses stay the same",
-        )
-    asymmetry = np.abs(array - np.swapaxes(array, 1, 2)).max(axis=(1, 2))
-    array = (array + np.swapaxes(array, 1, 2)) / 2
-    wrong = asymmetry > INFORMATION_TOLERANCE * size
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise GraphError(
-            "information must be symmetric",
-            value=f"edge {row}: asymmetry {asymmetry[row]:.3g}",
-            limit=f"{INFORMATION_TOLERANCE:g} of its largest entry",
-        )
-    return array
-
-
-def project_to_semidefinite(matrices: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """The nearest positive semidefinite matrices to `matrices` (m, k, k), and which have changed.
-
-    Negative eigenvalues become zero; those within `INFORMATION_TOLERANCE` are rounding, and their
-    matrices stay as they are.
-    Source: Higham, "Computing a nearest symmetric positive semidefinite matrix", Linear Algebra
-    and its Applications 103 (1988).
-    """
-    values, vectors = np.linalg.eigh(matrices)
-    size = np.abs(matrices).max(axis=(1, 2), initial=0.0)
-    indefinite = values[:, 0] < -INFORMATION_TOLERANCE * size
-    projected = np.array(matrices)
-    half = vectors[indefinite] * np.sqrt(np.maximum(values[indefinite], 0.0))[:, None, :]
-    projected[indefinite] = half @ np.swapaxes(half, 1, 2)
-    return projected, indefinite
-
-
-def _check_finite(message: str, item: str, array: Array) -> None:
+def check_finite(message: str, item: str, array: Array) -> None:
+    """Raise GraphError with the number of the first `item` of `array` (n, k, k) not finite."""
     bad = np.flatnonzero(~np.isfinite(array).all(axis=(1, 2)))
     if len(bad):
         raise GraphError(message, value=f"{item} {bad[0]}")
