@@ -84,6 +84,11 @@ class Indentation:
         return reasons
 
     def first_valid_model(self, curvature: Array) -> str:
-        """The first of BATCHED that is valid at as many of (k, 2) curvatures, 1/m, as any is."""
+        """The first of BATCHED that is valid at as many of (k, 2) curvatures, 1/m, as any is.
+
+        Where none is valid, the most general one, whose reasons no other model removes.
+        """
         counts = [int(np.sum(self.invalid_reasons(name, curvature) == "")) for name in BATCHED]
+        if not any(counts):
+            return "elliptic" if self.material.thickness is None else "layered"
         return BATCHED[int(np.argmax(counts))]

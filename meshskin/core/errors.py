@@ -73,6 +73,10 @@ class PlaceError(SimulationError):
     """A path of the contact that ends: at an edge of the body, or where contact is lost."""
 
 
+class EdgeError(PlaceError):
+    """A contact that runs over an edge of the body."""
+
+
 class TuningError(MeshskinError):
     """Demands on the closed loop that no gains meet; the message says which to relax."""
 

@@ -8,7 +8,7 @@ from time import perf_counter
 
 import numpy as np
 
-from ..core.errors import PlaceError, ReachError, SimulationError
+from ..core.errors import EdgeError, ReachError, SimulationError
 from ..core.se3 import Array
 from ..geometry.body import Body
 from ..geometry.surface.closest_point import Closest
@@ -113,7 +113,7 @@ class Simulator:
         until_touch: end with the first step in contact. track_normal: follow the path along the
         normal, too, instead of controlling the force. speed_fraction: part of the approach speed
         that the law may ask for. Raises SimulationError where a number is not finite, ReachError
-        where a joint leaves its range, PlaceError where the contact runs over an edge.
+        where a joint leaves its range, EdgeError where the contact runs over an edge.
         """
         started = perf_counter()
         short = until_touch or self._off_path
@@ -197,7 +197,7 @@ class Simulator:
         hit = self.body.closest(center[None])
         offset = center - hit.point[0]
         if hit.normal[0] @ offset < EDGE_COSINE * np.linalg.norm(offset):
-            raise PlaceError(
+            raise EdgeError(
                 f"the contact ran over an edge of the body at {self._at(self.state)}",
                 value=f"contact point {np.round(hit.point[0], 4).tolist()} m",
                 remedy="keep the exploration off the edge, or round the edge in the mesh",

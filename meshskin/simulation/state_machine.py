@@ -18,7 +18,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..core.errors import PlaceError, SimulationError
+from ..core.errors import EdgeError, PlaceError, SimulationError
 from ..core.se3 import Array, interpolate, inverse, log_so3, poses_of_states
 from . import transfer
 from .quasi_static import state_of_pose
@@ -76,6 +76,8 @@ class ExplorationStateMachine:
         self.phase = APPROACH
         self.skips = 0
         """Parts of places that were given up."""
+        self.skipped_rows = 0
+        """Rows of the tracks in these parts."""
         self.explored = False
         """Whether any contact point has followed its track."""
         self.losses = 0
@@ -90,8 +92,9 @@ class ExplorationStateMachine:
         """The steps as they are made.
 
         Where contact cannot be made or kept, or runs over an edge, a part of the place is given
-        up; all of it where the body cannot come to it through the air. Raises PlaceError where it
-        is the only place, or no place can be explored.
+        up; all of it where the body cannot come to it through the air. Raises PlaceError where no
+        place can be explored; where there is one only, also if most of it cannot, or for another
+        reason than an edge, or with an arm.
         """
         failed: PlaceError | None = None
         last: Track | None = None  # the one that the contact has followed
@@ -102,6 +105,7 @@ class ExplorationStateMachine:
                     yield from self._travel(last, track)
                 except PlaceError as error:
                     failed, self.skips = error, self.skips + 1
+                    self.skipped_rows += len(track)
                     continue
             last = track
             while self.row < len(track):
@@ -113,24 +117,27 @@ class ExplorationStateMachine:
                         if lost > RETRIES:
                             raise self._lost()
                 except PlaceError as error:
-                    if len(self.tracks) == 1:
+                    edge = isinstance(error, EdgeError) and not self.simulator.loop.joints
+                    if len(self.tracks) == 1 and not edge:
                         raise
                     failed = error
                     yield from self._skip(track)
-        if failed is not None and not self.explored:
+        most = 0.5 * len(self.tracks[0]) if len(self.tracks) == 1 else np.inf
+        if failed is not None and (not self.explored or self.skipped_rows > most):
             raise failed
 
     def _skip(self, track: Track) -> Iterator[Steps]:
         """Give up the next SKIP_TIME of the track; with an arm, the rest of it."""
         self.skips += 1
-        rows = max(round(SKIP_TIME / self.simulator.loop.dt), 1)
-        self.row = len(track) if self.simulator.loop.joints else self.row + rows
+        rows, first = max(round(SKIP_TIME / self.simulator.loop.dt), 1), self.row
+        self.row = len(track) if self.simulator.loop.joints else first + rows
         while self.row < len(track):
             try:
                 yield from self._float(self._above(track.references[self.row]))
-                return
+                break
             except PlaceError:
                 self.row += rows
+        self.skipped_rows += min(self.row, len(track)) - first
 
     def _make_contact(self, track: Track) -> Iterator[Steps]:
         """Approach until the first contact, let the force settle, hold."""

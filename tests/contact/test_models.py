@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from meshskin import Body, contact
+from meshskin.contact import BATCHED
+from meshskin.contact.material import Indentation, Material
 from meshskin.core.errors import ContactError, UnknownNameError
 from meshskin.geometry.surface.patch import casadi_foot
 
@@ -236,3 +238,12 @@ def test_is_valid_exactly_where_solve_succeeds(model, thickness, poisson):
             else:
                 each.append(True)
         assert np.array_equal(many, each)
+
+
+@pytest.mark.parametrize(("thickness", "name"), [(None, "elliptic"), (5e-4, "layered")])
+def test_where_no_model_holds_the_most_general_one_says_why(thickness, name):
+    """A patch of 1 N that is too wide for an indenter of 2 mm on soft skin."""
+    indentation = Indentation(1.0, 2e-3, Material(young=0.2e6, thickness=thickness))
+    curvature = np.array([[90.0, 20.0]])
+    assert all(indentation.invalid_reasons(m, curvature)[0] for m in BATCHED)
+    assert indentation.first_valid_model(curvature) == name

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from meshskin import Body, Material, Skin
-from meshskin.core.errors import PlaceError, SimulationError
+from meshskin.core.errors import EdgeError, PlaceError, SimulationError
 from meshskin.core.se3 import exp_so3, transform
 from meshskin.exploration.plan import plan_exploration
 from meshskin.robot import collision
@@ -95,7 +95,7 @@ def test_a_part_given_up_is_no_end_and_all_of_it_is(sphere, monkeypatch):
     def failing(self, track, phase, **more):
         calls["slides"] += phase == SLIDE
         if phase == SLIDE and calls["slides"] in calls["fail"]:
-            raise PlaceError("the contact ran over an edge of the body")
+            raise EdgeError("the contact ran over an edge of the body")
         return advance(self, track, phase, **more)
 
     def explore(tracks):
@@ -110,5 +110,7 @@ def test_a_part_given_up_is_no_end_and_all_of_it_is(sphere, monkeypatch):
     calls.update(slides=0, fail=(3, 5))
     assert explore([track[:half], track[half:]]) == (2, len(track) - 2 * 200)
     calls.update(slides=0)
+    assert explore([track]) == (2, len(track) - 2 * 200)
+    calls.update(slides=0, fail=range(1, 10**6))
     with pytest.raises(PlaceError, match="edge"):
         explore([track])
