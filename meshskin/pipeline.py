@@ -261,6 +261,7 @@ def _assess(
     motion, skin = recording.motion, scene.skin
     assert motion is not None
     return {
+        "verdict": None if calibration.verdict is None else calibration.verdict.metrics(),
         "scene": scene.name,
         "taxels": len(calibration.ids),
         "touched": int(calibration.touched.sum()),

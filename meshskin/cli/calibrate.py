@@ -228,6 +228,7 @@ def assess(found: Calibration, recording: Recording) -> dict[str, Any]:
     good = found.observed[:, :2].all(axis=1)
     sigma = 1e3 * found.position_sigma[good]
     return {
+        "verdict": None if found.verdict is None else found.verdict.metrics(),
         "method": found.method,
         "taxels": len(found.ids),
         "touched": int(found.touched.sum()),
@@ -268,8 +269,9 @@ def certainty(found: Calibration) -> str:
 def summary(found: Calibration, metrics: dict[str, Any], folder: Path) -> str:
     """The text that the command prints."""
     lines = [
+        *([str(found.verdict)] if found.verdict is not None else []),
         f"{metrics['determined']} of {metrics['taxels']} taxels determined from "
-        f"{metrics['readings']} readings in {metrics['contacts']} contacts"
+        f"{metrics['readings']} readings in {metrics['contacts']} contacts",
     ]
     if metrics["sigma_mm"]:
         spread = metrics["sigma_mm"]

@@ -111,6 +111,7 @@ def summary(result: Result, folder: Path) -> str:
     error, bound, force = m["position_error_mm"], m["crlb_mm"], m["force"]
     found = sum(math.isfinite(x) for x in calibration.positions[:, 0])
     lines = [
+        *([str(calibration.verdict)] if calibration.verdict is not None else []),
         f"{m['scene']}: {found} of {m['taxels']} taxels calibrated from "
         f"{m['readings']} readings in {m['contacts']} contacts",
         f"  position error     mean {error['mean']:.4g} mm, rms {error['rms']:.4g}, "

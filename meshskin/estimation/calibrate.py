@@ -24,6 +24,7 @@ from .result import EstimatorResult
 from .trilateration import trilaterate
 from .trilateration.displacements import Displacements, SharedContacts, Trilateration
 from .uncertainty import observability
+from .uncertainty.verdict import judge
 
 if TYPE_CHECKING:
     from ..scene.belief import Belief
@@ -79,7 +80,7 @@ class Estimation:
         points = np.where(weak[:, None], np.nan, result.points)
         seconds = {"gather": self._seconds, **result.seconds}
         recording = self.recording
-        return Calibration(
+        calibration = Calibration(
             ids=data.ids,
             poses=chart.poses(points, result.rotations),
             covariances=np.where(weak[:, None, None], np.diag([np.inf] * 6), covariance),
@@ -109,6 +110,7 @@ class Estimation:
                 source=recording.metadata.get("provenance", {}),
             ),
         )
+        return replace(calibration, verdict=judge(recording, data, calibration))
 
     def joint(
         self, tolerance: float = NEWTON_TOLERANCE, iterations: int = MAX_ITERATIONS

@@ -19,6 +19,7 @@ from ..core.errors import CalibrationError, ConfigError
 from ..core.se3 import Array
 from .data.global_parameters import LOGARITHMS
 from .uncertainty.goodness_of_fit import GoodnessOfFit
+from .uncertainty.verdict import Verdict
 
 if TYPE_CHECKING:
     from ..scene.belief import Belief
@@ -99,6 +100,8 @@ class Calibration:
     covariance holds their distance as a standard deviation. None: not looked for."""
     fit: GoodnessOfFit | None = None
     """Whether the model explains the readings."""
+    verdict: Verdict | None = None
+    """Whether the calibration can be relied on, with reasons; None: made by hand."""
     contact_centroids: Array | None = None
     """Pressure-weighted centroid (n, 3), m, of the contacts of each taxel; NaN without any."""
     belief: Belief | None = field(default=None, repr=False, compare=False)
@@ -181,6 +184,7 @@ class Calibration:
         }
         header = {name: getattr(self, name) for name in _HEADER} | {"steps": steps}
         header["fit"] = None if self.fit is None else asdict(self.fit)
+        header["verdict"] = None if self.verdict is None else asdict(self.verdict)
         table = pa.table(columns).replace_schema_metadata({_KEY: json.dumps(header).encode()})
         with atomic(_part(path, "parquet")) as temporary:
             pq.write_table(table, temporary)
@@ -224,6 +228,8 @@ class Calibration:
         }
         fit = header.pop("fit", None)
         header["fit"] = None if fit is None else GoodnessOfFit(**fit)
+        if (verdict := header.pop("verdict", None)) is not None:
+            header["verdict"] = Verdict(verdict["level"], tuple(verdict["reasons"]))
         header["unknowns"] = {k: tuple(v) for k, v in header.get("unknowns", {}).items()}
         for name in ("factors", "undetermined"):
             header[name] = tuple(header.get(name, ()))

@@ -23,6 +23,7 @@ MAX_TAXEL_ROWS = 1000
 """Most taxels that are listed one by one: the table then takes half a megabyte."""
 SHOWN_ELSEWHERE = (
     "position_error_mm",
+    "verdict",
     "seconds",
     "promise",
     "scene",
@@ -75,6 +76,7 @@ def content(data: ReportData, pictures: Sequence[SavedFigure], body: Body | None
         summary=summary_sentence(data),
         numbers=key_numbers(data),
         sections=(
+            *verdict(data),
             Section("Observability", advice.observability(data)),
             Section("Recommendations", (Text(("", *advice.next_steps(data)), listed=True),)),
             Section("3D view", (_view(data, body),)),
@@ -86,6 +88,14 @@ def content(data: ReportData, pictures: Sequence[SavedFigure], body: Body | None
             Section("Provenance", _provenance(data)),
         ),
     )
+
+
+def verdict(data: ReportData) -> tuple[Section, ...]:
+    """The reasons of the verdict, where there are any."""
+    found = data.calibration.verdict
+    if found is None or not found.reasons:
+        return ()
+    return (Section("Verdict", (Text((f"{found.level}:", *found.reasons), listed=True),)),)
 
 
 def _format_time(created: str) -> str:

@@ -10,8 +10,21 @@ from .markup import KeyNumber
 from .plane import MM
 from .theme import compact, grouped, significant
 
+VERDICTS = {
+    "PASS": "PASS. ",
+    "DOUBT": "DOUBT: check the reasons below before use. ",
+    "FAIL": "FAIL: do not use this calibration. ",
+}
+"""What a level of a verdict means."""
+
 
 def summary_sentence(data: ReportData) -> str:
+    """The verdict, and one sentence about the result."""
+    verdict = data.calibration.verdict
+    return ("" if verdict is None else VERDICTS[verdict.level]) + _result(data)
+
+
+def _result(data: ReportData) -> str:
     """One sentence about the result."""
     located = int(data.located.sum())
     found = f"All {located}" if located == data.count else f"{located} of {data.count}"

@@ -13,6 +13,7 @@ contacts.
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -44,6 +45,8 @@ RIVAL = "a second position {:.2g} mm away fits nearly as well"
 MIN_CLEARANCE = 3.0
 """Distance of a predicted reading from threshold and saturation, in standard deviations, from which
 its residual enters the test of fit: 1e-3 of such readings are censored."""
+WIDENED = "the model does not fit: standard deviations hold {:.3g} times the noise, by the misfit"
+"""Factor of an estimate whose test of fit fails."""
 CENSORING = "silent readings, censored at the threshold"
 MODULES = "rigid modules: the known places of their taxels"
 MODULE_SURFACE = "body surface: modules lie on it to 0.1 mm a taxel"
@@ -142,6 +145,7 @@ def _result(
     reasons[estimator.live[estimator.broken]] = MOSTLY_OUTLIERS
     reasons[estimator.live[estimator.unconverged]] = UNCONVERGED
     scale, fit = _scale_and_fit(estimator, reduced)
+    unit = scale if data.noise is None else 1.0
     information, gains = problem.information(state)
     if isinstance(parametrization, ModuleParametrization):
         six = scale * parametrization.covariances(covariance[:, :6, :6])
@@ -156,13 +160,15 @@ def _result(
     if parameters.nuisance_names != declared.parameters.nuisance_names:
         surface += (UNDECLARED_GAINS,)
     silent: tuple[str, ...] = (CENSORING,) if data.noise is not None else ()
+    if fit.good is False:
+        silent += (WIDENED.format(fit.reduced**0.5),)
     if data.left_out:
         silent += (f"without {data.left_out} contacts in which the contact model does not hold",)
     sigma = np.sqrt(scale * np.diagonal(covariance, axis1=1, axis2=2))
     groups = np.arange(parametrization.count)
-    unit = [data.sigma if name == "offset" else 1.0 for name in parameters.nuisance_names]
-    nuisance = spread(problem.nuisance(state.z, groups) * unit, np.nan)
-    nuisance_sigma = spread(problem.nuisance(sigma, groups) * unit, np.inf)
+    units = [data.sigma if name == "offset" else 1.0 for name in parameters.nuisance_names]
+    nuisance = spread(problem.nuisance(state.z, groups) * units, np.nan)
+    nuisance_sigma = spread(problem.nuisance(sigma, groups) * units, np.inf)
     global_sigma = np.sqrt(np.diag(scale * global_covariance))
     modulus, modulus_sigma = (
         data.modulus * float(np.exp(parameters.value("modulus", state.s))),
@@ -175,7 +181,7 @@ def _result(
         rotations=spread(parametrization.rotations(), np.nan),
         covariance=dropped(tangential),
         pose_covariances=pose_covariances,
-        chi2=spread(estimator.chi2 / scale, np.nan),
+        chi2=spread(estimator.chi2 / unit, np.nan),
         reasons=reasons,
         factors=("pressure of each reading", *silent, *surface, *parameters.describe_priors()),
         modulus=modulus,
@@ -186,7 +192,7 @@ def _result(
                 parameters.labels, state.s, global_sigma, strict=True
             )
         },
-        undetermined=undetermined(parameters, information / scale, gains),
+        undetermined=undetermined(parameters, information / unit, gains),
         taxel_unknowns={
             name: np.stack([nuisance[:, k], nuisance_sigma[:, k]], axis=1)
             for k, name in enumerate(parameters.nuisance_names)
@@ -203,9 +209,11 @@ def _result(
 def _scale_and_fit(
     estimator: JointEstimator, reduced: SchurComplement
 ) -> tuple[float, GoodnessOfFit]:
-    """The variance of the residuals, 1 where the noise is known, and the chi-square test of fit.
+    """The factor of the covariances, and the test of fit.
 
-    Each residual has the variance 1 less the leverage of its reading. The test uses readings that
+    The factor is the variance of the residuals where the noise is not known, else 1, or what the
+    test shows where it fails. An unknown noise is estimated from neighbouring contacts. Each
+    residual has the variance 1 less the leverage of its reading. The test uses readings that
     the model predicts well inside the sensor's range; that choice does not depend on the reading,
     so that the residuals are not censored.
     """
@@ -220,9 +228,18 @@ def _scale_and_fit(
     clear = mu > data.threshold / data.sigma + MIN_CLEARANCE
     clear &= mu < data.saturation / data.sigma - MIN_CLEARANCE
     clear &= ~estimator.broken[readings.taxel]
-    return scale, goodness_of_fit(
-        chi2=float(readings.weight[clear] @ r[clear] ** 2),
+    noise, pairs = 1.0, 0
+    if not known:
+        noise, pairs = fault_detection.neighbour_scatter(readings, r, data.points)
+        noise = max(noise, fault_detection.MIN_SCALE)
+    fit = goodness_of_fit(
+        chi2=float(readings.weight[clear] @ r[clear] ** 2) / noise**2,
         freedom=float(np.sum(kept[clear])),
         noise_known=known,
         outlying=int(np.sum(fault_detection.outliers(readings))),
+        pairs=pairs,
     )
+    fit = replace(fit, noise=noise * data.sigma)
+    if fit.good is False:
+        scale = max(scale, fit.reduced * noise**2)
+    return scale, fit

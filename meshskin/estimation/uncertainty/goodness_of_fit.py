@@ -7,6 +7,14 @@ from dataclasses import dataclass
 SIGNIFICANCE = 1e-3
 """Probability below which the model is said not to fit: one false alarm in 1000 calibrations."""
 
+MIN_PAIRS = 30
+"""Fewest pairs of neighbouring contacts that estimate the noise: to 13 %."""
+REMEDY = (
+    "declare what may be unknown (modulus, gain, force, indenter), believe another contact model "
+    "(elliptic, layered)"
+)
+"""Next steps where the model does not fit."""
+
 
 @dataclass(frozen=True)
 class GoodnessOfFit:
@@ -17,11 +25,13 @@ class GoodnessOfFit:
     freedom: float
     """Degrees of freedom: their number less the leverages."""
     p: float
-    """Probability of so large a sum where the model is right; NaN where the noise is not known."""
+    """Probability of so large a sum where the model is right; NaN where it was not tested."""
     words: str
     """What that means."""
     left_out: int = 0
     """Number of outlying readings, among them silences that are not plausible."""
+    noise: float = float("nan")
+    """Standard deviation of a reading, Pa, known or estimated, in whose units the residuals are."""
 
     @property
     def reduced(self) -> float:
@@ -35,12 +45,25 @@ class GoodnessOfFit:
 
 
 def goodness_of_fit(
-    chi2: float, freedom: float, noise_known: bool, outlying: int = 0
+    chi2: float, freedom: float, noise_known: bool, outlying: int = 0, pairs: int = 0
 ) -> GoodnessOfFit:
-    """The test of `chi2` with `freedom` degrees; `outlying` readings were left out of it."""
-    from scipy.special import chdtr, chdtrc  # scipy.stats imports slowly
+    """The test of `chi2` with `freedom` degrees; `outlying` readings were left out of it.
+
+    pairs: where the noise is not known, the number of independent pairs of neighbouring contacts
+    that it was estimated from; the ratio of the two variances then has an F distribution.
+    """
+    from scipy.special import chdtr, chdtrc, fdtrc  # scipy.stats imports slowly
 
     left_out = f" ({outlying} outlying readings left out)" if outlying else ""
+    if not noise_known and freedom > 0 and pairs >= MIN_PAIRS:
+        p, ratio = float(fdtrc(freedom, pairs, chi2 / freedom)), chi2 / freedom
+        words = f"residuals are {ratio**0.5:.3g} times the scatter between neighbouring contacts"
+        words = (
+            f"the model does not fit: {words}, p = {p:.2g}; {REMEDY}"
+            if p < SIGNIFICANCE
+            else f"the model fits: {words}, p = {p:.2g}"
+        )
+        return GoodnessOfFit(chi2, freedom, p, words + left_out, outlying)
     if not noise_known or freedom <= 0:
         reason = "too few readings" if noise_known else "the noise is not known"
         words = f"not tested: {reason}{left_out}"
@@ -49,8 +72,7 @@ def goodness_of_fit(
     if p < SIGNIFICANCE:
         words = (
             f"the model does not fit: residuals are {ratio**0.5:.3g} times the noise, p = {p:.2g}; "
-            "declare what may be unknown (modulus, gain, force, indenter), believe another contact "
-            "model (elliptic, layered), or state the true noise"
+            f"{REMEDY}, or state the true noise"
         )
     elif chdtr(freedom, chi2) < SIGNIFICANCE:
         words = f"the noise is overstated: residuals are {ratio**0.5:.3f} of it"

@@ -208,7 +208,9 @@ def test_the_test_of_fit_is_calibrated(world):
     fits = [calibrate(world.record(0.01, 0.05, seed), belief).fit for seed in range(12)]
     mean = np.mean([fit.reduced for fit in fits])
     assert abs(mean - 1) < 4 * np.sqrt(2 / fits[0].freedom / len(fits))
-    assert calibrate(world.record(0.01, 0.05), world.belief(None, 0.05)).fit.good is None
+    unknown = calibrate(world.record(0.01, 0.05), world.belief(None, 0.05)).fit
+    assert unknown.good
+    assert unknown.noise == pytest.approx(0.01 * world.peak_reference, rel=0.1)
 
 
 def test_mean_log_likelihood_of_a_mixture():

@@ -1,0 +1,187 @@
+"""Wrong logs are named: each has a verdict of DOUBT or FAIL with its cause, or is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+import meshskin as ms
+from meshskin.cli.calibrate import assess, summary
+from meshskin.core.errors import CalibrationError
+from meshskin.estimation.calibration import Calibration
+from meshskin.recording.recording import Recording
+
+CONTACTS = 500
+
+
+def lanes(scene, seed):
+    """Points (m, 3), m, near the taxels, in the order of back-and-forth lanes 2 mm apart."""
+    rng, skin = np.random.default_rng(seed), scene.skin
+    k = rng.integers(len(skin), size=CONTACTS)
+    points = skin.positions[k] + rng.uniform(-5e-3, 5e-3, (CONTACTS, 3))
+    points = scene.body.closest(points).point
+    lane = np.floor(points[:, 0] / 2e-3).astype(int)
+    return points[np.lexsort((points[:, 1] * np.where(lane % 2, 1, -1), lane))]
+
+
+def log(scene, seed=0):
+    """A log as of a robot: noise, forces from 2.5 to 3.5 N, no metadata."""
+    force = np.random.default_rng(seed + 1).uniform(2.5, 3.5, CONTACTS)
+    made = ms.press(scene, lanes(scene, seed), force=force, seed=seed)
+    return Recording(made.contacts, made.readings, {})
+
+
+def changed(recording, points=None, force=None, **readings):
+    """The recording with other contact points, forces or columns of the readings."""
+    contacts, table = recording.contacts, recording.readings
+    columns = {} if points is None else dict(zip(("px", "py", "pz"), points.T, strict=True))
+    if force is not None:
+        columns["force"] = force
+    for name, values in columns.items():
+        index = contacts.column_names.index(name)
+        contacts = contacts.set_column(index, name, pa.array(values))
+    for name, values in readings.items():
+        index = table.column_names.index(name)
+        table = table.set_column(index, name, pa.array(values))
+    return Recording(contacts, table, recording.metadata)
+
+
+def late(recording, frames):
+    """The recording with its readings `frames` contacts too late."""
+    row = recording.reading_contact + frames
+    table = recording.readings.filter(pa.array(row < len(recording.time)))
+    return changed(
+        Recording(recording.contacts, table, {}), time=recording.time[row[row < CONTACTS]]
+    )
+
+
+def outward(recording, distance):
+    return changed(recording, recording.points + distance * recording.normals)
+
+
+def aside(recording, distance):
+    return changed(recording, recording.points + distance * np.array([1.0, 0.0, 0.0]))
+
+
+def some_negative(values):
+    return np.where(np.arange(len(values)) % 10 == 0, -values, values)
+
+
+LOGS = {
+    "pressures times 3": (lambda r: changed(r, pressure=3 * r.pressure), "does not fit"),
+    "pressures times 2": (lambda r: changed(r, pressure=2 * r.pressure), "does not fit"),
+    "pressures over 3": (lambda r: changed(r, pressure=r.pressure / 3), "E* is"),
+    "constant force": (lambda r: changed(r, force=np.full(CONTACTS, 3.0)), "force is constant"),
+    "some forces negative": (lambda r: changed(r, force=some_negative(r.force)), "not positive"),
+    "6 mm out": (lambda r: outward(r, 6e-3), "6 mm above the believed surface"),
+    "15 mm out": (lambda r: outward(r, 15e-3), "15 mm above the believed surface"),
+    "15 mm aside": (lambda r: aside(r, 15e-3), "contact points lie"),
+    "indenter 1 mm off": (lambda r: aside(r, 1e-3), "moved by (-1,"),
+    "equal pressures": (
+        lambda r: changed(r, pressure=np.full(len(r.pressure), 2e4)),
+        "all pressures are equal",
+    ),
+    "some pressures negative": (
+        lambda r: changed(r, pressure=some_negative(r.pressure)),
+        "pressure is negative",
+    ),
+    "1 frame late": (lambda r: late(r, 1), "1 frame too late"),
+    "a quarter frame late": (
+        lambda r: changed(r, time=r.readings.column("time").to_numpy() + 0.25 * r.frame),
+        "synchronize the clocks",
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def recorded(noisy):
+    return log(noisy)
+
+
+def beliefs(scene):
+    return {"known": scene.belief(), "unknown": replace(scene.belief(), noise_sigma=None)}
+
+
+def error_and_sigma(scene, found):
+    """RMS error and median standard deviation, mm."""
+    error = np.linalg.norm(found.positions - scene.skin.positions, axis=1)
+    return 1e3 * np.sqrt(np.nanmean(error**2)), 1e3 * np.nanmedian(found.position_sigma)
+
+
+@pytest.mark.parametrize("noise", ["known", "unknown"])
+@pytest.mark.parametrize("name", LOGS)
+def test_wrong_logs_are_named(noisy, recorded, name, noise):
+    wrong, words = LOGS[name]
+    found = ms.calibrate(wrong(recorded), beliefs(noisy)[noise])
+    assert found.verdict.level in ("DOUBT", "FAIL")
+    assert any(words in reason for reason in found.verdict.reasons)
+    error, sigma = error_and_sigma(noisy, found)
+    if found.fit.good is False and "late" in name:
+        assert error < 3 * sigma  # the misfit widens sigma
+        assert any("by the misfit" in factor for factor in found.factors)
+
+
+@pytest.mark.parametrize("noise", ["known", "unknown"])
+def test_a_sound_log_passes(noisy, recorded, noise, tmp_path):
+    found = ms.calibrate(recorded, beliefs(noisy)[noise])
+    assert found.verdict.level == "PASS"
+    assert found.verdict.reasons == ()
+    found.save(tmp_path / "c")
+    assert Calibration.load(tmp_path / "c").verdict == found.verdict
+
+
+@pytest.mark.parametrize("change", [{"force": 0.0}, {"force": -1.0}, {"pressure": -1.0}])
+def test_logs_without_a_press_or_a_reading_are_refused(noisy, recorded, change):
+    (name, factor), = change.items()  # fmt: skip
+    wrong = changed(recorded, **{name: factor * getattr(recorded, name)})
+    with pytest.raises(CalibrationError, match=r"no contact is pressed|no readings"):
+        ms.calibrate(wrong, noisy.belief())
+
+
+@pytest.mark.parametrize(
+    ("factor", "level"), [(2, "PASS"), (5, "DOUBT"), (12, "FAIL"), (30, "FAIL")]
+)
+def test_the_nominal_modulus_is_compared(noisy, recorded, factor, level):
+    """The estimate is right; the nominal value, or the scale of the log, is not."""
+    belief = noisy.belief()
+    material = replace(belief.material, young=factor * belief.material.young)
+    found = ms.calibrate(recorded, replace(belief, material=material))
+    assert found.verdict.level == level
+    assert level == "PASS" or "times the nominal" in found.verdict.reasons[0]
+
+
+@pytest.mark.parametrize("noise", ["known", "unknown"])
+def test_a_body_one_percent_too_large_is_named(noisy, recorded, noise):
+    belief = replace(beliefs(noisy)[noise], body=ms.Body.sphere(0.101))
+    found = ms.calibrate(recorded, belief)
+    assert any("1 mm below the believed surface" in r for r in found.verdict.reasons)
+
+
+def test_the_verdict_is_the_first_of_what_is_saved_and_printed(noisy, recorded, tmp_path):
+    found = ms.calibrate(outward(recorded, 6e-3), noisy.belief())
+    assert str(found.verdict).startswith("verdict: FAIL\n  - contact points lie")
+    found.save(tmp_path / "c")
+    assert Calibration.load(tmp_path / "c").verdict == found.verdict
+    metrics = assess(found, recorded)
+    assert next(iter(metrics)) == "verdict"
+    assert metrics["verdict"]["level"] == "FAIL"
+    assert summary(found, metrics, tmp_path).startswith("verdict: FAIL")
+    found.report(tmp_path / "r.html")
+    assert "FAIL: do not use this calibration." in (tmp_path / "r.html").read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("frames", [2, 3])
+def test_late_readings_are_named(noisy, recorded, frames):
+    found = ms.calibrate(late(recorded, frames), noisy.belief())
+    assert found.verdict.level == "FAIL"
+    assert any(f"{frames} frames too late" in reason for reason in found.verdict.reasons)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", ["known", "unknown"])
+def test_sound_logs_pass(noisy, noise):
+    levels = [ms.calibrate(log(noisy, k), beliefs(noisy)[noise]).verdict.level for k in range(20)]
+    assert levels.count("PASS") >= 19
+    assert "FAIL" not in levels
