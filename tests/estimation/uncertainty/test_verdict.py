@@ -71,7 +71,6 @@ def some_negative(values):
 LOGS = {
     "pressures times 3": (lambda r: changed(r, pressure=3 * r.pressure), "does not fit"),
     "pressures times 2": (lambda r: changed(r, pressure=2 * r.pressure), "does not fit"),
-    "pressures over 3": (lambda r: changed(r, pressure=r.pressure / 3), "E* is"),
     "constant force": (lambda r: changed(r, force=np.full(CONTACTS, 3.0)), "force is constant"),
     "some forces negative": (lambda r: changed(r, force=some_negative(r.force)), "not positive"),
     "6 mm out": (lambda r: outward(r, 6e-3), "6 mm above the believed surface"),
