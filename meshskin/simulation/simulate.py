@@ -159,11 +159,13 @@ def run(
 
 
 def _performance(simulator: Simulator) -> dict[str, Any]:
-    """Rate of the loop, estimated error of the force, steps at each joint's torque limit."""
+    """Rate of the loop, estimated error of the force, steps at each joint's torque limit, and why
+    parts of the path were given up."""
     names = simulator.loop.arm.joint_names[: simulator.loop.joints]
     return {
         "steps_per_second": simulator.steps_per_second,
         "force_error": simulator.touch_error() if simulator.touch_error else None,
+        "given_up": simulator.given_up,
         "torque_limited_steps": dict(zip(names, simulator.saturated.tolist(), strict=True)),
     }
 

@@ -90,6 +90,8 @@ class Simulator:
         """Steps (n,) at which each joint's torque was at its limit."""
         self.relocations = 0
         """How often the foot point left the path's faces and was searched for on the mesh."""
+        self.given_up: list[str] = []
+        """Why parts of the path were given up, one reason a part."""
         self.state[:] = 0.0
         self.state[: self.size], self.state[-2:] = self.start, self._first_contact.uv[0]
         self.face = int(self._first_contact.face[0])

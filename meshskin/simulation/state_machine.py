@@ -96,6 +96,7 @@ class ExplorationStateMachine:
         place can be explored; where there is one only, also if most of it cannot, or for another
         reason than an edge, or with an arm.
         """
+        simulator = self.simulator
         failed: PlaceError | None = None
         last: Track | None = None  # the one that the contact has followed
         for place, track in enumerate(self.tracks):
@@ -105,6 +106,7 @@ class ExplorationStateMachine:
                     yield from self._travel(last, track)
                 except PlaceError as error:
                     failed, self.skips = error, self.skips + 1
+                    simulator.given_up.append(str(error))
                     self.skipped_rows += len(track)
                     continue
             last = track
@@ -117,10 +119,11 @@ class ExplorationStateMachine:
                         if lost > RETRIES:
                             raise self._lost()
                 except PlaceError as error:
-                    edge = isinstance(error, EdgeError) and not self.simulator.loop.joints
+                    edge = isinstance(error, EdgeError) and not simulator.loop.joints
                     if len(self.tracks) == 1 and not edge:
                         raise
                     failed = error
+                    simulator.given_up.append(str(error))
                     yield from self._skip(track)
         most = 0.5 * len(self.tracks[0]) if len(self.tracks) == 1 else np.inf
         if failed is not None and (not self.explored or self.skipped_rows > most):

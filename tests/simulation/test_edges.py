@@ -102,6 +102,8 @@ def test_a_part_given_up_is_no_end_and_all_of_it_is(sphere, monkeypatch):
         simulator.reset()
         explorer = ExplorationStateMachine(simulator, tracks, PhaseSettings(5e-3, 0.3))
         steps = [s for s in explorer.run() if s.phase == SLIDE]
+        assert len(simulator.given_up) == explorer.skips
+        assert all("ran over an edge" in reason for reason in simulator.given_up)
         return explorer.skips, sum(len(s.time) for s in steps)
 
     monkeypatch.setattr(Simulator, "advance", failing)
