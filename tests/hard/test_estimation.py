@@ -173,8 +173,11 @@ def test_forces_too_large_for_the_contact_model_and_lengths_in_mm(noisy):
 def test_nan_in_a_recording(noisy, method):
     recording, belief = noisy
     pressure = recording.pressure.copy()
-    pressure[[3, 7]] = np.nan, np.inf
-    with pytest.raises(RecordingError, match="row 3 of readings, 2 in all; drop those rows"):
+    pressure[[3, 7]] = np.nan, np.inf  # single numbers are left out
+    found = calibrate(small.changed(recording, pressure=pressure), belief, method=method)
+    assert np.isfinite(found.positions).all(axis=1).sum() > 0.9 * len(found.ids)
+    pressure[3::40] = np.nan
+    with pytest.raises(RecordingError, match=r"row 3 of readings, .* in all; drop those rows"):
         calibrate(small.changed(recording, pressure=pressure), belief, method=method)
 
 

@@ -105,7 +105,13 @@ def _level(value: float, limits: tuple[float, float]) -> str:
 def _fit(data: Measurements, calibration: Calibration) -> list[Finding]:
     """The test of fit; where it fails, whether late readings are the cause."""
     fit = calibration.fit
-    if fit is None or fit.good is not False:
+    if fit is None:
+        words = (
+            f"the method {calibration.method} has no test of fit: compare with the verdict of "
+            'method="joint"'
+        )
+        return [(DOUBT, words)]
+    if fit.good is not False:
         return []
     beyond = fit.noise * max(fit.reduced - 1.0, 0.0) ** 0.5
     severe = beyond > MAX_MISFIT * float(np.quantile(data.pressure, STRONG))

@@ -130,6 +130,12 @@ def test_a_sound_log_passes(noisy, recorded, noise, tmp_path):
     assert Calibration.load(tmp_path / "c").verdict == found.verdict
 
 
+def test_methods_without_a_test_of_fit_say_so(noisy, recorded):
+    found = ms.calibrate(recorded, noisy.belief(), method="trilateration")
+    assert found.verdict.level == "DOUBT"
+    assert "has no test of fit" in found.verdict.reasons[0]
+
+
 @pytest.mark.parametrize("change", [{"force": 0.0}, {"force": -1.0}, {"pressure": -1.0}])
 def test_logs_without_a_press_or_a_reading_are_refused(noisy, recorded, change):
     (name, factor), = change.items()  # fmt: skip
