@@ -5,8 +5,8 @@
 
 Each mutant replaces one piece of text of the package in a copy of the checkout. The tests named
 beside it run until the first failure; a mutant is killed when a test fails, and survives when all
-pass. The table is printed, and written to tests/mutation.csv when every mutant ran. Exit code 1 if
-fewer than 90 % are killed. (mutmut and cosmic-ray were weighed: they mutate every line, and one run
+pass. Outcomes are printed and recorded in tests/mutation.csv, where those of other mutants stay. Exit
+code 1 if fewer than 90 % are killed. (mutmut and cosmic-ray were weighed: they mutate every line, and one run
 of this suite a mutant takes days.)
 """
 
@@ -39,11 +39,6 @@ def outcome(mutant: dict[str, str], folder: Path) -> str:
     """Run one mutant: "killed" or "survived"; the copy in `folder` is as before when it returns."""
     path = folder / mutant["file"]
     text = path.read_text(encoding="utf-8")
-    if text.count(mutant["old"]) != 1:
-        raise SystemExit(
-            f"{mutant['file']} must contain {mutant['old']!r} once, not "
-            f"{text.count(mutant['old'])} times: correct tests/mutants.toml"
-        )
     path.write_text(text.replace(mutant["old"], mutant["new"]), encoding="utf-8")
     try:
         code = run(mutant["tests"].split(), folder)
@@ -54,10 +49,35 @@ def outcome(mutant: dict[str, str], folder: Path) -> str:
     return "killed" if code else "survived"
 
 
+def check(mutants: list[dict[str, str]]) -> None:
+    """Raise SystemExit unless the text of each mutant occurs once in its file."""
+    for mutant in mutants:
+        count = (ROOT / mutant["file"]).read_text(encoding="utf-8").count(mutant["old"])
+        if count != 1:
+            raise SystemExit(
+                f"{mutant['file']} must contain {mutant['old']!r} once, not {count} times: "
+                "correct tests/mutants.toml"
+            )
+
+
+def record(rows: list[tuple[str, str, str, str]], mutants: list[dict[str, str]]) -> None:
+    """Update tests/mutation.csv; mutants that are no longer in the table are removed."""
+    path, known = ROOT / "tests" / "mutation.csv", {}
+    if path.is_file():
+        with path.open(newline="", encoding="utf-8") as file:
+            known = {tuple(row[1:]): row[0] for row in csv.reader(file)}
+    known |= {row[1:]: row[0] for row in rows}
+    keys = [(m["file"], m["old"], m["new"]) for m in mutants]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = [(known[key], *key) for key in keys if key in known]
+        csv.writer(file).writerows([("outcome", "file", "old", "new"), *table])
+
+
 def main(words: list[str]) -> int:
     """Run the mutants that contain one of the words, or all; returns the exit code."""
     mutants = tomllib.loads((ROOT / "tests" / "mutants.toml").read_text(encoding="utf-8"))["mutant"]
     chosen = [m for m in mutants if not words or any(w in m["file"] + m["old"] for w in words)]
+    check(chosen)
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
@@ -70,13 +90,11 @@ def main(words: list[str]) -> int:
             if run(tests.split(), folder):
                 raise SystemExit(f"pytest {tests} must pass without a mutant")
         for mutant in chosen:
-            rows.append((outcome(mutant, folder), *(mutant[k] for k in ("file", "old", "new"))))
+            rows.append((outcome(mutant, folder), mutant["file"], mutant["old"], mutant["new"]))
             print("{:9} {}: {!r} -> {!r}".format(*rows[-1]), flush=True)
+            record(rows, mutants)
     killed = sum(row[0] == "killed" for row in rows)
     print(f"{killed} of {len(rows)} mutants killed ({killed / len(rows):.0%})")
-    if not words:
-        with (ROOT / "tests" / "mutation.csv").open("w", newline="", encoding="utf-8") as file:
-            csv.writer(file).writerows([("outcome", "file", "old", "new"), *rows])
     return int(killed < SHARE * len(rows))
 
 
