@@ -5,9 +5,9 @@
 
 Each mutant replaces one piece of text of the package in a copy of the checkout. The tests named
 beside it run until the first failure; a mutant is killed when a test fails, and survives when all
-pass. Outcomes are printed and recorded in tests/mutation.csv, where those of other mutants stay. Exit
-code 1 if fewer than 90 % are killed. (mutmut and cosmic-ray were weighed: they mutate every line, and one run
-of this suite a mutant takes days.)
+pass. Outcomes are printed and recorded in tests/mutation.csv, where those of other mutants stay.
+Exit code 1 if fewer than 90 % are killed. (mutmut and cosmic-ray were weighed: they mutate every
+line, and one run of this suite a mutant takes days.)
 """
 
 from __future__ import annotations

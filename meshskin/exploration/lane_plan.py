@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ..contact.reading import same_sheet
 from ..core.arrays import runs
 from ..core.errors import ReachError
 from ..core.se3 import Array, inverse
@@ -183,7 +184,7 @@ def reachable_nodes(
 def _left_out(
     skin: Skin, radius: float, segments: list[Path], blocked: list[Blocked]
 ) -> dict[int, str]:
-    """The reason for each taxel, by id, that the segments do not cover.
+    """The reason for each taxel, by id, that the segments do not cover on its own sheet of skin.
 
     It is the most frequent reason among the blocked points around the taxel.
     """
@@ -194,8 +195,12 @@ def _left_out(
     if segments:
         points = np.concatenate([s.points for s in segments])
         pitch = max(float(np.linalg.norm(np.diff(points, axis=0), axis=1).mean()), 1e-9)
-        points = points[:: max(int(0.1 * radius / pitch), 1)]
-        for k, near in enumerate(cKDTree(points).query_ball_point(sites, NEAR * radius)):
+        rows = slice(None, None, max(int(0.1 * radius / pitch), 1))
+        points, normals = points[rows], np.concatenate([s.normals for s in segments])[rows]
+        for k, around in enumerate(cKDTree(points).query_ball_point(sites, NEAR * radius)):
+            facing = np.broadcast_to(skin.normals[k], (len(around), 3))
+            near = np.array(around, dtype=int)
+            near = near[same_sheet(sites[k] - points[near], normals[near], facing)]
             if len(near) >= ENOUGH:
                 offset = points[near] - points[near].mean(axis=0)
                 spread = np.linalg.svd(offset, compute_uv=False) / np.sqrt(len(near))

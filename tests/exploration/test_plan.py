@@ -9,8 +9,9 @@ from scipy.spatial import cKDTree
 import meshskin as ms
 from meshskin.core.errors import ReachError, UnknownNameError
 from meshskin.core.se3 import inverse
-from meshskin.exploration.lane_plan import LIMIT, OUT_OF_REACH
+from meshskin.exploration.lane_plan import LIMIT, NOT_COVERED, OUT_OF_REACH, _left_out
 from meshskin.exploration.parallels import is_cap
+from meshskin.exploration.path import Path
 from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap, HalfSpace
 from meshskin.robot import collision
@@ -159,3 +160,18 @@ def test_the_arm_avoids_the_support_and_the_body(sphere):
     shifted[0, :3, 3] = ends[0].mean(axis=0)  # the body about the upper arm
     why = collision.arm_reasons(sphere.arm, sphere.body, q[:1], shifted, sphere.indenter, held)
     assert why[0] == collision.ARM_BODY
+
+
+def test_contacts_on_the_far_face_of_a_plate_do_not_cover_a_taxel():
+    grid = np.stack(np.meshgrid(*[np.arange(-4.0, 5.0) * 1e-3] * 2), axis=-1).reshape(-1, 2)
+    points = np.column_stack([grid, np.full(len(grid), 1.5e-3)])
+    up = np.tile([0.0, 0.0, 1.0], (len(grid), 1))
+    path = Path(
+        1e-3, points, up, np.tile(np.eye(4), (len(grid), 1, 1)), np.zeros((len(grid), 6)),
+        np.zeros(len(grid), dtype=int),
+    )  # fmt: skip
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[:, 2, 3] = 1.5e-3, -1.5e-3
+    poses[1, :3, :3] = np.diag([1.0, -1.0, -1.0])
+    left_out = _left_out(ms.Skin(poses, np.array([0, 1])), 5e-3, [path], [])
+    assert left_out == {1: NOT_COVERED}
