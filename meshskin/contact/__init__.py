@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.arguments import check_name
+from ..core.arrays import Array
 from ..core.errors import ContactError
-from ..core.se3 import Array
 from .patch import Patch, Patches
 from .problem import MAX_LAYER_RATIO, MAX_WIDTH, ContactProblem, check_ratio, width_ratio
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.se3 import Array
+from ..core.arrays import Array
 
 
 def is_casadi(*values: Any) -> bool:

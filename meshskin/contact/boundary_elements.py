@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..core.arrays import Array
 from ..core.errors import ContactError
-from ..core.se3 import Array
 from . import elliptic
 from .influence import Influence
 from .patch import Patch

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.se3 import Array
+from ..core.arrays import Array
 from .array_backend import functions
 from .disc import MAX_ITERATIONS
 

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.se3 import Array
+from ..core.arrays import Array
 from . import hertz
 from .array_backend import chebyshev_coefficients, chebyshev_nodes, chebyshev_values, functions
 from .patch import Patches

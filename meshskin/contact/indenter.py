@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..core.arrays import Array
 from ..core.config import check_fields, quantity
 from ..core.errors import ConfigError
-from ..core.se3 import Array, shortest_rotation
+from ..core.se3 import shortest_rotation
 
 
 @dataclass(frozen=True)

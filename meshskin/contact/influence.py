@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 
+from ..core.arrays import Array
 from ..core.errors import ContactError
-from ..core.se3 import Array
 
 LEAST_CELLS = 1.0
 """Smallest thickness of a layer in grid cells: D is smooth on the scale of the thickness."""

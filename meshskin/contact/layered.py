@@ -26,8 +26,8 @@ from typing import Any
 
 import numpy as np
 
+from ..core.arrays import Array
 from ..core.errors import ContactError
-from ..core.se3 import Array
 from . import elliptic
 from .array_backend import (
     chebyshev_coefficients,

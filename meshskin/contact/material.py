@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..core.arrays import Array
 from ..core.config import check_fields, quantity
 from ..core.errors import ContactError
-from ..core.se3 import Array
 from . import BATCHED, ContactModel, Patch, solve
 from .problem import effective_modulus
 

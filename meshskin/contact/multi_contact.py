@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.arrays import Array
 from ..core.errors import ContactError
-from ..core.se3 import Array
 from ..geometry.body import Body
 from ..geometry.mesh.triangles import closest_on_triangles
 from . import ContactModel, Patch, solve

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.se3 import Array
+from ..core.arrays import Array
 from .ellipse import NODES, ellipse_mean
 
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from ..core.arguments import check_array, check_real
+from ..core.arrays import Array
 from ..core.errors import ContactError
-from ..core.se3 import Array
 from .array_backend import functions, is_casadi
 
 MAX_WIDTH = 0.52

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.se3 import Array
+from ..core.arrays import Array
 from . import ContactModel, Patches
 from .disc import disc_mean
 

@@ -12,8 +12,8 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .arrays import Array
 from .errors import ConfigError, MeshskinError, UnknownNameError
-from .se3 import Array
 
 T = TypeVar("T")
 REPR_LENGTH = 60

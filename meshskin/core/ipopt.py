@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from .se3 import Array
+from .arrays import Array
 
 
 def solver(

@@ -8,12 +8,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from .arrays import Array
 
 if TYPE_CHECKING:
     import casadi as ca
-
-Array = NDArray[np.float64]
 
 
 def hat(w: ArrayLike) -> Array:

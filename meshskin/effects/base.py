@@ -10,9 +10,9 @@ import numpy as np
 
 from ..core import config
 from ..core.arguments import repr_short
+from ..core.arrays import Array
 from ..core.errors import ConfigError, UnknownNameError
 from ..core.provenance import random_stream
-from ..core.se3 import Array
 from .frames import Frames
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.se3 import Array
+from ..core.arrays import Array
 
 ClosestPoint = Callable[[Array], tuple[Array, Array]]
 """Centres of the indenter (k, 3), body frame, m -> closest points of the body (k, 3), m, and

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from ..core.arrays import Array
 from ..core.config import quantity
-from ..core.se3 import Array
 from .base import BaseEffect, Context, PressureTransform
 from .frames import Frames
 

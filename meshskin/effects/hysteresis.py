@@ -14,8 +14,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..core.arrays import Array
 from ..core.config import quantity
-from ..core.se3 import Array
 from .base import BaseEffect, Context, PressureTransform
 from .frames import Frames
 

@@ -17,9 +17,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..core.arrays import Array
 from ..core.config import quantity
 from ..core.errors import ConfigError
-from ..core.se3 import Array
 from .base import BaseEffect, Context, FrameTransform
 from .frames import FrameHistory, Frames
 

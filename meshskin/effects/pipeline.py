@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
+from ..core.arrays import Array
 from ..core.errors import ConfigError
-from ..core.se3 import Array
 from .base import STAGES, Context, Effect, FrameTransform, PressureTransform, check_effect
 from .frames import EffectClock, Frames, PressureField
 from .registry import CLASS_NAMES

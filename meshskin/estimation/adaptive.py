@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..core.arguments import check_integer, check_real, check_type, check_vectors
+from ..core.arrays import Array
 from ..core.errors import ConfigError, ReachError
-from ..core.se3 import Array
 from ..exploration.lane_plan import NOT_COVERED
 from ..exploration.plan import plan_exploration
 from ..recording.recording import Recording

@@ -14,9 +14,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ..core.arguments import check_name, check_type
+from ..core.arrays import Array
 from ..core.atomic_io import atomic, write_text
 from ..core.errors import CalibrationError, ConfigError
-from ..core.se3 import Array
 from .data.global_parameters import LOGARITHMS
 from .uncertainty.goodness_of_fit import GoodnessOfFit
 from .uncertainty.verdict import Verdict

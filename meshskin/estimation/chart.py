@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.se3 import Array, orthonormal_basis, perpendicular, shortest_rotation, transform
+from ..core.arrays import Array
+from ..core.se3 import orthonormal_basis, perpendicular, shortest_rotation, transform
 
 if TYPE_CHECKING:
     from ..geometry.body import Body

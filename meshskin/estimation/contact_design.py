@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.arrays import Array
 from ..core.errors import CalibrationError
-from ..core.se3 import Array
 from . import chart
 from .next_contact import expected_slopes
 from .uncertainty.observability import mean_distance

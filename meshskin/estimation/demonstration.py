@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core import se3
+from ..core.arrays import Array
 from ..core.errors import CalibrationError
 from ..core.provenance import random_stream
-from ..core.se3 import Array
 from ..recording.recording import Recording
 from .posegraph import PoseGraph
 

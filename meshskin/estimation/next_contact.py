@@ -14,8 +14,8 @@ import numpy as np
 
 from ..contact import AUTO, ContactModel, Patches
 from ..core.arguments import check_integer
+from ..core.arrays import Array
 from ..core.errors import CalibrationError
-from ..core.se3 import Array
 from . import chart
 from .data.measurements import NOMINAL_NOISE
 from .data.pairs import MAX_SLANT

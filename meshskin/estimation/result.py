@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..core.se3 import Array
+from ..core.arrays import Array
 from .uncertainty.goodness_of_fit import GoodnessOfFit
 
 CONTACT_POINTS = "contact points in the body frame"

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..contact.reading import same_sheet
-from ..core.arrays import runs
+from ..core.arrays import Array, runs
 from ..core.errors import ReachError
-from ..core.se3 import Array, inverse
+from ..core.se3 import inverse
 from ..geometry.geodesics import transport_along
 from ..geometry.surface.closest_point import Closest
 from ..robot import collision, posture

@@ -13,8 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arrays import runs
-from ..core.se3 import Array
+from ..core.arrays import Array, runs
 from ..geometry.body import Body
 from ..geometry.geodesics import geodesic, onto
 from ..geometry.surface.closest_point import Closest

@@ -12,8 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..core.arrays import Array
 from ..core.errors import ReachError, SimulationError
-from ..core.se3 import Array, exp_so3, inverse, orthonormal_basis, perpendicular, transform
+from ..core.se3 import exp_so3, inverse, orthonormal_basis, perpendicular, transform
 from ..scene.scene import Scene
 from ..scene.settings import Exploration
 from .path import Path, body_twists, start_configuration, time_scaling

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..core.errors import ConfigError
-from ..core.se3 import Array, inverse, log_so3
+from ..core.se3 import inverse, log_so3
 from ..geometry.body import Body
 from ..scene.scene import Scene
 

@@ -13,8 +13,8 @@ import numpy as np
 from ..contact.indenter import Indenter
 from ..contact.material import Material
 from ..core.arguments import check_real, check_type
+from ..core.arrays import Array
 from ..core.errors import ContactError, ReachError
-from ..core.se3 import Array
 from ..geometry.body import Body
 from ..geometry.region import Region
 from ..robot.arm import Arm

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.se3 import Array
+from ..core.arrays import Array
 from ..geometry.geodesics import transport_along
 from ..robot import posture
 from ..robot.contact_rig import ContactRig

@@ -6,8 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..core.arrays import Array
 from ..core.errors import ReachError
-from ..core.se3 import Array, inverse, log_so3
+from ..core.se3 import inverse, log_so3
 from ..geometry.geodesics import rotate_about, transport_along
 from ..robot.contact_rig import ContactRig
 from ..scene.settings import Exploration

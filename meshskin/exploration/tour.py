@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.se3 import Array
+from ..core.arrays import Array
 from ..geometry.surface.closest_point import Closest
 from ..robot.contact_rig import ContactRig
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.arguments import check_integer, check_real, check_vector, check_vectors, repr_short
+from ..core.arrays import Array
 from ..core.errors import MeshError
 from . import primitives, tessellate
 from .mesh import link_mesh, mesh_file
@@ -21,8 +22,6 @@ from .mesh.self_intersection import ray_scene
 from .surface.closest_point import Closest
 from .surface.heights import DEGREE
 from .surface.surface import Surface
-
-Array = NDArray[np.float64]
 
 MAX_EXTENT, MIN_EXTENT = 5.0, 5e-3
 """largest and least extent of a body, m: others are most likely in another unit"""

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.se3 import Array, perpendicular, shortest_rotation
+from ..core.arrays import Array
+from ..core.se3 import perpendicular, shortest_rotation
 from .body import Body
 from .surface.closest_point import Closest
 

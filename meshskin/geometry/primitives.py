@@ -9,13 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..core.arrays import Array
 from ..core.se3 import orthonormal_basis, perpendicular
 from .surface.closest_point import Closest
-
-Array = NDArray[np.float64]
-
 
 MIN_TANGENT = 1e-9
 """norm of a tangent below which it is rounding, and any other is taken"""

@@ -10,13 +10,13 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.arrays import Array
 from ..core.config import quantity
 from ..core.errors import SkinError
 from .body import Body
 from .mesh.triangles import subdivision_centroids
 from .surface.closest_point import Closest
 
-Array = NDArray[np.float64]
 SHOWN = 20
 """most names of patches listed in a message"""
 

@@ -27,9 +27,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ..core.arguments import repr_short
+from ..core.arrays import Array
 from ..core.atomic_io import atomic
 from ..core.errors import RecordingError
-from ..core.se3 import Array
 from . import csv_log
 
 CONTACTS = pa.schema(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.se3 import Array
+from ..core.arrays import Array
 from ..simulation.response import SETTLING_BAND
 from . import theme
 from .plane import MM

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.se3 import Array
+from ..core.arrays import Array
 from .plane import MM, Plane, tangent_plane
 
 if TYPE_CHECKING:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.arrays import sums_by_group
-from ..core.se3 import Array
+from ..core.arrays import Array, sums_by_group
 from .plane import finite_rows, spacing
 
 Faces = NDArray[np.int64]

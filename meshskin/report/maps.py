@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.se3 import Array
+from ..core.arrays import Array
 from . import theme
 from .plane import MAX_PATH_POINTS, MM, Plane, enlargement, finite_rows, spacing, tangent_plane
 from .theme import compact, grouped, significant

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.se3 import Array
+from ..core.arrays import Array
 
 MM = 1e3
 """Millimetres per metre."""

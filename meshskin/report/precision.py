@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.se3 import Array
+from ..core.arrays import Array
 from . import theme
 from .markup import Block, Content, KeyNumber, SavedFigure, Section, Table, Text
 from .theme import compact, significant

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.se3 import Array
+from ..core.arrays import Array
 from . import theme
 from .decimate import decimate, vertex_normals
 from .plane import MAX_PATH_POINTS, MM, enlargement, finite_rows, spacing, tangent_plane

@@ -21,9 +21,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..core.arrays import Array
 from ..core.content_cache import cached_by_content
 from ..core.errors import ArmError
-from ..core.se3 import Array, inverse
+from ..core.se3 import inverse
 from . import inverse_kinematics as ik
 from .dynamics import Dynamics
 from .urdf import Joint, UrdfTree, numbers

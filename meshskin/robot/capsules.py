@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arrays import ranges
-from ..core.se3 import Array
+from ..core.arrays import Array, ranges
 
 SPHERE_PITCH = 0.5
 """Largest distance of the spheres that cover a capsule, relative to its radius: they then need

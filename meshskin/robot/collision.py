@@ -28,8 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..contact.indenter import Indenter
-from ..core.arrays import ranges
-from ..core.se3 import Array
+from ..core.arrays import Array, ranges
 from ..geometry.body import Body
 from . import link_shapes
 from .arm import Arm

@@ -13,7 +13,8 @@ from functools import cached_property
 import numpy as np
 
 from ..contact.indenter import Indenter
-from ..core.se3 import Array, inverse, orthonormal_basis, transform
+from ..core.arrays import Array
+from ..core.se3 import inverse, orthonormal_basis, transform
 from ..geometry.body import Body
 from ..geometry.geodesics import rotate_about, transport_along
 from . import collision, posture

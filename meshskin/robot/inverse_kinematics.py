@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core import codegen
+from ..core.arrays import Array
 from ..core.content_cache import cached_by_content
 from ..core.errors import ArmError, ReachError
-from ..core.se3 import Array
 
 if TYPE_CHECKING:
     from .arm import Arm

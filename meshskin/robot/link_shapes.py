@@ -16,8 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..core.errors import MeshError
-from ..core.se3 import Array, transform
+from ..core.se3 import transform
 from ..geometry.mesh import mesh_file
 from ..geometry.mesh.link_mesh import find_mesh
 from .urdf import rotation, vector

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.se3 import Array
+from ..core.arrays import Array
 from .arm import Arm
 from .inverse_kinematics import TOLERANCE, pose_rows, unwrapped
 

@@ -17,8 +17,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..core.arrays import Array
 from ..core.errors import ArmError, UnknownNameError
-from ..core.se3 import Array, from_rpy
+from ..core.se3 import from_rpy
 
 
 @dataclass(frozen=True)

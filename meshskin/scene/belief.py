@@ -18,9 +18,9 @@ from ..core.arguments import (
     check_type,
     repr_short,
 )
+from ..core.arrays import Array
 from ..core.config import check_fields, quantity
 from ..core.errors import ConfigError
-from ..core.se3 import Array
 from ..geometry.body import Body
 
 

@@ -30,8 +30,9 @@ from ..core.arguments import (
     replace_fields,
     repr_short,
 )
+from ..core.arrays import Array
 from ..core.errors import ConfigError, SkinError
-from ..core.se3 import Array, is_rigid, orthonormal_basis, perpendicular, poses_of_states, transform
+from ..core.se3 import is_rigid, orthonormal_basis, perpendicular, poses_of_states, transform
 from ..effects import Context, NoiseEffect, check_effect
 from ..geometry.body import Body
 from ..robot.arm import Arm

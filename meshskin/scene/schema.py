@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from ..core.arrays import Array
 from ..core.config import check_fields, from_table, quantity
 from ..core.errors import ConfigError, UnknownNameError
-from ..core.se3 import Array, exp_so3, transform
+from ..core.se3 import exp_so3, transform
 from ..geometry.body import Body
 from ..geometry.region import Cap, Disc, Faces, HalfSpace, Patch, Region
 from ..skin.skin import Skin

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arrays import Array
 from ..core.errors import SimulationError
-from ..core.se3 import Array
 from ..geometry.body import Body
 from .closed_loop_model import ANCHOR, ClosedLoopModel
 from .machine_code import PATCH, machine_code

@@ -9,7 +9,8 @@ import numpy as np
 
 from ..contact import ContactModel
 from ..core.arguments import check_name
-from ..core.se3 import Array, poses_of_states
+from ..core.arrays import Array
+from ..core.se3 import poses_of_states
 from ..scene.settings import INTEGRATORS, MODES, Law
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from collections.abc import Callable
 import numpy as np
 import pyarrow as pa
 
+from ..core.arrays import Array
 from ..core.errors import CalibrationError, ReachError
-from ..core.se3 import Array
 from ..exploration.path import Path
 from ..exploration.point_contacts import nearest_neighbour_order, point_contacts
 from ..recording.recording import Recording

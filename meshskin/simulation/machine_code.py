@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core import codegen
+from ..core.arrays import Array
 from ..core.content_cache import cached_by_content
-from ..core.se3 import Array
 from ..geometry.surface.patch import POWERS
 from .closed_loop_model import PARAMETERS, REFERENCE, ClosedLoopModel
 from .step import step

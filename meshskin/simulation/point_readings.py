@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.se3 import Array
+from ..core.arrays import Array
 from .closed_loop_model import ClosedLoopModel
 from .machine_code import MIN_AREA, MachineCode
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from ..core.se3 import Array, casadi_rotation, quaternion
+from ..core.arrays import Array
+from ..core.se3 import casadi_rotation, quaternion
 from . import law as compliance
 from .closed_loop_model import ANCHOR, PARAMETERS, REFERENCE, ClosedLoopModel, Parameters
 from .integrators import NAMES

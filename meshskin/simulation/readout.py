@@ -9,7 +9,8 @@ import numpy as np
 import pyarrow as pa
 
 from .. import effects
-from ..core.se3 import Array, quaternion
+from ..core.arrays import Array
+from ..core.se3 import quaternion
 from ..effects.frames import Frames
 from ..recording.recording import CONTACTS, QUATERNION, READINGS, Recording
 

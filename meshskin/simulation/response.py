@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..core.arrays import Array
 from ..core.errors import SimulationError
-from ..core.se3 import Array
 
 SETTLING_BAND = 0.02
 """Error, relative to the reference, within which the force counts as settled: the usual 2 % band of

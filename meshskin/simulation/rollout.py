@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from ..core.se3 import Array
+from ..core.arrays import Array
 from ..geometry.surface.surface import Surface
 from .closed_loop_model import ClosedLoopModel
 from .machine_code import MachineCode

@@ -16,9 +16,10 @@ import pyarrow as pa
 
 from .. import effects
 from ..core.arguments import check_type
+from ..core.arrays import Array
 from ..core.errors import ConfigError, SkinError
 from ..core.provenance import provenance
-from ..core.se3 import Array, inverse
+from ..core.se3 import inverse
 from ..exploration.path import Path as ExplorationPath
 from ..exploration.path import start_configuration
 from ..exploration.plan import plan_exploration

@@ -8,8 +8,8 @@ from time import perf_counter
 
 import numpy as np
 
+from ..core.arrays import Array
 from ..core.errors import EdgeError, ReachError, SimulationError
-from ..core.se3 import Array
 from ..geometry.body import Body
 from ..geometry.surface.closest_point import Closest
 from ..robot.collision import EDGE_COSINE

@@ -29,9 +29,10 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
+from ..core.arrays import Array
 from ..core.content_cache import cached_by_content
 from ..core.errors import SimulationError
-from ..core.se3 import Array, hat
+from ..core.se3 import hat
 from . import law as compliance
 from .closed_loop_model import ClosedLoopModel
 from .step import StepBlock, step

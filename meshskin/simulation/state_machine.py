@@ -18,8 +18,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..core.arrays import Array
 from ..core.errors import EdgeError, PlaceError, SimulationError
-from ..core.se3 import Array, interpolate, inverse, log_so3, poses_of_states
+from ..core.se3 import interpolate, inverse, log_so3, poses_of_states
 from . import transfer
 from .quasi_static import state_of_pose
 from .rollout import LENGTHS, Steps

@@ -16,9 +16,10 @@ import pyarrow as pa
 from numpy.typing import ArrayLike
 
 from ..core.arguments import check_array, check_type, check_vectors
+from ..core.arrays import Array
 from ..core.errors import RecordingError
 from ..core.provenance import provenance
-from ..core.se3 import Array, exp_so3, quaternion, shortest_rotation
+from ..core.se3 import exp_so3, quaternion, shortest_rotation
 from ..recording.recording import Recording
 from ..scene.scene import Scene
 from .readout import FRAME_CELLS, effect_pipeline, make_frames, recording_metadata, sensor_tables

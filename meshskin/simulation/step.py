@@ -12,8 +12,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..core.arrays import Array
 from ..core.content_cache import cached_by_content
-from ..core.se3 import Array
 from . import integrators, quasi_static
 from .closed_loop_model import REFERENCE, ClosedLoopModel, flat_anchor
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.se3 import Array, transform
+from ..core.arrays import Array
+from ..core.se3 import transform
 from ..exploration.path import Path, body_twists
 from ..geometry.surface.surface import Surface
 

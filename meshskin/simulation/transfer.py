@@ -10,9 +10,9 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from ..core.arrays import Array
 from ..core.content_cache import cached_by_content
 from ..core.errors import ReachError
-from ..core.se3 import Array
 from ..exploration.path import time_scaling
 from ..geometry.body import Body
 from ..geometry.surface.closest_point import Closest

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..core.arrays import Array
 from ..core.ipopt import IterationCallback
-from ..core.se3 import Array
 
 PATIENCE, INFEASIBLE_PATIENCE = 25, 50
 """Iterations without progress after which the search ends, from a point that meets the limits and

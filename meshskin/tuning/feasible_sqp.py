@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from ..core.se3 import Array
+from ..core.arrays import Array
 
 FIRST_RADIUS, MIN_RADIUS = 0.05, 1e-4
 """Largest change of a variable (a logarithm of a gain) in the first step, and below which the

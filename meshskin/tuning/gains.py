@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from ..core.arguments import check_vector
+from ..core.arrays import Array
 from ..core.config import check_fields, quantity
 from ..core.errors import ConfigError, UnknownNameError
-from ..core.se3 import Array
 from ..scene.scene import Scene
 
 

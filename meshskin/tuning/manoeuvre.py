@@ -19,8 +19,9 @@ from numpy.typing import ArrayLike
 
 from ..contact.indenter import Indenter
 from ..core.arguments import check_vector
+from ..core.arrays import Array
 from ..core.errors import ReachError, TuningError
-from ..core.se3 import Array, inverse, orthonormal_basis, transform
+from ..core.se3 import inverse, orthonormal_basis, transform
 from ..exploration.path import Path, body_twists
 from ..geometry.body import Body
 from ..geometry.geodesics import geodesic

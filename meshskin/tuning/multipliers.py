@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from ..core.se3 import Array
+from ..core.arrays import Array
 from .feasible_sqp import QuadraticModel
 
 ACTIVE = 2e-3

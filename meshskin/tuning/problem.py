@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core import ipopt
-from ..core.se3 import Array
+from ..core.arrays import Array
 from .convergence import INFEASIBLE, ConvergenceMonitor, termination_message
 from .feasible_sqp import QuadraticModel, descend, descent_message
 from .gains import NAMES, Demands, Gains

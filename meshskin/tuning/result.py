@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from ..core.se3 import Array
+from ..core.arrays import Array
 from ..scene.scene import Scene
 from ..scene.settings import Exploration, Law
 from ..simulation.response import ForceResponse, force_response

@@ -7,9 +7,10 @@ from itertools import product
 
 import numpy as np
 
+from ..core.arrays import Array
 from ..core.config import check_fields, quantity
 from ..core.errors import ConfigError
-from ..core.se3 import Array, transform
+from ..core.se3 import transform
 from ..scene.scene import Scene
 
 

@@ -15,8 +15,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..core.arrays import Array
 from ..core.codegen import compile_with_derivatives
-from ..core.se3 import Array
 from ..scene.scene import Scene
 from ..simulation import quasi_static
 from ..simulation.closed_loop_model import ClosedLoopModel

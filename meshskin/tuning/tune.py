@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.arguments import check_real, check_type, repr_short
+from ..core.arrays import Array
 from ..core.errors import ConfigError, TuningError, UnknownNameError
-from ..core.se3 import Array
 from ..scene.scene import Scene
 from ..simulation.response import force_response
 from .convergence import SOLVED

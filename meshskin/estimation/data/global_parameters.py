@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...core.arrays import Array
 from ...core.errors import UnknownNameError
-from ...core.se3 import Array
 
 SIZES = {"modulus": 1, "force_scale": 1, "force_offset": 1, "indenter_offset": 3, "body_offset": 6}
 """Number of entries of each global parameter."""

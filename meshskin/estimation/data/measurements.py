@@ -10,8 +10,8 @@ import numpy as np
 
 from ... import contact
 from ...contact.disc import disc_slope, invert_disc_mean
+from ...core.arrays import Array
 from ...core.errors import CalibrationError, RecordingError
-from ...core.se3 import Array
 from . import unit_checks
 from .global_parameters import MODULUS, GlobalParameters, declared_parameters
 from .resolve_belief import resolve_belief, valid_contacts

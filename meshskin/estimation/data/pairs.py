@@ -8,7 +8,7 @@ import numpy as np
 
 from ...contact.disc import invert_disc_mean
 from ...contact.reading import same_sheet
-from ...core.se3 import Array
+from ...core.arrays import Array
 
 if TYPE_CHECKING:
     from .measurements import Measurements

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ... import contact
+from ...core.arrays import Array
 from ...core.errors import ContactError
-from ...core.se3 import Array
 
 if TYPE_CHECKING:
     from ...recording.recording import Recording

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ...core.arrays import Array
 from ...core.errors import CalibrationError
-from ...core.se3 import Array
 from ...geometry.body import Body
 
 MAX_DISTANCE = 0.02

@@ -17,8 +17,8 @@ import numpy as np
 
 from ...contact import Patches
 from ...core import se3
+from ...core.arrays import Array
 from ...core.errors import CalibrationError
-from ...core.se3 import Array
 from ..data.measurements import Measurements
 from .patch_derivatives import LoadDerivatives, SurfaceGradients, loaded_patches
 

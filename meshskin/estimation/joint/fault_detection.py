@@ -15,8 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.arrays import sums_by_group
-from ...core.se3 import Array
+from ...core.arrays import Array, sums_by_group
 from ..data.measurements import Measurements
 from .likelihood import Readings
 from .pressure import CENSORED, OBSERVED, SATURATED

@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...core.arrays import Array
 from ...core.errors import CalibrationError
-from ...core.se3 import Array
 from ..data.measurements import Measurements
 from ..data.pairs import REACH_MARGIN
 from . import fault_detection

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.arrays import ranges
-from ...core.se3 import Array
+from ...core.arrays import Array, ranges
 from ..data.measurements import Measurements
 from ..data.pairs import REACH_MARGIN, silent_pairs
 from .contacts import Contacts

@@ -17,9 +17,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...core.arrays import Array
 from ...core.blas import single_threaded
 from ...core.errors import CalibrationError
-from ...core.se3 import Array
 from .. import chart
 from ..data.measurements import Measurements
 from ..result import SURFACE, EstimatorResult

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...core import se3
+from ...core.arrays import Array
 from ...core.errors import CalibrationError
-from ...core.se3 import Array
 
 if TYPE_CHECKING:
     from ...geometry.body import Body

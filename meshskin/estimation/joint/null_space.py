@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.se3 import Array
+from ...core.arrays import Array
 from ..data.global_parameters import GlobalParameters
 
 MIN_COMPONENT = 0.05

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...core.arrays import Array
 from ...core.errors import CalibrationError
-from ...core.se3 import Array
 from ..trilateration import trilaterate
 from . import fault_detection as faults
 from .joint_estimator import JointEstimator

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from ...core.se3 import Array
+from ...core.arrays import Array
 from .. import chart
 from ..chart import Charts
 

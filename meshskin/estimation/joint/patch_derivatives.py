@@ -17,8 +17,8 @@ import casadi as ca
 import numpy as np
 
 from ...contact import ContactModel, Patches
+from ...core.arrays import Array
 from ...core.codegen import compile_function
-from ...core.se3 import Array
 from .pressure import BATCH, evaluate
 
 if TYPE_CHECKING:

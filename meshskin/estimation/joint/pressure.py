@@ -23,8 +23,8 @@ from numpy.typing import ArrayLike
 
 from ...contact.disc import disc_mean_of_square
 from ...contact.ellipse import ellipse_gradient
+from ...core.arrays import Array
 from ...core.codegen import compile_function
-from ...core.se3 import Array
 
 if TYPE_CHECKING:
     from .contacts import Contacts

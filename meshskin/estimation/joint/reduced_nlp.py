@@ -12,8 +12,8 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 
+from ...core.arrays import Array
 from ...core.ipopt import BufferCallback, solver
-from ...core.se3 import Array
 from .variable_projection import ReducedProblem, SchurComplement, State
 
 MAX_ITERATIONS = 30

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...contact.reading import same_sheet
-from ...core.se3 import Array
+from ...core.arrays import Array
 from .joint_estimator import JointEstimator
 from .likelihood import Likelihood, Readings, select
 from .parametrization import SurfaceParametrization

@@ -19,8 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.arrays import ranges
-from ...core.se3 import Array
+from ...core.arrays import Array, ranges
 from .contacts import LinearizedContacts
 from .likelihood import Likelihood, Moments
 from .parametrization import Parametrization

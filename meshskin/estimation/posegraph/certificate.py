@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...core.se3 import Array
+from ...core.arrays import Array
 from .symmetric_blocks import SymmetricBlocks
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from ...core import codegen
-from ...core.se3 import Array
+from ...core.arrays import Array
 from .ordering import IntArray
 from .superlu import SingularMatrixError, SuperLUFactors
 from .symbolic_factorization import SymbolicFactorization, symbolic_factorization

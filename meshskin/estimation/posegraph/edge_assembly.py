@@ -16,7 +16,7 @@ import numpy as np
 from scipy import sparse
 
 from ...core import codegen, se3
-from ...core.se3 import Array
+from ...core.arrays import Array
 from .kernel import EDGE, LOWER, edge_kernel
 from .ordering import Int64Array, IntArray
 

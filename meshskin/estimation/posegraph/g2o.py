@@ -14,10 +14,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...core import se3
-from ...core.arrays import Index
+from ...core.arrays import Array, Index
 from ...core.atomic_io import write_text
 from ...core.errors import GraphError
-from ...core.se3 import Array
 from .information import SINGULAR
 from .ordering import Int64Array
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from ...core.arrays import Array
 from ...core.errors import GraphError
-from ...core.se3 import Array
 from . import information, validation
 
 if TYPE_CHECKING:

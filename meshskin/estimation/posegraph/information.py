@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...core.arrays import Array
 from ...core.errors import GraphError
-from ...core.se3 import Array
 from .validation import check_finite
 
 INFORMATION_TOLERANCE = 1e-9

@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 
 from ...core import se3
-from ...core.se3 import Array
+from ...core.arrays import Array
 
 DISPLACEMENT = 7
 """Numbers of a displacement: translation (3) in m, quaternion (4) xyzw."""

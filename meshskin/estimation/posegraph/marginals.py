@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from ...core.se3 import Array
+from ...core.arrays import Array
 from .cholesky import Cholesky
 from .superlu import SingularMatrixError
 from .symmetric_blocks import SymmetricBlocks

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...core import se3
+from ...core.arrays import Array
 from ...core.errors import GraphError
-from ...core.se3 import Array
 from .edge_assembly import displacements
 from .kernel import DISPLACEMENT, EDGE, SQRT_INFORMATION, UPPER
 from .ordering import IntArray

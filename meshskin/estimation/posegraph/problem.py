@@ -15,8 +15,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ...core.arrays import Array
 from ...core.ipopt import BufferCallback, BufferedFunction, IterationCallback, solver
-from ...core.se3 import Array
 from .cholesky import Cholesky
 from .edge_assembly import EdgeAssembly
 from .ipopt_linear_solver import IpoptLinearSolver

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import gammaincinv
 
-from ...core.se3 import Array
+from ...core.arrays import Array
 from .kernel import weighted_errors
 from .minimize import Estimate, edge_parameters, minimize
 from .problem import PoseGraphProblem

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...core.arrays import Array
 from ...core.blas import single_threaded
 from ...core.errors import GraphError, UnknownNameError
-from ...core.se3 import Array
 from . import certificate as certificates
 from . import marginals
 from . import start as starts

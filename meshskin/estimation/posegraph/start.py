@@ -10,8 +10,8 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from ...core import se3
+from ...core.arrays import Array
 from ...core.errors import GraphError, UnknownNameError
-from ...core.se3 import Array
 from .information import chordal_weights
 from .ordering import IntArray
 from .superlu import SingularMatrixError

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from ...core.se3 import Array
+from ...core.arrays import Array
 from .ordering import IntArray
 from .symmetric_blocks import SymmetricBlocks
 

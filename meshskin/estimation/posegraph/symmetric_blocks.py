@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from ...core.se3 import Array
+from ...core.arrays import Array
 from .ordering import IntArray
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...core.arrays import Array
 from ...core.errors import GraphError
-from ...core.se3 import Array
 
 ROTATION_TOLERANCE = 1e-6
 """Largest entry of R^T R - I: files with seven digits stay below it."""

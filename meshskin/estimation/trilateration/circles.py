@@ -14,8 +14,7 @@ from typing import Self
 import numpy as np
 
 from ...contact.ellipse import NODES, ellipse_gradient, invert_ellipse_mean
-from ...core.arrays import sums_by_group
-from ...core.se3 import Array
+from ...core.arrays import Array, sums_by_group
 from ..data.measurements import Measurements
 
 SLOPE_FLOOR = 0.05

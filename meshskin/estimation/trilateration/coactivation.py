@@ -11,8 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...core.arrays import sums_by_group
-from ...core.se3 import Array
+from ...core.arrays import Array, sums_by_group
 from .. import chart
 from ..data.measurements import Measurements
 from ..result import EstimatorResult

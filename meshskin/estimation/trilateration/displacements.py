@@ -18,9 +18,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...core import se3
-from ...core.arrays import ranges
+from ...core.arrays import Array, ranges
 from ...core.errors import CalibrationError
-from ...core.se3 import Array
 from .. import chart
 from ..chart import Charts
 from ..data.measurements import Measurements

@@ -16,9 +16,8 @@ from dataclasses import replace
 import numpy as np
 
 from ...contact.ellipse import NODES
-from ...core.arrays import sums_by_group
+from ...core.arrays import Array, sums_by_group
 from ...core.errors import CalibrationError
-from ...core.se3 import Array
 from .. import chart
 from ..chart import Charts
 from ..data.measurements import Measurements

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from ...core import se3
-from ...core.se3 import Array
+from ...core.arrays import Array
 from ..posegraph import PoseGraph
 from ..posegraph.cholesky import Cholesky
 from ..posegraph.marginals import covariances as marginals

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...core import se3
+from ...core.arrays import Array
 from ...core.errors import CalibrationError
-from ...core.se3 import Array
 from .observability import cramer_rao, true_positions
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...core.arrays import Array
 from ...core.errors import CalibrationError
-from ...core.se3 import Array
 from .. import chart
 from ..data.global_parameters import GlobalParameters
 from ..data.measurements import Measurements, gather

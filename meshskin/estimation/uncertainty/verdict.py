@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...core.arrays import sums_by_group
-from ...core.se3 import Array
+from ...core.arrays import Array, sums_by_group
 
 if TYPE_CHECKING:
     from ...recording.recording import Recording

@@ -6,14 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...core.arrays import Array, Index
 from ...core.errors import MeshError
 from . import non_manifold, repair, self_intersection
 from .topology import NEXT, PREVIOUS, connected_components, edge_keys, face_components, neighbours
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 NONE: Index = np.zeros(0, dtype=np.intp)
 """no faces"""

@@ -11,12 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...core.arrays import Array, Index
 from ...core.errors import MeshError
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 def read(path: Path, scale: float | None = None) -> tuple[Array, Index, dict[str, Index]]:

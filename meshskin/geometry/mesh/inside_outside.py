@@ -16,12 +16,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.arrays import ranges
+from ...core.arrays import Array, Index, ranges
 from .topology import corners_by_vertex, face_components
 from .winding_number import WindingNumber
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 ON_EDGE = 1e-9
 """barycentric weight below which a point of a face lies on its edge: well above the rounding of the

@@ -9,12 +9,12 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.arrays import Array
 from ...core.errors import MeshError, UnknownNameError
 from ...core.se3 import from_rpy
 from . import mesh_file
 from .mesh_file import Triangles
 
-Array = NDArray[np.float64]
 KINDS = ("visual", "collision")
 """elements of a link that have a geometry"""
 

@@ -11,13 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...core.arrays import Array, Index
 from ...core.errors import MeshError
 from . import collada, obj
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
 """length units of mesh files, in m"""

@@ -10,13 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...core.arrays import Index
 from .repair import MeshEdit
 from .topology import connected_components, edge_keys, edge_pairs
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 MIN_ANGLE = 1e-3
 """least angle, rad, between faces around an edge whose order is trusted: 1 um at 1 mm from the

@@ -9,12 +9,9 @@ from collections.abc import Iterator
 from itertools import pairwise, takewhile
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...core.arrays import Array, Index
 from ...core.errors import MeshError
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 def read(text: str, file: str) -> tuple[Array, Index, dict[str, Index]]:

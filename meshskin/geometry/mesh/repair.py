@@ -7,11 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.arrays import Array, Index
 from .topology import NEXT, PREVIOUS, connected_components, edge_keys, edge_pairs, neighbours
 from .winding_number import WindingNumber
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 MERGE_TOLERANCE = 1e-7
 """distance between vertices that are merged, relative to the extent: the rounding of the single

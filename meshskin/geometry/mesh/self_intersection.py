@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from ...core.arrays import Array, Index
 
 EDGE_MARGIN = 1e-3
 """part of an edge at either end, and of a face along its border, where a contact does not count as

@@ -7,9 +7,8 @@ its face. An edge has as many half-edges as it has faces.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Index = NDArray[np.intp]
+from ...core.arrays import Index
 
 NEXT, PREVIOUS = np.array([1, 2, 0]), np.array([2, 0, 1])
 """corners of a face after and before each corner"""

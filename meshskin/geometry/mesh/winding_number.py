@@ -18,12 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core import codegen
-from ...core.arrays import sums_by_group
+from ...core.arrays import Array, Index, sums_by_group
 from .topology import connected_components, edge_keys
 from .triangles import morton_order
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 LEAF = 8
 """triangles in a leaf of the tree: affects the speed alone"""

@@ -13,15 +13,13 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.arrays import Array, Index
 from ..mesh.triangles import face_normals
 from . import patch
 from .creases import INNER, Creases, crease_curves
 from .fans import Fans
 from .heights import DEGREE, heights
 from .jets import TRUSTED_RESIDUAL, Jets
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 BULGE_MARGIN = 3e-3
 """largest height of a patch over its face, beyond that of the tangent planes at its corners,

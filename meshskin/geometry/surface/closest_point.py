@@ -14,16 +14,14 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...core.arrays import Array, Index
 from ..mesh.triangles import closest_on_triangles
 from . import newton, patch
 
 if TYPE_CHECKING:
     from .surface import Surface
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 MM = 1e3
 """millimetres in a metre"""

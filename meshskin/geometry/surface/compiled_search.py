@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core import codegen
+from ...core.arrays import Array, Index
 from ..mesh.triangles import morton_order
 from . import newton, patch
 from .closest_point import FlatPoints, PatchPoints
@@ -25,8 +26,6 @@ from .closest_point import FlatPoints, PatchPoints
 if TYPE_CHECKING:
     from .surface import Surface
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Long = NDArray[np.int64]
 
 LEAF = 4

@@ -7,15 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.arrays import ranges
+from ...core.arrays import Array, Index, ranges
 from ..mesh.triangles import face_normals
 from . import patch
 from .fans import Fans
 from .heights import heights
 from .jets import Jets
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 MAX_BOW = 0.2
 """largest distance of a crease's curve from its chord, relative to the chord: an arc of 87 deg; the

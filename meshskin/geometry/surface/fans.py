@@ -11,12 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.arrays import sums_by_group
+from ...core.arrays import Array, Index, sums_by_group
 from ...core.se3 import orthonormal_basis
 from ..mesh.topology import connected_components, edge_keys
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 CREASE_ANGLE = np.radians(40.0)
 """angle between the normals of two faces from which their edge is a crease: a regular polygon of up

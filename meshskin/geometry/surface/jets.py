@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.arrays import rows_by_key
+from ...core.arrays import Array, Index, rows_by_key
 from .fans import Fans, fan_frames
 from .heights import (
     DEGREE,
@@ -30,9 +30,6 @@ from .heights import (
     powers,
     rank_revealing_qr,
 )
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 PLANE_TOLERANCE = 1e-5
 """largest residual of a ring that is taken as plane, relative to the radius of the ring"""

@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.arrays import Array, Index
 from ..mesh.topology import NEXT, PREVIOUS
 from . import patch
 
 if TYPE_CHECKING:
     from .surface import Surface
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 Objective = Callable[[tuple[Array, ...], Array], tuple[Array, Array, Mask]]
 """(S, Su, Sv, Suu, Suv, Svv of the patches at n iterates, targets (n, ...)) -> gradients (n, 2),

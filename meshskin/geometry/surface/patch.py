@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from ...core.arrays import Array
 
 DEGREE = 5
 POWERS = tuple((d - j, j) for d in range(DEGREE + 1) for j in range(d + 1))

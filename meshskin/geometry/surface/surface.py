@@ -12,9 +12,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ...core.arguments import check_vectors
+from ...core.arrays import Array, Index
 from ...core.errors import MeshError
 from ...core.se3 import orthonormal_basis
 from ..mesh.inside_outside import ON_EDGE, InsideOutside
@@ -23,9 +24,6 @@ from ..mesh.triangles import face_normals
 from . import blend, compiled_search, fans, heights, jets, newton, patch
 from .closest_point import Closest, FlatPoints, ReferenceFlat, ReferenceSearch
 from .compiled_search import CompiledFlat, CompiledSearch
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 OFFSET_MARGIN = 1.3
 """bound of the height of a patch over its face, relative to the largest height at its nodes"""

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from ...core.arguments import check_type
+from ...core.arrays import Array
 from ...core.errors import ConfigError
-from ...core.se3 import Array
 from ...effects import Effect
 from ...exploration.plan import plan_exploration
 from ...scene.scene import Scene

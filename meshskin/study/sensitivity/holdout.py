@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...core.se3 import Array
+from ...core.arrays import Array
 from ...effects import NoiseEffect
 from ...estimation.calibrate import calibrate
 from ...estimation.joint.reduced_nlp import NEWTON_TOLERANCE

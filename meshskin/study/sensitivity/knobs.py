@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...contact import BATCHED
-from ...core.se3 import Array
+from ...core.arrays import Array
 from ...estimation.calibrate import METHODS
 from ...estimation.joint.reduced_nlp import NEWTON_TOLERANCE
 from .setting import Setting, with_changes

@@ -13,8 +13,8 @@ from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING
 
+from ...core.arrays import Array
 from ...core.errors import ConfigError, ContactError, ReachError, SimulationError
-from ...core.se3 import Array
 from ...estimation.calibrate import calibrate
 from .knobs import FINER, TOLERANCES, Level, contact_models, integrators
 from .numerical_error import NumericalReference, mean_mm

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...core.se3 import Array
+from ...core.arrays import Array
 from ...estimation import chart
 from ...estimation.data.measurements import gather
 from ...estimation.joint import fault_detection

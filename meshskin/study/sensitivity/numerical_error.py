@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ... import effects
+from ...core.arrays import Array
 from ...core.errors import SimulationError
-from ...core.se3 import Array
 from ...effects.frames import EffectClock
 from ...estimation.calibrate import calibrate
 from ...exploration.plan import plan_exploration

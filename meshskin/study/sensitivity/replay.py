@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...core.se3 import Array
+from ...core.arrays import Array
 from ...effects import Effect, EffectPipeline, ordered
 from ...effects.frames import Frames
 from ...recording.recording import Recording

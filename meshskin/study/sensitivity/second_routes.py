@@ -17,7 +17,7 @@ from ...simulation.readout import make_frames
 from .numerical_error import NumericalReference
 
 if TYPE_CHECKING:
-    from ...core.se3 import Array
+    from ...core.arrays import Array
     from ...effects.frames import Frames
 
 WINDOW = 0.15

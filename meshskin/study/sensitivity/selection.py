@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ... import effects
+from ...core.arrays import Array
 from ...core.errors import MeshskinError
-from ...core.se3 import Array
 from ...effects import Context, Effect
 
 if TYPE_CHECKING:

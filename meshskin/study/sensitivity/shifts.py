@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...core.arrays import Array
 from ...core.errors import ContactError, ReachError, SimulationError
-from ...core.se3 import Array
 from ...effects import Effect
 from ...estimation.calibrate import calibrate
 from .knobs import SECONDS, TOLERANCES, Knob, Level
