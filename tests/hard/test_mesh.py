@@ -288,7 +288,8 @@ def test_a_closed_thin_shell(load):
     """A hollow ball of 0.2 mm wall: each side of the wall answers for itself."""
     fine = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
     vertices = np.vstack([fine.vertices, 0.998 * fine.vertices])
-    body = load(vertices, np.vstack([fine.faces, fine.faces + len(fine.vertices)]))
+    inner = fine.faces[:, ::-1] + len(fine.vertices)  # wound against the outer part: a cavity
+    body = load(vertices, np.vstack([fine.faces, inner]))
     direction = cloud(2000, 1.0)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     reach = np.random.default_rng(1).uniform(0.095, 0.105, size=(2000, 1))
