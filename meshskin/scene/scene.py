@@ -124,7 +124,7 @@ class Scene(NamedFields):
                     limit=f"at least {1e3 * MIN_BUDGET:g} mm",
                     remedy="for all effects, list them in the scene and give no budget",
                 )
-        check_type(Iterable, self.effects, "what is on in a scene")
+        check_type(Iterable, self.effects, "scene.effects")
         for effect in (*self.effects, *(self.candidates or ())):
             check_effect(effect)
 

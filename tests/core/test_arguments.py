@@ -71,7 +71,7 @@ CALLS = {
         "must be positive, got 0 mm",
     ),
     "a mount of nothing": (lambda s: s.with_(mount=np.full((4, 4), np.nan)), "mount must .*finite"),
-    "effects of a number": (lambda s: s.with_(effects=3), "what is on .*got 3"),
+    "effects of a number": (lambda s: s.with_(effects=3), "scene.effects .*got 3"),
     "a part that is none": (lambda s: s.with_(nam="x"), "unknown field 'nam'.*did you mean name"),
     "a field that is none": (lambda s: s.belief(noise=3), "'noise' .*did you mean noise_sigma"),
     "unknowns in a word": (lambda s: s.belief(unknown="gain"), r"write unknown=\(\"gain\",\)"),

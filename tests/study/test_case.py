@@ -67,7 +67,11 @@ def test_the_hash_sees_the_source_of_the_package(tmp_path):
     (tmp_path / "a.py").write_text("x = 2\n")
     edited = source_digest.__wrapped__(tmp_path)
     (tmp_path / "a.py").rename(tmp_path / "b.py")
-    assert len({before, edited, source_digest.__wrapped__(tmp_path)}) == 3
+    renamed = source_digest.__wrapped__(tmp_path)
+    assert len({before, edited, renamed}) == 3
+    (tmp_path / "bodies").mkdir()  # in a wheel, not in a checkout
+    (tmp_path / "bodies" / "sphere.toml").write_text("")
+    assert source_digest.__wrapped__(tmp_path) == renamed
     assert environment()["source"] == source_digest()
 
 

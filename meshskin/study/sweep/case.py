@@ -165,13 +165,19 @@ def environment() -> dict[str, str]:
     return {**versions(), "source": source_digest()}
 
 
+SOURCES = {".py", ".c", ".h", ".csv"}
+"""Suffixes of the files that results depend on."""
+
+
 @functools.cache
 def source_digest(folder: Path = PACKAGE) -> str:
-    """Digest of the names and contents of the files of a package.
+    """Digest of the names and contents of a package's code and tables (SOURCES).
 
-    A package that is installed in place (editable) is edited without a change of its version.
+    A package that is installed in place (editable) is edited without a change of its version. The
+    shipped scenes do not count: a wheel holds them, a checkout has them elsewhere, and the key of a
+    case includes the content of its scene.
     """
-    files = (f for f in folder.rglob("*") if "__pycache__" not in f.parts and f.is_file())
+    files = (f for f in folder.rglob("*") if f.suffix in SOURCES)
     named = ((f.relative_to(folder).as_posix(), f.read_bytes()) for f in sorted(files))
     return digest(*(part for pair in named for part in pair))
 
