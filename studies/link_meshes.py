@@ -6,7 +6,8 @@ FOLDER holds STL files, such as the meshes of the example-robot-data wheel (extr
 mesh gets --skins skins of 60 taxels in caps of random directions; --step 8 takes every eighth mesh.
 Small links (below 60 mm) are pressed with 1 N on an indenter of 2 mm, others with 3 N on 8 mm;
 they are moved by hand in lanes 2.5 mm apart, with 1 % noise. A taxel is confidently wrong if its
-error exceeds both 0.3 mm and 5 standard deviations. Exit code 1 if there is one; refused meshes are listed.
+error exceeds both 0.3 mm and 5 standard deviations. Exit code 1 if there is one; refused meshes are
+listed.
 """
 
 from __future__ import annotations
