@@ -32,7 +32,8 @@ ITERATIONS = 4
 """Relinearizations of the charts on the way to a rival optimum."""
 MAX_LOG_ODDS = 15.0
 """Largest difference of the log-likelihoods at which an optimum is a rival: odds of 3e-7, the
-probability of an error of 5 standard deviations."""
+probability of an error of 5 standard deviations. It is multiplied by the variance of the residuals
+where that exceeds 1: the noise is not known, or the model misfits."""
 MIN_DISTANCE = 0.05
 """Least distance of a rival from the estimate, in reaches of a contact."""
 MIN_ON_SHEET = 0.5
@@ -57,11 +58,11 @@ def resolve_rivals(estimator: JointEstimator) -> RivalOptima:
         rivals = find_rivals(estimator)
         better = rivals.log_odds < 0.0
         if not better.any():
-            break
+            return rivals
         points = estimator.problem.points(estimator.state)
         estimator.start_at(np.where(better[:, None], rivals.points, points), select_anew=True)
         estimator.converge()
-    return rivals
+    return find_rivals(estimator)
 
 
 def find_rivals(estimator: JointEstimator) -> RivalOptima:
@@ -75,13 +76,16 @@ def find_rivals(estimator: JointEstimator) -> RivalOptima:
     if not len(rows):
         return best
     reach = float(np.median(estimator.data.reach()))
+    observed = estimator.likelihood.readings.kind == OBSERVED
+    variance = float(estimator.state.moments.square.sum()) / max(int(observed.sum()), 1)
+    limit = MAX_LOG_ODDS * max(variance, 1.0)
     estimate = points[rows], estimator.state.z[rows]
     for start in _starts(estimator, rows, points[rows], reach):
         found = _optimum(estimator, rows, start)
         valid = np.linalg.norm(found[0] - points[rows], axis=1) > MIN_DISTANCE * reach
         valid &= _part_on_sheet(estimator, rows, found[0]) >= MIN_ON_SHEET
         odds = np.where(valid, _log_odds(estimator, rows, estimate, found), np.inf)
-        better = (odds < best.log_odds[rows]) & (odds < MAX_LOG_ODDS)
+        better = (odds < best.log_odds[rows]) & (odds < limit)
         best.points[rows[better]] = found[0][better]
         best.log_odds[rows[better]] = odds[better]
     return best

@@ -20,8 +20,14 @@ def line(sphere):
         effects=(GaussianNoise(sigma_relative=0.1),),
         readout=replace(sphere.readout, threshold_relative=0.2),
     )
+    distance = np.linalg.norm(scene.skin.positions - scene.skin.positions.mean(axis=0), axis=1)
+    far = int(np.argmax(distance))
+    return scene, ms.calibrate(strip_recording(scene, far), scene.belief()), far
+
+
+def strip_recording(scene, far):
+    """Contacts in the strip beside the taxel `far`, and about the middle of the skin."""
     points, normals = scene.skin.positions, scene.skin.normals
-    far = int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))
     inward = points.mean(axis=0) - points[far]
     side = inward - normals[far] * (inward @ normals[far])
     side /= np.linalg.norm(side)
@@ -30,8 +36,7 @@ def line(sphere):
     strip = strip + steps * np.cross(normals[far], side)
     middle = points.mean(axis=0) + np.random.default_rng(0).normal(scale=6e-3, size=(400, 3))
     away = np.linalg.norm(middle - points[far], axis=1) > 14e-3
-    recording = ms.press(scene, np.concatenate([strip, middle[away]]), seed=3)
-    return scene, ms.calibrate(recording, scene.belief()), far
+    return ms.press(scene, np.concatenate([strip, middle[away]]), seed=3)
 
 
 def test_a_taxel_touched_along_a_line_has_a_rival_at_its_mirror_image(line):
@@ -101,3 +106,12 @@ def test_steps_and_far_sides_are_other_sheets():
     offset = np.array([[2.0, 0.0, -0.9], [2.0, 0.0, -1.3], [0.1, 0.0, -3.0], [1.0, 0.0, 0.0]])
     taxel = np.array([up, up, -up, up])
     assert same_sheet(offset, np.tile(up, (4, 1)), taxel).tolist() == [True, False, False, True]
+
+
+def test_a_rival_is_found_without_knowing_the_noise(line):
+    """10 % noise, ten times what is assumed where a belief names none."""
+    scene, calibration, far = line
+    recording = strip_recording(scene, far)
+    blind = ms.calibrate(recording, scene.belief(noise_sigma=None))
+    rival = np.linalg.norm(blind.rivals[far] - calibration.rivals[far])
+    assert rival < 0.6e-3 or np.linalg.norm(blind.rivals[far] - calibration.positions[far]) < 0.6e-3
