@@ -19,6 +19,8 @@ from . import primitives, tessellate
 from .mesh import link_mesh, mesh_file
 from .mesh.check import check_mesh
 from .mesh.self_intersection import ray_scene
+from .mesh.triangles import Triangles
+from .surface import closing
 from .surface.closest_point import Closest
 from .surface.heights import DEGREE
 from .surface.surface import Surface
@@ -29,6 +31,9 @@ RAY_TOLERANCE = 1e-7
 """largest distance of a hit from its ray, relative to the extent of the body"""
 FACES = 5120
 """default number of faces of a primitive: see `Body.sphere` for its accuracy"""
+SKINNED_DEGREE = 2
+"""degree of the polynomials of a skinned surface: with higher ones the curvature of what the skin
+bridges varies more"""
 MAX_FACES, MAX_ASPECT = 5_000_000, 1e4
 """largest number of faces of a primitive (2.5 GB of patches), and largest ratio of its lengths"""
 
@@ -103,7 +108,9 @@ class Body:
         if not (np.isfinite(o).all() and np.isfinite(d).all() and np.all(length > 0)):
             raise MeshError("rays must be finite, and directions not zero")
         d /= length[:, None]
-        first = self._first_hit(o, d)
+        centre, scale, scene = self._ray_scene
+        start = np.ascontiguousarray((o - centre) / scale, dtype=np.float32)
+        first = np.asarray(scene.run(start, d.astype(np.float32)), dtype=np.intp)
         rows = np.flatnonzero(first >= 0)
         hit = self.surface.at(*self.surface.trace(o[rows], d[rows], first[rows]))
         distance = np.sum((hit.point - o[rows]) * d[rows], axis=1)
@@ -116,12 +123,6 @@ class Body:
             spread[name] = np.full((len(o), *values.shape[1:]), missed, dtype=values.dtype)
             spread[name][rows] = values
         return Closest(**spread)
-
-    def _first_hit(self, origins: Array, directions: Array) -> NDArray[np.intp]:
-        centre, scale, scene = self._ray_scene
-        start = np.ascontiguousarray((origins - centre) / scale, dtype=np.float32)
-        ahead = np.ascontiguousarray(directions, dtype=np.float32)
-        return np.asarray(scene.run(start, ahead), dtype=np.intp)
 
     @cached_property
     def _ray_scene(self) -> tuple[Array, float, Any]:
@@ -163,7 +164,7 @@ class Body:
         return cls._from_triangles(link, raw, open)
 
     @classmethod
-    def _from_triangles(cls, name: str, raw: mesh_file.Triangles, open: bool) -> Body:
+    def _from_triangles(cls, name: str, raw: Triangles, open: bool) -> Body:
         """The body of the triangles of a file, checked and repaired. Raises MeshError."""
         import trimesh
 
@@ -185,6 +186,36 @@ class Body:
         make = _PRIMITIVES[type(self.exact)]
         made = make(**vars(self.exact), faces=faces)
         return replace(made, degree=self.degree, robot_mesh=self.facets)
+
+    def skinned(
+        self, thickness: float, feature: float = 0.012, resolution: float | None = None
+    ) -> Body:
+        """The body in a skin of `thickness`, m: the surface that the skin presents.
+
+        It is the surface at that distance from the body on which a ball of radius `feature`, m, can
+        roll from outside: the skin bridges screw holes, steps, seams and notches that the ball does
+        not enter. With a feature of 1.5 radii of the indenter, the indenter fits everywhere.
+        `resolution`, m: length of the edges of the mesh; by default a third of the thickness or a
+        fifth of the feature, at least 1/200 of the extent. `.repairs` states what is bridged and
+        the error of the distance elsewhere; patches are kept. Open meshes get a skin on both sides.
+        Raises MeshError.
+        """
+        check_real("thickness of a skin", thickness, "m", above=0.0, error=MeshError)
+        check_real("feature that a skin bridges", feature, "m", above=0.0, error=MeshError)
+        fine = max(min(feature / 5.0, thickness / 3.0), self.surface.scale / 200.0)
+        step = fine if resolution is None else resolution
+        check_real("resolution of a skin", step, "m", above=0.0, error=MeshError)
+        closed = closing.closed_offset(self.surface, thickness, feature, step)
+        mesh = mesh_file.Triangles(*closed)
+        # open: edges at which parts of the skin touch are split
+        made = self._from_triangles(f"{self.name}, skinned", mesh, open=True)
+        under = self.surface.nearest(made.mesh.triangles_center).face
+        patches = {
+            name: np.flatnonzero(np.isin(under, rows)) for name, rows in self.patches.items()
+        }
+        stated = closing.statement(made.surface, self.surface, thickness)
+        repairs = (*self.repairs, *made.repairs, stated)
+        return replace(made, repairs=repairs, patches=patches, degree=SKINNED_DEGREE)
 
     @classmethod
     def sphere(cls, radius: float = 0.1, faces: int = FACES) -> Body:

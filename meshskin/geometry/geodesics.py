@@ -33,7 +33,7 @@ def march(
     """
     steps = int(np.clip(np.ceil(length * np.max(np.abs(at.curvature), initial=0.0) / BEND), 2, 10))
     for _ in range(steps):
-        after = body.closest(at.point + length / steps * heading, face=at.face)
+        after = body.surface.nearest(at.point + length / steps * heading, face=at.face)
         heading, carried = (transport(v, at.normal, after.normal) for v in (heading, carried))
         at = after
     return at, carried
@@ -42,15 +42,16 @@ def march(
 def geodesic(
     body: Body, start: Array, direction: Array, step: float
 ) -> Iterator[tuple[Closest, Array]]:
-    """Points of the geodesic from `start` (3,) in a direction (3,), `step` m apart, without end.
+    """Points of geodesics from `start` (..., 3) in directions (..., 3), `step` m apart, for ever.
 
-    Yields the surface point and the unit tangent (3,) ahead, the start first.
+    Yields the surface points and the unit tangents (..., 3) ahead, the starts first. Geodesics that
+    are followed together take little more time than one.
     """
-    at, ahead = body.closest(start[None]), direction
+    at, ahead = body.surface.nearest(np.atleast_2d(start)), direction
     while True:
-        ahead = onto(ahead, at.normal[0])
+        ahead = onto(ahead, at.normal.reshape(ahead.shape))
         yield at, ahead
-        at = body.closest(at.point + step * ahead, face=at.face)
+        at = body.surface.nearest(at.point + step * ahead, face=at.face)
 
 
 def transport(vectors: Array, before: Array, after: Array) -> Array:

@@ -35,13 +35,10 @@ def cylinder(radius: float, length: float, faces: int) -> tuple[Array, Index]:
     step = float(np.sqrt(area / (faces * np.sqrt(3.0) / 4.0)))
     n = max(2, round(2.0 * np.pi * radius / (6.0 * step)))
     rows = max(1, round(length / (2.0 * np.pi * radius / (6 * n) * np.sqrt(3.0) / 2.0)))
+    cap = np.array([radius * k / n for k in range(n + 1)])
     counts = [1, *(6 * k for k in range(1, n + 1))]
-    radial = [radius * k / n for k in range(n + 1)]
-    heights = [0.5 * length] * (n + 1) + list(np.linspace(0.5, -0.5, rows + 1)[1:] * length)
-    heights += [-0.5 * length] * n
-    counts += [6 * n] * rows + counts[:n][::-1]
-    radial += [radius] * rows + radial[:n][::-1]
-    return _stitch(_rings(heights, radial, counts, range(n, n + rows + 1)))
+    flat = np.zeros(n + 1)
+    return _stitch(_capped(length, rows, (flat, cap), (flat[1:], cap[n - 1 :: -1]), counts))
 
 
 def capsule(radius: float, length: float, faces: int) -> tuple[Array, Index, Index]:
@@ -53,19 +50,10 @@ def capsule(radius: float, length: float, faces: int) -> tuple[Array, Index, Ind
     n = max(2, round(float(np.sqrt(faces / 8.0 * area_sphere / (area_sphere + area_side)))))
     step = 2.0 * np.pi * radius / (4 * n)
     rows = max(1, round(length / (step * np.sqrt(3.0) / 2.0))) if length > 0 else 0
-    heights = [0.5 * length] * (n + 1)
-    latitude = list(np.linspace(0.5 * np.pi, 0.0, n + 1))
-    counts = [max(1, 4 * k) for k in range(n + 1)]
-    heights += list(np.linspace(0.5, -0.5, rows + 1)[1:] * length)
-    latitude += [0.0] * rows
-    counts += [4 * n] * rows
-    heights += [-0.5 * length] * n
-    latitude += list(np.linspace(0.0, -0.5 * np.pi, n + 1)[1:])
-    counts += counts[:n][::-1]
-    radial = (radius * np.cos(latitude)).tolist()
-    heights = (heights + radius * np.sin(latitude)).tolist()
-    rings = _rings(heights, radial, counts, range(n, n + rows + 1))
-    starts = np.concatenate([[0], np.cumsum(counts)])
+    latitudes = np.linspace(0.5 * np.pi, 0.0, n + 1), np.linspace(0.0, -0.5 * np.pi, n + 1)[1:]
+    upper, lower = ((radius * np.sin(a), radius * np.cos(a)) for a in latitudes)
+    rings = _capped(length, rows, upper, lower, [max(1, 4 * k) for k in range(n + 1)])
+    starts = np.concatenate([[0], np.cumsum([len(ring) for ring in rings])])
     around = np.arange(4 * n)
     seam = np.column_stack([around, (around + 1) % (4 * n)])
     return *_stitch(rings), np.concatenate([seam + starts[n], seam + starts[n + rows]])
@@ -93,16 +81,26 @@ def torus(major: float, minor: float, faces: int) -> tuple[Array, Index]:
     return vertices.reshape(-1, 3), np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
 
 
-def _rings(
-    heights: list[float], radial: list[float], counts: list[int], side: range
+def _capped(
+    length: float,
+    rows: int,
+    upper: tuple[Array, Array],
+    lower: tuple[Array, Array],
+    counts: list[int],
 ) -> list[Array]:
-    """Closed rings of points (count, 3), each at a height and a radius, m.
+    """Closed rings of points (count, 3), m, of a cylinder of `length` with a cap at each end.
 
-    Every second ring of the `side` is rotated by half a step: its triangles are equilateral.
+    `upper`, `lower`: heights of the rings of a cap over the end of the cylinder, and their radii;
+    the last ring of the upper cap is the end of the cylinder. `counts`: points of the upper rings.
+    Every second ring of the cylinder is rotated by half a step: its triangles are equilateral.
     """
+    n, side = len(counts) - 1, np.linspace(0.5, -0.5, rows + 1)[1:] * length
+    heights = [*(0.5 * length + upper[0]), *side, *(-0.5 * length + lower[0])]
+    radial = [*upper[1], *[upper[1][-1]] * rows, *lower[1]]
+    points = [*counts, *[counts[-1]] * rows, *counts[:n][::-1]]
     rings = []
-    for k, (z, r, count) in enumerate(zip(heights, radial, counts, strict=True)):
-        shift = 0.5 * ((k - side.start) % 2) if k in side else 0.0
+    for k, (z, r, count) in enumerate(zip(heights, radial, points, strict=True)):
+        shift = 0.5 * ((k - n) % 2) if n <= k <= n + rows else 0.0
         a = (np.arange(count) + shift) * 2.0 * np.pi / count
         rings.append(np.column_stack([r * np.cos(a), r * np.sin(a), np.full(count, z)]))
     return rings

@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from ..core.arguments import check_type
 from ..core.arrays import Array
 from ..core.errors import SkinError
-from . import id_permutation, slots
+from . import slots
 from .pairing import Pairing, distances, pair, pairing_by_id
 from .skin import Skin
 from .slots import Ids
@@ -25,6 +25,9 @@ EXPLAINED = 0.5
 """A permutation explains a difference if it leaves at most this part of the rms distance."""
 MIN_TAXELS = 3
 """Least mean number of ids in a module of a skin of taxels; modules of iCub have 10 or 12."""
+MIN_MOVED = 20
+"""Number of permuted taxels from which on they are described by modules, if they moved with them:
+two modules."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,14 +67,9 @@ class Difference:
         """Whether ids are numbers of modules, because one skin is of module frames."""
         return bool(self.frames)
 
-    @property
-    def explains(self) -> bool:
-        """Whether a permutation of ids removes half of the difference or more."""
-        return bool(self.permutation)
-
     def sentences(self) -> tuple[str, ...]:
         """The permutation in words: exchanges, cycles, renumbered units."""
-        return id_permutation.words(self.permutation, self.unit)
+        return words(self.permutation, self.unit)
 
     def worst(self, count: int = 10) -> list[tuple[int, float]]:
         """Ids and distances (m) of the worst taxels after alignment and permutation."""
@@ -195,3 +193,70 @@ def _positions(skin: Skin, name: str) -> tuple[Ids, Array]:
     if len(ids) < 3:
         raise SkinError(f"taxels of skin {name}", value=len(ids), limit=">= 3")
     return ids, np.asarray(skin.positions[order])
+
+
+def words(permutation: dict[int, int], unit: str) -> tuple[str, ...]:
+    """Exchanges, cycles and chains of a permutation of units ("module" or "taxel") from A to B.
+
+    Taxels that moved with their modules are described by modules, and by permutations of slots.
+    """
+    if unit == "taxel" and len(permutation) >= MIN_MOVED:
+        return _by_modules(permutation) or _by_units(permutation, unit)
+    return _by_units(permutation, unit)
+
+
+def _by_modules(permutation: dict[int, int]) -> tuple[str, ...]:
+    """Sentences by modules; none if the taxels of a module did not move together."""
+    slot_maps: dict[int, dict[int, int]] = {}
+    targets: dict[int, set[int]] = {}
+    for before, after in sorted(permutation.items()):
+        module, slot = divmod(before, slots.PER_MODULE)
+        targets.setdefault(module, set()).add(after // slots.PER_MODULE)
+        slot_maps.setdefault(module, {})[slot] = after % slots.PER_MODULE
+    if any(slot in slots.THERMAL for m in slot_maps.values() for slot in (*m, *m.values())):
+        return ()  # taxels without modules
+    if any(len(found) > 1 for found in targets.values()):
+        return ()
+    target = {module: found.pop() for module, found in targets.items()}
+    patterns: dict[tuple[tuple[int, int], ...], list[int]] = {}
+    for module, slot_map in slot_maps.items():
+        same = {} if target[module] != module else {s: s for s in slots.TAXELS if s not in slot_map}
+        patterns.setdefault(tuple(sorted((same | slot_map).items())), []).append(module)
+    if len(patterns) > 0.5 * len(slot_maps):
+        return ()
+    moved = {module: number for module, number in target.items() if module != number}
+    sentences = list(_by_units(moved, "module")) if moved else []
+    for pattern, modules in patterns.items():
+        if all(one == two for one, two in pattern):
+            continue
+        from_slots, to_slots = (" ".join(map(str, end)) for end in zip(*pattern, strict=True))
+        where = ", ".join(map(str, modules))
+        sentences.append(f"slots {from_slots} are slots {to_slots} of B in modules {where} of A")
+    return tuple(sentences)
+
+
+def _by_units(permutation: dict[int, int], unit: str) -> tuple[str, ...]:
+    """Sentences by units: a common shift, or exchanges, cycles and chains."""
+    shifts = {after - before for before, after in permutation.items()}
+    if len(permutation) > 2 and len(shifts) == 1:
+        shift = shifts.pop()
+        return (
+            f"{unit} numbers of B are those of A {'plus' if shift > 0 else 'minus'} {abs(shift)}",
+        )
+    remaining, sentences = dict(permutation), []
+    targets = set(remaining.values())
+    for number in sorted(remaining, key=lambda n: (n in targets, n)):  # chains first
+        if number not in remaining:
+            continue
+        chain = [number]
+        while chain[-1] in remaining:
+            chain.append(remaining.pop(chain[-1]))
+        closed = chain[0] == chain[-1]
+        if len(chain) == 2:
+            sentences.append(f"{unit} {chain[0]} of A is {unit} {chain[1]} of B")
+        elif closed and len(chain) == 3:
+            sentences.append(f"{unit}s {chain[0]} and {chain[1]} exchanged")
+        else:
+            done = "permuted" if closed else "renumbered"
+            sentences.append(f"{unit}s {done}: {' -> '.join(map(str, chain))} (A -> B)")
+    return tuple(sentences)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ..core.arrays import Array, Index, sums_by_group
+from ..core.arrays import Array, Index, far_apart, sums_by_group
 from ..core.errors import SkinError
 from ..core.se3 import orthonormal_basis
 from ..geometry import region as regions
@@ -58,7 +58,9 @@ class Lattice:
         return Lattice(self.at.take(rows), self.tangent[rows], self.arc_length[rows])
 
     def joined(self, other: Lattice) -> Lattice:
-        """These sites and those of another lattice."""
+        """These sites and those of another lattice. Raises SkinError for too many."""
+        if len(self) + len(other) > MAX_SITES:
+            raise SkinError("sites of a lattice", value=len(self) + len(other), limit=MAX_SITES)
         return Lattice(
             Closest.concatenate([self.at, other.at]),
             np.concatenate([self.tangent, other.tangent]),
@@ -145,8 +147,6 @@ def grow(
         least = (ring - 0.01) * ROW * spacing  # a ring of hexagons is at least so far out
         front = replace(fresh, arc_length=np.maximum(regions.arc_length(first.at, fresh.at), least))
         sites = sites.joined(front)
-        if len(sites) > MAX_SITES:
-            raise SkinError("sites of a lattice", value=len(sites), limit=MAX_SITES)
         if count is not None and len(sites) >= count:
             kth = np.partition(sites.arc_length, count - 1)[count - 1]
             if kth < least + ROW * spacing:
@@ -169,16 +169,9 @@ def decimate(body: Body, region: regions.Region, sites: Lattice, count: int) -> 
     """`count` of the sites: the most crowded are removed, far apart, and the others relaxed."""
     spacing = sites.spacing()[0] * float(np.sqrt(len(sites) / count))
     while len(sites) > count:
-        tree = KDTree(sites.at.point)
-        crowding = tree.query(sites.at.point, k=3)[0][:, 1:].sum(axis=1)
-        removed: list[int] = []
-        beside = np.zeros(len(sites), dtype=bool)
-        for k in np.argsort(crowding, kind="stable").tolist():
-            if len(removed) == len(sites) - count:
-                break
-            if not beside[k]:
-                removed.append(k)
-                beside[tree.query_ball_point(sites.at.point[k], 2.5 * spacing)] = True
+        crowding = KDTree(sites.at.point).query(sites.at.point, k=3)[0][:, 1:].sum(axis=1)
+        order = np.argsort(crowding, kind="stable")
+        removed = far_apart(sites.at.point, order, 2.5 * spacing, len(sites) - count)
         sites = sites.take(np.delete(np.arange(len(sites)), removed))
         for _ in range(SETTLINGS):
             sites = _relax_springs(body, region, sites, spacing)
@@ -193,8 +186,6 @@ def _refine(body: Body, region: regions.Region, coarse: Lattice, spacing: float)
     arc_length = 0.5 * (coarse.arc_length[one] + coarse.arc_length[two])
     inside = region.contains(body, at)
     sites = coarse.joined(Lattice(at, tangent, arc_length).take(inside))
-    if len(sites) > MAX_SITES:
-        raise SkinError("sites of a lattice", value=len(sites), limit=MAX_SITES)
     sites = sites.take(_separated(sites.at.point, MERGE * spacing))
     return _fill_gaps(body, region, sites, spacing)
 

@@ -8,13 +8,10 @@ removed.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ..core.arrays import Array, Index, sums_by_group
+from ..core.arrays import Array, Index, far_apart, sums_by_group
 from ..geometry import region as regions
 from ..geometry.body import Body
 from . import lattice, module_pose, slots
@@ -65,7 +62,10 @@ def pack(body: Body, region: regions.Region, first: lattice.Lattice, spacing: fl
             continue
         last = np.inf
         load = np.bincount(np.concatenate([one, two]), np.tile(overlap, 2), len(poses))
-        poses = np.delete(poses, _most_crowded(poses, load), axis=0)
+        order = np.argsort(-load, kind="stable")[: np.count_nonzero(load)]
+        count = max(1, len(poses) // REMOVED)
+        removed = far_apart(poses[:, :3, 3], order, 4.0 * CIRCUMRADIUS, count)
+        poses = np.delete(poses, removed, axis=0)
     return poses
 
 
@@ -114,17 +114,3 @@ def push(poses: Array, pairs: tuple[Index, Index], gap: float) -> Array:
     angle = np.bincount(ends, lever, count)[:, None]
     x, y, z = (poses[:, :3, k] for k in range(3))
     return module_pose.upright(poses[:, :3, 3] + move, z, np.cos(angle) * x + np.sin(angle) * y)
-
-
-def _most_crowded(poses: Array, load: NDArray[Any]) -> Index:
-    """The modules with the largest overlap `load` (m,): one of REMOVED, far from each other."""
-    tree = KDTree(poses[:, :3, 3])
-    removed: list[int] = []
-    beside = np.zeros(len(poses), dtype=bool)
-    for k in np.argsort(-load, kind="stable").tolist():
-        if load[k] <= 0.0 or len(removed) >= max(1, len(poses) // REMOVED):
-            break
-        if not beside[k]:
-            removed.append(k)
-            beside[tree.query_ball_point(poses[k, :3, 3], 4.0 * CIRCUMRADIUS)] = True
-    return np.array(removed, dtype=np.intp)

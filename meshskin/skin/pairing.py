@@ -48,7 +48,7 @@ class Pairing:
 
 def pair(ids_a: Ids, at_a: Array, ids_b: Ids, at_b: Array, size: int) -> Pairing | None:
     """The best pairing of units of `size` ids; None if the skins have no such units in common."""
-    units_a, units_b, shared = _units(ids_a, size), _units(ids_b, size), None
+    units_a, units_b, shared = np.unique(ids_a // size), np.unique(ids_b // size), None
     if size > 1:
         shared = _shared_slots(ids_a, ids_b, size)
         if shared is None or min(len(units_a), len(units_b)) < 2:
@@ -67,11 +67,8 @@ def pair(ids_a: Ids, at_a: Array, ids_b: Ids, at_b: Array, size: int) -> Pairing
             paired = partner >= 0
             if paired.sum() * rows_a.shape[1] < 3:
                 break
-            one, two = (
-                at_a[rows_a[paired]].reshape(-1, 3),
-                at_b[rows_b[partner[paired]]].reshape(-1, 3),
-            )
-            pose = _robust_align(two, one)
+            there = at_b[rows_b[partner[paired]]].reshape(-1, 3)
+            pose = _robust_align(there, at_a[rows_a[paired]].reshape(-1, 3))
         score = _score(at_a[rows_a], se3.transform_points(pose, at_b[rows_b]), partner)
         if best is None or score < best[0]:
             best = score, pose, partner
@@ -107,17 +104,12 @@ def distances(pose: Array, at_a: Array, at_b: Array) -> Array:
     return np.asarray(np.linalg.norm(at_a - se3.transform_points(pose, at_b), axis=1))
 
 
-def _units(ids: Ids, size: int) -> Ids:
-    """Numbers of the units of ids."""
-    return np.unique(ids // size)
-
-
 def _shared_slots(ids_a: Ids, ids_b: Ids, size: int) -> Ids | None:
     """Slots that every unit of both skins has; None if there are fewer than 3."""
-    counts = [
-        np.bincount(ids % size, minlength=size) / len(_units(ids, size)) for ids in (ids_a, ids_b)
+    every = [
+        np.bincount(i % size, minlength=size) == len(np.unique(i // size)) for i in (ids_a, ids_b)
     ]
-    shared = np.flatnonzero((counts[0] == 1.0) & (counts[1] == 1.0))
+    shared = np.flatnonzero(every[0] & every[1])
     return shared if len(shared) >= 3 else None
 
 
@@ -180,10 +172,8 @@ def _partners(at_a: Array, at_b: Array, units_a: Ids, units_b: Ids) -> tuple[Ind
     at_place = (off_a < SAME_PLACE * neighbour) & (off_a < MOVED_RATIO * own - 1e-6 * np.sqrt(k))
     swap = mutual & at_place & (near_a != partner)
     partner[swap] = near_a[swap]
-    taken = (
-        np.isin(partner, near_a[swap]) & ~swap
-    )  # of the same id, but now the partner of another unit
-    partner[taken] = -1
+    # of the same id, but now the partner of another unit
+    partner[np.isin(partner, near_a[swap]) & ~swap] = -1
     return partner, units_a[off_a >= SAME_PLACE * neighbour]
 
 

@@ -7,13 +7,12 @@ from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...core.arrays import Array
 from ...core.errors import MeshError, UnknownNameError
 from ...core.se3 import from_rpy
 from . import mesh_file
-from .mesh_file import Triangles
+from .triangles import Triangles
 
 KINDS = ("visual", "collision")
 """elements of a link that have a geometry"""
@@ -47,17 +46,7 @@ def read(
             value=", ".join(kinds) or f"no <{kind}>",
             remedy='choose another link, or kind="collision", or a body such as Body.capsule',
         )
-    corners = np.cumsum([0, *(len(one.vertices) for one in found)])
-    first = np.cumsum([0, *(len(one.faces) for one in found)])
-    names: dict[str, list[NDArray[np.intp]]] = {}
-    for one, row in zip(found, first, strict=False):
-        for name, rows in one.names.items():
-            names.setdefault(name, []).append(rows + row)
-    return Triangles(
-        np.concatenate([one.vertices for one in found]),
-        np.concatenate([one.faces + k for one, k in zip(found, corners, strict=False)]),
-        {name: np.concatenate(rows) for name, rows in names.items()},
-    )
+    return Triangles.joined(found)
 
 
 def _placed(shape: ET.Element, folders: Iterable[str | Path], where: str) -> Triangles:

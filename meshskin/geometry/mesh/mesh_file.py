@@ -5,16 +5,15 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...core.arrays import Array, Index
 from ...core.errors import MeshError
 from . import collada, obj
+from .triangles import Triangles
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
 """length units of mesh files, in m"""
@@ -22,20 +21,6 @@ FORMATS = ("stl", "obj", "ply", "off", "glb", "gltf", "dae")
 """suffixes of the formats that are read"""
 METRES = ("glb", "gltf")
 """formats whose standard says m"""
-
-
-@dataclass(frozen=True)
-class Triangles:
-    """The content of a mesh file, before any repair."""
-
-    vertices: Array
-    """(n, 3) m"""
-    faces: Index
-    """(m, 3)"""
-    names: dict[str, Index] = field(default_factory=dict)
-    """the faces (k,) of each named part: objects, groups and materials of an OBJ; nodes, meshes and
-    materials of a GLB; geometries and materials of a Collada file; solids of an ASCII STL that has
-    several"""
 
 
 def unit(path: Path, units: str | None) -> float | None:
@@ -78,12 +63,11 @@ def read(path: Path, scale: float | None = None) -> Triangles:
     try:
         if kind == "obj":
             text = path.read_text(encoding="utf-8", errors="replace")
-            vertices, faces, names = obj.read(text, path.name)
+            found = Triangles(*obj.read(text, path.name))
         elif kind == "dae":
-            vertices, faces, names = collada.read(path, scale)
-            scale = 1.0
+            found, scale = collada.read(path, scale), 1.0
         else:
-            vertices, faces, names = _by_trimesh(path, kind)
+            found = _by_trimesh(path, kind)
     except MeshError:
         raise
     except Exception as error:  # readers raise any exception for damaged files
@@ -91,12 +75,12 @@ def read(path: Path, scale: float | None = None) -> Triangles:
         raise MeshError(
             f"{path.name} cannot be read", value=reason[:200], remedy="copy or export it again"
         ) from error
-    if not len(faces):
+    if not len(found.faces):
         raise MeshError(f"{path.name} has no faces", remedy="check the file in a mesh viewer")
-    return Triangles(vertices * (1.0 if scale is None else scale), faces, names)
+    return Triangles(found.vertices * (1.0 if scale is None else scale), found.faces, found.names)
 
 
-def _by_trimesh(path: Path, kind: str) -> tuple[Array, Index, dict[str, Index]]:
+def _by_trimesh(path: Path, kind: str) -> Triangles:
     import trimesh
 
     source = _text(path, kind) or path
@@ -105,25 +89,17 @@ def _by_trimesh(path: Path, kind: str) -> tuple[Array, Index, dict[str, Index]]:
     order = {name: k for k, name in enumerate(scene.geometry)}
     nodes = [(*scene.graph[node], node) for node in scene.graph.nodes_geometry]
     nodes.sort(key=lambda entry: (order[entry[1]], entry[2]))  # trimesh's order is not the file's
-    vertices: list[Array] = []
-    faces: list[Index] = []
-    named: dict[str, list[Index]] = {}
-    corner = first = 0
+    parts = []
     for pose, shape, node in nodes:
         mesh = scene.geometry[shape]
         if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
             continue
         placed = mesh if np.array_equal(pose, np.eye(4)) else mesh.copy().apply_transform(pose)
-        vertices.append(np.array(placed.vertices, dtype=float))
-        faces.append(np.array(placed.faces, dtype=np.intp) + corner)
-        for name in dict.fromkeys(_names(scene, node, shape, mesh, known)):
-            named.setdefault(name, []).append(np.arange(first, first + len(mesh.faces)))
-        corner, first = corner + len(mesh.vertices), first + len(mesh.faces)
-    if not faces:
-        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.intp), {}
-    names = {name: np.concatenate(rows) for name, rows in named.items()}
-    lone = kind not in METRES and len(nodes) == 1  # trimesh names it after the file
-    return np.concatenate(vertices), np.concatenate(faces), {} if lone else names
+        names = _names(scene, node, shape, mesh, known)
+        if kind not in METRES and len(nodes) == 1:  # trimesh names it after the file
+            names = iter(())
+        parts.append(Triangles.part(placed.vertices, placed.faces, names))
+    return Triangles.joined(parts)
 
 
 def _text(path: Path, kind: str) -> BytesIO | None:

@@ -1,11 +1,50 @@
-"""Geometry of arrays of triangles: normals, closest points, subdivision, spatial order."""
+"""Arrays of triangles: normals, closest points, subdivision, spatial order."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.arrays import Array, Index
+
+
+@dataclass(frozen=True)
+class Triangles:
+    """The content of a mesh file, before any repair."""
+
+    vertices: Array
+    """(n, 3) m"""
+    faces: Index
+    """(m, 3)"""
+    names: dict[str, Index] = field(default_factory=dict)
+    """the faces (k,) of each named part: objects, groups and materials of an OBJ; nodes, meshes and
+    materials of a GLB; geometries and materials of a Collada file; solids of an ASCII STL that has
+    several"""
+
+    @classmethod
+    def part(cls, vertices: Array, faces: Index, names: Iterable[str]) -> Triangles:
+        """A part of a file, of which all faces have the `names`."""
+        rows = np.arange(len(faces))
+        named = dict.fromkeys(names, rows)
+        return cls(np.array(vertices, dtype=float), np.array(faces, dtype=np.intp), named)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Triangles]) -> Triangles:
+        """The triangles of all parts; the faces of one name are joined, too."""
+        vertices, faces = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.intp)]
+        names: dict[str, list[Index]] = {}
+        corner = first = 0
+        for part in parts:
+            vertices.append(part.vertices)
+            faces.append(part.faces + corner)
+            for name, rows in part.names.items():
+                names.setdefault(name, []).append(rows + first)
+            corner, first = corner + len(part.vertices), first + len(part.faces)
+        named = {name: np.concatenate(rows) for name, rows in names.items()}
+        return cls(np.concatenate(vertices), np.concatenate(faces), named)
 
 
 def face_normals(vertices: Array, faces: Index) -> Array:
@@ -23,7 +62,10 @@ def closest_on_triangles(p: Array, a: Array, ab: Array, ac: Array) -> tuple[Arra
     trimesh.triangles.closest_point gives no weights, and its tolerances are absolute.
     """
     ap = p - a
-    uv = _barycentric(ap, ab, ac)
+    e, f, g = (np.sum(x * y, axis=-1) for x, y in ((ab, ab), (ab, ac), (ac, ac)))
+    x, y = np.sum(ap * ab, axis=-1), np.sum(ap * ac, axis=-1)
+    area2 = np.maximum(e * g - f * f, 1e-300)
+    uv = np.stack([(g * x - f * y) / area2, (e * y - f * x) / area2], axis=-1)
     flat = ap - uv[..., :1] * ab - uv[..., 1:] * ac
     within = (uv.min(axis=-1) >= 0) & (uv.sum(axis=-1) <= 1)
     best = np.where(within, np.sum(flat**2, axis=-1), np.inf)
@@ -41,14 +83,6 @@ def closest_on_triangles(p: Array, a: Array, ab: Array, ac: Array) -> tuple[Arra
         best = np.where(nearer, gap2, best)
         uv = np.where(nearer[..., None], first + t * along, uv)
     return best, uv
-
-
-def _barycentric(offset: Array, ab: Array, ac: Array) -> Array:
-    """Weights (..., 2) of ab and ac in the projection of offsets on their planes."""
-    e, f, g = (np.sum(x * y, axis=-1) for x, y in ((ab, ab), (ab, ac), (ac, ac)))
-    x, y = np.sum(offset * ab, axis=-1), np.sum(offset * ac, axis=-1)
-    area2 = np.maximum(e * g - f * f, 1e-300)
-    return np.stack([(g * x - f * y) / area2, (e * y - f * x) / area2], axis=-1)
 
 
 def subdivision_centroids(count: int) -> Array:

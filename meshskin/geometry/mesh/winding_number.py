@@ -43,7 +43,10 @@ class WindingNumber:
         self.border, self.direction, caps = _border(vertices, faces)
         self.closed = not len(self.border)
         """whether there is no border"""
-        volume, area = _volume_and_area(np.concatenate([vertices[faces], caps]))
+        triangles = np.concatenate([vertices[faces], caps])
+        a, b, c = np.swapaxes(triangles - triangles.reshape(-1, 3).mean(axis=0), 0, 1)
+        volume = np.einsum("mc,mc->", a, np.cross(b, c)) / 6.0
+        area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
         self.outward = -1 if volume < (0.0 if self.closed else -SHEET_VOLUME * area**1.5) else 1
         """-1 where the normals of the mesh point inward"""
         if self.outward < 0:
@@ -106,13 +109,6 @@ def library() -> ctypes.CDLL | None:
     """The compiled sum over clusters; None, and one warning, without a C compiler."""
     text = Path(__file__).with_name("winding_number.c").read_text(encoding="utf-8")
     return codegen.compile_library("winding numbers", text)
-
-
-def _volume_and_area(corners: Array) -> tuple[float, float]:
-    """Signed volume, m^3, enclosed by triangles (m, 3, 3), and their area, m^2."""
-    a, b, c = np.swapaxes(corners - corners.reshape(-1, 3).mean(axis=0), 0, 1)
-    volume = np.einsum("mc,mc->", a, np.cross(b, c)) / 6.0
-    return float(volume), 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
 
 
 def _border(vertices: Array, faces: Index) -> tuple[Array, Array, Array]:

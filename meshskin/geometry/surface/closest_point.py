@@ -52,6 +52,11 @@ class Closest:
         """The answers of some rows: a slice, a mask or indices."""
         return Closest(*(getattr(self, f.name)[rows] for f in fields(self)))
 
+    def split(self, counts: Sequence[int]) -> list[Closest]:
+        """The answers in consecutive parts of `counts` rows."""
+        ends = np.cumsum(counts)
+        return [self.take(slice(a, b)) for a, b in zip((0, *ends[:-1]), ends, strict=True)]
+
     @classmethod
     def concatenate(cls, parts: Sequence[Closest]) -> Closest:
         """The answers of several, one after the other."""
@@ -108,13 +113,8 @@ class ReferenceFlat:
         points' uv (k, 2) and distances (k,), m.
         """
         parts = [self._nearby(p, start, margin) for start in range(0, max(len(p), 1), CHUNK)]
-        row, face, uv, distance = zip(*parts, strict=True)
-        return (
-            np.concatenate(row),
-            np.concatenate(face),
-            np.concatenate(uv),
-            np.concatenate(distance),
-        )
+        row, face, uv, distance = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return row, face, uv, distance
 
     def _nearby(self, p: Array, start: int, margin: float) -> tuple[Index, Index, Array, Array]:
         q = MM * (p[start : start + CHUNK] - self._middle)

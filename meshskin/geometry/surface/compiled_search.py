@@ -26,8 +26,6 @@ from .closest_point import FlatPoints, PatchPoints
 if TYPE_CHECKING:
     from .surface import Surface
 
-Long = NDArray[np.int64]
-
 LEAF = 4
 """most faces in a leaf of the tree; the same constant stands in compiled_search.c"""
 CHECK_AFTER = 6
@@ -80,12 +78,11 @@ class CompiledSearch:
         beyond = np.ascontiguousarray(surface.neighbours, dtype=np.int64)
         slot = np.ascontiguousarray(surface.slot, dtype=np.int64)
         offsets = None if surface.smooth else surface.offsets
-        nodes = build_tree(library_, surface.vertices, surface.faces, offsets)
+        self._tree, nodes = _tree(library_, surface.vertices, surface.faces, offsets)
         self._arrays = patches, beyond, slot, *nodes  # keeps the arrays alive that C points to
         tolerances = newton.NEWTON_TOLERANCE, newton.STEP_TOLERANCE
         limits = CHECK_AFTER, newton.HOPS, newton.STEPS
         self._surface = _Surface(*(a.ctypes.data for a in self._arrays[:3]), *tolerances, *limits)
-        self._tree = _pointers(nodes)
 
     def closest(self, p: Array, face: Index | None) -> PatchPoints:
         """The closest points to p (n, 3), m; `face` (n,): faces to start from, if known."""
@@ -120,8 +117,8 @@ class CompiledFlat:
     """Closest points of the faces (m, 3) of a mesh of vertices (n, 3), m."""
 
     def __init__(self, vertices: Array, faces: Index, library_: ctypes.CDLL) -> None:
-        self._library, self._arrays = library_, build_tree(library_, vertices, faces)
-        self._tree = _pointers(self._arrays)
+        self._library = library_
+        self._tree, self._arrays = _tree(library_, vertices, faces)
 
     def closest(self, p: Array) -> FlatPoints:
         """The closest points to p (n, 3), m."""
@@ -138,21 +135,13 @@ def _flat_points(n: int) -> FlatPoints:
     return FlatPoints(np.empty(n, dtype=np.int64), np.empty((n, 2)), np.empty(n))
 
 
-def _pointers(nodes: tuple[Array, Array, Array, Long]) -> _Tree:
-    """The C structure of a tree, whose arrays must be kept alive."""
-    leaves = len(nodes[0]) // 2
-    count = leaves.bit_length() - 1, leaves, len(nodes[3])
-    return _Tree(*count, *(a.ctypes.data for a in nodes))
-
-
-def build_tree(
+def _tree(
     library_: ctypes.CDLL, vertices: Array, faces: Index, offsets: Array | None = None
-) -> tuple[Array, Array, Array, Long]:
-    """A balanced tree of cylinders over the faces (m, 3) of vertices (n, 3), m.
+) -> tuple[_Tree, tuple[NDArray[Any], ...]]:
+    """A balanced tree of cylinders over the faces (m, 3) of vertices (n, 3), m, and its arrays.
 
-    offsets (m,), m: bounds of the distances between a patch and its face, 0 if None. Gives the
-    cylinders (2 leaves, 8), and corners (m, 3, 3), offsets (m,) and numbers (m,) of the faces, leaf
-    by leaf.
+    The arrays must be kept alive. offsets (m,), m: bounds of the distances between a patch and its
+    face, 0 if None.
     """
     m = len(faces)
     levels = max(0, int(np.ceil(np.log2(m / LEAF))))
@@ -165,7 +154,8 @@ def build_tree(
     bounds = np.zeros(m) if offsets is None else offsets[face]
     node = _aligned(2 << levels, 8)
     library_.enclose(*count, *_addresses(corners, bounds, node))
-    return node, corners, bounds, face
+    arrays = node, corners, bounds, face
+    return _Tree(levels, 1 << levels, m, *(a.ctypes.data for a in arrays)), arrays
 
 
 def _aligned(rows: int, columns: int) -> Array:

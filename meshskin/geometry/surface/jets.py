@@ -100,8 +100,8 @@ def adjacency(faces: Index, count: int) -> Any:
     return csr_array(adjacent + eye_array(count, dtype=np.float32))
 
 
-def fit_jets(vertices: Array, fans: Fans, degree: int = DEGREE, order: int = 2) -> Jets:
-    """Jets of at most the given degree (2 to 4) on the `order`-ring of every fan.
+def fit_jets(vertices: Array, fans: Fans, degree: int = DEGREE) -> Jets:
+    """Jets of at most the given degree (2 to 4) on the 2-ring of every fan.
 
     Where a ring is too small or too regular for the degree, or the fit is implausible, the next
     lower degree is fitted, finally on the 1-ring; a fan without a plausible fit keeps flat faces.
@@ -116,9 +116,7 @@ def fit_jets(vertices: Array, fans: Fans, degree: int = DEGREE, order: int = 2) 
         np.zeros(count, dtype=np.int64), np.ones(count),
     )  # fmt: skip
     fits = _Fit(jets, np.full((count, 5), np.nan), np.zeros((count, 5)), np.zeros(count))
-    rings = adjacent
-    for _ in range(order - 1):
-        rings = rings @ adjacent
+    rings = adjacent @ adjacent
     _fit_rings(fits, np.arange(count), rings, degree)
     if degree == DEGREE:
         _smooth_noise(fits, adjacent, rings, fans.on_crease)
@@ -281,10 +279,7 @@ def _groups(rows: Index, rings: Any) -> Iterator[tuple[Index, Index, Index]]:
     """
     start, index = rings.indptr.astype(np.intp), rings.indices
     size = np.diff(start)
-    for group in size_groups(size):
-        yield group, rows[group], index[start[group][:, None] + np.arange(size[group[0]])]
-
-
-def size_groups(size: Index) -> list[Index]:
-    """Indices grouped by equal `size` (n,), in groups of at most CHUNK."""
-    return [g[k : k + CHUNK] for g in rows_by_key(size) for k in range(0, len(g), CHUNK)]
+    for same in rows_by_key(size):
+        for group in np.split(same, range(CHUNK, len(same), CHUNK)):
+            if len(group):
+                yield group, rows[group], index[start[group][:, None] + np.arange(size[group[0]])]

@@ -112,12 +112,23 @@ class Surface:
         is not finite or a face does not exist.
         """
         p = _finite(points)
-        start = None if face is None else self._known(face, len(p))
-        face, uv, derivatives, flat = self._search.closest(p, start)
-        hit = self._answer(face, uv, derivatives, p)
+        hit, flat = self._nearest(p, face)
         if self.smooth:
             return hit
         return replace(hit, distance=np.copysign(hit.distance, self._side(p, hit, flat)))
+
+    def nearest(self, points: ArrayLike, face: ArrayLike | None = None) -> Closest:
+        """The closest points as of `closest`, without its test of inside and outside.
+
+        The sign of the distance is that of the normal at the closest point. It takes a third of
+        the time for single points of a surface with creases.
+        """
+        return self._nearest(_finite(points), face)[0]
+
+    def _nearest(self, p: Array, face: ArrayLike | None) -> tuple[Closest, FlatPoints | None]:
+        start = None if face is None else self._known(face, len(p))
+        found, uv, derivatives, flat = self._search.closest(p, start)
+        return self._answer(found, uv, derivatives, p), flat
 
     def descend(self, points: ArrayLike, face: ArrayLike) -> Closest:
         """Local minima of the distance to `points` (n, 3), m, by descent from `face` (n,).

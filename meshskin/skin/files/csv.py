@@ -49,13 +49,6 @@ def read(text: str, name: str) -> SkinTable:
             raise SkinError(where, value=str(error)) from error
     table = np.array(rows)
     columns = (table[:, :3], table[:, 3:6], table[:, 6:])
-    return SkinTable("csv", np.array(ids), *columns, _disc_radius(name, comments))
-
-
-def _disc_radius(name: str, comments: list[str]) -> float:
-    """The disc radius in the comments, m. Raises SkinError."""
-    for line in comments:
-        _, found, value = line.partition(_RADIUS)
-        if found:
-            return float(parse_numbers([value], 1, f"{name}: disc radius")[0])
-    return DISC_RADIUS
+    radii = [line.partition(_RADIUS)[2] for line in comments if _RADIUS in line]
+    radius = parse_numbers(radii[:1], 1, f"{name}: disc radius")[0] if radii else DISC_RADIUS
+    return SkinTable("csv", np.array(ids), *columns, float(radius))

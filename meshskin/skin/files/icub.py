@@ -8,7 +8,6 @@ or without modules. Source of the format: icub-main, app/skinGui/conf.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,57 +25,34 @@ NO_MODULE, NO_TAXEL = -1, -2
 """Entries of taxel2Repr for a slot of an absent module, and for a thermal pad."""
 
 
-@dataclass(frozen=True, eq=False)
-class PositionFile:
-    """A position file line for line."""
-
-    header: tuple[tuple[str, str], ...]
-    """lines before the rows as key and value: name, spatial_sampling, taxel2Repr, ..."""
-    rows: Array
-    """(slots, 6) position, m, and normal, as written"""
-
-    @property
-    def representative(self) -> Ids | None:
-        """(k,) taxel2Repr, if the file has it."""
-        text = dict(self.header).get("taxel2Repr")
-        return None if text is None else np.array(re.findall(r"-?\d+", text), dtype=np.int64)
-
-
-def parse(text: str, name: str) -> PositionFile:
-    """The lines of a file. Raises SkinError, with the line, where one cannot be read."""
-    header: list[tuple[str, str]] = []
-    rows: list[Array] = []
+def read(text: str, name: str) -> SkinTable:
+    """The slots of a file that are not empty. Raises SkinError, with the line, for a bad line."""
+    header: dict[str, str] = {}
+    listed: list[Array] = []
     for number, line in enumerate(text.splitlines(), start=1):
         fields = line.split()
         if not fields or line.startswith(("#", "[")):
             continue
-        if not rows and re.match(r"[A-Za-z]\w*\s", line) and fields[0].lower() != "nan":
+        if not listed and re.match(r"[A-Za-z]\w*\s", line) and fields[0].lower() != "nan":
             key, _, value = line.strip().replace("\t", " ").partition(" ")
-            header.append((key, value.strip()))
+            header[key] = value.strip()
             continue
-        rows.append(parse_numbers(fields, 6, f"{name}, line {number}", "x y z nx ny nz"))
-    if not rows:
-        raise SkinError(f"{name} holds no taxels")
-    return PositionFile(tuple(header), np.array(rows))
-
-
-def read(text: str, name: str) -> SkinTable:
-    """The slots of a file that are not empty. Raises SkinError."""
-    file = parse(text, name)
-    rows = file.rows
+        listed.append(parse_numbers(fields, 6, f"{name}, line {number}", "x y z nx ny nz"))
+    rows = np.array(listed).reshape(-1, 6)
     filled = np.flatnonzero(np.any(rows != 0.0, axis=1))  # NaN is not zero
     if not len(filled):
-        raise SkinError(f"{name} holds no taxels", value="only rows of zeros")
+        raise SkinError(f"{name} holds no taxels", value="only rows of zeros" if listed else None)
     ids = filled.astype(np.int64)
-    if not file.header and _is_packed(rows):
+    if not header and _is_packed(rows):
         ids = np.add.outer(PER_MODULE * np.arange(len(rows) // len(TAXELS)), TAXELS).ravel()
+    representative = re.findall(r"-?\d+", header.get("taxel2Repr", ""))
     return SkinTable(
         "icub",
         ids,
         rows[filled, :3],
         rows[filled, 3:],
-        slots=len(rows) if file.header else None,
-        representative=file.representative,
+        slots=len(rows) if header else None,
+        representative=np.array(representative, np.int64) if "taxel2Repr" in header else None,
     )
 
 

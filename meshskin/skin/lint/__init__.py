@@ -13,7 +13,7 @@ import numpy as np
 from .. import files
 from ..files.table import SkinTable
 from ..skin import Skin
-from . import normals, positions, rows
+from . import normals, rows
 from .defect import Defect
 
 __all__ = ["CHECKS", "Defect", "check", "lint"]
@@ -21,7 +21,7 @@ __all__ = ["CHECKS", "Defect", "check", "lint"]
 CHECKS: tuple[Callable[[SkinTable], Iterator[Defect]], ...] = (
     *(rows.not_finite, rows.ids, rows.counts, rows.thermal),
     *(normals.normals, normals.frames, normals.flipped),
-    *(positions.duplicates, positions.scale, positions.isolated),
+    *(rows.duplicates, rows.scale, rows.isolated),
 )
 
 
