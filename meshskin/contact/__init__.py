@@ -30,10 +30,13 @@ BATCHED = MODELS[:3]
 """Names of the models of ContactModel."""
 AUTO = "auto"
 """In a scene or a belief, instead of a name: the first model of BATCHED that is valid."""
+LEARNED = "learned"
+"""In a belief, instead of a name: a response that is estimated with the taxels."""
 
 __all__ = [
     "AUTO",
     "BATCHED",
+    "LEARNED",
     "MODELS",
     "ContactModel",
     "ContactProblem",

@@ -96,8 +96,13 @@ class BondedLayer:
         hertz = elliptic.patches(force, curvature, indenter_radius, modulus)
         size = _mean_radius(hertz)
         chi = size / self.thickness
-        if functions(size) is np:
-            _check_chi(float(np.max(chi, initial=0.0)))
+        if functions(size) is np and not (largest := float(np.max(chi, initial=0.0))) <= MAX_CHI:
+            raise ContactError(
+                "the layer is too thin for the table of layered",
+                value=f"a_Hertz/thickness = {largest:.3g}",
+                limit=f"{MAX_CHI:g}",
+                remedy=f"lower the force, or use a thicker layer; {FIELD_REMEDY}",
+            )
         radius, peak, depth, aspect = self.factors(chi)
         root_aspect = elliptic.root_aspect(curvature, indenter_radius) ** aspect
         return Patches(
@@ -128,17 +133,6 @@ class BondedLayer:
 def _mean_radius(patches: Patches) -> Any:
     """sqrt(a b), m."""
     return functions(patches.first, patches.second).sqrt(patches.first * patches.second)
-
-
-def _check_chi(chi: float) -> None:
-    """Raise ContactError where chi is outside the table."""
-    if not chi <= MAX_CHI:
-        raise ContactError(
-            "the layer is too thin for the table of layered",
-            value=f"a_Hertz/thickness = {chi:.3g}",
-            limit=f"{MAX_CHI:g}",
-            remedy=f"lower the force, or use a thicker layer; {FIELD_REMEDY}",
-        )
 
 
 @functools.cache

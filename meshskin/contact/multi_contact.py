@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.arrays import Array
+from ..core.arrays import Array, far_apart
 from ..core.errors import ContactError
 from ..geometry.body import Body
 from ..geometry.mesh.triangles import closest_on_triangles
@@ -81,7 +81,14 @@ def find_contacts(body: Body, centre: ArrayLike, indenter_radius: float) -> Inde
     # seen from the inside: the far side of a thin wall, or the centre is in the body
     outside = np.linalg.norm(normal + hit.normal, axis=1) > MAX_NORMAL_ANGLE
     if not outside.any() and (len(starts) or body.mesh.is_watertight):
-        _check_outside(body, c)
+        signed = float(body.closest(c[None]).distance[0])
+        if signed <= 0:
+            raise ContactError(
+                "the indenter's centre lies inside the body",
+                value=f"signed distance {signed:.4g} m",
+                limit="> 0 m",
+                remedy="start farther out, or check the body's orientation",
+            )
     convexity = np.where(smooth, 1 + hit.curvature[:, 1] * distance, 1.0)
     # a negative convexity is a saddle or a maximum of the distance, which is no contact
     keep = np.flatnonzero(outside & (convexity > -MIN_CONVEXITY) & (distance < indenter_radius))
@@ -93,7 +100,8 @@ def find_contacts(body: Body, centre: ArrayLike, indenter_radius: float) -> Inde
             remedy="use a smaller indenter",
         )
     nearest_first = keep[np.argsort(distance[keep])]
-    keep = _distinct(hit.point, nearest_first, MERGE_DISTANCE * indenter_radius)
+    merge = MERGE_DISTANCE * indenter_radius
+    keep = far_apart(hit.point, nearest_first, merge, len(nearest_first))
     return IndenterContacts(
         point=hit.point[keep],
         normal=normal[keep],
@@ -102,18 +110,6 @@ def find_contacts(body: Body, centre: ArrayLike, indenter_radius: float) -> Inde
         face=hit.face[keep],
         smooth=smooth[keep],
     )
-
-
-def _check_outside(body: Body, centre: Array) -> None:
-    """Raise ContactError if the indenter's centre (3,), body frame, m, lies inside the body."""
-    signed = float(body.closest(centre[None]).distance[0])
-    if signed <= 0:
-        raise ContactError(
-            "the indenter's centre lies inside the body",
-            value=f"signed distance {signed:.4g} m",
-            limit="> 0 m",
-            remedy="start farther out, or check the body's orientation",
-        )
 
 
 def solve_contacts(
@@ -184,15 +180,6 @@ def _start_faces(body: Body, centre: Array, reach: float) -> NDArray[np.intp]:
     np.minimum.at(around, corners.ravel(), np.repeat(gap, 3))
     lowest = gap <= around[corners].min(axis=1) * (1 + 1e-9)
     return np.asarray(candidates[lowest | interior])
-
-
-def _distinct(points: Array, rows: NDArray[np.intp], distance: float) -> NDArray[np.intp]:
-    """`rows` without those whose point is within `distance` of the point of an earlier row."""
-    kept: list[int] = []
-    for row in rows:
-        if all(np.linalg.norm(points[row] - points[k]) > distance for k in kept):
-            kept.append(int(row))
-    return np.array(kept, dtype=np.intp)
 
 
 def _check_separate(found: IndenterContacts, patches: list[Patch]) -> None:

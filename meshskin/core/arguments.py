@@ -90,11 +90,6 @@ def check_integer(
     return int(value)
 
 
-def check_seed(seed: object) -> None:
-    """Raise ConfigError unless `seed` is an integer of at least 0."""
-    check_integer("seed", seed, least=0)
-
-
 def check_array(what: str, values: ArrayLike, *, error: type[MeshskinError] = ConfigError) -> Array:
     """The values as an array of floats of any shape. Raises `error` for other values."""
     try:

@@ -38,3 +38,20 @@ def rows_by_key(keys: NDArray[Any]) -> list[Index]:
     """Rows of equal `keys` (n,), in the order of the keys; one empty group for no keys."""
     order = np.argsort(keys, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(keys[order])) + 1)
+
+
+def far_apart(points: Array, order: Index, reach: float, count: int) -> Index:
+    """The first rows in `order` that are farther than `reach` (m) from each other, at most `count`.
+
+    points (n, 3), m.
+    """
+    from scipy.spatial import KDTree
+
+    tree, chosen, beside = KDTree(points), list[int](), np.zeros(len(points), dtype=bool)
+    for k in order.tolist():
+        if len(chosen) == count:
+            break
+        if not beside[k]:
+            chosen.append(k)
+            beside[tree.query_ball_point(points[k], reach)] = True
+    return np.array(chosen, dtype=np.intp)

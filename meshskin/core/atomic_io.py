@@ -14,13 +14,11 @@ from typing import Any
 from .errors import OutputError
 
 
-def output_error(path: Path, error: OSError) -> OutputError:
-    """The OutputError for a file or folder that cannot be created."""
-    return OutputError(
-        f"cannot write {path}",
-        value=error.strerror,
-        remedy="choose a folder that you may write to (--out)",
-    )
+def output_error(
+    path: Path, error: OSError, remedy: str = "choose a folder that you may write to (--out)"
+) -> OutputError:
+    """The OutputError for a file or folder that cannot be written."""
+    return OutputError(f"cannot write {path}", value=error.strerror, remedy=remedy)
 
 
 @contextmanager
@@ -44,11 +42,7 @@ def atomic(path: str | Path) -> Iterator[Path]:
         temporary.chmod(0o666 & ~umask)
         os.replace(temporary, path)
     except OSError as error:
-        raise OutputError(
-            f"cannot write {path}",
-            value=error.strerror,
-            remedy="free space or choose another --out",
-        ) from error
+        raise output_error(path, error, "free space or choose another --out") from error
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -43,26 +43,20 @@ PLAIN = ("-O0", "-shared", "-fPIC")
 """Flags for long code that runs a few times: -O3 takes ten times as long to compile it."""
 
 
-def compile_function(function: ca.Function, flags: tuple[str, ...] = FLAGS) -> ca.Function:
+def compile_function(function: ca.Function) -> ca.Function:
     """`function` as machine code, with the same name, inputs and outputs.
 
     The result has no derivatives: compile a Jacobian or Hessian as a function of its own. Without a
     C compiler, or where it fails, `function` itself is returned, with one warning per process.
     """
-    name = function.name()
-    return _machine_code(name, lambda: c_source(function), _external(name), flags) or function
+    return _compiled(function, [], FLAGS)
 
 
 def compile_with_derivatives(function: ca.Function, directions: int) -> ca.Function:
-    """`function` as machine code with forward derivatives in 1 and in `directions` directions.
-
-    It is compiled without optimization. Without a C compiler, or where it fails, `function` itself
-    is returned, with one warning per process.
+    """`function` as `compile_function`, with forward derivatives in 1 and in `directions`
+    directions. It is compiled without optimization.
     """
-    name = function.name()
-    forward = [function.forward(count) for count in sorted({1, directions})]
-    made = _machine_code(name, lambda: c_source(function, *forward), _external(name), PLAIN)
-    return made or function
+    return _compiled(function, [function.forward(k) for k in sorted({1, directions})], PLAIN)
 
 
 def compile_library(name: str, text: str, flags: tuple[str, ...] = FLAGS) -> ctypes.CDLL | None:
@@ -159,11 +153,17 @@ def _machine_code(
     return None
 
 
-def _external(name: str) -> Callable[[str], ca.Function]:
-    """Opens a shared library as the CasADi function `name`."""
+def _compiled(
+    function: ca.Function, derivatives: list[ca.Function], flags: tuple[str, ...]
+) -> ca.Function:
+    """`function` and its derivatives as machine code, or `function` itself."""
     import casadi as ca
 
-    return lambda path: ca.external(name, path)
+    name = function.name()
+    made = _machine_code(
+        name, lambda: c_source(function, *derivatives), lambda path: ca.external(name, path), flags
+    )
+    return made or function
 
 
 def _load(path: str) -> ctypes.CDLL:

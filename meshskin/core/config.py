@@ -70,7 +70,7 @@ def check_fields(config: Any) -> None:
         bounds, value = dict(field.metadata), getattr(config, field.name)
         if "unit" not in bounds or value is None:
             continue
-        name, unit = f"{_table_name(cls)}.{field.name}", bounds.pop("unit")
+        name, unit = f"{table_name(cls)}.{field.name}", bounds.pop("unit")
         kind, length = hints[field.name]
         values = (value,) if length is None else value
         if not isinstance(values, tuple) or length not in (None, ANY_LENGTH, len(values)):
@@ -82,7 +82,7 @@ def check_fields(config: Any) -> None:
                 check_integer(name, number)
 
 
-def _table_name(cls: type) -> str:
+def table_name(cls: type) -> str:
     """The name of a class in TOML: _ArmTable is arm, GaussianNoise is gaussian_noise."""
     bare = cls.__name__.strip("_").removesuffix("Table")
     return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", bare).lower()
@@ -128,7 +128,8 @@ def check_table(table: Any, where: str) -> None:
 def from_table(cls: type[T], table: Mapping[str, Any], where: str) -> T:
     """The dataclass `cls` from a TOML table; `where` names the table in errors.
 
-    Raises UnknownNameError for an unknown key, ConfigError for a missing or wrong value.
+    Raises UnknownNameError for an unknown key, ConfigError for a missing or wrong value, or one out
+    of its bounds.
     """
     check_table(table, where)
     fields = {f.name: f for f in dataclasses.fields(cls) if f.init}  # type: ignore[arg-type]
@@ -155,7 +156,9 @@ def from_table(cls: type[T], table: Mapping[str, Any], where: str) -> T:
             raise ConfigError(
                 f"[{where}] lacks {field.name}", remedy=f"add {' or '.join(_keys(field))}"
             )
-    return cls(**values)
+    config = cls(**values)
+    check_fields(config)
+    return config
 
 
 def _typed(value: Any, kind: Any, length: int | None, where: str) -> Any:

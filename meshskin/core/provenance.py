@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from .arguments import check_seed
+from .arguments import check_integer
 
 _PACKAGES = ("meshskin", "casadi", "numpy", "scipy", "trimesh", "embreex", "adam-robotics")
 """Packages whose versions results depend on."""
@@ -61,7 +61,7 @@ def random_stream(seed: int, name: str) -> np.random.Generator:
 
     Raises ConfigError unless `seed` is an integer of at least 0.
     """
-    check_seed(seed)
+    check_integer("seed", seed, least=0)
     key = [int.from_bytes(hashlib.sha256(name.encode()).digest()[k : k + 4]) for k in (0, 4, 8)]
     return np.random.default_rng(np.random.SeedSequence(entropy=seed, spawn_key=key))
 

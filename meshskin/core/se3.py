@@ -26,16 +26,11 @@ def hat(w: ArrayLike) -> Array:
 
 
 def exp_so3(w: ArrayLike) -> Array:
-    """Rotation matrices (..., 3, 3) of rotation vectors `w` (..., 3), in rad (Rodrigues)."""
+    """Rotation matrices (..., 3, 3) of rotation vectors `w` (..., 3), in rad."""
+    from scipy.spatial.transform import Rotation
+
     w = np.asarray(w, dtype=float)
-    angle2 = np.sum(w * w, axis=-1)[..., None, None]
-    angle = np.sqrt(angle2)
-    small = angle2 < 1e-8
-    safe = np.where(small, 1.0, angle)
-    s = np.where(small, 1.0 - angle2 / 6.0, np.sin(safe) / safe)
-    c = np.where(small, 0.5 - angle2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
-    k = hat(w)
-    return np.eye(3) + s * k + c * (k @ k)
+    return np.asarray(Rotation.from_rotvec(w.reshape(-1, 3)).as_matrix()).reshape(*w.shape, 3)
 
 
 def left_jacobian(w: ArrayLike) -> Array:
@@ -69,14 +64,9 @@ def log_so3(rotation: ArrayLike) -> Array:
 
 def from_rpy(rpy: ArrayLike) -> Array:
     """Rotation (3, 3) Rz(yaw) Ry(pitch) Rx(roll) of roll, pitch, yaw (3,) as in URDF, rad."""
-    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_euler("xyz", rpy).as_matrix())
 
 
 def transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
@@ -195,21 +185,6 @@ def align(source: ArrayLike, target: ArrayLike) -> Array:
     return transform(r, cb - r @ ca)
 
 
-def casadi_quaternion_product(p: ca.SX, q: ca.SX) -> ca.SX:
-    """Hamilton product of CasADi quaternions (4,), xyzw: the rotation `q`, followed by `p`."""
-    import casadi as ca
-
-    v = p[3] * q[:3] + q[3] * p[:3] + ca.cross(p[:3], q[:3])
-    return ca.vertcat(v, p[3] * q[3] - ca.dot(p[:3], q[:3]))
-
-
-def casadi_conjugate(q: ca.SX) -> ca.SX:
-    """Inverse of a CasADi unit quaternion (4,), xyzw."""
-    import casadi as ca
-
-    return ca.vertcat(-q[:3], q[3])
-
-
 def casadi_rotation(q: ca.SX) -> ca.SX:
     """Rotation matrix (3, 3) of a CasADi unit quaternion (4,), xyzw."""
     import casadi as ca
@@ -219,31 +194,8 @@ def casadi_rotation(q: ca.SX) -> ca.SX:
     return ca.SX.eye(3) + 2 * w * k + 2 * ca.mtimes(k, k)
 
 
-def casadi_cayley(a: ca.SX) -> ca.SX:
-    """Unit quaternion (4,), xyzw, of the increment `a` (3,): (a/2, 1) / sqrt(1 + |a|^2/4).
-
-    Equal to the exponential map to second order at 0 (the angle is 2 atan(|a|/2)), and cheaper.
-    """
-    import casadi as ca
-
-    return ca.vertcat(a / 2, 1) / ca.sqrt(1 + ca.dot(a, a) / 4)
-
-
-def casadi_log(q: ca.SX) -> ca.SX:
-    """Rotation vector (3,), in rad, of a CasADi unit quaternion (4,), xyzw.
-
-    Value, gradient and Hessian are finite everywhere, also at the identity and at pi.
-    """
-    import casadi as ca
-
-    v, w = q[:3], q[3]
-    sign = ca.if_else(w < 0, -1, 1)
-    n = ca.sqrt(ca.dot(v, v) + 1e-24)
-    return 2 * ca.atan2(n, sign * w) / n * sign * v
-
-
 def cayley(a: ArrayLike) -> Array:
-    """Rotation matrices (..., 3, 3) of Cayley increments `a` (..., 3); see `casadi_cayley`."""
+    """Rotation matrices (..., 3, 3) of increments `a` (..., 3), as posegraph.kernel.cayley."""
     a = np.asarray(a, dtype=float)
     k = hat(a)
     scale = 1.0 / (1.0 + np.sum(a * a, axis=-1)[..., None, None] / 4.0)

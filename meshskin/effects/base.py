@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
@@ -71,13 +72,43 @@ class NoiseEffect(Protocol):
 
 
 class BaseEffect:
-    """Base class of the effects: no required or excluded effects, fields checked on creation."""
+    """Base class of effects: fields are checked on creation, and `Effect`'s facts are keywords.
 
+        class GaussianNoise(BaseEffect, stage="transducer", cost=8e-9):
+
+    The name is that of the class as in TOML, gaussian_noise.
+    """
+
+    name: ClassVar[str]
+    stage: ClassVar[str]
     requires: ClassVar[tuple[str, ...]] = ()
     excludes: ClassVar[tuple[str, ...]] = ()
+    cost: ClassVar[float]
+
+    def __init_subclass__(cls, **facts: Any) -> None:
+        if "stage" in facts:
+            facts["name"] = config.table_name(cls)
+        for key, value in facts.items():
+            setattr(cls, key, value)
 
     def __post_init__(self) -> None:
         config.check_fields(self)
+
+
+class ReadingModelEffect(BaseEffect):
+    """Base class of the effects that the reading model describes, with other parameters."""
+
+    def change(self, model: ReadingModel, context: Context) -> ReadingModel:
+        """The reading model with the effect."""
+        raise NotImplementedError
+
+    def bound(self, context: Context) -> float:
+        """From the largest change of a reading, m."""
+        return context.model_error_bound(self.change(context.reading_model, context))
+
+    def build(self, context: Context) -> Callable[[ReadingModel], ReadingModel]:
+        """A function that changes a reading model."""
+        return partial(self.change, context=context)
 
 
 def check_effect(effect: Any) -> None:

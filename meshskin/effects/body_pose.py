@@ -7,28 +7,22 @@ the body closest to it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
 from ..core.config import quantity
 from ..core.se3 import exp_so3
 from .base import BaseEffect, Context, FrameTransform
-from .frames import Frames
 
 
 @dataclass(frozen=True)
-class BodyPose(BaseEffect):
+class BodyPose(BaseEffect, stage="geometry", cost=3e-8):
     """A rigid displacement of all recorded contacts."""
 
     translation: tuple[float, float, float] = quantity("m", (5e-4, 0.0, 0.0), least=-0.1, most=0.1)
     """Translation t, body frame."""
     rotation: tuple[float, float, float] = quantity("rad", (0.0, 0.0, 0.0), least=-4.0, most=4.0)
     """Rotation vector w about the origin of the body frame."""
-
-    name: ClassVar[str] = "body_pose"
-    stage: ClassVar[str] = "geometry"
-    cost: ClassVar[float] = 3e-8
 
     def bound(self, context: Context) -> float:
         """|t| plus |w| times the largest distance of a taxel from the origin, m."""
@@ -38,8 +32,4 @@ class BodyPose(BaseEffect):
     def build(self, context: Context) -> FrameTransform:
         """A stateless transform of the recorded centres."""
         rotation = exp_so3(self.rotation)
-
-        def displace(frames: Frames) -> Frames:
-            return frames.with_centres(frames.centres @ rotation.T + self.translation)
-
-        return displace
+        return lambda frames: frames.with_centres(frames.centres @ rotation.T + self.translation)

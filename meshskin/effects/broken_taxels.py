@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from .frames import Frames
 
 
 @dataclass(frozen=True)
-class BrokenTaxels(BaseEffect):
+class BrokenTaxels(BaseEffect, stage="transducer", cost=2e-10):
     """Randomly chosen broken taxels; their numbers are rounded to integers."""
 
     dead: float = quantity("", 0.02, least=0.0, most=1.0)
@@ -24,10 +23,6 @@ class BrokenTaxels(BaseEffect):
     """Fraction of the taxels that always read one level."""
     level_relative: float = quantity("", 0.5, least=0.0)
     """Level of the stuck taxels, relative to p_0 at the reference force."""
-
-    name: ClassVar[str] = "broken_taxels"
-    stage: ClassVar[str] = "transducer"
-    cost: ClassVar[float] = 2e-10
 
     def __post_init__(self) -> None:
         super().__post_init__()

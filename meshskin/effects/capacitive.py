@@ -13,26 +13,19 @@ stiffening law; its default parameters are not fitted to a particular skin.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
-from ..core.arrays import Array
 from ..core.config import quantity
 from .base import BaseEffect, Context, PressureTransform
-from .frames import Frames
 
 
 @dataclass(frozen=True)
-class Capacitive(BaseEffect):
+class Capacitive(BaseEffect, stage="transducer", cost=5e-10):
     """Readings of a compressed capacitor, scaled as if it were linear."""
 
     largest_strain: float = quantity("", 0.7, above=0.0, most=1.0)
     """Largest strain s_max of the dielectric; at 1 the reading is linear."""
     half_relative: float = quantity("", 4.0, above=0.0)
     """Pressure p_h at half that strain, relative to the peak pressure at the reference force."""
-
-    name: ClassVar[str] = "capacitive"
-    stage: ClassVar[str] = "transducer"
-    cost: ClassVar[float] = 5e-10
 
     def bound(self, context: Context) -> float:
         """From the reduction of the reading at p_0, m."""
@@ -42,8 +35,4 @@ class Capacitive(BaseEffect):
     def build(self, context: Context) -> PressureTransform:
         """A stateless transform."""
         bend = (1.0 - self.largest_strain) / (self.half_relative * context.peak_pressure)
-
-        def saturate(pressures: Array, frames: Frames) -> Array:
-            return pressures / (1.0 + bend * pressures)
-
-        return saturate
+        return lambda pressures, frames: pressures / (1.0 + bend * pressures)

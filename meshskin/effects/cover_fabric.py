@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -28,15 +27,11 @@ BOUND_SAMPLES = 200
 
 
 @dataclass(frozen=True)
-class CoverFabric(BaseEffect):
+class CoverFabric(BaseEffect, stage="field", cost=2.5e-6):
     """Each taxel reads the pressure around it, weighted by a Gaussian."""
 
     width: float = quantity("m", 1e-3, above=0.0, most=0.1)
     """Standard deviation w of the Gaussian along one axis."""
-
-    name: ClassVar[str] = "cover_fabric"
-    stage: ClassVar[str] = "field"
-    cost: ClassVar[float] = 2.5e-6
 
     def bound(self, context: Context) -> float:
         """From the largest change of a reading under a circular reference contact, m."""

@@ -9,18 +9,16 @@ readings over the skin is preserved.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from ..core.arrays import Array
 from ..core.config import quantity
 from .base import BaseEffect, Context, PressureTransform
-from .frames import Frames
 
 
 @dataclass(frozen=True)
-class Crosstalk(BaseEffect):
+class Crosstalk(BaseEffect, stage="transducer", cost=2e-9):
     """Leaks between neighbouring taxels."""
 
     coupling: float = quantity("", 0.03, least=0.0, most=0.5)
@@ -30,10 +28,6 @@ class Crosstalk(BaseEffect):
     module_size: int | None = quantity("", None, least=2)
     """Leaks occur only between taxels whose ids have the same quotient by this; None: anywhere."""
 
-    name: ClassVar[str] = "crosstalk"
-    stage: ClassVar[str] = "transducer"
-    cost: ClassVar[float] = 2e-9
-
     def bound(self, context: Context) -> float:
         """From a taxel that reads p_0 while its neighbours read zero, m."""
         return context.reading_error_bound(self.coupling)
@@ -41,11 +35,7 @@ class Crosstalk(BaseEffect):
     def build(self, context: Context) -> PressureTransform:
         """A stateless linear transform."""
         mixing = self.mixing(context)
-
-        def leak(pressures: Array, frames: Frames) -> Array:
-            return np.asarray(mixing @ pressures.T).T
-
-        return leak
+        return lambda pressures, frames: np.asarray(mixing @ pressures.T).T
 
     def mixing(self, context: Context) -> Any:
         """I - (c / d) L: a sparse, symmetric matrix (n, n) whose rows and columns sum to 1."""

@@ -7,7 +7,6 @@ q + offset + noise. The closed loop itself uses the true angles.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -23,17 +22,13 @@ as rarely (0.27 %) as a number lies outside 3 standard deviations."""
 
 
 @dataclass(frozen=True)
-class Encoder(BaseEffect):
+class Encoder(BaseEffect, stage="robot", cost=7e-8):
     """Errors of the recorded joint angles, which displace the recorded contacts."""
 
     offset_spread: float = quantity("rad", 2e-4, least=0.0, most=1.0)
     """Standard deviation of the offsets."""
     noise_spread: float = quantity("rad", 5e-5, least=0.0, most=1.0)
     """Standard deviation of the noise."""
-
-    name: ClassVar[str] = "encoder"
-    stage: ClassVar[str] = "robot"
-    cost: ClassVar[float] = 7e-8
 
     def bound(self, context: Context) -> float:
         """The error at 3 standard deviations on any path of the arm, m; infinite without postures.

@@ -6,7 +6,6 @@ The compliance law of the closed loop uses the true force.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 from ..core.config import quantity
 from .base import BaseEffect, Context, FrameTransform
@@ -14,17 +13,13 @@ from .frames import Frames
 
 
 @dataclass(frozen=True)
-class ForceSensor(BaseEffect):
+class ForceSensor(BaseEffect, stage="robot", cost=1.1e-10):
     """White noise and a constant bias."""
 
     noise: float = quantity("N", 0.02, least=0.0)
     """Standard deviation sigma."""
     bias: float = quantity("N", 0.05)
     """Bias b."""
-
-    name: ClassVar[str] = "force_sensor"
-    stage: ClassVar[str] = "robot"
-    cost: ClassVar[float] = 1.1e-10
 
     def bound(self, context: Context) -> float:
         """From the bias and 3 standard deviations of the noise, m."""

@@ -55,16 +55,15 @@ class Frames:
 
     def rows(self, rows: Any) -> Frames:
         """Some of the frames: a slice, a mask or indices."""
-        return self.with_columns({name: getattr(self, name)[rows] for name in COLUMNS})
-
-    def with_columns(self, columns: dict[str, Any]) -> Frames:
-        """The frames with other arrays in the fields COLUMNS."""
+        columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in COLUMNS}
         return replace(self, **columns)
 
     def append(self, later: Frames) -> Frames:
         """These frames followed by `later` ones."""
-        columns = {n: np.concatenate([getattr(self, n), getattr(later, n)]) for n in COLUMNS}
-        return later.with_columns(columns)
+        columns: dict[str, Any] = {
+            name: np.concatenate([getattr(self, name), getattr(later, name)]) for name in COLUMNS
+        }
+        return replace(later, **columns)
 
 
 COLUMNS = tuple(f.name for f in fields(Frames) if f.name != "closest_point")
@@ -129,10 +128,10 @@ class FrameHistory:
             a, b = getattr(early, name), getattr(late, name)
             return np.asarray(b + (1.0 - weight.reshape(-1, *[1] * (a.ndim - 1))) * (a - b))
 
-        columns = {name: blend(name) for name in COLUMNS}
+        columns: dict[str, Any] = {name: blend(name) for name in COLUMNS}
         columns["normals"] /= np.linalg.norm(columns["normals"], axis=1)[:, None]
         columns["directions"] = _blend_directions(early, late, weight, columns["normals"])
-        return known.with_columns(columns | {"time": time})
+        return replace(known, **columns | {"time": time})
 
 
 def _blend_directions(early: Frames, late: Frames, weight: Array, normals: Array) -> Array:

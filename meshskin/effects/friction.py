@@ -15,7 +15,6 @@ Mechanics" (1985), eq. 7.42, section 7.1.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
@@ -25,15 +24,11 @@ from .frames import MAX_FRAME_GAP, Frames
 
 
 @dataclass(frozen=True)
-class Friction(BaseEffect):
+class Friction(BaseEffect, stage="contact", cost=9e-8):
     """The patch lags behind the contact by the shear displacement of the skin."""
 
     coefficient: float = quantity("", 0.2, least=0.0, most=5.0)
     """Coefficient of friction mu."""
-
-    name: ClassVar[str] = "friction"
-    stage: ClassVar[str] = "contact"
-    cost: ClassVar[float] = 9e-8
 
     def slip(self, context: Context) -> float:
         """Shear displacement at which the contact slides, m, at the reference force."""

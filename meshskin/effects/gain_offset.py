@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
-from ..core.arrays import Array
 from ..core.config import quantity
 from .base import BaseEffect, Context, PressureTransform
-from .frames import Frames
 
 
 @dataclass(frozen=True)
-class GainOffset(BaseEffect):
+class GainOffset(BaseEffect, stage="transducer", cost=6e-10):
     """A gain and an offset of each taxel, constant in time."""
 
     gain_spread: float = quantity("", 0.05, least=0.0, most=1.0)
     """Standard deviation of ln(gain)."""
     offset_relative: float = quantity("", 0.005, least=0.0, most=1.0)
     """Standard deviation of the offsets, relative to p_0 at the reference force."""
-
-    name: ClassVar[str] = "gain_offset"
-    stage: ClassVar[str] = "transducer"
-    cost: ClassVar[float] = 6e-10
 
     def bound(self, context: Context) -> float:
         """From a gain and an offset at 3 standard deviations, m."""
@@ -36,8 +29,4 @@ class GainOffset(BaseEffect):
         stream, n = context.stream(self.name), len(context.skin)
         gain = np.exp(self.gain_spread * stream.standard_normal(n))
         offset = self.offset_relative * context.peak_pressure * stream.standard_normal(n)
-
-        def scale(pressures: Array, frames: Frames) -> Array:
-            return gain * pressures + offset
-
-        return scale
+        return lambda pressures, frames: gain * pressures + offset

@@ -7,24 +7,17 @@ range that does not vary with the contact.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
-from ..core.arrays import Array
 from ..core.config import quantity
 from .base import BaseEffect, Context, PressureTransform
-from .frames import Frames
 
 
 @dataclass(frozen=True)
-class GaussianNoise(BaseEffect):
+class GaussianNoise(BaseEffect, stage="transducer", cost=8e-9):
     """White noise added to the pressure of every taxel in every frame."""
 
     sigma_relative: float = quantity("", 0.01, above=0.0, most=1.0)
     """Standard deviation, relative to the peak pressure p_0 at the reference force."""
-
-    name: ClassVar[str] = "gaussian_noise"
-    stage: ClassVar[str] = "transducer"
-    cost: ClassVar[float] = 8e-9
 
     def sigma(self, context: Context) -> float:
         """Standard deviation, Pa."""
@@ -42,8 +35,4 @@ class GaussianNoise(BaseEffect):
         The noise does not depend on how the frames are divided into batches.
         """
         stream, sigma = context.stream(self.name), self.sigma(context)
-
-        def add(pressures: Array, frames: Frames) -> Array:
-            return pressures + sigma * stream.standard_normal(pressures.shape)
-
-        return add
+        return lambda pressures, frames: pressures + sigma * stream.standard_normal(pressures.shape)

@@ -8,7 +8,6 @@ skin faces downwards.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
@@ -18,15 +17,11 @@ from .frames import Frames
 
 
 @dataclass(frozen=True)
-class GravityError(BaseEffect):
+class GravityError(BaseEffect, stage="robot", cost=1.7e-8):
     """A mass that the gravity compensation ignores."""
 
     mass: float = quantity("kg", 0.01, least=-100.0, most=100.0)
     """True mass minus assumed mass, dm."""
-
-    name: ClassVar[str] = "gravity_error"
-    stage: ClassVar[str] = "robot"
-    cost: ClassVar[float] = 1.7e-8
 
     def bound(self, context: Context) -> float:
         """From the whole weight acting along the normal, m."""

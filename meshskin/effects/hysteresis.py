@@ -10,7 +10,6 @@ Brokate and Sprekels, "Hysteresis and Phase Transitions" (1996), chapter 2.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from .frames import Frames
 
 
 @dataclass(frozen=True)
-class Hysteresis(BaseEffect):
+class Hysteresis(BaseEffect, stage="transducer", cost=7e-8):
     """Play operators of equal weights and evenly spaced half-widths."""
 
     share: float = quantity("", 0.5, least=0.0, most=1.0)
@@ -30,10 +29,6 @@ class Hysteresis(BaseEffect):
     """Largest half-width, relative to p_0 at the reference force."""
     plays: int = quantity("", 4, least=1, most=100)
     """Number of play operators."""
-
-    name: ClassVar[str] = "hysteresis"
-    stage: ClassVar[str] = "transducer"
-    cost: ClassVar[float] = 7e-8
 
     @property
     def mean_width(self) -> float:

@@ -7,7 +7,6 @@ body.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -17,15 +16,11 @@ from .frames import Frames
 
 
 @dataclass(frozen=True)
-class IndenterOffset(BaseEffect):
+class IndenterOffset(BaseEffect, stage="geometry", cost=5e-8):
     """The recorded position of the indenter minus the true one."""
 
     offset: tuple[float, float, float] = quantity("m", (3e-4, 0.0, 0.0), least=-0.1, most=0.1)
     """Offset d, world frame."""
-
-    name: ClassVar[str] = "indenter_offset"
-    stage: ClassVar[str] = "geometry"
-    cost: ClassVar[float] = 5e-8
 
     def bound(self, context: Context) -> float:
         """|d|, m: on a convex body the closest point moves less than the centre."""

@@ -13,7 +13,6 @@ loop; this effect only changes the recorded force.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
@@ -30,15 +29,11 @@ scene "sphere", 2.5 rad/s."""
 
 
 @dataclass(frozen=True)
-class JointFriction(BaseEffect):
+class JointFriction(BaseEffect, stage="robot", cost=4e-7):
     """Coulomb friction of the joints that the inferred force includes."""
 
     torque: float = quantity("N m", least=0.0)
     """Friction torque T of every joint."""
-
-    name: ClassVar[str] = "joint_friction"
-    stage: ClassVar[str] = "robot"
-    cost: ClassVar[float] = 4e-7
 
     def bound(self, context: Context) -> float:
         """The error with the friction of all joints against the force in the worst posture, m.

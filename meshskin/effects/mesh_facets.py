@@ -7,22 +7,17 @@ face it lags behind the contact, and it jumps at the edges.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
 from ..geometry.surface.surface import Facets
 from .base import BaseEffect, Context, FrameTransform
-from .frames import ClosestPoint, Frames
+from .frames import ClosestPoint
 
 
 @dataclass(frozen=True)
-class MeshFacets(BaseEffect):
+class MeshFacets(BaseEffect, stage="geometry", cost=2e-8):
     """Recorded contacts are those of the flat mesh."""
-
-    name: ClassVar[str] = "mesh_facets"
-    stage: ClassVar[str] = "geometry"
-    cost: ClassVar[float] = 2e-8
 
     def bound(self, context: Context) -> float:
         """Twice the largest error of the contact point for an indenter above each taxel, m."""
@@ -34,12 +29,8 @@ class MeshFacets(BaseEffect):
 
     def build(self, context: Context) -> FrameTransform:
         """A stateless transform; effects that move contacts later use the facets too."""
-        closest_point = facets(context)
-
-        def flatten(frames: Frames) -> Frames:
-            return replace(frames, closest_point=closest_point).with_centres(frames.centres)
-
-        return flatten
+        flat = facets(context)
+        return lambda frames: replace(frames, closest_point=flat).with_centres(frames.centres)
 
 
 def facets(context: Context) -> ClosestPoint:

@@ -11,7 +11,7 @@ from ..core.arrays import Array
 from ..core.errors import ConfigError
 from .base import STAGES, Context, Effect, FrameTransform, PressureTransform, check_effect
 from .frames import EffectClock, Frames, PressureField
-from .registry import CLASS_NAMES
+from .registry import NAMES
 
 
 def ordered(effects: Iterable[Effect]) -> tuple[Effect, ...]:
@@ -39,7 +39,7 @@ def ordered(effects: Iterable[Effect]) -> tuple[Effect, ...]:
         for other in effect.excludes:
             if other in counts:
                 raise ConfigError(f"effect {effect.name} excludes {other}", remedy="remove one")
-    rank = {name: k for k, name in enumerate(CLASS_NAMES)}
+    rank = {name: k for k, name in enumerate(NAMES)}
     return tuple(
         sorted(effects, key=lambda e: (STAGES.index(e.stage), rank.get(e.name, len(rank))))
     )

@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
-from ..core.arrays import Array
 from ..core.config import quantity
 from .base import BaseEffect, Context, PressureTransform
-from .frames import Frames
 
 
 @dataclass(frozen=True)
-class Quantisation(BaseEffect):
+class Quantisation(BaseEffect, stage="transducer", cost=7e-10):
     """An analogue-to-digital converter with 2^bits levels."""
 
     bits: int = quantity("", 8, least=1, most=32)
     """Resolution; 8 and 16 bits are usual."""
     scale_relative: float = quantity("", 1.5, above=0.0)
     """End of the scale, relative to p_0 at the reference force."""
-
-    name: ClassVar[str] = "quantisation"
-    stage: ClassVar[str] = "transducer"
-    cost: ClassVar[float] = 7e-10
 
     def step(self, context: Context) -> float:
         """Pressure difference of adjacent levels, Pa."""
@@ -38,8 +31,4 @@ class Quantisation(BaseEffect):
     def build(self, context: Context) -> PressureTransform:
         """A stateless transform."""
         step, top = self.step(context), 2**self.bits - 1
-
-        def quantize(pressures: Array, frames: Frames) -> Array:
-            return step * np.clip(np.rint(pressures / step), 0, top)
-
-        return quantize
+        return lambda pressures, frames: step * np.clip(np.rint(pressures / step), 0, top)

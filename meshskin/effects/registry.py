@@ -15,34 +15,14 @@ from .base import Effect, check_effect
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-CLASS_NAMES = {
-    "friction": "Friction",
-    "layer": "Layer",
-    "elliptic_patch": "EllipticPatch",
-    "disc_averaging": "DiscAveraging",
-    "cover_fabric": "CoverFabric",
-    "scan_order": "ScanOrder",
-    "relaxation": "Relaxation",
-    "crosstalk": "Crosstalk",
-    "hysteresis": "Hysteresis",
-    "capacitive": "Capacitive",
-    "gain_offset": "GainOffset",
-    "temperature_drift": "TemperatureDrift",
-    "gaussian_noise": "GaussianNoise",
-    "sensing_range": "SensingRange",
-    "quantisation": "Quantisation",
-    "broken_taxels": "BrokenTaxels",
-    "mesh_facets": "MeshFacets",
-    "body_pose": "BodyPose",
-    "indenter_offset": "IndenterOffset",
-    "sampling": "Sampling",
-    "encoder": "Encoder",
-    "gravity_error": "GravityError",
-    "joint_friction": "JointFriction",
-    "force_sensor": "ForceSensor",
-}
-"""Class of each effect by the name of the effect and of its module, in the order of the signal:
-effects of one stage act in this order, followed by those of other packages."""
+NAMES = (
+    "friction", "layer", "elliptic_patch", "disc_averaging", "cover_fabric", "scan_order",
+    "relaxation", "crosstalk", "hysteresis", "capacitive", "gain_offset", "temperature_drift",
+    "gaussian_noise", "sensing_range", "quantisation", "broken_taxels", "mesh_facets", "body_pose",
+    "indenter_offset", "sampling", "encoder", "gravity_error", "joint_friction", "force_sensor",
+)  # fmt: skip
+"""Names of the effects and of their modules, in the order of the signal: effects of one stage act
+in this order, followed by those of other packages."""
 
 ENTRY_POINT_GROUP = "meshskin.effects"
 """Group of the entry points through which other packages add effects."""
@@ -54,12 +34,12 @@ def find(name: str) -> type[Effect]:
     Raises UnknownNameError for an unknown name, and ConfigError where the entry point of another
     package cannot be loaded.
     """
-    if name in CLASS_NAMES:
+    if name in NAMES:
         module = import_module(f".{name}", __package__)
-        return cast(type[Effect], getattr(module, CLASS_NAMES[name]))
+        return cast(type[Effect], getattr(module, name.title().replace("_", "")))
     entry_points = _entry_points()
     if name not in entry_points:
-        raise UnknownNameError("effect", name, {*CLASS_NAMES, *entry_points})
+        raise UnknownNameError("effect", name, {*NAMES, *entry_points})
     try:
         found = entry_points[name].load()
     except Exception as error:  # the import of another package may raise anything
@@ -81,9 +61,9 @@ def registered() -> tuple[Effect, ...]:
 
     An effect of another package that cannot be loaded is left out with a warning that names it.
     """
-    kinds = [find(name) for name in CLASS_NAMES]
+    kinds = [find(name) for name in NAMES]
     found = [kind() for kind in kinds if _has_defaults(kind)]
-    for name in sorted(set(_entry_points()) - set(CLASS_NAMES)):
+    for name in sorted(set(_entry_points()) - set(NAMES)):
         try:
             found += _external(name)
         except ConfigError as error:
@@ -98,7 +78,7 @@ def from_table(table: Mapping[str, Any], where: str = "effects") -> Effect:
     an unknown effect or field.
     """
     if "kind" not in table:
-        known = ", ".join(sorted(CLASS_NAMES))
+        known = ", ".join(sorted(NAMES))
         raise ConfigError(f"[{where}] lacks kind", remedy=f"add one of {known}")
     values = {key: value for key, value in table.items() if key != "kind"}
     return config.from_table(find(str(table["kind"])), values, where)

@@ -16,7 +16,6 @@ Source: K. L. Johnson, "Contact Mechanics" (1985), sections 6.5 and 9.4 (viscoel
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -27,17 +26,13 @@ from .frames import MAX_FRAME_GAP, Frames
 
 
 @dataclass(frozen=True)
-class Relaxation(BaseEffect):
+class Relaxation(BaseEffect, stage="pressure", cost=4e-8):
     """A standard linear solid under each taxel, at controlled force."""
 
     relaxed: float = quantity("", 0.9, above=0.0, most=1.0)
     """Long-term stiffness g, relative to the instantaneous stiffness."""
     time_constant: float = quantity("s", 0.3, above=0.0)
     """Time constant tau of the relaxation."""
-
-    name: ClassVar[str] = "relaxation"
-    stage: ClassVar[str] = "pressure"
-    cost: ClassVar[float] = 4e-8
 
     def bound(self, context: Context) -> float:
         """From the difference of a fully relaxed and an unrelaxed point, m."""

@@ -7,7 +7,6 @@ multiples of its period, and its samples arrive late.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
@@ -21,17 +20,13 @@ must not replace the sample at a frame's own time by the one before."""
 
 
 @dataclass(frozen=True)
-class Sampling(BaseEffect):
+class Sampling(BaseEffect, stage="robot", cost=2.5e-9):
     """The recorded contacts are held constant between the samples of the robot."""
 
     rate: float = quantity("Hz", 50.0, above=0.0, most=1e6)
     """Sampling rate of the robot."""
     delay: float = quantity("s", 0.0, least=0.0, most=10.0)
     """Delay of a sample."""
-
-    name: ClassVar[str] = "sampling"
-    stage: ClassVar[str] = "robot"
-    cost: ClassVar[float] = 2.5e-9
 
     def bound(self, context: Context) -> float:
         """The distance that the contact moves in a sampling period and the delay, m."""

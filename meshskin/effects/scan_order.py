@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from .frames import FrameHistory, Frames, PressureField
 
 
 @dataclass(frozen=True)
-class ScanOrder(BaseEffect):
+class ScanOrder(BaseEffect, stage="field", cost=1.5e-7):
     """Each slot reads the contact at its own time, interpolated between frames."""
 
     slots: int = quantity("", 12, least=1)
@@ -28,10 +27,6 @@ class ScanOrder(BaseEffect):
     """Duration of a scan, relative to the time between frames."""
     latency: float = quantity("s", 0.0, least=0.0, most=10.0)
     """Time between the reading of the last slot and the time of the frame."""
-
-    name: ClassVar[str] = "scan_order"
-    stage: ClassVar[str] = "field"
-    cost: ClassVar[float] = 1.5e-7
 
     def lags(self, context: Context) -> Array:
         """Time before the time of the frame at which each slot is read (slots,), s."""

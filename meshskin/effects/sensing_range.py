@@ -3,29 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
-from ..core.arrays import Array
 from ..core.config import quantity
 from ..core.errors import ConfigError
 from .base import BaseEffect, Context, PressureTransform
-from .frames import Frames
 
 
 @dataclass(frozen=True)
-class SensingRange(BaseEffect):
+class SensingRange(BaseEffect, stage="transducer", cost=9e-10):
     """A threshold and a saturation pressure that all taxels share."""
 
     threshold_relative: float = quantity("", 0.1, least=0.0)
     """Threshold, relative to p_0 at the reference force."""
     saturation_relative: float = quantity("", 0.8, above=0.0)
     """Saturation pressure, relative to p_0 at the reference force."""
-
-    name: ClassVar[str] = "sensing_range"
-    stage: ClassVar[str] = "transducer"
-    cost: ClassVar[float] = 9e-10
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -43,10 +36,6 @@ class SensingRange(BaseEffect):
 
     def build(self, context: Context) -> PressureTransform:
         """A stateless transform."""
-        threshold = self.threshold_relative * context.peak_pressure
-        saturation = self.saturation_relative * context.peak_pressure
-
-        def clip(pressures: Array, frames: Frames) -> Array:
-            return np.where(pressures < threshold, 0.0, np.minimum(pressures, saturation))
-
-        return clip
+        low = self.threshold_relative * context.peak_pressure
+        high = self.saturation_relative * context.peak_pressure
+        return lambda pressures, frames: np.where(pressures < low, 0.0, np.minimum(pressures, high))

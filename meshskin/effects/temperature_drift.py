@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from .frames import Frames
 
 
 @dataclass(frozen=True)
-class TemperatureDrift(BaseEffect):
+class TemperatureDrift(BaseEffect, stage="transducer", cost=7e-10):
     """Gain and offset of all taxels drift together towards those of the warm skin."""
 
     gain_drift: float = quantity("", 0.05, least=-0.9, most=10.0)
@@ -23,10 +22,6 @@ class TemperatureDrift(BaseEffect):
     """Final offset o, relative to p_0 at the reference force."""
     time_constant: float = quantity("s", 30.0, above=0.0)
     """Time constant tau of the warming, from the start of the first run."""
-
-    name: ClassVar[str] = "temperature_drift"
-    stage: ClassVar[str] = "transducer"
-    cost: ClassVar[float] = 7e-10
 
     def bound(self, context: Context) -> float:
         """From the change of a reading of p_0 on the warm skin, m."""

@@ -55,13 +55,9 @@ def lane_plan(scene: Scene, rig: ContactRig) -> Plan:
         pitch = exploration.speed * (scene.frame_steps * dt)
         spacing = spacing_for(rig.sensing_radius, exploration.contacts, pitch)
     step = min(STEP, 0.8 * spacing)
-    blocked: list[Blocked] = []
-    pieces: list[Closest] = []
-    for piece in cover(rig.body, sites, spacing, region_radius(sites, exploration.margin), step):
-        reason = rig.contact_reasons(piece.point, piece.normal)
-        blocked.append((piece.point, reason))
-        good = runs(reason == "")
-        pieces += [piece.take(run) for run in good if run.stop - run.start >= SHORT]
+    radius = region_radius(sites, exploration.margin, rig.sensing_radius)
+    lanes = cover(rig.body, sites, spacing, radius, step)
+    pieces, blocked = _feasible(rig, lanes)
     paths = contact_paths(rig, pieces, spacing, step)
     if rig.arm is None:
         segments = [free_path(rig, path, exploration, dt) for path in paths]
@@ -82,17 +78,35 @@ def lane_plan(scene: Scene, rig: ContactRig) -> Plan:
     return Plan(replace(Path.concatenate(segments), unreachable=left_out), spacing, notes)
 
 
-def region_radius(sites: Array, margin: float) -> float:
+def _feasible(rig: ContactRig, lanes: list[Closest]) -> tuple[list[Closest], list[Blocked]]:
+    """The parts of lanes along which the indenter can be pressed in; why it cannot elsewhere."""
+    if not lanes:
+        return [], []
+    whole = Closest.concatenate(lanes)
+    reason = rig.contact_reasons(whole.point, whole.normal)
+    parts = np.split(reason, np.cumsum([len(piece.point) for piece in lanes])[:-1])
+    pieces = [
+        piece.take(run)
+        for piece, part in zip(lanes, parts, strict=True)
+        for run in runs(part == "")
+        if run.stop - run.start >= SHORT
+    ]
+    return pieces, [(whole.point, reason)]
+
+
+def region_radius(sites: Array, margin: float, sensing_radius: float) -> float:
     """Distance from a taxel, m, within which the surface is explored.
 
-    The margin, but at least 0.75 of the taxels' pitch, so that the region has no gaps.
+    The margin, but at least 0.75 of the taxels' pitch, so that the region has no gaps; of taxels
+    farther apart 1.5 sensing radii: beyond one no taxel feels a contact, and the rest keeps pieces
+    of lanes long enough next to places where the indenter does not fit.
     """
     from scipy.spatial import cKDTree
 
     if len(sites) < 2:
         return margin
     nearest = cKDTree(sites).query(sites, 2)[0][:, 1]
-    return max(margin, 0.75 * float(np.median(nearest)))
+    return max(margin, min(0.75 * float(np.median(nearest)), 1.5 * sensing_radius))
 
 
 def _arm_segments(

@@ -17,6 +17,7 @@ from ..core.arrays import Array, runs
 from ..geometry.body import Body
 from ..geometry.geodesics import geodesic, onto
 from ..geometry.surface.closest_point import Closest
+from .coverage import Coverage, PointCloud
 
 MIN_ADVANCE = 0.3
 """Least advance of a trace or an offset, relative to its step: below it a border or an edge holds
@@ -54,9 +55,7 @@ def cover(body: Body, sites: Array, spacing: float, radius: float, step: float) 
     spacing: of the lanes, m; radius: the region is within this distance, m, of a site; step:
     between samples, m.
     """
-    from scipy.spatial import cKDTree
-
-    coverage = _Coverage(sites, radius, DUPLICATE * spacing)
+    coverage = Coverage(sites, radius, DUPLICATE * spacing)
     remaining = np.ones(len(sites), dtype=bool)
     pieces: list[Closest] = []
     for _ in range(MAX_FAMILIES):
@@ -64,46 +63,10 @@ def cover(body: Body, sites: Array, spacing: float, radius: float, step: float) 
             break
         start, directions = _start(body, sites[remaining])
         pieces += _family(body, start, directions, spacing, step, coverage)
-        covered = cKDTree(np.concatenate([coverage.samples, start[None]])).query(sites)[0]
         distance = np.linalg.norm(sites - start, axis=1)
+        covered = np.minimum(coverage.samples.distance(sites), distance)
         remaining &= (covered > spacing) & (distance > distance[remaining].min())
     return pieces
-
-
-class _Coverage:
-    """The region that is to be covered, and the lanes so far."""
-
-    def __init__(self, sites: Array, radius: float, duplicate: float) -> None:
-        from scipy.spatial import cKDTree
-
-        self._sites, self._radius, self._duplicate = cKDTree(sites), radius, duplicate
-        self.width = float(np.linalg.norm(np.ptp(sites, axis=0))) + 2.0 * radius
-        """Diagonal of the region's bounding box, m."""
-        self.samples = np.zeros((0, 3))
-        """Samples (k, 3) of the lanes so far."""
-
-    def contains(self, points: Array) -> NDArray[np.bool_]:
-        """Which points (k, 3) are in the region."""
-        return np.asarray(self._sites.query(points)[0] <= self._radius)
-
-    def add(self, lane: list[Closest], step: float) -> list[NDArray[np.bool_]]:
-        """Add a lane; which samples of its chains are in the region and not covered before."""
-        from scipy.spatial import cKDTree
-
-        if not lane:
-            return []
-        points = np.concatenate([chain.point for chain in lane])
-        new = self.contains(points)
-        if len(self.samples):
-            new &= cKDTree(self.samples).query(points)[0] > self._duplicate
-        # of a lane that returns to itself the earlier samples count
-        pairs = cKDTree(points).query_pairs(self._duplicate, output_type="ndarray")
-        back = pairs[pairs[:, 1] - pairs[:, 0] > 3.0 * self._duplicate / step]
-        for early, late in back[np.argsort(back[:, 0], kind="stable")]:
-            if new[early]:
-                new[late] = False
-        self.samples = np.concatenate([self.samples, points[new]])
-        return np.split(new, np.cumsum([len(chain.point) for chain in lane])[:-1])
 
 
 def _start(body: Body, sites: Array) -> tuple[Array, list[Array]]:
@@ -112,7 +75,7 @@ def _start(body: Body, sites: Array) -> tuple[Array, list[Array]]:
     """
     middle = sites.mean(axis=0)
     start = sites[np.argmin(np.linalg.norm(sites - middle, axis=1))]
-    hit = body.closest(start[None])
+    hit = body.surface.nearest(start[None])
     normal = hit.normal[0]
     principal = onto(hit.direction[0], normal)
     longest = principal
@@ -122,59 +85,78 @@ def _start(body: Body, sites: Array) -> tuple[Array, list[Array]]:
 
 
 def both_ways(
-    body: Body, start: Array, direction: Array, step: float, coverage: _Coverage | None = None
+    body: Body, start: Array, direction: Array, step: float, coverage: Coverage | None = None
 ) -> Array:
     """Points (k, 3) of the geodesic through `start` in both directions.
 
     It ends where it closes, meets a border, has been outside the region for longer than its width,
     or is four times as long as the body.
     """
-    ahead, closed = _trace(body, start, direction, step, coverage)
-    if closed:  # cut at the point farthest from the region
-        return np.roll(ahead, len(ahead) // 2, axis=0)
-    return np.concatenate([_trace(body, start, -direction, step, coverage)[0][:0:-1], ahead])
+    return _all_both_ways(body, start, [direction], step, coverage)[0]
 
 
-def _trace(
-    body: Body, start: Array, direction: Array, step: float, coverage: _Coverage | None
-) -> tuple[Array, bool]:
-    """The geodesic one way from `start`, and whether it returned there."""
-    trace = geodesic(body, start, direction, step)
-    points, outside = [next(trace)[0].point[0]], 0
+def _all_both_ways(
+    body: Body, start: Array, directions: list[Array], step: float, coverage: Coverage | None
+) -> list[Array]:
+    """As `both_ways`, of several directions, whose geodesics are followed together."""
+    ways = np.concatenate([directions, np.negative(directions)])
+    traces = _traces(body, start, ways, step, coverage)
+    out = []
+    for (ahead, closed), (back, _) in zip(
+        traces[: len(directions)], traces[len(directions) :], strict=True
+    ):
+        if closed:  # cut at the point farthest from the region
+            out.append(np.roll(ahead, len(ahead) // 2, axis=0))
+        else:
+            out.append(np.concatenate([back[:0:-1], ahead]))
+    return out
+
+
+def _traces(
+    body: Body, start: Array, directions: Array, step: float, coverage: Coverage | None
+) -> list[tuple[Array, bool]]:
+    """The geodesics one way from `start`, and whether each returned there."""
+    count = len(directions)
+    trace = geodesic(body, np.repeat(start[None], count, axis=0), directions, step)
+    points, outside = [next(trace)[0].point], np.zeros(count, dtype=int)
+    length = np.ones(count, dtype=int)
+    going, closed = np.ones(count, dtype=bool), np.zeros(count, dtype=bool)
     for k in range(int(4.0 * body.surface.scale / step)):
-        point = next(trace)[0].point[0]
-        if np.linalg.norm(point - points[-1]) < MIN_ADVANCE * step:
-            break
+        point = next(trace)[0].point
+        going &= np.linalg.norm(point - points[-1], axis=1) >= MIN_ADVANCE * step
         points.append(point)
-        if k > 3 and np.linalg.norm(point - points[0]) < 0.75 * step:
-            return np.array(points), True
+        length[going] += 1
+        if k > 3:
+            closed |= going & (np.linalg.norm(point - points[0], axis=1) < 0.75 * step)
+            going &= ~closed
         if coverage is not None:
-            outside = 0 if coverage.contains(point[None])[0] else outside + 1
-            if outside * step > coverage.width:
-                break
-    return np.array(points), False
+            outside = np.where(coverage.contains(point), 0, outside + 1)
+            going &= outside * step <= coverage.width
+        if not going.any():
+            break
+    together = np.stack(points, axis=1)
+    return [(together[k, : length[k]], bool(closed[k])) for k in range(count)]
 
 
 def _first_lane(
-    body: Body, start: Array, directions: list[Array], step: float, coverage: _Coverage
+    body: Body, start: Array, directions: list[Array], step: float, coverage: Coverage
 ) -> Array:
     """The geodesic in the first direction; for a region that may encircle the body the first
     geodesic that closes, as others would wind round the body.
     """
-    if coverage.width > ENCIRCLING * body.surface.scale:
-        for direction in directions:
-            points = both_ways(body, start, direction, step, coverage)
-            if np.linalg.norm(points[-1] - points[0]) < 1.5 * step:
-                return points
-    return both_ways(body, start, directions[0], step, coverage)
+    if coverage.width <= ENCIRCLING * body.surface.scale:
+        return both_ways(body, start, directions[0], step, coverage)
+    ways = _all_both_ways(body, start, directions, step, coverage)
+    closing = (p for p in ways if np.linalg.norm(p[-1] - p[0]) < 1.5 * step)
+    return next(closing, ways[0])
 
 
 def _family(
     body: Body, start: Array, directions: list[Array], spacing: float, step: float,
-    coverage: _Coverage,
+    coverage: Coverage,
 ) -> list[Closest]:  # fmt: skip
     """Pieces of the lanes beside one geodesic, from one end of the region to the other."""
-    first = [body.closest(_first_lane(body, start, directions, step, coverage))]
+    first = [body.surface.nearest(_first_lane(body, start, directions, step, coverage))]
     gap, most = round(spacing / step), int(np.ceil(2.0 * body.surface.scale / spacing))
 
     def pieces(lane: list[Closest]) -> list[Closest]:
@@ -183,11 +165,11 @@ def _family(
         return [piece for piece in cut if len(piece.point) > gap]
 
     found = {0: pieces(first)}
-    earlier = [chain.point for chain in first]
+    earlier = PointCloud(first[0].point)
     for side in (-1, 1):
         lane, empty = first, 0
         for k in range(1, most):
-            lane = [c for chain in lane for c in _offset(body, chain, side * spacing, step)]
+            lane = _offset(body, lane, side * spacing, step)
             lane = _without_overlap(lane, earlier, OVERLAP * spacing)
             found[side * k] = pieces(lane)
             empty = 0 if found[side * k] else empty + 1
@@ -196,39 +178,59 @@ def _family(
     return [piece for k in sorted(found) for piece in found[k]]
 
 
-def _without_overlap(lane: list[Closest], earlier: list[Array], distance: float) -> list[Closest]:
+def _without_overlap(lane: list[Closest], earlier: PointCloud, distance: float) -> list[Closest]:
     """A lane without the samples less than `distance`, m, from the chains in `earlier`, to which
     its own are added: chains that fold over a crease would else multiply.
     """
-    from scipy.spatial import cKDTree
+    if not lane:
+        return []
+    points = np.concatenate([chain.point for chain in lane])
+    chain_of = np.repeat(np.arange(len(lane)), [len(chain.point) for chain in lane])
+    near = earlier.distance(points, distance) < distance
+    early, late = PointCloud(points).pairs(distance).T
+    near[late[chain_of[early] < chain_of[late]]] = True
+    earlier.add(points)
+    parts = np.split(near, np.flatnonzero(np.diff(chain_of)) + 1)
+    return [
+        chain.take(run)
+        for chain, part in zip(lane, parts, strict=True)
+        for run in runs(~part)
+        if run.stop - run.start > 2
+    ]
 
-    out = []
-    for chain in lane:
-        near = cKDTree(np.concatenate(earlier)).query(chain.point)[0] < distance
-        out += [chain.take(run) for run in runs(~near) if run.stop - run.start > 2]
-        earlier.append(chain.point)
-    return out
 
-
-def _offset(body: Body, chain: Closest, shift: float, step: float) -> list[Closest]:
-    """The chain shifted to its left by `shift`, m, without folds, resampled evenly."""
-    along = np.gradient(chain.point, axis=0)
-    left = np.cross(chain.normal, along)
+def _offset(body: Body, lane: list[Closest], shift: float, step: float) -> list[Closest]:
+    """The chains of a lane shifted to their left by `shift`, m, without folds, resampled evenly."""
+    along = [np.gradient(chain.point, axis=0) for chain in lane]
+    whole = Closest.concatenate(lane)
+    left = np.cross(whole.normal, np.concatenate(along))
     length = np.linalg.norm(left, axis=1, keepdims=True)  # zero where a lane folds at a crease
     left /= np.where(length > 0.0, length, np.inf)
-    hit = body.closest(chain.point + shift * left, chain.face)
-    moved = np.linalg.norm(hit.point - chain.point, axis=1)
-    ahead = np.gradient(hit.point, axis=0)
-    forward = np.einsum("ij,ij->i", ahead, along) > 0.05 * np.einsum("ij,ij->i", along, along)
-    out = []
-    for run in runs(forward & (moved > MIN_ADVANCE * abs(shift))):
-        points = hit.point[run]
-        s = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        if s[-1] >= 2 * step:
-            even = np.linspace(0.0, s[-1], max(round(s[-1] / step), 2) + 1)
-            resampled = np.stack([np.interp(even, s, x) for x in points.T], axis=1)
-            out.append(body.closest(resampled))
-    return out
+    hit = body.surface.nearest(whole.point + shift * left, whole.face)
+    moved = np.linalg.norm(hit.point - whole.point, axis=1)
+    ends = np.cumsum([len(chain.point) for chain in lane])
+    resampled = []
+    for chain_along, first, end in zip(along, (0, *ends), ends, strict=False):
+        points = hit.point[first:end]
+        ahead = np.gradient(points, axis=0)
+        forward = np.einsum("ij,ij->i", ahead, chain_along) > 0.05 * np.einsum(
+            "ij,ij->i", chain_along, chain_along
+        )
+        for run in runs(forward & (moved[first:end] > MIN_ADVANCE * abs(shift))):
+            resampled += _resampled(points[run], step)
+    if not resampled:
+        return []
+    at = body.surface.nearest(np.concatenate(resampled))
+    return at.split([len(points) for points in resampled])
+
+
+def _resampled(points: Array, step: float) -> list[Array]:
+    """The polyline (k, 3) with samples evenly about `step`, m, apart; none if it is short."""
+    s = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    if s[-1] < 2 * step:
+        return []
+    even = np.linspace(0.0, s[-1], max(round(s[-1] / step), 2) + 1)
+    return [np.stack([np.interp(even, s, x) for x in points.T], axis=1)]
 
 
 def _runs(mask: NDArray[np.bool_], gap: int) -> list[slice]:

@@ -82,7 +82,7 @@ def _path(
         at = PchipInterpolator(t, s)(time_scaling(t[-1], exploration.ramp, dt) * t[-1])
         parts.append(make_interp_spline(s, rows[start : end + 1], k=min(3, end - start))(at))
     samples = np.concatenate(parts)
-    hit = rig.body.closest(samples[:, :3])
+    hit = rig.body.surface.nearest(samples[:, :3])
     centres, normals, tangents = (
         gaussian_filter1d(x, POSE_WIDTH / dt, axis=0, mode="nearest")
         for x in (rig.indenter_centres(hit.point, hit.normal), hit.normal, samples[:, 3:])

@@ -43,34 +43,59 @@ def contact_paths(
 
     spacing: of the lanes, m; step: between samples of a slide, m.
     """
-    remaining, paths = list(pieces), []
-    legs: list[Closest] = []
-    while remaining:
-        here = legs[-1].point[-1] if legs else remaining[0].point[0]
-        ends = np.array([[p.point[0], p.point[-1]] for p in remaining])
-        gap = np.linalg.norm(ends - here, axis=2)
+    if not pieces:
+        return []
+    pieces = _nearest_first(pieces)
+    here = np.array([piece.point[-1] for piece in pieces[:-1]]).reshape(-1, 3)
+    there = np.array([piece.point[0] for piece in pieces[1:]]).reshape(-1, 3)
+    near = np.linalg.norm(there - here, axis=1) < LONGEST_LINK * spacing
+    slides: list[Closest | None] = [None] * len(near)
+    for k, slide in zip(
+        np.flatnonzero(near), _slides(rig, here[near], there[near], step), strict=True
+    ):
+        slides[k] = slide
+    paths, legs = [], pieces[:1]
+    for slide, piece in zip(slides, pieces[1:], strict=True):
+        if slide is None:
+            paths.append(_concatenated(legs))
+            legs = [piece]
+        else:
+            legs += [slide, piece]
+    return [*paths, _concatenated(legs)]
+
+
+def _nearest_first(pieces: list[Closest]) -> list[Closest]:
+    """The pieces from the first on, each followed by the nearest left, turned to begin there."""
+    ends = np.array([[piece.point[0], piece.point[-1]] for piece in pieces])
+    left = np.ones(len(pieces), dtype=bool)
+    here, out = ends[0, 0], []
+    for _ in pieces:
+        gap = np.where(left[:, None], np.linalg.norm(ends - here, axis=2), np.inf)
         k, end = np.unravel_index(int(np.argmin(gap)), gap.shape)
-        piece = remaining.pop(int(k))
-        piece = piece.take(slice(None, None, -1)) if end else piece
-        if legs:
-            near = gap[k, end] < LONGEST_LINK * spacing
-            link = _link(rig, here, piece.point[0], step) if near else None
-            if link is None:
-                paths.append(_concatenated(legs))
-                legs = []
-            else:
-                legs.append(link)
-        legs.append(piece)
-    return [*paths, _concatenated(legs)] if legs else []
+        left[k] = False
+        piece = pieces[int(k)]
+        out.append(piece.take(slice(None, None, -1)) if end else piece)
+        here = out[-1].point[-1]
+    return out
 
 
-def _link(rig: ContactRig, start: Array, end: Array, step: float) -> Closest | None:
-    """The straight slide over the surface, or None where the indenter does not fit along it."""
-    count = max(int(np.ceil(np.linalg.norm(end - start) / step)), 1)
-    s = np.linspace(0.0, 1.0, count + 1)[:, None]
-    hit = rig.body.closest((1 - s) * start + s * end)
-    reason = rig.contact_reasons(hit.point, hit.normal)
-    return None if (reason != "").any() else hit
+def _slides(rig: ContactRig, start: Array, end: Array, step: float) -> list[Closest | None]:
+    """The straight slides over the surface, or None where the indenter does not fit along one.
+
+    start, end (k, 3), m.
+    """
+    if not len(start):
+        return []
+    samples = []
+    for one, other in zip(start, end, strict=True):
+        count = max(int(np.ceil(np.linalg.norm(other - one) / step)), 1)
+        s = np.linspace(0.0, 1.0, count + 1)[:, None]
+        samples.append((1 - s) * one + s * other)
+    hit = rig.body.surface.nearest(np.concatenate(samples))
+    blocked = rig.contact_reasons(hit.point, hit.normal) != ""
+    counts = [len(points) for points in samples]
+    parts = np.split(blocked, np.cumsum(counts)[:-1])
+    return [None if part.any() else leg for leg, part in zip(hit.split(counts), parts, strict=True)]
 
 
 def _concatenated(legs: list[Closest]) -> ContactPath:

@@ -1,6 +1,7 @@
 """A robot's own log: two CSV files, contacts and readings.
 
-Columns are in SI units or name their unit (px_mm, pressure_kpa, time_ms).
+Columns are in SI units or name their unit (px_mm, pressure_kpa, time_ms). A column `reading` or
+`count` in place of `pressure` holds raw readings, in a unit of their own.
 """
 
 from __future__ import annotations
@@ -25,9 +26,15 @@ REQUIRED = {
     "readings": ("time", "taxel", "pressure"),
 }
 """Columns that each file must have."""
+RAW_COLUMNS = ("reading", "count")
+"""Columns of raw readings: of any sign and scale, without a unit."""
 LIMITS: dict[str, tuple[Callable[[Any], Any], str, str]] = {
     "force": (lambda x: x <= 0, "above 0 N", "remove the rows without contact"),
-    "pressure": (lambda x: x < 0, "at least 0 Pa", "remove the offsets of the sensors"),
+    "pressure": (
+        lambda x: x < 0,
+        "at least 0 Pa",
+        "remove the offsets of the sensors, or name the column reading if it holds raw readings",
+    ),
     "taxel": (lambda x: x < 0, "at least 0", "remove the readings of what is no taxel"),
 }
 """For a column: which values are invalid, the limit that they break, and the remedy."""
@@ -56,12 +63,15 @@ def find(path: Path) -> tuple[Path, Path] | None:
 
 
 def read(file: Path, part: str) -> pa.Table:
-    """The table of a CSV file, "contacts" or "readings", in SI units. Raises RecordingError."""
+    """The table of a CSV file, "contacts" or "readings", in SI units. Raises RecordingError.
+
+    Raw readings become the column "pressure" of a table with the metadata {"readings": "raw"}.
+    """
     columns: dict[str, pa.Array] = {}
     for label, values in _read_columns(file).items():
         name, _, suffix = label.strip().lower().partition("_")
         factor = SUFFIXES.get(suffix)
-        if factor is None or name in columns:
+        if factor is None or name in columns or (suffix and name in RAW_COLUMNS):
             raise RecordingError(
                 f"a column of {file.name} has an unknown unit or occurs twice",
                 value=label,
@@ -79,14 +89,18 @@ def read(file: Path, part: str) -> pa.Table:
                     value=value, limit=limit, remedy=remedy,
                 )  # fmt: skip
         columns[name] = pa.array(numbers if name == "taxel" else numbers * factor)
+    raw = [name for name in RAW_COLUMNS if name in columns and "pressure" not in columns]
+    if raw:
+        columns["pressure"] = columns.pop(raw[0])
     missing = [name for name in REQUIRED[part] if name not in columns]
     if missing:
         raise RecordingError(
             f"{file.name} lacks {', '.join(missing)}",
             value=f"columns {', '.join(columns)}",
-            remedy=f"it needs {', '.join(REQUIRED[part])}, in SI units or as px_mm, pressure_kpa",
+            remedy=f"it needs {', '.join(REQUIRED[part])}, in SI units or as px_mm, pressure_kpa; "
+            "raw readings are a column reading or count",
         )
-    return pa.table(columns)
+    return pa.table(columns).replace_schema_metadata({"readings": "raw"} if raw else None)
 
 
 def _read_columns(file: Path) -> dict[str, np.ndarray]:

@@ -202,7 +202,8 @@ class Recording:
         """Read the recording at `path` (the common part of its file names), memory-mapped.
 
         CSV logs are read, too: from the folder that holds contacts.csv and readings.csv, or by the
-        common part of PATH.contacts.csv and PATH.readings.csv. Raises RecordingError if a table is
+        common part of PATH.contacts.csv and PATH.readings.csv; the metadata {"readings": "raw"}
+        says that the readings have a unit of their own. Raises RecordingError if a table is
         missing, damaged, or belongs to another recording.
         """
         if not isinstance(path, str | os.PathLike):
@@ -214,7 +215,8 @@ class Recording:
                     contacts = contacts.append_column(
                         name, pa.array(np.full(len(contacts), np.nan))
                     )
-            return cls(contacts, readings, {"source": [file.name for file in files]})
+            unit = {k.decode(): v.decode() for k, v in (readings.schema.metadata or {}).items()}
+            return cls(contacts, readings, {"source": [file.name for file in files], **unit})
         tables: dict[str, pa.Table] = {}
         headers: dict[str, dict[str, Any]] = {}
         for part in _PARTS:

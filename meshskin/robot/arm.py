@@ -221,21 +221,27 @@ class Arm:
             raise ArmError(
                 "q has the wrong shape", value=q.shape, limit=f"({len(self.joint_names)}, 1)"
             )
-        pose, moved = ca.SX(ca.sparsify(ca.DM(self.base))), []
-        driven = {d.joint.name: d for d in self.driven}
-        for joint in self.chain:
+        poses, driven = self.link_poses(q), {d.joint.name: d for d in self.driven}
+        pose, jacobian = poses[-1], ca.SX.zeros(6, len(self.joint_names))
+        for joint, moved in zip(self.chain, poses[1:], strict=True):
             by = driven.get(joint.name)
-            pose = pose @ joint.motion(by.position(q) if by else 0.0)
-            if by:  # the joint's own motion leaves its axis unchanged
-                moved.append((by, pose[:3, :3] @ joint.axis, pose[:3, 3]))
-        jacobian = ca.SX.zeros(6, len(self.joint_names))
-        for by, axis, point in moved:
-            if by.column is not None:
-                slides = by.joint.kind == "prismatic"
+            if by and by.column is not None:
+                # the joint's own motion leaves its axis unchanged
+                axis, point = moved[:3, :3] @ joint.axis, moved[:3, 3]
+                slides = joint.kind == "prismatic"
                 linear = axis if slides else ca.cross(axis, pose[:3, 3] - point)
                 angular = ca.SX.zeros(3) if slides else axis
                 jacobian[:, by.column] += by.multiplier * ca.vertcat(linear, angular)
         return ca.densify(pose), ca.densify(jacobian)
+
+    def link_poses(self, q: ca.SX) -> list[ca.SX]:
+        """CasADi expressions of the poses (4, 4), world frame, of the chain's links, root first."""
+        driven = {d.joint.name: d for d in self.driven}
+        poses = [ca.SX(ca.sparsify(ca.DM(self.base)))]
+        for joint in self.chain:
+            by = driven.get(joint.name)
+            poses.append(poses[-1] @ joint.motion(by.position(q) if by else 0.0))
+        return poses
 
     @cached_property
     def driven(self) -> tuple[DrivenJoint, ...]:

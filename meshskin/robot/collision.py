@@ -32,7 +32,6 @@ from ..core.arrays import Array, ranges
 from ..geometry.body import Body
 from . import link_shapes
 from .arm import Arm
-from .capsules import box_distance, covering_spheres, segment_distance, sphere_samples
 
 LINK_RADIUS = 0.03
 """Radius of a link without a shape, m. Chosen: slimmer than the links of the arms in the tests, so
@@ -52,6 +51,9 @@ BATCH = 4096
 """Postures tested together, which bounds the memory."""
 CONTACT_SLACK = 1e-3
 """Relative tolerance of the test that a sphere touches at one point only."""
+TRACING_SLACK = 0.05
+"""Part of the support's radius that is kept clear when its axis is traced: distances to a smooth
+surface over coarse facets change by slightly more than the way."""
 PITCH_ERROR = 1.12
 """Radius that samples of the support have, relative to its own: samples one radius apart leave
 sqrt(1 + 1/4) of it between them."""
@@ -74,13 +76,34 @@ def contact_reasons(
     reason = np.full(len(points), "", dtype=object)
     if not len(points):
         return reason
-    heights = support_samples(indenter)
-    axis = (points[:, None] + heights[:, None] * normals[:, None]).reshape(-1, 3)
-    clearance = body.closest(axis).distance.reshape(len(points), -1).min(axis=1)
-    reason[clearance < PITCH_ERROR * indenter.column_radius] = SUPPORT
     large = indenter.radius + depth
-    reason[body.closest(points + large * normals).distance < large * (1 - CONTACT_SLACK)] = HOLLOW
+    hollow = body.closest(points + large * normals).distance < large * (1 - CONTACT_SLACK)
+    reason[hollow] = HOLLOW
+    free = np.flatnonzero(~hollow)
+    reason[free[_support_meets(body, points[free], normals[free], indenter)]] = SUPPORT
     return reason
+
+
+def _support_meets(
+    body: Body, points: Array, normals: Array, indenter: Indenter
+) -> NDArray[np.bool_]:
+    """Whether (k,) the support behind contact points (k, 3) meets the body.
+
+    The samples of its axis are tested from the sphere on; as far from one as it is clear of the
+    body, the next ones are clear, too. Source: Hart, "Sphere tracing", Visual Computer 12 (1996).
+    """
+    heights, least = support_samples(indenter), PITCH_ERROR * indenter.column_radius
+    meets = np.zeros(len(points), dtype=bool)
+    row, sample = np.arange(len(points)), np.zeros(len(points), dtype=np.intp)
+    while len(row):
+        at = points[row] + heights[sample, None] * normals[row]
+        gap = body.closest(at).distance - least
+        meets[row[gap < 0.0]] = True
+        clear = heights[sample] + np.maximum(gap - TRACING_SLACK * least, 0.0)
+        sample = np.maximum(np.searchsorted(heights, clear, side="right"), sample + 1)
+        going = (gap >= 0.0) & (sample < len(heights))
+        row, sample = row[going], sample[going]
+    return meets
 
 
 def edge_points(body: Body, spacing: float) -> Array:
@@ -115,15 +138,6 @@ def _along(corner: NDArray[np.intp], part: float) -> Array:
     return weight[:, 1:]
 
 
-def near_points(points: Array, others: Array, radius: float) -> NDArray[np.bool_]:
-    """Which points (k, 3) have one of the `others` (e, 3) within `radius`, m."""
-    from scipy.spatial import cKDTree
-
-    if not len(others) or not len(points):
-        return np.zeros(len(points), dtype=bool)
-    return np.asarray(cKDTree(others).query(points)[0] < radius)
-
-
 def support_samples(indenter: Indenter) -> Array:
     """Distances (k,), m, from the contact point along the support's axis, one radius apart."""
     count = max(int(np.ceil(indenter.support_height / indenter.column_radius)), 1)
@@ -147,7 +161,8 @@ class ArmCapsules:
     def spheres(self) -> tuple[NDArray[np.intp], Array]:
         """Number of spheres (l,) that cover each capsule, and their radii (l,), m."""
         ends = self.at(np.zeros((1, self.ends.size1_in(0))))[0]
-        return covering_spheres(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), self.radii)
+        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        return link_shapes.covering_spheres(lengths, self.radii)
 
     def points(self, q: Array) -> Array:
         """The columns of `ends` (k, 2 l + 1, 3) in postures (k, n), world frame, m."""
@@ -169,9 +184,8 @@ def arm_capsules(arm: Arm) -> ArmCapsules:
     Raises ArmError for a bad shape.
     """
     q = ca.SX.sym("q", len(arm.joint_names))
-    driven = {by.joint.name: by for by in arm.driven}
-    pose, ends, names, radii, notes = ca.SX(ca.sparsify(ca.DM(arm.base))), [], [], [], []
-    for joint in arm.chain:
+    poses, ends, names, radii, notes = arm.link_poses(q), [], [], [], []
+    for joint, pose in zip(arm.chain, poses[:-1], strict=True):
         found, missing = link_shapes.link_capsules(arm.tree.links[joint.parent], arm.folders)
         if (missing or not found) and np.linalg.norm(joint.xyz) > 1e-6:
             found = [*found, link_shapes.Capsule(np.zeros(3), joint.xyz, LINK_RADIUS)]
@@ -180,9 +194,7 @@ def arm_capsules(arm: Arm) -> ArmCapsules:
             ends += [pose[:3, :3] @ end + pose[:3, 3] for end in (capsule.start, capsule.end)]
             names.append(joint.parent)
             radii.append(capsule.radius)
-        by = driven.get(joint.name)
-        pose = pose @ joint.motion(by.position(q) if by else 0.0)
-    every = ca.densify(ca.horzcat(*ends, pose[:3, 3]))
+    every = ca.densify(ca.horzcat(*ends, poses[-1][:3, 3]))
     function = ca.Function("links", [q], [every], {"cse": True})
     return ArmCapsules(tuple(names), np.array(radii), function, tuple(notes))
 
@@ -271,8 +283,8 @@ def _support_collisions(shape: ArmCapsules, points: Array, indenter: Indenter) -
     top = np.array(indenter.position)
     foot = top - (indenter.radius + indenter.support_height) * indenter.axis
     distance = shape.radii + indenter.column_radius
-    k, link = np.nonzero(box_distance(ends, np.sort([foot, top], axis=0)) < distance)
-    gap = segment_distance(ends[k, link, 0], ends[k, link, 1], top, foot)
+    k, link = np.nonzero(link_shapes.box_distance(ends, np.sort([foot, top], axis=0)) < distance)
+    gap = link_shapes.segment_distance(ends[k, link, 0], ends[k, link, 1], top, foot)
     out[k[gap < distance[link]]] = True
     return out
 
@@ -285,12 +297,12 @@ def _sphere_collisions(
     points (k, 2 l + 1, 3): the links, in the body's frame.
     """
     ends, (counts, radii) = shape.capsules(points), shape.spheres
-    k, link = np.nonzero(box_distance(ends, body.mesh.bounds) < radii)
-    owner, number, part = sphere_samples(counts[link])
+    k, link = np.nonzero(link_shapes.box_distance(ends, body.mesh.bounds) < radii)
+    owner, number, part = link_shapes.sphere_samples(counts[link])
     k, link = k[owner], link[owner]
     sphere = (np.cumsum(counts) - counts)[link] + number
     at = ends[k, link, 0] * (1 - part) + ends[k, link, 1] * part
-    near = box_distance(at[:, None], body.mesh.bounds) < radii[link]
+    near = link_shapes.box_distance(at[:, None], body.mesh.bounds) < radii[link]
     if allowed is not None:
         wrist = np.linalg.norm(at - points[k, -1], axis=-1) <= WRIST_RADIUS
         near &= ~(allowed.everywhere[sphere] | (allowed.near_tip[sphere] & wrist))

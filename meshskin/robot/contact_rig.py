@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -53,6 +54,12 @@ class ContactRig:
         return collision.edge_points(self.body, 0.2 * self.patch_radius)
 
     @cached_property
+    def _edge_tree(self) -> Any:
+        from scipy.spatial import cKDTree
+
+        return cKDTree(self.edge_points)
+
+    @cached_property
     def allowed_collisions(self) -> collision.AllowedCollisions | None:
         """The parts of the arm that are not checked against the body; None: no arm."""
         if self.arm is None:
@@ -65,11 +72,12 @@ class ContactRig:
         It does not fit, an edge is within the contact patch, or the contact model does not hold.
         """
         reason = collision.contact_reasons(self.body, points, normals, self.indenter, self.depth)
-        on_edge = collision.near_points(points, self.edge_points, self.patch_radius)
-        reason[(reason == "") & on_edge] = collision.EDGE
+        free = np.flatnonzero(reason == "")
+        gap = self._edge_tree.query(points[free], distance_upper_bound=self.patch_radius)[0]
+        reason[free[gap < self.patch_radius]] = collision.EDGE
         free = np.flatnonzero(reason == "")
         if self.model_reasons is not None and len(free):
-            reason[free] = self.model_reasons(self.body.closest(points[free]).curvature)
+            reason[free] = self.model_reasons(self.body.surface.nearest(points[free]).curvature)
         return reason
 
     def indenter_centres(self, points: Array, normals: Array) -> Array:
@@ -89,10 +97,16 @@ class ContactRig:
         that are brought onto x of the indenter's frame.
         """
         centres, normals, headings = np.broadcast_arrays(centres, normals, headings)
-        down, x = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0])
-        local = orthonormal_basis(normals, headings)
-        goal = self.indenter.rotation @ orthonormal_basis(down, x)
-        rotation = goal @ np.swapaxes(local, -1, -2)
+        return self.frame_poses(centres, orthonormal_basis(normals, headings))
+
+    def frame_poses(self, centres: Array, frames: Array, angle: float = 0.0) -> Array:
+        """`poses` with frames (..., 3, 3) of a heading, normal x heading, and normal in the body.
+
+        angle: that of the headings from x of the indenter's frame, about its z axis, rad.
+        """
+        down, ahead = np.array([0.0, 0.0, -1.0]), np.array([np.cos(angle), np.sin(angle), 0.0])
+        goal = self.indenter.rotation @ orthonormal_basis(down, ahead)
+        rotation = goal @ np.swapaxes(frames, -1, -2)
         position = np.array(self.indenter.position) - np.einsum(
             "...ij,...j->...i", rotation, centres
         )

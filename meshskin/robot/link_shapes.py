@@ -1,4 +1,4 @@
-"""Capsules that enclose the shapes of an arm's links.
+"""Capsules that enclose the shapes of an arm's links, their distances, and spheres that cover them.
 
 Boxes, cylinders and spheres get one capsule each; a mesh is cut into slabs across its longest
 direction, and each slab gets the smallest of three capsules. A capsule that encloses the surface
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arrays import Array
+from ..core.arrays import Array, ranges
 from ..core.errors import MeshError
 from ..core.se3 import transform
 from ..geometry.mesh import mesh_file
@@ -31,6 +31,9 @@ CYLINDER_SIDES = 16
 """Corners of the polygon about a cylinder, which is 1 / cos(pi / 16) - 1 = 2 % wider."""
 CIRCLE_ITERATIONS = 60
 """Iterations of an enclosing circle: its radius is then within 1 / 60 of the least (Source)."""
+SPHERE_PITCH = 0.5
+"""Largest distance of the spheres that cover a capsule, relative to its radius: they then need
+radii larger by 3 % only, sqrt(1 + 1/16)."""
 
 
 @dataclass(frozen=True)
@@ -164,3 +167,46 @@ def _enclosing_circle(flat: Array) -> tuple[Array, Array]:
         if off.max() < least.max():
             best, least = middle, off
     return best, least
+
+
+def box_distance(ends: Array, box: Array) -> Array:
+    """Distances (...), m, from a box (2, 3) to the boxes about segments (..., 2, 3) or points
+    (..., 1, 3); a segment is at least as far.
+    """
+    first, last = ends[..., 0, :], ends[..., -1, :]
+    low, high = np.minimum(first, last), np.maximum(first, last)
+    x, y, z = np.moveaxis(np.maximum(np.maximum(box[0] - high, low - box[1]), 0.0), -1, 0)
+    return np.asarray(np.sqrt(x * x + y * y + z * z))
+
+
+def covering_spheres(length: Array, radii: Array) -> tuple[NDArray[np.intp], Array]:
+    """Number (l,) and radius (l,), m, of spheres that cover capsules of lengths and radii (l,)."""
+    count = np.ceil(length / (SPHERE_PITCH * radii)).astype(np.intp) + 1
+    return count, np.hypot(radii, 0.5 * length / np.maximum(count - 1, 1))
+
+
+def sphere_samples(count: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """For `count` (k,) spheres on each of k axes, in order: the axis (p,) of each sphere, its
+    number (p,) there, and its relative position (p, 1).
+    """
+    owner = np.repeat(np.arange(len(count)), count)
+    number = ranges(np.zeros_like(count), count)
+    return owner, number, (number / np.maximum(count - 1, 1)[owner])[:, None]
+
+
+def segment_distance(a: Array, b: Array, c: Array, d: Array) -> Array:
+    """Distances (...) of segments a b (..., 3) from one segment c d (3,).
+
+    Source: Ericson, "Real-Time Collision Detection" (2005), section 5.1.9.
+    """
+    u, v, w = b - a, d - c, a - c
+    uu, vv, uv = np.sum(u * u, -1), float(v @ v), u @ v
+    uw, vw = np.sum(u * w, -1), w @ v
+    det = uu * vv - uv * uv
+    s = np.clip(
+        np.where(det > 1e-12 * vv, (uv * vw - uw * vv) / np.where(det > 0, det, 1), 0), 0, 1
+    )
+    t = np.clip((uv * s + vw) / vv, 0, 1)
+    s = np.clip(np.where(uu > 0, (t * uv - uw) / np.where(uu > 0, uu, 1), 0), 0, 1)
+    t = np.clip((uv * s + vw) / vv, 0, 1)
+    return np.asarray(np.linalg.norm(w + s[..., None] * u - t[..., None] * v, axis=-1))

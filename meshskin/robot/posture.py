@@ -75,9 +75,7 @@ class Nodes:
         return Nodes(self.q[rows], self.solved[rows], self.margin[rows], self.joint[rows])
 
 
-def solve_nodes(
-    arm: Arm, targets: Array, anchor_spacing: int = ANCHOR_SPACING, seed: int = 0
-) -> Nodes:
+def solve_nodes(arm: Arm, targets: Array, anchor_spacing: int = ANCHOR_SPACING) -> Nodes:
     """The postures for poses T_w_tip `targets` (m, s, 4, 4).
 
     Samples at most `anchor_spacing` apart are solved from random starts, the others from their
@@ -90,7 +88,7 @@ def solve_nodes(
     anchors = np.unique(
         np.linspace(0, m - 1, max(math.ceil((m - 1) / anchor_spacing), 1) + 1).round().astype(int)
     )
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     for k in anchors:
         q[k] = _solve_anchor(arm, rows[k], rng)
     middles = (anchors[:-1] + anchors[1:]) // 2

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..contact import AUTO, BATCHED
+from ..contact import AUTO, BATCHED, LEARNED
 from ..contact.indenter import Indenter
 from ..contact.material import Material
 from ..core.arguments import (
@@ -22,6 +22,9 @@ from ..core.arrays import Array
 from ..core.config import check_fields, quantity
 from ..core.errors import ConfigError
 from ..geometry.body import Body
+
+PRESSURE, RAW = READINGS = ("pressure", "raw")
+"""Units of the readings of a belief."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +43,9 @@ class Belief(NamedFields):
     disc_radius: float = quantity("m", 2e-3, above=0.0, most=0.05)
     """Radius of a taxel's disc, m."""
     contact: str = AUTO
-    """Contact model, one of contact.BATCHED, or "auto": the first of them that holds in the
-    recording's contacts."""
+    """Contact model, one of contact.BATCHED; "auto": the first of them that holds in the
+    recording's contacts, or a learned response where the readings contradict it; "learned": a
+    response that is estimated with the taxels, with a contact model as its mean."""
     force_reference: float | None = quantity("N", None, above=0.0)
     """Typical contact force, N; None: the median of the recording's."""
     noise_sigma: float | None = quantity("Pa", None, above=0.0)
@@ -50,6 +54,9 @@ class Belief(NamedFields):
     """Pressure up to which readings are not recorded, Pa."""
     saturation: float | None = quantity("Pa", None, above=0.0)
     """End of the sensors' range, Pa; readings from there on are censored. None: no such end."""
+    readings: str = PRESSURE
+    """Unit of the readings: "pressure", Pa, or "raw": counts or volts of any scale and polarity,
+    in which noise_sigma, threshold and saturation are stated, too; the response is learned then."""
     unknown: tuple[str, ...] = ("modulus",)
     """What is estimated besides the taxels: any of "modulus" (E*), "gain" and "offset" (of each
     taxel), "force_scale", "force_offset", "indenter_offset" (3), "body_offset" (6). Gain and offset
@@ -67,7 +74,8 @@ class Belief(NamedFields):
         check_fields(self)
         for name, kind in {"body": Body, "indenter": Indenter, "material": Material}.items():
             check_type(kind, getattr(self, name), f"the {name} of a belief")
-        check_name("contact model", self.contact, (*BATCHED, AUTO))
+        check_name("contact model", self.contact, (*BATCHED, AUTO, LEARNED))
+        check_name("unit of the readings", self.readings, READINGS)
         if isinstance(self.unknown, str) or not isinstance(self.unknown, Collection):
             raise ConfigError(
                 "belief.unknown must be a list of names",

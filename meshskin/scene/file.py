@@ -22,11 +22,11 @@ from .. import effects
 from ..contact.indenter import Indenter
 from ..contact.material import Material
 from ..core.arguments import repr_short
-from ..core.config import check_fields, check_table, from_table, merge, read_toml
+from ..core.config import check_table, from_table, merge, read_toml
 from ..core.errors import ConfigError, UnknownNameError
 from ..robot.arm import Arm
 from . import shipped_scenes
-from .schema import ArmTable, BudgetTable, SkinTable, TextTable, body_table, given
+from .schema import ArmTable, SceneTable, SkinTable, body_table, given
 from .settings import Exploration, Law, Loop, Readout
 
 _PLAIN: dict[str, type] = {
@@ -37,10 +37,10 @@ _PLAIN: dict[str, type] = {
     "loop": Loop,
     "readout": Readout,
 }
-_BUDGET = ("budget_mm", "budget_m", "budget_um")
+_TEXT = ("name", "description", "contact")
 _TABLES = (
-    *_PLAIN, "body", "skin", "arm", "effects", "candidates", *_BUDGET, "extends", "description",
-    "contact", "name",
+    *_PLAIN, "body", "skin", "arm", "effects", "candidates", "budget_mm", "budget_m", "budget_um",
+    "extends", *_TEXT,
 )  # fmt: skip
 AUTO = "auto"
 """Value of `effects` with which an error budget decides."""
@@ -100,11 +100,9 @@ def scene_fields(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 def check_tables(data: Mapping[str, Any]) -> None:
     """Check every key and bound of merged tables without making the scene. Raises ConfigError."""
     _check_keys(data)
-    check_fields(body_table(data["body"]))
-    skin = from_table(SkinTable, data["skin"], "skin")
-    check_fields(skin)
-    skin.part()
-    check_fields(from_table(ArmTable, data.get("arm", {}), "arm"))
+    body_table(data["body"])
+    from_table(SkinTable, data["skin"], "skin").part()
+    from_table(ArmTable, data.get("arm", {}), "arm")
     plain_fields(data)
 
 
@@ -113,9 +111,9 @@ def plain_fields(data: Mapping[str, Any]) -> dict[str, Any]:
     plain: dict[str, Any] = {
         key: from_table(cls, data[key], key) for key, cls in _PLAIN.items() if key in data
     }
-    text = {key: data[key] for key in TextTable.__dataclass_fields__ if key in data}
-    plain |= given(vars(from_table(TextTable, text, "scene")))
-    return plain | _effect_fields(data)
+    keys = [key for key in data if key in _TEXT or key.startswith("budget")]
+    table = from_table(SceneTable, {key: data[key] for key in keys}, "scene")
+    return plain | given(vars(table)) | _effect_fields(data, table.budget)
 
 
 def _check_keys(data: Mapping[str, Any]) -> None:
@@ -129,12 +127,9 @@ def _check_keys(data: Mapping[str, Any]) -> None:
             raise ConfigError(f"the table [{key}] is missing{where}", remedy=f"add [{key}]")
 
 
-def _effect_fields(data: Mapping[str, Any]) -> dict[str, Any]:
+def _effect_fields(data: Mapping[str, Any], budget: float | None) -> dict[str, Any]:
     """The scene's effects, the candidates of an error budget, and the budget, m."""
-    given_budget = {k: v for k, v in data.items() if k.startswith("budget")}
-    table = from_table(BudgetTable, given_budget, "scene")
-    check_fields(table)
-    listed, budget = data.get("effects", []), table.budget
+    listed = data.get("effects", [])
     if isinstance(listed, str):
         if listed != AUTO:
             raise ConfigError(

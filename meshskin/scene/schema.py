@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..core.arrays import Array
-from ..core.config import check_fields, from_table, quantity
+from ..core.config import from_table, quantity
 from ..core.errors import ConfigError, UnknownNameError
 from ..core.se3 import exp_so3, transform
 from ..geometry.body import Body
@@ -24,7 +24,6 @@ class _Primitive:
     faces: int | None = quantity("", None, above=0)
 
     def make(self, folder: Path) -> Body:
-        check_fields(self)
         body: Body = getattr(Body, self.shape)(**given(vars(self), without=("shape",)))
         return body
 
@@ -122,12 +121,10 @@ class SkinTable:
                     f"{where}.{key} must be a nonzero vector of 3 numbers", value=table[key]
                 )
         region: Region = from_table(_REGIONS[kinds[0]], table, where)
-        check_fields(region)
         return region
 
     def make(self, body: Body, folder: Path) -> Skin:
         """The skin on `body`; a file is relative to `folder`."""
-        check_fields(self)
         if self.file is not None:
             return Skin.load(folder / self.file)
         return Skin.cover(
@@ -155,30 +152,22 @@ class ArmTable:
 
     def mount_pose(self) -> Array | None:
         """T_tip_body (4, 4) from a position and a rotation vector; None: the scene's default."""
-        check_fields(self)
         if self.mount is None:
             return None
         return transform(exp_so3(self.mount_angles), self.mount)
 
     def base_pose(self) -> Array:
         """T_w_base (4, 4) from a position and a rotation vector."""
-        check_fields(self)
         return transform(exp_so3(self.base_angles), self.base)
 
 
 @dataclass(frozen=True)
-class TextTable:
-    """The top-level keys whose values are text."""
+class SceneTable:
+    """The top-level keys with one value: text, and the error budget."""
 
     name: str | None = None
     description: str | None = None
     contact: str | None = None
-
-
-@dataclass(frozen=True)
-class BudgetTable:
-    """The top-level error budget."""
-
     budget: float | None = quantity("m", None, above=0.0)
 
 

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from ..core.arrays import Array
 from ..core.errors import SimulationError
 from ..geometry.body import Body
-from .closed_loop_model import ANCHOR, ClosedLoopModel
+from .closed_loop_model import ANCHOR, ClosedLoopModel, state_of_pose
+from .integrators import step
 from .machine_code import PATCH, machine_code
 from .point_readings import PointReadings
-from .quasi_static import state_of_pose
-from .rollout import FACE_MARGIN
-from .step import bind, step
+from .rollout import FACE_MARGIN, bind
 from .track import IDENTITY_MAP, Track, face_maps, face_margin, map_foot, reference_poses
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from . import law as compliance
 from .closed_loop_model import ANCHOR, PARAMETERS, REFERENCE, ClosedLoopModel, Parameters
-from .ldl import Factor
+from .law import Factor
 from .surface_contact import SurfaceContact, delayed_reading, shift_memory, surface_contact
 
 ROTATION_DAMPING, FORCE_DAMPING = 0.02, 1e-6
@@ -133,7 +133,7 @@ class ClosedLoopDynamics:
         path_motion = compliance.damped_inverse(at_contact, damping, ca.vertcat(velocity, omega))
         wanted = speed * normal_motion + path_motion
 
-        gain = compliance.velocity_gain(loop.law.shape, p.rate, mass)
+        gain = p.rate * (mass if loop.law.shape == "inertia" else ca.DM.eye(loop.joints))
         asked = compliance.torque(
             loop.law.torque, bias, gain, qdot - wanted, depth_gradient * force
         )

@@ -10,7 +10,7 @@ import numpy as np
 from ..contact import ContactModel
 from ..core.arguments import check_name
 from ..core.arrays import Array
-from ..core.se3 import poses_of_states
+from ..core.se3 import poses_of_states, quaternion
 from ..scene.settings import INTEGRATORS, MODES, Law
 
 if TYPE_CHECKING:
@@ -171,10 +171,15 @@ class ClosedLoopModel:
         return np.asarray(np.einsum("kji,kj->ki", poses[:, :3, :3], offset))
 
 
-def flat_anchor(patch: Array, change: Array | None = None) -> Array:
-    """The anchor (69,) of a patch (21, 3) and a map (2, 3), by default the identity map."""
-    change = np.eye(2, 3) if change is None else change
-    return np.concatenate([patch.T.ravel(), change.T.ravel()])
+def flat_anchor(patch: Array) -> Array:
+    """The anchor (69,) of a patch (21, 3) with the identity map."""
+    return np.concatenate([patch.T.ravel(), np.eye(2, 3).T.ravel()])
+
+
+def state_of_pose(poses: Array) -> Array:
+    """Position and unit quaternion (..., 7), as in the state, of the body at T_w_b (..., 4, 4)."""
+    turn = quaternion(poses[..., :3, :3])[..., [3, 0, 1, 2]]
+    return np.concatenate([poses[..., :3, 3], turn], axis=-1)
 
 
 def _arm_with_payload(scene: Scene) -> Arm:

@@ -9,47 +9,34 @@ f_c = -K_c delta^(3/2) n by
 
 and the law asks for qdot_f = (gamma / K_c) (zeta J)^+ (f_c - f*), f* = -f_ref n. Two misprints of
 eq. 10 are corrected here: delta in place of delta^(3/2) in its last form, and a sign in its second
-line (tests compare zeta with automatic differentiation).
+line (tests compare zeta with automatic differentiation). On any surface the contact moves with the
+body's whole twist (v, omega), v at the indenter's center, and zeta becomes
+
+    d f_c / dt = -K_c Z (v, omega),
+    Z = ((3/2) delta^(1/2) n n^T - delta^(3/2) S, -delta^(3/2) [n]_x),
+
+S = dn/dc (3, 3) the derivative of the normal by the center in the body's frame, in world axes;
+(I - n n^T) / d on a sphere. The change of K_c along the surface is neglected.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
-
-from .ldl import Factor
 
 MIN_SLOPE_DEPTH = 0.25
 """Depth, relative to the reference depth, below which the force's slope is taken at this depth: the
 slope vanishes at depth 0. It makes the speed at the touch 4/3 gamma times the reference depth."""
 
 
-def zeta(delta: Any, d: Any, n: Any) -> Any:
-    """The matrix zeta (3, 3) of eq. 10; delta, d in m, n (3,) the outward body normal."""
-    nn = n @ n.T
-    return -(delta * ca.sqrt(delta) / d) * (ca.DM.eye(3) - nn) + 1.5 * ca.sqrt(delta) * nn
-
-
-def general_zeta(delta: Any, n: Any, shape: Any) -> Any:
-    """The matrix Z (3, 6) of eq. 10 for any surface: d f_c / dt = -K_c Z (v, omega).
-
-    (v, omega): the body's velocity at the indenter's center and its angular velocity; the contact
-    moves with the whole twist. shape (3, 3): dn/dc, derivative of the normal n (3,) by the center c
-    in the body's frame, in world axes; on a sphere it is (I - n n^T) / d, which gives `zeta`. The
-    change of K_c with the curvature along the surface is neglected; it is zero on the sphere.
-    """
-    normal_part = 1.5 * ca.sqrt(delta) * n @ n.T
-    turn = delta * ca.sqrt(delta)
-    return ca.horzcat(normal_part - turn * shape, -turn * ca.skew(n))
-
-
 def force_rows(jacobian: Any, n: Any, shape: Any, length: Any) -> Any:
     """Rows (3, n) whose pseudoinverse times `force_speed` n is (Z J)^+ (gamma / K_c) (f_c - f*).
 
-    jacobian (6, n) at the indenter's center. f_c - f* is along n, an eigenvector of the normal part
-    of Z. The tangential part, which keeps the normal from turning, is scaled by `length`, m (the
-    distance of the centers on the sphere), in place of delta^(3/2).
+    jacobian (6, n) at the indenter's center; shape (3, 3): S. f_c - f* is along n, an eigenvector
+    of the normal part of Z. The tangential part, which keeps the normal from turning, is scaled by
+    `length`, m (the distance of the centers on the sphere), in place of delta^(3/2).
     """
     linear, angular = jacobian[:3, :], jacobian[3:, :]
     turning = shape @ linear + ca.skew(n) @ angular
@@ -139,6 +126,46 @@ def damped_inverse(jacobian: Any, damping: Any, twist: Any) -> Any:
     return jacobian.T @ Factor.of(gram).solve(twist)
 
 
-def velocity_gain(shape: str, rate: Any, mass_matrix: Any) -> Any:
-    """The matrix L (n, n) of eq. 11: rate M(q) with shape "inertia", rate I with "identity"."""
-    return rate * (mass_matrix if shape == "inertia" else ca.DM.eye(mass_matrix.shape[0]))
+@dataclass(frozen=True)
+class Factor:
+    """LDL^T factors of a small symmetric positive definite matrix (n, n): A = L D L^T.
+
+    One reciprocal per row and no square root: in machine code this takes half the time of `ca.chol`
+    or `ca.solve`, whose divisions and roots depend on each other. `ca.ldl` keeps the divisions in
+    its solves. Source: Golub, Van Loan, "Matrix Computations" (2013), 4.1.
+    """
+
+    lower: list[list[Any]]
+    """Rows of L to the left of its unit diagonal."""
+    inverse: list[Any]
+    """1 / D (n,)."""
+
+    @classmethod
+    def of(cls, matrix: Any) -> Factor:
+        """The factors of a symmetric matrix (n, n); only its lower triangle is read."""
+        lower: list[list[Any]] = []
+        inverse: list[Any] = []
+        for i in range(matrix.shape[0]):
+            scaled: list[Any] = []  # L_ij D_j
+            for j in range(i):
+                inner = sum(scaled[k] * lower[j][k] for k in range(j))
+                scaled.append(matrix[i, j] - inner)
+            row = [s * d for s, d in zip(scaled, inverse, strict=True)]
+            inner = sum(s * x for s, x in zip(scaled, row, strict=True))
+            lower.append(row)
+            inverse.append(1.0 / (matrix[i, i] - inner))
+        return cls(lower, inverse)
+
+    def solve(self, right: Any) -> Any:
+        """A^-1 right (n, k)."""
+        return ca.horzcat(*(self._solve(right[:, k]) for k in range(right.shape[1])))
+
+    def _solve(self, right: Any) -> Any:
+        x: list[Any] = []
+        for i, row in enumerate(self.lower):
+            x.append(right[i] - sum(row[k] * x[k] for k in range(i)))
+        x = [value * d for value, d in zip(x, self.inverse, strict=True)]
+        for i in reversed(range(len(x))):
+            for k in range(i):
+                x[k] = x[k] - self.lower[i][k] * x[i]
+        return ca.vertcat(*x)

@@ -18,7 +18,7 @@ from ..core.arrays import Array
 from ..core.content_cache import cached_by_content
 from ..geometry.surface.patch import POWERS
 from .closed_loop_model import PARAMETERS, REFERENCE, ClosedLoopModel
-from .step import step
+from .integrators import step
 
 FLAGS = (*codegen.FLAGS, "-fno-trapping-math", *codegen.fma_flags())
 PATCH, MAP = 3 * len(POWERS), 6

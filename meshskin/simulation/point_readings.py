@@ -48,38 +48,25 @@ class PointReadings:
                 out = np.empty((len(outputs), self._taxels.shape[1]), self.dtype)
             self._code.read(self._taxels, outputs, out)
             return np.asarray(out)
-        spread, height = self._factors(outputs)
-        if len(self._scratch) < len(outputs):
-            self._scratch = np.empty((len(outputs), self._scratch.shape[1]), self.dtype)
-        # p_0^2 ((x - c) . n)^2 / a^2 and p_0^2 (1 - |x - c|^2 / a^2), each as one matrix product
-        across = np.matmul(height, self._height, out=self._scratch[: len(outputs)])
-        across *= across
-        # taxels further than a from the tangent plane, as on the far side, read nothing
-        peak = (outputs[:, self.rows["force"]] > 0) * self._peak(outputs) ** 2
-        np.minimum(across, peak.astype(self.dtype), out=across)
-        inside: Array = np.matmul(spread, self._spread, out=out)
-        inside += across
-        np.maximum(inside, 0.0, out=inside)
-        return np.sqrt(inside, out=inside)
-
-    def _area(self, outputs: Array) -> Array:
-        """a^2 (k, 1), m^2."""
         rows = self.rows
-        return np.maximum(outputs[:, rows["depth"]] * outputs[:, rows["radius"]], MIN_AREA)
-
-    def _peak(self, outputs: Array) -> Array:
-        """p_0 (k, 1), Pa."""
-        return np.asarray(1.5 / np.pi * outputs[:, self.rows["force"]] / self._area(outputs))
-
-    def _factors(self, outputs: Array) -> tuple[Array, Array]:
-        """Left factors (k, 5) and (k, 4) of the two products."""
-        c = outputs[:, self.rows["point"]] - self.origin
-        normal = outputs[:, self.rows["normal"]]
-        area, peak = self._area(outputs), self._peak(outputs)
+        c, normal = outputs[:, rows["point"]] - self.origin, outputs[:, rows["normal"]]
+        force = outputs[:, rows["force"]]
+        area = np.maximum(outputs[:, rows["depth"]] * outputs[:, rows["radius"]], MIN_AREA)  # a^2
+        peak = 1.5 / np.pi * force / area
         scale = peak * peak / area
         inner = np.einsum("ij,ij->i", c, c)[:, None]
         spread = np.concatenate([2.0 * scale * c, -scale, scale * (area - inner)], axis=1)
-        root = np.sqrt(scale)
-        along = np.einsum("ij,ij->i", c, normal)[:, None]
+        root, along = np.sqrt(scale), np.einsum("ij,ij->i", c, normal)[:, None]
         height = np.concatenate([root * normal, -root * along], axis=1)
-        return spread.astype(self.dtype), height.astype(self.dtype)
+        if len(self._scratch) < len(outputs):
+            self._scratch = np.empty((len(outputs), self._scratch.shape[1]), self.dtype)
+        # p_0^2 ((x - c) . n)^2 / a^2 and p_0^2 (1 - |x - c|^2 / a^2), each as one matrix product
+        across = self._scratch[: len(outputs)]
+        np.matmul(height.astype(self.dtype), self._height, out=across)
+        across *= across
+        # taxels further than a from the tangent plane, as on the far side, read nothing
+        np.minimum(across, ((force > 0) * peak**2).astype(self.dtype), out=across)
+        inside: Array = np.matmul(spread.astype(self.dtype), self._spread, out=out)
+        inside += across
+        np.maximum(inside, 0.0, out=inside)
+        return np.sqrt(inside, out=inside)

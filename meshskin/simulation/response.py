@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from ..core.arrays import Array
 from ..core.errors import SimulationError
@@ -13,6 +15,8 @@ from ..core.errors import SimulationError
 SETTLING_BAND = 0.02
 """Error, relative to the reference, within which the force counts as settled: the usual 2 % band of
 settling times. It must stay within until the contact point moves."""
+MAX_DEPARTURE = 0.2
+"""Error of the force after settling, relative to the reference, that is reported first."""
 CONTROLLED_PHASES = ("touch", "hold", "slide")
 """Phases in which the law controls the force."""
 
@@ -38,6 +42,28 @@ class ForceResponse:
     """Largest error after settling, relative to the reference."""
     lost: int
     """Steps without contact in which the law controls the force."""
+
+
+def describe_departure(motion: pa.Table) -> str:
+    """Where the force of a recording's `motion` left its reference after settling, while the
+    contact point slides, and what to change; "" where it stayed within MAX_DEPARTURE.
+    """
+    time, force, references = (
+        np.asarray(motion.column(name)) for name in ("time", "force", "reference")
+    )
+    after = np.asarray(pc.equal(motion.column("phase").cast(pa.string()), "slide"))
+    off = np.abs(force / references - 1.0)
+    left = after & (off > MAX_DEPARTURE)
+    if not left.any():
+        return ""
+    worst = int(np.argmax(np.where(left, off, 0.0)))
+    lost = " (contact lost)" if force[worst] <= 0 else ""
+    return (
+        f"the contact force left its reference after settling: {force[worst]:.3g} N{lost} instead "
+        f"of {references[worst]:g} N at {time[worst]:.4g} s, off by more than {MAX_DEPARTURE:.0%} "
+        f"in {left.sum() / after.sum():.2g} of the steps; lower exploration.speed, raise law.gamma,"
+        " or leave the bump or edge of the body out of the skin's region"
+    )
 
 
 def force_response(

@@ -8,16 +8,18 @@ step in contact. parameters (9,): see closed_loop_model.Parameters.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from ..core.arrays import Array
 from ..geometry.surface.surface import Surface
-from .closed_loop_model import ClosedLoopModel
+from .closed_loop_model import REFERENCE, ClosedLoopModel, flat_anchor
+from .integrators import step
 from .machine_code import MachineCode
-from .step import StepBlock
 from .track import IDENTITY_MAP, Track, face_margin
 
 LENGTHS = (32, 256)
@@ -46,6 +48,47 @@ class Steps:
     """Phase of the exploration, an index of state_machine.PHASES."""
     readings: Array | None = None
     """Point pressures (k, taxels), Pa, where they were asked for."""
+
+
+def bind(
+    function: ca.Function, inputs: tuple[Array, ...], results: tuple[Array, ...]
+) -> tuple[Any, Callable[[], None]]:
+    """A buffer and a call of a CasADi function that reads `inputs` and fills `results`.
+
+    The call has no Python overhead. The arrays must stay the same objects, and the buffer must live
+    as long as the call.
+    """
+    made: Any = function.buffer()  # CasADi's type stub asks for sizes that it does not take
+    buffer, call = made
+    array: Any
+    for k, array in enumerate(inputs):
+        buffer.set_arg(k, memoryview(array))
+    for k, array in enumerate(results):
+        buffer.set_res(k, memoryview(array))
+    return buffer, call
+
+
+class StepBlock:
+    """`length` consecutive steps in one call of `run`.
+
+    `state`, `references`, `anchors` and `parameters` are read; `states` (after each step) and
+    `outputs` (before it) are filled. They must stay the same objects.
+    """
+
+    def __init__(self, loop: ClosedLoopModel, length: int) -> None:
+        function = step(loop)
+        self.length = length
+        self.state = np.zeros(function.size1_in(0))
+        self.references = np.zeros((length, REFERENCE))
+        self.anchors = np.tile(flat_anchor(np.zeros((21, 3))), (length, 1))
+        self.parameters = np.tile(np.array(loop.parameters.values, dtype=float), (length, 1))
+        self.states = np.zeros((length, function.size1_out(0)))
+        self.outputs = np.zeros((length, function.size1_out(1)))
+        self._buffer, self.run = bind(
+            function.mapaccum("steps", length),
+            (self.state, self.references, self.anchors, self.parameters),
+            (self.states, self.outputs),
+        )
 
 
 class CompiledRollout:
@@ -80,9 +123,9 @@ class CompiledRollout:
 class InterpretedRollout:
     """Steps in CasADi's virtual machine, in blocks of the two lengths."""
 
-    def __init__(self, loop: ClosedLoopModel, step: ca.Function, surface: Surface) -> None:
+    def __init__(self, loop: ClosedLoopModel, surface: Surface) -> None:
         self.lengths = CVODES_LENGTHS if loop.integrator == "cvodes" else LENGTHS
-        self._blocks = [StepBlock(loop, length, step) for length in self.lengths]
+        self._blocks = [StepBlock(loop, length) for length in self.lengths]
         self._surface, self._force = surface, loop.outputs["force"].start
         self._patches: dict[int, Array] = {}
 

@@ -6,6 +6,8 @@ loop), readout.contact_frames (Frames of contacts) and readout.sensor_tables (th
 
 from __future__ import annotations
 
+import itertools
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -26,12 +28,12 @@ from ..exploration.plan import plan_exploration
 from ..recording.recording import Recording, RecordingWriter
 from ..scene.scene import Scene
 from . import stability
-from .closed_loop_model import ClosedLoopModel
-from .quasi_static import state_of_pose
+from .closed_loop_model import ClosedLoopModel, state_of_pose
 from .readout import FRAME_CELLS, contact_frames, effect_pipeline, recording_metadata, sensor_tables
+from .response import describe_departure
 from .rollout import LENGTHS, Steps
 from .simulator import Simulator
-from .state_machine import PHASES, ExplorationStateMachine, PhaseSettings
+from .state_machine import PHASES, ExplorationStateMachine
 from .track import Track
 
 BODY_COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz")
@@ -42,6 +44,18 @@ tables, and some MB of memory."""
 
 Progress = Callable[[str, int, int], None]
 """progress(stage, done, total)"""
+
+
+def counter(progress: Progress | None, stage: str, total: int) -> Callable[[], None]:
+    """A function that reports one more step of a stage; the report of 0 steps is made at once."""
+    counted = itertools.count()
+
+    def step() -> None:
+        if progress is not None:
+            progress(stage, next(counted), total)
+
+    step()
+    return step
 
 
 def simulate(
@@ -58,9 +72,10 @@ def simulate(
     seed: of every random stream. path: the path of a plan (`explore`), to follow instead of the
     scene's own exploration. out: stream the recording to these files and read it back from there,
     instead of holding it in memory. progress(stage, done, total) is called during the run. chain:
-    the effects of an earlier run, to continue instead of new ones of the seed. Raises ReachError if
-    the arm cannot follow the path, SimulationError if the loop fails, ConfigError for a scene whose
-    budget has not been resolved.
+    the effects of an earlier run, to continue instead of new ones of the seed. Warns where the
+    contact force leaves its reference after settling (`response.describe_departure`). Raises
+    ReachError if the arm cannot follow the path, SimulationError if the loop fails, ConfigError for
+    a scene whose budget has not been resolved.
     """
     check_type(Scene, scene, "what is simulated")
     if scene.budget is not None:
@@ -84,10 +99,14 @@ def simulate(
             for contacts, readings, motion in batches:
                 writer.write(contacts=contacts, readings=readings, motion=motion)
             writer.metadata |= _performance(simulator)
-        return Recording.load(out)
-    tables = [pa.concat_tables(part) for part in zip(*batches, strict=True)]
-    metadata |= _performance(simulator)
-    return Recording(tables[0], tables[1], metadata, tables[2])
+        recording = Recording.load(out)
+    else:
+        tables = [pa.concat_tables(part) for part in zip(*batches, strict=True)]
+        recording = Recording(tables[0], tables[1], metadata | _performance(simulator), tables[2])
+    assert recording.motion is not None
+    if words := describe_departure(recording.motion):
+        warnings.warn(words, stacklevel=2)
+    return recording
 
 
 def prepare(
@@ -150,9 +169,7 @@ def run(
 ) -> Iterator[Steps]:
     """Run the closed loop over the path. Yields the steps as they are made."""
     tracks = [Track.of(segment, scene.body.surface) for segment in path.segments]
-    exploration = scene.exploration
-    settings = PhaseSettings(exploration.standoff, exploration.settle, exploration.approach_ramp)
-    machine = ExplorationStateMachine(simulator, tracks, settings, path.postures)
+    machine = ExplorationStateMachine(simulator, tracks, scene.exploration, path.postures)
     for steps in machine.run():
         yield steps
         if progress is not None:

@@ -15,10 +15,10 @@ from ..geometry.surface.closest_point import Closest
 from ..robot.collision import EDGE_COSINE
 from . import transfer
 from .closed_loop_model import APPROACH_SPEED, REFERENCE, ClosedLoopModel, flat_anchor
+from .integrators import step
 from .machine_code import machine_code
 from .point_readings import PointReadings
 from .rollout import FACE_MARGIN, CompiledRollout, InterpretedRollout, Rollout, Steps
-from .step import step
 from .track import IDENTITY_MAP, Track, face_maps, face_margin, map_foot
 
 EDGE_WEIGHT = 1e-6
@@ -50,9 +50,7 @@ class Simulator:
         self.function = step(loop)
         code = machine_code(loop, body.surface.patches, compile_, steps)
         self.rollout: Rollout = (
-            InterpretedRollout(loop, self.function, body.surface)
-            if code is None
-            else CompiledRollout(code)
+            InterpretedRollout(loop, body.surface) if code is None else CompiledRollout(code)
         )
         self.readings = None if taxels is None else PointReadings(loop, taxels, code=code)
         self.size = len(start)

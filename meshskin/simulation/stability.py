@@ -35,7 +35,7 @@ from ..core.errors import SimulationError
 from ..core.se3 import hat
 from . import law as compliance
 from .closed_loop_model import ClosedLoopModel
-from .step import StepBlock, step
+from .rollout import StepBlock
 
 if TYPE_CHECKING:
     from ..robot.arm import Arm
@@ -141,8 +141,8 @@ def _mass_matrix(arm: Arm) -> ca.Function:
     return ca.Function("mass", [q], [arm.dynamics().mass_matrix(q)])
 
 
-def touch_error(simulator: Simulator, q: Array, reference: Array, parts: int = 1) -> float:
-    """Estimated error of the force at the touch, relative to its peak, with steps of dt / parts.
+def touch_error(simulator: Simulator, q: Array, reference: Array) -> float:
+    """Estimated error of the force at the touch, relative to its peak.
 
     The touch is that of the simulator: from rest in the air, until the force has settled.
     """
@@ -152,24 +152,20 @@ def touch_error(simulator: Simulator, q: Array, reference: Array, parts: int = 1
     lag = SETTLING_TIMES * (1.0 / law.rate + 1.0 / law.gamma)
     gap = min(max(_gap(simulator), 0.0), lag * speed)  # higher up the approach is steady
     seconds = gap / speed + math.log(speed / slow) / law.gamma + lag
-    count = round(seconds / loop.dt * parts)
     state = _lifted_state(simulator, q, depth + gap)
-    return estimate_error(simulator, state, reference, count, parts)
+    return estimate_error(simulator, state, reference, round(seconds / loop.dt))
 
 
-def estimate_error(
-    simulator: Simulator, state: Array, reference: Array, count: int, parts: int = 1
-) -> float:
-    """Estimated error of the force, relative to its peak, over `count` steps of dt / parts.
+def estimate_error(simulator: Simulator, state: Array, reference: Array, count: int) -> float:
+    """Estimated error of the force, relative to its peak, over `count` steps.
 
     state: of the start, without contact, or of a loop without a delay; reference (18,): a row of a
     path at rest. Infinite where a number is not finite; 0 for CVODES, which is the reference.
     """
     if simulator.loop.integrator == "cvodes" and simulator.loop.joints:
         return 0.0
-    coarse = predict_forces(simulator, state, reference, count, parts)
-    fine = predict_forces(simulator, state, reference, REFINEMENT * count, REFINEMENT * parts)
-    fine = fine[::REFINEMENT]
+    coarse = predict_forces(simulator, state, reference, count)
+    fine = predict_forces(simulator, state, reference, REFINEMENT * count, REFINEMENT)[::REFINEMENT]
     if not (np.isfinite(coarse).all() and np.isfinite(fine).all()):
         return math.inf
     peak = max(fine.max(), simulator.loop.law.force_reference)
@@ -180,13 +176,14 @@ def predict_forces(
     simulator: Simulator, state: Array, reference: Array, count: int, parts: int = 1
 ) -> Array:
     """Contact forces (count,), N, with steps of dt / parts on the simulator's first face."""
-    loop, function = simulator.loop, simulator.function
-    if loop.delay and parts > 1:  # the same delay in more steps
-        state = _refined_memory(loop, state, parts)
+    loop = simulator.loop
+    if loop.delay and parts > 1:  # the same delay in more steps: each measurement lasts for `parts`
+        end = -2 - loop.memory
+        readings = state[end:-2].reshape(-1, 2).repeat(parts, axis=0)
+        state = np.concatenate([state[:end], readings.ravel(), state[-2:]])
         loop = replace(loop, delay=loop.delay * parts)
-        function = step(loop)
-    block = StepBlock(loop, BLOCK_LENGTH, function)
-    block.parameters[0] = loop.dt / parts
+    block = StepBlock(loop, BLOCK_LENGTH)
+    block.parameters[:, 0] = loop.dt / parts
     block.references[:] = reference
     block.anchors[:] = simulator.rest_state(state[: simulator.size])[1]
     block.state[:] = state
@@ -273,9 +270,3 @@ def _lifted_state(simulator: Simulator, q: Array, lift: float) -> Array:
         depth = reference_depth(loop, simulator.curvature) - lift
         state[-2 - loop.memory : -2] = np.tile([depth, 0.0], loop.delay)
     return state
-
-
-def _refined_memory(loop: ClosedLoopModel, state: Array, parts: int) -> Array:
-    """A state whose delayed measurements are each repeated for `parts` steps."""
-    readings = state[-2 - loop.memory : -2].reshape(-1, 2).repeat(parts, axis=0)
-    return np.concatenate([state[: -2 - loop.memory], readings.ravel(), state[-2:]])

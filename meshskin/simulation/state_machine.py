@@ -12,7 +12,6 @@ at most RETRIES times in a place.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -21,8 +20,9 @@ import numpy as np
 from ..core.arrays import Array
 from ..core.errors import EdgeError, PlaceError, SimulationError
 from ..core.se3 import interpolate, inverse, log_so3, poses_of_states
+from ..scene.settings import Exploration
 from . import transfer
-from .quasi_static import state_of_pose
+from .closed_loop_model import state_of_pose
 from .rollout import LENGTHS, Steps
 from .simulator import Simulator
 from .track import Track, reference_poses
@@ -47,32 +47,23 @@ AIR_SPEED, AIR_TURN_RATE = 0.1, 1.0
 """Largest speeds of transfers, m/s and rad/s."""
 
 
-@dataclass(frozen=True)
-class PhaseSettings:
-    """Distances and times of the phases."""
-
-    standoff: float
-    """Height over the indenter between places, m."""
-    settle: float
-    """Longest time for the force to settle, and of the hold, together, s."""
-    ramp: float = 0.0
-    """Time in which the approach reaches its speed, s."""
-
-
 class ExplorationStateMachine:
-    """Runs a simulator over tracks (places), in order."""
+    """Runs a simulator over tracks (places), in order.
+
+    The exploration gives the standoff, the ramp of the approach and the rest after a touch.
+    """
 
     def __init__(
         self,
         simulator: Simulator,
         tracks: Sequence[Track],
-        settings: PhaseSettings,
+        exploration: Exploration,
         postures: Array | None = None,
     ) -> None:
-        self.simulator, self.tracks, self.settings = simulator, tracks, settings
+        self.simulator, self.tracks, self.exploration = simulator, tracks, exploration
         self.postures = postures
         """Joint angles (places, n) at the first row of each track, taken before in the air; None:
-        the body is moved over, in whatever posture the arm then is."""
+        no arm."""
         self.place, self.row = 0, 0
         self.phase = APPROACH
         self.skips = 0
@@ -146,11 +137,11 @@ class ExplorationStateMachine:
     def _make_contact(self, track: Track) -> Iterator[Steps]:
         """Approach until the first contact, let the force settle, hold."""
         simulator, loop = self.simulator, self.simulator.loop
-        settle = max(round(self.settings.settle / loop.dt), 1)
+        settle = max(round(self.exploration.settle / loop.dt), 1)
         rest = track.hold(self.row, max(settle, LENGTHS[0]))
         # the approach at full speed five times over, and the law's lag near the touch
-        longest = 1.0 + 5 * self.settings.standoff / loop.law.approach_speed + 20 / loop.law.gamma
-        longest += self.settings.ramp
+        longest = 5 * self.exploration.standoff / loop.law.approach_speed + 20 / loop.law.gamma
+        longest += 1.0 + self.exploration.approach_ramp
         self.phase, force, first = APPROACH, 0.0, simulator.steps
         while not force > 0:
             if simulator.steps > first + int(np.ceil(longest / loop.dt)):
@@ -172,8 +163,8 @@ class ExplorationStateMachine:
 
     def _press(self, rest: Track, first: int, until_touch: bool = False) -> Steps:
         """Steps of an approach that began at step `first`; single ones during its ramp."""
-        simulator, dt = self.simulator, self.simulator.loop.dt
-        fraction = approach_fraction((simulator.steps - first) * dt, self.settings.ramp, dt)
+        simulator, dt, ramp = self.simulator, self.simulator.loop.dt, self.exploration.approach_ramp
+        fraction = approach_fraction((simulator.steps - first) * dt, ramp, dt)
         return simulator.advance(
             rest if fraction == 1.0 else rest[:1],
             self.phase,
@@ -206,20 +197,15 @@ class ExplorationStateMachine:
         if not simulator.loop.joints:
             yield from self._float(self._above(goal.references[0]))
             return
-        waypoints = [reference_poses(track.references[-1]), self._above(track.references[-1])]
-        if self.postures is None:
-            waypoints += [self._above(goal.references[0])]
-        for self.phase, start, end in zip(
-            (LEAVE, NEXT), waypoints[:-1], waypoints[1:], strict=False
-        ):
-            motion = Track.through(_blend(start, end, dt), dt, simulator.face)
-            while len(motion):
-                steps = simulator.advance(motion, self.phase, track_normal=True)
-                yield steps
-                motion = motion[len(steps.time) :]
-        if self.postures is not None:
-            self.phase = NEXT
-            yield simulator.move(self._regrasp(goal, self.postures[self.place]), NEXT)
+        low, high = reference_poses(track.references[-1]), self._above(track.references[-1])
+        motion, self.phase = Track.through(_blend(low, high, dt), dt, simulator.face), LEAVE
+        while len(motion):
+            steps = simulator.advance(motion, LEAVE, track_normal=True)
+            yield steps
+            motion = motion[len(steps.time) :]
+        assert self.postures is not None
+        self.phase = NEXT
+        yield simulator.move(self._regrasp(goal, self.postures[self.place]), NEXT)
 
     def _float(self, goal: Array) -> Iterator[Steps]:
         """Without an arm: up, as far as turning needs, and over to `goal` (4, 4), in the air.
@@ -247,7 +233,8 @@ class ExplorationStateMachine:
         They are the lowest, of one lift; else one of them is as high as it can be. Raises
         PlaceError if there are none.
         """
-        simulator, standoff, up = self.simulator, self.settings.standoff, self._up
+        simulator, standoff = self.simulator, self.exploration.standoff
+        up = simulator.loop.indenter_direction
         dt = CLEARANCE_STRIDE * simulator.loop.dt
         highs: list[Array] = []
         overs: list[Array] = []
@@ -281,14 +268,10 @@ class ExplorationStateMachine:
         start = simulator.state[: simulator.size].copy()
         return transfer.joint_path(loop, simulator.body, start, above)
 
-    @property
-    def _up(self) -> Array:
-        """Unit vector (3,), world frame, along which the body is lifted off."""
-        return self.simulator.loop.indenter_direction
-
     def _above(self, reference: Array) -> Array:
         """T_w_b (4, 4) at the standoff over a reference (18,)."""
-        return _raised(reference_poses(reference), self.settings.standoff * self._up)
+        up = self.simulator.loop.indenter_direction
+        return _raised(reference_poses(reference), self.exploration.standoff * up)
 
     def _force(self, steps: Steps) -> Array:
         return np.asarray(steps.outputs[:, self.simulator.loop.outputs["force"].start])

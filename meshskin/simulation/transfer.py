@@ -49,11 +49,6 @@ def penetration(loop: ClosedLoopModel, body: Body, poses: Array) -> tuple[Closes
     return hit, loop.indenter_radius - distance
 
 
-def clearance(loop: ClosedLoopModel, body: Body, q: Array) -> float:
-    """Least distance, m, of the body's surface from the indenter's center in q (k, n)."""
-    return float(body.closest(loop.indenter_centers(loop.body_poses(q))).distance.min())
-
-
 def joint_path(loop: ClosedLoopModel, body: Body, start: Array, goal: Array) -> Array:
     """Joint angles (k, n), one row a step, from `start` (n,) to `goal` (n,), both in the air.
 
@@ -80,7 +75,8 @@ def joint_path(loop: ClosedLoopModel, body: Body, start: Array, goal: Array) -> 
         samples = curve(np.linspace(0.0, seconds[-1], CLEARANCE_SAMPLES))
         within = (samples >= arm.lower).all() and (samples <= arm.upper).all()
         wanted = loop.indenter_radius + min(MIN_CLEARANCE, height + 1e-4)
-        if within and clearance(loop, body, samples) > wanted:
+        centers = loop.indenter_centers(loop.body_poses(samples))
+        if within and body.closest(centers).distance.min() > wanted:
             return np.asarray(curve(time_scaling(seconds[-1], RAMP, loop.dt) * seconds[-1]))
     raise ReachError(
         f"{arm.name} has no collision-free path over the indenter to the next posture",

@@ -16,7 +16,7 @@ import casadi as ca
 
 from ..closed_loop_dynamics import ClosedLoopDynamics, DynamicsTerms
 from ..closed_loop_model import ClosedLoopModel
-from ..ldl import Factor
+from ..law import Factor
 from . import NAMES
 
 

@@ -8,14 +8,12 @@ is normalized after each.
 from __future__ import annotations
 
 import casadi as ca
-import numpy as np
 
-from ..core.arrays import Array
-from ..core.se3 import casadi_rotation, quaternion
-from . import law as compliance
-from .closed_loop_model import ANCHOR, PARAMETERS, REFERENCE, ClosedLoopModel, Parameters
-from .integrators import NAMES
-from .surface_contact import delayed_reading, shift_memory, surface_contact
+from ...core.se3 import casadi_rotation
+from .. import law as compliance
+from ..closed_loop_model import ANCHOR, PARAMETERS, REFERENCE, ClosedLoopModel, Parameters
+from ..surface_contact import delayed_reading, shift_memory, surface_contact
+from . import NAMES
 
 
 def step(loop: ClosedLoopModel) -> ca.Function:
@@ -54,9 +52,3 @@ def step(loop: ClosedLoopModel) -> ca.Function:
         *NAMES,
         {"cse": True},
     )
-
-
-def state_of_pose(poses: Array) -> Array:
-    """Position and unit quaternion (..., 7), as in the state, of the body at T_w_b (..., 4, 4)."""
-    turn = quaternion(poses[..., :3, :3])[..., [3, 0, 1, 2]]
-    return np.concatenate([poses[..., :3, 3], turn], axis=-1)
