@@ -10,21 +10,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..contact import AUTO
 from ..core.arguments import check_integer, check_name, check_real, check_type
 from ..core.blas import single_threaded
 from ..core.errors import CalibrationError
 from ..core.provenance import digest, provenance
 from ..recording.recording import Recording
-from . import chart
+from ..scene.belief import RAW
+from . import centroid, chart
 from .calibration import Calibration
 from .data.measurements import gather
-from .joint import maximum_likelihood
+from .joint import learned, maximum_likelihood
 from .joint.reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
 from .result import EstimatorResult
 from .trilateration import trilaterate
 from .trilateration.displacements import Displacements, SharedContacts, Trilateration
 from .uncertainty import observability
-from .uncertainty.verdict import judge
+from .uncertainty.judge import judge
 
 if TYPE_CHECKING:
     from ..scene.belief import Belief
@@ -32,6 +34,11 @@ if TYPE_CHECKING:
 UNTOUCHED = "never touched"
 UNLINKED = "shares too few contacts with other taxels"
 WEAK = "too weakly determined"
+UNITLESS = ("joint", "centroid")
+"""Methods that take readings in a unit of their own; the others read distances off pressures."""
+MAX_SCORE = 6.0
+"""Score of errors that the readings of a contact share, in standard deviations, from which contact
+points or forces have errors: 1e-9 by chance."""
 MIN_DRAWN = 240
 """Taxels, at least, whose errors are drawn to measure the correlation of displacements: the mean
 square that scales the covariance is then known to about 2 / sqrt(2 * 240) = 9 %."""
@@ -51,7 +58,7 @@ class Estimation:
                 remedy="give what the robot's owner knows: scene.belief()",
             )
         self.data = gather(recording, belief)
-        self.recording = recording
+        self.recording, self.belief = recording, belief
         self._displacements: dict[Trilateration, Displacements] = {}
         self._seconds = time.perf_counter() - begin
 
@@ -66,6 +73,12 @@ class Estimation:
         check_name("method", method, tuple(METHODS))
         check_real("tolerance of a calibration", tolerance, above=0.0)
         iterations = check_integer("limit of iterations", iterations, least=1)
+        if self.belief.readings == RAW and method not in UNITLESS:
+            raise CalibrationError(
+                f"the method {method} needs pressures",
+                value='readings="raw"',
+                remedy=f"use one of {', '.join(UNITLESS)}",
+            )
         begin, data = time.perf_counter(), self.data
         result = self.joint(tolerance, iterations) if method == "joint" else METHODS[method](self)
         covariance = result.pose_covariances
@@ -100,6 +113,7 @@ class Estimation:
             faults=result.faults,
             rivals=result.rivals,
             fit=result.fit,
+            response=result.response,
             contact_centroids=trilaterate.centroids(data),
             belief=data.belief,
             iterates=result.iterates,
@@ -115,13 +129,35 @@ class Estimation:
     def joint(
         self, tolerance: float = NEWTON_TOLERANCE, iterations: int = MAX_ITERATIONS
     ) -> EstimatorResult:
-        """Maximum likelihood over all readings; arguments as `calibrate`."""
-        return maximum_likelihood.estimate(
+        """Maximum likelihood over all readings; arguments as `calibrate`.
+
+        The response is learned where the belief asks for it, or leaves the contact model open and
+        the readings contradict it.
+        """
+        if self.data.learned:
+            return learned.estimate(self.data)
+        result = maximum_likelihood.estimate(
             self.data,
             iterations=iterations,
             tolerance=tolerance,
             trilaterated=self.least_squares,
         )
+        return self._learned(result) if self._contradicted(result) else result
+
+    def _contradicted(self, found: EstimatorResult) -> bool:
+        """Whether the contact model was chosen by "auto", and the readings contradict it."""
+        if self.belief.contact != AUTO or self.belief.module_slots is not None:
+            return False
+        misfits = found.fit is not None and found.fit.good is False
+        return misfits or found.contact_score > MAX_SCORE
+
+    def _learned(self, found: EstimatorResult) -> EstimatorResult:
+        """The estimate with a learned response; `found`, that of the contact model, where it does
+        not converge."""
+        try:
+            return learned.estimate(replace(self.data, learned=True), found)
+        except CalibrationError:
+            return found
 
     @cached_property
     def least_squares(self) -> EstimatorResult:
@@ -135,6 +171,10 @@ class Estimation:
     def three_circles(self) -> EstimatorResult:
         """The paper's trilateration from three circles, scaled as `trilateration`."""
         return self._scaled(trilaterate.three_circles(self.data))
+
+    def centroid(self) -> EstimatorResult:
+        """The weighted mean of the contact points of each taxel: the baseline."""
+        return centroid.estimate(self.data)
 
     def _scaled(self, fit: EstimatorResult) -> EstimatorResult:
         trilaterate.require_any(fit)
@@ -213,6 +253,7 @@ METHODS: dict[str, Callable[[Estimation], EstimatorResult]] = {
     ),
     "trilateration": Estimation.trilateration,
     "three_circles": Estimation.three_circles,
+    "centroid": Estimation.centroid,
 }
 """The estimators by name."""
 
@@ -229,7 +270,8 @@ def calibrate(
     method: "joint", maximum likelihood over all readings (the default); "posegraph", the paper's
     graph of displacements; "posegraph_isotropic", with the paper's isotropic information;
     "posegraph_paper", with displacements from three circles, too, as in the paper;
-    "trilateration", least squares over all circles of a taxel; "three_circles", the paper's.
+    "trilateration", least squares over all circles of a taxel; "three_circles", the paper's;
+    "centroid", the mean of a taxel's contact points weighted by its readings: the baseline.
     tolerance: the Newton decrement at which the joint estimate has converged (a move of
     sqrt(2 tolerance) standard deviations).
     iterations: the most iterations of IPOPT over the shared unknowns, in each linearization. Other
@@ -237,8 +279,8 @@ def calibrate(
     Raises UnknownNameError for another method, ConfigError for a tolerance that is not positive or
     a limit of iterations that is not a positive integer,
     RecordingError for values that are not finite, CalibrationError for a scene in place of a
-    belief, no readings, unknown taxels or nothing determined, ContactError where the believed
-    contact model leaves its range.
+    belief, a method that needs pressures on raw readings, no readings, unknown taxels or nothing
+    determined, ContactError where the believed contact model leaves its range.
     """
     check_name("method", method, tuple(METHODS))
     return Estimation(recording, belief).calibrate(method, tolerance, iterations)

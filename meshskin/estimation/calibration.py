@@ -18,13 +18,18 @@ from ..core.arrays import Array
 from ..core.atomic_io import atomic, write_text
 from ..core.errors import CalibrationError, ConfigError
 from .data.global_parameters import LOGARITHMS
+from .result import LearnedResponse
 from .uncertainty.goodness_of_fit import GoodnessOfFit
 from .uncertainty.verdict import Verdict
 
 if TYPE_CHECKING:
+    from ..recording.recording import Recording
     from ..scene.belief import Belief
+    from .cross_validation import CrossValidation
     from .next_contact import NextContacts
 
+UNITS = {"force_offset": "N", "exponents": "", "compression": "", "force_scatter": ""}
+"""Units of global parameters that are neither lengths nor angles nor logarithms."""
 _KEY = b"meshskin-calibration"
 _COLUMNS = {
     "ids": "ids",
@@ -85,10 +90,12 @@ class Calibration:
     modulus: float | None = None
     """E*, Pa, that the pressures were read under."""
     modulus_sigma: float | None = None
-    """Its standard deviation, Pa; None: it was given, not estimated."""
+    """Its standard deviation, Pa, that by the indenter's radius included; None: it was given, not
+    estimated."""
     unknowns: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Global parameters that were estimated: value and standard deviation, SI units; of modulus and
-    force scale the natural logarithm of the factor to the nominal one (`parameter_values`)."""
+    force scale the natural logarithm of the factor to the nominal one (`parameter_values`). The
+    deviations are those by the readings, with the believed indenter."""
     undetermined: tuple[str, ...] = ()
     """Directions of the global parameters that rest on the priors, in words."""
     taxel_unknowns: Mapping[str, Array] = field(default_factory=dict)
@@ -100,6 +107,8 @@ class Calibration:
     covariance holds their distance as a standard deviation. None: not looked for."""
     fit: GoodnessOfFit | None = None
     """Whether the model explains the readings."""
+    response: LearnedResponse | None = None
+    """The learned response of the taxels; None: the contact model's."""
     verdict: Verdict | None = None
     """Whether the calibration can be relied on, with reasons; None: made by hand."""
     contact_centroids: Array | None = None
@@ -148,6 +157,20 @@ class Calibration:
             )
         return next_contacts(self, belief, k)
 
+    def cross_validate(
+        self, recording: Recording, folds: int = 5, belief: Belief | None = None
+    ) -> CrossValidation:
+        """Errors of contacts that are localised by a skin calibrated without them, and by the
+        centroid of the taxels that read (cross_validation.py); no truth is needed.
+
+        recording: what was calibrated. belief: as in `calibrate`; only a calibration that was
+        loaded from a file needs it. Raises CalibrationError without one, and for fewer blocks of
+        contacts than folds; as `calibrate`.
+        """
+        from .cross_validation import cross_validate
+
+        return cross_validate(self, recording, folds, belief)
+
     @property
     def parameter_values(self) -> dict[str, tuple[float, float, str]]:
         """Value, standard deviation and unit of each of `unknowns` in natural units.
@@ -158,11 +181,12 @@ class Calibration:
         for label, (value, sigma) in self.unknowns.items():
             name = label.split()[0]
             if label == "modulus" and self.modulus is not None:
-                out[label] = self.modulus, self.modulus * sigma, "Pa"
+                total = self.modulus_sigma or self.modulus * sigma
+                out[label] = self.modulus, total, "Pa"
             elif name in LOGARITHMS:
                 out[label] = float(np.exp(value)), float(np.exp(value)) * sigma, ""
             else:
-                unit = "N" if name == "force_offset" else "rad" if "rotation" in label else "m"
+                unit = UNITS.get(name, "rad" if "rotation" in label else "m")
                 out[label] = value, sigma, unit
         return out
 
@@ -185,6 +209,7 @@ class Calibration:
         header = {name: getattr(self, name) for name in _HEADER} | {"steps": steps}
         header["fit"] = None if self.fit is None else asdict(self.fit)
         header["verdict"] = None if self.verdict is None else asdict(self.verdict)
+        header["response"] = None if self.response is None else self.response.values()
         table = pa.table(columns).replace_schema_metadata({_KEY: json.dumps(header).encode()})
         with atomic(_part(path, "parquet")) as temporary:
             pq.write_table(table, temporary)
@@ -230,6 +255,8 @@ class Calibration:
         header["fit"] = None if fit is None else GoodnessOfFit(**fit)
         if (verdict := header.pop("verdict", None)) is not None:
             header["verdict"] = Verdict(verdict["level"], tuple(verdict["reasons"]))
+        if (response := header.pop("response", None)) is not None:
+            header["response"] = LearnedResponse.from_values(response)
         header["unknowns"] = {k: tuple(v) for k, v in header.get("unknowns", {}).items()}
         for name in ("factors", "undetermined"):
             header[name] = tuple(header.get(name, ()))

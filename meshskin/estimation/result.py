@@ -4,16 +4,100 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from ..core.arrays import Array
 from .uncertainty.goodness_of_fit import GoodnessOfFit
 
+MOSTLY_OUTLIERS = "most of its readings are outlying"
+"""Reason of a taxel whose estimate is dropped; its fault says what was found."""
+RIVAL = "a second position {:.2g} mm away fits nearly as well"
+"""Fault of a taxel whose readings have two optima."""
+CENSORING = "silent readings, censored at the threshold"
+"""Factor of an estimate with known noise."""
 CONTACT_POINTS = "contact points in the body frame"
 """The gauge of an estimate that rests on the recorded contact points."""
 SURFACE = "body surface: position along the normal and tilt"
 """The factor of an estimate whose taxels lie on the believed surface."""
+
+
+@dataclass(frozen=True)
+class LearnedResponse:
+    """The learned response of the taxels, at the median force, in the unit of the readings."""
+
+    distance: Array
+    """Distances (q,), m, from the contact point."""
+    profile: Array
+    """Reading (q,) of a taxel there, before compression."""
+    profile_sigma: Array
+    """Its standard deviation (q,)."""
+    model: Array
+    """The believed model's (q,), with the learned size and scale."""
+    level: Array
+    """Levels (q,) before compression."""
+    reading: Array
+    """Readings (q,) of these levels."""
+    reading_sigma: Array
+    """Their standard deviation (q,)."""
+    contact_scatter: float
+    """Standard deviation of the contact points along each tangent, m."""
+    contact_correlation: float
+    """Correlation of the displacements of neighbouring contacts."""
+    force_scatter: float
+    """Standard deviation of ln force."""
+    noise: float
+    """Standard deviation of a reading, its constant part."""
+    noise_relative: float
+    """Its part proportional to the reading."""
+    coefficients: Array = field(default_factory=lambda: np.empty(0))
+    """Whitened coefficients of the profile's correction (contact/learned.py)."""
+    extent: float = 2.5
+    """Distance, in semi-axes of the patch, from which the correction is zero."""
+    levels: tuple[float, float] = (0.5, 0.5)
+    """`Measurements.response_levels`."""
+    unit: float = 1.0
+    """Recorded unit per nominal Pa; 1 exactly where the readings are pressures."""
+
+    @property
+    def unit_name(self) -> str:
+        """Unit of the readings: "Pa", or "counts" of raw ones."""
+        return "Pa" if self.unit == 1.0 else "counts"
+
+    def metrics(self) -> dict[str, Any]:
+        """The estimated variances, for metrics.json."""
+        return {
+            "contact_scatter_mm": 1e3 * self.contact_scatter,
+            "contact_correlation": self.contact_correlation,
+            "force_scatter_percent": 100 * self.force_scatter,
+            "noise": self.noise,
+            "noise_percent": 100 * self.noise_relative,
+            "unit": self.unit_name,
+        }
+
+    def values(self) -> dict[str, Any]:
+        """The fields as JSON values."""
+        return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(self).items()}
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any]) -> LearnedResponse:
+        """What `values` gave."""
+        arrays: dict[str, Any] = {
+            k: np.array(v) if isinstance(v, list) else v for k, v in values.items()
+        }
+        if "levels" in arrays:
+            arrays["levels"] = tuple(map(float, arrays["levels"]))
+        return cls(**arrays)
+
+    def describe(self) -> tuple[str, ...]:
+        """One sentence for each variance that was estimated."""
+        return (
+            f"contact points scatter by {1e3 * self.contact_scatter:.2g} mm along each tangent",
+            f"forces scatter by {100 * self.force_scatter:.2g} %",
+            f"readings have noise of {self.noise:.3g} {self.unit_name} and "
+            f"{100 * self.noise_relative:.2g} % of the level",
+        )
 
 
 @dataclass(frozen=True)
@@ -41,7 +125,7 @@ class EstimatorResult:
     modulus: float | None = None
     """E*, Pa."""
     modulus_sigma: float | None = None
-    """Its standard deviation, Pa; None where it was given."""
+    """Its standard deviation, Pa, that by the indenter's radius included; None: it was given."""
     unknowns: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Value and standard deviation of each global parameter, as `GlobalParameters.labels`."""
     undetermined: tuple[str, ...] = ()
@@ -55,6 +139,10 @@ class EstimatorResult:
     covariance then holds the distance as a standard deviation."""
     fit: GoodnessOfFit | None = None
     """Whether the model explains the readings."""
+    contact_score: float = 0.0
+    """Score, in standard deviations, of errors that the readings of a contact share."""
+    response: LearnedResponse | None = None
+    """The learned response, where it was learned."""
     iterates: Array | None = None
     """Positions (k, n, 3), m, along the iterations, the start first."""
     restarted: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))

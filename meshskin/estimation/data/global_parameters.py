@@ -12,10 +12,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...contact.learned import PROFILE_SIZE
 from ...core.arrays import Array
 from ...core.errors import UnknownNameError
 
-SIZES = {"modulus": 1, "force_scale": 1, "force_offset": 1, "indenter_offset": 3, "body_offset": 6}
+SIZES = {
+    "modulus": 1,
+    "force_scale": 1,
+    "force_offset": 1,
+    "indenter_offset": 3,
+    "body_offset": 6,
+    "scale": 1,
+    "exponents": 2,
+    "compression": 1,
+    "profile": PROFILE_SIZE,
+}
 """Number of entries of each global parameter."""
 NUISANCE = ("gain", "offset")
 """Parameters of each taxel beside its position."""
@@ -25,6 +36,10 @@ PRIORS = {
     "force_offset": 0.3,
     "indenter_offset": 5e-3,
     "body_offset": 5e-3,
+    "scale": 0.5,
+    "exponents": 0.1,
+    "compression": 0.3,
+    "profile": 0.1,
     "gain": 0.3,
     "offset": 0.3,
 }
@@ -34,7 +49,12 @@ indenter and body offset in m. Weak on purpose: `Belief.priors` replaces them.""
 ROTATION = 10.0
 """Standard deviation of the body's rotation, rad, per m of that of its translation: the rotation
 that moves a point 0.1 m from the origin as far as the translation does."""
-LOGARITHMS = ("modulus", "force_scale", "gain")
+LEARNED = ("modulus", "scale", "exponents", "compression", "profile")
+"""Global parameters of a learned response. "modulus" is then the size of the patch, "scale" the
+amplitude of the readings, both relative to the model's."""
+LEARNED_PRIORS = {"modulus": 0.5, "scale": 0.5}
+"""Their priors that differ from PRIORS: readings in a unit of their own say nothing about E*."""
+LOGARITHMS = ("modulus", "force_scale", "scale", "gain")
 """Parameters that are natural logarithms of a factor."""
 
 
@@ -60,10 +80,14 @@ class GlobalParameters:
     def labels(self) -> tuple[str, ...]:
         """A name (ks,) for every entry of s."""
         axes = ("x", "y", "z", "rotation x", "rotation y", "rotation z")
+        entries = {
+            "exponents": ("of the radius", "of the peak"),
+            "profile": tuple(str(k) for k in range(1, PROFILE_SIZE + 1)),
+        }
         return tuple(
-            name if SIZES[name] == 1 else f"{name} {axis}"
+            name if SIZES[name] == 1 else f"{name} {entry}"
             for name in self.names
-            for axis in axes[: SIZES[name]]
+            for entry in entries.get(name, axes)[: SIZES[name]]
         )
 
     @property
@@ -81,6 +105,10 @@ class GlobalParameters:
             "force_offset": "force offset 0 +- {:.3g} N",
             "indenter_offset": "indenter offset 0 +- {:.3g} m",
             "body_offset": "body offset 0 +- {:.3g} m",
+            "scale": "readings within a factor {:.3g} of the nominal pressures (1 sigma)",
+            "exponents": "exponents of the patch in the load within {:.3g} of the model's",
+            "compression": "compression of strong readings 0 +- {:.3g}",
+            "profile": "pressure profile within {:.3g} of the model's peak (1 sigma, smooth)",
             "gain": "gain of each taxel within a factor {:.3g} of 1 (1 sigma)",
             "offset": "offset of each taxel 0 +- {:.3g} Pa",
         }

@@ -12,8 +12,10 @@ from ... import contact
 from ...contact.disc import disc_slope, invert_disc_mean
 from ...core.arrays import Array
 from ...core.errors import CalibrationError, RecordingError
+from ...scene.belief import RAW
 from . import unit_checks
 from .global_parameters import MODULUS, GlobalParameters, declared_parameters
+from .raw_readings import nominal_pressure
 from .resolve_belief import resolve_belief, valid_contacts
 
 if TYPE_CHECKING:
@@ -54,13 +56,29 @@ class Measurements:
     pressure: Array
     """Pressure (k,), Pa."""
     noise: float | None
-    """Known standard deviation of a reading, Pa, or None."""
+    """Standard deviation of a reading, Pa, known or estimated; None: not yet."""
+    noise_pairs: int = 0
+    """Pairs of readings that `noise` was estimated from; 0: it is known, or None."""
+    threshold: float = 0.0
+    """Pressures up to this are silent, Pa: as believed, or the smallest reading if that is more."""
     saturation: float = np.inf
     """Upper end of the sensor's range, Pa: readings of this and more are saturated."""
     parameters: GlobalParameters = MODULUS
     """What is unknown beside the taxels' poses."""
     headings: Array | None = None
     """Rotations (m, 3, 3), world from body, where known."""
+    profile_extent: float = 2.5
+    """Distance, in semi-axes, up to which a learned profile differs from the model's."""
+    learned: bool = False
+    """Whether the response is learned: the contact model is only its mean."""
+    unit: float = 1.0
+    """Recorded unit per Pa: of raw readings that were scaled to the believed peak pressures."""
+    response_levels: tuple[float, float] = (0.5, 0.5)
+    """Levels of readings, relative to the nominal peak, at which a learned compression leaves the
+    effects of a taxel's gain and of an error of ln F as they are: those that determine both."""
+    contact_errors: Array | None = None
+    """Estimated errors (m, 3) of the contacts: displacements along the patches' semi-axes, m, and
+    errors of ln F; None: none."""
     left_out: int = 0
     """Number of contacts left out because the contact model does not hold in them."""
     corrupt: np.ndarray = field(default_factory=lambda: np.empty((0, 2), dtype=int))
@@ -81,11 +99,6 @@ class Measurements:
     def disc(self) -> float:
         """Disc radius of a taxel, m."""
         return self.belief.disc_radius
-
-    @property
-    def threshold(self) -> float:
-        """Pressures up to this are silent, Pa."""
-        return self.belief.threshold
 
     @property
     def modulus(self) -> float:
@@ -181,29 +194,41 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     ContactError where the contact model leaves its range.
     """
     _check_finite(recording)
+    unit_checks.check_readings(recording.metadata.get("readings"), belief.readings)
     index = _taxel_index(recording.reading_taxel, np.asarray(belief.taxel_ids))
     _check_unique(recording, index, len(belief.taxel_ids))
     headings = _headings(recording, belief)
     hit = belief.body.closest(recording.points)
     unit_checks.check_points(belief.body, recording.points, hit.distance)
+    learned = belief.readings == RAW or belief.contact == contact.LEARNED
+    if learned:
+        belief = replace(belief, contact=contact.LEARNED)
     belief = resolve_belief(belief, recording)
     used = recording.force > 0
-    read = used[recording.reading_contact] & (recording.pressure > 0)
-    corrupt = unit_checks.corrupt_readings(recording.pressure, index)
+    pressure, unit = recording.pressure, 1.0
+    if belief.readings == RAW:
+        pressure, belief, unit = nominal_pressure(recording, belief, index, hit.curvature, used)
+    read = used[recording.reading_contact] & (pressure > 0)
+    corrupt = unit_checks.corrupt_readings(pressure, index)
     read &= ~corrupt
     _require_readings(read, recording, used)
     reference = belief.force_reference or 1.0
     unit_checks.check_force(recording.force[used], reference)
-    valid = valid_contacts(recording.force[used], hit.curvature[used], belief)
+    valid = np.ones(int(used.sum()), dtype=bool)
+    if not learned:  # a learned response needs no valid model
+        valid = valid_contacts(recording.force[used], hit.curvature[used], belief)
     used[used] = valid
     read &= used[recording.reading_contact]
-    corrupt = (corrupt | (recording.pressure < 0)) & used[recording.reading_contact]
+    if belief.readings != RAW:  # raw readings fluctuate about their level at rest
+        corrupt |= pressure < 0
+    corrupt &= used[recording.reading_contact]
     hit, force, row = hit.take(used), recording.force[used], np.cumsum(used) - 1
     material = belief.material
     model = contact.ContactModel(belief.contact, material.poisson, material.thickness)
     patches = _nominal_patches(model, belief, force, hit.curvature)
-    unit_checks.check_pressure(recording.pressure[read], index[read], patches.peak)
-    read &= recording.pressure > belief.threshold
+    if not learned:
+        unit_checks.check_pressure(pressure[read], index[read], patches.peak)
+    read &= pressure > belief.threshold
     _require_readings(read, recording, used)
     peak = float(np.median(patches.peak))
     return Measurements(
@@ -217,10 +242,13 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         model=model,
         contact=row[recording.reading_contact][read],
         taxel=index[read],
-        pressure=recording.pressure[read],
+        pressure=pressure[read],
         noise=belief.noise_sigma,
+        threshold=max(belief.threshold, float(pressure[read].min())),
         saturation=np.inf if belief.saturation is None else belief.saturation,
         parameters=declared_parameters(belief.unknown, belief.priors, reference, peak),
+        learned=learned,
+        unit=unit,
         headings=None if headings is None else headings[used],
         left_out=int(np.sum(~valid)),
         corrupt=np.column_stack([row[recording.reading_contact], index])[corrupt],

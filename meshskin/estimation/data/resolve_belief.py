@@ -29,17 +29,21 @@ def resolve_belief(belief: Belief, recording: Recording) -> Belief:
 
     A missing reference force is the median force of the recording; contact "auto" becomes the first
     model that holds in the recording's contacts. Raises ContactError, of the most general model,
-    where none does.
+    where none does; with "learned", too, where the widest model then serves as its mean.
     """
     pressed = recording.force > 0
     if belief.force_reference is None:
         force = recording.force[pressed]
         belief = replace(belief, force_reference=float(np.median(force)) if len(force) else 1.0)
-    if belief.contact != contact.AUTO:
+    if belief.contact not in (contact.AUTO, contact.LEARNED):
         return belief
     rows = np.flatnonzero(pressed)
     rows = rows[:: max(1, len(rows) // MODEL_SAMPLE)]
     curvature = belief.body.closest(recording.points[rows]).curvature
+    if belief.contact == contact.LEARNED:
+        with suppress(ContactError):
+            return with_valid_model(belief, recording.force[rows], curvature)
+        return replace(belief, contact="elliptic")
     return with_valid_model(belief, recording.force[rows], curvature)
 
 

@@ -37,6 +37,8 @@ FORCE_UNITS = {"kN": 1e-3, "mN": 1e3, "uN": 1e6}
 MATCH = 20.0
 """A unit is named as the cause if it explains the ratio within this factor."""
 REMEDY = "check the units of pressure, force and modulus"
+RAW_REMEDY = ', or give readings="raw" (--raw) if they are counts or volts'
+"""What else helps where readings are no pressures."""
 CORRUPT_RATIO = 10.0
 """Pressure, relative to the typical strongest reading of a taxel, above which a reading is corrupt.
 Peaks grow as F^(1/3), and gains differ by a factor of 2.5 at three standard deviations of their
@@ -88,6 +90,17 @@ def check_force(force: Array, reference: float) -> None:
         )
 
 
+def check_readings(recorded: object, believed: str) -> None:
+    """Refuse readings that are recorded as "raw" and believed to be another unit's."""
+    if recorded == "raw" != believed:
+        raise CalibrationError(
+            "the recording holds raw readings, without a unit",
+            value=f'readings="{believed}"',
+            remedy='give the belief readings="raw" (--raw), or name the column pressure if it is '
+            "in Pa",
+        )
+
+
 def check_pressure(pressure: Array, taxel: np.ndarray, peaks: Array) -> None:
     """Refuse readings (k,), Pa, of the taxels (k,) that no plausible modulus explains.
 
@@ -107,7 +120,7 @@ def check_pressure(pressure: Array, taxel: np.ndarray, peaks: Array) -> None:
             "the pressures cannot be in Pa",
             value=f"a taxel's strongest reading is typically {typical:.3g}",
             limit=f"the believed contacts peak at {expected:.3g} Pa",
-            remedy=_likely_unit(ratio, PRESSURE_UNITS, "Pa") + REMEDY,
+            remedy=_likely_unit(ratio, PRESSURE_UNITS, "Pa") + REMEDY + RAW_REMEDY,
         )
 
 

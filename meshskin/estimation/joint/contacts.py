@@ -11,7 +11,7 @@ and curvatures change discontinuously from face to face.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -52,6 +52,15 @@ class Contacts:
     moves: Array | None
     """Derivatives (m, 6, ks) of the contacts' frames: of the points, m, and rotations, rad; None
     where they are constant."""
+    by_load: tuple[Array, ...] = ()
+    """Derivatives (m,) in ln F of the entries of `shape`, and of ln p_0, where contacts have errors
+    of their own; empty otherwise."""
+    profile: Array = field(default_factory=lambda: np.empty(0))
+    """Whitened coefficients of the learned profile; empty where it is not learned."""
+    compression: float = 0.0
+    """Compression of strong readings, relative to the nominal peak."""
+    load_errors: Array = field(default_factory=lambda: np.empty(0))
+    """Errors (m,) of ln F, where contacts have errors of their own; else empty."""
 
     @property
     def radii(self) -> Array:
@@ -94,9 +103,40 @@ class LinearizedContacts:
         """The contacts at s (ks,)."""
         s = self._clipped(s)
         if self._last is None or not np.array_equal(self._last[0], s):
-            fixed = self._fixed(s)
-            self._last = s.copy(), fixed if self.gradients is None else self._moved(fixed, s)
+            found = self._fixed(s)
+            if self.gradients is not None:
+                found = self._moved(found, s)
+            if self.recorded.contact_errors is not None:
+                found = replace(self._displaced(found, s, self.recorded.contact_errors), by_load=())
+            self._last = s.copy(), found
         return self._last[1]
+
+    def with_errors(self, s: Array, errors: Array) -> Contacts:
+        """The contacts at s (ks,) with errors (m, 3) of their own: displacements along the patch's
+        semi-axes, m, and errors of ln F; predictions then have derivatives in these, too."""
+        return self._displaced(self.at(s), s, errors)
+
+    def _displaced(self, contacts: Contacts, s: Array, errors: Array) -> Contacts:
+        across = np.cross(contacts.normals, contacts.directions)
+        moved = contacts.points + errors[:, :1] * contacts.directions + errors[:, 1:2] * across
+        load = errors[:, 2]
+        # with compression, too, the errors are those of a reading at the typical level
+        amplified = 1 + self.recorded.response_levels[1] * contacts.compression
+        slopes = tuple(amplified * slope for slope in self._load_slopes(s))
+        first, second = slopes[0], slopes[1 if len(slopes) > 2 else 0]
+        patches = contacts.patches._replace(
+            first=contacts.patches.first * np.exp(first * load),
+            second=contacts.patches.second * np.exp(second * load),
+            peak=contacts.patches.peak * np.exp(slopes[-1] * load),
+        )
+        return replace(contacts, points=moved, patches=patches, by_load=slopes, load_errors=load)
+
+    def _load_slopes(self, s: Array) -> tuple[Array, ...]:
+        """Derivatives (m,) in ln F of the entries of `shape`, and of ln p_0, of the model: learned
+        exponents are those of the measured forces, which errors of these make smaller."""
+        derivatives, m = self._patches(self.data, self._clipped(s))[1], len(self.data.force)
+        slopes = (np.ravel(x) for x in (*derivatives.shape, derivatives.peak))
+        return tuple(np.broadcast_to(slope, m) for slope in slopes)
 
     def check(self, s: Array) -> None:
         """Raise ContactError where the contacts at s (ks,) are outside the model's range."""
@@ -124,7 +164,38 @@ class LinearizedContacts:
         if "modulus" in at:
             log_peak[:, at["modulus"]] += 1.0
         shape = tuple(slope * load for slope in derivatives.shape)
-        return Contacts(data.points, data.normals, data.directions, patches, shape, log_peak, None)
+        if "scale" in at:
+            log_peak[:, at["scale"]] = 1.0
+            patches = patches._replace(peak=patches.peak * np.exp(s[at["scale"]][0]))
+        if "exponents" in at:
+            patches = self._rescaled(patches, shape, log_peak, s[at["exponents"]])
+        return Contacts(
+            data.points, data.normals, data.directions, patches, shape, log_peak, None,
+            profile=s[at["profile"]] if "profile" in at else np.empty(0),
+            compression=self.parameters.value("compression", s),
+        )  # fmt: skip
+
+    def _rescaled(
+        self, patches: Patches, shape: tuple[Array, ...], log_peak: Array, exponents: Array
+    ) -> Patches:
+        """The patches with other exponents in the load; writes the derivatives by these.
+
+        Their size grows with force times relative radius of curvature, the peak such that the
+        force is balanced, but for an exponent of its own in the force.
+        """
+        data, columns = self.data, self.parameters.columns["exponents"]
+        force = np.log(data.force / (data.belief.force_reference or 1.0))
+        relative = data.curvature.mean(axis=1) + 1 / data.belief.indenter.radius
+        size = force - np.log(relative / np.median(relative))
+        for slope in shape[:2]:
+            slope[:, columns.start] = size
+        log_peak[:, columns] = np.column_stack([-2 * size, force])
+        grown = np.exp(exponents[0] * size)
+        return patches._replace(
+            first=patches.first * grown,
+            second=patches.second * grown,
+            peak=patches.peak * np.exp(log_peak[:, columns] @ exponents),
+        )
 
     def _moved(self, fixed: Contacts, s: Array) -> Contacts:
         """The contacts where s (ks,) puts them, from where they were linearized."""
@@ -164,6 +235,8 @@ class LinearizedContacts:
             shape=tuple(a + b for a, b in zip(fixed.shape, bends, strict=False)),
             log_peak=fixed.log_peak + by_peak,
             moves=np.concatenate([moves, turns], axis=1),
+            profile=fixed.profile,
+            compression=fixed.compression,
         )
 
     def _relocated(self, s: Array) -> Measurements:

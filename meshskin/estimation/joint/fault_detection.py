@@ -54,8 +54,6 @@ MIN_UNANSWERED = 3
 STUCK_SPREAD = 1.5
 """RMS spread of a stuck taxel's contacts, relative to their reach. A sound one's is 0.7 where it is
 pressed evenly, at most 1 on a ring, and 1.44 there if E* is believed three times too high."""
-MAX_STEPS = 2
-"""Contacts by which two readings that are neighbours in time are apart: one may be missing."""
 MAD = 0.6745
 """Median absolute value of a standard normal variable."""
 
@@ -163,38 +161,6 @@ def successive_difference_scale(readings: Readings, r: Array) -> float:
     same = np.diff(readings.taxel[used]) == 0
     change = np.abs(np.diff(r[used]))[same]
     return float(np.median(change)) / (np.sqrt(2.0) * MAD) if len(change) else 1.0
-
-
-def neighbour_scatter(readings: Readings, r: Array, points: Array) -> tuple[float, int]:
-    """Standard deviation of the noise by the residuals r (k,) of the readings of a taxel in
-    neighbouring contacts, and the number of pairs; errors of the model differ little between these.
-
-    points (m, 3), m: of the contacts. Pairs are disjoint: mutual nearest neighbours in space, or
-    next to each other in time; of the two, the smaller scatter counts. Sources: von Neumann, Ann.
-    Math. Stat. 12 (1941); Gasser, Sroka, Jennen-Steinmetz, Biometrika 73 (1986).
-    """
-    from scipy.spatial import cKDTree
-
-    used = np.flatnonzero((readings.kind == OBSERVED) & ~outliers(readings))
-    if len(used) < 2:
-        return 1.0, 0
-    used = used[np.lexsort((readings.contact[used], readings.taxel[used]))]
-    taxel, contact = readings.taxel[used], readings.contact[used]
-    apart = 10 * float(np.ptp(points, axis=0).max()) + 1.0
-    nearest = cKDTree(np.column_stack([points[contact], apart * taxel])).query(
-        np.column_stack([points[contact], apart * taxel]), k=2
-    )[1]
-    rows = np.arange(len(used))
-    other = np.where(nearest[:, 0] == rows, nearest[:, 1], nearest[:, 0])
-    mutual = (other[other] == rows) & (rows < other) & (taxel == taxel[other])
-    in_time = (np.diff(taxel) == 0) & (np.diff(contact) <= MAX_STEPS) & (rows[:-1] % 2 == 0)
-    found = []
-    for a, b in ((rows[mutual], other[mutual]), (rows[:-1][in_time], rows[1:][in_time])):
-        if len(a):
-            change = r[used[a]] - r[used[b]]
-            found.append((float(np.sqrt(np.mean(change**2) / 2)), len(a)))
-    enough = [pair for pair in found if 2 * pair[1] >= max(n for _, n in found)]
-    return min(enough) if enough else (1.0, 0)
 
 
 def misfitting_taxels(readings: Readings, r: Array, scale: float) -> np.ndarray:

@@ -31,6 +31,11 @@ MESH_TOLERANCE = 1e-4
 """Least Newton decrement asked for where contacts move: within 0.014 standard deviations. Normals
 and curvatures of a mesh change discontinuously from face to face, and the linearization with them.
 """
+MAX_VARIANCE = 1e3, 1e4
+"""Variances of the residuals up to which tolerances grow with its square, and with it. Where the
+model misfits, standard deviations are as much wider, and Gauss-Newton converges slowly: a decrement
+of 1e-8 of the variance is asked for at a variance of 1, of 1e-5 (0.0045 standard deviations) at
+1e3 and more."""
 MAX_CHI2 = 4.0
 """Chi-square per degree of freedom above which a taxel is started again: readings that are fitted
 at the wrong optimum differ by many standard deviations; 20 sound ones exceed it by chance with a
@@ -56,21 +61,29 @@ class JointEstimator:
         weight: Array,
         iterations: int,
         tolerance: float = NEWTON_TOLERANCE,
+        shared: Array | None = None,
+        nuisance: Array | None = None,
     ) -> None:
         """live: rows of the taxels that are estimated; weight (k,): of the readings; iterations,
-        tolerance: as of `maximum_likelihood.estimate`.
+        tolerance: as of `maximum_likelihood.estimate`; shared (ks,): values at which the global
+        parameters stay, by default they are estimated; nuisance (n, .): start of the taxels'.
         """
         self.data, self.live, self.iterations = data, live, iterations
         moving = data.parameters.move_contacts
         self.tolerance = max(tolerance, MESH_TOLERANCE) if moving else tolerance
-        self.inner_tolerance = tolerance / 10
+        self.base_tolerances = self.tolerance, tolerance / 10
         self.weight = weight
         self.silent_weight = np.ones(len(live))
         self.seconds = {"readings": 0.0, "solve": 0.0}
         self.iterates = [parametrization.points()]
         self.faults = np.full(len(data.ids), "", dtype=object)
         self.broken = np.zeros(len(live), dtype=bool)
-        self.relinearize(parametrization, np.zeros(len(data.parameters.sigma)), select_anew=True)
+        self.frozen = shared is not None
+        s = np.zeros(len(data.parameters.sigma)) if shared is None else shared
+        z = None
+        if nuisance is not None:
+            z = np.concatenate([np.zeros((len(nuisance), parametrization.size)), nuisance], axis=1)
+        self.relinearize(parametrization, s, z, select_anew=True)
 
     def trial(self) -> JointEstimator:
         """A copy at the same point: changes of it leave this one as it is."""
@@ -102,10 +115,19 @@ class JointEstimator:
             self.likelihood = Likelihood(self.data, readings)
             self.selected_at = points, contacts.data.points, log_radius
             self.seconds["readings"] += time.perf_counter() - clock
-        self.problem = ReducedProblem(
-            self.likelihood, parametrization, contacts, self.inner_tolerance
-        )
+        self.problem = ReducedProblem(self.likelihood, parametrization, contacts)
         self.state = self.problem.start(s, z)
+        self._set_tolerances()
+
+    def _set_tolerances(self) -> None:
+        """Newton decrements to reach, which grow with the misfit (MAX_VARIANCE)."""
+        readings = self.likelihood.readings
+        count = float(readings.weight[readings.kind == OBSERVED].sum())
+        variance = float(self.state.moments.square.sum()) / max(count, 1.0)
+        few, many = (min(max(variance, 1.0), most) for most in MAX_VARIANCE)
+        self.slack = few * many
+        self.tolerance, self.inner_tolerance = (self.slack * x for x in self.base_tolerances)
+        self.problem.inner_tolerance = self.inner_tolerance
 
     def _in_reach(
         self, parametrization: Parametrization, contacts: LinearizedContacts, log_radius: float
@@ -137,33 +159,44 @@ class JointEstimator:
             problem = self.problem
             decrement = problem.blocks(self.state).decrement
             self.unconverged = (decrement > self.tolerance)[problem.parametrization.group]
-            moving = self.unconverged.any() or problem.reduce(self.state).decrement > self.tolerance
+            moving = self.unconverged.any()
+            if not (moving or self.frozen):
+                moving = problem.reduce(self.state).decrement > self.tolerance
             if iteration and not moving:
                 break
             problem.solve_inner(self.state)
-            reduced = problem.reduce(self.state)
             self.record(self.state)
-            if reduced.decrement > self.tolerance:
-                self.state, status = minimize(
-                    problem, self.state, self.iterations, self.record, self.tolerance
-                )
-                reduced = problem.reduce(self.state)
-            self._check_converged(reduced, status)
+            if not self.frozen:
+                status = self._solve_shared(status)
             z, size = self.state.z.copy(), problem.parametrization.size
             relinearized = problem.parametrization.relinearized(self.data.body, z[:, :size])
             z[:, :size] = 0.0
             self.relinearize(relinearized, self.state.s, z)
         self.seconds["solve"] += time.perf_counter() - clock
 
+    def _solve_shared(self, status: str) -> str:
+        """Bring the global parameters to their optimum; returns IPOPT's status, the last one where
+        they are there already. Raises CalibrationError if they do not converge."""
+        problem = self.problem
+        reduced = problem.reduce(self.state)
+        if reduced.decrement > self.tolerance:
+            self.state, status = minimize(
+                problem, self.state, self.iterations, self.record, self.tolerance
+            )
+            reduced = problem.reduce(self.state)
+        self._check_converged(reduced, status)
+        return status
+
     def _check_converged(self, reduced: SchurComplement, status: str) -> None:
-        limit = max(MAX_DECREMENT, 100 * self.tolerance, 1e-9 * len(self.data.pressure))
+        least = max(MAX_DECREMENT, 1e-9 * len(self.data.pressure)) * self.slack
+        limit = max(least, 100 * self.tolerance)
         if not reduced.decrement < limit:
             raise CalibrationError(
                 "the joint estimate did not converge",
                 value=f"Newton decrement {reduced.decrement:.3g}, {status}",
                 limit=limit,
-                remedy="raise the iteration limit, calibrate(iterations=...); check the contact "
-                "model, the noise and the units of force and pressure",
+                remedy="check the scale of pressures and forces, the contact model and the noise; "
+                "raise the iteration limit, calibrate(iterations=...)",
             )
 
     def record(self, state: State) -> None:

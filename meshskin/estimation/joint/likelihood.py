@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...contact.learned import ProfileCorrection
 from ...core.arrays import Array, ranges
 from ..data.measurements import Measurements
 from ..data.pairs import REACH_MARGIN, silent_pairs
@@ -22,6 +23,8 @@ from .pressure import CENSORED, OBSERVED, SATURATED, costs, disc_means
 MISFIT_SIGMAS = 5.0
 """Pressure, relative to the noise, above which a reading out of reach is kept: noise does not
 explain it. With an unknown offset, above what the taxel reads in most contacts."""
+MIN_DENOMINATOR = 0.05
+"""Least denominator of a compressed reading: an expansion by 20 is no response of a sensor."""
 BLOCK = 8192
 """Readings of a block: their derivatives, some 100 B each, stay in the cache."""
 
@@ -182,6 +185,10 @@ class Likelihood:
         parts = [mu for _, mu, _ in self._each(points, nuisance, contacts)]
         return np.concatenate([np.empty(0), *parts])
 
+    def derivatives(self, points: Array, nuisance: Array, contacts: Contacts) -> Array:
+        """Derivatives (C, k) of mu in all unknowns; points (n, 3), nuisance (n, .)."""
+        return np.concatenate([j for _, _, j in self._each(points, nuisance, contacts)], axis=1)
+
     def leverages(
         self, points: Array, nuisance: Array, contacts: Contacts, covariance: Array
     ) -> Array:
@@ -234,25 +241,33 @@ class Likelihood:
     def predict(
         self, contact: np.ndarray, points: Array, nuisance: Array, contacts: Contacts
     ) -> tuple[Array, Array]:
-        """mu (k,) in units of the noise, and its derivatives (C, k) in all unknowns."""
+        """mu (k,) in units of the noise, and its derivatives (C, k) in all unknowns; where contacts
+        have errors of their own, in these (3), too."""
+        data, names = self.data, self.data.parameters.nuisance_names
         offset = points - contacts.points[contact]
-        mean, by_point, by_shape = disc_means(
-            self.data.model.name, offset, contact, contacts, self.data.disc
-        )
-        names = self.data.parameters.nuisance_names
-        peak = contacts.peaks[contact] / self.data.sigma
+        mean, by_point, by_shape = disc_means(data.model.name, offset, contact, contacts, data.disc)
+        columns, first = data.parameters.columns, 3 + len(names)
+        last = first + len(data.parameters.sigma)
+        jacobian = np.empty((last + (3 if contacts.by_load else 0), len(mean)))
+        features = None
+        if "profile" in columns:
+            features, value, slope, by_axes = self._profile(offset, contact, contacts)
+            mean, by_point = mean + value, by_point + slope
+            by_axes = (*by_axes, *[np.zeros(len(mean))] * (len(by_shape) - len(by_axes)))
+            by_shape = tuple(a + b for a, b in zip(by_shape, by_axes, strict=True))
+        peak = contacts.peaks[contact] / data.sigma
         if "gain" in names:
-            peak = peak * np.exp(nuisance[:, names.index("gain")])
+            gain = nuisance[:, names.index("gain")]
+            amplified = 1 + data.response_levels[0] * contacts.compression
+            peak = peak * np.exp(amplified * gain)
         mu = peak * mean
-        jacobian = np.empty((3 + nuisance.shape[1] + len(self.data.parameters.sigma), len(mu)))
         jacobian[:3] = peak * by_point.T
         for row, name in enumerate(names, 3):
-            jacobian[row] = mu if name == "gain" else 1.0
-        first = 3 + len(names)
+            jacobian[row] = amplified * mu if name == "gain" else 1.0
         by_shape = tuple(peak * by for by in by_shape)
         if contacts.moves is not None:  # a motion of the contact's frame is the taxel's, reversed
             wrench = np.concatenate([by_point, np.cross(offset, by_point)], 1) * peak[:, None]
-        for row in range(len(self.data.parameters.sigma)):
+        for row in range(len(data.parameters.sigma)):
             jacobian[first + row] = mu * contacts.log_peak[contact, row]
             for by, slope in zip(by_shape, contacts.shape, strict=True):
                 jacobian[first + row] += by * slope[contact, row]
@@ -260,6 +275,53 @@ class Likelihood:
                 jacobian[first + row] -= np.einsum(
                     "ki,ki->k", wrench, contacts.moves[contact, :, row]
                 )
+        if features is not None:
+            at = columns["profile"]
+            jacobian[first + at.start : first + at.stop] += peak * features.T
+        if contacts.by_load:
+            along, normals = contacts.directions[contact], contacts.normals[contact]
+            jacobian[last] = -np.einsum("ik,ki->k", jacobian[:3], along)
+            jacobian[last + 1] = -np.einsum("ik,ki->k", jacobian[:3], np.cross(normals, along))
+            *slopes, by_peak = (slope[contact] for slope in contacts.by_load)
+            jacobian[last + 2] = mu * by_peak
+            for by, slope in zip(by_shape, slopes, strict=True):
+                jacobian[last + 2] += by * slope
+        if "compression" in columns:
+            row = first + columns["compression"].start
+            if "gain" in names:
+                jacobian[row] += data.response_levels[0] * gain * mu
+            if contacts.by_load:
+                level = data.response_levels[1]
+                load = contacts.load_errors[contact] / (1 + level * contacts.compression)
+                jacobian[row] += level * load * jacobian[last + 2]
+            mu = self._compressed(mu, jacobian, contacts.compression, first)
         if "offset" in names:
-            mu = mu + nuisance[:, names.index("offset")]
+            row = names.index("offset")
+            mu, jacobian[3 + row] = mu + nuisance[:, row], 1.0
         return mu, jacobian
+
+    def _profile(
+        self, offset: Array, contact: np.ndarray, contacts: Contacts
+    ) -> tuple[Array, Array, Array, tuple[Array, ...]]:
+        """The profile's basis functions (k, PROFILE_SIZE) at taxels `offset` (k, 3), m, from their
+        contacts, and the correction (k,) with its derivatives, as `disc_means`."""
+        along = contacts.directions[contact]
+        across = np.cross(contacts.normals[contact], along)
+        a, b = contacts.patches.first[contact], contacts.patches.second[contact]
+        x, y = np.einsum("ki,ki->k", offset, along) / a, np.einsum("ki,ki->k", offset, across) / b
+        u = np.sqrt(x**2 + y**2 + 1e-12)
+        basis, slopes = ProfileCorrection(self.data.profile_extent)(u)
+        value, slope = basis @ contacts.profile, (slopes @ contacts.profile) / u
+        by_point = slope[:, None] * ((x / a)[:, None] * along + (y / b)[:, None] * across)
+        if len(contacts.shape) == 1:  # one semi-axis
+            return basis, value, by_point, (-slope * (x**2 + y**2),)
+        return basis, value, by_point, (-slope * x**2, -slope * y**2)
+
+    def _compressed(self, mu: Array, jacobian: Array, compression: float, first: int) -> Array:
+        """Compressed readings y / (1 + c y / p), p being the nominal peak; rescales `jacobian`."""
+        row = first + self.data.parameters.columns["compression"].start
+        relative = mu * (self.data.sigma / float(np.median(self.data.peaks)))
+        scale = 1 / np.maximum(1 + compression * relative, MIN_DENOMINATOR)
+        jacobian *= scale**2
+        jacobian[row] -= mu * relative * scale**2
+        return np.asarray(mu * scale)

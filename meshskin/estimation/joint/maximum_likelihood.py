@@ -22,32 +22,33 @@ from ...core.blas import single_threaded
 from ...core.errors import CalibrationError
 from .. import chart
 from ..data.measurements import Measurements
-from ..result import SURFACE, EstimatorResult
+from ..result import CENSORING, MOSTLY_OUTLIERS, RIVAL, SURFACE, EstimatorResult
 from ..trilateration import coactivation, trilaterate
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
-from . import fault_detection
+from .fault_detection import outliers, stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
 from .module_parametrization import ModuleParametrization, align_modules
+from .noise import Noise, clear_of_limits, estimate_noise, predictions, with_estimated_noise
 from .null_space import undetermined
 from .outlier_rejection import reject_outliers
 from .parametrization import Parametrization, SurfaceParametrization
-from .pressure import CENSORED, OBSERVED
+from .pressure import OBSERVED
 from .reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
 from .rival_optima import RivalOptima, resolve_rivals
 from .variable_projection import SchurComplement
 
 UNCONVERGED = "its position does not converge"
 """Reason of a taxel that is not determined though its trilateration is."""
-MOSTLY_OUTLIERS = "most of its readings are outlying"
-"""Reason of a taxel whose estimate is dropped; its fault says what was found."""
-RIVAL = "a second position {:.2g} mm away fits nearly as well"
-"""Fault of a taxel whose readings have two optima."""
-MIN_CLEARANCE = 3.0
-"""Distance of a predicted reading from threshold and saturation, in standard deviations, from which
-its residual enters the test of fit: 1e-3 of such readings are censored."""
-WIDENED = "the model does not fit: standard deviations hold {:.3g} times the noise, by the misfit"
+WIDENED = (
+    "the model does not fit: standard deviations hold {:.3g} times the noise, by the misfit, and "
+    "the distance from the pressure-weighted mean of the contact points, which needs no model"
+)
 """Factor of an estimate whose test of fit fails."""
-CENSORING = "silent readings, censored at the threshold"
+ESTIMATED_NOISE = "noise of {:.3g} Pa, estimated from {} pairs of neighbouring contacts"
+RADIUS_TOLERANCE = 0.03
+"""Relative standard deviation of the indenter's radius, which readings cannot tell from E*. Chosen:
+0.3 mm of 10 mm, as a worn or printed indenter has it."""
+RADIUS = "indenter radius within {:.0%} (1 sigma): its share of the standard deviation of E*"
 MODULES = "rigid modules: the known places of their taxels"
 MODULE_SURFACE = "body surface: modules lie on it to 0.1 mm a taxel"
 UNDECLARED_GAINS = "gain and offset of each taxel, undeclared: without them taxels misfit"
@@ -63,19 +64,53 @@ def estimate(
 ) -> EstimatorResult:
     """The most likely unknowns, from trilateration as a start, or co-activation where it fails.
 
+    An unknown noise is estimated first; the estimate is then made with it.
+
     iterations: limit of IPOPT's; tolerance: the Newton decrement at which taxels and global
     parameters are at the optimum, in units of the cost; trilaterated: the least-squares
     trilateration of `data`, if it is known. Raises CalibrationError if no taxel is determined or
     the optimizer does not converge, ContactError where the estimate leaves the contact model.
     """
     clock = time.perf_counter()
+    estimator, reasons, restarted = _converged(data, start, iterations, tolerance, trilaterated)
+    if (noisy := with_estimated_noise(data, estimator)) is not data:
+        return estimate(noisy, start, iterations, tolerance, trilaterated)
+    stuck, live, rivals = stuck_taxels(data), estimator.live, resolve_rivals(estimator)
+    distances = np.linalg.norm(rivals.points - estimator.problem.points(estimator.state), axis=1)
+    for k in np.flatnonzero(np.isfinite(distances)):
+        words = (estimator.faults[live[k]], RIVAL.format(1e3 * distances[k]))
+        estimator.faults[live[k]] = ", ".join(filter(None, words))
+    for row, count in zip(*np.unique(data.corrupt[:, 1], return_counts=True), strict=True):
+        left_out = f"{count} corrupt or negative readings left out"
+        estimator.faults[row] = ", ".join(filter(None, (estimator.faults[row], left_out)))
+    for row, level in zip(stuck.rows, stuck.level, strict=True):
+        estimator.faults[row] = f"stuck at {level / 1e3:.3g} kPa"
+    if estimator.unconverged.all():
+        raise CalibrationError(
+            "no taxel of the joint estimate converges",
+            value=f"{len(live)} taxels still move after {MAX_RELINEARIZATIONS} linearizations",
+            remedy="check the contact model and the units of force and pressure",
+        )
+    return _result(estimator, data, reasons, restarted, rivals, clock)
+
+
+def _converged(
+    data: Measurements,
+    start: EstimatorResult | None,
+    iterations: int,
+    tolerance: float,
+    trilaterated: EstimatorResult | None,
+) -> tuple[JointEstimator, np.ndarray, np.ndarray]:
+    """The converged estimate without outlying readings, the reasons (n,) of the taxels that are not
+    determined, and the rows of those that were started again; arguments as `estimate`.
+    """
     near = coactivation.without_distant_readings(data)
     if start is None:
         fit = trilaterated if near is data else None
         start = coactivation.initial_estimate(near, fit or trilaterate.least_squares(near))
     responsive = coactivation.responsive(data, start.points)
     reasons = np.where(start.found & ~responsive, coactivation.NOISE, start.reasons)
-    stuck = fault_detection.stuck_taxels(data)
+    stuck = stuck_taxels(data)
     live = np.setdiff1d(np.flatnonzero(reasons == ""), stuck.rows)
     if not len(live):
         raise CalibrationError(
@@ -95,24 +130,7 @@ def estimate(
     estimator = JointEstimator(data, live, parametrization, weight, iterations, tolerance)
     estimator.converge()
     restarted = estimator.restart(trilaterate.centroids(near)[live])
-    estimator = reject_outliers(estimator)
-    rivals = resolve_rivals(estimator)
-    distances = np.linalg.norm(rivals.points - estimator.problem.points(estimator.state), axis=1)
-    for k in np.flatnonzero(np.isfinite(distances)):
-        words = (estimator.faults[live[k]], RIVAL.format(1e3 * distances[k]))
-        estimator.faults[live[k]] = ", ".join(filter(None, words))
-    for row, count in zip(*np.unique(data.corrupt[:, 1], return_counts=True), strict=True):
-        left_out = f"{count} corrupt or negative readings left out"
-        estimator.faults[row] = ", ".join(filter(None, (estimator.faults[row], left_out)))
-    for row, level in zip(stuck.rows, stuck.level, strict=True):
-        estimator.faults[row] = f"stuck at {level / 1e3:.3g} kPa"
-    if estimator.unconverged.all():
-        raise CalibrationError(
-            "no taxel of the joint estimate converges",
-            value=f"{len(live)} taxels still move after {MAX_RELINEARIZATIONS} linearizations",
-            remedy="check the contact model and the units of force and pressure",
-        )
-    return _result(estimator, data, reasons, restarted, rivals, clock)
+    return reject_outliers(estimator), reasons, restarted
 
 
 def _result(
@@ -145,7 +163,7 @@ def _result(
     reasons[estimator.live[estimator.broken]] = MOSTLY_OUTLIERS
     reasons[estimator.live[estimator.unconverged]] = UNCONVERGED
     scale, fit = _scale_and_fit(estimator, reduced)
-    unit = scale if data.noise is None else 1.0
+    unit = 1.0 if data.noise is not None and not data.noise_pairs else scale
     information, gains = problem.information(state)
     if isinstance(parametrization, ModuleParametrization):
         six = scale * parametrization.covariances(covariance[:, :6, :6])
@@ -155,11 +173,15 @@ def _result(
         apart = np.nan_to_num(rivals.points - parametrization.points())
         apart = np.einsum("kij,ki->kj", parametrization.rotations()[:, :, :2], apart)
         tangential = scale * covariance[:, :2, :2] + apart[:, :, None] * apart[:, None, :]
+        if fit.good is False:
+            tangential += _model_dependence(estimator, fit)
         pose_covariances = None
         surface = (SURFACE,)
     if parameters.nuisance_names != declared.parameters.nuisance_names:
         surface += (UNDECLARED_GAINS,)
     silent: tuple[str, ...] = (CENSORING,) if data.noise is not None else ()
+    if data.noise_pairs:
+        silent += (ESTIMATED_NOISE.format(data.noise, data.noise_pairs),)
     if fit.good is False:
         silent += (WIDENED.format(fit.reduced**0.5),)
     if data.left_out:
@@ -175,7 +197,9 @@ def _result(
         None,
     )
     if "modulus" in parameters.names:
-        modulus_sigma = modulus * float(global_sigma[parameters.columns["modulus"]][0])
+        modulus_sigma = modulus * float(
+            np.hypot(global_sigma[parameters.columns["modulus"]][0], radius_deviation(data))
+        )
     return EstimatorResult(
         points=spread(np.where(lost[:, None], np.nan, parametrization.points()), np.nan),
         rotations=spread(parametrization.rotations(), np.nan),
@@ -183,7 +207,13 @@ def _result(
         pose_covariances=pose_covariances,
         chi2=spread(estimator.chi2 / unit, np.nan),
         reasons=reasons,
-        factors=("pressure of each reading", *silent, *surface, *parameters.describe_priors()),
+        factors=(
+            "pressure of each reading",
+            *silent,
+            *surface,
+            *parameters.describe_priors(),
+            *((RADIUS.format(RADIUS_TOLERANCE),) if modulus_sigma is not None else ()),
+        ),
         modulus=modulus,
         modulus_sigma=modulus_sigma,
         unknowns={
@@ -200,10 +230,60 @@ def _result(
         faults=estimator.faults,
         rivals=spread(rivals.points, np.nan),
         fit=fit,
+        contact_score=contact_score(estimator),
         iterates=np.stack([spread(points, np.nan) for points in estimator.iterates]),
         restarted=estimator.live[restarted],
         seconds=estimator.seconds | {"joint": time.perf_counter() - clock},
     )
+
+
+def contact_score(estimator: JointEstimator) -> float:
+    """The larger of two scores, in standard deviations, of errors that the readings of a contact
+    share: a displacement of its point, and an error of its force.
+
+    The sum over all pairs of readings of a contact of the products of their residuals, weighted by
+    what each would change: zero on average for independent errors, whatever their variance.
+    """
+    problem, state, m = estimator.problem, estimator.state, len(estimator.data.points)
+    contacts = problem.contacts.with_errors(state.s, np.zeros((m, 3)))
+    readings = estimator.likelihood.readings
+    nuisance = problem.nuisance(state.z, np.arange(problem.parametrization.count))
+    jacobian = estimator.likelihood.derivatives(problem.points(state), nuisance, contacts)[-3:]
+    used = (readings.kind == OBSERVED) & (readings.weight > 0.5)
+    owner = readings.contact[used]
+    product = jacobian[:, used] * estimator.residuals()[used]
+    found = []
+    for rows in (slice(0, 2), slice(2, 3)):
+        excess = variance = 0.0
+        for x in product[rows]:
+            squares = np.bincount(owner, x**2, m)
+            excess += float(np.sum(np.bincount(owner, x, m) ** 2 - squares))
+            variance += 2 * float(np.sum(squares**2 - np.bincount(owner, x**4, m)))
+        found.append(excess / max(variance, 1e-300) ** 0.5)
+    return max(found)
+
+
+def _model_dependence(estimator: JointEstimator, fit: GoodnessOfFit) -> Array:
+    """What to add to the tangential covariances (n, 2, 2), m^2, where the model does not fit.
+
+    The pressure-weighted mean of its contact points needs no model: its distance from the estimate
+    counts as a standard deviation, by the part of the residuals' variance that is not noise.
+    """
+    parametrization = estimator.problem.parametrization
+    means = trilaterate.centroids(estimator.data)[estimator.live]
+    apart = np.nan_to_num(means - parametrization.points())
+    apart = np.einsum("kij,ki->kj", parametrization.rotations()[:, :, :2], apart)
+    return np.asarray((1 - 1 / fit.reduced) * apart[:, :, None] * apart[:, None, :])
+
+
+def radius_deviation(data: Measurements) -> float:
+    """Standard deviation of ln E* by that of the indenter's radius R.
+
+    The width of a Hertz patch depends on E* (1/R + k), k being the body's mean curvature, so that
+    ln E* changes by ln R times 1 / (1 + R k).
+    """
+    bend = data.belief.indenter.radius * data.curvature.mean(axis=1)
+    return RADIUS_TOLERANCE * float(np.median(1 / np.maximum(1 + bend, 0.1)))
 
 
 def _scale_and_fit(
@@ -211,35 +291,33 @@ def _scale_and_fit(
 ) -> tuple[float, GoodnessOfFit]:
     """The factor of the covariances, and the test of fit.
 
-    The factor is the variance of the residuals where the noise is not known, else 1, or what the
-    test shows where it fails. An unknown noise is estimated from neighbouring contacts. Each
-    residual has the variance 1 less the leverage of its reading. The test uses readings that
-    the model predicts well inside the sensor's range; that choice does not depend on the reading,
-    so that the residuals are not censored.
+    The factor is 1 where the noise is known, else the variance of the residuals; or what the test
+    shows where it fails. Each residual has the variance 1 less the leverage of its reading. The
+    test uses readings that the model predicts well inside the sensor's range; that choice does not
+    depend on the reading, so that the residuals are not censored.
     """
     data, problem, state = estimator.data, estimator.problem, estimator.state
     readings, r = estimator.likelihood.readings, estimator.residuals()
     kept = readings.weight - problem.leverages(state, reduced)
-    known = data.noise is not None
-    freedom = float(kept[readings.kind == OBSERVED].sum())
-    scale = 1.0 if known else float(state.moments.square.sum()) / max(freedom, 1.0)
-    level = np.where(readings.kind == CENSORED, data.threshold, readings.level)
-    mu = r + level / data.sigma
-    clear = mu > data.threshold / data.sigma + MIN_CLEARANCE
-    clear &= mu < data.saturation / data.sigma - MIN_CLEARANCE
+    known = data.noise is not None and not data.noise_pairs
+    noise = Noise(1.0, 0) if known else estimate_noise(estimator, reduced)
+    clear = clear_of_limits(predictions(readings, r, data), data, noise.scale)
     clear &= ~estimator.broken[readings.taxel]
-    noise, pairs = 1.0, 0
-    if not known:
-        noise, pairs = fault_detection.neighbour_scatter(readings, r, data.points)
-        noise = max(noise, fault_detection.MIN_SCALE)
+    square, freedom = float(readings.weight[clear] @ r[clear] ** 2), float(np.sum(kept[clear]))
     fit = goodness_of_fit(
-        chi2=float(readings.weight[clear] @ r[clear] ** 2) / noise**2,
-        freedom=float(np.sum(kept[clear])),
+        chi2=square / noise.scale**2,
+        freedom=freedom,
         noise_known=known,
-        outlying=int(np.sum(fault_detection.outliers(readings))),
-        pairs=pairs,
+        outlying=int(np.sum(outliers(readings))),
+        pairs=noise.pairs,
     )
-    fit = replace(fit, noise=noise * data.sigma)
+    fit = replace(fit, noise=noise.scale * data.sigma, pairs=noise.pairs)
+    scale = 1.0 if known else noise.scale**2
+    if data.noise is None:
+        observed = float(kept[readings.kind == OBSERVED].sum())
+        scale = float(state.moments.square.sum()) / max(observed, 1.0)
+    elif not known and freedom > 0:
+        scale = square / freedom
     if fit.good is False:
-        scale = max(scale, fit.reduced * noise**2)
+        scale = max(scale, fit.reduced * noise.scale**2)
     return scale, fit

@@ -1,8 +1,8 @@
 """The reduced problem in the few global parameters as a CasADi NLP, solved by IPOPT.
 
 Its functions are callbacks: each evaluation optimizes all taxels (variable_projection.py). The
-parameters are scaled by their information at the start, so that tolerances are in standard
-deviations.
+parameters are whitened by their information at the start, so that tolerances are in standard
+deviations and correlated parameters do not delay each other.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def minimize(
         gradient=ca.Function("grad_f", [x, p], [cost(x), gradient(x)]),
         hessian=ca.Function("hess_lag", [x, p, factor, none], [ca.triu(factor * hessian(x))]),
     )
-    found = run(x0=state.s / evaluator.scale)["x"].full().ravel()
+    found = run(x0=np.linalg.solve(evaluator.scale, state.s))["x"].full().ravel()
     evaluator.at(found)
     return evaluator.last, str(run.stats()["return_status"])
 
@@ -68,11 +68,11 @@ class _Evaluator:
         self.problem, self.record = problem, record
         self.last = self.best = state
         self.reduced = self.lowest = problem.reduce(state)
-        self.scale = 1 / np.sqrt(np.diag(self.reduced.hessian))
+        self.scale = np.linalg.inv(np.linalg.cholesky(self.reduced.hessian)).T
         self.origin = self.reduced.cost
 
     def at(self, x: Array) -> SchurComplement:
-        s = self.scale * x
+        s = self.scale @ x
         if not np.array_equal(s, self.last.s):
             self.last = self.problem.solved_at(self.best, s)
             self.reduced = self.problem.reduce(self.last)
@@ -85,10 +85,10 @@ class _Evaluator:
         return self.at(x).cost - self.origin
 
     def gradient(self, x: Array) -> Array:
-        return self.scale * self.at(x).gradient
+        return self.scale.T @ self.at(x).gradient
 
     def hessian(self, x: Array) -> Array:
-        return self.scale[:, None] * self.at(x).hessian * self.scale
+        return self.scale.T @ self.at(x).hessian @ self.scale
 
 
 def _function(

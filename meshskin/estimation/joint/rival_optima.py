@@ -34,10 +34,16 @@ MAX_LOG_ODDS = 15.0
 """Largest difference of the log-likelihoods at which an optimum is a rival: odds of 3e-7, the
 probability of an error of 5 standard deviations. It is multiplied by the variance of the residuals
 where that exceeds 1: the noise is not known, or the model misfits."""
+MAX_VARIANCE = 25.0
+"""Variance of the residuals, in units of a known noise, above which no rivals are looked for: the
+model is wrong, and what is likely under it says nothing."""
 MIN_DISTANCE = 0.05
 """Least distance of a rival from the estimate, in reaches of a contact."""
 MIN_ON_SHEET = 0.5
 """Least part of the responding contacts that must press the sheet of skin of a rival."""
+RESPONSE_SIGMAS = 3.0
+"""Pressure, in standard deviations of the noise, above which a reading is a response: noise over a
+low threshold comes from all directions, and would close every open sector."""
 MAX_MOVES = 3
 """Largest number of times that taxels are moved to better optima."""
 
@@ -78,6 +84,8 @@ def find_rivals(estimator: JointEstimator) -> RivalOptima:
     reach = float(np.median(estimator.data.reach()))
     observed = estimator.likelihood.readings.kind == OBSERVED
     variance = float(estimator.state.moments.square.sum()) / max(int(observed.sum()), 1)
+    if estimator.data.noise is not None and variance > MAX_VARIANCE:
+        return best
     limit = MAX_LOG_ODDS * max(variance, 1.0)
     estimate = points[rows], estimator.state.z[rows]
     for start in _starts(estimator, rows, points[rows], reach):
@@ -110,9 +118,13 @@ def open_sectors(estimator: JointEstimator, points: Array) -> Array:
 
 
 def _responses(estimator: JointEstimator) -> tuple[np.ndarray, np.ndarray, Array]:
-    """Taxel, contact and level (k,), Pa, of the observed readings that are not outlying."""
+    """Taxel, contact and level (k,), Pa, of the observed readings that are neither outlying nor
+    noise; of all that are not outlying for a taxel without any."""
     read = estimator.likelihood.readings
-    used = (read.kind == OBSERVED) & (read.weight > 0.5)
+    sound = (read.kind == OBSERVED) & (read.weight > 0.5)
+    strong = sound & (read.level > RESPONSE_SIGMAS * estimator.data.sigma)
+    weak = np.bincount(read.taxel[strong], minlength=len(estimator.live)) == 0
+    used = strong | (sound & weak[read.taxel])
     return read.taxel[used], read.contact[used], read.level[used]
 
 

@@ -209,6 +209,30 @@ class ReducedProblem:
     def leverages(self, state: State, reduced: SchurComplement) -> Array:
         """The leverage (k,) of each reading on its own prediction: the variance of its residual is
         1 less this, in units of the noise."""
+        nuisance = self.nuisance(state.z, np.arange(self.parametrization.count))
+        full = self._taxel_covariances(state, reduced)
+        return self.likelihood.leverages(
+            self.points(state), nuisance, self.contacts.at(state.s), full
+        )
+
+    def difference_variances(
+        self, state: State, reduced: SchurComplement, first: np.ndarray, second: np.ndarray
+    ) -> Array:
+        """Variances (p,) of the differences of residuals of the readings `first` and `second` (p,),
+        each pair of one taxel, in units of the noise's: 2 less what the estimate follows of them.
+        """
+        read, points = self.likelihood.readings, self.points(state)
+        nuisance = self.nuisance(state.z, np.arange(self.parametrization.count))
+        own, contacts = read.taxel[first], self.contacts.at(state.s)
+        one, other = (
+            self.likelihood.predict(read.contact[rows], points[own], nuisance[own], contacts)[1]
+            for rows in (first, second)
+        )
+        full, apart = self._taxel_covariances(state, reduced)[own], (one - other).T
+        return np.asarray(np.maximum(2 - np.einsum("pi,pij,pj->p", apart, full, apart), 0.0))
+
+    def _taxel_covariances(self, state: State, reduced: SchurComplement) -> Array:
+        """Covariances (n, C, C) of each taxel's position, nuisance and global parameters."""
         blocks, groups, local = (
             self.blocks(state),
             np.arange(self.parametrization.count),
@@ -224,8 +248,7 @@ class ReducedProblem:
         full[:, local:, local:] = shared
         full[:, :local, :local] = jacobian @ inverse[own] @ np.swapaxes(jacobian, 1, 2)
         full[:, :local, :local] += full[:, :local, local:] @ np.swapaxes(follows, 1, 2)
-        nuisance, contacts = self.nuisance(state.z, groups), self.contacts.at(state.s)
-        return self.likelihood.leverages(self.points(state), nuisance, contacts, full)
+        return full
 
     def points(self, state: State) -> Array:
         """Points (n, 3), m, of all taxels at the state."""

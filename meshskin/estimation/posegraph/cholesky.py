@@ -24,10 +24,8 @@ import numpy as np
 
 from ...core import codegen
 from ...core.arrays import Array
-from .ordering import IntArray
-from .superlu import SingularMatrixError, SuperLUFactors
-from .symbolic_factorization import SymbolicFactorization, symbolic_factorization
-from .symmetric_blocks import SymmetricBlocks
+from .symbolic_factorization import IntArray, SymbolicFactorization, symbolic_factorization
+from .symmetric_blocks import SingularMatrixError, SuperLUFactors, SymmetricBlocks
 
 MAX_BLOCK_SIZE = 6
 """Memory is allocated for blocks up to this size, that of a pose."""
@@ -43,6 +41,15 @@ INDEX_FIELDS = (
 """Pointers of the struct `Symbolic` to arrays of SymbolicFactorization."""
 MEMORY_FIELDS = ("panels", "even", "odd", "work")
 """Pointers of the struct `Symbolic` to memory for numbers."""
+MIN_PIVOT = 1e-13
+"""A pivot below this share of its diagonal entry is zero up to rounding: the error of a pivot is
+about the number of updates times 1e-16 of the entry."""
+PRIOR = 1e-10
+"""Information of the prior added to a singular matrix, as a share of its largest diagonal entries:
+far above rounding (1e-16) and far below what data determine."""
+UNDETERMINED = 1e-2
+"""A variance above this share of the prior's variance is that of the prior: a degree of freedom is
+determined if its information is above PRIOR / UNDETERMINED = 1e-8 of the largest."""
 
 
 class CSymbolic(ctypes.Structure):
@@ -106,6 +113,26 @@ class Cholesky:
             found = np.empty((self.nodes, size, size))
             self._call("diagonal_of_inverse", size, found.ctypes.data)
             return found
+
+    def marginal_covariances(self, information: SymmetricBlocks) -> Array:
+        """Covariances (nodes, size, size) of nodes with this joint `information`.
+
+        Degrees of freedom that it does not determine have infinite variance and no covariance.
+        Source: Takahashi, Fagan, Chen, "Formation of a sparse bus impedance matrix" (1973).
+        """
+        try:
+            return self.diagonal_of_inverse(information, MIN_PIVOT)
+        except SingularMatrixError:
+            typical = information.diagonal(self.nodes).max(axis=0)
+        prior = PRIOR * np.where(typical > 0, typical, 1.0)
+        added = np.broadcast_to(np.diag(prior), (self.nodes, len(prior), len(prior)))
+        blocks = self.diagonal_of_inverse(information.add_diagonal(added), MIN_PIVOT)
+        variance = np.diagonal(blocks, axis1=1, axis2=2)
+        undetermined = variance * prior > UNDETERMINED
+        blocks[undetermined[:, :, None] | undetermined[:, None, :]] = 0.0
+        node, freedom = np.nonzero(undetermined)
+        blocks[node, freedom, freedom] = np.inf
+        return blocks
 
     def is_positive_definite(self, matrix: SymmetricBlocks) -> bool:
         """Whether every pivot of `matrix` is positive."""

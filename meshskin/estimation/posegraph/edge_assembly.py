@@ -18,7 +18,7 @@ from scipy import sparse
 from ...core import codegen, se3
 from ...core.arrays import Array
 from .kernel import EDGE, LOWER, edge_kernel
-from .ordering import Int64Array, IntArray
+from .symbolic_factorization import Int64Array, IntArray
 
 
 class EdgeAssembly:
@@ -164,9 +164,10 @@ def library(residual: str) -> ctypes.CDLL | None:
         [
             codegen.c_source(one.gradient, one.gauss_newton, one.hessian),
             f"#define EDGE {EDGE}",
-            f"#define RESIDUAL_gradient {residual}_gradient",
-            f"#define RESIDUAL_gauss_newton {residual}_gauss_newton",
-            f"#define RESIDUAL_hessian {residual}_hessian",
+            *(
+                f"#define RESIDUAL_{n} {residual}_{n}"
+                for n in ("gradient", "gauss_newton", "hessian")
+            ),
             "#define DECLARE CASADI_SYMBOL_EXPORT",
             Path(__file__).with_name("edge_assembly.c").read_text(encoding="utf-8"),
         ]

@@ -17,8 +17,8 @@ from ...core import se3
 from ...core.arrays import Array, Index
 from ...core.atomic_io import write_text
 from ...core.errors import GraphError
-from .information import SINGULAR
-from .ordering import Int64Array
+from .symbolic_factorization import Int64Array
+from .validation import SINGULAR
 
 FIELDS = {"VERTEX_SE3:QUAT": 8, "EDGE_SE3:QUAT": 30, "VERTEX_SE2": 4, "EDGE_SE2": 11}
 """Tags that are read, and their numbers per line."""

@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import sparse
 
 from ...core.arrays import Array
 from ...core.errors import GraphError
-from . import information, validation
+from ...geometry.mesh.topology import connected_components
+from . import validation
 
 if TYPE_CHECKING:
-    from .problem import PoseGraphProblem
+    from .problem import PoseGraphProblem, Topology
     from .solve import PoseGraphSolution
-    from .topology import Topology
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +55,7 @@ class PoseGraph:
             "poses": poses,
             "edges": edges,
             "measurements": validation.transforms("measurements", self.measurements, len(edges)),
-            "information": information.information_matrices(self.information, len(edges)),
+            "information": validation.information_matrices(self.information, len(edges)),
             "ids": ids,
         }
         for name, value in values.items():
@@ -66,10 +65,8 @@ class PoseGraph:
     @cached_property
     def components(self) -> NDArray[np.int64]:
         """(n,) the connected component of each pose, numbered by its first pose."""
-        n, (i, j) = len(self.poses), self.edges.T
-        links = sparse.coo_array((np.ones(len(i)), (i, j)), shape=(n, n))
-        labels = sparse.csgraph.connected_components(links, directed=False)[1]
-        return np.asarray(labels, dtype=np.int64)
+        i, j = self.edges.T
+        return connected_components(i, j, len(self.poses))
 
     @cached_property
     def anchors(self) -> NDArray[np.int64]:
@@ -85,14 +82,12 @@ class PoseGraph:
         these displacements.
         Source: Rosen et al., "SE-Sync", IJRR 38 (2019), section 6.
         """
-        tau, kappa, negative = information.chordal_weights(self.information)
-        if count := int(negative.sum()):
-            warnings.warn(
-                f"the information of {count} of {len(self.edges)} displacements has a translation "
-                "or rotation block that is not positive semidefinite: its chordal weight is zero",
-                RuntimeWarning,
-                stacklevel=2,
-            )
+        tau, kappa, negative = validation.chordal_weights(self.information)
+        self._warn(
+            negative,
+            "has a translation or rotation block that is not positive semidefinite: its chordal "
+            "weight is zero",
+        )
         return tau, kappa
 
     @cached_property
@@ -101,23 +96,24 @@ class PoseGraph:
 
         A warning counts the displacements whose information is projected.
         """
-        projected, indefinite = information.project_to_semidefinite(self.information)
-        if count := int(indefinite.sum()):
-            warnings.warn(
-                f"the information of {count} of {len(self.edges)} displacements is not positive "
-                "semidefinite: projected onto the semidefinite cone",
-                RuntimeWarning,
-                stacklevel=2,
-            )
+        projected, indefinite = validation.project_to_semidefinite(self.information)
+        words = "is not positive semidefinite: projected onto the semidefinite cone"
+        self._warn(indefinite, words)
         projected.setflags(write=False)
         return projected
+
+    def _warn(self, edges: NDArray[np.bool_], words: str) -> None:
+        """Warn, with their number, of information of `edges` (m,) that is not semidefinite."""
+        if count := int(edges.sum()):
+            text = f"the information of {count} of {len(edges)} displacements {words}"
+            warnings.warn(text, RuntimeWarning, stacklevel=3)
 
     @property
     def topology(self) -> Topology:
         """What depends on the edges alone, shared by all graphs with the same edges."""
-        from . import topology
+        from . import problem
 
-        return topology.topology_cache.get(len(self.poses), self.edges, self.anchors)
+        return problem.topology_cache.get(len(self.poses), self.edges, self.anchors)
 
     def problem(self, residual: str) -> PoseGraphProblem:
         """The NLP of this topology with the `residual` "log" or "vec", built once."""

@@ -20,7 +20,7 @@ import numpy as np
 
 from ...core import ipopt
 from .cholesky import Cholesky, CSymbolic
-from .ordering import IntArray
+from .symbolic_factorization import IntArray
 
 
 class Context(ctypes.Structure):

@@ -57,7 +57,7 @@ def edge_kernel(residual: str) -> EdgeKernel:
     x, edge, scale = ca.SX.sym("x", 12), ca.SX.sym("edge", EDGE), ca.SX.sym("s", 2)
     blend, fixed = ca.SX.sym("blend"), ca.SX.sym("fixed", 6)
     e = error(residual, x, edge[:DISPLACEMENT], edge[DISPLACEMENT : 2 * DISPLACEMENT], scale)
-    root = _upper(edge[2 * DISPLACEMENT :])
+    root = ca.densify(ca.SX(ca.Sparsity.lower(6), edge[2 * DISPLACEMENT :]).T)
     weighted = ca.mtimes(root, e)
     cost = ca.dot(weighted, weighted) / 2
     jacobian = ca.mtimes(root, ca.jacobian(e, x))
@@ -90,25 +90,47 @@ def _blocks(hessian: ca.SX) -> list[ca.SX]:
 def error(residual: str, x: ca.SX, current: ca.SX, measured: ca.SX, scale: ca.SX) -> ca.SX:
     """e (6,) of the displacement D(x_i)^-1 T_ij D(x_j), T_ij the `current` one."""
     p_i, p_j = scale[0] * x[:3], scale[0] * x[6:9]
-    c_i, c_j = se3.casadi_cayley(scale[1] * x[3:6]), se3.casadi_cayley(scale[1] * x[9:])
+    c_i, c_j = cayley(scale[1] * x[3:6]), cayley(scale[1] * x[9:])
     t, q = current[:3], current[3:]
     moved = t + ca.mtimes(se3.casadi_rotation(q), p_j) - p_i
-    translation = ca.mtimes(se3.casadi_rotation(se3.casadi_conjugate(c_i)), moved)
-    rotated = se3.casadi_quaternion_product(q, c_j)
-    rotated = se3.casadi_quaternion_product(se3.casadi_conjugate(c_i), rotated)
-    q_err = se3.casadi_quaternion_product(se3.casadi_conjugate(measured[3:]), rotated)
-    rotation = 2 * q_err[:3] if residual == "vec" else se3.casadi_log(q_err)
+    translation = ca.mtimes(se3.casadi_rotation(conjugate(c_i)), moved)
+    rotated = quaternion_product(q, c_j)
+    rotated = quaternion_product(conjugate(c_i), rotated)
+    q_err = quaternion_product(conjugate(measured[3:]), rotated)
+    rotation = 2 * q_err[:3] if residual == "vec" else log(q_err)
     return ca.vertcat(translation - measured[:3], rotation)
+
+
+def quaternion_product(p: ca.SX, q: ca.SX) -> ca.SX:
+    """Hamilton product of quaternions (4,), xyzw: the rotation `q`, followed by `p`."""
+    v = p[3] * q[:3] + q[3] * p[:3] + ca.cross(p[:3], q[:3])
+    return ca.vertcat(v, p[3] * q[3] - ca.dot(p[:3], q[:3]))
+
+
+def conjugate(q: ca.SX) -> ca.SX:
+    """Inverse of a unit quaternion (4,), xyzw."""
+    return ca.vertcat(-q[:3], q[3])
+
+
+def cayley(a: ca.SX) -> ca.SX:
+    """Unit quaternion (4,), xyzw, of the increment `a` (3,): (a/2, 1) / sqrt(1 + |a|^2/4).
+
+    Equal to the exponential map to second order at 0 (the angle is 2 atan(|a|/2)), and cheaper.
+    """
+    return ca.vertcat(a / 2, 1) / ca.sqrt(1 + ca.dot(a, a) / 4)
+
+
+def log(q: ca.SX) -> ca.SX:
+    """Rotation vector (3,), in rad, of a unit quaternion (4,), xyzw.
+
+    Value, gradient and Hessian are finite everywhere, also at the identity and at pi.
+    """
+    v, w = q[:3], q[3]
+    sign = ca.if_else(w < 0, -1, 1)
+    n = ca.sqrt(ca.dot(v, v) + 1e-24)
+    return 2 * ca.atan2(n, sign * w) / n * sign * v
 
 
 def weighted_errors(edges: Array, residual: str) -> Array:
     """W e (6, m) at x = 0 of the parameters `edges` (m, 35), for the "log" or "vec" residual."""
     return np.asarray(edge_kernel(residual).weighted_error.map(len(edges))(edges.T).full())
-
-
-def _upper(entries: ca.SX) -> ca.SX:
-    """Upper-triangular matrix (6, 6) of its entries (21,), by rows."""
-    matrix = ca.SX.zeros(6, 6)
-    for k, (r, c) in enumerate(zip(*UPPER, strict=True)):
-        matrix[int(r), int(c)] = entries[k]
-    return matrix

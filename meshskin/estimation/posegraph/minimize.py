@@ -3,22 +3,28 @@
 Each run minimizes over increments about the poses that the last one found. First a few
 Gauss-Newton iterations, then runs with the exact Hessian, until the Newton decrement says that a
 minimum is reached.
+
+Robust estimation is by reweighting: the information of each displacement is multiplied by a weight
+in (0, 1] that is a function of its chi-square e^T Omega e; the poses are solved for again, and so
+on (iteratively reweighted least squares).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import gammaincinv
 
 from ...core import se3
 from ...core.arrays import Array
 from ...core.errors import GraphError
 from .edge_assembly import displacements
-from .kernel import DISPLACEMENT, EDGE, SQRT_INFORMATION, UPPER
-from .ordering import IntArray
+from .kernel import DISPLACEMENT, EDGE, SQRT_INFORMATION, UPPER, weighted_errors
 from .problem import PoseGraphProblem, pack_parameters
+from .symbolic_factorization import IntArray
 
 if TYPE_CHECKING:
     from .graph import PoseGraph
@@ -38,6 +44,20 @@ STAGES = ((0.0, 3), (1.0, 60), (1.0, 60), (1.0, 60))
 """(blend, most iterations) of the runs: Gauss-Newton, where it suffices, then the exact Hessian."""
 FAR_STAGES = ((1.0, 15),) * 20
 """From the origin: exact Hessian, relinearized often, because a Cayley step cannot reach pi."""
+INLIER_PROBABILITY = 0.99
+"""Probability that the chi-square of an inlier is below the limit of its robust cost: the usual
+choice, see the source of `geman_mcclure`."""
+CONVEXITY_STEP = 1.4
+"""Factor by which graduated non-convexity lowers mu in each iteration: the value of its source."""
+MAX_REWEIGHTINGS = 100
+"""Most iterations of reweighting: graduated non-convexity takes 50 from a chi-square of 1e7 times
+its limit."""
+WEIGHT_TOLERANCE = 1e-4
+"""Largest change of a weight at which reweighting ends: it moves the poses by about this share of
+what the displacement moves them."""
+
+WeightFunction = Callable[[Array, Array, float], Array]
+"""(chi-squares (m,), their limits (m,), mu) -> weights (m,) in (0, 1]."""
 
 
 @dataclass
@@ -163,3 +183,64 @@ def _scale(weight: Array, displacement: Array, free: int) -> Array:
     translation = 2 * weight[:, :3].sum() / (3 * free)
     rotation = (2 * weight[:, 3:].sum() + weight[:, :3].sum(axis=1) @ lever) / (3 * free)
     return np.array([v**-0.5 if v > 0 else 1.0 for v in (translation, rotation)])
+
+
+def geman_mcclure(chi2: Array, limit: Array, mu: float) -> Array:
+    """(mu c / (chi2 + mu c))^2: convex for a large mu, the robust cost itself at mu = 1.
+
+    Source: Yang, Antonante, Tzoumas, Carlone, "Graduated non-convexity for robust spatial
+    perception", IEEE RA-L 5 (2020).
+    """
+    return np.asarray((mu * limit / (chi2 + mu * limit)) ** 2)
+
+
+def huber(chi2: Array, limit: Array, mu: float) -> Array:
+    """1 within the limit, sqrt(limit / chi2) beyond."""
+    return np.asarray(np.sqrt(limit / np.maximum(chi2, limit)))
+
+
+def cauchy(chi2: Array, limit: Array, mu: float) -> Array:
+    """1 / (1 + chi2 / limit)."""
+    return np.asarray(1.0 / (1.0 + chi2 / limit))
+
+
+ROBUST: dict[str, WeightFunction] = {"gnc": geman_mcclure, "huber": huber, "cauchy": cauchy}
+
+
+def minimize_reweighted(
+    problem: PoseGraphProblem,
+    graph: PoseGraph,
+    sqrt_information: Array,
+    estimate: Estimate,
+    robust: str,
+    keep_iterates: bool,
+    limit: int | None = None,
+) -> Array:
+    """Bring `estimate` to the minimum of the robust cost; return the weights (m,).
+
+    The information must be right in scale: the limit on a chi-square is the quantile of its
+    distribution at `INLIER_PROBABILITY`, with the rank of the information as degrees of freedom.
+    """
+    geodesic = problem.residual == "log"
+    information = graph.semidefinite_information if geodesic else graph.information
+    rank = np.linalg.matrix_rank(information, hermitian=True)
+    chi2_limit = 2.0 * gammaincinv(np.maximum(rank, 1) / 2.0, INLIER_PROBABILITY)
+
+    def chi_squares(weight: Array) -> Array:
+        root = sqrt_information * np.sqrt(weight)[:, None, None]
+        minimize(problem, graph, root, estimate, keep_iterates=keep_iterates, limit=limit)
+        edges = edge_parameters(graph, estimate.poses, sqrt_information)
+        return np.asarray(np.sum(weighted_errors(edges, problem.residual) ** 2, axis=0))
+
+    weight, function = np.ones(len(graph.edges)), ROBUST[robust]
+    chi2 = chi_squares(weight)
+    mu = max(2.0 * float((chi2 / chi2_limit).max()), 1.0) if robust == "gnc" else 1.0
+    for _ in range(MAX_REWEIGHTINGS):
+        before, weight = weight, function(chi2, chi2_limit, mu)
+        if mu == 1.0 and np.abs(weight - before).max() < WEIGHT_TOLERANCE:
+            break
+        if limit is not None and estimate.iterations >= limit:
+            break
+        chi2 = chi_squares(weight)
+        mu = max(mu / CONVEXITY_STEP, 1.0)
+    return weight

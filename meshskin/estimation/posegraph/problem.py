@@ -1,5 +1,7 @@
 """The pose graph as a CasADi NLP for IPOPT: built once per topology, for any poses and weights.
 
+What depends on the edges alone is kept for all graphs with the same edges.
+
 The unknowns are the local increments of all poses except the anchors. Cost, gradient and Hessian
 are CasADi functions that sum the edge kernel over the graph, so that CasADi differentiates nothing
 and builds no expression that grows with the graph.
@@ -7,9 +9,12 @@ and builds no expression that grows with the graph.
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import threading
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -21,7 +26,7 @@ from .cholesky import Cholesky
 from .edge_assembly import EdgeAssembly
 from .ipopt_linear_solver import IpoptLinearSolver
 from .kernel import EDGE
-from .ordering import IntArray
+from .symbolic_factorization import IntArray
 from .symmetric_blocks import SymmetricBlocks
 
 IPOPT_OPTIONS: dict[str, object] = {
@@ -76,7 +81,8 @@ class PoseGraphProblem:
         slot = np.full(poses, len(self.free))
         slot[self.free] = np.arange(len(self.free))
         self._assembly = EdgeAssembly(slot[edges], len(self.free), residual)
-        self._evaluator = _Evaluator(self._assembly)
+        self._last: tuple[Array, float, Array] | None = None
+        """x, cost and gradient of the last evaluation, which IPOPT asks for again."""
         self._build(6 * len(self.free), EDGE * len(edges) + 3)
         self._solvers: dict[tuple[tuple[str, object], ...], BufferedFunction] = {}
         self._linear_solver = IpoptLinearSolver(cholesky, self.free, anchors)
@@ -105,13 +111,13 @@ class PoseGraphProblem:
         else:
             run = self._solvers[key] = BufferedFunction(self._solver(options))
         unbounded = np.full(size, np.inf)
-        self._evaluator.forget()
+        self._last = None  # the parameters change
         x = run(np.zeros(size), parameters, -unbounded, unbounded)[0]
         stats = run.stats()
-        cost, gradient = self._evaluator.gradient(x, parameters)
+        cost, gradient = self._gradient(x, parameters)
         values = np.empty(self._assembly.size)
-        self._evaluator.hessian(x, parameters, values)
-        product = partial(self._assembly.multiply, values)
+        self._hessian(x, parameters, values)
+        product = functools.partial(self._assembly.multiply, values)
         decrease = 0.5 * inverse_quadratic_form(product, self._assembly.diagonal(values), gradient)
         return IpoptResult(
             x, cost, decrease, stats["iter_count"], stats["return_status"], tuple(path)
@@ -126,7 +132,7 @@ class PoseGraphProblem:
     def hessian(self, parameters: Array) -> SymmetricBlocks:
         """The Hessian at x = 0; anchors have a diagonal block of typical size."""
         values = np.empty(self._assembly.size)
-        self._evaluator.hessian(np.zeros(6 * len(self.free)), parameters, values)
+        self._hessian(np.zeros(6 * len(self.free)), parameters, values)
         lower = SymmetricBlocks.from_lower_triangle(self._assembly.matrix(values).T, 6)
         typical = self._assembly.diagonal(values).reshape(-1, 6).max(axis=0, initial=0.0)
         own = np.diag(np.where(typical > 0, typical, 1.0))
@@ -136,12 +142,26 @@ class PoseGraphProblem:
             np.concatenate([lower.values, np.broadcast_to(own, (len(self._anchors), 6, 6))]),
         )
 
+    def _gradient(self, x: Array, parameters: Array) -> tuple[float, Array]:
+        """Cost and gradient."""
+        if self._last is None or not np.array_equal(x, self._last[0]):
+            edges, scale, _ = _unpack(parameters)
+            gradient = np.empty(len(x))
+            cost = self._assembly.gradient(edges, scale, x, gradient)
+            self._last = np.array(x), cost, gradient
+        return self._last[1:]
+
+    def _hessian(self, x: Array, parameters: Array, values: Array) -> None:
+        """Write the nonzeros of the upper triangle to `values`."""
+        edges, scale, blend = _unpack(parameters)
+        self._assembly.hessian(edges, scale, blend, x, values)
+
     def _build(self, size: int, parameters: int) -> None:
-        evaluator, one, none = self._evaluator, ca.Sparsity.dense(1), ca.Sparsity(0, 1)
+        one, none = ca.Sparsity.dense(1), ca.Sparsity(0, 1)
         dense, data = ca.Sparsity.dense(size), ca.Sparsity.dense(parameters)
 
         def gradient(given: list[Array], out: list[Array | None]) -> None:
-            found: tuple[Any, ...] = evaluator.gradient(*given)
+            found: tuple[Any, ...] = self._gradient(*given)
             for target, value in zip(out, found, strict=False):  # f alone, or f and its gradient
                 if target is not None:
                     target[:] = value
@@ -149,7 +169,7 @@ class PoseGraphProblem:
         def hessian(given: list[Array], out: list[Array | None]) -> None:
             x, p, factor, _ = given
             if out[0] is not None:
-                evaluator.hessian(x, p, out[0])
+                self._hessian(x, p, out[0])
                 if factor != 1.0:
                     out[0] *= factor
 
@@ -218,27 +238,52 @@ def inverse_quadratic_form(multiply: Callable[[Array], Array], diagonal: Array, 
     return total
 
 
-class _Evaluator:
-    """The sums at x for parameters p; cost and gradient at the last x are kept for reuse."""
+class Topology:
+    """Edges (m, 2) between `poses` poses, of which `anchors` are fixed."""
 
-    def __init__(self, assembly: EdgeAssembly) -> None:
-        self.assembly = assembly
-        self.forget()
+    def __init__(self, poses: int, edges: IntArray, anchors: IntArray) -> None:
+        self.poses, self.edges, self.anchors = poses, edges, anchors
+        self._lock = threading.Lock()
+        self._problems: dict[str, PoseGraphProblem] = {}
 
-    def forget(self) -> None:
-        """Drop the kept values: the parameters change."""
-        self._x, self._found = np.empty(0), (0.0, np.empty(0))
+    @functools.cached_property
+    def cholesky(self) -> Cholesky:
+        """Factorizations of matrices with a block for every pose and every edge."""
+        return Cholesky(self.poses, *self.edges.T)
 
-    def gradient(self, x: Array, parameters: Array) -> tuple[float, Array]:
-        """Cost and gradient."""
-        if not np.array_equal(x, self._x):
-            edges, scale, _ = _unpack(parameters)
-            gradient = np.empty(len(x))
-            self._found = self.assembly.gradient(edges, scale, x, gradient), gradient
-            self._x = np.array(x)
-        return self._found
+    def problem(self, residual: str) -> PoseGraphProblem:
+        """The NLP with the kernel's `residual` "log" or "vec", built when first asked for."""
+        with self._lock:
+            if residual not in self._problems:
+                self._problems[residual] = PoseGraphProblem(
+                    self.edges, self.anchors, residual, self.cholesky
+                )
+            return self._problems[residual]
 
-    def hessian(self, x: Array, parameters: Array, values: Array) -> None:
-        """Write the nonzeros of the upper triangle to `values`."""
-        edges, scale, blend = _unpack(parameters)
-        self.assembly.hessian(edges, scale, blend, x, values)
+
+class TopologyCache:
+    """The most recently used topologies, at most `edges` edges in all."""
+
+    def __init__(self, edges: int) -> None:
+        self._limit, self._lock = edges, threading.Lock()
+        self._topologies: OrderedDict[bytes, Topology] = OrderedDict()
+
+    def get(self, poses: int, edges: IntArray, anchors: IntArray) -> Topology:
+        """The topology of these edges, new or from the cache; the anchors follow from the edges."""
+        digest = hashlib.blake2b(f"{poses} ".encode())
+        digest.update(np.ascontiguousarray(edges, dtype=np.int64).tobytes())
+        key = digest.digest()
+        with self._lock:
+            if key not in self._topologies:
+                self._topologies[key] = Topology(poses, edges, anchors)
+            self._topologies.move_to_end(key)
+            while sum(len(t.edges) for t in self._topologies.values()) > self._limit:
+                if len(self._topologies) == 1:
+                    break
+                self._topologies.popitem(last=False)
+            return self._topologies[key]
+
+
+topology_cache = TopologyCache(edges=400_000)
+"""The cache of the process. An edge takes up to 15 kB after solving with both residuals (torus3D),
+mostly in IPOPT, so that the limit is about 6 GB."""

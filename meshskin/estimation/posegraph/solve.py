@@ -14,19 +14,19 @@ from ...core.arrays import Array
 from ...core.blas import single_threaded
 from ...core.errors import GraphError, UnknownNameError
 from . import certificate as certificates
-from . import marginals
 from . import start as starts
 from .minimize import (
     FAR_STAGES,
+    ROBUST,
     STAGES,
     Estimate,
     chordal_sqrt_information,
     edge_parameters,
     geodesic_sqrt_information,
     minimize,
+    minimize_reweighted,
 )
 from .problem import pack_parameters
-from .robust import ROBUST, minimize_reweighted
 
 if TYPE_CHECKING:
     from .graph import PoseGraph
@@ -132,7 +132,7 @@ class PoseGraphSolution:
         edges = edge_parameters(graph, self.poses, root)
         problem = graph.problem(RESIDUALS[self.objective])
         information = problem.hessian(pack_parameters(edges, np.ones(2), 0.0))
-        covariances = marginals.covariances(graph.topology.cholesky, information)
+        covariances = graph.topology.cholesky.marginal_covariances(information)
         covariances[graph.anchors] = 0.0
         return covariances
 
@@ -140,12 +140,12 @@ class PoseGraphSolution:
 @single_threaded()
 def solve(
     graph: PoseGraph,
-    objective: str = "geodesic",
-    start: str | ArrayLike = "chordal",
-    robust: str | None = None,
-    keep_iterates: bool = False,
-    certify: bool = False,
-    limit: int | None = None,
+    objective: str,
+    start: str | ArrayLike,
+    robust: str | None,
+    keep_iterates: bool,
+    certify: bool,
+    limit: int | None,
 ) -> PoseGraphSolution:
     """The poses that minimize the `objective` of `graph`; arguments as in `PoseGraph.solve`.
 
@@ -181,7 +181,6 @@ def _solve(
     weights = np.ones(len(graph.edges))
     if len(graph.edges):
         root = _sqrt_information(graph, objective)
-        _check_weights(root, objective)
         far = isinstance(start, str) and start == "origin"
         problem = graph.problem(RESIDUALS[objective])
         chordal = graph.problem(RESIDUALS["chordal"]) if far else problem
@@ -213,22 +212,17 @@ def _solve(
 
 
 def _sqrt_information(graph: PoseGraph, objective: str) -> Array:
-    """W (m, 6, 6) with cost = |W e|^2 / 2, e the kernel's residual."""
+    """W (m, 6, 6) with cost = |W e|^2 / 2, e the kernel's residual. GraphError if it is zero."""
     if objective == "chordal":
-        return chordal_sqrt_information(*graph.chordal_weights)
-    return geodesic_sqrt_information(graph.semidefinite_information)
-
-
-def _check_weights(root: Array, objective: str) -> None:
-    """Raise GraphError if the square roots `root` (m, 6, 6) of the weights are all zero."""
-    if root.any():
-        return
-    if objective == "chordal":
-        raise GraphError(
+        root = chordal_sqrt_information(*graph.chordal_weights)
+        what, remedy = (
             certificates.NO_WEIGHT,
-            remedy="use objective='geodesic', which takes singular information",
+            "use objective='geodesic', which takes singular information",
         )
-    raise GraphError(
-        "the objective is zero everywhere: no displacement has positive information",
-        remedy="give information matrices that are positive definite",
-    )
+    else:
+        root = geodesic_sqrt_information(graph.semidefinite_information)
+        what = "the objective is zero everywhere: no displacement has positive information"
+        remedy = "give information matrices that are positive definite"
+    if not root.any():
+        raise GraphError(what, remedy=remedy)
+    return root

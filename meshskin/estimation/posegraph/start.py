@@ -10,13 +10,10 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from ...core import se3
-from ...core.arrays import Array
+from ...core.arrays import Array, rows_by_key, sums_by_group
 from ...core.errors import GraphError, UnknownNameError
-from .information import chordal_weights
-from .ordering import IntArray
-from .superlu import SingularMatrixError
-from .symmetric_blocks import SymmetricBlocks, sum_by_index
-from .validation import transforms
+from .symmetric_blocks import SingularMatrixError, SymmetricBlocks
+from .validation import chordal_weights, transforms
 
 if TYPE_CHECKING:
     from .graph import PoseGraph
@@ -57,20 +54,21 @@ def chordal(graph: PoseGraph) -> Array:
 
 
 def tree(graph: PoseGraph) -> Array:
-    """Measurements composed along a spanning tree, breadth first from each anchor."""
+    """Measurements composed along shortest paths from the anchors, a spanning tree."""
     n, m, (i, j) = len(graph.poses), len(graph.edges), graph.edges.T
     poses = np.array(graph.poses)
     # Both directions of every displacement, by (from, to); of repeated ones the first is used.
     keys, first = np.unique(np.concatenate([i * n + j, j * n + i]), return_index=True)
     links = sparse.csr_array((np.ones(len(keys)), (keys // n, keys % n)), shape=(n, n))
-    for anchor in graph.anchors:
-        order, parents = csgraph.breadth_first_order(links, anchor, directed=True)
-        for level in _levels(order, parents):
-            above = parents[level]
-            step = first[np.searchsorted(keys, above * np.int64(n) + level)]
-            moves = graph.measurements[step % m]
-            moves[step >= m] = se3.inverse(moves[step >= m])
-            poses[level] = poses[above] @ moves
+    depth, parents, _ = csgraph.dijkstra(
+        links, indices=graph.anchors, unweighted=True, min_only=True, return_predecessors=True
+    )
+    for level in rows_by_key(depth)[1:]:
+        above = parents[level]
+        step = first[np.searchsorted(keys, above * np.int64(n) + level)]
+        moves = graph.measurements[step % m]
+        moves[step >= m] = se3.inverse(moves[step >= m])
+        poses[level] = poses[above] @ moves
     return poses
 
 
@@ -85,18 +83,11 @@ STARTS = {"chordal": chordal, "tree": tree, "origin": origin}
 def initial_weights(graph: PoseGraph) -> tuple[Array, Array]:
     """(tau, kappa), (m,) each: chordal weights, where singular the mean of the information."""
     tau, kappa, _ = chordal_weights(graph.information)
-    blocks = graph.information[:, :3, :3], graph.information[:, 3:, 3:]
-    mean, mean_r = (np.maximum(np.linalg.eigvalsh(b), 0.0).mean(axis=1) for b in blocks)
-    return np.where(tau > 0, tau, mean), np.where(kappa > 0, kappa, mean_r / 2)
-
-
-def _levels(order: IntArray, parents: IntArray) -> list[IntArray]:
-    """Poses in breadth-first `order`, level by level, without the root."""
-    depth = {int(order[0]): 0}
-    for pose, parent in zip(order[1:].tolist(), parents[order[1:]].tolist(), strict=True):
-        depth[pose] = depth[parent] + 1
-    depths = np.fromiter(depth.values(), dtype=np.int64, count=len(depth))
-    return np.split(order, np.flatnonzero(np.diff(depths)) + 1)[1:]
+    for weight, block, factor in ((tau, slice(0, 3), 1.0), (kappa, slice(3, 6), 0.5)):
+        rows = np.flatnonzero(weight == 0.0)
+        values = np.linalg.eigvalsh(graph.information[rows, block, block])
+        weight[rows] = factor * np.maximum(values, 0.0).mean(axis=1)
+    return tau, kappa
 
 
 def _least_squares(
@@ -112,7 +103,7 @@ def _least_squares(
     weighted = weight[:, None, None] * (guess[j] - rotation @ guess[i] - step)
     both = np.concatenate([i, j])
     back = np.swapaxes(rotation, 1, 2)
-    gradient = sum_by_index(np.concatenate([-back @ weighted, weighted]), both, n)
+    gradient = sums_by_group(np.concatenate([-back @ weighted, weighted]), both, n)
     degree = np.bincount(both, np.tile(weight, 2), n)
     degree[graph.anchors] = 1.0
     gradient[graph.anchors] = 0.0

@@ -173,21 +173,6 @@ class SharedContacts:
         return Displacements(self.pairs[good], measured, spread, errors)
 
 
-def displacement_graph(
-    data: Measurements,
-    fit: EstimatorResult | None = None,
-    isotropic: bool = False,
-    trilateration: Trilateration = trilaterate.solve,
-) -> PoseGraph:
-    """The pose graph of the displacements, from the trilateration `fit`, by default least squares.
-
-    The other arguments and the errors are those of `Displacements.graph` and `SharedContacts`.
-    """
-    fit = fit or trilaterate.least_squares(data)
-    measured = SharedContacts(data, fit).displacements(trilateration)
-    return measured.graph(fit, data.ids, isotropic)
-
-
 def _measured(data: Measurements, charts: Charts, y: Array) -> Array:
     """Displacements (g, 4, 4) of pairs of taxels at y (2 g, 2), m, in their charts (2 g)."""
     hit = data.body.closest(charts.at(y))

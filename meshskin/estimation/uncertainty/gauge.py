@@ -13,7 +13,6 @@ from ...core import se3
 from ...core.arrays import Array
 from ..posegraph import PoseGraph
 from ..posegraph.cholesky import Cholesky
-from ..posegraph.marginals import covariances as marginals
 from ..posegraph.symmetric_blocks import SymmetricBlocks
 
 MIN_PART = 3
@@ -53,7 +52,7 @@ def covariances(graph: PoseGraph, poses: Array, errors: Array | None = None) -> 
         s = np.zeros((len(rows), 6, 6))
         blocks = SymmetricBlocks.from_lower_triangle(sparse.csr_array(sparse.tril(inner)), 6)
         cholesky = Cholesky(len(rows) - 1, blocks.rows, blocks.columns)
-        s[1:] = marginals(cholesky, blocks)
+        s[1:] = cholesky.marginal_covariances(blocks)
         whole = _rigid_motions(poses[rows])
         shift = whole * np.repeat([1.0, 0.0], 3)[:, None]
         w = np.zeros((len(rows), 6, 6))

@@ -32,6 +32,8 @@ class GoodnessOfFit:
     """Number of outlying readings, among them silences that are not plausible."""
     noise: float = float("nan")
     """Standard deviation of a reading, Pa, known or estimated, in whose units the residuals are."""
+    pairs: int = 0
+    """Pairs of readings that the noise was estimated from; 0: it is known, or was not estimated."""
 
     @property
     def reduced(self) -> float:

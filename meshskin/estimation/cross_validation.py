@@ -1,0 +1,211 @@
+"""Cross-validation: contacts held out whole, localised by the skin calibrated on the others.
+
+It needs no truth: a contact's place is known as well as the robot knows where it was touched.
+Contacts near each other in time are nearly copies of each other, so they are held out in blocks of
+consecutive contacts, dealt to the folds in turn; on a straight path no taxel reads at both ends of
+a block. Blocks of a whole fifth of a recording would leave taxels without any contact.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+
+from ..contact import LEARNED
+from ..core.arguments import check_integer
+from ..core.arrays import Array
+from ..core.errors import CalibrationError
+from ..recording.recording import Recording
+from ..scene.belief import RAW
+from .calibrate import calibrate
+from .data.measurements import Measurements, gather
+from .data.resolve_belief import valid_contacts
+from .localization import CalibratedSkin
+
+if TYPE_CHECKING:
+    from ..scene.belief import Belief
+    from .calibration import Calibration
+
+BLOCK = 2.0
+"""Length of a block, in reaches of a contact: no taxel is in reach of two contacts further apart
+than that."""
+WAYPOINTS = 8
+"""Waypoints of a block: it is measured in chords of an eighth."""
+
+
+@dataclass(frozen=True)
+class CrossValidation:
+    """m pressed contacts, each localised without it; NaN where fewer than three taxels read."""
+
+    points: Array
+    """Where the contacts were (m, 3), body frame, m."""
+    localized: Array
+    """Where their readings put them (m, 3), m."""
+    centroids: Array
+    """The baseline (m, 3), m: means of the taxels that read, weighted by the readings, on the
+    surface."""
+    fold: np.ndarray
+    """Fold (m,) in which each was held out."""
+    log_likelihood: Array
+    """Logarithm (m,) of the density of the readings of each contact, in the recorded unit."""
+    readings: np.ndarray
+    """Number (m,) of these readings."""
+    pitch: float
+    """Median distance of a taxel from its nearest neighbour, m."""
+
+    @property
+    def errors(self) -> Array:
+        """Distances (m,), m, between where contacts were and where their readings put them."""
+        return np.asarray(np.linalg.norm(self.localized - self.points, axis=1))
+
+    @property
+    def centroid_errors(self) -> Array:
+        """Those of the baseline (m,), m, in the same contacts."""
+        off = np.linalg.norm(self.centroids - self.points, axis=1)
+        return np.where(np.isfinite(self.localized[:, 0]), off, np.nan)
+
+    def metrics(self) -> dict[str, Any]:
+        """The numbers as JSON values; lengths in mm, log likelihood per reading."""
+        total = int(self.readings.sum())
+        return {
+            "folds": int(self.fold.max()) + 1,
+            "contacts": len(self.points),
+            "localized": int(np.isfinite(self.errors).sum()),
+            "error_mm": _summary(self.errors),
+            "centroid_error_mm": _summary(self.centroid_errors),
+            "taxel_pitch_mm": 1e3 * self.pitch if math.isfinite(self.pitch) else None,
+            "readings": total,
+            "log_likelihood_per_reading": float(self.log_likelihood.sum()) / total
+            if total
+            else None,
+        }
+
+
+def _summary(errors: Array) -> dict[str, float | None]:
+    """Rms and 95th percentile, mm; None where no contact was localised."""
+    errors = 1e3 * errors[np.isfinite(errors)]
+    if not len(errors):
+        return {"rms": None, "p95": None}
+    return {
+        "rms": float(np.sqrt(np.mean(errors**2))),
+        "p95": float(np.quantile(errors, 0.95)),
+    }
+
+
+def cross_validate(
+    calibration: Calibration, recording: Recording, folds: int = 5, belief: Belief | None = None
+) -> CrossValidation:
+    """The cross-validation of the method and contact model of a calibration; arguments and errors
+    as `Calibration.cross_validate`."""
+    folds = check_integer("number of folds", folds, least=2, error=CalibrationError)
+    belief = belief or _recorded_belief(calibration)
+    if calibration.response is not None:
+        belief = replace(belief, contact=LEARNED)
+    data = gather(recording, belief)
+    belief = replace(belief, force_reference=data.belief.force_reference)
+    fold = blocks(data.points, BLOCK * float(np.median(data.reach())))
+    if fold.max() + 1 < folds:
+        raise CalibrationError(
+            "too few blocks of contacts to cross-validate",
+            value=f"{fold.max() + 1} blocks of {1e3 * BLOCK * np.median(data.reach()):.3g} mm",
+            limit=f"{folds} folds",
+            remedy="give fewer folds or a recording that covers more of the skin",
+        )
+    fold, rows = fold % folds, _rows(recording, data)
+    localized, centroids = np.full(data.points.shape, np.nan), np.full(data.points.shape, np.nan)
+    points, likelihood = data.points.copy(), np.zeros(len(data.points))
+    count = np.zeros(len(data.points), dtype=int)
+    for k in range(folds):
+        held = np.flatnonzero(fold == k)
+        others = np.ones(len(recording.time), dtype=bool)
+        others[rows[held]] = False
+        part, known = subset(recording, belief, others)
+        skin = CalibratedSkin.of(calibrate(part, known, calibration.method), data)
+        points[held] = skin.data.points[held]
+        localized[held] = skin.localize(held)[held]
+        centroids[held] = skin.centroids(held)[held]
+        found, number = skin.log_likelihoods(held)
+        likelihood += found
+        count += number
+    return CrossValidation(
+        points, localized, centroids, fold, likelihood, count, _pitch(calibration.positions)
+    )
+
+
+def blocks(points: Array, length: float) -> np.ndarray:
+    """Number (m,) of the block of each of the consecutive contacts at `points` (m, 3), m: a block
+    ends where the path since it began is longer than `length`, m. The path is measured between
+    waypoints, so that scatter of contacts in one place does not lengthen it."""
+    out = np.zeros(len(points), dtype=int)
+    waypoint, travelled = points[0], 0.0
+    for k, point in enumerate(points):
+        out[k] = out[k - 1]
+        if (step := math.dist(point, waypoint)) > length / WAYPOINTS:
+            waypoint, travelled = point, travelled + step
+        if travelled > length:
+            out[k], travelled = out[k] + 1, 0.0
+    return out
+
+
+def subset(recording: Recording, belief: Belief, keep: np.ndarray) -> tuple[Recording, Belief]:
+    """The contacts `keep` (bool) of a recording with their readings, and the belief for these."""
+    part = Recording(
+        recording.contacts.filter(pa.array(keep)),
+        recording.readings.filter(pa.array(keep[recording.reading_contact])),
+        recording.metadata,
+    )
+    if belief.headings is None:
+        return part, belief
+    return part, replace(belief, headings=np.asarray(belief.headings)[keep])
+
+
+def _recorded_belief(calibration: Calibration) -> Belief:
+    """The belief of a calibration, in the unit of the readings."""
+    belief, response = calibration.belief, calibration.response
+    if belief is None or (belief.readings == RAW and response is None):
+        raise CalibrationError(
+            "the calibration does not know the scene", remedy="give cross_validate a belief"
+        )
+    if belief.readings != RAW or response is None:
+        return belief
+    unit = response.unit
+    return replace(
+        belief,
+        threshold=belief.threshold * unit,
+        saturation=None if belief.saturation is None else belief.saturation * unit,
+        noise_sigma=None if belief.noise_sigma is None else belief.noise_sigma * unit,
+    )
+
+
+def _rows(recording: Recording, data: Measurements) -> np.ndarray:
+    """Rows (m,) of the recording of the contacts of its measurements."""
+    rows = np.flatnonzero(recording.force > 0)
+    if data.left_out:
+        curvature = data.body.closest(recording.points[rows]).curvature
+        rows = rows[valid_contacts(recording.force[rows], curvature, data.belief)]
+    return rows
+
+
+def _pitch(positions: Array) -> float:
+    """Median distance, m, of determined positions (n, 3) from their nearest neighbours."""
+    from scipy.spatial import cKDTree
+
+    found = positions[np.isfinite(positions[:, 0])]
+    if len(found) < 2:
+        return float("nan")
+    return float(np.median(cKDTree(found).query(found, k=2)[0][:, 1]))
+
+
+def held_out_in_words(metrics: dict[str, Any]) -> str:
+    """The errors of a cross-validation in words."""
+    error, baseline = metrics["error_mm"]["rms"], metrics["centroid_error_mm"]["rms"]
+    if error is None:
+        return "no contact was read by three taxels"
+    return (
+        f"{metrics['localized']} of {metrics['contacts']} contacts localised to {error:.3g} mm "
+        f"rms, {baseline:.3g} by the centroid"
+    )

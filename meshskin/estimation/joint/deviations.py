@@ -1,0 +1,106 @@
+"""Standard deviations of the random effects and of the noise, and how the data move them.
+
+An effect x with the posterior variance V has the expectation E[x^2] = s^2 - V at its true variance
+s^2: the score of the restricted likelihood in ln s^2 is (sum x^2 / s^2 - d) / 2, where
+d = sum (1 - V / s^2) is the number of effects that the readings determine.
+
+Source: Patterson and Thompson, "Recovery of inter-block information when block sizes are unequal",
+Biometrika 58 (1971).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...core.arrays import Array
+from .fault_detection import MIN_SCALE
+
+MAX_FACTOR = 4.0
+"""Largest factor of a variance between two steps."""
+MIN_FREEDOM = 0.05
+"""Least mean degrees of freedom of a residual: with fewer the noise is not known."""
+NOISE_ITERATIONS = 20
+"""Largest number of weighted fits of the noise's two parts; three are usual."""
+MIN_DETERMINED = 1e-6
+"""Share of the effects that the readings determine, below which their variance has no score."""
+FLOOR = {"position": 1e-6, "force": 1e-4, "profile": 1e-4, "gain": 1e-4, "offset": 1e-3}
+"""Least deviations: far below what any recording can tell from zero."""
+
+
+@dataclass(frozen=True)
+class Deviations:
+    """Standard deviations of the random effects and of the noise."""
+
+    noise: float = 1.0
+    """Constant part of a reading's noise, in units of `Measurements.sigma`."""
+    relative: float = 0.0
+    """Part of the noise proportional to the reading."""
+    position: float = 1e-4
+    """Of a contact's displacement along each tangent, m."""
+    force: float = 0.02
+    """Of ln F of a contact."""
+    profile: float = 0.1
+    """Of the learned profile, relative to the peak."""
+    gain: float = 0.1
+    """Of ln gain of a taxel."""
+    offset: float = 3.0
+    """Of a taxel's offset, in units of `Measurements.sigma`."""
+
+    def noise_of(self, mu: Array) -> Array:
+        """Standard deviation (k,) of readings with the expectations mu (k,), both in units of
+        `Measurements.sigma`."""
+        return np.asarray(np.hypot(self.noise, self.relative * np.maximum(mu, 0.0)))
+
+    def moved(self, effects: dict[str, tuple[float, float, int]]) -> tuple[Deviations, float]:
+        """The deviations after a step of Fisher scoring, and the largest expected increase of the
+        restricted likelihood by one of them.
+
+        effects: sum of squares, sum of posterior variances, and number, by name of the deviation.
+        """
+        found, largest = {}, 0.0
+        for name, (square, posterior, count) in effects.items():
+            sigma = getattr(self, name)
+            step, gain = log_step(square / sigma**2, count - posterior / sigma**2, count)
+            found[name] = float(max(sigma * np.exp(step / 2), FLOOR[name]))
+            largest = max(largest, gain if found[name] > FLOOR[name] else 0.0)
+        return replace(self, **found), largest
+
+    def with_noise(self, mu: Array, squares: Array, free: Array, parts: int) -> Deviations:
+        """The deviations with the constant part of the noise, or both `parts`, as squared residuals
+        (k,) of readings with the expectations mu (k,) have it.
+
+        free (k,): 1 less the leverage, the part of a reading's variance that its residual has.
+        """
+        free = free * max(1.0, MIN_FREEDOM / max(float(np.mean(free)), 1e-300))
+        part = np.column_stack([np.ones(len(mu)), np.maximum(mu, 0.0) ** 2])[:, :parts]
+        variance = np.array([self.noise**2, self.relative**2])[:parts]
+        for _ in range(NOISE_ITERATIONS):
+            weighted = part / np.maximum(part @ variance, 1e-12)[:, None] ** 2
+            normal, right = weighted.T @ (part * free[:, None]), weighted.T @ squares
+            new = np.linalg.lstsq(normal, right, rcond=None)[0]
+            for k in np.flatnonzero(new <= 0):  # not both: the squares are positive
+                new = np.where(np.arange(parts) == k, 0.0, right / np.diag(normal))
+            new[0] = max(new[0], MIN_SCALE**2)
+            close = np.allclose(new, variance, rtol=1e-3)
+            variance = new
+            if close:
+                break
+        names = ("noise", "relative")[:parts]
+        return replace(self, **dict(zip(names, map(float, np.sqrt(variance)), strict=True)))
+
+
+def log_step(square: float, determined: float, count: int) -> tuple[float, float]:
+    """Change of the logarithm of a variance by Fisher scoring of the restricted likelihood, and the
+    expected increase of its logarithm.
+
+    square: sum of the squares of `count` effects, relative to the variance; determined: their
+    number less the sum of the posterior variances, relative to it.
+    """
+    if determined <= MIN_DETERMINED * count:
+        return -math.log(MAX_FACTOR), 0.0
+    excess = (square - determined) / (determined**2 / count)
+    step = math.log(min(max(1 + excess, 1 / MAX_FACTOR), MAX_FACTOR))
+    return step, abs(step * (square - determined)) / 4

@@ -1,0 +1,185 @@
+"""The estimate with a learned response, whose contacts and forces have errors of their own.
+
+    reading = response(gain amplitude(F) (profile(u) + correction(u))) + offset
+
+The believed contact model is the mean of the profile; a smooth correction of it, the exponents of
+size and amplitude in the force, the scale of the readings and a compression of strong ones are
+estimated with the taxels, as are gain and offset of each taxel and the errors of each contact
+(random_effects.py). Their variances follow from the data: with few contacts, or where the model
+holds, the estimate is the model's.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from ...core.arrays import Array
+from ...core.errors import CalibrationError
+from .. import chart
+from ..data.global_parameters import LEARNED, LEARNED_PRIORS, declared_parameters
+from ..data.measurements import Measurements
+from ..posegraph.symmetric_blocks import SingularMatrixError
+from ..result import (
+    EstimatorResult,
+)
+from ..trilateration import coactivation, trilaterate
+from . import fault_detection
+from .deviations import Deviations
+from .joint_estimator import JointEstimator
+from .learned_result import learned_result
+from .likelihood import select
+from .outlier_rejection import reject_outliers
+from .parametrization import SurfaceParametrization
+from .pressure import OBSERVED
+from .random_effects import RandomEffects, Unknowns
+from .rival_optima import resolve_rivals
+
+MIN_EXTENT = 1.2
+"""Least extent of the learned profile, in reaches of the believed patch."""
+MAX_EXTENT = 4.0
+"""Largest extent, in semi-axes of the patch."""
+REACHED = 0.99
+"""Share of the readings above the noise whose distances the profile covers."""
+MARGIN = 1.15
+"""Extent of the profile relative to these distances."""
+STEP = 1e-3
+"""Longest move of a taxel in one step, m."""
+MAX_ROUNDS = 3
+"""Largest number of times that outlying readings are left out and the rest is estimated again."""
+MOVED = 0.02
+"""Move of a taxel, in contact radii, from which it is at another optimum."""
+
+
+def estimate(data: Measurements, start: EstimatorResult | None = None) -> EstimatorResult:
+    """The estimate with a learned response.
+
+    start: taxels near their places; by default trilateration, or co-activation where it fails.
+    Raises CalibrationError if no taxel is determined or the estimate does not converge.
+    """
+    clock = time.perf_counter()
+    near = coactivation.without_distant_readings(data)
+    if start is None:
+        start = coactivation.initial_estimate(near, trilaterate.least_squares(near))
+    stuck = fault_detection.stuck_taxels(data)
+    responsive = coactivation.responsive(data, start.points)
+    reasons = np.where(start.found & ~responsive, coactivation.NOISE, start.reasons)
+    live = np.setdiff1d(np.flatnonzero(reasons == ""), stuck.rows)
+    if not len(live):
+        raise CalibrationError(
+            "no taxel is determined by the recording",
+            value=", ".join(sorted(set(map(str, reasons)))),
+            remedy="touch every taxel from at least three contacts that are not on a line",
+        )
+    effects = _begin(with_learned_response(data, start.points, near), live, start)
+    weight = np.ones(len(data.pressure))
+    for _ in range(MAX_ROUNDS):
+        try:
+            effects.converge()
+        except SingularMatrixError as error:
+            raise CalibrationError(
+                "the estimate with a learned response did not converge",
+                value=f"its normal equations are singular: {error}",
+                remedy="record more contacts with different forces, or believe a contact model",
+            ) from error
+        estimator = reject_outliers(_frozen(effects, live, weight))
+        rivals = resolve_rivals(estimator)
+        if not _changed(effects, estimator, weight):
+            break
+        weight = estimator.weight
+        effects = _restarted(effects, estimator)
+    return learned_result(effects, estimator, rivals, reasons, clock)
+
+
+def with_learned_response(
+    data: Measurements, points: Array, near: Measurements | None = None
+) -> Measurements:
+    """The measurements with the parameters of a learned response; points (n, 3), m: of the taxels,
+    about; near: those without readings that cannot be of their contacts, by default all."""
+    near = data if near is None else near
+    peak, sigma = float(np.median(data.peaks)), data.sigma
+    names = (*LEARNED, *(name for name in data.parameters.names if name not in LEARNED))
+    priors = {**LEARNED_PRIORS, **data.belief.priors}
+    parameters = declared_parameters(
+        (*names, "gain", "offset"), priors, data.belief.force_reference or 1.0, peak
+    )
+    offset = points[near.taxel] - near.points[near.contact]
+    height = np.einsum("ki,ki->k", offset, near.normals[near.contact])
+    across = np.sqrt(np.maximum(np.einsum("ki,ki->k", offset, offset) - height**2, 0.0))
+    u = (across / near.longest[near.contact])[near.pressure > near.threshold + 5 * sigma]
+    u = u[np.isfinite(u)]
+    reach = float(np.median(data.reach() / data.longest))
+    extent = MARGIN * float(np.quantile(u, REACHED)) if len(u) else reach
+    extent = float(np.clip(extent, MIN_EXTENT * reach, max(MAX_EXTENT, MIN_EXTENT * reach)))
+    belief = data.belief
+    if belief.threshold == 0 and len(data.pressure):  # the least reading tells
+        belief = replace(belief, threshold=float(data.pressure.min()) * (1 - 1e-9))
+    return replace(data, belief=belief, parameters=parameters, noise=sigma, profile_extent=extent)
+
+
+def _begin(data: Measurements, live: np.ndarray, start: EstimatorResult) -> RandomEffects:
+    """The estimate at its start."""
+    charts = chart.charts_at(data.body, start.points[live], start.rotations[live])
+    s, nuisance = np.zeros(len(data.parameters.sigma)), np.zeros((len(live), 2))
+    if start.modulus is not None and data.unit == 1.0:
+        s[data.parameters.columns["modulus"]] = np.log(start.modulus / data.modulus)
+    for column, (name, unit) in enumerate({"gain": 1.0, "offset": data.sigma}.items()):
+        if name in start.taxel_unknowns:
+            nuisance[:, column] = np.nan_to_num(start.taxel_unknowns[name][live, 0]) / unit
+    unknowns = Unknowns(
+        SurfaceParametrization(charts, STEP), nuisance, np.zeros((len(data.points), 3)), s
+    )
+    weight = np.ones(len(data.pressure))
+    readings = select(data, live, charts.points, charts.normals, 0.0, weight, np.ones(len(live)))
+    noise = 1.0 if data.belief.noise_sigma is not None else _first_noise(start, data)
+    effects = RandomEffects(data, readings, unknowns, Deviations(noise=noise))
+    data = replace(data, response_levels=effects.response_levels())
+    return RandomEffects(data, readings, unknowns, effects.deviations)
+
+
+def _first_noise(start: EstimatorResult, data: Measurements) -> float:
+    if start.fit is None or not np.isfinite(start.fit.noise):
+        return 1.0
+    return max(start.fit.noise / data.sigma, fault_detection.MIN_SCALE)
+
+
+def _frozen(effects: RandomEffects, live: np.ndarray, weight: Array) -> JointEstimator:
+    """The taxels under the response and the contacts as estimated, which stay."""
+    data, u, d = effects.data, effects.unknowns, effects.deviations
+    observed = effects.readings.kind == OBSERVED
+    noise = float(np.sqrt(np.mean(effects.spread[observed] ** 2))) * data.sigma
+    sigma = (d.gain, d.offset * data.sigma)
+    frozen = replace(
+        data,
+        noise=noise,
+        contact_errors=u.errors,
+        parameters=replace(data.parameters, nuisance_sigma=sigma),
+    )
+    nuisance = u.nuisance * [1.0, data.sigma / noise]
+    estimator = JointEstimator(
+        frozen, live, u.parametrization, weight.copy(), 1, shared=u.s, nuisance=nuisance
+    )
+    estimator.converge()
+    return estimator
+
+
+def _changed(effects: RandomEffects, estimator: JointEstimator, weight: Array) -> bool:
+    """Whether taxels have moved to other optima, or readings were left out."""
+    moved = estimator.problem.points(estimator.state) - effects.unknowns.parametrization.points()
+    far = np.linalg.norm(moved, axis=1) > MOVED * float(np.median(estimator.data.radii))
+    return bool(far.any() or np.any((estimator.weight < 0.5) != (weight < 0.5)))
+
+
+def _restarted(effects: RandomEffects, estimator: JointEstimator) -> RandomEffects:
+    """The estimate from where the taxels are now, without outlying readings."""
+    data, u = effects.data, effects.unknowns
+    parametrization = estimator.problem.parametrization
+    assert isinstance(parametrization, SurfaceParametrization)
+    points, normals = parametrization.points(), parametrization.rotations()[:, :, 2]
+    weight = np.where(estimator.weight < 0.5, 0.0, 1.0)
+    readings = select(data, estimator.live, points, normals, 0.0, weight, estimator.silent_weight)
+    return RandomEffects(
+        data, readings, replace(u, parametrization=parametrization), effects.deviations
+    )

@@ -1,0 +1,224 @@
+"""The result of an estimate with a learned response: taxels, the response itself, and what the data
+left undetermined.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from ...contact.learned import ProfileCorrection
+from ...core.arrays import Array
+from ..result import (
+    CENSORING,
+    MOSTLY_OUTLIERS,
+    RIVAL,
+    SURFACE,
+    EstimatorResult,
+    LearnedResponse,
+)
+from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
+from . import fault_detection
+from .deviations import FLOOR
+from .joint_estimator import JointEstimator
+from .noise import neighbours
+from .pressure import CENSORED, OBSERVED, disc_means
+from .random_effects import RandomEffects
+from .rival_optima import RivalOptima
+
+LEARNED_RESPONSE = "learned response: profile, exponents and compression estimated with the taxels"
+NOT_SEPARABLE = 0.9
+"""Standard deviation, relative to that of its prior, from which a parameter rests on its prior."""
+SAMPLES = 60
+"""Distances at which the profile is stated, and levels of the response."""
+MIN_CONTACTS = 20
+"""Contacts, at least, whose displacements are compared."""
+
+
+def learned_result(
+    effects: RandomEffects,
+    estimator: JointEstimator,
+    rivals: RivalOptima,
+    reasons: np.ndarray,
+    clock: float,
+) -> EstimatorResult:
+    """The result for all taxels."""
+    data, u, live = effects.data, effects.unknowns, estimator.live
+
+    def spread(values: Array, missing: object) -> Array:
+        out = np.empty((len(data.ids), *values.shape[1:]))
+        out[:] = missing
+        out[live] = values
+        return out
+
+    covariance, shared = effects.system().covariances()
+    fit = _fit(effects)
+    scale = max(fit.reduced, 1.0) if fit.good is False else 1.0
+    points, rotations = u.parametrization.points(), u.parametrization.rotations()
+    apart = np.nan_to_num(rivals.points - points)
+    apart = np.einsum("kij,ki->kj", rotations[:, :, :2], apart)
+    tangential = scale * covariance[:, :2, :2] + apart[:, :, None] * apart[:, None, :]
+    lost, reasons = estimator.broken, reasons.copy()
+    reasons[live], reasons[live[lost]] = "", MOSTLY_OUTLIERS
+    infinite = np.diag([np.inf, np.inf])
+    deviation = np.sqrt(scale * np.diagonal(covariance, axis1=1, axis2=2))
+    units = {"gain": 1.0, "offset": data.sigma * data.unit}
+    r = effects.residuals() ** 2 * (effects.readings.kind == OBSERVED)
+    count = np.bincount(effects.readings.taxel, effects.readings.kind == OBSERVED, len(live))
+    square = np.bincount(effects.readings.taxel, r, len(live))
+    faults = estimator.faults.copy()
+    for k in np.flatnonzero(np.isfinite(rivals.points[:, 0])):
+        words = RIVAL.format(1e3 * float(np.linalg.norm(apart[k])))
+        faults[live[k]] = ", ".join(filter(None, (faults[live[k]], words)))
+    response = learned_response(effects, shared)
+    return EstimatorResult(
+        points=spread(np.where(lost[:, None], np.nan, points), np.nan),
+        rotations=spread(rotations, np.nan),
+        covariance=spread(np.where(lost[:, None, None], infinite, tangential), infinite),
+        chi2=spread(square / np.maximum(count - 2, 1), np.nan),
+        reasons=reasons,
+        factors=(
+            LEARNED_RESPONSE,
+            *response.describe(),
+            *((CENSORING,) if (effects.readings.kind == CENSORED).any() else ()),
+            SURFACE,
+        ),
+        unknowns=_shared_values(effects, scale * shared),
+        undetermined=_not_separable(effects, shared),
+        taxel_unknowns={
+            name: np.stack(
+                [
+                    spread(u.nuisance[:, k] * unit, np.nan),
+                    spread(deviation[:, 2 + k] * unit, np.inf),
+                ],
+                axis=1,
+            )
+            for k, (name, unit) in enumerate(units.items())
+        },
+        faults=faults,
+        rivals=spread(rivals.points, np.nan),
+        fit=fit,
+        response=response,
+        iterates=np.stack([spread(p, np.nan) for p in effects.iterates]),
+        seconds={"joint": time.perf_counter() - clock},
+    )
+
+
+def _fit(effects: RandomEffects) -> GoodnessOfFit:
+    """The test of fit: residuals against the known noise, or against the scatter of neighbouring
+    contacts, whose residuals have the same leverages."""
+    readings, r = effects.readings, effects.residuals()
+    clear = effects.clear()
+    known, noise, pairs = effects.noise_known, 1.0, 0
+    if not known:
+        noise, pairs = _neighbour_scatter(effects, r, np.flatnonzero(clear))
+    fit = goodness_of_fit(
+        chi2=float(readings.weight[clear] @ r[clear] ** 2) / noise**2,
+        freedom=float(readings.weight[clear] @ (1 - effects.leverages[clear] * known)),
+        noise_known=known,
+        outlying=int(np.sum(fault_detection.outliers(readings))),
+        pairs=pairs,
+    )
+    return replace(fit, noise=noise * effects.deviations.noise * effects.data.sigma)
+
+
+def _neighbour_scatter(effects: RandomEffects, r: Array, rows: np.ndarray) -> tuple[float, int]:
+    """Standard deviation of the residuals r (k,) by the differences of the readings `rows` of a
+    taxel in neighbouring contacts, and the number of pairs; of neighbours in space and in time the
+    smaller counts."""
+    found = [
+        (float(np.sqrt(np.mean((r[a] - r[b]) ** 2) / 2)), len(a))
+        for a, b in neighbours(effects.readings, effects.data.points, rows)
+        if len(a)
+    ]
+    enough = [pair for pair in found if 2 * pair[1] >= max(n for _, n in found)]
+    return min(enough) if enough else (1.0, 0)
+
+
+def _shared_values(effects: RandomEffects, covariance: Array) -> dict[str, tuple[float, float]]:
+    """Global parameters but for the profile, and the deviations of the contacts' errors."""
+    parameters, d = effects.data.parameters, effects.deviations
+    sigma = np.sqrt(np.diag(covariance))
+    m = max(int(effects.touched.sum()), 1)
+    profile = parameters.columns["profile"]
+    found = {
+        label: (float(value), float(deviation))
+        for k, (label, value, deviation) in enumerate(
+            zip(parameters.labels, effects.unknowns.s, sigma, strict=True)
+        )
+        if not profile.start <= k < profile.stop
+    }
+    found["contact_scatter"] = d.position, d.position / float(np.sqrt(4 * m))
+    found["force_scatter"] = d.force, d.force / float(np.sqrt(2 * m))
+    return found
+
+
+def _not_separable(effects: RandomEffects, covariance: Array) -> tuple[str, ...]:
+    """Shared parameters that rest on their priors, in words."""
+    parameters = effects.data.parameters
+    sigma = np.sqrt(np.diag(covariance))
+    return tuple(
+        f"{label} is not determined"
+        for k, label in enumerate(parameters.labels)
+        if not label.startswith("profile") and sigma[k] > NOT_SEPARABLE * parameters.sigma[k]
+    )
+
+
+def learned_response(effects: RandomEffects, covariance: Array) -> LearnedResponse:
+    """The learned profile beside the model's, and the learned response; covariance (ks, ks): of the
+    global parameters."""
+    data, s = effects.data, effects.unknowns.s
+    columns, middle = data.parameters.columns, int(np.argsort(data.force)[len(data.force) // 2])
+    contacts = effects.linearized.at(s)
+    rows = np.full(SAMPLES, middle)
+    radius = float(contacts.patches.first[middle])
+    u = np.linspace(0.0, data.profile_extent, SAMPLES)
+    offset = (u * radius)[:, None] * contacts.directions[rows]
+    model = disc_means(data.model.name, offset, rows, contacts, data.disc)[0]
+    basis = ProfileCorrection(data.profile_extent)(u)[0]
+    peak = float(contacts.peaks[middle]) * data.unit
+    at = columns["profile"]
+    band = np.sqrt(np.einsum("ki,ij,kj->k", basis, covariance[at, at], basis))
+    level = np.linspace(0.0, peak, SAMPLES)
+    c = columns["compression"].start
+    nominal = float(np.median(data.peaks)) * data.unit
+    return LearnedResponse(
+        distance=u * radius,
+        profile=peak * (model + basis @ s[at]),
+        profile_sigma=peak * band,
+        model=peak * model,
+        level=level,
+        reading=level / (1 + s[c] * level / nominal),
+        reading_sigma=level**2 / nominal * float(np.sqrt(covariance[c, c])),
+        contact_scatter=effects.deviations.position,
+        contact_correlation=_neighbour_correlation(effects),
+        force_scatter=effects.deviations.force,
+        noise=effects.deviations.noise * data.sigma * data.unit,
+        noise_relative=effects.deviations.relative,
+        coefficients=s[at],
+        extent=data.profile_extent,
+        levels=data.response_levels,
+        unit=data.unit,
+    )
+
+
+def _neighbour_correlation(effects: RandomEffects) -> float:
+    """Correlation of the displacements of contacts with those of their nearest neighbours.
+
+    Errors of a kinematic model or of the clocks change slowly over the body or the path; scatter
+    does not.
+    """
+    from scipy.spatial import cKDTree
+
+    contacts, errors = effects.linearized.at(effects.unknowns.s), effects.unknowns.errors
+    used = np.flatnonzero(effects.touched)
+    if len(used) < MIN_CONTACTS or effects.deviations.position <= FLOOR["position"]:
+        return 0.0
+    across = np.cross(contacts.normals, contacts.directions)
+    moved = errors[:, :1] * contacts.directions + errors[:, 1:2] * across
+    points, moved = effects.data.points[used], moved[used]
+    nearest = cKDTree(points).query(points, k=2)[1][:, 1]
+    power = float(np.sum(moved**2))
+    return float(np.sum(moved * moved[nearest])) / power if power > 0 else 0.0

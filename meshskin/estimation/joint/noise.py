@@ -1,0 +1,147 @@
+"""The noise of the readings, estimated from the residuals of neighbouring contacts.
+
+Errors of the model differ little between neighbouring contacts, so that half the mean square of the
+differences of a taxel's residuals there is the variance of the noise. Readings that noise may have
+lifted over the threshold are not used: those below it are not recorded, and the others would make
+the noise look too small. Which readings these are is decided by what the model predicts, not by
+what was read, so that the rest is not selected. The fitted unknowns follow the readings: a
+difference of two residuals has the variance 2 - d C d', d being the difference of the derivatives
+and C the covariance of the unknowns. Sources: von Neumann, Ann. Math. Stat. 12 (1941); Gasser,
+Sroka, Jennen-Steinmetz, Biometrika 73 (1986).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...core.arrays import Array
+from ..data.measurements import NOMINAL_NOISE, Measurements
+from ..data.pairs import silent_pairs
+from ..uncertainty.goodness_of_fit import MIN_PAIRS
+from .fault_detection import MIN_SCALE, outliers
+from .joint_estimator import JointEstimator
+from .likelihood import Readings
+from .pressure import CENSORED, OBSERVED
+from .variable_projection import SchurComplement
+
+MIN_CLEARANCE = 3.0
+"""Distance of a predicted reading from threshold and saturation, in standard deviations, from which
+its residual is as good as uncensored: 1e-3 of such readings are censored."""
+MAX_STEPS = 2
+"""Contacts by which two readings that are neighbours in time are apart: one may be missing."""
+MAX_SILENT = 10.0
+"""Silent readings that inform, relative to the others, above which the believed reach is wrong:
+where it is right they are fewer than the others."""
+MAX_ITERATIONS = 10
+"""Largest number of estimates: which readings are clear of the threshold depends on the noise."""
+TOLERANCE = 0.01
+"""Relative change of the noise at which it has converged."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """An estimate of the noise."""
+
+    scale: float
+    """Standard deviation, in units of `Measurements.sigma`."""
+    pairs: int
+    """Independent pairs of readings that it was estimated from."""
+
+
+def least_scale(data: Measurements) -> float:
+    """The least noise that is believed, in units of `data.sigma`: below it, errors of the contact
+    model decide."""
+    return MIN_SCALE * NOMINAL_NOISE * float(np.median(data.peaks)) / data.sigma
+
+
+def predictions(readings: Readings, residuals: Array, data: Measurements) -> Array:
+    """What the model predicts (k,), in units of the noise, from the residuals (k,)."""
+    level = np.where(readings.kind == CENSORED, data.threshold, readings.level)
+    return np.asarray(residuals + level / data.sigma)
+
+
+def clear_of_limits(mu: Array, data: Measurements, scale: float = 1.0) -> np.ndarray:
+    """Predictions mu (k,) bool that noise of `scale` moves over no limit of the sensor."""
+    margin = MIN_CLEARANCE * scale
+    clear = mu > data.threshold / data.sigma + margin
+    return np.asarray(clear & (mu < data.saturation / data.sigma - margin))
+
+
+def with_estimated_noise(data: Measurements, estimator: JointEstimator) -> Measurements:
+    """The data with the noise that a converged estimate of them shows; the same where it is known,
+    where there are too few pairs of readings, where no noise is above the model's errors, and
+    where most taxels that should respond are silent: then patch or disc are not the believed ones.
+    """
+    if data.noise is not None:
+        return data
+    noise = estimate_noise(estimator, estimator.problem.reduce(estimator.state))
+    if noise.pairs < MIN_PAIRS or noise.scale <= least_scale(data):
+        return data
+    noisy = replace(data, noise=noise.scale * data.sigma, noise_pairs=noise.pairs)
+    parametrization = estimator.problem.parametrization
+    normals = parametrization.rotations()[:, :, 2]
+    silent = silent_pairs(noisy, estimator.live, parametrization.points(), normals, 1.0)[0]
+    return data if len(silent) > MAX_SILENT * len(data.pressure) else noisy
+
+
+def estimate_noise(estimator: JointEstimator, reduced: SchurComplement) -> Noise:
+    """The noise of a converged estimate; no smaller than `least_scale`.
+
+    With fewer than MIN_PAIRS pairs clear of the threshold, all readings count.
+    """
+    data, readings, r = estimator.data, estimator.likelihood.readings, estimator.residuals()
+    mu, least = predictions(readings, r, data), least_scale(data)
+    sound = (readings.kind == OBSERVED) & ~outliers(readings)
+    noise = _scatter(estimator, reduced, r, sound)
+    for _ in range(MAX_ITERATIONS):
+        clear = sound & clear_of_limits(mu, data, max(noise.scale, least))
+        found = _scatter(estimator, reduced, r, clear)
+        if found.pairs < MIN_PAIRS:
+            break
+        change, noise = abs(found.scale - noise.scale), found
+        if change < TOLERANCE * noise.scale:
+            break
+    return Noise(max(noise.scale, least), noise.pairs)
+
+
+def _scatter(
+    estimator: JointEstimator, reduced: SchurComplement, r: Array, used: np.ndarray
+) -> Noise:
+    """The noise by the residuals r (k,) of the readings `used` (k,) bool.
+
+    Of neighbours in space and neighbours in time the smaller scatter counts.
+    """
+    readings, found = estimator.likelihood.readings, []
+    rows = np.flatnonzero(used)
+    for a, b in neighbours(readings, estimator.data.points, rows):
+        if len(a):
+            weight = estimator.problem.difference_variances(estimator.state, reduced, a, b)
+            found.append(Noise(float(np.sqrt(np.sum((r[a] - r[b]) ** 2) / weight.sum())), len(a)))
+    enough = [noise for noise in found if 2 * noise.pairs >= max(n.pairs for n in found)]
+    return min(enough, key=lambda noise: noise.scale) if enough else Noise(1.0, 0)
+
+
+def neighbours(
+    readings: Readings, points: Array, rows: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Disjoint pairs, first and second (p,), of the readings `rows` of a taxel: mutual nearest
+    neighbours in space, and next to each other in time. points (m, 3), m: of the contacts.
+    """
+    from scipy.spatial import cKDTree
+
+    if len(rows) < 2:
+        return []
+    rows = rows[np.lexsort((readings.contact[rows], readings.taxel[rows]))]
+    taxel, contact = readings.taxel[rows], readings.contact[rows]
+    apart = 10 * float(np.ptp(points, axis=0).max()) + 1.0
+    where = np.column_stack([points[contact], apart * taxel])
+    nearest, own = cKDTree(where).query(where, k=2)[1], np.arange(len(rows))
+    other = np.where(nearest[:, 0] == own, nearest[:, 1], nearest[:, 0])
+    mutual = (other[other] == own) & (own < other) & (taxel == taxel[other])
+    in_time = (np.diff(taxel) == 0) & (np.diff(contact) <= MAX_STEPS) & (own[:-1] % 2 == 0)
+    return [
+        (rows[mutual], rows[other[mutual]]),
+        (rows[:-1][in_time], rows[1:][in_time]),
+    ]
