@@ -7,8 +7,8 @@ belief, compared with the other methods, assessed against the true skin, and rep
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .core.arguments import check_seed
+from .core.arguments import check_integer
 from .core.atomic_io import check_folder, write_json
 from .core.errors import CalibrationError, GraphError, ReachError
 from .core.provenance import StageTimer, provenance
@@ -29,8 +29,8 @@ from .estimation.uncertainty import metrics as truth
 from .recording.recording import Recording
 from .scene.belief import Belief
 from .scene.scene import Scene
-from .simulation.response import ForceResponse, force_response
-from .simulation.simulate import Progress, simulate
+from .simulation.response import ForceResponse, describe_departure, force_response
+from .simulation.simulate import Progress, counter, simulate
 
 if TYPE_CHECKING:
     from .exploration.path import Path as ExplorationPath
@@ -38,7 +38,14 @@ if TYPE_CHECKING:
     from .study.sensitivity.budget import BudgetReport
     from .study.sensitivity.request import Request
 
-METHODS = ("trilateration", "three_circles", "posegraph", "posegraph_isotropic", "posegraph_paper")
+METHODS = (
+    "trilateration",
+    "three_circles",
+    "posegraph",
+    "posegraph_isotropic",
+    "posegraph_paper",
+    "centroid",
+)
 """Methods that calibrate the same recording for comparison with the joint estimate."""
 RESULTS = ("calibration.parquet", "calibration.csv", "metrics.json", "report.html")
 """Files that a calibration writes; those of an earlier recording are removed."""
@@ -47,16 +54,6 @@ MIN_ALIGNED = 3
 MAPS = 16
 """Processor time of a report in units of the time of one map of the estimates (measured on the
 shipped scenes; it predicts the time of a request)."""
-
-
-@contextmanager
-def _stage(name: str, progress: Progress | None) -> Iterator[None]:
-    """Report the progress of a stage of unknown length."""
-    if progress is not None:
-        progress(name, 0, 1)
-    yield
-    if progress is not None:
-        progress(name, 1, 1)
 
 
 @dataclass(frozen=True)
@@ -97,7 +94,7 @@ def run(
     """
     from .study.sensitivity.budget import budget as apply_budget
 
-    check_seed(seed)
+    check_integer("seed", seed, least=0)
     folder, timer = Path(folder), StageTimer()
     with timer.stage("load"):
         scene = Scene.load(name)
@@ -111,8 +108,10 @@ def run(
             scene = decided.scene
     path, prediction, tolerance = None, None, NEWTON_TOLERANCE
     if request is not None:
-        with timer.stage("pilot"), _stage("pilot", progress):
+        with timer.stage("pilot"):
+            done = counter(progress, "pilot", 1)
             scene, path, tolerance, prediction = _settings_for(scene, request, seed, timer)
+            done()
     with timer.stage("simulate"):
         recording = simulate(scene, seed, path=path, out=folder / "recording", progress=progress)
     remove_results(folder)
@@ -124,13 +123,17 @@ def run(
         calibration.save(folder / "calibration")
     with timer.stage("compare"):
         comparisons, missing = _compare(estimation)
-        demonstration = _demonstrate(scene, recording, seed)
+        demonstration = None
+        with suppress(CalibrationError, GraphError):  # where taxels share too few contacts
+            demonstration = demonstrate(scene.skin.poses, scene.skin.ids, recording, seed)
     with timer.stage("metrics"):
         force = _force(recording, scene)
         metrics = _assess(scene, belief, recording, calibration, force, demonstration)
         metrics |= _errors(comparisons, scene.skin) | missing
+        metrics["worse_than_centroid"] = _worse_than_centroid(metrics)
         if decided is not None:
-            metrics["budget"] = decided.metrics()
+            mean = metrics["position_error_mm"]["mean"]
+            metrics["budget"] = decided.metrics() | {"above": decided.explain(1e-3 * mean)}
         if prediction is not None:
             metrics["promise"] = prediction
     result = Result(
@@ -209,29 +212,16 @@ def _check_placed(found: Calibration, fewest: int) -> None:
         )
 
 
-def _demonstrate(scene: Scene, recording: Recording, seed: int) -> Demonstration | None:
-    """The paper's demonstration; None if taxels share too few contacts."""
-    try:
-        return demonstrate(scene.skin.poses, scene.skin.ids, recording, seed)
-    except (CalibrationError, GraphError):
-        return None
-
-
 def _report_time(scene: Scene) -> Callable[[Calibration], float]:
     """A function that predicts the processor seconds of a report from those of one map."""
     from .report import maps, theme
-    from .report.plane import tangent_plane
+    from .report.data import ReportData
 
     def drawing(found: Calibration) -> float:
-        truth = scene.skin.positions
-        plane = tangent_plane(truth, scene.skin.normals)
         for _ in range(2):  # the first one loads matplotlib
             begin = process_time()
-            figure = maps.estimates(
-                truth, found.positions, disc_radius=scene.skin.disc_radius, plane=plane
-            )
             with TemporaryDirectory() as place:
-                theme.save(figure, place, "map")
+                theme.save(maps.estimates(ReportData(found, truth=scene.skin)), place, "map")
         return MAPS * (process_time() - begin)
 
     return drawing
@@ -274,7 +264,8 @@ def _assess(
         "undetermined": truth.undetermined(calibration),
         "modulus_pa": calibration.modulus,
         "modulus_sigma_pa": calibration.modulus_sigma,
-        "force": _force_metrics(force),
+        "response": None if calibration.response is None else calibration.response.metrics(),
+        "force": _force_metrics(force, describe_departure(motion)),
         "demonstration_mm": None if demonstration is None else 1e3 * demonstration.mean_error,
         "steps": motion.num_rows,
         "steps_per_second": recording.metadata["steps_per_second"],
@@ -291,8 +282,18 @@ def _errors(comparisons: dict[str, Calibration], skin: Skin) -> dict[str, dict[s
     return errors
 
 
-def _force_metrics(force: ForceResponse) -> dict[str, float]:
-    return {
+def _worse_than_centroid(metrics: dict[str, Any]) -> list[str]:
+    """Methods whose mean error is above that of the baseline, the centroid of contact points."""
+    baseline = metrics["centroid"]["mean"]
+    errors = {"joint": metrics["position_error_mm"]["mean"]}
+    errors |= {method: metrics[method]["mean"] for method in METHODS}
+    known = {name: error for name, error in errors.items() if error is not None}
+    return [name for name, error in known.items() if baseline is not None and error > baseline]
+
+
+def _force_metrics(force: ForceResponse, departure: str) -> dict[str, Any]:
+    first = {"departure": departure} if departure else {}
+    return first | {
         "reference_n": force.reference,
         "mean_n": force.mean,
         "std_n": force.std,

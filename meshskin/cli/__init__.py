@@ -1,4 +1,7 @@
-"""The command line, one command a file: each adds its parser and a function `command`."""
+"""The command line, one command a file, with functions `add` (its arguments) and `command`.
+
+The docstring of a file is the command's help, and from the second paragraph on its description.
+"""
 
 from __future__ import annotations
 
@@ -102,5 +105,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"meshskin {versions()['meshskin']}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for module in COMMANDS:
-        module.add(commands)
+        title, _, description = str(module.__doc__).partition("\n\n")
+        command = commands.add_parser(
+            module.__name__.rpartition(".")[2],
+            help=title.partition(": ")[2].rstrip("."),
+            description=description or None,
+        )
+        module.add(command)
+        command.set_defaults(command=module.command)
     return parser

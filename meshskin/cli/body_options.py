@@ -10,7 +10,7 @@ from ..core.errors import ConfigError
 
 if TYPE_CHECKING:
     from ..geometry.body import Body
-    from ..geometry.mesh.mesh_file import Triangles
+    from ..geometry.mesh.triangles import Triangles
 
 NAMES = ("units", "open", "link", "folder", "link_mesh")
 """Names of the options."""

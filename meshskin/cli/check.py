@@ -1,9 +1,12 @@
-"""`meshskin check MESH`: find defects of a mesh and say whether it can be a body."""
+"""`meshskin check MESH`: find defects of a mesh.
+
+Find defects of a mesh. Exit code 0: it can be a body; 1: it cannot; 2: the file cannot be read.
+"""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +16,7 @@ from ..core.errors import MeshError, OutputError
 from . import body_options
 
 if TYPE_CHECKING:
-    from ..geometry.mesh.check import Finding, MeshCheck
+    from ..geometry.mesh.check import MeshCheck
 
 COLOURS = {"refused": "#c62828", "noted": "#ef6c00", "repaired": "#1565c0"}
 SIZES = {"refused": 5.0, "noted": 4.0, "repaired": 1.5}
@@ -23,14 +26,8 @@ DRAWN = 20_000
 """Largest number of faces, and of points of one finding, that a drawing shows."""
 
 
-def add(commands: Any) -> None:
-    """Add the command to the parser's commands."""
-    parser = commands.add_parser(
-        "check",
-        help="find defects of a mesh",
-        description="Find defects of a mesh. Exit code 0: it can be a body; 1: it cannot; "
-        "2: the file cannot be read.",
-    )
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
     parser.add_argument("mesh", type=Path, metavar="MESH", help=body_options.HELP)
     body_options.add(parser)
     parser.add_argument(
@@ -39,7 +36,6 @@ def add(commands: Any) -> None:
         metavar="FILE",
         help="draw the findings (.png, .pdf, .svg or .html)",
     )
-    parser.set_defaults(command=command)
 
 
 def command(options: argparse.Namespace) -> int:
@@ -94,19 +90,16 @@ def thinned(rows: Any) -> Any:
     return rows[:: max(1, -(-len(rows) // DRAWN))]
 
 
-def shown(finding: Finding, found: MeshCheck) -> Any:
-    """Points (k, 3) of a finding to draw, m; none for a repair of more than half the vertices.
+def marks(found: MeshCheck) -> Iterator[tuple[Any, float, str, str]]:
+    """Points (k, 3), mm, marker size, color and legend text of each finding, the largest last.
 
-    Merging the vertices of an STL file is such a repair.
+    A repair of more than half the vertices, such as merging those of an STL file, has no points.
     """
-    everywhere = finding.verdict == "repaired" and len(finding.points) > 0.5 * len(found.vertices)
-    return finding.points[:0] if everywhere else finding.points
-
-
-def named(finding: Finding, found: MeshCheck) -> str:
-    """Text of a finding in the legend of a drawing."""
-    hidden = len(finding.points) > len(shown(finding, found))
-    return f"{finding.verdict}: {finding.what}" + (" (everywhere, not drawn)" if hidden else "")
+    for finding in sorted(found.findings, key=lambda one: SIZES[one.verdict]):
+        points, text = 1e3 * finding.points, f"{finding.verdict}: {finding.what}"
+        if finding.verdict == "repaired" and len(points) > 0.5 * len(found.vertices):
+            points, text = points[:0], f"{text} (everywhere, not drawn)"
+        yield thinned(points), SIZES[finding.verdict], COLOURS[finding.verdict], text
 
 
 def drawable(found: MeshCheck) -> Any:
@@ -129,17 +122,8 @@ def picture(found: MeshCheck, title: str, path: Path) -> None:
     if len(faces):
         axes.plot_trisurf(*mm.T, triangles=faces, color="#b0bec5", alpha=0.35, linewidth=0)
     axes.computed_zorder = False  # draw findings over the mesh, also those inside it
-    for finding in sorted(found.findings, key=lambda one: SIZES[one.verdict]):
-        at = thinned(1e3 * shown(finding, found))
-        if len(finding.points):
-            axes.scatter(
-                *at.T,
-                s=SIZES[finding.verdict] ** 2,
-                color=COLOURS[finding.verdict],
-                depthshade=False,
-                zorder=10,
-                label=named(finding, found),
-            )
+    for at, size, color, text in marks(found):
+        axes.scatter(*at.T, s=size**2, color=color, depthshade=False, zorder=10, label=text)
     axes.set(xlabel="x (mm)", ylabel="y (mm)", zlabel="z (mm)", title=title)
     axes.set_aspect("equal")
     if axes.get_legend_handles_labels()[0]:
@@ -159,11 +143,10 @@ def page(found: MeshCheck, title: str, path: Path) -> None:
     x, y, z = mm.T
     i, j, k = faces.T
     traces: list[Any] = [go.Mesh3d(x=x, y=y, z=z, i=i, j=j, k=k, **grey)]
-    for finding in found.findings:
-        x, y, z = thinned(1e3 * shown(finding, found)).T
-        marker = {"size": SIZES[finding.verdict], "color": COLOURS[finding.verdict]}
-        name = named(finding, found)
-        traces.append(go.Scatter3d(x=x, y=y, z=z, mode="markers", marker=marker, name=name))
+    for at, size, color, text in marks(found):
+        x, y, z = at.T
+        marker = {"size": size, "color": color}
+        traces.append(go.Scatter3d(x=x, y=y, z=z, mode="markers", marker=marker, name=text))
     figure = go.Figure(traces)
     axes = {f"{a}axis_title": f"{a} (mm)" for a in "xyz"}
     figure.update_layout(title=title, scene={"aspectmode": "data", **axes}, showlegend=True)

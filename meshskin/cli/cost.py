@@ -1,10 +1,10 @@
-"""`meshskin cost SCENE`: measure error against time over the numerical and physical settings."""
+"""`meshskin cost SCENE`: measure the error of a scene against computing time for each setting."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from .run import bar
 
@@ -12,11 +12,8 @@ if TYPE_CHECKING:
     from ..study.sensitivity.cost import Costs
 
 
-def add(commands: Any) -> None:
-    """Add the command to the parser's commands."""
-    parser = commands.add_parser(
-        "cost", help="measure the error of a scene against computing time for each setting"
-    )
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
     parser.add_argument("scene", metavar="SCENE", help="name of a shipped scene, or a TOML file")
     parser.add_argument(
         "--out",
@@ -37,7 +34,6 @@ def add(commands: Any) -> None:
         "--full", action="store_true", help="3 seeds, and a reference that is twice as fine"
     )
     parser.add_argument("--quiet", action="store_true", help="print no progress bar and no table")
-    parser.set_defaults(command=command)
 
 
 def command(options: argparse.Namespace) -> int:
@@ -73,7 +69,9 @@ def write(costs: Costs, folder: Path) -> None:
     from ..report import page, precision, theme
     from ..study.sensitivity.cost import TARGETS
 
-    png, svg = theme.save(precision.figure(costs, TARGETS), folder / "figures", "work_precision")
+    png, svg = theme.save(
+        precision.work_precision(costs, TARGETS), folder / "figures", "work_precision"
+    )
     page.write(folder / "cost.html", precision.page(costs, TARGETS, png, svg))
     record = {
         "scene": costs.scene,

@@ -1,11 +1,15 @@
-"""`meshskin diff A B`: compare two skin files and look for exchanged ids."""
+"""`meshskin diff A B`: compare two skin files.
+
+Compare two skin files. Exit code 0: the same taxels within 1 um; 1: they differ; 2: a file cannot
+be read.
+"""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,14 +24,8 @@ SAME = 1e-6
 """Distance, m, within which positions count as equal: the last digit that skin files carry."""
 
 
-def add(commands: Any) -> None:
-    """Add the command to the parser's commands."""
-    parser = commands.add_parser(
-        "diff",
-        help="compare two skin files",
-        description="Compare two skin files. Exit code 0: the same taxels within 1 um; 1: they "
-        "differ; 2: a file cannot be read.",
-    )
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
     parser.add_argument("a", type=Path, metavar="A", help="first skin file")
     parser.add_argument("b", type=Path, metavar="B", help="second skin file")
     parser.add_argument("--part", help="skin to read from URDFs with several")
@@ -39,7 +37,6 @@ def add(commands: Any) -> None:
         metavar="N",
         help="number of worst taxels to list (default 10)",
     )
-    parser.set_defaults(command=command)
 
 
 def command(options: argparse.Namespace) -> int:

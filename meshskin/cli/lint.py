@@ -1,11 +1,14 @@
-"""`meshskin lint FILE`: find defects of a skin file and print remedies."""
+"""`meshskin lint FILE`: find defects of a skin file.
+
+Find defects of a skin file. Exit code 0: no defect; 1: defects found; 2: the file cannot be read.
+"""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ..skin.lint import Defect
@@ -14,18 +17,11 @@ SHOWN = 12
 """Ranges of numbers that one line shows."""
 
 
-def add(commands: Any) -> None:
-    """Add the command to the parser's commands."""
-    parser = commands.add_parser(
-        "lint",
-        help="find defects of a skin file",
-        description="Find defects of a skin file. Exit code 0: no defect; 1: defects found; "
-        "2: the file cannot be read.",
-    )
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
     parser.add_argument("file", type=Path, metavar="FILE", help="skin file in any supported format")
     parser.add_argument("--part", help="skin to read from a URDF with several")
     parser.add_argument("--all", action="store_true", help="print long lists in full")
-    parser.set_defaults(command=command)
 
 
 def command(options: argparse.Namespace) -> int:

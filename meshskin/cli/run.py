@@ -1,26 +1,23 @@
-"""`meshskin run SCENE --out DIR`: simulate, calibrate and report one scene."""
+"""`meshskin run SCENE --out DIR`: simulate a scene, calibrate it, write the report."""
 
 from __future__ import annotations
 
 import argparse
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from .calibrate import certainty
+from .calibrate import certainty, response_lines
 
 if TYPE_CHECKING:
     from ..pipeline import Result
-    from ..simulation.simulate import Progress
-    from ..study.sensitivity.request import Request
 
 
-def add(commands: Any) -> None:
-    """Add the command to the parser's commands."""
-    parser = commands.add_parser("run", help="simulate a scene, calibrate it, write the report")
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
     parser.add_argument(
         "scene", metavar="SCENE", help="name of a shipped scene (meshskin scenes) or a TOML file"
     )
@@ -31,32 +28,23 @@ def add(commands: Any) -> None:
         "--seed", type=int, default=0, help="seed of all random streams (default 0)"
     )
     request = parser.add_mutually_exclusive_group()
-    request.add_argument(
-        "--accuracy-mm",
-        type=float,
-        metavar="MM",
-        help="choose the fastest settings that reach this mean error",
-    )
-    request.add_argument(
-        "--seconds",
-        type=float,
-        metavar="S",
-        help="choose the most accurate settings that take at most this time",
-    )
-    request.add_argument(
-        "--budget-mm",
-        type=float,
-        metavar="MM",
-        help="leave out effects that move the taxels by less than this",
-    )
+    for name, metavar, words in (
+        ("--accuracy-mm", "MM", "choose the fastest settings that reach this mean error"),
+        ("--seconds", "S", "choose the most accurate settings that take at most this time"),
+        ("--budget-mm", "MM", "leave out effects that move the taxels by less than this"),
+    ):
+        request.add_argument(name, type=float, metavar=metavar, help=words)
     parser.add_argument("--quiet", action="store_true", help="print no progress bar and no summary")
-    parser.set_defaults(command=command)
 
 
 def command(options: argparse.Namespace) -> int:
     """Run the scene and print the summary."""
     from ..pipeline import run
+    from ..study.sensitivity.request import Request
 
+    request = None
+    if options.accuracy_mm is not None or options.seconds is not None:
+        request = Request(options.accuracy_mm, options.seconds)
     with bar(options.quiet) as progress:
         result = run(
             options.scene,
@@ -64,7 +52,7 @@ def command(options: argparse.Namespace) -> int:
             seed=options.seed,
             progress=progress,
             budget=None if options.budget_mm is None else 1e-3 * options.budget_mm,
-            request=_request(options),
+            request=request,
         )
     if not options.quiet:
         if result.budget is not None:
@@ -73,27 +61,24 @@ def command(options: argparse.Namespace) -> int:
     return 0
 
 
-def _request(options: argparse.Namespace) -> Request | None:
-    """The request for an accuracy or a time; None if neither is given."""
-    if options.accuracy_mm is None and options.seconds is None:
-        return None
-    from ..study.sensitivity.request import Request
-
-    return Request(options.accuracy_mm, options.seconds)
-
-
 @contextmanager
-def bar(quiet: bool) -> Iterator[Progress]:
-    """A callback that shows the progress of one stage after the other on stderr."""
+def bar(quiet: bool) -> Iterator[Callable[..., None]]:
+    """A callback that shows the progress of one stage after the other on stderr.
+
+    The remaining time does not count what a stage had done when it began.
+    """
     from tqdm import tqdm
 
     bars: dict[str, tqdm] = {}
 
-    def progress(stage: str, done: int, total: int) -> None:
+    def progress(stage: str, done: int, total: int, note: str = "") -> None:
         if stage not in bars:
             for bar in bars.values():
                 bar.close()
-            bars[stage] = tqdm(total=total, desc=f"{stage:10}", unit="", disable=quiet, leave=True)
+            bars[stage] = tqdm(
+                total=total, initial=done, desc=f"{stage:10}", unit="", disable=quiet
+            )
+        bars[stage].set_postfix_str(note, refresh=False)
         bars[stage].update(done - bars[stage].n)
         if done >= total:
             bars[stage].close()
@@ -111,6 +96,7 @@ def summary(result: Result, folder: Path) -> str:
     error, bound, force = m["position_error_mm"], m["crlb_mm"], m["force"]
     found = sum(math.isfinite(x) for x in calibration.positions[:, 0])
     lines = [
+        *filter(None, [force.get("departure"), m.get("budget", {}).get("above")]),
         *([str(calibration.verdict)] if calibration.verdict is not None else []),
         f"{m['scene']}: {found} of {m['taxels']} taxels calibrated from "
         f"{m['readings']} readings in {m['contacts']} contacts",
@@ -124,7 +110,13 @@ def summary(result: Result, folder: Path) -> str:
                 ("three_circles", "three circles"),
                 ("posegraph", "pose graph"),
                 ("posegraph_paper", "the paper's"),
+                ("centroid", "centroid"),
             )
+        ),
+        *(
+            [f"  worse than centroid  {', '.join(m['worse_than_centroid'])}"]
+            if m["worse_than_centroid"]
+            else []
         ),
         f"  force              {force['mean_n']:.4f} N for {force['reference_n']:g} N, settled in "
         f"{1e3 * force['settling_s']:.0f} ms, overshoot {100 * force['overshoot']:.1f} %, "
@@ -133,6 +125,7 @@ def summary(result: Result, folder: Path) -> str:
     if calibration.modulus is not None:
         value = f"{calibration.modulus / 1e3:.3f} kPa{certainty(calibration)}"
         lines.append(f"  E*                 {value}")
+    lines += response_lines(calibration)
     if "promise" in m:
         p = m["promise"]
         came = p["came_to"]

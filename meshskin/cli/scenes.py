@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
 
 
-def add(commands: Any) -> None:
-    """Add the command to the parser's commands."""
-    parser = commands.add_parser("scenes", help="list the shipped scenes")
-    parser.set_defaults(command=command)
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
 
 
 def command(options: argparse.Namespace) -> int:

@@ -1,16 +1,14 @@
-"""`meshskin study FILE --out DIR`: run a parameter study on this machine or a cluster."""
+"""`meshskin study FILE --out DIR`: run a parameter study; a repeated call resumes it."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from .run import bar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import pyarrow as pa
 
     from ..study.sweep.study import Progress
@@ -19,12 +17,8 @@ SHOWN = 5
 """Failed cases that the summary lists."""
 
 
-def add(commands: Any) -> None:
-    """Add the command to the parser's commands."""
-    parser = commands.add_parser(
-        "study",
-        help="run all cases of a parameter study; a repeated call resumes it",
-    )
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
     parser.add_argument("file", type=Path, metavar="FILE", help="study file (TOML)")
     parser.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
@@ -36,7 +30,6 @@ def add(commands: Any) -> None:
     )
     parser.add_argument("--retry", action="store_true", help="run failed cases again")
     parser.add_argument("--quiet", action="store_true", help="print no progress bar and no summary")
-    parser.set_defaults(command=command)
 
 
 def command(options: argparse.Namespace) -> int:
@@ -44,7 +37,11 @@ def command(options: argparse.Namespace) -> int:
     from ..study.sweep.study import Study
 
     study = Study.load(options.file)
-    with _bar(options.quiet) as progress:
+    with bar(options.quiet) as show:
+
+        def progress(state: Progress) -> None:
+            show("cases", state.done, state.total, f"{state.failed} failed" * bool(state.failed))
+
         table = study.sweep(
             options.out,
             workers=options.workers,
@@ -55,29 +52,6 @@ def command(options: argparse.Namespace) -> int:
     if not options.quiet:
         print(summary(study.name, table, options.out))
     return int("failed" in table.column("status").to_pylist())
-
-
-@contextmanager
-def _bar(quiet: bool) -> Iterator[Callable[[Progress], None]]:
-    """A progress bar on stderr; its remaining time does not count cases of earlier runs."""
-    from tqdm import tqdm
-
-    bars: list[tqdm] = []
-
-    def progress(state: Progress) -> None:
-        if not bars:
-            bars.append(
-                tqdm(total=state.total, initial=state.kept, desc="cases", unit="", disable=quiet)
-            )
-        if state.failed:
-            bars[0].set_postfix_str(f"{state.failed} failed", refresh=False)
-        bars[0].update(state.done - bars[0].n)
-
-    try:
-        yield progress
-    finally:
-        for bar in bars:
-            bar.close()
 
 
 def summary(name: str, table: pa.Table, folder: Path) -> str:

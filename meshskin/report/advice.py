@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from .data import ReportData, has_gauge_freedom
-from .markup import Block, Table, Text
+from .markup import paragraphs, table
 from .theme import significant
 
 FREEDOMS = (
@@ -47,7 +47,7 @@ def bound_ratio(data: ReportData) -> float | None:
     return float(data.main_errors["mean"] / bound)
 
 
-def observability(data: ReportData) -> tuple[Block, ...]:
+def observability(data: ReportData) -> list[str]:
     """The degrees of freedom that were determined, factors, anchor, and taxels not located."""
     c = data.calibration
     observed = np.asarray(c.observed, dtype=bool)
@@ -68,7 +68,7 @@ def observability(data: ReportData) -> tuple[Block, ...]:
         )
     lines += missing_taxels(data)
     header = ("degree of freedom", "touched taxels", "")
-    return (Table(header, rows, numeric=(1,)), Text(tuple(lines)))
+    return [table(header, rows, numeric=(1,)), paragraphs(*lines)]
 
 
 def missing_taxels(data: ReportData) -> list[str]:

@@ -1,9 +1,8 @@
-"""Figures of the force over time, of error distributions, and of errors over seeds."""
+"""Figures of the force over time and of error distributions."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from textwrap import fill
 from typing import TYPE_CHECKING
 
@@ -19,23 +18,6 @@ from .theme import compact, significant
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-
-@dataclass(frozen=True)
-class Claim:
-    """A published improvement (fraction) for initial errors from `low` to `high` (m)."""
-
-    low: float
-    high: float
-    improvement: float
-    label: str
-
-
-PAPER_CLAIMS = (
-    Claim(0.5e-3, 3e-3, 0.2, "paper: 20 %"),
-    Claim(3e-3, 6e-3, 0.5, "paper: up to 50 %"),
-)
-"""Cannata, Denei, Mastrogiovanni, ICRA 2010, section V."""
 
 
 def settling_time(time: ArrayLike, force: ArrayLike, reference: float, touch: float) -> float:
@@ -64,19 +46,17 @@ def force(
     time: ArrayLike,
     force: ArrayLike,
     reference: float | ArrayLike | None = None,
-    touch: float | None = None,
     settling: float | None = None,
 ) -> Figure:
     """Fig. 4: contact force and its reference: whole run, touch and settling, steady force.
 
-    time (m,), s; force (m,), N; reference: one value or (m,), N; touch: time of first contact, s;
-    settling: settling time after touch, s (by default both follow from the force).
+    time (m,), s; force (m,), N; reference: one value or (m,), N; settling: settling time after
+    the first contact, s (by default it follows from the force).
     """
     t, f = np.asarray(time, dtype=float), np.asarray(force, dtype=float)
     ref = None if reference is None else np.broadcast_to(np.asarray(reference, float), t.shape)
     goal = float(ref[-1]) if ref is not None and len(ref) else float("nan")
-    if touch is None:
-        touch = float(t[np.argmax(f > 0)]) if len(t) and np.any(f > 0) else 0.0
+    touch = float(t[np.argmax(f > 0)]) if np.any(f > 0) else 0.0
     if settling is None:
         settling = settling_time(t, f, goal, touch)
     window = max(4 * settling, 0.05) if np.isfinite(settling) else 0.5
@@ -226,49 +206,3 @@ def _decades(values: Array) -> tuple[float, float]:
     high = 10.0 ** np.ceil(np.log10(x.max()) + 1e-9)
     low = 10.0 ** np.floor(np.log10(max(x.min(), high * 1e-8)))
     return float(low), float(max(high, 10 * low))
-
-
-@theme.styled
-def initial_error(
-    initial: ArrayLike, final: ArrayLike, claims: Sequence[Claim] = PAPER_CLAIMS
-) -> Figure:
-    """Fig. 9: mean error of the maximum-likelihood estimate over that of the start.
-
-    initial (k,): mean error of the start, m; final (k, seeds): mean error reached, m, NaN where a
-    run failed; claims: published improvements, for comparison.
-    """
-    x = np.asarray(initial, dtype=float) * MM
-    y = np.asarray(final, dtype=float).reshape(len(x), -1) * MM
-    low, middle, high = np.nanpercentile(y, [10, 50, 90], axis=1)
-    order = np.argsort(x)
-    figure = theme.new_figure(6.2, 4.4)
-    axes = theme.add_axes(figure, 0.65, 0.6, 5.3, 3.45)
-    limit = 1.04 * float(x.max())
-    axes.plot([0, limit], [0, limit], color=theme.MUTED, lw=0.9, ls=":", label="no improvement")
-    for claim, style in zip(claims, ("-", "--", "-.") * len(claims), strict=False):
-        span = np.array([claim.low, claim.high]) * MM
-        axes.plot(
-            span,
-            (1 - claim.improvement) * span,
-            color=theme.WARNING,
-            lw=1.8,
-            ls=style,
-            label=claim.label,
-        )
-    axes.fill_between(
-        x[order],
-        low[order],
-        high[order],
-        color=theme.ESTIMATE,
-        alpha=0.2,
-        lw=0,
-        label=f"10–90 % of {y.shape[1]} seeds",
-    )
-    axes.plot(x[order], middle[order], "o-", color=theme.ESTIMATE, ms=4, lw=1.4, label="median")
-    axes.set(xlim=(0, limit), ylim=(0, 1.04 * max(limit, float(np.nanmax(high)))))
-    axes.set(
-        xlabel="mean error of the start (mm)",
-        ylabel="mean error of the maximum-likelihood estimate (mm)",
-    )
-    axes.legend(loc="upper left")
-    return figure

@@ -15,7 +15,9 @@ from .plane import MM, Plane, tangent_plane
 
 if TYPE_CHECKING:
     from ..estimation.calibration import Calibration
+    from ..estimation.cross_validation import CrossValidation
     from ..estimation.demonstration import Demonstration
+    from ..geometry.body import Body
     from ..recording.recording import Recording
     from ..skin.skin import Skin
     from ..study.sensitivity.budget import BudgetReport
@@ -27,8 +29,11 @@ METHOD_NAMES = {
     "three_circles": "three circles",
     "posegraph_isotropic": "pose graph, isotropic",
     "posegraph_paper": "the paper's pose graph",
+    "centroid": "centroid of contact points",
 }
 """Names of methods for people; others keep their own, with spaces for underscores."""
+BASELINE = "centroid"
+"""The method that every other one is compared with."""
 METHOD_DESCRIPTIONS = {
     "joint": "all readings together, with the taxels on the surface",
     "trilateration": "least squares over all circles that the readings of a taxel give",
@@ -36,6 +41,7 @@ METHOD_DESCRIPTIONS = {
     "posegraph": "displacements between taxels that were pressed together",
     "posegraph_isotropic": "these displacements with equal weights in all directions",
     "posegraph_paper": "displacements from three circles per taxel, as in the paper",
+    "centroid": "mean of a taxel's contact points, weighted by its readings: the baseline",
 }
 """How each method uses the readings."""
 PAPER_REFERENCE = (
@@ -88,57 +94,56 @@ class ReportData:
     """A calibration and what belongs to it. Arrays have the order of calibration.ids."""
 
     calibration: Calibration
-    recording: Recording | None
-    truth: Array | None
-    """True poses (n, 4, 4); None if unknown."""
-    errors: Mapping[str, Array]
-    """Position errors (n,), m, of each method, the calibration's own first; empty without truth."""
-    iterations: Iterations | None
-    """None if no pose graph kept its iterates."""
-    metrics: Mapping[str, Any]
-    seconds: Mapping[str, float]
-    provenance: Mapping[str, Any]
-    method_seconds: Mapping[str, float] = field(default_factory=dict)
-    """Seconds of each method, where known; the calibration's own first."""
+    recording: Recording | None = None
+    truth: Skin | None = None
+    """The true skin; None if unknown."""
+    comparisons: Mapping[str, Calibration] = field(default_factory=dict)
+    """Calibrations of the recording by other methods."""
+    demonstration: Demonstration | None = None
+    metrics: Mapping[str, Any] = field(default_factory=dict)
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    """Seconds of each stage of the run."""
+    provenance: Mapping[str, Any] = field(default_factory=dict)
     budget: BudgetReport | None = None
     """The decisions of an error budget, if there was one."""
+    body: Body | None = None
+    validation: CrossValidation | None = None
+    """Contacts that were held out and localised, if they were."""
 
-    @classmethod
-    def collect(
-        cls,
-        calibration: Calibration,
-        *,
-        recording: Recording | None = None,
-        truth: Skin | None = None,
-        comparisons: Mapping[str, Calibration] | None = None,
-        demonstration: Demonstration | None = None,
-        metrics: Mapping[str, Any] | None = None,
-        seconds: Mapping[str, float] | None = None,
-        provenance: Mapping[str, Any] | None = None,
-        budget: BudgetReport | None = None,
-    ) -> ReportData:
-        """Match truth and comparisons to the calibration's taxels by their ids."""
-        true = None if truth is None else rows_by_id(truth.ids, truth.poses, calibration.ids)
-        methods = {calibration.method: calibration, **(comparisons or {})}
-        errors: dict[str, Array] = {}
-        method_seconds: dict[str, float] = {}
-        for name, other in methods.items():
-            if truth is not None:
-                errors[name] = _errors(other, truth, calibration.ids)
-            if "total" in other.seconds:
-                method_seconds[name] = other.seconds["total"]
-        return cls(
-            calibration,
-            recording,
-            true,
-            errors,
-            Iterations.find(methods.values(), truth, demonstration),
-            metrics or {},
-            seconds or {k: v for k, v in calibration.seconds.items() if k != "total"},
-            provenance or calibration.provenance,
-            method_seconds,
-            budget,
-        )
+    @cached_property
+    def methods(self) -> Mapping[str, Calibration]:
+        """The calibration by each method, the calibration's own first."""
+        return {self.calibration.method: self.calibration, **self.comparisons}
+
+    @cached_property
+    def true_poses(self) -> Array | None:
+        """True poses (n, 4, 4); None if unknown."""
+        if self.truth is None:
+            return None
+        return rows_by_id(self.truth.ids, self.truth.poses, self.calibration.ids)
+
+    @cached_property
+    def shown_poses(self) -> Array:
+        """Poses (n, 4, 4) at which taxels are drawn: the true ones, or else the estimates."""
+        return np.asarray(self.calibration.poses if self.true_poses is None else self.true_poses)
+
+    @cached_property
+    def errors(self) -> Mapping[str, Array]:
+        """Position errors (n,), m, of each method; empty without truth."""
+        if self.truth is None:
+            return {}
+        ids = self.calibration.ids
+        return {name: _errors(found, self.truth, ids) for name, found in self.methods.items()}
+
+    @cached_property
+    def method_seconds(self) -> Mapping[str, float]:
+        """Seconds of each method, where known."""
+        return {k: c.seconds["total"] for k, c in self.methods.items() if "total" in c.seconds}
+
+    @cached_property
+    def iterations(self) -> Iterations | None:
+        """None if no pose graph kept its iterates."""
+        return Iterations.find(self.methods.values(), self.truth, self.demonstration)
 
     @cached_property
     def count(self) -> int:
@@ -192,18 +197,21 @@ class ReportData:
         given = self.metrics.get("position_error_mm")
         return dict(given) if given else self.error_summary(self.calibration.method)
 
-    @cached_property
+    @property
+    def worse_than_centroid(self) -> list[str]:
+        """Methods whose mean error is above the baseline's; none where it is not known."""
+        mean = {method: self.error_summary(method)["mean"] for method in self.errors}
+        return [method for method in mean if mean[method] > mean.get(BASELINE, np.inf)]
+
+    @property
     def display_positions(self) -> Array:
-        """Position (n, 3), m, at which each taxel is drawn: the true one, or else the estimate."""
-        return np.asarray(
-            self.calibration.positions if self.truth is None else self.truth[:, :3, 3]
-        )
+        """Position (n, 3), m, at which each taxel is drawn."""
+        return self.shown_poses[:, :3, 3]
 
     @cached_property
     def plane(self) -> Plane:
         """The tangent plane of all maps."""
-        pose = self.calibration.poses if self.truth is None else self.truth
-        return tangent_plane(self.display_positions, np.asarray(pose)[:, :3, 2])
+        return tangent_plane(self.display_positions, self.shown_poses[:, :3, 2])
 
     @cached_property
     def disc_radius(self) -> float:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from . import curves, maps, precision, theme
+from . import curves, learned_response, maps, precision, theme
 from .data import ReportData, method_name
 from .markup import SavedFigure
-from .plane import MM
+from .plane import MM, finite_rows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,22 +23,19 @@ ACCURACY_TIME = "accuracy_time"
 
 def draw_figures(folder: Path, data: ReportData) -> list[SavedFigure]:
     """Draw and save every figure that the data allow, in the order of the page."""
-    drawn = (force, estimates, errors, uncertainty, coverage, iterations, accuracy_time)
+    drawn = (force, response, estimates, errors, uncertainty, coverage, iterations, accuracy_time)
     return [p for draw in drawn for p in [draw(folder, data)] if p is not None]
 
 
 def _save(
-    folder: Path, name: str, figure: Figure, title: str, caption: str, alt: str = ""
+    folder: Path, name: str, figure: Figure, title: str, caption: str, alt: str
 ) -> SavedFigure:
-    png, svg = theme.save(figure, folder, name)
-    return SavedFigure(png, svg, title, caption, alt or f"{title}. {caption}")
+    return SavedFigure(*theme.save(figure, folder, name), title, caption, alt)
 
 
 def _projection_note(data: ReportData) -> str:
     """A note for the caption where the skin is not nearly parallel to the plane of the map."""
-    pose = data.calibration.poses if data.truth is None else data.truth
-    normals = np.asarray(pose)[:, :3, 2]
-    normals = normals[np.isfinite(normals).all(axis=1)]
+    normals = finite_rows(data.shown_poses[:, :3, 2])
     outward = np.cross(*data.plane.axes)
     least = float(np.min(normals @ outward, initial=1.0))
     if least < 0:
@@ -74,20 +71,29 @@ def force(folder: Path, data: ReportData) -> SavedFigure | None:
     )
 
 
+def response(folder: Path, data: ReportData) -> SavedFigure | None:
+    """The learned response, where it was learned."""
+    learned = data.calibration.response
+    if learned is None:
+        return None
+    return _save(
+        folder,
+        learned_response.NAME,
+        learned_response.figure(learned),
+        learned_response.TITLE,
+        learned_response.CAPTION,
+        "Learned profile beside the contact model's, and readings over levels",
+    )
+
+
 def estimates(folder: Path, data: ReportData) -> SavedFigure | None:
     """Fig. 5: estimates and true positions."""
     if data.truth is None:
         return None
-    figure = maps.estimates(
-        data.display_positions,
-        data.calibration.positions,
-        disc_radius=data.disc_radius,
-        plane=data.plane,
-    )
     return _save(
         folder,
         "fig5_estimates",
-        figure,
+        maps.estimates(data),
         "Estimated and true positions (the paper's fig. 5)",
         "True discs in their size and estimated centers, on the tangent plane at the skin's center "
         "seen from outside; errors are enlarged by the factor in the legend. Good: short error "
@@ -121,11 +127,10 @@ def uncertainty(folder: Path, data: ReportData) -> SavedFigure | None:
     """Map of the stated uncertainty."""
     if not np.isfinite(data.sigma).any():
         return None
-    figure = maps.uncertainty(data.calibration.positions, data.covariances, plane=data.plane)
     return _save(
         folder,
         "uncertainty",
-        figure,
+        maps.uncertainty(data),
         "Stated uncertainty of every taxel",
         "1-sigma ellipses of the estimated positions, enlarged by the factor in the legend. Good: "
         "small, round ellipses of equal size; long ones at the rim point in the direction in which "
@@ -138,20 +143,12 @@ def coverage(folder: Path, data: ReportData) -> SavedFigure | None:
     """Map of the number of readings."""
     if not np.isfinite(data.display_positions).any():
         return None
-    path = None if data.recording is None else data.recording.points
-    figure = maps.coverage(
-        data.display_positions,
-        data.calibration.readings,
-        path,
-        disc_radius=data.disc_radius,
-        plane=data.plane,
-    )
     missing = int((~data.touched).sum())
     lost = f" {missing} untouched taxels are not drawn, because their position is unknown."
     return _save(
         folder,
         "coverage",
-        figure,
+        maps.coverage(data),
         "Coverage of the exploration",
         "Number of readings of each taxel (colors on a logarithmic scale), and the path of the "
         "contact over the skin. Good: no crosses, passes on both sides of every taxel, and no "
@@ -189,20 +186,17 @@ def iterations(folder: Path, data: ReportData) -> SavedFigure | None:
     if run is None:
         return None
 
-    def draw(only: int | None) -> Figure:
-        reference = "true taxel" if run.has_truth else "last iterate"
-        return maps.iterations(
-            run.reference, run.positions, plane=data.plane, only=only, reference=reference
-        )
-
-    goal = "truth" if run.has_truth else "last iterate"
-    singles = (theme.save(draw(k), folder, f"fig{6 + k}_iteration") for k in range(3))
+    singles = (
+        theme.save(maps.iterations(run, data.plane, k), folder, f"fig{6 + k}_iteration")
+        for k in range(3)
+    )
     also = tuple(file for pair in singles for file in pair)
+    goal = "truth" if run.has_truth else "last iterate"
     start = "Displacements are the true ones with noise; all taxels start at one point. "
     picture = _save(
         folder,
         "fig6-8_iterations",
-        draw(None),
+        maps.iterations(run, data.plane),
         "Pose-graph estimates along the iterations (the paper's fig. 6 to 8)",
         (start if run.is_demonstration else "")
         + f"The first, the last and the iterate nearest to half way, of {len(run.positions)} "

@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike
 
 from ..core.arrays import Array
 from . import theme
-from .plane import MAX_PATH_POINTS, MM, Plane, enlargement, finite_rows, spacing, tangent_plane
+from .data import Iterations, ReportData
+from .plane import MAX_PATH_POINTS, MM, Plane, enlargement, finite_rows, spacing
 from .theme import compact, grouped, significant
 
 if TYPE_CHECKING:
@@ -92,32 +93,29 @@ CROSS: dict[str, Any] = {"ls": "", "marker": "x", "color": theme.WARNING}
 
 
 @theme.styled
-def estimates(
-    truth: ArrayLike,
-    estimate: ArrayLike,
-    *,
-    disc_radius: float = 2e-3,
-    plane: Plane | None = None,
-) -> Figure:
+def estimates(data: ReportData) -> Figure:
     """Fig. 5: true discs and estimated centers on the tangent plane, with enlarged errors.
 
-    truth, estimate (n, 3), m; NaN where a taxel has no estimate: its disc is crossed out.
+    The disc of a taxel without an estimate is crossed out.
     """
-    t, e = np.asarray(truth, dtype=float), np.asarray(estimate, dtype=float)
-    plane = plane or tangent_plane(t)
-    a, b = plane.project(t), plane.project(e)
+    t, plane = data.display_positions, data.plane
+    a, b = plane.project(t), plane.project(data.calibration.positions)
     seen = np.isfinite(b).all(axis=1)
     lengths = np.linalg.norm(b - a, axis=1)
     factor = enlargement(lengths[seen], 0.4 * spacing(t) * MM)
     figure = theme.new_figure(6.0, 6.1)
     axes = _map_axes(figure, a, 0.65, 0.6, 5.0)
     _ellipses(
-        axes, a, 2 * disc_radius * MM, facecolors="none", edgecolors=theme.TRUTH, linewidths=0.8
+        axes,
+        a,
+        2 * data.disc_radius * MM,
+        facecolors="none",
+        edgecolors=theme.TRUTH,
+        linewidths=0.8,
     )
     _segments(axes, a[seen], a[seen] + factor * (b - a)[seen], color=theme.WARNING, lw=1.3)
     axes.plot(*b[seen].T, "o", ms=2.6, color=theme.ESTIMATE, rasterized=len(b) > RASTERIZE_ABOVE)
     axes.plot(*a[~seen].T, "x", ms=7, color=theme.WARNING)
-    axes.set_xlabel("along the skin, first axis (mm)")
     handles = [
         _handle("true disc", **DOT, mfc="none", mec=theme.TRUTH, ms=8),
         _handle("estimate", **DOT, color=theme.ESTIMATE, ms=3),
@@ -156,23 +154,13 @@ def representative_iterations(iterates: Array) -> tuple[int, int, int]:
 
 
 @theme.styled
-def iterations(
-    truth: ArrayLike,
-    iterates: ArrayLike,
-    *,
-    plane: Plane | None = None,
-    only: int | None = None,
-    reference: str = "true taxel",
-) -> Figure:
+def iterations(run: Iterations, plane: Plane, only: int | None = None) -> Figure:
     """Fig. 6-8: pose-graph estimates at the first, a middle and the last iteration.
 
-    truth (n, 3), m: positions to compare with; iterates (k, n, 3), m; the middle one is nearest to
-    half way between the first and the last. `only` (0, 1 or 2) draws one of the three panels;
-    `reference` is the name of `truth` in the legend.
+    The middle one is nearest to half way between the first and the last. `only` (0, 1 or 2) draws
+    one of the three panels.
     """
-    t = np.asarray(truth, dtype=float)
-    all_iterates = np.asarray(iterates, dtype=float)
-    plane = plane or tangent_plane(t)
+    t, all_iterates = np.asarray(run.reference), np.asarray(run.positions)
     chosen = representative_iterations(all_iterates)
     flat = [plane.project(all_iterates[k]) for k in chosen]
     a = plane.project(t)
@@ -193,7 +181,13 @@ def iterations(
             axes.tick_params(labelleft=False)
     figure.legend(
         handles=[
-            _handle(reference, **DOT, mfc="none", mec=theme.TRUTH, ms=5),
+            _handle(
+                "true taxel" if run.has_truth else "last iterate",
+                **DOT,
+                mfc="none",
+                mec=theme.TRUTH,
+                ms=5,
+            ),
             _handle("estimate", **DOT, color=theme.ESTIMATE, ms=3.5),
             _handle("from each to its estimate", color=theme.FAINT),
         ],
@@ -206,29 +200,20 @@ def iterations(
 
 
 @theme.styled
-def coverage(
-    positions: ArrayLike,
-    readings: ArrayLike,
-    path: ArrayLike | None = None,
-    *,
-    disc_radius: float = 2e-3,
-    plane: Plane | None = None,
-) -> Figure:
+def coverage(data: ReportData) -> Figure:
     """How many readings each taxel gave, over the path of the contact; untouched ones crossed.
 
-    positions (n, 3), m: the truth, or the estimates where there is none (NaN: cannot be drawn);
-    readings (n,): counts; path (m, 3): contact points, m.
+    Untouched taxels are not drawn where there is no truth that tells where they are.
     """
     from matplotlib.colors import LogNorm
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-    p, counts = np.asarray(positions, dtype=float), np.asarray(readings, dtype=float)
-    plane = plane or tangent_plane(p)
-    xy = plane.project(p)
+    counts, plane = np.asarray(data.calibration.readings, dtype=float), data.plane
+    xy, diameter = plane.project(data.display_positions), 2 * data.disc_radius * MM
     drawn = np.isfinite(xy).all(axis=1)
     touched = (counts > 0) & drawn
     figure = theme.new_figure(6.6, 6.1)
-    route = plane.project(np.zeros((0, 3)) if path is None else path)
+    route = plane.project(np.zeros((0, 3)) if data.recording is None else data.recording.points)
     view = _view_points(xy[drawn], route, 0.2) if drawn.any() else route
     axes = _map_axes(figure, view, 0.65, 0.6, 5.0)
     handles = []
@@ -236,7 +221,7 @@ def coverage(
         line = route[:: max(len(route) // MAX_PATH_POINTS, 1)]
         axes.plot(*line.T, color=theme.MUTED, lw=0.5, alpha=0.7, zorder=3)
         handles.append(_handle("path of the contact", color=theme.MUTED, lw=0.8))
-    discs = _ellipses(axes, xy[touched], 2 * disc_radius * MM, cmap=theme.SEQUENTIAL, linewidths=0)
+    discs = _ellipses(axes, xy[touched], diameter, cmap=theme.SEQUENTIAL, linewidths=0)
     discs.set_array(counts[touched])
     least, most = (counts[touched].min(), counts[touched].max()) if touched.any() else (1.0, 1.0)
     discs.set_norm(LogNorm(least, max(most, 2 * least)))
@@ -246,7 +231,6 @@ def coverage(
     bar.ax.yaxis.set_minor_locator(NullLocator())
     missed = ~touched & drawn
     if missed.any():
-        diameter = 2 * disc_radius * MM
         _ellipses(axes, xy[missed], diameter, facecolors="white", edgecolors=theme.WARNING)
         axes.plot(*xy[missed].T, "x", ms=6, color=theme.WARNING)
         handles.append(_handle("never touched", **CROSS))
@@ -265,18 +249,11 @@ def ellipse_axes(covariances: ArrayLike) -> tuple[Array, Array]:
 
 
 @theme.styled
-def uncertainty(
-    positions: ArrayLike, covariances: ArrayLike, *, plane: Plane | None = None
-) -> Figure:
-    """The stated 1-sigma ellipse of each taxel's position, enlarged, with its size as color.
-
-    positions (n, 3), m; covariances (n, 3, 3) of the position, m^2, body frame; rows that are not
-    finite are not drawn.
-    """
-    p = np.asarray(positions, dtype=float)
-    plane = plane or tangent_plane(p)
+def uncertainty(data: ReportData) -> Figure:
+    """The stated 1-sigma ellipse of each taxel's position, enlarged, with its size as color."""
+    p, plane = data.calibration.positions, data.plane
     xy = plane.project(p)
-    sigma, heading = ellipse_axes(plane.project_covariance(covariances))
+    sigma, heading = ellipse_axes(plane.project_covariance(data.covariances))
     good = np.isfinite(xy).all(axis=1) & np.isfinite(sigma).all(axis=1)
     xy, sigma, heading = xy[good], sigma[good], heading[good]
     factor = enlargement(sigma[:, 0], 0.35 * spacing(p) * MM)

@@ -1,4 +1,4 @@
-"""The blocks of a page and their HTML; all text is escaped here."""
+"""The HTML of the parts of a page; all text is escaped here."""
 
 from __future__ import annotations
 
@@ -14,35 +14,8 @@ from .theme import DPI
 
 MAX_SVG_BYTES = 150_000
 """Bytes above which a figure is inlined as PNG, if that is smaller."""
-
-
-@dataclass(frozen=True)
-class KeyNumber:
-    """One of the most important numbers, at the top of the page."""
-
-    label: str
-    value: str
-    unit: str = ""
-    note: str = ""
-
-
-@dataclass(frozen=True)
-class Text:
-    """Paragraphs; those after the first are list items if `listed`."""
-
-    lines: tuple[str, ...]
-    listed: bool = False
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows of text; columns with the indices `numeric` are aligned to the right."""
-
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    numeric: tuple[int, ...] = ()
-    collapsed: str = ""
-    """If not empty, the table is hidden until this line is clicked."""
+VIEW = '<div id="view" '
+"""Beginning of the element of the 3D view: a page that has it needs the scripts."""
 
 
 @dataclass(frozen=True)
@@ -64,32 +37,15 @@ class SavedFigure:
 
 
 @dataclass(frozen=True)
-class View3D:
-    """The 3D view: data and layout of plotly."""
-
-    figure: Mapping[str, Any]
-    caption: str
-
-
-Block = Text | Table | SavedFigure | View3D
-
-
-@dataclass(frozen=True)
-class Section:
-    """A titled part of the page."""
-
-    title: str
-    blocks: tuple[Block, ...]
-
-
-@dataclass(frozen=True)
 class Content:
-    """The content of a page."""
+    """The content of a page: texts, and HTML made by the functions of this module."""
 
     title: str
     summary: str
-    numbers: tuple[KeyNumber, ...]
-    sections: tuple[Section, ...]
+    tiles: Sequence[str]
+    """HTML of the most important numbers."""
+    sections: Mapping[str, Sequence[str]]
+    """HTML of the blocks of each section, by title."""
     subtitle: str = ""
 
 
@@ -98,52 +54,58 @@ def anchor(title: str) -> str:
     return "".join(c if c.isalnum() else "-" for c in title.lower()).strip("-")
 
 
-def block(item: Block) -> str:
-    """The HTML of one block."""
-    if isinstance(item, Text):
-        return text(item)
-    if isinstance(item, Table):
-        return table(item)
-    if isinstance(item, SavedFigure):
-        return saved_figure(item)
-    return view_3d(item)
+def section(title: str, blocks: Sequence[str]) -> str:
+    """A titled part of the page."""
+    inner = "\n".join(blocks)
+    return f'<section id="{anchor(title)}"><h2>{escape(title)}</h2>{inner}</section>\n'
 
 
-def text(item: Text) -> str:
-    """The HTML of paragraphs, or of one paragraph and a list."""
-    first, rest = item.lines[:1], item.lines[1:]
-    if not item.listed:
-        return "".join(f"<p>{escape(line)}</p>" for line in item.lines)
-    points = "".join(f"<li>{escape(line)}</li>" for line in rest)
-    return "".join(f"<p>{escape(line)}</p>" for line in first) + f"<ul>{points}</ul>"
+def paragraphs(*lines: str) -> str:
+    """Lines of text, each a paragraph."""
+    return "".join(f"<p>{escape(line)}</p>" for line in lines)
 
 
-def table(item: Table) -> str:
-    """The HTML of a table."""
+def bullets(first: str, points: Sequence[str]) -> str:
+    """A paragraph, and a list below it."""
+    listed = "".join(f"<li>{escape(point)}</li>" for point in points)
+    return f"{paragraphs(first)}<ul>{listed}</ul>"
+
+
+def table(
+    header: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    numeric: Sequence[int] = (),
+    collapsed: str = "",
+) -> str:
+    """Rows of text; columns with the indices `numeric` are aligned to the right.
+
+    If `collapsed` is not empty, the table is hidden until this line is clicked.
+    """
 
     def row(cells: Sequence[str], tag: str) -> str:
         inner = "".join(
-            f"<{tag}{' class=number' if k in item.numeric else ''}>{escape(c)}</{tag}>"
+            f"<{tag}{' class=number' if k in numeric else ''}>{escape(c)}</{tag}>"
             for k, c in enumerate(cells)
         )
         return f"<tr>{inner}</tr>"
 
-    body = "".join(row(r, "td") for r in item.rows)
+    body = "".join(row(r, "td") for r in rows)
     html = (
-        f'<div class="wide"><table><thead>{row(item.header, "th")}</thead>'
+        f'<div class="wide"><table><thead>{row(header, "th")}</thead>'
         f"<tbody>{body}</tbody></table></div>"
     )
-    if item.collapsed:
-        return f"<details><summary>{escape(item.collapsed)}</summary>{html}</details>"
+    if collapsed:
+        return f"<details><summary>{escape(collapsed)}</summary>{html}</details>"
     return html
 
 
 def saved_figure(item: SavedFigure) -> str:
-    """The HTML of a figure, inlined as SVG, or as PNG if the SVG is large and the PNG smaller."""
-    kind, data = "svg+xml", item.svg.read_bytes()
+    """A figure, inlined as SVG, or as PNG if the SVG is large and the PNG smaller."""
+    kind, data, size = "svg+xml", item.svg.read_bytes(), ""
     if len(data) > max(MAX_SVG_BYTES, item.png.stat().st_size):
         kind, data = "png", item.png.read_bytes()
-    size = f' width="{_width(data)}"' if kind == "png" else ""
+        # in CSS pixels (96 per inch), so that it has the size of its SVG
+        size = f' width="{round(int.from_bytes(data[16:20]) * 96 / DPI)}"'
     source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
     return (
         f'<figure class="card"><figcaption class="above">{escape(item.title)}</figcaption>'
@@ -153,28 +115,23 @@ def saved_figure(item: SavedFigure) -> str:
     )
 
 
-def _width(png: bytes) -> int:
-    """Width of a PNG in CSS pixels (96 per inch) at which it has the size of its SVG."""
-    return round(int.from_bytes(png[16:20]) * 96 / DPI)
-
-
-def view_3d(item: View3D) -> str:
-    """The HTML of the 3D view, with its data; view.js draws it."""
-    data = json.dumps(item.figure, separators=(",", ":"), allow_nan=False)
+def view_3d(figure: Mapping[str, Any], caption: str) -> str:
+    """The 3D view with its data, a figure of plotly; view.js draws it."""
+    data = json.dumps(figure, separators=(",", ":"), allow_nan=False)
     data = data.replace("<", "\\u003c").replace("\u2028", "\\u2028")
     return (
-        '<figure class="card"><div id="view" role="img" aria-label="3D view of body and taxels">'
+        f'<figure class="card">{VIEW}role="img" aria-label="3D view of body and taxels">'
         "</div><img id=view-print alt='3D view of body and taxels'>"
         "<noscript><p>The 3D view needs JavaScript; the figures below do not.</p></noscript>"
-        f"<figcaption>{escape(item.caption)}</figcaption></figure>"
+        f"<figcaption>{escape(caption)}</figcaption></figure>"
         f'<script type="application/json" id="view-data">{data}</script>'
     )
 
 
-def key_number(item: KeyNumber) -> str:
-    """The HTML of one of the most important numbers."""
-    unit = f" <small>{escape(item.unit)}</small>" if item.unit else ""
+def tile(label: str, value: str, unit: str = "", note: str = "") -> str:
+    """One of the most important numbers, at the top of the page."""
+    unit = f" <small>{escape(unit)}</small>" if unit else ""
     return (
-        f"<div class=tile><dt>{escape(item.label)}</dt><dd>{escape(item.value)}{unit}</dd>"
-        f"<dd class=note>{escape(item.note)}</dd></div>"
+        f"<div class=tile><dt>{escape(label)}</dt><dd>{escape(value)}{unit}</dd>"
+        f"<dd class=note>{escape(note)}</dd></div>"
     )

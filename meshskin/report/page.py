@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.atomic_io import write_text
 from . import markup
-from .markup import Content, Section
+from .markup import Content
 
 if TYPE_CHECKING:
     from ..estimation.calibration import Calibration
+    from ..estimation.cross_validation import CrossValidation
     from ..estimation.demonstration import Demonstration
     from ..geometry.body import Body
     from ..recording.recording import Recording
@@ -30,17 +31,17 @@ def write(path: str | Path, content: Content) -> Path:
     Raises OutputError if it cannot be written.
     """
     path = Path(path)
-    has_view = any(isinstance(b, markup.View3D) for s in content.sections for b in s.blocks)
-    links = (f'<a href="#{markup.anchor(s.title)}">{escape(s.title)}</a>' for s in content.sections)
+    links = (f'<a href="#{markup.anchor(t)}">{escape(t)}</a>' for t in content.sections)
+    sections = "".join(markup.section(*item) for item in content.sections.items())
     page = Template(_resource("page.html")).substitute(
         title=escape(content.title),
         subtitle=escape(content.subtitle),
         summary=escape(content.summary),
         style=_resource("style.css"),
-        numbers="".join(map(markup.key_number, content.numbers)),
+        numbers="".join(content.tiles),
         navigation="".join(links),
-        sections="".join(map(_section, content.sections)),
-        scripts=_scripts() if has_view else "",
+        sections=sections,
+        scripts=_scripts() if markup.VIEW in sections else "",
     )
     write_text(path, page)
     return path
@@ -48,12 +49,6 @@ def write(path: str | Path, content: Content) -> Path:
 
 def _resource(name: str) -> str:
     return (resources.files(__package__) / name).read_text(encoding="utf-8")
-
-
-def _section(section: Section) -> str:
-    inner = "\n".join(map(markup.block, section.blocks))
-    title = escape(section.title)
-    return f'<section id="{markup.anchor(section.title)}"><h2>{title}</h2>{inner}</section>\n'
 
 
 def _scripts() -> str:
@@ -76,6 +71,7 @@ def report(
     seconds: Mapping[str, float] | None = None,
     provenance: Mapping[str, Any] | None = None,
     budget: BudgetReport | None = None,
+    validation: CrossValidation | None = None,
 ) -> list[Path]:
     """Write the page `path` and, in the folder figures/ beside it, every figure as PNG and SVG.
 
@@ -83,7 +79,7 @@ def report(
     place of errors. comparisons: calibrations of the same recording by other methods.
     demonstration: the pose graph from the origin; without it, the first pose graph that kept its
     iterates is shown. metrics: as in metrics.json. seconds: of each stage. budget: the decisions
-    of an error budget.
+    of an error budget. validation: what `calibration.cross_validate` gave.
 
     Returns the paths written, the page first. Raises OutputError if a file cannot be written.
     """
@@ -92,20 +88,21 @@ def report(
     from .sections import content
 
     started = perf_counter()
-    data = ReportData.collect(
+    data = ReportData(
         calibration,
-        recording=recording,
-        truth=truth,
-        comparisons=comparisons,
-        demonstration=demonstration,
-        metrics=metrics,
-        seconds=seconds,
-        provenance=provenance,
-        budget=budget,
+        recording,
+        truth,
+        comparisons or {},
+        demonstration,
+        metrics or {},
+        seconds or {k: v for k, v in calibration.seconds.items() if k != "total"},
+        provenance or calibration.provenance,
+        budget,
+        body,
+        validation,
     )
     path = Path(path)
     pictures = draw_figures(path.parent / "figures", data)
-    times = {**data.seconds, "figures": perf_counter() - started}
-    data = replace(data, seconds=times)
-    write(path, content(data, pictures, body))
+    data = replace(data, seconds={**data.seconds, "figures": perf_counter() - started})
+    write(path, content(data, pictures))
     return [path, *(file for picture in pictures for file in picture.files)]

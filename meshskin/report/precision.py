@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,19 +10,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.arrays import Array
-from . import theme
-from .markup import Block, Content, KeyNumber, SavedFigure, Section, Table, Text
+from . import markup, theme
+from .markup import Content, SavedFigure, paragraphs, tile
 from .theme import compact, significant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ..study.sensitivity.cost import Costs, Row
+    from ..study.sensitivity.cost import Costs
+    from ..study.sensitivity.trial import Row
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
-COLOURS = (*theme.METHODS, theme.WARNING, theme.TRUTH, "#b59f00")
+COLOURS = (*theme.METHODS, theme.WARNING, theme.TRUTH)
 KNOB_NAMES = {
     "faces": "faces of the mesh",
     "degree": "degree of the surface",
@@ -39,93 +38,60 @@ KNOB_NAMES = {
 """Names of knobs for people."""
 CHARACTER_WIDTH, LINE_HEIGHT = 0.55, 1.15
 """Mean width of a character and height of a line, relative to the font size (DejaVu Sans)."""
-ORDERED_KNOBS = tuple(
-    KNOB_NAMES[k] for k in ("faces", "degree", "dt", "lanes", "rate", "tolerance")
-)
+ORDERED_KNOBS = {"faces", "degree", "dt", "lanes", "rate", "tolerance"}
 """Knobs with ordered levels: their points are joined."""
-NUMERICAL_KNOBS = tuple(
-    KNOB_NAMES[k] for k in ("faces", "degree", "contact", "dt", "integrator", "tolerance", "chosen")
-)
-"""Knobs that the numerical part depends on."""
+STATISTICAL_KNOBS = {"lanes", "rate", "method"}
+"""Knobs that the numerical part does not depend on."""
 
 
-@dataclass(frozen=True)
-class KnobSeries:
-    """Measured settings of one knob, in order."""
-
-    name: str
-    seconds: Array
-    """(k,)."""
-    total: Array
-    """Error with its numerical part (k,), mm."""
-    numerical: Array
-    """Numerical part (k,), mm."""
-    labels: tuple[str, ...]
-    """Name of each setting, or ""."""
-
-
-def knob_series(costs: Costs) -> list[KnobSeries]:
-    """Measured settings by knob, each with the scene's own setting."""
-    own = next(row for row in costs.rows if row.knob == "scene")
-    out = []
-    for knob, name in KNOB_NAMES.items():
+def rows_by_knob(costs: Costs) -> dict[str, list[Row]]:
+    """Measured settings of each knob; those of ordered knobs in order, with the scene's own."""
+    out = {}
+    for knob in KNOB_NAMES:
         rows = [row for row in costs.whole if row.knob == knob]
-        if not rows:
-            continue
-        if name in ORDERED_KNOBS:
+        if rows and knob in ORDERED_KNOBS:
             field = "lane_spacing" if knob == "lanes" else knob
-            rows = sorted([*rows, own], key=attrgetter(f"setting.{field}"))
-        out.append(
-            KnobSeries(
-                name,
-                np.array([row.time for row in rows]),
-                np.array([row.total_mm for row in rows]),
-                np.array([row.numerical_mm for row in rows]),
-                tuple("" if row is own else row.setting.words(costs.base) for row in rows),
-            )
-        )
+            rows = sorted([*rows, costs.own], key=attrgetter(f"setting.{field}"))
+        if rows:
+            out[knob] = rows
     return out
 
 
 @theme.styled
-def work_precision(
-    measured: Sequence[KnobSeries],
-    own: tuple[float, float, float],
-    front: Sequence[tuple[float, float]],
-    targets: Sequence[float] = (),
-) -> Figure:
-    """Error over seconds of every setting, and next to it the numerical part.
+def work_precision(costs: Costs, targets: Sequence[float]) -> Figure:
+    """Error over seconds of every setting with the Pareto front, and beside it the numerical part.
 
-    own: seconds, total and numerical part, mm, of the scene as it is; front: seconds and total
-    error, mm, of the Pareto front; targets, mm: drawn as lines.
+    targets, mm, are drawn as lines.
     """
     figure = theme.new_figure(9.6, 5.0)
     left, right = (theme.add_axes(figure, x, 1.1, 3.85, 3.5) for x in (0.75, 5.6))
-    for k, s in enumerate(measured):
+    measured, own = rows_by_knob(costs), costs.own
+    for k, (knob, rows) in enumerate(measured.items()):
         style: dict[str, Any] = {
             "marker": MARKERS[k % len(MARKERS)],
             "color": COLOURS[k % len(COLOURS)],
         }
-        if s.name == KNOB_NAMES["chosen"]:
+        if knob == "chosen":
             style = {"marker": "o", "color": theme.INK, "mfc": "none", "mew": 1.3}
-        for axes, values in ((left, s.total), (right, s.numerical)):
-            if axes is left or s.name in NUMERICAL_KNOBS:
-                line = "-" if s.name in ORDERED_KNOBS else ""
-                axes.plot(s.seconds, values, ls=line, lw=0.9, ms=5, label=s.name, **style)
-    for axes, value in ((left, own[1]), (right, own[2])):
-        axes.plot(own[0], value, "*", ms=12, color=theme.INK, label="the scene as it is", zorder=5)
+        seconds, line = [row.time for row in rows], "-" if knob in ORDERED_KNOBS else ""
+        for axes, part in ((left, "total_mm"), (right, "numerical_mm")):
+            if axes is left or knob not in STATISTICAL_KNOBS:
+                values = [getattr(row, part) for row in rows]
+                axes.plot(seconds, values, ls=line, lw=0.9, ms=5, label=KNOB_NAMES[knob], **style)
+    for axes, value in ((left, own.total_mm), (right, own.numerical_mm)):
+        axes.plot(
+            own.time, value, "*", ms=12, color=theme.INK, label="the scene as it is", zorder=5
+        )
         axes.set(xscale="log", yscale="log", xlabel="processor time (s): load, simulate, calibrate")
-    if front:
-        x, y = np.array(front).T
-        left.step(x, y, where="post", color=theme.INK, lw=2.2, alpha=0.3, label="Pareto front")
+    x, y = ([getattr(row, key) for row in costs.front] for key in ("time", "total_mm"))
+    left.step(x, y, where="post", color=theme.INK, lw=2.2, alpha=0.3, label="Pareto front")
     low, high = left.get_ylim()
     for target in targets:
         if low < target < high:
             left.axhline(target, color=theme.FAINT, lw=0.8, zorder=0)
-    for s in measured:
-        if s.name == KNOB_NAMES["method"]:
-            names = [label.replace("_", " ") for label in s.labels]
-            label_points(left, np.stack([s.seconds, s.total], axis=1), names, 7.0, theme.MUTED)
+    methods = measured.get("method", [])
+    names = [row.setting.words(costs.base).replace("_", " ") for row in methods]
+    label_points(left, [(row.time, row.total_mm) for row in methods], names, 7.0, theme.MUTED)
     left.set(ylabel="mean error of the taxels (mm)", title="Error with numerical part")
     right.set(ylabel="mean shift of the taxels (mm)", title="Numerical part, without noise")
     for axes in (left, right):
@@ -144,7 +110,7 @@ def label_points(
     """
     from matplotlib.patheffects import withStroke
 
-    data = np.asarray(points, dtype=float)
+    data = np.asarray(points, dtype=float).reshape(-1, 2)
     places = axes.transData.transform(data) * 72.0 / axes.figure.dpi
     end = axes.bbox.x1 * 72.0 / axes.figure.dpi
     taken: list[tuple[float, float, float]] = []
@@ -217,15 +183,6 @@ def decimal_ticks(axes: Axes) -> None:
         axis.set_minor_formatter(NullFormatter())
 
 
-def figure(costs: Costs, targets: Sequence[float]) -> Figure:
-    """The work-precision plot of measured costs."""
-    own = next(row for row in costs.rows if row.knob == "scene")
-    front = [(row.time, row.total_mm) for row in costs.front]
-    return work_precision(
-        knob_series(costs), (own.time, own.total_mm, own.numerical_mm), front, targets
-    )
-
-
 HEADER = ("target (mm)", "fastest setting", "seconds", "error (mm)", "numerical part (mm)")
 
 
@@ -238,49 +195,37 @@ def table(costs: Costs, targets: Sequence[float]) -> list[tuple[str, ...]]:
             best = min(costs.whole, key=lambda r: r.total_mm)
             said = f"none; best {significant(best.total_mm)}: {best.setting.words(costs.base)}"
             rows.append((f"{target:g}", said, "", "", ""))
-            continue
-        rows.append(
-            (
-                f"{target:g}",
-                row.setting.words(costs.base),
-                f"{row.time:.2f}",
-                significant(row.error_mm),
-                significant(row.numerical_mm),
-            )
-        )
+        else:
+            numbers = (f"{row.time:.2f}", significant(row.error_mm), significant(row.numerical_mm))
+            rows.append((f"{target:g}", row.setting.words(costs.base), *numbers))
     return rows
 
 
 def page(costs: Costs, targets: Sequence[float], png: Path, svg: Path) -> Content:
     """The page of `meshskin cost`."""
-    own = next(row for row in costs.rows if row.knob == "scene")
-    best = min(costs.whole, key=lambda r: r.total_mm)
-    numbers = (
-        KeyNumber("The scene as it is", significant(own.error_mm), "mm", f"in {own.time:.2f} s"),
-        KeyNumber(
-            "Its numerical part", significant(own.numerical_mm), "mm", "by discretization alone"
-        ),
-        KeyNumber("Most accurate", significant(best.total_mm), "mm", f"in {best.time:.2f} s"),
-        KeyNumber(
-            "Settings",
-            str(len(costs.rows)),
-            "",
-            f"{costs.seeds} seed{'s' * (costs.seeds != 1)} each",
-        ),
-    )
+    own, best = costs.own, min(costs.whole, key=lambda r: r.total_mm)
+    runs = f"{costs.seeds} seed{'s' * (costs.seeds != 1)} each"
     picture = SavedFigure(png, svg, "Error against processor time", CAPTION, "Work-precision plot")
-    reach = Table(HEADER, tuple(table(costs, targets)), numeric=(0, 2, 3, 4))
     return Content(
         title=f"Accuracy and time: {costs.scene}",
         summary=f"The scene as it is: {significant(own.error_mm)} mm in {own.time:.2f} s of "
         f"processor time; {significant(own.numerical_mm)} mm of it by discretization.",
-        numbers=numbers,
-        sections=(
-            Section("Fastest settings for an accuracy", (reach,)),
-            Section("Work-precision diagram", (picture,)),
-            Section("Accuracy of the reference", _routes(costs)),
-            Section("All settings", (_settings(costs.rows, costs),)),
-        ),
+        tiles=[
+            tile("The scene as it is", significant(own.error_mm), "mm", f"in {own.time:.2f} s"),
+            tile(
+                "Its numerical part", significant(own.numerical_mm), "mm", "by discretization alone"
+            ),
+            tile("Most accurate", significant(best.total_mm), "mm", f"in {best.time:.2f} s"),
+            tile("Settings", str(len(costs.rows)), "", runs),
+        ],
+        sections={
+            "Fastest settings for an accuracy": [
+                markup.table(HEADER, table(costs, targets), numeric=(0, 2, 3, 4))
+            ],
+            "Work-precision diagram": [markup.saved_figure(picture)],
+            "Accuracy of the reference": _routes(costs),
+            "All settings": [_settings(costs)],
+        },
     )
 
 
@@ -291,29 +236,24 @@ CAPTION = (
 )
 
 
-def _routes(costs: Costs) -> tuple[Block, ...]:
+def _routes(costs: Costs) -> list[str]:
     words = costs.reference.words(costs.base)
     line = f"The reference of the numerical parts is {words}. Other settings differ from it by:"
     rows = [(r.name, significant(r.mean_mm), significant(r.largest_mm)) for r in costs.routes]
-    return Text((line,)), Table(
-        ("setting", "mean (mm)", "largest (mm)"), tuple(rows), numeric=(1, 2)
-    )
+    return [paragraphs(line), markup.table(("setting", "mean (mm)", "largest (mm)"), rows, (1, 2))]
 
 
-def _settings(rows: Sequence[Row], costs: Costs) -> Table:
+def _settings(costs: Costs) -> str:
     header = ("knob", "change", "error (mm)", "bound (mm)", "numerical (mm)", "readings", "s", "")
     best = set(map(id, costs.front))
     body = []
-    for row in rows:
+    for row in costs.rows:
         note = row.failure or ("Pareto front" if id(row) in best else "")
         if not row.failure and row not in costs.whole:
             note = f"{row.located} taxels located"
-        values: Mapping[str, float] = {
-            "error": row.error_mm, "bound": row.bound_mm, "numerical": row.numerical_mm
-        }  # fmt: skip
-        cells = (significant(v) for v in values.values())
+        cells = (significant(v) for v in (row.error_mm, row.bound_mm, row.numerical_mm))
         readings = "" if row.failure else str(row.readings)
         seconds = "" if row.failure else f"{row.time:.3f}"
         said = row.setting.words(costs.base)
         body.append((KNOB_NAMES.get(row.knob, row.knob), said, *cells, readings, seconds, note))
-    return Table(header, tuple(body), numeric=(2, 3, 4, 5, 6), collapsed="All measured settings")
+    return markup.table(header, body, numeric=(2, 3, 4, 5, 6), collapsed="All measured settings")

@@ -1,6 +1,7 @@
 """The 3D view: a plotly figure as plain JSON, without plotly's (slow) Python objects.
 
-Arrays are base64 of single precision numbers in mm, which plotly.js decodes.
+Arrays are base64 of single precision numbers in mm, which plotly.js decodes. The mesh of the body
+is decimated for the picture: fine near the skin, coarse away from it, without cracks.
 """
 
 from __future__ import annotations
@@ -9,11 +10,11 @@ import base64
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from ..core.arrays import Array
+from ..core.arrays import Array, sums_by_group
+from ..geometry.surface.fans import vertex_normals
 from . import theme
-from .decimate import decimate, vertex_normals
 from .plane import MAX_PATH_POINTS, MM, enlargement, finite_rows, spacing, tangent_plane
 from .theme import compact, grouped, significant
 
@@ -48,24 +49,18 @@ def _separate_lines(starts: Array, ends: Array) -> Array:
     return np.stack([starts, ends, np.full_like(starts, np.nan)], axis=1).reshape(-1, 3)
 
 
+def _scatter(name: str, points: Array, mode: str, **style: Any) -> dict[str, Any]:
+    return {"type": "scatter3d", "mode": mode, "name": name, **_xyz(points), **style}
+
+
 def _markers(name: str, points: Array, texts: list[str], **marker: Any) -> dict[str, Any]:
-    return {
-        "type": "scatter3d",
-        "mode": "markers",
-        "name": name,
-        **_xyz(points),
-        "marker": marker,
-        "text": texts,
-        "hoverinfo": "text",
-    }
+    return _scatter(name, points, "markers", marker=marker, text=texts, hoverinfo="text")
 
 
 def body(vertices: ArrayLike, faces: ArrayLike, focus: ArrayLike, inward: float) -> dict[str, Any]:
     """The body, moved `inward` (m) along its normals so that points on it are visible."""
     v, f = decimate(vertices, faces, focus, MAX_FACES)
-    normals = vertex_normals(v, f)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    return _mesh(v - inward * normals, f) | {
+    return _mesh(v - inward * vertex_normals(v, f), f) | {
         "name": f"body (drawn {compact(inward * MM, 2)} mm inward)",
         "color": "#d9dce1",
         "lighting": {"ambient": 0.62, "diffuse": 0.5, "specular": 0.04, "roughness": 0.9},
@@ -79,29 +74,18 @@ def frames(poses: Array, length: float, name: str, visible: bool = True) -> list
     good = poses[np.isfinite(poses).all(axis=(1, 2))]
     good = good[:: -(-len(good) // _MAX_FRAMES) or 1]
     return [
-        {
-            "type": "scatter3d",
-            "mode": "lines",
-            "name": name,
-            "legendgroup": name,
-            "showlegend": k == 0,
-            "hoverinfo": "skip",
-            "visible": True if visible else "legendonly",
-            "line": {"color": colour, "width": 3},
-            **_xyz(_separate_lines(good[:, :3, 3], good[:, :3, 3] + length * good[:, :3, k])),
-        }
+        _scatter(
+            name,
+            _separate_lines(good[:, :3, 3], good[:, :3, 3] + length * good[:, :3, k]),
+            "lines",
+            legendgroup=name,
+            showlegend=k == 0,
+            hoverinfo="skip",
+            visible=True if visible else "legendonly",
+            line={"color": colour, "width": 3},
+        )
         for k, (_, colour) in enumerate(_AXES)
     ]
-
-
-def _unit_sphere(rings: int, sectors: int) -> tuple[Array, Array]:
-    """A unit sphere of latitudes and longitudes: vertices, faces."""
-    u, w = np.meshgrid(np.linspace(0, np.pi, rings), np.arange(sectors) * 2 * np.pi / sectors)
-    v = np.stack([np.sin(u) * np.cos(w), np.sin(u) * np.sin(w), np.cos(u)], axis=-1)
-    index = np.arange(sectors * rings).reshape(sectors, rings)
-    a, b = index[:, :-1], np.roll(index, -1, axis=0)[:, :-1]
-    quads = np.stack([a, a + 1, b + 1, b], axis=-1).reshape(-1, 4)
-    return v.reshape(-1, 3), np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 
 
 def ellipsoids(positions: Array, covariances: Array, wanted: float) -> dict[str, Any] | None:
@@ -109,6 +93,8 @@ def ellipsoids(positions: Array, covariances: Array, wanted: float) -> dict[str,
 
     positions (n, 3), m; covariances (n, 3, 3), m^2, body frame; rows must be finite to be drawn.
     """
+    from trimesh.creation import uv_sphere
+
     good = np.isfinite(positions).all(axis=1) & np.isfinite(covariances).all(axis=(1, 2))
     if not good.any():
         return None
@@ -116,7 +102,8 @@ def ellipsoids(positions: Array, covariances: Array, wanted: float) -> dict[str,
     sigma = np.sqrt(np.maximum(values, 0.0))
     factor = enlargement(sigma[:, 2], wanted)
     every = -(-int(good.sum()) // _MAX_FRAMES)
-    ball, faces = _unit_sphere(*((7, 12) if good.sum() <= 150 else (4, 8)))
+    sphere = uv_sphere(count=(6, 12) if good.sum() <= 150 else (4, 8))
+    ball, faces = np.asarray(sphere.vertices), np.asarray(sphere.faces)
     axes = (factor * sigma[:, None, :] * vectors)[::every]
     points = positions[good][::every, None] + np.einsum("nij,vj->nvi", axes, ball)
     shifted = faces[None] + len(ball) * np.arange(len(points))[:, None, None]
@@ -174,15 +161,9 @@ def view_3d(
 
 
 def _route(points: Array) -> dict[str, Any]:
+    few = points[:: max(len(points) // MAX_PATH_POINTS, 1)]
     line = {"color": theme.MUTED, "width": 2}
-    return {
-        "type": "scatter3d",
-        "mode": "lines",
-        "name": "path of the contact",
-        "line": line,
-        "hoverinfo": "skip",
-        **_xyz(points[:: max(len(points) // MAX_PATH_POINTS, 1)]),
-    }
+    return _scatter("path of the contact", few, "lines", line=line, hoverinfo="skip")
 
 
 def _true_taxels(ids: Array, poses: Array, pitch: float) -> list[dict[str, Any]]:
@@ -255,3 +236,68 @@ def _layout(skin: Array, normals: Array, extent: Array) -> dict[str, Any]:
         "paper_bgcolor": "#ffffff",
         "meta": {"light": vector((plane.origin + 8 * size * (direction + 0.5 * up)) * MM)},
     }
+
+
+Faces = NDArray[np.int64]
+
+
+def decimate(
+    vertices: ArrayLike, faces: ArrayLike, focus: ArrayLike, limit: int = 5000
+) -> tuple[Array, Faces]:
+    """A mesh of at most about `limit` faces that keeps its shape near the points `focus`.
+
+    vertices (v, 3), faces (f, 3), focus (n, 3) in one unit. Far vertices are merged by cells of a
+    grid (Rossignac and Borrel's vertex clustering), which grows until the faces are few enough;
+    near ones are unchanged, unless the skin covers too much of the body. The result is for
+    pictures only, not for measuring distances.
+    """
+    v, f = np.asarray(vertices, dtype=float), np.asarray(faces, dtype=np.int64)
+    if len(f) <= limit:
+        return v, f
+    near = _near(v, f, np.asarray(focus, dtype=float).reshape(-1, 3), limit // 2)
+    extent = float(np.max(np.ptp(v, axis=0)))
+    for cells in (48, 40, 32, 26, 20, 16, 12, 8, 6, 4):
+        merged = _cluster(v, f, near, extent / cells)
+        if len(merged[1]) <= limit:
+            break
+    return merged
+
+
+def _near(v: Array, f: Faces, focus: Array, faces: int) -> NDArray[np.bool_]:
+    """The vertices (v,) nearest to the focus, with about `faces` faces between them.
+
+    None if so many faces would only cover separate patches around the points of the focus.
+    """
+    from scipy.spatial import cKDTree
+
+    focus = finite_rows(focus)
+    if not len(focus):
+        return np.zeros(len(v), dtype=bool)
+    distance = cKDTree(focus).query(v)[0]
+    radius = np.sort(distance[f].max(axis=1))[faces]
+    if radius < 2 * spacing(focus):
+        return np.zeros(len(v), dtype=bool)
+    return np.asarray(distance <= radius)
+
+
+def _cluster(v: Array, f: Faces, near: NDArray[np.bool_], cell: float) -> tuple[Array, Faces]:
+    """Merge the vertices of each cell, except near ones; return vertices and remaining faces."""
+    grid = np.floor((v - v.min(axis=0)) / cell).astype(np.int64)
+    key = (grid[:, 0] << 40) + (grid[:, 1] << 20) + grid[:, 2]
+    key[near] = -1 - np.flatnonzero(near)  # a cell of its own
+    _, label = np.unique(key, return_inverse=True)
+    count = np.bincount(label)
+
+    def mean(values: Array) -> Array:
+        return sums_by_group(values, label) / count[:, None]
+
+    centre, normal = mean(v), mean(vertex_normals(v, f))
+    g = label[f]
+    g = g[(g[:, 0] != g[:, 1]) & (g[:, 1] != g[:, 2]) & (g[:, 2] != g[:, 0])]
+    # two faces on the same vertices are a fold; both are removed, so that the surface stays closed
+    _, first, times = np.unique(np.sort(g, axis=1), axis=0, return_index=True, return_counts=True)
+    g = g[first[times % 2 == 1]]
+    a, b, c = (centre[g[:, k]] for k in range(3))
+    inside_out = np.einsum("fi,fi->f", np.cross(b - a, c - a), normal[g].sum(axis=1)) < 0
+    g[inside_out] = g[inside_out][:, ::-1]
+    return centre, g

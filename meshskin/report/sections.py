@@ -1,24 +1,22 @@
-"""The sections of the page."""
+"""The sections of the page, and its summary: one sentence, and the most important numbers."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from . import advice, scene3d
+from . import advice, learned_response, scene3d, validation
 from .data import METHOD_DESCRIPTIONS, PAPER_REFERENCE, ReportData, method_name
 from .figure_set import ACCURACY_TIME
-from .markup import Block, Content, SavedFigure, Section, Table, Text, View3D
+from .markup import Content, SavedFigure, bullets, paragraphs, saved_figure, table, tile, view_3d
 from .plane import MM
-from .summary import key_numbers, summary_sentence
 from .theme import compact, grouped, significant
 
-if TYPE_CHECKING:
-    from ..geometry.body import Body
-
+OWN_SECTIONS = (ACCURACY_TIME, learned_response.NAME)
+"""Figures that have sections of their own."""
 MAX_TAXEL_ROWS = 1000
 """Most taxels that are listed one by one: the table then takes half a megabyte."""
 SHOWN_ELSEWHERE = (
@@ -31,6 +29,9 @@ SHOWN_ELSEWHERE = (
     "undetermined",
     "modulus_pa",
     "modulus_sigma_pa",
+    "worse_than_centroid",
+    "response",
+    "cross_validation",
 )
 """Metrics that other parts of the page show."""
 COST_HINT = (
@@ -60,42 +61,35 @@ METRIC_NOTES = {
 """Meaning of metrics."""
 
 
-def content(data: ReportData, pictures: Sequence[SavedFigure], body: Body | None) -> Content:
+def content(data: ReportData, pictures: Sequence[SavedFigure]) -> Content:
     """The whole page."""
-    provenance = data.provenance
-    scene = provenance.get("scene") or _metadata(data).get("scene")
-    created = provenance.get("created", "")
+    scene = data.provenance.get("scene") or _metadata(data).get("scene")
+    created = _format_time(str(data.provenance.get("created", "")))
     kind = "simulation with known truth" if data.truth is not None else "recording"
+    verdict = data.calibration.verdict
+    reasons = {}
+    if verdict is not None and verdict.reasons:
+        reasons["Verdict"] = [bullets(f"{verdict.level}:", verdict.reasons)]
     return Content(
         title=f"Skin calibration: {scene}" if isinstance(scene, str) else "Skin calibration",
-        subtitle=" · ".join(
-            part
-            for part in (kind, method_name(data.calibration.method), _format_time(str(created)))
-            if part
-        ),
+        subtitle=" · ".join(filter(None, (kind, method_name(data.calibration.method), created))),
         summary=summary_sentence(data),
-        numbers=key_numbers(data),
-        sections=(
-            *verdict(data),
-            Section("Observability", advice.observability(data)),
-            Section("Recommendations", (Text(("", *advice.next_steps(data)), listed=True),)),
-            Section("3D view", (_view(data, body),)),
-            Section("Figures", tuple(p for p in pictures if p.png.stem != ACCURACY_TIME)),
-            Section("Numbers", _numbers(data)),
-            *budget(data),
-            Section("Accuracy and time", _accuracy_time(data, pictures)),
-            Section("Taxels", (_taxels(data),)),
-            Section("Provenance", _provenance(data)),
-        ),
+        tiles=key_numbers(data),
+        sections={
+            **reasons,
+            "Observability": advice.observability(data),
+            "Recommendations": [bullets("", advice.next_steps(data))],
+            "3D view": [_view(data)],
+            **learned_response.section(data.calibration.response, pictures),
+            "Figures": [saved_figure(p) for p in pictures if p.png.stem not in OWN_SECTIONS],
+            "Numbers": _numbers(data),
+            **validation.sections(data),
+            **budget(data),
+            "Accuracy and time": _accuracy_time(data, pictures),
+            "Taxels": [_taxels(data)],
+            "Provenance": [_provenance(data)],
+        },
     )
-
-
-def verdict(data: ReportData) -> tuple[Section, ...]:
-    """The reasons of the verdict, where there are any."""
-    found = data.calibration.verdict
-    if found is None or not found.reasons:
-        return ()
-    return (Section("Verdict", (Text((f"{found.level}:", *found.reasons), listed=True),)),)
 
 
 def _format_time(created: str) -> str:
@@ -107,14 +101,14 @@ def _metadata(data: ReportData) -> Mapping[str, Any]:
     return {} if data.recording is None else data.recording.metadata
 
 
-def _view(data: ReportData, body: Body | None) -> View3D:
-    c = data.calibration
+def _view(data: ReportData) -> str:
+    c, body = data.calibration, data.body
     figure = scene3d.view_3d(
         ids=c.ids,
         poses=c.poses,
         covariances=data.covariances,
         mesh=None if body is None else (body.facets.vertices, body.facets.faces),
-        truth=data.truth,
+        truth=data.true_poses,
         path=None if data.recording is None else data.recording.points,
         heading_observed=bool(np.any(np.asarray(c.observed)[:, 5])),
     )
@@ -125,11 +119,11 @@ def _view(data: ReportData, body: Body | None) -> View3D:
     )
     if body is not None and len(body.facets.faces) > scene3d.MAX_FACES:
         caption += " The mesh of the body is simplified away from the skin."
-    return View3D(figure, caption)
+    return view_3d(figure, caption)
 
 
-def _numbers(data: ReportData) -> tuple[Block, ...]:
-    blocks: list[Block] = []
+def _numbers(data: ReportData) -> list[str]:
+    blocks = []
     if data.errors:
         rows = []
         for k, method in enumerate(data.errors):
@@ -139,9 +133,13 @@ def _numbers(data: ReportData) -> tuple[Block, ...]:
             values = (significant(summary[s]) for s in ("mean", "rms", "max"))
             rows.append((method_name(method), *values, METHOD_DESCRIPTIONS.get(method, "")))
         header = ("position error of", "mean (mm)", "rms (mm)", "max (mm)", "")
-        blocks.append(Table(header, tuple(rows), numeric=(1, 2, 3)))
+        blocks.append(table(header, rows, numeric=(1, 2, 3)))
+        if data.worse_than_centroid:
+            words = ", ".join(map(method_name, data.worse_than_centroid))
+            line = f"Mean error above that of the baseline, the centroid: {words}."
+            blocks.append(paragraphs(line))
         if "posegraph_paper" in data.errors:
-            blocks.append(Text((PAPER_REFERENCE,)))
+            blocks.append(paragraphs(PAPER_REFERENCE))
     c = data.calibration
     if c.modulus is not None:
         value = significant(c.modulus / 1e3, 6)
@@ -150,13 +148,13 @@ def _numbers(data: ReportData) -> tuple[Block, ...]:
         else:
             sigma = significant(c.modulus_sigma / 1e3)
             line = f"Effective modulus E*, estimated: {value} ± {sigma} (1 sigma) kPa."
-        blocks.append(Text((line,)))
+        blocks.append(paragraphs(line))
     shown = {*SHOWN_ELSEWHERE, *data.errors}
     rest = flatten({k: v for k, v in data.metrics.items() if k not in shown})
     if rest:
         rows = [(name, value, METRIC_NOTES.get(name, "")) for name, value in rest]
-        blocks.append(Table(("metric", "value", ""), tuple(rows), numeric=(1,)))
-    return tuple(blocks) or (Text(("No metrics were given.",)),)
+        blocks.append(table(("metric", "value", ""), rows, numeric=(1,)))
+    return blocks or [paragraphs("No metrics were given.")]
 
 
 def flatten(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
@@ -183,9 +181,9 @@ def _plain(value: object) -> str:
     return "–" if value is None else str(value)
 
 
-def _accuracy_time(data: ReportData, pictures: Sequence[SavedFigure]) -> tuple[Block, ...]:
+def _accuracy_time(data: ReportData, pictures: Sequence[SavedFigure]) -> list[str]:
     """Accuracy and time of the estimators, and the time of each stage."""
-    blocks: list[Block] = [p for p in pictures if p.png.stem == ACCURACY_TIME]
+    blocks = [saved_figure(p) for p in pictures if p.png.stem == ACCURACY_TIME]
     promise = data.metrics.get("promise")
     if promise:
         text = (
@@ -194,7 +192,7 @@ def _accuracy_time(data: ReportData, pictures: Sequence[SavedFigure]) -> tuple[B
         )
         if data.truth is not None:
             text += f"; the mean error is {significant(data.main_errors['mean'])} mm"
-        blocks.append(Text((f"{text}.",)))
+        blocks.append(paragraphs(f"{text}."))
     bound = data.bound_mm or None
     rows = []
     for name, seconds in data.method_seconds.items():
@@ -203,32 +201,32 @@ def _accuracy_time(data: ReportData, pictures: Sequence[SavedFigure]) -> tuple[B
         rows.append((method_name(name), significant(error), ratio, f"{seconds:.3f}"))
     if rows:
         header = ("estimator", "mean error (mm)", "relative to the bound", "seconds")
-        blocks.append(Table(header, tuple(rows), numeric=(1, 2, 3)))
-    return (*blocks, _seconds(data.seconds), Text((COST_HINT,)))
+        blocks.append(table(header, rows, numeric=(1, 2, 3)))
+    return [*blocks, _seconds(data.seconds), paragraphs(COST_HINT)]
 
 
-def budget(data: ReportData) -> tuple[Section, ...]:
-    """The decisions of an error budget, if there was one."""
+def budget(data: ReportData) -> dict[str, list[str]]:
+    """The section about the decisions of an error budget, if there was one."""
     if data.budget is None:
-        return ()
+        return {}
     header, rows = data.budget.table()
-    blocks = Text(data.budget.summary()), Table(header, rows, numeric=(2, 3))
-    return (Section("Error budget: simulated and neglected effects", blocks),)
+    blocks = [paragraphs(*data.budget.summary()), table(header, rows, numeric=(2, 3))]
+    return {"Error budget: simulated and neglected effects": blocks}
 
 
-def _seconds(seconds: Mapping[str, float]) -> Block:
+def _seconds(seconds: Mapping[str, float]) -> str:
     if not seconds:
-        return Text(("No times are known.",))
+        return paragraphs("No times are known.")
     total = sum(seconds.values())
     rows = [
         (stage, f"{s:.3f}", f"{100 * s / total:.0f} %" if total else "")
         for stage, s in seconds.items()
     ]
     rows.append(("all", f"{total:.3f}", ""))
-    return Table(("stage", "seconds", "share"), tuple(rows), numeric=(1, 2))
+    return table(("stage", "seconds", "share"), rows, numeric=(1, 2))
 
 
-def _taxels(data: ReportData) -> Block:
+def _taxels(data: ReportData) -> str:
     c, error = data.calibration, data.errors.get(data.calibration.method)
     header = ["taxel", "readings", "x (mm)", "y (mm)", "z (mm)", "sigma (mm)", "chi²"]
     header += ["note"] if error is None else ["error (mm)", "note"]
@@ -241,18 +239,97 @@ def _taxels(data: ReportData) -> Block:
             row.append(significant(error[k] * MM))
         rows.append((*row, str(c.reasons[k])))
     shown = "" if data.count <= MAX_TAXEL_ROWS else f" (the first {MAX_TAXEL_ROWS} of {data.count})"
-    return Table(
-        tuple(header),
-        tuple(rows),
-        numeric=tuple(range(len(header) - 1)),
-        collapsed=f"All taxels{shown}",
-    )
+    return table(header, rows, range(len(header) - 1), f"All taxels{shown}")
 
 
-def _provenance(data: ReportData) -> tuple[Block, ...]:
+def _provenance(data: ReportData) -> str:
     rows = flatten(data.provenance)
     keep = ("seed", "disc_radius_m", "threshold_pa")
     rows += [(f"recording.{k}", _plain(v)) for k, v in _metadata(data).items() if k in keep]
-    if not rows:
-        return (Text(("No provenance was given.",)),)
-    return (Table(("input", "value"), tuple(rows)),)
+    return table(("input", "value"), rows) if rows else paragraphs("No provenance was given.")
+
+
+VERDICTS = {
+    "PASS": "PASS. ",
+    "DOUBT": "DOUBT: check the reasons below before use. ",
+    "FAIL": "FAIL: do not use this calibration. ",
+}
+"""What a level of a verdict means."""
+
+
+def summary_sentence(data: ReportData) -> str:
+    """Where the force left its reference, the verdict, and one sentence about the result."""
+    verdict, departure = data.calibration.verdict, _departure(data)
+    first = f"{departure[0].upper()}{departure[1:]}. " if departure else ""
+    return first + ("" if verdict is None else VERDICTS[verdict.level]) + _result(data)
+
+
+def _departure(data: ReportData) -> str:
+    """Where the simulated force left its reference, in words; "" where it did not."""
+    return str((data.metrics.get("force") or {}).get("departure") or "")
+
+
+def _result(data: ReportData) -> str:
+    """One sentence about the result."""
+    located = int(data.located.sum())
+    found = f"All {located}" if located == data.count else f"{located} of {data.count}"
+    if data.truth is None:
+        typical = np.nanmedian(data.sigma) * MM if np.isfinite(data.sigma).any() else np.nan
+        return (
+            f"{found} taxels were located; the stated uncertainty is {significant(typical)} mm "
+            "(median standard deviation). There is no truth to compare with."
+        )
+    mean = significant(data.main_errors["mean"])
+    text = f"{found} taxels were located with a mean error of {mean} mm"
+    if advice.is_noiseless(data):
+        text += ", from readings without noise"
+    ratio = advice.bound_ratio(data)
+    if ratio is not None:
+        text += f", {significant(ratio)} times the Cramér-Rao bound"
+    return text + "."
+
+
+def key_numbers(data: ReportData) -> list[str]:
+    """The most important numbers."""
+    c = data.calibration
+    note = f"{grouped(int(np.sum(c.readings)))} readings"
+    out = [tile("Taxels touched", f"{data.touched.sum()}", f"of {data.count}", note)]
+    if data.truth is not None:
+        errors = data.main_errors
+        note = f"rms {significant(errors['rms'])}, max {significant(errors['max'])} mm"
+        out.append(tile("Mean position error", significant(errors["mean"]), "mm", note))
+        if data.bound_mm:
+            note = "lowest mean error of an unbiased estimate"
+            out.append(tile("Cramér-Rao bound", significant(data.bound_mm), "mm", note))
+    s = data.finite_sigma_mm
+    if len(s):
+        note = f"standard deviation, median; largest {significant(s.max())} mm"
+        out.append(tile("Stated uncertainty", significant(float(np.median(s))), "mm", note))
+    out += _force(data)
+    if data.seconds:
+        slowest = max(data.seconds, key=lambda k: data.seconds[k])
+        note = f"longest stage: {slowest}"
+        out.append(tile("Time", significant(sum(data.seconds.values())), "s", note))
+    return out
+
+
+def _force(data: ReportData) -> list[str]:
+    """The contact force: from the metrics, or else from the recording."""
+    force = data.metrics.get("force") or {}
+    if not force and data.recording is not None and len(data.recording.force):
+        f = data.recording.force
+        note = f"standard deviation {significant(float(f.std()), 2)} N"
+        return [tile("Mean contact force", f"{f.mean():.3f}", "N", note)]
+    if not force:
+        return []
+    notes = [f"reference {compact(force['reference_n'])} N"] if "reference_n" in force else []
+    if force.get("settling_s") is not None:
+        notes.append(f"settled in {compact(force['settling_s'] * 1e3)} ms")
+    if force.get("overshoot") is not None:
+        over = 100 * force["overshoot"]
+        notes.append(f"overshoot {over:.1f} %" if over >= 0.05 else "no overshoot")
+    if _departure(data):
+        notes.append("left its reference later: see above")
+    mean = force.get("mean_n")
+    value = "–" if mean is None else f"{mean:.3f}"
+    return [tile("Mean contact force", value, "N", ", ".join(notes))]

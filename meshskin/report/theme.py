@@ -7,6 +7,7 @@ used, and matplotlib is imported when a figure is made.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
@@ -26,7 +27,7 @@ TRUTH = "#5f6b7a"
 ESTIMATE = "#0072b2"
 WARNING = "#d55e00"
 BOUND = "#cc79a7"
-METHODS = ("#0072b2", "#009e73", "#e69f00", "#56b4e9", "#cc79a7", "#7b4fa3")
+METHODS = ("#0072b2", "#009e73", "#e69f00", "#56b4e9", "#cc79a7", "#7b4fa3", "#b59f00")
 SEQUENTIAL = "cividis"
 
 STYLE: dict[str, Any] = {
@@ -138,16 +139,15 @@ def grouped(value: float) -> str:
 
 def compact(value: float | None, digits: int = 3) -> str:
     """A number with up to `digits` significant digits, without trailing zeros."""
-    return _format(value, digits, zeros=False)
+    text = significant(value, digits)
+    return re.sub(r"\.?0+(?= |$)", "", text) if "." in text else text
 
 
 def significant(value: float | None, digits: int = 3) -> str:
-    """A number with exactly `digits` significant digits, trailing zeros included."""
-    return _format(value, digits, zeros=True)
+    """A number with exactly `digits` significant digits, trailing zeros included.
 
-
-def _format(value: float | None, digits: int, zeros: bool) -> str:
-    """A number in decimal notation, or scientific where that is long; zeros: keep trailing ones."""
+    It is in decimal notation, or in scientific notation where that is long.
+    """
     if value is None or math.isnan(value):
         return "–"
     if math.isinf(value):
@@ -158,14 +158,7 @@ def _format(value: float | None, digits: int, zeros: bool) -> str:
     if not 1e-4 <= abs(value) < 1e7:
         sign = "⁻" if exponent[0] == "-" else ""
         power = exponent[1:].lstrip("0").translate(str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹"))
-        mantissa = mantissa if zeros else _strip_zeros(mantissa)
         return f"{mantissa} × 10{sign}{power}".replace("-", "−")
     if abs(value) >= 10 ** min(digits, UNGROUPED_DIGITS):
         return grouped(value)
-    text = f"{value:.{max(digits - 1 - int(exponent), 0)}f}"
-    return (text if zeros else _strip_zeros(text)).replace("-", "−")
-
-
-def _strip_zeros(text: str) -> str:
-    """A number without trailing zeros of its fraction."""
-    return text.rstrip("0").rstrip(".") if "." in text else text
+    return f"{value:.{max(digits - 1 - int(exponent), 0)}f}".replace("-", "−")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,19 +23,10 @@ SOLVED = "solved"
 """Status of a search that IPOPT ended at a solution."""
 
 
-@dataclass(frozen=True)
-class Iterate:
-    """A point of the search."""
-
-    merit: float
-    x: Array
-    g: Array
-
-
 class ConvergenceMonitor(IterationCallback):
     """IPOPT's iteration callback for a program of `size` variables and `rows` constraints.
 
-    It minimizes `merit(x, g)`: `best` is the best iterate.
+    It minimizes `merit(x, g)`: `best` is the best iterate x, `least` its merit.
     """
 
     def __init__(self, size: int, rows: int) -> None:
@@ -46,14 +36,14 @@ class ConvergenceMonitor(IterationCallback):
     def reset(self, merit: Callable[[Array, Array], float]) -> None:
         """Begin a search with a merit."""
         self.merit, self.idle, self.count = merit, 0, 0
-        self.best: Iterate | None = None
-        self.mark = np.inf
+        self.best: Array | None = None
+        self.least = self.mark = np.inf
 
     def _monitor(self, x: Array, g: Array) -> bool:
         """Keep the iterate if it is the best, and return whether to stop."""
         merit = self.merit(x, g)
-        if self.best is None or merit < self.best.merit:
-            self.best = Iterate(merit, x, g)
+        if self.best is None or merit < self.least:
+            self.best, self.least = x, merit
         self.count += 1
         progress = merit < (1.0 - MIN_GAIN) * self.mark
         self.mark = merit if progress else self.mark

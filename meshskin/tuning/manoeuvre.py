@@ -17,7 +17,6 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..contact.indenter import Indenter
 from ..core.arguments import check_vector
 from ..core.arrays import Array
 from ..core.errors import ReachError, TuningError
@@ -150,10 +149,10 @@ def plan_manoeuvre(
     best: tuple[float, Manoeuvre] | None = None
     reason: ReachError | None = None
     for angle in headings:
-        rotation, position = _poses_on_heading(scene.indenter, frames, centers, angle)
-        rows = np.concatenate([points, position, rotation.swapaxes(1, 2).reshape(-1, 9)], axis=1)
+        poses = scene.rig.frame_poses(centers, frames, angle)
+        turned = poses[:, :3, :3].swapaxes(1, 2).reshape(-1, 9)
+        rows = np.concatenate([points, poses[:, :3, 3], turned], axis=1)
         coefficients = np.linalg.lstsq(basis, rows, rcond=None)[0]
-        poses = transform(rotation, position)
         try:
             posture, start, margin = _posture(scene, poses[:: max(len(poses) // 20, 1)])
         except ReachError as error:
@@ -170,20 +169,6 @@ def plan_manoeuvre(
             remedy="choose another place or distance, or move indenter.position_m",
         ) from reason
     return best[1]
-
-
-def _poses_on_heading(
-    indenter: Indenter, frames: Array, centers: Array, angle: float
-) -> tuple[Array, Array]:
-    """Rotations (k, 3, 3) and positions (k, 3) of the body, world frame, that align the frames
-    (k, 3, 3) of a slide with the indenter, the slide's direction at `angle`, rad, about it.
-
-    centers (k, 3): the indenter's center in the body frame, m.
-    """
-    ahead, down = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([0.0, 0.0, -1.0])
-    world = indenter.rotation @ orthonormal_basis(down, ahead)
-    rotation = world @ frames.swapaxes(1, 2)
-    return rotation, np.array(indenter.position) - np.einsum("kij,kj->ki", rotation, centers)
 
 
 def _posture(scene: Scene, poses: Array) -> tuple[Array | None, Array, float]:

@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 from ..core import ipopt
 from ..core.arrays import Array
 from .convergence import INFEASIBLE, ConvergenceMonitor, termination_message
-from .feasible_sqp import QuadraticModel, descend, descent_message
+from .feasible_sqp import ACTIVE, QuadraticModel, descend, descent_message
 from .gains import NAMES, Demands, Gains
 from .limits import WINDOW, Limit, Objective, objective_and_limits
-from .multipliers import ACTIVE, lagrange_multipliers, one_sided_multipliers, predicted_decrease
 from .shooting import SingleShooting
 
 WEIGHT = 1e-5
@@ -158,10 +157,9 @@ class TuningProblem:
         )
         stats, best = self.solver.stats(), self.monitor.best
         assert best is not None  # the start is an iterate
-        feasible = best.merit < INFEASIBLE or elastic
+        feasible = self.monitor.least < INFEASIBLE or elastic
         status = termination_message(stats["return_status"], feasible, self.monitor.patience)
-        point = best.x[: len(NAMES) + 1]
-        return self._solution(point, status, int(stats["iter_count"]), began)
+        return self._solution(best[: len(NAMES) + 1], status, int(stats["iter_count"]), began)
 
     def descend(self, solution: TuningSolution) -> TuningSolution:
         """Descent from a solution that meets the limits, without leaving them."""
@@ -198,7 +196,7 @@ class TuningProblem:
         model = self._model(x)
         violation = self._violation(model.limits, self._step_rows)
         multipliers, one_sided = self._multipliers(model, value)
-        decrease = predicted_decrease(model)
+        decrease = model.predicted_decrease()
         if decrease > MAX_PREDICTED_DECREASE:
             status += f", where slopes predict a further decrease of {100 * decrease:.2g} %"
         return TuningSolution(
@@ -221,14 +219,14 @@ class TuningProblem:
         self, model: QuadraticModel, value: float
     ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
         """Multipliers by limit and range, and those at a kink, in the objective's unit."""
-        limits, ranges = lagrange_multipliers(model)
+        limits, ranges = model.multipliers()
         found: dict[str, float] = {}
         one_sided: dict[str, tuple[float, float]] = {}
         for k, (name, limit) in enumerate(self.limits.items()):
             rows, unit = self._step_rows == k, value * float(self._relaxation[k])
             if model.limits[rows].max() > -ACTIVE:
                 found[name] = unit * float(limits[rows].sum())
-                sides = one_sided_multipliers(model, rows, RELAXATION * limit.bound / limit.scale)
+                sides = model.one_sided_multipliers(rows, RELAXATION * limit.bound / limit.scale)
                 if sides and abs(sides[1] - sides[0]) > ONE_SIDED * max(map(abs, sides)):
                     one_sided[name] = unit * sides[0], unit * sides[1]
         chosen = self.low < self.high  # the others are gains that were given

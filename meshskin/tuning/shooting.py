@@ -18,10 +18,9 @@ import numpy as np
 from ..core.arrays import Array
 from ..core.codegen import compile_with_derivatives
 from ..scene.scene import Scene
-from ..simulation import quasi_static
-from ..simulation.closed_loop_model import ClosedLoopModel
+from ..simulation.closed_loop_model import ClosedLoopModel, state_of_pose
+from ..simulation.integrators import step
 from ..simulation.state_machine import approach_fraction
-from ..simulation.step import step
 from .gains import NAMES, Gains
 from .manoeuvre import Manoeuvre, slide_distance
 from .scenarios import Scenario
@@ -68,7 +67,7 @@ class SingleShooting:
     def start(self) -> Array:
         """Extended state at rest at the standoff."""
         start = self.manoeuvre.start
-        q = quasi_static.state_of_pose(start) if self.loop.mode == "quasi_static" else start
+        q = state_of_pose(start) if self.loop.mode == "quasi_static" else start
         state = np.zeros(self.step.size1_in(0))
         state[: len(q)] = q
         state[-4:] = [*self.manoeuvre.foot, 0.0, -self.scene.exploration.standoff]
@@ -95,22 +94,14 @@ class SingleShooting:
         approach = 2.0 * standoff / gains.approach_speed + 20.0 / gains.gamma + gains.approach_ramp
         steps = int(np.ceil((approach + gains.settle + slide) / dt)) + 2
         rolled = self.roll(ca.DM(gains.values), steps).full()
-        rows = {k: rolled[s] for k, s in self.rows().items()}
-        since = rows["since"][0]
+        since = rolled[self.rows()["since"]][0]
         before = int(np.argmax(since > 0)) if since.any() else steps
         duration = before * dt - (since[before] if before < steps else 0.0) + gains.settle + slide
         count = min(int(np.ceil(duration / dt)) + 1, steps)
-        return Trajectory(
-            scenario=self.scenario,
-            time=np.arange(count, dtype=np.float64) * dt,
-            force=rows["force"][0, :count],
-            depth=rows["depth"][0, :count],
-            since=since[:count],
-            torque=rows["torque"][:, :count].T,
-            q=rows["q"][:, :count].T,
-            qdot=rows["qdot"][:, :count].T,
-            duration=float(duration),
-        )
+        rows = {k: rolled[s, :count].T for k, s in self.rows().items()}
+        rows |= {k: rows[k][:, 0] for k in ("force", "depth", "since")}
+        time = np.arange(count, dtype=np.float64) * dt
+        return Trajectory(scenario=self.scenario, time=time, duration=float(duration), **rows)
 
 
 def _extended_step(loop: ClosedLoopModel, manoeuvre: Manoeuvre) -> ca.Function:

@@ -5,13 +5,13 @@
    estimated by one Gauss-Newton step from the solution with everything on (shifts).
 3. Effects and levels are chosen by the shift that they remove per second, until the rest fits the
    budget, all of it together (selection.choose).
-4. The choice is checked against everything on, over contacts and seeds kept aside (holdout).
+4. The choice is checked against everything on, over contacts and seeds kept aside (replay.Holdout).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from numbers import Real
@@ -25,11 +25,20 @@ from ...core.errors import ConfigError
 from ...effects import Effect
 from ...exploration.plan import plan_exploration
 from ...scene.scene import Scene
+from ...simulation.simulate import Progress, counter
 from .budget_report import BudgetReport, Check, Entry
-from .holdout import Holdout
-from .knobs import Knob, finest_step, mesh_bodies, scene_knobs
-from .replay import Replay
-from .selection import NEGLIGIBLE, Item, candidates, choose, left_out, mean_length, screened
+from .knobs import Knob, mesh_bodies, scene_knobs, time_steps
+from .replay import Holdout, Replay
+from .selection import (
+    NEGLIGIBLE,
+    Item,
+    candidates,
+    choose,
+    closure,
+    left_out,
+    mean_length,
+    screened,
+)
 from .setting import with_changes
 from .shifts import EffectShifts, measured_knob, tolerance_knob
 
@@ -46,8 +55,6 @@ SEEDS, HOLDOUT_SEEDS = 2, 1
 CHECKS = 8
 """Most checks. After one that exceeds the budget, or exceeds the estimate by far, or loses a taxel,
 more is added; each lowers the limit by the factor by which it was exceeded."""
-
-Progress = Callable[[str, int, int], None]
 
 
 def budget(
@@ -106,7 +113,7 @@ class BudgetTrial:
     ) -> None:
         self.scene, self.effects, self.budget = scene, effects, budget
         self.screened = screened(effects, scene.context(seeds[0]), budget)
-        self.path = plan_exploration(finest_step(scene)).path
+        self.path = plan_exploration(with_changes(scene, {"dt": time_steps(scene)[-1]})).path
         """Path of all runs, so that their explorations do not differ."""
         replay = Replay.of(scene, self.path)
         self.halves, self.frames = replay.halves(), replay.frames_in_all
@@ -117,14 +124,7 @@ class BudgetTrial:
             scene.with_(effects=effects), self._bodies, replay.steps_in_all, self.frames
         )
         total = sum(len(knob.levels) for knob in knobs) + len(effects) + 1
-        count = 0
-
-        def done() -> None:
-            nonlocal count
-            count += 1
-            if progress is not None:
-                progress("budget", count, total)
-
+        done = counter(progress, "budget", total)
         self.knobs = tuple(
             measured_knob(knob, replay, self._changed, self.path, self.halves, self.belief, done)
             for knob in knobs
@@ -157,19 +157,14 @@ class BudgetTrial:
 
     def _effect_item(self, effect: Effect) -> Item:
         name = effect.name
-        omission = self.shifts.without(self._with_dependants(name))
+        dependants = {
+            e.name: [o.name for o in self.effects if e.name in o.requires] for e in self.effects
+        }
+        omission = self.shifts.without(closure([name], dependants))
         self.changed[name] = omission.changed
         self.seconds[name] += omission.fewer * self.tolerance.levels[0].seconds
         required = tuple(n for n in effect.requires if n not in self.screened)
         return Item(name, omission.shift, self.seconds[name], required)
-
-    def _with_dependants(self, name: str) -> set[str]:
-        """The effect and those that require it, directly or not."""
-        out, before = {name}, set[str]()
-        while out != before:
-            before = set(out)
-            out |= {e.name for e in self.effects if before & set(e.requires)}
-        return out
 
     def forced(self, limit: float) -> dict[str, str]:
         """The items that are on in any case, with the reason."""
@@ -216,20 +211,16 @@ class BudgetTrial:
     ) -> BudgetReport:  # fmt: skip
         """The decision and its reasons."""
         on, forced = set(on), self.forced(limit)
-        shifts = {item.name: mean_length(item.shift) for item in self.items}
+        shifts = self.screened | {item.name: mean_length(item.shift) for item in self.items}
         entries = []
         for effect in self.effects:
-            name, seconds = effect.name, self.seconds[effect.name]
+            name, why = effect.name, "the budget bears it"
             if name in self.screened:
                 why = "screened: its bound is negligible"
-                entries.append(Entry(name, "off", False, self.screened[name], seconds, why))
-                continue
-            if name in on:
+            elif name in on:
                 why = forced.get(name, "takes most off the rest for its seconds")
-            else:
-                why = "the budget bears it"
             setting = "on" if name in on else "off"
-            entries.append(Entry(name, setting, name in on, shifts[name], seconds, why))
+            entries.append(Entry(name, setting, name in on, shifts[name], self.seconds[name], why))
         entries.sort(key=lambda entry: -entry.shift)
         entries += [_knob_entry(knob, on) for knob in (*self.knobs, self.tolerance)]
         entries += [Entry(name, "off", False, 0.0, 0.0, why) for name, why in refused.items()]

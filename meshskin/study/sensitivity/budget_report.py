@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +10,8 @@ if TYPE_CHECKING:
     from ...scene.belief import Belief
     from ...scene.scene import Scene
 
+MAX_NAMED = 3
+"""Effects that an explanation names."""
 HEADER = ("effect", "", "mm", "seconds", "why")
 
 
@@ -83,6 +86,31 @@ class BudgetReport:
         return self.check.shift <= self.budget and not self.check.lost
 
     @property
+    def exceeded(self) -> str:
+        """Why the true error of what was left out is above the budget; "" where it is not."""
+        if self.fits:
+            return ""
+        off = [entry for entry in self.entries if not entry.on and entry.shift > 0]
+        lost = f" {self.check.lost} taxels are lost without what is off;" if self.check.lost else ""
+        return (
+            f"The budget of {1e3 * self.budget:.4g} mm is exceeded: what is off moves the taxels "
+            f"by {1e3 * self.check.shift:.4g} mm together, estimated {1e3 * self.estimate:.4g} mm;"
+            f"{lost} largest alone: {_largest(off)}; lower the budget to have more of it simulated"
+        )
+
+    def explain(self, error: float) -> str:
+        """Why the mean error of a run, m, is above the budget; "" where it is not."""
+        if not error > self.budget:
+            return ""
+        on = [entry for entry in self.entries if entry.on and entry.setting == "on"]
+        return (
+            f"the mean error of {1e3 * error:.4g} mm is above the budget of "
+            f"{1e3 * self.budget:.4g} mm, which bounds what is left out; effects that are on move "
+            f"the taxels, too: {_largest(on)}; what the calibration can estimate of them may be "
+            "declared unknown (Belief.unknown)"
+        )
+
+    @property
     def seconds(self) -> float:
         """Seconds of all that is on in the whole run, by the entries."""
         return sum(entry.seconds for entry in self.entries if entry.on)
@@ -93,7 +121,9 @@ class BudgetReport:
         ratio = self.estimate / check.shift if check.shift > 0 else float("inf")
         lost = f" {check.lost} taxels were found with everything on only." if check.lost else ""
         seconds = " against ".join(f"{s:.2f}" for s in reversed(check.seconds))
+        exceeded = (f"{self.exceeded}.",) if self.exceeded else ()
         return (
+            *exceeded,
             f"Budget {mm * self.budget:.4g} mm; estimated error of what is off: "
             f"{mm * self.estimate:.4f} mm.",
             f"Checked with everything on, over contacts and seeds kept aside: "
@@ -129,3 +159,10 @@ class BudgetReport:
             for row in rows
         ]
         return "\n".join((*lines, *self.summary()))
+
+
+def _largest(entries: Sequence[Entry]) -> str:
+    """The entries with the largest shifts, in words."""
+    most = sorted(entries, key=lambda entry: -entry.shift)[:MAX_NAMED]
+    named = [f"{entry.name.replace('_', ' ')} {1e3 * entry.shift:.3g} mm" for entry in most]
+    return ", ".join(named) or "none"

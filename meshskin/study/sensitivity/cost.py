@@ -3,25 +3,31 @@
 Two errors are measured. The error is the mean distance of the calibrated taxels from the truth,
 with the scene's own noise and effects; all settings use the same random numbers. The numerical part
 is the mean shift of the taxels by discretisation alone (numerical_error.py), from a reference at
-the finest setting, which second routes confirm (second_routes.py). A setting reaches an accuracy if
-the root of the sum of both squares is within it and no taxel is lost. Seconds are processor time of
-loading, simulating and calibrating on this machine.
+the finest setting, which second routes confirm. A setting reaches an accuracy if the root of the
+sum of both squares is within it and no taxel is lost. Seconds are processor time of loading,
+simulating and calibrating on this machine.
+
+The levels of all knobs then serve as a pilot (request.py) that predicts their combinations: for
+each target, the cheapest one is measured, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
-from dataclasses import asdict, dataclass
+import math
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from ...core.arguments import check_integer, check_real, check_type
-from ...core.errors import UnknownNameError
+from ...core.errors import StudyError, UnknownNameError
 from ...scene.scene import Scene
-from .cost_models import CostModel
-from .knobs import FINER, single_changes
-from .numerical_error import NumericalReference
-from .second_routes import Route, routes
+from ...simulation.simulate import Progress, counter
+from .knobs import FINER, Level, single_changes, worthwhile
+from .numerical_error import NumericalReference, Route, routes
+from .request import Pilot, Request
 from .setting import Setting
 from .trial import Row, TrialRunner
 
@@ -29,12 +35,15 @@ __all__ = ["KNOBS", "TARGETS", "Costs", "Route", "Row", "Setting", "cost", "fron
 
 TARGETS = (1.0, 0.3, 0.1, 0.03, 0.01)
 """Accuracies of the table, mm: half a decade each."""
-MARGINS = (0.9, 0.6)
-"""Parts of a target at which a combination is aimed, one after the other, until it holds: the
+MARGINS = (1.0, 0.67)
+"""Parts of a target that are requested, one after the other, until a combination holds: the
 predictions of errors scatter by a few tens of per cent."""
+LOOP, OTHERS = (
+    ("dt", "integrator"),
+    (("faces",), ("degree",), ("contact",), ("method", "tolerance")),
+)
+"""Knobs; those that are combined as one stand together, as not all pairs of their levels exist."""
 KNOBS = ("faces", "degree", "contact", "dt", "integrator", "lanes", "rate", "method", "tolerance")
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -53,6 +62,11 @@ class Costs:
     seeds: int
     """Number of runs of each setting."""
 
+    @property
+    def own(self) -> Row:
+        """Row of the scene's own setting, the first."""
+        return self.rows[0]
+
     @cached_property
     def whole(self) -> tuple[Row, ...]:
         """Rows without failure that located the largest number of taxels."""
@@ -68,23 +82,6 @@ class Costs:
         """The quickest measured row within `target_mm`, mm; None if there is none."""
         within = [row for row in self.whole if row.total_mm <= target_mm]
         return min(within, key=lambda row: row.time, default=None)
-
-    def stored(self) -> dict[str, Any]:
-        """All measurements as plain values, for JSON."""
-        return asdict(self)
-
-    @classmethod
-    def restored(cls, stored: dict[str, Any]) -> Costs:
-        """The Costs of which `stored` has made these values."""
-        rows = (Row(**row | {"setting": Setting(**row["setting"])}) for row in stored["rows"])
-        return cls(
-            scene=stored["scene"],
-            base=Setting(**stored["base"]),
-            reference=Setting(**stored["reference"]),
-            rows=tuple(rows),
-            routes=tuple(Route(**route) for route in stored["routes"]),
-            seeds=stored["seeds"],
-        )
 
     def records(self) -> list[dict[str, Any]]:
         """The rows as plain values, for tables."""
@@ -144,41 +141,110 @@ def cost(
     base = Setting.of(scene)
     finest = base.finest(scene, finer)
 
-    def reference(runner: TrialRunner) -> NumericalReference:
-        return NumericalReference(runner.scene(finest), finest.tolerance)
-
-    runner = TrialRunner(scene, seeds, reference)
+    reference = NumericalReference(finest.scene(scene, finest.body(scene.body)), finest.tolerance)
     asked = [
         (k, s) for k, s in single_changes(base, scene) if k == "scene" or (k in knobs and s != base)
     ]
-    total = len(asked) + len(targets)
-    if progress is not None:
-        progress("cost", 0, total)
-    confirmed = routes(runner.reference)
-    runner.run("scene", base)  # the first run of a process takes longer: no row includes it
-    runner.forget()
+    done = counter(progress, "cost", len(asked) + len(targets))
+    confirmed = routes(reference)
+    # the first run of a process takes longer: no row includes it
+    TrialRunner(scene, seeds, reference).run("scene", base)
+    runner = TrialRunner(scene, seeds, reference)
     rows: list[Row] = []
-    for done, (knob, setting) in enumerate(asked):
+    for knob, setting in asked:
         rows.append(runner.measure(knob, setting))
-        if progress is not None:
-            progress("cost", done + 1, total)
-    models = CostModel.fit(rows)
-    for done, target in enumerate(targets):
-        _combine(runner, models, rows, target)
-        if progress is not None:
-            progress("cost", len(asked) + done + 1, total)
+        done()
+    measured = pilot_of(rows)
+    for target in targets:
+        _combine(runner, measured, rows, target)
+        done()
     return Costs(scene.name, base, finest, tuple(rows), confirmed, seeds)
 
 
-def _combine(runner: TrialRunner, models: CostModel, rows: list[Row], target: float) -> None:
+def pilot_of(rows: Sequence[Row]) -> Pilot:
+    """The measurements of rows in which one knob was changed, the scene's own row first."""
+    own = rows[0]
+    good = [row for row in rows if not row.failure and row.located >= own.located]
+    counted = [row for row in good if row.knob in ("scene", "lanes", "rate")]
+    looped = [row for row in good if row in counted or row.knob in LOOP]
+    names = list(dict.fromkeys(row.setting.integrator for row in looped))
+    fixed, each_contact, *each_step = _prices(
+        [row.seconds["simulate"] for row in looped],
+        [(r.contacts, *(r.steps * (r.setting.integrator == n) for n in names)) for r in looped],
+    )
+    once, each_reading = _prices(
+        [row.seconds["calibrate"] for row in counted], [(r.readings,) for r in counted]
+    )
+    steps = dict(zip(names, each_step, strict=True))
+    loops = [
+        Level(_values(r, LOOP), r.numerical_mm, along=steps[r.setting.integrator] * r.steps)
+        for r in good
+        if r is own or r.knob in LOOP
+    ]
+    others = [[_level(r, own, g) for r in good if r is own or r.knob in g] for g in OTHERS]
+    # the squared error by noise falls with the number of contacts; what remains is systematic
+    systematic, by_noise = _prices(
+        [row.error_mm**2 for row in counted], [(1.0 / row.contacts,) for row in counted]
+    )
+    return Pilot(
+        base=own.setting,
+        setting=own.setting,
+        steps=own.steps,
+        contacts=own.contacts,
+        readings=own.readings,
+        bound_mm=math.sqrt(by_noise / own.contacts),
+        systematic_mm=math.sqrt(systematic),
+        lane_spacings=tuple(dict.fromkeys(row.setting.lane_spacing for row in counted)),
+        rates=tuple(dict.fromkeys(row.setting.rate for row in counted)),
+        knobs=tuple(worthwhile(levels) for levels in (loops, *others)),
+        fixed=own.seconds["load"] + fixed,
+        each_step=steps[own.setting.integrator],
+        each_contact=each_contact,
+        estimating=(once, each_reading),
+        spent=(0.0, 0.0),
+    )
+
+
+def _prices(totals: Sequence[float], counts: Sequence[tuple[float, ...]]) -> list[float]:
+    """The fixed part of totals, and the part of each count, that fit best; none is negative."""
+    from scipy.optimize import nnls
+
+    terms = np.insert(np.array(counts, dtype=float), 0, 1.0, axis=1)
+    scale = terms.max(axis=0)
+    relative = terms / scale / np.array(totals)[:, None]
+    return [float(x) for x in nnls(relative, np.ones(len(terms)))[0] / scale]
+
+
+def _values(row: Row, fields: tuple[str, ...]) -> dict[str, Any]:
+    return {field: getattr(row.setting, field) for field in fields}
+
+
+def _level(row: Row, own: Row, fields: tuple[str, ...]) -> Level:
+    """The row as a level, with the errors that it adds to those of the scene's own row."""
+
+    def added(part: str) -> float:
+        return math.sqrt(max(getattr(row, part) ** 2 - getattr(own, part) ** 2, 0.0))
+
+    return Level(
+        _values(row, fields),
+        added("numerical_mm"),
+        added("error_mm") if row.knob == "method" else 0.0,
+        once=row.seconds["load"],
+        along=row.seconds["simulate"],
+        reading=row.seconds["calibrate"],
+    )
+
+
+def _combine(runner: TrialRunner, measured: Pilot, rows: list[Row], target: float) -> None:
     """Measure the combination predicted to reach a target soonest; a second one if it does not."""
     for margin in MARGINS:
-        setting = models.cheapest(margin * target)
-        if setting is None:
+        try:
+            setting = measured.choose(Request(accuracy_mm=margin * target))[0].setting
+        except StudyError:
             return
         known = next((row for row in rows if row.setting == setting), None)
         row = known or runner.measure("chosen", setting)
         if known is None:
             rows.append(row)
-        if not row.failure and row.total_mm <= target and row.located >= models.base.located:
+        if not row.failure and row.total_mm <= target and row.located >= rows[0].located:
             return

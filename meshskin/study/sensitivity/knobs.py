@@ -14,7 +14,7 @@ from ...contact import BATCHED
 from ...core.arrays import Array
 from ...estimation.calibrate import METHODS
 from ...estimation.joint.reduced_nlp import NEWTON_TOLERANCE
-from .setting import Setting, with_changes
+from .setting import Setting
 
 if TYPE_CHECKING:
     from ...geometry.body import Body
@@ -38,9 +38,10 @@ LANES = (0.5, 0.7, 1.0, 1.4, 2.0)
 RATES = (0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
 """Frame rates relative to the scene's that divide the usual 10 steps a frame."""
 TOLERANCES = (1.0, 1e-2, NEWTON_TOLERANCE)
-"""Newton decrements at which a budget or a request may stop the estimate."""
-COST_TOLERANCES = (1e-1, 1e-3, NEWTON_TOLERANCE)
-"""Newton decrements that `cost` measures."""
+"""Newton decrements at which the estimate may stop."""
+SAVED = 0.8
+"""A level with a larger error must take less than this part of the seconds of the scene's own
+level, because timings scatter."""
 SECONDS = {
     "face": 21e-6, "step": 13e-6, "hertz": 1e-7, "elliptic": 1.5e-6, "layered": 2.0e-6,
     "reading": 3e-6,
@@ -81,6 +82,13 @@ class Level:
     def seconds(self) -> float:
         """Seconds in all."""
         return self.once + self.along + self.reading
+
+
+def worthwhile(levels: Sequence[Level]) -> tuple[Level, ...]:
+    """The first level, and the others that have a smaller error or take notably fewer seconds."""
+    own, *others = levels
+    kept = [x for x in others if x.shift_mm < own.shift_mm or x.seconds < SAVED * own.seconds]
+    return own, *kept
 
 
 @dataclass(frozen=True)
@@ -163,11 +171,6 @@ def time_steps(scene: Scene) -> list[float]:
     return [dt for dt in steps if dt <= LONGEST_STEP]
 
 
-def finest_step(scene: Scene) -> Scene:
-    """The scene with the finest of its time steps."""
-    return with_changes(scene, {"dt": time_steps(scene)[-1]})
-
-
 def single_changes(base: Setting, scene: Scene) -> Iterator[tuple[str, Setting]]:
     """The levels of every knob, one knob changed at a time, as (knob, setting)."""
     yield "scene", base
@@ -187,7 +190,7 @@ def single_changes(base: Setting, scene: Scene) -> Iterator[tuple[str, Setting]]
         yield "rate", replace(base, rate=base.rate * factor)
     for method in METHODS:
         yield "method", replace(base, method=method)
-    for tolerance in COST_TOLERANCES:
+    for tolerance in TOLERANCES:
         yield "tolerance", replace(base, tolerance=tolerance)
 
 

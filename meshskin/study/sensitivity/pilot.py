@@ -1,22 +1,35 @@
 """A pilot: a short run of a scene on wide lanes, each of its parts timed.
 
 It gives the seconds that are spent once, per step, per frame and per reading, and the shift of the
-taxels by the levels of the knobs that a request may change (levels.py).
+taxels by the levels of the knobs that a request may change, measured along its path (as `cost`
+measures it). The estimator is not such a knob: a run uses all of them in any case, and the joint
+estimate has the smallest error.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
 
 from ...contact import BATCHED
-from ...core.errors import CalibrationError, GraphError, StudyError
+from ...core.arrays import Array
+from ...core.errors import (
+    CalibrationError,
+    ConfigError,
+    ContactError,
+    GraphError,
+    ReachError,
+    SimulationError,
+    StudyError,
+)
 from ...effects import NoiseEffect
 from ...estimation.calibrate import Estimation, calibrate
 from ...estimation.uncertainty import metrics
@@ -24,25 +37,22 @@ from ...recording.recording import Recording
 from ...simulation.contact_samplers import concatenate
 from ...simulation.readout import contact_frames, effect_pipeline, record
 from ...simulation.simulate import prepare, run, simulate
-from .knobs import COARSER
-from .levels import (
-    contact_levels,
-    loop_levels,
-    surface_levels,
-    tolerance_levels,
-    worthwhile,
-)
-from .numerical_error import NumericalReference
-from .request import LANES, Pilot, Request
+from .knobs import COARSER, FINER, RATES, TOLERANCES, Level, contact_models, integrators, worthwhile
+from .numerical_error import NumericalReference, geometry, mean_mm
+from .request import Pilot, Request
 from .setting import Setting
 from .trial import timed
 
 if TYPE_CHECKING:
     from ...estimation.calibration import Calibration
+    from ...geometry.body import Body
     from ...scene.belief import Belief
     from ...scene.scene import Scene
 
 
+LANES = tuple(2.0 ** (k / 2) for k in range(-6, 2))
+"""Spacings of lanes that may be chosen, relative to the scene's own, from 1/8 to 1.4: each changes
+the expected error by 19 %."""
 WIDEST = 0.8
 """Largest spacing of lanes relative to the distance at which a taxel responds to a contact: every
 taxel must respond."""
@@ -94,6 +104,7 @@ def pilot(
     building = BUILD_SHARE * preparing
     measured = Pilot(
         base, coarse, count, len(recording.time), len(recording.pressure), bound, systematic,
+        _lane_spacings(base, coarse.lane_spacing), tuple(base.rate * r for r in RATES),
         (worthwhile(tolerance_levels(recording, belief)),),
         fixed=building + drawing(found),
         each_step=(preparing - building + looping) / count,
@@ -117,6 +128,13 @@ def _widest_lanes(base: Setting, radius: float) -> Setting:
     """The setting with the widest lanes on which taxels respond to contacts within `radius`, m."""
     own = base.lane_spacing
     return replace(base, lane_spacing=max(min(LANES[-1] * own, WIDEST * radius), own))
+
+
+def _lane_spacings(base: Setting, widest: float) -> tuple[float, ...]:
+    """The spacings of LANES up to the widest, m."""
+    spacings = [base.lane_spacing * factor for factor in LANES]
+    kept = [x for x in spacings if x < widest * (1 + 1e-9)]
+    return tuple(dict.fromkeys((*kept, widest)))
 
 
 def _since(began: tuple[float, float]) -> tuple[float, float]:
@@ -230,3 +248,83 @@ def _systematic(scene: Scene, found: Calibration, seed: int) -> float:
         quiet = simulate(scene.with_(effects=rest), seed)
         error = metrics.position_errors(calibrate(quiet, scene.belief()), scene.skin)
     return 1e3 * float(np.nanmean(error))
+
+
+FINE = 0.1
+"""Finer faces are tried if the scene's own surface takes more than this part of the accuracy asked
+for. Coarser ones would save nothing, because they would have to be fitted besides."""
+
+
+def loop_levels(
+    reference: NumericalReference, scene: Scene, factors: Iterable[float]
+) -> tuple[Level, ...]:
+    """Time steps, as factors on the scene's own, with each integrator.
+
+    Those with which the loop cannot be run are left out.
+    """
+    own, out = scene.loop, []
+    for factor, integrator in product(factors, integrators(scene)):
+        try:
+            loop = replace(own, dt=own.dt * factor, integrator=integrator)
+            made = reference.bare(scene.with_(loop=loop))
+            frames, seconds = timed(partial(reference.drive, made))
+        except (ConfigError, ContactError, ReachError, SimulationError):
+            continue
+        moved = reference.calibrate(reference.read(made, frames)) - reference.positions
+        changes = {"dt": loop.dt, "integrator": integrator}
+        out.append(Level(changes, mean_mm(moved), along=seconds))
+    return tuple(out)
+
+
+def contact_levels(reference: NumericalReference, scene: Scene) -> tuple[Level, ...]:
+    """The contact models that hold where the scene's own model holds."""
+    out = []
+    for name in sorted(contact_models(scene), key=lambda name: name != scene.model.name):
+        made = reference.scene.with_(contact=name)
+
+        def positions(made: Scene = made) -> Array:
+            return reference.calibrate(reference.read(made, reference.frames))
+
+        found, seconds = timed(positions)
+        moved = mean_mm(found - reference.positions)
+        out.append(Level({"contact": name}, moved, reading=seconds))
+    return tuple(out)
+
+
+def tolerance_levels(recording: Recording, belief: Belief) -> tuple[Level, ...]:
+    """Tolerances of the joint estimate."""
+    out, tightest = [], None
+    for tolerance in reversed(TOLERANCES):
+        found, seconds = timed(partial(calibrate, recording, belief, tolerance=tolerance))
+        tightest = found.positions if tightest is None else tightest
+        moved = mean_mm(found.positions - tightest)
+        out.append(Level({"tolerance": tolerance}, error_mm=moved, reading=seconds))
+    return tuple(out)
+
+
+def surface_levels(
+    reference: NumericalReference, scene: Scene, accuracy_mm: float
+) -> tuple[Level, ...]:
+    """Faces of a primitive's mesh, compared with its exact surface.
+
+    Finer ones, with the highest degree of the surface, are tried only if the scene's own take more
+    than FINE of the accuracy.
+    """
+    own = Setting.of(scene)
+    if own.faces is None:
+        return (Level(),)
+    error = geometry(reference).mean_mm
+    out = [Level({"faces": own.faces, "degree": own.degree}, error)]
+    if error > FINE * accuracy_mm:
+        for faces in (own.faces, FINER * own.faces):
+
+            def fit(faces: int = faces) -> Body:
+                body = replace(own, faces=faces, degree=4).body(scene.body)
+                body.closest(scene.skin.positions)
+                return body
+
+            body, once = timed(fit)
+            made = reference.scene.with_(body=body)
+            there = geometry(NumericalReference(made, reference.tolerance, reference.compile))
+            out.append(Level({"faces": faces, "degree": 4}, there.mean_mm, once=once))
+    return tuple(out)

@@ -2,7 +2,7 @@
 
 Predicted errors follow from the Cramér-Rao bound of the pilot, which is proportional to the number
 of contacts to the power -1/2, from the error that the scene's effects leave without noise, and from
-the measured errors of the levels of the other knobs (levels.py). Nothing is stored between runs or
+the measured errors of the levels of the other knobs. Nothing is stored between runs or
 machines.
 """
 
@@ -15,12 +15,9 @@ from itertools import product
 import numpy as np
 
 from ...core.errors import ConfigError, StudyError
-from .knobs import RATES, Level
+from .knobs import Level
 from .setting import Setting
 
-LANES = tuple(2.0 ** (k / 2) for k in range(-6, 2))
-"""Spacings of lanes that may be chosen, relative to the scene's own, from 1/8 to 1.4: each changes
-the expected error by 19 %."""
 SAFE = 0.9
 """Part of the accuracy asked for that a prediction may use: errors scatter between seeds."""
 
@@ -74,7 +71,7 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Pilot:
-    """The measurements of a short run; seconds are processor time."""
+    """The measurements of a short run, or of the rows of `cost`; seconds are processor time."""
 
     base: Setting
     """Setting of the scene."""
@@ -87,8 +84,12 @@ class Pilot:
     """Mean error at the Cramér-Rao bound; 0 without noise."""
     systematic_mm: float
     """Mean error without noise."""
+    lane_spacings: tuple[float, ...]
+    """Spacings of lanes that may be chosen, m."""
+    rates: tuple[float, ...]
+    """Frames per second that may be chosen."""
     knobs: tuple[tuple[Level, ...], ...]
-    """Measured levels of each knob other than lanes and rate, the scene's own level first."""
+    """Measured levels of each other knob, the scene's own level first."""
     fixed: float
     """Seconds of compiling the loop, writing, and drawing the report."""
     each_step: float
@@ -128,14 +129,10 @@ class Pilot:
 
     def predictions(self) -> list[Prediction]:
         """The predictions for all settings that may be chosen."""
-        widest = self.setting.lane_spacing * (1 + 1e-9)
-        lanes = [self.base.lane_spacing * factor for factor in LANES]
-        lanes = [x for x in lanes if x < widest] + [self.setting.lane_spacing]
+        settings = product(self.lane_spacings, self.rates, product(*self.knobs))
         made = [
-            self.predict(replace(self.base, lane_spacing=x, rate=self.base.rate * r), levels)
-            for x in dict.fromkeys(lanes)
-            for r in RATES
-            for levels in product(*self.knobs)
+            self.predict(replace(self.base, lane_spacing=lanes, rate=rate), levels)
+            for lanes, rate, levels in settings
         ]
         return [prediction for prediction in made if prediction.setting.whole_frames]
 

@@ -6,7 +6,7 @@ that they remove per second, until the rest is within the limit.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -54,7 +54,8 @@ def candidates(scene: Scene, seed: int = 0) -> tuple[tuple[Effect, ...], dict[st
         names = {e.name for e in taken}
         if effect.name in names:
             continue
-        rival = next((e.name for e in taken if _exclude(e, effect)), None)
+        excluded = (e.name for e in taken if e.name in effect.excludes or effect.name in e.excludes)
+        rival = next(excluded, None)
         if rival is not None:
             refused[effect.name] = f"excluded by {rival}"
             continue
@@ -69,10 +70,6 @@ def candidates(scene: Scene, seed: int = 0) -> tuple[tuple[Effect, ...], dict[st
             taken.remove(effect)
             refused[effect.name] = f"requires {', '.join(effect.requires)}"
     return effects.ordered(taken), refused
-
-
-def _exclude(one: Effect, other: Effect) -> bool:
-    return other.name in one.excludes or one.name in other.excludes
 
 
 def screened(candidates: Iterable[Effect], context: Context, budget: float) -> dict[str, float]:
@@ -166,9 +163,13 @@ def _prune(
 
 def with_required(names: Iterable[str], items: Sequence[Item]) -> frozenset[str]:
     """The names with all that they require."""
-    requires = {item.name: item.requires for item in items}
+    return closure(names, {item.name: item.requires for item in items})
+
+
+def closure(names: Iterable[str], links: Mapping[str, Iterable[str]]) -> frozenset[str]:
+    """The names with all that they are linked with, directly or not."""
     out, new = frozenset[str](), frozenset(names)
     while new:
         out |= new
-        new = frozenset(other for name in new for other in requires[name]) - out
+        new = frozenset(other for name in new for other in links[name]) - out
     return out

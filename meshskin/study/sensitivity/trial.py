@@ -69,36 +69,13 @@ class Row:
 
 
 class TrialRunner:
-    """Runs the settings of one scene; keeps bodies, recordings and shifts that several share.
+    """Runs the settings of one scene; keeps bodies, recordings and shifts that several share."""
 
-    reference: makes the reference of the numerical error when it is first needed.
-    """
-
-    def __init__(
-        self, scene: Scene, seeds: int, reference: Callable[[TrialRunner], NumericalReference]
-    ) -> None:
-        self.base, self.seeds = scene, range(seeds)
-        self._make_reference = reference
-        self._reference: NumericalReference | None = None
+    def __init__(self, scene: Scene, seeds: int, reference: NumericalReference) -> None:
+        self.base, self.seeds, self.reference = scene, range(seeds), reference
         self._bodies: dict[tuple[object, ...], tuple[Body, float]] = {}
         self._shifts: dict[tuple[object, ...], float] = {}
         self._recordings: dict[tuple[object, ...], tuple[list[Recording], float]] = {}
-
-    @property
-    def reference(self) -> NumericalReference:
-        """The reference of the numerical error."""
-        if self._reference is None:
-            self._reference = self._make_reference(self)
-        return self._reference
-
-    def forget(self) -> None:
-        """Forget bodies and recordings, so that they are made and timed again."""
-        self._bodies.clear()
-        self._recordings.clear()
-
-    def scene(self, setting: Setting) -> Scene:
-        """The scene at a setting."""
-        return setting.scene(self.base, self._body(setting)[0])
 
     def measure(self, knob: str, setting: Setting) -> Row:
         """Run a setting; a failure gives a row that says why."""
@@ -111,7 +88,7 @@ class TrialRunner:
         """Run a setting. Raises MeshskinError if it cannot be run."""
         if not setting.whole_frames:
             raise ContactError("frames do not fall on steps", value=f"{setting.rate:g} frames/s")
-        scene = self.scene(setting)
+        scene = setting.scene(self.base, self._body(setting)[0])
         shift = self._shift(setting, scene)  # first: it leaves the loop compiled
         recordings, simulating = self._simulated(setting, scene)
         belief, truth = scene.belief(), scene.skin

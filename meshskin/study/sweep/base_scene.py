@@ -13,7 +13,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,37 +32,23 @@ if TYPE_CHECKING:
 SceneTable = Mapping[str, Any]
 
 
-class BaseScene(Protocol):
-    """A scene that the parameters of a case change."""
+class BaseScene:
+    """The scene that parameters change; here: none, all parameters belong to the run function."""
 
     def check(self, parameters: SceneTable) -> None:
         """Check every key and value. Raises ConfigError."""
 
     def identity(self, parameters: SceneTable) -> str:
         """Text that is equal for two sets of parameters if and only if the scenes are equal."""
-
-    def scene(self, parameters: SceneTable) -> Scene:
-        """The scene with these parameters. Raises MeshskinError kinds."""
-
-
-@dataclass(frozen=True)
-class NoScene:
-    """No scene: all parameters belong to the run function."""
-
-    def check(self, parameters: SceneTable) -> None:
-        """Accept every key."""
-
-    def identity(self, parameters: SceneTable) -> str:
-        """The parameters as text."""
         return canonical_json(parameters)
 
     def scene(self, parameters: SceneTable) -> Scene:
-        """Raises StudyError."""
+        """The scene with these parameters. Raises MeshskinError kinds."""
         raise StudyError("the study has no scene", remedy="give it a base")
 
 
 @dataclass(frozen=True)
-class SceneFile:
+class SceneFile(BaseScene):
     """The merged tables of a scene file; files that they name are identified by their content."""
 
     tables: SceneTable
@@ -110,7 +96,7 @@ class SceneFile:
         return Scene.from_tables(changed_tables(self.tables, parameters), self.folder)
 
 
-class SceneObject:
+class SceneObject(BaseScene):
     """A scene made in Python; its body, skin and arm are fixed, the rest can be changed."""
 
     FIXED = ("body", "skin", "arm", "payload", "mount")
@@ -130,14 +116,12 @@ class SceneObject:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle without the caches of the scene (ray tracer, fitted surfaces)."""
-        scene = self._scene
-        parts = {f.name: getattr(scene, f.name) for f in dataclasses.fields(scene)}
-        body, arm = parts.pop("body"), parts.pop("arm")
-        mesh = (np.array(body.mesh.vertices), np.array(body.mesh.faces))
-        fields = {f.name: getattr(body, f.name) for f in dataclasses.fields(body)}
-        del fields["mesh"]
-        joints = {f.name: getattr(arm, f.name) for f in dataclasses.fields(arm)}
-        return _unpacked, (parts, mesh, fields, joints)
+        from trimesh import Trimesh
+
+        scene, replace = self._scene, dataclasses.replace
+        mesh = Trimesh(scene.body.mesh.vertices, scene.body.mesh.faces, process=False)
+        body = replace(scene.body, mesh=mesh)
+        return SceneObject, (replace(scene, body=body, arm=replace(scene.arm)),)
 
     def check(self, parameters: SceneTable) -> None:
         """Check every key and value. Raises ConfigError."""
@@ -168,23 +152,10 @@ class SceneObject:
         return plain_fields(data)
 
 
-def _unpacked(
-    parts: dict[str, Any], mesh: tuple[Any, Any], fields: dict[str, Any], joints: dict[str, Any]
-) -> SceneObject:
-    import trimesh
-
-    from ...geometry.body import Body
-    from ...robot.arm import Arm
-    from ...scene.scene import Scene
-
-    body = Body(mesh=trimesh.Trimesh(*mesh, process=False), **fields)
-    return SceneObject(Scene(body=body, arm=Arm(**joints), **parts))
-
-
 def base_scene(base: str | Path | Scene | None) -> BaseScene:
     """The base of a study from the name or file of a scene, a Scene, or None."""
     if base is None:
-        return NoScene()
+        return BaseScene()
     if isinstance(base, str | Path):
         return SceneFile.load(base)
     from ...scene.scene import Scene

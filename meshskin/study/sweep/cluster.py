@@ -14,13 +14,11 @@ import queue
 import time
 import uuid
 from collections.abc import Iterable, Iterator
-from types import TracebackType
 from typing import Any
 
 from ...core.errors import StudyError
-from .case import environment
-from .outcome import Outcome
-from .worker import Task, WorkerSetup
+from .case import Case, Outcome, environment
+from .worker import WorkerSetup
 from .worker_pool import WorkerPool, died
 
 try:
@@ -63,7 +61,7 @@ class PoolPlugin(distributed.WorkerPlugin):
         for pool in self.pools:
             pool.close()
 
-    def perform(self, task: Task) -> Outcome | None:
+    def perform(self, task: Case) -> Outcome | None:
         """The outcome of a task; None if the plugin is removed meanwhile. Raises StudyError."""
         if self.differences:
             raise StudyError(
@@ -81,7 +79,7 @@ class PoolPlugin(distributed.WorkerPlugin):
         return outcome
 
 
-def _perform(plugin_name: str, task: Task) -> Outcome | None:
+def _perform(plugin_name: str, task: Case) -> Outcome | None:
     """Run a task on the Dask worker that calls this."""
     plugin: PoolPlugin | None = distributed.get_worker().plugins.get(plugin_name)
     return None if plugin is None else plugin.perform(task)
@@ -100,7 +98,7 @@ class _Client(distributed.Client):
 
 
 class Cluster:
-    """A connection to a Dask scheduler; a context manager that cancels what is not done.
+    """A connection to a Dask scheduler.
 
     Raises StudyError if no scheduler answers, or its workers cannot import meshskin.
     """
@@ -108,7 +106,7 @@ class Cluster:
     def __init__(self, setup: WorkerSetup, address: str) -> None:
         self._address = address
         self._plugin = PoolPlugin(setup)
-        self._pending: dict[str, tuple[Task, Any]] = {}
+        self._pending: dict[str, tuple[Case, Any]] = {}
         """Tasks and their futures, by the keys of the futures."""
         self._done: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._count = itertools.count()
@@ -121,7 +119,6 @@ class Cluster:
                 "no Dask scheduler answers", value=address, remedy="check --scheduler"
             ) from error
 
-    def __enter__(self) -> Cluster:
         try:
             self._client.register_plugin(self._plugin, name=self._plugin.name)
         except ImportError as error:
@@ -130,14 +127,9 @@ class Cluster:
                 f"workers of the cluster cannot import meshskin: {error}",
                 remedy="install it in their environment",
             ) from error
-        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Cancel what is not done, and close the connection."""
         with contextlib.suppress(OSError, distributed.CancelledError, RuntimeError):
             if self._client.status == "running":
                 self._client.cancel([future for _, future in self._pending.values()])
@@ -146,7 +138,7 @@ class Cluster:
         with contextlib.suppress(OSError):
             self._client.close(timeout=2)
 
-    def outcomes(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
+    def outcomes(self, tasks: Iterable[Case]) -> Iterator[Outcome]:
         """The outcome of every task, in the order in which they end.
 
         Raises StudyError if the scheduler goes away or a worker has other versions.
@@ -181,13 +173,13 @@ class Cluster:
         self._last_seen = time.monotonic()
         return max(TASKS_AHEAD * threads, FEWEST_AHEAD)
 
-    def _submit(self, task: Task) -> None:
+    def _submit(self, task: Case) -> None:
         key = f"{self._plugin.name}-{task.key}-{next(self._count)}"
         future = self._client.submit(_perform, self._plugin.name, task, key=key, pure=False)
         self._pending[key] = task, future
         future.add_done_callback(self._done.put)
 
-    def _outcome(self, task: Task, future: Any) -> Outcome | None:
+    def _outcome(self, task: Case, future: Any) -> Outcome | None:
         """The outcome of a future; None if it was lost with a worker. Raises StudyError."""
         try:
             outcome: Outcome | None = future.result(timeout=LOST_TIMEOUT)

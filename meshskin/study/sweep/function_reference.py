@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import ModuleType
 
@@ -64,45 +64,35 @@ class FunctionReference:
 
     def load(self) -> RunFunction:
         """The function. Raises StudyError."""
-        if self.script is not None:
-            found = getattr(_imported(self.script), self.name, None)
-        else:
-            try:
-                home = import_module(str(self.module))
-            except ModuleNotFoundError as error:
-                raise StudyError(
-                    f"cannot import the run function: {error}",
-                    remedy="install its package or set PYTHONPATH",
-                ) from error
-            except (Exception, SystemExit) as error:  # the user's own code may raise anything
-                raise _broken(str(self.module), error) from error
-            found = getattr(home, self.name, None)
-        if not callable(found):
-            raise StudyError(f"no function {self.name} in {self.script or self.module}")
-        run: RunFunction = found
+        if self.script is not None and not Path(self.script).is_file():
+            raise StudyError("cannot read the script of the run function", value=self.script)
+        home = self.script or str(self.module)
+        try:
+            found = import_module(home) if self.script is None else _imported(home)
+        except ModuleNotFoundError as error:
+            raise StudyError(
+                f"cannot import the run function: {error}",
+                remedy="install its package or set PYTHONPATH",
+            ) from error
+        except (Exception, SystemExit) as error:  # the user's own code may raise anything
+            raise StudyError(
+                f"cannot import the run function from {home}",
+                value=f"{type(error).__name__}: {error}",
+                remedy="run it by itself with python, and correct the error",
+            ) from error
+        run: RunFunction | None = getattr(found, self.name, None)
+        if not callable(run):
+            raise StudyError(f"no function {self.name} in {home}")
         return run
 
 
 def _imported(script: str) -> ModuleType:
-    """A script as a module, without what it does as `__main__`. Raises StudyError."""
+    """A script as a module, without what it does as `__main__`."""
     main = sys.modules.get(WORKER_MAIN)  # multiprocessing has imported the main script already
     if main is not None and getattr(main, "__file__", None) == script:
         return main
-    spec = importlib.util.spec_from_file_location(SCRIPT, script)
-    if spec is None or spec.loader is None or not Path(script).is_file():
-        raise StudyError("cannot read the script of the run function", value=script)
-    module = importlib.util.module_from_spec(spec)
+    module = ModuleType(SCRIPT)
+    module.__file__ = script
     sys.modules[SCRIPT] = module
-    try:
-        spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:  # the user's own code may raise anything
-        raise _broken(script, error) from error
+    SourceFileLoader(SCRIPT, script).exec_module(module)
     return module
-
-
-def _broken(home: str, error: BaseException) -> StudyError:
-    return StudyError(
-        f"cannot import the run function from {home}",
-        value=f"{type(error).__name__}: {error}",
-        remedy="run it by itself with python, and correct the error",
-    )

@@ -17,16 +17,20 @@ import os
 import socket
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ...core.atomic_io import output_error, write_text
+from ...core.atomic_io import atomic, output_error, write_text
 from ...core.errors import OutputError, StudyError
 from ...core.provenance import digest
-from .outcome import Limits, Outcome
+from .case import Case, Limits, Outcome
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
 
 if sys.platform == "win32":
     import msvcrt
@@ -131,3 +135,66 @@ def _lock(descriptor: int) -> None:
         msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
     else:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+MISSING = "missing"
+"""Status of a case that has no result yet."""
+
+
+def _table(rows: Sequence[Mapping[str, Any]]) -> pa.Table:
+    """The Arrow table of rows; a column is null in rows that do not have it."""
+    import pyarrow as pa
+
+    names = dict.fromkeys(name for row in rows for name in row)
+    return pa.table({name: _column([row.get(name) for row in rows]) for name in names})
+
+
+def _column(values: list[Any]) -> pa.Array:
+    """An Arrow column, whose type follows from its values."""
+    import pyarrow as pa
+
+    kinds = {type(v) for v in values if v is not None}
+    if not kinds:
+        return pa.array(values, pa.float64())
+    if kinds == {bool}:
+        return pa.array(values, pa.bool_())
+    if kinds == {int}:
+        return pa.array(values, pa.int64())
+    if kinds <= {int, float}:
+        return pa.array([None if v is None else float(v) for v in values], pa.float64())
+    return pa.array([None if v is None else str(v) for v in values], pa.string())
+
+
+def tables(rows: Iterable[tuple[Case, Outcome | None]]) -> tuple[pa.Table, pa.Table]:
+    """The table of results and the table of times, one row per case, in the order of the cases.
+
+    A parameter that is neither a number nor text (a list) is written as text.
+    """
+    main: list[dict[str, Any]] = []
+    times: list[dict[str, Any]] = []
+    for case, outcome in rows:
+        main.append(
+            {
+                **{name: _cell(value) for name, value in case.parameters.items()},
+                "method": case.method,
+                "seed": case.seed,
+                "key": case.key,
+                "status": outcome.status if outcome else MISSING,
+                "error": outcome.error if outcome else None,
+                **(outcome.values if outcome else {}),
+            }
+        )
+        times.append({"key": case.key, "seconds": outcome.seconds if outcome else None})
+    return _table(main), _table(times)
+
+
+def _cell(value: Any) -> Any:
+    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
+
+
+def write_table(table: pa.Table, path: Path) -> None:
+    """Write a table as Parquet, atomically. Raises OutputError."""
+    import pyarrow.parquet as pq
+
+    with atomic(path) as temporary:
+        pq.write_table(table, temporary)

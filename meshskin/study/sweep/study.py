@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...core.arguments import check_integer, check_real, check_seed
+from ...core.arguments import check_integer, check_real
 from ...core.errors import ConfigError, StudyError
 from . import study_file
-from . import table as tabling
-from .base_scene import BaseScene, NoScene, base_scene
+from .base_scene import BaseScene, base_scene
 from .case import (
     Case,
     Grid,
+    Limits,
     RunFunction,
     check_grid,
     environment,
@@ -29,14 +29,15 @@ from .case import (
     runner_identity,
 )
 from .function_reference import SCRIPT, WORKER_MAIN, FunctionReference
-from .outcome import Limits, Outcome
-from .store import Store
-from .worker import Task, WorkerSetup
+from .store import Store, tables, write_table
+from .worker import WorkerSetup
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
     from ...scene.scene import Scene
+    from .cluster import Cluster
+    from .worker_pool import WorkerPool
 
 
 @dataclass(frozen=True)
@@ -51,13 +52,6 @@ class Progress:
     """Cases that have an outcome, including those."""
     failed: int
     """Cases of those that failed."""
-
-
-class Executor(Protocol):
-    """Runs tasks: in processes of this machine, or on a cluster."""
-
-    def outcomes(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
-        """The outcome of every task, in any order."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +100,7 @@ class Study:
         if self.memory_limit is not None and sys.platform != "linux":
             raise ConfigError("a memory limit works on Linux only", remedy="remove it")
         for seed in self._seeds:
-            check_seed(seed)
+            check_integer("seed", seed, least=0)
 
     @classmethod
     def load(cls, path: str | Path) -> Study:
@@ -149,14 +143,14 @@ class Study:
         found = list(expand(self._base, self.grid, self._seeds, self.method, runner))
         if not found:
             raise ConfigError(f"the study {self.name} has no cases", remedy="give it seeds")
-        if self.run is None and isinstance(self._base, NoScene):
+        if self.run is None and self.base is None:
             raise ConfigError(f"the study {self.name} has no scene", remedy="give it a base")
         return found
 
     def table(self, out: str | Path) -> pa.Table:
         """The table of the results that the folder `out` holds now, one row per case."""
         store = Store(out)
-        return tabling.tables((case, store.read(case.key)) for case in self.cases())[0]
+        return tables((case, store.read(case.key)) for case in self.cases())[0]
 
     def sweep(
         self,
@@ -193,17 +187,18 @@ class Study:
             state = Progress(len(cases), kept, kept, failed)
             if progress is not None:
                 progress(state)
-            with self._executor(setup, size, scheduler) as executor:
-                for outcome in executor.outcomes(Task.of(case) for case in open_cases):
+            with closing(self._executor(setup, size, scheduler)) as executor:
+                for outcome in executor.outcomes(
+                    replace(case, base=BaseScene()) for case in open_cases
+                ):
                     store.write(outcome)
-                    state = Progress(
-                        state.total, kept, state.done + 1, state.failed + bool(outcome.reason)
-                    )
+                    failed += bool(outcome.reason)
+                    state = replace(state, done=state.done + 1, failed=failed)
                     if progress is not None:
                         progress(state)
-            table, times = tabling.tables((case, store.read(case.key)) for case in cases)
-            tabling.write(table, store.folder / "table.parquet")
-            tabling.write(times, store.folder / "times.parquet")
+            table, times = tables((case, store.read(case.key)) for case in cases)
+            write_table(table, store.folder / "table.parquet")
+            write_table(times, store.folder / "times.parquet")
         return table
 
     def _open(self, cases: list[Case], store: Store, retry: bool) -> tuple[list[Case], int]:
@@ -219,7 +214,7 @@ class Study:
 
     def _executor(
         self, setup: WorkerSetup, size: int, scheduler: str | None
-    ) -> AbstractContextManager[Executor]:
+    ) -> WorkerPool | Cluster:
         if scheduler is not None:
             from .cluster import Cluster
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...core.config import check_fields, from_table, quantity, read_toml
+from ...core.config import from_table, quantity, read_toml
 from ...core.errors import ConfigError
 from .function_reference import FunctionReference
 
@@ -33,7 +33,6 @@ class _StudyTable:
 def read(path: Path) -> dict[str, Any]:
     """The arguments of Study that a TOML file holds. Raises ConfigError."""
     table = from_table(_StudyTable, read_toml(path), path.name)
-    check_fields(table)
     grids = table.grid if isinstance(table.grid, tuple) else (table.grid,)
     if not all(isinstance(grid, Mapping) for grid in grids):
         raise ConfigError(f"grid in {path.name} must be a table", remedy="write [grid] or [[grid]]")

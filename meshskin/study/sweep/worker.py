@@ -1,4 +1,4 @@
-"""What runs in a worker process: `initialize` once, then `perform` for each task."""
+"""What runs in a worker process: `initialize` once, then `perform` for each case."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +18,8 @@ import pebble
 
 from ...core.errors import StudyError
 from .base_scene import BaseScene
-from .case import Case, RunFunction, checked_results
+from .case import MEMORY, RAISED, Case, Limits, Outcome, RunFunction, checked_results
 from .function_reference import FunctionReference
-from .outcome import MEMORY, RAISED, Limits, Outcome
 
 RETIRED = 86
 """Exit code of a worker that ends because its last case ran out of memory. Any code that neither
@@ -39,25 +38,6 @@ class WorkerSetup:
     run: FunctionReference
     base: BaseScene
     limits: Limits
-
-
-@dataclass(frozen=True)
-class Task:
-    """The part of a case that is sent to a worker; the WorkerSetup holds the rest."""
-
-    key: str
-    parameters: Mapping[str, Any]
-    seed: int
-    method: str
-
-    @classmethod
-    def of(cls, case: Case) -> Task:
-        """The task of a case."""
-        return cls(case.key, case.parameters, case.seed, case.method)
-
-    def case(self, base: BaseScene) -> Case:
-        """The case of this task."""
-        return Case(self.key, self.parameters, self.seed, self.method, base)
 
 
 @dataclass
@@ -90,14 +70,18 @@ def initialize(setup: WorkerSetup) -> None:
     _workers[:] = [worker]
 
 
-def perform(task: Task) -> Outcome:
-    """Run a task in this worker. Raises StudyError if the run function could not be imported."""
+def perform(case: Case) -> Outcome:
+    """Run a case, sent without its base, in this worker.
+
+    Raises StudyError if the run function could not be imported.
+    """
     (worker,) = _workers
-    if worker.out_of_memory:  # a process is not reliable after that: another one takes the task
+    if worker.out_of_memory:  # a process is not reliable after that: another one takes the case
         os._exit(RETIRED)
     if worker.run is None:
         raise StudyError(worker.error)
-    outcome = run_case(task.case(worker.setup.base), worker.run, worker.setup.limits)
+    case = replace(case, base=worker.setup.base)
+    outcome = run_case(case, worker.run, worker.setup.limits)
     worker.out_of_memory = outcome.reason == MEMORY
     return outcome
 

@@ -23,14 +23,13 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from multiprocessing import current_process
 from multiprocessing.context import SpawnContext, SpawnProcess
-from types import TracebackType
 from typing import Any
 
 import pebble
 
 from ...core.errors import StudyError
-from .outcome import DIED, TIMEOUT, Limits, Outcome
-from .worker import RETIRED, Task, WorkerSetup, initialize, perform
+from .case import DIED, TIMEOUT, Case, Limits, Outcome
+from .worker import RETIRED, WorkerSetup, initialize, perform
 
 ATTEMPTS = 3
 """How often a case is tried whose worker ends, and a pool is started whose workers cannot start.
@@ -117,26 +116,15 @@ def _worker_environment() -> Iterator[None]:
 
 
 class WorkerPool:
-    """Some workers; a context manager that leaves none behind."""
+    """Some workers; `close` leaves none behind."""
 
     def __init__(self, setup: WorkerSetup, size: int) -> None:
         self._setup, self._size = setup, size
         self._pool: pebble.ProcessPool | None = None
-        self._running: dict[Any, Task] = {}
+        self._running: dict[Any, Case] = {}
         """Tasks that the pool has, by their futures."""
         self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
         """Futures as they end; None when the pool is closed."""
-
-    def __enter__(self) -> WorkerPool:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """End all workers; `outcomes` in another thread yields no more."""
@@ -149,13 +137,13 @@ class WorkerPool:
             pool.stop()
             pool.join()
 
-    def outcomes(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
+    def outcomes(self, tasks: Iterable[Case]) -> Iterator[Outcome]:
         """The outcome of every task, in the order in which they end.
 
         A case whose worker ends is tried ATTEMPTS times; one that exceeds its time limit is ended.
         Raises StudyError if the workers cannot start or cannot import the run function.
         """
-        waiting, again = iter(tasks), deque[Task]()
+        waiting, again = iter(tasks), deque[Case]()
         deaths, broken = Counter[str](), 0
         while True:
             try:
@@ -183,7 +171,7 @@ class WorkerPool:
                 broken = 0
                 yield outcome
 
-    def _fill(self, waiting: Iterator[Task], again: deque[Task]) -> None:
+    def _fill(self, waiting: Iterator[Case], again: deque[Case]) -> None:
         """Hand tasks to the pool until it has enough. Raises BrokenProcessPool."""
         while len(self._running) < TASKS_AHEAD * self._size:
             task = again.popleft() if again else next(waiting, None)
@@ -206,7 +194,7 @@ class WorkerPool:
             self._running[future] = task
             future.add_done_callback(self._ended.put)
 
-    def _outcome(self, task: Task, future: Any, deaths: Counter[str]) -> Outcome | None:
+    def _outcome(self, task: Case, future: Any, deaths: Counter[str]) -> Outcome | None:
         """The outcome of a task that ended; None if it is to be tried again.
 
         Raises BrokenProcessPool, StudyError.
@@ -236,7 +224,7 @@ _START_REMEDY = (
 )
 
 
-def timed_out(task: Task, limits: Limits) -> Outcome:
+def timed_out(task: Case, limits: Limits) -> Outcome:
     """The outcome of a case that exceeded its time limit."""
     error = f"out of time, limit: {limits.seconds:g} s"
     return Outcome(
@@ -244,7 +232,7 @@ def timed_out(task: Task, limits: Limits) -> Outcome:
     )
 
 
-def died(task: Task, limits: Limits, code: int | None) -> Outcome:
+def died(task: Case, limits: Limits, code: int | None) -> Outcome:
     """The outcome of a case whose worker ended in every attempt, with an exit code if known."""
     error = f"its worker died {ATTEMPTS} times"
     if code is not None:
