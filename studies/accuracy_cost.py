@@ -15,22 +15,24 @@ from __future__ import annotations
 
 import argparse
 import json
+import pickle
 from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, TypedDict
+from typing import Any, TypedDict, TypeVar
 
 import meshskin as ms
 from meshskin import pipeline
 from meshskin.cli.cost import summary
-from meshskin.core.atomic_io import write_text
+from meshskin.core.atomic_io import atomic
 from meshskin.core.errors import StudyError
 from meshskin.report import precision, theme
 from meshskin.scene import shipped_scenes
 from meshskin.study.sensitivity.cost import KNOBS, TARGETS, Costs
 from meshskin.study.sensitivity.request import Request
 
+T = TypeVar("T")
 FEW = ("dt", "lanes", "rate", "method")
 """Knobs of the default size."""
 ASKED = (
@@ -69,21 +71,21 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
     }
     for name in scenes:
 
-        def measured(name: str = name) -> dict[str, Any]:
-            return ms.cost(ms.Scene.load(name), **cost_options).stored()
+        def measured(name: str = name) -> Costs:
+            return ms.cost(ms.Scene.load(name), **cost_options)
 
-        file = options.out / f"accuracy_cost_{name}.json"
-        costs = Costs.restored(stored_or_measured(file, cost_options, options.resume, measured))
+        file = options.out / f"accuracy_cost_{name}.pickle"
+        costs = stored_or_measured(file, cost_options, options.resume, measured)
         print(summary(costs), flush=True)
         found[name] = costs
     theme.save(draw_fronts(found), options.out, "accuracy_cost")
     for name, costs in found.items():
-        theme.save(precision.figure(costs, TARGETS), options.out, f"accuracy_cost_{name}")
+        theme.save(precision.work_precision(costs, TARGETS), options.out, f"accuracy_cost_{name}")
     numbers: dict[str, Any] = {name: scene_numbers(costs) for name, costs in found.items()}
     asked = scenes if options.full else options.asked
     numbers["requests"] = []
     for name, request in product(asked, ASKED):
-        file = options.out / f"request_{name}_{request.words.replace(' ', '_')}.json"
+        file = options.out / f"request_{name}_{request.words.replace(' ', '_')}.pickle"
 
         def run(name: str = name, request: Request = request) -> dict[str, Any]:
             return run_request(name, request)
@@ -97,15 +99,16 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
 
 
 def stored_or_measured(
-    file: Path, asked: Mapping[str, object], resume: bool, measure: Callable[[], dict[str, Any]]
-) -> dict[str, Any]:
+    file: Path, asked: Mapping[str, object], resume: bool, measure: Callable[[], T]
+) -> T:
     """The result of `measure`, stored in a file; or that of an earlier run with these options."""
     if resume and file.exists():
-        before: dict[str, Any] = json.loads(file.read_text())
+        before = pickle.loads(file.read_bytes())
         if before["how"] == asked:
-            return dict(before["found"])
+            return before["found"]
     found = measure()
-    write_text(file, json.dumps({"how": asked, "found": found}))
+    with atomic(file) as temporary:
+        temporary.write_bytes(pickle.dumps({"how": asked, "found": found}))
     return found
 
 

@@ -39,9 +39,8 @@ from meshskin.report import theme
 from meshskin.scene import shipped_scenes
 from meshskin.simulation.readout import effect_pipeline
 from meshskin.simulation.simulate import prepare
-from meshskin.study.sensitivity.holdout import without_common_noise
 from meshskin.study.sensitivity.knobs import SECONDS
-from meshskin.study.sensitivity.replay import Replay
+from meshskin.study.sensitivity.replay import Replay, without_common_noise
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

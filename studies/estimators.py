@@ -61,6 +61,7 @@ WORDS = {
     "posegraph_isotropic": "pose graph, isotropic information",
     "posegraph": "pose graph, right information",
     "joint": "joint estimate",
+    "centroid": "centroid of contact points",
 }
 
 
@@ -125,7 +126,8 @@ def by_start(points: np.ndarray, seeds: range, levels: tuple[float, ...]) -> dic
         data = gather(ms.press(scene, points, seed=seed), scene.belief())
         right = trilaterate.least_squares(data)
         best = maximum_likelihood.estimate(data).points
-        graph = displacements.displacement_graph(data, right)
+        measured = displacements.SharedContacts(data, right).displacements()
+        graph = measured.graph(right, data.ids)
         least = graph.solve().cost
         rng = np.random.default_rng(seed)
         for level in levels:

@@ -108,10 +108,11 @@ def measure_design(
     """Errors, mm, of one design, over seeds."""
     scene = designed_scene(base, sigma, **{name: value})
     belief = scene.belief()
-    found: dict[str, list[float]] = {"joint": [], "posegraph": [], "thick": [], "bound": []}
+    names = ("joint", "posegraph", "centroid", "thick", "bound")
+    found: dict[str, list[float]] = {name: [] for name in names}
     for seed in seeds:
         recording = ms.simulate(scene, seed)
-        for method in ("joint", "posegraph"):
+        for method in ("joint", "posegraph", "centroid"):
             found[method].append(error(scene, recording, belief, method))
         if name == "thickness_mm":
             material = replace(belief.material, thickness=None)
@@ -137,10 +138,11 @@ def print_rows(name: str, rows: list[dict[str, float]], seeds: range) -> None:
     """Print the rows of a property."""
     print(f"{LABELS[name]}, {len(seeds)} seeds: mean errors in mm")
     print(f"  {'value':>8}{'patch mm':>10}{'joint':>10}{'bound':>10}{'pose graph':>12}"
+          f"{'centroid':>10}"
           + (f"{'as if thick':>13}" if "thick_mm" in rows[0] else ""))  # fmt: skip
     for row in rows:
         line = f"  {row[name]:8.4g}{row['patch_mm']:10.2f}{row['joint_mm']:10.4f}"
-        line += f"{row['bound_mm']:10.4f}{row['posegraph_mm']:12.4f}"
+        line += f"{row['bound_mm']:10.4f}{row['posegraph_mm']:12.4f}{row['centroid_mm']:10.4f}"
         print(line + (f"{row['thick_mm']:13.4f}" if "thick_mm" in row else ""))
 
 
@@ -155,6 +157,7 @@ def draw_curves(rows: dict[str, list[dict[str, float]]]) -> Any:
         for key, label, style in (
             ("joint_mm", "joint maximum likelihood", {"marker": "o", "color": theme.ESTIMATE}),
             ("posegraph_mm", "pose graph", {"marker": "s", "color": theme.METHODS[1]}),
+            ("centroid_mm", "centroid", {"marker": "v", "color": theme.METHODS[6]}),
             ("thick_mm", "joint, believing the layer thick",
              {"marker": "^", "color": theme.WARNING}),
             ("bound_mm", "Cramér-Rao expectation", {"ls": "--", "color": theme.INK, "lw": 1.0}),

@@ -39,7 +39,7 @@ from scipy.spatial import cKDTree
 
 from meshskin import PoseGraph
 from meshskin.core import se3
-from meshskin.estimation.posegraph import topology
+from meshskin.estimation.posegraph import problem
 from meshskin.estimation.posegraph.edge_assembly import library
 from meshskin.estimation.posegraph.start import chordal
 
@@ -139,9 +139,7 @@ def measure(taxels: int, repeats: int, peer: bool) -> Row:
     seconds = []
     cost, iterations, theirs, built = np.nan, 0, np.nan, np.nan
     for _ in range(repeats):
-        topology.topology_cache = topology.TopologyCache(
-            edges=2 * len(graph.edges)
-        )  # nothing known
+        problem.topology_cache = problem.TopologyCache(edges=2 * len(graph.edges))  # nothing known
         everything, _ = timed(lambda: PoseGraph(*arrays).solve())
         known = PoseGraph(*arrays)
         again, _ = timed(known.solve)

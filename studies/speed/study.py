@@ -21,8 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import meshskin as ms
-from meshskin.study.sweep.case import Case
-from meshskin.study.sweep.outcome import Outcome
+from meshskin.study.sweep.case import Case, Outcome
 from meshskin.study.sweep.store import Store
 from meshskin.study.sweep.study import Progress, cores
 

@@ -1,0 +1,209 @@
+"""How much of a link's visible surface is calibrated, bare and in a bridging skin.
+
+    python studies/skinned_links.py MESH ... --radius-mm 8 --force-n 3 --out skinned.jsonl
+
+Each mesh (STL) is covered by --taxels taxels all over, as it is and as `Body.skinned` gives it
+(--thickness-mm, --feature-mm), moved by hand over the indenter in lanes (--lane-mm), with
+1 % noise, and calibrated. Points spread evenly over the mesh are the measure, the same for both: a
+point counts as visible if one of 64 directions leads away from it, and as fitting if a sphere of
+the indenter's radius that touches it there overlaps no other point of the mesh by 0.1 mm (a test by
+dense samples, independent of the planner). It counts as calibrated if the taxel nearest to it on
+its side is; on a skin only where the skin bridges it by at most --bridge-mm.
+
+The table lists the shares: visible points that fit; fitting points that are calibrated; visible
+points that are calibrated; and the largest error of a calibrated taxel, mm.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+import trimesh
+from scipy.spatial import cKDTree
+
+import meshskin as ms
+from meshskin.core.errors import MeshError, MeshskinError
+
+POINTS = 1500
+"""Points of a mesh."""
+DENSE = 300_000
+"""Samples of a mesh for the test of fit."""
+OVERLAP = 0.1e-3
+"""Overlap of a sphere with the mesh that still counts as a fit, m."""
+LARGEST_IN_METRES = 5.0
+"""Extent of a file above which its unit is mm."""
+
+
+def main() -> int:
+    """Print the table of all meshes and its medians."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("meshes", nargs="+", type=Path)
+    parser.add_argument("--radius-mm", type=float, default=8.0)
+    parser.add_argument("--force-n", type=float, default=3.0)
+    parser.add_argument("--young-kpa", type=float, default=400.0)
+    parser.add_argument("--thickness-mm", type=float, default=4.0)
+    parser.add_argument("--feature-mm", type=float, help="default: 1.5 indenter radii")
+    parser.add_argument("--bridge-mm", type=float, default=0.5)
+    parser.add_argument("--lane-mm", type=float, default=2.5)
+    parser.add_argument("--taxels", type=int, default=300)
+    parser.add_argument("--out", type=Path, default=Path("skinned.jsonl"))
+    options = parser.parse_args()
+    rows = []
+    with options.out.open("w", encoding="utf-8") as out:
+        for file in options.meshes:
+            for row in measure_mesh(file, options):
+                rows.append(row)
+                out.write(json.dumps(row) + "\n")
+                print(line(row), flush=True)
+    for kind in ("bare", "skinned"):
+        mine = [row for row in rows if row["kind"] == kind and "fit_calibrated" in row]
+        if mine:
+            fit = np.median([row["fit_calibrated"] for row in mine])
+            seen = np.median([row["visible_calibrated"] for row in mine])
+            print(f"median {kind}: {fit:.0%} of what fits, {seen:.0%} of what is visible")
+    return 0
+
+
+def measure_mesh(file: Path, options: argparse.Namespace) -> list[dict[str, Any]]:
+    """The rows of one mesh: bare and skinned."""
+    body = load(file)
+    radius = 1e-3 * options.radius_mm
+    points, normals = even_points(body.mesh)
+    seen = visible(body.mesh, points, normals)
+    fits = sphere_fits(body.mesh, points, normals, radius)
+    feature = 1.5 * radius if options.feature_mm is None else 1e-3 * options.feature_mm
+    thickness, rows = 1e-3 * options.thickness_mm, []
+    for kind in ("bare", "skinned"):
+        row: dict[str, Any] = {"mesh": file.stem, "kind": kind, "fits": share(fits, seen)}
+        begin = process_time()
+        try:
+            surface = body if kind == "bare" else body.skinned(thickness, feature)
+            found = calibrated(surface, radius, options)
+        except MeshskinError as refusal:
+            rows.append(row | {"refused": str(refusal)})
+            continue
+        depth = surface.closest(points).distance
+        far = np.abs(depth) - (thickness if kind == "skinned" else 0.0)
+        good = found.at(points, normals) & (far <= 1e-3 * options.bridge_mm)
+        rows.append(
+            row
+            | {
+                "fit_calibrated": share(good, seen & fits),
+                "visible_calibrated": share(good, seen),
+                "bridged": share(far > 1e-3 * options.bridge_mm, seen),
+                "largest_error_mm": found.largest_error,
+                "left_out": found.reasons,
+                "surface": surface.repairs[-1:] if kind == "skinned" else [],
+                "seconds": process_time() - begin,
+            }
+        )
+    return rows
+
+
+def load(file: Path) -> ms.Body:
+    """The body of a file, closed or open."""
+    extent = float(np.max(trimesh.load(file, process=False).extents))
+    units = "mm" if extent > LARGEST_IN_METRES else "m"
+    try:
+        return ms.Body.load(file, units=units)
+    except MeshError:
+        return ms.Body.load(file, units=units, open=True)
+
+
+def even_points(mesh: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 3) spread by area over the mesh, and the normals (n, 3) of their faces."""
+    points, face = trimesh.sample.sample_surface(mesh, POINTS, seed=1)
+    return np.asarray(points), mesh.face_normals[face]
+
+
+def visible(mesh: trimesh.Trimesh, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Whether (n,) a straight line in front of a point leads away from the mesh."""
+    ways = np.random.default_rng(0).normal(size=(64, 3))
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    out = np.zeros(len(points), dtype=bool)
+    # embree is single precision: in units of the extent, and a little off the surface
+    scale = float(mesh.extents.max())
+    scaled = trimesh.Trimesh(mesh.vertices / scale, mesh.faces, process=False)
+    start = points / scale + 1e-4 * normals
+    for way in ways:
+        front = np.flatnonzero(~out & (normals @ way > 0.1))
+        if len(front):
+            ahead = np.repeat(way[None], len(front), axis=0)
+            out[front] = ~scaled.ray.intersects_any(start[front], ahead)
+    return out
+
+
+def sphere_fits(
+    mesh: trimesh.Trimesh, points: np.ndarray, normals: np.ndarray, radius: float
+) -> np.ndarray:
+    """Whether (n,) a sphere in front of a point overlaps no sample of the mesh."""
+    samples = trimesh.sample.sample_surface(mesh, DENSE, seed=2)[0]
+    gap = cKDTree(samples).query(points + radius * normals)[0]
+    return np.asarray(gap > radius - OVERLAP)
+
+
+class Found:
+    """What a calibration found of the taxels of a surface."""
+
+    def __init__(self, skin: ms.Skin, calibration: Any, reasons: dict[str, int]) -> None:
+        self._skin, self._good = skin, np.isfinite(calibration.positions[:, 0])
+        self.reasons = reasons
+        error = np.linalg.norm(calibration.positions - skin.positions, axis=1)[self._good]
+        self.largest_error = float(1e3 * error.max(initial=0.0))
+
+    def at(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """Whether (n,) the nearest taxel that faces the same way is calibrated."""
+        near = cKDTree(self._skin.positions).query(points, 8)[1]
+        facing = np.einsum("nc,nkc->nk", normals, self._skin.normals[near]) > 0.3
+        first = near[np.arange(len(near)), np.argmax(facing, axis=1)]
+        return self._good[first] & facing.any(axis=1)
+
+
+def calibrated(body: ms.Body, radius: float, options: argparse.Namespace) -> Found:
+    """The taxels all over a body after simulation and calibration."""
+    skin = ms.Skin.cover(body, count=options.taxels, seed=1, disc_radius=min(2e-3, 0.3 * radius))
+    base = ms.Scene.load("sphere_noisy")
+    scene = base.with_(
+        name=body.name,
+        body=body,
+        skin=skin,
+        contact="auto",
+        material=ms.Material(young=1e3 * options.young_kpa),
+        indenter=ms.Indenter.sphere(radius),
+        law=replace(base.law, force_reference=options.force_n),
+        loop=replace(base.loop, mode="quasi_static"),
+        exploration=replace(base.exploration, pattern="lanes", lane_spacing=1e-3 * options.lane_mm),
+    )
+    recording = ms.simulate(scene, seed=1)
+    calibration = ms.calibrate(recording, scene.belief())
+    left = Counter(recording.metadata.get("unreachable", {}).values())
+    return Found(skin, calibration, dict(left.most_common(5)))
+
+
+def share(of: np.ndarray, among: np.ndarray) -> float:
+    """The share of True values of `of` (n,) where `among` (n,) is True."""
+    return float(of[among].mean()) if among.any() else float("nan")
+
+
+def line(row: dict[str, Any]) -> str:
+    """One row of the table."""
+    head = f"{row['mesh'][:36]:36s} {row['kind']:8s} fits {row['fits']:4.0%}"
+    if "refused" in row:
+        return f"{head}  refused: {row['refused']}"
+    return (
+        f"{head}  calibrated {row['fit_calibrated']:4.0%} of fitting, "
+        f"{row['visible_calibrated']:4.0%} of visible ({row['bridged']:.0%} bridged), error up to "
+        f"{row['largest_error_mm']:.3f} mm, {row['seconds']:.0f} s  {row['left_out']}"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

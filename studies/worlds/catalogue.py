@@ -1,0 +1,81 @@
+"""The worlds by name: foundations and covers, electronics, contact scatter, forces; solvers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from . import sphere
+from .electronics import Electronics
+from .profiles import Bell, Hertz, Winkler, blurred
+from .world import Radial, World
+
+COVER = 1e-3
+"""Standard deviation, m, of the blur by a cover."""
+
+
+YIELD = 0.7
+"""Pressure at which a skin yields, relative to the elastic peak at the mean force."""
+SOLVERS = {
+    "rubber_3_bonded": "skfem",
+    "rubber_3_sliding": "skfem",
+    "rubber_8_bonded": "skfem",
+    "rubber_8_sliding": "skfem",
+    "pins": "mujoco",
+    "wrinkled": "tamaas",
+    "yielding": "tamaas",
+}
+"""Worlds by another solver, and its module."""
+
+
+def world(name: str) -> World:
+    """A world by its name. Raises KeyError, and ImportError without its solver."""
+    return solved(name) if name in SOLVERS else catalogue()[name]
+
+
+def names() -> list[str]:
+    """All worlds, also those whose solver is not installed."""
+    return [*catalogue(), *SOLVERS]
+
+
+def solved(name: str) -> World:
+    """A world of SOLVERS: finite elements, rigid bodies or boundary elements."""
+    if SOLVERS[name] == "skfem":
+        from .hyperelastic import Layer, stored
+
+        _, thickness, base = name.split("_")
+        layer = Layer(thickness=1e-3 * float(thickness), bonded=base == "bonded")
+        return World(Radial(stored(layer)))
+    if name == "pins":
+        from .pins import Pins
+
+        return World(Pins(), guard=90)
+    from .half_space import Wrinkled, yielding
+
+    if name == "wrinkled":
+        return World(Wrinkled())
+    peak = float(Hertz()(np.array(0.0), np.array(sphere.FORCE)))
+    return World(Radial(yielding(YIELD * peak)))
+
+
+def catalogue() -> dict[str, World]:
+    """Worlds in closed form, by name."""
+    hertz, foam, cover = Radial(Hertz()), Radial(Winkler()), Radial(blurred(Winkler(), COVER))
+    together = Electronics(gain=0.1, offset=0.01, saturating=True, hysteresis=0.5)
+    counts = Electronics(gain=0.1, saturating=True, counts=True)
+    return {
+        "hertz": World(hertz),
+        "foam": World(foam),
+        "foam_cover": World(cover),
+        "bell": World(Radial(Bell())),
+        "saturating": World(hertz, Electronics(saturating=True)),
+        "power": World(cover, Electronics(power=0.6)),
+        "force_10": World(hertz, force_error=0.1),
+        "force_nominal": World(hertz, nominal_force=True),
+        "scatter_03": World(hertz, scatter=0.3e-3),
+        "scatter_10": World(hertz, scatter=1e-3),
+        "hysteresis": World(hertz, Electronics(hysteresis=0.5)),
+        "together": World(hertz, together, scatter=0.3e-3, force_error=0.1),
+        "counts": World(hertz, counts, scatter=0.3e-3, nominal_force=True),
+        "drift": World(hertz, Electronics(drift=0.05)),
+        "crosstalk": World(hertz, Electronics(crosstalk=0.05)),
+    }

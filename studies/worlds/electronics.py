@@ -1,0 +1,113 @@
+"""From the pressure on taxels to what their electronics write down."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from .profiles import Array
+
+FULL_SCALE = 200.0
+"""Counts of the peak pressure; 8 bits end at 255."""
+NEIGHBOUR = 1.2
+"""Distance of taxels that crosstalk, relative to the least one."""
+
+
+@dataclass(frozen=True)
+class Electronics:
+    """A taxel's electronics; every standard deviation and level is relative to the peak reading."""
+
+    noise: float = 0.01
+    """Standard deviation of a reading's noise."""
+    threshold: float = 0.05
+    """Readings up to this are not written down."""
+    gain: float = 0.0
+    """Standard deviation of ln gain over the taxels."""
+    offset: float = 0.0
+    """Standard deviation of the offsets of the taxels."""
+    drift: float = 0.0
+    """Standard deviation over the taxels of the rise of the offset during the recording."""
+    crosstalk: float = 0.0
+    """Part of the pressure of each neighbour that a taxel reads."""
+    saturating: bool = False
+    """Whether a pressure p reads p / (1 + p / peak): at the peak half of it."""
+    power: float = 1.0
+    """Exponent of a response peak (p / peak)^power."""
+    hysteresis: float = 0.0
+    """Part of a play operator in the reading."""
+    play: float = 0.2
+    """Half-width of the play operator, relative to the peak pressure."""
+    counts: bool = False
+    """Whether readings are integers of 0 to 255, FULL_SCALE at the peak."""
+
+    def response(self, p: Array, peak: float) -> Array:
+        """Readings of pressures p, Pa, without noise, before counting."""
+        if self.saturating:
+            p = p / (1 + p / peak)
+        if self.power != 1.0:
+            p = np.sign(p) * peak * (np.abs(p) / peak) ** self.power
+        return p
+
+    def unit(self, peak: float) -> float:
+        """Reading of the peak pressure, Pa."""
+        return float(self.response(np.array(peak), peak))
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Electronics of n taxels of one recording, with their random numbers."""
+
+    electronics: Electronics
+    peak: float
+    """Peak pressure of a taxel at the mean force, Pa."""
+    count: int
+    """n."""
+    seed: int
+
+    def _draw(self, stream: int) -> Array:
+        return np.random.default_rng([self.seed, stream]).normal(size=self.count)
+
+    @cached_property
+    def gains(self) -> Array:
+        """Gains (n,)."""
+        return np.exp(self.electronics.gain * self._draw(3))
+
+    def exact(self, pressure: Array, near: Array) -> Array:
+        """Readings (m, n) of pressures (m, n), Pa, in time order, without noise and counting.
+
+        near (n, n): distances of the taxels, m, for crosstalk.
+        """
+        e, unit = self.electronics, self.electronics.unit(self.peak)
+        if e.crosstalk:
+            least = near[near > 0].min()
+            pressure = pressure + e.crosstalk * pressure @ ((near > 0) & (near < NEIGHBOUR * least))
+        if e.hysteresis:
+            lagging = play(pressure, e.play * self.peak)
+            pressure = (1 - e.hysteresis) * pressure + e.hysteresis * lagging
+        reading = e.response(self.gains * pressure, self.peak)
+        rise = np.linspace(0.0, 1.0, len(pressure))[:, None]
+        return reading + unit * (e.offset * self._draw(4) + rise * e.drift * self._draw(5))
+
+    def recorded(self, exact: Array) -> tuple[Array, float]:
+        """What is written down (m, n) for exact readings, and the threshold that it has to pass."""
+        e, unit = self.electronics, self.electronics.unit(self.peak)
+        rng = np.random.default_rng([self.seed, 6])
+        value = exact + e.noise * unit * rng.normal(size=exact.shape)
+        if not e.counts:
+            return value, e.threshold * unit
+        counts = np.clip(np.round(FULL_SCALE * value / unit), 0, 255)
+        return counts, float(round(e.threshold * FULL_SCALE))
+
+
+def play(signal: Array, width: float) -> Array:
+    """The play operator of half-width `width` on each column of signals (m, n), from rest.
+
+    Source: Visintin, Differential Models of Hysteresis (1994), section III.1.
+    """
+    state, out = np.zeros(signal.shape[1]), np.empty_like(signal)
+    for k, now in enumerate(signal):
+        state = np.clip(state, now - width, now + width)
+        out[k] = state
+    return out

@@ -1,0 +1,139 @@
+"""A world: contacts on a cap of taxels, their pressures, and the electronics that record them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+import pyarrow as pa
+from scipy.interpolate import RectBivariateSpline
+
+from meshskin.recording.recording import CONTACTS, READINGS, Recording
+
+from . import sphere
+from .electronics import Electronics, Sensors
+from .profiles import FORCES, REACH, Array, Profile
+from .sphere import Touch
+
+Pressures = Callable[[Touch, Array], Array]
+"""(contacts, positions (n, 3), m) -> pressures (m, n), Pa, that the taxels feel."""
+
+
+@dataclass(frozen=True)
+class World:
+    """How a recording comes about; what the robot's owner does not know."""
+
+    pressures: Pressures
+    electronics: Electronics = field(default_factory=Electronics)
+    scatter: float = 0.0
+    """Standard deviation, m, of the recorded contact points along each tangent."""
+    force_error: float = 0.0
+    """Standard deviation of ln of the recorded over the true force."""
+    nominal_force: bool = False
+    """Whether the recorded force is sphere.FORCE in every contact."""
+    guard: int = 0
+    """Taxels around the skin that carry load and are not read."""
+    taxels: int = 97
+    contacts: int = 985
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A recording, and apart from it what no calibration may know."""
+
+    recording: Recording
+    threshold: float
+    """Level that readings had to pass, in their unit."""
+    positions: Array
+    """True positions (n, 3), m, of the taxels 0 to n - 1."""
+    guard: Array
+    """Positions (g, 3), m, of the taxels that are not read."""
+    touch: Touch
+    """True contacts."""
+    sensors: Sensors
+
+    def exact(self, world: World, positions: Array | None = None, touch: Touch | None = None
+              ) -> Array:  # fmt: skip
+        """Readings (m, n) without noise, also at other positions and contacts."""
+        at = self.positions if positions is None else positions
+        near = np.linalg.norm(self.positions[:, None] - self.positions, axis=2)
+        pressures = world.pressures(touch or self.touch, np.concatenate([at, self.guard]))
+        return self.sensors.exact(pressures[:, : len(at)], near)
+
+
+def record(world: World, seed: int) -> Sample:
+    """The recording of one seed: positions, forces, noise and faults are drawn from it."""
+    every = sphere.taxels(world.taxels + world.guard, seed)
+    positions, guard = np.split(every, [world.taxels])
+    touch = sphere.spiral(world.contacts, positions, seed)
+    sensors = Sensors(world.electronics, peak(world.pressures), world.taxels, seed)
+    measured = sphere.scattered(touch, world.scatter, seed)
+    rng = np.random.default_rng([seed, 7])
+    force = touch.force * np.exp(world.force_error * rng.normal(size=world.contacts))
+    if world.nominal_force:
+        force = np.full(world.contacts, sphere.FORCE)
+    draft = Sample(_table(measured, force), 0.0, positions, guard, touch, sensors)
+    reading, threshold = sensors.recorded(draft.exact(world))
+    recording = _with_readings(draft.recording, reading, threshold)
+    return Sample(recording, threshold, positions, guard, touch, sensors)
+
+
+@lru_cache(maxsize=64)
+def peak(pressures: Pressures) -> float:
+    """Pressure, Pa, of a taxel in the middle of a contact at the mean force."""
+    pole = sphere.RADIUS * np.array([[0.0, 0.0, 1.0]])
+    return float(pressures(Touch(pole, np.array([sphere.FORCE])), pole)[0, 0])
+
+
+def _table(touch: Touch, force: Array) -> Recording:
+    time = sphere.FRAME * np.arange(len(force))
+    columns = [time, *touch.points.T, *touch.normals.T, force]
+    contacts = pa.table([np.ascontiguousarray(c) for c in columns], schema=CONTACTS)
+    return Recording(contacts, READINGS.empty_table(), {})
+
+
+def _with_readings(recording: Recording, reading: Array, threshold: float) -> Recording:
+    """The recording with the readings (m, n) above the threshold."""
+    contact, taxel = np.nonzero(reading > threshold)
+    columns = [recording.time[contact], taxel.astype(np.int32), reading[contact, taxel]]
+    metadata = {"taxel_ids": list(range(reading.shape[1])), "disc_radius_m": sphere.DISC_RADIUS}
+    return Recording(recording.contacts, pa.table(columns, schema=READINGS), metadata)
+
+
+@dataclass(frozen=True)
+class Radial:
+    """Pressures that depend on the distance from the contact point and on the force alone."""
+
+    profile: Profile
+
+    def __call__(self, touch: Touch, positions: Array) -> Array:
+        """Means (m, n), Pa, of the pressure over the taxels' discs."""
+        distance = sphere.distances(touch, positions)
+        pressure, near = np.zeros_like(distance), distance < REACH
+        force = np.broadcast_to(touch.force[:, None], near.shape)[near]
+        value = disc_means(self.profile).ev(np.log(force), distance[near])
+        pressure[near] = np.maximum(value, 0.0)
+        return pressure
+
+
+@lru_cache(maxsize=64)
+def disc_means(profile: Profile) -> RectBivariateSpline:
+    """Mean pressure, Pa, over a disc as a spline of (ln force, distance of its centre, m).
+
+    The nodes are a product rule over the radius squared and half a turn: the other half mirrors it,
+    so that no node pattern shifts the profile.
+    """
+    node, weight = np.polynomial.legendre.leggauss(24)
+    radius = sphere.DISC_RADIUS * np.sqrt((node + 1) / 2)
+    angle = np.pi * (np.arange(32) + 0.5) / 32
+    rho = np.arange(0.0, REACH + 2e-4, 1e-4)
+    shape = (len(rho), len(radius), len(angle))
+    square = rho[:, None, None] ** 2 + radius[:, None] ** 2
+    square = square + 2 * rho[:, None, None] * radius[:, None] * np.cos(angle)
+    means = [
+        (profile(np.sqrt(square), np.full(shape, force)).mean(axis=2) * weight / 2).sum(axis=1)
+        for force in FORCES
+    ]
+    return RectBivariateSpline(np.log(FORCES), rho, np.array(means), kx=3, ky=3, s=0)
