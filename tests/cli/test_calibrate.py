@@ -70,6 +70,15 @@ def test_a_log_in_csv_with_a_mesh(scene, log, tmp_path, capsys):
     assert "rotation about the normal of every taxel" in said
 
 
+def test_a_failed_calibration_is_written_and_ends_with_exit_code_1(log, tmp_path, capsys):
+    out = tmp_path / "out"
+    asked = ["calibrate", str(log), *known(log), "--young-kpa", "4500", "--out", str(out)]
+    assert cli.main(asked) == calibrate.FAILED == 1
+    assert capsys.readouterr().out.startswith("verdict: FAIL")
+    assert json.loads((out / "metrics.json").read_text())["verdict"]["level"] == "FAIL"
+    assert (out / "calibration.parquet").exists()
+
+
 def test_a_recording_with_a_scene(recording, tmp_path, capsys):
     recording.save(tmp_path / "r")
     asked = ["calibrate", str(tmp_path / "r"), "--scene", "sphere_noisy", "--out"]
@@ -141,9 +150,9 @@ def test_a_body_that_is_no_sphere_needs_no_contact_model_named(tmp_path):
 def body_of(log, *options):
     """The body of the belief that options of the command describe."""
     parser = argparse.ArgumentParser()
-    calibrate.add(parser.add_subparsers())
+    calibrate.add(parser)
     rest = ["--indenter-radius-mm", "10", "--young-kpa", "150", "--out", "out"]
-    asked = ["calibrate", str(log), "--body", *map(str, options), *rest]
+    asked = [str(log), "--body", *map(str, options), *rest]
     return calibrate.belief_of(parser.parse_args(asked), ms.Recording.load(log)).body
 
 
@@ -211,3 +220,14 @@ def test_why_taxels_are_left_out_is_said(log, tmp_path, capsys):
     asked = ["calibrate", str(log), *known(log), "--young-kpa", "150", "--disc-radius-mm", "40"]
     assert cli.main([*asked, "--out", str(tmp_path / "out")]) == 0
     assert "left out         80 taxels: too weakly determined" in capsys.readouterr().out
+
+
+def test_held_out_contacts(log, tmp_path, capsys):
+    out = tmp_path / "out"
+    asked = ["calibrate", str(log), *known(log), "--young-kpa", "200", "--out", str(out)]
+    assert cli.main([*asked, "--cross-validate", "2"]) == 0
+    m = json.loads((out / "metrics.json").read_text())["cross_validation"]
+    assert m["folds"] == 2
+    assert m["error_mm"]["rms"] < 0.15 < 0.4 < m["centroid_error_mm"]["rms"]
+    assert f"{m['localized']} of 1200 contacts localised to" in capsys.readouterr().out
+    assert "Held-out contacts" in (out / "report.html").read_text()

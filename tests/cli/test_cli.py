@@ -58,12 +58,16 @@ def test_a_run_leaves_everything(run):
 def test_metrics_hold_the_contract_and_the_paper_is_beaten(run):
     m = json.loads((run / "metrics.json").read_text())
     assert m["taxels"] == m["touched"] == 80
-    for key in ("position_error_mm", "trilateration", "posegraph"):
+    for key in ("position_error_mm", "trilateration", "posegraph", "centroid"):
         assert 0 < m[key]["mean"] <= m[key]["rms"] <= m[key]["max"]
     assert m["position_error_mm"]["mean"] == pytest.approx(m["crlb_mm"]["mean"], rel=0.25)
     assert m["nees_band"][0] * 0.9 < m["nees"] < m["nees_band"][1] * 1.1
     assert m["three_circles"]["mean"] > 8 * m["position_error_mm"]["mean"]
     assert m["posegraph_isotropic"]["mean"] > 2 * m["position_error_mm"]["mean"]
+    assert m["centroid"]["mean"] > 8 * m["position_error_mm"]["mean"]
+    methods = ("trilateration", "three_circles", "posegraph", "posegraph_isotropic")
+    worse = [k for k in (*methods, "posegraph_paper") if m[k]["mean"] > m["centroid"]["mean"]]
+    assert m["worse_than_centroid"] == worse
     force = m["force"]
     assert force["mean_n"] == pytest.approx(force["reference_n"], rel=0.01)
     assert force["settling_s"] < 0.1

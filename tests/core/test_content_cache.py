@@ -9,7 +9,7 @@ import meshskin as ms
 from meshskin.core import content_cache
 from meshskin.robot.inverse_kinematics import newton
 from meshskin.simulation.closed_loop_model import ClosedLoopModel
-from meshskin.simulation.step import step
+from meshskin.simulation.integrators import step
 
 
 def test_equal_contents_are_built_once():

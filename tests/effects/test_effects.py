@@ -97,6 +97,17 @@ class Blur(effects.BaseEffect):
         return lambda pressures, frames: pressures
 
 
+def test_an_effect_is_named_by_its_class_and_a_variant_by_itself():
+    class SlowEcho(effects.BaseEffect, stage="robot", cost=1e-9):
+        pass
+
+    class Variant(SlowEcho):
+        stage = "geometry"
+
+    assert (SlowEcho.name, SlowEcho.stage, SlowEcho.cost) == ("slow_echo", "robot", 1e-9)
+    assert (Variant.name, Variant.stage, Variant.cost) == ("slow_echo", "geometry", 1e-9)
+
+
 def test_a_field_named_like_a_method_is_refused_by_name(sphere):
     for use in (lambda: sphere.with_(effects=(Blur(),)), lambda: effects.ordered((Blur(),))):
         with pytest.raises(ConfigError, match="sigma of the effect blur must be a method"):
@@ -132,14 +143,14 @@ def test_effects_act_in_the_order_of_the_signal():
     ]
 
 
-@pytest.mark.parametrize("name", effects.CLASS_NAMES)
+@pytest.mark.parametrize("name", effects.NAMES)
 def test_every_effect_has_the_interface(name, context):
     table = {"kind": name, **NEEDED.get(name, {})}
     effect = effects.from_table(table)
     assert effect.name == name
     assert effect.stage in effects.STAGES
     assert effect.requires == ()
-    assert set(effect.excludes) <= set(effects.CLASS_NAMES)
+    assert set(effect.excludes) <= set(effects.NAMES)
     assert 0 < effect.bound(context) < 0.1
     assert 0 < effect.cost < 1e-3
     assert len(effects.build((effect,), context, effect.stage)) == 1
@@ -151,13 +162,13 @@ def test_every_effect_has_the_interface(name, context):
 
 
 def test_effects_without_defaults_are_not_registered(context):
-    assert set(NEEDED) == set(effects.CLASS_NAMES) - {e.name for e in effects.registered()}
+    assert set(NEEDED) == set(effects.NAMES) - {e.name for e in effects.registered()}
     with pytest.raises(ConfigError, match="thickness"):
         effects.from_table({"kind": "layer"})
 
 
 def test_registry_is_in_the_order_of_the_stages():
-    stages = [effects.STAGES.index(effects.find(name).stage) for name in effects.CLASS_NAMES]
+    stages = [effects.STAGES.index(effects.find(name).stage) for name in effects.NAMES]
     assert stages == sorted(stages)
 
 
@@ -209,7 +220,7 @@ def toy(tmp_path, monkeypatch):
 
 def test_effect_of_another_package(toy, sphere, recording):
     twice = effects.from_table({"kind": "toy", "factor": 3.0})
-    assert "toy" not in effects.CLASS_NAMES
+    assert "toy" not in effects.NAMES
     found = ms.simulate(sphere.with_(effects=(twice,)), seed=1)
     np.testing.assert_array_equal(found.pressure, 3.0 * recording.pressure)
     with pytest.raises(UnknownNameError, match="did you mean toy"):

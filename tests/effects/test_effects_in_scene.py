@@ -22,8 +22,8 @@ OPTIONS = {
     "joint_friction": {"torque": 0.1},
 }
 SLOW = pytest.mark.slow
-RECORDED = [k for k in effects.CLASS_NAMES if effects.find(k).stage in ("geometry", "robot")]
-READ = [k for k in effects.CLASS_NAMES if k not in RECORDED]
+RECORDED = [k for k in effects.NAMES if effects.find(k).stage in ("geometry", "robot")]
+READ = [k for k in effects.NAMES if k not in RECORDED]
 IDLE = ("gaussian_noise", "elliptic_patch")
 """Effects that are on in the scene, or change nothing on a sphere."""
 
@@ -78,7 +78,7 @@ def test_modules_of_effects_that_are_off_are_not_imported():
 
 def test_effects_switched_off_again_leave_the_recording_bit_for_bit(small, plain):
     """After a simulation with all effects that can be on together."""
-    run(small, *(name for name in effects.CLASS_NAMES if name not in IDLE))
+    run(small, *(name for name in effects.NAMES if name not in IDLE))
     again = ms.simulate(small, seed=1)
     for table_of in ("contacts", "readings", "motion"):
         assert getattr(again, table_of).equals(getattr(plain, table_of))
@@ -125,7 +125,7 @@ def test_switching_an_effect_leaves_the_noise_of_another(name, small, quiet_and_
 
 def test_no_effect_depends_on_the_batches(small, monkeypatch):
     names = [
-        k for k in effects.CLASS_NAMES if k not in (*IDLE, "cover_fabric")
+        k for k in effects.NAMES if k not in (*IDLE, "cover_fabric")
     ]  # the cover is slow and stateless
     whole = run(small, *names)
     monkeypatch.setattr(simulate, "FRAME_CELLS", 19 * 40)
@@ -167,7 +167,7 @@ def test_the_frames_of_a_scene_are_contacts_with_the_indenter(small):
                 np.testing.assert_allclose(world - context.indenter_position, 0.0, atol=1e-7)
 
 
-@pytest.mark.parametrize("name", [k for k in effects.CLASS_NAMES if k not in IDLE])
+@pytest.mark.parametrize("name", [k for k in effects.NAMES if k not in IDLE])
 def test_ignoring_an_effect_shifts_taxels_by_less_than_its_bound(name, small, one, plain):
     """The shift of the joint estimate that ignores the effect; broken taxels may be missing."""
     belief = small.belief()

@@ -108,6 +108,7 @@ class World:
         """What the owner of this world knows."""
         fields = {
             "body": self.body,
+            "readings": "pressure",
             "indenter": SimpleNamespace(radius=INDENTER),
             "material": Material(young=young, poisson=POISSON, thickness=self.model.thickness),
             "contact": self.model.name,

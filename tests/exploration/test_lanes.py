@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from meshskin.exploration.lanes import MAX_SPACING, both_ways, cover, spacing_for
+from meshskin.exploration.coverage import PointCloud
+from meshskin.exploration.lane_plan import region_radius
+from meshskin.exploration.lanes import MAX_SPACING, _traces, both_ways, cover, spacing_for
 from meshskin.geometry.body import Body
 from meshskin.geometry.region import Cap
 from meshskin.skin.skin import Skin
@@ -78,3 +80,49 @@ def test_the_spacing_gives_the_wanted_number_of_contacts():
     spacing = spacing_for(reach, 100.0, step)
     assert np.pi * reach**2 / (spacing * step) == pytest.approx(100.0)
     assert spacing_for(reach, 4.0, step) == pytest.approx(MAX_SPACING * reach)
+
+
+def test_geodesics_that_are_followed_together_are_those_of_one_at_a_time():
+    body, start = BODIES["torus"][0], np.array([0.14, 0.0, 0.0])
+    ways = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    together = _traces(body, start, ways, STEP, None)
+    assert [closed for _, closed in together] == [True, True, True]
+    for way, (points, closed) in zip(ways, together, strict=True):
+        ((alone, closed_alone),) = _traces(body, start, way[None], STEP, None)
+        assert closed == closed_alone
+        np.testing.assert_array_equal(points, alone)
+
+
+def test_distances_to_a_growing_cloud_are_those_to_all_its_points():
+    rng, cloud, every = np.random.default_rng(0), PointCloud(), np.zeros((0, 3))
+    at = rng.normal(size=(20, 3))
+    assert np.isinf(cloud.distance(at)).all()
+    for count in (5, 40, 3, 3, 200, 1):
+        new = rng.normal(size=(count, 3))
+        every = np.concatenate([every, new])
+        cloud.add(new)
+        gap = np.linalg.norm(at[:, None] - every, axis=2).min(axis=1)
+        np.testing.assert_allclose(cloud.distance(at), gap, rtol=1e-12)
+        near = gap < 0.5
+        np.testing.assert_allclose(cloud.distance(at, 0.5), np.where(near, gap, np.inf))
+
+
+def test_the_region_of_sparse_taxels_ends_where_none_feels_a_contact():
+    def radius(pitch):
+        sites = np.stack([pitch * np.arange(9.0), np.zeros(9), np.zeros(9)], axis=1)
+        return region_radius(sites, 3e-3, 5e-3)
+
+    assert radius(2e-3) == pytest.approx(3e-3)
+    assert radius(8e-3) == pytest.approx(6e-3)
+    assert radius(50e-3) == pytest.approx(7.5e-3)
+
+
+def test_the_lanes_of_sparse_taxels_skip_what_is_between_them():
+    body = Body.capsule(0.03, 0.2)
+    sites = Skin.cover(body, spacing=30e-3).positions
+    pieces = cover(body, sites, SPACING, 7e-3, STEP)
+    points = np.concatenate([piece.point for piece in pieces])
+    assert cKDTree(points).query(sites)[0].max() < SPACING
+    assert cKDTree(sites).query(points)[0].max() < 7e-3 + SPACING
+    length = sum(np.linalg.norm(np.diff(p.point, axis=0), axis=1).sum() for p in pieces)
+    assert length * SPACING < 0.5 * body.mesh.area

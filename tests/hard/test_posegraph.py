@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 
 from meshskin.core import se3
 from meshskin.core.errors import GraphError
-from meshskin.estimation.posegraph import PoseGraph, problem, start, topology
+from meshskin.estimation.posegraph import PoseGraph, problem, start
 
 SIGMA = np.repeat([1e-4, 0.02], 3)
 
@@ -207,7 +207,7 @@ def test_information_of_condition_1e12():
 @pytest.fixture
 def fresh_problems(monkeypatch):
     """An empty cache: problems built in a test are not used by others."""
-    monkeypatch.setattr(topology, "topology_cache", topology.TopologyCache(1))
+    monkeypatch.setattr(problem, "topology_cache", problem.TopologyCache(1))
 
 
 def test_ipopt_in_restoration_failure(fresh_problems, monkeypatch):

@@ -164,6 +164,7 @@ def test_headers_may_have_blanks_and_capitals(tmp_path):
             "got pressure = -2 in row 0, limit: at least 0",
         ),
         ("time,taxel,pressure\n0,-4,2\n", "taxel .* got taxel = -4 in row 0, limit: at least 0"),
+        ("time,taxel,count_ms\n0,1,2\n", "an unknown unit or occurs twice, got count_ms"),
         ("time,pressure\n0,1\n", "readings.csv lacks taxel, got columns time, pressure; it needs"),
     ],
 )
@@ -211,3 +212,16 @@ def test_metadata_that_json_cannot_hold_leave_no_file(tmp_path):
     with pytest.raises(RecordingError, match=r"must be JSON values: .*set"):
         Recording(*tables(), {"taxels": {1, 2}}).save(tmp_path / "r")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("column", ["reading", "Count"])
+def test_a_column_of_raw_readings_may_have_any_sign(tmp_path, column):
+    (tmp_path / "contacts.csv").write_text("time,px,py,pz,force\n0,1,2,3,2.5\n")
+    (tmp_path / "readings.csv").write_text(f"time,taxel,{column}\n0,7,-3\n0,8,212\n")
+    recording = Recording.load(tmp_path)
+    assert recording.pressure.tolist() == [-3.0, 212.0]
+    assert recording.metadata["readings"] == "raw"
+    recording.save(tmp_path / "again")
+    assert Recording.load(tmp_path / "again").metadata["readings"] == "raw"
+    (tmp_path / "readings.csv").write_text("time,taxel,pressure\n0,7,3\n")
+    assert "readings" not in Recording.load(tmp_path).metadata

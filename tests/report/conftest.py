@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +14,7 @@ from meshskin.core.se3 import transform
 from meshskin.estimation.calibration import Calibration
 from meshskin.recording.recording import Recording
 from meshskin.skin.skin import Skin
+from meshskin.study.sensitivity.cost import Costs, Row, Setting
 
 RADIUS = 0.1
 COUNT = 80
@@ -91,6 +94,16 @@ def recording(motion: bool = True) -> Recording:
     return Recording(contacts, readings, metadata, table if motion else None)
 
 
+def costs(methods: Sequence[str], seconds: Sequence[float], errors_mm: Sequence[float]) -> Costs:
+    """Costs of a scene with other estimators, without numerical part."""
+    own = Setting(None, 4, "hertz", 1e-3, "rk4", 3e-3, 100.0)
+    rows = [Row("scene", own, 0.01, 0.0, located=COUNT, seconds={"simulate": 0.3})]
+    for method, time, error in zip(methods, seconds, errors_mm, strict=True):
+        changed, spent = replace(own, method=method), {"simulate": time}
+        rows.append(Row("method", changed, error, 0.0, located=COUNT, seconds=spent))
+    return Costs("made up", own, own, tuple(rows), (), 1)
+
+
 METRICS = {
     "taxels": COUNT,
     "touched": COUNT - len(UNTOUCHED),
@@ -112,5 +125,5 @@ def case() -> SimpleNamespace:
     """The made-up run, by name."""
     return SimpleNamespace(
         RADIUS=RADIUS, COUNT=COUNT, UNTOUCHED=UNTOUCHED, METRICS=METRICS,
-        skin=skin, calibration=calibration, recording=recording,
+        skin=skin, calibration=calibration, recording=recording, costs=costs,
     )  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,6 +15,7 @@ import pytest
 from meshskin.core.errors import OutputError
 from meshskin.report import curves, maps, precision, theme
 from meshskin.report.curves import envelope, settling_time
+from meshskin.report.data import Iterations, ReportData
 from meshskin.report.maps import ellipse_axes, representative_iterations
 from meshskin.report.theme import compact, significant
 
@@ -35,7 +37,7 @@ def test_importing_the_report_imports_no_plotting_library() -> None:
 
 def test_drawing_leaves_matplotlib_as_it_was() -> None:
     before = matplotlib.rcParams.copy()
-    curves.initial_error([1e-3, 2e-3], [[1e-4, 2e-4], [2e-4, 3e-4]])
+    curves.force([0.0, 1.0], [0.0, 3.0], 3.0)
     assert matplotlib.rcParams.copy() == before
 
 
@@ -87,25 +89,27 @@ def test_force_names_its_settling_and_works_without_reference() -> None:
 
 
 def test_estimates_state_their_exaggeration(case: SimpleNamespace) -> None:
-    truth = case.skin().positions
-    estimate = truth + np.array([1e-6, 0.0, 0.0])
-    shown = texts(maps.estimates(truth, estimate))
+    truth, found = case.skin(), case.calibration()
+    found.poses[:] = truth.poses
+    found.poses[:, 0, 3] += 1e-6
+    shown = texts(maps.estimates(ReportData(found, truth=truth)))
     assert "error × 1\u00a0000" in shown
     assert "no estimate" not in shown
-    estimate[5] = np.nan
-    assert "no estimate" in texts(maps.estimates(truth, estimate))
+    found.poses[5] = np.nan
+    assert "no estimate" in texts(maps.estimates(ReportData(found, truth=truth)))
 
 
 def test_iterations_give_first_middle_and_last_with_their_mean_error(case: SimpleNamespace) -> None:
-    truth = case.skin().positions
+    truth, plane = case.skin().positions, ReportData(case.calibration(), truth=case.skin()).plane
     steps = truth[None] + np.array([9e-3, 5e-3, 3e-3, 2e-3, 1e-3])[:, None, None] * [0.0, 0.0, 1.0]
-    figure = maps.iterations(truth, steps)
+    run = Iterations(steps, truth, True, False)
+    figure = maps.iterations(run, plane)
     assert [a.get_title(loc="left") for a in figure.axes] == [
         "Iteration 0: mean 9.00 mm off",
         "Iteration 1: mean 5.00 mm off",
         "Iteration 4: mean 1.00 mm off",
     ]
-    alone = maps.iterations(truth, steps, only=1)
+    alone = maps.iterations(run, plane, only=1)
     assert [a.get_title(loc="left") for a in alone.axes] == ["Iteration 1: mean 5.00 mm off"]
     assert representative_iterations(steps[:1]) == (0, 0, 0)
 
@@ -124,13 +128,14 @@ def test_errors_count_every_taxel_once_and_mark_the_bound() -> None:
 
 
 def test_coverage_crosses_out_what_was_never_touched(case: SimpleNamespace) -> None:
-    positions, readings = case.skin().positions, np.full(case.COUNT, 9)
-    assert "never touched" not in texts(maps.coverage(positions, readings))
-    readings[7] = 0
-    assert "never touched" in texts(maps.coverage(positions, readings, positions))
-    positions = positions.copy()
-    positions[7] = np.nan  # untouched, and no truth tells where it is
-    assert "never touched" not in texts(maps.coverage(positions, readings))
+    found = case.calibration()
+    found.readings[:] = 9
+    data = ReportData(found, truth=case.skin())
+    assert "never touched" not in texts(maps.coverage(data))
+    found.readings[3] = 0
+    assert "never touched" in texts(maps.coverage(replace(data, recording=case.recording())))
+    # without a truth, nothing tells where an untouched taxel is
+    assert "never touched" not in texts(maps.coverage(ReportData(found)))
 
 
 def test_ellipses_have_the_axes_of_their_covariances() -> None:
@@ -143,19 +148,9 @@ def test_ellipses_have_the_axes_of_their_covariances() -> None:
 
 def test_uncertainty_survives_taxels_without_estimate(case: SimpleNamespace) -> None:
     c = case.calibration(sigma=2e-5)
-    shown = texts(maps.uncertainty(c.positions, c.covariances[:, :3, :3]))
-    assert "1 sigma along the skin × 50" in shown
-    maps.uncertainty(np.full((3, 3), np.nan), np.full((3, 3, 3), np.inf))
-
-
-def test_initial_error_draws_the_claims_beside() -> None:
-    start = np.array([1e-3, 3e-3, 6e-3])
-    figure = curves.initial_error(start, 0.5 * start[:, None] * np.ones((3, 20)))
-    lines = {line.get_label(): line.get_xydata() for line in figure.axes[0].lines}
-    assert np.allclose(lines["median"], [[1, 0.5], [3, 1.5], [6, 3.0]])
-    assert np.allclose(lines["paper: 20 %"], [[0.5, 0.4], [3, 2.4]])
-    assert np.allclose(lines["paper: up to 50 %"], [[3, 1.5], [6, 3.0]])
-    assert "20 seeds" in texts(figure)
+    assert "1 sigma along the skin × 50" in texts(maps.uncertainty(ReportData(c)))
+    c.poses[:], c.covariances[:] = np.nan, np.inf
+    maps.uncertainty(ReportData(c))
 
 
 @pytest.mark.parametrize(
@@ -182,18 +177,28 @@ def test_measured_numbers_keep_their_last_zeros(value: float, text: str) -> None
     assert significant(value) == text
 
 
-def test_names_of_settings_stay_in_their_axes() -> None:
-    seconds, error = np.array([0.1, 0.5, 2.0]), np.array([0.1, 0.02, 0.05])
-    names = ("trilateration", "posegraph", "posegraph isotropic")
-    made = precision.KnobSeries("estimator", seconds, error, error, names)
-    figure = precision.work_precision([made], (0.3, 0.01, 1e-4), [(0.1, 0.1), (0.5, 0.02)])
+def test_names_of_settings_stay_in_their_axes(case: SimpleNamespace) -> None:
+    seconds, error = (0.1, 0.5, 2.0), (0.1, 0.02, 0.05)
+    names = ("trilateration", "posegraph", "posegraph_isotropic")
+    figure = precision.work_precision(case.costs(names, seconds, error), ())
     figure.draw_without_rendering()
     left = figure.axes[0]
-    written = [text for text in left.texts if text.get_text() in names]
+    written = [text for text in left.texts if text.get_text().replace(" ", "_") in names]
     assert len(written) == 3
     for text in written:
         assert text.get_window_extent().x1 <= left.bbox.x1 + 1.0
         assert text.get_window_extent().x0 >= left.bbox.x0 - 1.0
+
+
+def test_names_of_estimators_that_err_alike_do_not_overlap(case: SimpleNamespace) -> None:
+    names = ("trilateration", "three_circles", "posegraph", "posegraph_paper")
+    costs = case.costs(names, (0.4, 0.41, 0.42, 3.0), (1e-6,) * 4)
+    figure = precision.work_precision(costs, (0.1,))
+    figure.draw_without_rendering()
+    texts = [t.get_window_extent() for t in figure.axes[0].texts]
+    assert [t.get_text() for t in figure.axes[0].texts] == [n.replace("_", " ") for n in names]
+    for k, one in enumerate(texts):
+        assert not any(one.overlaps(other) for other in texts[:k])
 
 
 def test_names_of_estimators_do_not_cover_each_other() -> None:

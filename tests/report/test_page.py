@@ -15,6 +15,7 @@ import pytest
 
 from meshskin.core.errors import OutputError, UnknownNameError
 from meshskin.estimation.calibration import Calibration
+from meshskin.estimation.cross_validation import CrossValidation
 from meshskin.estimation.demonstration import Demonstration
 from meshskin.geometry.body import Body
 from meshskin.report import markup, page
@@ -98,8 +99,7 @@ def write(case: SimpleNamespace, folder: Path, body: Body | None, **changes: Any
 def write_text(case: SimpleNamespace, folder: Path, **changes: Any) -> Page:
     """The page without its figures, which take most of the time."""
     given = inputs(case) | changes
-    data = ReportData.collect(given.pop("calibration"), **given)
-    return Page(page.write(folder / "report.html", content(data, [], None)))
+    return Page(page.write(folder / "report.html", content(ReportData(**given), [])))
 
 
 @pytest.fixture(scope="module")
@@ -160,6 +160,14 @@ def test_a_prediction_is_compared_with_the_result(case: SimpleNamespace, tmp_pat
     )
 
 
+def test_a_force_that_left_its_reference_comes_first(case: SimpleNamespace, tmp_path: Path) -> None:
+    force = {"departure": "the contact force left its reference: 37 N", "overshoot": 0.0}
+    text = write_text(case, tmp_path, metrics=case.METRICS | {"force": force}).text
+    assert "The contact force left its reference: 37 N. " in text
+    assert text.index("left its reference: 37 N") < text.index("taxels were located")
+    assert "no overshoot, left its reference later: see above" in text
+
+
 def test_the_page_states_what_was_not_determined(full: Written) -> None:
     text = full[0].text
     assert "0 of 78 not determined: the reading of a round taxel" in text
@@ -215,6 +223,26 @@ def test_without_truth_the_stated_uncertainty_is_given(
     names = {p.name for p in files}
     assert {"uncertainty.svg", "coverage.png", "fig4_force.png"} <= names
     assert not {"errors.svg", "fig5_estimates.svg"} & names
+
+
+def test_held_out_contacts_have_a_section(case: SimpleNamespace, tmp_path: Path) -> None:
+    points = np.zeros((3, 3))
+    off, nan = np.array([[3e-4, 4e-4, 0.0]]), np.full((1, 3), np.nan)
+    validation = CrossValidation(
+        points=points,
+        localized=np.concatenate([off, off, nan]),
+        centroids=np.full((3, 3), 1e-3),
+        fold=np.array([0, 1, 0]),
+        log_likelihood=np.array([-12.0, -6.0, 0.0]),
+        readings=np.array([4, 4, 0]),
+        pitch=4.2e-3,
+    )
+    text = " ".join(write_text(case, tmp_path, truth=None, validation=validation).text.split())
+    assert "maximum likelihood 0.500 0.500" in text
+    assert "centroid of the taxels that read 1.73 1.73" in text
+    assert "2 of 3 contacts" in text
+    assert "Taxel pitch: 4.20 mm" in text
+    assert "-2.25 per reading" in text.replace("\N{MINUS SIGN}", "-")
 
 
 def test_a_calibration_alone_is_enough(case: SimpleNamespace, tmp_path: Path) -> None:
@@ -276,7 +304,7 @@ def test_text_from_outside_is_escaped(case: SimpleNamespace, tmp_path: Path) -> 
 
 
 def test_the_data_of_the_view_cannot_close_the_script_element() -> None:
-    html = markup.view_3d(markup.View3D({"data": [{"name": "</script><b>"}]}, ""))
+    html = markup.view_3d({"data": [{"name": "</script><b>"}]}, "")
     assert html.count("</script>") == 1
 
 
@@ -294,10 +322,9 @@ def test_an_unwritable_file_is_an_output_error(case: SimpleNamespace, tmp_path: 
 
 
 def test_any_content_can_be_written(tmp_path: Path) -> None:
-    table = markup.Table(("a & b", "n"), (("x < y", "1"),), numeric=(1,), collapsed="more")
-    content = markup.Content(
-        "T & t", "ok", (markup.KeyNumber("n", "1", "mm", "note"),), (markup.Section("S", (table,)),)
-    )
+    table = markup.table(("a & b", "n"), [("x < y", "1")], numeric=(1,), collapsed="more")
+    tiles = [markup.tile("n", "1", "mm", "note")]
+    content = markup.Content("T & t", "ok", tiles, {"S": [table]})
     path = page.write(tmp_path / "p.html", content)
     html = path.read_text(encoding="utf-8")
     assert "plotly" not in html
@@ -306,7 +333,7 @@ def test_any_content_can_be_written(tmp_path: Path) -> None:
 
 
 def collect(c: Calibration, truth: Skin | None, shown: Demonstration | None = None) -> ReportData:
-    return ReportData.collect(c, truth=truth, demonstration=shown)
+    return ReportData(c, truth=truth, demonstration=shown)
 
 
 def test_advice_follows_the_numbers(case: SimpleNamespace) -> None:
@@ -333,8 +360,8 @@ def test_truth_is_matched_by_id(case: SimpleNamespace) -> None:
     f = collect(c, shuffled)
     assert np.nanmax(f.errors["joint"]) < 1e-15
     assert tuple(np.flatnonzero(np.isnan(f.errors["joint"]))) == case.UNTOUCHED
-    assert f.truth is not None
-    assert np.array_equal(f.truth, truth.poses)
+    assert f.true_poses is not None
+    assert np.array_equal(f.true_poses, truth.poses)
 
 
 def test_errors_of_a_pose_graph_are_after_rigid_alignment(case: SimpleNamespace) -> None:

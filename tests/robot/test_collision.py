@@ -7,7 +7,7 @@ import pytest
 
 import meshskin as ms
 from meshskin.core.se3 import transform
-from meshskin.robot import capsules, collision
+from meshskin.robot import collision, link_shapes
 
 BENT = """<robot name="bent"><link name="base"/>
   <joint name="turn" type="revolute"><parent link="base"/><child link="forearm"/>
@@ -88,6 +88,22 @@ def test_all_collisions_are_found(sphere, way):
     assert (got[apart[0] & apart[1]] == "").all()
 
 
+def test_the_support_is_found_to_meet_the_body_where_dense_samples_do():
+    body = ms.Body.torus(0.03, 0.012)
+    rng = np.random.default_rng(2)
+    hit = body.closest(rng.normal(size=(400, 3)) * (0.03, 0.03, 0.01))
+    indenter = ms.Indenter.sphere(4e-3)
+    tilted = hit.normal + 0.6 * rng.normal(size=(400, 3))
+    axis = tilted / np.linalg.norm(tilted, axis=1)[:, None]
+    heights = collision.support_samples(indenter)
+    samples = (hit.point[:, None] + heights[:, None] * axis[:, None]).reshape(-1, 3)
+    least = collision.PITCH_ERROR * indenter.column_radius
+    dense = (body.closest(samples).distance < least).reshape(400, -1).any(axis=1)
+    assert 50 < dense.sum() < 350
+    found = collision._support_meets(body, hit.point, axis, indenter)
+    np.testing.assert_array_equal(found, dense)
+
+
 def test_capsules_enclose_the_shapes_of_links():
     boxed = """<robot name="r"><link name="base"><collision><origin xyz="0 0 0.2"/>
       <geometry><cylinder radius="0.05" length="0.4"/></geometry></collision></link>
@@ -119,6 +135,6 @@ def test_the_distance_of_segments_agrees_with_dense_samples():
         - (c * (1 - part) + d * part)[None, None],
         axis=-1,
     ).min(axis=(1, 2))
-    got = capsules.segment_distance(a, b, c, d)
+    got = link_shapes.segment_distance(a, b, c, d)
     assert (got <= dense + 1e-12).all()
     np.testing.assert_allclose(got, dense, atol=0.05)

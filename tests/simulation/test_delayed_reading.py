@@ -12,8 +12,9 @@ from meshskin.core.se3 import exp_so3, transform
 from meshskin.robot.arm import Arm
 from meshskin.scene.settings import INTEGRATORS, Law
 from meshskin.simulation.closed_loop_model import ClosedLoopModel, flat_anchor
+from meshskin.simulation.integrators import step
+from meshskin.simulation.rollout import StepBlock
 from meshskin.simulation.simulate import prepare
-from meshskin.simulation.step import StepBlock, step
 
 LAW = Law(gamma=20.0)
 PLACE = np.array([0.424, -0.424, 0.7])
@@ -60,7 +61,7 @@ def test_the_law_uses_the_delayed_measurement(arm, body):
     """The step's torque is that of the moment of the measurement."""
     loop, like = pressed(arm, body, LAW, 1.5e-3)
     now, late = step(loop), step(replace(loop, delay=1))
-    still = (like.references[0], like.anchors[0], like.parameters)
+    still = (like.references[0], like.anchors[0], like.parameters[0])
     output = now(like.state, *still)[1].full().ravel()
     rows = loop.outputs
     reading = [output[rows["depth"].start], output[rows["force"].start]]
@@ -80,7 +81,7 @@ def test_friction_takes_from_the_acceleration_what_it_should(arm, body):
     loop, like = pressed(arm, body, LAW, 1.5e-3)
     speed = 0.2 * np.array([1, -1, 1, 1, -1, 1])
     like.state[6:12] = speed
-    still = (like.state, like.references[0], like.anchors[0], like.parameters)
+    still = (like.state, like.references[0], like.anchors[0], like.parameters[0])
     smooth = step(loop)(*still)[0].full().ravel()
     dragged = step(replace(loop, arm=rough))(*still)[0].full().ravel()
     q = ca.SX.sym("q", 6)
@@ -106,7 +107,7 @@ def test_a_law_that_assumes_another_modulus_asks_for_another_speed(arm, body):
     free = replace(loop, mode="quasi_static")
     assuming = replace(LAW, effective_modulus=2.0 * loop.effective_modulus)
     state = np.concatenate([like.references[0, :3], [1.0, 0, 0, 0], like.state[-2:]])
-    rest = (like.references[0], like.anchors[0], like.parameters)
+    rest = (like.references[0], like.anchors[0], like.parameters[0])
     moves = [
         step(replace(free, law=law))(state, *rest)[0].full().ravel()[:3] - state[:3]
         for law in (LAW, assuming)

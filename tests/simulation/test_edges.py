@@ -11,11 +11,11 @@ from meshskin.core.errors import EdgeError, PlaceError, SimulationError
 from meshskin.core.se3 import exp_so3, transform
 from meshskin.exploration.plan import plan_exploration
 from meshskin.robot import collision
-from meshskin.simulation.closed_loop_model import ClosedLoopModel
-from meshskin.simulation.quasi_static import state_of_pose
+from meshskin.scene.settings import Exploration
+from meshskin.simulation.closed_loop_model import ClosedLoopModel, state_of_pose
 from meshskin.simulation.simulate import prepare, simulate
 from meshskin.simulation.simulator import Simulator
-from meshskin.simulation.state_machine import LEAVE, SLIDE, ExplorationStateMachine, PhaseSettings
+from meshskin.simulation.state_machine import LEAVE, SLIDE, ExplorationStateMachine
 from meshskin.simulation.track import Track
 
 
@@ -100,7 +100,9 @@ def test_a_part_given_up_is_no_end_and_all_of_it_is(sphere, monkeypatch):
 
     def explore(tracks):
         simulator.reset()
-        explorer = ExplorationStateMachine(simulator, tracks, PhaseSettings(5e-3, 0.3))
+        explorer = ExplorationStateMachine(
+            simulator, tracks, Exploration(standoff=5e-3, settle=0.3)
+        )
         steps = [s for s in explorer.run() if s.phase == SLIDE]
         assert len(simulator.given_up) == explorer.skips
         assert all("ran over an edge" in reason for reason in simulator.given_up)

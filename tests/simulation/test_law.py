@@ -13,12 +13,22 @@ from meshskin.simulation.law import (
     damped_inverse,
     force_rows,
     force_speed,
-    general_zeta,
     path_twist,
     slope_depth,
     touch_speed,
-    zeta,
 )
+
+
+def zeta(delta, d, n):
+    """The matrix zeta (3, 3) of eq. 10; delta, d in m, n (3,) the outward body normal."""
+    nn = n @ n.T
+    return -(delta * ca.sqrt(delta) / d) * (ca.DM.eye(3) - nn) + 1.5 * ca.sqrt(delta) * nn
+
+
+def general_zeta(delta, n, shape):
+    """The matrix Z (3, 6) of the module's docstring; on a sphere Z (v, omega) is zeta v_b."""
+    turn = delta * ca.sqrt(delta)
+    return ca.horzcat(1.5 * ca.sqrt(delta) * n @ n.T - turn * shape, -turn * ca.skew(n))
 
 
 def test_zeta_is_minus_the_derivative_of_the_contact_force():

@@ -5,9 +5,8 @@ import pytest
 
 from meshskin.core.se3 import exp_so3, log_so3, poses_of_states, transform
 from meshskin.scene.settings import Law
-from meshskin.simulation.closed_loop_model import ClosedLoopModel, flat_anchor
-from meshskin.simulation.quasi_static import state_of_pose
-from meshskin.simulation.step import step
+from meshskin.simulation.closed_loop_model import ClosedLoopModel, flat_anchor, state_of_pose
+from meshskin.simulation.integrators import step
 
 INDENTER, MODULUS, DT = np.array([0.4, -0.3, 0.7]), 2.6e5, 1e-4
 ROTATION = exp_so3([0.6, -0.9, 0.3])

@@ -1,10 +1,14 @@
 """The force response against a first-order lag, whose settling time is known in closed form."""
 
+from dataclasses import replace
+
 import numpy as np
+import pyarrow as pa
 import pytest
 
+import meshskin as ms
 from meshskin.core.errors import SimulationError
-from meshskin.simulation.response import force_response
+from meshskin.simulation.response import describe_departure, force_response
 
 
 def test_a_first_order_lag_settles_after_log_50_time_constants():
@@ -39,3 +43,35 @@ def test_air_and_sliding_are_told_from_the_touch():
     assert got.overshoot == pytest.approx(0.1)
     assert got.disturbance >= 0.1
     assert got.lost == 2  # of the second touch: the first is waited for
+
+
+def motion(force, phase):
+    """A motion table at steps of 1 ms with a reference of 3 N."""
+    time = 1e-3 * np.arange(len(force))
+    columns = {"time": time, "phase": phase, "force": force, "reference": np.full(len(force), 3.0)}
+    return pa.table(columns)
+
+
+@pytest.mark.parametrize("low_or_high", [2.3, 3.7])
+def test_a_force_that_leaves_its_reference_after_settling_is_described(low_or_high):
+    phase = ["approach"] * 5 + ["touch"] * 5 + ["hold"] * 10 + ["slide"] * 20
+    force = np.concatenate([np.zeros(5), np.full(5, 9.0), np.full(30, 3.0)])
+    assert describe_departure(motion(force, phase)) == ""
+    force[30] = 3.0 + 0.9 * (low_or_high - 3.0)
+    force[31] = low_or_high
+    words = describe_departure(motion(force, phase))
+    assert f"{low_or_high:g} N instead of 3 N at 0.031 s" in words
+    assert "0.1 of the steps" in words
+    assert "exploration.speed" in words
+    force[32] = 0.0
+    assert "0 N (contact lost) instead of 3 N at 0.032 s" in describe_departure(
+        motion(force, phase)
+    )
+
+
+def test_a_simulation_warns_of_a_force_that_leaves_its_reference():
+    scene = ms.Scene.load("sphere_noisy")
+    fast = replace(scene.exploration, speed=0.4, ramp=0.02, turn_rate=10.0)
+    slow_law = replace(scene.law, gamma=10.0)
+    with pytest.warns(UserWarning, match="the contact force left its reference"):
+        ms.simulate(scene.with_(exploration=fast, law=slow_law), seed=1)

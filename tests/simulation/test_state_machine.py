@@ -10,16 +10,15 @@ import meshskin as ms
 from meshskin.core.errors import SimulationError
 from meshskin.core.se3 import exp_so3, poses_of_states, transform
 from meshskin.geometry.region import Cap
-from meshskin.scene.settings import Law
+from meshskin.scene.settings import Exploration, Law
 from meshskin.simulation import state_machine, transfer
-from meshskin.simulation.closed_loop_model import ClosedLoopModel
-from meshskin.simulation.quasi_static import state_of_pose
+from meshskin.simulation.closed_loop_model import ClosedLoopModel, state_of_pose
 from meshskin.simulation.simulate import prepare, run
 from meshskin.simulation.simulator import Simulator
-from meshskin.simulation.state_machine import PHASES, ExplorationStateMachine, PhaseSettings
+from meshskin.simulation.state_machine import PHASES, ExplorationStateMachine
 from meshskin.simulation.track import Track
 
-SETTINGS = PhaseSettings(standoff=5e-3, settle=0.3)
+SETTINGS = Exploration(standoff=5e-3, settle=0.3)
 
 
 @pytest.fixture
@@ -28,10 +27,11 @@ def track(prepared, sphere):
 
 
 @pytest.mark.parametrize("mode", ["arm", "quasi_static"])
-def test_two_places_run_through_every_phase_in_order(prepared, sphere, track, mode):
+def test_two_places_run_through_every_phase_in_order(prepared, track, along, mode):
     simulator, path = prepared(mode)
     places = [track[:400], track[1500:1900]]
-    explorer = ExplorationStateMachine(simulator, places, SETTINGS)
+    postures = along[[0, 1500]] if mode == "arm" else None
+    explorer = ExplorationStateMachine(simulator, places, SETTINGS, postures)
     found = list(explorer.run())
     order = [PHASES[phase] for phase, _ in groupby(found, key=lambda steps: steps.phase)]
     once = ["approach", "touch", "hold", "slide"]
@@ -143,7 +143,8 @@ def test_the_approach_gains_its_speed_evenly(prepared, sphere, track):
     heights, touched = {}, {}
     for ramp in (0.0, 0.04):
         simulator, _ = prepared("quasi_static")
-        explorer = ExplorationStateMachine(simulator, [track[:50]], replace(SETTINGS, ramp=ramp))
+        settings = replace(SETTINGS, approach_ramp=ramp)
+        explorer = ExplorationStateMachine(simulator, [track[:50]], settings)
         found = [steps for steps in explorer.run() if steps.phase == state_machine.APPROACH]
         heights[ramp] = np.concatenate([steps.q[:, 2] for steps in found])
         touched[ramp] = len(heights[ramp])

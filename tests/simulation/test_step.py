@@ -10,7 +10,8 @@ from meshskin.core.se3 import exp_so3, hat, transform
 from meshskin.scene.settings import Law
 from meshskin.simulation.closed_loop_dynamics import ClosedLoopDynamics
 from meshskin.simulation.closed_loop_model import ClosedLoopModel, flat_anchor
-from meshskin.simulation.step import StepBlock, step
+from meshskin.simulation.integrators import step
+from meshskin.simulation.rollout import StepBlock
 
 E_STAR = 0.2e6 / (1 - 0.49**2)
 PLACE = np.array([0.424, -0.424, 0.7])
@@ -90,7 +91,7 @@ def test_one_step_has_no_branch_and_is_finite_at_first_touch(arm, body):
     one = step(loop)
     x, r, a, p = (ca.MX.sym(n, one.size1_in(k)) for k, n in enumerate("xrap"))
     slope = ca.Function("slope", [x, r, a, p], [ca.jacobian(one(x, r, a, p)[0], x)])
-    here = (block.states[0], block.references[0], block.anchors[0], block.parameters)
+    here = (block.states[0], block.references[0], block.anchors[0], block.parameters[0])
     assert np.isfinite(slope(*here).full()).all()
 
 
@@ -168,9 +169,9 @@ def terms(arm, body, law, depth):
         there = ClosedLoopDynamics(raised, newton=4)
         here = there.at(q, qdot, contact_state)
         made = ca.Function("force", [state[0], *there.inputs], [here.force])
-        return made(*inputs, block.parameters).full().ravel()
+        return made(*inputs, block.parameters[0]).full().ravel()
 
-    values = [part.full().ravel() for part in function(*inputs, block.parameters)]
+    values = [part.full().ravel() for part in function(*inputs, block.parameters[0])]
     return values, (at(1e-7) - at(-1e-7)) / 2e-7
 
 
@@ -199,7 +200,7 @@ def test_the_linearly_implicit_step_solves_its_equation(arm, body, shape):
     state, q, qdot, contact_state = dynamics.state()
     now = dynamics.at(q, qdot, contact_state)
     parts = [now.mass, now.force, now.stiffness, now.depth_gradient, now.unlimited]
-    inputs = (block.state, block.references[0], block.anchors[0], block.parameters)
+    inputs = (block.state, block.references[0], block.anchors[0], block.parameters[0])
     block.state[6:12] = speed = 1e-2 * np.array([1.0, -2.0, 3.0, -1.0, 2.0, 0.5])
     found = ca.Function("parts", [state, *dynamics.inputs], parts)(*inputs)
     mass, force, a, b, unlimited = (np.squeeze(part.full()) for part in found)

@@ -53,16 +53,17 @@ def test_frames_are_read_back_whatever_the_suffix(skin, tmp_path, kind):
 def test_a_position_file_keeps_positions_and_normals(skin, tmp_path):
     skin.save(tmp_path / "left_arm.txt")
     assert_same(Skin.load(tmp_path / "left_arm.txt"), skin, atol=0.7e-9)
-    file = icub.parse((tmp_path / "left_arm.txt").read_text(), "left_arm.txt")
-    assert file.header[0] == ("name", "left_arm")
+    text = (tmp_path / "left_arm.txt").read_text()
+    assert text.splitlines()[0] == "name\tleft_arm"
+    file = icub.read(text, "left_arm.txt")
     np.testing.assert_array_equal(file.representative[:40], np.arange(40))
 
 
 def test_a_position_file_of_modules_names_thermal_pads_and_empty_modules(tmp_path):
     skin = modular()
     skin.save(tmp_path / "arm.txt")
-    file = icub.parse((tmp_path / "arm.txt").read_text(), "arm.txt")
-    assert file.rows.shape == (72, 6)
+    file = icub.read((tmp_path / "arm.txt").read_text(), "arm.txt")
+    assert file.slots == 72
     listed = file.representative.reshape(6, 12)
     assert np.all(listed[[0, 1, 3, 4]] == -1)
     assert listed[5].tolist() == [63] * 6 + [-2] + [63] * 3 + [-2, 63]
@@ -298,9 +299,10 @@ def test_every_icub_file_is_read_and_written_to_the_printed_digits(path, tmp_pat
 @needs_skin
 def test_the_rows_of_a_real_file_are_those_written():
     path = DATA / "icub_skin/positions/left_forearm_mesh.txt"
-    file = icub.parse(path.read_text(), path.name)
-    assert file.rows.shape == (384, 6)
-    np.testing.assert_array_equal(file.rows[0], [-0.031, -0.075, 0.008, -0.976, 0.065, 0.146])
+    file = icub.read(path.read_text(), path.name)
+    assert file.slots == 384
+    np.testing.assert_array_equal(file.positions[0], [-0.031, -0.075, 0.008])
+    np.testing.assert_array_equal(file.normals[0], [-0.976, 0.065, 0.146])
     counts = {p.name: len(Skin.load(p)) for p in path.parent.iterdir()}
     assert counts["torso.txt"] == 440
     assert counts["left_leg_upper.txt"] == 680

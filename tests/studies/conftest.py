@@ -1,11 +1,13 @@
 """Studies are scripts: tests load them as modules."""
 
 import importlib.util
+import sys
 from pathlib import Path
 
 import pytest
 
 STUDIES = Path(__file__).parents[2] / "studies"
+sys.path.append(str(STUDIES))  # where a script finds the modules beside it
 
 
 @pytest.fixture(scope="session")

@@ -11,5 +11,6 @@ def test_beliefs(script, tmp_path, capsys):
         assert row["wrong_refused"] == 1.0
         assert row["declared_refused"] == 0.0
         assert row["declared"] < 1.2 < row["wrong"] * 1.1
+        assert row["centroid"] > 2 * row["declared"]
     assert found["indenter 1 mm off"]["wrong"] > 10
     assert "declared" in capsys.readouterr().out

@@ -22,6 +22,7 @@ def test_over_noise(study, points, capsys):
     row = study.by_noise(points, range(2), (0.05,))["0.05"]
     assert row["joint"] == pytest.approx(row["bound"], rel=0.12)
     assert row["three_circles"] > 8 * row["joint"]
+    assert row["centroid"] > 8 * row["joint"]
     # 2.8 times since its displacements leave out what noise raised; 4.1 times before
     assert row["posegraph_isotropic"] > 2.5 * row["joint"]
     assert row["posegraph"] < 0.85 * row["posegraph_isotropic"]

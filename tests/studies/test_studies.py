@@ -1,6 +1,18 @@
 """Every study runs at a small size and is pinned to the numbers that it is for."""
 
+import numpy as np
 import pytest
+
+
+def test_initial_errors_are_drawn_with_the_claims_of_the_paper(script):
+    start = np.array([1e-3, 3e-3, 6e-3])
+    figure = script("paper_figures").initial_error(start, 0.5 * start[:, None] * np.ones((3, 20)))
+    lines = {line.get_label(): line.get_xydata() for line in figure.axes[0].lines}
+    assert np.allclose(lines["median"], [[1, 0.5], [3, 1.5], [6, 3.0]])
+    assert np.allclose(lines["paper: 20 %"], [[0.5, 0.4], [3, 2.4]])
+    assert np.allclose(lines["paper: up to 50 %"], [[3, 1.5], [6, 3.0]])
+    labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    assert any("20 seeds" in label for label in labels)
 
 
 def test_paper_figures(script, tmp_path, capsys):

@@ -11,8 +11,9 @@ from meshskin import cli, effects, pipeline
 from meshskin.core.errors import ConfigError
 from meshskin.geometry.region import Cap
 from meshskin.report import sections
+from meshskin.report.markup import paragraphs
 from meshskin.study.sensitivity import budget as budgets
-from meshskin.study.sensitivity import holdout
+from meshskin.study.sensitivity import replay
 from meshskin.study.sensitivity.selection import choose
 from meshskin.study.sweep import base_scene
 from meshskin.study.sweep.evaluate import evaluate
@@ -74,10 +75,10 @@ def test_more_is_added_if_the_check_contradicts_the_estimate(scene, report, monk
         limits.append(limit)
         return choose(items, limit, *others)
 
-    plain = holdout.Holdout.check
+    plain = replay.Holdout.check
     monkeypatch.setattr(budgets, "choose", chosen)
     monkeypatch.setattr(
-        holdout.Holdout,
+        replay.Holdout,
         "check",
         lambda *args: replace(plain(*args), shift=0.19e-3 if len(limits) == 1 else 0.0),
     )
@@ -102,11 +103,10 @@ def test_the_report_prints_as_a_table(report):
 
 
 def test_the_budget_is_a_section_of_the_report_of_a_run(report):
-    (section,) = sections.budget(SimpleNamespace(budget=report))
-    text, table = section.blocks
-    assert text.lines == report.summary()
-    assert len(table.rows) == len(report.entries)
-    assert sections.budget(SimpleNamespace(budget=None)) == ()
+    ((text, table),) = sections.budget(SimpleNamespace(budget=report)).values()
+    assert text == paragraphs(*report.summary())
+    assert table.count("<tr>") == 1 + len(report.entries)
+    assert sections.budget(SimpleNamespace(budget=None)) == {}
 
 
 @pytest.mark.slow

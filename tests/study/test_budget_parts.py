@@ -16,10 +16,9 @@ from meshskin.effects.quantisation import Quantisation
 from meshskin.effects.relaxation import Relaxation
 from meshskin.geometry.region import Cap
 from meshskin.study.sensitivity.budget import BudgetTrial
-from meshskin.study.sensitivity.holdout import Holdout
+from meshskin.study.sensitivity.budget_report import BudgetReport, Check, Entry
 from meshskin.study.sensitivity.knobs import contact_models, mesh_bodies, scene_knobs
-from meshskin.study.sensitivity.linearized import Solution, determined_taxels
-from meshskin.study.sensitivity.replay import Replay
+from meshskin.study.sensitivity.replay import Holdout, Replay
 from meshskin.study.sensitivity.selection import (
     NEGLIGIBLE,
     Item,
@@ -31,6 +30,7 @@ from meshskin.study.sensitivity.selection import (
     with_required,
 )
 from meshskin.study.sensitivity.setting import with_changes
+from meshskin.study.sensitivity.shifts import Solution, determined_taxels
 
 
 @pytest.fixture(scope="module")
@@ -293,3 +293,25 @@ def test_everything_on_is_calibrated_once(trial, monkeypatch):
     first, second = (aside.check(trial.scene_with(()), 1.0) for _ in range(2))
     assert (first.shift, first.seconds[0]) == (second.shift, second.seconds[0])
     assert len(ran) == 3
+
+
+def test_a_budget_that_is_exceeded_says_why():
+    entries = [
+        Entry("hysteresis", "on", True, 0.6e-3, 0.1, ""),
+        Entry("crosstalk", "off", False, 0.15e-3, 0.1, ""),
+        Entry("layer", "off", False, 0.0, 0.1, ""),
+        Entry("dt", "1 ms", True, 0.9e-3, 0.1, ""),
+    ]
+    check = Check(shift=0.3e-3, taxels=80, lost=2, seconds=(2.0, 1.0))
+    report = BudgetReport(0.2e-3, tuple(entries), 0.15e-3, check, None, None, None, 1e-8)
+    first = report.summary()[0]
+    assert "The budget of 0.2 mm is exceeded" in first
+    assert "0.3 mm together, estimated 0.15 mm; 2 taxels are lost" in first
+    assert "largest alone: crosstalk 0.15 mm;" in first
+    within = replace(report, check=Check(0.19e-3, 80, 0, (2.0, 1.0)))
+    assert within.exceeded == ""
+    assert within.summary()[0].startswith("Budget 0.2 mm")
+    assert report.explain(0.19e-3) == ""
+    words = report.explain(0.545e-3)
+    assert "mean error of 0.545 mm is above the budget of 0.2 mm" in words
+    assert "move the taxels, too: hysteresis 0.6 mm;" in words

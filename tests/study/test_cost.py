@@ -11,8 +11,7 @@ import meshskin as ms
 from meshskin import cli
 from meshskin.core.errors import UnknownNameError
 from meshskin.geometry.region import Cap
-from meshskin.study.sensitivity.cost import Row, Setting, cost, front
-from meshskin.study.sensitivity.cost_models import CostModel
+from meshskin.study.sensitivity.cost import Row, Setting, cost, front, pilot_of
 from meshskin.study.sensitivity.knobs import single_changes
 
 
@@ -95,22 +94,18 @@ def test_records_are_plain(costs):
     assert sum(r["front"] for r in records) == len(costs.front)
 
 
-def test_stored_costs_are_restored(costs):
-    again = type(costs).restored(json.loads(json.dumps(costs.stored())))
-    assert str(again) == str(costs)
-    assert again.cheapest(0.1) == costs.cheapest(0.1)
-    assert again.routes == costs.routes
-    assert again.stored().keys() == costs.stored().keys()
-
-
-def test_the_cost_model_reproduces_the_measurements(costs):
+def test_predictions_reproduce_the_measurements(costs):
     single = [row for row in costs.rows if row.knob in ("scene", "dt", "rate", "method")]
-    models = CostModel.fit(single)
-    for row in [r for r in single if not r.failure]:
-        error, numerical = models.error(row.setting)
-        assert error == pytest.approx(row.error_mm, rel=0.02 if row.knob == "dt" else 1e-9)
-        assert numerical == pytest.approx(row.numerical_mm, rel=1e-6)
-    assert models.error(replace(costs.base, dt=0.25e-3)) == (np.inf, np.inf)
+    measured = pilot_of(single)
+    predictions = {p.setting: p for p in measured.predictions()}
+    for row in [r for r in single if r.setting in predictions]:
+        found = predictions[row.setting]
+        # the mean of 30 errors scatters by 10 %, and every rate has noise of its own
+        assert found.error_mm == pytest.approx(row.error_mm, rel=0.4)
+        assert found.numerical_mm == pytest.approx(row.numerical_mm, rel=1e-6)
+        assert found.processor_seconds == pytest.approx(row.time, rel=0.5)
+    assert {row.knob for row in single if row.setting in predictions} >= {"scene", "rate", "dt"}
+    assert replace(costs.base, dt=0.25e-3) not in predictions
 
 
 def test_single_changes_change_one_knob_at_a_time(scene):
@@ -147,20 +142,6 @@ def test_the_command_writes_page_figure_and_settings(costs, tmp_path):
     lines = summary(costs).splitlines()
     assert lines[0].startswith("sphere_noisy: ")
     assert [line.split()[0] for line in lines[2:7]] == ["1", "0.3", "0.1", "0.03", "0.01"]
-
-
-def test_names_of_estimators_that_err_alike_do_not_overlap():
-    from meshskin.report import precision
-
-    names = ("trilateration", "three_circles", "posegraph", "posegraph_paper")
-    alike = precision.KnobSeries("estimator", np.array([0.4, 0.41, 0.42, 3.0]), np.full(4, 1e-6),
-                             np.zeros(4), names)  # fmt: skip
-    figure = precision.work_precision([alike], (0.5, 1e-6, 1e-6), [(0.4, 1e-6)])
-    figure.canvas.draw()
-    texts = [t.get_window_extent() for t in figure.axes[0].texts]
-    assert [t.get_text() for t in figure.axes[0].texts] == [n.replace("_", " ") for n in names]
-    for k, one in enumerate(texts):
-        assert not any(one.overlaps(other) for other in texts[:k])
 
 
 def test_a_setting_does_not_move_the_skin(scene):

@@ -9,16 +9,16 @@ import meshskin as ms
 from meshskin import cli, pipeline
 from meshskin.core.errors import ConfigError, StudyError
 from meshskin.geometry.region import Cap
-from meshskin.study.sensitivity.knobs import Level
-from meshskin.study.sensitivity.levels import (
+from meshskin.study.sensitivity.knobs import RATES, Level, worthwhile
+from meshskin.study.sensitivity.numerical_error import NumericalReference
+from meshskin.study.sensitivity.pilot import (
+    LANES,
     contact_levels,
     loop_levels,
     surface_levels,
     tolerance_levels,
-    worthwhile,
+    with_long_recording,
 )
-from meshskin.study.sensitivity.numerical_error import NumericalReference
-from meshskin.study.sensitivity.pilot import with_long_recording
 from meshskin.study.sensitivity.request import Pilot, Request
 from meshskin.study.sensitivity.setting import Setting
 
@@ -29,7 +29,9 @@ def pilot(**changes):
     """A pilot of round numbers, on the scene's own lanes."""
     numbers = {
         "base": BASE, "setting": BASE, "steps": 1000, "contacts": 100, "readings": 400,
-        "bound_mm": 0.1, "systematic_mm": 0.0, "knobs": (), "fixed": 1.0, "each_step": 1e-4,
+        "bound_mm": 0.1, "systematic_mm": 0.0, "knobs": (),
+        "lane_spacings": tuple(4e-3 * x for x in LANES if x <= 1.0),
+        "rates": tuple(100.0 * x for x in RATES), "fixed": 1.0, "each_step": 1e-4,
         "each_contact": 1e-3, "estimating": (0.2, 1e-3), "spent": (3.0, 1.5),
     }  # fmt: skip
     return Pilot(**(numbers | changes))

@@ -10,7 +10,7 @@ import pytest
 
 from meshskin.core.errors import OutputError, StudyError
 from meshskin.core.provenance import digest
-from meshskin.study.sweep.outcome import DIED, MEMORY, RAISED, TIMEOUT, Limits, Outcome
+from meshskin.study.sweep.case import DIED, MEMORY, RAISED, TIMEOUT, Limits, Outcome
 from meshskin.study.sweep.store import Store
 
 KEY = "3fa0b1c2d3e4f506"

@@ -7,7 +7,7 @@ from scipy.special import log_ndtr
 from meshskin.contact import Patches
 from meshskin.contact.disc import disc_mean
 from meshskin.core.errors import CalibrationError, UnknownNameError
-from meshskin.estimation.data.global_parameters import PRIORS, declared_parameters
+from meshskin.estimation.data.global_parameters import PRIORS, SIZES, declared_parameters
 from meshskin.estimation.data.measurements import gather
 from meshskin.estimation.data.pairs import near_pairs
 from meshskin.estimation.joint.contacts import Contacts, LinearizedContacts
@@ -102,7 +102,9 @@ def test_contacts_move_with_the_indenter_and_the_body(world, case):
 def test_invalid_declarations(world):
     with pytest.raises(UnknownNameError, match="did you mean gain"):
         declared_parameters(("gian",), {}, 3.0, 1e5)
-    assert len(declared_parameters(tuple(PRIORS), {"gain": 0.1}, 3.0, 1e5).sigma) == 12
+    assert len(declared_parameters(tuple(PRIORS), {"gain": 0.1}, 3.0, 1e5).sigma) == sum(
+        SIZES.values()
+    )
     data = gather(world.record(), world.belief(unknown=("indenter_offset",)))
     with pytest.raises(CalibrationError, match="headings"):
         LinearizedContacts(data, np.zeros(3))

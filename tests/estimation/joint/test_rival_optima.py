@@ -1,6 +1,7 @@
 """Rival optima: mirror images of taxels that were touched along a line; the faces of a plate."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,9 @@ import meshskin as ms
 from meshskin.contact.reading import same_sheet
 from meshskin.core.se3 import exp_so3
 from meshskin.effects.gaussian_noise import GaussianNoise
+from meshskin.estimation.joint.likelihood import Readings
+from meshskin.estimation.joint.pressure import OBSERVED
+from meshskin.estimation.joint.rival_optima import open_sectors
 
 
 @pytest.fixture(scope="module")
@@ -115,3 +119,27 @@ def test_a_rival_is_found_without_knowing_the_noise(line):
     blind = ms.calibrate(recording, scene.belief(noise_sigma=None))
     rival = np.linalg.norm(blind.rivals[far] - calibration.rivals[far])
     assert rival < 0.6e-3 or np.linalg.norm(blind.rivals[far] - calibration.positions[far]) < 0.6e-3
+
+
+@pytest.mark.parametrize(("level", "sector"), [(2.9, 180.0), (3.1, 90.0)])
+def test_noise_closes_no_open_sector(level, sector):
+    """Contacts to the east and west read 10 standard deviations, those to the north and south
+    `level`; a second taxel reads little, and all of that counts."""
+    sides = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
+    read = replace(
+        Readings.none(), contact=np.tile(np.arange(4), 2), taxel=np.repeat([0, 1], 4),
+        level=np.array([10.0, level, 10.0, level, 1.0, 1.0, 1.0, 1.0]) * 50.0,
+        kind=np.full(8, OBSERVED), weight=np.ones(8),
+    )  # fmt: skip
+    frames = np.tile(np.eye(3), (2, 1, 1))
+    estimator = SimpleNamespace(
+        live=np.arange(2),
+        data=SimpleNamespace(sigma=50.0),
+        likelihood=SimpleNamespace(readings=read),
+        problem=SimpleNamespace(
+            contacts=SimpleNamespace(data=SimpleNamespace(points=sides)),
+            parametrization=SimpleNamespace(rotations=lambda: frames),
+        ),
+    )
+    found = np.degrees(open_sectors(estimator, np.zeros((2, 3))))
+    assert np.allclose(found, [sector, 90.0])

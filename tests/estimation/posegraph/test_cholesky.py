@@ -8,11 +8,10 @@ import pytest
 from scipy.sparse import csr_array
 
 from meshskin.estimation.posegraph import cholesky as module
-from meshskin.estimation.posegraph import ordering
+from meshskin.estimation.posegraph import symbolic_factorization as ordering
 from meshskin.estimation.posegraph.cholesky import Cholesky
-from meshskin.estimation.posegraph.superlu import SingularMatrixError
 from meshskin.estimation.posegraph.symbolic_factorization import symbolic_factorization
-from meshskin.estimation.posegraph.symmetric_blocks import SymmetricBlocks
+from meshskin.estimation.posegraph.symmetric_blocks import SingularMatrixError, SymmetricBlocks
 
 N = 40
 

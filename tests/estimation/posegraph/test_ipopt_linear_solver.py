@@ -6,7 +6,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from meshskin.estimation.posegraph import ipopt_linear_solver, topology
+from meshskin.estimation.posegraph import ipopt_linear_solver, problem
 from meshskin.estimation.posegraph.cholesky import Cholesky
 
 POSES, ANCHOR = 12, 4
@@ -176,7 +176,7 @@ def test_without_a_context_or_of_another_size_an_error_is_reported(linear_solver
 def test_an_ipopt_that_cannot_load_the_solver_uses_mumps(skin_graph, monkeypatch):
     loaded = skin_graph(40, seed=1)[0].solve()
     monkeypatch.setattr(ipopt_linear_solver, "is_supported", lambda: False)
-    monkeypatch.setattr(topology, "topology_cache", topology.TopologyCache(1))
+    monkeypatch.setattr(problem, "topology_cache", problem.TopologyCache(1))
     graph = skin_graph(40, seed=1)[0]
     assert graph.problem("log")._linear_solver.options == {}
     mumps = graph.solve()

@@ -6,7 +6,7 @@ import pytest
 from meshskin.core import se3
 from meshskin.core.errors import UnknownNameError
 from meshskin.estimation.posegraph import PoseGraph
-from meshskin.estimation.posegraph import robust as functions
+from meshskin.estimation.posegraph import minimize as functions
 
 
 def with_outliers(graph, share, seed=0):

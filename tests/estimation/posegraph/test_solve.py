@@ -86,13 +86,13 @@ def test_origin_start_on_the_papers_task(skin_graph, seed):
 
 def test_without_a_compiler_the_result_is_the_same(skin_graph, monkeypatch):
     from meshskin.core import codegen
-    from meshskin.estimation.posegraph import cholesky, edge_assembly, topology
+    from meshskin.estimation.posegraph import cholesky, edge_assembly, problem
 
     fast = skin_graph(40, seed=1)[0].solve()
     edge_assembly.library.cache_clear()
     cholesky.library.cache_clear()
     codegen._warn_once.cache_clear()
-    monkeypatch.setattr(topology, "topology_cache", topology.TopologyCache(1))
+    monkeypatch.setattr(problem, "topology_cache", problem.TopologyCache(1))
     monkeypatch.setenv("MESHSKIN_COMPILER", "none")
     with pytest.warns(RuntimeWarning, match="interpreted"):
         slow = skin_graph(40, seed=1)[0].solve()
@@ -103,9 +103,9 @@ def test_without_a_compiler_the_result_is_the_same(skin_graph, monkeypatch):
 
 
 def test_a_topology_is_built_once(skin_graph, monkeypatch):
-    from meshskin.estimation.posegraph import topology
+    from meshskin.estimation.posegraph import problem
 
-    monkeypatch.setattr(topology, "topology_cache", topology.TopologyCache(edges=1000))
+    monkeypatch.setattr(problem, "topology_cache", problem.TopologyCache(edges=1000))
     graphs = [skin_graph(40, seed=s)[0] for s in range(2)]
     other = skin_graph(50)[0]
     assert graphs[0].problem("log") is graphs[1].problem("log")

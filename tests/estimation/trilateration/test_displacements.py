@@ -11,7 +11,6 @@ from meshskin.estimation.data.measurements import gather
 from meshskin.estimation.trilateration import trilaterate
 from meshskin.estimation.trilateration.displacements import (
     SharedContacts,
-    displacement_graph,
     error_covariance,
     expected_readings,
 )
@@ -26,6 +25,12 @@ def measured_with_errors(data, draws):
     fit = trilaterate.least_squares(data)
     measured = SharedContacts(data, fit).displacements(draws=draws)
     return measured.graph(fit, data.ids), measured.errors
+
+
+def displacement_graph(data, isotropic=False, trilateration=trilaterate.solve):
+    """The pose graph of the displacements from the least-squares trilateration."""
+    fit = trilaterate.least_squares(data)
+    return SharedContacts(data, fit).displacements(trilateration).graph(fit, data.ids, isotropic)
 
 
 def residuals(graph, poses):

@@ -101,6 +101,12 @@ def test_leverages_are_the_diagonal_of_the_dense_hat_matrix(sparse, rigid):
     assert silent.any()
     assert 0.05 < own[~silent].mean() < 1.0
     assert np.allclose(own, hat, atol=2e-5)
+    first = np.flatnonzero(np.diff(read.taxel) == 0)
+    apart = slope[first + 1] - slope[first]
+    dense = 2 - np.einsum("ki,ik->k", apart, np.linalg.solve(information, apart.T))
+    pairs = problem.difference_variances(state, problem.reduce(state), first, first + 1)
+    assert pairs.min() < 1.8
+    assert np.allclose(pairs, np.maximum(dense, 0.0), atol=1e-3)
 
 
 def heights(places, z):

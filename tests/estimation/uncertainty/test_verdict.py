@@ -9,6 +9,7 @@ import pytest
 import meshskin as ms
 from meshskin.cli.calibrate import assess, summary
 from meshskin.core.errors import CalibrationError
+from meshskin.estimation.calibrate import METHODS
 from meshskin.estimation.calibration import Calibration
 from meshskin.recording.recording import Recording
 
@@ -121,6 +122,15 @@ def test_wrong_logs_are_named(noisy, recorded, name, noise):
         assert any("by the misfit" in factor for factor in found.factors)
 
 
+@pytest.mark.parametrize("factor", [0.5, 3.0])
+def test_no_taxel_is_confidently_wrong_where_the_model_does_not_fit(noisy, recorded, factor):
+    found = ms.calibrate(changed(recorded, pressure=factor * recorded.pressure), noisy.belief())
+    assert found.verdict.level == "FAIL"
+    error = np.linalg.norm(found.positions - noisy.skin.positions, axis=1)
+    assert np.nanmax(error) > 0.3e-3
+    assert not np.any((error > 0.3e-3) & (error > 5 * found.position_sigma))
+
+
 @pytest.mark.parametrize("noise", ["known", "unknown"])
 def test_a_sound_log_passes(noisy, recorded, noise, tmp_path):
     found = ms.calibrate(recorded, beliefs(noisy)[noise])
@@ -130,10 +140,27 @@ def test_a_sound_log_passes(noisy, recorded, noise, tmp_path):
     assert Calibration.load(tmp_path / "c").verdict == found.verdict
 
 
-def test_methods_without_a_test_of_fit_say_so(noisy, recorded):
-    found = ms.calibrate(recorded, noisy.belief(), method="trilateration")
+@pytest.mark.parametrize("method", [m for m in METHODS if m != "joint"])
+def test_methods_without_a_test_of_fit_say_so(noisy, recorded, method):
+    found = ms.calibrate(recorded, noisy.belief(), method=method)
     assert found.verdict.level == "DOUBT"
-    assert "has no test of fit" in found.verdict.reasons[0]
+    assert f"the method {method} has no test of fit" in found.verdict.reasons[0]
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_the_deviation_of_the_modulus_holds_for_a_wrong_indenter_radius(noisy, recorded, factor):
+    """E* is proportional to the radius of the paired spheres; no reading shows the difference."""
+    belief = replace(noisy.belief(), indenter=ms.Indenter.sphere(factor * 0.01))
+    found, true = ms.calibrate(recorded, belief), noisy.material.effective_modulus
+    paired = (1 / 0.1 + 1 / 0.01) / (1 / 0.1 + 1 / (factor * 0.01))
+    assert found.modulus / true == pytest.approx(paired, rel=0.01)
+    assert abs(found.modulus - true) < 4 * found.modulus_sigma
+    share = 0.03 / (1 + factor * 0.01 / 0.1)  # d ln E* / d ln R
+    statistical = found.unknowns["modulus"][1]
+    assert found.modulus_sigma / found.modulus == pytest.approx(
+        np.hypot(share, statistical), rel=1e-3
+    )
+    assert any("indenter radius" in words for words in found.factors)
 
 
 @pytest.mark.parametrize("change", [{"force": 0.0}, {"force": -1.0}, {"pressure": -1.0}])

@@ -1,0 +1,62 @@
+"""Variances from the data: in a linear model with known truth, unbiased."""
+
+import numpy as np
+import pytest
+
+from meshskin.estimation.joint.deviations import Deviations, log_step
+
+GROUPS, EACH = 4000, 4
+
+
+def balanced(sigma, noise, seed=0):
+    """Group effects of deviation `sigma` read EACH times with `noise`; posterior mean and variance
+    are closed forms."""
+    rng = np.random.default_rng(seed)
+    effects = sigma * rng.standard_normal(GROUPS)
+    return effects + noise * rng.standard_normal(GROUPS) / np.sqrt(EACH)
+
+
+@pytest.mark.parametrize("truth", [0.3, 1.0, 3.0])
+def test_scoring_converges_to_the_variance_of_the_effects(truth):
+    means, noise, sigma = balanced(truth, 1.0), 1.0, 0.1
+    for _ in range(30):
+        posterior = 1 / (1 / sigma**2 + EACH / noise**2)
+        modes = posterior * EACH / noise**2 * means
+        determined = GROUPS * (1 - posterior / sigma**2)
+        step, _ = log_step(float(modes @ modes) / sigma**2, determined, GROUPS)
+        sigma *= np.exp(step / 2)
+    closed = np.sqrt(np.mean(means**2) - noise**2 / EACH)  # the restricted likelihood's maximum
+    assert sigma == pytest.approx(closed, rel=1e-6)
+    assert sigma == pytest.approx(truth, rel=0.05)
+
+
+def test_effects_that_are_not_there_vanish():
+    means, sigma = balanced(0.0, 1.0, seed=3), 1.0
+    for _ in range(40):
+        posterior = 1 / (1 / sigma**2 + EACH)
+        modes = posterior * EACH * means
+        step, _ = log_step(
+            float(modes @ modes) / sigma**2, GROUPS * (1 - posterior / sigma**2), GROUPS
+        )
+        sigma *= np.exp(step / 2)
+    assert sigma < 0.1
+
+
+@pytest.mark.parametrize(("noise", "relative"), [(1.0, 0.0), (0.5, 0.02), (2.0, 0.05)])
+def test_both_parts_of_the_noise(noise, relative):
+    rng = np.random.default_rng(1)
+    mu = 100 * rng.random(20000)
+    free = 0.3 + 0.6 * rng.random(len(mu))
+    deviation = np.hypot(noise, relative * mu)
+    squares = free * (deviation * rng.standard_normal(len(mu))) ** 2
+    found = Deviations(noise=1.0).with_noise(mu, squares, free, 2)
+    assert found.noise == pytest.approx(noise, rel=0.06)
+    assert found.relative == pytest.approx(relative, abs=0.004)
+    constant = Deviations(noise=1.0).with_noise(mu, squares, free, 1)
+    assert constant.relative == 0.0
+    assert constant.noise == pytest.approx(np.sqrt(np.mean(deviation**2)), rel=0.05)
+
+
+def test_noise_grows_with_the_reading():
+    d = Deviations(noise=3.0, relative=0.1)
+    np.testing.assert_allclose(d.noise_of(np.array([-5.0, 0.0, 40.0])), [3.0, 3.0, 5.0])

@@ -1,0 +1,96 @@
+"""An unknown noise is estimated without bias, and the estimate then is as with a known noise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from meshskin.estimation.calibrate import Estimation, calibrate
+from meshskin.estimation.joint.likelihood import Readings
+from meshskin.estimation.joint.noise import neighbours
+
+NOISE = 0.05
+"""Relative to the peak, as is the threshold: readings from one standard deviation on."""
+
+
+@pytest.fixture(scope="module")
+def low(world):
+    """Recordings with the threshold at one standard deviation, and calibrations of them."""
+    recordings = [world.record(NOISE, NOISE, seed) for seed in range(3)]
+    unknown = [calibrate(r, world.belief(None, NOISE)) for r in recordings]
+    known = [calibrate(r, world.belief(NOISE, NOISE)) for r in recordings]
+    return recordings, unknown, known
+
+
+def test_the_noise_is_unbiased_with_the_threshold_at_one_standard_deviation(world, low):
+    ratio = [found.fit.noise / (NOISE * world.peak_reference) for found in low[1]]
+    spread = 1 / np.sqrt(2 * sum(found.fit.pairs for found in low[1]))
+    assert spread < 0.03
+    assert abs(np.mean(ratio) - 1) < 3 * spread
+
+
+def test_the_estimate_names_the_noise(low):
+    found = low[1][0]
+    pairs = found.fit.pairs
+    assert pairs > 100
+    words = [factor for factor in found.factors if factor.startswith("noise of")]
+    assert len(words) == 1
+    assert "neighbouring contacts" in words[0]
+
+
+def test_positions_and_deviations_are_those_of_a_known_noise(low):
+    for unknown, known in zip(*low[1:], strict=True):
+        found = np.isfinite(known.positions[:, 0])
+        assert np.array_equal(found, np.isfinite(unknown.positions[:, 0]))
+        apart = np.linalg.norm(unknown.positions - known.positions, axis=1)[found]
+        assert np.all(apart < 0.5 * known.position_sigma[found])
+        ratio = unknown.position_sigma[found] / known.position_sigma[found]
+        assert np.median(ratio) == pytest.approx(1.0, abs=0.1)
+        assert unknown.fit.good
+        assert unknown.verdict.level == "PASS"
+
+
+def test_untouched_taxels_that_read_noise_are_not_placed(world, low):
+    """Contacts over half of the skin only: the taxels of the other half read noise."""
+    from meshskin.recording.recording import Recording
+
+    recording = low[0][0]
+    keep = np.flatnonzero(recording.points[:, 0] < 0)
+    time = recording.time[keep]
+    rows = np.isin(recording.readings.column("time").to_numpy(), time)
+    half = Recording(recording.contacts.take(keep), recording.readings.filter(rows), {})
+    found = calibrate(half, world.belief(None, NOISE))
+    error = np.linalg.norm(found.positions - world.truth, axis=1)
+    far = world.truth[:, 0] > 8e-3
+    assert far.sum() >= 5
+    assert (found.readings[far] > 10).all()
+    assert not np.isfinite(error[far]).any()
+    assert not np.any((error > 0.3e-3) & (error > 5 * found.position_sigma))
+
+
+def test_a_threshold_that_is_not_declared_is_the_smallest_reading(world):
+    """Silences below the true threshold of 5 % would contradict a threshold of zero."""
+    recording = world.record(0.01, 0.05)
+    found = calibrate(recording, world.belief(None, 0.0))
+    assert found.fit.good
+    assert abs(found.modulus / world.modulus - 1) < 4 * found.modulus_sigma / world.modulus
+    data = Estimation(recording, world.belief(None, 0.0)).data
+    assert data.threshold == recording.pressure.min()
+    assert data.threshold > 0.04 * world.peak_reference
+
+
+def test_ideal_data_have_no_noise_to_estimate(world):
+    found = calibrate(world.record(), world.belief())
+    assert not any(factor.startswith("noise of") for factor in found.factors)
+    assert np.nanmax(found.position_sigma) < 1e-6
+
+
+def test_neighbours_are_pairs_of_one_taxel():
+    contact = np.array([0, 1, 2, 9, 0, 1])
+    readings = replace(
+        Readings.none(), contact=contact, taxel=np.array([0, 0, 0, 0, 1, 1]), weight=np.ones(6)
+    )
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [1.5, 0, 0], *[[9, 9, 9]] * 6, [5, 0, 0]]) * 1e-3
+    near, following = neighbours(readings, points, np.arange(6))
+    assert sorted(zip(*map(list, near), strict=True)) == [(1, 2), (4, 5)]
+    assert sorted(zip(*map(list, following), strict=True)) == [(0, 1), (4, 5)]

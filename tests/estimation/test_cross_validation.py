@@ -1,0 +1,202 @@
+"""Contacts held out and localised, on a cap of a sphere whose readings NumPy alone makes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from meshskin.contact.indenter import Indenter
+from meshskin.contact.material import Material
+from meshskin.core.errors import CalibrationError
+from meshskin.estimation import cross_validation
+from meshskin.estimation.calibrate import calibrate
+from meshskin.estimation.calibration import Calibration
+from meshskin.estimation.cross_validation import blocks
+from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.localization import CalibratedSkin
+from meshskin.geometry.body import Body
+from meshskin.recording.recording import CONTACTS, READINGS, Recording
+from meshskin.scene.belief import Belief
+
+RADIUS, INDENTER, DISC, FORCE, TAXELS, NOISE = 0.1, 0.01, 2e-3, 3.0, 37, 0.01
+MODULUS = 0.2e6 / (1 - 0.49**2)
+A = (3 * FORCE / (1 / RADIUS + 1 / INDENTER) / (4 * MODULUS)) ** (1 / 3)
+PEAK = 3 * FORCE / (2 * np.pi * A**2)
+SHARE = TAXELS * 5e-3**2 * np.sqrt(3) / 2 / (2 * np.pi * RADIUS**2)
+
+
+def spiral(count, share, angle):
+    z = 1 - share * (np.arange(count) + 0.5) / count
+    ring = np.sqrt(1 - z**2)
+    return RADIUS * np.column_stack([ring * np.cos(angle), ring * np.sin(angle), z])
+
+
+TRUTH = spiral(TAXELS, SHARE, np.pi * (1 + 5**0.5) * (np.arange(TAXELS) + 0.5))
+
+
+def hertz(r, force):
+    scale = (force / FORCE) ** (1 / 3)
+    return PEAK * scale * np.sqrt(np.maximum(1 - (r / (A * scale)) ** 2, 0.0))
+
+
+def bell(r, force):
+    width = 2.2e-3 * (force / FORCE) ** 0.3
+    return force / (2 * np.pi * width**2) * np.exp(-(r**2) / (2 * width**2))
+
+
+def record(profile=hertz, contacts=400, unit=1.0):
+    """Contacts along a spiral of ten turns; readings are means over discs, in Pa / `unit`."""
+    rng = np.random.default_rng(0)
+    turn = 20 * np.pi * np.sqrt((np.arange(contacts) + 0.5) / contacts)
+    points = spiral(contacts, 1.4 * SHARE, turn)
+    normals = points / RADIUS
+    force = FORCE * (1 + 0.05 * rng.standard_normal(contacts))
+    first = np.cross(normals, [1.0, 0.0, 0.0])
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    offset = TRUTH - points[:, None]
+    x = np.einsum("mni,mi->mn", offset, first)
+    y = np.einsum("mni,mi->mn", offset, np.cross(normals, first))
+    pressure = NOISE * PEAK * rng.standard_normal(x.shape)
+    node, weight = np.polynomial.legendre.leggauss(8)
+    for r, w in zip((node + 1) / 2, weight * (node + 1) / 2, strict=True):
+        for t in np.pi * (np.arange(12) + 0.5) / 6:
+            distance = np.hypot(x + DISC * r * np.cos(t), y + DISC * r * np.sin(t))
+            pressure += w / 12 * profile(distance, force[:, None])
+    contact, taxel = np.nonzero(pressure > 0.03 * PEAK)
+    time = 0.01 * np.arange(contacts)
+    return Recording(
+        pa.table([time, *points.T, *normals.T, force], schema=CONTACTS),
+        pa.table(
+            [time[contact], taxel.astype(np.int32), pressure[contact, taxel] / unit],
+            schema=READINGS,
+        ),
+        {"taxel_ids": list(range(TAXELS)), "disc_radius_m": DISC},
+    )
+
+
+def known(**changes):
+    return Belief(
+        body=Body.sphere(radius=RADIUS), indenter=Indenter(INDENTER),
+        material=Material(0.2e6, 0.49, None), taxel_ids=np.arange(TAXELS), disc_radius=DISC,
+        **changes,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def physical():
+    """A recording under Hertz's model, its calibration and the cross-validation."""
+    recording = record()
+    calibration = calibrate(recording, known(contact="hertz"))
+    return recording, calibration, calibration.cross_validate(recording)
+
+
+def rms(x):
+    return float(np.sqrt(np.nanmean(x**2)))
+
+
+def predicted(points):
+    """Rms error, m, of contacts that the true skin localises under this noise (k readings)."""
+    error = []
+    for point in points:
+        r = np.linalg.norm(TRUTH - point, axis=1)
+        along = (TRUTH - point) / np.maximum(r, 1e-9)[:, None]
+        near = r < A + DISC
+        node = np.linspace(-1, 1, 41)
+        grid = np.stack(np.meshgrid(node, node), -1).reshape(-1, 2)
+        grid = DISC * grid[np.sum(grid**2, axis=1) < 1]
+
+        def mean(d, grid=grid):
+            return np.mean(hertz(np.hypot(d[:, None] + grid[:, 0], grid[:, 1]), FORCE), axis=1)
+
+        slope = (mean(r[near] + 1e-4) - mean(r[near] - 1e-4)) / 2e-4 / (NOISE * PEAK)
+        gradient = along[near] * slope[:, None]
+        information = gradient.T @ gradient + np.outer(point, point) / RADIUS**2 * 1e20
+        error.append(np.trace(np.linalg.inv(information)))
+    return float(np.sqrt(np.mean(error)))
+
+
+def test_contacts_are_localized_as_well_as_the_noise_allows(physical):
+    recording, _, found = physical
+    sound = np.isfinite(found.errors)
+    assert sound.sum() > 0.9 * np.sum(np.bincount(recording.reading_contact) >= 3)
+    bound = predicted(recording.points[sound])
+    assert 0.9 * bound < rms(found.errors) < 1.4 * bound
+    assert rms(found.errors) < 0.1 * rms(found.centroid_errors)
+    metrics = found.metrics()
+    assert metrics["error_mm"]["rms"] == pytest.approx(1e3 * rms(found.errors))
+    assert metrics["error_mm"]["p95"] > metrics["error_mm"]["rms"]
+    assert 4.0 < metrics["taxel_pitch_mm"] < 5.5
+    normal = -np.log(NOISE * PEAK) - (1 + np.log(2 * np.pi)) / 2  # were the skin known exactly
+    assert normal - 0.2 < metrics["log_likelihood_per_reading"] < normal + 0.02
+
+
+def test_two_exchanged_taxels_are_seen(physical):
+    recording, calibration, found = physical
+    data = gather(recording, known(contact="hertz"))
+    held = np.flatnonzero(found.fold == 0)
+    poses = calibration.poses.copy()
+    poses[[3, 4]] = poses[[4, 3]]
+    exchanged = CalibratedSkin.of(replace(calibration, poses=poses), data)
+    skin = CalibratedSkin.of(calibration, data)
+    off = [rms((s.localize(held) - data.points)[held]) for s in (skin, exchanged)]
+    likelihood = [s.log_likelihoods(held)[0].sum() for s in (skin, exchanged)]
+    assert off[1] > 3 * off[0]
+    assert likelihood[1] < likelihood[0] - 1000
+
+
+def test_a_learned_response_localizes_raw_readings():
+    recording = record(bell, unit=150.0)
+    calibration = calibrate(recording, known(readings="raw"))
+    found = calibration.cross_validate(recording, folds=3)
+    assert np.isfinite(found.errors).sum() > 300
+    assert rms(found.errors) < 0.25 * rms(found.centroid_errors)
+    noise = NOISE * PEAK / 150.0
+    normal = -np.log(noise) - (1 + np.log(2 * np.pi)) / 2
+    found = found.metrics()["log_likelihood_per_reading"]
+    assert found == pytest.approx(normal, abs=0.2)
+
+
+def test_held_out_contacts_do_not_calibrate(physical, monkeypatch):
+    recording, calibration, found = physical
+    parts = []
+
+    def calibrated(part, belief, method):
+        assert method == calibration.method
+        parts.append((part, belief))
+        return calibration
+
+    monkeypatch.setattr(cross_validation, "calibrate", calibrated)
+    headings = np.tile(np.eye(3), (len(recording.time), 1, 1))
+    belief = known(contact="hertz", headings=headings)
+    again = cross_validation.cross_validate(calibration, recording, 5, belief)
+    assert np.array_equal(again.fold, found.fold)
+    for k, (part, belief) in enumerate(parts):
+        others = found.fold != k
+        assert np.array_equal(part.time, recording.time[others])
+        assert len(part.pressure) == others[recording.reading_contact].sum()
+        assert len(belief.headings) == others.sum()
+
+
+def test_blocks_are_of_consecutive_contacts():
+    line = np.column_stack([np.arange(10.0), np.zeros(10), np.zeros(10)])
+    assert blocks(line, 2.5).tolist() == [0, 0, 0, 1, 1, 1, 2, 2, 2, 3]
+    assert blocks(line[[0, 9, 1, 8]], 2.5).tolist() == [0, 1, 2, 3]
+    scatter = 0.1 * np.random.default_rng(0).standard_normal((50, 3))
+    assert not blocks(scatter, 5.0).any()
+    circle = np.column_stack([np.cos(np.arange(63) / 10), np.sin(np.arange(63) / 10), np.zeros(63)])
+    assert blocks(circle, 2.5)[-1] == 2
+
+
+def test_what_cannot_be_cross_validated(physical, tmp_path):
+    recording, calibration, found = physical
+    calibration.save(tmp_path / "skin")
+    loaded = Calibration.load(tmp_path / "skin")
+    with pytest.raises(CalibrationError, match="does not know the scene"):
+        loaded.cross_validate(recording)
+    with pytest.raises(CalibrationError, match="number of folds"):
+        calibration.cross_validate(recording, folds=1)
+    with pytest.raises(CalibrationError, match="too few blocks"):
+        calibration.cross_validate(recording, folds=200)
+    again = loaded.cross_validate(recording, belief=known(contact="hertz"))
+    assert np.allclose(again.errors, found.errors, equal_nan=True)

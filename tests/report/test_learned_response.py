@@ -1,0 +1,66 @@
+"""What a report shows of a learned response: units, curves, bands, and no missing modulus."""
+
+from dataclasses import replace
+
+import matplotlib.text
+import numpy as np
+import pytest
+
+from meshskin.estimation.result import LearnedResponse
+from meshskin.report import learned_response, page
+
+
+def response(unit: float) -> LearnedResponse:
+    """A made-up one, whose profile is half the model's, in readings of up to 200 units."""
+    distance, level = np.linspace(0, 8e-3, 9), np.linspace(0, 200, 5)
+    model = 200 * np.exp(-((distance / 3e-3) ** 2))
+    return LearnedResponse(
+        distance=distance, profile=model / 2, profile_sigma=np.full(9, 4.0), model=model,
+        level=level, reading=level / (1 + level / 400), reading_sigma=0.05 * level,
+        contact_scatter=0.31e-3, contact_correlation=0.1, force_scatter=0.042, noise=3.2,
+        noise_relative=0.013, unit=unit,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("unit", "name", "scale"), [(1.0, "kPa", 1e-3), (5e-3, "counts", 1.0)])
+def test_the_figure_states_its_unit_and_draws_what_was_learned(unit, name, scale):
+    found = response(unit)
+    figure = learned_response.figure(found)
+    profile, curve = figure.axes
+    assert profile.get_xlabel() == "distance from the contact point (mm)"
+    labels = [profile.get_ylabel(), curve.get_xlabel(), curve.get_ylabel()]
+    assert all(label.endswith(f"({name})") for label in labels)
+    lines = {line.get_label(): line.get_xydata() for line in profile.lines}
+    np.testing.assert_allclose(lines["learned"][:, 0], 1e3 * found.distance)
+    np.testing.assert_allclose(lines["learned"][:, 1], scale * found.profile)
+    np.testing.assert_allclose(lines["contact model"][:, 1], scale * found.model)
+    lines = {line.get_label(): line.get_xydata() for line in curve.lines}
+    np.testing.assert_allclose(
+        lines["learned"], scale * np.column_stack([found.level, found.reading])
+    )
+    (band,) = profile.collections
+    corners = band.get_paths()[0].vertices
+    assert corners[:, 1].max() == pytest.approx(scale * (100 + 2 * 4.0))
+    (band,) = curve.collections
+    assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(scale * (400 / 3 + 20.0))
+    assert any("2 sigma" in t.get_text() for t in figure.findobj(matplotlib.text.Text))
+
+
+def test_a_page_says_what_was_learned(case, tmp_path):
+    c = replace(case.calibration(), response=response(5e-3), modulus=None, modulus_sigma=None)
+    metrics = {"modulus_pa": None, "response": c.response.metrics()}
+    files = page.report(tmp_path / "report.html", calibration=c, body=None, metrics=metrics)
+    html = files[0].read_text(encoding="utf-8")
+    assert "Contact points scatter by 0.31 mm along each tangent" in html
+    assert "Forces scatter by 4.2 %" in html
+    assert "Readings have noise of 3.2 counts and 1.3 % of the level" in html
+    assert html.count("Learned profile beside the contact model") == 1
+    assert (tmp_path / "figures" / "response.svg").exists()
+    assert "None" not in html.split("<script")[0]
+    assert "Effective modulus" not in html
+
+
+def test_a_page_of_the_contact_model_s_response_has_no_such_section(case, tmp_path):
+    files = page.report(tmp_path / "report.html", calibration=case.calibration(), body=None)
+    assert learned_response.TITLE not in files[0].read_text(encoding="utf-8")
+    assert not (tmp_path / "figures" / "response.svg").exists()
