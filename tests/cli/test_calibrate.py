@@ -218,6 +218,7 @@ def test_an_export_that_cannot_be_written_is_refused_before_the_work(log, tmp_pa
 
 def test_why_taxels_are_left_out_is_said(log, tmp_path, capsys):
     asked = ["calibrate", str(log), *known(log), "--young-kpa", "150", "--disc-radius-mm", "40"]
+    asked += ["--contact", "hertz"]
     assert cli.main([*asked, "--out", str(tmp_path / "out")]) == 0
     assert "left out         80 taxels: too weakly determined" in capsys.readouterr().out
 

@@ -207,17 +207,17 @@ def test_the_bound_of_what_is_unknown_is_larger(small, worlds):
 
 def test_the_table(study, tmp_path, capsys):
     asked = ["--worlds", "scatter_03", "counts", "--seeds", "1", "--out", str(tmp_path)]
-    found = study.main([*asked, "--methods", "three_circles", "joint"])
+    found = study.main([*asked, "--methods", "three_circles", "hertz"])
     rows = list(csv.DictReader((tmp_path / "foreign_worlds.csv").open()))
     assert [row["world"] for row in rows] == ["scatter_03", "counts"]
-    assert float(rows[0]["joint_mm"]) == found["scatter_03"]["joint_mm"]
+    assert float(rows[0]["hertz_mm"]) == found["scatter_03"]["hertz_mm"]
     assert (tmp_path / "foreign_worlds.png").stat().st_size > 10_000
     out = capsys.readouterr().out
-    # the joint estimate takes the contact points as exact
-    ratio = found["scatter_03"]["joint_mm"] / found["scatter_03"]["centroid_mm"]
+    # Hertz' contact takes the contact points as exact
+    ratio = found["scatter_03"]["hertz_mm"] / found["scatter_03"]["centroid_mm"]
     assert ratio > 1.05
-    assert f"scatter_03: joint {ratio:.1f} times the centroid" in out
-    assert "counts: joint refused: the pressures cannot be in Pa" in out
+    assert f"scatter_03: joint, Hertz {ratio:.1f} times the centroid" in out
+    assert "counts: joint, Hertz refused: the pressures cannot be in Pa" in out
     assert found["scatter_03"]["bound_mm"] < 0.5 * found["scatter_03"]["centroid_mm"]
 
 

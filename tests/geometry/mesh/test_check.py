@@ -218,8 +218,8 @@ def test_a_drawing_leaves_out_repairs_all_over_the_mesh(ball):
     """Every corner written by itself, as in an STL, and a hole: only the hole is shown."""
     corners = ball.triangles[1:].reshape(-1, 3)
     found = check_mesh(corners, np.arange(len(corners)).reshape(-1, 3))
-    merged, hole = found.findings
-    assert len(check.shown(merged, found)) == 0
-    assert check.named(merged, found).endswith("duplicate vertices merged (everywhere, not drawn)")
-    assert len(check.shown(hole, found)) == 3
-    assert check.named(hole, found).startswith("refused: the mesh is not watertight")
+    (merged, _, _, merged_text), (hole, _, _, hole_text) = check.marks(found)
+    assert len(merged) == 0
+    assert merged_text.endswith("duplicate vertices merged (everywhere, not drawn)")
+    assert len(hole) == 3
+    assert hole_text.startswith("refused: the mesh is not watertight")
