@@ -133,8 +133,8 @@ def _arm_segments(
         own = rows[begin:end]
         k = int(np.searchsorted(first, own[0], side="right")) - 1
         path = paths[k].part(slice(own[0] - first[k], own[-1] + 1 - first[k]))
-        spin = np.asarray(posture.SPIN_STEP * chain.spin[begin:end], dtype=float)
-        parts = _split(rig, path, tangents[own], spin, chain.q[begin:end], exploration, dt)
+        spin, q = chain.spin[begin:end], chain.q[begin:end]
+        parts = _split(rig, path, tangents[own], spin, q, exploration, dt)
         segments += parts
         if not parts:
             blocked.append((path.points, np.full(len(path), WINDING, dtype=object)))
@@ -177,12 +177,16 @@ def reachable_nodes(
     assert arm is not None
     poses = rig.spin_poses(points, normals, tangents)
     nodes = posture.solve_nodes(arm, poses @ inverse(rig.mount), anchor_spacing)
-    usable = nodes.within_limits.copy()
-    m, s, b = np.nonzero(usable)
-    hit = collision.arm_reasons(
-        arm, rig.body, nodes.q[m, s, b], poses[m, s], rig.indenter, rig.allowed_collisions
-    )
-    usable[m, s, b] = hit == ""
+    collided = _collisions(rig, nodes)
+    missing = np.flatnonzero(~(collided == "").any(axis=(1, 2)))
+    if len(missing):  # at no spin of the grid
+        at = points[missing], normals[missing], tangents[missing]
+        solved = rig.solved_spins(*at, anchor_spacing)
+        better = (_collisions(rig, solved) == "").any(axis=(1, 2))
+        better |= solved.solved.any(axis=(1, 2)) & ~nodes.solved[missing].any(axis=(1, 2))
+        nodes = nodes.replaced(missing[better], solved.take(np.flatnonzero(better)))
+        collided = _collisions(rig, nodes)
+    usable = np.asarray(collided == "")
     reason = np.full(len(usable), "", dtype=object)
     for k in np.flatnonzero(~usable.any(axis=(1, 2))):
         if not nodes.solved[k].any():
@@ -191,8 +195,22 @@ def reachable_nodes(
             best = np.unravel_index(np.argmax(nodes.margin[k]), nodes.margin[k].shape)
             reason[k] = f"{LIMIT} of {arm.joint_names[nodes.joint[k][best]]}"
         else:
-            reason[k] = Counter(hit[m == k]).most_common(1)[0][0]
+            reason[k] = Counter(collided[k][nodes.within_limits[k]]).most_common(1)[0][0]
     return nodes, usable, reason
+
+
+def _collisions(rig: ContactRig, nodes: posture.Nodes) -> Array:
+    """Why each posture (m, s, b) collides, "" where it does not; None beyond the joint limits."""
+    arm, within = rig.arm, nodes.within_limits
+    assert arm is not None
+    out = np.full(within.shape, None, dtype=object)
+    q = nodes.q[within]
+    if len(q):
+        poses = arm.pose(q) @ rig.mount
+        out[within] = collision.arm_reasons(
+            arm, rig.body, q, poses, rig.indenter, rig.allowed_collisions
+        )
+    return out
 
 
 def _left_out(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..core.arrays import Array
 from ..core.errors import ConfigError
-from ..core.se3 import inverse, log_so3
+from ..core.se3 import log_so3
 from ..geometry.body import Body
 from ..scene.scene import Scene
 
@@ -190,5 +190,4 @@ def start_configuration(scene: Scene, path: Path) -> Array:
             limit=f"{joints} joints",
             remedy="plan it with arm=scene.arm and mount=scene.mount_pose",
         )
-    tip = lifted @ inverse(scene.rig.mount)
-    return np.asarray(scene.arm.inverse_kinematics(tip[None], path.postures[0])[0])
+    return scene.rig.follow(lifted[None], path.postures[0])[0][0]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.arrays import Array
-from ..geometry.geodesics import transport_along
+from ..geometry.geodesics import rotate_about, transport_along
 from ..robot import posture
 from ..robot.contact_rig import ContactRig
 from .lane_plan import reachable_nodes
@@ -48,10 +48,9 @@ def point_contacts(
         )
         found = np.flatnonzero(reason[rows] == "")
         spin, joints = posture.nearest_postures(nodes, usable, found)
-        rows, tangents = rows[found], tangents[found]
-        poses = rig.spin_poses(hit.point[rows], hit.normal[rows], tangents)[
-            np.arange(len(rows)), spin
-        ]
+        rows, normals = rows[found], hit.normal[rows[found]]
+        headings = rotate_about(normals, tangents[found], spin)
+        poses = rig.contact_poses(hit.point[rows], normals, headings)
         postures = list(joints[:, None])
     paths = [
         Path(

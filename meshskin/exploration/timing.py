@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.arrays import Array
 from ..core.errors import ReachError
-from ..core.se3 import inverse, log_so3
+from ..core.se3 import log_so3
 from ..geometry.geodesics import rotate_about, transport_along
 from ..robot.contact_rig import ContactRig
 from ..scene.settings import Exploration
@@ -45,18 +45,17 @@ def arm_path(
     """
     from scipy.ndimage import gaussian_filter1d
 
-    arm = rig.arm
-    assert arm is not None
     for width in SPIN_WIDTHS:
         smooth = gaussian_filter1d(spin, width, mode="nearest") if width else spin
         headings = rotate_about(path.normals, tangents, smooth)
-        poses = rig.contact_poses(path.points, path.normals, headings) @ inverse(rig.mount)
+        poses = rig.contact_poses(path.points, path.normals, headings)
         try:
-            q = arm.inverse_kinematics(poses, posture)
+            q, held = rig.follow(poses, posture)
+            if held is not poses:
+                headings = rig.headings(held)
+            return _path(rig, path, headings, q, q[:1], exploration, dt)
         except ReachError as error:
             reason = error
-            continue
-        return _path(rig, path, headings, q, q[:1], exploration, dt)
     raise reason
 
 
@@ -91,6 +90,8 @@ def _path(
     tangents -= np.einsum("ij,ij->i", tangents, normals)[:, None] * normals
     tangents /= np.linalg.norm(tangents, axis=1)[:, None]
     poses = rig.poses(centres, normals, tangents)
+    if posture is not None:
+        poses = rig.held_poses(poses, posture[0])
     twists = body_twists(poses, dt)
     return Path(dt, hit.point, hit.normal, poses, twists, hit.face, (), posture)
 

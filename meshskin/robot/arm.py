@@ -30,6 +30,9 @@ from .dynamics import Dynamics
 from .urdf import Joint, UrdfTree, numbers
 
 MOVING = ("revolute", "continuous", "prismatic")
+RANK_POSTURES, RANK_TOLERANCE = 8, 1e-6
+"""Random postures at which the rank of the Jacobian is taken, and the smallest singular value, m
+and rad, that counts: those of rank-deficient arms are rounding, 1e-16."""
 
 
 def _range(joint: Joint) -> tuple[float, float]:
@@ -203,6 +206,15 @@ class Arm:
                 "base of an arm must be a rigid transform T_w_base (4, 4)", value=pose.tolist()
             )
         return replace(self, base=pose)
+
+    @cached_property
+    def holds_any_pose(self) -> bool:
+        """Whether the tip can move in all six directions, in any of RANK_POSTURES random postures.
+
+        Not so with fewer than six joints, or with more than three parallel axes among six.
+        """
+        q = np.random.default_rng(0).uniform(-1.0, 1.0, (RANK_POSTURES, len(self.joint_names)))
+        return bool(np.linalg.matrix_rank(self.jacobian(q), tol=RANK_TOLERANCE).max() == 6)
 
     def dynamics(self) -> Dynamics:
         """The arm's dynamics as CasADi expressions, built once."""

@@ -18,7 +18,7 @@ from ..core.arrays import Array
 from ..core.se3 import inverse, orthonormal_basis, transform
 from ..geometry.body import Body
 from ..geometry.geodesics import rotate_about, transport_along
-from . import collision, posture
+from . import collision, posture, turntable
 from .arm import Arm
 
 SITES = 10
@@ -65,6 +65,33 @@ class ContactRig:
         if self.arm is None:
             return None
         return collision.allowed_collisions(self.arm, self.body, self.mount)
+
+    @cached_property
+    def turned_arm(self) -> Arm:
+        """The arm on a turntable about the indenter's axis. The rig must have an arm."""
+        assert self.arm is not None
+        return turntable.on_turntable(self.arm, self.indenter.position, self.indenter.axis)
+
+    def follow(self, poses: Array, posture: Array) -> tuple[Array, Array]:
+        """Joint angles (k, n) along T_w_b `poses` (k, 4, 4) from a posture (n,), and the poses.
+
+        An arm that cannot hold any pose turns the body about the indenter's axis as it must; the
+        poses are then those that it holds. Raises ReachError.
+        """
+        assert self.arm is not None
+        tips = poses @ inverse(self.mount)
+        q = turntable.follow(self.arm, tips, posture, self.indenter.position, self.indenter.axis)
+        return q, poses if self.arm.holds_any_pose else self.arm.pose(q) @ self.mount
+
+    def held_poses(self, poses: Array, posture: Array) -> Array:
+        """T_w_b `poses` (k, 4, 4) as `follow` gives them; unchanged if the arm holds any pose."""
+        assert self.arm is not None
+        return poses if self.arm.holds_any_pose else self.follow(poses, posture)[1]
+
+    def headings(self, poses: Array) -> Array:
+        """Tangents (k, 3), body frame, that T_w_b `poses` (k, 4, 4) bring onto x of the indenter's
+        frame."""
+        return np.asarray(self.indenter.rotation[:, 0] @ poses[:, :3, :3])
 
     def contact_reasons(self, points: Array, normals: Array) -> Array:
         """Reason (k,) why the indenter cannot be pressed in at points (k, 3), "" where it can.
@@ -117,13 +144,24 @@ class ContactRig:
         return self.poses(self.indenter_centres(points, normals), normals, headings)
 
     def spin_poses(self, points: Array, normals: Array, tangents: Array) -> Array:
-        """T_w_b (m, s, 4, 4) at contact points (m, 3), for s spins about the normals.
+        """T_w_b (m, s, 4, 4) at contact points (m, 3), for s spins about the normals on a grid.
 
         tangents (m, 3): the headings at spin 0.
         """
         points, normals, tangents = points[:, None], normals[:, None], tangents[:, None]
         spins = posture.SPIN_STEP * np.arange(posture.SPINS, dtype=float)
         return self.contact_poses(points, normals, rotate_about(normals, tangents, spins))
+
+    def solved_spins(
+        self, points: Array, normals: Array, tangents: Array, anchor_spacing: int
+    ) -> posture.Nodes:
+        """The postures at contact points (m, 3), the spins about the normals solved with them.
+
+        tangents (m, 3): the headings at spin 0; anchor_spacing: see `posture.solve_nodes`.
+        """
+        assert self.arm is not None
+        tips = self.contact_poses(points, normals, tangents) @ inverse(self.mount)
+        return posture.solve_spins(self.arm, self.turned_arm, tips, anchor_spacing)
 
     def postures(self, sites: Array) -> Array:
         """Joint angles (k, n) with which the arm presses sites (m, 3), body frame, on the indenter.
@@ -136,6 +174,8 @@ class ContactRig:
         tangents = np.stack([transport_along(normal[None])[0] for normal in hit.normal])
         poses = self.spin_poses(hit.point, hit.normal, tangents)
         nodes = posture.solve_nodes(self.arm, poses @ inverse(self.mount), anchor_spacing=1)
+        if not nodes.within_limits.any():
+            nodes = self.solved_spins(hit.point, hit.normal, tangents, anchor_spacing=1)
         return nodes.q[nodes.within_limits]
 
 

@@ -1,10 +1,11 @@
 """Postures along a contact path: joint angles, spin about the normal, and where to regrasp.
 
 At every sample of the path the body may be turned about the contact's normal, and the arm may reach
-each pose in several postures. All postures on a grid of spins are nodes; two nodes of consecutive
-samples are connected if no joint jumps between them. The cheapest chain, by dynamic programming,
-keeps away from the joint limits, moves the joints little, and is broken (the arm lifts off and
-takes another posture) only where it must be.
+each pose in several postures. All postures on a grid of spins are nodes. Where none of them is
+within the limits, the spin is solved with the joint angles; these nodes belong to the nearest spin
+of the grid. Two nodes of consecutive samples are connected if no joint jumps between them. The
+cheapest chain, by dynamic programming, keeps away from the joint limits, moves the joints little,
+and is broken (the arm lifts off and takes another posture) only where it must be.
 
 Source: Descartes, "Cartesian path planning" of ROS-Industrial (ladder graph); Bellman (1957).
 """
@@ -12,7 +13,8 @@ Source: Descartes, "Cartesian path planning" of ROS-Industrial (ladder graph); B
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +66,8 @@ class Nodes:
     """(m, s, b) distance to the nearest joint limit, rad; negative beyond it."""
     joint: NDArray[np.intp]
     """(m, s, b) the joint nearest to its limit."""
+    offset: Array
+    """(m, s, b) spin of the posture beyond that of its place on the grid, rad."""
 
     @property
     def within_limits(self) -> NDArray[np.bool_]:
@@ -72,7 +76,33 @@ class Nodes:
 
     def take(self, rows: NDArray[np.intp]) -> Nodes:
         """The nodes of some samples."""
-        return Nodes(self.q[rows], self.solved[rows], self.margin[rows], self.joint[rows])
+        return Nodes(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+    def replaced(self, rows: NDArray[np.intp], others: Nodes) -> Nodes:
+        """These nodes with those of some samples replaced by `others`."""
+        width = max(self.q.shape[2], others.q.shape[2])
+        blank = {"q": np.nan, "solved": False, "margin": -np.inf, "joint": 0, "offset": 0.0}
+        columns: dict[str, Any] = {}
+        for name, value in blank.items():
+            columns[name], other = (
+                _widened(getattr(x, name), width, value) for x in (self, others)
+            )
+            columns[name][rows] = other
+        return Nodes(**columns)
+
+    @classmethod
+    def of(cls, arm: Arm, q: Array, offset: Array | None = None) -> Nodes:
+        """The nodes of joint angles `q` (m, s, b, n) with NaN where there is no posture."""
+        margin = np.minimum(q - arm.lower, arm.upper - q)
+        margin = np.where(np.isnan(margin), -np.inf, margin)
+        offset = np.zeros(q.shape[:-1]) if offset is None else offset
+        return cls(q, np.isfinite(q[..., 0]), margin.min(axis=-1), margin.argmin(axis=-1), offset)
+
+
+def _widened(x: Array, width: int, value: float) -> Array:
+    """A copy of `x` (m, s, b, ...) with `width` entries along b, the new ones with a value."""
+    grown = [(0, 0), (0, 0), (0, width - x.shape[2]), *[(0, 0)] * (x.ndim - 3)]
+    return np.pad(x, grown, constant_values=value)
 
 
 def solve_nodes(arm: Arm, targets: Array, anchor_spacing: int = ANCHOR_SPACING) -> Nodes:
@@ -99,11 +129,24 @@ def solve_nodes(arm: Arm, targets: Array, anchor_spacing: int = ANCHOR_SPACING) 
         if len(here):
             moved = _follow(arm, q[there].reshape(-1, MAX_POSTURES, n), rows[here].reshape(-1, 12))
             q[here] = moved.reshape(-1, s, MAX_POSTURES, n)
-    q = _with_whole_turns(arm, q)
-    solved = np.isfinite(q[..., 0])
-    margin = np.minimum(q - arm.lower, arm.upper - q)
-    margin = np.where(np.isnan(margin), -np.inf, margin)
-    return Nodes(q, solved, margin.min(axis=-1), margin.argmin(axis=-1))
+    return Nodes.of(arm, _with_whole_turns(arm, q))
+
+
+def solve_spins(arm: Arm, turned: Arm, targets: Array, anchor_spacing: int) -> Nodes:
+    """The postures for poses T_w_tip `targets` (m, 4, 4) that may turn about the normal.
+
+    turned: the arm on a turntable about the indenter's axis. Where the arm has joints to spare, the
+    postures are single ones of many, which random starts and the joint limits choose.
+    """
+    found = solve_nodes(turned, targets[:, None], anchor_spacing).q[:, 0]
+    spin = -found[..., 0]
+    place = np.round(np.where(np.isnan(spin), 0.0, spin) / SPIN_STEP).astype(int)
+    m, b = spin.shape
+    q = np.full((m, SPINS, b, len(arm.joint_names)), np.nan)
+    offset = np.zeros(q.shape[:-1])
+    at = np.arange(m)[:, None], place % SPINS, np.arange(b)
+    q[at], offset[at] = found[..., 1:], spin - SPIN_STEP * place
+    return Nodes.of(arm, q, offset)
 
 
 def _solve_anchor(arm: Arm, rows: Array, rng: np.random.Generator) -> Array:
@@ -117,7 +160,7 @@ def _solve_anchor(arm: Arm, rows: Array, rng: np.random.Generator) -> Array:
     found = _newton(arm, start, np.repeat(rows[some], RANDOM_STARTS, axis=0), START_ITERATIONS)
     for k, mine in zip(some, found.reshape(len(some), RANDOM_STARTS, n), strict=True):
         mine = mine[np.isfinite(mine[:, 0])]
-        distinct = _distinct(unwrapped(arm, mine))
+        distinct = _distinct(arm, unwrapped(arm, mine))
         out[k, : len(distinct)] = distinct
     for shift in range(1, SPIN_STRIDE // 2 + 1):
         for sign in (1, -1):
@@ -149,13 +192,17 @@ def _newton(arm: Arm, q: Array, targets: Array, iterations: int) -> Array:
     return q
 
 
-def _distinct(q: Array) -> Array:
-    """The distinct rows of `q` (k, n), at most MAX_POSTURES."""
+def _distinct(arm: Arm, q: Array) -> Array:
+    """The distinct rows of `q` (k, n); of more than MAX_POSTURES those farthest from all limits."""
     kept: list[Array] = []
     for one in q:
-        if len(kept) < MAX_POSTURES and all(np.abs(one - other).max() > SAME for other in kept):
+        if all(np.abs(one - other).max() > SAME for other in kept):
             kept.append(one)
-    return np.array(kept).reshape(-1, q.shape[1])
+    distinct = np.array(kept).reshape(-1, q.shape[1])
+    if len(distinct) > MAX_POSTURES:
+        margin = np.minimum(distinct - arm.lower, arm.upper - distinct).min(axis=1)
+        distinct = distinct[np.argsort(-margin, kind="stable")[:MAX_POSTURES]]
+    return distinct
 
 
 def endless_joints(arm: Arm) -> NDArray[np.bool_]:
@@ -182,8 +229,8 @@ class Chain:
 
     q: Array
     """(m, n), rad."""
-    spin: NDArray[np.intp]
-    """(m,) index of the spin, continued over whole turns."""
+    spin: Array
+    """(m,) spins, rad, continued over whole turns."""
     breaks: NDArray[np.bool_]
     """(m,) True where a new segment begins."""
 
@@ -197,7 +244,7 @@ def cheapest_chain(
     """
     q, spins = found.q, found.q.shape[1]
     node_cost = LIMIT_COST * np.maximum(0.0, 1.0 - found.margin / LIMIT_RANGE) ** 2
-    q, node_cost = _compact(q, np.where(usable, node_cost, np.inf))
+    q, offset, node_cost = _compact(q, found.offset, np.where(usable, node_cost, np.inf))
     endless, width = endless_joints(arm), node_cost.shape[2]
     cost = node_cost[0]
     parents: NDArray[np.intp] = np.zeros(node_cost.shape, dtype=np.intp)
@@ -219,18 +266,19 @@ def cheapest_chain(
             before = np.take_along_axis(sources, from_, axis=1)
             parents[k] = np.where(restarts[k], parents[k], before)
         cost = best + node_cost[k]
-    return _backtrack(q, cost, parents, restarts)
+    return _backtrack(q, offset, cost, parents, restarts)
 
 
-def _compact(q: Array, node_cost: Array) -> tuple[Array, Array]:
-    """`q` (m, s, b, n) and `node_cost` (m, s, b) with the nodes of finite cost first, in order,
-    and only as many per spin as are finite anywhere.
+def _compact(q: Array, offset: Array, node_cost: Array) -> tuple[Array, Array, Array]:
+    """`q` (m, s, b, n), `offset` and `node_cost` (m, s, b) with the nodes of finite cost first, in
+    order, and only as many per spin as are finite anywhere.
     """
     usable = np.isfinite(node_cost)
     width = int(usable.sum(axis=2).max())
     order = np.argsort(~usable, axis=2, kind="stable")[:, :, :width]
     packed = np.take_along_axis(q, order[..., None], axis=2)
-    return packed, np.take_along_axis(node_cost, order, axis=2)
+    offset, node_cost = (np.take_along_axis(x, order, axis=2) for x in (offset, node_cost))
+    return packed, offset, node_cost
 
 
 def _move_cost(here: Array, there: Array, endless: NDArray[np.bool_]) -> Array:
@@ -245,7 +293,7 @@ def _move_cost(here: Array, there: Array, endless: NDArray[np.bool_]) -> Array:
 
 
 def _backtrack(
-    q: Array, cost: Array, parents: NDArray[np.intp], restarts: NDArray[np.bool_]
+    q: Array, offset: Array, cost: Array, parents: NDArray[np.intp], restarts: NDArray[np.bool_]
 ) -> Chain:
     """The chain that ends in the cheapest node, by its parents."""
     count, spins = len(parents), cost.shape[0]
@@ -262,16 +310,17 @@ def _backtrack(
     for k in range(1, count):
         step = (s[k] - s[k - 1] + spins // 2) % spins - spins // 2
         spin[k] = s[k] if breaks[k] else spin[k - 1] + step
-    return Chain(q[np.arange(count), s, b], spin, breaks)
+    rows = np.arange(count)
+    return Chain(q[rows, s, b], SPIN_STEP * spin + offset[rows, s, b], breaks)
 
 
 def nearest_postures(
     found: Nodes, usable: NDArray[np.bool_], rows: NDArray[np.intp]
-) -> tuple[NDArray[np.intp], Array]:
-    """Spins (k,) and joint angles (k, n) at some samples, each near the one before and far from the
-    joint limits. Between the samples the arm moves through the air.
+) -> tuple[Array, Array]:
+    """Spins (k,), rad, and joint angles (k, n) at some samples, each near the one before and far
+    from the joint limits. Between the samples the arm moves through the air.
     """
-    spins, joints = np.empty(len(rows), dtype=np.intp), np.empty((len(rows), found.q.shape[-1]))
+    spins, joints = np.empty(len(rows)), np.empty((len(rows), found.q.shape[-1]))
     node_cost = np.where(usable, np.maximum(0.0, 1.0 - found.margin / LIMIT_RANGE) ** 2, np.inf)
     for k, row in enumerate(rows):
         cost = node_cost[row]
@@ -279,5 +328,5 @@ def nearest_postures(
             move = np.abs(found.q[row] - joints[k - 1]).max(axis=-1)
             cost = cost + np.where(usable[row], move, 0.0)
         s, b = np.unravel_index(int(np.argmin(cost)), cost.shape)
-        spins[k], joints[k] = s, found.q[row, s, b]
+        spins[k], joints[k] = SPIN_STEP * s + found.offset[row, s, b], found.q[row, s, b]
     return spins, joints

@@ -10,7 +10,8 @@ import numpy as np
 from ..contact import ContactModel
 from ..core.arguments import check_name
 from ..core.arrays import Array
-from ..core.se3 import poses_of_states, quaternion
+from ..core.se3 import inverse, poses_of_states, quaternion
+from ..robot import turntable
 from ..scene.settings import INTEGRATORS, MODES, Law
 
 if TYPE_CHECKING:
@@ -164,6 +165,12 @@ class ClosedLoopModel:
     def body_poses(self, q: Array) -> Array:
         """T_w_b (k, 4, 4) in configurations (k, n): joint angles, or position and quaternion."""
         return np.asarray(self.arm.pose(q) @ self.mount) if self.joints else poses_of_states(q)
+
+    def follow(self, poses: Array, q: Array) -> Array:
+        """Joint angles (k, n) from `q` (n,) along T_w_b `poses` (k, 4, 4): `turntable.follow`."""
+        tips = poses @ inverse(self.mount)
+        line = self.indenter_position, self.indenter_direction
+        return turntable.follow(self.arm, tips, q, *line)
 
     def indenter_centers(self, poses: Array) -> Array:
         """The indenter's center (k, 3) in the body frame, m, at body poses T_w_b (k, 4, 4)."""

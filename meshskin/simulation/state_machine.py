@@ -19,7 +19,7 @@ import numpy as np
 
 from ..core.arrays import Array
 from ..core.errors import EdgeError, PlaceError, SimulationError
-from ..core.se3 import interpolate, inverse, log_so3, poses_of_states
+from ..core.se3 import interpolate, log_so3, poses_of_states
 from ..scene.settings import Exploration
 from . import transfer
 from .closed_loop_model import state_of_pose
@@ -198,7 +198,10 @@ class ExplorationStateMachine:
             yield from self._float(self._above(goal.references[0]))
             return
         low, high = reference_poses(track.references[-1]), self._above(track.references[-1])
-        motion, self.phase = Track.through(_blend(low, high, dt), dt, simulator.face), LEAVE
+        poses = _blend(low, high, dt)
+        if not simulator.loop.arm.holds_any_pose:
+            poses = self._held(poses)
+        motion, self.phase = Track.through(poses, dt, simulator.face), LEAVE
         while len(motion):
             steps = simulator.advance(motion, LEAVE, track_normal=True)
             yield steps
@@ -206,6 +209,11 @@ class ExplorationStateMachine:
         assert self.postures is not None
         self.phase = NEXT
         yield simulator.move(self._regrasp(goal, self.postures[self.place]), NEXT)
+
+    def _held(self, poses: Array) -> Array:
+        """The poses (k, 4, 4) turned about the indenter's axis as the arm must, from its joints."""
+        loop, q = self.simulator.loop, self.simulator.state[: self.simulator.size]
+        return loop.body_poses(loop.follow(poses, q))
 
     def _float(self, goal: Array) -> Iterator[Steps]:
         """Without an arm: up, as far as turning needs, and over to `goal` (4, 4), in the air.
@@ -264,7 +272,7 @@ class ExplorationStateMachine:
         simulator, loop = self.simulator, self.simulator.loop
         low, high = reference_poses(goal.references[0]), self._above(goal.references[0])
         poses = np.concatenate([_blend(low, high, loop.dt)[:: LENGTHS[0]], high[None]])
-        above = loop.arm.inverse_kinematics(poses @ inverse(loop.mount), posture)[-1]
+        above = loop.follow(poses, posture)[-1]
         start = simulator.state[: simulator.size].copy()
         return transfer.joint_path(loop, simulator.body, start, above)
 

@@ -16,6 +16,7 @@ from ..core.errors import ReachError
 from ..exploration.path import time_scaling
 from ..geometry.body import Body
 from ..geometry.surface.closest_point import Closest
+from ..robot import turntable
 from ..robot.arm import Arm
 from .closed_loop_model import ClosedLoopModel
 
@@ -89,13 +90,13 @@ def joint_path(loop: ClosedLoopModel, body: Body, start: Array, goal: Array) -> 
 def lift_path(loop: ClosedLoopModel, q: Array, height: float) -> Array:
     """Joint angles (k, n) from `q` (n,) with the tip moved by `height`, m, where the indenter
     points."""
-    arm = loop.arm
     if height == 0.0:
         return q[None]
     rise = np.linspace(0.0, height, max(int(np.ceil(height / RISE_STEP)), 1) + 1)
-    poses = np.repeat(arm.pose(q)[None], len(rise), axis=0)
-    poses[:, :3, 3] += rise[:, None] * loop.indenter_direction
-    return np.concatenate([q[None], arm.inverse_kinematics(poses, q)[1:]])
+    tips = np.repeat(loop.arm.pose(q)[None], len(rise), axis=0)
+    tips[:, :3, 3] += rise[:, None] * loop.indenter_direction
+    line = loop.indenter_position, loop.indenter_direction
+    return np.concatenate([q[None], turntable.follow(loop.arm, tips, q, *line)[1:]])
 
 
 def contact_outputs(loop: ClosedLoopModel, hit: Closest, depth: Array) -> Array:

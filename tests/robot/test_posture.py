@@ -63,7 +63,8 @@ def test_the_chain_is_the_cheapest_of_all(seed):
     usable = rng.random((m, s, b)) < 0.5
     usable[:, 0, 2] = True
     starts = np.arange(m) == (0 if seed % 2 else 2)
-    found = posture.Nodes(q, usable, margin, np.zeros((m, s, b), dtype=int))
+    offset = rng.uniform(-0.1, 0.1, margin.shape)
+    found = posture.Nodes(q, usable, margin, np.zeros((m, s, b), dtype=int), offset)
 
     def price(at):
         near = np.maximum(0.0, 1.0 - margin[at] / posture.LIMIT_RANGE) ** 2
@@ -86,5 +87,8 @@ def test_the_chain_is_the_cheapest_of_all(seed):
     best = min(product(*nodes), key=cost)
     chosen = posture.cheapest_chain(arm, found, usable, starts)
     np.testing.assert_array_equal(chosen.q, [q[k][node] for k, node in enumerate(best)])
+    spins = [posture.SPIN_STEP * at[0] + offset[k][at] for k, at in enumerate(best)]
+    turns = (chosen.spin - spins) / (s * posture.SPIN_STEP)
+    np.testing.assert_allclose(turns, np.round(turns), atol=1e-12)
     breaks = [k == 0 or starts[k] or step(k, best[k - 1], best[k]) == 10.0 for k in range(m)]
     np.testing.assert_array_equal(chosen.breaks, breaks)
