@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 METHODS = (
     "trilateration",
     "three_circles",
+    "eq15",
     "posegraph",
     "posegraph_isotropic",
     "posegraph_paper",
@@ -260,7 +261,7 @@ def _assess(
         "position_error_mm": truth.summary_mm(truth.position_errors(calibration, skin)),
         "crlb_mm": truth.bound_mm(recording, belief, skin),
         "nees": float(np.nanmean(truth.nees(calibration, skin))),
-        "nees_band": list(truth.nees_band(int(calibration.observed[:, :2].all(axis=1).sum()))),
+        "nees_band": _nees_band(calibration),
         "undetermined": truth.undetermined(calibration),
         "modulus_pa": calibration.modulus,
         "modulus_sigma_pa": calibration.modulus_sigma,
@@ -270,6 +271,13 @@ def _assess(
         "steps": motion.num_rows,
         "steps_per_second": recording.metadata["steps_per_second"],
     }
+
+
+def _nees_band(calibration: Calibration) -> list[float] | None:
+    """The 95 % band of the mean NEES; None for ideal data, whose NEES has no distribution."""
+    if truth.is_ideal(calibration):
+        return None
+    return list(truth.nees_band(int(calibration.observed[:, :2].all(axis=1).sum())))
 
 
 def _errors(comparisons: dict[str, Calibration], skin: Skin) -> dict[str, dict[str, Any]]:

@@ -107,9 +107,10 @@ def summary(result: Result, folder: Path) -> str:
             f"{label} " + ("none" if m[key]["mean"] is None else f"{m[key]['mean']:.3g} mm")
             for key, label in (
                 ("trilateration", "trilateration"),
-                ("three_circles", "three circles"),
+                ("three_circles", "three chosen circles"),
+                ("eq15", "eq. 15 as printed"),
                 ("posegraph", "pose graph"),
-                ("posegraph_paper", "the paper's"),
+                ("posegraph_paper", "pose graph of chosen circles"),
                 ("centroid", "centroid"),
             )
         ),

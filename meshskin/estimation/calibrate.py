@@ -23,7 +23,7 @@ from .data.measurements import gather
 from .joint import learned, maximum_likelihood
 from .joint.reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
 from .result import EstimatorResult
-from .trilateration import trilaterate
+from .trilateration import eq15, trilaterate
 from .trilateration.displacements import Displacements, SharedContacts, Trilateration
 from .uncertainty import observability
 from .uncertainty.judge import judge
@@ -169,8 +169,14 @@ class Estimation:
         return self._scaled(self.least_squares)
 
     def three_circles(self) -> EstimatorResult:
-        """The paper's trilateration from three circles, scaled as `trilateration`."""
+        """Trilateration by three chosen circles, scaled as `trilateration`."""
         return self._scaled(trilaterate.three_circles(self.data))
+
+    def eq15(self) -> EstimatorResult:
+        """The paper's trilateration as printed."""
+        fit = eq15.estimate(self.data)
+        trilaterate.require_any(fit)
+        return fit
 
     def centroid(self) -> EstimatorResult:
         """The weighted mean of the contact points of each taxel: the baseline."""
@@ -253,6 +259,7 @@ METHODS: dict[str, Callable[[Estimation], EstimatorResult]] = {
     ),
     "trilateration": Estimation.trilateration,
     "three_circles": Estimation.three_circles,
+    "eq15": Estimation.eq15,
     "centroid": Estimation.centroid,
 }
 """The estimators by name."""
@@ -269,8 +276,10 @@ def calibrate(
 
     method: "joint", maximum likelihood over all readings (the default); "posegraph", the paper's
     graph of displacements; "posegraph_isotropic", with the paper's isotropic information;
-    "posegraph_paper", with displacements from three circles, too, as in the paper;
-    "trilateration", least squares over all circles of a taxel; "three_circles", the paper's;
+    "posegraph_paper", with displacements from three chosen circles, too;
+    "trilateration", least squares over all circles of a taxel; "three_circles", three steep,
+    well-separated ones; "eq15", the paper's trilateration as printed: three readings at random,
+    taken as those of points;
     "centroid", the mean of a taxel's contact points weighted by its readings: the baseline.
     tolerance: the Newton decrement at which the joint estimate has converged (a move of
     sqrt(2 tolerance) standard deviations).

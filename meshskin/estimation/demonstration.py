@@ -20,6 +20,8 @@ from .posegraph import PoseGraph
 
 MIN_SHARED = 3
 """Contacts that two taxels must share for a displacement between them: three circles."""
+TURN = 20.0
+"""Ratio of the noise of rotations to that of displacements, rad/m: 0.02 rad for 1 mm."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,7 @@ class NoiseSweep:
 
 
 def noise_sweep(
-    poses: Array, pairs: NDArray[np.int64], initial_errors: Array, seeds: int, turn: float = 20.0
+    poses: Array, pairs: NDArray[np.int64], initial_errors: Array, seeds: int, turn: float = TURN
 ) -> NoiseSweep:
     """Solve graphs whose initial estimates have mean errors `initial_errors` (k,), m.
 

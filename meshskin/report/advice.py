@@ -21,9 +21,6 @@ FREEDOMS = (
 FEW_READINGS = 12
 """Fewer readings than this leave a taxel's position weak: its sigma is three times that of a taxel
 with 100 readings, a usual number."""
-NOISELESS_MM = 1e-4
-"""Stated uncertainties (mm) below this come from ideal data: the scene sphere, without noise, has
-1e-6, and sphere_noisy 1e-2."""
 OUTLYING_CHI2 = 3.0
 """A reduced chi-square this many times the median is not noise: with 10 degrees of freedom its
 probability is below 1e-3."""
@@ -160,8 +157,9 @@ def _model_errors(data: ReportData) -> list[str]:
 
 def is_noiseless(data: ReportData) -> bool:
     """Whether the stated uncertainty is that of ideal data."""
-    s = data.finite_sigma_mm
-    return bool(len(s) and np.median(s) < NOISELESS_MM)
+    from ..estimation.uncertainty.metrics import is_ideal
+
+    return is_ideal(data.calibration)
 
 
 def _noise(data: ReportData) -> list[str]:

@@ -26,9 +26,10 @@ METHOD_NAMES = {
     "joint": "joint maximum likelihood",
     "posegraph": "pose graph",
     "trilateration": "trilateration",
-    "three_circles": "three circles",
+    "three_circles": "three chosen circles",
+    "eq15": "eq. 15 as printed",
     "posegraph_isotropic": "pose graph, isotropic",
-    "posegraph_paper": "the paper's pose graph",
+    "posegraph_paper": "pose graph, three chosen circles",
     "centroid": "centroid of contact points",
 }
 """Names of methods for people; others keep their own, with spaces for underscores."""
@@ -37,10 +38,11 @@ BASELINE = "centroid"
 METHOD_DESCRIPTIONS = {
     "joint": "all readings together, with the taxels on the surface",
     "trilateration": "least squares over all circles that the readings of a taxel give",
-    "three_circles": "three of these circles per taxel",
+    "three_circles": "three of these circles per taxel, steep and well separated",
+    "eq15": "the paper's: three circles at random, of readings taken as those of points",
     "posegraph": "displacements between taxels that were pressed together",
     "posegraph_isotropic": "these displacements with equal weights in all directions",
-    "posegraph_paper": "displacements from three circles per taxel, as in the paper",
+    "posegraph_paper": "displacements from three chosen circles, with equal weights",
     "centroid": "mean of a taxel's contact points, weighted by its readings: the baseline",
 }
 """How each method uses the readings."""

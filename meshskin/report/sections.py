@@ -138,7 +138,7 @@ def _numbers(data: ReportData) -> list[str]:
             words = ", ".join(map(method_name, data.worse_than_centroid))
             line = f"Mean error above that of the baseline, the centroid: {words}."
             blocks.append(paragraphs(line))
-        if "posegraph_paper" in data.errors:
+        if {"eq15", "posegraph_paper"} & set(data.errors):
             blocks.append(paragraphs(PAPER_REFERENCE))
     c = data.calibration
     if c.modulus is not None:
@@ -150,6 +150,8 @@ def _numbers(data: ReportData) -> list[str]:
             line = f"Effective modulus E*, estimated: {value} ± {sigma} (1 sigma) kPa."
         blocks.append(paragraphs(line))
     shown = {*SHOWN_ELSEWHERE, *data.errors}
+    if advice.is_noiseless(data):  # errors of arithmetic have no covariance
+        shown |= {"nees", "nees_band"}
     rest = flatten({k: v for k, v in data.metrics.items() if k not in shown})
     if rest:
         rows = [(name, value, METRIC_NOTES.get(name, "")) for name, value in rest]

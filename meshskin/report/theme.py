@@ -27,7 +27,7 @@ TRUTH = "#5f6b7a"
 ESTIMATE = "#0072b2"
 WARNING = "#d55e00"
 BOUND = "#cc79a7"
-METHODS = ("#0072b2", "#009e73", "#e69f00", "#56b4e9", "#cc79a7", "#7b4fa3", "#b59f00")
+METHODS = ("#0072b2", "#009e73", "#e69f00", "#56b4e9", "#cc79a7", "#7b4fa3", "#b59f00", "#8c4a2f")
 SEQUENTIAL = "cividis"
 
 STYLE: dict[str, Any] = {

@@ -65,7 +65,7 @@ def test_metrics_hold_the_contract_and_the_paper_is_beaten(run):
     assert m["three_circles"]["mean"] > 8 * m["position_error_mm"]["mean"]
     assert m["posegraph_isotropic"]["mean"] > 2 * m["position_error_mm"]["mean"]
     assert m["centroid"]["mean"] > 8 * m["position_error_mm"]["mean"]
-    methods = ("trilateration", "three_circles", "posegraph", "posegraph_isotropic")
+    methods = ("trilateration", "three_circles", "eq15", "posegraph", "posegraph_isotropic")
     worse = [k for k in (*methods, "posegraph_paper") if m[k]["mean"] > m["centroid"]["mean"]]
     assert m["worse_than_centroid"] == worse
     force = m["force"]

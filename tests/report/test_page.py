@@ -396,6 +396,10 @@ def test_a_wrong_uncertainty_is_reported(case: SimpleNamespace, nees: float, sai
 
 
 def test_noiseless_data_need_no_advice_about_noise(case: SimpleNamespace) -> None:
-    text = " ".join(next_steps(collect(case.calibration(sigma=1e-10), case.skin())))
-    assert "almost no noise" in text
-    assert "To halve" not in text
+    found = collect(case.calibration(sigma=1e-10), case.skin())
+    assert "almost no noise" in " ".join(next_steps(found))
+    found = replace(found, metrics={"nees": 2.6, "nees_band": [1.6, 2.5], "taxels": 80})
+    numbers = " ".join(content(found, ()).sections["Numbers"])
+    assert "taxels" in numbers
+    assert "nees" not in numbers  # errors of arithmetic do not follow the stated variance
+    assert "To halve" not in " ".join(next_steps(found))

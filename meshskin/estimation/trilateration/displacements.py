@@ -134,8 +134,8 @@ class SharedContacts:
     ) -> Displacements:
         """The displacements, each taxel of a pair by `trilateration` from their shared contacts.
 
-        trilateration: `trilaterate.solve` uses all circles, `trilaterate.intersect` the paper's
-        three. draws: number of random errors. Raises CalibrationError if none can be trilaterated.
+        trilateration: `trilaterate.solve` uses all circles, `trilaterate.intersect` three chosen
+        ones. draws: number of random errors. Raises CalibrationError if none can be trilaterated.
         """
         data, charts = self.data, self.charts
         y, information, chi2 = trilateration(self.circles, charts)

@@ -2,16 +2,18 @@
 
 Each reading gives the distance of its taxel from a contact: a circle about the contact point in the
 tangent plane, or, under an elliptic patch, in the plane scaled along its axes (circles.py). The
-distance inverts the disc-averaged profile of the contact model. Two estimators: the paper's
-three circles, and weighted least squares over all circles. A reading at or above the profile's
-maximum has the distance 0. The distance is uncertain there, where the slope of the profile
-vanishes, and at the patch's edge: least squares weights each circle by its slope, the three circles
-are chosen where it is steep.
+distance inverts the disc-averaged profile of the contact model. Two estimators: three chosen
+circles, and weighted least squares over all circles; eq15.py has the paper's. A reading at or above
+the profile's maximum has the distance 0. The distance is uncertain there, where the slope of the
+profile vanishes, and at the patch's edge: least squares weights each circle by its slope, the three
+circles are chosen where it is steep.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +26,9 @@ from ..data.measurements import Measurements
 from ..result import SURFACE, EstimatorResult
 from .circles import Circles, circles
 
+if TYPE_CHECKING:
+    from ...geometry.body import Body
+
 TOO_FEW = "fewer than three readings"
 COLLINEAR = "contacts near a line"
 NO_INTERSECTION = "circles that do not meet"
@@ -34,7 +39,7 @@ COARSE_NODES = 16
 """Nodes of the disc mean in the first pass over elliptic patches: within 1e-3 of the peak
 pressure."""
 MIN_STEEPNESS = 0.3
-"""Least slope, relative to p_0/a, of the profile at the paper's three circles, where a taxel has
+"""Least slope, relative to p_0/a, of the profile at the three circles of a taxel, where a taxel has
 enough such readings. A point reading has it from 0.29 a to the edge of the patch."""
 FACTORS = ("distance of each reading, at the nominal E*", SURFACE)
 
@@ -60,6 +65,13 @@ def centroids(data: Measurements) -> Array:
     start = np.where(np.isfinite(second), second, first)
     seen = np.isfinite(start[:, 0])
     start[seen] = data.body.closest(start[seen]).point
+    return start
+
+
+def starts(data: Measurements) -> Array:
+    """`centroids`, and any contact point for a taxel without readings."""
+    start = centroids(data)
+    start[~np.isfinite(start[:, 0])] = data.points[0]
     return start
 
 
@@ -94,20 +106,35 @@ def least_squares(data: Measurements) -> EstimatorResult:
 
 
 def three_circles(data: Measurements) -> EstimatorResult:
-    """Each taxel from three well-separated contacts: the paper's method (eq. 15).
+    """Each taxel from three of its circles: steep ones about well-separated contacts.
 
-    The circles are intersected in the tangent plane by their radical centre.
+    A better method than the paper's, which draws three at random and takes the readings as those of
+    points (eq15.py).
     """
     near, charts = _near_centroids(data)
     three = _three(circles(near, charts.points), charts).reading
+    return radical_centres(data.body, charts, lambda points: circles(near, points, three))
+
+
+def radical_centres(
+    body: Body,
+    charts: Charts,
+    circles_at: Callable[[Array], Circles],
+    factors: tuple[str, ...] = FACTORS,
+) -> EstimatorResult:
+    """Each taxel at the radical centre of its three circles.
+
+    charts: about the starts; circles_at: points (n, 3), m -> the circles with the taxels there;
+    factors: what the estimate is made of.
+    """
     for _ in range(3):
-        found = circles(near, charts.points, three)
-        y, information = _linear(found, charts, equal=True)
+        found = circles_at(charts.points)
+        y, _ = _linear(found, charts, equal=True)
         far = np.linalg.norm(y, axis=1) > 2 * found.patch.max(initial=0.0)
         y[far] = 0.0
-        charts = chart.charts_at(data.body, charts.at(y), charts.rotations)
+        charts = chart.charts_at(body, charts.at(y), charts.rotations)
     residual, information = _normal_matrix(found, charts, np.zeros((found.count, 2)))
-    fit = _result(found, charts, information, found.sum(residual**2))
+    fit = _result(found, charts, information, found.sum(residual**2), factors)
     reasons = np.where((fit.reasons == "") & far, NO_INTERSECTION, fit.reasons)
     points = np.where((reasons == "")[:, None], fit.points, np.nan)
     return replace(fit, reasons=reasons, points=points)
@@ -168,7 +195,13 @@ def width(found: Circles, charts: Charts) -> Array:
     return np.sqrt(np.maximum(np.linalg.eigvalsh(scatter)[:, 0], 0.0))
 
 
-def _result(found: Circles, charts: Charts, information: Array, chi2: Array) -> EstimatorResult:
+def _result(
+    found: Circles,
+    charts: Charts,
+    information: Array,
+    chi2: Array,
+    factors: tuple[str, ...] = FACTORS,
+) -> EstimatorResult:
     """The estimate at the origins of the charts; NaN and a reason where it is undetermined."""
     number = np.bincount(found.owner, minlength=found.count)
     reasons = np.where(number < 3, TOO_FEW, "").astype(object)
@@ -182,7 +215,7 @@ def _result(found: Circles, charts: Charts, information: Array, chi2: Array) -> 
         covariance=covariance,
         chi2=np.where(bad, np.nan, chi2),
         reasons=reasons,
-        factors=FACTORS,
+        factors=factors,
     )
 
 
@@ -193,8 +226,7 @@ def _near_centroids(data: Measurements) -> tuple[Measurements, Charts]:
     Left out are readings within 3 sigma of zero, whose distance would be a guess at the edge of the
     patch, and saturated ones of a taxel that has three others.
     """
-    start = centroids(data)
-    start[~np.isfinite(start[:, 0])] = data.points[0]
+    start = starts(data)
     off = np.linalg.norm(data.points[data.contact] - start[data.taxel], axis=1)
     keep = off < 1.3 * data.reach()[data.contact] + 1e-3
     keep &= data.pressure > 3 * (data.noise or 0.0)

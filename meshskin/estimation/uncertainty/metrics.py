@@ -68,6 +68,17 @@ def nees(calibration: Calibration, skin: Skin) -> Array:
     return out
 
 
+IDEAL_SIGMA = 1e-7
+"""Stated standard deviation (m), median, below which the readings were ideal, and errors are those
+of arithmetic: the scene sphere, without noise, has 1e-9, and sphere_noisy 1e-5."""
+
+
+def is_ideal(calibration: Calibration) -> bool:
+    """Whether the readings had no noise: the NEES then has no distribution."""
+    sigma = calibration.position_sigma[np.isfinite(calibration.position_sigma)]
+    return bool(len(sigma) and np.median(sigma) < IDEAL_SIGMA)
+
+
 def nees_band(count: int, confidence: float = 0.95) -> tuple[float, float]:
     """The interval of the mean NEES of `count` independent taxels at this confidence.
 

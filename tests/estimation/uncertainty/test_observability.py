@@ -12,6 +12,7 @@ from meshskin.core.errors import CalibrationError
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.uncertainty import observability
 from meshskin.estimation.uncertainty.metrics import (
+    is_ideal,
     nees_band,
     position_errors,
     summary_mm,
@@ -94,6 +95,11 @@ def test_errors_with_and_without_the_gauge(world):
     summary = summary_mm(np.array([1e-3, np.nan, 3e-3]))
     assert summary == pytest.approx({"mean": 2.0, "rms": np.sqrt(5), "max": 3.0})
     assert np.isnan(summary_mm(np.array([np.nan]))["mean"])
+
+
+def test_readings_without_noise_are_ideal(world):
+    assert is_ideal(calibrate(world.record(), world.belief()))
+    assert not is_ideal(calibrate(world.record(0.001), world.belief(0.001)))
 
 
 def test_nees_band_holds_the_mean():
