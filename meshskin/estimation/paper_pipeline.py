@@ -3,7 +3,7 @@
 Source: Cannata, Denei, Mastrogiovanni (ICRA 2010), eq. 1 and 15, and figure 9. Poses have white
 noise of one level: the body's in every contact, from which eq. 15 trilaterates the start of each
 taxel, and those of both taxels that a displacement is measured between, drawn anew for each. The
-displacements have equal weights. The relaxation is chosen here: the paper names no solver.
+displacements have equal weights. The relaxation and the noise of the rotations are chosen here.
 """
 
 from __future__ import annotations
