@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from .estimation.calibration import Calibration as Calibration
     from .estimation.posegraph import PoseGraph as PoseGraph
     from .exploration.plan import explore as explore
+    from .exploration.reach import reach as reach
     from .geometry.body import Body as Body
     from .recording.recording import Recording as Recording
     from .recording.recording import RecordingWriter as RecordingWriter
@@ -64,6 +65,7 @@ _HOMES = {
     "explore": "exploration.plan",
     "lint": "skin.lint",
     "press": "simulation.contact_samplers",
+    "reach": "exploration.reach",
     "simulate": "simulation.simulate",
     "tune": "tuning.tune",
 }

@@ -31,6 +31,21 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("mesh", type=Path, metavar="MESH", help=body_options.HELP)
     body_options.add(parser)
     parser.add_argument(
+        "--indenter-radius-mm",
+        type=radii,
+        metavar="MM[,MM...]",
+        help="say what indenters of these radii reach of the visible surface, and recommend one",
+    )
+    parser.add_argument(
+        "--force-n", type=float, default=3.0, help="force of these contacts (default 3)"
+    )
+    parser.add_argument("--young-kpa", type=float, help="Young's modulus of the skin (default 200)")
+    parser.add_argument(
+        "--skin-mm",
+        type=float,
+        help="press the surface of a skin of this thickness, which bridges small features (slower)",
+    )
+    parser.add_argument(
         "--out",
         type=Path,
         metavar="FILE",
@@ -68,12 +83,37 @@ def command(options: argparse.Namespace) -> int:
     except MeshError as error:
         usable = False
         print(f"  {'refused':9} {error}")
+    if usable and options.indenter_radius_mm:
+        indenters(options)
     print("can be a body" if usable else "cannot be a body")
     if kind == ".html":
         page(found, options.mesh.name, options.out)
     elif kind:
         picture(found, options.mesh.name, options.out)
     return 0 if usable else 1
+
+
+def radii(text: str) -> tuple[float, ...]:
+    """Radii in m of a list in mm, separated by commas."""
+    return tuple(1e-3 * float(part) for part in text.split(","))
+
+
+def indenters(options: argparse.Namespace) -> None:
+    """Print what each indenter reaches of the visible surface, and the recommended one."""
+    from ..contact.material import Material
+    from ..exploration.reach import reach, recommendation
+
+    young = options.young_kpa
+    found = reach(
+        body_options.load(options.mesh, options),
+        options.indenter_radius_mm,
+        force=options.force_n,
+        material=None if young is None else Material(young=1e3 * young),
+        skin=None if options.skin_mm is None else 1e-3 * options.skin_mm,
+    )
+    for one in found:
+        print(f"  {'indenter':9} {one}")
+    print(f"  {'indenter':9} recommended: {recommendation(found)}, of the visible surface")
 
 
 def patches(found: MeshCheck, names: Mapping[str, Any]) -> None:

@@ -20,6 +20,7 @@ from ..robot.contact_rig import ContactRig
 from ..scene.scene import Scene
 from ..scene.settings import Exploration
 from ..skin.skin import Skin
+from . import reach
 from .lanes import cover, spacing_for
 from .path import Path, Plan
 from .timing import arm_path, free_path
@@ -34,6 +35,12 @@ ENOUGH = 4
 NEAR, ASIDE = 0.9, 0.15
 """How near a taxel contacts count for it, and how far they must spread off a line for it to be
 covered, both relative to the sensing radius."""
+
+MANY = 0.1
+"""Part of the taxels that are left out because the indenter is refused near them, from which the
+plan recommends another radius."""
+REFUSED = collision.HOLLOW, collision.EDGE, collision.SUPPORT, "does not hold"
+"""Reasons, or parts of them, that another indenter may not have."""
 
 OUT_OF_REACH = "out of the arm's reach"
 LIMIT = "joint limit"
@@ -65,17 +72,30 @@ def lane_plan(scene: Scene, rig: ContactRig) -> Plan:
         segments, unreached = _arm_segments(rig, paths, exploration, dt)
         blocked += unreached
     left_out = _left_out(scene.skin, rig.sensing_radius, segments, blocked)
+    other = _other_radius(scene, left_out)
     if not segments:
         reasons = Counter(left_out.values()).most_common(1)
         raise ReachError(
             f"nothing of the skin can be explored: {reasons[0][0] if reasons else NOT_COVERED}",
             value=f"{len(sites)} taxels, the indenter at "
             f"{tuple(round(float(x), 3) for x in rig.indenter.position)} m",
-            remedy="move indenter.position_m, change the mount, or use a smaller indenter",
+            remedy=other or "move indenter.position_m, or change the mount",
         )
     notes = collision.arm_capsules(rig.arm).notes if rig.arm else ()
     notes += rig.allowed_collisions.notes if rig.allowed_collisions else ()
+    notes += (other,) if other else ()
     return Plan(replace(Path.concatenate(segments), unreachable=left_out), spacing, notes)
+
+
+def _other_radius(scene: Scene, left_out: dict[int, str]) -> str:
+    """The indenter that is recommended where this one is refused near many taxels; "" elsewhere."""
+    refused = sum(any(why in one for why in REFUSED) for one in left_out.values())
+    if refused < MANY * len(scene.skin):
+        return ""
+    found = reach.other_radii(scene)
+    if reach.recommended(found) is found[0]:
+        return ""
+    return f"use another indenter: {reach.recommendation(found)}, of the taxels, but for the arm"
 
 
 def _feasible(rig: ContactRig, lanes: list[Closest]) -> tuple[list[Closest], list[Blocked]]:

@@ -121,7 +121,7 @@ class Plan:
     """Distance between lanes, m."""
     notes: tuple[str, ...] = ()
     """Simplifications of the collision check: links without a readable mesh, and links that were
-    taken for a part of the mount."""
+    taken for a part of the mount; and the indenter that reaches more taxels, if there is one."""
 
     def __repr__(self) -> str:
         path = self.path

@@ -223,3 +223,18 @@ def test_a_drawing_leaves_out_repairs_all_over_the_mesh(ball):
     assert merged_text.endswith("duplicate vertices merged (everywhere, not drawn)")
     assert len(hole) == 3
     assert hole_text.startswith("refused: the mesh is not watertight")
+
+
+def test_indenters_are_compared(ball, tmp_path, capsys):
+    ball.export(tmp_path / "ball.ply")
+    line = ["check", str(tmp_path / "ball.ply"), "--units", "m", "--indenter-radius-mm"]
+    assert cli.main([*line, "4,8", "--force-n", "1", "--young-kpa", "400"]) == 0
+    out = capsys.readouterr().out
+    assert "indenter  4 mm reaches 100% with 1 N" in out
+    assert "recommended: 8 mm reaches 100% instead of 100% with 4 mm" in out
+    assert out.rstrip().endswith("can be a body")
+    assert cli.main([*line, "4,0"]) == 2
+    assert "radius of an indenter" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        cli.main([*line, "4;8"])
+    assert "argument --indenter-radius-mm" in capsys.readouterr().err

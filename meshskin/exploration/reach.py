@@ -1,0 +1,199 @@
+"""What an indenter reaches: the part of a body's surface that it can be pressed on.
+
+Points spread evenly over the visible surface are tested as the planner tests the samples of its
+lanes: the indenter fits, no edge is within the contact patch, and a contact model holds. An arm may
+reach less.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..contact.material import Material
+from ..contact.problem import MAX_WIDTH
+from ..core.arguments import check_real, check_type
+from ..core.arrays import Array
+from ..core.errors import ConfigError, ContactError, MeshError
+from ..core.se3 import orthonormal_basis, transform
+from ..geometry.body import Body
+from ..geometry.mesh.self_intersection import ray_scene
+from ..scene.scene import Scene
+from ..scene.settings import Law, Loop
+from ..skin.skin import Skin
+
+POINTS = 1500
+"""Points on the visible surface: a share of a half is known to 1.3 %."""
+DIRECTIONS = 64
+"""Directions in which a point may be seen."""
+GRAZING = 0.1
+"""Least cosine of the angle between the normal and a direction in which a point is seen."""
+GENTLE_WIDTH = 0.45
+"""a/R on a plane under the force that replaces one under which no contact model holds there: below
+MAX_WIDTH, so that it holds in shallow hollows, too."""
+BRIDGED = 0.5e-3
+"""Distance from a point to the skin's underside, m, from which the skin bridges it."""
+NEARLY = 0.9
+"""Share, relative to the largest, that is as good as it."""
+
+UNDER_SKIN = "under the skin: it bridges the place"
+TOO_WIDE = "no contact model holds anywhere"
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What an indenter reaches of the visible surface of a body."""
+
+    radius: float
+    """Radius of the indenter, m."""
+    force: float
+    """Contact force, N: as asked, or less where its patch would be too wide for a contact model."""
+    share: float
+    """Part of the visible surface on which a contact is possible."""
+    reasons: Mapping[str, float] = field(default_factory=dict)
+    """Part of the visible surface by the reason why no contact is possible, the largest first."""
+
+    @classmethod
+    def of(cls, radius: float, force: float, reasons: Array) -> Reach:
+        """From the reason (n,) at evenly spread points, "" where a contact is possible."""
+        counts = Counter(reasons[reasons != ""].tolist()).most_common()
+        parts = {why: count / len(reasons) for why, count in counts}
+        return cls(radius, force, float(np.mean(reasons == "")), parts)
+
+    def __str__(self) -> str:
+        head = f"{1e3 * self.radius:g} mm reaches {self.share:.0%} with {self.force:.2g} N"
+        kinds: dict[str, float] = {}
+        for why, part in self.reasons.items():
+            kind = why.split(":")[0]
+            kinds[kind] = kinds.get(kind, 0.0) + part
+        rest = ", ".join(f"{kind} {part:.0%}" for kind, part in kinds.items())
+        return f"{head} ({rest})" if rest else head
+
+
+def reach(
+    body: Body,
+    radii: Sequence[float],
+    *,
+    force: float = 3.0,
+    material: Material | None = None,
+    skin: float | None = None,
+) -> tuple[Reach, ...]:
+    """What indenters with `radii`, m, reach of the visible surface of a body, in their order.
+
+    A point of the surface is visible if a straight line leads away from it. force, N, is reduced
+    for an indenter whose contact patch would be too wide on a plane. material: by default that of a
+    scene. skin: thickness, m, of a skin whose surface is pressed in place of the body's,
+    `body.skinned(skin, 1.5 * radius)`; places that it bridges are not reached. Raises ConfigError
+    for a value out of range, MeshError for a skin that cannot be made.
+    """
+    check_type(Body, body, "what an indenter reaches")
+    check_real("force of a contact", force, "N", above=0.0)
+    _check_radii(radii)
+    points, normals = even_points(body)
+    seen = visible(body, points, normals)
+    if not seen.any():
+        raise MeshError("no point of the surface is visible", remedy="check the mesh")
+    points, found = points[seen], []
+    for radius in radii:
+        surface = body if skin is None else body.skinned(skin, 1.5 * radius)
+        hit = surface.closest(points)
+        poses = transform(orthonormal_basis(hit.normal), hit.point)
+        scene = Scene(
+            body=surface,
+            skin=Skin(poses, np.arange(len(points))),
+            material=Material() if material is None else material,
+            law=Law(force_reference=force),
+            loop=Loop(mode="quasi_static"),
+        )
+        used, reasons = contact_reasons(scene, radius)
+        if skin is not None:
+            reasons[np.abs(hit.distance) > skin + BRIDGED] = UNDER_SKIN
+        found.append(Reach.of(radius, used, reasons))
+    return tuple(found)
+
+
+def contact_reasons(scene: Scene, radius: float) -> tuple[float, Array]:
+    """The force, N, of an indenter of `radius`, m, and the reason (n,) at each taxel of a scene why
+    no contact is possible, "" where one is: as in a plan, but for the arm.
+    """
+    force = possible_force(radius, scene.law.force_reference, scene.material)
+    other = scene.with_(
+        indenter=replace(scene.indenter, radius=radius),
+        law=replace(scene.law, force_reference=force),
+    )
+    try:
+        return force, other.rig.contact_reasons(scene.skin.positions, scene.skin.normals)
+    except ContactError:
+        return force, np.full(len(scene.skin), TOO_WIDE, dtype=object)
+
+
+def other_radii(scene: Scene) -> tuple[Reach, ...]:
+    """What the scene's indenter, and those of half and a quarter of its radius, reach of the taxels
+    of a scene."""
+    radii = scene.indenter.radius / np.array([1.0, 2.0, 4.0])
+    return tuple(Reach.of(float(r), *contact_reasons(scene, float(r))) for r in radii)
+
+
+def possible_force(radius: float, force: float, material: Material) -> float:
+    """The force, N, or that of a patch of GENTLE_WIDTH on a plane where its own is too wide."""
+    unit = 4.0 / 3.0 * material.effective_modulus * radius**2  # F = 4/3 E* a^3 / R
+    return force if force <= MAX_WIDTH**3 * unit else GENTLE_WIDTH**3 * unit
+
+
+def recommended(found: Sequence[Reach]) -> Reach:
+    """The largest indenter that reaches nearly as much as the best one: NEARLY.
+
+    A larger one has a wider patch, which presses more taxels at once.
+    """
+    best = max(one.share for one in found)
+    return max((one for one in found if one.share >= NEARLY * best), key=lambda one: one.radius)
+
+
+def recommendation(found: Sequence[Reach]) -> str:
+    """The recommended indenter and what it reaches, beside the largest other one."""
+    best = recommended(found)
+    if best.share == 0.0:
+        return "none reaches anything"
+    text = f"{1e3 * best.radius:g} mm reaches {best.share:.0%}"
+    others = [one for one in found if one is not best]
+    if not others:
+        return text
+    other = max(others, key=lambda one: one.radius)
+    return f"{text} instead of {other.share:.0%} with {1e3 * other.radius:g} mm"
+
+
+def _check_radii(radii: Sequence[float]) -> None:
+    """Raise ConfigError for no radius, or one that is not positive."""
+    if not len(radii):
+        raise ConfigError("no radius of an indenter was given", remedy="give one or more, in m")
+    for radius in radii:
+        check_real("radius of an indenter", radius, "m", above=0.0)
+
+
+def even_points(body: Body) -> tuple[Array, Array]:
+    """Points (n, 3), m, spread by area over a body, and its outward normals (n, 3) there."""
+    import trimesh
+
+    points = trimesh.sample.sample_surface(body.mesh, POINTS, seed=1)[0]
+    hit = body.closest(np.asarray(points))
+    return hit.point, hit.normal
+
+
+def visible(body: Body, points: Array, normals: Array) -> NDArray[np.bool_]:
+    """Whether (n,) a straight line in front of a point (n, 3) leads away from the body."""
+    ways = np.random.default_rng(0).normal(size=(DIRECTIONS, 3))
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    scale, out = body.surface.scale, np.zeros(len(points), dtype=bool)
+    # embree is single precision: in units of the extent, and a little off the surface
+    middle = body.mesh.bounds.mean(axis=0)
+    scene = ray_scene((body.mesh.vertices - middle) / scale, body.mesh.faces)
+    start = ((points - middle) / scale + 1e-4 * normals).astype(np.float32)
+    for way in ways:
+        front = np.flatnonzero(~out & (normals @ way > GRAZING))
+        ahead = np.tile(way.astype(np.float32), (len(front), 1))
+        out[front] = np.asarray(scene.run(start[front], ahead)) < 0
+    return out
