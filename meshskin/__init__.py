@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from .scene.settings import Exploration as Exploration
     from .scene.settings import Law as Law
     from .scene.settings import Readout as Readout
-    from .simulation.contact_samplers import press as press
     from .simulation.simulate import simulate as simulate
+    from .simulation.static_contacts import press as press
     from .skin.compare import compare as compare
     from .skin.lint import lint as lint
     from .skin.skin import Skin as Skin
@@ -64,7 +64,7 @@ _HOMES = {
     "cost": "study.sensitivity.cost",
     "explore": "exploration.plan",
     "lint": "skin.lint",
-    "press": "simulation.contact_samplers",
+    "press": "simulation.static_contacts",
     "reach": "exploration.reach",
     "simulate": "simulation.simulate",
     "tune": "tuning.tune",

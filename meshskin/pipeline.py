@@ -93,6 +93,7 @@ def run(
     in place of the scene's own: `ms.budget` then chooses the effects. Raises a MeshskinError that
     names the value, the limit and the remedy.
     """
+    from .exploration.plan import plan_exploration
     from .study.sensitivity.budget import budget as apply_budget
 
     check_integer("seed", seed, least=0)
@@ -114,6 +115,10 @@ def run(
             scene, path, tolerance, prediction = _settings_for(scene, request, seed, timer)
             done()
     with timer.stage("simulate"):
+        if scene.indenter.carried_by is not None:
+            plan = plan_exploration(scene)
+            plan.save_contacts(folder / "contacts.csv")
+            path = plan.path
         recording = simulate(scene, seed, path=path, out=folder / "recording", progress=progress)
     remove_results(folder)
     with timer.stage("calibrate"):
@@ -231,7 +236,8 @@ def _report_time(scene: Scene) -> Callable[[Calibration], float]:
 def _force(recording: Recording, scene: Scene) -> ForceResponse:
     """The response of the contact force in a simulated recording."""
     motion = recording.motion
-    assert motion is not None
+    if motion is None:  # contacts that are pressed one by one
+        return force_response(recording.time, recording.force, scene.law.force_reference)
     return force_response(
         np.asarray(motion.column("time")),
         np.asarray(motion.column("force")),
@@ -250,7 +256,6 @@ def _assess(
 ) -> dict[str, Any]:
     """The metrics of the joint estimate against the truth, and of the force."""
     motion, skin = recording.motion, scene.skin
-    assert motion is not None
     return {
         "verdict": None if calibration.verdict is None else calibration.verdict.metrics(),
         "scene": scene.name,
@@ -266,10 +271,10 @@ def _assess(
         "modulus_pa": calibration.modulus,
         "modulus_sigma_pa": calibration.modulus_sigma,
         "response": None if calibration.response is None else calibration.response.metrics(),
-        "force": _force_metrics(force, describe_departure(motion)),
+        "force": _force_metrics(force, describe_departure(motion) if motion else ""),
         "demonstration_mm": None if demonstration is None else 1e3 * demonstration.mean_error,
-        "steps": motion.num_rows,
-        "steps_per_second": recording.metadata["steps_per_second"],
+        "steps": motion.num_rows if motion else 0,
+        "steps_per_second": recording.metadata.get("steps_per_second"),
     }
 
 

@@ -139,7 +139,11 @@ def summary(result: Result, folder: Path) -> str:
     lines += [f"  not reached        {n} taxels: {why}" for why, n in left_out.most_common()]
     lines += [
         "  not determined     " + m["undetermined"],
-        f"  closed loop        {m['steps_per_second']:,.0f} steps/s",
+        *(
+            [f"  closed loop        {m['steps_per_second']:,.0f} steps/s"]
+            if m["steps_per_second"] is not None
+            else [f"  contacts to press  {folder / 'contacts.csv'}"]
+        ),
         "  seconds            "
         + ", ".join(f"{name} {value:.2f}" for name, value in m["seconds"].items()),
         f"  report             {folder / 'report.html'}",

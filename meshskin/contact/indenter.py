@@ -1,4 +1,4 @@
-"""The indenter: a rigid sphere on a straight support, at a known pose in the world."""
+"""The indenter: a rigid sphere on a straight support, fixed in the world or carried to the body."""
 
 from __future__ import annotations
 
@@ -6,15 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..core.arguments import check_name
 from ..core.arrays import Array
 from ..core.config import check_fields, quantity
 from ..core.errors import ConfigError
 from ..core.se3 import shortest_rotation
 
+CARRIERS = ("hand", "arm")
+
 
 @dataclass(frozen=True)
 class Indenter:
-    """A rigid sphere, fixed in the world."""
+    """A rigid sphere, fixed in the world or carried to a body at rest."""
 
     radius: float = quantity("m", 0.01, above=0.0, least=1e-6, most=1.0)
     """Radius r_e of the sphere."""
@@ -27,8 +30,14 @@ class Indenter:
     direction: tuple[float, float, float] = quantity("", (0.0, 0.0, 1.0))
     """Vector of any length from the support to the sphere, world frame."""
 
+    carried_by: str | None = None
+    """What carries the indenter to a body at rest: "hand", or "arm", the scene's arm. `position`
+    and `direction` are then not used. None: it is fixed, and the body moves."""
+
     def __post_init__(self) -> None:
         check_fields(self)
+        if self.carried_by is not None:
+            check_name("carrier of the indenter", self.carried_by, CARRIERS)
         if not any(self.direction):
             raise ConfigError(
                 "indenter.direction must not be zero",
@@ -65,6 +74,7 @@ class Indenter:
         radius: float,
         position: tuple[float, float, float] = (0.424, -0.424, 0.7),
         direction: tuple[float, float, float] = (0.0, 0.0, 1.0),
+        carried_by: str | None = None,
     ) -> Indenter:
         """A sphere of `radius` (m) centred at `position` (m, world frame), see the fields."""
-        return cls(radius, position, direction=direction)
+        return cls(radius, position, direction=direction, carried_by=carried_by)

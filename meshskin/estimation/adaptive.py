@@ -205,13 +205,15 @@ def lane_contacts(scene: Scene, spacing: float) -> tuple[Array, Mapping[int, str
     step = spacing * scene.rig.sensing_radius
     lanes = replace(scene.exploration, pattern="lanes", lane_spacing=step, contacts=None)
     plan = plan_exploration(scene.with_(exploration=lanes))
+    unreachable = {k: why for k, why in plan.unreachable.items() if why != NOT_COVERED}
+    if plan.contacts is not None:
+        return plan.path.points, unreachable
     parts = []
     for segment in plan.segments:
         lengths = np.linalg.norm(np.diff(segment.points, axis=0), axis=1)
         along = np.concatenate([[0.0], np.cumsum(lengths)])
         rows = np.searchsorted(along, np.arange(0.0, along[-1], step))
         parts.append(segment.points[rows])
-    unreachable = {k: why for k, why in plan.unreachable.items() if why != NOT_COVERED}
     return np.concatenate(parts), unreachable
 
 

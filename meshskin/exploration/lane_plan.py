@@ -16,6 +16,7 @@ from ..core.se3 import inverse
 from ..geometry.geodesics import transport_along
 from ..geometry.surface.closest_point import Closest
 from ..robot import collision, posture
+from ..robot.arm import Arm
 from ..robot.contact_rig import ContactRig
 from ..scene.scene import Scene
 from ..scene.settings import Exploration
@@ -71,8 +72,8 @@ def lane_plan(scene: Scene, rig: ContactRig) -> Plan:
     else:
         segments, unreached = _arm_segments(rig, paths, exploration, dt)
         blocked += unreached
-    left_out = _left_out(scene.skin, rig.sensing_radius, segments, blocked)
-    other = _other_radius(scene, left_out)
+    left_out = taxels_left_out(scene.skin, rig.sensing_radius, segments, blocked)
+    other = other_radius(scene, left_out)
     if not segments:
         reasons = Counter(left_out.values()).most_common(1)
         raise ReachError(
@@ -87,7 +88,7 @@ def lane_plan(scene: Scene, rig: ContactRig) -> Plan:
     return Plan(replace(Path.concatenate(segments), unreachable=left_out), spacing, notes)
 
 
-def _other_radius(scene: Scene, left_out: dict[int, str]) -> str:
+def other_radius(scene: Scene, left_out: dict[int, str]) -> str:
     """The indenter that is recommended where this one is refused near many taxels; "" elsewhere."""
     refused = sum(any(why in one for why in REFUSED) for one in left_out.values())
     if refused < MANY * len(scene.skin):
@@ -206,9 +207,16 @@ def reachable_nodes(
         better |= solved.solved.any(axis=(1, 2)) & ~nodes.solved[missing].any(axis=(1, 2))
         nodes = nodes.replaced(missing[better], solved.take(np.flatnonzero(better)))
         collided = _collisions(rig, nodes)
-    usable = np.asarray(collided == "")
-    reason = np.full(len(usable), "", dtype=object)
-    for k in np.flatnonzero(~usable.any(axis=(1, 2))):
+    return nodes, np.asarray(collided == ""), posture_reasons(arm, nodes, collided)
+
+
+def posture_reasons(arm: Arm, nodes: posture.Nodes, collided: Array) -> Array:
+    """The reason (m,) why none of a sample's postures can be taken, "" where one can.
+
+    collided (m, s, b): why each posture collides, "" where it does not; None beyond the limits.
+    """
+    reason = np.full(len(collided), "", dtype=object)
+    for k in np.flatnonzero(~(collided == "").any(axis=(1, 2))):
         if not nodes.solved[k].any():
             reason[k] = OUT_OF_REACH
         elif not nodes.within_limits[k].any():
@@ -216,7 +224,7 @@ def reachable_nodes(
             reason[k] = f"{LIMIT} of {arm.joint_names[nodes.joint[k][best]]}"
         else:
             reason[k] = Counter(collided[k][nodes.within_limits[k]]).most_common(1)[0][0]
-    return nodes, usable, reason
+    return reason
 
 
 def _collisions(rig: ContactRig, nodes: posture.Nodes) -> Array:
@@ -233,7 +241,7 @@ def _collisions(rig: ContactRig, nodes: posture.Nodes) -> Array:
     return out
 
 
-def _left_out(
+def taxels_left_out(
     skin: Skin, radius: float, segments: list[Path], blocked: list[Blocked]
 ) -> dict[int, str]:
     """The reason for each taxel, by id, that the segments do not cover on its own sheet of skin.

@@ -9,12 +9,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from ..core.arrays import Array
+from ..core.atomic_io import atomic
 from ..core.errors import ConfigError
 from ..core.se3 import log_so3
 from ..geometry.body import Body
@@ -122,14 +125,33 @@ class Plan:
     notes: tuple[str, ...] = ()
     """Simplifications of the collision check: links without a readable mesh, and links that were
     taken for a part of the mount; and the indenter that reaches more taxels, if there is one."""
+    contacts: pa.Table | None = None
+    """The contacts to press with a carried indenter, see `contact_plan`; None: the body moves."""
 
     def __repr__(self) -> str:
         path = self.path
+        if self.contacts is not None:
+            return (
+                f"<Plan: {len(path.points)} contacts to press, {1e3 * self.spacing:.4g} mm apart, "
+                f"{len(path.unreachable)} taxels left out>"
+            )
         return (
             f"<Plan: {len(path.breaks) + 1} segments, {path.dt * len(path.points):.4g} s of "
             f"sliding, lanes {1e3 * self.spacing:.4g} mm apart, {len(path.unreachable)} taxels "
             "left out>"
         )
+
+    def save_contacts(self, path: str | FilePath) -> None:
+        """Write the contacts as CSV. Raises ConfigError where the plan moves the body."""
+        from pyarrow import csv
+
+        if self.contacts is None:
+            raise ConfigError(
+                "the plan has no list of contacts: it moves the body over a fixed indenter",
+                remedy='plan with Indenter(carried_by="hand")',
+            )
+        with atomic(path) as temporary:
+            csv.write_csv(self.contacts, temporary)
 
     @property
     def unreachable(self) -> Mapping[int, str]:

@@ -21,6 +21,7 @@ from ..robot.arm import Arm
 from ..scene.scene import Scene
 from ..scene.settings import Exploration, Law, Loop, Readout
 from ..skin.skin import Skin
+from .contact_plan import contact_plan
 from .lane_plan import lane_plan
 from .parallels import is_cap, parallels, reachable_parallels
 from .path import Path, Plan
@@ -37,11 +38,14 @@ SITE_SPACING = 5e-3
 def plan_exploration(scene: Scene) -> Plan:
     """Plan a scene's exploration by its pattern; `simulate` does so where it is given no path.
 
-    With pattern "auto", parallels on a cap of a sphere, geodesic lanes elsewhere and where the arm
-    cannot follow the parallels. Raises ReachError if the arm cannot follow any path, ContactError
-    if the contact model does not hold along parallels.
+    With a carried indenter, a list of contacts. With pattern "auto", parallels on a cap of a
+    sphere, geodesic lanes elsewhere and where the arm cannot follow the parallels. Raises
+    ReachError if the arm cannot follow any path, ContactError if the contact model does not hold
+    along parallels.
     """
     exploration = scene.exploration
+    if scene.indenter.carried_by is not None:
+        return contact_plan(scene, scene.rig)
     if exploration.pattern == "parallels" or (exploration.pattern == "auto" and is_cap(scene)):
         scene.check_contact(scene.body.closest(scene.skin.positions).curvature)
         try:
@@ -106,7 +110,8 @@ def explore(
         rig = scene.rig
     except ContactError:  # a wide contact: beyond the models that a scene is simulated with
         rig = scene.rig_of(scene.indentation.patch("field", _typical_curvature(scene)))
-    return lane_plan(scene, rig)
+    plan = lane_plan if scene.indenter.carried_by is None else contact_plan
+    return plan(scene, rig)
 
 
 def _typical_curvature(scene: Scene) -> Array:

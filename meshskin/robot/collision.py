@@ -253,19 +253,21 @@ def arm_reasons(
     body: Body,
     q: Array,
     poses: Array,
-    indenter: Indenter,
+    indenter: Indenter | None,
     allowed: AllowedCollisions | None = None,
 ) -> NDArray[np.object_]:
     """Reason (k,) why postures (k, n) with the body at T_w_b `poses` (k, 4, 4) collide, or "".
 
-    allowed: the spheres that are not checked against the body; None: all are checked.
+    indenter: the fixed one, whose support is an obstacle; None: there is none. allowed: the spheres
+    that are not checked against the body; None: all are checked.
     """
     reason, shape = np.full(len(q), "", dtype=object), arm_capsules(arm)
     if shape.names:
         for first in range(0, len(q), BATCH):
             rows = slice(first, first + BATCH)
             points, pose = shape.points(q[rows]), poses[rows]
-            reason[rows][_support_collisions(shape, points, indenter)] = ARM_SUPPORT
+            if indenter is not None:
+                reason[rows][_support_collisions(shape, points, indenter)] = ARM_SUPPORT
             reason[rows][_sphere_collisions(shape, _in_frames(pose, points), body, allowed)[0]] = (
                 ARM_BODY
             )

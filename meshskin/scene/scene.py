@@ -94,7 +94,9 @@ class Scene(NamedFields):
     payload: float = 1.0
     """Mass of the body, kg, spread evenly over its volume."""
     mount: Array | None = None
-    """T_tip_body (4, 4); None: the skin faces along the tip's z axis, behind a 20 mm adapter."""
+    """T_tip_body (4, 4); None: the skin faces along the tip's z axis, behind a 20 mm adapter. With
+    an indenter carried by the arm, the pose of the indenter's sphere in the tip's frame, z from the
+    support to the sphere; None: the support stands on the tip, along its z axis."""
     name: str = "scene"
     description: str = ""
 
@@ -106,6 +108,12 @@ class Scene(NamedFields):
             )
         for name, kind in PARTS.items():
             check_type(kind, getattr(self, name), f"the {name} of a scene")
+        if self.indenter.carried_by is not None and self.loop.mode != "quasi_static":
+            raise ConfigError(
+                f"an indenter carried by {self.indenter.carried_by} needs a body at rest",
+                value=f'loop.mode = "{self.loop.mode}"',
+                remedy='set loop.mode = "quasi_static"',
+            )
         if self.mount is not None and not is_rigid(self.mount):
             shape = np.shape(self.mount)
             raise ConfigError(
@@ -163,6 +171,9 @@ class Scene(NamedFields):
         """T_tip_body (4, 4). Raises ConfigError if an arm has no default mount for the skin."""
         if self.mount is not None:
             return np.asarray(self.mount, dtype=float)
+        if self.indenter.carried_by == "arm":
+            height = self.indenter.support_height + self.indenter.radius
+            return transform(np.eye(3), [0.0, 0.0, height])
         length = float(np.linalg.norm(self.skin.normals.mean(axis=0)))
         if self.loop.mode == "arm" and length <= MIN_MEAN_NORMAL:
             raise ConfigError(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,7 @@ from .response import describe_departure
 from .rollout import LENGTHS, Steps
 from .simulator import Simulator
 from .state_machine import PHASES, ExplorationStateMachine
+from .static_contacts import press_path
 from .track import Track
 
 BODY_COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz")
@@ -72,7 +74,8 @@ def simulate(
     seed: of every random stream. path: the path of a plan (`explore`), to follow instead of the
     scene's own exploration. out: stream the recording to these files and read it back from there,
     instead of holding it in memory. progress(stage, done, total) is called during the run. chain:
-    the effects of an earlier run, to continue instead of new ones of the seed. Warns where the
+    the effects of an earlier run, to continue instead of new ones of the seed. A carried indenter
+    is pressed once at each contact of the plan, at rest at the reference force. Warns where the
     contact force leaves its reference after settling (`response.describe_departure`). Raises
     ReachError if the arm cannot follow the path, SimulationError if the loop fails, ConfigError for
     a scene whose budget has not been resolved.
@@ -84,6 +87,8 @@ def simulate(
             value=f"a budget of {1e3 * scene.budget:g} mm",
             remedy="simulate ms.budget(scene).scene, or scene.with_(budget=None)",
         )
+    if scene.indenter.carried_by is not None:
+        return _pressed(scene, seed, path or plan_exploration(scene).path, out, chain)
     simulator, path = prepare(scene, path=path)
     steps = run(scene, simulator, path, progress)
     batches = _tables(scene, chain or effect_pipeline(scene, seed), simulator.loop, steps)
@@ -92,7 +97,7 @@ def simulate(
         "provenance": provenance(
             seed=seed, scene=scene.name, effects=[repr(effect) for effect in scene.effects]
         ),
-        "unreachable": {str(taxel): reason for taxel, reason in path.unreachable.items()},
+        "unreachable": _unreachable(path),
     }
     if out is not None:
         with RecordingWriter(out, metadata) as writer:
@@ -109,6 +114,29 @@ def simulate(
     return recording
 
 
+def _pressed(
+    scene: Scene,
+    seed: int,
+    path: ExplorationPath,
+    out: str | Path | None,
+    chain: effects.EffectPipeline | None,
+) -> Recording:
+    """The recording of a carried indenter, pressed once at each row of the path; no motion."""
+    _check(scene, path)
+    recording = press_path(scene, path, seed, chain)
+    recording = replace(
+        recording, metadata=recording.metadata | {"unreachable": _unreachable(path)}
+    )
+    if out is not None:
+        recording.save(out)
+    return recording
+
+
+def _unreachable(path: ExplorationPath) -> dict[str, str]:
+    """The taxels that a path leaves out, and why, as metadata hold them."""
+    return {str(taxel): reason for taxel, reason in path.unreachable.items()}
+
+
 def prepare(
     scene: Scene, taxels: Array | None = None, path: ExplorationPath | None = None
 ) -> tuple[Simulator, ExplorationPath]:
@@ -120,6 +148,12 @@ def prepare(
     is too long.
     """
     _check(scene, path)
+    if scene.indenter.carried_by is not None:
+        raise ConfigError(
+            "a carried indenter is pressed contact by contact, without a closed loop",
+            value=f'indenter.carried_by = "{scene.indenter.carried_by}"',
+            remedy="plan, simulate and calibrate it, or leave carried_by out",
+        )
     loop = ClosedLoopModel.of(scene)
     path = plan_exploration(scene).path if path is None else path
     start = start_configuration(scene, path)

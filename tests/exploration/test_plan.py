@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 import meshskin as ms
 from meshskin.core.errors import ReachError, UnknownNameError
 from meshskin.core.se3 import inverse
-from meshskin.exploration.lane_plan import LIMIT, NOT_COVERED, OUT_OF_REACH, _left_out
+from meshskin.exploration.lane_plan import LIMIT, NOT_COVERED, OUT_OF_REACH, taxels_left_out
 from meshskin.exploration.parallels import is_cap
 from meshskin.exploration.path import Path
 from meshskin.exploration.plan import plan_exploration
@@ -173,5 +173,5 @@ def test_contacts_on_the_far_face_of_a_plate_do_not_cover_a_taxel():
     poses = np.tile(np.eye(4), (2, 1, 1))
     poses[:, 2, 3] = 1.5e-3, -1.5e-3
     poses[1, :3, :3] = np.diag([1.0, -1.0, -1.0])
-    left_out = _left_out(ms.Skin(poses, np.array([0, 1])), 5e-3, [path], [])
+    left_out = taxels_left_out(ms.Skin(poses, np.array([0, 1])), 5e-3, [path], [])
     assert left_out == {1: NOT_COVERED}

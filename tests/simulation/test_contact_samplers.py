@@ -7,12 +7,8 @@ import pytest
 import meshskin as ms
 from meshskin.core.errors import CalibrationError
 from meshskin.recording.recording import Recording
-from meshskin.simulation.contact_samplers import (
-    PRESS_INTERVAL,
-    concatenate,
-    press,
-    settled_contacts,
-)
+from meshskin.simulation.contact_samplers import concatenate, settled_contacts
+from meshskin.simulation.static_contacts import PRESS_INTERVAL, press
 
 
 def recorded(times, phases):

@@ -9,8 +9,8 @@ from meshskin.effects.gaussian_noise import GaussianNoise
 from meshskin.effects.indenter_offset import IndenterOffset
 from meshskin.estimation.data.global_parameters import PRIORS
 from meshskin.estimation.uncertainty import metrics
-from meshskin.simulation import contact_samplers
-from meshskin.simulation.contact_samplers import press
+from meshskin.simulation import static_contacts
+from meshskin.simulation.static_contacts import press
 
 
 def test_as_the_closed_loop(sphere, recording):
@@ -62,7 +62,7 @@ def test_effects_act_and_a_heading_that_varies_shows_the_indenters_offset(sphere
 def test_batches_make_no_difference_and_nothing_is_refused(sphere, monkeypatch):
     noisy = sphere.with_(effects=(GaussianNoise(0.01),))
     whole = press(noisy, sphere.skin.positions, seed=2)
-    monkeypatch.setattr(contact_samplers, "FRAME_CELLS", 7 * len(sphere.skin))
+    monkeypatch.setattr(static_contacts, "FRAME_CELLS", 7 * len(sphere.skin))
     parts = press(noisy, sphere.skin.positions, seed=2)
     assert parts.readings.equals(whole.readings)
     assert parts.contacts.equals(whole.contacts)

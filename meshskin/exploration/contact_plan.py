@@ -1,0 +1,148 @@
+"""Plans for an indenter that is carried to a body at rest: contacts that are pressed one by one.
+
+The contacts are on geodesic lanes over the skin, as far apart along a lane as the lanes are. A hand
+reaches each of them; an arm those to which it can bring the indenter within its joint limits and
+clear of the body, turned about the normal as it must.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+
+from ..core.arrays import Array
+from ..core.errors import ReachError
+from ..core.se3 import inverse, quaternion, transform
+from ..geometry.geodesics import transport_along
+from ..geometry.surface.closest_point import Closest
+from ..robot import collision, posture
+from ..robot.contact_rig import ContactRig
+from ..robot.turntable import with_swivel
+from ..scene.scene import Scene
+from .lane_plan import (
+    NOT_COVERED,
+    STEP,
+    other_radius,
+    posture_reasons,
+    region_radius,
+    taxels_left_out,
+)
+from .lanes import cover, spacing_for
+from .path import Path, Plan
+from .point_contacts import nearest_neighbour_order
+
+
+def contact_plan(scene: Scene, rig: ContactRig) -> Plan:
+    """The contacts on a scene's taxels by a carried indenter, in the order of a short way.
+
+    `Plan.contacts` has one row each: the contact point (px, py, pz), m, and outward normal (nx, ny,
+    nz); the pose of the indenter at the reference force, its centre (x, y, z), m, and quaternion
+    (qw, qx, qy, qz), z from the support to the sphere; the force, N; for an arm its joint angles
+    (q1, ...), rad. All are in the body's frame. The plan's path has one row for each contact.
+    Raises ReachError where no contact can be made.
+    """
+    exploration, sites = scene.exploration, scene.skin.positions
+    spacing = exploration.lane_spacing
+    if exploration.contacts is not None:  # as far apart along the lanes
+        spacing = float(np.sqrt(spacing_for(rig.sensing_radius, exploration.contacts, 1.0)))
+    hit = _on_lanes(rig, sites, spacing, exploration.margin)
+    reason = rig.contact_reasons(hit.point, hit.normal)
+    pressed = np.flatnonzero(reason == "")
+    pressed = pressed[nearest_neighbour_order(hit.point[pressed])] if len(pressed) else pressed
+    path, reason[pressed] = _path(scene, rig, hit.take(pressed))
+    blocked, segments = [(hit.point, reason)], [path] if len(path.points) else []
+    left_out = taxels_left_out(scene.skin, rig.sensing_radius, segments, blocked)
+    other = other_radius(scene, left_out)
+    if not segments:
+        reasons = Counter(left_out.values()).most_common(1)
+        raise ReachError(
+            f"no contact can be made on the skin: {reasons[0][0] if reasons else NOT_COVERED}",
+            value=f"{len(sites)} taxels",
+            remedy=other or "place the arm nearer, or use another part of the body",
+        )
+    path = replace(path, unreachable=left_out)
+    return Plan(path, spacing, (other,) if other else (), _table(scene, path))
+
+
+def _on_lanes(rig: ContactRig, sites: Array, spacing: float, margin: float) -> Closest:
+    """Points on the surface `spacing`, m, apart along geodesic lanes and from lane to lane."""
+    step = min(STEP, 0.8 * spacing)
+    radius = region_radius(sites, margin, rig.sensing_radius)
+    parts = []
+    for lane in cover(rig.body, sites, spacing, radius, step):
+        length = np.linalg.norm(np.diff(lane.point, axis=0), axis=1)
+        along = np.concatenate([[0.0], np.cumsum(length)])
+        count = max(round(along[-1] / spacing), 1)
+        even = np.linspace(0.0, along[-1], count + 1)
+        parts.append(np.stack([np.interp(even, along, x) for x in lane.point.T], axis=1))
+    return rig.body.surface.nearest(np.concatenate(parts) if parts else sites)
+
+
+def _path(scene: Scene, rig: ContactRig, hit: Closest) -> tuple[Path, Array]:
+    """The path with one row, a segment of its own, for each contact that can be made; and the
+    reason (k,) why a contact cannot, "" where it can.
+    """
+    tangents = np.concatenate(
+        [np.zeros((0, 3)), *(transport_along(normal[None]) for normal in hit.normal)]
+    )
+    poses = rig.contact_poses(hit.point, hit.normal, tangents)
+    joints, reason = None, np.full(len(poses), "", dtype=object)
+    if scene.indenter.carried_by == "arm" and len(poses):
+        joints, poses, reason = _carried(scene, poses)
+    rows = np.flatnonzero(reason == "")
+    hit, breaks, twists = hit.take(rows), tuple(range(1, len(rows))), np.zeros((len(rows), 6))
+    path = Path(scene.loop.dt, hit.point, hit.normal, poses[rows], twists, hit.face, breaks, joints)
+    return path, reason
+
+
+def _carried(scene: Scene, poses: Array) -> tuple[Array, Array, Array]:
+    """Joint angles (k, n) of an arm that brings the indenter to k of the contacts; the poses (m, 4,
+    4) at m contacts, turned about the normal as the arm holds the indenter; and the reason (m,) why
+    it cannot be brought to a contact, "" where it can.
+
+    The body rests in the world frame. poses: see `Path.poses`.
+    """
+    arm, mount = scene.arm, scene.mount_pose
+    swivel = with_swivel(arm, mount)
+    goal = inverse(poses) @ _indenter_pose(scene)
+    tips = goal @ transform(mount[:3, :3].T, np.zeros(3))
+    nodes = posture.solve_nodes(swivel, tips[:, None], anchor_spacing=1)
+    collided = np.full(nodes.solved.shape, None, dtype=object)
+    within = nodes.within_limits
+    q = nodes.q[within][:, :-1]
+    rest = np.repeat(np.eye(4)[None], len(q), axis=0)
+    collided[within] = collision.arm_reasons(arm, scene.body, q, rest, None)
+    reason = posture_reasons(arm, nodes, collided)
+    rows = np.flatnonzero(reason == "")
+    joints = posture.nearest_postures(nodes, collided == "", rows)[1][:, :-1]
+    held = poses.copy()
+    if len(rows):
+        held[rows] = _indenter_pose(scene) @ inverse(arm.pose(joints) @ mount)
+    return joints, held, reason
+
+
+def _indenter_pose(scene: Scene) -> Array:
+    """T_w_indenter (4, 4) of the poses in a path: that of a fixed indenter."""
+    return transform(scene.indenter.rotation, np.array(scene.indenter.position))
+
+
+def _table(scene: Scene, path: Path) -> pa.Table:
+    """The list of contacts, see `contact_plan`."""
+    pose = inverse(path.poses) @ _indenter_pose(scene)
+    turn = quaternion(pose[:, :3, :3])[:, [3, 0, 1, 2]]
+    force = np.full((len(pose), 1), scene.law.force_reference)
+    columns: dict[tuple[str, ...], Array] = {
+        ("px", "py", "pz"): path.points,
+        ("nx", "ny", "nz"): path.normals,
+        ("x", "y", "z"): pose[:, :3, 3],
+        ("qw", "qx", "qy", "qz"): turn,
+        ("force",): force,
+    }
+    if path.postures is not None:
+        columns[tuple(f"q{k + 1}" for k in range(path.postures.shape[1]))] = path.postures
+    return pa.table(
+        {n: c for names, rows in columns.items() for n, c in zip(names, rows.T, strict=True)}
+    )

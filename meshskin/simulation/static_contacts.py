@@ -1,0 +1,142 @@
+"""Static contacts: the indenter pressed at chosen points, at rest, without the closed loop.
+
+A recording of them takes milliseconds: for studies of the information in a set of contacts, for
+trying an exploration before a robot runs it, and for an indenter that is carried to the body. Each
+contact is at rest at its force and is a touch of its own: the contacts are PRESS_INTERVAL apart, so
+that effects with a memory (shear, delayed readings) find that the contact was lost in between.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import ArrayLike
+
+from ..core.arguments import check_array, check_type, check_vectors
+from ..core.arrays import Array
+from ..core.errors import RecordingError
+from ..core.provenance import provenance
+from ..core.se3 import exp_so3, shortest_rotation, transform
+from ..exploration.path import Path
+from ..recording.recording import Recording
+from ..scene.scene import Scene
+from .closed_loop_model import state_of_pose
+from .readout import FRAME_CELLS, effect_pipeline, make_frames, recording_metadata, sensor_tables
+
+if TYPE_CHECKING:
+    from ..effects import EffectPipeline
+    from ..effects.frames import Frames
+    from ..geometry.surface.closest_point import Closest
+
+PRESS_INTERVAL = 1.0
+"""Time from one static contact to the next, s: about what an arm takes. Effects with a memory need
+more than a few frame periods."""
+MAX_DISTANCE = 0.05
+"""Largest median distance, m, of the given points from the surface, on which they are projected: a
+larger one is a mistake of units or of the frame."""
+
+
+def press(
+    scene: Scene,
+    points: ArrayLike,
+    force: ArrayLike | None = None,
+    spin: ArrayLike = 0.0,
+    seed: int = 0,
+    chain: EffectPipeline | None = None,
+) -> Recording:
+    """The recording of the indenter pressed on the body at `points` (m, 3), body frame, m.
+
+    force (m,), N: by default the reference force. spin (m,), rad: rotation of the body about the
+    indenter's direction; its skin faces the indenter. All effects of the scene act, as in
+    `simulate`, except those of an arm's joints, which raise ConfigError. chain: the effects of
+    earlier presses, of the scene as `without_arm` returns it, to continue instead of new ones of
+    the seed. Raises RecordingError without points, for points far from the body, or for forces that
+    are not positive.
+    """
+    check_type(Scene, scene, "what is pressed")
+    scene = without_arm(scene)
+    given = check_vectors("points to press", points, error=RecordingError)
+    if not len(given):
+        raise RecordingError("there is no point to press", remedy="give one contact point or more")
+    hit, count = scene.body.closest(given), len(given)
+    _check_distance(hit.distance)
+    forces = _forces(scene.law.force_reference if force is None else force, count)
+    turn = exp_so3(np.broadcast_to(spin, count)[:, None] * [0.0, 0.0, 1.0])
+    down = shortest_rotation(hit.normal, [0.0, 0.0, -1.0])
+    frames = _static_frames(scene, hit, forces, scene.indenter.rotation @ (turn @ down))
+    return _record(scene, frames, chain or effect_pipeline(scene, seed), {"seed": seed})
+
+
+def press_path(scene: Scene, path: Path, seed: int, chain: EffectPipeline | None) -> Recording:
+    """The recording of one contact at the reference force at each row of a path.
+
+    The body's orientations are those of the path's poses; otherwise as `press`.
+    """
+    forces = np.full(len(path.points), scene.law.force_reference)
+    frames = _static_frames(scene, scene.body.closest(path.points), forces, path.poses[:, :3, :3])
+    return _record(scene, frames, chain or effect_pipeline(scene, seed), {"seed": seed})
+
+
+def _record(
+    scene: Scene, frames: Frames, chain: EffectPipeline, origin: dict[str, Any]
+) -> Recording:
+    """The recording of static contacts."""
+    count, size = len(frames), max(int(FRAME_CELLS / len(scene.skin)), 1)
+    batches = [
+        sensor_tables(scene, frames.rows(slice(k, k + size)), chain) for k in range(0, count, size)
+    ]
+    contacts, readings = (pa.concat_tables(part) for part in zip(*batches, strict=True))
+    made = provenance(scene=scene.name, **origin, presses=count)
+    return Recording(contacts, readings, recording_metadata(scene) | {"provenance": made})
+
+
+def without_arm(scene: Scene) -> Scene:
+    """The scene with a body that moves freely, without the arm."""
+    return scene.with_(loop=replace(scene.loop, mode="quasi_static"))
+
+
+def _forces(force: ArrayLike, count: int) -> Array:
+    """The forces (count,), N, of the presses. Raises RecordingError."""
+    given = check_array("forces of presses", force, error=RecordingError)
+    if given.shape not in ((), (count,)):
+        raise RecordingError(
+            "press needs one force, or one per point",
+            value=f"shape {given.shape}",
+            limit=f"({count},)",
+        )
+    bad = given[~((given > 0) & np.isfinite(given))]
+    if bad.size:
+        raise RecordingError(
+            "forces of presses must be positive", value=f"{bad[0]:g} N", limit="above 0 N"
+        )
+    return np.array(np.broadcast_to(given, count))
+
+
+def _check_distance(distance: Array) -> None:
+    """Raise RecordingError for points far from the surface, at `distance` (m,), m."""
+    typical = float(np.median(np.abs(distance)))
+    if not typical <= MAX_DISTANCE:
+        raise RecordingError(
+            "the points to press are not on the body",
+            value=f"median distance {typical:.3g} m from its surface",
+            limit=f"{MAX_DISTANCE} m",
+            remedy="give them in metres, in the body's frame",
+        )
+
+
+def _static_frames(scene: Scene, hit: Closest, forces: Array, rotations: Array) -> Frames:
+    """Frames of static contacts (m) at forces (m,), N, the body at rotations R_w_b (m, 3, 3)."""
+    patches = scene.model.patches(
+        force=forces,
+        curvature=hit.curvature,
+        indenter_radius=scene.indenter.radius,
+        effective_modulus=scene.material.effective_modulus,
+    )
+    centres = hit.point + (scene.indenter.radius - patches.depth)[:, None] * hit.normal
+    place = np.array(scene.indenter.position) - np.einsum("kij,kj->ki", rotations, centres)
+    time = PRESS_INTERVAL * np.arange(float(len(forces)))
+    q = state_of_pose(transform(rotations, place))
+    return make_frames(scene, time, hit.point, hit.normal, forces, centres, q)
