@@ -170,6 +170,8 @@ class Context:
     """() -> configurations (k, n) in which the arm holds the skin on the indenter, on any path."""
     joints: int = 0
     """Number of joints; 0 where the body moves without an arm."""
+    carried: bool = False
+    """Whether the indenter is carried to a body at rest: poses are in the indenter's frame then."""
 
     def stream(self, name: str) -> np.random.Generator:
         """The random stream of the effect `name`."""

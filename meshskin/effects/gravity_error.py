@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..core.config import STANDARD_GRAVITY, quantity
+from ..core.errors import ConfigError
 from .base import BaseEffect, Context, FrameTransform
 from .frames import Frames
 
@@ -28,7 +29,15 @@ class GravityError(BaseEffect, stage="robot", cost=1.7e-8):
         return context.force_error_bound(abs(self.mass) * STANDARD_GRAVITY)
 
     def build(self, context: Context) -> FrameTransform:
-        """A stateless transform of the recorded force."""
+        """A stateless transform of the recorded force.
+
+        Raises ConfigError for a carried indenter, whose frame the body's poses are given in.
+        """
+        if context.carried:
+            raise ConfigError(
+                "gravity_error needs the vertical, which the poses of a carried indenter lack",
+                remedy="leave the effect out, or the indenter's carried_by",
+            )
 
         def add_weight(frames: Frames) -> Frames:
             # world z component of the normals

@@ -34,6 +34,10 @@ from .lanes import cover, spacing_for
 from .path import Path, Plan
 from .point_contacts import nearest_neighbour_order
 
+CONTACTS = 8
+"""Contacts per taxel that leave none of them with fewer than lane_plan.ENOUGH: on the paper's
+sphere all have five or more; with six contacts some have fewer."""
+
 
 def contact_plan(scene: Scene, rig: ContactRig) -> Plan:
     """The contacts on a scene's taxels by a carried indenter, in the order of a short way.
@@ -64,7 +68,19 @@ def contact_plan(scene: Scene, rig: ContactRig) -> Plan:
             remedy=other or "place the arm nearer, or use another part of the body",
         )
     path = replace(path, unreachable=left_out)
-    return Plan(path, spacing, (other,) if other else (), _table(scene, path))
+    notes = tuple(filter(None, (other, _sparse(left_out, spacing))))
+    return Plan(path, spacing, notes, _table(scene, path))
+
+
+def _sparse(left_out: dict[int, str], spacing: float) -> str:
+    """How to press taxels that too few contacts are near to, at a spacing, m; "" without any."""
+    count = sum(why == NOT_COVERED for why in left_out.values())
+    if not count:
+        return ""
+    return (
+        f"{count} taxels have too few contacts near them at a spacing of {1e3 * spacing:.3g} mm; "
+        f"exploration.contacts = {CONTACTS} presses each about {CONTACTS} times"
+    )
 
 
 def _on_lanes(rig: ContactRig, sites: Array, spacing: float, margin: float) -> Closest:

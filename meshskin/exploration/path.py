@@ -124,7 +124,8 @@ class Plan:
     """Distance between lanes, m."""
     notes: tuple[str, ...] = ()
     """Simplifications of the collision check: links without a readable mesh, and links that were
-    taken for a part of the mount; and the indenter that reaches more taxels, if there is one."""
+    taken for a part of the mount; and what would reach more taxels: another indenter, or more
+    contacts."""
     contacts: pa.Table | None = None
     """The contacts to press with a carried indenter, see `contact_plan`; None: the body moves."""
 

@@ -7,6 +7,7 @@ arm bring a contact point onto the indenter.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 
 from ..contact.indenter import Indenter
 from ..core.arrays import Array
+from ..core.errors import ReachError
 from ..core.se3 import inverse, orthonormal_basis, transform
 from ..geometry.body import Body
 from ..geometry.geodesics import rotate_about, transport_along
@@ -84,9 +86,18 @@ class ContactRig:
         return q, poses if self.arm.holds_any_pose else self.arm.pose(q) @ self.mount
 
     def held_poses(self, poses: Array, posture: Array) -> Array:
-        """T_w_b `poses` (k, 4, 4) as `follow` gives them; unchanged if the arm holds any pose."""
+        """T_w_b `poses` (k, 4, 4), turned about the indenter's axis where the arm cannot hold them.
+
+        Raises ReachError.
+        """
         assert self.arm is not None
-        return poses if self.arm.holds_any_pose else self.follow(poses, posture)[1]
+        tips = poses @ inverse(self.mount)
+        if self.arm.holds_any_pose:
+            with suppress(ReachError):
+                self.arm.inverse_kinematics(tips, posture)
+                return poses
+        q = self.turned_arm.inverse_kinematics(tips, np.concatenate([[0.0], posture]))
+        return np.asarray(self.arm.pose(q[:, 1:]) @ self.mount)
 
     def headings(self, poses: Array) -> Array:
         """Tangents (k, 3), body frame, that T_w_b `poses` (k, 4, 4) bring onto x of the indenter's

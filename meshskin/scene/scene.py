@@ -262,6 +262,7 @@ class Scene(NamedFields):
             pose=self.body_pose,
             postures=lambda: self.postures,
             joints=len(self.arm.joint_names) if self.loop.mode == "arm" else 0,
+            carried=self.indenter.carried_by is not None,
         )
 
     @cached_property

@@ -9,8 +9,10 @@ import pytest
 import meshskin as ms
 from meshskin.core.errors import ConfigError, ReachError, UnknownNameError
 from meshskin.core.se3 import exp_so3, transform
+from meshskin.effects.gravity_error import GravityError
 from meshskin.effects.indenter_offset import IndenterOffset
 from meshskin.estimation.uncertainty import metrics
+from meshskin.exploration.contact_plan import CONTACTS
 from meshskin.exploration.plan import explore, plan_exploration
 from meshskin.pipeline import run
 from meshskin.robot import collision
@@ -62,6 +64,12 @@ def test_contacts_are_a_spacing_apart_and_cover_all_taxels(scene, plan):
     assert plan.unreachable == {}
     way = np.linalg.norm(np.diff(points, axis=0), axis=1)
     assert np.median(way) < 1.5 * scene.exploration.lane_spacing
+    wide = plan_exploration(
+        scene.with_(exploration=replace(scene.exploration, lane_spacing=5.5e-3))
+    )
+    assert "have too few contacts near them at a spacing of 5.5 mm" in wide.notes[-1]
+    eight = replace(scene.exploration, contacts=float(CONTACTS))
+    assert plan_exploration(scene.with_(exploration=eight)).unreachable == {}
     asked = replace(scene.exploration, contacts=10.0)
     fewer = plan_exploration(scene.with_(exploration=asked))
     near = np.linalg.norm(fewer.path.points[:, None] - scene.skin.positions, axis=2)
@@ -146,6 +154,8 @@ def test_what_needs_a_moving_body_is_refused(noisy):
         noisy.with_(indenter=ms.Indenter(carried_by="hand"))
     with pytest.raises(ConfigError, match="contact by contact, without a closed loop"):
         prepare(carried(noisy, "hand"))
+    with pytest.raises(ConfigError, match="gravity_error needs the vertical"):
+        ms.simulate(carried(noisy, "hand").with_(effects=(GravityError(),)))
 
 
 def test_a_scene_file_with_a_carried_indenter_is_run(tmp_path):

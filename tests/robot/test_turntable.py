@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import meshskin as ms
-from meshskin.core.se3 import exp_so3, transform
+from meshskin.core.se3 import exp_so3, inverse, transform
 from meshskin.exploration.lane_plan import reachable_nodes
 from meshskin.geometry.geodesics import transport_along
 from meshskin.geometry.region import Cap
@@ -30,7 +30,8 @@ FINGER = (  # an index finger on its wrist: the axes of all but two joints are p
 
 
 def finger():
-    links = "".join(f'<link name="l{k}"/>' for k in range(len(FINGER) + 1))
+    shape = '<collision><geometry><cylinder radius="0.006" length="0.012"/></geometry></collision>'
+    links = "".join(f'<link name="l{k}">{shape}</link>' for k in range(len(FINGER) + 1))
     joints = "".join(
         f'<joint name="j{k}" type="revolute"><parent link="l{k}"/><child link="l{k + 1}"/>'
         f'<origin xyz="{xyz}"/><axis xyz="{axis}"/>'
@@ -108,3 +109,26 @@ def test_all_of_60_taxels_of_a_real_arm_of_five_joints_are_reached():
     down = np.einsum("kij,kj->ki", pose[:, :3, :3], hit.normal[k])
     np.testing.assert_allclose(down, np.tile(-indenter.axis, (len(k), 1)), atol=1e-9)
     assert (np.minimum(q - arm.lower, arm.upper - q) >= posture.MIN_MARGIN).all()
+
+
+def test_a_finger_follows_its_path_where_the_spin_that_it_can_hold_is_narrow():
+    arm, body = finger(), ms.Body.capsule(radius=0.008, length=0.018)
+    mount = transform(np.eye(3), [0.0, 0.0, 0.013])
+    pose = arm.pose([0.0, 0.0, 0.0, 0.7, 0.7, 0.4]) @ mount
+    outward = pose[:3, 1]
+    skin = ms.Skin.cover(
+        body, count=20, spacing=3e-3, seed=1, region=Cap((0.0, 1.0, 0.0)), disc_radius=1e-3
+    )
+    plan = ms.explore(
+        body,
+        skin,
+        arm=arm,
+        mount=mount,
+        indenter=ms.Indenter(2e-3, tuple(pose[:3, 3] + 0.01 * outward), direction=tuple(-outward)),
+        material=ms.Material(young=2e6),
+        force=1.0,
+        exploration=ms.Exploration(lane_spacing=1.5e-3, margin=1e-3),
+    )
+    for segment in plan.segments:
+        q = arm.inverse_kinematics(segment.poses @ inverse(mount), segment.postures[0])
+        assert np.abs(np.diff(q, axis=0)).max() < 0.01
