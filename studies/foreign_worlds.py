@@ -9,7 +9,7 @@ sphere of 0.1 m are 97 taxels; 985 contacts follow a spiral, forces of 3 N vary 
 noise is 1 %, a level that the calibration does not know.
 
 Printed for each world are rms errors in mm: of the pressure-weighted mean of contact points (the
-baseline), the paper's three circles, the joint estimate with Hertz' contact, the same with gain and
+baseline), three chosen circles, the joint estimate with Hertz' contact, the same with gain and
 offset declared unknown, the joint estimate by default, and with the learned contact model; the
 bound of the world's noise for who knows all but the places; and the rms of the stated standard
 deviations over the rms error, and processor seconds. A "!" follows errors above the baseline's, and
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 METHODS = {
     "centroid": "centroid",
-    "three_circles": "three circles",
+    "three_circles": "three chosen circles",
     "hertz": "joint, Hertz",
     "hertz_gain": "joint, Hertz, gain, offset",
     "joint": "joint",
