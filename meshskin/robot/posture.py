@@ -194,15 +194,20 @@ def _newton(arm: Arm, q: Array, targets: Array, iterations: int) -> Array:
 
 def _distinct(arm: Arm, q: Array) -> Array:
     """The distinct rows of `q` (k, n); of more than MAX_POSTURES those farthest from all limits."""
+    distinct = _first_distinct(q, MAX_POSTURES + 1)
+    if len(distinct) > MAX_POSTURES:
+        margin = np.minimum(q - arm.lower, arm.upper - q).min(axis=1)
+        distinct = _first_distinct(q[np.argsort(-margin, kind="stable")], MAX_POSTURES)
+    return distinct
+
+
+def _first_distinct(q: Array, most: int) -> Array:
+    """The first distinct rows of `q` (k, n), at most so many."""
     kept: list[Array] = []
     for one in q:
-        if all(np.abs(one - other).max() > SAME for other in kept):
+        if len(kept) < most and all(np.abs(one - other).max() > SAME for other in kept):
             kept.append(one)
-    distinct = np.array(kept).reshape(-1, q.shape[1])
-    if len(distinct) > MAX_POSTURES:
-        margin = np.minimum(distinct - arm.lower, arm.upper - distinct).min(axis=1)
-        distinct = distinct[np.argsort(-margin, kind="stable")[:MAX_POSTURES]]
-    return distinct
+    return np.array(kept).reshape(-1, q.shape[1])
 
 
 def endless_joints(arm: Arm) -> NDArray[np.bool_]:
