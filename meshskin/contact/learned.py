@@ -41,21 +41,32 @@ class ProfileCorrection:
         found = np.linalg.solve(lower.T, np.eye(n))
         return np.asarray(found / np.sqrt(np.mean(np.sum(found**2, axis=1))))
 
+    @cached_property
+    def _coefficients(self) -> Array:
+        """Those of the splines about the knots -1 to PROFILE_SIZE + 3 (PROFILE_SIZE + 5,
+        PROFILE_SIZE): mirrored at zero, and zero from `extent` on."""
+        even = self.whitening[1:2]
+        return np.concatenate([even, self.whitening, np.zeros((4, PROFILE_SIZE))])
+
     def __call__(self, u: Array) -> tuple[Array, Array]:
         """Values and slopes (k, PROFILE_SIZE) in u (k,) >= 0 of the whitened basis functions."""
         step = self.extent / (PROFILE_SIZE + 1)
-        t = u[:, None] / step - np.arange(PROFILE_SIZE)
-        value, slope = _cubic(t)
-        mirrored = _cubic(u / step + 1.0)
-        value[:, 1] += mirrored[0]
-        slope[:, 1] += mirrored[1]
-        return value @ self.whitening, slope @ self.whitening / step
+        t = np.minimum(u / step, PROFILE_SIZE + 1.0)
+        below = t.astype(int)
+        rows, part = np.arange(len(u)), t - below
+        value, slope = np.zeros((2, len(u), len(self._coefficients)))
+        for k, (b, db) in enumerate(_cubic(part)):  # four splines are not zero there
+            value[rows, below + k], slope[rows, below + k] = b, db
+        return value @ self._coefficients, slope @ self._coefficients / step
 
 
-def _cubic(t: Array) -> tuple[Array, Array]:
-    """The cubic B-spline with integer knots about 0, and its derivative."""
-    size = np.abs(t)
-    near, far = size < 1.0, np.maximum(2.0 - size, 0.0)
-    value = np.where(near, 2 / 3 - size**2 + size**3 / 2, far**3 / 6)
-    slope = np.where(near, -2 * size + 1.5 * size**2, -(far**2) / 2) * np.sign(t)
-    return value, slope
+def _cubic(part: Array) -> list[tuple[Array, Array]]:
+    """The cubic B-splines about the knots -1, 0, 1 and 2, and their derivatives, at `part` (k,)
+    from 0 to 1."""
+    rest = 1 - part
+    return [
+        (rest**3 / 6, -(rest**2) / 2),
+        (2 / 3 - part**2 + part**3 / 2, -2 * part + 1.5 * part**2),
+        (2 / 3 - rest**2 + rest**3 / 2, 2 * rest - 1.5 * rest**2),
+        (part**3 / 6, part**2 / 2),
+    ]

@@ -1,6 +1,7 @@
 """The joint estimate as a function of the size of the skin: seconds and peak memory.
 
-    python studies/speed/joint.py [--sizes 80 1000 10000] [--large] [--contact MODEL] [--json FILE]
+    python studies/speed/joint.py [--sizes 80 1000 10000] [--large] [--contact MODEL] [--learned]
+        [--json FILE]
 
 Taxels lie at random distances of about 5 mm on a sphere that grows with their number, so that the
 contact is the same at every size; 50 readings per taxel at 80 taxels, 40 above. Every size runs in
@@ -8,6 +9,8 @@ its own process, on one thread. "build" is everything before the optimisation: g
 recording, trilateration, selection of readings; "solve" is the rest. Exits with 1 if a size exceeds
 its limit in processor seconds. --large: 100,000 taxels with 4 million readings, too. --contact:
 hertz, elliptic (circles on a sphere, at the cost of ellipses) or layered (a layer of 6 mm).
+--learned: every size with a learned response, too, in a process of its own; its processor time and
+peak memory are printed relative to those of the contact model's estimate, and have limits.
 """
 
 from __future__ import annotations
@@ -17,9 +20,10 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,6 +35,8 @@ if TYPE_CHECKING:
 
 LIMITS = {80: (0.2, 2.0), 10_000: (15.0, 2.0), 100_000: (240.0, 16.0)}
 """Seconds (build and solve) and GB at each size."""
+LEARNED_LIMITS = 3.0, 2.0
+"""Processor time and peak memory of a learned response, relative to the contact model's."""
 YOUNG, POISSON, INDENTER, DISC, FORCE, SPACING = 0.2e6, 0.49, 0.01, 2e-3, 3.0, 5e-3
 NOISE, THRESHOLD = 0.01, 0.05
 LAYER = 6e-3
@@ -102,25 +108,29 @@ def _spiral(n: int, radius: float, taxels: int | None = None) -> np.ndarray:
     return radius * np.column_stack([ring * np.cos(angle), ring * np.sin(angle), -height])
 
 
-def measure(taxels: int, contact: str = "hertz") -> dict[str, float]:
-    """Numbers of one size, in this process."""
+def measure(taxels: int, contact: str = "hertz", learned: bool = False) -> dict[str, float]:
+    """Numbers of one size, in this process; learned: with a learned response."""
     import resource
 
     from meshskin.estimation.data.measurements import gather
-    from meshskin.estimation.joint.maximum_likelihood import estimate
+    from meshskin.estimation.joint import learned as learned_estimate
+    from meshskin.estimation.joint import maximum_likelihood
     from meshskin.estimation.trilateration import trilaterate
 
+    estimate = learned_estimate.estimate if learned else maximum_likelihood.estimate
+    believed = "learned" if learned else contact
     if taxels <= 1000:  # the small sizes as in a running program: kernel loaded, libraries imported
         small, belief, _ = world(60, seed=1, contact=contact)
-        estimate(gather(small, belief))
+        estimate(gather(small, replace(belief, contact=believed)))
     recording, belief, truth = world(taxels, contact=contact)
+    belief = replace(belief, contact=believed)
     clock, cpu = perf_counter(), process_time()
     data = gather(recording, belief)
     start = trilaterate.least_squares(data)
     started = perf_counter() - clock
     found = estimate(data, start)
     cpu, total = process_time() - cpu, perf_counter() - clock
-    build = started + found.seconds["readings"]
+    build = started + found.seconds.get("readings", 0.0)
     error = np.linalg.norm(found.points - truth, axis=1)
     return {
         "taxels": taxels,
@@ -142,29 +152,48 @@ def main() -> int:
     parser.add_argument("--large", action="store_true")
     parser.add_argument("--one", type=int, default=None, help=argparse.SUPPRESS)
     parser.add_argument("--contact", choices=["hertz", "elliptic", "layered"], default="hertz")
+    parser.add_argument("--learned", action="store_true", help="a learned response, too")
     parser.add_argument("--json", type=Path, default=None)
     options = parser.parse_args()
     if options.one:
-        print(json.dumps(measure(options.one, options.contact)))
+        print(json.dumps(measure(options.one, options.contact, options.learned)))
         return 0
     print("   taxels   readings   build s   solve s   total s     cpu s    GB  error mm  lost")
     rows, short = [], []
     for size in options.sizes + [100_000] * options.large:
-        command = [sys.executable, __file__, "--one", str(size), "--contact", options.contact]
-        environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-        out = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
-        row = json.loads(out.stdout)
+        row = in_own_process(size, options.contact)
         rows.append(row)
-        print(f"{size:9,} {row['readings']:10,} {row['build_s']:9.3f} {row['solve_s']:9.3f} "
-              f"{row['total_s']:9.3f} {row['cpu_s']:9.3f} {row['gb']:5.2f} "
-              f"{row['error_mm']:9.4f} {row['lost']:5}", flush=True)  # fmt: skip
+        print(line(row), flush=True)
         seconds, memory = LIMITS.get(size, (np.inf, np.inf))
         if row["cpu_s"] > seconds or row["gb"] > memory:
             short.append(f"{size:,} taxels: limits are {seconds} s and {memory} GB")
+        if options.learned:
+            row["learned"] = other = in_own_process(size, options.contact, "--learned")
+            ratios = other["cpu_s"] / row["cpu_s"], other["gb"] / row["gb"]
+            print(f"{line(other)}  learned: {ratios[0]:.2f} times the processor time, "
+                  f"{ratios[1]:.2f} times the memory", flush=True)  # fmt: skip
+            if any(np.array(ratios) > LEARNED_LIMITS):
+                short.append(f"{size:,} taxels, learned: limits are {LEARNED_LIMITS} times")
     if options.json:
         options.json.write_text(json.dumps(rows, indent=2))
     print(*short, sep="\n")
     return 1 if short else 0
+
+
+def in_own_process(taxels: int, contact: str, *options: str) -> dict[str, Any]:
+    """`measure` in a process of its own."""
+    command = [sys.executable, __file__, "--one", str(taxels), "--contact", contact, *options]
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    out = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    found: dict[str, Any] = json.loads(out.stdout)
+    return found
+
+
+def line(row: dict[str, Any]) -> str:
+    """A row of the table."""
+    return (f"{row['taxels']:9,} {row['readings']:10,} {row['build_s']:9.3f} "
+            f"{row['solve_s']:9.3f} {row['total_s']:9.3f} {row['cpu_s']:9.3f} {row['gb']:5.2f} "
+            f"{row['error_mm']:9.4f} {row['lost']:5}")  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -18,16 +18,33 @@ import numpy as np
 from ...core.arrays import Array
 from .fault_detection import MIN_SCALE
 
-MAX_FACTOR = 4.0
-"""Largest factor of a variance between two steps."""
+MAX_FACTOR = 50.0
+"""Largest factor of a variance between two steps: few steps lead to the floor, and none goes so far
+that other effects take the part of this one."""
 MIN_FREEDOM = 0.05
 """Least mean degrees of freedom of a residual: with fewer the noise is not known."""
 NOISE_ITERATIONS = 20
 """Largest number of weighted fits of the noise's two parts; three are usual."""
 MIN_DETERMINED = 1e-6
 """Share of the effects that the readings determine, below which their variance has no score."""
+MIN_INFORMATION = 1e-12
+"""Least information of a variance, against division by zero."""
 FLOOR = {"position": 1e-6, "force": 1e-4, "profile": 1e-4, "gain": 1e-4, "offset": 1e-3}
 """Least deviations: far below what any recording can tell from zero."""
+
+
+@dataclass(frozen=True)
+class Effects:
+    """What the estimate says of `count` effects of one variance, relative to it; W as in
+    posterior.py."""
+
+    square: float
+    """Sum of squares."""
+    determined: float
+    """Trace of W: number of effects that the readings determine."""
+    information: float
+    """Fisher's information on the logarithm of the variance, times 2, or a bound above it."""
+    count: int
 
 
 @dataclass(frozen=True)
@@ -54,16 +71,13 @@ class Deviations:
         `Measurements.sigma`."""
         return np.asarray(np.hypot(self.noise, self.relative * np.maximum(mu, 0.0)))
 
-    def moved(self, effects: dict[str, tuple[float, float, int]]) -> tuple[Deviations, float]:
+    def moved(self, effects: dict[str, Effects]) -> tuple[Deviations, float]:
         """The deviations after a step of Fisher scoring, and the largest expected increase of the
-        restricted likelihood by one of them.
-
-        effects: sum of squares, sum of posterior variances, and number, by name of the deviation.
-        """
+        restricted likelihood by one of them; effects: by name of the deviation."""
         found, largest = {}, 0.0
-        for name, (square, posterior, count) in effects.items():
+        for name, effect in effects.items():
             sigma = getattr(self, name)
-            step, gain = log_step(square / sigma**2, count - posterior / sigma**2, count)
+            step, gain = log_step(effect)
             found[name] = float(max(sigma * np.exp(step / 2), FLOOR[name]))
             largest = max(largest, gain if found[name] > FLOOR[name] else 0.0)
         return replace(self, **found), largest
@@ -92,15 +106,14 @@ class Deviations:
         return replace(self, **dict(zip(names, map(float, np.sqrt(variance)), strict=True)))
 
 
-def log_step(square: float, determined: float, count: int) -> tuple[float, float]:
+def log_step(effects: Effects) -> tuple[float, float]:
     """Change of the logarithm of a variance by Fisher scoring of the restricted likelihood, and the
-    expected increase of its logarithm.
-
-    square: sum of the squares of `count` effects, relative to the variance; determined: their
-    number less the sum of the posterior variances, relative to it.
-    """
-    if determined <= MIN_DETERMINED * count:
+    expected increase of its logarithm."""
+    if effects.determined <= MIN_DETERMINED * effects.count:
         return -math.log(MAX_FACTOR), 0.0
-    excess = (square - determined) / (determined**2 / count)
-    step = math.log(min(max(1 + excess, 1 / MAX_FACTOR), MAX_FACTOR))
-    return step, abs(step * (square - determined)) / 4
+    score = effects.square - effects.determined
+    factor = 1 + score / max(effects.information, MIN_INFORMATION)
+    if not 1 / MAX_FACTOR < factor < MAX_FACTOR:  # far from the maximum
+        return math.copysign(math.log(MAX_FACTOR), score), math.inf
+    step = math.log(factor)
+    return step, abs(step * score) / 4

@@ -135,8 +135,9 @@ def _begin(data: Measurements, live: np.ndarray, start: EstimatorResult) -> Rand
     readings = select(data, live, charts.points, charts.normals, 0.0, weight, np.ones(len(live)))
     noise = 1.0 if data.belief.noise_sigma is not None else _first_noise(start, data)
     effects = RandomEffects(data, readings, unknowns, Deviations(noise=noise))
-    data = replace(data, response_levels=effects.response_levels())
-    return RandomEffects(data, readings, unknowns, effects.deviations)
+    data, deviations = replace(data, response_levels=effects.response_levels()), effects.deviations
+    del effects  # two would need twice the memory
+    return RandomEffects(data, readings, unknowns, deviations)
 
 
 def _first_noise(start: EstimatorResult, data: Measurements) -> float:

@@ -267,7 +267,8 @@ class Likelihood:
         by_shape = tuple(peak * by for by in by_shape)
         if contacts.moves is not None:  # a motion of the contact's frame is the taxel's, reversed
             wrench = np.concatenate([by_point, np.cross(offset, by_point)], 1) * peak[:, None]
-        for row in range(len(data.parameters.sigma)):
+        at = columns.get("profile", slice(0, 0))
+        for row in np.setdiff1d(np.arange(last - first), np.arange(at.start, at.stop)):
             jacobian[first + row] = mu * contacts.log_peak[contact, row]
             for by, slope in zip(by_shape, contacts.shape, strict=True):
                 jacobian[first + row] += by * slope[contact, row]
@@ -276,8 +277,7 @@ class Likelihood:
                     "ki,ki->k", wrench, contacts.moves[contact, :, row]
                 )
         if features is not None:
-            at = columns["profile"]
-            jacobian[first + at.start : first + at.stop] += peak * features.T
+            jacobian[first + at.start : first + at.stop] = peak * features.T
         if contacts.by_load:
             along, normals = contacts.directions[contact], contacts.normals[contact]
             jacobian[last] = -np.einsum("ik,ki->k", jacobian[:3], along)

@@ -4,12 +4,12 @@ Contact points and forces are measurements: every contact has a displacement in 
 and an error of ln F, normal and independent with unknown variances. So have the gains and offsets
 of the taxels, and the coefficients of the learned profile. A reading has noise with a constant part
 and one proportional to its level. Given the variances, all unknowns move together by Gauss-Newton
-steps (coupled_system.py); between the steps each variance moves by Fisher scoring of the restricted
-likelihood: an effect x_j with posterior variance V_j has the expectation E[x_j^2] = s^2 - V_j at
-its true variance s^2. The sums of V_j over the contacts are estimated by Hutchinson's probes.
+steps (coupled_system.py). From where these are near the optimum on, each variance moves after every
+step by Fisher scoring of the restricted likelihood (deviations.py); one factorization serves the
+step and the posterior before it (posterior.py).
 
-Sources: Patterson and Thompson, "Recovery of inter-block information when block sizes are unequal",
-Biometrika 58 (1971); Hutchinson, Commun. Stat. Simul. Comput. 18 (1989).
+Source: Patterson and Thompson, "Recovery of inter-block information when block sizes are unequal",
+Biometrika 58 (1971).
 """
 
 from __future__ import annotations
@@ -18,29 +18,32 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...contact.learned import PROFILE_SIZE
 from ...core.arrays import Array
 from ..data.measurements import Measurements
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from . import fault_detection
 from .contacts import LinearizedContacts
-from .coupled_system import CONTACT_SIZE, CoupledSystem, CouplingPattern, sums
+from .coupled_system import CoupledSystem, CouplingPattern
 from .deviations import Deviations
-from .likelihood import Likelihood, Readings
+from .likelihood import BLOCK, Likelihood, Readings
 from .parametrization import SurfaceParametrization
+from .posterior import TAXEL_SIZE, Posterior, Probes
 from .pressure import OBSERVED, costs
+from .reading_sums import CONTACT_SIZE, Parts
 from .variable_projection import LOOSE_SIGMA
 
 MAX_ITERATIONS = 60
 """Largest number of Gauss-Newton steps; 10 to 25 are usual."""
-PROBES = 6
-"""Hutchinson's probes: with m contacts the sum is known to about 1 / sqrt(PROBES m)."""
 SETTLED = 0.01
 """Expected decrease of the cost per reading from which on variances move: before, residuals and
 effects are not those of the optimum."""
-MAX_TRIALS, MIN_DAMPING = 8, 1e-3
-"""Trials of a step, with 10 times the damping each, and the least damping, relative to the diagonal
-of the normal equations."""
+TRIALS = (
+    *((weight, 1.0) for weight in (0.0, 1.0, 10.0, 1e2, 1e3, 1e4)),
+    *((1e4, part) for part in (0.4, 0.16, 0.064, 0.0256)),
+)
+"""Trials of a step: weight of the global parameters' priors on their step, and part of the step."""
+DAMPINGS = (0.0, 1e-3, 1e-2, 0.1, 1.0)
+"""Damping of singular normal equations, relative to their diagonal, in the order of trials."""
 HUBER = 4.0
 """Residual, in standard deviations, from which a reading's cost grows linearly: 6e-5 of the sound
 ones exceed it."""
@@ -82,18 +85,16 @@ class RandomEffects:
         self.data, self.readings = data, readings
         self.likelihood = Likelihood(data, readings)
         self.pattern = CouplingPattern(readings, len(data.points))
+        self.probes = Probes(readings, len(data.points))
         self.linearized = LinearizedContacts(data, unknowns.s)
-        self.deviations, self.damping = deviations, 0.0
+        self.deviations, self.restraint = deviations, 0
         self.noise_known = data.belief.noise_sigma is not None
         self.leverages = np.zeros(len(readings.taxel))
-        self.reading_probes = np.random.default_rng(1).choice(
-            [-1.0, 1.0], size=(PROBES, len(readings.taxel))
-        )
         self.iterates = [unknowns.parametrization.points()]
-        self.touched = np.bincount(readings.contact, minlength=len(data.points)) > 0
-        shape = len(data.points), CONTACT_SIZE, PROBES
-        self.probes = np.random.default_rng(0).choice([-1.0, 1.0], size=shape)
-        self.probes *= self.touched[:, None, None]
+        self.touched = self.probes.touched
+        width = TAXEL_SIZE + len(unknowns.s) + CONTACT_SIZE
+        self.mu = np.empty(len(readings.taxel))
+        self.jacobian = np.empty((len(readings.taxel), width))
         self.spread = np.ones(len(readings.taxel))
         self.move(unknowns)
         self.spread = self.noise_of(self.mu)
@@ -112,17 +113,19 @@ class RandomEffects:
         return self.deviations.noise_of(mu)
 
     def move(self, unknowns: Unknowns) -> None:
-        """Evaluate the readings and their derivatives at other values."""
-        self.unknowns, taxel = unknowns, self.readings.taxel
+        """Evaluate the readings mu (k,) and their derivatives (k, 4 + ks + 3) at other values."""
+        self.unknowns, readings = unknowns, self.readings
         contacts = self.linearized.with_errors(unknowns.s, unknowns.errors)
-        self.contacts_at = contacts
         points = unknowns.parametrization.points()
-        self.mu, jacobian = self.likelihood.predict(
-            self.readings.contact, points[taxel], unknowns.nuisance[taxel], contacts
-        )
-        tangents = unknowns.parametrization.charts.tangents[taxel]
-        along = np.einsum("kia,ik->ak", tangents, jacobian[:3])
-        self.jacobian = np.concatenate([along, jacobian[3:]])
+        tangents = unknowns.parametrization.charts.tangents
+        for begin in range(0, len(readings.taxel), BLOCK):
+            rows = slice(begin, begin + BLOCK)
+            taxel = readings.taxel[rows]
+            self.mu[rows], jacobian = self.likelihood.predict(
+                readings.contact[rows], points[taxel], unknowns.nuisance[taxel], contacts
+            )
+            self.jacobian[rows, :2] = np.einsum("kia,ik->ka", tangents[taxel], jacobian[:3])
+            self.jacobian[rows, 2:] = jacobian[3:].T
 
     def response_levels(self) -> tuple[float, float]:
         """Levels of the readings, relative to the nominal peak, that determine gains and errors of
@@ -134,7 +137,7 @@ class RandomEffects:
         level = self.mu * self.data.sigma / float(np.median(self.data.peaks))
         found = []
         for row, owner in ((2, self.readings.taxel), (-1, self.readings.contact)):
-            weight = self.jacobian[row] ** 2
+            weight = self.jacobian[:, row] ** 2
             total = np.bincount(owner, weight)
             mean = np.bincount(owner, weight * level) / np.maximum(total, 1e-300)
             found.append(float(np.mean(mean[total > 0])))
@@ -168,8 +171,9 @@ class RandomEffects:
     def system(self) -> CoupledSystem:
         """The normal equations at the present values, with priors."""
         _, rate, curvature = self._costs()
-        jacobian = self.jacobian / self.spread
-        bare = CoupledSystem.from_readings(self.pattern, jacobian, rate, curvature, 4)
+        bare = CoupledSystem.from_readings(
+            self.pattern, self.jacobian, rate / self.spread, curvature / self.spread**2, TAXEL_SIZE
+        )
         taxel, contact, shared = self.prior
         u = self.unknowns
         # a taxel that no reading determines keeps its place
@@ -184,40 +188,64 @@ class RandomEffects:
             gradient=(g[0] + prior_taxel, g[1] + contact * u.errors, g[2] + shared * u.s),
         )
 
-    def step(self) -> tuple[float, float]:
-        """One Gauss-Newton step, damped until the cost decreases; returns the expected decrease,
-        and the rms move of the taxels in their standard deviations at fixed contacts."""
-        before, cost, kept = self.unknowns, self.cost(), (self.mu, self.jacobian)
-        bare, charts = self.system(), before.parametrization
-        for _ in range(MAX_TRIALS):
-            system = bare.damped(self.damping)
-            gradient = system.gradient
-            try:
-                x = system.solve(*(g[..., None] for g in gradient))
-            except SingularMatrixError:  # rounding, where the variances differ by many orders
-                self.damping = max(10 * self.damping, MIN_DAMPING)
-                continue
-            taxels, errors, s = (-part[..., 0] for part in x)
-            steps = zip((taxels, errors, s), gradient, strict=True)
-            decrease = -0.5 * sum(float((x * g).sum()) for x, g in steps)
-            moved = charts.relinearized(self.data.body, charts.limit_step(taxels[:, :2]))
-            nuisance = before.nuisance + taxels[:, 2:]
-            self.move(Unknowns(moved, nuisance, before.errors + errors, before.s + s))
+    def step(self, settled: float) -> tuple[float, Posterior | None]:
+        """One Gauss-Newton step, restrained until the cost decreases.
+
+        Global parameters that trade against each other, as compression and profile do, have a
+        curved valley of nearly equal cost. Their step is restrained by their priors, in whose units
+        the valley is not long, and the other unknowns follow.
+
+        Returns the rms move of the taxels in their standard deviations at fixed contacts, and the
+        posterior before the step where its expected decrease is below `settled`.
+        """
+        before, cost = self.unknowns, self.cost()
+        system, x = self._solution(self.system())
+        decrease = sum(float(np.vdot(a, g)) for a, g in zip(x, system.gradient, strict=True)) / 2
+        posterior = self.posterior(system) if decrease < settled else None
+        for weight, part in TRIALS[self.restraint :]:
+            change = system.restrained(x[2], weight * self.prior[2]) - x[2]
+            follow = system.following(change)
+            step = [-part * (a + b) for a, b in zip(x, follow, strict=True)]
+            self._move_by(before, *step)
             if self.cost() <= cost + 1e-9 * abs(cost):
-                self.damping = self.damping / 100 if self.damping > MIN_DAMPING else 0.0
-                moves = np.einsum("ni,nij,nj->n", taxels, bare.taxels, taxels)
-                return decrease, float(np.sqrt(np.mean(moves)))
-            self.damping = max(10 * self.damping, MIN_DAMPING)
-        self.unknowns, (self.mu, self.jacobian) = before, kept
-        return 0.0, 0.0
+                self.restraint = max(self.restraint - 2, 0)
+                moves = np.einsum("ni,nij,nj->n", step[0], system.taxels, step[0])
+                return float(np.sqrt(np.mean(moves))), posterior
+            self.restraint = min(self.restraint + 1, len(TRIALS) - 1)
+        self.move(before)
+        return 0.0, posterior
+
+    def _move_by(self, before: Unknowns, taxels: Array, errors: Array, s: Array) -> None:
+        """Move by a step (n, 4), (m, 3), (ks,) from the unknowns `before`."""
+        charts = before.parametrization
+        moved = charts.relinearized(self.data.body, charts.limit_step(taxels[:, :2]))
+        nuisance = before.nuisance + taxels[:, 2:]
+        self.move(Unknowns(moved, nuisance, before.errors + errors, before.s + s))
+
+    def _solution(self, system: CoupledSystem) -> tuple[CoupledSystem, Parts]:
+        """The normal equations, damped where rounding makes them singular, as where variances
+        differ by many orders, and their solution.
+
+        Raises SingularMatrixError where damping does not help.
+        """
+        taxels, contacts, shared = (g[..., None] for g in system.gradient)
+        for damping in DAMPINGS:
+            damped = system.damped(damping)
+            try:
+                x = damped.solve(taxels, contacts, shared)
+                return damped, (x[0][..., 0], x[1][..., 0], x[2][..., 0])
+            except SingularMatrixError as error:
+                singular = error
+        raise singular
 
     def converge(self) -> bool:
         """Move unknowns and variances until they no longer change; False at the limit of steps."""
         settled = SETTLED * int((self.readings.kind == OBSERVED).sum())
         for iteration in range(MAX_ITERATIONS):
-            (decrease, move), gain = self.step(), np.inf
-            if decrease < settled:
-                gain = self.update_variances()
+            (move, posterior), gain = self.step(settled), np.inf
+            if posterior is not None:
+                gain = self.update_variances(posterior)
+                settled = np.inf  # from here on a decrease follows from the change of variances
             elif iteration < 2:
                 self.deviations = self._with_noise(self.deviations, 1)
             self.spread = self.noise_of(self.mu)
@@ -226,62 +254,34 @@ class RandomEffects:
                 return True
         return False
 
-    def update_variances(self) -> float:
+    def posterior(self, system: CoupledSystem) -> Posterior:
+        """The posterior of the effects at the present point."""
+        root = np.sqrt(self._costs()[2]) / self.spread
+        profile = self.data.parameters.columns["profile"]
+        return Posterior.of(system, self.jacobian, root, self.prior, self.probes, profile)
+
+    def update_variances(self, posterior: Posterior) -> float:
         """Move every variance; returns the largest expected increase of the restricted likelihood
         by one of them."""
-        system, d = self.system(), self.deviations
-        relative, self.leverages = self._probe(system)
-        moved, largest = d.moved(self._effects(system, relative))
+        u, d, self.leverages = self.unknowns, self.deviations, posterior.leverages
+        s = u.s[self.data.parameters.columns["profile"]]
+        taxels, contacts = int(self.probes.seen.sum()), int(self.touched.sum())
+        squares = {
+            "position": (np.sum(u.errors[:, :2] ** 2), 2 * contacts),
+            "force": (np.sum(u.errors[:, 2] ** 2), contacts),
+            "profile": (s @ s, len(s)),
+            "gain": (np.sum(u.nuisance[:, 0] ** 2), taxels),
+            "offset": (np.sum(u.nuisance[:, 1] ** 2), taxels),
+        }
+        moved, largest = d.moved(
+            {
+                name: posterior.effects(name, float(square) / getattr(d, name) ** 2, count)
+                for name, (square, count) in squares.items()
+            }
+        )
         self.deviations = self._with_noise(moved, 2 if largest < PROPORTIONAL else 1)
         change = abs(np.log(self.deviations.noise / d.noise))
         return np.inf if change > NOISE_TOLERANCE else largest
-
-    def _effects(
-        self, system: CoupledSystem, relative: Array
-    ) -> dict[str, tuple[float, float, int]]:
-        """Sum of squares, sum of posterior variances, and number of the effects of each kind;
-        relative (2,): as of `_probe`."""
-        covariance, shared = system.covariances()
-        own, u, d = np.diagonal(covariance, axis1=1, axis2=2), self.unknowns, self.deviations
-        seen, m = np.diff(self.readings.starts) > 0, int(self.touched.sum())
-        at = self.data.parameters.columns["profile"]
-        n, errors = int(seen.sum()), np.sum(u.errors**2, axis=0)
-        nuisance = np.sum(u.nuisance[seen] ** 2, axis=0)
-        posterior = own[seen].sum(axis=0)
-        return {
-            "position": (float(errors[:2].sum()), float(relative[0]) * d.position**2, 2 * m),
-            "force": (float(errors[2]), float(relative[1]) * d.force**2, m),
-            "profile": (float(u.s[at] @ u.s[at]), float(np.trace(shared[at, at])), PROFILE_SIZE),
-            "gain": (float(nuisance[0]), float(posterior[2]), n),
-            "offset": (float(nuisance[1]), float(posterior[3]), n),
-        }
-
-    def _probe(self, system: CoupledSystem) -> tuple[Array, Array]:
-        """Sums (2,) over the contacts of the posterior variances of their displacements along both
-        tangents, and of ln F, relative to the prior ones; and leverages (k,) of the readings.
-
-        Each leverage has the error of a few probes: they serve for sums of many.
-        """
-        readings, pattern = self.readings, self.pattern
-        jacobian = self.jacobian * (np.sqrt(self._costs()[2]) / self.spread)
-        own, shared, at = jacobian[:4], jacobian[4:-CONTACT_SIZE], jacobian[-CONTACT_SIZE:]
-        z = self.reading_probes
-        # in units of the prior deviations no effect's probe drowns another's
-        unit = np.sqrt(self.prior[1])[:, None]
-        read = [sums(pattern.by_taxel, (own * probe).T) for probe in z]
-        pressed = [sums(pattern.by_contact, (at * probe).T) for probe in z]
-        n, ks = pattern.taxels, len(shared)
-        x = system.solve(
-            np.concatenate([np.stack(read, axis=2), np.zeros((n, 4, PROBES))], axis=2),
-            np.concatenate([np.stack(pressed, axis=2), unit * self.probes], axis=2),
-            np.concatenate([shared @ z.T, np.zeros((ks, PROBES))], axis=1),
-        )
-        variances = np.einsum("mic,mic->i", self.probes, unit * x[1][..., PROBES:]) / PROBES
-        back = np.einsum("ak,kap->pk", own, x[0][readings.taxel][..., :PROBES])
-        back += np.einsum("ak,kap->pk", at, x[1][readings.contact][..., :PROBES])
-        back += x[2][:, :PROBES].T @ shared
-        relative = np.array([variances[0] + variances[1], variances[2]])
-        return relative, np.asarray(np.mean(z * back, axis=0))
 
     def clear(self) -> np.ndarray:
         """Readings (k,) bool that are predicted well inside the sensor's range, so that their

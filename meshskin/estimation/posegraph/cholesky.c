@@ -154,36 +154,68 @@ DECLARE integer factorize(const Symbolic *t, integer size, double min_pivot) {
   return 0;
 }
 
-/* Solve in place for `count` right-hand sides x, each (nodes, size). */
-DECLARE void solve(const Symbolic *t, integer size, integer count, double *x) {
+/* y <- L^-1 y, or L^-T y where `way` is "T", for a front's pivots; y has `count` columns. */
+static void solve_pivots(const char *way, int width, int count, double *panel, int height,
+                         double *y, int leading) {
   int unit = 1;
+  if (count == 1)
+    dtrsv("L", way, "N", &width, panel, &height, y, &unit);
+  else
+    dtrsm("L", "L", way, "N", &width, &count, &one, panel, &height, y, &leading);
+}
+
+/* to <- scale * op(below) * from + keep * to, `below` (rest, width) being the part of a front's
+   panel under its pivots, transposed where `way` is "T". */
+static void multiply_below(const char *way, int rest, int width, int count, const double *scale,
+                           double *below, int height, double *from, int from_leading,
+                           const double *keep, double *to, int to_leading) {
+  int unit = 1, plain = way[0] == 'N', rows = plain ? rest : width, inner = plain ? width : rest;
+  if (count == 1)
+    dgemv(way, &rest, &width, scale, below, &height, from, &unit, keep, to, &unit);
+  else
+    dgemm(way, "N", &rows, &count, &inner, scale, below, &height, from, &from_leading, keep, to,
+          &to_leading);
+}
+
+/* Solve in place for `count` right-hand sides x, each (nodes, size), some at a time. */
+DECLARE void solve(const Symbolic *t, integer size, integer count, double *x) {
+  integer length = size * t->nodes;
   double *y = t->work;
-  for (integer k = 0; k < count; k++, x += size * t->nodes) {
-    double *tail = y + size * t->nodes;
-    for (integer p = 0; p < t->nodes; p++)
-      memcpy(y + size * p, x + size * t->order[p], sizeof(double) * size);
+  for (integer k = 0; k < count; k += COLUMNS, x += COLUMNS * length) {
+    int some = count - k < COLUMNS ? count - k : COLUMNS, leading = length;
+    double *tail = y + some * length;
+    for (integer c = 0; c < some; c++)
+      for (integer p = 0; p < t->nodes; p++)
+        memcpy(y + c * length + size * p, x + c * length + size * t->order[p],
+               sizeof(double) * size);
     for (integer f = 0; f < t->fronts; f++) {
       const integer *rows = t->rows + t->start[f];
       int height = size * size_of(t, f), width = size * t->pivots[f], rest = height - width;
       double *panel = t->panels + size * size * t->panel[f], *own = y + size * rows[0];
-      dtrsv("L", "N", "N", &width, panel, &height, own, &unit);
+      solve_pivots("N", width, some, panel, height, own, leading);
       if (!rest) continue;
-      dgemv("N", &rest, &width, &one, panel + width, &height, own, &unit, &zero, tail, &unit);
-      for (integer i = t->pivots[f], from = 0; i < size_of(t, f); i++)
-        for (integer r = 0; r < size; r++) y[size * rows[i] + r] -= tail[from++];
+      multiply_below("N", rest, width, some, &one, panel + width, height, own, leading, &zero,
+                     tail, rest);
+      for (integer c = 0, from = 0; c < some; c++)
+        for (integer i = t->pivots[f]; i < size_of(t, f); i++)
+          for (integer r = 0; r < size; r++) y[c * length + size * rows[i] + r] -= tail[from++];
     }
     for (integer f = t->fronts - 1; f >= 0; f--) {
       const integer *rows = t->rows + t->start[f];
       int height = size * size_of(t, f), width = size * t->pivots[f], rest = height - width;
       double *panel = t->panels + size * size * t->panel[f], *own = y + size * rows[0];
-      for (integer i = t->pivots[f], to = 0; i < size_of(t, f); i++)
-        for (integer r = 0; r < size; r++) tail[to++] = y[size * rows[i] + r];
+      for (integer c = 0, to = 0; c < some; c++)
+        for (integer i = t->pivots[f]; i < size_of(t, f); i++)
+          for (integer r = 0; r < size; r++) tail[to++] = y[c * length + size * rows[i] + r];
       if (rest)
-        dgemv("T", &rest, &width, &minus, panel + width, &height, tail, &unit, &one, own, &unit);
-      dtrsv("L", "T", "N", &width, panel, &height, own, &unit);
+        multiply_below("T", rest, width, some, &minus, panel + width, height, tail, rest, &one,
+                       own, leading);
+      solve_pivots("T", width, some, panel, height, own, leading);
     }
-    for (integer p = 0; p < t->nodes; p++)
-      memcpy(x + size * t->order[p], y + size * p, sizeof(double) * size);
+    for (integer c = 0; c < some; c++)
+      for (integer p = 0; p < t->nodes; p++)
+        memcpy(x + c * length + size * t->order[p], y + c * length + size * p,
+               sizeof(double) * size);
   }
 }
 

@@ -29,6 +29,8 @@ from .symmetric_blocks import SingularMatrixError, SuperLUFactors, SymmetricBloc
 
 MAX_BLOCK_SIZE = 6
 """Memory is allocated for blocks up to this size, that of a pose."""
+COLUMNS = 8
+"""Right-hand sides that are solved together, while the factor passes through the cache once."""
 BLAS = {
     "scipy.linalg.cython_lapack": ("dpotrf", "dpotri"),
     "scipy.linalg.cython_blas": ("dtrsm", "dsyrk", "dsymm", "dgemm", "dtrsv", "dgemv"),
@@ -64,7 +66,8 @@ class CSymbolic(ctypes.Structure):
 class Cholesky:
     """Factorizations of matrices with blocks at `rows` and `columns` (k,) and on the diagonal.
 
-    Memory is shared by all matrices: threads wait for each other.
+    Memory is shared by all matrices: threads wait for each other. The factors of the last matrix
+    are kept for further solutions.
     """
 
     def __init__(self, nodes: int, rows: IntArray, columns: IntArray) -> None:
@@ -72,6 +75,7 @@ class Cholesky:
         self.nodes = nodes
         self.lock = threading.RLock()
         self.library = library()
+        self._kept: SymmetricBlocks | None = None
 
     @functools.cached_property
     def structure(self) -> CSymbolic:
@@ -79,7 +83,7 @@ class Cholesky:
         found = CSymbolic(self.nodes, len(self.symbolic.parent))
         panel, height = self.symbolic.largest
         square = MAX_BLOCK_SIZE * MAX_BLOCK_SIZE
-        work = max(square * panel, MAX_BLOCK_SIZE * (self.nodes + height))
+        work = max(square * panel, MAX_BLOCK_SIZE * (self.nodes + height) * COLUMNS)
         blocks = (int(self.symbolic.panel[-1]), *self.symbolic.stacks)
         self._memory = [*(np.empty(square * count) for count in blocks), np.empty(work)]
         for name, array in zip(MEMORY_FIELDS, self._memory, strict=True):
@@ -111,6 +115,7 @@ class Cholesky:
             if superlu is not None:
                 return superlu.diagonal_of_inverse()
             found = np.empty((self.nodes, size, size))
+            self._kept = None  # the factors are overwritten
             self._call("diagonal_of_inverse", size, found.ctypes.data)
             return found
 
@@ -154,6 +159,10 @@ class Cholesky:
             if self.library is None:
                 yield SuperLUFactors(matrix, self.symbolic.order, min_pivot)
                 return
+            if matrix is self._kept and not min_pivot:
+                yield None
+                return
+            self._kept = None
             size = matrix.values.shape[1]
             rows, columns = (
                 np.ascontiguousarray(a, np.int64) for a in (matrix.rows, matrix.columns)
@@ -165,6 +174,7 @@ class Cholesky:
             fault = self._call("factorize", size, min_pivot)
             if fault:
                 raise SingularMatrixError(fault - 1)
+            self._kept = matrix
             yield None
 
 
@@ -178,6 +188,7 @@ def library() -> ctypes.CDLL | None:
     if functions is None:
         return None
     declare = "#ifdef _WIN32\n#define DECLARE __declspec(dllexport)\n#else\n#define DECLARE\n#endif"
+    declare += f"\n#define COLUMNS {COLUMNS}"
     names = ("cholesky.c", "ipopt_linear_solver.c")
     parts = (Path(__file__).with_name(name).read_text(encoding="utf-8") for name in names)
     found = codegen.compile_library("posegraph_cholesky", "\n".join([declare, *parts]))

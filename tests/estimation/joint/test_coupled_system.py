@@ -1,5 +1,6 @@
 """The normal equations of taxels, contacts and global parameters against dense linear algebra."""
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +24,7 @@ def systems():
         starts=np.searchsorted(taxel, np.arange(TAXELS + 1)),
     )
     k = len(taxel)
-    jacobian = rng.standard_normal((SIZE + SHARED + 3, k))
+    jacobian = rng.standard_normal((k, SIZE + SHARED + 3))
     rate, curvature = rng.standard_normal(k), rng.random(k) + 0.5
     pattern = CouplingPattern(readings, CONTACTS)
     parts = CoupledSystem.from_readings(pattern, jacobian, rate, curvature, SIZE)
@@ -36,9 +37,9 @@ def systems():
     first, second = TAXELS * SIZE, TAXELS * SIZE + CONTACTS * 3
     rows = np.zeros((k, second + SHARED))
     for r in range(k):
-        rows[r, taxel[r] * SIZE : (taxel[r] + 1) * SIZE] = jacobian[:SIZE, r]
-        rows[r, first + 3 * contact[r] : first + 3 * contact[r] + 3] = jacobian[-3:, r]
-        rows[r, second:] = jacobian[SIZE:-3, r]
+        rows[r, taxel[r] * SIZE : (taxel[r] + 1) * SIZE] = jacobian[r, :SIZE]
+        rows[r, first + 3 * contact[r] : first + 3 * contact[r] + 3] = jacobian[r, -3:]
+        rows[r, second:] = jacobian[r, SIZE:-3]
     dense = rows.T @ (curvature[:, None] * rows) + np.eye(second + SHARED)
     return parts, dense, rows.T @ rate, (first, second)
 
@@ -77,3 +78,47 @@ def test_damping_scales_the_diagonal_of_taxels_and_global_parameters(systems):
         ratio = np.diagonal(after, axis1=-2, axis2=-1) / np.diagonal(before, axis1=-2, axis2=-1)
         np.testing.assert_allclose(ratio, 1.5)
     np.testing.assert_array_equal(damped.contacts, parts.contacts)
+
+
+def test_other_unknowns_follow_the_global_parameters(systems):
+    parts, dense, _, (first, second) = systems
+    shared = np.random.default_rng(2).standard_normal(SHARED)
+    taxels, contacts, kept = parts.following(shared)
+    expected = -np.linalg.solve(dense[:second, :second], dense[:second, second:] @ shared)
+    np.testing.assert_allclose(taxels.ravel(), expected[:first], atol=1e-12)
+    np.testing.assert_allclose(contacts.ravel(), expected[first:], atol=1e-12)
+    np.testing.assert_array_equal(kept, shared)
+
+
+def test_a_restrained_step_minimizes_the_cost_with_the_restraint(systems):
+    parts, dense, _, (_, second) = systems
+    rng = np.random.default_rng(4)
+    right, weight = rng.standard_normal(len(dense)), rng.random(SHARED)
+    x = np.linalg.solve(dense, right)
+    dense = dense.copy()
+    dense[second:, second:] += np.diag(weight)
+    expected = np.linalg.solve(dense, right)[second:]
+    np.testing.assert_allclose(parts.restrained(x[second:], weight), expected, atol=1e-12)
+
+
+def test_sums_without_a_compiler(systems):
+    """The compiled sums and those by sparse matrices are the same."""
+    compiled, rng = systems[0].pattern, np.random.default_rng(5)
+    plain = copy(compiled)
+    plain.library = None
+    k = len(compiled.taxel)
+    jacobian = rng.standard_normal((k, SIZE + SHARED + 3))
+    coupling, values = rng.standard_normal((k, SIZE, 3)), rng.standard_normal((k, 2))
+    inverse = rng.standard_normal((CONTACTS, 3, 3))
+    inverse += np.swapaxes(inverse, 1, 2)
+    x = [rng.standard_normal((n, 2)) for n in (TAXELS * SIZE, CONTACTS * 3, SHARED)]
+    x = x[0].reshape(TAXELS, SIZE, 2), x[1].reshape(CONTACTS, 3, 2), x[2]
+    for one, other in (
+        [p.normal_equations(jacobian, values[:, 0], values[:, 1], SIZE) for p in (compiled, plain)],
+        [p.eliminated(coupling, inverse) for p in (compiled, plain)],
+        [p.transposed(jacobian, values, SIZE) for p in (compiled, plain)],
+        [(p.forward(jacobian, x, SIZE), p.to_taxels(coupling, x[1])) for p in (compiled, plain)],
+        [(p.to_contacts(coupling, x[0]),) for p in (compiled, plain)],
+    ):
+        for a, b in zip(one, other, strict=True):
+            np.testing.assert_allclose(a, b, atol=1e-12)

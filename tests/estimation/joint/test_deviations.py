@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from meshskin.estimation.joint.deviations import Deviations, log_step
+from meshskin.estimation.joint.deviations import Deviations, Effects, log_step
 
 GROUPS, EACH = 4000, 4
 
@@ -16,14 +16,19 @@ def balanced(sigma, noise, seed=0):
     return effects + noise * rng.standard_normal(GROUPS) / np.sqrt(EACH)
 
 
+def effects(modes, posterior, sigma):
+    """Of independent effects with one posterior variance."""
+    part = 1 - posterior / sigma**2
+    return Effects(modes @ modes / sigma**2, GROUPS * part, GROUPS * part**2, GROUPS)
+
+
 @pytest.mark.parametrize("truth", [0.3, 1.0, 3.0])
 def test_scoring_converges_to_the_variance_of_the_effects(truth):
     means, noise, sigma = balanced(truth, 1.0), 1.0, 0.1
     for _ in range(30):
         posterior = 1 / (1 / sigma**2 + EACH / noise**2)
         modes = posterior * EACH / noise**2 * means
-        determined = GROUPS * (1 - posterior / sigma**2)
-        step, _ = log_step(float(modes @ modes) / sigma**2, determined, GROUPS)
+        step, _ = log_step(effects(modes, posterior, sigma))
         sigma *= np.exp(step / 2)
     closed = np.sqrt(np.mean(means**2) - noise**2 / EACH)  # the restricted likelihood's maximum
     assert sigma == pytest.approx(closed, rel=1e-6)
@@ -35,9 +40,7 @@ def test_effects_that_are_not_there_vanish():
     for _ in range(40):
         posterior = 1 / (1 / sigma**2 + EACH)
         modes = posterior * EACH * means
-        step, _ = log_step(
-            float(modes @ modes) / sigma**2, GROUPS * (1 - posterior / sigma**2), GROUPS
-        )
+        step, _ = log_step(effects(modes, posterior, sigma))
         sigma *= np.exp(step / 2)
     assert sigma < 0.1
 
