@@ -152,7 +152,8 @@ class LinearizedContacts:
         """The contacts where they were linearized, under the force and E* of s (ks,)."""
         data, at, force = self.data, self.parameters.columns, self._force(s)
         patches, derivatives = self._patches(data, s)
-        load = np.zeros((len(force), len(s)))  # d ln(F/E*) / ds
+        # d ln(F/E*) / ds, by columns: memory of those of the profile, which are zero, is not used
+        load = np.zeros((len(force), len(s)), order="F")
         if "force_scale" in at:
             scale = np.exp(self.parameters.value("force_scale", self._clipped(s)))
             load[:, at["force_scale"]] = (scale * data.force / force)[:, None]
@@ -160,10 +161,17 @@ class LinearizedContacts:
             load[:, at["force_offset"]] = 1 / force[:, None]
         if "modulus" in at:
             load[:, at["modulus"]] = -1.0
-        log_peak = derivatives.peak * load
+        loads = [at[n].start for n in ("force_scale", "force_offset", "modulus") if n in at]
+
+        def by_load(slope: Array) -> Array:
+            found = np.zeros(load.shape, order="F")
+            found[:, loads] = slope * load[:, loads]
+            return found
+
+        log_peak = by_load(derivatives.peak)
         if "modulus" in at:
             log_peak[:, at["modulus"]] += 1.0
-        shape = tuple(slope * load for slope in derivatives.shape)
+        shape = tuple(map(by_load, derivatives.shape))
         if "scale" in at:
             log_peak[:, at["scale"]] = 1.0
             patches = patches._replace(peak=patches.peak * np.exp(s[at["scale"]][0]))

@@ -87,15 +87,16 @@ class CoupledSystem:
 
     def solve(self, taxels: Array, contacts: Array, shared: Array) -> Parts:
         """x with H x = the right-hand side (n, D, c), (m, 3, c), (ks, c), in the same parts."""
-        coupling, by_contact = self._coupling
-        right = taxels - self._to_taxels(self._inverse_contacts @ contacts)
+        coupling = self._coupling[0]
+        pressed = self._inverse_contacts @ contacts
+        right = taxels - self._to_taxels(pressed)
         if "_by_taxel" in self.__dict__:
             by_taxel, y = self._by_taxel, self._solve_taxels(right)
         else:  # one factorization serves both
             both = self._solve_taxels(np.concatenate([coupling, right], axis=2))
             by_taxel, y = np.split(both, [coupling.shape[2]], axis=2)
             self.__dict__["_by_taxel"] = by_taxel
-        rest = shared - _inner(by_contact, contacts) - _inner(by_taxel, right)
+        rest = shared - _inner(self.contact_shared, pressed) - _inner(by_taxel, right)
         x = np.linalg.solve(self._schur, rest)
         y = y - by_taxel @ x
         back = contacts - self._to_contacts(y) - self.contact_shared @ x
@@ -114,10 +115,11 @@ class CoupledSystem:
 
     @cached_property
     def _coupling(self) -> tuple[Array, Array]:
-        """Coupling of taxels and global parameters (n, D, ks) with the contacts eliminated; C^-1
-        times that of the contacts (m, 3, ks)."""
+        """Coupling of taxels and global parameters (n, D, ks), and matrix (ks, ks) of these, with
+        the contacts eliminated."""
         by_contact = self._inverse_contacts @ self.contact_shared
-        return self.taxel_shared - self._to_taxels(by_contact), by_contact
+        shared = self.shared - _inner(self.contact_shared, by_contact)
+        return self.taxel_shared - self._to_taxels(by_contact), shared
 
     @cached_property
     def _by_taxel(self) -> Array:
@@ -127,9 +129,8 @@ class CoupledSystem:
     @cached_property
     def _schur(self) -> Array:
         """The matrix (ks, ks) of the global parameters with all others eliminated."""
-        coupling, by_contact = self._coupling
-        schur = self.shared - _inner(self.contact_shared, by_contact)
-        return schur - _inner(coupling, self._by_taxel)
+        coupling, shared = self._coupling
+        return shared - _inner(coupling, self._by_taxel)
 
     def _solve_taxels(self, right: Array) -> Array:
         return np.asarray(self.pattern.cholesky.solve(self._reduced, right))

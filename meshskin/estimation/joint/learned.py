@@ -57,9 +57,16 @@ def estimate(data: Measurements, start: EstimatorResult | None = None) -> Estima
     """The estimate with a learned response.
 
     start: taxels near their places; by default trilateration, or co-activation where it fails.
-    Raises CalibrationError if no taxel is determined or the estimate does not converge.
+    Raises CalibrationError if no taxel is determined, the estimate does not converge, or modules
+    are rigid.
     """
     clock = time.perf_counter()
+    if data.belief.module_slots is not None:
+        raise CalibrationError(
+            "a learned response needs single taxels",
+            value="rigid modules in belief.module_slots",
+            remedy='leave module_slots out of the belief, or give pressures and contact="hertz"',
+        )
     near = coactivation.without_distant_readings(data)
     if start is None:
         start = coactivation.initial_estimate(near, trilaterate.least_squares(near))

@@ -35,14 +35,18 @@ class ReadingSums:
         self.each = np.arange(len(taxel))
         self.order = np.argsort(self.contact, kind="stable")
         self.starts = np.searchsorted(self.contact[self.order], np.arange(contacts + 1))
-        partners = self.starts[self.contact[self.order] + 1] - self.each - 1
-        self.first = np.repeat(self.order, partners)
-        self.second = self.order[ranges(self.each + 1, partners)]
-        pair = self.taxel[self.second] * taxels + self.taxel[self.first]
+        first, second = self._pairs()
+        pair = self.taxel[second] * taxels + self.taxel[first]
         unique, self.block = np.unique(pair, return_inverse=True)
         self.rows, self.columns = np.divmod(unique, max(taxels, 1))
         """Taxels of the blocks (b,) of pairs of taxels that read in one contact."""
         self.library = library()
+
+    def _pairs(self) -> tuple[np.ndarray, np.ndarray]:
+        """All pairs of readings of one contact, contact by contact."""
+        partners = self.starts[self.contact[self.order] + 1] - self.each - 1
+        first = np.repeat(self.order, partners)
+        return first, self.order[ranges(self.each + 1, partners)]
 
     def normal_equations(
         self, jacobian: Array, rate: Array, curvature: Array, size: int
@@ -93,7 +97,8 @@ class ReadingSums:
             self.library.eliminate_contacts(self.contacts, size, *_addresses(*inputs, own, off))
             return own, off
         weighted, transposed = coupling @ inverse[self.contact], np.swapaxes(coupling, 1, 2)
-        pairs = weighted[self.second] @ transposed[self.first]
+        first, second = self._pairs()
+        pairs = weighted[second] @ transposed[first]
         own = -_sums(self.taxel, self.taxels, weighted @ transposed)
         return own, -_sums(self.block, len(self.rows), pairs)
 
