@@ -143,8 +143,9 @@ def _begin(data: Measurements, live: np.ndarray, start: EstimatorResult) -> Rand
     noise = 1.0 if data.belief.noise_sigma is not None else _first_noise(start, data)
     effects = RandomEffects(data, readings, unknowns, Deviations(noise=noise))
     data, deviations = replace(data, response_levels=effects.response_levels()), effects.deviations
+    pattern = effects.pattern
     del effects  # two would need twice the memory
-    return RandomEffects(data, readings, unknowns, deviations)
+    return RandomEffects(data, readings, unknowns, deviations, pattern)
 
 
 def _first_noise(start: EstimatorResult, data: Measurements) -> float:

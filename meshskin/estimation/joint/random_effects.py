@@ -79,12 +79,18 @@ class RandomEffects:
     """An estimate with random effects in progress."""
 
     def __init__(
-        self, data: Measurements, readings: Readings, unknowns: Unknowns, deviations: Deviations
+        self,
+        data: Measurements,
+        readings: Readings,
+        unknowns: Unknowns,
+        deviations: Deviations,
+        pattern: CouplingPattern | None = None,
     ) -> None:
-        """data: with a learned profile, gains and offsets among its parameters."""
+        """data: with a learned profile, gains and offsets among its parameters; pattern: of the
+        readings, if it is known."""
         self.data, self.readings = data, readings
         self.likelihood = Likelihood(data, readings)
-        self.pattern = CouplingPattern(readings, len(data.points))
+        self.pattern = pattern or CouplingPattern(readings, len(data.points))
         self.probes = Probes(readings, len(data.points))
         self.linearized = LinearizedContacts(data, unknowns.s)
         self.deviations, self.restraint = deviations, 0
