@@ -24,6 +24,19 @@ def test_meshes_are_calibrated_or_refused(study, monkeypatch, tmp_path, capsys):
     assert ball["verdict"] == "PASS"
     assert "extent" in tiny["refused"]
     assert "12 taxels on 2 skins, 0 confidently wrong" in capsys.readouterr().out
+    monkeypatch.setattr(study, "row", None)  # a repeated call computes nothing again
+    assert study.main() == 0
+    assert "PASS: 1 skins, 12 taxels, 0 wrong" in capsys.readouterr().out
+    assert len(out.read_text().splitlines()) == 2
+
+
+def test_a_crash_is_told_and_counted(study, monkeypatch, tmp_path):
+    trimesh.creation.icosphere(subdivisions=4, radius=80.0).export(tmp_path / "ball.stl")
+    monkeypatch.setattr(study, "plan_exploration", lambda scene: 1 / 0)
+    rows = study.run([tmp_path / "ball.stl"], 1, tmp_path / "links.jsonl")
+    assert "ZeroDivisionError" in rows[0]["crash"]
+    assert study.is_defect(rows[0])
+    assert "crash: 1 skins, 0 taxels" in study.summary(rows)
 
 
 def test_a_wrong_taxel_is_counted(study, monkeypatch, tmp_path):

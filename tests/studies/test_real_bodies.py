@@ -26,3 +26,11 @@ def test_taxels_on_the_ur3e_are_found_to_their_bound(study, monkeypatch, tmp_pat
     assert "reached" in study.row_text(row)
     study.draw_bodies({"UR3e forearm": drawn}, tmp_path)
     assert (tmp_path / "real_bodies.png").stat().st_size > 10_000
+
+
+def test_meshes_of_the_wheel_are_found(study):
+    files = study.wheel_meshes()
+    if not files:
+        pytest.skip("example-robot-data is not installed (extra: robots)")
+    assert len(files) > 100
+    assert all(file.is_file() for file in files)
