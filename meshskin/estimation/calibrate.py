@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..contact import AUTO
+from ..contact import AUTO, LEARNED
 from ..core.arguments import check_integer, check_name, check_real, check_type
 from ..core.blas import single_threaded
 from ..core.errors import CalibrationError
@@ -21,6 +21,7 @@ from . import centroid, chart
 from .calibration import Calibration
 from .data.measurements import gather
 from .joint import learned, maximum_likelihood
+from .joint.departures import MIN_SCORE
 from .joint.reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
 from .result import EstimatorResult
 from .trilateration import eq15, trilaterate
@@ -36,9 +37,6 @@ UNLINKED = "shares too few contacts with other taxels"
 WEAK = "too weakly determined"
 UNITLESS = ("joint", "centroid")
 """Methods that take readings in a unit of their own; the others read distances off pressures."""
-MAX_SCORE = 6.0
-"""Score of errors that the readings of a contact share, in standard deviations, from which contact
-points or forces have errors: 1e-9 by chance."""
 MIN_DRAWN = 240
 """Taxels, at least, whose errors are drawn to measure the correlation of displacements: the mean
 square that scales the covariance is then known to about 2 / sqrt(2 * 240) = 9 %."""
@@ -149,13 +147,13 @@ class Estimation:
         if self.belief.contact != AUTO or self.belief.module_slots is not None:
             return False
         misfits = found.fit is not None and found.fit.good is False
-        return misfits or found.contact_score > MAX_SCORE
+        return misfits or found.departure_score > MIN_SCORE
 
     def _learned(self, found: EstimatorResult) -> EstimatorResult:
         """The estimate with a learned response; `found`, that of the contact model, where it does
         not converge."""
         try:
-            return learned.estimate(replace(self.data, learned=True), found)
+            return learned.estimate(gather(self.recording, replace(self.belief, contact=LEARNED)))
         except CalibrationError:
             return found
 

@@ -98,7 +98,8 @@ class CalibratedSkin:
         if calibration.taxel_unknowns:
             peak = float(np.median(data.peaks))
             data = replace(data, parameters=data.parameters.with_nuisance(peak))
-        units = {"gain": 1.0, "offset": data.sigma * data.unit}
+        unit = data.sigma * data.unit
+        units = {"gain": 1.0, "offset": unit, "drift": unit}
         none = np.zeros((len(data.ids), 2))
         columns = [
             np.nan_to_num(calibration.taxel_unknowns.get(name, none)[:, 0] / units[name])

@@ -59,6 +59,13 @@ class LearnedResponse:
     """`Measurements.response_levels`."""
     unit: float = 1.0
     """Recorded unit per nominal Pa; 1 exactly where the readings are pressures."""
+    hysteresis: tuple[float, float] = (0.0, 0.0)
+    """Share of a play operator in the readings, and its half-width relative to the nominal peak
+    (joint/electronics.py); zeros where the readings show none."""
+    crosstalk: float = 0.0
+    """Share of each neighbour's pressure in a reading."""
+    drift: float = 0.0
+    """Standard deviation over the taxels of the change of their offsets during the recording."""
 
     @property
     def unit_name(self) -> str:
@@ -74,6 +81,10 @@ class LearnedResponse:
             "noise": self.noise,
             "noise_percent": 100 * self.noise_relative,
             "unit": self.unit_name,
+            "hysteresis_share": self.hysteresis[0],
+            "hysteresis_width": self.hysteresis[1],
+            "crosstalk": self.crosstalk,
+            "drift": self.drift,
         }
 
     def values(self) -> dict[str, Any]:
@@ -86,17 +97,31 @@ class LearnedResponse:
         arrays: dict[str, Any] = {
             k: np.array(v) if isinstance(v, list) else v for k, v in values.items()
         }
-        if "levels" in arrays:
-            arrays["levels"] = tuple(map(float, arrays["levels"]))
+        for name in arrays.keys() & {"levels", "hysteresis"}:
+            arrays[name] = tuple(map(float, arrays[name]))
         return cls(**arrays)
 
     def describe(self) -> tuple[str, ...]:
-        """One sentence for each variance that was estimated."""
+        """One sentence for each variance, and each departure that the readings show."""
+        shown = []
+        if self.hysteresis[0]:
+            share, width = (100 * value for value in self.hysteresis)
+            shown.append(
+                f"hysteresis: {share:.2g} % of a reading follows the pressure at a distance of "
+                f"{width:.2g} % of the nominal peak"
+            )
+        if self.crosstalk:
+            shown.append(f"crosstalk: {100 * self.crosstalk:.2g} % of each neighbour's pressure")
+        if self.drift:
+            shown.append(
+                f"offsets drift by {self.drift:.2g} {self.unit_name} during the recording (1 sigma)"
+            )
         return (
             f"contact points scatter by {1e3 * self.contact_scatter:.2g} mm along each tangent",
             f"forces scatter by {100 * self.force_scatter:.2g} %",
             f"readings have noise of {self.noise:.3g} {self.unit_name} and "
             f"{100 * self.noise_relative:.2g} % of the level",
+            *shown,
         )
 
 
@@ -139,8 +164,9 @@ class EstimatorResult:
     covariance then holds the distance as a standard deviation."""
     fit: GoodnessOfFit | None = None
     """Whether the model explains the readings."""
-    contact_score: float = 0.0
-    """Score, in standard deviations, of errors that the readings of a contact share."""
+    departure_score: float = 0.0
+    """Largest score, in standard deviations, of a departure from the contact model: errors that the
+    readings of a contact share, hysteresis, crosstalk or drift."""
     response: LearnedResponse | None = None
     """The learned response, where it was learned."""
     iterates: Array | None = None

@@ -2,7 +2,7 @@
 
 e = ln(E* / nominal); scale h and offset b of the force, F_true = exp(h) F + b; an indenter offset
 in the world frame and a body offset (translation, rotation) in the body frame (joint/contacts.py).
-Each taxel may have nuisance parameters of its own, ln gain and offset.
+Each taxel may have nuisance parameters of its own: ln gain, offset, and the offset's drift.
 """
 
 from __future__ import annotations
@@ -26,9 +26,11 @@ SIZES = {
     "exponents": 2,
     "compression": 1,
     "profile": PROFILE_SIZE,
+    "hysteresis": 2,
+    "crosstalk": 1,
 }
 """Number of entries of each global parameter."""
-NUISANCE = ("gain", "offset")
+NUISANCE = ("gain", "offset", "drift")
 """Parameters of each taxel beside its position."""
 PRIORS = {
     "modulus": 1.0,
@@ -40,18 +42,24 @@ PRIORS = {
     "exponents": 0.1,
     "compression": 0.3,
     "profile": 0.1,
+    "hysteresis": 1.0,
+    "crosstalk": 0.3,
     "gain": 0.3,
     "offset": 0.3,
+    "drift": 0.3,
 }
 """Default standard deviations of the priors: of the logarithms of modulus, force scale and gain; of
-the force offset in reference forces, of the pressure offset in reference peak pressures, of
-indenter and body offset in m. Weak on purpose: `Belief.priors` replaces them."""
+the force offset in reference forces, of the pressure offset and its drift over the recording in
+reference peak pressures, of indenter and body offset in m. Weak on purpose: `Belief.priors`
+replaces them."""
 ROTATION = 10.0
 """Standard deviation of the body's rotation, rad, per m of that of its translation: the rotation
 that moves a point 0.1 m from the origin as far as the translation does."""
 LEARNED = ("modulus", "scale", "exponents", "compression", "profile")
 """Global parameters of a learned response. "modulus" is then the size of the patch, "scale" the
 amplitude of the readings, both relative to the model's."""
+SHOWN = ("hysteresis", "crosstalk")
+"""Further ones, estimated where the readings show them (joint/reading_history.py)."""
 LEARNED_PRIORS = {"modulus": 0.5, "scale": 0.5}
 """Their priors that differ from PRIORS: readings in a unit of their own say nothing about E*."""
 LOGARITHMS = ("modulus", "force_scale", "scale", "gain")
@@ -66,9 +74,9 @@ class GlobalParameters:
     sigma: Array
     """Prior standard deviations (ks,) of s about zero."""
     nuisance_names: tuple[str, ...] = ()
-    """Those of "gain" and "offset" that every taxel has."""
+    """Those of NUISANCE that every taxel has."""
     nuisance_sigma: tuple[float, ...] = ()
-    """Their prior standard deviations: of ln gain, and of the offset in Pa."""
+    """Their prior standard deviations: of ln gain, and of the offset and its drift in Pa."""
 
     @property
     def columns(self) -> dict[str, slice]:
@@ -82,6 +90,7 @@ class GlobalParameters:
         axes = ("x", "y", "z", "rotation x", "rotation y", "rotation z")
         entries = {
             "exponents": ("of the radius", "of the peak"),
+            "hysteresis": ("share", "width"),
             "profile": tuple(str(k) for k in range(1, PROFILE_SIZE + 1)),
         }
         return tuple(
@@ -109,8 +118,11 @@ class GlobalParameters:
             "exponents": "exponents of the patch in the load within {:.3g} of the model's",
             "compression": "compression of strong readings 0 +- {:.3g}",
             "profile": "pressure profile within {:.3g} of the model's peak (1 sigma, smooth)",
+            "hysteresis": "share of hysteresis 0 +- {:.3g}",
+            "crosstalk": "share of its neighbours' pressures in a reading 0 +- {:.3g}",
             "gain": "gain of each taxel within a factor {:.3g} of 1 (1 sigma)",
             "offset": "offset of each taxel 0 +- {:.3g} Pa",
+            "drift": "drift of each taxel's offset during the recording 0 +- {:.3g} Pa",
         }
         return tuple(
             text.format(np.exp(sigma[name]) if name in LOGARITHMS else sigma[name])
@@ -125,8 +137,9 @@ class GlobalParameters:
         """
         sigma = {"gain": PRIORS["gain"], "offset": PRIORS["offset"] * peak}
         sigma |= zip(self.nuisance_names, self.nuisance_sigma, strict=True)
-        values = tuple(sigma[name] for name in NUISANCE)
-        return replace(self, nuisance_names=NUISANCE, nuisance_sigma=values)
+        names = tuple(name for name in NUISANCE if name in sigma)
+        values = tuple(sigma[name] for name in names)
+        return replace(self, nuisance_names=names, nuisance_sigma=values)
 
     def value(self, name: str, s: Array) -> float:
         """The entry of a scalar parameter in s (ks,); 0 if it is not declared."""
@@ -144,7 +157,7 @@ def declared_parameters(
     for name in (*unknown, *priors):
         if name not in PRIORS:
             raise UnknownNameError("unknown of a belief", name, PRIORS)
-    unit = {"force_offset": force, "offset": peak}
+    unit = {"force_offset": force, "offset": peak, "drift": peak}
     prior = {name: priors.get(name, PRIORS[name]) * unit.get(name, 1.0) for name in PRIORS}
     names = tuple(name for name in SIZES if name in unknown)
     sigma = [np.full(SIZES[name], prior[name]) for name in names]

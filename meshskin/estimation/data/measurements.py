@@ -15,7 +15,7 @@ from ...core.errors import CalibrationError, RecordingError
 from ...scene.belief import RAW
 from . import unit_checks
 from .global_parameters import MODULUS, GlobalParameters, declared_parameters
-from .raw_readings import nominal_pressure
+from .raw_readings import nominal_pressure, pressures_above_rest
 from .resolve_belief import resolve_belief, valid_contacts
 
 if TYPE_CHECKING:
@@ -79,6 +79,8 @@ class Measurements:
     contact_errors: Array | None = None
     """Estimated errors (m, 3) of the contacts: displacements along the patches' semi-axes, m, and
     errors of ln F; None: none."""
+    time: Array = field(default_factory=lambda: np.empty(0))
+    """Times (m,), s, of the contacts."""
     left_out: int = 0
     """Number of contacts left out because the contact model does not hold in them."""
     corrupt: np.ndarray = field(default_factory=lambda: np.empty((0, 2), dtype=int))
@@ -152,6 +154,12 @@ class Measurements:
             curvature=hit.curvature,
             patches=_nominal_patches(self.model, self.belief, self.force, hit.curvature),
         )
+
+    @cached_property
+    def phase(self) -> Array:
+        """Times (m,) of the contacts from the middle of the recording, relative to its length."""
+        length = float(np.ptp(self.time)) or 1.0
+        return np.asarray((self.time - self.time[0]) / length - 0.5)
 
     @cached_property
     def counts(self) -> np.ndarray:
@@ -228,6 +236,12 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     patches = _nominal_patches(model, belief, force, hit.curvature)
     if not learned:
         unit_checks.check_pressure(pressure[read], index[read], patches.peak)
+    if learned and belief.readings != RAW:
+        level, threshold = pressures_above_rest(
+            pressure[read], index[read], int(used.sum()), belief.threshold
+        )
+        pressure, belief = pressure.copy(), replace(belief, threshold=threshold)
+        pressure[read] = level
     read &= pressure > belief.threshold
     _require_readings(read, recording, used)
     peak = float(np.median(patches.peak))
@@ -250,6 +264,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         learned=learned,
         unit=unit,
         headings=None if headings is None else headings[used],
+        time=recording.time[used],
         left_out=int(np.sum(~valid)),
         corrupt=np.column_stack([row[recording.reading_contact], index])[corrupt],
     )

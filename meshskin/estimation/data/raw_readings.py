@@ -116,20 +116,13 @@ def raw_readings(
             "the readings never change", value=f"{values[0]:.6g} in {len(values)} readings",
             remedy="check the skin's wiring",
         )  # fmt: skip
-    n = int(taxel.max()) + 1
-    dense = np.bincount(taxel, minlength=n) > DENSE * len(points)
-    order = np.lexsort((values, taxel))
-    ends = np.cumsum(np.bincount(taxel, minlength=n))
-    count = np.diff(ends, prepend=0)
-    middle = np.minimum(ends - count + count // 2, len(values) - 1)
-    rest = np.where(dense, values[order][middle], 0.0)
+    rest, dense = levels_at_rest(values, taxel, len(points))
     level, threshold = values - rest[taxel], belief.threshold
     if dense.any():
         own = dense[taxel]
         falling = _skewness(level[own], taxel[own]) < 1 / SKEWED
         level = -level if falling else level
-        spread = float(np.median(np.abs(level[own]))) / MAD
-        threshold = threshold or max(REST_SIGMAS * spread, _quantum(values))
+        threshold = threshold or max(_noise_threshold(level[own]), _quantum(values))
     else:
         falling = _rises_outward(level, contact, taxel, points)
         if falling:
@@ -141,6 +134,32 @@ def raw_readings(
     if saturation is None and largest.sum() >= least:
         saturation = float(level.max())
     return RawReadings(level, threshold, saturation, falling)
+
+
+def levels_at_rest(values: Array, taxel: np.ndarray, contacts: int) -> tuple[Array, np.ndarray]:
+    """Level at rest (n,) of the taxels whose readings `values` (k,) are recorded at rest, too, 0 of
+    the others; and which these are (n,) bool."""
+    n = int(taxel.max(initial=-1)) + 1
+    count = np.bincount(taxel, minlength=n)
+    dense = count > DENSE * contacts
+    order = np.lexsort((values, taxel))
+    middle = np.minimum(np.cumsum(count) - count + count // 2, len(values) - 1)
+    return np.where(dense, values[order][middle], 0.0), dense
+
+
+def pressures_above_rest(
+    pressure: Array, taxel: np.ndarray, contacts: int, threshold: float
+) -> tuple[Array, float]:
+    """Pressures (k,) without the level at rest of taxels that are recorded at rest, too, and the
+    threshold above it."""
+    rest, dense = levels_at_rest(pressure, taxel, contacts)
+    level, own = pressure - rest[taxel], dense[taxel]
+    return level, threshold or (_noise_threshold(level[own]) if own.any() else 0.0)
+
+
+def _noise_threshold(level: Array) -> float:
+    """Threshold of readings whose `level` (k,) is relative to that at rest, where most are."""
+    return REST_SIGMAS * float(np.median(np.abs(level))) / MAD
 
 
 def _skewness(level: Array, taxel: np.ndarray) -> float:

@@ -52,6 +52,8 @@ class Contacts:
     moves: Array | None
     """Derivatives (m, 6, ks) of the contacts' frames: of the points, m, and rotations, rad; None
     where they are constant."""
+    s: Array
+    """The values (ks,)."""
     by_load: tuple[Array, ...] = ()
     """Derivatives (m,) in ln F of the entries of `shape`, and of ln p_0, where contacts have errors
     of their own; empty otherwise."""
@@ -178,7 +180,7 @@ class LinearizedContacts:
         if "exponents" in at:
             patches = self._rescaled(patches, shape, log_peak, s[at["exponents"]])
         return Contacts(
-            data.points, data.normals, data.directions, patches, shape, log_peak, None,
+            data.points, data.normals, data.directions, patches, shape, log_peak, None, s,
             profile=s[at["profile"]] if "profile" in at else np.empty(0),
             compression=self.parameters.value("compression", s),
         )  # fmt: skip
@@ -243,6 +245,7 @@ class LinearizedContacts:
             shape=tuple(a + b for a, b in zip(fixed.shape, bends, strict=False)),
             log_peak=fixed.log_peak + by_peak,
             moves=np.concatenate([moves, turns], axis=1),
+            s=s,
             profile=fixed.profile,
             compression=fixed.compression,
         )

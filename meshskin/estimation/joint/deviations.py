@@ -29,7 +29,14 @@ MIN_DETERMINED = 1e-6
 """Share of the effects that the readings determine, below which their variance has no score."""
 MIN_INFORMATION = 1e-12
 """Least information of a variance, against division by zero."""
-FLOOR = {"position": 1e-6, "force": 1e-4, "profile": 1e-4, "gain": 1e-4, "offset": 1e-3}
+FLOOR = {
+    "position": 1e-6,
+    "force": 1e-4,
+    "profile": 1e-4,
+    "gain": 1e-4,
+    "offset": 1e-3,
+    "drift": 1e-3,
+}
 """Least deviations: far below what any recording can tell from zero."""
 
 
@@ -65,6 +72,8 @@ class Deviations:
     """Of ln gain of a taxel."""
     offset: float = 3.0
     """Of a taxel's offset, in units of `Measurements.sigma`."""
+    drift: float = 1.0
+    """Of the offset's drift over the recording, in units of `Measurements.sigma`."""
 
     def noise_of(self, mu: Array) -> Array:
         """Standard deviation (k,) of readings with the expectations mu (k,), both in units of

@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
 from .. import chart
-from ..data.global_parameters import LEARNED, LEARNED_PRIORS, declared_parameters
+from ..data.global_parameters import LEARNED, LEARNED_PRIORS, PRIORS, declared_parameters
 from ..data.measurements import Measurements
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import (
@@ -27,13 +28,14 @@ from ..result import (
 )
 from ..trilateration import coactivation, trilaterate
 from . import fault_detection
+from .departures import MIN_SCORE
 from .deviations import Deviations
 from .joint_estimator import JointEstimator
 from .learned_result import learned_result
 from .likelihood import select
 from .outlier_rejection import reject_outliers
 from .parametrization import SurfaceParametrization
-from .pressure import OBSERVED
+from .pressure import CENSORED, OBSERVED
 from .random_effects import RandomEffects, Unknowns
 from .rival_optima import resolve_rivals
 
@@ -82,7 +84,24 @@ def estimate(data: Measurements, start: EstimatorResult | None = None) -> Estima
         )
     effects = _begin(with_learned_response(data, start.points, near), live, start)
     weight = np.ones(len(data.pressure))
+    effects = _converged(effects)
     for _ in range(MAX_ROUNDS):
+        estimator = reject_outliers(_frozen(effects, live, weight))
+        rivals = resolve_rivals(estimator)
+        if not _changed(effects, estimator, weight):
+            break
+        weight = estimator.weight
+        effects = _converged(_restarted(effects, estimator))
+    return learned_result(effects, estimator, rivals, reasons, clock)
+
+
+def _converged(effects: RandomEffects) -> RandomEffects:
+    """The estimate at its optimum, with what the readings show beyond the response.
+
+    Raises CalibrationError where its normal equations are singular.
+    """
+    while True:
+        begin = effects.unknowns, effects.deviations
         try:
             effects.converge()
         except SingularMatrixError as error:
@@ -91,13 +110,34 @@ def estimate(data: Measurements, start: EstimatorResult | None = None) -> Estima
                 value=f"its normal equations are singular: {error}",
                 remedy="record more contacts with different forces, or believe a contact model",
             ) from error
-        estimator = reject_outliers(_frozen(effects, live, weight))
-        rivals = resolve_rivals(estimator)
-        if not _changed(effects, estimator, weight):
-            break
-        weight = estimator.weight
-        effects = _restarted(effects, estimator)
-    return learned_result(effects, estimator, rivals, reasons, clock)
+        known = {*effects.data.parameters.names, *effects.data.parameters.nuisance_names}
+        found = effects.fitted().scores()
+        shown = [name for name in found if found[name][0] > MIN_SCORE and name not in known]
+        if not shown:
+            return effects
+        # begun anew: what stood in for the departure, variances above all, leads elsewhere
+        effects = _extended(effects, *begin, shown[0], found[shown[0]][1])
+
+
+def _extended(
+    effects: RandomEffects, u: Unknowns, deviations: Deviations, name: str, start: Array
+) -> RandomEffects:
+    """The estimate from the unknowns u and deviations with the departure `name`, too, whose global
+    parameters are `start`; none where every taxel has its own."""
+    p, sigma = effects.data.parameters, PRIORS[name]
+    if len(start):
+        all_sigma = np.append(p.sigma, np.full(len(start), sigma))
+        p, u = (
+            replace(p, names=(*p.names, name), sigma=all_sigma),
+            replace(u, s=np.append(u.s, start)),
+        )
+    else:
+        peak = float(np.median(effects.data.peaks))
+        nuisance = (*p.nuisance_sigma, sigma * peak)
+        p = replace(p, nuisance_names=(*p.nuisance_names, name), nuisance_sigma=nuisance)
+        u = replace(u, nuisance=np.column_stack([u.nuisance, np.zeros(len(u.nuisance))]))
+    data = replace(effects.data, parameters=p)
+    return RandomEffects(data, effects.readings, u, deviations, effects.pattern)
 
 
 def with_learned_response(
@@ -159,19 +199,33 @@ def _frozen(effects: RandomEffects, live: np.ndarray, weight: Array) -> JointEst
     data, u, d = effects.data, effects.unknowns, effects.deviations
     observed = effects.readings.kind == OBSERVED
     noise = float(np.sqrt(np.mean(effects.spread[observed] ** 2))) * data.sigma
-    sigma = (d.gain, d.offset * data.sigma)
+    names = data.parameters.nuisance_names
+    units = np.array([1.0 if name == "gain" else data.sigma for name in names])
+    sigma = tuple(getattr(d, name) * unit for name, unit in zip(names, units, strict=True))
     frozen = replace(
         data,
         noise=noise,
+        **_without_electronics(effects),
         contact_errors=u.errors,
         parameters=replace(data.parameters, nuisance_sigma=sigma),
     )
-    nuisance = u.nuisance * [1.0, data.sigma / noise]
+    nuisance = u.nuisance * np.where(units == 1.0, 1.0, data.sigma / noise)
     estimator = JointEstimator(
         frozen, live, u.parametrization, weight.copy(), 1, shared=u.s, nuisance=nuisance
     )
     estimator.converge()
     return estimator
+
+
+def _without_electronics(effects: RandomEffects) -> dict[str, Any]:
+    """The readings (k,) of the recording without what hysteresis and crosstalk have added, and the
+    threshold that all silent readings are below without it; by their names in Measurements."""
+    pressure, readings = effects.data.pressure.copy(), effects.readings
+    added = effects.data.sigma * effects.added_by_electronics()
+    recorded = readings.kind == OBSERVED
+    pressure[readings.source[recorded]] -= added[recorded]
+    lowered = -float(added[readings.kind == CENSORED].min(initial=0.0))
+    return {"pressure": pressure, "threshold": effects.data.threshold + lowered}
 
 
 def _changed(effects: RandomEffects, estimator: JointEstimator, weight: Array) -> bool:

@@ -22,6 +22,7 @@ from ..result import (
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from . import fault_detection
 from .deviations import FLOOR
+from .electronics import WIDTH
 from .joint_estimator import JointEstimator
 from .noise import neighbours
 from .pressure import CENSORED, OBSERVED, disc_means
@@ -64,7 +65,8 @@ def learned_result(
     reasons[live], reasons[live[lost]] = "", MOSTLY_OUTLIERS
     infinite = np.diag([np.inf, np.inf])
     deviation = np.sqrt(scale * np.diagonal(covariance, axis1=1, axis2=2))
-    units = {"gain": 1.0, "offset": data.sigma * data.unit}
+    unit = data.sigma * data.unit
+    units = {name: 1.0 if name == "gain" else unit for name in data.parameters.nuisance_names}
     r = effects.residuals() ** 2 * (effects.readings.kind == OBSERVED)
     count = np.bincount(effects.readings.taxel, effects.readings.kind == OBSERVED, len(live))
     square = np.bincount(effects.readings.taxel, r, len(live))
@@ -201,7 +203,26 @@ def learned_response(effects: RandomEffects, covariance: Array) -> LearnedRespon
         extent=data.profile_extent,
         levels=data.response_levels,
         unit=data.unit,
+        hysteresis=_hysteresis(effects),
+        crosstalk=data.parameters.value("crosstalk", s),
+        drift=_drift(effects),
     )
+
+
+def _hysteresis(effects: RandomEffects) -> tuple[float, float]:
+    """Share of the play operator, and its half-width relative to the nominal peak."""
+    columns = effects.data.parameters.columns
+    if "hysteresis" not in columns:
+        return 0.0, 0.0
+    share, log_width = effects.unknowns.s[columns["hysteresis"]]
+    return float(share), WIDTH * float(np.exp(log_width))
+
+
+def _drift(effects: RandomEffects) -> float:
+    """Standard deviation of the offsets' drift, in the unit of the readings."""
+    if "drift" not in effects.data.parameters.nuisance_names:
+        return 0.0
+    return effects.deviations.drift * effects.data.sigma * effects.data.unit
 
 
 def _neighbour_correlation(effects: RandomEffects) -> float:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from ..data.measurements import Measurements
 from ..data.pairs import REACH_MARGIN, silent_pairs
 from .contacts import Contacts
 from .pressure import CENSORED, OBSERVED, SATURATED, costs, disc_means
+
+if TYPE_CHECKING:
+    from .electronics import Electronics
 
 MISFIT_SIGMAS = 5.0
 """Pressure, relative to the noise, above which a reading out of reach is kept: noise does not
@@ -172,8 +176,8 @@ class Likelihood:
 
     @property
     def nuisance_sigma(self) -> tuple[float, ...]:
-        """Prior standard deviations of ln gain, and of the offset in units of the noise."""
-        unit = {"gain": 1.0, "offset": self.data.sigma}
+        """Prior standard deviations of ln gain, and of offset and drift in units of the noise."""
+        unit = {"gain": 1.0, "offset": self.data.sigma, "drift": self.data.sigma}
         names = self.data.parameters.nuisance_names
         return tuple(
             s / unit[name]
@@ -239,10 +243,19 @@ class Likelihood:
         )
 
     def predict(
-        self, contact: np.ndarray, points: Array, nuisance: Array, contacts: Contacts
+        self,
+        contact: np.ndarray,
+        points: Array,
+        nuisance: Array,
+        contacts: Contacts,
+        electronics: Electronics | None = None,
     ) -> tuple[Array, Array]:
         """mu (k,) in units of the noise, and its derivatives (C, k) in all unknowns; where contacts
-        have errors of their own, in these (3), too."""
+        have errors of their own, in these (3), too.
+
+        electronics: hysteresis and crosstalk, where `contact` is that of all readings; by default
+        none.
+        """
         data, names = self.data, self.data.parameters.nuisance_names
         offset = points - contacts.points[contact]
         mean, by_point, by_shape = disc_means(data.model.name, offset, contact, contacts, data.disc)
@@ -263,7 +276,7 @@ class Likelihood:
         mu = peak * mean
         jacobian[:3] = peak * by_point.T
         for row, name in enumerate(names, 3):
-            jacobian[row] = amplified * mu if name == "gain" else 1.0
+            jacobian[row] = amplified * mu if name == "gain" else 0.0
         by_shape = tuple(peak * by for by in by_shape)
         if contacts.moves is not None:  # a motion of the contact's frame is the taxel's, reversed
             wrench = np.concatenate([by_point, np.cross(offset, by_point)], 1) * peak[:, None]
@@ -286,6 +299,9 @@ class Likelihood:
             jacobian[last + 2] = mu * by_peak
             for by, slope in zip(by_shape, slopes, strict=True):
                 jacobian[last + 2] += by * slope
+        if electronics is not None:
+            row, scale = 3 + names.index("gain"), np.exp(amplified * gain)
+            mu = electronics.apply(mu, jacobian, contacts.s, scale, (row, amplified), first)
         if "compression" in columns:
             row = first + columns["compression"].start
             if "gain" in names:
@@ -295,9 +311,10 @@ class Likelihood:
                 load = contacts.load_errors[contact] / (1 + level * contacts.compression)
                 jacobian[row] += level * load * jacobian[last + 2]
             mu = self._compressed(mu, jacobian, contacts.compression, first)
-        if "offset" in names:
-            row = names.index("offset")
-            mu, jacobian[3 + row] = mu + nuisance[:, row], 1.0
+        for row, name in enumerate(names):
+            if name != "gain":
+                added = data.phase[contact] if name == "drift" else np.ones(len(mu))
+                mu, jacobian[3 + row] = mu + added * nuisance[:, row], added
         return mu, jacobian
 
     def _profile(

@@ -25,6 +25,7 @@ from ..data.measurements import Measurements
 from ..result import CENSORING, MOSTLY_OUTLIERS, RIVAL, SURFACE, EstimatorResult
 from ..trilateration import coactivation, trilaterate
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
+from .departures import largest_score
 from .fault_detection import outliers, stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
 from .module_parametrization import ModuleParametrization, align_modules
@@ -188,7 +189,7 @@ def _result(
         silent += (f"without {data.left_out} contacts in which the contact model does not hold",)
     sigma = np.sqrt(scale * np.diagonal(covariance, axis1=1, axis2=2))
     groups = np.arange(parametrization.count)
-    units = [data.sigma if name == "offset" else 1.0 for name in parameters.nuisance_names]
+    units = [1.0 if name == "gain" else data.sigma for name in parameters.nuisance_names]
     nuisance = spread(problem.nuisance(state.z, groups) * units, np.nan)
     nuisance_sigma = spread(problem.nuisance(sigma, groups) * units, np.inf)
     global_sigma = np.sqrt(np.diag(scale * global_covariance))
@@ -230,37 +231,11 @@ def _result(
         faults=estimator.faults,
         rivals=spread(rivals.points, np.nan),
         fit=fit,
-        contact_score=contact_score(estimator),
+        departure_score=largest_score(estimator),
         iterates=np.stack([spread(points, np.nan) for points in estimator.iterates]),
         restarted=estimator.live[restarted],
         seconds=estimator.seconds | {"joint": time.perf_counter() - clock},
     )
-
-
-def contact_score(estimator: JointEstimator) -> float:
-    """The larger of two scores, in standard deviations, of errors that the readings of a contact
-    share: a displacement of its point, and an error of its force.
-
-    The sum over all pairs of readings of a contact of the products of their residuals, weighted by
-    what each would change: zero on average for independent errors, whatever their variance.
-    """
-    problem, state, m = estimator.problem, estimator.state, len(estimator.data.points)
-    contacts = problem.contacts.with_errors(state.s, np.zeros((m, 3)))
-    readings = estimator.likelihood.readings
-    nuisance = problem.nuisance(state.z, np.arange(problem.parametrization.count))
-    jacobian = estimator.likelihood.derivatives(problem.points(state), nuisance, contacts)[-3:]
-    used = (readings.kind == OBSERVED) & (readings.weight > 0.5)
-    owner = readings.contact[used]
-    product = jacobian[:, used] * estimator.residuals()[used]
-    found = []
-    for rows in (slice(0, 2), slice(2, 3)):
-        excess = variance = 0.0
-        for x in product[rows]:
-            squares = np.bincount(owner, x**2, m)
-            excess += float(np.sum(np.bincount(owner, x, m) ** 2 - squares))
-            variance += 2 * float(np.sum(squares**2 - np.bincount(owner, x**4, m)))
-        found.append(excess / max(variance, 1e-300) ** 0.5)
-    return max(found)
 
 
 def _model_dependence(estimator: JointEstimator, fit: GoodnessOfFit) -> Array:

@@ -25,15 +25,13 @@ from .reading_sums import CONTACT_SIZE
 MIN_PROBES, MAX_PROBES, PROBED = 2, 6, 6000
 """Hutchinson's probes: with n taxels the sums are known to about 1 / sqrt(probes n), and n times
 the probes are PROBED where the limits allow it."""
-TAXEL_SIZE = 4
-"""Unknowns of a taxel: two coordinates in its chart, ln gain and offset."""
 
 
 class Probes:
     """Random signs of the readings (k, p), and of the effects of n taxels and m contacts."""
 
-    def __init__(self, readings: Readings, contacts: int) -> None:
-        """contacts: their number m."""
+    def __init__(self, readings: Readings, contacts: int, size: int) -> None:
+        """contacts: their number m; size: number D of a taxel's unknowns, two of its place."""
         rng, n = np.random.default_rng(0), len(readings.starts) - 1
         self.count = min(max(PROBED // max(n, 1), MIN_PROBES), MAX_PROBES)
 
@@ -43,7 +41,7 @@ class Probes:
         self.seen = np.diff(readings.starts) > 0
         self.touched = np.bincount(readings.contact, minlength=contacts) > 0
         """Taxels (n,) bool and contacts (m,) bool with readings."""
-        self.taxels = signs(n, TAXEL_SIZE) * self.seen[:, None, None]
+        self.taxels = signs(n, size) * self.seen[:, None, None]
         self.taxels[:, :2] = 0.0  # places have no variance
         self.contacts = signs(contacts, CONTACT_SIZE) * self.touched[:, None, None]
         self.readings = signs(len(readings.taxel))
@@ -69,15 +67,16 @@ class Posterior:
         prior: tuple[Array, Array, Array],
         probes: Probes,
         profile: slice,
+        names: tuple[str, ...],
     ) -> Posterior:
-        """Under the normal equations `system`; jacobian (k, 4 + ks + 3) and root (k,): derivatives
+        """Under the normal equations `system`; jacobian (k, D + ks + 3) and root (k,): derivatives
         of the readings, and the square roots of the second derivatives of their costs; prior:
-        precisions of a taxel (4,), a contact (3,) and the global parameters (ks,); profile: rows of
-        its coefficients among these."""
-        pattern, count = system.pattern, probes.count
+        precisions of a taxel (D,), a contact (3,) and the global parameters (ks,); profile: rows of
+        its coefficients among these; names (D - 2,): of a taxel's effects."""
+        pattern, count, size = system.pattern, probes.count, len(prior[0])
         signs = root[:, None] * probes.readings
-        x = system.solve(*pattern.transposed(jacobian, signs, TAXEL_SIZE))
-        fitted = pattern.forward(jacobian, x, TAXEL_SIZE)
+        x = system.solve(*pattern.transposed(jacobian, signs, size))
+        fitted = pattern.forward(jacobian, x, size)
         # in units of the prior deviations no effect's probe drowns another's
         taxel, contact = (np.sqrt(part)[:, None] for part in prior[:2])
         none = np.zeros((len(prior[2]), count))
@@ -97,15 +96,13 @@ class Posterior:
                 "position": float(at[0] + at[1]),
                 "force": float(at[2]),
                 "profile": float(np.trace(free)),
-                "gain": float(own[2]),
-                "offset": float(own[3]),
+                **dict(zip(names, map(float, own[2:]), strict=True)),
             },
             information={
                 "position": float(at_squared[0] + at_squared[1]),
                 "force": float(at_squared[2]),
                 "profile": float(np.sum(free * free.T)),
-                "gain": float(own_squared[2]),
-                "offset": float(own_squared[3]),
+                **dict(zip(names, map(float, own_squared[2:]), strict=True)),
             },
             leverages=np.mean(signs * fitted, axis=1),
         )

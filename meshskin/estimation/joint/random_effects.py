@@ -14,20 +14,24 @@ Biometrika 58 (1971).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...core.arrays import Array
+from ..data.global_parameters import SHOWN
 from ..data.measurements import Measurements
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from . import fault_detection
 from .contacts import LinearizedContacts
 from .coupled_system import CoupledSystem, CouplingPattern
+from .departures import FittedReadings
 from .deviations import Deviations
+from .electronics import Electronics
 from .likelihood import BLOCK, Likelihood, Readings
 from .parametrization import SurfaceParametrization
-from .posterior import TAXEL_SIZE, Posterior, Probes
+from .posterior import Posterior, Probes
 from .pressure import OBSERVED, costs
 from .reading_sums import CONTACT_SIZE, Parts
 from .variable_projection import LOOSE_SIGMA
@@ -68,7 +72,7 @@ class Unknowns:
 
     parametrization: SurfaceParametrization
     nuisance: Array
-    """(n, 2), ln gain and offset."""
+    """(n, q), ln gain, offset, and drift where it is estimated."""
     errors: Array
     """(m, 3) of the contacts."""
     s: Array
@@ -91,14 +95,19 @@ class RandomEffects:
         self.data, self.readings = data, readings
         self.likelihood = Likelihood(data, readings)
         self.pattern = pattern or CouplingPattern(readings, len(data.points))
-        self.probes = Probes(readings, len(data.points))
+        self.size = 2 + unknowns.nuisance.shape[1]
+        """Unknowns of a taxel: two coordinates in its chart, ln gain, offset, and drift if any."""
+        self.probes = Probes(readings, len(data.points), self.size)
+        self.electronics = None
+        if set(SHOWN) & set(data.parameters.names):
+            self.electronics = Electronics(data, readings, unknowns.parametrization.points())
         self.linearized = LinearizedContacts(data, unknowns.s)
         self.deviations, self.restraint = deviations, 0
         self.noise_known = data.belief.noise_sigma is not None
         self.leverages = np.zeros(len(readings.taxel))
         self.iterates = [unknowns.parametrization.points()]
         self.touched = self.probes.touched
-        width = TAXEL_SIZE + len(unknowns.s) + CONTACT_SIZE
+        width = self.size + len(unknowns.s) + CONTACT_SIZE
         self.mu = np.empty(len(readings.taxel))
         self.jacobian = np.empty((len(readings.taxel), width))
         self.spread = np.ones(len(readings.taxel))
@@ -107,11 +116,12 @@ class RandomEffects:
 
     @property
     def prior(self) -> tuple[Array, Array, Array]:
-        """Prior precisions of a taxel (4,), a contact (3,) and the global parameters (ks,)."""
+        """Prior precisions of a taxel (2 + q,), a contact (3,) and the global parameters (ks,)."""
         d, sigma = self.deviations, self.data.parameters.sigma.copy()
         at = self.data.parameters.columns.get("profile", slice(0, 0))
         sigma[at] = d.profile
-        taxel = np.array([0.0, 0.0, d.gain**-2, d.offset**-2])
+        own = [getattr(d, name) ** -2.0 for name in self.data.parameters.nuisance_names]
+        taxel = np.array([0.0, 0.0, *own])
         return taxel, np.array([d.position, d.position, d.force]) ** -2.0, sigma**-2.0
 
     def noise_of(self, mu: Array) -> Array:
@@ -119,19 +129,50 @@ class RandomEffects:
         return self.deviations.noise_of(mu)
 
     def move(self, unknowns: Unknowns) -> None:
-        """Evaluate the readings mu (k,) and their derivatives (k, 4 + ks + 3) at other values."""
-        self.unknowns, readings = unknowns, self.readings
-        contacts = self.linearized.with_errors(unknowns.s, unknowns.errors)
-        points = unknowns.parametrization.points()
+        """Evaluate the readings mu (k,) and their derivatives (k, D + ks + 3) at other values."""
+        self.unknowns = unknowns
         tangents = unknowns.parametrization.charts.tangents
-        for begin in range(0, len(readings.taxel), BLOCK):
-            rows = slice(begin, begin + BLOCK)
-            taxel = readings.taxel[rows]
-            self.mu[rows], jacobian = self.likelihood.predict(
-                readings.contact[rows], points[taxel], unknowns.nuisance[taxel], contacts
-            )
+        for rows, mu, jacobian in self._predicted(self.electronics):
+            taxel = self.readings.taxel[rows]
+            self.mu[rows] = mu
             self.jacobian[rows, :2] = np.einsum("kia,ik->ka", tangents[taxel], jacobian[:3])
             self.jacobian[rows, 2:] = jacobian[3:].T
+
+    def added_by_electronics(self) -> Array:
+        """What hysteresis and crosstalk add to each reading (k,), in units of the noise."""
+        if self.electronics is None:
+            return np.zeros_like(self.mu)
+        return self.mu - np.concatenate([mu for _, mu, _ in self._predicted(None)])
+
+    def _predicted(self, electronics: Electronics | None) -> Iterator[tuple[slice, Array, Array]]:
+        """Blocks of readings, their mu and its derivatives, as of `Likelihood.predict`."""
+        readings, u, points = self.readings, self.unknowns, self.unknowns.parametrization.points()
+        contacts, count = self.linearized.with_errors(u.s, u.errors), len(readings.taxel)
+        size = BLOCK if electronics is None else max(count, 1)
+        for begin in range(0, count, size):
+            rows = slice(begin, begin + size)
+            own = readings.taxel[rows]
+            yield (
+                rows,
+                *self.likelihood.predict(
+                    readings.contact[rows], points[own], u.nuisance[own], contacts, electronics
+                ),
+            )
+
+    def fitted(self) -> FittedReadings:
+        """The readings at the present values."""
+        _, rate, curvature = self._costs()
+        return FittedReadings(
+            data=self.data,
+            readings=self.readings,
+            points=self.unknowns.parametrization.points(),
+            mu=self.mu,
+            offset=self.unknowns.nuisance[self.readings.taxel, 1],
+            rate=rate / self.spread,
+            curvature=curvature / self.spread**2,
+            own=self.jacobian[:, : self.size].T,
+            prior=self.prior[0],
+        )
 
     def response_levels(self) -> tuple[float, float]:
         """Levels of the readings, relative to the nominal peak, that determine gains and errors of
@@ -177,15 +218,14 @@ class RandomEffects:
     def system(self) -> CoupledSystem:
         """The normal equations at the present values, with priors."""
         _, rate, curvature = self._costs()
+        (taxel, contact, shared), u = self.prior, self.unknowns
         bare = CoupledSystem.from_readings(
-            self.pattern, self.jacobian, rate / self.spread, curvature / self.spread**2, TAXEL_SIZE
+            self.pattern, self.jacobian, rate / self.spread, curvature / self.spread**2, self.size
         )
-        taxel, contact, shared = self.prior
-        u = self.unknowns
         # a taxel that no reading determines keeps its place
         weak = np.diag(np.where(taxel > 0, taxel, LOOSE_SIGMA**-2))
         g = bare.gradient
-        prior_taxel = np.concatenate([np.zeros_like(u.nuisance), u.nuisance], 1) * taxel
+        prior_taxel = np.concatenate([np.zeros((len(u.nuisance), 2)), u.nuisance], axis=1) * taxel
         return replace(
             bare,
             taxels=bare.taxels + weak,
@@ -263,22 +303,23 @@ class RandomEffects:
     def posterior(self, system: CoupledSystem) -> Posterior:
         """The posterior of the effects at the present point."""
         root = np.sqrt(self._costs()[2]) / self.spread
-        profile = self.data.parameters.columns["profile"]
-        return Posterior.of(system, self.jacobian, root, self.prior, self.probes, profile)
+        p = self.data.parameters
+        profile, names = p.columns["profile"], p.nuisance_names
+        return Posterior.of(system, self.jacobian, root, self.prior, self.probes, profile, names)
 
     def update_variances(self, posterior: Posterior) -> float:
         """Move every variance; returns the largest expected increase of the restricted likelihood
         by one of them."""
         u, d, self.leverages = self.unknowns, self.deviations, posterior.leverages
-        s = u.s[self.data.parameters.columns["profile"]]
+        s, names = u.s[self.data.parameters.columns["profile"]], self.data.parameters.nuisance_names
         taxels, contacts = int(self.probes.seen.sum()), int(self.touched.sum())
         squares = {
             "position": (np.sum(u.errors[:, :2] ** 2), 2 * contacts),
             "force": (np.sum(u.errors[:, 2] ** 2), contacts),
             "profile": (s @ s, len(s)),
-            "gain": (np.sum(u.nuisance[:, 0] ** 2), taxels),
-            "offset": (np.sum(u.nuisance[:, 1] ** 2), taxels),
         }
+        own = np.sum(u.nuisance**2, axis=0)
+        squares |= {name: (own[k], taxels) for k, name in enumerate(names)}
         moved, largest = d.moved(
             {
                 name: posterior.effects(name, float(square) / getattr(d, name) ** 2, count)

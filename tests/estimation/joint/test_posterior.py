@@ -43,15 +43,16 @@ def found():
     precision = np.concatenate([np.tile(PRIOR[0], TAXELS), np.tile(PRIOR[1], CONTACTS), PRIOR[2]])
     covariance = np.linalg.inv(rows.T @ (curvature[:, None] * rows) + np.diag(precision))
     w = np.eye(len(precision)) - np.sqrt(precision)[:, None] * covariance * np.sqrt(precision)
-    probes = Probes(readings, CONTACTS)
+    probes = Probes(readings, CONTACTS, 4)
     effects = np.eye(SIZES[0] + SIZES[1])
     effects[: SIZES[0]][np.arange(SIZES[0]) % 4 < 2] = 0.0
     probes.count = count = len(effects)
     probes.taxels = np.sqrt(count) * effects[: SIZES[0]].reshape(TAXELS, 4, count)
     probes.contacts = np.sqrt(count) * effects[SIZES[0] :].reshape(CONTACTS, 3, count)
     probes.readings = np.sqrt(count) * np.eye(k, count)
+    names = ("gain", "offset")
     posterior = Posterior.of(
-        replace(system, **blocks), jacobian, np.sqrt(curvature), PRIOR, probes, PROFILE
+        replace(system, **blocks), jacobian, np.sqrt(curvature), PRIOR, probes, PROFILE, names
     )
     leverages = curvature * np.einsum("ki,ij,kj->k", rows, covariance, rows)
     return posterior, w, leverages
@@ -97,7 +98,7 @@ def test_leverages(found):
 def test_probes_are_of_effects_that_are_read():
     taxel, contact = np.array([0, 0, 2]), np.array([1, 3, 3])
     readings = replace(Readings.none(), taxel=taxel, contact=contact, starts=np.array([0, 2, 2, 3]))
-    probes = Probes(readings, 4)
+    probes = Probes(readings, 4, 4)
     assert probes.seen.tolist() == [True, False, True]
     assert probes.touched.tolist() == [False, True, False, True]
     np.testing.assert_array_equal(

@@ -1,0 +1,158 @@
+"""What the readings show beyond a contact model: errors of the contacts, hysteresis, crosstalk, and
+drift.
+
+Each of the last three is tested by its score, the derivative of the log-likelihood in its parameter
+at zero, relative to its standard deviation there, with each taxel's own unknowns estimated. The
+other unknowns are taken as known in that deviation, which makes it too large and the test careful.
+
+Source: Rao, "Large sample tests of statistical hypotheses concerning several parameters",
+Mathematical Proceedings of the Cambridge Philosophical Society 44 (1948).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.arrays import Array, sums_by_group
+from ..data.measurements import Measurements
+from .electronics import WIDTH, Electronics
+from .joint_estimator import JointEstimator
+from .likelihood import Readings
+from .parametrization import SurfaceParametrization
+from .pressure import OBSERVED, costs
+
+MIN_SCORE = 6.0
+"""Score, in standard deviations, from which a departure is shown: 1e-9 by chance."""
+WIDTHS = (0.5, 1.0, 2.0, 4.0)
+"""Half-widths of the play operator that are tried, in units of WIDTH."""
+SHARE = 0.2
+"""Share of hysteresis from which an estimate starts: at zero its width has no effect."""
+
+
+@dataclass(frozen=True)
+class FittedReadings:
+    """k readings of n taxels at an estimate, in units of `Measurements.sigma`."""
+
+    data: Measurements
+    readings: Readings
+    points: Array
+    """Estimated positions (n, 3), m."""
+    mu: Array
+    """Predicted readings (k,)."""
+    offset: Array
+    """Offsets (k,) in them."""
+    rate: Array
+    """Derivative (k,) of each reading's cost in mu."""
+    curvature: Array
+    """Second derivative (k,)."""
+    own: Array
+    """Derivatives (D, k) of mu in the taxel's own unknowns, of which two are its position."""
+    prior: Array
+    """Prior precisions (D,) of these."""
+
+    def scores(self) -> dict[str, tuple[float, Array]]:
+        """Score of each departure, in standard deviations, and the start of its parameters; first
+        those that can stand in for those after them."""
+        pressure = np.maximum(self.mu - self.offset, 0.0)
+        electronics, best = Electronics(self.data, self.readings, self.points), (0.0, WIDTHS[0])
+        for width in WIDTHS:
+            half = np.full(len(pressure), width * WIDTH * electronics.peak)
+            best = max(best, (self._shared(electronics.play(pressure, half)[0] - pressure), width))
+        drift = self._each(self.data.phase[self.readings.contact])
+        n = max(int(np.sum(drift != 0)), 1)
+        return {
+            "hysteresis": (best[0], np.array([SHARE, np.log(best[1])])),
+            "crosstalk": (self._shared(electronics.neighbours @ pressure), np.zeros(1)),
+            "drift": (float((drift @ drift - n) / np.sqrt(2 * n)), np.zeros(0)),
+        }
+
+    def _each(self, column: Array) -> Array:
+        """Scores (n,) of a parameter that each taxel has of its own, with the derivatives
+        `column` (k,) of the readings; 0 where the readings do not determine it."""
+        slope, information = self._moments(column)
+        return np.asarray(slope * (information > 1e-9) / np.sqrt(np.maximum(information, 1e-9)))
+
+    def _shared(self, column: Array) -> float:
+        """Score of a parameter that all taxels share, positive where it is."""
+        slope, information = self._moments(column)
+        return float(slope.sum()) / max(float(information.sum()), 1e-9) ** 0.5
+
+    def _moments(self, column: Array) -> tuple[Array, Array]:
+        """Derivative (n,) of the log-likelihood of each taxel in a parameter with the derivatives
+        `column` (k,), and its information where the taxel's own unknowns are estimated."""
+        taxel, n, size = self.readings.taxel, len(self.points), len(self.own)
+        weighted, own = self.own * self.curvature, self.own.T
+        products = (weighted.T[:, :, None] * own[:, None, :]).reshape(-1, size**2)
+        matrix = sums_by_group(products, taxel, n).reshape(-1, size, size) + np.diag(self.prior)
+        scale = np.sqrt(np.diagonal(matrix, axis1=1, axis2=2)) + 1e-12
+        unit = matrix / (scale[:, :, None] * scale[:, None, :]) + 1e-9 * np.eye(size)
+        b = sums_by_group((weighted * column).T, taxel, n) / scale
+        explained = np.einsum("na,na->n", b, np.linalg.solve(unit, b[..., None])[..., 0])
+        information = sums_by_group(self.curvature * column**2, taxel, n) - explained
+        slope = -sums_by_group(self.rate * column, taxel, n)
+        return slope, information
+
+
+def largest_score(estimator: JointEstimator) -> float:
+    """The largest score, in standard deviations, of a departure from the contact model."""
+    found = [contact_score(estimator)]
+    if isinstance(estimator.problem.parametrization, SurfaceParametrization):
+        found += [score for score, _ in _fitted(estimator).scores().values()]
+    return max(found)
+
+
+def _fitted(estimator: JointEstimator) -> FittedReadings:
+    """The readings at the estimate of independent taxels."""
+    problem, state, readings = estimator.problem, estimator.state, estimator.likelihood.readings
+    data, taxel = estimator.data, readings.taxel
+    assert isinstance(problem.parametrization, SurfaceParametrization)
+    points, nuisance = (
+        problem.points(state),
+        problem.nuisance(state.z, np.arange(len(problem.points(state)))),
+    )
+    mu, jacobian = estimator.likelihood.predict(
+        readings.contact, points[taxel], nuisance[taxel], problem.contacts.at(state.s)
+    )
+    _, rate, curvature = costs(mu, readings.level / data.sigma, readings.kind)
+    names = data.parameters.nuisance_names
+    along = np.einsum("kia,ik->ak", problem.parametrization.charts.tangents[taxel], jacobian[:3])
+    offset = nuisance[taxel, names.index("offset")] if "offset" in names else np.zeros(len(mu))
+    return FittedReadings(
+        data=data,
+        readings=readings,
+        points=points,
+        mu=mu,
+        offset=offset,
+        rate=readings.weight * rate,
+        curvature=readings.weight * curvature,
+        own=np.concatenate([along, jacobian[3 : 3 + len(names)]]),
+        prior=np.array([0.0, 0.0, *(sigma**-2 for sigma in estimator.likelihood.nuisance_sigma)]),
+    )
+
+
+def contact_score(estimator: JointEstimator) -> float:
+    """The larger of two scores, in standard deviations, of errors that the readings of a contact
+    share: a displacement of its point, and an error of its force.
+
+    The sum over all pairs of readings of a contact of the products of their residuals, weighted by
+    what each would change: zero on average for independent errors, whatever their variance.
+    """
+    problem, state, m = estimator.problem, estimator.state, len(estimator.data.points)
+    contacts = problem.contacts.with_errors(state.s, np.zeros((m, 3)))
+    readings = estimator.likelihood.readings
+    nuisance = problem.nuisance(state.z, np.arange(problem.parametrization.count))
+    jacobian = estimator.likelihood.derivatives(problem.points(state), nuisance, contacts)[-3:]
+    used = (readings.kind == OBSERVED) & (readings.weight > 0.5)
+    owner = readings.contact[used]
+    product = jacobian[:, used] * estimator.residuals()[used]
+    found = []
+    for rows in (slice(0, 2), slice(2, 3)):
+        excess = variance = 0.0
+        for x in product[rows]:
+            squares = np.bincount(owner, x**2, m)
+            excess += float(np.sum(np.bincount(owner, x, m) ** 2 - squares))
+            variance += 2 * float(np.sum(squares**2 - np.bincount(owner, x**4, m)))
+        found.append(excess / max(variance, 1e-300) ** 0.5)
+    return max(found)

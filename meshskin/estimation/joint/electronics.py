@@ -1,0 +1,139 @@
+"""Hysteresis and crosstalk: what a reading owes to its taxel's past and to its neighbours.
+
+A taxel under the pressure v reads (1 - h) p + h P[p], where p = v + c (sum of its neighbours'
+pressures) and P is the play operator of half-width w, which follows p at a distance of at most w:
+
+    P_k = clip(P_(k-1), p_k - w, p_k + w),  P = 0 before the first contact.
+
+Between contacts that press a taxel its pressure is zero. The share h, ln w and c are global
+parameters. The derivatives leave out what a reading owes to the errors of earlier contacts and to
+the places of the neighbours.
+
+Source: Visintin, Differential Models of Hysteresis (1994), section III.1.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+
+from ...core.arrays import Array, ranges
+from ..data.measurements import Measurements
+from .likelihood import Readings
+
+WIDTH = 0.1
+"""Half-width of the play operator, relative to the nominal peak, at a logarithm of 0."""
+NEXT = 1.4
+"""Distance of neighbours relative to a taxel's nearest one: in a square lattice the diagonal is
+1.41, in a hexagonal one the second neighbour 1.73."""
+PAUSE = 1.5
+"""Interval between two contacts, in median ones, from which the taxels were released between."""
+
+
+class Electronics:
+    """Hysteresis and crosstalk of all readings at once."""
+
+    def __init__(self, data: Measurements, readings: Readings, points: Array) -> None:
+        """points (n, 3), m: of the taxels, about."""
+        self.data, self.readings, self.points = data, readings, points
+        self.columns = data.parameters.columns
+        self.peak = float(np.median(data.peaks)) / data.sigma
+
+    def apply(
+        self,
+        mu: Array,
+        jacobian: Array,
+        s: Array,
+        scale: Array,
+        gain: tuple[int, float],
+        first: int,
+    ) -> Array:
+        """Readings (k,) of the pressures mu (k,), both in units of the noise and with the taxels'
+        gains; rewrites their derivatives `jacobian` (C, k).
+
+        s (ks,): global parameters, whose derivatives begin in the row `first`; scale (k,): each
+        taxel's gain; gain: the row of its logarithm, and that factor's derivative in it.
+        """
+        row, slope = gain
+        if "crosstalk" in self.columns:
+            at = self.columns["crosstalk"].start
+            c, added = s[at], scale * (self.neighbours @ (mu / scale))
+            for line in jacobian[first:]:
+                line += c * scale * (self.neighbours @ (line / scale))
+            jacobian[row] += slope * c * added
+            jacobian[first + at] = added
+            mu = mu + c * added
+        if "hysteresis" in self.columns:
+            at = self.columns["hysteresis"].start
+            h, width = s[at], self.peak * WIDTH * np.exp(s[at + 1]) * scale
+            lagging, source, side = self.play(mu, width)
+            contact = jacobian[first + len(s) :].copy()
+            jacobian += h * (np.where(source >= 0, jacobian[:, source], 0.0) - jacobian)
+            # an earlier contact's errors are not this one's
+            jacobian[first + len(s) :] = contact * np.where(source == np.arange(len(mu)), 1, 1 - h)
+            jacobian[row] += h * slope * side * width
+            jacobian[first + at], jacobian[first + at + 1] = lagging - mu, h * side * width
+            mu = mu + h * (lagging - mu)
+        return mu
+
+    def play(self, mu: Array, width: Array) -> tuple[Array, np.ndarray, Array]:
+        """The play operator (k,) on the pressures mu (k,) of each taxel in time; the reading (k,)
+        that last moved it, -1 where a release did, or none; and the side -1, 0 or 1 on which it
+        follows: mu[source] + side width."""
+        lagging, source, side = np.zeros_like(mu), np.arange(len(mu)), np.zeros_like(mu)
+        level = np.zeros(len(self.readings.starts) - 1)
+        last, sign = np.full(len(level), -1), np.zeros(len(level))
+        for rows, released in self.steps:
+            own = self.readings.taxel[rows]
+            now, moved = level[own], np.minimum(level[own], width[rows])
+            free = released & (moved < now)
+            level[own] = np.where(released, moved, now)
+            last[own], sign[own] = np.where(free, -1, last[own]), np.where(free, 1.0, sign[own])
+            low, high = mu[rows] - width[rows], mu[rows] + width[rows]
+            below, above = level[own] < low, level[own] > high
+            level[own] = np.clip(level[own], low, high)
+            last[own] = np.where(below | above, rows, last[own])
+            sign[own] = np.where(below, -1.0, np.where(above, 1.0, sign[own]))
+            lagging[rows], source[rows], side[rows] = level[own], last[own], sign[own]
+        return lagging, source, side
+
+    @cached_property
+    def steps(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The first, second, ... readings in time of all taxels that have them, and whether each
+        taxel was released since the one before."""
+        readings, time = self.readings, self.data.time
+        order = np.lexsort((readings.contact, readings.taxel))
+        contact = readings.contact[order]
+        since = np.diff(contact, prepend=contact[:1])
+        pause = np.diff(time[contact], prepend=time[contact[:1]])
+        frame = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+        released = (since != 1) | (pause > PAUSE * frame)
+        rank = np.arange(len(order)) - readings.starts[readings.taxel[order]]
+        by_rank = np.argsort(rank, kind="stable")
+        ends = np.cumsum(np.bincount(rank))
+        return [(order[rows], released[rows]) for rows in np.split(by_rank, ends[:-1]) if len(rows)]
+
+    @cached_property
+    def neighbours(self) -> sparse.csr_array:
+        """The matrix (k, k) that sums, for each reading, those of the taxel's neighbours in its
+        contact."""
+        from scipy.spatial import cKDTree
+
+        readings, n = self.readings, len(self.points)
+        shape = len(readings.taxel), len(readings.taxel)
+        if n < 2:
+            return sparse.csr_array(shape)
+        tree = cKDTree(self.points)
+        nearest = tree.query(self.points, k=2)[0][:, 1]
+        pairs = tree.sparse_distance_matrix(tree, NEXT * nearest.max(), output_type="ndarray")
+        pairs = pairs[(pairs["v"] > 0) & (pairs["v"] < NEXT * nearest[pairs["i"]])]
+        count = np.diff(readings.starts)[pairs["i"]]
+        rows = ranges(readings.starts[pairs["i"]], count)
+        key = readings.contact * n + readings.taxel
+        order = np.argsort(key)
+        wanted = readings.contact[rows] * n + np.repeat(pairs["j"], count)
+        found = order[np.minimum(np.searchsorted(key[order], wanted), len(key) - 1)]
+        hit = key[found] == wanted
+        return sparse.csr_array((np.ones(hit.sum()), (rows[hit], found[hit])), shape=shape)

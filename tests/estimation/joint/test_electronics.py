@@ -1,0 +1,122 @@
+"""Hysteresis and crosstalk of readings against loops over every reading, and finite differences."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from meshskin.estimation.data.global_parameters import declared_parameters
+from meshskin.estimation.joint.electronics import WIDTH, Electronics
+from meshskin.estimation.joint.likelihood import Readings
+
+PEAK, SIGMA = 2e5, 2e3
+
+
+def electronics(contact, taxel, points, time=None, names=("hysteresis", "crosstalk")):
+    """Of readings in any order within a taxel; every contact takes 10 ms."""
+    order = np.argsort(taxel, kind="stable")
+    contact, taxel = np.asarray(contact)[order], np.asarray(taxel)[order]
+    k, n = len(contact), len(points)
+    starts = np.searchsorted(taxel, np.arange(n + 1))
+    zero = np.zeros(k, dtype=int)
+    readings = Readings(contact, taxel, np.zeros(k), zero, zero, np.ones(k), starts)
+    data = SimpleNamespace(
+        time=0.01 * np.arange(contact.max() + 1) if time is None else time,
+        parameters=declared_parameters(names, {}, 3.0, PEAK),
+        peaks=np.full(3, PEAK),
+        sigma=SIGMA,
+    )
+    return Electronics(data, readings, points)
+
+
+def every(rng, contacts=60, taxels=7):
+    """All readings of some taxels in all contacts, shuffled, and their pressures (m, n)."""
+    pressure = np.abs(rng.normal(30.0, 60.0, (contacts, taxels)))
+    row, column = rng.permutation(np.indices(pressure.shape).reshape(2, -1), axis=1)
+    points = np.column_stack([5e-3 * np.arange(taxels), np.zeros((taxels, 2))])
+    return electronics(row, column, points), pressure
+
+
+def test_the_play_operator_against_a_loop():
+    made, pressure = every(np.random.default_rng(0))
+    at = made.readings.contact, made.readings.taxel
+    width = np.linspace(5.0, 40.0, pressure.shape[1])
+    lagging, source, side = made.play(pressure[at], width[at[1]])
+    state, expected = np.zeros(pressure.shape[1]), np.zeros_like(pressure)
+    for k, now in enumerate(pressure):
+        state = np.maximum(np.minimum(state, now + width), now - width)
+        expected[k] = state
+    np.testing.assert_array_equal(lagging, expected[at])
+    moved = side != 0
+    np.testing.assert_allclose(
+        lagging[moved], (pressure[at][source] + side * width[at[1]])[moved], atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("released", ["a contact apart", "a pause"])
+def test_a_taxel_is_released_between_its_contacts(released):
+    """It is pressed with 100, and with 10 after a release: the operator has gone back to 20."""
+    contact, time = [0, 2], None
+    if released == "a pause":
+        contact, time = [0, 1], np.array([0.0, 5.0, 5.01, 5.02])
+    made = electronics(contact, [0, 0], np.zeros((1, 3)), time)
+    lagging, source, side = made.play(np.array([100.0, 10.0]), np.full(2, 20.0))
+    np.testing.assert_array_equal(lagging, [80.0, 20.0])
+    assert (source[1], side[1]) == (-1, 1.0)
+
+
+def test_neighbours_are_those_of_the_lattice_in_the_same_contact():
+    x, y = np.meshgrid(np.arange(3), np.arange(3), indexing="ij")
+    points = 5e-3 * np.column_stack([x.ravel(), y.ravel(), np.zeros(9)])
+    contact = np.repeat([0, 1], [9, 4])
+    taxel = np.concatenate([np.arange(9), [4, 1, 3, 8]])
+    made = electronics(contact, taxel, points)
+    sums = made.neighbours @ np.ones(len(contact))
+    first = made.readings.contact == 0
+    np.testing.assert_array_equal(sums[first], [2, 3, 2, 3, 4, 3, 2, 3, 2])  # of a square lattice
+    second = dict(zip(made.readings.taxel[~first].tolist(), sums[~first], strict=True))
+    assert second == {4: 2.0, 1: 1.0, 3: 1.0, 8: 0.0}
+
+
+def test_derivatives():
+    """Of pressures that depend on one unknown of each taxel, with gains, and on one contact error
+    each, which later readings of the taxel owe nothing to."""
+    rng = np.random.default_rng(3)
+    made, pressure = every(rng)
+    at = made.readings.contact, made.readings.taxel
+    slope, by_contact = rng.normal(size=(2, *pressure.shape))
+    s = np.array([0.4, 0.3, 0.0])  # share, ln width, crosstalk
+    first, amplified = 2, 0.8
+
+    def apply(x, gain, s):
+        """x (n,): of each taxel; gain (n,): its logarithm."""
+        scale = np.exp(amplified * gain)[at[1]]
+        mu = scale * (pressure + slope * x)[at]
+        jacobian = np.zeros((first + len(s) + 1, len(mu)))
+        jacobian[0], jacobian[1] = scale * slope[at], amplified * mu
+        jacobian[-1] = scale * by_contact[at]
+        return made.apply(mu, jacobian, s, scale, (1, amplified), first), jacobian
+
+    x, gain = np.zeros(pressure.shape[1]), 0.1 * rng.normal(size=pressure.shape[1])
+    for crosstalk in (0.0, 0.1):
+        s = np.array([0.4, 0.3, crosstalk])
+        jacobian = apply(x, gain, s)[1]
+
+        def difference(*steps, s=s):
+            up, down = (
+                apply(x + sign * steps[0], gain + sign * steps[1], s + sign * steps[2])[0]
+                for sign in (1, -1)
+            )
+            return (up - down) / 2e-6
+
+        for k in range(3):
+            expected = difference(0.0, 0.0, 1e-6 * np.eye(3)[k])
+            np.testing.assert_allclose(jacobian[first + k], expected, atol=1e-5)
+        if crosstalk == 0.0:  # else a neighbour's unknowns have a part that is left out
+            np.testing.assert_allclose(jacobian[0], difference(1e-6, 0.0, 0.0), atol=1e-5)
+            np.testing.assert_allclose(jacobian[1], difference(0.0, 1e-6, 0.0), atol=1e-5)
+            width = made.peak * WIDTH * np.exp(s[1]) * np.exp(amplified * gain)[at[1]]
+            mu = np.exp(amplified * gain)[at[1]] * pressure[at]
+            follows = made.play(mu, width)[1] == np.arange(len(mu))
+            own = np.exp(amplified * gain)[at[1]] * by_contact[at]
+            np.testing.assert_allclose(jacobian[-1], np.where(follows, 1.0, 0.6) * own)
