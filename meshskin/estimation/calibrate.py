@@ -24,7 +24,7 @@ from .joint import learned, maximum_likelihood
 from .joint.departures import MIN_SCORE
 from .joint.reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
 from .result import EstimatorResult
-from .trilateration import eq15, trilaterate
+from .trilateration import coactivation, eq15, trilaterate
 from .trilateration.displacements import Displacements, SharedContacts, Trilateration
 from .uncertainty import observability
 from .uncertainty.judge import judge
@@ -112,7 +112,7 @@ class Estimation:
             rivals=result.rivals,
             fit=result.fit,
             response=result.response,
-            contact_centroids=trilaterate.centroids(data),
+            contact_centroids=trilaterate.centroids(coactivation.without_distant_readings(data)),
             belief=data.belief,
             iterates=result.iterates,
             seconds=seconds | {"total": self._seconds + time.perf_counter() - begin},

@@ -175,7 +175,7 @@ def expected_slopes(
     contact, taxel = pairs["i"], pairs["j"]
     offset = charts.points[taxel] - hit.point[contact]
     none = np.zeros((len(hit.point), 0))
-    contacts = Contacts(hit.point, hit.normal, hit.direction, patches, (), none, None, np.empty(0))
+    contacts = Contacts(hit.point, hit.normal, hit.direction, patches, (), none, None)
     mean, slope, _ = disc_means(belief.contact, offset, contact, contacts, belief.disc_radius)
     scale = patches.peak[contact] / sigma
     weight = censored_information(belief.threshold / sigma - scale * mean)

@@ -58,9 +58,9 @@ class Belief(NamedFields):
     """Unit of the readings: "pressure", Pa, or "raw": counts or volts of any scale and polarity,
     in which noise_sigma, threshold and saturation are stated, too; the response is learned then."""
     unknown: tuple[str, ...] = ("modulus",)
-    """What is estimated besides the taxels: any of "modulus" (E*), "gain" and "offset" (of each
-    taxel), "force_scale", "force_offset", "indenter_offset" (3), "body_offset" (6). Gain and offset
-    are tried undeclared, too, for taxels that do not fit without them."""
+    """What is estimated besides the taxels: any of "modulus" (E*), "gain", "offset" and "drift" of
+    the offset (of each taxel), "force_scale", "force_offset", "indenter_offset" (3), "body_offset"
+    (6). Gain and offset are tried undeclared, too, for taxels that do not fit without them."""
     priors: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations of unknowns before any data, where they are not the defaults."""
     headings: Array | None = None

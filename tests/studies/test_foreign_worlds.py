@@ -205,6 +205,44 @@ def test_the_bound_of_what_is_unknown_is_larger(small, worlds):
     assert np.isnan(bound(*small("together")))
 
 
+@pytest.mark.parametrize(
+    ("name", "truth", "worst"),
+    [
+        ("hysteresis", {"hysteresis": (0.5, 0.2)}, 0.05e-3),
+        ("crosstalk", {"crosstalk": 0.05}, 0.04e-3),
+        ("drift", {"drift": 0.05}, 0.05e-3),
+        ("force_nominal", {}, 0.05e-3),
+        ("hertz", {}, 0.04e-3),
+    ],
+)
+def test_what_the_electronics_add_is_named_and_estimated(study, worlds, name, truth, worst):
+    """By default, of pressures; `truth`: share and width of the hysteresis, share of crosstalk, and
+    deviation of the drift relative to the peak reading."""
+    from worlds import sphere
+    from worlds.world import record
+
+    sample = record(replace(worlds[name], taxels=61, contacts=620), 0)
+    found = ms.calibrate(sample.recording, study.belief(sample, ms.Body.sphere(sphere.RADIUS)))
+    off = np.linalg.norm(found.positions - sample.positions, axis=1)
+    rms = np.sqrt(np.mean(off**2))
+    assert rms < worst
+    assert 0.7 < np.sqrt(np.mean(found.position_sigma**2)) / rms < 1.4
+    if name == "hertz":
+        assert found.response is None
+        return
+    learned = found.response
+    estimated = {
+        "hysteresis": learned.hysteresis,
+        "crosstalk": learned.crosstalk,
+        "drift": learned.drift / sample.sensors.peak,
+    }
+    for key, value in estimated.items():
+        expected = truth.get(key, np.zeros(np.shape(value)))
+        assert value == pytest.approx(expected, rel=0.3)
+    named = [text for text in learned.describe() if text.startswith((name, f"offsets {name}"))]
+    assert len(named) == len(truth)
+
+
 def test_the_table(study, tmp_path, capsys):
     asked = ["--worlds", "scatter_03", "counts", "--seeds", "1", "--out", str(tmp_path)]
     found = study.main([*asked, "--methods", "three_circles", "hertz"])

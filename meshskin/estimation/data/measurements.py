@@ -11,7 +11,7 @@ import numpy as np
 from ... import contact
 from ...contact.disc import disc_slope, invert_disc_mean
 from ...core.arrays import Array
-from ...core.errors import CalibrationError, RecordingError
+from ...core.errors import CalibrationError
 from ...scene.belief import RAW
 from . import unit_checks
 from .global_parameters import MODULUS, GlobalParameters, declared_parameters
@@ -201,10 +201,10 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     CalibrationError for no readings, wrong units, unknown taxel ids and headings of another shape;
     ContactError where the contact model leaves its range.
     """
-    _check_finite(recording)
+    unit_checks.check_finite(recording)
     unit_checks.check_readings(recording.metadata.get("readings"), belief.readings)
     index = _taxel_index(recording.reading_taxel, np.asarray(belief.taxel_ids))
-    _check_unique(recording, index, len(belief.taxel_ids))
+    unit_checks.check_unique(recording, index, len(belief.taxel_ids))
     headings = _headings(recording, belief)
     hit = belief.body.closest(recording.points)
     unit_checks.check_points(belief.body, recording.points, hit.distance)
@@ -310,40 +310,6 @@ def _require_readings(read: np.ndarray, recording: Recording, pressed: np.ndarra
             value=f"{len(recording.pressure)} readings of at most "
             f"{recording.pressure.max(initial=0.0):.4g} Pa, {np.sum(pressed)} pressed contacts",
             remedy="check the threshold and the skin's wiring",
-        )
-
-
-def _check_finite(recording: Recording) -> None:
-    columns = {
-        "contact point": recording.points.sum(axis=1),
-        "force": recording.force,
-    }
-    if unit_checks.too_many_corrupt(~np.isfinite(recording.pressure)):
-        columns["pressure"] = recording.pressure
-    for what, values in columns.items():
-        bad = np.flatnonzero(~np.isfinite(values))
-        if len(bad):
-            table = "readings" if what == "pressure" else "contacts"
-            raise RecordingError(
-                f"a {what} is not finite",
-                value=f"{values[bad[0]]} in row {bad[0]} of {table}, {len(bad)} in all",
-                remedy="drop those rows or repair the log",
-            )
-
-
-def _check_unique(recording: Recording, index: np.ndarray, taxels: int) -> None:
-    """Refuse a taxel that is read twice in one contact: a copy would count as independent noise."""
-    number = recording.reading_contact * taxels + index
-    if np.all(np.diff(number) > 0):
-        return
-    _, first, count = np.unique(number, return_index=True, return_counts=True)
-    if len(first) < len(number):
-        k = int(first[np.argmax(count > 1)])
-        raise RecordingError(
-            "a taxel is read twice in one contact",
-            value=f"taxel {recording.reading_taxel[k]} at "
-            f"{recording.time[recording.reading_contact[k]]:g} s, {np.sum(count > 1)} in all",
-            remedy="drop the copies",
         )
 
 

@@ -9,8 +9,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from ...core.arrays import Array
-from ...core.errors import CalibrationError
+from ...core.errors import CalibrationError, RecordingError
 from ...geometry.body import Body
+from ...recording.recording import Recording
 
 MAX_DISTANCE = 0.02
 """Largest median distance of the contact points from the believed surface, m: far above any
@@ -157,3 +158,38 @@ def corrupt_readings(pressure: Array, taxel: np.ndarray) -> np.ndarray:
 def too_many_corrupt(corrupt: np.ndarray) -> bool:
     """Whether more than MAX_CORRUPT of the readings (k,) are corrupt; a single one never is."""
     return bool(np.sum(corrupt) > max(1.0, MAX_CORRUPT * len(corrupt)))
+
+
+def check_finite(recording: Recording) -> None:
+    """Refuse contacts that are not finite, and many such readings."""
+    columns = {
+        "contact point": recording.points.sum(axis=1),
+        "force": recording.force,
+    }
+    if too_many_corrupt(~np.isfinite(recording.pressure)):
+        columns["pressure"] = recording.pressure
+    for what, values in columns.items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            table = "readings" if what == "pressure" else "contacts"
+            raise RecordingError(
+                f"a {what} is not finite",
+                value=f"{values[bad[0]]} in row {bad[0]} of {table}, {len(bad)} in all",
+                remedy="drop those rows or repair the log",
+            )
+
+
+def check_unique(recording: Recording, index: np.ndarray, taxels: int) -> None:
+    """Refuse a taxel that is read twice in one contact: a copy would count as independent noise."""
+    number = recording.reading_contact * taxels + index
+    if np.all(np.diff(number) > 0):
+        return
+    _, first, count = np.unique(number, return_index=True, return_counts=True)
+    if len(first) < len(number):
+        k = int(first[np.argmax(count > 1)])
+        raise RecordingError(
+            "a taxel is read twice in one contact",
+            value=f"taxel {recording.reading_taxel[k]} at "
+            f"{recording.time[recording.reading_contact[k]]:g} s, {np.sum(count > 1)} in all",
+            remedy="drop the copies",
+        )

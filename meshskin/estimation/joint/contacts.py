@@ -52,7 +52,7 @@ class Contacts:
     moves: Array | None
     """Derivatives (m, 6, ks) of the contacts' frames: of the points, m, and rotations, rad; None
     where they are constant."""
-    s: Array
+    s: Array = field(default_factory=lambda: np.empty(0))
     """The values (ks,)."""
     by_load: tuple[Array, ...] = ()
     """Derivatives (m,) in ln F of the entries of `shape`, and of ln p_0, where contacts have errors

@@ -69,10 +69,11 @@ def estimate(data: Measurements, start: EstimatorResult | None = None) -> Estima
             value="rigid modules in belief.module_slots",
             remedy='leave module_slots out of the belief, or give pressures and contact="hertz"',
         )
-    near = coactivation.without_distant_readings(data)
-    if start is None:
-        start = coactivation.initial_estimate(near, trilaterate.least_squares(near))
     stuck = fault_detection.stuck_taxels(data)
+    # what a taxel reads at rest, after hysteresis above all, tells nothing of its place
+    data = coactivation.without_distant_readings(data)
+    if start is None:
+        start = coactivation.initial_estimate(data, trilaterate.least_squares(data))
     responsive = coactivation.responsive(data, start.points)
     reasons = np.where(start.found & ~responsive, coactivation.NOISE, start.reasons)
     live = np.setdiff1d(np.flatnonzero(reasons == ""), stuck.rows)
@@ -82,7 +83,7 @@ def estimate(data: Measurements, start: EstimatorResult | None = None) -> Estima
             value=", ".join(sorted(set(map(str, reasons)))),
             remedy="touch every taxel from at least three contacts that are not on a line",
         )
-    effects = _begin(with_learned_response(data, start.points, near), live, start)
+    effects = _begin(with_learned_response(data, start.points), live, start)
     weight = np.ones(len(data.pressure))
     effects = _converged(effects)
     for _ in range(MAX_ROUNDS):
@@ -140,22 +141,19 @@ def _extended(
     return RandomEffects(data, effects.readings, u, deviations, effects.pattern)
 
 
-def with_learned_response(
-    data: Measurements, points: Array, near: Measurements | None = None
-) -> Measurements:
+def with_learned_response(data: Measurements, points: Array) -> Measurements:
     """The measurements with the parameters of a learned response; points (n, 3), m: of the taxels,
-    about; near: those without readings that cannot be of their contacts, by default all."""
-    near = data if near is None else near
+    about."""
     peak, sigma = float(np.median(data.peaks)), data.sigma
     names = (*LEARNED, *(name for name in data.parameters.names if name not in LEARNED))
     priors = {**LEARNED_PRIORS, **data.belief.priors}
     parameters = declared_parameters(
         (*names, "gain", "offset"), priors, data.belief.force_reference or 1.0, peak
     )
-    offset = points[near.taxel] - near.points[near.contact]
-    height = np.einsum("ki,ki->k", offset, near.normals[near.contact])
+    offset = points[data.taxel] - data.points[data.contact]
+    height = np.einsum("ki,ki->k", offset, data.normals[data.contact])
     across = np.sqrt(np.maximum(np.einsum("ki,ki->k", offset, offset) - height**2, 0.0))
-    u = (across / near.longest[near.contact])[near.pressure > near.threshold + 5 * sigma]
+    u = (across / data.longest[data.contact])[data.pressure > data.threshold + 5 * sigma]
     u = u[np.isfinite(u)]
     reach = float(np.median(data.reach() / data.longest))
     extent = MARGIN * float(np.quantile(u, REACHED)) if len(u) else reach

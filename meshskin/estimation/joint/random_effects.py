@@ -102,7 +102,7 @@ class RandomEffects:
         if set(SHOWN) & set(data.parameters.names):
             self.electronics = Electronics(data, readings, unknowns.parametrization.points())
         self.linearized = LinearizedContacts(data, unknowns.s)
-        self.deviations, self.restraint = deviations, 0
+        self.deviations, self.restraint, self.last_decrease = deviations, 0, np.inf
         self.noise_known = data.belief.noise_sigma is not None
         self.leverages = np.zeros(len(readings.taxel))
         self.iterates = [unknowns.parametrization.points()]
@@ -242,18 +242,21 @@ class RandomEffects:
         the valley is not long, and the other unknowns follow.
 
         Returns the rms move of the taxels in their standard deviations at fixed contacts, and the
-        posterior before the step where its expected decrease is below `settled`.
+        posterior before the step where its expected decrease, or that of the last step, is below
+        `settled`.
         """
         before, cost = self.unknowns, self.cost()
         system, x = self._solution(self.system())
         decrease = sum(float(np.vdot(a, g)) for a, g in zip(x, system.gradient, strict=True)) / 2
-        posterior = self.posterior(system) if decrease < settled else None
+        settles = min(decrease, self.last_decrease) < settled
+        posterior = self.posterior(system) if settles else None
         for weight, part in TRIALS[self.restraint :]:
             change = system.restrained(x[2], weight * self.prior[2]) - x[2]
             follow = system.following(change)
             step = [-part * (a + b) for a, b in zip(x, follow, strict=True)]
             self._move_by(before, *step)
-            if self.cost() <= cost + 1e-9 * abs(cost):
+            self.last_decrease = cost - self.cost()
+            if self.last_decrease >= -1e-9 * abs(cost):
                 self.restraint = max(self.restraint - 2, 0)
                 moves = np.einsum("ni,nij,nj->n", step[0], system.taxels, step[0])
                 return float(np.sqrt(np.mean(moves))), posterior
