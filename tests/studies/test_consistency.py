@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from meshskin.estimation.data.global_parameters import LEARNED, NUISANCE, SIZES
+from meshskin.estimation.data.global_parameters import LEARNED, NUISANCE, SHOWN, SIZES
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +20,9 @@ def test_few_seeds(study, tmp_path, capsys):
     assert {"position", "tilt", "spin"} < set(found["modules"])
     assert len([name for name in found["body"] if name.startswith("body_offset")]) == 6
     seen = {name.split()[0] for rows in found.values() for name in rows}
-    learned = {*LEARNED} - {"modulus"}  # of a learned response: studies/foreign_worlds.py
+    learned = {*LEARNED, *SHOWN, "drift"} - {
+        "modulus"
+    }  # of a learned response: studies/foreign_worlds.py
     assert seen > {*SIZES, *NUISANCE} - learned  # every unknown of a physical contact model
     for name, rows in found.items():
         assert rows["fit"]["false_alarms"] == 0

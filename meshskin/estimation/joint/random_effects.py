@@ -112,7 +112,7 @@ class RandomEffects:
         self.jacobian = np.empty((len(readings.taxel), width))
         self.spread = np.ones(len(readings.taxel))
         self.move(unknowns)
-        self.spread = self.noise_of(self.mu)
+        self.spread = self.deviations.noise_of(self.mu)
 
     @property
     def prior(self) -> tuple[Array, Array, Array]:
@@ -123,10 +123,6 @@ class RandomEffects:
         own = [getattr(d, name) ** -2.0 for name in self.data.parameters.nuisance_names]
         taxel = np.array([0.0, 0.0, *own])
         return taxel, np.array([d.position, d.position, d.force]) ** -2.0, sigma**-2.0
-
-    def noise_of(self, mu: Array) -> Array:
-        """Standard deviation (k,) of readings with the expectations mu (k,)."""
-        return self.deviations.noise_of(mu)
 
     def move(self, unknowns: Unknowns) -> None:
         """Evaluate the readings mu (k,) and their derivatives (k, D + ks + 3) at other values."""
@@ -297,7 +293,7 @@ class RandomEffects:
                 settled = np.inf  # from here on a decrease follows from the change of variances
             elif iteration < 2:
                 self.deviations = self._with_noise(self.deviations, 1)
-            self.spread = self.noise_of(self.mu)
+            self.spread = self.deviations.noise_of(self.mu)
             self.iterates.append(self.unknowns.parametrization.points())
             if move < MOVE_TOLERANCE and gain < TOLERANCE:
                 return True
