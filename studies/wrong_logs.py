@@ -6,8 +6,8 @@
 one mistake. It is calibrated by default, that is, with a learned response where the readings
 contradict the contact model, or with --contact hertz; with --unknown-noise the belief has no noise.
 Printed, and written to wrong_logs.csv, are the rms error over the taxels that got a place, the
-median of the stated standard deviations, mm, whether the response was learned, the verdict and its
-first reason, and processor seconds.
+median of the stated standard deviations in space, mm, whether the response was learned, the
+verdict and its first reason, and processor seconds.
 """
 
 from __future__ import annotations

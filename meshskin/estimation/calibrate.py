@@ -27,6 +27,7 @@ from .result import EstimatorResult
 from .trilateration import coactivation, eq15, trilaterate
 from .trilateration.displacements import Displacements, SharedContacts, Trilateration
 from .uncertainty import observability
+from .uncertainty.contact_errors import systematic_covariance
 from .uncertainty.judge import judge
 
 if TYPE_CHECKING:
@@ -79,11 +80,14 @@ class Estimation:
             )
         begin, data = time.perf_counter(), self.data
         result = self.joint(tolerance, iterations) if method == "joint" else METHODS[method](self)
+        shape = observability.shape_operators(data.body, result.points, result.rotations)
         covariance = result.pose_covariances
         if covariance is None:
-            shape = observability.shape_operators(data.body, result.points, result.rotations)
             covariance = observability.pose_covariance(result.covariance, shape)
         observed = observability.degrees_of_freedom(covariance, float(np.median(data.radii)))
+        covariance = covariance + systematic_covariance(
+            data, result.unknowns, result.rotations, shape
+        )
         reasons = np.array(result.reasons, dtype=object)
         reasons[(data.counts == 0) & (reasons != "")] = UNTOUCHED
         weak = np.asarray(~observed.any(axis=1))

@@ -138,9 +138,9 @@ class Calibration:
 
     @property
     def position_sigma(self) -> Array:
-        """Standard deviation (n,), m, of the position along the surface (root of the trace)."""
+        """Standard deviation (n,), m, of the position in space (root of the trace)."""
         variance = np.diagonal(self.covariances, axis1=1, axis2=2)
-        return np.asarray(np.sqrt(variance[:, :2].sum(axis=1)))
+        return np.asarray(np.sqrt(variance[:, :3].sum(axis=1)))
 
     def next_contacts(self, k: int = 1, belief: Belief | None = None) -> NextContacts:
         """The k contacts, ranked, that reduce the largest uncertainties most (next_contact.py).

@@ -178,7 +178,7 @@ class ReportData:
 
     @cached_property
     def sigma(self) -> Array:
-        """Stated standard deviation along the surface (n,), m; NaN where not determined."""
+        """Stated standard deviation of the position (n,), m; NaN where not determined."""
         sigma = np.asarray(self.calibration.position_sigma, dtype=float)
         return np.where(np.isfinite(sigma), sigma, np.nan)
 

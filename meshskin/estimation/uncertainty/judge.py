@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...core.arrays import Array, sums_by_group
 from . import verdict
+from .contact_errors import displacement, late_displacements, late_frames
 from .verdict import DOUBT, FAIL, LEVELS, PASS, Finding, Verdict
 
 if TYPE_CHECKING:
@@ -40,18 +40,11 @@ SURFACE_DEPTHS = 0.1, 1.5
 """Typical distance of the contact points from the believed surface, in depths of the indentation,
 from which it is a doubt, and a failure: recorded points lie between the undeformed surface and the
 indenter's deepest point. The doubt is a tenth of the depth, 0.2 mm for the paper's skin."""
-SHIFT_SIGMAS = 5.0
-"""Displacement of the contact points, in its standard deviations, from which it is not chance."""
-MIN_SPREAD = 1e-3
-"""Mean square of the normals' components along a direction from which a displacement along it
-changes the distances: 2 degrees."""
 MAX_FAULTY = 0.2
 """Fraction of faulty taxels from which the log is in doubt, not the taxels."""
-LATE_FRAMES = 5
-"""Largest delay of the readings that is looked for, in frames."""
-LATE_GAIN = 0.9
-"""Spread of the taxels' contacts with the readings moved to other frames, relative to the present
-one, below which they are late."""
+MAX_LATE_PATH = 0.5
+"""Path of the contact during the delay of the readings, in contact radii, from which late readings
+are a failure: contacts at which a taxel reads most are then recorded where it reads little."""
 MAX_CORRELATION = 0.4
 """Correlation of the displacements of neighbouring contacts, as estimated with a learned response,
 above which they are no scatter: independent ones have -0.1 to 0.15, by the taxels that they share.
@@ -121,35 +114,17 @@ def _late(data: Measurements) -> list[Finding]:
     frames = late_frames(data)
     if not frames:
         return []
+    moved, _ = late_displacements(data, frames)
+    path = float(np.median(np.linalg.norm(moved, axis=1)))
+    limit = MAX_LATE_PATH * float(np.median(data.radii))
     count = "1 frame" if abs(frames) == 1 else f"{abs(frames)} frames"
     words = (
         f"the readings are {count} too {'late' if frames > 0 else 'early'}: moved by that, the "
-        "contacts that each taxel responds to lie closer together; correct the times of the "
-        "readings"
+        "contacts that each taxel responds to lie closer together; in that time the contact moves "
+        f"{1e3 * path:.2g} mm (limit {1e3 * limit:.2g} mm, half the contact radius); correct the "
+        "times of the readings"
     )
-    return [(DOUBT, words)]
-
-
-def late_frames(data: Measurements) -> int:
-    """Number of frames by which the readings come too late; negative: too early, 0: neither.
-
-    The contacts that a taxel responds to, weighted by pressure squared, spread least at the true
-    delay.
-    """
-    weight, n = data.pressure**2, len(data.ids)
-
-    def spread(frames: int) -> float:
-        row = data.contact - frames
-        inside = (row >= 0) & (row < len(data.points))
-        points, w, own = data.points[row[inside]], weight[inside], data.taxel[inside]
-        total = np.bincount(own, w, n)
-        mean = sums_by_group(w[:, None] * points, own, n) / np.maximum(total, 1e-300)[:, None]
-        square = np.bincount(own, w * np.sum((points - mean[own]) ** 2, axis=1), n)
-        return float(np.median((square / np.maximum(total, 1e-300))[total > 0]))
-
-    at = {k: spread(k) for k in range(-LATE_FRAMES, LATE_FRAMES + 1)}
-    best = min(at, key=lambda k: at[k])
-    return best if at[best] < LATE_GAIN * at[0] else 0
+    return [(FAIL if path > limit else DOUBT, words)]
 
 
 def _modulus(data: Measurements, calibration: Calibration) -> list[Finding]:
@@ -177,7 +152,7 @@ def _surface(recording: Recording, data: Measurements, calibration: Calibration)
         return []
     hit = data.body.closest(recording.points[rows])
     distance, median = hit.distance, float(np.median(hit.distance))
-    typical, shift = float(np.median(np.abs(distance))), _shift(distance, hit.normal)
+    typical, shift = float(np.median(np.abs(distance))), displacement(distance, hit.normal)
     depth = float(np.median(data.radii**2 * (data.curvature.mean(axis=1) + 1 / _radius(data))))
     moved = [
         abs(value)
@@ -198,19 +173,6 @@ def _surface(recording: Recording, data: Measurements, calibration: Calibration)
         "indenter_offset unknown"
     )
     return [(level, words)]
-
-
-def _shift(distance: Array, normals: Array) -> Array:
-    """The displacement (3,), m, of contact points that explains their distances (m,), m, from a
-    surface with normals (m, 3); zero where it is within SHIFT_SIGMAS of chance.
-    """
-    value, vectors = np.linalg.eigh(normals.T @ normals)
-    good = value > MIN_SPREAD * len(normals)
-    basis = vectors[:, good] / np.sqrt(value[good])
-    along = basis.T @ (normals.T @ distance)
-    rest = float(np.sum(distance**2) - np.sum(along**2)) / max(len(distance) - 3, 1)
-    along[np.abs(along) < SHIFT_SIGMAS * np.sqrt(max(rest, 0.0))] = 0.0
-    return np.asarray(basis @ along)
 
 
 def _radius(data: Measurements) -> float:

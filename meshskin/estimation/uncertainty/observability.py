@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from ...scene.belief import Belief
     from ...skin.skin import Skin
 
-SURFACE_SIGMA = 1e-6
+SURFACE_SIGMA = 1e-8
 """Standard deviation of the believed surface along its normal, m: the closest point's numerical
-error; how well the body's mesh fits the real body is not known to the calibration."""
+error, that of simulated contact points on the scene torus. contact_errors.py adds the body's."""
 TILT_SIGMA = 1e-5
-"""Standard deviation of the direction of its normal, rad: SURFACE_SIGMA over a radius of 0.1 m."""
+"""Standard deviation of the direction of its normal, rad: ten times the error on a fitted mesh."""
 SPIN = 5
 """Column of the rotation about the taxel's own normal."""
 MIN_INFORMATION = 1e-9

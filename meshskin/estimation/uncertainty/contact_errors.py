@@ -1,0 +1,178 @@
+"""Errors of the body, of the kinematics and of the clocks, as the contact points show them.
+
+Estimates rest on the believed surface and on the recorded contact points. No reading shows a body
+that is too large, a dent, or contact points that are all displaced: the distances of the contact
+points from the believed surface do. Nor does the spread of the residuals show how far readings that
+come too late displace a taxel: the path of the contact points does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...core import se3
+from ...core.arrays import Array, sums_by_group
+from ..trilateration.displacements import surface_motion
+
+if TYPE_CHECKING:
+    from ..data.measurements import Measurements
+
+SHIFT_SIGMAS = 5.0
+"""Displacement of the contact points, in its standard deviations, from which it is not chance."""
+MIN_SPREAD = 1e-3
+"""Mean square of the normals' components along a direction from which a displacement along it
+changes the distances: 2 degrees."""
+MAX_LEFT = 0.1
+"""Mean square of the taxels' mean distances that a displacement of the contact points may leave, in
+relation to that without it, beyond scatter: more is dents of the body."""
+LATE_FRAMES = 5
+"""Delays of the readings, in frames, that are all looked at; larger ones while they fit better.
+Contacts of a taxel that are farther apart belong to different passes over it."""
+LATE_GAIN = 0.9
+"""Spread of the taxels' contacts with the readings moved to other frames, relative to the present
+one, below which they are late."""
+
+
+def systematic_covariance(
+    data: Measurements,
+    unknowns: Mapping[str, tuple[float, float]],
+    rotations: Array,
+    shape: Array,
+) -> Array:
+    """What these errors add to the covariances (n, 6, 6) of the taxels' poses, taxel frame.
+
+    unknowns: estimated global parameters, whose offsets may explain the distances. rotations
+    (n, 3, 3): of the taxels; shape (n, 2, 2), 1/m: shape operators.
+    """
+    points = data.points + _offsets(data, unknowns)
+    hit = data.body.closest(points)
+    tangents = rotations[:, :, :2]
+    along = np.einsum("nia,i->na", tangents, _sideways(data, points, hit.distance, hit.normal))
+    tangential = along[:, :, None] * along[:, None, :]
+    tangential += np.swapaxes(tangents, 1, 2) @ _late_squares(data) @ tangents
+    into = surface_motion(shape)
+    out: Array = into @ tangential @ np.swapaxes(into, 1, 2)
+    out[:, 2, 2] += _normal_variance(data, hit.distance) + data.belief.surface_sigma**2
+    return out
+
+
+def local_means(data: Measurements, distance: Array) -> tuple[Array, Array]:
+    """Means (n,), m, of the distances (m,), m, of each taxel's contact points from the believed
+    surface, weighted by pressure squared, and their variances (n,), m^2; zeros without readings.
+    """
+    weight, n, h = data.pressure**2, len(data.ids), distance[data.contact]
+    share = weight / np.bincount(data.taxel, weight, n)[data.taxel]
+    mean = np.asarray(np.bincount(data.taxel, share * h, n), dtype=float)
+    scatter = float(np.sum((h - mean[data.taxel]) ** 2)) / max(len(h) - n, 1)
+    return mean, np.asarray(scatter * np.bincount(data.taxel, share**2, n))
+
+
+def _normal_variance(data: Measurements, distance: Array) -> Array:
+    """Variance (n,), m^2, of the surface under each taxel along its normal, by the distances (m,),
+    m, of its contact points; of a taxel without readings, by those of all.
+    """
+    mean, variance = local_means(data, distance)
+    return np.where(data.counts > 0, mean**2 + variance, np.mean(distance**2))
+
+
+def displacement(distance: Array, normals: Array) -> Array:
+    """The displacement (3,), m, of contact points that explains their distances (m,), m, from a
+    surface with normals (m, 3); zero where it is within SHIFT_SIGMAS of chance.
+    """
+    value, vectors = np.linalg.eigh(normals.T @ normals)
+    good = value > MIN_SPREAD * len(normals)
+    basis = vectors[:, good] / np.sqrt(value[good])
+    along = basis.T @ (normals.T @ distance)
+    rest = float(np.sum(distance**2) - np.sum(along**2)) / max(len(distance) - 3, 1)
+    along[np.abs(along) < SHIFT_SIGMAS * np.sqrt(max(rest, 0.0))] = 0.0
+    return np.asarray(basis @ along)
+
+
+def _sideways(data: Measurements, points: Array, distance: Array, normals: Array) -> Array:
+    """The displacement (3,), m, of the contact points (m, 3) along which taxels are displaced, too.
+
+    It is zero where it does not explain the distances (m,), m, and where a body of another size,
+    scaled or offset along its normals, explains them better: its taxels are where the contacts are.
+    """
+    shift = displacement(distance, normals)
+    rest = distance - normals @ shift
+    for size in (np.ones(len(distance)), np.einsum("mi,mi->m", points, normals)):
+        factor = (size @ distance) / max(float(size @ size), 1e-300)
+        if np.sum((distance - factor * size) ** 2) <= np.sum(rest**2):
+            return np.zeros(3)
+    (left, variance), (local, _) = local_means(data, rest), local_means(data, distance)
+    explained = np.sum(left**2) <= MAX_LEFT * np.sum(local**2) + 2 * np.sum(variance)
+    return shift if explained else np.zeros(3)
+
+
+def _offsets(data: Measurements, unknowns: Mapping[str, tuple[float, float]]) -> Array:
+    """Displacements (m, 3), m, of the contact points by the estimated offsets."""
+
+    def value(name: str, kind: str = "") -> Array:
+        return np.array([unknowns.get(f"{name} {kind}{axis}", (0.0, 0.0))[0] for axis in "xyz"])
+
+    turned = data.points @ se3.exp_so3(value("body_offset", "rotation ")).T
+    out: Array = turned - data.points + value("body_offset")
+    if data.headings is not None:
+        out += np.swapaxes(data.headings, 1, 2) @ value("indenter_offset")
+    return out
+
+
+def late_frames(data: Measurements) -> int:
+    """Number of frames by which the readings come too late; negative: too early, 0: neither.
+
+    The contacts that a taxel responds to, weighted by pressure squared, spread least at the true
+    delay.
+    """
+    weight, n = data.pressure**2, len(data.ids)
+
+    def spread(frames: int) -> float:
+        row = data.contact - frames
+        inside = (row >= 0) & (row < len(data.points))
+        points, w, own = data.points[row[inside]], weight[inside], data.taxel[inside]
+        total = np.bincount(own, w, n)
+        mean = sums_by_group(w[:, None] * points, own, n) / np.maximum(total, 1e-300)[:, None]
+        square = np.bincount(own, w * np.sum((points - mean[own]) ** 2, axis=1), n)
+        return float(np.median(square[total > 0] / total[total > 0])) if len(own) else np.inf
+
+    at = {k: spread(k) for k in range(-LATE_FRAMES, LATE_FRAMES + 1)}
+    best = min(at, key=lambda k: at[k])
+    step, least = int(np.sign(best)), at[best]
+    while abs(best) >= LATE_FRAMES and (beyond := spread(best + step)) < least:
+        best, least = best + step, beyond
+    return best if least < LATE_GAIN * at[0] else 0
+
+
+def late_displacements(data: Measurements, frames: int) -> tuple[Array, np.ndarray]:
+    """How far (q, 3), m, the contact point moves between a reading's true frame and its recorded
+    one, `frames` later; and the readings (q,), rows, that have both.
+    """
+    row = data.contact - frames
+    inside = np.flatnonzero((row >= 0) & (row < len(data.points)))
+    return data.points[data.contact[inside]] - data.points[row[inside]], inside
+
+
+def _late_squares(data: Measurements) -> Array:
+    """Mean squares (n, 3, 3), m^2, of the taxels' displacements by readings that come too late.
+
+    A taxel is displaced by the mean of its contacts' displacements, which are alike in one pass
+    over it and differ between passes: where these have two directions, it is found between them.
+    """
+    frames, n = late_frames(data), len(data.ids)
+    if not frames:
+        return np.zeros((n, 3, 3))
+    moved, rows = late_displacements(data, frames)
+    order = np.lexsort((data.contact[rows], data.taxel[rows]))
+    moved, rows = moved[order], rows[order]
+    weight, own, at = data.pressure[rows] ** 2, data.taxel[rows], data.contact[rows]
+    begins = (np.diff(own, prepend=-1) != 0) | (np.diff(at, prepend=0) > LATE_FRAMES)
+    number = np.cumsum(begins) - 1
+    share = weight / np.bincount(own, weight, n)[own]
+    mean = sums_by_group(share[:, None] * moved, own, n)
+    apart = sums_by_group(share[:, None] * (moved - mean[own]), number)
+    return mean[:, :, None] * mean[:, None, :] + sums_by_group(
+        apart[:, :, None] * apart[:, None, :], own[begins], n
+    )

@@ -1,0 +1,158 @@
+"""Errors of body, contact points and clocks are in the covariances as far as contacts show them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+import meshskin as ms
+from meshskin.estimation.calibrate import METHODS
+from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.uncertainty import contact_errors
+from meshskin.recording.recording import Recording
+
+CONTACTS = 500
+
+
+def press(scene, seed=0):
+    """A log in back-and-forth lanes 2 mm apart, with forces from 2.5 to 3.5 N."""
+    rng, skin = np.random.default_rng(seed), scene.skin
+    near = skin.positions[rng.integers(len(skin), size=CONTACTS)]
+    points = scene.body.closest(near + rng.uniform(-5e-3, 5e-3, (CONTACTS, 3))).point
+    lane = np.floor(points[:, 0] / 2e-3).astype(int)
+    points = points[np.lexsort((points[:, 1] * np.where(lane % 2, 1, -1), lane))]
+    made = ms.press(scene, points, force=rng.uniform(2.5, 3.5, CONTACTS), seed=seed)
+    return Recording(made.contacts, made.readings, {})
+
+
+def moved(recording, displacement):
+    """The recording with its contact points moved by displacements (m, 3), m."""
+    contacts = recording.contacts
+    for name, values in zip(("px", "py", "pz"), (recording.points + displacement).T, strict=True):
+        contacts = contacts.set_column(contacts.column_names.index(name), name, pa.array(values))
+    return Recording(contacts, recording.readings, {})
+
+
+def late(recording, frames):
+    """The recording with its readings some contacts too late; negative: too early."""
+    row = recording.reading_contact + frames
+    kept = (row >= 0) & (row < len(recording.time))
+    table = recording.readings.filter(pa.array(kept))
+    time = pa.array(recording.time[row[kept]])
+    table = table.set_column(table.column_names.index("time"), "time", time)
+    return Recording(recording.contacts, table, {})
+
+
+def stated_over_true(found, truth):
+    """RMS of the stated standard deviations over that of the errors, in space."""
+    error = np.linalg.norm(found.positions - truth, axis=1)
+    good = np.isfinite(error)
+    assert not np.any((error > 0.3e-3) & (error > 5 * found.position_sigma))
+    return np.sqrt(np.mean(found.position_sigma[good] ** 2) / np.mean(error[good] ** 2))
+
+
+@pytest.fixture(scope="module")
+def log(noisy):
+    return press(noisy)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_body_too_large_is_in_the_variance_of_every_method(noisy, log, method):
+    belief = noisy.belief(body=ms.Body.sphere(0.101))
+    found = ms.calibrate(log, belief, method=method)
+    good = np.isfinite(found.positions[:, 0])
+    normal = np.sqrt(found.covariances[good, 2, 2])
+    assert normal.min() > 0.999e-3
+    assert np.median(normal) == pytest.approx(1e-3, rel=0.01)
+    assert 0.5 < stated_over_true(found, noisy.skin.positions) < 2
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_ellipsoid_too_large(seed):
+    scene = ms.Scene.load("ellipsoid")
+    log = press(scene, seed)
+    exact = ms.calibrate(log, scene.belief())
+    assert 0.8 < stated_over_true(exact, scene.skin.positions) < 1.25
+    assert np.nanmax(exact.covariances[:, 2, 2]) < (1e-7) ** 2
+    wrong = scene.belief(body=ms.Body.ellipsoid([0.1212, 0.0909, 0.0707]))
+    assert 0.8 < stated_over_true(ms.calibrate(log, wrong), scene.skin.positions) < 1.25
+
+
+def test_a_learned_response_has_the_error_of_the_body(noisy, log):
+    belief = noisy.belief(contact="learned", body=ms.Body.sphere(0.101))
+    assert 0.5 < stated_over_true(ms.calibrate(log, belief), noisy.skin.positions) < 2
+
+
+def test_exact_contact_points_add_nothing(noisy, log):
+    found = ms.calibrate(log, noisy.belief())
+    shape = np.tile(10 * np.eye(2), (len(found.ids), 1, 1))
+    data, rotations = gather(log, noisy.belief()), found.poses[:, :3, :3]
+    more = contact_errors.systematic_covariance(data, {}, rotations, shape)
+    assert np.abs(more).max() < 1e-20
+    declared = replace(data, belief=noisy.belief(surface_sigma=2e-4))
+    more = contact_errors.systematic_covariance(declared, {}, rotations, shape)
+    assert more[:, 2, 2] == pytest.approx(4e-8)
+
+
+def test_waves_of_the_surface_are_in_the_normal_variance(noisy, log):
+    """Contacts and taxels are on a surface with waves, 50 mm long, about the believed sphere."""
+
+    def waves(points):
+        return 0.3e-3 * np.sin(2 * np.pi * points[:, 0] / 0.05)
+
+    found = ms.calibrate(moved(log, waves(log.points)[:, None] * log.normals), noisy.belief())
+    truth = noisy.skin.positions + waves(noisy.skin.positions)[:, None] * noisy.skin.normals
+    normal = np.sum((found.positions - truth) * found.poses[:, :3, 2], axis=1)
+    stated = np.sqrt(found.covariances[:, 2, 2])
+    assert np.corrcoef(np.abs(normal), stated)[0, 1] > 0.9  # where the waves are high
+    assert 0.8 < stated_over_true(found, truth) < 1.6
+
+
+def test_scatter_of_the_contact_points_averages_out(noisy, log):
+    data = gather(log, noisy.belief())
+    distance = np.random.default_rng(0).normal(scale=1e-4, size=len(data.points))
+    mean, variance = contact_errors.local_means(data, distance)
+    assert np.mean(mean**2 / variance) == pytest.approx(1.0, rel=0.3)
+    concentration = np.bincount(data.taxel, data.pressure**4)
+    concentration /= np.bincount(data.taxel, data.pressure**2) ** 2
+    assert variance == pytest.approx(1e-8 * concentration, rel=0.2)
+
+
+@pytest.mark.parametrize("scatter", [0.0, 1e-4])
+def test_displaced_contact_points_displace_taxels(noisy, log, scatter):
+    aside = np.random.default_rng(0).normal(scale=scatter, size=log.points.shape)
+    aside[:, 0] += 1e-3
+    found = ms.calibrate(moved(log, aside), noisy.belief())
+    assert 0.95 < stated_over_true(found, noisy.skin.positions) < 1.5  # scatter is a misfit, too
+    turn = found.poses[:, :3, :3]
+    body = turn @ found.covariances[:, :3, :3] @ np.swapaxes(turn, 1, 2)
+    along, across = np.median(np.sqrt([body[:, 0, 0], body[:, 1, 1]]), axis=1)
+    assert along == pytest.approx(1e-3, rel=0.2)
+    assert across < 0.1e-3 + 3 * scatter  # with what the misfit adds in all directions
+
+
+def test_estimated_offsets_explain_distances(noisy, log):
+    """A displacement and a rotation of the contact points, which the estimated offset undoes."""
+    turn, shift = np.array([0.0, 0.01, 0.0]), np.array([1e-3, -5e-4, 2e-4])
+    rotation = ms.core.se3.exp_so3(turn)
+    points = (log.points - shift) @ rotation
+    data = gather(moved(log, points - log.points), noisy.belief())
+    labels = [f"body_offset {kind}{axis}" for kind in ("", "rotation ") for axis in "xyz"]
+    unknowns = {k: (v, 1e-5) for k, v in zip(labels, [*shift, *turn], strict=True)}
+    rotations = np.tile(np.eye(3), (len(data.ids), 1, 1))
+    shape = np.tile(10 * np.eye(2), (len(data.ids), 1, 1))
+    left = contact_errors.systematic_covariance(data, unknowns, rotations, shape)
+    assert np.abs(left).max() < 1e-20
+    alone = contact_errors.systematic_covariance(data, {}, rotations, shape)
+    assert np.sqrt(alone[:, 0, 0]).mean() > 0.5e-3
+
+
+@pytest.mark.parametrize("frames", [-2, 1, 3, 7])
+def test_late_readings_widen_sigma_by_the_path(noisy, log, frames):
+    found = ms.calibrate(late(log, frames), noisy.belief())
+    assert 0.5 < stated_over_true(found, noisy.skin.positions) < 4
+    assert found.verdict.level == "FAIL"
+    size, word = abs(frames), "late" if frames > 0 else "early"
+    count = "1 frame" if size == 1 else f"{size} frames"
+    assert any(f"readings are {count} too {word}" in reason for reason in found.verdict.reasons)
