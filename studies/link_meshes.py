@@ -6,9 +6,11 @@ FOLDER holds STL files, such as the meshes of the example-robot-data wheel (extr
 mesh gets --skins skins of 60 taxels in caps of random directions; --only takes the paths that
 contain a word, --step 8 every eighth mesh, --from 3 from the third on. Rows are written as they
 come; a repeated call skips those that --out holds, so that a study can be run in slices.
+--lane-mm 4 leaves taxels that one lane touches only, where two positions fit; with --unknown-noise
+the belief does not know the noise.
 Small links (below 60 mm) are pressed with 1 N on an indenter of 2 mm (1.2 MPa, where the contact
 models hold), others with 3 N on 8 mm (0.4 MPa); they are moved without an arm in lanes 2.5 mm
-apart, with 1 % noise. A taxel is confidently wrong if its
+apart (--lane-mm), with 1 % noise. A taxel is confidently wrong if its
 error exceeds both 0.3 mm and 5 standard deviations. Exit code 1 if there is one, or a crash;
 refused meshes are listed.
 """
@@ -21,7 +23,7 @@ import sys
 import traceback
 import warnings
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -46,6 +48,16 @@ MAX_PLANNING = 10.0
 """Processor time of a plan, s, above which it is listed."""
 
 
+@dataclass(frozen=True)
+class Conditions:
+    """What a skin is calibrated from."""
+
+    lane: float = 2.5e-3
+    """Distance of the lanes, m."""
+    noise_known: bool = True
+    """Whether the belief knows the noise of the readings."""
+
+
 def main() -> int:
     """Run every mesh and skin; exit code 1 where a taxel is confidently wrong."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -55,9 +67,12 @@ def main() -> int:
     parser.add_argument("--only", default="")
     parser.add_argument("--step", type=int, default=1)
     parser.add_argument("--from", type=int, default=1, dest="first")
+    parser.add_argument("--lane-mm", type=float, default=2.5)
+    parser.add_argument("--unknown-noise", action="store_true")
     options = parser.parse_args()
+    chosen = Conditions(1e-3 * options.lane_mm, not options.unknown_noise)
     files = [file for file in meshes(options.folders) if options.only in str(file)]
-    rows = run(files[options.first - 1 :: options.step], options.skins, options.out)
+    rows = run(files[options.first - 1 :: options.step], options.skins, options.out, chosen)
     print(summary(rows))
     return int(any(map(is_defect, rows)))
 
@@ -67,7 +82,9 @@ def is_defect(row: dict[str, Any]) -> bool:
     return bool(row["wrong"]) or "crash" in row
 
 
-def run(files: list[Path], skins: int, out: Path) -> list[dict[str, Any]]:
+def run(
+    files: list[Path], skins: int, out: Path, conditions: Conditions = Conditions()
+) -> list[dict[str, Any]]:
     """The rows of all files and skins; those that `out` does not hold are appended to it."""
     known = out.read_text(encoding="utf-8").splitlines() if out.exists() else []
     done = {(r["mesh"], r["seed"]): r for r in map(json.loads, known)}
@@ -76,7 +93,7 @@ def run(files: list[Path], skins: int, out: Path) -> list[dict[str, Any]]:
         for file in files:
             for seed in range(1, skins + 1):
                 if (found := done.get((str(file), seed))) is None:
-                    found = row(file, seed)
+                    found = row(file, seed, conditions)
                     stream.write(json.dumps(found) + "\n")
                     stream.flush()
                     print(line(found), flush=True)
@@ -90,19 +107,20 @@ def meshes(folders: list[Path]) -> list[Path]:
     return sorted(file for file in every if file.suffix.lower() == ".stl")
 
 
-def row(file: Path, seed: int) -> dict[str, Any]:
+def row(file: Path, seed: int, conditions: Conditions = Conditions()) -> dict[str, Any]:
     """The result of one skin, or why it was refused, or where it crashed."""
     begin = process_time()
     out: dict[str, Any] = {"mesh": str(file), "seed": seed, "found": 0, "wrong": []}
     try:
-        scene = link_scene(file, seed)
+        scene = link_scene(file, seed, conditions.lane)
         ready = process_time()
         plan = plan_exploration(scene)
         out |= {"body_seconds": ready - begin, "plan_seconds": process_time() - ready}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # bumps that the force does not follow
             recording = ms.simulate(scene, seed=1, path=plan.path)
-        calibration = ms.calibrate(recording, scene.belief())
+        unknown = {} if conditions.noise_known else {"noise_sigma": None}
+        calibration = ms.calibrate(recording, scene.belief(**unknown))
     except MeshskinError as refusal:
         return out | {"refused": str(refusal), "seconds": process_time() - begin}
     except Exception as crash:
@@ -142,7 +160,7 @@ def summary(rows: list[dict[str, Any]]) -> str:
     return text
 
 
-def link_scene(file: Path, seed: int) -> ms.Scene:
+def link_scene(file: Path, seed: int, lane: float) -> ms.Scene:
     """A link with a skin of TAXELS in a cap of a random direction, moved over an indenter."""
     extent = float(np.max(trimesh.load(file, process=False).extents))
     units = "mm" if extent > LARGEST_IN_METRES else "m"
@@ -167,7 +185,7 @@ def link_scene(file: Path, seed: int) -> ms.Scene:
         indenter=ms.Indenter.sphere(2e-3 if small else 8e-3),
         law=replace(base.law, force_reference=1.0 if small else 3.0),
         loop=replace(base.loop, mode="quasi_static"),
-        exploration=replace(base.exploration, pattern="lanes", lane_spacing=2.5e-3),
+        exploration=replace(base.exploration, pattern="lanes", lane_spacing=lane),
     )
 
 

@@ -86,6 +86,8 @@ class Measurements:
     corrupt: np.ndarray = field(default_factory=lambda: np.empty((0, 2), dtype=int))
     """Contact and taxel (c, 2) of readings that were left out as negative or corrupt: rows of
     `points` and of `ids`. They are not silences."""
+    misfitting: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
+    """Contacts, rows of `points`, left out because their readings misfit; they have no silences."""
 
     @cached_property
     def ids(self) -> np.ndarray:

@@ -74,5 +74,6 @@ def silent_pairs(
     read = np.sort(np.concatenate([known, left_out]))
     if len(read):
         silent = read[np.minimum(np.searchsorted(read, number), len(read) - 1)] != number
+        silent &= ~np.isin(contact, data.misfitting)
         contact, taxel = contact[silent], taxel[silent]
     return contact, taxel

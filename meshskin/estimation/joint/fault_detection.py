@@ -31,6 +31,9 @@ MIN_CUTOFF = 3.0
 SIGNIFICANCE = 1e-9
 """Probability of a taxel's chi-square by chance, below which it misfits: 1000 recordings of 1000
 sound taxels have a false alarm with a probability of 1e-3."""
+CONTACT_SIGNIFICANCE = 0.1
+"""Expected number of sound contacts of a recording that misfit by chance. Misfitting contacts are
+looked for only where the test of fit fails."""
 MISFIT_RATIO = 1.5
 """Chi-square per degree of freedom, relative to the typical one, up to which no taxel misfits,
 whatever its number of readings: small errors of the model are significant in many readings."""
@@ -173,6 +176,18 @@ def misfitting_taxels(readings: Readings, r: Array, scale: float) -> np.ndarray:
     total = np.bincount(readings.taxel, np.where(counted, r**2, 0.0), n) / scale**2
     chance = chdtrc(np.maximum(count - 2, 1), total)
     return np.flatnonzero((total > MISFIT_RATIO * count) & (chance < SIGNIFICANCE))
+
+
+def misfitting_contacts(readings: Readings, r: Array, scale: float) -> np.ndarray:
+    """Contacts whose residuals r (k,) chance does not explain, with noise of `scale`."""
+    from scipy.special import chdtrc
+
+    counted = ~outliers(readings) & ((readings.kind == OBSERVED) | (r != 0))
+    count = np.bincount(readings.contact[counted])
+    total = np.bincount(readings.contact[counted], r[counted] ** 2) / scale**2
+    pressed = count > 0
+    chance = np.where(pressed, chdtrc(np.maximum(count, 1), total), 1.0)
+    return np.flatnonzero(chance < CONTACT_SIGNIFICANCE / max(int(pressed.sum()), 1))
 
 
 def robust_weights(r: Array, scale: float, stage: float, cutoff: float = CUTOFF) -> Array:

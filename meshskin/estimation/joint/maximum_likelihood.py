@@ -31,11 +31,11 @@ from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
 from .module_parametrization import ModuleParametrization, align_modules
 from .noise import Noise, clear_of_limits, estimate_noise, predictions, with_estimated_noise
 from .null_space import undetermined
-from .outlier_rejection import reject_outliers
+from .outlier_rejection import reject_outliers, without_misfitting_contacts
 from .parametrization import Parametrization, SurfaceParametrization
 from .pressure import OBSERVED
 from .reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
-from .rival_optima import RivalOptima, resolve_rivals
+from .rival_optima import RivalOptima, resolve_rivals, widened
 from .variable_projection import SchurComplement
 
 UNCONVERGED = "its position does not converge"
@@ -46,6 +46,8 @@ WIDENED = (
 )
 """Factor of an estimate whose test of fit fails."""
 ESTIMATED_NOISE = "noise of {:.3g} Pa, estimated from {} pairs of neighbouring contacts"
+MISFITTING = "without {} contacts whose readings fit no others: bumps, jumps of the curvature"
+"""Factor of an estimate that some contacts were left out of."""
 RADIUS_TOLERANCE = 0.03
 """Relative standard deviation of the indenter's radius, which readings cannot tell from E*. Chosen:
 0.3 mm of 10 mm, as a worn or printed indenter has it."""
@@ -92,7 +94,32 @@ def estimate(
             value=f"{len(live)} taxels still move after {MAX_RELINEARIZATIONS} linearizations",
             remedy="check the contact model and the units of force and pressure",
         )
-    return _result(estimator, data, reasons, restarted, rivals, clock)
+    result = _result(estimator, data, reasons, restarted, rivals, clock)
+    return _without_misfitting_contacts(estimator, data, result, start, iterations, tolerance)
+
+
+def _without_misfitting_contacts(
+    estimator: JointEstimator,
+    data: Measurements,
+    result: EstimatorResult,
+    start: EstimatorResult | None,
+    iterations: int,
+    tolerance: float,
+) -> EstimatorResult:
+    """The estimate without the few contacts whose readings misfit, where the others fit; `result`,
+    that of all, where all fit or the others do not; arguments as `estimate`."""
+    fit = result.fit
+    if fit is None or fit.good is not False:
+        return result
+    fewer = without_misfitting_contacts(estimator, fit.noise / estimator.data.sigma)
+    if fewer is estimator.data:
+        return result
+    fewer = replace(fewer, parameters=data.parameters)  # with gains only where they are needed
+    try:
+        again = estimate(fewer, start, iterations, tolerance)
+    except CalibrationError:
+        return result
+    return again if again.fit is not None and again.fit.good else result
 
 
 def _converged(
@@ -173,7 +200,8 @@ def _result(
     else:
         apart = np.nan_to_num(rivals.points - parametrization.points())
         apart = np.einsum("kij,ki->kj", parametrization.rotations()[:, :, :2], apart)
-        tangential = scale * covariance[:, :2, :2] + apart[:, :, None] * apart[:, None, :]
+        tangential = widened(estimator, scale * covariance[:, :2, :2], scale)
+        tangential += apart[:, :, None] * apart[:, None, :]
         if fit.good is False:
             tangential += _model_dependence(estimator, fit)
         pose_covariances = None
@@ -187,6 +215,8 @@ def _result(
         silent += (WIDENED.format(fit.reduced**0.5),)
     if data.left_out:
         silent += (f"without {data.left_out} contacts in which the contact model does not hold",)
+    if len(data.misfitting):
+        silent += (MISFITTING.format(len(data.misfitting)),)
     sigma = np.sqrt(scale * np.diagonal(covariance, axis1=1, axis2=2))
     groups = np.arange(parametrization.count)
     units = [1.0 if name == "gain" else data.sigma for name in parameters.nuisance_names]

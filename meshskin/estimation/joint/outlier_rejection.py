@@ -8,6 +8,7 @@ import numpy as np
 
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
+from ..data.measurements import Measurements
 from ..trilateration import trilaterate
 from . import fault_detection as faults
 from .joint_estimator import JointEstimator
@@ -18,6 +19,8 @@ from .pressure import CENSORED, OBSERVED
 MAX_REMAINING = 0.5
 """Fraction of the misfitting taxels that may still misfit with gains and offsets, for these to be
 the cause."""
+MAX_MISFITTING_CONTACTS = 0.05
+"""Fraction of the contacts that may misfit for these, and not the model, to be the cause."""
 MAX_PRIOR_SIGMAS = 3.0
 """Gain or offset, in standard deviations of the prior, from which a taxel is faulty."""
 
@@ -56,6 +59,23 @@ def reject_outliers(estimator: JointEstimator) -> JointEstimator:
             _name_faults(trial, scale)
             return trial
     return estimator
+
+
+def without_misfitting_contacts(estimator: JointEstimator, scale: float) -> Measurements:
+    """The estimator's data without the contacts that misfit with noise of `scale`, in units of the
+    data's; the data themselves where there are none, where they are too many to be exceptions, and
+    where contacts were left out before.
+
+    At a bump, or where the curvature jumps, a patch is another than the surface under its contact
+    point says: all readings of the contact are wrong, those of a taxel in other contacts are not.
+    """
+    data = estimator.data
+    readings = estimator.likelihood.readings
+    bad = faults.misfitting_contacts(readings, estimator.residuals(), scale)
+    most = MAX_MISFITTING_CONTACTS * len(np.unique(readings.contact))
+    if len(data.misfitting) or not 0 < len(bad) <= most:
+        return data
+    return replace(data.select(~np.isin(data.contact, bad)), misfitting=bad)
 
 
 def try_gain_offset(estimator: JointEstimator, suspects: np.ndarray) -> JointEstimator:

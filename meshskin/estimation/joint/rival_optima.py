@@ -5,6 +5,10 @@ the mirror image on the other side of its contacts. A covariance describes one o
 know of the other. So a taxel whose contacts leave a wide sector of directions open is started again
 from the mirror image and from a ring about its contacts, with the global parameters fixed. Optima
 that fit better replace the estimate; those that fit nearly as well are its rivals.
+
+Where the contacts lie on a line through the taxel, its position across the line enters the readings
+by its square only: the two optima merge into a flat one, whose curvature says less than its width.
+`widened` measures the width.
 """
 
 from __future__ import annotations
@@ -44,6 +48,9 @@ MIN_ON_SHEET = 0.5
 RESPONSE_SIGMAS = 3.0
 """Pressure, in standard deviations of the noise, above which a reading is a response: noise over a
 low threshold comes from all directions, and would close every open sector."""
+WIDTHS = (3.0, 6.0, 12.0)
+"""Distances from the estimate, in its standard deviations, at which the likelihood is compared with
+what the covariance says: at the second and third no taxel should be confidently wrong."""
 MAX_MOVES = 3
 """Largest number of times that taxels are moved to better optima."""
 
@@ -97,6 +104,37 @@ def find_rivals(estimator: JointEstimator) -> RivalOptima:
         best.points[rows[better]] = found[0][better]
         best.log_odds[rows[better]] = odds[better]
     return best
+
+
+def widened(estimator: JointEstimator, covariance: Array, scale: float) -> Array:
+    """Covariances (n, 2, 2), m^2, of the live taxels along the surface, no narrower than the
+    likelihood.
+
+    The likelihood of a taxel in an open sector is evaluated WIDTHS standard deviations to both
+    sides along the weakest axis of `covariance` (n, 2, 2). Where it falls at x by a factor
+    exp(-u^2 / 2), the standard deviation is at least |x| / max(u, 1). scale: variance of the
+    residuals by which the covariance was multiplied.
+    """
+    points, frames = (
+        estimator.problem.points(estimator.state),
+        estimator.problem.parametrization.rotations(),
+    )
+    rows = np.flatnonzero(open_sectors(estimator, points) > OPEN_SECTOR)
+    out = covariance.copy()
+    if not len(rows):
+        return out
+    value, vectors = np.linalg.eigh(covariance[rows])
+    sigma, axis = np.sqrt(value[:, 1]), vectors[:, :, 1]
+    limit = RING * float(np.median(estimator.data.reach()))
+    way = np.einsum("kij,kj->ki", frames[rows][:, :, :2], axis)
+    estimate, widest = (points[rows], estimator.state.z[rows]), sigma.copy()
+    for width in (sign * width for width in WIDTHS for sign in (-1.0, 1.0)):
+        step = np.clip(width * sigma, -limit, limit)
+        there = estimator.data.body.closest(points[rows] + step[:, None] * way).point
+        odds = _log_odds(estimator, rows, estimate, (there, estimate[1]))
+        widest = np.maximum(widest, np.abs(step) / np.sqrt(np.maximum(2 * odds / scale, 1.0)))
+    out[rows] += (widest**2 - value[:, 1])[:, None, None] * axis[:, :, None] * axis[:, None, :]
+    return out
 
 
 def open_sectors(estimator: JointEstimator, points: Array) -> Array:
