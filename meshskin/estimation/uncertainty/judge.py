@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...core.arrays import Array
+from .. import chart
+from ..data.pairs import near_pairs
 from . import verdict
 from .contact_errors import displacement, late_displacements, late_frames
 from .verdict import DOUBT, FAIL, LEVELS, PASS, Finding, Verdict
@@ -36,6 +39,11 @@ E* by factors of 2.7 and 17, since the patch, too, has to fit."""
 MEAN_SIGMAS = 4.0, 12.0
 """Median distance of the positions from the weighted means of contact points, in standard
 deviations of both, from which it is a doubt, and a failure; 1.18 by theory."""
+SECTORS = 6
+"""Directions in which contacts must lie about a taxel whose weighted mean is compared."""
+RING = 0.7, 1.5
+"""Their distances, in reaches of a contact: a taxel reads little there, so that contacts that end
+further out do not displace its mean."""
 SURFACE_DEPTHS = 0.1, 1.5
 """Typical distance of the contact points from the believed surface, in depths of the indentation,
 from which it is a doubt, and a failure: recorded points lie between the undeformed surface and the
@@ -193,6 +201,7 @@ def _weighted_means(data: Measurements, calibration: Calibration) -> list[Findin
     apart = np.linalg.norm(calibration.positions - means, axis=1)
     sigma = np.sqrt((spread + calibration.position_sigma**2) / 2)
     seen = np.isfinite(apart) & np.isfinite(sigma) & (data.counts >= 5) & (sigma > 0)
+    seen[seen] = surrounded(data, means[seen])
     if seen.sum() < 3:
         return []
     typical = float(np.median(apart[seen] / sigma[seen]))
@@ -205,6 +214,20 @@ def _weighted_means(data: Measurements, calibration: Calibration) -> list[Findin
         f"{MEAN_SIGMAS[0]:g}): check the contact model and the scale of pressures and forces"
     )
     return [(level, words)]
+
+
+def surrounded(data: Measurements, means: Array) -> np.ndarray:
+    """Whether contacts lie in all SECTORS directions from points `means` (n, 3) on the surface, at
+    RING reaches: where they end before, a weighted mean of contact points is no estimate."""
+    normals, reach = data.body.closest(means).normal, data.reach()
+    contact, own = near_pairs(data, means, normals, RING[1] * reach)
+    offset = np.einsum("kij,ki->kj", chart.frames(normals)[own], data.points[contact] - means[own])
+    angle = np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) + 0.5
+    sector = np.minimum((SECTORS * angle).astype(int), SECTORS - 1)
+    far = np.hypot(offset[:, 0], offset[:, 1]) > RING[0] * reach[contact]
+    met = np.zeros((len(means), SECTORS), dtype=bool)
+    met[own[far], sector[far]] = True
+    return np.asarray(met.all(axis=1))
 
 
 def _faults(calibration: Calibration) -> list[Finding]:

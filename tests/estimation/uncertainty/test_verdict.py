@@ -9,8 +9,10 @@ import pytest
 import meshskin as ms
 from meshskin.cli.calibrate import assess, summary
 from meshskin.core.errors import CalibrationError
-from meshskin.estimation.calibrate import METHODS
+from meshskin.estimation.calibrate import METHODS, calibrate
 from meshskin.estimation.calibration import Calibration
+from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.uncertainty.judge import surrounded
 from meshskin.recording.recording import Recording
 
 CONTACTS = 500
@@ -217,3 +219,20 @@ def test_sound_logs_pass(noisy, noise):
     levels = [ms.calibrate(log(noisy, k), beliefs(noisy)[noise]).verdict.level for k in range(20)]
     assert levels.count("PASS") >= 19
     assert "FAIL" not in levels
+
+
+def test_taxels_where_contacts_end_are_not_surrounded(world):
+    """Contacts over the half x > 0 only: the weighted mean of a taxel at its edge is displaced."""
+    whole = world.record(0.01, 0.05)
+    inside = whole.points[:, 0] > 0
+    kept = pa.array(np.isin(whole.readings[0].to_numpy(), whole.time[inside]))
+    half = Recording(
+        whole.contacts.filter(pa.array(inside)), whole.readings.filter(kept), whole.metadata
+    )
+    belief = world.belief(0.01, 0.05)
+    inner = np.linalg.norm(world.truth[:, :2], axis=1) < 13e-3
+    assert surrounded(gather(whole, belief), world.truth[inner]).all()
+    found, x = surrounded(gather(half, belief), world.truth[inner]), world.truth[inner, 0]
+    assert not found[x < 3e-3].any()
+    assert found[x > 6e-3].all()
+    assert calibrate(half, belief).verdict.level == "PASS"
