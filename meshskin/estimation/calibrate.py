@@ -85,8 +85,9 @@ class Estimation:
         if covariance is None:
             covariance = observability.pose_covariance(result.covariance, shape)
         observed = observability.degrees_of_freedom(covariance, float(np.median(data.radii)))
+        near = coactivation.without_rest(data)
         covariance = covariance + systematic_covariance(
-            data, result.unknowns, result.rotations, shape
+            near, result.unknowns, result.rotations, shape
         )
         reasons = np.array(result.reasons, dtype=object)
         reasons[(data.counts == 0) & (reasons != "")] = UNTOUCHED
@@ -116,7 +117,7 @@ class Estimation:
             rivals=result.rivals,
             fit=result.fit,
             response=result.response,
-            contact_centroids=trilaterate.centroids(coactivation.without_distant_readings(data)),
+            contact_centroids=trilaterate.centroids(near),
             belief=data.belief,
             iterates=result.iterates,
             seconds=seconds | {"total": self._seconds + time.perf_counter() - begin},
@@ -126,7 +127,7 @@ class Estimation:
                 source=recording.metadata.get("provenance", {}),
             ),
         )
-        return replace(calibration, verdict=judge(recording, data, calibration))
+        return replace(calibration, verdict=judge(recording, near, calibration))
 
     def joint(
         self, tolerance: float = NEWTON_TOLERANCE, iterations: int = MAX_ITERATIONS

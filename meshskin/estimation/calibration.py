@@ -28,7 +28,9 @@ if TYPE_CHECKING:
     from .cross_validation import CrossValidation
     from .next_contact import NextContacts
 
-UNITS = {"force_offset": "N", "exponents": "", "compression": "", "force_scatter": ""}
+UNITS = {"force_offset": "N"} | dict.fromkeys(
+    ("exponents", "compression", "force_scatter", "hysteresis", "crosstalk"), ""
+)
 """Units of global parameters that are neither lengths nor angles nor logarithms."""
 _KEY = b"meshskin-calibration"
 _COLUMNS = {
@@ -183,7 +185,7 @@ class Calibration:
             if label == "modulus" and self.modulus is not None:
                 total = self.modulus_sigma or self.modulus * sigma
                 out[label] = self.modulus, total, "Pa"
-            elif name in LOGARITHMS:
+            elif name in LOGARITHMS or label == "hysteresis width":
                 out[label] = float(np.exp(value)), float(np.exp(value)) * sigma, ""
             else:
                 unit = UNITS.get(name, "rad" if "rotation" in label else "m")

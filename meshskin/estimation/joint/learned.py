@@ -62,6 +62,18 @@ def estimate(data: Measurements, start: EstimatorResult | None = None) -> Estima
     Raises CalibrationError if no taxel is determined, the estimate does not converge, or modules
     are rigid.
     """
+    try:
+        return _estimate(data, start)
+    except SingularMatrixError as error:
+        raise CalibrationError(
+            "the estimate with a learned response did not converge",
+            value=f"its normal equations are singular: {error}",
+            remedy="record more contacts with different forces, or believe a contact model",
+        ) from error
+
+
+def _estimate(data: Measurements, start: EstimatorResult | None) -> EstimatorResult:
+    """As `estimate`; SingularMatrixError where normal equations are singular."""
     clock = time.perf_counter()
     if data.belief.module_slots is not None:
         raise CalibrationError(
@@ -92,32 +104,37 @@ def estimate(data: Measurements, start: EstimatorResult | None = None) -> Estima
         if not _changed(effects, estimator, weight):
             break
         weight = estimator.weight
-        effects = _converged(_restarted(effects, estimator))
+        effects = _restarted(effects, estimator)
+        effects.converge()
     return learned_result(effects, estimator, rivals, reasons, clock)
 
 
 def _converged(effects: RandomEffects) -> RandomEffects:
-    """The estimate at its optimum, with what the readings show beyond the response.
-
-    Raises CalibrationError where its normal equations are singular.
-    """
+    """The estimate at its optimum, with what the readings show beyond the response."""
+    begin = effects.unknowns, effects.deviations
+    effects.converge()
     while True:
-        begin = effects.unknowns, effects.deviations
-        try:
-            effects.converge()
-        except SingularMatrixError as error:
-            raise CalibrationError(
-                "the estimate with a learned response did not converge",
-                value=f"its normal equations are singular: {error}",
-                remedy="record more contacts with different forces, or believe a contact model",
-            ) from error
         known = {*effects.data.parameters.names, *effects.data.parameters.nuisance_names}
         found = effects.fitted().scores()
         shown = [name for name in found if found[name][0] > MIN_SCORE and name not in known]
         if not shown:
             return effects
         # begun anew: what stood in for the departure, variances above all, leads elsewhere
-        effects = _extended(effects, *begin, shown[0], found[shown[0]][1])
+        extended = _extended(effects, *begin, shown[0], found[shown[0]][1])
+        begin = extended.unknowns, extended.deviations
+        try:
+            extended.converge()
+        except SingularMatrixError:
+            return effects
+        if _objective(extended) > _objective(effects):
+            return effects  # the readings depart in another way
+        effects = extended
+
+
+def _objective(effects: RandomEffects) -> float:
+    """Negative logarithm of the likelihood of readings and random effects, up to a constant."""
+    spread = effects.spread[effects.readings.kind == OBSERVED]
+    return effects.cost() + float(np.log(spread).sum())
 
 
 def _extended(

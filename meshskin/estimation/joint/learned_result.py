@@ -11,6 +11,7 @@ import numpy as np
 
 from ...contact.learned import ProfileCorrection
 from ...core.arrays import Array
+from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import (
     CENSORING,
     MOSTLY_OUTLIERS,
@@ -45,7 +46,10 @@ def learned_result(
     reasons: np.ndarray,
     clock: float,
 ) -> EstimatorResult:
-    """The result for all taxels."""
+    """The result for all taxels.
+
+    Raises SingularMatrixError where the readings leave the covariance undetermined.
+    """
     data, u, live = effects.data, effects.unknowns, estimator.live
 
     def spread(values: Array, missing: object) -> Array:
@@ -55,6 +59,11 @@ def learned_result(
         return out
 
     covariance, shared = effects.system().covariances()
+    variances = np.diagonal(covariance, axis1=1, axis2=2)
+    if (variances <= 0).any() or (
+        np.diag(shared) <= 0
+    ).any():  # rounding, of a system near singular
+        raise SingularMatrixError(int(np.argmin(variances.min(axis=1))))
     fit = _fit(effects)
     scale = max(fit.reduced, 1.0) if fit.good is False else 1.0
     points, rotations = u.parametrization.points(), u.parametrization.rotations()
@@ -64,7 +73,7 @@ def learned_result(
     lost, reasons = estimator.broken, reasons.copy()
     reasons[live], reasons[live[lost]] = "", MOSTLY_OUTLIERS
     infinite = np.diag([np.inf, np.inf])
-    deviation = np.sqrt(scale * np.diagonal(covariance, axis1=1, axis2=2))
+    deviation = np.sqrt(scale * variances)
     unit = data.sigma * data.unit
     units = {name: 1.0 if name == "gain" else unit for name in data.parameters.nuisance_names}
     r = effects.residuals() ** 2 * (effects.readings.kind == OBSERVED)

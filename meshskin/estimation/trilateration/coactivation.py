@@ -14,6 +14,7 @@ import numpy as np
 from ...core.arrays import Array, sums_by_group
 from .. import chart
 from ..data.measurements import Measurements
+from ..data.raw_readings import DENSE
 from ..result import EstimatorResult
 from . import trilaterate
 
@@ -121,6 +122,12 @@ def without_distant_readings(data: Measurements) -> Measurements:
     centre[wide] = data.points[_densest_contact(data, wide, reach)]
     distant = np.linalg.norm(where - centre[data.taxel], axis=1) > 1.5 * reach
     return data.select(~distant)  # NaN is not distant
+
+
+def without_rest(data: Measurements) -> Measurements:
+    """The readings without distant ones, if taxels are recorded at rest, too."""
+    at_rest = np.any(data.counts > DENSE * len(data.points))
+    return without_distant_readings(data) if at_rest else data
 
 
 def _densest_contact(data: Measurements, rows: np.ndarray, radius: float) -> np.ndarray:
