@@ -201,7 +201,8 @@ def _weighted_means(data: Measurements, calibration: Calibration) -> list[Findin
     apart = np.linalg.norm(calibration.positions - means, axis=1)
     sigma = np.sqrt((spread + calibration.position_sigma**2) / 2)
     seen = np.isfinite(apart) & np.isfinite(sigma) & (data.counts >= 5) & (sigma > 0)
-    seen[seen] = surrounded(data, means[seen])
+    if seen.any():
+        seen[seen] = surrounded(data, means[seen])
     if seen.sum() < 3:
         return []
     typical = float(np.median(apart[seen] / sigma[seen]))
