@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from .recording.recording import Recording as Recording
     from .recording.recording import RecordingWriter as RecordingWriter
     from .robot.arm import Arm as Arm
+    from .robot.robot import Robot as Robot
     from .scene.belief import Belief as Belief
     from .scene.scene import Scene as Scene
     from .scene.settings import Exploration as Exploration
@@ -53,6 +54,7 @@ _HOMES = {
     "Readout": "scene.settings",
     "Recording": "recording.recording",
     "RecordingWriter": "recording.recording",
+    "Robot": "robot.robot",
     "Scene": "scene.scene",
     "Skin": "skin.skin",
     "Study": "study.sweep.study",

@@ -1,0 +1,115 @@
+"""A robot as its URDF file describes it: links, chains between them, meshes of links as bodies."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..core.arrays import Array
+from ..core.errors import ArmError
+from ..core.se3 import inverse, transform
+from ..geometry.body import Body
+from .chain import Chain, ChainJoint
+from .urdf import Joint, UrdfTree, rotation
+
+TURNING, SLIDING = ("revolute", "continuous"), ("prismatic",)
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """The links and joints of a URDF file."""
+
+    name: str
+    path: Path
+    """The URDF file."""
+    tree: UrdfTree
+    """Its links and joints."""
+    folders: tuple[Path, ...] = ()
+    """Folders that are searched for the links' meshes, besides the file's and its parents."""
+
+    def __repr__(self) -> str:
+        return f"<Robot {self.name!r}: {len(self.links)} links, {len(self.joint_names)} joints>"
+
+    @classmethod
+    def from_urdf(
+        cls, path: str | Path, meshes: str | Path | Iterable[str | Path] | None = None
+    ) -> Robot:
+        """The robot of the URDF file at `path`.
+
+        meshes: one or several folders that are searched for the links' meshes (`package://...`),
+        besides the file's folder and its parents. Raises ArmError (no file, not a URDF).
+        """
+        path = Path(path)
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise ArmError(f"cannot read the robot {str(path)!r}: {error}") from error
+        tree = UrdfTree(text, where=f" in {path.name}")
+        given = [] if meshes is None else meshes
+        given = [given] if isinstance(given, str | os.PathLike) else given
+        name = tree.root.get("name") or path.stem
+        return cls(name, path, tree, tuple(Path(folder) for folder in given))
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """Names of the links, in the order of the file."""
+        return tuple(self.tree.links)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the moving joints that mimic no other, in the order of the file."""
+        return tuple(j.name for j in self.tree.joints if j.kind != "fixed" and j.mimic is None)
+
+    def chain(self, base: str, tip: str) -> Chain:
+        """The chain from the link `base` to the link `tip`, through the link where they meet.
+
+        Its angles are those of the moving joints on the way, in order; a joint that mimics another
+        has that one's. Raises UnknownNameError, ArmError (a joint of another kind).
+        """
+        up, down = self.tree.chain(base), self.tree.chain(tip)
+        shared = 0
+        for a, b in zip(up, down, strict=False):
+            if a.name != b.name:
+                break
+            shared += 1
+        names: list[str] = []
+        joints: list[ChainJoint] = []
+        pose = np.eye(4)
+        steps = [(j, True) for j in reversed(up[shared:])] + [(j, False) for j in down[shared:]]
+        for joint, upward in steps:
+            origin = transform(rotation(joint.rpy), joint.xyz)
+            before, after = (np.eye(4), inverse(origin)) if upward else (origin, np.eye(4))
+            pose = pose @ before
+            if joint.kind != "fixed":
+                joints.append(self._chain_joint(joint, pose, upward, names))
+                pose = np.eye(4)
+            pose = pose @ after
+        return Chain(tuple(names), tuple(joints), pose)
+
+    def _chain_joint(
+        self, joint: Joint, origin: Array, upward: bool, names: list[str]
+    ) -> ChainJoint:
+        """A moving joint of a chain; appends the angle that drives it to `names` if it is new."""
+        if joint.kind not in TURNING + SLIDING:
+            raise ArmError(
+                f"joint {joint.name!r}{self.tree.where} is {joint.kind}",
+                limit=" or ".join(TURNING + SLIDING),
+            )
+        by = self.tree.resolve_mimic(joint)
+        if by.joint not in names:
+            names.append(by.joint)
+        sign = -1.0 if upward else 1.0  # from the child to the parent the joint moves backwards
+        column, slides = names.index(by.joint), joint.kind in SLIDING
+        multiplier, offset = sign * by.multiplier, sign * by.offset
+        return ChainJoint(origin, joint.axis, slides, column, multiplier, offset)
+
+    def body(self, link: str, kind: str = "visual", open: bool = False) -> Body:
+        """The body of a link's meshes, link frame, as `Body.from_urdf`.
+
+        Raises MeshError, UnknownNameError.
+        """
+        return Body.from_urdf(self.path, link, self.folders, kind, open)
