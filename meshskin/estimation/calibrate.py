@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from ..scene.belief import Belief
 
 UNTOUCHED = "never touched"
+CONSTANT = "its reading never changes"
 UNLINKED = "shares too few contacts with other taxels"
 WEAK = "too weakly determined"
 UNITLESS = ("joint", "centroid")
@@ -91,6 +92,7 @@ class Estimation:
         )
         reasons = np.array(result.reasons, dtype=object)
         reasons[(data.counts == 0) & (reasons != "")] = UNTOUCHED
+        reasons[data.constant & (reasons != "")] = CONSTANT
         weak = np.asarray(~observed.any(axis=1))
         reasons[weak & (reasons == "")] = WEAK
         points = np.where(weak[:, None], np.nan, result.points)

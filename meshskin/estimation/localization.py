@@ -87,6 +87,7 @@ class CalibratedSkin:
                 pressure=data.pressure * scale,
                 threshold=data.threshold * scale,
                 saturation=data.saturation * scale,
+                ends=data.ends * scale,
                 unit=response.unit,
             )
             deviations = Deviations(
@@ -213,13 +214,12 @@ class CalibratedSkin:
         silent = ~np.isin(number, known)
         contact, taxel = contact[silent], live[taxel[silent]]
         pressure = data.pressure[read]
-        kind = np.where(pressure < data.saturation, OBSERVED, SATURATED)
+        end = data.ends[data.taxel[read]]
+        kind = np.where(pressure < end, OBSERVED, SATURATED)
         return (
             np.concatenate([data.contact[read], contact]),
             np.concatenate([data.taxel[read], taxel]),
-            np.concatenate(
-                [np.minimum(pressure, data.saturation), np.full(len(contact), data.threshold)]
-            ),
+            np.concatenate([np.minimum(pressure, end), np.full(len(contact), data.threshold)]),
             np.concatenate([kind, np.full(len(contact), CENSORED)]),
         )
 
@@ -264,7 +264,7 @@ class CalibratedSkin:
         """
         data, d = self.data, self.deviations
         rows = self.read(contacts)
-        rows = rows[data.pressure[rows] < data.saturation]
+        rows = rows[data.pressure[rows] < data.ends[data.taxel[rows]]]
         contact, taxel = data.contact[rows], data.taxel[rows]
         count = np.bincount(contact, minlength=len(data.points))
         errors = np.zeros((len(data.points), 3))

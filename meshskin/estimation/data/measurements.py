@@ -15,8 +15,9 @@ from ...core.errors import CalibrationError
 from ...scene.belief import RAW
 from . import unit_checks
 from .global_parameters import MODULUS, GlobalParameters, declared_parameters
-from .raw_readings import nominal_pressure, pressures_above_rest
+from .raw_readings import check_pressures, nominal_pressure, pressures_above_rest
 from .resolve_belief import resolve_belief, valid_contacts
+from .sensor_range import check_answered, common_end, constant_taxels, ends_of_range
 
 if TYPE_CHECKING:
     from ...geometry.body import Body
@@ -62,7 +63,13 @@ class Measurements:
     threshold: float = 0.0
     """Pressures up to this are silent, Pa: as believed, or the smallest reading if that is more."""
     saturation: float = np.inf
-    """Upper end of the sensor's range, Pa: readings of this and more are saturated."""
+    """Upper end of the sensors' range, Pa."""
+    ends: Array = field(default_factory=lambda: np.empty(0))
+    """Upper end (n,), Pa, of each taxel's range: readings of this and more are saturated."""
+    constant: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=bool))
+    """Taxels (n,) bool whose recorded readings never change."""
+    falling: bool = False
+    """Whether the recorded readings fall with pressure: raw ones that were turned."""
     parameters: GlobalParameters = MODULUS
     """What is unknown beside the taxels' poses."""
     headings: Array | None = None
@@ -215,13 +222,18 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         belief = replace(belief, contact=contact.LEARNED)
     belief = resolve_belief(belief, recording)
     used = recording.force > 0
-    pressure, unit = recording.pressure, 1.0
+    pressure, unit, falling = recording.pressure, 1.0, False
     if belief.readings == RAW:
-        pressure, belief, unit = nominal_pressure(recording, belief, index, hit.curvature, used)
+        pressure, belief, unit, falling = nominal_pressure(
+            recording, belief, index, hit.curvature, used
+        )
     read = used[recording.reading_contact] & (pressure > 0)
     corrupt = unit_checks.corrupt_readings(pressure, index)
     read &= ~corrupt
     _require_readings(read, recording, used)
+    if belief.readings != RAW:
+        contacts = recording.reading_contact[read]
+        check_pressures(pressure[read], contacts, index[read], recording.points)
     reference = belief.force_reference or 1.0
     unit_checks.check_force(recording.force[used], reference)
     valid = np.ones(int(used.sum()), dtype=bool)
@@ -246,8 +258,10 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         pressure[read] = level
     read &= pressure > belief.threshold
     _require_readings(read, recording, used)
-    peak = float(np.median(patches.peak))
-    return Measurements(
+    peak, n = float(np.median(patches.peak)), len(belief.taxel_ids)
+    ends = ends_of_range(pressure[read], index[read], n)
+    saturation = belief.saturation or common_end(ends, np.bincount(index[read], minlength=n))
+    data = Measurements(
         belief=belief,
         points=recording.points[used],
         normals=hit.normal,
@@ -261,7 +275,10 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         pressure=pressure[read],
         noise=belief.noise_sigma,
         threshold=max(belief.threshold, float(pressure[read].min())),
-        saturation=np.inf if belief.saturation is None else belief.saturation,
+        saturation=saturation,
+        ends=np.minimum(ends, saturation),
+        constant=constant_taxels(recording.pressure, index, n),
+        falling=falling,
         parameters=declared_parameters(belief.unknown, belief.priors, reference, peak),
         learned=learned,
         unit=unit,
@@ -270,6 +287,8 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         left_out=int(np.sum(~valid)),
         corrupt=np.column_stack([row[recording.reading_contact], index])[corrupt],
     )
+    check_answered(data)
+    return data
 
 
 def _nominal_patches(

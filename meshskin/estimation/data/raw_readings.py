@@ -15,6 +15,7 @@ import numpy as np
 from ...contact import ContactModel
 from ...core.arrays import Array, sums_by_group
 from ...core.errors import CalibrationError
+from .sensor_range import constant_taxels
 
 if TYPE_CHECKING:
     from ...recording.recording import Recording
@@ -22,12 +23,11 @@ if TYPE_CHECKING:
 
 DENSE = 0.5
 """Fraction of the contacts from which a taxel that reads in them is read at rest, too."""
-SKEWED = 2.0
-"""Ratio of the excursions below and above the level at rest from which readings fall with pressure.
-Noise alone has a ratio of 1; pressed taxels, of 10 and more one way or the other."""
-RISING_OUTWARD = 0.3
-"""Correlation of a taxel's readings with the distance of the contact from the middle of its
-contacts, above which readings fall with pressure; that of sound ones is -0.5 to -0.9."""
+NARROWER = 0.8
+"""Ratio of the spreads of the contacts in which a taxel reads little and much, below which readings
+fall with pressure; sound ones have 1.3 to 10, reversed ones the inverse."""
+MIN_COMPARED = 5
+"""Readings of a taxel, at least, whose spreads are compared."""
 REST_SIGMAS = 5.0
 """Threshold above the level at rest, in standard deviations of the readings there."""
 MIN_SATURATED = 10, 2e-3
@@ -41,9 +41,9 @@ MAD = 0.6745
 
 def nominal_pressure(
     recording: Recording, belief: Belief, index: np.ndarray, curvature: Array, used: np.ndarray
-) -> tuple[Array, Belief, float]:
-    """Raw readings as nominal pressures (k,), Pa, with the belief in the same unit, and the
-    recorded unit per Pa.
+) -> tuple[Array, Belief, float, bool]:
+    """Raw readings as nominal pressures (k,), Pa, with the belief in the same unit, the recorded
+    unit per Pa, and whether the recorded readings fall with pressure.
 
     index (k,): rows of the taxels; curvature (m, 2), 1/m, at the contacts, of which `used` (m,) are
     pressed. Raises CalibrationError for readings that never change.
@@ -62,7 +62,7 @@ def nominal_pressure(
         )
         .peak
     )
-    return raw.scaled(belief, float(np.median(peak)), index)
+    return *raw.scaled(belief, float(np.median(peak)), index), raw.falling
 
 
 @dataclass(frozen=True)
@@ -112,22 +112,21 @@ def raw_readings(
     Raises CalibrationError for readings that never change.
     """
     if len(values) and np.ptp(values) == 0:
-        raise CalibrationError(
-            "the readings never change", value=f"{values[0]:.6g} in {len(values)} readings",
-            remedy="check the skin's wiring",
-        )  # fmt: skip
+        raise _never_change(values)
     rest, dense = levels_at_rest(values, taxel, len(points))
     level, threshold = values - rest[taxel], belief.threshold
-    if dense.any():
-        own = dense[taxel]
-        falling = _skewness(level[own], taxel[own]) < 1 / SKEWED
+    own = dense[taxel]
+    falling = falls_with_pressure(values, contact, taxel, points)
+    if recorded_at_rest(dense, taxel):
+        own &= ~constant_taxels(values, taxel, len(dense))[taxel]
+        if not own.any():
+            raise _never_change(values)
         level = -level if falling else level
         threshold = threshold or max(_noise_threshold(level[own]), _quantum(values))
-    else:
-        falling = _rises_outward(level, contact, taxel, points)
+    else:  # few taxels that read everywhere are stuck, or noisy
         if falling:
-            level = level.max() + _quantum(values) - level
-        threshold = threshold or float(level.min()) * (1 - 1e-9)
+            level[~own] = level[~own].max() + _quantum(values) - level[~own]
+        threshold = threshold or float(level[~own].min()) * (1 - 1e-9)
     saturation = belief.saturation
     largest = level == level.max()
     least = max(MIN_SATURATED[0], MIN_SATURATED[1] * len(level))
@@ -147,6 +146,41 @@ def levels_at_rest(values: Array, taxel: np.ndarray, contacts: int) -> tuple[Arr
     return np.where(dense, values[order][middle], 0.0), dense
 
 
+def recorded_at_rest(dense: np.ndarray, taxel: np.ndarray) -> bool:
+    """Whether most taxels that have readings, of taxels (k,), are read at rest, too: `dense` (n,).
+
+    A few that read everywhere are stuck, or noisy.
+    """
+    seen = np.bincount(taxel, minlength=len(dense)) > 0
+    return bool(np.sum(dense[seen]) > 0.5 * np.sum(seen))
+
+
+def check_pressures(pressure: Array, contact: np.ndarray, taxel: np.ndarray, points: Array) -> None:
+    """Refuse pressures (k,), Pa, of taxels (k,) in contacts (k,) at `points` (m, 3), m, that fall
+    where they are pressed, and those of taxels that are read at rest, too, if they never change.
+
+    Raises CalibrationError.
+    """
+    dense = levels_at_rest(pressure, taxel, len(points))[1]
+    if recorded_at_rest(dense, taxel) and constant_taxels(pressure, taxel, len(dense))[dense].all():
+        raise _never_change(pressure)
+    if falls_with_pressure(pressure, contact, taxel, points):
+        raise CalibrationError(
+            "the pressures fall where the skin is pressed",
+            value="the contacts of a taxel's smallest readings lie closer together than those of "
+            "its largest",
+            remedy='give readings="raw" (--raw) if they are counts or volts, or turn their sign',
+        )
+
+
+def _never_change(values: Array) -> CalibrationError:
+    return CalibrationError(
+        "the readings never change",
+        value=f"{values[0]:.6g} in {len(values)} readings",
+        remedy="check the skin's wiring",
+    )
+
+
 def pressures_above_rest(
     pressure: Array, taxel: np.ndarray, contacts: int, threshold: float
 ) -> tuple[Array, float]:
@@ -154,7 +188,9 @@ def pressures_above_rest(
     threshold above it."""
     rest, dense = levels_at_rest(pressure, taxel, contacts)
     level, own = pressure - rest[taxel], dense[taxel]
-    return level, threshold or (_noise_threshold(level[own]) if own.any() else 0.0)
+    own &= ~constant_taxels(pressure, taxel, len(dense))[taxel]
+    found = _noise_threshold(level[own]) if recorded_at_rest(dense, taxel) and own.any() else 0.0
+    return level, threshold or found
 
 
 def _noise_threshold(level: Array) -> float:
@@ -162,31 +198,33 @@ def _noise_threshold(level: Array) -> float:
     return REST_SIGMAS * float(np.median(np.abs(level))) / MAD
 
 
-def _skewness(level: Array, taxel: np.ndarray) -> float:
-    """Excursions above the level at rest relative to those below, median of the taxels."""
-    n = int(taxel.max()) + 1
-    above, below = np.zeros(n), np.zeros(n)
-    np.maximum.at(above, taxel, level)
-    np.maximum.at(below, taxel, -level)
-    seen = np.bincount(taxel, minlength=n) > 0
-    return float(np.median(above[seen] / np.maximum(below[seen], 1e-300)))
+def falls_with_pressure(
+    values: Array, contact: np.ndarray, taxel: np.ndarray, points: Array
+) -> bool:
+    """Whether the readings `values` (k,) of taxels (k,) in contacts (k,) at `points` (m, 3), m,
+    fall where a taxel is pressed: the contacts that press it lie together.
 
-
-def _rises_outward(level: Array, contact: np.ndarray, taxel: np.ndarray, points: Array) -> bool:
-    """Whether taxels read most in the outermost of their contacts."""
-    n = int(taxel.max()) + 1
-    count = np.maximum(np.bincount(taxel, minlength=n), 1)
-    centre = sums_by_group(points[contact], taxel, n) / count[:, None]
-    off = np.linalg.norm(points[contact] - centre[taxel], axis=1)
-
-    def centred(x: Array) -> Array:
-        return np.asarray(x - (np.bincount(taxel, x, n) / count)[taxel])
-
-    a, b = centred(level), centred(off)
-    scale = np.sqrt(np.bincount(taxel, a**2, n) * np.bincount(taxel, b**2, n))
-    many = (count >= 5) & (scale > 0)
-    correlation = np.bincount(taxel, a * b, n)[many] / scale[many]
-    return bool(len(correlation) and np.median(correlation) > RISING_OUTWARD)
+    Contacts are weighted by the fourth power of what a reading is above a taxel's least, and below
+    its largest one: noise at rest then counts for little. Median of the taxels.
+    """
+    n = int(taxel.max(initial=-1)) + 1
+    low, high = np.full(n, np.inf), np.full(n, -np.inf)
+    np.minimum.at(low, taxel, values)
+    np.maximum.at(high, taxel, values)
+    count = np.bincount(taxel, minlength=n)
+    saturated = np.bincount(taxel, values == high[taxel], n) > count / 2
+    saturated &= count <= DENSE * len(points)  # else the largest value is that at rest
+    compared = (count >= MIN_COMPARED) & (high > low) & ~saturated
+    if not compared.any():
+        return False
+    above = (values - low[taxel]) / np.where(compared, high - low, 1.0)[taxel]
+    spreads = []
+    for weight in ((1 - above) ** 4, above**4):
+        total = np.maximum(np.bincount(taxel, weight, n), 1e-300)
+        centre = sums_by_group(weight[:, None] * points[contact], taxel, n) / total[:, None]
+        square = weight * np.sum((points[contact] - centre[taxel]) ** 2, axis=1)
+        spreads.append(np.sqrt(np.bincount(taxel, square, n) / total)[compared])
+    return bool(np.median(spreads[0] / np.maximum(spreads[1], 1e-12)) < NARROWER)
 
 
 def _quantum(values: Array) -> float:

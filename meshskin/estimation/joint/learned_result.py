@@ -31,6 +31,7 @@ from .random_effects import RandomEffects
 from .rival_optima import RivalOptima
 
 LEARNED_RESPONSE = "learned response: profile, exponents and compression estimated with the taxels"
+FALLING = "the recorded readings fall with pressure: they were turned"
 NOT_SEPARABLE = 0.9
 """Standard deviation, relative to that of its prior, from which a parameter rests on its prior."""
 SAMPLES = 60
@@ -92,6 +93,7 @@ def learned_result(
         reasons=reasons,
         factors=(
             LEARNED_RESPONSE,
+            *((FALLING,) if data.falling else ()),
             *response.describe(),
             *((CENSORING,) if (effects.readings.kind == CENSORED).any() else ()),
             SURFACE,

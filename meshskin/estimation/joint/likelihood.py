@@ -99,9 +99,10 @@ def select(
     none = np.full(len(silent_contact), -1)
     contact = np.concatenate([data.contact[mine], silent_contact])
     taxel = np.concatenate([place[data.taxel[mine]], silent_taxel])
-    kind = np.where(data.pressure[mine] < data.saturation, OBSERVED, SATURATED)
+    end = data.ends[data.taxel[mine]]
+    kind = np.where(data.pressure[mine] < end, OBSERVED, SATURATED)
     level = np.concatenate(
-        [np.minimum(data.pressure[mine], data.saturation), np.full(len(none), data.threshold)]
+        [np.minimum(data.pressure[mine], end), np.full(len(none), data.threshold)]
     )
     order = np.argsort(taxel, kind="stable")
     return Readings(

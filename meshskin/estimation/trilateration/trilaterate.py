@@ -230,7 +230,7 @@ def _near_centroids(data: Measurements) -> tuple[Measurements, Charts]:
     off = np.linalg.norm(data.points[data.contact] - start[data.taxel], axis=1)
     keep = off < 1.3 * data.reach()[data.contact] + 1e-3
     keep &= data.pressure > 3 * (data.noise or 0.0)
-    full = data.pressure >= data.saturation
+    full = data.pressure >= data.ends[data.taxel]
     others = np.bincount(data.taxel[keep & ~full], minlength=len(data.ids))
     keep &= ~full | (others[data.taxel] < 3)
     return data.select(keep), chart.charts_at(data.body, start)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...core.arrays import Array
 from ...scene.belief import RAW
+from ..data.sensor_range import unanswered_contacts
 
 if TYPE_CHECKING:
     from ...recording.recording import Recording
@@ -26,6 +27,8 @@ MAX_NEGATIVE = 1e-3
 readings, up to which they are single accidents, which are left out."""
 MAX_LAG = 0.1
 """Time of the readings after their contacts, in frames, from which clocks are in doubt."""
+MAX_UNANSWERED = 0.02
+"""Fraction of contacts beside answered ones that nothing answers, from which they are a doubt."""
 MIN_CONTACTS = 10
 """Contacts, at least, to judge their columns."""
 
@@ -95,6 +98,14 @@ def pressures(recording: Recording, data: Measurements) -> list[Finding]:
             "record pressures, not contact flags; look for saturation"
         )
         found.append((FAIL, words))
+    beside, unanswered = unanswered_contacts(data)
+    if unanswered.sum() > MAX_UNANSWERED * beside.sum():
+        words = (
+            f"no taxel answers {unanswered.sum()} of {beside.sum()} contacts that lie beside "
+            f"strongly answered ones (limit {MAX_UNANSWERED:.0%}): look for frames without contact "
+            "that have a force, and for wrong contact points"
+        )
+        found.append((DOUBT, words))
     return found
 
 

@@ -1,0 +1,107 @@
+"""What readings alone show of the sensors: taxels that never change, ends of their ranges, and
+contacts that nothing answers.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...core.arrays import Array
+from ...core.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from .measurements import Measurements
+
+MIN_CONSTANT = 10
+"""Equal readings of a taxel, at least, without another one, from which it never changes."""
+MIN_AT_END, AT_END = 5, 3
+"""Number of equal largest readings of a taxel from which its range ends there, and how often more
+they are than any other value above half of it: counts repeat values by chance."""
+SILENT, STRONG = 0.1, 0.9
+"""Largest reading of a contact, relative to the taxels' typical largest one, up to which nothing
+answers it, and from which a contact is in the middle of a taxel."""
+BESIDE = 0.5
+"""Distance, in contact radii, from such a contact, at which another one must be answered: Hertz'
+pressure falls from STRONG to SILENT in 0.56 of them, and every smoother one more slowly."""
+SAME_SHEET = 0.5
+"""Least cosine of the angle between normals of contacts on the same side of a plate."""
+MAX_UNANSWERED = 0.2
+"""Fraction of unanswered contacts beside answered ones from which the log is refused: scatter of
+the contact points of a quarter of their radius leaves it below 0.02."""
+
+
+def constant_taxels(values: Array, taxel: np.ndarray, n: int) -> np.ndarray:
+    """Taxels (n,) bool whose finite readings, of the `values` (k,) of taxels (k,), are all
+    equal."""
+    sound = np.isfinite(values)
+    values, taxel = values[sound], taxel[sound]
+    low, high = np.full(n, np.inf), np.full(n, -np.inf)
+    np.minimum.at(low, taxel, values)
+    np.maximum.at(high, taxel, values)
+    return np.asarray((np.bincount(taxel, minlength=n) >= MIN_CONSTANT) & (low == high))
+
+
+def ends_of_range(pressure: Array, taxel: np.ndarray, n: int) -> Array:
+    """Upper end (n,), Pa, of the range of each taxel whose largest reading repeats, of readings
+    (k,), Pa, of taxels (k,); infinite for the others."""
+    ends, largest = np.full(n, np.inf), np.zeros(n)
+    np.maximum.at(largest, taxel, pressure)
+    high = pressure > largest[taxel] / 2
+    order = np.lexsort((pressure[high], taxel[high]))
+    owner, value = taxel[high][order], pressure[high][order]
+    first = np.flatnonzero((np.diff(owner, prepend=-1) != 0) | (np.diff(value, prepend=-1.0) != 0))
+    count = np.diff(np.append(first, len(owner)))
+    owner, at_end = owner[first], value[first] == largest[owner[first]]
+    top, other = np.zeros(n, dtype=int), np.zeros(n, dtype=int)
+    top[owner[at_end]] = count[at_end]
+    np.maximum.at(other, owner[~at_end], count[~at_end])
+    found = (top >= MIN_AT_END) & (top >= AT_END * other) & (top < np.bincount(taxel, minlength=n))
+    ends[found] = largest[found]
+    return ends
+
+
+def common_end(ends: Array, counts: np.ndarray) -> float:
+    """The end of the range, Pa, that most taxels with readings have in common; else infinite."""
+    own = ends[counts > 0]
+    if not np.mean(np.isfinite(own)) > 0.5:
+        return float("inf")
+    level = float(np.median(own[np.isfinite(own)]))
+    return level if np.mean(np.isclose(own, level)) > 0.5 else float("inf")
+
+
+def unanswered_contacts(data: Measurements) -> tuple[np.ndarray, np.ndarray]:
+    """Contacts (m,) bool beside one in the middle of a taxel, and which of them nothing answers."""
+    from scipy.spatial import cKDTree
+
+    m = len(data.points)
+    strongest, by_taxel = np.zeros(m), np.zeros(len(data.ids))
+    np.maximum.at(strongest, data.contact, data.pressure)
+    np.maximum.at(by_taxel, data.taxel, data.pressure)
+    typical = float(np.median(by_taxel[data.counts > 0]))
+    strong, rest = np.flatnonzero(strongest > STRONG * typical), strongest <= STRONG * typical
+    beside = strongest > STRONG * typical
+    if len(strong):
+        limit = BESIDE * float(np.median(data.radii))
+        gap, nearest = cKDTree(data.points[strong]).query(
+            data.points[rest], distance_upper_bound=limit
+        )
+        near = np.isfinite(gap)
+        nearest = strong[np.where(near, nearest, 0)]
+        cosine = np.einsum("mi,mi->m", data.normals[rest], data.normals[nearest])
+        beside[rest] = near & (cosine > SAME_SHEET)
+    return beside, beside & (strongest < SILENT * typical)
+
+
+def check_answered(data: Measurements) -> None:
+    """Refuse contacts of which many are unanswered. Raises CalibrationError."""
+    beside, unanswered = unanswered_contacts(data)
+    if unanswered.sum() > max(MAX_UNANSWERED * beside.sum(), MIN_AT_END):
+        raise CalibrationError(
+            "contacts have a force where nothing is pressed",
+            value=f"no taxel answers {unanswered.sum()} of {beside.sum()} contacts, though one "
+            f"within {BESIDE:g} contact radii is answered strongly",
+            limit=f"{MAX_UNANSWERED:.0%}",
+            remedy="record the measured force, 0 between contacts, or leave these frames out",
+        )
