@@ -58,6 +58,7 @@ def test_every_taxel_comes_below_the_target_in_few_contacts(scene):
     assert np.abs(hit.distance).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_a_tighter_target_takes_more_contacts(scene):
     loose, tight = (adapt(scene, target, seed=1) for target in (2 * TARGET, TARGET))
     assert len(loose.recording.time) < len(tight.recording.time)

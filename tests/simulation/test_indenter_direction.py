@@ -137,7 +137,7 @@ def test_at_rest_the_torques_carry_the_weight_and_the_contact(sphere, case):
     np.testing.assert_allclose(rows["torque"], wanted, atol=0.02)
 
 
-@pytest.mark.parametrize("mode", ["arm", "quasi_static"])
+@pytest.mark.parametrize("mode", [pytest.param("arm", marks=pytest.mark.slow), "quasi_static"])
 def test_a_slanted_indenter_is_explored_by_lanes(ellipsoid, mode):
     scene = ellipsoid.with_(loop=replace(ellipsoid.loop, mode=mode))
     plan = plan_exploration(scene)
@@ -213,7 +213,7 @@ def test_compiled_steps_equal_interpreted_ones(walled):
 
 @pytest.mark.parametrize(
     "integrator",
-    ["linearly_implicit", "rk4", pytest.param("cvodes", marks=pytest.mark.slow)],
+    ["linearly_implicit", *(pytest.param(k, marks=pytest.mark.slow) for k in ("rk4", "cvodes"))],
 )
 def test_every_integrator_holds_the_force_on_a_wall(walled, integrator):
     scene = walled.with_(loop=replace(walled.loop, integrator=integrator))

@@ -13,9 +13,25 @@ def study(script):
     return script("consistency")
 
 
-def test_few_seeds(study, tmp_path, capsys):
-    found = study.main(["--seeds", "3", "--json", str(tmp_path / "x.json")])
+def test_one_scene(study, tmp_path, capsys):
+    asked = ["--scenes", "offsets", "--seeds", "2", "--json", str(tmp_path / "x.json")]
+    found = study.main(asked)
     assert json.loads((tmp_path / "x.json").read_text()) == found
+    assert {"position", "tilt", "gain", "offset", "modulus"} < set(found["offsets"])
+    assert study.inconsistent(found) == []
+    assert "by chance" in capsys.readouterr().out
+
+
+def test_every_unknown_of_a_physical_contact_model_is_in_a_scene(study):
+    learned = {*LEARNED, *SHOWN, "drift"} - {"modulus"}  # studies/foreign_worlds.py has those
+    declared = {name for case in study.cases().values() for name in case.belief.get("unknown", ())}
+    modules = {name for name in NUISANCE if name.startswith("module")}
+    assert declared >= {*SIZES, *NUISANCE} - learned - modules
+
+
+@pytest.mark.slow
+def test_few_seeds(study):
+    found = study.main(["--seeds", "3"])
     assert {"position", "tilt", "gain", "offset", "modulus"} < set(found["offsets"])
     assert {"position", "tilt", "spin"} < set(found["modules"])
     assert len([name for name in found["body"] if name.startswith("body_offset")]) == 6
@@ -33,7 +49,6 @@ def test_few_seeds(study, tmp_path, capsys):
             assert abs(rows["position"]["nees"] - 1) < 0.3
     refused = [words for words in study.inconsistent(found) if "rms" not in words]
     assert refused == []
-    assert "by chance" in capsys.readouterr().out
 
 
 def test_the_verdict_is_on_all_quantities_together(study):

@@ -36,6 +36,7 @@ def test_measurements_are_stored(script, tmp_path):
     assert module.stored_or_measured(file, {"seeds": 3}, False, measure)["n"] == 3
 
 
+@pytest.mark.slow
 def test_skin_design(script, tmp_path, capsys):
     asked = ["--seeds", "1", "--only", "thickness_mm"]
     file = tmp_path / "x.json"

@@ -30,6 +30,7 @@ def test_over_noise(study, points, capsys):
     assert "alone win back" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_from_initial_errors(study, points):
     rows = study.by_start(points[::3], range(1), (4.0, 12.0))
     assert [rows[key]["joint"] for key in rows] == [1.0, 1.0, 1.0]

@@ -2,7 +2,10 @@
 
 import json
 
+import pytest
 
+
+@pytest.mark.slow
 def test_exploration(script, tmp_path, capsys):
     asked = ["--pitch-mm", "6.5", "--count", "24", "--seeds", "1"]
     found = script("exploration").main(

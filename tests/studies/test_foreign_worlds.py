@@ -265,6 +265,7 @@ def _indented(**options):
     return hyperelastic.Layer(body_radius=100.0, poisson=0.3, **options), hyperelastic.indentation
 
 
+@pytest.mark.slow
 def test_a_thick_layer_is_a_half_space():
     """Hertz at small depth, corrected for the bonded base to second order in sqrt(R d) / h.
 
@@ -320,6 +321,7 @@ def test_the_tangent_is_the_derivative_of_the_stress():
         np.testing.assert_allclose(ball.force(x)[1][..., k], (high - low) / 2e-6, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_finite_elements_converge_at_large_depth():
     """A third of the layer is displaced; half the cells change the force by less than 1 %."""
     hyperelastic = pytest.importorskip("worlds.hyperelastic", exc_type=ImportError)

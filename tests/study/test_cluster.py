@@ -85,6 +85,7 @@ def test_a_cluster_gives_the_same_table(dask, tmp_path):
     assert there.column("status").to_pylist().count("failed") == 1
 
 
+@pytest.mark.slow
 def test_cases_of_a_killed_dask_worker_are_run_again(dask, tmp_path):
     _, address = scheduler(dask, tmp_path)
     workers = [worker(dask, address) for _ in range(2)]
@@ -102,6 +103,7 @@ def test_cases_of_a_killed_dask_worker_are_run_again(dask, tmp_path):
     ).read_bytes()
 
 
+@pytest.mark.slow
 def test_a_killed_scheduler_is_one_error_line_and_a_second_run_resumes(dask, tmp_path):
     process, address = scheduler(dask, tmp_path)
     worker(dask, address)

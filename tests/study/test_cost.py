@@ -26,8 +26,8 @@ def scene():
 
 @pytest.fixture(scope="module")
 def costs(scene):
-    """Three of its knobs."""
-    return cost(scene, knobs=("dt", "rate", "method"), targets=(0.1,))
+    """Two of its knobs."""
+    return cost(scene, knobs=("dt", "rate"), targets=(0.1,))
 
 
 def rows(costs, knob):
@@ -56,8 +56,13 @@ def test_errors_are_near_the_bound_and_fall_with_the_readings(costs):
         assert row.error_mm == pytest.approx(row.bound_mm, rel=0.6)
         expected = costs.rows[0].bound_mm * np.sqrt(costs.base.rate / row.setting.rate)
         assert row.bound_mm == pytest.approx(expected, rel=0.1)
-    by_method = {row.setting.method: row.error_mm for row in rows(costs, "method")}
-    assert by_method["three_circles"] > 4 * costs.rows[0].error_mm
+
+
+@pytest.mark.slow
+def test_three_circles_are_far_less_accurate(scene):
+    found = cost(scene, knobs=("method",), targets=(0.1,))
+    by_method = {row.setting.method: row.error_mm for row in rows(found, "method")}
+    assert by_method["three_circles"] > 4 * found.rows[0].error_mm
 
 
 def test_a_setting_that_fails_is_a_row_with_the_reason(costs):
@@ -95,7 +100,7 @@ def test_records_are_plain(costs):
 
 
 def test_predictions_reproduce_the_measurements(costs):
-    single = [row for row in costs.rows if row.knob in ("scene", "dt", "rate", "method")]
+    single = [row for row in costs.rows if row.knob in ("scene", "dt", "rate")]
     measured = pilot_of(single)
     predictions = {p.setting: p for p in measured.predictions()}
     for row in [r for r in single if r.setting in predictions]:

@@ -110,7 +110,7 @@ def test_cases_of_a_killed_worker_are_run_again(tmp_path):
 @LINUX
 def test_workers_die_with_a_killed_parent_and_a_second_run_resumes(tmp_path):
     out, marks = tmp_path / "a", tmp_path / "marks"
-    parent = start(out, marks, sleep=0.2)
+    parent = start(out, marks, sleep=0.1)
     until(lambda: len(results(out)) >= 3)
     parent.kill()
     parent.communicate()
@@ -119,7 +119,7 @@ def test_workers_die_with_a_killed_parent_and_a_second_run_resumes(tmp_path):
     assert not (out / "table.parquet").exists()
     before = {file: file.read_bytes() for file in results(out)}
     assert 3 <= len(before) < 12
-    study = slow_study(marks, sleep=0.2)
+    study = slow_study(marks, sleep=0.1)
     study.sweep(out)
     assert all(file.read_bytes() == text for file, text in before.items()), "none is run twice"
     study.sweep(tmp_path / "b", workers=1)
@@ -173,13 +173,15 @@ def test_an_interrupted_run_leaves_no_worker_and_no_temporary_file(tmp_path):
     [
         ("raise", {}, "ValueError: no such luck"),
         ("type", {}, "StudyError: the result 'y' must be a number or text, got object"),
-        ("hang", {"time_limit": 0.5}, "out of time, limit: 0.5 s"),
+        pytest.param(
+            "hang", {"time_limit": 0.5}, "out of time, limit: 0.5 s", marks=pytest.mark.slow
+        ),
         ("hang in C", {"time_limit": 0.5}, "out of time, limit: 0.5 s"),
         ("child", {"time_limit": 0.5}, "out of time, limit: 0.5 s"),
         pytest.param("memory", {"memory_limit": 6e8}, "out of memory, limit: 600 MB", marks=LINUX),
         pytest.param("kill", {}, "its worker died 3 times, signal 9", marks=POSIX),
         ("exit 7", {}, "its worker died 3 times, exit code 7"),
-        ("exit 0", {}, "its worker died 3 times, exit code 0"),
+        pytest.param("exit 0", {}, "its worker died 3 times, exit code 0", marks=pytest.mark.slow),
         ("sys.exit", {}, "SystemExit: 5"),
     ],
 )

@@ -206,6 +206,7 @@ def test_every_scenario_keeps_the_demands(small):
         assert highest <= DEMANDS.overshoot + 2 * TOLERANCE
 
 
+@pytest.mark.slow
 def test_demands_that_cannot_be_met_name_the_limit_to_relax(small, tuned):
     with pytest.raises(TuningError, match="relax the time") as raised:
         ms.tune(small, demands=replace(DEMANDS, time=0.02), distance=DISTANCE, bounds=CALM)

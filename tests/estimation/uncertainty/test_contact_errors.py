@@ -68,7 +68,7 @@ def test_a_body_too_large_is_in_the_variance_of_every_method(noisy, log, method)
     assert 0.5 < stated_over_true(found, noisy.skin.positions) < 2
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
 def test_an_ellipsoid_too_large(seed):
     scene = ms.Scene.load("ellipsoid")
     log = press(scene, seed)
@@ -148,7 +148,9 @@ def test_estimated_offsets_explain_distances(noisy, log):
     assert np.sqrt(alone[:, 0, 0]).mean() > 0.5e-3
 
 
-@pytest.mark.parametrize("frames", [-2, 1, 3, 7])
+@pytest.mark.parametrize(
+    "frames", [-2, 3, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 7))]
+)
 def test_late_readings_widen_sigma_by_the_path(noisy, log, frames):
     found = ms.calibrate(late(log, frames), noisy.belief())
     assert 0.5 < stated_over_true(found, noisy.skin.positions) < 4

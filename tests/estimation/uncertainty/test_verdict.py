@@ -111,8 +111,18 @@ def error_and_sigma(scene, found):
     return 1e3 * np.sqrt(np.nanmean(error**2)), 1e3 * np.nanmedian(found.position_sigma)
 
 
-@pytest.mark.parametrize("noise", ["known", "unknown"])
-@pytest.mark.parametrize("name", LOGS)
+LONG = ("pressures times 3", "1 frame late")
+"""Logs for which an unknown noise takes some seconds."""
+
+
+@pytest.mark.parametrize(
+    ("name", "noise"),
+    [(name, "known") for name in LOGS]
+    + [
+        pytest.param(name, "unknown", marks=pytest.mark.slow if name in LONG else ())
+        for name in LOGS
+    ],
+)
 def test_wrong_logs_are_named(noisy, recorded, name, noise):
     wrong, words = LOGS[name]
     found = ms.calibrate(wrong(recorded), beliefs(noisy)[noise])
@@ -124,7 +134,7 @@ def test_wrong_logs_are_named(noisy, recorded, name, noise):
         assert any("by the misfit" in factor for factor in found.factors)
 
 
-@pytest.mark.parametrize("factor", [0.5, 3.0])
+@pytest.mark.parametrize("factor", [pytest.param(0.5, marks=pytest.mark.slow), 3.0])
 def test_no_taxel_is_confidently_wrong_where_the_model_does_not_fit(noisy, recorded, factor):
     found = ms.calibrate(changed(recorded, pressure=factor * recorded.pressure), noisy.belief())
     assert found.verdict.level == "FAIL"
