@@ -34,7 +34,7 @@ class SkinLog:
     """Joint angles (n, k), rad; m for prismatic joints."""
     taxel_ids: NDArray[np.integer]
     """Ids (t,) of the taxels."""
-    readings: Array
+    readings: NDArray[np.floating]
     """Readings (n, t) less the level at rest, positive under pressure; NaN where a taxel is silent.
     In the unit of the log, usually counts."""
     noise: Array

@@ -1,0 +1,168 @@
+"""`meshskin log FILE`: list the streams of a robot's log, and what each could be.
+
+FILE is a ROS 1 bag, a ROS 2 bag (SQLite or MCAP, file or folder), a folder of the YARP data dumper,
+or a CSV or Parquet file or a folder of them. --write-map writes a first map, to be edited: which
+topic holds joint states, taxels, forces, poses or contacts. With --map the log is read by it: times
+are compared, taxels tared, contacts found, and the clock of the skin compared with the robot's.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ..recording.log_map import LogMap, StreamMap
+    from ..recording.resample import LogFrames
+    from ..recording.stream import Log, Stream
+
+SHOWN_GAPS = 3
+"""Gaps of a stream that are listed."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument("log", type=Path, metavar="FILE", help="log, a file or a folder")
+    parser.add_argument("--map", type=Path, metavar="MAP", help="map of the log (TOML)")
+    parser.add_argument(
+        "--write-map", type=Path, metavar="FILE", help="write a first map, to be edited, to FILE"
+    )
+    parser.add_argument(
+        "--messages",
+        type=Path,
+        nargs="*",
+        default=[],
+        metavar="MSG",
+        help=".msg files of message types that the bag does not define",
+    )
+    parser.add_argument(
+        "--scan", action="store_true", help="read a ROS 1 bag that was never closed, and so has no "
+        "index, record by record",
+    )  # fmt: skip
+    parser.add_argument(
+        "--out", type=Path, metavar="RECORDING", help="write contacts and readings as a recording; "
+        "the map must name contact points and forces",
+    )  # fmt: skip
+
+
+def command(options: argparse.Namespace) -> int:
+    """Print the streams; write the map and the recording where asked for."""
+    from ..core.atomic_io import check_writable, write_text
+    from ..core.errors import ConfigError
+    from ..recording.log_map import LogMap
+    from ..recording.readers import read_and_suggest
+
+    if options.map is not None and options.write_map is not None:
+        raise ConfigError("--map and --write-map are given together", remedy="remove one")
+    if options.out is not None and options.map is None:
+        raise ConfigError("--out needs --map", remedy="write a first map with --write-map")
+    log_map = None if options.map is None else LogMap.load(options.map)
+    if options.write_map is not None:
+        check_writable(options.write_map)
+    log, could = read_and_suggest(
+        options.log, log_map, messages=options.messages, progress=True, scan=options.scan
+    )
+    if log_map is not None:
+        _convert(log, log_map, options.out)
+        return 0
+    for line in listing(log, could):
+        print(line)
+    if options.write_map is not None:
+        write_text(options.write_map, first_map(could, options.messages).to_toml())
+        print(f"map: {options.write_map}")
+    for stream in log.streams:
+        if stream.backward is not None:
+            stream.check_times()
+    return 0
+
+
+def _convert(log: Log, log_map: LogMap, out: Path | None) -> None:
+    """Bring the log to one clock, say what was found, and write a recording where asked for."""
+    from ..recording.from_log import recording_from_log
+    from ..recording.resample import log_frames
+
+    frames = log_frames(log, log_map)
+    recording = None if out is None else recording_from_log(log, log_map, frames)
+    for line in (*listing(log, {}), *summary(frames, log)):
+        print(line)
+    if recording is not None and out is not None:
+        recording.save(out)
+        print(f"recording: {out}, {len(recording.time)} contacts, "
+              f"{len(recording.pressure)} readings")  # fmt: skip
+
+
+def listing(log: Log, could: dict[str, list[StreamMap]]) -> Iterator[str]:
+    """The lines about the streams of a log: samples, rate, span, gaps, and what each could be."""
+    import numpy as np
+
+    spans = np.array([stream.span for stream in log.streams if len(stream)]).reshape(-1, 2)
+    start = float(spans[:, 0].min()) if len(spans) else 0.0
+    wide = max([6, *(len(stream.name) for stream in log.streams)])
+    yield f"{log.path.name}: {len(log.streams)} streams, times from {start:.6f} s"
+    for note in log.notes:
+        yield f"  note: {note}"
+    header = f"{'samples':>8} {'rate Hz':>8} {'from s':>9} {'to s':>9} {'gaps':>5}"
+    yield f"  {'stream':{wide}} {header}  is"
+    for stream in log.streams:
+        first, last = (value - start for value in stream.span)
+        kinds = stream.kind or ", ".join(_words(one) for one in could.get(stream.name, [])[:3])
+        yield (
+            f"  {stream.name:{wide}} {len(stream):8} {stream.rate:8.4g} {first:9.3f} {last:9.3f} "
+            f"{len(stream.gaps):5}  {kinds or '-'}{_of(stream)}"
+        )
+        for gap in stream.gaps[:SHOWN_GAPS]:
+            yield f"  {'':{wide}}   gap of {gap.end - gap.start:.3g} s at {gap.start - start:.3f} s"
+
+
+def _of(stream: Stream) -> str:
+    """The type of a stream, in brackets, and the number of its values."""
+    values = f"{len(stream.fields)} values, " if stream.kind else ""
+    return f" ({values}{stream.type})" if values or stream.type else ""
+
+
+def _words(one: StreamMap) -> str:
+    """A possible kind, with where its numbers are if the type of the messages does not say it."""
+    where = f" in {one.values[0]}" if len(one.values) == 1 else ""
+    return f"{one.kind}{where}" + (f", {one.length}" if one.length else "")
+
+
+def first_map(could: dict[str, list[StreamMap]], messages: list[Path]) -> LogMap:
+    """The likeliest kind of every stream, with ids of taxels that do not repeat."""
+    from dataclasses import replace
+
+    from ..recording.log_map import LogMap
+
+    streams, taxels = [], 0
+    for name in sorted(could):
+        for one in could[name][: None if name.endswith("tf") else 1]:
+            if one.length and one.kind == "taxels":
+                one = replace(one, first_id=taxels)
+                taxels += one.length or 0
+            streams.append(one)
+    return LogMap(tuple(streams), tuple(messages))
+
+
+def summary(frames: LogFrames, log: Log) -> Iterator[str]:
+    """The lines about the log on one clock."""
+    found = frames.skin_log
+    for name, tared in frames.tared.items():
+        live = tared.noise > 0
+        silent = f", {(~live).sum()} taxels never change" if not live.all() else ""
+        yield (
+            f"  {name}: readings {'fall' if tared.falling else 'rise'} under pressure, noise "
+            f"{tared.noise[live].mean():.3g}, drift {tared.drift[live].mean():.3g} "
+            f"{log[name].unit}{silent}"
+        )
+    for offset in frames.offsets:
+        used = " (applied)" if offset is frames.offsets[0] and offset.usable else ""
+        yield f"  skin late by {offset}{used}"
+    for note in frames.notes[len(log.notes) :]:
+        yield f"  note: {note}"
+    touched = int((found.readings[found.in_contact] > 6 * found.noise).any(axis=0).sum())
+    yield (
+        f"  on one clock: {len(found.time)} frames, {len(found.joint_names)} joints, "
+        f"{len(found.taxel_ids)} taxels of which {touched} answer, {len(found.contacts)} contacts"
+        + ("" if found.force is None else f", force up to {found.force.max():.3g} N")
+    )

@@ -1,0 +1,209 @@
+"""The offset between the clock of a skin and that of its robot, from contact onsets and ends.
+
+Within one contact the sum of its readings is a function of the force, or of the posture where the
+robot presses and retracts along the same path. With the right offset both onset and end lie on one
+curve; with a wrong one they lie on two. The function is piecewise linear, fitted by least squares
+to each contact at each candidate offset d, and the contacts are pooled by their log likelihood
+
+    L(d) = - sum_c (n_c / 2) log(R_c(d) / n_c + s_c^2),
+
+R_c the sum of squares of contact c, n_c its frames, s_c the noise of its sum. The standard
+deviation is that of the jackknife over contacts. A lag of the skin itself, such as creep, is part
+of the offset: the two are not told apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.arrays import Array, runs
+
+LARGEST = 0.5
+"""Largest offset that is looked for, s: clocks that are synchronised at all, or stamps at receipt,
+are nearer."""
+COARSE, FINE = 4e-3, 5e-4
+"""Steps, s, of the candidates: the first finds the peak, which is some tens of ms wide, the second
+resolves it."""
+NEAR = 0.04
+"""Candidates of the fine step lie within this time, s, of the coarse peak."""
+WINDOW = 0.25
+"""Time, s, before and after an onset or an end that is compared."""
+KNOTS = 8
+"""Knots of the function: readings are smooth in force and depth but for the kink at zero."""
+FRAMES_PER_KNOT = 2
+"""Fewest frames of a contact for each knot."""
+MIN_CONTACTS = 5
+"""Fewest contacts for a standard deviation by the jackknife."""
+MAX_CONTACTS = 200
+"""Contacts that are compared, evenly chosen: more make the offset no better than its systematic
+errors."""
+STRAIGHT, RETURNING = 0.98, 0.6
+"""Share of the variance of the postures along one line, and share of the line that is passed both
+before and after the middle of the contact, from which the robot retracts along the path on which it
+pressed. A path that does not return fits the readings at every offset."""
+EXPLAINED = 0.7
+"""Share of the variance of the readings that the function must explain."""
+PRESSED = 6.0
+"""Reading in standard deviations of noise from which a taxel belongs to a contact."""
+USABLE = 0.01
+"""Standard deviation, s, up to which an offset is applied: half a frame at 50 Hz."""
+RIDGE = 1e-6
+"""Added to the normal matrix, frames, so that knots without frames do not make it singular."""
+
+
+@dataclass(frozen=True)
+class ClockOffset:
+    """How late the stamps of the skin are against those of the robot."""
+
+    offset: float
+    """s."""
+    sigma: float
+    """Standard deviation, s."""
+    contacts: int
+    """How many contacts were compared."""
+    by: str
+    """"force" or "motion"."""
+
+    def __str__(self) -> str:
+        return (
+            f"{1e3 * self.offset:.1f} +- {1e3 * self.sigma:.1f} ms, by {self.by} in "
+            f"{self.contacts} contacts"
+        )
+
+    @property
+    def usable(self) -> bool:
+        """Whether the offset is determined well enough to be applied."""
+        return self.sigma <= USABLE
+
+
+def clock_offset(
+    times: Array,
+    readings: NDArray[np.floating],
+    noise: Array,
+    in_contact: NDArray[np.bool_],
+    state_times: Array,
+    states: Array,
+    by: str,
+) -> ClockOffset | None:
+    """The offset of the times (n,), s, of tared readings (n, t) with noise (t,) against those (m,)
+    of states (m, k): the force, or the joint angles.
+
+    None where fewer than MIN_CONTACTS contacts tell it: those whose path returns along one line
+    and whose readings follow it.
+    """
+    path = _Path.of(state_times, states, float(np.median(np.diff(times))))
+    stretches = runs(in_contact)
+    count = min(len(stretches), MAX_CONTACTS)
+    contacts = []
+    for k in np.unique(np.linspace(0, len(stretches) - 1, count).astype(int)):
+        rows = _rows(times, stretches, int(k))
+        pressed = np.max(readings[rows], axis=0, initial=0.0) > PRESSED * noise
+        if len(rows) >= FRAMES_PER_KNOT * KNOTS and pressed.any():
+            sums = readings[np.ix_(rows, pressed)].sum(axis=1, dtype=float)
+            contacts.append((times[rows], sums, float(np.sum(noise[pressed] ** 2))))
+    if len(contacts) < MIN_CONTACTS:
+        return None
+    coarse = np.arange(-LARGEST, LARGEST + COARSE / 2, COARSE)
+    gains = np.stack([_gain(path, coarse, *contact) for contact in contacts])
+    at = int(np.argmax(gains.sum(axis=0)))
+    telling = [one for one, gain in zip(contacts, gains[:, at], strict=True) if gain > 0]
+    if len(telling) < MIN_CONTACTS or not 1 < at < len(coarse) - 2:
+        return None
+    fine = coarse[at] + np.arange(-NEAR, NEAR + FINE / 2, FINE)
+    gains = np.stack([_gain(path, fine, *contact) for contact in telling])
+    total = gains.sum(axis=0)
+    without = np.array([_peak(fine, total - gain) for gain in gains])
+    share = (len(telling) - 1) / len(telling)
+    sigma = float(np.sqrt(share * np.sum((without - without.mean()) ** 2)))
+    return ClockOffset(_peak(fine, total), max(sigma, FINE / 2), len(telling), by)
+
+
+def _rows(times: Array, stretches: list[slice], k: int) -> NDArray[np.intp]:
+    """Frames about the onset and the end of contact k, none nearer to another contact."""
+    contact = stretches[k]
+    start, end = times[contact.start], times[contact.stop - 1]
+    before = times[stretches[k - 1].stop - 1] if k else -np.inf
+    after = times[stretches[k + 1].start] if k + 1 < len(stretches) else np.inf
+    low, high = max(start - WINDOW, (start + before) / 2), min(end + WINDOW, (end + after) / 2)
+    rows = np.arange(*np.searchsorted(times, [low, high]))
+    inside = (times[rows] > start + WINDOW) & (times[rows] < end - WINDOW)
+    return np.asarray(rows[~inside])
+
+
+@dataclass(frozen=True)
+class _Path:
+    """The state over time, averaged over a frame of the skin."""
+
+    times: Array
+    integral: Array
+    """Integral (m, k) of the state over time."""
+    width: float
+    """Time, s, that is averaged over: two samples of the state at least, lest its noise depend on
+    how a candidate falls between them."""
+
+    @classmethod
+    def of(cls, times: Array, states: Array, frame: float) -> _Path:
+        steps = np.diff(times)[:, None]
+        integral = np.zeros(states.shape)
+        np.cumsum(0.5 * (states[1:] + states[:-1]) * steps, axis=0, out=integral[1:])
+        return cls(times, integral, max(frame, 2 * float(np.median(steps))))
+
+    def at(self, times: Array) -> Array:
+        """States (..., k) at the times (...)."""
+        late, early = times + 0.5 * self.width, times - 0.5 * self.width
+        out = np.empty((*times.shape, self.integral.shape[1]))
+        for k, column in enumerate(self.integral.T):
+            out[..., k] = np.interp(late, self.times, column) - np.interp(early, self.times, column)
+        return out / self.width
+
+
+def _gain(path: _Path, offsets: Array, times: Array, sums: Array, variance: float) -> Array:
+    """Log likelihood (d,) of the offsets (d,), s, over that of readings that follow no path.
+
+    times (n,), s, and sums (n,) of the readings of one contact, whose noise has the `variance`.
+    0 at offsets where the path leaves the log, is not straight, does not return, or explains too
+    little.
+    """
+    shifted = times - offsets[:, None]
+    states = path.at(shifted)
+    states -= states.mean(axis=1, keepdims=True)
+    size, axes = np.linalg.eigh(np.swapaxes(states, 1, 2) @ states)
+    along = (states @ axes[:, :, -1:])[..., 0]
+    low, high = along.min(axis=1, keepdims=True), along.max(axis=1, keepdims=True)
+    along = (along - low) / np.maximum(high - low, np.finfo(float).tiny)
+    first = times < 0.5 * (times[0] + times[-1])
+    both = np.minimum(along[:, first].max(axis=1), along[:, ~first].max(axis=1)) - np.maximum(
+        along[:, first].min(axis=1), along[:, ~first].min(axis=1)
+    )
+    inside = (shifted[:, 0] >= path.times[0]) & (shifted[:, -1] <= path.times[-1])
+    straight = size[:, -1] >= STRAIGHT * size.sum(axis=1)
+    left = _misfit(along * (KNOTS - 1), sums) / len(sums) + variance
+    whole = np.var(sums) + variance
+    usable = inside & straight & (both >= RETURNING) & (left < (1 - EXPLAINED) * whole)
+    return np.where(usable, -0.5 * len(sums) * np.log(left / whole), 0.0)
+
+
+def _misfit(along: Array, sums: Array) -> Array:
+    """Sum of squares (d,) that is left of the sums (n,) by piecewise linear functions of `along`
+    (d, n), from 0 to KNOTS - 1."""
+    knot = np.minimum(along.astype(int), KNOTS - 2)
+    share = along - knot
+    basis = np.zeros((*along.shape, KNOTS))
+    np.put_along_axis(basis, knot[..., None], (1 - share)[..., None], axis=2)
+    np.put_along_axis(basis, knot[..., None] + 1, share[..., None], axis=2)
+    normal = np.swapaxes(basis, 1, 2) @ basis + RIDGE * np.eye(KNOTS)
+    right = np.swapaxes(basis, 1, 2) @ sums
+    fitted = (basis @ np.linalg.solve(normal, right[..., None]))[..., 0]
+    return np.asarray(np.sum((sums - fitted) ** 2, axis=1))
+
+
+def _peak(offsets: Array, likelihood: Array) -> float:
+    """Offset of the largest likelihood, by a parabola through it and its neighbours."""
+    k = int(np.clip(np.argmax(likelihood), 1, len(offsets) - 2))
+    before, at, after = likelihood[k - 1 : k + 2]
+    bend = before - 2 * at + after
+    shift = 0.5 * (before - after) / bend if bend < 0 else 0.0
+    return float(offsets[k] + np.clip(shift, -1.0, 1.0) * (offsets[1] - offsets[0]))

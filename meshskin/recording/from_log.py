@@ -1,0 +1,173 @@
+"""A recording from a log whose contact points are known: poses or contacts beside the taxels."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from ..core.arrays import Array
+from ..core.errors import ConfigError, RecordingError
+from .log_map import BODY, CONTACT, LogMap, StreamMap
+from .recording import CONTACTS as CONTACT_SCHEMA
+from .recording import QUATERNION, Recording
+from .resample import LogFrames, Pairs
+from .stream import CONTACTS, POSE, TAXELS, Log, Stream
+from .tare import thresholds
+
+REST_SIGMAS = 3.0
+"""Force in standard deviations of its noise at rest, below which a frame counts as without
+contact."""
+
+
+def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recording:
+    """The contacts and readings of a log that was read with `log_map` and brought to `frames`.
+
+    The contact points are those of a stream of poses or of contacts, in the frame of the body; the
+    forces those of the wrench, or of the contacts. Readings in counts make a raw recording, of all
+    taxels in every contact. Raises ConfigError for a map without contact points or forces,
+    RecordingError for a log without a frame in contact that has both.
+    """
+    pairs: Pairs = list(zip(log.streams, log_map.streams, strict=True))
+    given = frames.skin_log
+    points, normals, force, rotation = _contact_points(pairs, given.time)
+    force = given.force if given.force is not None else force
+    if force is None:
+        raise ConfigError(
+            "the log has no contact forces",
+            remedy="add a stream of wrenches, or contacts with force",
+        )
+    rest = force[~given.in_contact]
+    least = (
+        REST_SIGMAS * float(np.sqrt(np.mean(rest[np.isfinite(rest)] ** 2))) if len(rest) else 0.0
+    )
+    used = given.in_contact & np.isfinite(points).all(axis=1) & (force > max(least, 0.0))
+    if not used.any():
+        raise RecordingError(
+            "no frame of the log has contact, contact point and force at once",
+            value=f"{given.in_contact.sum()} frames in contact, "
+            f"{np.isfinite(points).all(axis=1).sum()} with a contact point, "
+            f"{(force > least).sum()} with a force above {least:.3g} N",
+            remedy="check the clocks and the streams of the map",
+        )
+    columns = [given.time, *points.T, *normals.T, force]
+    table = {name: values[used] for name, values in zip(CONTACT_SCHEMA.names, columns, strict=True)}
+    if rotation is not None:
+        table |= {name: rotation[used, k] for k, name in enumerate(QUATERNION)}
+    readings, raw = _readings(frames, log_map, used)
+    metadata: dict[str, Any] = {
+        "source": [log.path.name],
+        "taxel_ids": given.taxel_ids.tolist(),
+        "clock_offset_s": given.clock_offset,
+        "clock_sigma_s": given.clock_sigma,
+    }
+    return Recording(pa.table(table), readings, metadata | ({"readings": "raw"} if raw else {}))
+
+
+def _readings(frames: LogFrames, log_map: LogMap, used: NDArray[np.bool_]) -> tuple[pa.Table, bool]:
+    """The table of readings of the used frames, and whether they are raw."""
+    given = frames.skin_log
+    pascals = {stream.unit in ("Pa", "kPa") for stream in log_map.of(TAXELS)}
+    if len(pascals) > 1:
+        raise ConfigError(
+            "some taxels of the map are in pascals, others in counts",
+            remedy="read them into recordings of their own",
+        )
+    raw = not pascals.pop()
+    values = given.readings[used]
+    kept = np.isfinite(values)
+    if not raw:
+        kept &= values > thresholds(1, len(given.taxel_ids))[1] * given.noise
+    row, column = np.nonzero(kept)
+    return pa.table(
+        {
+            "time": given.time[used][row],
+            "taxel": given.taxel_ids[column].astype(np.int32),
+            "pressure": values[row, column].astype(float),
+        }
+    ), raw
+
+
+def _contact_points(pairs: Pairs, time: Array) -> tuple[Array, Array, Array | None, Array | None]:
+    """Contact points (n, 3), m, normals (n, 3) and forces (n,), NaN where unknown, at the frames,
+    and the rotation of the body as quaternions w x y z (n, 4).
+
+    Forces are None without contacts that have them, rotations without poses of the body.
+    """
+    contacts = [pair for pair in pairs if pair[1].kind == CONTACTS]
+    poses = {
+        of: [p for p in pairs if p[1].kind == POSE and p[1].of == of] for of in (CONTACT, BODY)
+    }
+    if len(contacts) + len(poses[CONTACT]) != 1 or len(poses[BODY]) > 1:
+        raise ConfigError(
+            "the map must name one stream of contact points, and at most one of the body's poses",
+            value=f"{len(contacts)} of contacts, {len(poses[CONTACT])} of contact poses, "
+            f"{len(poses[BODY])} of body poses",
+            remedy='add a stream of kind = "contacts", or "pose" with of = "contact"; without one, '
+            "contacts are computed from joint angles",
+        )
+    if contacts:
+        return (*_of_contacts(*contacts[0], time), None)
+    stream, given = poses[CONTACT][0]
+    at, turn = _pose_at(stream, given, time)
+    axis = np.array(given.axis or (0.0, 0.0, 1.0))
+    points = at + turn.apply(np.array(given.point))
+    normals = turn.apply(axis / np.linalg.norm(axis))
+    if not poses[BODY]:
+        return points, normals, None, None
+    origin, body = _pose_at(*poses[BODY][0], time)
+    quaternion = body.as_quat()[:, [3, 0, 1, 2]]
+    return body.inv().apply(points - origin), body.inv().apply(normals), None, quaternion
+
+
+def _of_contacts(
+    stream: Stream, given: StreamMap, time: Array
+) -> tuple[Array, Array, Array | None]:
+    """Point, normal and force of the only contact within half a frame of each time; NaN where there
+    is none or more than one."""
+    times = stream.times - (given.delay or 0.0)
+    half = 0.5 * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    first, last = np.searchsorted(times, time - half), np.searchsorted(times, time + half)
+    single = last - first == 1
+    columns = {name: k for k, name in enumerate(stream.fields)}
+
+    def column(name: str) -> Array:
+        out = np.full(len(time), np.nan)
+        if name in columns:
+            out[single] = stream.values[first[single], columns[name]]
+        return out
+
+    points = np.stack([column(name) for name in ("px", "py", "pz")], axis=1) * given.factor
+    normals = np.stack([column(name) for name in ("nx", "ny", "nz")], axis=1)
+    return points, normals, column("force") if "force" in columns else None
+
+
+def _pose_at(stream: Stream, given: StreamMap, time: Array) -> tuple[Array, Any]:
+    """Positions (n, 3), m, and rotations at the times, interpolated; NaN positions in gaps.
+
+    Raises RecordingError for a quaternion that is not one.
+    """
+    from scipy.spatial.transform import Rotation, Slerp
+
+    known = np.append(True, np.diff(stream.times) > 0)
+    times, values = stream.times[known] - (given.delay or 0.0), stream.values[known].astype(float)
+    norm = np.linalg.norm(values[:, 3:], axis=1)
+    if not np.all(np.abs(norm - 1) < 1e-3):
+        row = int(np.argmax(~(np.abs(norm - 1) < 1e-3)))
+        raise RecordingError(
+            f"orientations of {stream.name} must be unit quaternions",
+            value=f"norm {norm[row]:g} in message {row}",
+            limit="1 within 1e-3",
+            remedy="check the field paths in values: position x y z, quaternion x y z w",
+        )
+    inside = (time >= times[0]) & (time <= times[-1])
+    for gap in stream.gaps:
+        late = given.delay or 0.0
+        inside &= (time <= gap.start - late) | (time >= gap.end - late)
+    at = np.full((len(time), 3), np.nan)
+    for k in range(3):
+        at[inside, k] = given.factor * np.interp(time[inside], times, values[:, k])
+    turn = Slerp(times, Rotation.from_quat(values[:, 3:]))(np.clip(time, times[0], times[-1]))
+    return at, turn

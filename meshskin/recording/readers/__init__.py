@@ -1,0 +1,66 @@
+"""Readers of logs, one format a file, chosen by content."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ...core.errors import RecordingError
+
+if TYPE_CHECKING:
+    from ..log_map import LogMap, StreamMap
+    from ..stream import Log
+
+
+def read_log(
+    path: str | Path,
+    log_map: LogMap | None = None,
+    *,
+    messages: Collection[Path] = (),
+    progress: bool = False,
+    scan: bool = False,
+) -> Log:
+    """The log at `path`: a ROS 1 bag, a ROS 2 bag (SQLite or MCAP, file or folder), a folder of the
+    YARP data dumper, or CSV or Parquet files.
+
+    With a map the streams that it names, with their values; without one the times of all streams.
+    `messages`: definitions (.msg) of message types that a bag lacks. `scan`: read a ROS 1 bag that
+    was never closed. Raises RecordingError for what is not a log or is not what the map says,
+    UnknownNameError for a stream that is not there. A torn file is read up to the tear, and the
+    notes of the log say so.
+    """
+    return read_and_suggest(path, log_map, messages=messages, progress=progress, scan=scan)[0]
+
+
+def read_and_suggest(
+    path: str | Path,
+    log_map: LogMap | None = None,
+    *,
+    messages: Collection[Path] = (),
+    progress: bool = False,
+    scan: bool = False,
+) -> tuple[Log, dict[str, list[StreamMap]]]:
+    """The log at `path` and, without a map, what its streams could be, the likeliest first."""
+    from . import table, yarp
+    from .bag import read as bag
+
+    path = Path(path)
+    if not path.exists():
+        raise RecordingError(f"no log at {path}", remedy="check the path")
+    try:
+        if path.is_dir():
+            names = {file.name for file in path.iterdir()}
+            suffixes = {Path(name).suffix for name in names}
+            if any(path.rglob("data.log")):
+                return yarp.read(path, log_map, progress=progress)
+            if "metadata.yaml" not in names and suffixes & set(table.SUFFIXES):
+                return table.read(path, log_map, progress=progress)
+        elif not bag.format_of(path):
+            if path.name in ("data.log", "info.log"):
+                return yarp.read(path, log_map, progress=progress)
+            return table.read(path, log_map, progress=progress)
+        files = (*messages, *(log_map.messages if log_map is not None else ()))
+        return bag.read(path, log_map, files, progress=progress, scan=scan)
+    except OSError as error:
+        raise RecordingError(f"cannot read {path}", value=error.strerror) from error

@@ -1,0 +1,140 @@
+"""Records of an MCAP file, one by one: of a file that is torn, or without the profile of ROS 2.
+
+A record is an operation code, 8 bits, the length of its content, 64 bits, and the content; a chunk
+holds records, compressed or not (https://mcap.dev/spec).
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+import zlib
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO
+
+from ....core.errors import RecordingError
+from .records import IDL, MSG, UNDEFINED, Connection, Record, Torn
+
+MAGIC = b"\x89MCAP0\r\n"
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F
+"""Operation codes of the records that are read, and of those after the data."""
+FORMATS = {"ros2msg": MSG, "ros1msg": MSG, "ros2idl": IDL, "omgidl": IDL}
+"""Format of definitions by the encoding of a schema."""
+_RECORD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")
+_CHUNK, _TEXT, _SIZE = struct.Struct("<QQQI"), struct.Struct("<I"), struct.Struct("<Q")
+
+Schemas = dict[int, tuple[str, str, bytes]]
+"""Name, encoding and data of the schemas by their number."""
+
+
+def records(path: Path) -> Iterator[Connection | Record]:
+    """Connections and messages in the order of the file.
+
+    Raises Torn where the file ends before its footer or is damaged, RecordingError for a
+    compression that is not read.
+    """
+    schemas: Schemas = {}
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        stream.seek(len(MAGIC))
+        while True:
+            start = stream.tell()
+            try:
+                code, length = _RECORD.unpack(_take(stream, _RECORD.size))
+                if code in (FOOTER, DATA_END):
+                    return
+                if code == CHUNK:
+                    yield from _chunk(stream, length, schemas, path)
+                elif code in (SCHEMA, CHANNEL, MESSAGE):
+                    if (one := _record(code, _take(stream, length), schemas)) is not None:
+                        yield one
+                elif stream.seek(length, 1) > size:
+                    raise Torn
+            except (Torn, KeyError, ValueError, struct.error) as error:
+                raise Torn(f"in its record at byte {start} of {size}") from error
+
+
+def _chunk(
+    stream: BinaryIO, length: int, schemas: Schemas, path: Path
+) -> Iterator[Connection | Record]:
+    """The records of a chunk, as far as they are there. Raises Torn where it ends early."""
+    _, _, unpacked, checksum = _CHUNK.unpack(_take(stream, _CHUNK.size))
+    name = _text(stream)
+    (packed,) = _SIZE.unpack(_take(stream, _SIZE.size))
+    if _CHUNK.size + _TEXT.size + len(name) + _SIZE.size + packed != length:
+        raise Torn
+    content = _decompress(stream.read(packed), name, path)
+    whole = len(content) == unpacked
+    if whole and checksum and zlib.crc32(content) != checksum:
+        raise Torn
+    inner = BytesIO(content)
+    while inner.tell() < len(content):
+        code, size = _RECORD.unpack(_take(inner, _RECORD.size))
+        if (one := _record(code, _take(inner, size), schemas)) is not None:
+            yield one
+    if not whole:
+        raise Torn
+
+
+def _record(code: int, content: bytes, schemas: Schemas) -> Connection | Record | None:
+    """A connection or a message; None for a schema, which is kept, and for other records."""
+    if code == MESSAGE:
+        key, _, time, _ = _MESSAGE.unpack_from(content)
+        return Record(key, time, content[_MESSAGE.size :])
+    stream = BytesIO(content)
+    if code not in (SCHEMA, CHANNEL):
+        return None
+    key = int.from_bytes(stream.read(2), "little")
+    if code == SCHEMA:
+        name, encoding = _text(stream), _text(stream)
+        schemas[key] = name, encoding, _take(stream, _TEXT.unpack(_take(stream, 4))[0])
+        return None
+    schema = int.from_bytes(stream.read(2), "little")
+    name, encoding, data = schemas.get(schema, ("", "", b""))
+    if encoding == "ros1msg" and "/msg/" not in name:
+        name = name.replace("/", "/msg/")
+    form = FORMATS.get(encoding, UNDEFINED)
+    topic, of_messages = _text(stream), _text(stream)
+    return Connection(key, topic, name, of_messages, data.decode() if form else "", form)
+
+
+def _decompress(content: bytes, compression: str, path: Path) -> bytes:
+    """The content of a chunk, as far as it is there. Raises Torn if it is damaged."""
+    if compression == "":
+        return content
+    if compression == "lz4":
+        from lz4.frame import LZ4FrameDecompressor
+
+        try:
+            return bytes(LZ4FrameDecompressor().decompress(content))
+        except RuntimeError as error:
+            raise Torn from error
+    if compression == "zstd":
+        if sys.version_info >= (3, 14):
+            from compression import zstd
+        else:
+            from backports import zstd
+        try:
+            return bytes(zstd.ZstdDecompressor().decompress(content))
+        except zstd.ZstdError as error:
+            raise Torn from error
+    raise RecordingError(
+        f"{path.name} is compressed by a codec that is not read",
+        value=compression,
+        limit="none, lz4 or zstd",
+        remedy="compress it anew (mcap compress --compression zstd)",
+    )
+
+
+def _text(stream: BinaryIO) -> str:
+    return _take(stream, _TEXT.unpack(_take(stream, _TEXT.size))[0]).decode()
+
+
+def _take(stream: BinaryIO, length: int) -> bytes:
+    """That many bytes. Raises Torn if there are fewer."""
+    found = stream.read(length)
+    if len(found) < length:
+        raise Torn
+    return found

@@ -1,0 +1,205 @@
+"""What the formats of bags have in common: connections, messages, types, and a torn end."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+from ....core.errors import RecordingError
+
+MSG, IDL, UNDEFINED = "msg", "idl", ""
+"""Formats of message definitions."""
+
+
+@dataclass(frozen=True)
+class Connection:
+    """A topic with its message type and the definition of it."""
+
+    key: int
+    """What the messages of the connection are marked with."""
+    topic: str
+    type: str
+    encoding: str
+    """Of the messages: "ros1", "cdr" or "json"."""
+    definition: str = ""
+    format: str = UNDEFINED
+    """Of the definition: MSG, IDL or UNDEFINED."""
+
+
+class Record(NamedTuple):
+    """A message as the bag stores it."""
+
+    key: int
+    time: int
+    """Time of receipt, ns."""
+    data: bytes
+
+
+class Torn(Exception):
+    """The end of what can be read of a bag; the text says where and why."""
+
+
+class Bag(Protocol):
+    """An open bag."""
+
+    counts: dict[str, int]
+    """Messages by topic."""
+    types: dict[str, str]
+    """Message type by topic."""
+    notes: list[str]
+    """What there is to say of the reading."""
+
+    def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
+        """Topic, time of receipt (ns) and data of the messages of some topics."""
+
+    def decode(self, topic: str, data: bytes) -> Any:
+        """The message that the data of a topic hold. Raises RecordingError."""
+
+    def has_header(self, topic: str) -> bool:
+        """Whether the first field of the messages is a std_msgs/Header."""
+
+
+def typestore(connections: Iterable[Connection], files: Collection[Path]) -> Any:
+    """The types that connections define, those of .msg files, and, where connections define none,
+    those of ROS 2. Raises RecordingError for definitions that cannot be read."""
+    from rosbags.typesys import (
+        Stores,
+        TypesysError,
+        get_types_from_idl,
+        get_types_from_msg,
+        get_typestore,
+    )
+
+    connections = list(connections)
+    bare = any(one.format == UNDEFINED and one.encoding != "json" for one in connections)
+    store = get_typestore(Stores.LATEST if bare else Stores.EMPTY)
+    for one in connections:
+        try:
+            if one.format == MSG:
+                register(store, get_types_from_msg(one.definition, one.type))
+            elif one.format == IDL:
+                for text in one.definition.split("=" * 80 + "\n"):
+                    body = text.partition("\n")[2] if text.startswith("IDL: ") else text
+                    if body.strip():
+                        register(store, get_types_from_idl(body))
+        except (TypesysError, ValueError, AssertionError):
+            continue  # its messages are refused where they are asked for
+    register_files(store, files, {one.type for one in connections})
+    return store
+
+
+def register(store: Any, types: Any) -> None:
+    """Add types that the store does not have."""
+    store.register({name: fields for name, fields in types.items() if name not in store.fielddefs})
+
+
+def register_files(store: Any, files: Collection[Path], wanted: Collection[str]) -> None:
+    """Add the types of .msg files.
+
+    The package is that of a wanted type of the same name, or the folder of the file (or of its
+    folder msg). Raises RecordingError for a file that cannot be read.
+    """
+    from rosbags.typesys import TypesysError, get_types_from_msg
+
+    for file in files:
+        folder = file.resolve().parent
+        package = folder.parent.name if folder.name == "msg" else folder.name
+        name = next(
+            (one for one in sorted(wanted) if one.rpartition("/")[2] == file.stem),
+            f"{package}/msg/{file.stem}",
+        )
+        try:
+            register(store, get_types_from_msg(file.read_text(encoding="utf-8"), name))
+        except (OSError, UnicodeDecodeError) as error:
+            raise RecordingError(f"cannot read the message definition {file}") from error
+        except TypesysError as error:
+            raise RecordingError(
+                f"{file} is not a message definition: {error}",
+                remedy="give a .msg file of ROS",
+            ) from error
+
+
+def decode(store: Any, connection: Connection, data: bytes) -> Any:
+    """The message that data hold. Raises RecordingError."""
+    import json
+
+    if connection.encoding == "json":
+        try:
+            return json.loads(data)
+        except ValueError as error:
+            raise RecordingError(f"a message of {connection.topic} is not JSON") from error
+    if connection.encoding not in ("cdr", "ros1"):
+        raise RecordingError(
+            f"messages of {connection.topic} have an encoding that is not read",
+            value=connection.encoding,
+            limit="cdr, ros1 or json",
+        )
+    if connection.type not in store.fielddefs:
+        raise RecordingError(
+            f"the bag does not define the message type of {connection.topic}",
+            value=connection.type,
+            remedy="give its .msg file (--messages, or messages in the map)",
+        )
+    read = store.deserialize_cdr if connection.encoding == "cdr" else store.deserialize_ros1
+    try:
+        return read(data, connection.type)
+    except Exception as error:  # what rosbags raises for data of another type is not documented
+        raise RecordingError(
+            f"a message of {connection.topic} cannot be decoded as {connection.type}",
+            value=f"{type(error).__name__}, {len(data)} bytes",
+            remedy="check that the .msg file is the one of the recording",
+        ) from error
+
+
+def has_header(store: Any, message_type: str) -> bool:
+    """Whether the first field of a type is a std_msgs/Header."""
+    if message_type not in store.fielddefs:
+        return False
+    first = store.fielddefs[message_type][1][:1]
+    return bool(first) and "std_msgs/msg/Header" in str(first[0])
+
+
+class ScannedBag:
+    """A bag whose records are read one by one, in the order of the file, up to a torn end."""
+
+    def __init__(self, paths: Collection[Path], records: Any, files: Collection[Path]) -> None:
+        self.paths, self.records = paths, records
+        self.notes: list[str] = []
+        self.connections: dict[tuple[Path, int], Connection] = {}
+        self.counts: dict[str, int] = {}
+        for path, one in self._all():
+            if isinstance(one, Connection):
+                self.connections[path, one.key] = one
+                self.counts.setdefault(one.topic, 0)
+            elif connection := self.connections.get((path, one.key)):
+                self.counts[connection.topic] += 1
+        self.types = {one.topic: one.type for one in self.connections.values()}
+        self._by_topic = {one.topic: one for one in self.connections.values()}
+        self._store = typestore(self.connections.values(), files)
+
+    def _all(self) -> Iterator[tuple[Path, Connection | Record]]:
+        self.notes.clear()
+        for path in self.paths:
+            try:
+                for one in self.records(path):
+                    yield path, one
+            except Torn as end:
+                self.notes.append(f"{path.name} is torn {end}: what is before is read")
+
+    def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
+        """Topic, time of receipt (ns) and data of the messages of some topics."""
+        for path, one in self._all():
+            if isinstance(one, Record):
+                connection = self.connections.get((path, one.key))
+                if connection is not None and connection.topic in topics:
+                    yield connection.topic, one.time, one.data
+
+    def decode(self, topic: str, data: bytes) -> Any:
+        """The message that the data of a topic hold. Raises RecordingError."""
+        return decode(self._store, self._by_topic[topic], data)
+
+    def has_header(self, topic: str) -> bool:
+        """Whether the first field of the messages is a std_msgs/Header."""
+        return has_header(self._store, self.types[topic])

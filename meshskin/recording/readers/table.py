@@ -1,0 +1,245 @@
+"""CSV and Parquet files with a column of times, or folders of them.
+
+Columns whose names differ in a number at the end alone are one stream: q_1, q_2 are q_*. In a
+folder the name of the file comes before: joints/q_*.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pyarrow as pa
+
+from ...core.config import UNITS
+from ...core.errors import RecordingError, UnknownNameError
+from ..log_map import StreamMap
+from ..message_types import MIN_TAXELS
+from ..stream import CONTACTS, JOINTS, TAXELS, WRENCH, Log, Stream, contact_fields
+
+if TYPE_CHECKING:
+    from ..log_map import LogMap
+
+PARQUET = b"PAR1"
+"""First bytes of a Parquet file, and its last ones."""
+SUFFIXES = (".csv", ".parquet")
+TIME_NAMES = ("time", "t", "timestamp", "stamp")
+"""Names of the column of times, before their unit; without a unit they are in s."""
+JOINT_NAMES = ("q", "joint", "position", "angle")
+"""First words of the names of columns that could be joint angles."""
+
+
+def read(
+    path: Path, log_map: LogMap | None, *, progress: bool = False
+) -> tuple[Log, dict[str, list[StreamMap]]]:
+    """The log in a CSV or Parquet file or in a folder of them, and what its streams could be.
+
+    With a map the mapped columns alone are read. Raises RecordingError for files that are no
+    tables, UnknownNameError for columns that are not there.
+    """
+    from tqdm import tqdm
+
+    folder = path.is_dir()
+    files = sorted(p for p in path.iterdir() if p.suffix in SUFFIXES) if folder else [path]
+    groups: dict[str, tuple[Path, list[str]]] = {}
+    for file in files:
+        for group, columns in _groups(_columns(file)).items():
+            groups[f"{file.stem}/{group}" if folder else group] = file, columns
+    chosen = (
+        dict.fromkeys(groups) if log_map is None else {one.topic: one for one in log_map.streams}
+    )
+    streams, notes, could = list[Stream](), list[str](), dict[str, list[StreamMap]]()
+    hidden = None if progress else True  # None: hidden where stderr is no terminal
+    for topic, given in tqdm(chosen.items(), path.name, leave=False, disable=hidden):
+        file, columns = _choose(topic, given, groups, path)
+        stream = _stream(topic, file, columns, given, notes)
+        streams.append(stream)
+        could[topic] = _suggest(stream) if given is None else []
+    return Log(path, tuple(streams), tuple(dict.fromkeys(notes))), could
+
+
+def _choose(
+    topic: str, given: StreamMap | None, groups: dict[str, tuple[Path, list[str]]], path: Path
+) -> tuple[Path, list[str]]:
+    """The file and the columns of a stream."""
+    patterns = () if given is None else given.values
+    if topic in groups and not patterns:
+        return groups[topic]
+    files = {file.stem: file for file, _ in groups.values()}
+    file = files.get(topic.partition("/")[0]) or (path if path.is_file() else None)
+    if file is None or not patterns:
+        raise UnknownNameError("group of columns", topic, groups, f" in {path.name}")
+    every = _columns(file)
+    found: list[str] = []
+    for pattern in patterns:
+        matches = [name for name in every if fnmatch.fnmatchcase(name, pattern)]
+        if not matches:
+            raise UnknownNameError("column", pattern, every, f" in {file.name}")
+        found += matches
+    return file, found
+
+
+def _columns(file: Path) -> list[str]:
+    """Names of the columns. Raises RecordingError."""
+    import pyarrow.parquet as pq
+
+    try:
+        if _is_parquet(file):
+            return list(pq.read_schema(file).names)
+        with file.open(encoding="utf-8-sig") as stream:
+            names = [name.strip().strip('"') for name in stream.readline().split(",")]
+    except (pa.ArrowInvalid, OSError, UnicodeDecodeError) as error:
+        raise RecordingError(
+            f"{file.name} cannot be read: {str(error).splitlines()[0]}",
+            remedy="a torn Parquet file has lost its columns; record it again",
+        ) from error
+    if len(names) < 2:
+        raise RecordingError(
+            f"{file.name} is no log: neither a bag nor a table with a header line",
+            remedy="give a ROS bag, an MCAP file, a YARP folder, or CSV or Parquet files",
+        )
+    return names
+
+
+def _is_parquet(file: Path) -> bool:
+    with file.open("rb") as stream:
+        return stream.read(4) == PARQUET
+
+
+def _time_column(names: list[str], file: Path) -> str:
+    for name in names:
+        base, _, unit = name.lower().partition("_")
+        if base in TIME_NAMES and (not unit or unit in UNITS["s"]):
+            return name
+    raise RecordingError(
+        f"{file.name} has no column of times",
+        value=", ".join(names)[:60],
+        remedy="name it time, time_s or time_ms, or give its name as time in the map",
+    )
+
+
+def _groups(names: list[str]) -> dict[str, list[str]]:
+    """Columns by their name with * for the number at the end, but for those of times."""
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        if name.lower().partition("_")[0] not in TIME_NAMES:
+            groups.setdefault(re.sub(r"\d+$", "*", name), []).append(name)
+    return groups
+
+
+def _stream(
+    topic: str, file: Path, columns: list[str], given: StreamMap | None, notes: list[str]
+) -> Stream:
+    """The stream of some columns of a file."""
+    time = given.time if given is not None and given.time else _time_column(_columns(file), file)
+    if time not in _columns(file):
+        raise UnknownNameError("column", time, _columns(file), f" in {file.name}")
+    wanted = columns if given is not None else columns[:1]
+    parts = [
+        _numbers(batch, [time, *wanted], file) for batch in _batches(file, [time, *wanted], notes)
+    ]
+    table = np.concatenate(parts) if parts else np.empty((0, 1 + len(wanted)))
+    unit = time.lower().partition("_")[2]
+    times = table[:, 0] * UNITS["s"].get(unit, 1.0)
+    if given is None:
+        return Stream(topic, "table", times, np.empty((len(times), 0)), tuple(columns))
+    given.check_length(len(columns), 0)
+    fields = tuple(columns)
+    if given.kind == TAXELS:
+        fields = given.taxel_ids(len(columns))
+    elif given.kind == JOINTS and given.names:
+        fields = given.names
+    elif given.kind == CONTACTS:
+        fields = contact_fields(len(columns))
+    if len(fields) != len(columns):
+        raise RecordingError(
+            f"{topic} needs one name for each column",
+            value=f"{len(fields)} names", limit=f"{len(columns)} columns",
+        )  # fmt: skip
+    unit = given.unit or given.si_unit
+    return Stream(topic, "table", times, table[:, 1:], fields, given.kind, unit)
+
+
+def _batches(file: Path, columns: list[str], notes: list[str]) -> Iterator[pa.RecordBatch]:
+    """Rows of some columns, a part at a time. Raises RecordingError.
+
+    The last line of a CSV file is left out if it does not end or is short: the log is torn there.
+    """
+    import pyarrow.parquet as pq
+    from pyarrow import csv
+
+    if _is_parquet(file):
+        try:
+            yield from pq.ParquetFile(file).iter_batches(columns=columns)
+        except (pa.ArrowInvalid, OSError) as error:
+            notes.append(
+                f"{file.name} is torn ({str(error).splitlines()[0]}): what is before is read"
+            )
+        return
+    short: list[int] = []
+
+    def skip(row: csv.InvalidRow) -> str:
+        short.append(row.number if row.number is not None else -1)
+        return "skip"
+
+    size = file.stat().st_size
+    with file.open("rb") as stream:
+        stream.seek(max(size - 1, 0))
+        whole = stream.read(1) in (b"\n", b"\r")
+    options = {
+        "read_options": csv.ReadOptions(use_threads=False),
+        "parse_options": csv.ParseOptions(invalid_row_handler=skip),
+        "convert_options": csv.ConvertOptions(include_columns=columns),
+    }
+    try:
+        with csv.open_csv(file, **options) as reader:
+            held = None
+            for batch in reader:
+                if held is not None:
+                    yield held
+                held = batch if len(batch) else held
+    except (pa.ArrowInvalid, pa.ArrowKeyError, OSError, UnicodeDecodeError) as error:
+        raise RecordingError(
+            f"{file.name} cannot be read: {str(error).splitlines()[0]}",
+            remedy="write one header line and numbers separated by commas, in UTF-8",
+        ) from error
+    if len(short) > 1 or (short and whole):
+        raise RecordingError(
+            f"{len(short)} lines of {file.name} have another number of columns than its header",
+            remedy="remove them",
+        )
+    if held is None:
+        return
+    if not whole:
+        notes.append(f"{file.name} does not end with a line: its last line is left out")
+    yield held if whole or short else held.slice(0, len(held) - 1)
+
+
+def _numbers(batch: pa.RecordBatch, columns: list[str], file: Path) -> np.ndarray:
+    """Columns of a batch as numbers (n, k). Raises RecordingError."""
+    try:
+        parts = [
+            np.asarray(batch.column(name).to_numpy(zero_copy_only=False), dtype=float)
+            for name in columns
+        ]
+    except (TypeError, ValueError) as error:
+        raise RecordingError(
+            f"the columns of {file.name} must contain numbers: {error}",
+            remedy="write numbers with decimal points, or leave the column out of the map",
+        ) from error
+    return np.stack(parts, axis=1)
+
+
+def _suggest(stream: Stream) -> list[StreamMap]:
+    """What a group of columns could be, by its name and size."""
+    name = stream.name.rpartition("/")[2].lower()
+    width = len(stream.fields)
+    if name.startswith(JOINT_NAMES):
+        return [StreamMap(stream.name, JOINTS, stream.fields if width < 2 else ())]
+    if name.startswith(("wrench", "force", "ft")) and width in (3, 6):
+        return [StreamMap(stream.name, WRENCH)]
+    return [StreamMap(stream.name, TAXELS, length=width)] if width >= MIN_TAXELS else []

@@ -1,0 +1,228 @@
+"""Streams of a log brought to one clock: delays, tare, resampling to the frames of the skin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.arrays import Array
+from ..core.errors import ConfigError, RecordingError
+from .clock_offset import ClockOffset, clock_offset
+from .log_map import LogMap, StreamMap
+from .skin_log import SkinLog
+from .stream import JOINTS, TAXELS, WRENCH, Log, Stream, overlap
+from .tare import BLOCK, MIN_REST, Tared, tare
+
+
+@dataclass(frozen=True)
+class LogFrames:
+    """A log on one clock, with what was found on the way."""
+
+    skin_log: SkinLog
+    tared: dict[str, Tared]
+    """What the tare of each skin found, by the name of its stream."""
+    offsets: tuple[ClockOffset, ...]
+    """Estimates of the clock offset, the best first; empty where there is none."""
+    notes: tuple[str, ...]
+
+
+def log_frames(log: Log, log_map: LogMap) -> LogFrames:
+    """The streams of a log that was read with `log_map`, at the frames of its first skin.
+
+    Raises ConfigError for a map without taxels and for taxels or joints that occur twice,
+    RecordingError for times that run backwards, streams that do not overlap in time, and a skin
+    that never answers.
+    """
+    pairs = list(zip(log.streams, log_map.streams, strict=True))
+    skins = [pair for pair in pairs if pair[1].kind == TAXELS]
+    if not skins:
+        raise ConfigError("the map names no taxels", remedy='add a stream of kind = "taxels"')
+    for stream, _ in pairs:
+        stream.check_times()
+    overlap(log.streams)
+    ids = _ids(skins)
+    tared = {s.name: tare(s.times, s.values, m.polarity, s.name) for s, m in skins}
+    times = skins[0][0].times - (skins[0][1].delay or 0.0)
+    base = tared[skins[0][0].name]
+    offsets = _offsets(times, base, pairs) if skins[0][1].delay is None else ()
+    notes = [*log.notes]
+    offset = 0.0
+    if offsets and offsets[0].usable:
+        offset = offsets[0].offset
+    elif skins[0][1].delay is None:
+        notes.append(
+            "the clock offset of the skin cannot be told from this log and is taken as 0: press "
+            "and retract along one path at five places, record a force, or give delay_ms"
+        )
+    kept = _kept(times - offset, pairs, offset)
+    frames = times[kept] - offset
+    readings = [_readings(frames, s, m, tared[s.name], offset) for s, m in skins]
+    pressed = [
+        tared[s.name].in_contact[_nearest(_skin_times(s, m, offset), frames)] for s, m in skins
+    ]
+    in_contact = np.any(pressed, axis=0)
+    names, angles = _joints(frames, pairs)
+    noise = np.concatenate([tared[s.name].noise * m.factor for s, m in skins])
+    skin_log = SkinLog(
+        frames, names, angles, ids, np.concatenate(readings, axis=1), noise, in_contact,
+        _force(frames, in_contact, pairs), offset if offsets else skins[0][1].delay or 0.0,
+        offsets[0].sigma if offsets and offsets[0].usable else None,
+    )  # fmt: skip
+    return LogFrames(skin_log, tared, offsets, tuple(notes))
+
+
+Pairs = list[tuple[Stream, StreamMap]]
+
+
+def _ids(skins: Pairs) -> NDArray[np.intp]:
+    """Ids of the taxels of all skins. Raises ConfigError for one that occurs twice."""
+    ids, count = np.unique(
+        [int(name) for stream, _ in skins for name in stream.fields], return_counts=True
+    )
+    if np.any(count > 1):
+        raise ConfigError(
+            "a taxel of the map occurs twice",
+            value=f"{ids[np.argmax(count > 1)]} in {', '.join(stream.name for stream, _ in skins)}",
+            remedy="give first_id or ids in the map, or leave a stream out",
+        )
+    return np.array([int(name) for stream, _ in skins for name in stream.fields])
+
+
+def _skin_times(stream: Stream, given: StreamMap, offset: float) -> Array:
+    """Times of a skin on the clock of the robot."""
+    return stream.times - (offset if given.delay is None else given.delay)
+
+
+def _offsets(times: Array, skin: Tared, pairs: Pairs) -> tuple[ClockOffset, ...]:
+    """Estimates of the clock offset by force and by motion, the one of smaller sigma first."""
+    found = []
+    for stream, given in pairs:
+        if given.kind not in (WRENCH, JOINTS):
+            continue
+        states = stream.values[:, :3] if given.kind == WRENCH else stream.values
+        whole = np.isfinite(states).all(axis=0)
+        if not whole.any() or len(stream) < 2:
+            continue
+        by = "force" if given.kind == WRENCH else "motion"
+        estimate = clock_offset(
+            times, skin.readings, skin.noise, skin.in_contact,
+            stream.times - (given.delay or 0.0), states[:, whole].astype(float), by,
+        )  # fmt: skip
+        if estimate is not None:
+            found.append(estimate)
+    return tuple(sorted(found, key=lambda one: one.sigma))
+
+
+def _kept(times: Array, pairs: Pairs, offset: float) -> NDArray[np.bool_]:
+    """Frames that lie within all streams, and in no gap of joints and forces.
+
+    Raises RecordingError if none is left.
+    """
+    kept = np.append(True, np.diff(times) > 0)  # a message that was recorded twice
+    for stream, given in pairs:
+        own = _skin_times(stream, given, offset) if given.kind == TAXELS else None
+        on_clock = stream.times - (given.delay or 0.0) if own is None else own
+        if given.kind in (JOINTS, WRENCH, TAXELS):
+            kept &= (times >= on_clock[0]) & (times <= on_clock[-1])
+        for gap in stream.gaps if given.kind in (JOINTS, WRENCH) else ():
+            late = given.delay or 0.0
+            kept &= (times <= gap.start - late) | (times >= gap.end - late)
+    if not kept.any():
+        raise RecordingError(
+            "no frame of the skin lies within the other streams of the log",
+            remedy="check the gaps (meshskin log) and the delays in the map",
+        )
+    return kept
+
+
+def _readings(
+    frames: Array, stream: Stream, given: StreamMap, tared: Tared, offset: float
+) -> NDArray[np.floating]:
+    """Readings (n, t) of one skin at the frames, interpolated; NaN in its gaps."""
+    times = _skin_times(stream, given, offset)
+    rows = np.clip(np.searchsorted(times, frames), 1, len(times) - 1)
+    step = times[rows] - times[rows - 1]
+    share = np.divide(frames - times[rows - 1], step, where=step > 0, out=np.zeros_like(frames))
+    share = np.clip(share, 0.0, 1.0)[:, None].astype(tared.readings.dtype)
+    out = (1 - share) * tared.readings[rows - 1] + share * tared.readings[rows]
+    late = stream.times[0] - times[0]
+    for gap in stream.gaps:
+        out[(frames > gap.start - late) & (frames < gap.end - late)] = np.nan
+    return np.asarray(out * given.factor)
+
+
+def _nearest(times: Array, frames: Array) -> NDArray[np.intp]:
+    """Row of the time nearest to each frame."""
+    after = np.clip(np.searchsorted(times, frames), 1, len(times) - 1)
+    return np.where(frames - times[after - 1] < times[after] - frames, after - 1, after)
+
+
+def _joints(frames: Array, pairs: Pairs) -> tuple[tuple[str, ...], Array]:
+    """Names and angles (n, k), rad, of all joints at the frames. Raises ConfigError for a joint of
+    two streams."""
+    names: list[str] = []
+    columns: list[Array] = []
+    for stream, given in pairs:
+        if given.kind != JOINTS:
+            continue
+        times = stream.times - (given.delay or 0.0)
+        for name, values in zip(stream.fields, stream.values.T, strict=True):
+            if name in names:
+                raise ConfigError(
+                    f"the joint {name} is in two streams",
+                    value=stream.name,
+                    remedy="give other names in the map, or leave a stream out",
+                )
+            known = np.isfinite(values)
+            names.append(name)
+            columns.append(np.interp(frames, times[known], given.factor * values[known]))
+    angles = np.stack(columns, axis=1) if columns else np.empty((len(frames), 0))
+    return tuple(names), angles
+
+
+def _force(frames: Array, in_contact: NDArray[np.bool_], pairs: Pairs) -> Array | None:
+    """Contact force (n,), N, at the frames; None without a wrench.
+
+    The level at rest, of the sensor and of the weight that it carries, is that of the frames
+    without contact about it. Raises RecordingError if there are none.
+    """
+    wrenches = [pair for pair in pairs if pair[1].kind == WRENCH]
+    if not wrenches:
+        return None
+    if len(wrenches) > 1:
+        raise ConfigError(
+            "the map names two wrenches", value=", ".join(stream.name for stream, _ in wrenches),
+            remedy="leave one out",
+        )  # fmt: skip
+    stream, given = wrenches[0]
+    times = stream.times - (given.delay or 0.0)
+    force = np.stack(
+        [np.interp(frames, times, given.factor * values) for values in stream.values[:, :3].T],
+        axis=1,
+    )
+    force -= _rest_level(frames, force, in_contact, stream.name)
+    if given.axis is None:
+        return np.asarray(np.linalg.norm(force, axis=1))
+    axis = np.array(given.axis) / np.linalg.norm(given.axis)
+    return np.asarray(force @ axis)
+
+
+def _rest_level(frames: Array, values: Array, in_contact: NDArray[np.bool_], name: str) -> Array:
+    """Mean (n, k) of the values without contact, in blocks of time, linear between them."""
+    block = ((frames - frames[0]) / BLOCK).astype(int)
+    count = np.bincount(block)
+    rest = np.bincount(block[~in_contact], minlength=len(count))
+    known = np.flatnonzero((rest > 0) & (rest >= MIN_REST * count))
+    if not len(known):
+        raise RecordingError(
+            f"the level of {name} at rest is not known: the skin is in contact all the time",
+            remedy="lift off the robot for a second at the start of a log",
+        )
+    out = np.empty_like(values)
+    for k, column in enumerate(values.T):
+        sums = np.bincount(block[~in_contact], column[~in_contact], len(count))
+        middle = np.bincount(block[~in_contact], frames[~in_contact], len(count))
+        out[:, k] = np.interp(frames, middle[known] / rest[known], sums[known] / rest[known])
+    return out

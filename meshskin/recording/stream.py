@@ -1,0 +1,163 @@
+"""What a log holds: its streams of samples, their rates, spans and gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.arrays import Array
+from ..core.errors import RecordingError, UnknownNameError
+
+JOINTS, TAXELS, WRENCH, POSE, CONTACTS = KINDS = ("joints", "taxels", "wrench", "pose", "contacts")
+"""What a stream can be."""
+GAP_PERIODS = 5.0
+"""Median periods between two samples from which they have a gap between them: loaded computers
+deliver samples up to about three periods late."""
+
+
+class Gap(NamedTuple):
+    """A time without samples, from the last sample before it to the first one after it, s."""
+
+    start: float
+    end: float
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Samples of one topic, port or group of columns.
+
+    A stream that no map names holds the times alone: values (n, 0).
+    """
+
+    name: str
+    """Name of the topic, port or group."""
+    type: str
+    """Type of the messages; empty for tables."""
+    times: Array
+    """Times (n,), s. Contacts repeat a time, one row each."""
+    values: NDArray[np.number]
+    """Values (n, k), in the number type of the messages."""
+    fields: tuple[str, ...] = ()
+    """Names of the k columns: of joints the joint, of taxels the id."""
+    kind: str = ""
+    """One of KINDS; empty without a map."""
+    unit: str = ""
+    """Unit of the values."""
+
+    def __repr__(self) -> str:
+        kind = f", {self.kind}" if self.kind else ""
+        return f"<Stream {self.name}{kind}: {len(self)} samples of {len(self.fields)} values>"
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Times of the first and the last sample, s; NaN for an empty stream."""
+        if not len(self):
+            return np.nan, np.nan
+        return float(self.times.min()), float(self.times.max())
+
+    @cached_property
+    def period(self) -> float:
+        """Median time from one sample to the next that has another time, s; 0 for fewer than two
+        times."""
+        steps = np.diff(self.times)
+        steps = steps[steps > 0]
+        return float(np.median(steps)) if len(steps) else 0.0
+
+    @property
+    def rate(self) -> float:
+        """Samples a second by the median period, 1/s; 0 for fewer than two times."""
+        return 1.0 / self.period if self.period else 0.0
+
+    @cached_property
+    def gaps(self) -> tuple[Gap, ...]:
+        """Times between samples that are longer than GAP_PERIODS periods; contacts have none."""
+        if not self.period or self.kind == CONTACTS:
+            return ()
+        rows = np.flatnonzero(np.diff(self.times) > GAP_PERIODS * self.period)
+        return tuple(Gap(float(self.times[k]), float(self.times[k + 1])) for k in rows)
+
+    @property
+    def backward(self) -> int | None:
+        """Row of the first sample that is earlier than the one before it; None if there is none."""
+        rows = np.flatnonzero(np.diff(self.times) < 0)
+        return int(rows[0]) + 1 if len(rows) else None
+
+    def check_times(self) -> None:
+        """Raise RecordingError if there are no samples or the time runs backwards."""
+        if not len(self):
+            raise RecordingError(
+                f"{self.name} has no samples", remedy="check the map and the length of the log"
+            )
+        if (row := self.backward) is not None:
+            raise RecordingError(
+                f"the time of {self.name} runs backwards",
+                value=f"{self.times[row]:.6f} s after {self.times[row - 1]:.6f} s in message {row}",
+                remedy='take the time of receipt (time = "receipt" in the map), or cut the log',
+            )
+
+
+@dataclass(frozen=True)
+class Log:
+    """The streams of one log, in the order of their names."""
+
+    path: Path
+    """The file or folder."""
+    streams: tuple[Stream, ...]
+    notes: tuple[str, ...] = ()
+    """What the reader has to say, such as where the file is torn."""
+
+    def __repr__(self) -> str:
+        return f"<Log {self.path.name}: {len(self.streams)} streams>"
+
+    def __getitem__(self, name: str) -> Stream:
+        """The stream of that name. Raises UnknownNameError with the nearest names."""
+        for stream in self.streams:
+            if stream.name == name:
+                return stream
+        raise UnknownNameError("stream", name, [stream.name for stream in self.streams])
+
+    def of_kind(self, kind: str) -> tuple[Stream, ...]:
+        """The streams of a kind."""
+        return tuple(stream for stream in self.streams if stream.kind == kind)
+
+    @property
+    def gaps(self) -> dict[str, tuple[Gap, ...]]:
+        """Gaps by the name of the stream."""
+        return {stream.name: stream.gaps for stream in self.streams}
+
+    @property
+    def spans(self) -> dict[str, tuple[float, float]]:
+        """Times of the first and last sample, s, by the name of the stream."""
+        return {stream.name: stream.span for stream in self.streams}
+
+
+def contact_fields(width: int) -> tuple[str, ...]:
+    """Names of the columns of contacts with 3, 4, 6 or 7 values: point, normal, force."""
+    names = ("px", "py", "pz", "nx", "ny", "nz", "force")
+    return names[:width] if width != 4 else (*names[:3], "force")
+
+
+def overlap(streams: Sequence[Stream]) -> tuple[float, float]:
+    """The time, s, from which and to which all streams have samples.
+
+    Raises RecordingError if there is none.
+    """
+    last_start = max(streams, key=lambda stream: stream.span[0])
+    first_end = min(streams, key=lambda stream: stream.span[1])
+    start, end = last_start.span[0], first_end.span[1]
+    if not start < end:
+        raise RecordingError(
+            "streams of the log do not overlap in time",
+            value=f"{last_start.name} from {start:.3f} s, {first_end.name} to {end:.3f} s",
+            remedy="check the clocks: a known difference is delay_s in the map",
+        )
+    return start, end

@@ -1,0 +1,243 @@
+"""Taxel readings less their level at rest, with their polarity, noise and contacts.
+
+The level at rest of each taxel and its slow drift come from the stretches without contact: in each
+block of time the level around which the readings are densest, then the mean of those within the
+noise of it. Readings are in contact from where one exceeds the noise with a stated false-alarm rate
+to where none exceeds a lower threshold (hysteresis).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.arrays import Array, runs
+from ..core.errors import RecordingError
+from .log_map import AUTO, FALLING
+
+BLOCK = 10.0
+"""Length of a block of time, s: contacts are shorter, and the drift of capacitive skins by their
+temperature takes minutes."""
+COLUMNS = 64
+"""Taxels that are worked on at a time, so that memory stays near that of the readings."""
+DENSE = 0.25
+"""Share of a block's readings that the densest interval holds: a taxel that is at rest for longer
+than this share is found at rest."""
+FALSE_ALARM = 0.01
+"""Expected number of contacts that noise feigns in a log, and of taxels that it keeps in contact in
+a frame."""
+MIN_FRAMES = 2
+"""Frames above the upper threshold that make a contact: single ones are disturbances."""
+GUARD = 0.3
+"""Time, s, about a contact that does not count as rest: soft skins creep back for some tenths."""
+MIN_REST = 0.1
+"""Share of a block that must be at rest for the block to have a level of its own."""
+FLOOR = 2e-3
+"""Smallest noise, in ranges of a taxel: 9 bits, more than the converters of skins resolve."""
+SKEWED = 3.0
+"""Ratio of the excursions above and below the level at rest from which the polarity is clear: noise
+alone has 1, pressed taxels 10 and more."""
+PASSES = 3
+"""Times that levels and contacts are found in turn; they do not change after the second."""
+_MAD = 1.4826
+"""Standard deviation of a normal variable per median absolute deviation."""
+
+
+@dataclass(frozen=True)
+class Tared:
+    """Readings that rise from zero under pressure."""
+
+    readings: NDArray[np.floating]
+    """(n, t), in the unit of the log."""
+    noise: Array
+    """Standard deviation (t,) of a reading at rest; 0 for taxels that never change."""
+    drift: Array
+    """Range (t,) of the level at rest over the log."""
+    in_contact: NDArray[np.bool_]
+    """Frames (n,) in contact."""
+    falling: bool
+    """Whether the raw readings fall under pressure."""
+
+
+def tare(
+    times: Array, values: NDArray[np.number], polarity: str = AUTO, name: str = "the skin"
+) -> Tared:
+    """Tare the readings `values` (n, t) at `times` (n,), s.
+
+    polarity: "rising", "falling", or "auto" to find out. Raises RecordingError for a skin that
+    never answers and for a polarity that the readings do not tell.
+    """
+    n, t = values.shape
+    columns = [slice(k, min(k + COLUMNS, t)) for k in range(0, t, COLUMNS)]
+    noise, floor = np.concatenate([_noise(values[:, part]) for part in columns], axis=1)
+    if not noise.any():
+        raise _silent(name, "no reading ever changes")
+    edges = _blocks(times)
+    levels = np.concatenate([_densest(values[:, part], edges) for part in columns], axis=1)
+    on, off = thresholds(n, t)
+    in_contact = np.zeros(n, dtype=bool)
+    readings = np.empty((n, t), dtype=np.float32)
+    strongest = np.empty((2, n))
+    rest = ~in_contact
+    for _ in range(PASSES):
+        strongest[:] = 0.0
+        for part in columns:
+            above = values[:, part].astype(float) - _interpolated(times, edges, levels[:, part])
+            levels[:, part] = _refined(above, edges, levels[:, part], noise[part], off, rest)
+            above = values[:, part].astype(float) - _interpolated(times, edges, levels[:, part])
+            readings[:, part] = above
+            relative = above / np.where(noise[part] > 0, noise[part], np.inf)
+            np.maximum(strongest[0], relative.max(axis=1), out=strongest[0])
+            np.maximum(strongest[1], -relative.min(axis=1), out=strongest[1])
+        up, down = np.sum(np.maximum(strongest - on, 0.0), axis=1)
+        falling = polarity == FALLING or (polarity == AUTO and down > up)
+        in_contact = segment(strongest[int(falling)], on, off)
+        rest = _at_rest(times, in_contact)
+        if rest.mean() >= MIN_REST:
+            for part in columns:
+                noise[part] = _scatter(readings[rest, part], noise[part], floor[part], on)
+    if polarity == AUTO and max(up, down) > 0:
+        _check_polarity(up, down, name)
+    if not in_contact.any():
+        raise _silent(
+            name, f"no reading exceeds its noise by {on:.1f} standard deviations in {n} frames"
+        )
+    if falling:
+        np.negative(readings, out=readings)
+    return Tared(readings, noise, np.ptp(levels, axis=0), in_contact, falling)
+
+
+def thresholds(frames: int, taxels: int) -> tuple[float, float]:
+    """Standard deviations of noise at which a contact begins and below which it ends."""
+    from scipy.special import ndtri
+
+    return (
+        float(-ndtri(FALSE_ALARM / max(frames * taxels, 1))),
+        float(-ndtri(FALSE_ALARM / max(taxels, 1))),
+    )
+
+
+def segment(strongest: Array, on: float, off: float) -> NDArray[np.bool_]:
+    """Frames (n,) in contact: stretches above `off` with at least MIN_FRAMES frames above `on`.
+
+    strongest (n,): the largest reading of a frame, in standard deviations of noise.
+    """
+    in_contact = strongest > off
+    for stretch in runs(in_contact):
+        if np.count_nonzero(strongest[stretch] > on) < MIN_FRAMES:
+            in_contact[stretch] = False
+    return in_contact
+
+
+def _silent(name: str, why: str) -> RecordingError:
+    return RecordingError(
+        f"{name} never answers: {why}",
+        remedy="check the wiring, that the log contains touches, and the field path in the map",
+    )
+
+
+def _noise(values: NDArray[np.number]) -> Array:
+    """Standard deviation of a reading at rest from the differences of consecutive ones, and the
+    smallest that it can be, (2, t): that of the rounding, and FLOOR."""
+    steps = np.abs(np.diff(values.astype(float), axis=0))
+    noise = _MAD * np.median(steps, axis=0) / np.sqrt(2.0)
+    span = np.ptp(values.astype(float), axis=0)
+    smallest = np.min(steps, axis=0, where=steps > 0, initial=np.inf)
+    step = np.where(np.isfinite(smallest), smallest, 0.0)
+    floor = np.maximum(step / np.sqrt(12.0), FLOOR * span)
+    return np.stack([np.maximum(noise, floor), floor])
+
+
+def _scatter(readings: NDArray[np.floating], noise: Array, floor: Array, on: float) -> Array:
+    """Standard deviation (t,) of readings at rest (n, t), without those beyond the upper threshold:
+    disturbances, and excursions against the polarity."""
+    within = np.abs(readings) <= on * noise
+    scatter = np.std(readings, axis=0, where=within, dtype=float)
+    return np.asarray(np.where(noise > 0, np.maximum(scatter, floor), 0.0))
+
+
+def _blocks(times: Array) -> NDArray[np.intp]:
+    """Rows (b + 1,) where blocks of time begin and end, none much shorter than BLOCK."""
+    count = max(1, round((times[-1] - times[0]) / BLOCK))
+    edges = np.searchsorted(times, np.linspace(times[0], times[-1], count + 1)[:-1])
+    return np.unique(np.append(edges, len(times)))
+
+
+def _densest(values: NDArray[np.number], edges: NDArray[np.intp]) -> Array:
+    """Middle (b, t) of the shortest interval that holds the share DENSE of a block's readings.
+
+    Blocks in which a taxel is pressed for most of the time take the level of a neighbour.
+    """
+    levels = np.empty((len(edges) - 1, values.shape[1]))
+    for k, (first, last) in enumerate(pairwise(edges)):
+        block = np.sort(values[first:last].astype(float), axis=0)
+        held = min(max(2, int(np.ceil(DENSE * len(block)))), len(block)) - 1
+        width = block[held:] - block[: len(block) - held]
+        best = width.argmin(axis=0)[None]
+        low, high = (np.take_along_axis(block, best + k, axis=0)[0] for k in (0, held))
+        levels[k] = 0.5 * (low + high)
+    if len(levels) < 3:
+        return levels
+    ends = 2 * levels[[1, -2]] - levels[[2, -3]]  # as the drift goes on
+    padded = np.concatenate([ends[:1], levels, ends[1:]])
+    return np.asarray(np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0))
+
+
+def _at_rest(times: Array, in_contact: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Frames (n,) that are not in contact nor within GUARD of one."""
+    rest = ~in_contact
+    for contact in runs(in_contact):
+        first = np.searchsorted(times, times[contact.start] - GUARD)
+        last = np.searchsorted(times, times[contact.stop - 1] + GUARD, side="right")
+        rest[first:last] = False
+    return rest
+
+
+def _refined(
+    above: Array,
+    edges: NDArray[np.intp],
+    levels: Array,
+    noise: Array,
+    off: float,
+    rest: NDArray[np.bool_],
+) -> Array:
+    """Levels (b, t) with the mean added of the readings `above` (n, t) them that are within noise,
+    in frames at rest where a block has enough; interpolated for blocks with too few."""
+    out = np.empty(levels.shape)
+    for k, (first, last) in enumerate(pairwise(edges)):
+        near = np.abs(above[first:last]) <= off * noise
+        if rest[first:last].mean() >= MIN_REST:
+            near &= rest[first:last, None]
+        count = np.asarray(near.sum(axis=0))
+        total = np.asarray(np.sum(above[first:last], axis=0, where=near))
+        enough = count >= MIN_REST * (last - first)
+        out[k] = np.where(enough, levels[k] + total / np.maximum(count, 1), np.nan)
+    for level, before in zip(out.T, levels.T, strict=True):
+        known = np.flatnonzero(np.isfinite(level))
+        level[:] = np.interp(np.arange(len(level)), known, level[known]) if len(known) else before
+    return out
+
+
+def _interpolated(times: Array, edges: NDArray[np.intp], levels: Array) -> Array:
+    """Levels (n, t) at the times, linear between the middles of the blocks."""
+    middles = np.array([times[a:b].mean() for a, b in pairwise(edges)])
+    if len(middles) == 1:
+        return np.broadcast_to(levels, (len(times), levels.shape[1]))
+    after = np.clip(np.searchsorted(middles, times), 1, len(middles) - 1)
+    step = middles[after] - middles[after - 1]
+    share = ((times - middles[after - 1]) / step)[:, None]  # beyond the middles it extrapolates
+    return np.asarray((1 - share) * levels[after - 1] + share * levels[after])
+
+
+def _check_polarity(up: float, down: float, name: str) -> None:
+    """Refuse excursions above and below the level at rest of which neither dominates."""
+    if SKEWED * min(up, down) > max(up, down):
+        raise RecordingError(
+            f"whether the readings of {name} rise or fall under pressure is not clear",
+            value=f"excursions of {up:.3g} above and {down:.3g} below the level at rest",
+            limit=f"one of them at least {SKEWED:g} times the other",
+            remedy='give polarity = "rising" or "falling" in the map',
+        )

@@ -1,0 +1,196 @@
+"""From the streams of a log to one clock, and to a recording where contact points are known."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from meshskin.core.errors import ConfigError, MeshskinError, RecordingError
+from meshskin.recording.from_log import recording_from_log
+from meshskin.recording.log_map import LogMap, StreamMap
+from meshskin.recording.recording import Recording
+from meshskin.recording.resample import log_frames
+from meshskin.recording.stream import Log, Stream
+
+from .robot_log import JOINTS, RobotLog
+
+ROBOT = RobotLog(contacts=14, seed=3)
+MAP = LogMap(
+    (
+        StreamMap("/joint_states", "joints"),
+        StreamMap("/wrench", "wrench"),
+        StreamMap("/skin", "taxels"),
+    )
+)
+FIELDS = {"/joint_states": JOINTS, "/wrench": tuple("abcdef"), "/skin": tuple(map(str, range(25)))}
+
+
+def log_of(streams, log_map=MAP):
+    """A log in memory, as a reader gives it."""
+
+    def stream(one):
+        fields = FIELDS.get(one.topic, tuple("abcdefg"))
+        return Stream(one.topic, "", *streams[one.topic], fields, one.kind, one.unit)
+
+    return Log(Path("log.mcap"), tuple(map(stream, log_map.streams)))
+
+
+@pytest.fixture(scope="module")
+def streams():
+    return ROBOT.streams()
+
+
+def test_all_streams_are_brought_to_the_clock_of_the_robot(streams):
+    frames = log_frames(log_of(streams), MAP)
+    found = frames.skin_log
+    assert found.clock_offset == pytest.approx(ROBOT.late, abs=2e-3)
+    assert 0 < found.clock_sigma < 2e-3
+    assert {offset.by for offset in frames.offsets} == {"force", "motion"}
+    assert found.joint_names == JOINTS
+    assert len(found.contacts) == 14
+    still = (
+        np.abs(np.gradient(ROBOT.sites[ROBOT.stroke(found.time)[1], 0])) == 0
+    )  # no jump of the site
+    np.testing.assert_allclose(
+        found.joint_angles[still], ROBOT.joints_at(found.time)[still], atol=4e-3
+    )
+    np.testing.assert_allclose(found.force, ROBOT.force_at(found.time), atol=0.12)
+    truth = ROBOT.rest - ROBOT.counts_at(found.time)
+    assert abs((found.readings - truth).mean()) < 0.1
+    assert (found.readings - truth).std() < 1.1 * np.hypot(ROBOT.noise, 0.3)
+
+
+def test_a_given_delay_is_taken_and_not_estimated(streams):
+    log_map = LogMap((*MAP.streams[:2], replace(MAP.streams[2], delay=0.037)))
+    frames = log_frames(log_of(streams, log_map), log_map)
+    assert frames.offsets == ()
+    assert (frames.skin_log.clock_offset, frames.skin_log.clock_sigma) == (0.037, None)
+    assert frames.skin_log.time[0] == pytest.approx(0.004)
+
+
+def test_an_offset_that_cannot_be_told_is_said(streams):
+    times, angles = streams["/joint_states"]
+    still = {**streams, "/joint_states": (times, np.full_like(angles, 0.5))}
+    log_map = LogMap((MAP.streams[0], MAP.streams[2]))
+    frames = log_frames(log_of(still, log_map), log_map)
+    assert (frames.skin_log.clock_offset, frames.skin_log.clock_sigma) == (0.0, None)
+    assert "cannot be told" in frames.notes[0]
+
+
+def test_frames_in_gaps_are_left_out(streams):
+    times, angles = streams["/joint_states"]
+    kept = (times < 5) | (times > 6)
+    holed = {**streams, "/joint_states": (times[kept], angles[kept])}
+    found = log_frames(log_of(holed), MAP).skin_log
+    assert not np.any((found.time > 5.01) & (found.time < 5.99))
+    assert np.sum(found.time > 6) > 500
+
+
+def test_two_skins_of_different_rates_are_one(streams):
+    times, counts = streams["/skin"]
+    both = {**streams, "/palm": (times[::2], counts[::2, :9])}
+    log_map = LogMap((*MAP.streams, StreamMap("/palm", "taxels", first_id=100)))
+    log = log_of(both, log_map)
+    palm = replace(log.streams[3], fields=tuple(map(str, range(100, 109))))
+    found = log_frames(replace(log, streams=(*log.streams[:3], palm)), log_map).skin_log
+    assert found.taxel_ids.tolist() == [*range(25), *range(100, 109)]
+    both = found.readings[:, :9] - found.readings[:, 25:]
+    assert np.nanstd(both) < 4
+    assert np.isfinite(found.readings).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"/joint_states": lambda t, v: (t[::-1], v)}, "time of /joint_states runs backwards, got"),
+        ({"/joint_states": lambda t, v: (t + 1e4, v)}, "do not overlap in time, got /joint_states"),
+        ({"/wrench": lambda t, v: (t[:0], v[:0])}, "/wrench has no samples"),
+        ({"/skin": lambda t, v: (t, np.full_like(v, 7.0))}, "/skin never answers: no reading ever"),
+    ],
+)
+def test_bad_streams_are_refused(streams, change, words):
+    bad = {name: change.get(name, lambda t, v: (t, v))(*pair) for name, pair in streams.items()}
+    with pytest.raises(RecordingError, match=words):
+        log_frames(log_of(bad), MAP)
+
+
+def test_bad_maps_are_refused(streams):
+    log_map = LogMap(MAP.streams[:2])
+    with pytest.raises(ConfigError, match="names no taxels"):
+        log_frames(log_of(streams, log_map), log_map)
+    log_map = LogMap((*MAP.streams, MAP.streams[0]))
+    with pytest.raises(ConfigError, match="the joint shoulder is in two streams"):
+        log_frames(log_of(streams, log_map), log_map)
+    log_map = LogMap((*MAP.streams, MAP.streams[2]))
+    with pytest.raises(MeshskinError, match=r"a taxel of the map occurs twice, got 0 .*first_id"):
+        log_frames(log_of(streams, log_map), log_map)
+    with pytest.raises(ConfigError, match="must name one stream of contact points"):
+        recording_from_log(log_of(streams), MAP, log_frames(log_of(streams), MAP))
+
+
+def poses(turning):
+    """Poses of the contact and of the body in the world: the contact point is (site, depth) in the
+    body frame, its normal -z, and the body turns if `turning`."""
+    time = np.arange(0, ROBOT.duration, 1 / 100)
+    depth, site = ROBOT.stroke(time)
+    points = np.column_stack([ROBOT.sites[site], depth])
+    body = Rotation.from_rotvec(np.column_stack([0.1 * time * turning, 0 * time, 0.02 * time]))
+    origin = np.column_stack([0.3 + 0 * time, 0.01 * time, 0 * time])
+    flip = Rotation.from_rotvec([np.pi, 0, 0])
+    contact = np.column_stack([origin + body.apply(points), (body * flip).as_quat()])
+    return points, {
+        "/tip": (time, contact),
+        "/body": (time, np.column_stack([origin, body.as_quat()])),
+    }
+
+
+def test_a_recording_has_the_contact_points_in_the_body_frame(streams, tmp_path):
+    _, more = poses(turning=1.0)
+    extra = (StreamMap("/tip", "pose"), StreamMap("/body", "pose", of="body"))
+    log_map = LogMap((*MAP.streams, *extra))
+    log = log_of({**streams, **more}, log_map)
+    frames = log_frames(log, log_map)
+    recording = recording_from_log(log, log_map, frames)
+    depth, site = ROBOT.stroke(recording.time)
+    np.testing.assert_allclose(recording.points[:, :2], ROBOT.sites[site], atol=2e-5)
+    np.testing.assert_allclose(recording.points[:, 2], depth, atol=1e-4)
+    np.testing.assert_allclose(recording.normals, np.tile([0, 0, -1.0], (len(depth), 1)), atol=1e-6)
+    np.testing.assert_allclose(recording.force, ROBOT.force_at(recording.time), atol=0.12)
+    turned = Rotation.from_rotvec(np.outer(recording.time, [0.1, 0, 0.02]))
+    np.testing.assert_allclose(recording.headings, turned.as_matrix(), atol=1e-5)
+    assert recording.metadata["readings"] == "raw"
+    assert len(recording.pressure) == 25 * len(recording.time)
+    assert np.abs(recording.time_lag).max() == 0
+    recording.save(tmp_path / "log")
+    again = Recording.load(tmp_path / "log")
+    assert again.metadata["taxel_ids"] == list(range(25))
+
+
+def test_contacts_of_a_stream_are_taken_where_there_is_one(streams):
+    time = np.arange(0, ROBOT.duration, 1 / 50) + 0.004
+    depth, site = ROBOT.stroke(time)
+    pressed = depth > 0
+    rows = np.column_stack([ROBOT.sites[site], 0 * time])[pressed] * 1e3
+    log_map = LogMap((*MAP.streams, StreamMap("/touch", "contacts", unit="mm")))
+    log = log_of({**streams, "/touch": (time[pressed], rows)}, log_map)
+    touch = replace(log.streams[3], fields=("px", "py", "pz"))
+    log = replace(log, streams=(*log.streams[:3], touch))
+    recording = recording_from_log(log, log_map, log_frames(log, log_map))
+    _, site = ROBOT.stroke(recording.time)
+    np.testing.assert_allclose(recording.points[:, :2], ROBOT.sites[site], atol=1e-9)
+    assert np.isnan(recording.normals).all()
+    assert len(recording.time) > 300
+
+
+def test_readings_in_pascals_are_recorded_above_their_noise(streams):
+    _, more = poses(turning=0.0)
+    log_map = LogMap(
+        (*MAP.streams[:2], replace(MAP.streams[2], unit="kPa"), StreamMap("/tip", "pose"))
+    )
+    log = log_of({**streams, **more}, log_map)
+    recording = recording_from_log(log, log_map, log_frames(log, log_map))
+    assert "readings" not in recording.metadata
+    assert recording.pressure.min() > 3 * 1e3 * ROBOT.noise
+    assert len(recording.pressure) < 0.5 * 25 * len(recording.time)

@@ -1,0 +1,113 @@
+"""CSV and Parquet files as logs: groups of columns, units of time, torn files, refusals."""
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from meshskin.core.errors import MeshskinError, RecordingError, UnknownNameError
+from meshskin.recording.log_map import LogMap, StreamMap
+from meshskin.recording.readers import read_and_suggest, read_log
+
+N = 50
+COLUMNS = {
+    "time_ms": 20.0 * np.arange(N),
+    **{f"q_{k}": np.sin(k + np.arange(N)) for k in range(3)},
+    **{f"skin_{k}": 200.0 + k + np.arange(N) % 7 for k in range(8)},
+    "fx": np.arange(N) / 10, "fy": np.zeros(N), "fz": np.ones(N),
+}  # fmt: skip
+
+
+def csv(path, columns=COLUMNS):
+    rows = [
+        ",".join(columns),
+        *(",".join(map(repr, map(float, row))) for row in zip(*columns.values(), strict=True)),
+    ]
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+def parquet(path, columns=COLUMNS):
+    pq.write_table(pa.table(columns), path)
+    return path
+
+
+@pytest.mark.parametrize(("write", "name"), [(csv, "log.csv"), (parquet, "log.parquet")])
+def test_columns_by_group_and_by_pattern(tmp_path, write, name):
+    path = write(tmp_path / name)
+    log, could = read_and_suggest(path)
+    assert {s.name: len(s.fields) for s in log.streams} == {
+        "q_*": 3, "skin_*": 8, "fx": 1, "fy": 1, "fz": 1,
+    }  # fmt: skip
+    assert [one.kind for one in could["q_*"] + could["skin_*"]] == ["joints", "taxels"]
+    log_map = LogMap(
+        (
+            StreamMap("q_*", "joints", names=("a", "b", "c"), unit="deg"),
+            StreamMap("skin_*", "taxels", first_id=5),
+            StreamMap("force", "wrench", ("f?",)),
+        )
+    )
+    log = read_log(path, log_map)
+    joints, skin, force = log.streams
+    np.testing.assert_allclose(joints.times, COLUMNS["time_ms"] / 1e3)
+    np.testing.assert_array_equal(joints.values[:, 1], COLUMNS["q_1"])
+    assert (joints.fields, skin.fields[0]) == (("a", "b", "c"), "5")
+    np.testing.assert_array_equal(skin.values[:, 7], COLUMNS["skin_7"])
+    np.testing.assert_array_equal(force.values[:, 0], COLUMNS["fx"])
+
+
+def test_a_folder_of_files(tmp_path):
+    csv(tmp_path / "arm.csv", {k: v for k, v in COLUMNS.items() if k[0] in "tq"})
+    parquet(tmp_path / "skin.parquet", {k: v for k, v in COLUMNS.items() if k[0] in "ts"})
+    log_map = LogMap((StreamMap("arm/q_*", "joints"), StreamMap("skin/skin_*", "taxels")))
+    log = read_log(tmp_path, log_map)
+    assert [stream.values.shape for stream in log.streams] == [(N, 3), (N, 8)]
+
+
+def test_a_torn_csv_file_loses_its_last_line(tmp_path):
+    path = csv(tmp_path / "log.csv")
+    text = path.read_text()
+    for cut in (3, 30):  # within the last number, and before some columns
+        path.write_text(text[:-cut])
+        log = read_log(path, LogMap((StreamMap("skin_*", "taxels"),)))
+        assert len(log.streams[0]) == N - 1
+        assert "last line is left out" in log.notes[0]
+
+
+def test_a_torn_parquet_file_is_refused(tmp_path):
+    path = parquet(tmp_path / "log.parquet")
+    path.write_bytes(path.read_bytes()[:-20])
+    with pytest.raises(RecordingError, match="torn Parquet file has lost its columns"):
+        read_log(path)
+
+
+@pytest.mark.parametrize(
+    ("stream", "kind", "words"),
+    [
+        (StreamMap("skn_*", "taxels"), UnknownNameError, r"unknown group .*did you mean skin_\*"),
+        (StreamMap("skin_*", "taxels", time="when"), UnknownNameError, "unknown column 'when'"),
+        (StreamMap("skin_*", "taxels", ("skn*",)), UnknownNameError, "unknown column 'skn"),
+        (StreamMap("skin_*", "taxels", length=9), MeshskinError, "got 8 values, limit: length = 9"),
+    ],
+)
+def test_what_is_not_there_is_refused(tmp_path, stream, kind, words):
+    with pytest.raises(kind, match=words):
+        read_log(csv(tmp_path / "log.csv"), LogMap((stream,)))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a,b\n1,2\n", "has no column of times, got a, b"),
+        ("no table at all", "is no log: neither a bag nor a table"),
+        ("time,a_1\n0,x\n1,y\n", "must contain numbers"),
+        ("time,a_1\n0,1\n1\n2\n3,4\n", "2 lines of log.csv have another number of columns"),
+    ],
+)
+def test_what_is_no_table_is_refused(tmp_path, text, words):
+    (tmp_path / "log.csv").write_text(text)
+    with pytest.raises(RecordingError, match=words):
+        read_log(
+            tmp_path / "log.csv",
+            LogMap((StreamMap("a_*", "wrench", ("a_1",)),)) if "a_1" in text else None,
+        )

@@ -1,0 +1,86 @@
+"""Level at rest, drift, polarity, noise and contacts of readings whose truth is known."""
+
+import numpy as np
+import pytest
+
+from meshskin.core.arrays import runs
+from meshskin.core.errors import RecordingError
+from meshskin.recording.tare import segment, tare, thresholds
+
+from .robot_log import RobotLog
+
+
+def skin(**changes):
+    """Times, raw counts, and what they would be less their level at rest, rising."""
+    log = RobotLog(**changes)
+    times, counts = log.streams()["/skin"]
+    return log, times, counts, log.rest - log.counts_at(times - log.late)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("drift", [0.0, 15.0])
+def test_raw_counts_become_readings_that_rise_from_zero(sign, drift):
+    log, times, counts, truth = skin(drift=drift, contacts=20)
+    found = tare(times, sign * counts)
+    assert found.falling == (sign > 0)
+    error = found.readings - truth
+    assert abs(error.mean()) < 0.15
+    assert error.std() == pytest.approx(np.hypot(log.noise, 1 / np.sqrt(12)), rel=0.05)
+    assert found.noise == pytest.approx(np.hypot(log.noise, 1 / np.sqrt(12)), rel=0.2)
+    assert found.drift.mean() == pytest.approx(0.8 * drift, abs=4)  # between middles of blocks
+
+
+def test_contacts_are_those_of_the_force():
+    log, times, counts, _ = skin(contacts=20)
+    force = log.force_at(times - log.late)
+    found = tare(times, counts).in_contact
+    assert len(runs(found)) == 20
+    assert not np.any(found & (force == 0))
+    assert np.mean(found[force > 0.7]) > 0.98
+
+
+def test_a_taxel_that_is_pressed_for_most_of_the_time_keeps_its_level():
+    rng = np.random.default_rng(2)
+    times = np.arange(3000) / 50
+    pressed = (times % 2.0) < 1.2
+    counts = 100 + rng.normal(0, 1, (3000, 2))
+    counts[:, 0] += np.where(pressed, 30 + 10 * np.sin(9 * times), 0.0)
+    found = tare(times, counts)
+    assert not found.falling
+    np.testing.assert_allclose(found.readings[~pressed, 0].mean(), 0.0, atol=0.2)
+    assert np.mean(found.in_contact == pressed) > 0.97
+
+
+def test_noise_alone_feigns_no_contact():
+    """The false-alarm rate is 1 % a log, and less since a contact takes two frames."""
+    rng = np.random.default_rng(3)
+    times = np.arange(2000) / 50
+    for _ in range(20):
+        with pytest.raises(RecordingError, match="never answers: no reading exceeds its noise"):
+            tare(times, rng.normal(0, 3, (2000, 16)))
+    with pytest.raises(RecordingError, match="never answers: no reading ever changes; check the"):
+        tare(times, np.full((2000, 16), 240))
+
+
+def test_readings_that_go_both_ways_have_no_polarity():
+    rng = np.random.default_rng(4)
+    times = np.arange(2000) / 50
+    counts = rng.normal(0, 1, (2000, 2))
+    counts[500:560, 0] += 30
+    counts[900:960, 1] -= 30
+    with pytest.raises(RecordingError, match=r"not clear, got .*; give polarity"):
+        tare(times, counts)
+    assert len(runs(tare(times, counts, "rising").in_contact)) == 1
+
+
+def test_thresholds_have_the_stated_false_alarm_rate():
+    on, off = thresholds(1000, 10)
+    rng = np.random.default_rng(5)
+    noise = rng.normal(size=(200_000, 10)).max(axis=1)
+    assert np.mean(noise > off) == pytest.approx(0.01, rel=0.1)
+    assert on == pytest.approx(4.753, abs=1e-3)  # of a normal variable, 1e-6 above
+
+
+def test_segments_need_two_frames_above_the_upper_threshold():
+    strongest = np.array([0, 4, 6, 4, 0, 0, 6, 6, 4, 4, 1, 4, 4.0])
+    assert runs(segment(strongest, 5, 3)) == [slice(6, 10)]
