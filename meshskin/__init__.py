@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from .estimation.adaptive import adapt as adapt
     from .estimation.calibrate import calibrate as calibrate
     from .estimation.calibration import Calibration as Calibration
+    from .estimation.layout.layout import Layout as Layout
+    from .estimation.layout.layout import layout as layout
     from .estimation.posegraph import PoseGraph as PoseGraph
     from .exploration.plan import explore as explore
     from .exploration.reach import reach as reach
@@ -49,6 +51,7 @@ _HOMES = {
     "Exploration": "scene.settings",
     "Indenter": "contact.indenter",
     "Law": "scene.settings",
+    "Layout": "estimation.layout.layout",
     "Material": "contact.material",
     "PoseGraph": "estimation.posegraph",
     "Readout": "scene.settings",
@@ -65,6 +68,7 @@ _HOMES = {
     "contact": "contact",
     "cost": "study.sensitivity.cost",
     "explore": "exploration.plan",
+    "layout": "estimation.layout.layout",
     "lint": "skin.lint",
     "press": "simulation.static_contacts",
     "reach": "exploration.reach",

@@ -1,0 +1,1 @@
+"""Layout of taxels from co-activation: which taxels answer together, without contact points."""

@@ -1,0 +1,283 @@
+"""The layout of a skin from its readings alone, by which taxels answer together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...core.arguments import check_array, check_real, check_vector
+from ...core.arrays import Array, Index
+from ...core.errors import CalibrationError
+from ...core.provenance import random_stream
+from . import on_body, stress, tiles
+from .alignment import aligned
+from .coactivity import distinct_levels, largest_part, path_lengths, strokes
+from .placement import Modules, OnBody, fitted_modules, settled
+
+if TYPE_CHECKING:
+    from ...geometry.body import Body
+
+SILENT = "answers in no frame"
+APART = "answers together with no taxel of the largest part"
+SELDOM = "answers together with others too seldom"
+DRAWS = 16
+"""Draws of the strokes' weights: standard deviations are known to 1 / sqrt(2 * 15) = 18 %."""
+PRESENT = 0.5
+"""Share of the draws that must join a taxel to the others."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Positions of n taxels up to what readings alone do not tell, with their uncertainty."""
+
+    ids: np.ndarray
+    """(n,)"""
+    positions: Array
+    """(n, 2) in the plane, or (n, 3) on the body; NaN where a taxel is not placed."""
+    sigma: Array
+    """Standard deviation (n,) of the distance from the true position, the layouts aligned: what
+    other touches would change, and what distances contradict each other."""
+    reasons: np.ndarray
+    """Why a taxel is not placed (n,) str; "" where it is."""
+    unit: str
+    """"m", or "spacings": distances of nearest neighbours, where nothing gave a scale."""
+    gauge: str
+    """What fixes the layout's place, and what of it is not determined."""
+    factors: tuple[str, ...]
+    """What the layout rests on."""
+    misfit: float
+    """Root mean square relative error of the distances in the layout."""
+
+    @property
+    def uncertain(self) -> np.ndarray:
+        """Taxels (n,) bool whose sigma exceeds the distance of neighbours, or that are not placed.
+
+        They may be out of order with their neighbours.
+        """
+        placed = self.reasons == ""
+        limit = stress.neighbour_spacing(self.positions[placed])
+        return np.asarray(~placed | ~(self.sigma <= limit))
+
+    def __repr__(self) -> str:
+        placed = int(np.sum(self.reasons == ""))
+        return (
+            f"<Layout: {placed} of {len(self.ids)} taxels placed, median sigma "
+            f"{np.nanmedian(self.sigma):.3g} {self.unit}, {int(self.uncertain.sum())} uncertain>"
+        )
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What is known of the taxels besides their readings."""
+
+    spacing: float | None
+    touch_radius: float | None
+    module: np.ndarray | None
+    """Module (n,) of each taxel."""
+    offsets: Array | None
+    """Their positions (n, 2) in the modules, m."""
+
+    def plane(self, rows: Index, lengths: Array) -> tuple[Array, float, Modules | None]:
+        """Positions (r, 2) of the taxels `rows`, the unit of their `lengths`, and their modules."""
+        points = stress.in_plane(lengths)
+        if self.module is not None and self.offsets is not None:
+            module = np.unique(self.module[rows], return_inverse=True)[1]
+            start, unit = fitted_modules(module, self.offsets[rows], points)
+            modules, unit = settled(start, lengths, unit, free=True)
+            return modules.positions, unit, modules
+        unit = self.touch_radius or (self.spacing or 1.0) / stress.neighbour_spacing(points)
+        return unit * points, unit, None
+
+
+def layout(
+    frames: ArrayLike,
+    ids: ArrayLike | None = None,
+    *,
+    spacing: float | None = None,
+    touch_radius: float | None = None,
+    module_slots: ArrayLike | None = None,
+    tiled: bool = False,
+    body: Body | None = None,
+    centre: ArrayLike | None = None,
+    seed: int = 0,
+) -> Layout:
+    """Where the taxels of a skin are, from which of them answer together. No pose is needed.
+
+    frames (m, n): readings of n taxels in m frames, binary or graded, 0 where a taxel is silent;
+    each frame one touch, of any size. ids (n,): by default 0 to n - 1.
+    The scale comes from one of: spacing, the median distance of a taxel from its
+    three nearest, m;
+    touch_radius, the distance from a touch's centre up to which taxels answer, m; module_slots
+    (slots, 2 or 3), the positions of the taxels of a rigid module, m, with ids slots * module +
+    slot, as `skin.slots.OFFSETS` of iCub. Without any, the unit is the spacing.
+    tiled: triangular modules lie edge to edge in the plane.
+    body: the taxels lie on its surface; it needs a scale, and excludes modules. centre (3,): where
+    on it the middle of the skin is, m; by default the place whose curvature agrees best, which on
+    most bodies is but one of many.
+    seed: of the draws for the standard deviations.
+
+    Raises CalibrationError for frames, ids or knowledge that cannot be used.
+    """
+    levels = distinct_levels(frames)
+    n = levels.shape[1]
+    numbers = _checked_ids(ids, n)
+    known = _known(numbers, spacing, touch_radius, module_slots)
+    if tiled and known.module is None:
+        raise CalibrationError("tiled modules need module_slots")
+    if body is not None and (known.module is not None or not (spacing or touch_radius)):
+        raise CalibrationError(
+            "a layout on a body needs a scale, and no modules",
+            remedy="give spacing or touch_radius, without module_slots",
+        )
+    lengths = path_lengths(levels)
+    part = largest_part(lengths) & levels.any(axis=0)
+    reasons = np.where(part, "", np.where(levels.any(axis=0), APART, SILENT)).astype(object)
+    rows = np.flatnonzero(part)
+    inner = lengths[np.ix_(rows, rows)]
+    points, unit, modules = known.plane(rows, inner)
+    departure = _departures(points, inner, unit)
+    scaled = bool(spacing or touch_radius) or modules is not None
+    gauge, factors = _said(known, scaled)
+    error = _relative(points, inner, unit)
+    drawn = _drawn(levels, rows, known, points, scaled, seed)
+    if tiled and modules is not None:
+        modules, wrong = tiles.tiled(modules)
+        points, departure = modules.positions, np.hypot(departure, wrong[modules.module])
+        factors += ("modules edge to edge",)
+    if body is not None:
+        middles = on_body.places_on(body) if centre is None else _checked_centre(centre)
+        placed, spread, alike = on_body.placed(body, points, inner, unit, middles)
+        points, error = placed.positions, on_body.misfit(placed, inner, unit)
+        departure = np.hypot(_departures(placed, inner, unit), spread)
+        gauge = _on_body_gauge(len(middles), alike)
+        factors += ("surface of the body",)
+    seldom = ~np.isfinite(drawn)
+    reasons[rows[seldom]] = SELDOM
+    keep = rows[~seldom]
+    positions, sigma = np.full((n, points.shape[1]), np.nan), np.full(n, np.nan)
+    positions[keep] = points[~seldom]
+    sigma[keep] = np.hypot(drawn, departure)[~seldom]
+    named = "m" if scaled else "spacings"
+    return Layout(numbers, positions, sigma, reasons, named, gauge, factors, error)
+
+
+def _checked_ids(ids: ArrayLike | None, count: int) -> np.ndarray:
+    numbers = (
+        np.arange(count)
+        if ids is None
+        else check_array("ids of a layout", ids, error=CalibrationError)
+    )
+    whole = numbers.shape == (count,) and np.array_equal(numbers, np.round(numbers))
+    if not whole or len(np.unique(numbers)) < count:
+        raise CalibrationError(
+            "ids of a layout must be different whole numbers, one per column of the frames",
+            value=f"shape {numbers.shape}",
+            limit=f"({count},)",
+        )
+    return numbers.astype(np.int64)
+
+
+def _known(
+    ids: np.ndarray,
+    spacing: float | None,
+    touch_radius: float | None,
+    module_slots: ArrayLike | None,
+) -> _Known:
+    """What the arguments of `layout` say. Raises CalibrationError."""
+    given = [value for value in (spacing, touch_radius, module_slots) if value is not None]
+    if len(given) > 1:
+        raise CalibrationError(
+            "a layout has one scale", remedy="give spacing, touch_radius or module_slots"
+        )
+    for what, value in (("spacing", spacing), ("touch_radius", touch_radius)):
+        if value is not None:
+            check_real(what, value, "m", above=0.0, error=CalibrationError)
+    if module_slots is None:
+        return _Known(spacing, touch_radius, None, None)
+    slots = check_array("module_slots", module_slots, error=CalibrationError)
+    if slots.ndim != 2 or slots.shape[1] not in (2, 3) or len(slots) < 2:
+        raise CalibrationError(
+            "module_slots must be positions", value=f"shape {slots.shape}", limit="(slots, 2 or 3)"
+        )
+    return _Known(None, None, ids // len(slots), slots[ids % len(slots), :2])
+
+
+def _along(placement: Array | OnBody) -> Array:
+    """Distances (n, n) along the skin."""
+    if isinstance(placement, OnBody):
+        return placement.bulge * stress.distances(placement.positions)
+    return stress.distances(placement)
+
+
+def _departures(placement: Array | OnBody, lengths: Array, unit: float) -> Array:
+    """Root mean square error (n,) of each taxel's distances from all others."""
+    off = _along(placement) - unit * lengths
+    return np.asarray(np.sqrt(np.mean(off**2, axis=1)))
+
+
+def _relative(placement: Array | OnBody, lengths: Array, unit: float) -> float:
+    """Root mean square relative error of the distances."""
+    weight = stress.weights(lengths)
+    square = np.sum(weight * (_along(placement) / unit - lengths) ** 2)
+    return float(np.sqrt(square / np.count_nonzero(weight)))
+
+
+def _drawn(
+    levels: np.ndarray, rows: Index, known: _Known, points: Array, scaled: bool, seed: int
+) -> Array:
+    """Root mean square displacement (r,) of the taxels `rows` at `points` (r, 2) in layouts from
+    randomly weighted strokes; NaN for taxels that are apart in too many of them.
+
+    Source: Rubin, "The Bayesian bootstrap", Annals of Statistics 9 (1981).
+    """
+    stroke = strokes(levels)
+    random = random_stream(seed, "layout draws")
+    square, count = np.zeros(len(rows)), np.zeros(len(rows))
+    for _ in range(DRAWS):
+        lengths = path_lengths(levels[:, rows], random.exponential(size=stroke[-1] + 1)[stroke])
+        part = largest_part(lengths)
+        if part.sum() < 4:
+            continue
+        other, _, _ = known.plane(rows[part], lengths[np.ix_(part, part)])
+        off = aligned(other, points[part], scale=not scaled) - points[part]
+        square[part] += np.sum(off**2, axis=1)
+        count[part] += 1
+    often = count >= PRESENT * DRAWS
+    return np.where(often, np.sqrt(square / np.maximum(count, 1)), np.nan)
+
+
+def _said(known: _Known, scaled: bool) -> tuple[str, tuple[str, ...]]:
+    """Gauge and factors of a plane layout, in words."""
+    free = ["position and angle in the plane"]
+    factors = ["co-activation of the taxels, as of round touches spread evenly"]
+    if known.module is not None:
+        factors.append("rigid modules of known slots: scale and handedness")
+    else:
+        free.append("mirror image")
+        free += [] if scaled else ["scale"]
+    if known.spacing:
+        factors.append(f"distance of neighbours {1e3 * known.spacing:.4g} mm")
+    if known.touch_radius:
+        factors.append(f"taxels answer within {1e3 * known.touch_radius:.4g} mm of a touch")
+    return f"middle at the origin; not determined: {', '.join(free)}", tuple(factors)
+
+
+def _checked_centre(centre: ArrayLike) -> Array:
+    middle = check_vector("centre of a layout on a body", centre, error=CalibrationError)
+    if not np.isfinite(middle).all():
+        raise CalibrationError("centre of a layout on a body must be finite")
+    return middle[None]
+
+
+def _on_body_gauge(places: int, alike: int) -> str:
+    """Gauge of a layout on a body, in words."""
+    free = "mirror image, and motions that take the body to itself"
+    if places == 1:
+        return f"the middle is at the given centre; not determined: {free}"
+    return (
+        f"the best of {places} places on the body, {alike} of which start within "
+        f"{100 * (on_body.ALIKE - 1):.0f} % of it; not determined: {free}"
+    )

@@ -1,0 +1,169 @@
+"""Layouts from co-activation alone: a real torso of iCub, and every shipped scene.
+
+    python studies/coactivation.py --out figures/ [--data DIR] [--levels]
+
+DIR (by default MESHSKIN_DATA) holds icub_torso_touches: 20,242 binary frames of a thumb on 440
+taxels, and their published layout in the plane, which only scores. Distances are root mean square,
+mm, after a similarity fit: over all taxels, over those of modules whose turn agrees with the
+published one, the stated sigma of the latter, and the share of them within two sigmas.
+The scenes are simulated with seed 1; their layouts are fitted to the true positions by a rigid
+motion, or its mirror image: in the plane, on the body, and on the body with the middle of the skin
+known. The contact points are not used. --levels compares four levels of graded readings with eight.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import meshskin as ms
+from meshskin.estimation.layout import coactivity
+from meshskin.estimation.layout.alignment import aligned, root_mean_square
+from meshskin.scene.shipped_scenes import scenes
+from meshskin.skin import slots
+
+SPACING = 5e-3
+TURNED = 60.0
+"""Degrees from which a module's turn differs: the nearest wrong one is 120 away."""
+
+
+def frames_of(recording: ms.Recording) -> np.ndarray:
+    """Pressures (frames, taxels) of a recording, 0 where silent."""
+    ids = np.array(recording.metadata["taxel_ids"])
+    time, taxel, pressure = (
+        recording.readings[name].to_numpy() for name in ("time", "taxel", "pressure")
+    )
+    times, row = np.unique(time, return_inverse=True)
+    frames = np.zeros((len(times), len(ids)))
+    frames[row, np.searchsorted(ids, taxel)] = pressure
+    return frames
+
+
+def of_scenes() -> dict[str, dict[str, float]]:
+    """Distances, mm, of the layouts of every shipped scene."""
+    found = {}
+    for name in scenes():
+        scene = ms.Scene.load(name)
+        frames, true = frames_of(ms.simulate(scene, seed=1)), scene.skin.positions
+        given: dict[str, dict[str, Any]] = {
+            "plane": {},
+            "body": {"body": scene.body},
+            "body, middle known": {"body": scene.body, "centre": true.mean(axis=0)},
+        }
+        row = {}
+        for kind, knowledge in given.items():
+            layout = ms.layout(frames, spacing=SPACING, **knowledge)
+            row[kind] = 1e3 * root_mean_square(aligned(layout.positions, true) - true)
+            row[f"{kind}: sigma"] = 1e3 * float(np.sqrt(np.mean(layout.sigma**2)))
+        found[name] = row
+    return found
+
+
+def turned(ids: np.ndarray, points: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Taxels (n,) bool of modules that are turned against `true` (n, 2) by more than TURNED."""
+    wrong = np.zeros(len(ids), dtype=bool)
+    for module in np.unique(ids // slots.PER_MODULE):
+        rows = ids // slots.PER_MODULE == module
+        a, b = points[rows] - points[rows].mean(axis=0), true[rows] - true[rows].mean(axis=0)
+        cross = np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+        wrong[rows] = abs(np.rad2deg(np.arctan2(cross, np.sum(a * b)))) > TURNED
+    return wrong
+
+
+def of_torso(folder: Path, out: Path | None) -> dict[str, dict[str, float]]:
+    """Distances, mm, of layouts of iCub's torso from the published one."""
+    from scipy.io import loadmat
+
+    published = loadmat(folder / "TorsoTaxPosCut.mat")
+    frames = loadmat(folder / "torso1exper1thumbACut.mat")["TrainTorso1expA"]
+    ids = published["TorsoNumbTaxCut"].ravel().astype(int) - 1
+    true = 1e-3 * published["TorsoTaxPosCut"][:2].T
+    given: dict[str, dict[str, Any]] = {
+        "taxels alone": {"spacing": 6.5e-3},
+        "rigid modules": {"module_slots": slots.OFFSETS},
+        "modules edge to edge": {"module_slots": slots.OFFSETS, "tiled": True},
+    }
+    layouts = {kind: ms.layout(frames, ids, **known) for kind, known in given.items()}
+    fitted = {k: aligned(layout.positions, true, scale=True) for k, layout in layouts.items()}
+    agrees = ~turned(ids, fitted["rigid modules"], true)
+    found = {}
+    for kind, layout in layouts.items():
+        kept = aligned(layout.positions[agrees], true[agrees], scale=True) - true[agrees]
+        error = np.linalg.norm(kept, axis=1)
+        found[kind] = {
+            "all": 1e3 * root_mean_square(fitted[kind] - true),
+            "as turned": 1e3 * root_mean_square(kept),
+            "sigma": 1e3 * float(np.sqrt(np.mean(layout.sigma[agrees] ** 2))),
+            "within two sigmas": float(np.mean(error < 2 * layout.sigma[agrees])),
+        }
+    modules = np.unique(ids[~agrees] // slots.PER_MODULE)
+    print(f"turned against the published layout: modules {', '.join(map(str, modules))}")
+    if out:
+        draw(fitted, true, agrees, out / "coactivation_torso.png")
+    return found
+
+
+def draw(fitted: dict[str, np.ndarray], true: np.ndarray, agrees: np.ndarray, path: Path) -> None:
+    """Arrows from the published positions to those of each layout."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, len(fitted), figsize=(5 * len(fitted), 6), sharey=True)
+    for axis, (kind, points) in zip(axes, fitted.items(), strict=True):
+        off = 1e3 * (points - true)
+        for rows, colour in ((agrees, "C0"), (~agrees, "C3")):
+            axis.quiver(
+                *(1e3 * true[rows].T), *off[rows].T, color=colour,
+                angles="xy", scale_units="xy", scale=1, width=3e-3,
+            )  # fmt: skip
+        axis.set(title=f"{kind}: {root_mean_square(off):.2f} mm", xlabel="mm", aspect="equal")
+    figure.tight_layout()
+    figure.savefig(path, dpi=120)
+
+
+def table(title: str, rows: dict[str, dict[str, float]]) -> None:
+    """Print rows of numbers under the names of their columns."""
+    columns = list(next(iter(rows.values())))
+    print(f"\n{title:24}" + "".join(f"{c:>26}" for c in columns))
+    for name, row in rows.items():
+        print(f"{name:24}" + "".join(f"{row[c]:26.2f}" for c in columns))
+
+
+def with_levels(levels: int, run: Callable[[], dict[str, dict[str, float]]]) -> Any:
+    """The result of `run` with another number of levels."""
+    kept, coactivity.LEVELS = coactivity.LEVELS, levels
+    try:
+        return run()
+    finally:
+        coactivity.LEVELS = kept
+
+
+def main(arguments: list[str] | None = None) -> dict[str, dict[str, dict[str, float]]]:
+    """Run the study and return its tables."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--out", type=Path, help="folder of the figure")
+    parser.add_argument("--data", type=Path, default=os.environ.get("MESHSKIN_DATA", "data"))
+    parser.add_argument("--levels", action="store_true")
+    options = parser.parse_args(arguments)
+    if options.out:
+        options.out.mkdir(parents=True, exist_ok=True)
+    found = {"scenes": of_scenes()}
+    table("scene (mm)", found["scenes"])
+    if options.levels:
+        found["eight levels"] = with_levels(8, of_scenes)
+        table("eight levels (mm)", found["eight levels"])
+    folder = options.data / "icub_torso_touches"
+    if folder.is_dir():
+        found["torso"] = of_torso(folder, options.out)
+        table("torso of iCub (mm)", found["torso"])
+    else:
+        print(f"no torso: {folder} is not there")
+    return found
+
+
+if __name__ == "__main__":
+    main()
