@@ -11,8 +11,9 @@ noise is 1 %, a level that the calibration does not know.
 Printed for each world are rms errors in mm: of the pressure-weighted mean of contact points (the
 baseline), three chosen circles, the joint estimate with Hertz' contact, the same with gain and
 offset declared unknown, the joint estimate by default, and with the learned contact model; the
-bound of the world's noise for who knows all but the places; and the rms of the stated standard
-deviations over the rms error, and processor seconds. A "!" follows errors above the baseline's, and
+bound of the world's noise for who knows all but the places; the rms of the stated standard
+deviations over the rms error, the mean normalised squared error (NEES, 2 by theory), and processor
+seconds. A "!" follows errors above the baseline's, and
 "-k" precedes those of methods that leave k taxels without a place. "refused": an error was raised.
 
 --full: 20 seeds. Written are foreign_worlds.csv and a figure.
@@ -23,6 +24,7 @@ from __future__ import annotations
 import argparse
 import csv
 from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from time import process_time
@@ -66,17 +68,29 @@ def belief(sample: Sample, body: ms.Body, **options: Any) -> ms.Belief:
     )
 
 
-def centroid(sample: Sample, body: ms.Body) -> tuple[np.ndarray, float]:
-    """Weighted means (n, 3), m, of contact points on the body, of raw readings, too; sigma, m."""
+@dataclass(frozen=True)
+class Estimate:
+    """What a method says of the places."""
+
+    positions: np.ndarray
+    """(n, 3), m; NaN where undetermined."""
+    sigma: float
+    """Rms stated standard deviation, m."""
+    nees: float = float("nan")
+    """Mean normalised squared error: 2 where the covariances hold."""
+
+
+def centroid(sample: Sample, body: ms.Body) -> Estimate:
+    """Weighted means of contact points on the body, of raw readings, too."""
     r, n = sample.recording, len(sample.positions)
     points = r.points[r.reading_contact]
     mean, _, covariance = centroids(points, r.reading_taxel, r.pressure, n)
     sigma = np.sqrt(np.mean(np.trace(covariance, axis1=1, axis2=2)))
-    return body.closest(mean).point, float(sigma)
+    return Estimate(body.closest(mean).point, float(sigma))
 
 
-def estimate(sample: Sample, body: ms.Body, method: str) -> tuple[np.ndarray, float]:
-    """Positions (n, 3), m, NaN where undetermined, and the rms stated sigma, m.
+def estimate(sample: Sample, body: ms.Body, method: str) -> Estimate:
+    """The estimate by a method.
 
     Raises MeshskinError where the method refuses the recording.
     """
@@ -94,7 +108,12 @@ def estimate(sample: Sample, body: ms.Body, method: str) -> tuple[np.ndarray, fl
     good = np.isfinite(found.positions[:, 0])
     if not good.any():
         raise CalibrationError("no taxel is determined", value=found.reasons[0])
-    return found.positions, float(np.sqrt(np.mean(found.position_sigma[good] ** 2)))
+    sigma = float(np.sqrt(np.mean(found.position_sigma[good] ** 2)))
+    off = np.einsum(
+        "nji,nj->ni", found.poses[good, :3, :3], (found.positions - sample.positions)[good]
+    )
+    solved = np.linalg.solve(found.covariances[good, :2, :2], off[:, :2, None])[:, :, 0]
+    return Estimate(found.positions, sigma, float(np.mean(np.sum(off[:, :2] * solved, axis=1))))
 
 
 def measure(
@@ -110,16 +129,17 @@ def measure(
     for method in methods:
         begin = process_time()
         try:
-            places, sigma = estimate(sample, body, method)
+            found = estimate(sample, body, method)
         except MeshskinError as error:
             reasons[method] = str(error).splitlines()[0]
-            places, sigma = np.full_like(sample.positions, np.nan), np.nan
-        off = np.linalg.norm(places - sample.positions, axis=1)
+            found = Estimate(np.full_like(sample.positions, np.nan), np.nan)
+        off = np.linalg.norm(found.positions - sample.positions, axis=1)
         good = np.isfinite(off)
         rms = float(np.sqrt(np.mean(off[good] ** 2))) if good.any() else np.nan
         row |= {
             f"{method}_mm": 1e3 * rms,
-            f"{method}_sigma_mm": 1e3 * sigma,
+            f"{method}_sigma_mm": 1e3 * found.sigma,
+            f"{method}_nees": found.nees,
             f"{method}_lost": float(np.sum(~good)),
             f"{method}_s": process_time() - begin,
         }
@@ -141,14 +161,17 @@ def summary(rows: list[dict[str, float]]) -> dict[str, float]:
 
 def print_head(methods: list[str], seeds: int) -> None:
     """The head of the table."""
-    print(f"rms errors in mm, stated over true error in brackets, processor seconds; {seeds} seeds")
-    cells = "".join(f"{METHODS[method]:>28}" for method in methods)
+    print(
+        f"rms errors in mm, stated over true error and NEES in brackets, processor seconds; {seeds} "
+        "seeds"
+    )
+    cells = "".join(f"{METHODS[method]:>34}" for method in methods)
     print(f"{'world':16}{'readings':>9}{'bound':>9}{cells}")
 
 
 def print_row(name: str, row: Mapping[str, float], methods: list[str]) -> None:
     """One world."""
-    cells = "".join(f"{cell(row, method):>28}" for method in methods)
+    cells = "".join(f"{cell(row, method):>34}" for method in methods)
     shown = f"{row['bound_mm']:.4f}" if np.isfinite(row["bound_mm"]) else "-"
     print(f"{name:16}{row['readings']:9.0f}{shown:>9}{cells}", flush=True)
 
@@ -160,9 +183,11 @@ def cell(row: Mapping[str, float], method: str) -> str:
         return "refused"
     sigma = row[f"{method}_sigma_mm"] / error
     worse = "!" if error > row[f"{BASELINE}_mm"] else " "
-    ratio = f"({sigma:.2f})" if np.isfinite(sigma) else ""
+    nees = row[f"{method}_nees"]
+    ratio = f"({sigma:.2f}{f', {nees:.3g}' if np.isfinite(nees) else ''})"
+    ratio = ratio if np.isfinite(sigma) else ""
     lost = f"-{row[f'{method}_lost']:.3g}" if row[f"{method}_lost"] else ""
-    return f"{lost:>5}{error:8.4f}{worse}{ratio:>7}{row[f'{method}_s']:6.2f}"
+    return f"{lost:>5}{error:8.4f}{worse}{ratio:>13}{row[f'{method}_s']:6.2f}"
 
 
 def worse_than_baseline(found: Mapping[str, Mapping[str, float]]) -> list[str]:

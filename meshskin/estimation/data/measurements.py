@@ -166,9 +166,9 @@ class Measurements:
 
     @cached_property
     def phase(self) -> Array:
-        """Times (m,) of the contacts from the middle of the recording, relative to its length."""
+        """Times (m,) since the first contact, relative to all: drifts begin at an offset of zero."""
         length = float(np.ptp(self.time)) or 1.0
-        return np.asarray((self.time - self.time[0]) / length - 0.5)
+        return np.asarray((self.time - self.time[0]) / length)
 
     @cached_property
     def counts(self) -> np.ndarray:

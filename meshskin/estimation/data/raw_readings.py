@@ -137,10 +137,13 @@ def raw_readings(
 
 def levels_at_rest(values: Array, taxel: np.ndarray, contacts: int) -> tuple[Array, np.ndarray]:
     """Level at rest (n,) of the taxels whose readings `values` (k,) are recorded at rest, too, 0 of
-    the others; and which these are (n,) bool."""
+    the others; and which these are (n,) bool. Where most taxels are not, one that reads everywhere
+    drifts; only what never changes is then its level at rest."""
     n = int(taxel.max(initial=-1)) + 1
     count = np.bincount(taxel, minlength=n)
     dense = count > DENSE * contacts
+    if not recorded_at_rest(dense, taxel):
+        dense &= constant_taxels(values, taxel, n)
     order = np.lexsort((values, taxel))
     middle = np.minimum(np.cumsum(count) - count + count // 2, len(values) - 1)
     return np.where(dense, values[order][middle], 0.0), dense

@@ -63,6 +63,14 @@ class CoupledSystem:
         *blocks, g, h, k = pattern.normal_equations(jacobian, rate, curvature, size)
         return cls(pattern=pattern, gradient=(g, h, k), **dict(zip(names, blocks, strict=True)))
 
+    def transposed(self, jacobian: Array, values: Array) -> Parts:
+        """J^T v in parts, of values v (k, c) of the readings; jacobian as `from_readings`."""
+        return self.pattern.transposed(jacobian, values, self.taxels.shape[1])
+
+    def forward(self, jacobian: Array, x: Parts) -> Array:
+        """J x (k, c) of unknowns x in parts; jacobian as `from_readings`."""
+        return self.pattern.forward(jacobian, x, self.taxels.shape[1])
+
     @cached_property
     def _inverse_contacts(self) -> Array:
         return np.asarray(np.linalg.inv(self.contacts))
@@ -96,7 +104,7 @@ class CoupledSystem:
             both = self._solve_taxels(np.concatenate([coupling, right], axis=2))
             by_taxel, y = np.split(both, [coupling.shape[2]], axis=2)
             self.__dict__["_by_taxel"] = by_taxel
-        rest = shared - _inner(self.contact_shared, pressed) - _inner(by_taxel, right)
+        rest = shared - inner(self.contact_shared, pressed) - inner(by_taxel, right)
         x = np.linalg.solve(self._schur, rest)
         y = y - by_taxel @ x
         back = contacts - self._to_contacts(y) - self.contact_shared @ x
@@ -118,7 +126,7 @@ class CoupledSystem:
         """Coupling of taxels and global parameters (n, D, ks), and matrix (ks, ks) of these, with
         the contacts eliminated."""
         by_contact = self._inverse_contacts @ self.contact_shared
-        shared = self.shared - _inner(self.contact_shared, by_contact)
+        shared = self.shared - inner(self.contact_shared, by_contact)
         return self.taxel_shared - self._to_taxels(by_contact), shared
 
     @cached_property
@@ -130,7 +138,7 @@ class CoupledSystem:
     def _schur(self) -> Array:
         """The matrix (ks, ks) of the global parameters with all others eliminated."""
         coupling, shared = self._coupling
-        return shared - _inner(coupling, self._by_taxel)
+        return shared - inner(coupling, self._by_taxel)
 
     def _solve_taxels(self, right: Array) -> Array:
         return np.asarray(self.pattern.cholesky.solve(self._reduced, right))
@@ -155,6 +163,6 @@ class CoupledSystem:
         return self.pattern.to_contacts(self.taxel_contact, values)
 
 
-def _inner(a: Array, b: Array) -> Array:
+def inner(a: Array, b: Array) -> Array:
     """Sums (p, q) of products over all but the last axis of a (., ., p) and b (., ., q)."""
     return np.asarray(a.reshape(-1, a.shape[2]).T @ b.reshape(-1, b.shape[2]))

@@ -6,8 +6,8 @@ pressures) and P is the play operator of half-width w, which follows p at a dist
     P_k = clip(P_(k-1), p_k - w, p_k + w),  P = 0 before the first contact.
 
 Between contacts that press a taxel its pressure is zero. The share h, ln w and c are global
-parameters. The derivatives leave out what a reading owes to the errors of earlier contacts and to
-the places of the neighbours.
+parameters. While P rests, a reading depends on the errors of the contact that last moved it, too.
+The derivatives leave out what a reading owes to the places of the neighbours.
 
 Source: Visintin, Differential Models of Hysteresis (1994), section III.1.
 """
@@ -22,6 +22,7 @@ from scipy import sparse
 from ...core.arrays import Array, ranges
 from ..data.measurements import Measurements
 from .likelihood import Readings
+from .reading_sums import CONTACT_SIZE
 
 WIDTH = 0.1
 """Half-width of the play operator, relative to the nominal peak, at a logarithm of 0."""
@@ -40,6 +41,9 @@ class Electronics:
         self.data, self.readings, self.points = data, readings, points
         self.columns = data.parameters.columns
         self.peak = float(np.median(data.peaks)) / data.sigma
+        self.source = np.arange(len(readings.taxel))
+        """The reading (k,) on which each one's play operator rested when last applied; its own
+        where it moved, or rested on none."""
 
     def apply(
         self,
@@ -53,8 +57,10 @@ class Electronics:
         """Readings (k,) of the pressures mu (k,), both in units of the noise and with the taxels'
         gains; rewrites their derivatives `jacobian` (C, k).
 
-        s (ks,): global parameters, whose derivatives begin in the row `first`; scale (k,): each
-        taxel's gain; gain: the row of its logarithm, and that factor's derivative in it.
+        s (ks,): global parameters, whose derivatives begin in the row `first`; those in the errors
+        of the reading's contact (3) follow, and where there are rows for them, those in the errors
+        of the contact of the reading `source`; scale (k,): each taxel's gain; gain: the row of its
+        logarithm, and that factor's derivative in it.
         """
         row, slope = gain
         if "crosstalk" in self.columns:
@@ -69,10 +75,15 @@ class Electronics:
             at = self.columns["hysteresis"].start
             h, width = s[at], self.peak * WIDTH * np.exp(s[at + 1]) * scale
             lagging, source, side = self.play(mu, width)
-            contact = jacobian[first + len(s) :].copy()
+            last, own = first + len(s), source == np.arange(len(mu))
+            contact = jacobian[last : last + CONTACT_SIZE].copy()
             jacobian += h * (np.where(source >= 0, jacobian[:, source], 0.0) - jacobian)
             # an earlier contact's errors are not this one's
-            jacobian[first + len(s) :] = contact * np.where(source == np.arange(len(mu)), 1, 1 - h)
+            jacobian[last : last + CONTACT_SIZE] = contact * np.where(own, 1, 1 - h)
+            rests = ~own & (source >= 0)
+            if len(jacobian) > last + CONTACT_SIZE:
+                jacobian[last + CONTACT_SIZE :] = np.where(rests, h * contact[:, source], 0.0)
+            self.source = np.where(rests, source, np.arange(len(mu)))
             jacobian[row] += h * slope * side * width
             jacobian[first + at], jacobian[first + at + 1] = lagging - mu, h * side * width
             mu = mu + h * (lagging - mu)

@@ -252,17 +252,19 @@ class Likelihood:
         electronics: Electronics | None = None,
     ) -> tuple[Array, Array]:
         """mu (k,) in units of the noise, and its derivatives (C, k) in all unknowns; where contacts
-        have errors of their own, in these (3), too.
+        have errors of their own, in these (3), too, and with hysteresis in those (3) of the contact
+        of the reading `electronics.source`.
 
         electronics: hysteresis and crosstalk, where `contact` is that of all readings; by default
         none.
         """
         data, names = self.data, self.data.parameters.nuisance_names
+        lagging = electronics is not None and "hysteresis" in data.parameters.columns
         offset = points - contacts.points[contact]
         mean, by_point, by_shape = disc_means(data.model.name, offset, contact, contacts, data.disc)
         columns, first = data.parameters.columns, 3 + len(names)
         last = first + len(data.parameters.sigma)
-        jacobian = np.empty((last + (3 if contacts.by_load else 0), len(mean)))
+        jacobian = np.zeros((last + 3 * (bool(contacts.by_load) + lagging), len(mean)))
         features = None
         if "profile" in columns:
             features, value, slope, by_axes = self._profile(offset, contact, contacts)
@@ -311,6 +313,8 @@ class Likelihood:
                 level = data.response_levels[1]
                 load = contacts.load_errors[contact] / (1 + level * contacts.compression)
                 jacobian[row] += level * load * jacobian[last + 2]
+                if electronics is not None and lagging:
+                    jacobian[row] += level * load[electronics.source] * jacobian[last + 5]
             mu = self._compressed(mu, jacobian, contacts.compression, first)
         for row, name in enumerate(names):
             if name != "gain":

@@ -62,7 +62,7 @@ def predictions(readings: Readings, residuals: Array, data: Measurements) -> Arr
     return np.asarray(residuals + level / data.sigma)
 
 
-def clear_of_limits(mu: Array, data: Measurements, scale: float = 1.0) -> np.ndarray:
+def clear_of_limits(mu: Array, data: Measurements, scale: float | Array = 1.0) -> np.ndarray:
     """Predictions mu (k,) bool that noise of `scale` moves over no limit of the sensor."""
     margin = MIN_CLEARANCE * scale
     clear = mu > data.threshold / data.sigma + margin

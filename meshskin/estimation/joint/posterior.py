@@ -73,10 +73,10 @@ class Posterior:
         of the readings, and the square roots of the second derivatives of their costs; prior:
         precisions of a taxel (D,), a contact (3,) and the global parameters (ks,); profile: rows of
         its coefficients among these; names (D - 2,): of a taxel's effects."""
-        pattern, count, size = system.pattern, probes.count, len(prior[0])
+        count = probes.count
         signs = root[:, None] * probes.readings
-        x = system.solve(*pattern.transposed(jacobian, signs, size))
-        fitted = pattern.forward(jacobian, x, size)
+        x = system.solve(*system.transposed(jacobian, signs))
+        fitted = system.forward(jacobian, x)
         # in units of the prior deviations no effect's probe drowns another's
         taxel, contact = (np.sqrt(part)[:, None] for part in prior[:2])
         none = np.zeros((len(prior[2]), count))

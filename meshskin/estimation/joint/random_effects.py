@@ -29,7 +29,9 @@ from .coupled_system import CoupledSystem, CouplingPattern
 from .departures import FittedReadings
 from .deviations import Deviations
 from .electronics import Electronics
+from .lagged_system import LaggedSystem
 from .likelihood import BLOCK, Likelihood, Readings
+from .noise import clear_of_limits
 from .parametrization import SurfaceParametrization
 from .posterior import Posterior, Probes
 from .pressure import OBSERVED, costs
@@ -54,9 +56,6 @@ ones exceed it."""
 PROPORTIONAL = 5.0
 """Expected increase of the restricted likelihood by a variance below which the noise may grow with
 the reading: before, what the effects do not explain yet would pass for it."""
-MIN_CLEARANCE = 3.0
-"""Distance of a predicted reading from threshold and saturation, in standard deviations, from which
-it enters the estimate of the noise: 1e-3 of such readings are censored."""
 MOVE_TOLERANCE = 0.05
 """RMS move of the taxels, in standard deviations, at which steps end."""
 TOLERANCE = 0.2
@@ -98,18 +97,18 @@ class RandomEffects:
         self.size = 2 + unknowns.nuisance.shape[1]
         """Unknowns of a taxel: two coordinates in its chart, ln gain, offset, and drift if any."""
         self.probes = Probes(readings, len(data.points), self.size)
-        self.electronics = None
-        if set(SHOWN) & set(data.parameters.names):
-            self.electronics = Electronics(data, readings, unknowns.parametrization.points())
+        shown, points = set(SHOWN) & set(data.parameters.names), unknowns.parametrization.points()
+        self.electronics = Electronics(data, readings, points) if shown else None
         self.linearized = LinearizedContacts(data, unknowns.s)
         self.deviations, self.restraint, self.last_decrease = deviations, 0, np.inf
         self.noise_known = data.belief.noise_sigma is not None
         self.leverages = np.zeros(len(readings.taxel))
-        self.iterates = [unknowns.parametrization.points()]
+        self.iterates = [points]
         self.touched = self.probes.touched
         width = self.size + len(unknowns.s) + CONTACT_SIZE
         self.mu = np.empty(len(readings.taxel))
         self.jacobian = np.empty((len(readings.taxel), width))
+        self.lag, self.rests_on = np.zeros((len(readings.taxel), CONTACT_SIZE)), readings.contact
         self.spread = np.ones(len(readings.taxel))
         self.move(unknowns)
         self.spread = self.deviations.noise_of(self.mu)
@@ -125,14 +124,19 @@ class RandomEffects:
         return taxel, np.array([d.position, d.position, d.force]) ** -2.0, sigma**-2.0
 
     def move(self, unknowns: Unknowns) -> None:
-        """Evaluate the readings mu (k,) and their derivatives (k, D + ks + 3) at other values."""
+        """Evaluate the readings mu (k,), their derivatives (k, D + ks + 3), and those `lag` (k, 3)
+        in the errors of the earlier contacts `rests_on` (k,), at other values."""
         self.unknowns = unknowns
         tangents = unknowns.parametrization.charts.tangents
         for rows, mu, jacobian in self._predicted(self.electronics):
             taxel = self.readings.taxel[rows]
             self.mu[rows] = mu
             self.jacobian[rows, :2] = np.einsum("kia,ik->ka", tangents[taxel], jacobian[:3])
-            self.jacobian[rows, 2:] = jacobian[3:].T
+            end = 1 + self.jacobian.shape[1]
+            self.jacobian[rows, 2:] = jacobian[3:end].T
+            if self.electronics is not None and len(jacobian) > end:
+                self.lag[rows] = jacobian[end:].T
+                self.rests_on = self.readings.contact[self.electronics.source]
 
     def added_by_electronics(self) -> Array:
         """What hysteresis and crosstalk add to each reading (k,), in units of the noise."""
@@ -215,9 +219,10 @@ class RandomEffects:
         """The normal equations at the present values, with priors."""
         _, rate, curvature = self._costs()
         (taxel, contact, shared), u = self.prior, self.unknowns
-        bare = CoupledSystem.from_readings(
-            self.pattern, self.jacobian, rate / self.spread, curvature / self.spread**2, self.size
-        )
+        slopes = rate / self.spread, curvature / self.spread**2
+        bare = CoupledSystem.from_readings(self.pattern, self.jacobian, *slopes, self.size)
+        if self.lag.any():
+            bare = LaggedSystem.extended(bare, self.jacobian, *slopes, self.lag, self.rests_on)
         # a taxel that no reading determines keeps its place
         weak = np.diag(np.where(taxel > 0, taxel, LOOSE_SIGMA**-2))
         g = bare.gradient
@@ -332,11 +337,8 @@ class RandomEffects:
     def clear(self) -> np.ndarray:
         """Readings (k,) bool that are predicted well inside the sensor's range, so that their
         residuals are not censored."""
-        spread, sigma = self.spread, self.data.sigma
         clear = (self.readings.kind == OBSERVED) & (self.readings.weight > 0.5)
-        clear &= self.mu > self.data.threshold / sigma + MIN_CLEARANCE * spread
-        clear &= self.mu < self.data.saturation / sigma - MIN_CLEARANCE * spread
-        return np.asarray(clear)
+        return np.asarray(clear & clear_of_limits(self.mu, self.data, self.spread))
 
     def _with_noise(self, d: Deviations, parts: int) -> Deviations:
         """Deviations with the constant part of the noise from the residuals, or both `parts`."""

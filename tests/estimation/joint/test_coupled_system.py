@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from meshskin.estimation.joint.coupled_system import CoupledSystem, CouplingPattern
+from meshskin.estimation.joint.lagged_system import LaggedSystem
 from meshskin.estimation.joint.likelihood import Readings
 
 TAXELS, CONTACTS, SIZE, SHARED = 7, 9, 4, 5
 
 
-@pytest.fixture(scope="module")
-def systems():
+@pytest.fixture(scope="module", params=["own contacts", "earlier contacts, too"])
+def systems(request):
     """A system in parts, and the same as a dense matrix and gradient."""
     rng = np.random.default_rng(0)
     taxel, contact = np.nonzero(rng.random((TAXELS, CONTACTS)) < 0.6)
@@ -28,6 +29,11 @@ def systems():
     rate, curvature = rng.standard_normal(k), rng.random(k) + 0.5
     pattern = CouplingPattern(readings, CONTACTS)
     parts = CoupledSystem.from_readings(pattern, jacobian, rate, curvature, SIZE)
+    lag, source = np.zeros((k, 3)), contact
+    if request.param != "own contacts":
+        lag = rng.standard_normal((k, 3)) * (rng.random((k, 1)) < 0.5)
+        source = (contact + rng.integers(1, CONTACTS, k)) % CONTACTS
+        parts = LaggedSystem.extended(parts, jacobian, rate, curvature, lag, source)
     parts = replace(
         parts,
         taxels=parts.taxels + np.eye(SIZE),
@@ -39,6 +45,7 @@ def systems():
     for r in range(k):
         rows[r, taxel[r] * SIZE : (taxel[r] + 1) * SIZE] = jacobian[r, :SIZE]
         rows[r, first + 3 * contact[r] : first + 3 * contact[r] + 3] = jacobian[r, -3:]
+        rows[r, first + 3 * source[r] : first + 3 * source[r] + 3] += lag[r]
         rows[r, second:] = jacobian[r, SIZE:-3]
     dense = rows.T @ (curvature[:, None] * rows) + np.eye(second + SHARED)
     return parts, dense, rows.T @ rate, (first, second)
@@ -122,3 +129,15 @@ def test_sums_without_a_compiler(systems):
     ):
         for a, b in zip(one, other, strict=True):
             np.testing.assert_allclose(a, b, atol=1e-12)
+
+
+def test_products_with_the_derivatives(systems):
+    """J^T v and J x agree with the matrix: x^T J^T v is the same either way."""
+    parts, rng = systems[0], np.random.default_rng(6)
+    k = len(parts.pattern.taxel)
+    jacobian, v = rng.standard_normal((k, SIZE + SHARED + 3)), rng.standard_normal((k, 1))
+    x = [rng.standard_normal((n, 1)) for n in (TAXELS * SIZE, CONTACTS * 3, SHARED)]
+    x = x[0].reshape(TAXELS, SIZE, 1), x[1].reshape(CONTACTS, 3, 1), x[2]
+    back = parts.transposed(jacobian, v)
+    inner = sum(float(np.vdot(a, b)) for a, b in zip(x, back, strict=True))
+    np.testing.assert_allclose(inner, float(np.vdot(parts.forward(jacobian, x), v)), rtol=1e-10)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from meshskin.estimation.data.global_parameters import declared_parameters
-from meshskin.estimation.joint.electronics import WIDTH, Electronics
+from meshskin.estimation.joint.electronics import Electronics
 from meshskin.estimation.joint.likelihood import Readings
 
 PEAK, SIGMA = 2e5, 2e3
@@ -80,7 +80,7 @@ def test_neighbours_are_those_of_the_lattice_in_the_same_contact():
 
 def test_derivatives():
     """Of pressures that depend on one unknown of each taxel, with gains, and on one contact error
-    each, which later readings of the taxel owe nothing to."""
+    each, which readings that rest on an earlier contact owe to that one, too."""
     rng = np.random.default_rng(3)
     made, pressure = every(rng)
     at = made.readings.contact, made.readings.taxel
@@ -88,13 +88,13 @@ def test_derivatives():
     s = np.array([0.4, 0.3, 0.0])  # share, ln width, crosstalk
     first, amplified = 2, 0.8
 
-    def apply(x, gain, s):
-        """x (n,): of each taxel; gain (n,): its logarithm."""
+    def apply(x, gain, s, error=0.0):
+        """x (n,): of each taxel; gain (n,): its logarithm; error (m, 1): of each contact."""
         scale = np.exp(amplified * gain)[at[1]]
-        mu = scale * (pressure + slope * x)[at]
-        jacobian = np.zeros((first + len(s) + 1, len(mu)))
+        mu = scale * (pressure + slope * x + by_contact * error)[at]
+        jacobian = np.zeros((first + len(s) + 6, len(mu)))
         jacobian[0], jacobian[1] = scale * slope[at], amplified * mu
-        jacobian[-1] = scale * by_contact[at]
+        jacobian[-6] = scale * by_contact[at]
         return made.apply(mu, jacobian, s, scale, (1, amplified), first), jacobian
 
     x, gain = np.zeros(pressure.shape[1]), 0.1 * rng.normal(size=pressure.shape[1])
@@ -115,8 +115,10 @@ def test_derivatives():
         if crosstalk == 0.0:  # else a neighbour's unknowns have a part that is left out
             np.testing.assert_allclose(jacobian[0], difference(1e-6, 0.0, 0.0), atol=1e-5)
             np.testing.assert_allclose(jacobian[1], difference(0.0, 1e-6, 0.0), atol=1e-5)
-            width = made.peak * WIDTH * np.exp(s[1]) * np.exp(amplified * gain)[at[1]]
-            mu = np.exp(amplified * gain)[at[1]] * pressure[at]
-            follows = made.play(mu, width)[1] == np.arange(len(mu))
-            own = np.exp(amplified * gain)[at[1]] * by_contact[at]
-            np.testing.assert_allclose(jacobian[-1], np.where(follows, 1.0, 0.6) * own)
+            error = rng.normal(size=(len(pressure), 1))
+            up, down = (apply(x, gain, s, sign * 1e-6 * error)[0] for sign in (1, -1))
+            own, earlier = jacobian[first + 3], jacobian[first + 6]
+            e = error[:, 0]
+            expected = own * e[at[0]] + earlier * e[at[0][made.source]]
+            np.testing.assert_allclose((up - down) / 2e-6, expected, atol=1e-5)
+            assert 0.1 < np.mean(made.source != np.arange(len(own))) < 0.9
