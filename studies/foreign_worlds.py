@@ -162,8 +162,8 @@ def summary(rows: list[dict[str, float]]) -> dict[str, float]:
 def print_head(methods: list[str], seeds: int) -> None:
     """The head of the table."""
     print(
-        f"rms errors in mm, stated over true error and NEES in brackets, processor seconds; {seeds} "
-        "seeds"
+        "rms errors in mm, stated over true error and NEES in brackets, processor seconds; "
+        f"{seeds} seeds"
     )
     cells = "".join(f"{METHODS[method]:>34}" for method in methods)
     print(f"{'world':16}{'readings':>9}{'bound':>9}{cells}")
