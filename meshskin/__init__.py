@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from .estimation.adaptive import adapt as adapt
     from .estimation.calibrate import calibrate as calibrate
     from .estimation.calibration import Calibration as Calibration
+    from .estimation.kinematics.calibrate_log import LogCalibration as LogCalibration
+    from .estimation.kinematics.calibrate_log import calibrate_log as calibrate_log
     from .estimation.layout.layout import Layout as Layout
     from .estimation.layout.layout import layout as layout
     from .estimation.posegraph import PoseGraph as PoseGraph
@@ -52,6 +54,7 @@ _HOMES = {
     "Indenter": "contact.indenter",
     "Law": "scene.settings",
     "Layout": "estimation.layout.layout",
+    "LogCalibration": "estimation.kinematics.calibrate_log",
     "Material": "contact.material",
     "PoseGraph": "estimation.posegraph",
     "Readout": "scene.settings",
@@ -64,6 +67,7 @@ _HOMES = {
     "adapt": "estimation.adaptive",
     "budget": "study.sensitivity.budget",
     "calibrate": "estimation.calibrate",
+    "calibrate_log": "estimation.kinematics.calibrate_log",
     "compare": "skin.compare",
     "contact": "contact",
     "cost": "study.sensitivity.cost",

@@ -158,9 +158,11 @@ def subset(recording: Recording, belief: Belief, keep: np.ndarray) -> tuple[Reco
         recording.readings.filter(pa.array(keep[recording.reading_contact])),
         recording.metadata,
     )
-    if belief.headings is None:
-        return part, belief
-    return part, replace(belief, headings=np.asarray(belief.headings)[keep])
+    if belief.headings is not None:
+        belief = replace(belief, headings=np.asarray(belief.headings)[keep])
+    if belief.contact_motion is not None:
+        belief = replace(belief, contact_motion=belief.contact_motion.take(keep))
+    return part, belief
 
 
 def _recorded_belief(calibration: Calibration) -> Belief:

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..contact import ContactModel
 from ..core.arrays import Array, sums_by_group
+from .data.global_parameters import MOTION, MOVES
 from .data.measurements import Measurements
 from .data.pairs import near_pairs
 from .joint.contacts import Contacts, LinearizedContacts
@@ -39,8 +40,6 @@ CONVERGED = 1e-7
 """Length of a step, m, from which a contact is localised."""
 FLOOR = 1e-9
 """Least damping, relative to the largest curvature of a contact: no taxel in reach has none."""
-MOVES = ("indenter_offset", "body_offset")
-"""Global parameters that move the recorded contacts, not the readings of a contact in its place."""
 
 
 @dataclass(frozen=True)
@@ -290,6 +289,9 @@ def _shared(calibration: Calibration, data: Measurements) -> Array:
     s = np.array([calibration.unknowns.get(label, (0.0, 0.0))[0] for label in labels])
     if calibration.response is not None:
         s[columns["profile"]] = calibration.response.coefficients
+    if (motion := data.parameters.motion) is not None:
+        found = np.array([calibration.unknowns[label][0] for label in motion.labels])
+        s[columns[MOTION]] = np.linalg.pinv(motion.root) @ (found - motion.mean)
     return s
 
 
@@ -303,5 +305,5 @@ def _in_place(data: Measurements, s: Array) -> tuple[Measurements, Array]:
     columns = parameters.columns
     names = tuple(name for name in parameters.names if name not in MOVES)
     rows = np.concatenate([np.arange(len(s))[columns[name]] for name in names])
-    still = replace(parameters, names=names, sigma=parameters.sigma[rows])
+    still = replace(parameters, names=names, sigma=parameters.sigma[rows], motion=None)
     return replace(data, parameters=still), s[rows]

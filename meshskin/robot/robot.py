@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..core.arrays import Array
 from ..core.errors import ArmError
 from ..core.se3 import inverse, transform
 from ..geometry.body import Body
 from .chain import Chain, ChainJoint
+from .contact_kinematics import SIGMAS, ContactKinematics
 from .urdf import Joint, UrdfTree, rotation
 
 TURNING, SLIDING = ("revolute", "continuous"), ("prismatic",)
@@ -64,6 +66,12 @@ class Robot:
         """Names of the moving joints that mimic no other, in the order of the file."""
         return tuple(j.name for j in self.tree.joints if j.kind != "fixed" and j.mimic is None)
 
+    @property
+    def root(self) -> str:
+        """Name of the link that no joint moves."""
+        moved = {j.child for j in self.tree.joints}
+        return next(link for link in self.links if link not in moved)
+
     def chain(self, base: str, tip: str) -> Chain:
         """The chain from the link `base` to the link `tip`, through the link where they meet.
 
@@ -113,3 +121,22 @@ class Robot:
         Raises MeshError, UnknownNameError.
         """
         return Body.from_urdf(self.path, link, self.folders, kind, open)
+
+    def contact_kinematics(
+        self,
+        link: str,
+        indenter: ArrayLike,
+        carrier: str | None = None,
+        mount: ArrayLike | None = None,
+        unknown: Mapping[str, float] = SIGMAS,
+    ) -> ContactKinematics:
+        """A body on `link` that touches an indenter, whose contacts follow from joint angles.
+
+        indenter (3,): its centre, m, in the frame of the link `carrier`, by default the root.
+        mount: T_link_body (4, 4), by default the identity, as of `body`. unknown: standard
+        deviations of what is not known exactly, by name, as `ContactKinematics.unknown`. Raises
+        UnknownNameError, ArmError.
+        """
+        chain = self.chain(link, self.root if carrier is None else carrier)
+        pose = np.eye(4) if mount is None else np.asarray(mount, dtype=float)
+        return ContactKinematics(chain, np.asarray(indenter, dtype=float), pose, unknown)

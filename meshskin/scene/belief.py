@@ -22,6 +22,7 @@ from ..core.arrays import Array
 from ..core.config import check_fields, quantity
 from ..core.errors import ConfigError
 from ..geometry.body import Body
+from .contact_motion import ContactMotion
 
 PRESSURE, RAW = READINGS = ("pressure", "raw")
 """Units of the readings of a belief."""
@@ -69,6 +70,8 @@ class Belief(NamedFields):
     headings: Array | None = None
     """Rotations (m, 3, 3), world from body, of the recording's m contacts; an unknown indenter
     offset needs them. None: those in the recording, if any."""
+    contact_motion: ContactMotion | None = None
+    """Unknowns of the robot that move the recording's m contacts; None: there are none."""
     module_slots: Array | None = None
     """Positions (slots, 3) of a rigid module's taxels in the module's frame, m (z = outward
     normal); taxel ids are then slots * module + slot. None: the taxels are independent."""
@@ -89,6 +92,8 @@ class Belief(NamedFields):
         check_type(Mapping, self.priors, "priors of a belief")
         for name, sigma in self.priors.items():
             check_real(f"prior of {name}", sigma, above=0.0)
+        if self.contact_motion is not None:
+            check_type(ContactMotion, self.contact_motion, "the contact motion of a belief")
         if self.headings is not None:
             headings = check_array("headings of a belief", self.headings)
             gram = headings @ np.swapaxes(headings, -1, -2) if headings.ndim == 3 else np.zeros(1)

@@ -120,6 +120,7 @@ class World:
             "saturation": None,
             "unknown": ("modulus",),
             "priors": {},
+            "contact_motion": None,
             "surface_sigma": 0.0,
             "headings": None,
             "module_slots": None,

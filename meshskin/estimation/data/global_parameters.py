@@ -1,7 +1,8 @@
 """Global parameters s, which all readings share: contact modulus, force, pose of the contacts.
 
 e = ln(E* / nominal); scale h and offset b of the force, F_true = exp(h) F + b; an indenter offset
-in the world frame and a body offset (translation, rotation) in the body frame (joint/contacts.py).
+in the world frame and a body offset (translation, rotation) in the body frame (joint/contacts.py);
+whitened entries u of the unknowns that move contacts (scene/contact_motion.py).
 Each taxel may have nuisance parameters of its own: ln gain, offset, and the offset's drift.
 """
 
@@ -15,6 +16,7 @@ import numpy as np
 from ...contact.learned import PROFILE_SIZE
 from ...core.arrays import Array
 from ...core.errors import UnknownNameError
+from ...scene.contact_motion import ContactMotion
 
 SIZES = {
     "modulus": 1,
@@ -29,7 +31,11 @@ SIZES = {
     "hysteresis": 2,
     "crosstalk": 1,
 }
-"""Number of entries of each global parameter."""
+"""Number of entries of each global parameter, but for the contact motion."""
+MOTION = "contact_motion"
+"""Global parameter of as many entries as the belief's contact motion has."""
+MOVES = ("indenter_offset", "body_offset", MOTION)
+"""Global parameters that move the recorded contacts, not the readings of a contact in its place."""
 NUISANCE = ("gain", "offset", "drift")
 """Parameters of each taxel beside its position."""
 PRIORS = {
@@ -77,12 +83,21 @@ class GlobalParameters:
     """Those of NUISANCE that every taxel has."""
     nuisance_sigma: tuple[float, ...] = ()
     """Their prior standard deviations: of ln gain, and of the offset and its drift in Pa."""
+    motion: ContactMotion | None = None
+    """That of the belief, if MOTION is among the names."""
 
     @property
     def columns(self) -> dict[str, slice]:
         """The entries of s of each parameter."""
-        ends = np.cumsum([SIZES[name] for name in self.names])
-        return {n: slice(e - SIZES[n], e) for n, e in zip(self.names, map(int, ends), strict=True)}
+        sizes = [self._size(name) for name in self.names]
+        ends = np.cumsum(sizes)
+        return {
+            name: slice(int(end) - size, int(end))
+            for name, size, end in zip(self.names, sizes, ends, strict=True)
+        }
+
+    def _size(self, name: str) -> int:
+        return self.motion.size if name == MOTION and self.motion is not None else SIZES[name]
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -92,17 +107,42 @@ class GlobalParameters:
             "exponents": ("of the radius", "of the peak"),
             "hysteresis": ("share", "width"),
             "profile": tuple(str(k) for k in range(1, PROFILE_SIZE + 1)),
+            MOTION: tuple(
+                str(k + 1) for k in range(0 if self.motion is None else self.motion.size)
+            ),
         }
         return tuple(
-            name if SIZES[name] == 1 else f"{name} {entry}"
+            name if name in SIZES and SIZES[name] == 1 else f"{name} {entry}"
             for name in self.names
-            for entry in entries.get(name, axes)[: SIZES[name]]
+            for entry in entries.get(name, axes)[: self._size(name)]
         )
+
+    def start(self) -> Array:
+        """The entries of s (ks,) at which an estimate begins: where the contacts were computed."""
+        s = np.zeros(len(self.sigma))
+        if self.motion is not None:
+            s[self.columns[MOTION]] = self.motion.about
+        return s
+
+    def named(self, s: Array, covariance: Array) -> dict[str, tuple[float, float]]:
+        """Value and standard deviation of each global parameter at s (ks,) with a covariance
+        (ks, ks); those of the contact motion by the names of its unknowns."""
+        sigma = np.sqrt(np.diag(covariance))
+        found = {
+            label: (float(value), float(deviation))
+            for label, value, deviation in zip(self.labels, s, sigma, strict=True)
+        }
+        if self.motion is None:
+            return found
+        at = self.columns[MOTION]
+        for label in self.labels[at]:
+            del found[label]
+        return found | self.motion.unknowns(s[at], covariance[at, at])
 
     @property
     def move_contacts(self) -> bool:
         """Whether the contact points depend on s."""
-        return "indenter_offset" in self.names or "body_offset" in self.names
+        return any(name in MOVES for name in self.names)
 
     def describe_priors(self) -> tuple[str, ...]:
         """One sentence for each prior."""
@@ -147,15 +187,19 @@ class GlobalParameters:
 
 
 def declared_parameters(
-    unknown: tuple[str, ...], priors: Mapping[str, float], force: float, peak: float
+    unknown: tuple[str, ...],
+    priors: Mapping[str, float],
+    force: float,
+    peak: float,
+    motion: ContactMotion | None = None,
 ) -> GlobalParameters:
-    """The parameters that a belief declares `unknown`.
+    """The parameters that a belief declares `unknown`, and those of its contact motion.
 
     priors: standard deviations in place of PRIORS; force, N, and peak, Pa: the reference values.
     Raises UnknownNameError for a name that does not exist.
     """
     for name in (*unknown, *priors):
-        if name not in PRIORS:
+        if name not in PRIORS and (name != MOTION or motion is None):
             raise UnknownNameError("unknown of a belief", name, PRIORS)
     unit = {"force_offset": force, "offset": peak, "drift": peak}
     prior = {name: priors.get(name, PRIORS[name]) * unit.get(name, 1.0) for name in PRIORS}
@@ -164,11 +208,14 @@ def declared_parameters(
     if "body_offset" in names:
         sigma[names.index("body_offset")][3:] *= ROTATION
     nuisance = tuple(name for name in NUISANCE if name in unknown)
+    if motion is not None:
+        names, sigma = (*names, MOTION), [*sigma, np.ones(motion.size)]
     return GlobalParameters(
         names,
         np.concatenate([*sigma, np.empty(0)]),
         nuisance,
         tuple(prior[name] for name in nuisance),
+        motion,
     )
 
 

@@ -234,7 +234,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     if belief.readings != RAW:
         contacts = recording.reading_contact[read]
         check_pressures(pressure[read], contacts, index[read], recording.points)
-    reference = belief.force_reference or 1.0
+    reference, material = belief.force_reference or 1.0, belief.material
     unit_checks.check_force(recording.force[used], reference)
     valid = np.ones(int(used.sum()), dtype=bool)
     if not learned:  # a learned response needs no valid model
@@ -245,7 +245,6 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         corrupt |= pressure < 0
     corrupt &= used[recording.reading_contact]
     hit, force, row = hit.take(used), recording.force[used], np.cumsum(used) - 1
-    material = belief.material
     model = contact.ContactModel(belief.contact, material.poisson, material.thickness)
     patches = _nominal_patches(model, belief, force, hit.curvature)
     if not learned:
@@ -259,6 +258,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     read &= pressure > belief.threshold
     _require_readings(read, recording, used)
     peak, n = float(np.median(patches.peak)), len(belief.taxel_ids)
+    motion = belief.contact_motion and belief.contact_motion.take(used)
     ends = ends_of_range(pressure[read], index[read], n)
     saturation = belief.saturation or common_end(ends, np.bincount(index[read], minlength=n))
     data = Measurements(
@@ -279,7 +279,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         ends=np.minimum(ends, saturation),
         constant=constant_taxels(recording.pressure, index, n),
         falling=falling,
-        parameters=declared_parameters(belief.unknown, belief.priors, reference, peak),
+        parameters=declared_parameters(belief.unknown, belief.priors, reference, peak, motion),
         learned=learned,
         unit=unit,
         headings=None if headings is None else headings[used],

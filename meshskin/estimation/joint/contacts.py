@@ -19,6 +19,7 @@ from ...contact import Patches
 from ...core import se3
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
+from ..data.global_parameters import MOTION
 from ..data.measurements import Measurements
 from .patch_derivatives import LoadDerivatives, SurfaceGradients, loaded_patches
 
@@ -289,6 +290,10 @@ class LinearizedContacts:
             back = np.swapaxes(self.recorded.headings, 1, 2)
             centre = centre + back @ s[at["indenter_offset"]]
             slope[:, :, at["indenter_offset"]] = back
+        if self.parameters.motion is not None:
+            motion = self.parameters.motion
+            centre = centre + motion.displacements(s[at[MOTION]])
+            slope[:, :, at[MOTION]] = motion.slopes @ motion.root
         return centre, up, slope
 
     def _patches(self, data: Measurements, s: Array) -> tuple[Patches, LoadDerivatives]:

@@ -79,7 +79,7 @@ class JointEstimator:
         self.faults = np.full(len(data.ids), "", dtype=object)
         self.broken = np.zeros(len(live), dtype=bool)
         self.frozen = shared is not None
-        s = np.zeros(len(data.parameters.sigma)) if shared is None else shared
+        s = data.parameters.start() if shared is None else shared
         z = None
         if nuisance is not None:
             z = np.concatenate([np.zeros((len(nuisance), parametrization.size)), nuisance], axis=1)

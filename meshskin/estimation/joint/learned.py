@@ -165,8 +165,9 @@ def with_learned_response(data: Measurements, points: Array) -> Measurements:
     names = (*LEARNED, *(name for name in data.parameters.names if name not in LEARNED))
     priors = {**LEARNED_PRIORS, **data.belief.priors}
     parameters = declared_parameters(
-        (*names, "gain", "offset"), priors, data.belief.force_reference or 1.0, peak
-    )
+        (*names, "gain", "offset"), priors, data.belief.force_reference or 1.0, peak,
+        data.parameters.motion,
+    )  # fmt: skip
     offset = points[data.taxel] - data.points[data.contact]
     height = np.einsum("ki,ki->k", offset, data.normals[data.contact])
     across = np.sqrt(np.maximum(np.einsum("ki,ki->k", offset, offset) - height**2, 0.0))
@@ -184,7 +185,7 @@ def with_learned_response(data: Measurements, points: Array) -> Measurements:
 def _begin(data: Measurements, live: np.ndarray, start: EstimatorResult) -> RandomEffects:
     """The estimate at its start."""
     charts = chart.charts_at(data.body, start.points[live], start.rotations[live])
-    s, nuisance = np.zeros(len(data.parameters.sigma)), np.zeros((len(live), 2))
+    s, nuisance = data.parameters.start(), np.zeros((len(live), 2))
     if start.modulus is not None and data.unit == 1.0:
         s[data.parameters.columns["modulus"]] = np.log(start.modulus / data.modulus)
     for column, (name, unit) in enumerate({"gain": 1.0, "offset": data.sigma}.items()):

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...contact.learned import ProfileCorrection
 from ...core.arrays import Array
+from ..data.global_parameters import MOTION
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import (
     CENSORING,
@@ -26,6 +27,7 @@ from .deviations import FLOOR
 from .electronics import WIDTH
 from .joint_estimator import JointEstimator
 from .noise import neighbours
+from .null_space import undetermined_motion
 from .pressure import CENSORED, OBSERVED, disc_means
 from .random_effects import RandomEffects
 from .rival_optima import RivalOptima
@@ -153,16 +155,10 @@ def _neighbour_scatter(effects: RandomEffects, r: Array, rows: np.ndarray) -> tu
 def _shared_values(effects: RandomEffects, covariance: Array) -> dict[str, tuple[float, float]]:
     """Global parameters but for the profile, and the deviations of the contacts' errors."""
     parameters, d = effects.data.parameters, effects.deviations
-    sigma = np.sqrt(np.diag(covariance))
     m = max(int(effects.touched.sum()), 1)
-    profile = parameters.columns["profile"]
-    found = {
-        label: (float(value), float(deviation))
-        for k, (label, value, deviation) in enumerate(
-            zip(parameters.labels, effects.unknowns.s, sigma, strict=True)
-        )
-        if not profile.start <= k < profile.stop
-    }
+    found = parameters.named(effects.unknowns.s, covariance)
+    for label in parameters.labels[parameters.columns["profile"]]:
+        del found[label]
     found["contact_scatter"] = d.position, d.position / float(np.sqrt(4 * m))
     found["force_scatter"] = d.force, d.force / float(np.sqrt(2 * m))
     return found
@@ -172,11 +168,13 @@ def _not_separable(effects: RandomEffects, covariance: Array) -> tuple[str, ...]
     """Shared parameters that rest on their priors, in words."""
     parameters = effects.data.parameters
     sigma = np.sqrt(np.diag(covariance))
-    return tuple(
+    weak = tuple(
         f"{label} is not determined"
         for k, label in enumerate(parameters.labels)
-        if not label.startswith("profile") and sigma[k] > NOT_SEPARABLE * parameters.sigma[k]
+        if not label.startswith(("profile", MOTION))
+        and sigma[k] > NOT_SEPARABLE * parameters.sigma[k]
     )
+    return (*weak, *undetermined_motion(parameters, covariance))
 
 
 def learned_response(effects: RandomEffects, covariance: Array) -> LearnedResponse:

@@ -30,7 +30,7 @@ from .fault_detection import outliers, stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
 from .module_parametrization import ModuleParametrization, align_modules
 from .noise import Noise, clear_of_limits, estimate_noise, predictions, with_estimated_noise
-from .null_space import undetermined
+from .null_space import undetermined, undetermined_motion
 from .outlier_rejection import reject_outliers, without_misfitting_contacts
 from .parametrization import Parametrization, SurfaceParametrization
 from .pressure import OBSERVED
@@ -247,13 +247,11 @@ def _result(
         ),
         modulus=modulus,
         modulus_sigma=modulus_sigma,
-        unknowns={
-            label: (float(value), float(deviation))
-            for label, value, deviation in zip(
-                parameters.labels, state.s, global_sigma, strict=True
-            )
-        },
-        undetermined=undetermined(parameters, information / unit, gains),
+        unknowns=parameters.named(state.s, scale * global_covariance),
+        undetermined=(
+            *undetermined(parameters, information / unit, gains),
+            *undetermined_motion(parameters, scale * global_covariance),
+        ),
         taxel_unknowns={
             name: np.stack([nuisance[:, k], nuisance_sigma[:, k]], axis=1)
             for k, name in enumerate(parameters.nuisance_names)

@@ -118,6 +118,12 @@ def _offsets(data: Measurements, unknowns: Mapping[str, tuple[float, float]]) ->
     out: Array = turned - data.points + value("body_offset")
     if data.headings is not None:
         out += np.swapaxes(data.headings, 1, 2) @ value("indenter_offset")
+    if (motion := data.parameters.motion) is not None:
+        found = np.array([unknowns[label][0] for label in motion.labels if label in unknowns])
+        if len(found):  # contacts keep their heights
+            moved = motion.slopes @ (found - motion.mean - motion.root @ motion.about)
+            along = np.einsum("mi,mi->m", moved, data.normals)
+            out += moved - along[:, None] * data.normals
     return out
 
 

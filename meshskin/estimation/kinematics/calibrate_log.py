@@ -1,0 +1,164 @@
+"""From a robot's log to a calibrated skin and the unknowns of the robot's kinematics.
+
+Contacts are not given: they follow from joint angles. First the heights of the indenter over the
+body tell what they can of the unknowns (heights.py); with what is left of their uncertainty they
+enter the joint estimate, with which the readings tell the rest. Contacts are then computed again,
+as they do not move linearly with the unknowns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...contact import BATCHED, ContactModel
+from ...core.arguments import check_type
+from ...core.arrays import Array
+from ...core.errors import CalibrationError
+from ...geometry.body import Body
+from ...recording.log_contacts import contact_frames, joint_path, recording_of
+from ...recording.recording import Recording
+from ...recording.skin_log import SkinLog
+from ...robot.contact_kinematics import ContactKinematics, JointPath
+from ...scene.belief import RAW, Belief
+from ...scene.contact_motion import ContactMotion
+from ..calibrate import calibrate
+from ..calibration import Calibration
+from .heights import Heights, surface_heights
+
+MAX_ROUNDS = 5
+"""Largest number of times that contacts are computed anew; two or three are usual."""
+LINEAR = 2e-6
+"""Median displacement, m, of contacts from where the linear table put them, up to which it holds: a
+tenth of the best calibrations' standard deviations."""
+NOMINAL_FORCE = 1.0
+"""Force, N, where neither log nor belief has one: the learned response scales with it."""
+HEIGHT_FITS = 2
+"""Fits of the heights, each with depths at the contacts of the last one: depths change little."""
+
+
+@dataclass(frozen=True, eq=False)
+class LogCalibration:
+    """A calibrated skin, and what the log told of the robot."""
+
+    calibration: Calibration
+    """The skin; the robot's unknowns are among `calibration.unknowns`."""
+    recording: Recording
+    """The contacts as they were last computed, with the readings."""
+    kinematics: ContactKinematics
+    """What was believed of the robot, with the declared unknowns."""
+    heights: Array
+    """Heights (m,), m, of the indenter over those of a contact, at the estimate."""
+    heights_before: Array
+    """The same (m,), m, with all unknowns zero."""
+    rounds: int
+    """Number of times that the contacts were computed."""
+
+    @property
+    def unknowns(self) -> Mapping[str, tuple[float, float]]:
+        """Value and standard deviation of each of the robot's unknowns, by
+        `ContactKinematics.labels`, in SI units and rad."""
+        found = self.calibration.unknowns
+        return {label: found[label] for label in self.kinematics.labels}
+
+    @property
+    def joint_offsets(self) -> Mapping[str, tuple[float, float]]:
+        """What to add to the reading of each joint, by its name, with the standard deviation, rad
+        (m where it slides)."""
+        names = self.kinematics.chain.joint_names
+        labels = {name: f"joint_offset {name}" for name in names}
+        return {n: self.unknowns[label] for n, label in labels.items() if label in self.unknowns}
+
+
+def calibrate_log(log: SkinLog, kinematics: ContactKinematics, belief: Belief) -> LogCalibration:
+    """Calibrate the skin of a log, and the unknowns of the robot that its contacts follow from.
+
+    belief: the body in its frame, the indenter's radius and the materials; its readings="raw" where
+    the log has counts. Forces are the log's, else the reference force at every contact, whose
+    errors the learned response estimates. Raises UnknownNameError for a joint that the log lacks,
+    RecordingError for a log without contacts, CalibrationError where the heights do not converge,
+    and as `calibrate`.
+    """
+    check_type(SkinLog, log, "what is calibrated")
+    check_type(ContactKinematics, kinematics, "kinematics of a log")
+    check_type(Belief, belief, "the belief about a log")
+    path, frames = joint_path(log, kinematics.chain.joint_names), contact_frames(log)
+    time = log.time[frames]
+    reference = belief.force_reference or NOMINAL_FORCE
+    force = np.full(len(frames), reference) if log.force is None else log.force[frames]
+    if belief.readings != RAW and log.force is None:
+        raise CalibrationError(
+            "pressures without forces cannot be calibrated",
+            value='readings="pressure", no force in the log',
+            remedy='give the belief readings="raw", or a log with forces',
+        )
+    belief = replace(belief, force_reference=belief.force_reference or float(np.median(force)))
+    heights, x = _heights(kinematics, path, time, belief, force)
+    before = heights.residuals(np.zeros(len(x)))[0]
+    rounds, moved = 0, np.full((1, 3), np.inf)
+    while rounds < MAX_ROUNDS and float(np.median(np.linalg.norm(moved, axis=1))) > LINEAR:
+        rounds += 1
+        told, s = heights.linearized(x), x[:-1]
+        centres, slopes = kinematics.centres(path, time, s)
+        u = np.linalg.pinv(told.root) @ (s - told.mean)
+        motion = ContactMotion(kinematics.labels, kinematics.sigma, slopes, told.mean, told.root, u)
+        _, points, normals = surface_heights(kinematics, belief.body, centres, s)
+        off = points + told.residuals[:, None] * normals
+        recording = recording_of(log, frames, off, normals, force, belief.readings)
+        found = calibrate(recording, _corrected(belief, kinematics, s, motion))
+        values = np.array([found.unknowns[label][0] for label in kinematics.labels])
+        moved = kinematics.centres(path, time, values)[0] - centres - slopes @ (values - s)
+        x = heights.with_depth(values)
+    return LogCalibration(found, recording, kinematics, heights.residuals(x)[0], before, rounds)
+
+
+def _heights(
+    kinematics: ContactKinematics, path: JointPath, time: Array, belief: Belief, force: Array
+) -> tuple[Heights, Array]:
+    """The heights of the contacts, and x (K + 1,) that meets them."""
+    s, x = np.zeros(len(kinematics.labels)), None
+    for _ in range(HEIGHT_FITS):
+        centres, _ = kinematics.centres(path, time, s)
+        depth = _depths(belief, belief.body.closest(centres).curvature, force)
+        heights = Heights(kinematics, path, time, belief.body, belief.indenter.radius, depth)
+        x = heights.fit(x)
+        s = x[:-1]
+    assert x is not None
+    return heights, x
+
+
+def _depths(belief: Belief, curvature: Array, force: Array) -> Array:
+    """Depths (m,), m, of contacts at curvatures (m, 2), 1/m, under forces (m,), N."""
+    material = belief.material
+    name = belief.contact if belief.contact in BATCHED else "elliptic"
+    model = ContactModel(name, material.poisson, material.thickness)
+    patches = model.patches(
+        force=force,
+        curvature=curvature,
+        indenter_radius=belief.indenter.radius,
+        effective_modulus=material.effective_modulus,
+    )
+    return np.asarray(patches.depth)
+
+
+def _corrected(
+    belief: Belief, kinematics: ContactKinematics, s: Array, motion: ContactMotion
+) -> Belief:
+    """The belief with the body's scale and the indenter's radius of s (K,), and its motion."""
+    scale = float(np.exp(kinematics.value("mesh_scale", s)))
+    radius = belief.indenter.radius + kinematics.value("indenter_radius", s)
+    return replace(
+        belief,
+        body=belief.body if scale == 1.0 else _scaled(belief.body, scale),
+        indenter=replace(belief.indenter, radius=radius),
+        contact_motion=motion,
+    )
+
+
+def _scaled(body: Body, scale: float) -> Body:
+    """The body with its mesh scaled about the origin of its frame."""
+    mesh = body.mesh.copy()
+    mesh.apply_scale(scale)
+    return replace(body, mesh=mesh, exact=None, robot_mesh=None)

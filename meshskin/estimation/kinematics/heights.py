@@ -1,0 +1,212 @@
+"""What the heights of the indenter over the body tell of the robot's unknowns.
+
+    h(c(s)) = R - exp(k) depth,    c(s): the indenter's centre by forward kinematics
+
+In a contact the centre is as high over the believed surface as the radius of the indenter less the
+depth of the indentation. Over a body that curves in several directions these heights determine most
+offsets of the joints, the mount and the indenter's place. The rest are directions in which the
+body slides along itself, which only the readings tell. The clock is left to them, too: a contact
+that is held at a force keeps its height, and the noise of the joints' rates would pass for
+information.
+
+Source of the robust weights: Huber, "Robust Statistics" (1981).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.arrays import Array, sums_by_group
+from ...core.errors import CalibrationError
+from ...geometry.body import Body
+from ...robot.contact_kinematics import ContactKinematics, JointPath
+
+MAX_ITERATIONS = 25
+"""Largest number of damped Gauss-Newton steps. The heights are met within five; along directions
+in which the body slides along itself, more steps do not help, but the readings."""
+MAX_TRIALS = 12
+"""Largest number of dampings of a step, each 10 times the last."""
+CORRECTIONS = 2
+"""Steps back to the heights after each step: where the body slides along itself they form a curved
+valley, along which straight steps would be short."""
+CONVERGED = 0.1
+"""Length of the next step, in standard deviations, from which nothing moves that counts."""
+HUBER = 1.5
+"""Residual, in standard deviations, beyond which its weight decreases: 95 % efficient without
+outliers (Source)."""
+MIN_SCATTER = 1e-5
+"""Least standard deviation of a height, m: no arm and no mesh is better."""
+MAX_SCATTER = 3e-3
+"""Largest standard deviation of the heights, m, of a body that is where it is believed: more than
+the depth of an indentation."""
+MAD = 0.6745
+"""Median absolute value of a standard normal variable."""
+LOG_DEPTH = 0.7
+"""Standard deviation of the logarithm of the depths: that of E* within a factor e, as
+`PRIORS["modulus"]`, of which the depth is the power -2/3."""
+CELL = 0.01
+"""Size, m, of cells of the body in which residuals may be alike: dents of a mesh are as wide as
+this and more."""
+
+
+@dataclass(frozen=True)
+class LinearizedHeights:
+    """The unknowns by the heights, linear about a point, and by what was known before."""
+
+    mean: Array
+    """(K,)."""
+    covariance: Array
+    """(K, K)."""
+    residuals: Array
+    """Heights (m,), m, over those of a contact, at the point."""
+
+    @property
+    def root(self) -> Array:
+        """(K, K) with root root^T the covariance."""
+        value, vector = np.linalg.eigh(self.covariance)
+        return np.asarray(vector * np.sqrt(np.maximum(value, 0.0)))
+
+
+@dataclass(frozen=True)
+class Heights:
+    """The heights of m contacts as functions of x (K + 1,): the unknowns of the robot, and the
+    logarithm of the factor of all depths."""
+
+    model: ContactKinematics
+    path: JointPath
+    """The joint angles."""
+    time: Array
+    """Times (m,), s, of the contacts."""
+    body: Body
+    radius: float
+    """Radius of the indenter, m."""
+    depth: Array
+    """Depths (m,), m, of the indentations by the believed material."""
+
+    @property
+    def precision(self) -> Array:
+        """Precisions (K + 1,) of x before any measurement."""
+        return np.append(self.model.sigma, LOG_DEPTH) ** -2.0
+
+    def residuals(self, x: Array) -> tuple[Array, Array, Array]:
+        """Heights (m,), m, over those of a contact, their derivatives (m, K + 1), and the contact
+        points (m, 3), m."""
+        s, columns = x[:-1], self.model.columns
+        centres, slopes = self.model.centres(self.path, self.time, s)
+        height, points, normals = surface_heights(self.model, self.body, centres, s)
+        sunk = np.exp(x[-1]) * self.depth
+        jacobian = np.empty((len(centres), len(x)))
+        jacobian[:, :-1] = np.einsum("mi,mik->mk", normals, slopes)
+        jacobian[:, -1] = sunk
+        if "clock_offset" in columns:
+            jacobian[:, columns["clock_offset"]] = 0.0
+        if "indenter_radius" in columns:
+            jacobian[:, columns["indenter_radius"]] = -1.0
+        if "mesh_scale" in columns:
+            outward = np.einsum("mi,mi->m", normals, points)
+            jacobian[:, columns["mesh_scale"]] = -outward[:, None]
+        radius = self.radius + self.model.value("indenter_radius", s)
+        return height - (radius - sunk), jacobian, points
+
+    def fit(self, start: Array | None = None) -> Array:
+        """x (K + 1,) that meets the heights, from a start, by default zero.
+
+        Raises CalibrationError for heights that no x within its priors meets.
+        """
+        prior = self.precision
+        x = np.zeros(len(prior)) if start is None else start
+        (r, jacobian, _), damping = self.residuals(x), 1e-3
+        for _ in range(MAX_ITERATIONS):
+            scatter = _scatter(r)
+            weight = _weights(r, scatter)
+            hessian = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
+            gradient = jacobian.T @ (weight * r) + prior * x
+            if gradient @ np.linalg.solve(hessian, gradient) < CONVERGED**2:
+                break
+            cost = _cost(r, scatter) + float(prior @ x**2) / 2
+            for _ in range(MAX_TRIALS):
+                step = -np.linalg.solve(hessian + damping * np.diag(prior), gradient)
+                trial, found = self._corrected(x + step, r + jacobian @ step, weight)
+                if _cost(found[0], scatter) + float(prior @ trial**2) / 2 < cost:
+                    x, (r, jacobian, _), damping = trial, found, damping / 10
+                    break
+                damping *= 10
+            else:
+                break  # no step decreases the cost
+        if (scatter := _scatter(r)) > MAX_SCATTER:
+            raise CalibrationError(
+                "the contacts that follow from the joint angles are not on the body",
+                value=f"{1e3 * scatter:.3g} mm off it",
+                limit=f"{1e3 * MAX_SCATTER:g} mm",
+                remedy="check the body's link and mount, the indenter's place, units and clocks",
+            )
+        return x
+
+    def _corrected(
+        self, x: Array, expected: Array, weight: Array
+    ) -> tuple[Array, tuple[Array, Array, Array]]:
+        """x (K + 1,) moved as little as brings the residuals to those `expected` (m,), m, and the
+        residuals there."""
+        found = self.residuals(x)
+        for _ in range(CORRECTIONS):
+            r, slope, _ = found
+            normal = slope.T @ (weight[:, None] * slope) + np.diag(self.precision)
+            x = x - np.linalg.solve(normal, slope.T @ (weight * (r - expected)))
+            found = self.residuals(x)
+        return x, found
+
+    def with_depth(self, s: Array) -> Array:
+        """x (K + 1,) of the unknowns s (K,) with the depths that they leave to the contacts."""
+        r = self.residuals(np.append(s, 0.0))[0]
+        factor = np.median((self.depth - r) / self.depth)
+        return np.append(s, np.log(np.clip(factor, *np.exp([-3 * LOG_DEPTH, 3 * LOG_DEPTH]))))
+
+    def linearized(self, x: Array) -> LinearizedHeights:
+        """The unknowns by heights that are linear about x (K + 1,).
+
+        Residuals that are alike in a cell of the body count as fewer.
+        """
+        r, jacobian, points = self.residuals(x)
+        weight, count = _weights(r, _scatter(r)), len(x) - 1
+        weight = weight / _design_effect(points, weight * r)
+        hessian = jacobian.T @ (weight[:, None] * jacobian) + np.diag(self.precision)
+        gradient = jacobian.T @ (weight * r) + self.precision * x
+        mean = np.asarray(x - np.linalg.solve(hessian, gradient), dtype=float)
+        covariance = np.asarray(np.linalg.inv(hessian), dtype=float)
+        return LinearizedHeights(mean[:count], covariance[:count, :count], r)
+
+
+def surface_heights(
+    model: ContactKinematics, body: Body, centres: Array, s: Array
+) -> tuple[Array, Array, Array]:
+    """Signed heights (m,), m, of `centres` (m, 3) over the body at its scale of s (K,), with the
+    closest points (m, 3) and normals there."""
+    scale = float(np.exp(model.value("mesh_scale", s)))
+    hit = body.closest(centres / scale)
+    return scale * hit.distance, scale * hit.point, hit.normal
+
+
+def _scatter(r: Array) -> float:
+    """Robust standard deviation, m, of residuals (m,), m."""
+    return max(float(np.median(np.abs(r))) / MAD, MIN_SCATTER)
+
+
+def _weights(r: Array, scatter: float) -> Array:
+    """Huber's weights (m,), 1/m^2, of residuals (m,), m."""
+    return np.minimum(1.0, HUBER * scatter / np.maximum(np.abs(r), 1e-300)) / scatter**2
+
+
+def _cost(r: Array, scatter: float) -> float:
+    """Huber's cost of residuals (m,), m."""
+    z = np.abs(r) / scatter
+    return float(np.sum(np.where(z < HUBER, z**2 / 2, HUBER * z - HUBER**2 / 2)))
+
+
+def _design_effect(points: Array, residuals: Array) -> float:
+    """Variance of the mean of residuals (m,) that are alike in a cell of the body, in relation to
+    that of independent ones; at least 1. points (m, 3), m."""
+    cells = np.unique(np.floor(points / CELL), axis=0, return_inverse=True)[1].ravel()
+    sums = sums_by_group(residuals, cells)
+    return max(1.0, float(np.sum(sums**2) / max(np.sum(residuals**2), 1e-300)))

@@ -1,0 +1,73 @@
+"""The recording of a log whose contacts are computed from joint angles.
+
+The indenter's centre is known in the body frame, by forward kinematics. Its contact is at the
+closest point of the body's smooth surface, displaced along the normal by as much as the centre is
+higher or lower than a contact's is, so that the distances of the contact points from the body show
+how well body and kinematics agree.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+
+from ..core.arrays import Array
+from ..core.errors import RecordingError, UnknownNameError
+from ..robot.contact_kinematics import JointPath
+from .recording import CONTACTS, READINGS, Recording
+from .skin_log import SkinLog
+
+
+def joint_path(log: SkinLog, joint_names: tuple[str, ...]) -> JointPath:
+    """The path of the joints `joint_names` in a log.
+
+    Raises UnknownNameError for a joint that the log lacks, RecordingError for a single frame.
+    """
+    for name in joint_names:
+        if name not in log.joint_names:
+            raise UnknownNameError("joint", name, log.joint_names, " of the log")
+    if len(log.time) < 2:
+        raise RecordingError("a log needs two frames or more", value=len(log.time))
+    columns = [log.joint_names.index(name) for name in joint_names]
+    return JointPath(log.time, log.joint_angles[:, columns])
+
+
+def contact_frames(log: SkinLog) -> np.ndarray:
+    """Frames (m,) in contact, of which a taxel reads, and which press where forces are known.
+
+    Raises RecordingError without any.
+    """
+    used = log.in_contact & np.isfinite(log.readings).any(axis=1)
+    if log.force is not None:
+        used &= np.isfinite(log.force) & (log.force > 0)
+    if not used.any():
+        raise RecordingError(
+            "the log has no contact that a taxel reads",
+            value=f"{int(log.in_contact.sum())} frames in contact",
+            remedy="check the taxels' streams, and the sign of the forces",
+        )
+    return np.flatnonzero(used)
+
+
+def recording_of(
+    log: SkinLog,
+    frames: np.ndarray,
+    points: Array,
+    normals: Array,
+    force: Array,
+    readings: str = "raw",
+) -> Recording:
+    """The recording of the contacts of `frames` (m,) at `points` (m, 3), body frame, m, with the
+    outward `normals` (m, 3) there, under forces (m,), N.
+
+    readings: unit of the log's readings, "pressure" or "raw", as `Belief.readings`.
+    """
+    time = log.time[frames]
+    values = log.readings[frames]
+    contact, column = np.nonzero(np.isfinite(values))
+    contacts = pa.table([time, *points.T, *normals.T, force], schema=CONTACTS)
+    ids = np.asarray(log.taxel_ids)
+    schema = READINGS.set(1, pa.field("taxel", pa.from_numpy_dtype(ids.dtype)))
+    table = pa.table([time[contact], ids[column], values[contact, column]], schema=schema)
+    metadata = {"taxel_ids": ids.tolist(), "readings": readings, "source": "joint angles"}
+    return Recording(contacts, table, metadata)

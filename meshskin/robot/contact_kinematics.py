@@ -1,0 +1,172 @@
+"""Where an indenter is in the frame of a body on a robot's link, by the joint angles.
+
+    c_b = T_link_body^-1 T_link_carrier(q(t - clock) + offsets) p
+
+The indenter's centre p is at rest in the frame of the link that carries it: the root, for an
+indenter fixed in the world, or a link of another limb. What of this is not known exactly is
+declared, each with a standard deviation, and c_b has derivatives by all of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+
+import numpy as np
+
+from ..core.arguments import NamedFields, check_real, check_type, check_vector
+from ..core.arrays import Array
+from ..core.errors import ArmError, UnknownNameError
+from ..core.se3 import exp_so3, hat, is_rigid, left_jacobian, transform
+from .chain import Chain
+
+SIZES = {
+    "indenter_position": 3,
+    "mount": 6,
+    "clock_offset": 1,
+    "indenter_radius": 1,
+    "mesh_scale": 1,
+}
+"""Number of entries of each unknown; joint_offset has one for each joint of the chain."""
+JOINTS = "joint_offset"
+SIGMAS = MappingProxyType(
+    {
+        "joint_offset": math.radians(1.0),
+        "indenter_position": 2e-3,
+        "mount": 3e-3,
+        "clock_offset": 0.05,
+        "indenter_radius": 1e-4,
+        "mesh_scale": 0.01,
+    }
+)
+"""Default standard deviations: rad, m, m, s, m, and of the logarithm. Chosen: a joint's zero set by
+a mark, a place measured with a ruler, a few frames, a turned ball, and a mesh in the right unit."""
+MOUNT_ROTATION = 10.0
+"""Standard deviation of the mount's rotation, rad, per m of that of its translation: the rotation
+that moves a point 0.1 m from the origin as far as the translation does."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointPath:
+    """Joint angles over time, interpolated by cubics with the differences of the samples."""
+
+    time: Array
+    """Times (n,), s, increasing, of at least two samples."""
+    angles: Array
+    """(n, k), rad."""
+
+    def at(self, time: Array) -> tuple[Array, Array]:
+        """Angles (m, k), rad, and their rates, rad/s, at times (m,), s."""
+        path = self._spline
+        return np.asarray(path(time)), np.asarray(path(time, 1))
+
+    @cached_property
+    def _spline(self):  # type: ignore[no-untyped-def]
+        from scipy.interpolate import CubicHermiteSpline
+
+        rates = np.gradient(self.angles, self.time, axis=0)
+        return CubicHermiteSpline(self.time, self.angles, rates)
+
+
+@dataclass(frozen=True, eq=False)
+class ContactKinematics(NamedFields):
+    """A body on a link and an indenter on another one. Raises ArmError, UnknownNameError."""
+
+    chain: Chain
+    """From the link of the body to the link that carries the indenter."""
+    indenter: Array
+    """The indenter's centre (3,) in the frame of the link that carries it, m."""
+    mount: Array = field(default_factory=lambda: np.eye(4))
+    """T_link_body (4, 4)."""
+    unknown: Mapping[str, float] = field(default_factory=lambda: SIGMAS)
+    """Standard deviations of what is not known exactly, by name: any of SIGMAS."""
+
+    def __post_init__(self) -> None:
+        check_type(Chain, self.chain, "chain of contact kinematics")
+        centre = check_vector("centre of the indenter", self.indenter, error=ArmError)
+        if not is_rigid(self.mount):
+            raise ArmError("mount of the body must be a rigid transform (4, 4)", value=self.mount)
+        check_type(Mapping, self.unknown, "unknowns of contact kinematics")
+        for name, sigma in self.unknown.items():
+            if name not in SIGMAS:
+                raise UnknownNameError("unknown of contact kinematics", name, SIGMAS)
+            check_real(f"standard deviation of {name}", sigma, above=0.0)
+        object.__setattr__(self, "indenter", centre)
+        object.__setattr__(self, "mount", np.asarray(self.mount, dtype=float))
+
+    @cached_property
+    def columns(self) -> dict[str, slice]:
+        """The entries of s of each unknown."""
+        found, first = {}, 0
+        for name in SIGMAS:
+            if name in self.unknown:
+                size = len(self.chain.joint_names) if name == JOINTS else SIZES[name]
+                found[name] = slice(first, first + size)
+                first += size
+        return found
+
+    @cached_property
+    def labels(self) -> tuple[str, ...]:
+        """A name (K,) for every entry of s."""
+        axes = ("x", "y", "z", "rotation x", "rotation y", "rotation z")
+        out: list[str] = []
+        for name, at in self.columns.items():
+            size = at.stop - at.start
+            entries = self.chain.joint_names if name == JOINTS else axes[:size]
+            out += [name] if size == 1 and name != JOINTS else [f"{name} {e}" for e in entries]
+        return tuple(out)
+
+    @cached_property
+    def sigma(self) -> Array:
+        """Standard deviations (K,) of s before any measurement."""
+        out = np.empty(len(self.labels))
+        for name, at in self.columns.items():
+            out[at] = self.unknown[name]
+            if name == "mount":
+                out[at][3:] *= MOUNT_ROTATION
+        return out
+
+    def value(self, name: str, s: Array) -> float:
+        """The entry of a scalar unknown in s (K,); 0 if it is not declared."""
+        return float(s[self.columns[name]][0]) if name in self.columns else 0.0
+
+    def centres(self, path: JointPath, time: Array, s: Array) -> tuple[Array, Array]:
+        """The indenter's centres (m, 3), body frame, m, at times (m,), s, with the unknowns s (K,),
+        and their derivatives (m, 3, K).
+        """
+        angles, rates = path.at(time - self.value("clock_offset", s))
+        joints = s[self.columns[JOINTS]] if JOINTS in self.columns else np.zeros(angles.shape[1])
+        point = self.indenter.copy()
+        if "indenter_position" in self.columns:
+            point += s[self.columns["indenter_position"]]
+        held = self.chain.with_tip(transform(np.eye(3), point))
+        poses = held.poses(angles + joints)
+        by_joint = held.jacobian(angles + joints)[:, :3]
+        mount = self.mount
+        if "mount" in self.columns:
+            shift, turn = np.split(s[self.columns["mount"]], 2)
+            mount = mount @ transform(exp_so3(turn), shift)
+        back = mount[:3, :3].T
+        centre = (poses[:, :3, 3] - mount[:3, 3]) @ back.T
+        slopes = np.zeros((len(centre), 3, len(s)))
+        by_joint = back @ by_joint
+        if JOINTS in self.columns:
+            slopes[:, :, self.columns[JOINTS]] = by_joint
+        if "indenter_position" in self.columns:
+            slopes[:, :, self.columns["indenter_position"]] = back @ poses[:, :3, :3]
+        if "clock_offset" in self.columns:
+            slopes[:, :, self.columns["clock_offset"]] = -by_joint @ rates[:, :, None]
+        if "mount" in self.columns:
+            slopes[:, :, self.columns["mount"]] = self._by_mount(centre, turn)
+        return centre, slopes
+
+    def _by_mount(self, centre: Array, turn: Array) -> Array:
+        """Derivatives (m, 3, 6) of centres (m, 3) by the mount's shift and rotation `turn` (3,).
+
+        centre = exp(-turn) (rest - shift), and exp(turn + d) = exp(turn) exp(J(-turn) d).
+        """
+        by_shift = np.broadcast_to(-exp_so3(-turn), (len(centre), 3, 3))
+        return np.concatenate([by_shift, hat(centre) @ left_jacobian(-turn)], axis=2)

@@ -1,0 +1,96 @@
+"""Unknowns of the robot that move contacts: the indenter's offset as a table of sensitivities, what
+other measurements have told, and directions that stay undetermined."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from meshskin.core import se3
+from meshskin.core.errors import ConfigError
+from meshskin.estimation.calibrate import calibrate
+from meshskin.scene.contact_motion import ContactMotion
+
+from .test_unknowns import record
+
+OFFSET = np.array([3e-4, -2e-4, 1e-4])
+NAMES = tuple(f"probe {axis}" for axis in "xyz")
+
+
+@pytest.fixture(scope="module")
+def turned(world):
+    """A recording whose contact points ignore an indenter offset, and its headings."""
+    turn = np.random.default_rng(3).uniform(-3, 3, len(world.points))
+    headings = se3.exp_so3(turn[:, None] * [0, 0, 1.0])
+    centre = world.points + (0.01 - world.a**2 * (10 + 100))[:, None] * world.normals
+    believed = world.body.closest(centre - np.einsum("mji,j->mi", headings, OFFSET)).point
+    return record(world, points=believed), headings
+
+
+def test_the_indenter_offset_is_a_special_case(world, turned):
+    recording, headings = turned
+    known = calibrate(
+        recording,
+        world.belief(0.01, 0.05, unknown=("modulus", "indenter_offset"), headings=headings),
+    )
+    motion = ContactMotion(NAMES, np.full(3, 5e-3), np.swapaxes(headings, 1, 2))
+    found = calibrate(recording, world.belief(0.01, 0.05, contact_motion=motion))
+    for axis, name in zip("xyz", NAMES, strict=True):
+        value, sigma = found.unknowns[name]
+        expected = known.unknowns[f"indenter_offset {axis}"]
+        assert value == pytest.approx(expected[0], abs=1e-3 * sigma)
+        assert sigma == pytest.approx(expected[1], rel=1e-4)
+    np.testing.assert_allclose(found.positions, known.positions, atol=1e-9)
+    # along the normals contacts keep their heights, which say nothing of the probe's place here
+    tangential = (slice(None), slice(2), slice(2))
+    np.testing.assert_allclose(
+        found.covariances[tangential], known.covariances[tangential], rtol=1e-3, atol=1e-13
+    )
+    assert not {label for label in found.unknowns if "contact_motion" in label}
+
+
+def test_a_mean_and_a_root_are_the_same_unknowns(world, turned):
+    """Whitened by a full covariance about another mean, with the same prior, it is the same."""
+    recording, headings = turned
+    plain = ContactMotion(NAMES, np.full(3, 5e-3), np.swapaxes(headings, 1, 2))
+    rotation = se3.exp_so3([0.3, -0.5, 0.9])
+    about = np.array([2e-3, 1e-3, -3e-3])  # what is lost along the normals is of second order
+    turned_root = replace(plain, root=5e-3 * rotation, about=about)
+    moved = world.body.closest(
+        recording.points
+        + (0.01 - world.a**2 * 110)[:, None] * world.body.closest(recording.points).normal
+        + plain.slopes @ (5e-3 * rotation @ about)
+    ).point
+    found = calibrate(
+        record(world, points=moved), world.belief(0.01, 0.05, contact_motion=turned_root)
+    )
+    expected = calibrate(recording, world.belief(0.01, 0.05, contact_motion=plain))
+    for name in NAMES:
+        value, sigma = expected.unknowns[name]
+        assert found.unknowns[name] == pytest.approx((value, sigma), abs=0.02 * sigma)
+    np.testing.assert_allclose(found.positions, expected.positions, atol=1e-6)
+
+
+def test_what_cannot_be_told_apart_is_named(world, turned):
+    """An unknown of the robot that moves contacts as the probe's x does, twice as far."""
+    recording, headings = turned
+    slopes = np.swapaxes(headings, 1, 2)
+    doubled = np.concatenate([slopes, 2 * slopes[:, :, :1]], axis=2)
+    motion = ContactMotion((*NAMES, "mast x"), np.full(4, 5e-3), doubled)
+    found = calibrate(recording, world.belief(0.01, 0.05, contact_motion=motion))
+    assert found.undetermined == ("cannot be told apart: probe x +1, mast x -0.5",)
+    value = found.unknowns["probe x"][0] + 2 * found.unknowns["mast x"][0]
+    assert value == pytest.approx(OFFSET[0], abs=2e-5)
+    assert found.unknowns["mast x"][1] == pytest.approx(5e-3 / np.sqrt(5), rel=0.01)
+
+
+def test_tables_of_another_shape_are_refused(world, turned):
+    recording, headings = turned
+    motion = ContactMotion(NAMES, np.full(3, 5e-3), np.swapaxes(headings, 1, 2))
+    some = motion.take(np.arange(len(headings)) < 3)
+    with pytest.raises(ConfigError, match="slopes of each contact of the recording, got 3 co"):
+        calibrate(recording, world.belief(0.01, 0.05, contact_motion=some))
+    with pytest.raises(ConfigError, match="limit: K = 2"):
+        ContactMotion(("a", "b"), np.ones(2), motion.slopes)
+    with pytest.raises(ConfigError, match="finite"):
+        ContactMotion(NAMES, np.ones(3), motion.slopes * np.nan)

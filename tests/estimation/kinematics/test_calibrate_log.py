@@ -1,0 +1,143 @@
+"""A skin, joint offsets and a clock offset from joint angles and raw counts alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from meshskin.core.errors import CalibrationError, ConfigError, RecordingError, UnknownNameError
+from meshskin.estimation.calibrate import calibrate
+from meshskin.estimation.kinematics.calibrate_log import calibrate_log
+from meshskin.estimation.kinematics.heights import Heights
+from meshskin.estimation.uncertainty.metrics import cramer_rao, nees, position_errors
+from meshskin.recording.log_contacts import contact_frames, joint_path, recording_of
+
+from .simulated_log import explore
+
+KNOWN = {"joint_offset": np.radians(1.0), "indenter_position": 2e-4, "clock_offset": 0.05}
+
+
+@pytest.fixture(scope="module")
+def small():
+    """37 taxels, at three headings, 25 frames a second."""
+    return explore(headings=(0, 90, 210), taxels=37, frame=0.04)
+
+
+def belief(exploration, **changes):
+    values = {"readings": "raw", "contact": "learned", "noise_sigma": None, "threshold": 0.0}
+    return exploration.scene.belief(**values | changes)
+
+
+def check(exploration, found, ratio):
+    """Clock to 2 ms, joints to 0.1 degree, taxels to `ratio` of the bound that knows both."""
+    for label, (value, sigma) in found.unknowns.items():
+        assert abs(value - exploration.truth(label)) < 4 * sigma, label
+    value, sigma = found.unknowns["clock_offset"]
+    assert abs(value - exploration.truth("clock_offset")) < 2e-3
+    assert sigma < 2e-3
+    for name, (value, sigma) in found.joint_offsets.items():
+        truth = exploration.truth(f"joint_offset {name}")
+        assert abs(value - truth) < np.radians(0.1), name
+        assert sigma < np.radians(0.1), name
+    bound = cramer_rao(
+        exploration.recording,
+        exploration.scene.belief(unknown=("modulus", "gain", "offset")),
+        exploration.scene.skin,
+    )
+    errors = position_errors(found.calibration, exploration.scene.skin)
+    assert np.sqrt(np.mean(errors**2)) < ratio * bound.rms
+    assert np.mean(nees(found.calibration, exploration.scene.skin)) < 3.0
+
+
+def test_a_small_exploration(small):
+    found = calibrate_log(small.log, small.kinematics(**KNOWN), belief(small))
+    check(small, found, 1.2)
+    assert found.rounds <= 3
+    assert np.median(found.calibration.position_sigma) < 1e-4
+    assert np.median(np.abs(found.heights)) < 5e-5
+    assert np.median(np.abs(found.heights_before)) > 1e-3
+    # the same counts with the contacts as computed from the true angles' offsets and clock
+    frames = contact_frames(small.log)
+    truth = recording_of(
+        small.log, frames, small.recording.points, small.recording.normals, small.recording.force
+    )
+    assert np.median(np.linalg.norm(found.recording.points - truth.points, axis=1)) < 2.5e-4
+    known = position_errors(calibrate(truth, belief(small)), small.scene.skin)
+    errors = position_errors(found.calibration, small.scene.skin)
+    assert np.sqrt(np.mean(errors**2)) < 1.3 * np.sqrt(np.mean(known**2))
+
+
+@pytest.mark.slow
+def test_the_whole_exploration():
+    exploration = explore()
+    found = calibrate_log(exploration.log, exploration.kinematics(**KNOWN), belief(exploration))
+    check(exploration, found, 1.2)
+
+
+def test_heights_alone_find_the_joints(small):
+    """All but the joints' and the indenter's common motion about the base, and within 4 sigma."""
+    model = small.kinematics(joint_offset=np.radians(1.0), mount=1e-3)
+    path = joint_path(small.log, model.chain.joint_names)
+    frames = contact_frames(small.log)
+    time = small.log.time[frames] - small.truth("clock_offset")
+    hit = small.scene.body.closest(small.recording.points)
+    depth = small.scene.model.patches(
+        force=small.recording.force,
+        curvature=hit.curvature,
+        indenter_radius=small.scene.indenter.radius,
+        effective_modulus=small.scene.material.effective_modulus,
+    ).depth
+    body, radius = small.scene.body, small.scene.indenter.radius
+    heights = Heights(model, path, time, body, radius, depth)
+    fit = heights.linearized(heights.fit())
+    sigma = np.sqrt(np.diag(fit.covariance))
+    truth = np.array([small.truth(label) for label in model.labels])
+    assert np.abs((fit.mean - truth) / sigma).max() < 4
+    found = dict(zip(model.labels, sigma, strict=True))
+    for name in ("joint2", "joint3", "joint4", "joint5"):
+        assert found[f"joint_offset {name}"] < np.radians(0.1)
+    # the last joint turns the body as its mount does: their sum alone is determined
+    assert found["joint_offset joint6"] > np.radians(0.3)
+    assert np.median(np.abs(fit.residuals)) < 2e-5
+    np.testing.assert_allclose(fit.root @ fit.root.T, fit.covariance, atol=1e-18)
+
+
+def test_what_a_log_cannot_tell_apart_is_named():
+    """The mount turned about the axis of the last joint, and that joint's offset."""
+    small = explore(headings=(0, 90, 210), taxels=19, frame=0.04)
+    unknown = {"joint_offset": np.radians(1.0), "mount": 1e-3, "clock_offset": 0.05}
+    found = calibrate_log(small.log, small.kinematics(**unknown), belief(small))
+    words = " | ".join(found.calibration.undetermined)
+    assert "joint_offset joint6" in words
+    assert "mount rotation" in words
+    for label, (value, sigma) in found.unknowns.items():
+        assert abs(value - small.truth(label)) < 4.5 * sigma, label
+    assert abs(found.unknowns["clock_offset"][0] - small.truth("clock_offset")) < 2e-3
+
+
+@pytest.mark.slow
+def test_pressures_and_forces_under_the_contact_model(small):
+    unknown = {"joint_offset": np.radians(1.0), "clock_offset": 0.05}
+    known = small.scene.belief(unknown=("modulus", "force_scale"))
+    found = calibrate_log(small.pressures(), small.kinematics(**unknown), known)
+    check(small, found, 1.2)
+    assert found.calibration.fit.good
+    value, sigma = found.calibration.unknowns["force_scale"]
+    assert abs(value) < 4 * sigma
+
+
+def test_bad_logs_are_refused_in_one_line(small):
+    model, log = small.kinematics(**KNOWN), small.log
+    renamed = replace(log, joint_names=("elbow", *log.joint_names[1:]))
+    with pytest.raises(UnknownNameError, match="unknown joint 'joint1' of the log"):
+        calibrate_log(renamed, model, belief(small))
+    silent = replace(log, readings=np.full_like(log.readings, np.nan))
+    with pytest.raises(RecordingError, match="no contact that a taxel reads"):
+        calibrate_log(silent, model, belief(small))
+    pulled = replace(log, force=np.full(len(log.time), -3.0))
+    with pytest.raises(RecordingError, match="sign of the forces"):
+        calibrate_log(pulled, model, belief(small))
+    with pytest.raises(CalibrationError, match="pressures without forces"):
+        calibrate_log(log, model, belief(small, readings="pressure"))
+    with pytest.raises(ConfigError, match="what is calibrated must be a SkinLog"):
+        calibrate_log(small.recording, model, belief(small))
