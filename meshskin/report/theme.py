@@ -56,6 +56,8 @@ STYLE: dict[str, Any] = {
 }
 DPI = 150
 """Pixels per inch of PNG files: 900 to 1400 pixels of width."""
+TICKS = 5
+"""Most intervals between the ticks of a linear axis: enough to read a number to a tenth."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -84,10 +86,13 @@ def new_figure(width: float, height: float) -> Figure:
 def add_axes(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
     """Axes at a position in inches from the lower left corner.
 
-    Margins are fixed because an automatic layout draws every figure twice.
+    Margins are fixed because an automatic layout draws every figure twice. Ticks take most of the
+    time of drawing, so that a linear axis has at most TICKS intervals.
     """
     w, h = figure.get_size_inches()
-    return figure.add_axes((left / w, bottom / h, width / w, height / h))
+    axes = figure.add_axes((left / w, bottom / h, width / w, height / h))
+    axes.locator_params(nbins=TICKS)
+    return axes
 
 
 def color_bar(figure: Figure, artist: Any, axes: Axes, label: str) -> Any:

@@ -12,6 +12,7 @@ Mathematical Proceedings of the Cambridge Philosophical Society 44 (1948).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -56,10 +57,11 @@ class FittedReadings:
         """Score of each departure, in standard deviations, and the start of its parameters; first
         those that can stand in for those after them."""
         pressure = np.maximum(self.mu - self.offset, 0.0)
-        electronics, best = Electronics(self.data, self.readings, self.points), (0.0, WIDTHS[0])
-        for width in WIDTHS:
-            half = np.full(len(pressure), width * WIDTH * electronics.peak)
-            best = max(best, (self._shared(electronics.play(pressure, half)[0] - pressure), width))
+        electronics = Electronics(self.data, self.readings, self.points)
+        half = np.multiply.outer(WIDTHS, np.full(len(pressure), WIDTH * electronics.peak))
+        lags = electronics.play(pressure, half)[0] - pressure
+        found = ((self._shared(lag), width) for lag, width in zip(lags, WIDTHS, strict=True))
+        best = max((0.0, WIDTHS[0]), *found)
         drift = self._each(self.data.phase[self.readings.contact])
         n = max(int(np.sum(drift != 0)), 1)
         return {
@@ -82,17 +84,24 @@ class FittedReadings:
     def _moments(self, column: Array) -> tuple[Array, Array]:
         """Derivative (n,) of the log-likelihood of each taxel in a parameter with the derivatives
         `column` (k,), and its information where the taxel's own unknowns are estimated."""
-        taxel, n, size = self.readings.taxel, len(self.points), len(self.own)
-        weighted, own = self.own * self.curvature, self.own.T
-        products = (weighted.T[:, :, None] * own[:, None, :]).reshape(-1, size**2)
-        matrix = sums_by_group(products, taxel, n).reshape(-1, size, size) + np.diag(self.prior)
-        scale = np.sqrt(np.diagonal(matrix, axis1=1, axis2=2)) + 1e-12
-        unit = matrix / (scale[:, :, None] * scale[:, None, :]) + 1e-9 * np.eye(size)
-        b = sums_by_group((weighted * column).T, taxel, n) / scale
+        taxel, n = self.readings.taxel, len(self.points)
+        scale, unit = self._own_information
+        b = sums_by_group((self.own * self.curvature * column).T, taxel, n) / scale
         explained = np.einsum("na,na->n", b, np.linalg.solve(unit, b[..., None])[..., 0])
         information = sums_by_group(self.curvature * column**2, taxel, n) - explained
         slope = -sums_by_group(self.rate * column, taxel, n)
         return slope, information
+
+    @cached_property
+    def _own_information(self) -> tuple[Array, Array]:
+        """Scales (n, D) of each taxel's own unknowns, and their information (n, D, D) in these."""
+        taxel, n, size = self.readings.taxel, len(self.points), len(self.own)
+        weighted, own = (self.own * self.curvature).T, self.own.T
+        products = (weighted[:, :, None] * own[:, None, :]).reshape(-1, size**2)
+        matrix = sums_by_group(products, taxel, n).reshape(-1, size, size) + np.diag(self.prior)
+        scale = np.sqrt(np.diagonal(matrix, axis1=1, axis2=2)) + 1e-12
+        unit = matrix / (scale[:, :, None] * scale[:, None, :]) + 1e-9 * np.eye(size)
+        return scale, unit
 
 
 def largest_score(estimator: JointEstimator) -> float:

@@ -90,24 +90,25 @@ class Electronics:
         return mu
 
     def play(self, mu: Array, width: Array) -> tuple[Array, np.ndarray, Array]:
-        """The play operator (k,) on the pressures mu (k,) of each taxel in time; the reading (k,)
-        that last moved it, -1 where a release did, or none; and the side -1, 0 or 1 on which it
-        follows: mu[source] + side width."""
-        lagging, source, side = np.zeros_like(mu), np.arange(len(mu)), np.zeros_like(mu)
-        level = np.zeros(len(self.readings.starts) - 1)
-        last, sign = np.full(len(level), -1), np.zeros(len(level))
+        """The play operator (..., k) of half-widths (..., k) on the pressures mu (k,) of each taxel
+        in time; the reading (..., k) that last moved it, -1 where a release did, or none; and the
+        side -1, 0 or 1 on which it follows: mu[source] + side width."""
+        lagging, source = np.zeros(width.shape), np.zeros(width.shape, dtype=np.intp)
+        side, taxels = np.zeros(width.shape), (*width.shape[:-1], len(self.readings.starts) - 1)
+        level, last, sign = np.zeros(taxels), np.full(taxels, -1), np.zeros(taxels)
         for rows, released in self.steps:
-            own = self.readings.taxel[rows]
-            now, moved = level[own], np.minimum(level[own], width[rows])
-            free = released & (moved < now)
-            level[own] = np.where(released, moved, now)
-            last[own], sign[own] = np.where(free, -1, last[own]), np.where(free, 1.0, sign[own])
-            low, high = mu[rows] - width[rows], mu[rows] + width[rows]
-            below, above = level[own] < low, level[own] > high
-            level[own] = np.clip(level[own], low, high)
-            last[own] = np.where(below | above, rows, last[own])
-            sign[own] = np.where(below, -1.0, np.where(above, 1.0, sign[own]))
-            lagging[rows], source[rows], side[rows] = level[own], last[own], sign[own]
+            own, half = self.readings.taxel[rows], width[..., rows]
+            now = level[..., own]
+            free = released & (half < now)
+            now = np.where(free, half, now)
+            low, high = mu[rows] - half, mu[rows] + half
+            below, above = now < low, now > high
+            moved = np.where(free, -1, last[..., own])
+            turned = np.where(free, 1.0, sign[..., own])
+            level[..., own] = lagging[..., rows] = np.clip(now, low, high)
+            last[..., own] = source[..., rows] = np.where(below | above, rows, moved)
+            turned = np.where(below, -1.0, np.where(above, 1.0, turned))
+            sign[..., own] = side[..., rows] = turned
         return lagging, source, side
 
     @cached_property
