@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -53,7 +54,8 @@ class Samples:
         self._columns: dict[tuple[str, ...], np.ndarray] = {}
         self._time = None if stream.time in ("", RECEIPT) else field_path.getter(stream.time)
         self._header = stream.time == ""
-        self._name_path: str | None = None
+        self._names: field_path.Getter | None = None
+        self._plain: Callable[[Any], Any] | None = None
 
     def add(self, message: Any, receipt: int) -> None:
         """Append the numbers of a message received at `receipt`, ns.
@@ -61,9 +63,13 @@ class Samples:
         Raises RecordingError or ConfigError, naming the message, if they are not what the map says.
         """
         try:
-            parts = [field_path.numbers(get(message), path) for path, get in self.paths]
-            if self.selects and not any(map(len, parts)):
-                return
+            if self._plain is not None:
+                row = self._plain(message)
+            else:
+                parts = [field_path.numbers(get(message), path) for path, get in self.paths]
+                if self.selects and not any(map(len, parts)):
+                    return
+                row = parts[0] if len(parts) == 1 else np.concatenate(parts)
             time = self._when(message, receipt)
         except MeshskinError as error:
             raise RecordingError(
@@ -72,9 +78,11 @@ class Samples:
         if self.map.kind == CONTACTS:
             self._add_contacts(parts, time)
         elif self.map.kind == JOINTS:
-            self._add_joints(message, np.concatenate(parts), time)
+            self._add_joints(message, row, time)
         else:
-            self._append(parts[0] if len(parts) == 1 else np.concatenate(parts), time)
+            self._append(row, time)
+        if not self.messages and self.map.kind != CONTACTS:
+            self._plain = field_path.plain_getter([path for path, _ in self.paths], message)
         self.messages += 1
 
     def _when(self, message: Any, receipt: int) -> float:
@@ -128,17 +136,16 @@ class Samples:
     def _joint_names(self, message: Any, count: int) -> tuple[str, ...]:
         """The names of the joints of a message: of the map, of a field, or numbers."""
         given = self.map.names or tuple(filter(None, [NAME_PATHS.get(short(self.type))]))
-        if self._name_path is None:
-            top = field_path.parse(given[0])[0][0] if len(given) == 1 else ""
-            self._name_path = given[0] if top in field_path.fields(message) else ""
-        if self._name_path:
-            found = field_path.getter(self._name_path)(message)
-            return tuple(
-                map(str, found[0] if len(found) == 1 and not isinstance(found[0], str) else found)
-            )
+        if not self.messages and len(given) == 1:
+            top = field_path.parse(given[0])[0][0]
+            if top in field_path.fields(message):
+                self._names = field_path.getter(given[0])
+        if self._names is not None:
+            found = self._names(message)
+            return tuple(found if isinstance(found[0], str) else found[0]) if found else ()
         return given or tuple(f"joint_{k}" for k in range(count))
 
-    def _append(self, row: np.ndarray, time: float) -> None:
+    def _append(self, row: Any, time: float) -> None:
         if not self.count:
             self.map.check_length(len(row), self.messages)
             self.values = np.empty((len(self.times), len(row)), row.dtype)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Self
 
 from ....core.errors import RecordingError
-from .records import UNDEFINED, Connection, Torn, decode, has_header, register_files
+from .records import UNDEFINED, Connection, Torn, decoder, has_header, register_files
 
 SUFFIXES = {"ros1": ".bag", "sqlite": ".db3", "mcap": ".mcap"}
 """Suffixes by which rosbags knows the formats."""
@@ -91,9 +91,9 @@ class IndexedBag:
                 raise _torn(error) from error
             yield connection.topic, time, data
 
-    def decode(self, topic: str, data: bytes) -> Any:
-        """The message that the data of a topic hold. Raises RecordingError."""
-        return decode(self._store, self._by_topic[topic], data)
+    def decoder(self, topic: str) -> Callable[[bytes], Any]:
+        """The function that makes messages of the data of a topic; it raises RecordingError."""
+        return decoder(self._store, self._by_topic[topic])
 
     def has_header(self, topic: str) -> bool:
         """Whether the first field of the messages is a std_msgs/Header."""

@@ -98,8 +98,9 @@ def _collect(path: Path, bag: Bag, log_map: LogMap | None, progress: bool) -> tu
         topic = stream.topic
         one = Samples(stream, bag.types[topic], bag.counts[topic])
         samples.setdefault(topic, []).append(one)
+    decoders = {topic: bag.decoder(topic) for topic in samples}
     for topic, time, data in _shown(bag, samples, path, progress):
-        message = bag.decode(topic, data)
+        message = decoders[topic](data)
         for one in samples[topic]:
             one.add(message, time)
     streams = tuple(one.stream() for group in samples.values() for one in group)
@@ -127,7 +128,7 @@ def _times(path: Path, bag: Bag, progress: bool) -> tuple[Log, Could]:
 
 def _suggest(bag: Bag, topic: str, data: bytes) -> list[StreamMap]:
     try:
-        message: Any = bag.decode(topic, data)
+        message: Any = bag.decoder(topic)(data)
     except RecordingError:
         return []
     return suggestions(topic, bag.types[topic], message)

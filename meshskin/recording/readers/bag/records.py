@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -54,8 +54,8 @@ class Bag(Protocol):
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
         """Topic, time of receipt (ns) and data of the messages of some topics."""
 
-    def decode(self, topic: str, data: bytes) -> Any:
-        """The message that the data of a topic hold. Raises RecordingError."""
+    def decoder(self, topic: str) -> Callable[[bytes], Any]:
+        """The function that makes messages of the data of a topic; it raises RecordingError."""
 
     def has_header(self, topic: str) -> bool:
         """Whether the first field of the messages is a std_msgs/Header."""
@@ -121,36 +121,39 @@ def register_files(store: Any, files: Collection[Path], wanted: Collection[str])
             ) from error
 
 
-def decode(store: Any, connection: Connection, data: bytes) -> Any:
-    """The message that data hold. Raises RecordingError."""
+def decoder(store: Any, connection: Connection) -> Callable[[bytes], Any]:
+    """The function that makes messages of the data of a connection; it raises RecordingError.
+
+    Raises RecordingError for an encoding that is not read and a type that is not defined.
+    """
     import json
 
-    if connection.encoding == "json":
-        try:
-            return json.loads(data)
-        except ValueError as error:
-            raise RecordingError(f"a message of {connection.topic} is not JSON") from error
-    if connection.encoding not in ("cdr", "ros1"):
+    topic, kind = connection.topic, connection.type
+    if connection.encoding not in ("cdr", "ros1", "json"):
         raise RecordingError(
-            f"messages of {connection.topic} have an encoding that is not read",
+            f"messages of {topic} have an encoding that is not read",
             value=connection.encoding,
             limit="cdr, ros1 or json",
         )
-    if connection.type not in store.fielddefs:
+    if connection.encoding != "json" and kind not in store.fielddefs:
         raise RecordingError(
-            f"the bag does not define the message type of {connection.topic}",
-            value=connection.type,
+            f"the bag does not define the message type of {topic}",
+            value=kind,
             remedy="give its .msg file (--messages, or messages in the map)",
         )
     read = store.deserialize_cdr if connection.encoding == "cdr" else store.deserialize_ros1
-    try:
-        return read(data, connection.type)
-    except Exception as error:  # what rosbags raises for data of another type is not documented
-        raise RecordingError(
-            f"a message of {connection.topic} cannot be decoded as {connection.type}",
-            value=f"{type(error).__name__}, {len(data)} bytes",
-            remedy="check that the .msg file is the one of the recording",
-        ) from error
+
+    def decode(data: bytes) -> Any:
+        try:
+            return json.loads(data) if connection.encoding == "json" else read(data, kind)
+        except Exception as error:  # what rosbags raises for data of another type is not documented
+            raise RecordingError(
+                f"a message of {topic} cannot be decoded as {kind or connection.encoding}",
+                value=f"{type(error).__name__}, {len(data)} bytes",
+                remedy="check that the .msg file is the one of the recording",
+            ) from error
+
+    return decode
 
 
 def has_header(store: Any, message_type: str) -> bool:
@@ -196,9 +199,9 @@ class ScannedBag:
                 if connection is not None and connection.topic in topics:
                     yield connection.topic, one.time, one.data
 
-    def decode(self, topic: str, data: bytes) -> Any:
-        """The message that the data of a topic hold. Raises RecordingError."""
-        return decode(self._store, self._by_topic[topic], data)
+    def decoder(self, topic: str) -> Callable[[bytes], Any]:
+        """The function that makes messages of the data of a topic; it raises RecordingError."""
+        return decoder(self._store, self._by_topic[topic])
 
     def has_header(self, topic: str) -> bool:
         """Whether the first field of the messages is a std_msgs/Header."""
