@@ -26,8 +26,11 @@ if TYPE_CHECKING:
     from .exploration.plan import explore as explore
     from .exploration.reach import reach as reach
     from .geometry.body import Body as Body
+    from .recording.log_map import LogMap as LogMap
+    from .recording.readers import read_log as read_log
     from .recording.recording import Recording as Recording
     from .recording.recording import RecordingWriter as RecordingWriter
+    from .recording.resample import log_frames as log_frames
     from .robot.arm import Arm as Arm
     from .robot.robot import Robot as Robot
     from .scene.belief import Belief as Belief
@@ -55,6 +58,7 @@ _HOMES = {
     "Law": "scene.settings",
     "Layout": "estimation.layout.layout",
     "LogCalibration": "estimation.kinematics.calibrate_log",
+    "LogMap": "recording.log_map",
     "Material": "contact.material",
     "PoseGraph": "estimation.posegraph",
     "Readout": "scene.settings",
@@ -74,8 +78,10 @@ _HOMES = {
     "explore": "exploration.plan",
     "layout": "estimation.layout.layout",
     "lint": "skin.lint",
+    "log_frames": "recording.resample",
     "press": "simulation.static_contacts",
     "reach": "exploration.reach",
+    "read_log": "recording.readers",
     "simulate": "simulation.simulate",
     "tune": "tuning.tune",
 }

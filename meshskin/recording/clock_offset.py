@@ -100,9 +100,10 @@ def clock_offset(
     contacts = []
     for k in np.unique(np.linspace(0, len(stretches) - 1, count).astype(int)):
         rows = _rows(times, stretches, int(k))
-        pressed = np.max(readings[rows], axis=0, initial=0.0) > PRESSED * noise
+        about = np.nan_to_num(readings[rows])
+        pressed = np.max(about, axis=0, initial=0.0) > PRESSED * noise
         if len(rows) >= FRAMES_PER_KNOT * KNOTS and pressed.any():
-            sums = readings[np.ix_(rows, pressed)].sum(axis=1, dtype=float)
+            sums = about[:, pressed].sum(axis=1, dtype=float)
             contacts.append((times[rows], sums, float(np.sum(noise[pressed] ** 2))))
     if len(contacts) < MIN_CONTACTS:
         return None

@@ -65,12 +65,17 @@ class Tared:
 def tare(
     times: Array, values: NDArray[np.number], polarity: str = AUTO, name: str = "the skin"
 ) -> Tared:
-    """Tare the readings `values` (n, t) at `times` (n,), s.
+    """Tare the readings `values` (n, t) at `times` (n,), s; those that are NaN stay so.
 
     polarity: "rising", "falling", or "auto" to find out. Raises RecordingError for a skin that
     never answers and for a polarity that the readings do not tell.
     """
     n, t = values.shape
+    if n <= MIN_FRAMES:
+        raise _silent(name, f"it has {n} frames")
+    missing = ~np.isfinite(values)
+    if missing.any():
+        values = _filled(values, missing)
     columns = [slice(k, min(k + COLUMNS, t)) for k in range(0, t, COLUMNS)]
     noise, floor = np.concatenate([_noise(values[:, part]) for part in columns], axis=1)
     if not noise.any():
@@ -107,7 +112,17 @@ def tare(
         )
     if falling:
         np.negative(readings, out=readings)
+    readings[missing] = np.nan
     return Tared(readings, noise, np.ptp(levels, axis=0), in_contact, falling)
+
+
+def _filled(values: NDArray[np.number], missing: NDArray[np.bool_]) -> NDArray[np.number]:
+    """The values (n, t) with the last known one where they are missing, or the first."""
+    row = np.where(missing, 0, np.arange(len(values))[:, None])
+    np.maximum.accumulate(row, axis=0, out=row)
+    filled = np.take_along_axis(values, row, axis=0)
+    first = np.take_along_axis(values, np.argmin(missing, axis=0)[None], axis=0)
+    return np.nan_to_num(np.where(np.isfinite(filled), filled, first), posinf=0.0, neginf=0.0)
 
 
 def thresholds(frames: int, taxels: int) -> tuple[float, float]:

@@ -4,11 +4,10 @@
 
 A log is made in a temporary folder: joint states (7 joints) at 200 Hz, 1,000 taxels (float32) at
 100 Hz, wrenches at 500 Hz, and images at 1 Hz, which no map names: 20 minutes for 1 GB (--small:
-50 MB).
-For each format, in a process of its own: `read_log` with a map of the three topics, `read_log`
-without a map (the list of `meshskin log`), and `log_frames`, which tares and finds the clock
-offset. Times are processor times; the memory is
-the peak of the process less that after its imports.
+50 MB). For each format, in a process of its own: `read_log` with a map of the three topics,
+`read_log` without a map (the list of `meshskin log`), and `log_frames`, which tares and finds the
+clock offset. Times are processor times; the memory is the peak of the process less that after its
+imports.
 
 The exit code is 1 if a target is missed: 60 s for the mapped topics of 1 GB, and at most 6 times
 their arrays in memory.
@@ -130,7 +129,7 @@ def peak() -> float:
 
 
 def measure(path: str, what: str, results: Any) -> None:
-    """Processor time (s), memory (MB) and size of the arrays (MB) of one step, in a process of its own."""
+    """Processor time (s), memory (MB) and size of the arrays (MB) of one step."""
     from meshskin.recording.log_map import LogMap, StreamMap
     from meshskin.recording.readers import read_log
     from meshskin.recording.readers.bag import read

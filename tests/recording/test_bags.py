@@ -1,6 +1,7 @@
 """Bags of ROS 1, ROS 2 and MCAP: values read back, torn files, foreign types, and refusals."""
 
 import struct
+import sys
 
 import numpy as np
 import pytest
@@ -313,3 +314,18 @@ def test_poses_of_one_frame_among_transforms(tmp_path):
     stream = read_log(path, LogMap((guesses[0],)))["/tf"]
     np.testing.assert_allclose(stream.times - EPOCH, [1.0, 3.0])
     np.testing.assert_array_equal(stream.values, [[1, 0, 1, 0, 0, 0, 1], [3, 0, 1, 0, 0, 0, 1]])
+
+
+def test_without_rosbags_the_remedy_is_named(bags, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    with pytest.raises(
+        RecordingError, match=r"needs rosbags; pip install rosbags, or .meshskin\[logs"
+    ):
+        read_log(bags / "ros1.bag")
+
+
+def test_a_message_without_values_is_refused(tmp_path):
+    path = tmp_path / "empty.mcap"
+    robot_log.write_mcap(path, {"/skin": ([1.0], [[]])})
+    with pytest.raises(RecordingError, match="message 0 of /skin holds no values"):
+        read_log(path, LogMap((StreamMap("/skin", "taxels"),)))

@@ -34,7 +34,7 @@ def test_the_offset_is_recovered_to_2_ms(by, late):
 
 @pytest.mark.parametrize("by", ["force", "motion"])
 def test_sigma_is_the_scatter_over_seeds(by):
-    found = [estimate(RobotLog(seed=seed), by) for seed in range(30)]
+    found = [estimate(RobotLog(seed=seed), by) for seed in range(16)]
     error = np.array([one.offset - 0.037 for one in found])
     sigma = np.array([one.sigma for one in found])
     assert abs(error.mean()) < 5e-4

@@ -84,3 +84,21 @@ def test_thresholds_have_the_stated_false_alarm_rate():
 def test_segments_need_two_frames_above_the_upper_threshold():
     strongest = np.array([0, 4, 6, 4, 0, 0, 6, 6, 4, 4, 1, 4, 4.0])
     assert runs(segment(strongest, 5, 3)) == [slice(6, 10)]
+
+
+def test_missing_readings_stay_missing():
+    _, times, counts, truth = skin(contacts=6)
+    holed = counts.copy()
+    holed[40:60, 3] = np.nan
+    holed[:, 7] = np.nan
+    found = tare(times, holed)
+    assert np.isnan(found.readings[40:60, 3]).all()
+    assert np.isnan(found.readings).sum() == 20 + len(times)
+    assert found.noise[7] == 0
+    known = np.isfinite(found.readings)
+    np.testing.assert_allclose(found.readings[known], truth[known], atol=8)
+
+
+def test_a_log_of_two_frames_is_refused():
+    with pytest.raises(RecordingError, match="never answers: it has 2 frames"):
+        tare(np.arange(2.0), np.ones((2, 3)))

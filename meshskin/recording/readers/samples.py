@@ -146,6 +146,11 @@ class Samples:
         return given or tuple(f"joint_{k}" for k in range(count))
 
     def _append(self, row: Any, time: float) -> None:
+        if not len(row):
+            raise RecordingError(
+                f"message {self.messages} of {self.map.topic} holds no values",
+                remedy="correct the field paths in values",
+            )
         if not self.count:
             self.map.check_length(len(row), self.messages)
             self.values = np.empty((len(self.times), len(row)), row.dtype)

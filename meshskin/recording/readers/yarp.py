@@ -97,6 +97,12 @@ def _belongs(topic: str, port: Port) -> bool:
 
 def _mapped(stream: Stream, given: StreamMap) -> Stream:
     """The stream as the map says. Raises RecordingError for a kind that it cannot be."""
+    if given.values or given.time:
+        raise RecordingError(
+            f"the lines of {stream.name} have one time and one vector",
+            value="values or time in the map",
+            remedy="leave them out",
+        )
     wrong = stream.type == SKIN_CONTACTS and given.kind != stream.kind
     if wrong or (stream.type == VECTOR and given.kind == CONTACTS):
         raise RecordingError(
