@@ -64,16 +64,20 @@ def test_a_tighter_target_takes_more_contacts(scene):
     assert len(loose.recording.time) < len(tight.recording.time)
 
 
-def test_a_dead_taxel_and_a_spent_budget_are_named(scene):
+@pytest.mark.slow
+def test_a_spent_budget_is_named(scene):
+    short = adapt(scene, TARGET / 10, seed=2, most=60)
+    assert len(short.recording.time) <= 60
+    assert set(short.unmet.values()) == {BUDGET_USED}
+
+
+def test_a_dead_taxel_is_named(scene):
     dead = scene.with_(effects=(*scene.effects, BrokenTaxels(dead=0.06, stuck=0.0)))
     found = adapt(dead, 2 * TARGET, seed=2)
     assert list(found.unmet.values()) == [NEVER_READ]
     lost = found.calibration.ids == next(iter(found.unmet))
     assert not found.calibration.touched[lost].any()
     assert found.calibration.position_sigma[~lost].max() <= 2 * TARGET
-    short = adapt(scene, TARGET / 10, seed=2, most=60)
-    assert len(short.recording.time) <= 60
-    assert set(short.unmet.values()) == {BUDGET_USED}
 
 
 def test_invalid_arguments(scene):

@@ -145,6 +145,7 @@ def test_two_exchanged_taxels_are_seen(physical):
     assert likelihood[1] < likelihood[0] - 1000
 
 
+@pytest.mark.slow
 def test_a_learned_response_localizes_raw_readings():
     recording = record(bell, unit=150.0)
     calibration = calibrate(recording, known(readings="raw"))

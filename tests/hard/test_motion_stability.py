@@ -168,7 +168,8 @@ def test_over_the_whole_grid_the_true_error_is_within_the_stated_one(place, youn
     assert kept > 5
 
 
-@pytest.mark.parametrize("integrator", FIRST)
+@pytest.mark.slow
+@pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_the_run_itself_keeps_the_error_that_is_stated(sphere, integrator):
     """The paper's scene: approach, touch and hold, from 5 mm above the indenter."""
     found = {}
@@ -498,6 +499,7 @@ def slid(scene, count, **loop):
     raise AssertionError("the path is too short")
 
 
+@pytest.mark.slow
 def test_sliding_at_half_a_metre_a_second_keeps_to_the_reference(sphere):
     fast = sphere.with_(
         exploration=replace(

@@ -59,6 +59,7 @@ def ellipsoid():
     return whole.with_(skin=skin, indenter=SLANT)
 
 
+@pytest.mark.slow
 def test_a_wall_calibrates_as_well_as_a_table(walled, noisy, noisy_recording):
     recording = ms.simulate(walled, seed=1)
     force = column(recording, "force")[phases(recording) == "slide"]

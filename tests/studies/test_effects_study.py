@@ -5,6 +5,15 @@ import json
 import pytest
 
 
+def test_one_effect(script, tmp_path):
+    asked = ["--seeds", "1", "--effects", "friction", "--json", str(tmp_path / "x.json")]
+    found = script("effects").main([*asked, "--out", str(tmp_path)])
+    assert json.loads((tmp_path / "x.json").read_text()) == found
+    assert found["friction"]["shift_mm"] == pytest.approx(0.164, rel=0.1)
+    assert found["friction"]["largest_mm"] <= found["friction"]["bound_mm"]
+
+
+@pytest.mark.slow
 def test_effects(script, tmp_path, capsys):
     names = ["body_pose", "friction"]
     asked = ["--seeds", "1", "--pairs", "--effects", *names, "--json", str(tmp_path / "x.json")]

@@ -18,6 +18,7 @@ def points():
     return ms.simulate(ms.Scene.load("sphere")).points
 
 
+@pytest.mark.slow
 def test_over_noise(study, points, capsys):
     row = study.by_noise(points, range(2), (0.05,))["0.05"]
     assert row["joint"] == pytest.approx(row["bound"], rel=0.12)

@@ -180,7 +180,7 @@ def test_an_interrupted_run_leaves_no_worker_and_no_temporary_file(tmp_path):
         ("child", {"time_limit": 0.5}, "out of time, limit: 0.5 s"),
         pytest.param("memory", {"memory_limit": 6e8}, "out of memory, limit: 600 MB", marks=LINUX),
         pytest.param("kill", {}, "its worker died 3 times, signal 9", marks=POSIX),
-        ("exit 7", {}, "its worker died 3 times, exit code 7"),
+        pytest.param("exit 7", {}, "its worker died 3 times, exit code 7", marks=pytest.mark.slow),
         pytest.param("exit 0", {}, "its worker died 3 times, exit code 0", marks=pytest.mark.slow),
         ("sys.exit", {}, "SystemExit: 5"),
     ],
