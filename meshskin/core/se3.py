@@ -69,6 +69,17 @@ def from_rpy(rpy: ArrayLike) -> Array:
     return np.asarray(Rotation.from_euler("xyz", rpy).as_matrix())
 
 
+def to_rpy(rotation: ArrayLike) -> Array:
+    """Roll, pitch and yaw (3,) as in URDF, rad, of a rotation (3, 3); yaw is 0 at a pitch of 90
+    degrees, where roll and yaw are one."""
+    r = np.asarray(rotation, dtype=float)
+    level = float(np.hypot(r[0, 0], r[1, 0]))
+    pitch = np.arctan2(-r[2, 0], level)
+    if level > 1e-9:
+        return np.array([np.arctan2(r[2, 1], r[2, 2]), pitch, np.arctan2(r[1, 0], r[0, 0])])
+    return np.array([np.arctan2(-r[1, 2], r[1, 1]), pitch, 0.0])
+
+
 def transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
     """Homogeneous transforms (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3)."""
     r, t = np.asarray(rotation, dtype=float), np.asarray(translation, dtype=float)

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..core.arguments import check_name, check_real
 from ..core.arrays import Array
+from ..core.atomic_io import write_text
 from ..core.errors import ArmError
 from ..core.se3 import inverse, transform
 from ..geometry.body import Body
 from .chain import Chain, ChainJoint
 from .contact_kinematics import SIGMAS, ContactKinematics
-from .urdf import Joint, UrdfTree, rotation
+from .urdf import Joint, UrdfTree, rotation, with_moved_zeros
 
 TURNING, SLIDING = ("revolute", "continuous"), ("prismatic",)
 
@@ -28,6 +30,8 @@ class Robot:
     name: str
     path: Path
     """The URDF file."""
+    text: str
+    """Its text; of a corrected robot, that with the corrections."""
     tree: UrdfTree
     """Its links and joints."""
     folders: tuple[Path, ...] = ()
@@ -54,7 +58,7 @@ class Robot:
         given = [] if meshes is None else meshes
         given = [given] if isinstance(given, str | os.PathLike) else given
         name = tree.root.get("name") or path.stem
-        return cls(name, path, tree, tuple(Path(folder) for folder in given))
+        return cls(name, path, text, tree, tuple(Path(folder) for folder in given))
 
     @property
     def links(self) -> tuple[str, ...]:
@@ -114,6 +118,30 @@ class Robot:
         column, slides = names.index(by.joint), joint.kind in SLIDING
         multiplier, offset = sign * by.multiplier, sign * by.offset
         return ChainJoint(origin, joint.axis, slides, column, multiplier, offset)
+
+    def with_joint_offsets(self, offsets: Mapping[str, float]) -> Robot:
+        """This robot with joints whose zeros are where their readings are zero.
+
+        offsets: what is to be added to the reading of each joint, by name, rad (m where it slides),
+        as `LogCalibration.joint_offsets` has it: at the same readings, the links of the result are
+        where those of this robot are at the readings with the offsets. They go into the origins of
+        the joints, and of those that mimic them; limits are kept, as those of the readings. Raises
+        UnknownNameError, ArmError.
+        """
+        for name, value in offsets.items():
+            check_name("joint", name, self.joint_names)
+            check_real(f"offset of joint {name}", value, error=ArmError)
+        moved = {}
+        for joint in self.tree.joints:
+            by = self.tree.resolve_mimic(joint)
+            if joint.kind in TURNING + SLIDING and by.joint in offsets:
+                moved[joint.name] = joint, by.multiplier * float(offsets[by.joint])
+        text = with_moved_zeros(self.text, moved)
+        return replace(self, text=text, tree=UrdfTree(text, self.tree.where))
+
+    def save(self, path: str | Path) -> None:
+        """Write the URDF file, as the original but for corrections. Raises OutputError."""
+        write_text(Path(path), self.text)
 
     def body(self, link: str, kind: str = "visual", open: bool = False) -> Body:
         """The body of a link's meshes, link frame, as `Body.from_urdf`.

@@ -89,3 +89,14 @@ def test_shortest_rotation_of_one_vector_to_many():
     target = unit(7)
     rotation = se3.shortest_rotation([0.0, 0.0, 1.0], target)
     assert np.allclose(rotation[:, :, 2], target)
+
+
+def test_angles_of_a_urdf_are_read_back():
+    rng = np.random.default_rng(0)
+    for rpy in [
+        *rng.uniform(-np.pi, np.pi, (50, 3)),
+        [0.3, np.pi / 2, 0.4],
+        [1.0, -np.pi / 2, 2.0],
+    ]:
+        turn = se3.from_rpy(rpy)
+        np.testing.assert_allclose(se3.from_rpy(se3.to_rpy(turn)), turn, atol=1e-15)

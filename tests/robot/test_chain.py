@@ -192,3 +192,49 @@ def test_joints_that_a_chain_cannot_have(tmp_path):
         odd(tmp_path, floating).chain("root", "tip")
     with pytest.raises(UnknownNameError, match="did you mean tip"):
         odd(tmp_path).chain("root", "tipp")
+
+
+@pytest.mark.parametrize("text", [ODD, MIMIC])
+def test_offsets_in_a_file_are_those_of_the_readings(tmp_path, text):
+    robot = odd(tmp_path, text)
+    rng = np.random.default_rng(2)
+    offsets = {name: float(rng.normal(scale=0.3)) for name in robot.joint_names}
+    robot.with_joint_offsets(offsets).save(tmp_path / "corrected.urdf")
+    again = ms.Robot.from_urdf(tmp_path / "corrected.urdf")
+    before, after = (r.chain(robot.links[0], robot.links[-1]) for r in (robot, again))
+    q = angles_of(before)
+    shift = [offsets[name] for name in before.joint_names]
+    np.testing.assert_allclose(after.poses(q), before.poses(q + shift), atol=1e-14)
+
+
+@needs_icub
+def test_a_corrected_icub_read_by_pinocchio(tmp_path):
+    pin = pytest.importorskip("pinocchio")
+    robot, rng = ms.Robot.from_urdf(ICUB), np.random.default_rng(6)
+    offsets = {name: float(x) for name, x in zip(
+        robot.joint_names, rng.normal(scale=0.02, size=len(robot.joint_names)), strict=True
+    )}  # fmt: skip
+    robot.with_joint_offsets(offsets).save(tmp_path / "corrected.urdf")
+    models = [pin.buildModelFromUrdf(str(p)) for p in (ICUB, tmp_path / "corrected.urdf")]
+    shift = np.array([offsets[models[0].names[k]] for k in range(1, models[0].njoints)])
+    q = rng.uniform(-1, 1, models[0].nq)
+    poses = []
+    for model, angles in zip(models, (q + shift, q), strict=True):
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, angles)
+        poses.append([data.oMf[model.getFrameId(link)].homogeneous for link in robot.links])
+    np.testing.assert_allclose(poses[1], poses[0], atol=1e-12)
+
+
+def test_a_corrected_file_is_the_original_but_for_the_origins():
+    robot = ms.Robot.from_urdf(PUMA)
+    corrected = robot.with_joint_offsets({"joint2": 0.01})
+    assert "Unimation Puma 560" in corrected.text
+    pairs = zip(robot.text.splitlines(), corrected.text.splitlines(), strict=True)
+    changed = [(a.strip(), b.strip()) for a, b in pairs if a != b]
+    assert [a for a, _ in changed] == ['<origin xyz="0 0 0" rpy="1.5707963267948966 0 0"/>']
+    assert changed[0][1].startswith('<origin xyz="0.0 0.0 0.0" rpy="1.570')
+    with pytest.raises(UnknownNameError, match="did you mean joint"):
+        robot.with_joint_offsets({"jont2": 0.01})
+    with pytest.raises(ArmError, match="offset of joint joint2 must be a finite number"):
+        robot.with_joint_offsets({"joint2": np.nan})
