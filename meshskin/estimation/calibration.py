@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from .cross_validation import CrossValidation
     from .next_contact import NextContacts
 
-UNITS = {"force_offset": "N"} | dict.fromkeys(
+UNITS = {"force_offset": "N", "joint_offset": "rad", "clock_offset": "s"} | dict.fromkeys(
     ("exponents", "compression", "force_scatter", "hysteresis", "crosstalk"), ""
 )
 """Units of global parameters that are neither lengths nor angles nor logarithms."""

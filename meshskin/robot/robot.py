@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.arguments import check_name, check_real
+from ..core.arguments import check_name, check_real, check_type
 from ..core.arrays import Array
 from ..core.atomic_io import write_text
 from ..core.errors import ArmError
 from ..core.se3 import inverse, transform
 from ..geometry.body import Body
+from ..skin.skin import Skin
 from .chain import Chain, ChainJoint
 from .contact_kinematics import SIGMAS, ContactKinematics
 from .urdf import Joint, UrdfTree, rotation, with_moved_zeros
@@ -36,6 +37,8 @@ class Robot:
     """Its links and joints."""
     folders: tuple[Path, ...] = ()
     """Folders that are searched for the links' meshes, besides the file's and its parents."""
+    skins: Mapping[str, Skin] = field(default_factory=dict)
+    """Skins by the link that they are on, link frame."""
 
     def __repr__(self) -> str:
         return f"<Robot {self.name!r}: {len(self.links)} links, {len(self.joint_names)} joints>"
@@ -142,6 +145,21 @@ class Robot:
     def save(self, path: str | Path) -> None:
         """Write the URDF file, as the original but for corrections. Raises OutputError."""
         write_text(Path(path), self.text)
+
+    def with_skin(self, link: str, skin: Skin) -> Robot:
+        """This robot with a skin, link frame, on a link. Raises UnknownNameError, ConfigError."""
+        check_name("link", link, self.links)
+        check_type(Skin, skin, "the skin on a link")
+        return replace(self, skins={**self.skins, link: skin})
+
+    def taxel_poses(self, link: str, base: str, angles: ArrayLike) -> Array:
+        """Poses (n, t, 4, 4), m, of the taxels on `link` in the frame of the link `base`.
+
+        angles (n, k): of the joints of `chain(base, link)`. Raises UnknownNameError, ArmError.
+        """
+        check_name("link with a skin", link, tuple(self.skins))
+        poses = self.chain(base, link).poses(angles)
+        return np.asarray(poses[:, None] @ self.skins[link].poses)
 
     def body(self, link: str, kind: str = "visual", open: bool = False) -> Body:
         """The body of a link's meshes, link frame, as `Body.from_urdf`.

@@ -166,6 +166,20 @@ def test_a_link_of_the_icub_is_a_body():
     assert repr(robot).startswith("<Robot 'iCub': ")
 
 
+def test_taxels_of_a_link_in_the_frame_of_another(tmp_path):
+    skin = ms.Skin.cover(ms.Body.sphere(0.05), spacing=0.03, seed=1)
+    robot = odd(tmp_path).with_skin("d", skin)
+    chain = robot.chain("a", "d")
+    q = angles_of(chain, n=2)
+    found = robot.taxel_poses("d", "a", q)
+    assert found.shape == (2, len(skin), 4, 4)
+    np.testing.assert_allclose(found[1, 3], chain.poses(q)[1] @ skin.poses[3], atol=1e-14)
+    with pytest.raises(UnknownNameError, match="unknown link with a skin 'c'"):
+        robot.taxel_poses("c", "a", q)
+    with pytest.raises(UnknownNameError, match="unknown link 'hand'"):
+        robot.with_skin("hand", skin)
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [

@@ -68,8 +68,8 @@ SHOWN = ("hysteresis", "crosstalk")
 """Further ones, estimated where the readings show them (joint/reading_history.py)."""
 LEARNED_PRIORS = {"modulus": 0.5, "scale": 0.5}
 """Their priors that differ from PRIORS: readings in a unit of their own say nothing about E*."""
-LOGARITHMS = ("modulus", "force_scale", "scale", "gain")
-"""Parameters that are natural logarithms of a factor."""
+LOGARITHMS = ("modulus", "force_scale", "scale", "gain", "mesh_scale")
+"""Parameters, also of a contact motion, that are natural logarithms of a factor."""
 
 
 @dataclass(frozen=True)

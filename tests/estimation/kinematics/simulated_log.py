@@ -21,7 +21,11 @@ OFFSETS = np.radians([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
 CLOCK = 0.037
 """Time by which the skin's stamps are late, s."""
 COUNTS = 180.0
-"""Counts of a taxel at the peak pressure of the reference force, of which 1.8 are noise."""
+"""Counts of a taxel at the peak pressure of the reference force."""
+NOISE = 1.8
+"""Standard deviation of a reading, counts: 1 % of the peak, as the scene has it."""
+SILENT = 8
+"""Counts up to which a taxel of the log is silent."""
 REST, TRAVEL = 0.3, 3.0
 """Time at rest before and after each pass, and on the way to the next one, s."""
 
@@ -35,6 +39,12 @@ class Exploration:
     """What happened: true contact points, forces and pressures."""
     log: SkinLog
     """What the robot wrote."""
+    frames: np.ndarray
+    """Frame of the log of each contact of the recording."""
+    levels: np.ndarray
+    """Noiseless excursions (n, t) of the taxels in all frames, counts."""
+    robot: JointPath
+    """The true joint angles, in the order of the log's."""
 
     def kinematics(self, **unknown):
         """The robot as its owner knows it, with unknowns by their standard deviations."""
@@ -47,12 +57,29 @@ class Exploration:
     def pressures(self):
         """The log of a skin whose readings are pressures, Pa, and of a force sensor."""
         log, recording = self.log, self.recording
-        rows = np.flatnonzero(log.in_contact)
         pressure, force = np.full(log.readings.shape, np.nan), np.zeros(len(log.time))
         column = np.searchsorted(np.asarray(log.taxel_ids), recording.reading_taxel)
-        pressure[rows[recording.reading_contact], column] = recording.pressure
-        force[rows] = recording.force
+        known, rng = self.scene.belief(), np.random.default_rng(5)
+        noisy = recording.pressure + rng.normal(0.0, known.noise_sigma, len(recording.pressure))
+        row = self.frames[recording.reading_contact]
+        pressure[row, column] = np.where(noisy > known.threshold, noisy, np.nan)
+        force[self.frames] = recording.force
         return replace(log, readings=pressure, force=force)
+
+    def streams(self, rate=125.0, seed=1):
+        """Times and values by topic, as of a bag: joint states, and raw counts that fall under
+        pressure from a level at rest, all taxels in every frame, with noise and drift."""
+        rng, log = np.random.default_rng(seed), self.log
+        times = np.arange(log.time[0] - 0.05, log.time[-1] + 0.05, 1 / rate)
+        angles = self.robot.at(times)[0] - OFFSETS
+        rest = rng.uniform(225, 245, log.readings.shape[1])
+        drift = 2.0 * (log.time - log.time[0]) / np.ptp(log.time)
+        counts = rest + drift[:, None] - self.levels
+        counts += rng.normal(scale=NOISE, size=counts.shape)
+        return {
+            "/joint_states": (times, angles + rng.normal(scale=2e-5, size=angles.shape)),
+            "/skin": (log.time, np.clip(np.round(counts), 0, 255).astype(np.float32)),
+        }
 
     def truth(self, label):
         """The true value of an unknown of the robot."""
@@ -80,6 +107,8 @@ def explore(
     position = np.array(scene.indenter.position)
     to_tip, arm = inverse(scene.rig.mount), scene.rig.arm
     centres = _centres(scene, path)
+    silence = replace(scene.readout, threshold_relative=0.0)
+    quiet = without_arm(scene).with_(effects=(), readout=silence)
     recordings, times, angles, touches, begin = [], [], [], [], 0.0
     rng = np.random.default_rng(seed)
     for k, heading in enumerate(headings):
@@ -88,7 +117,7 @@ def explore(
         poses = transform(rotations, position - np.einsum("kij,kj->ki", rotations, centres))
         fine = arm.inverse_kinematics(poses @ to_tip, arm.solve(poses[0] @ to_tip))
         part = _rows(path, poses, rows, frame)
-        recordings.append(press_path(without_arm(scene), part, seed + k, None))
+        recordings.append(press_path(quiet, part, seed + k, None))
         slide = begin + path.dt * np.arange(len(fine))
         rest = np.array([-REST, -REST / 2])
         times += [slide[0] + rest, slide, slide[-1] - rest[::-1]]
@@ -102,9 +131,10 @@ def explore(
     away = [np.arange(t[-1] + frame, t[-1] + TRAVEL, frame) for t in touches]
     order = np.argsort(np.concatenate([*touches, *away]))
     true = np.concatenate([*touches, *away])[order]
-    counts = _counts(recording, scene, rng)
-    counts = np.concatenate([counts, np.full((len(true) - len(counts), counts.shape[1]), np.nan)])
-    counts = counts[order]
+    levels = _levels(recording, scene, rng)
+    levels = np.concatenate([levels, np.zeros((len(true) - len(levels), levels.shape[1]))])[order]
+    counts = np.round(levels + rng.normal(scale=NOISE, size=levels.shape))
+    counts[(counts <= SILENT) | (levels.max(axis=1) <= SILENT)[:, None]] = np.nan
     read, _ = robot.at(true + clock)
     log = SkinLog(
         time=true + clock,
@@ -112,11 +142,12 @@ def explore(
         joint_angles=read - offsets + rng.normal(scale=2e-5, size=read.shape),
         taxel_ids=np.asarray(scene.skin.ids),
         readings=counts,
-        noise=np.full(len(scene.skin), 2.0),
+        noise=np.full(len(scene.skin), NOISE),
         in_contact=np.isfinite(counts).any(axis=1),
         force=None,
     )
-    return Exploration(scene, recording, log)
+    frames = np.argsort(order)[: len(recording.time)]
+    return Exploration(scene, recording, log, frames, levels, robot)
 
 
 def _centres(scene, path):
@@ -138,13 +169,11 @@ def _rows(path, poses, rows, frame):
     )  # fmt: skip
 
 
-def _counts(recording, scene, rng):
-    """Counts (m, n) of all taxels, each with a gain of its own; NaN where they are silent."""
+def _levels(recording, scene, rng):
+    """Excursions (m, n) of all taxels in counts, each with a gain of its own."""
     ids = list(scene.skin.ids)
     column = np.array([ids.index(taxel) for taxel in recording.reading_taxel])
     pressure = np.zeros((len(recording.time), len(ids)))
     pressure[recording.reading_contact, column] = recording.pressure
     peak = float(np.quantile(recording.pressure, 0.99))
-    gain = np.exp(0.1 * rng.normal(size=len(ids)))
-    counts = np.round(COUNTS * gain * pressure / peak)
-    return np.where(counts > 8, counts, np.nan)
+    return COUNTS * np.exp(0.1 * rng.normal(size=len(ids))) * pressure / peak

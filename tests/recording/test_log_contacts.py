@@ -1,0 +1,59 @@
+"""Recordings of logs whose contacts are computed: frames, joints and readings."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from meshskin.core.errors import RecordingError, UnknownNameError
+from meshskin.recording.log_contacts import contact_frames, joint_path, recording_of
+from meshskin.recording.skin_log import SkinLog
+
+
+@pytest.fixture
+def log():
+    readings = np.array([[np.nan, 3.0], [np.nan, np.nan], [5.0, 7.0], [1.0, np.nan]])
+    return SkinLog(
+        time=np.array([0.0, 0.1, 0.2, 0.3]),
+        joint_names=("elbow", "wrist"),
+        joint_angles=np.arange(8.0).reshape(4, 2),
+        taxel_ids=np.array([12, 40]),
+        readings=readings,
+        noise=np.ones(2),
+        in_contact=np.array([True, True, True, False]),
+    )
+
+
+def test_frames_in_contact_have_readings_and_forces(log):
+    assert contact_frames(log).tolist() == [0, 2]
+    pressed = replace(log, force=np.array([-1.0, 2.0, 3.0, 4.0]))
+    assert contact_frames(pressed).tolist() == [2]
+    with pytest.raises(RecordingError, match="sign of the forces"):
+        contact_frames(replace(log, force=np.zeros(4)))
+
+
+def test_joints_are_those_asked_for_in_their_order(log):
+    angles, rates = joint_path(log, ("wrist", "elbow")).at(np.array([0.1, 0.25]))
+    np.testing.assert_allclose(angles, [[3.0, 2.0], [6.0, 5.0]], atol=1e-12)
+    np.testing.assert_allclose(rates, 20.0, atol=1e-9)
+    with pytest.raises(UnknownNameError, match="did you mean wrist"):
+        joint_path(log, ("wrst",))
+    single = replace(
+        log, time=log.time[:1], joint_angles=log.joint_angles[:1], readings=log.readings[:1],
+        in_contact=log.in_contact[:1],
+    )  # fmt: skip
+    with pytest.raises(RecordingError, match="two frames"):
+        joint_path(single, ("elbow",))
+
+
+def test_a_recording_has_the_contacts_and_their_readings(log, tmp_path):
+    points, normals = np.eye(3)[:2], np.eye(3)[[2, 2]]
+    recording = recording_of(log, contact_frames(log), points, normals, np.array([1.0, 2.0]))
+    assert recording.time.tolist() == [0.0, 0.2]
+    np.testing.assert_array_equal(recording.points, points)
+    assert recording.reading_contact.tolist() == [0, 1, 1]
+    assert recording.reading_taxel.tolist() == [40, 12, 40]
+    assert recording.pressure.tolist() == [3.0, 5.0, 7.0]
+    assert recording.metadata["readings"] == "raw"
+    recording.save(tmp_path / "log")
+    assert type(recording).load(tmp_path / "log").pressure.tolist() == [3.0, 5.0, 7.0]
