@@ -166,7 +166,7 @@ class Measurements:
 
     @cached_property
     def phase(self) -> Array:
-        """Times (m,) since the first contact, relative to all: drifts begin at an offset of zero."""
+        """Times (m,) since the first contact, relative to all: drifts begin at offset zero."""
         length = float(np.ptp(self.time)) or 1.0
         return np.asarray((self.time - self.time[0]) / length)
 
