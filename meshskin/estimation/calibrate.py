@@ -129,7 +129,7 @@ class Estimation:
                 source=recording.metadata.get("provenance", {}),
             ),
         )
-        return replace(calibration, verdict=judge(recording, near, calibration))
+        return replace(calibration, verdict=judge(recording, near, calibration, result.departures))
 
     def joint(
         self, tolerance: float = NEWTON_TOLERANCE, iterations: int = MAX_ITERATIONS
@@ -154,7 +154,7 @@ class Estimation:
         if self.belief.contact != AUTO or self.belief.module_slots is not None:
             return False
         misfits = found.fit is not None and found.fit.good is False
-        return misfits or found.departure_score > MIN_SCORE
+        return misfits or max(found.departures.values(), default=0.0) > MIN_SCORE
 
     def _learned(self, found: EstimatorResult) -> EstimatorResult:
         """The estimate with a learned response; `found`, that of the contact model, where it does

@@ -164,9 +164,9 @@ class EstimatorResult:
     covariance then holds the distance as a standard deviation."""
     fit: GoodnessOfFit | None = None
     """Whether the model explains the readings."""
-    departure_score: float = 0.0
-    """Largest score, in standard deviations, of a departure from the contact model: errors that the
-    readings of a contact share, hysteresis, crosstalk or drift."""
+    departures: Mapping[str, float] = field(default_factory=dict)
+    """Score, in standard deviations, of each departure from the model that was tested
+    (joint/departures.py)."""
     response: LearnedResponse | None = None
     """The learned response, where it was learned."""
     iterates: Array | None = None

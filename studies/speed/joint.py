@@ -126,9 +126,9 @@ def measure(taxels: int, contact: str = "hertz", learned: bool = False) -> dict[
     belief = replace(belief, contact=believed)
     clock, cpu = perf_counter(), process_time()
     data = gather(recording, belief)
-    start = trilaterate.least_squares(data)
+    start = None if learned else trilaterate.least_squares(data)  # part of a learned estimate
     started = perf_counter() - clock
-    found = estimate(data, start)
+    found = maximum_likelihood.estimate(data, start) if start else learned_estimate.estimate(data)
     cpu, total = process_time() - cpu, perf_counter() - clock
     build = started + found.seconds.get("readings", 0.0)
     error = np.linalg.norm(found.points - truth, axis=1)

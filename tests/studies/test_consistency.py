@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from meshskin.estimation.data.global_parameters import LEARNED, NUISANCE, SHOWN, SIZES
+from meshskin.estimation.data.global_parameters import ELECTRONICS, LEARNED, NUISANCE, SIZES
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def test_few_seeds(study):
     assert {"position", "tilt", "spin"} < set(found["modules"])
     assert len([name for name in found["body"] if name.startswith("body_offset")]) == 6
     seen = {name.split()[0] for rows in found.values() for name in rows}
-    learned = {*LEARNED, *SHOWN, "drift"} - {
+    learned = {*LEARNED, *ELECTRONICS, "drift"} - {
         "modulus"
     }  # of a learned response: studies/foreign_worlds.py
     assert seen > {*SIZES, *NUISANCE} - learned  # every unknown of a physical contact model

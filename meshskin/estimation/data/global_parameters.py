@@ -64,8 +64,8 @@ that moves a point 0.1 m from the origin as far as the translation does."""
 LEARNED = ("modulus", "scale", "exponents", "compression", "profile")
 """Global parameters of a learned response. "modulus" is then the size of the patch, "scale" the
 amplitude of the readings, both relative to the model's."""
-SHOWN = ("hysteresis", "crosstalk")
-"""Further ones, estimated where the readings show them (joint/reading_history.py)."""
+ELECTRONICS = ("hysteresis", "crosstalk")
+"""Further ones, estimated where the readings show them (joint/electronics.py)."""
 LEARNED_PRIORS = {"modulus": 0.5, "scale": 0.5}
 """Their priors that differ from PRIORS: readings in a unit of their own say nothing about E*."""
 LOGARITHMS = ("modulus", "force_scale", "scale", "gain", "mesh_scale")

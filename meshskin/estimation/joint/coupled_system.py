@@ -149,6 +149,11 @@ class CoupledSystem:
         by_taxel, shared = self._by_taxel, self.shared_covariance
         return own + by_taxel @ shared @ np.swapaxes(by_taxel, 1, 2), shared
 
+    def log_determinant(self) -> float:
+        """Logarithm of the determinant of H."""
+        contacts, shared = (np.linalg.slogdet(m)[1].sum() for m in (self.contacts, self._schur))
+        return float(contacts + self.pattern.cholesky.log_determinant(self._reduced) + shared)
+
     @property
     def shared_covariance(self) -> Array:
         """Covariance of the global parameters (ks, ks)."""

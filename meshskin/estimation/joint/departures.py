@@ -1,9 +1,10 @@
-"""What the readings show beyond a contact model: errors of the contacts, hysteresis, crosstalk, and
-drift.
+"""What the readings show beyond a contact model: errors of the contacts, an offset of the indenter,
+hysteresis, crosstalk, and drift.
 
-Each of the last three is tested by its score, the derivative of the log-likelihood in its parameter
-at zero, relative to its standard deviation there, with each taxel's own unknowns estimated. The
-other unknowns are taken as known in that deviation, which makes it too large and the test careful.
+Each of the last four is tested by its score, the derivative of the log-likelihood in its parameter
+at zero, relative to its standard deviation there. Where contacts have errors of their own, all
+unknowns are estimated beside it; else each taxel's own ones, and the others are taken as known in
+that deviation, which makes it too large and the test careful.
 
 Source: Rao, "Large sample tests of statistical hypotheses concerning several parameters",
 Mathematical Proceedings of the Cambridge Philosophical Society 44 (1948).
@@ -11,23 +12,28 @@ Mathematical Proceedings of the Cambridge Philosophical Society 44 (1948).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from ...core.arrays import Array, sums_by_group
 from ..data.measurements import Measurements
+from .coupled_system import CoupledSystem
 from .electronics import WIDTH, Electronics
 from .joint_estimator import JointEstimator
 from .likelihood import Readings
 from .parametrization import SurfaceParametrization
 from .pressure import OBSERVED, costs
 
+CONTACT_ERRORS = "errors of the contacts"
+"""Name of the departure that `contact_score` tests."""
 MIN_SCORE = 6.0
 """Score, in standard deviations, from which a departure is shown: 1e-9 by chance."""
 WIDTHS = (0.5, 1.0, 2.0, 4.0)
 """Half-widths of the play operator that are tried, in units of WIDTH."""
+SEEN = 1e-6
+"""Least information on a parameter, relative to that with known taxels: rounding is below it."""
 SHARE = 0.2
 """Share of hysteresis from which an estimate starts: at zero its width has no effect."""
 
@@ -52,10 +58,16 @@ class FittedReadings:
     """Derivatives (D, k) of mu in the taxel's own unknowns, of which two are its position."""
     prior: Array
     """Prior precisions (D,) of these."""
+    tangents: Array
+    """Directions (n, 3, 2) of the position's two unknowns."""
+    system: CoupledSystem | None = None
+    """Normal equations of all unknowns, where contacts have errors of their own."""
+    jacobian: Array = field(default_factory=lambda: np.empty((0, 0)))
+    """Derivatives (k, .) of mu in these."""
 
     def scores(self) -> dict[str, tuple[float, Array]]:
-        """Score of each departure, in standard deviations, and the start of its parameters; first
-        those that can stand in for those after them."""
+        """Score of each departure, in standard deviations, and the start of its parameters; the
+        largest first, but last the drift, for which each of the others can stand in."""
         pressure = np.maximum(self.mu - self.offset, 0.0)
         electronics = Electronics(self.data, self.readings, self.points)
         half = np.multiply.outer(WIDTHS, np.full(len(pressure), WIDTH * electronics.peak))
@@ -64,11 +76,25 @@ class FittedReadings:
         best = max((0.0, WIDTHS[0]), *found)
         drift = self._each(self.data.phase[self.readings.contact])
         n = max(int(np.sum(drift != 0)), 1)
-        return {
+        found = {
+            "indenter_offset": (self._indenter_score(), np.zeros(3)),
             "hysteresis": (best[0], np.array([SHARE, np.log(best[1])])),
             "crosstalk": (self._shared(electronics.neighbours @ pressure), np.zeros(1)),
-            "drift": (float((drift @ drift - n) / np.sqrt(2 * n)), np.zeros(0)),
         }
+        found = dict(sorted(found.items(), key=lambda item: -item[1][0]))
+        return found | {"drift": (float((drift @ drift - n) / np.sqrt(2 * n)), np.zeros(0))}
+
+    def _indenter_score(self) -> float:
+        """The largest absolute score of an offset of the indenter along the world's axes; 0 without
+        headings. An offset along a contact's normal does not move it."""
+        data, contact, taxel = self.data, self.readings.contact, self.readings.taxel
+        if data.headings is None:
+            return 0.0
+        # the closest point of a centre at height r moves by 1 / (1 + r k) of the centre's motion
+        shrunk = 1 / (1 + data.belief.indenter.radius * data.curvature.mean(axis=1))
+        along = data.headings[contact] @ self.tangents[taxel] * shrunk[contact, None, None]
+        moved = -np.einsum("kia,ak->ik", along, self.own[:2])
+        return max(abs(self._shared(column)) for column in moved)
 
     def _each(self, column: Array) -> Array:
         """Scores (n,) of a parameter that each taxel has of its own, with the derivatives
@@ -77,9 +103,20 @@ class FittedReadings:
         return np.asarray(slope * (information > 1e-9) / np.sqrt(np.maximum(information, 1e-9)))
 
     def _shared(self, column: Array) -> float:
-        """Score of a parameter that all taxels share, positive where it is."""
-        slope, information = self._moments(column)
-        return float(slope.sum()) / max(float(information.sum()), 1e-9) ** 0.5
+        """Score of a parameter that all taxels share, with the sign of its estimate; 0 where the
+        readings do not determine it."""
+        weighted = self.curvature * column
+        known = float(weighted @ column)
+        if self.system is None:
+            information = float(self._moments(column)[1].sum())
+        else:
+            size = len(self.own)
+            b = self.system.pattern.transposed(self.jacobian, weighted[:, None], size)
+            explained = zip(b, self.system.solve(*b), strict=True)
+            information = known - sum(float(np.vdot(a, x)) for a, x in explained)
+        if information <= SEEN * known:
+            return 0.0
+        return -float(self.rate @ column) / information**0.5
 
     def _moments(self, column: Array) -> tuple[Array, Array]:
         """Derivative (n,) of the log-likelihood of each taxel in a parameter with the derivatives
@@ -104,12 +141,13 @@ class FittedReadings:
         return scale, unit
 
 
-def largest_score(estimator: JointEstimator) -> float:
-    """The largest score, in standard deviations, of a departure from the contact model."""
-    found = [contact_score(estimator)]
+def departure_scores(estimator: JointEstimator) -> dict[str, float]:
+    """Score of each departure from the contact model, in standard deviations; with rigid modules
+    only that of errors of the contacts."""
+    found = {CONTACT_ERRORS: contact_score(estimator)}
     if isinstance(estimator.problem.parametrization, SurfaceParametrization):
-        found += [score for score, _ in _fitted(estimator).scores().values()]
-    return max(found)
+        found |= {name: score for name, (score, _) in _fitted(estimator).scores().items()}
+    return found
 
 
 def _fitted(estimator: JointEstimator) -> FittedReadings:
@@ -117,10 +155,8 @@ def _fitted(estimator: JointEstimator) -> FittedReadings:
     problem, state, readings = estimator.problem, estimator.state, estimator.likelihood.readings
     data, taxel = estimator.data, readings.taxel
     assert isinstance(problem.parametrization, SurfaceParametrization)
-    points, nuisance = (
-        problem.points(state),
-        problem.nuisance(state.z, np.arange(len(problem.points(state)))),
-    )
+    points = problem.points(state)
+    nuisance = problem.nuisance(state.z, np.arange(len(points)))
     mu, jacobian = estimator.likelihood.predict(
         readings.contact, points[taxel], nuisance[taxel], problem.contacts.at(state.s)
     )
@@ -137,6 +173,7 @@ def _fitted(estimator: JointEstimator) -> FittedReadings:
         rate=readings.weight * rate,
         curvature=readings.weight * curvature,
         own=np.concatenate([along, jacobian[3 : 3 + len(names)]]),
+        tangents=problem.parametrization.charts.tangents,
         prior=np.array([0.0, 0.0, *(sigma**-2 for sigma in estimator.likelihood.nuisance_sigma)]),
     )
 

@@ -23,9 +23,7 @@ from .. import chart
 from ..data.global_parameters import LEARNED, LEARNED_PRIORS, PRIORS, declared_parameters
 from ..data.measurements import Measurements
 from ..posegraph.symmetric_blocks import SingularMatrixError
-from ..result import (
-    EstimatorResult,
-)
+from ..result import EstimatorResult
 from ..trilateration import coactivation, trilaterate
 from . import fault_detection
 from .departures import MIN_SCORE
@@ -49,21 +47,26 @@ MARGIN = 1.15
 """Extent of the profile relative to these distances."""
 STEP = 1e-3
 """Longest move of a taxel in one step, m."""
+MAX_SIGMAS = 4.0
+"""Prior standard deviations from which the estimate of a departure is not plausible: 6e-5 by
+chance."""
+MAX_FURTHER_STEPS = 30
+"""Largest number of steps with a further departure, or without further outlying readings; 10 to 25
+are usual where the readings have it."""
 MAX_ROUNDS = 3
 """Largest number of times that outlying readings are left out and the rest is estimated again."""
 MOVED = 0.02
 """Move of a taxel, in contact radii, from which it is at another optimum."""
 
 
-def estimate(data: Measurements, start: EstimatorResult | None = None) -> EstimatorResult:
-    """The estimate with a learned response.
+def estimate(data: Measurements) -> EstimatorResult:
+    """The estimate with a learned response, from trilateration, or co-activation where it fails.
 
-    start: taxels near their places; by default trilateration, or co-activation where it fails.
     Raises CalibrationError if no taxel is determined, the estimate does not converge, or modules
     are rigid.
     """
     try:
-        return _estimate(data, start)
+        return _estimate(data)
     except SingularMatrixError as error:
         raise CalibrationError(
             "the estimate with a learned response did not converge",
@@ -72,7 +75,7 @@ def estimate(data: Measurements, start: EstimatorResult | None = None) -> Estima
         ) from error
 
 
-def _estimate(data: Measurements, start: EstimatorResult | None) -> EstimatorResult:
+def _estimate(data: Measurements) -> EstimatorResult:
     """As `estimate`; SingularMatrixError where normal equations are singular."""
     clock = time.perf_counter()
     if data.belief.module_slots is not None:
@@ -82,22 +85,13 @@ def _estimate(data: Measurements, start: EstimatorResult | None) -> EstimatorRes
             remedy='leave module_slots out of the belief, or give pressures and contact="hertz"',
         )
     stuck = fault_detection.stuck_taxels(data)
-    # what a taxel reads at rest, after hysteresis above all, tells nothing of its place
+    # readings far from the contacts, such as those that hysteresis leaves, do not tell the place
     data = coactivation.without_distant_readings(data)
-    if start is None:
-        start = coactivation.initial_estimate(data, trilaterate.least_squares(data))
-    responsive = coactivation.responsive(data, start.points)
-    reasons = np.where(start.found & ~responsive, coactivation.NOISE, start.reasons)
-    live = np.setdiff1d(np.flatnonzero(reasons == ""), stuck.rows)
-    if not len(live):
-        raise CalibrationError(
-            "no taxel is determined by the recording",
-            value=", ".join(sorted(set(map(str, reasons)))),
-            remedy="touch every taxel from at least three contacts that are not on a line",
-        )
+    start = coactivation.initial_estimate(data, trilaterate.least_squares(data))
+    live, reasons = coactivation.live_taxels(data, start, stuck.rows)
     effects = _begin(with_learned_response(data, start.points), live, start)
     weight = np.ones(len(data.pressure))
-    effects = _converged(effects)
+    effects, departures = _converged(effects)
     for _ in range(MAX_ROUNDS):
         estimator = reject_outliers(_frozen(effects, live, weight))
         rivals = resolve_rivals(estimator)
@@ -105,36 +99,64 @@ def _estimate(data: Measurements, start: EstimatorResult | None) -> EstimatorRes
             break
         weight = estimator.weight
         effects = _restarted(effects, estimator)
-        effects.converge()
-    return learned_result(effects, estimator, rivals, reasons, clock)
+        effects.converge(MAX_FURTHER_STEPS)
+    result = learned_result(effects, estimator, rivals, reasons, clock)
+    return replace(result, departures=departures)
 
 
-def _converged(effects: RandomEffects) -> RandomEffects:
-    """The estimate at its optimum, with what the readings show beyond the response."""
-    begin = effects.unknowns, effects.deviations
+def _converged(effects: RandomEffects) -> tuple[RandomEffects, dict[str, float]]:
+    """The estimate at its optimum, with what the readings show beyond the response, and the scores
+    of other departures, but for those that make the readings less likely."""
+    begin, unlikely = (effects.unknowns, effects.deviations), set[str]()
     effects.converge()
     while True:
-        known = {*effects.data.parameters.names, *effects.data.parameters.nuisance_names}
-        found = effects.fitted().scores()
-        shown = [name for name in found if found[name][0] > MIN_SCORE and name not in known]
+        found = _scores(effects)
+        left = {name: score for name, (score, _) in found.items() if name not in unlikely}
+        shown = [name for name in left if left[name] > MIN_SCORE]
         if not shown:
-            return effects
-        # begun anew: what stood in for the departure, variances above all, leads elsewhere
+            return effects, left
+        # from the first start: variances that have absorbed the departure lead to another optimum
         extended = _extended(effects, *begin, shown[0], found[shown[0]][1])
-        begin = extended.unknowns, extended.deviations
-        try:
-            extended.converge()
-        except SingularMatrixError:
-            return effects
-        if _objective(extended) > _objective(effects):
-            return effects  # the readings depart in another way
-        effects = extended
+        start = extended.unknowns, extended.deviations
+        if not _converges(extended, shown[0]):
+            return effects, left
+        if _objective(extended) < _objective(effects):
+            begin, effects = start, extended
+        else:
+            unlikely.add(shown[0])
+
+
+def _converges(extended: RandomEffects, name: str) -> bool:
+    """Whether the estimate with the departure `name` converges to a plausible value of it."""
+    try:
+        converged = extended.converge(MAX_FURTHER_STEPS)
+    except SingularMatrixError:
+        return False
+    parameters = extended.data.parameters
+    at = parameters.columns.get(name, slice(0, 0))
+    far = np.abs(extended.unknowns.s[at]) > MAX_SIGMAS * parameters.sigma[at]
+    return converged and not far.any()
+
+
+def _scores(effects: RandomEffects) -> dict[str, tuple[float, Array]]:
+    """`FittedReadings.scores` of the departures that are not estimated."""
+    estimated = {*effects.data.parameters.names, *effects.data.parameters.nuisance_names}
+    found = effects.fitted().scores()
+    return {name: found[name] for name in found if name not in estimated}
 
 
 def _objective(effects: RandomEffects) -> float:
-    """Negative logarithm of the likelihood of readings and random effects, up to a constant."""
+    """Negative logarithm of the likelihood of the readings, up to a constant: by Laplace's method
+    over all unknowns, taxel positions with a constant prior density.
+
+    Source: Tierney and Kadane, "Accurate approximations for posterior moments and marginal
+    densities", Journal of the American Statistical Association 81 (1986).
+    """
     spread = effects.spread[effects.readings.kind == OBSERVED]
-    return effects.cost() + float(np.log(spread).sum())
+    taxel, contact, shared = (np.log(p[p > 0]).sum() for p in effects.prior)
+    count = len(effects.unknowns.nuisance), len(effects.unknowns.errors)
+    volume = effects.system().log_determinant() - count[0] * taxel - count[1] * contact - shared
+    return effects.cost() + float(np.log(spread).sum() + volume / 2)
 
 
 def _extended(

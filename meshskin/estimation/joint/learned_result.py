@@ -155,7 +155,7 @@ def _neighbour_scatter(effects: RandomEffects, r: Array, rows: np.ndarray) -> tu
 def _shared_values(effects: RandomEffects, covariance: Array) -> dict[str, tuple[float, float]]:
     """Global parameters but for the profile, and the deviations of the contacts' errors."""
     parameters, d = effects.data.parameters, effects.deviations
-    m = max(int(effects.touched.sum()), 1)
+    m = max(int(effects.probes.touched.sum()), 1)
     found = parameters.named(effects.unknowns.s, covariance)
     for label in parameters.labels[parameters.columns["profile"]]:
         del found[label]
@@ -243,7 +243,7 @@ def _neighbour_correlation(effects: RandomEffects) -> float:
     from scipy.spatial import cKDTree
 
     contacts, errors = effects.linearized.at(effects.unknowns.s), effects.unknowns.errors
-    used = np.flatnonzero(effects.touched)
+    used = np.flatnonzero(effects.probes.touched)
     if len(used) < MIN_CONTACTS or effects.deviations.position <= FLOOR["position"]:
         return 0.0
     across = np.cross(contacts.normals, contacts.directions)

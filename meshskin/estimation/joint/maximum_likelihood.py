@@ -25,7 +25,7 @@ from ..data.measurements import Measurements
 from ..result import CENSORING, MOSTLY_OUTLIERS, RIVAL, SURFACE, EstimatorResult
 from ..trilateration import coactivation, trilaterate
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
-from .departures import largest_score
+from .departures import departure_scores
 from .fault_detection import outliers, stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
 from .module_parametrization import ModuleParametrization, align_modules
@@ -136,16 +136,8 @@ def _converged(
     if start is None:
         fit = trilaterated if near is data else None
         start = coactivation.initial_estimate(near, fit or trilaterate.least_squares(near))
-    responsive = coactivation.responsive(data, start.points)
-    reasons = np.where(start.found & ~responsive, coactivation.NOISE, start.reasons)
     stuck = stuck_taxels(data)
-    live = np.setdiff1d(np.flatnonzero(reasons == ""), stuck.rows)
-    if not len(live):
-        raise CalibrationError(
-            "no taxel is determined by the recording",
-            value=", ".join(sorted(set(map(str, reasons)))),
-            remedy="touch every taxel from at least three contacts that are not on a line",
-        )
+    live, reasons = coactivation.live_taxels(data, start, stuck.rows)
     step = float(np.median(data.radii)) / 2
     parametrization: Parametrization
     if data.belief.module_slots is None:
@@ -259,7 +251,7 @@ def _result(
         faults=estimator.faults,
         rivals=spread(rivals.points, np.nan),
         fit=fit,
-        departure_score=largest_score(estimator),
+        departures=departure_scores(estimator),
         iterates=np.stack([spread(points, np.nan) for points in estimator.iterates]),
         restarted=estimator.live[restarted],
         seconds=estimator.seconds | {"joint": time.perf_counter() - clock},

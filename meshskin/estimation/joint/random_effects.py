@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...core.arrays import Array
-from ..data.global_parameters import SHOWN
+from ..data.global_parameters import ELECTRONICS
 from ..data.measurements import Measurements
 from ..posegraph.symmetric_blocks import SingularMatrixError
 from . import fault_detection
@@ -97,14 +97,13 @@ class RandomEffects:
         self.size = 2 + unknowns.nuisance.shape[1]
         """Unknowns of a taxel: two coordinates in its chart, ln gain, offset, and drift if any."""
         self.probes = Probes(readings, len(data.points), self.size)
-        shown, points = set(SHOWN) & set(data.parameters.names), unknowns.parametrization.points()
+        shown, points = set(ELECTRONICS) & set(data.parameters.names), unknowns.parametrization.points()
         self.electronics = Electronics(data, readings, points) if shown else None
         self.linearized = LinearizedContacts(data, unknowns.s)
         self.deviations, self.restraint, self.last_decrease = deviations, 0, np.inf
         self.noise_known = data.belief.noise_sigma is not None
         self.leverages = np.zeros(len(readings.taxel))
         self.iterates = [points]
-        self.touched = self.probes.touched
         width = self.size + len(unknowns.s) + CONTACT_SIZE
         self.mu = np.empty(len(readings.taxel))
         self.jacobian = np.empty((len(readings.taxel), width))
@@ -172,6 +171,9 @@ class RandomEffects:
             curvature=curvature / self.spread**2,
             own=self.jacobian[:, : self.size].T,
             prior=self.prior[0],
+            tangents=self.unknowns.parametrization.charts.tangents,
+            system=self.system(),
+            jacobian=self.jacobian,
         )
 
     def response_levels(self) -> tuple[float, float]:
@@ -288,10 +290,10 @@ class RandomEffects:
                 singular = error
         raise singular
 
-    def converge(self) -> bool:
+    def converge(self, limit: int = MAX_ITERATIONS) -> bool:
         """Move unknowns and variances until they no longer change; False at the limit of steps."""
         settled = SETTLED * int((self.readings.kind == OBSERVED).sum())
-        for iteration in range(MAX_ITERATIONS):
+        for iteration in range(limit):
             (move, posterior), gain = self.step(settled), np.inf
             if posterior is not None:
                 gain = self.update_variances(posterior)
@@ -316,7 +318,7 @@ class RandomEffects:
         by one of them."""
         u, d, self.leverages = self.unknowns, self.deviations, posterior.leverages
         s, names = u.s[self.data.parameters.columns["profile"]], self.data.parameters.nuisance_names
-        taxels, contacts = int(self.probes.seen.sum()), int(self.touched.sum())
+        taxels, contacts = int(self.probes.seen.sum()), int(self.probes.touched.sum())
         squares = {
             "position": (np.sum(u.errors[:, :2] ** 2), 2 * contacts),
             "force": (np.sum(u.errors[:, 2] ** 2), contacts),
@@ -331,8 +333,7 @@ class RandomEffects:
             }
         )
         self.deviations = self._with_noise(moved, 2 if largest < PROPORTIONAL else 1)
-        change = abs(np.log(self.deviations.noise / d.noise))
-        return np.inf if change > NOISE_TOLERANCE else largest
+        return np.inf if abs(np.log(self.deviations.noise / d.noise)) > NOISE_TOLERANCE else largest
 
     def clear(self) -> np.ndarray:
         """Readings (k,) bool that are predicted well inside the sensor's range, so that their

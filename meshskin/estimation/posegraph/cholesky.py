@@ -139,6 +139,13 @@ class Cholesky:
         blocks[node, freedom, freedom] = np.inf
         return blocks
 
+    def log_determinant(self, matrix: SymmetricBlocks) -> float:
+        """Logarithm of the determinant of `matrix`.
+
+        Raises SingularMatrixError where the matrix is not positive definite.
+        """
+        return SuperLUFactors(matrix, self.symbolic.order, 0.0).log_determinant
+
     def is_positive_definite(self, matrix: SymmetricBlocks) -> bool:
         """Whether every pivot of `matrix` is positive."""
         try:

@@ -94,6 +94,7 @@ class SuperLUFactors:
         positive = unmoved & (pivots > min_pivot * scale)
         if not positive.all():
             raise SingularMatrixError(int(order[np.argmin(positive) // self.size]))
+        self.log_determinant = float(np.log(pivots).sum())
 
     def solve(self, right: Array) -> Array:
         """x (nodes, size, k) with the matrix times x = `right` (nodes, size, k)."""

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...core.arrays import Array, sums_by_group
+from ...core.errors import CalibrationError
 from .. import chart
 from ..data.measurements import Measurements
 from ..data.raw_readings import DENSE
@@ -102,6 +103,25 @@ def responsive(data: Measurements, points: Array) -> np.ndarray:
     variance = c * mean + ndtr(-c) - mean**2
     responds[doubtful] = total - count * mean > SUM_SIGMAS * np.sqrt(count * variance)
     return np.asarray(responds)
+
+
+def live_taxels(
+    data: Measurements, start: EstimatorResult, stuck: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the taxels that are estimated from `start`, and the reasons (n,) of the others.
+
+    stuck: rows of taxels with constant readings. Raises CalibrationError if no taxel is left.
+    """
+    responds = responsive(data, start.points)
+    reasons = np.where(start.found & ~responds, NOISE, start.reasons)
+    live = np.setdiff1d(np.flatnonzero(reasons == ""), stuck)
+    if not len(live):
+        raise CalibrationError(
+            "no taxel is determined by the recording",
+            value=", ".join(sorted(set(map(str, reasons)))),
+            remedy="touch every taxel from at least three contacts that are not on a line",
+        )
+    return live, reasons
 
 
 def without_distant_readings(data: Measurements) -> Measurements:

@@ -47,8 +47,11 @@ def systematic_covariance(
     unknowns: estimated global parameters, whose offsets may explain the distances. rotations
     (n, 3, 3): of the taxels; shape (n, 2, 2), 1/m: shape operators.
     """
-    points = data.points + _offsets(data, unknowns)
-    hit = data.body.closest(points)
+    points, moved = data.points, data.points + _offsets(data, unknowns)
+    hit, moved_hit = data.body.closest(points), data.body.closest(moved)
+    # readings do not show an offset along the normals: where it explains no distance, it is none
+    if np.sum(moved_hit.distance**2) < np.sum(hit.distance**2):
+        points, hit = moved, moved_hit
     tangents = rotations[:, :, :2]
     along = np.einsum("nia,i->na", tangents, _sideways(data, points, hit.distance, hit.normal))
     tangential = along[:, :, None] * along[:, None, :]

@@ -7,14 +7,16 @@ contact points, the contact points against the believed surface, and the columns
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...core.arrays import Array
 from .. import chart
+from ..data.global_parameters import SIZES, declared_parameters
 from ..data.pairs import near_pairs
+from ..joint.departures import MIN_SCORE
 from . import verdict
 from .contact_errors import displacement, late_displacements, late_frames
 from .verdict import DOUBT, FAIL, LEVELS, PASS, Finding, Verdict
@@ -36,6 +38,9 @@ MODULUS_FACTORS = 3.0, 10.0
 """Factor between the estimated and the nominal E* from which it is a doubt, and a failure. Nominal
 values of elastomers by Shore hardness are within a factor of 2; pressures 2 and 4 times wrong move
 E* by factors of 2.7 and 17, since the patch, too, has to fit."""
+PRIOR_SIGMAS = 4.0
+"""Distance of a global parameter from zero, in standard deviations of its prior, from which it is a
+doubt: 6e-5 by chance."""
 MEAN_SIGMAS = 4.0, 12.0
 """Median distance of the positions from the weighted means of contact points, in standard
 deviations of both, from which it is a doubt, and a failure; 1.18 by theory."""
@@ -61,13 +66,21 @@ MIN_DISPLACEMENT = 0.02
 """Scatter of the contact points, in contact radii, from which their correlation is judged."""
 
 
-def judge(recording: Recording, data: Measurements, calibration: Calibration) -> Verdict:
-    """The verdict on the calibration of `data`, which were gathered from `recording`."""
+def judge(
+    recording: Recording,
+    data: Measurements,
+    calibration: Calibration,
+    departures: Mapping[str, float],
+) -> Verdict:
+    """The verdict on the calibration of `data`, which were gathered from `recording`; departures:
+    as `EstimatorResult.departures`."""
     checks: tuple[Callable[[], list[Finding]], ...] = (
         lambda: _fit(data, calibration),
+        lambda: _departures(data, calibration, departures),
         lambda: _late(data),
         lambda: _noise(data, calibration),
         lambda: _modulus(data, calibration),
+        lambda: _priors(data, calibration),
         lambda: _surface(recording, data, calibration),
         lambda: _weighted_means(data, calibration),
         lambda: verdict.forces(recording, calibration),
@@ -100,6 +113,26 @@ def _fit(data: Measurements, calibration: Calibration) -> list[Finding]:
     severe = beyond > MAX_MISFIT * float(np.quantile(data.pressure, STRONG))
     found = [(FAIL if severe else DOUBT, fit.words)]
     return found
+
+
+def _departures(
+    data: Measurements, calibration: Calibration, departures: Mapping[str, float]
+) -> list[Finding]:
+    """Departures from the model that the readings show and the estimate does not hold."""
+    shown = [
+        f"{name} (score {score:.3g})" for name, score in departures.items() if score > MIN_SCORE
+    ]
+    if not shown:
+        return []
+    words = (
+        f"the readings show {', '.join(shown)} that the estimate does not model (scores in "
+        f"standard deviations, limit {MIN_SCORE:g})"
+    )
+    if calibration.fit is not None and calibration.fit.good is not False:
+        words += ": its standard deviations are too small"
+    if calibration.response is None and data.belief.module_slots is None:
+        words += '; let it learn the response: contact="auto" or "learned"'
+    return [(DOUBT, words)]
 
 
 def _noise(data: Measurements, calibration: Calibration) -> list[Finding]:
@@ -148,6 +181,24 @@ def _modulus(data: Measurements, calibration: Calibration) -> list[Finding]:
         "scale of pressures and forces, the indenter's radius and the nominal Young's modulus"
     )
     return [(level, words)]
+
+
+def _priors(data: Measurements, calibration: Calibration) -> list[Finding]:
+    """Global parameters, other than E*, against their priors."""
+    names = tuple({label.split()[0] for label in calibration.unknowns} & (set(SIZES) - {"modulus"}))
+    force, peak = data.belief.force_reference or 1.0, float(np.median(data.peaks))
+    declared = declared_parameters(names, data.belief.priors, force, peak)
+    found = []
+    for label, sigma in zip(declared.labels, declared.sigma, strict=True):
+        value, apart = calibration.unknowns[label][0], abs(calibration.unknowns[label][0]) / sigma
+        if apart > PRIOR_SIGMAS:
+            words = (
+                f"{label} is {value:.3g}, {apart:.3g} standard deviations of its prior, "
+                f"{sigma:.3g}, from zero (limit {PRIOR_SIGMAS:g}): another error of the log may "
+                "stand behind it; check poses and times, or widen the prior (belief.priors)"
+            )
+            found.append((DOUBT, words))
+    return found
 
 
 def _surface(recording: Recording, data: Measurements, calibration: Calibration) -> list[Finding]:

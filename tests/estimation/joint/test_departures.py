@@ -1,0 +1,96 @@
+"""What the readings show beyond the contact model is estimated by default, and else named."""
+
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+import meshskin as ms
+from meshskin.core import se3
+from meshskin.estimation.calibrate import calibrate
+from meshskin.recording.recording import Recording
+
+CONTACTS = 500
+OFFSET = np.array([0.3e-3, -0.2e-3, 0.0])
+"""World frame, m; every contact's normal is the world's z axis, which hides an offset along it."""
+
+
+def headings(normals, seed):
+    """Rotations (m, 3, 3), world from body, that turn the normals to the z axis, at any spin."""
+    spin = np.random.default_rng(seed).uniform(-np.pi, np.pi, len(normals))
+    tangent = np.cross(normals, np.roll(normals, 1, axis=1))
+    tangent /= np.linalg.norm(tangent, axis=1)[:, None]
+    facing = np.stack([tangent, np.cross(normals, tangent), normals], axis=1)
+    return se3.exp_so3(spin[:, None] * [0.0, 0.0, 1.0]) @ facing
+
+
+def with_points(recording, points):
+    contacts = recording.contacts
+    for name, values in zip(("px", "py", "pz"), points.T, strict=True):
+        contacts = contacts.set_column(contacts.column_names.index(name), name, pa.array(values))
+    return Recording(contacts, recording.readings, {})
+
+
+@pytest.fixture(scope="module")
+def displaced(noisy):
+    """A log whose indenter is OFFSET off, and the belief with the headings."""
+    rng, skin = np.random.default_rng(0), noisy.skin
+    near = skin.positions[rng.integers(len(skin), size=CONTACTS)]
+    points = noisy.body.closest(near + rng.uniform(-5e-3, 5e-3, (CONTACTS, 3))).point
+    made = ms.press(noisy, points, force=rng.uniform(2.5, 3.5, CONTACTS), seed=0)
+    turned = headings(made.normals, seed=1)
+    # the recorded points are those of an indenter without the offset
+    shrunk = 1 + noisy.indenter.radius / np.linalg.norm(made.points, axis=1)
+    recorded = made.points - np.einsum("mji,j->mi", turned, OFFSET) / shrunk[:, None]
+    belief = replace(noisy.belief(), contact="auto", headings=turned)
+    return with_points(made, noisy.body.closest(recorded).point), belief
+
+
+def rms(found, scene):
+    return np.sqrt(np.nanmean(np.sum((found.positions - scene.skin.positions) ** 2, axis=1)))
+
+
+def test_an_indenter_offset_is_estimated_by_default(displaced, noisy):
+    recording, belief = displaced
+    found = calibrate(recording, belief)
+    declared = calibrate(recording, replace(belief, contact="hertz", unknown=("indenter_offset",)))
+    assert found.verdict.level == declared.verdict.level == "PASS"
+    for axis in range(2):
+        value, sigma = found.unknowns[f"indenter_offset {'xyz'[axis]}"]
+        assert abs(value - OFFSET[axis]) < 4 * sigma < 0.1e-3
+    assert rms(found, noisy) < 1.1 * rms(declared, noisy) < 0.03e-3
+    # an offset along the normals, which no reading shows, is not in the standard deviation
+    assert np.nanmax(np.sqrt(found.covariances[:, 2, 2])) < 0.1e-3
+
+
+def test_it_is_named_where_the_contact_model_is_fixed(displaced):
+    recording, belief = displaced
+    found = calibrate(recording, replace(belief, contact="hertz"))
+    assert found.verdict.level != "PASS"
+    assert any("show" in words and "indenter_offset" in words for words in found.verdict.reasons)
+
+
+def test_an_unknown_far_outside_its_prior_is_a_doubt(displaced):
+    recording, belief = displaced
+    narrow = replace(belief, contact="hertz", unknown=("indenter_offset",))
+    found = calibrate(recording, replace(narrow, priors={"indenter_offset": 2e-5}))
+    assert found.verdict.level == "DOUBT"
+    assert any("standard deviations of its prior" in words for words in found.verdict.reasons)
+
+
+def test_offsets_that_drift_are_named_where_the_contact_model_is_fixed(noisy):
+    rng, skin = np.random.default_rng(0), noisy.skin
+    near = skin.positions[rng.integers(len(skin), size=CONTACTS)]
+    points = noisy.body.closest(near + rng.uniform(-5e-3, 5e-3, (CONTACTS, 3))).point
+    made = ms.press(noisy, points, force=rng.uniform(2.5, 3.5, CONTACTS), seed=0)
+    rate = 0.05 * made.pressure.max() * rng.standard_normal(len(skin))
+    taxel = np.searchsorted(skin.ids, made.readings.column("taxel").to_numpy())
+    phase = made.reading_contact / CONTACTS - 0.5
+    table = made.readings.set_column(2, "pressure", pa.array(made.pressure + rate[taxel] * phase))
+    drifting = Recording(made.contacts, table, {})
+    belief = replace(noisy.belief(), contact="hertz", noise_sigma=None)
+    assert calibrate(made, belief).verdict.level == "PASS"
+    found = calibrate(drifting, belief)
+    assert found.verdict.level != "PASS"
+    assert any("drift" in words for words in found.verdict.reasons)
