@@ -290,10 +290,10 @@ class RandomEffects:
                 singular = error
         raise singular
 
-    def converge(self, limit: int = MAX_ITERATIONS) -> bool:
+    def converge(self) -> bool:
         """Move unknowns and variances until they no longer change; False at the limit of steps."""
         settled = SETTLED * int((self.readings.kind == OBSERVED).sum())
-        for iteration in range(limit):
+        for iteration in range(MAX_ITERATIONS):
             (move, posterior), gain = self.step(settled), np.inf
             if posterior is not None:
                 gain = self.update_variances(posterior)
