@@ -72,17 +72,17 @@ class FittedReadings:
         electronics = Electronics(self.data, self.readings, self.points)
         half = np.multiply.outer(WIDTHS, np.full(len(pressure), WIDTH * electronics.peak))
         lags = electronics.play(pressure, half)[0] - pressure
-        found = ((self._shared(lag), width) for lag, width in zip(lags, WIDTHS, strict=True))
-        best = max((0.0, WIDTHS[0]), *found)
+        widths = ((self._shared(lag), width) for lag, width in zip(lags, WIDTHS, strict=True))
+        best = max((0.0, WIDTHS[0]), *widths)
         drift = self._each(self.data.phase[self.readings.contact])
         n = max(int(np.sum(drift != 0)), 1)
-        found = {
+        found: dict[str, tuple[float, Array]] = {
             "indenter_offset": (self._indenter_score(), np.zeros(3)),
             "hysteresis": (best[0], np.array([SHARE, np.log(best[1])])),
             "crosstalk": (self._shared(electronics.neighbours @ pressure), np.zeros(1)),
         }
-        found = dict(sorted(found.items(), key=lambda item: -item[1][0]))
-        return found | {"drift": (float((drift @ drift - n) / np.sqrt(2 * n)), np.zeros(0))}
+        largest_first = dict(sorted(found.items(), key=lambda item: -item[1][0]))
+        return largest_first | {"drift": (float((drift @ drift - n) / np.sqrt(2 * n)), np.zeros(0))}
 
     def _indenter_score(self) -> float:
         """The largest absolute score of an offset of the indenter along the world's axes; 0 without

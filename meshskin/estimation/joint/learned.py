@@ -32,9 +32,9 @@ from .joint_estimator import JointEstimator
 from .learned_result import learned_result
 from .likelihood import select
 from .outlier_rejection import reject_outliers
-from .parametrization import SurfaceParametrization
+from .parametrization import SurfaceParametrization, Unknowns
 from .pressure import CENSORED, OBSERVED
-from .random_effects import RandomEffects, Unknowns
+from .random_effects import RandomEffects
 from .rival_optima import resolve_rivals
 
 MIN_EXTENT = 1.2
@@ -51,8 +51,8 @@ MAX_SIGMAS = 4.0
 """Prior standard deviations from which the estimate of a departure is not plausible: 6e-5 by
 chance."""
 LEAST_GAIN = 0.5
-"""Least increase of the log-likelihood by a departure, relative to what its score promises: 1.4 to 5
-where the readings have it, 0 to 0.1 where it stands in for another one (studies/foreign_worlds.py
+"""Least increase of the log-likelihood by a departure, relative to what its score promises: 1.4 to
+5 where the readings have it, 0 to 0.1 where it stands in for another (studies/foreign_worlds.py
 --worlds hysteresis crosstalk; `sphere_noisy` with hysteresis, an indenter offset or scan_order)."""
 MAX_ROUNDS = 3
 """Largest number of times that outlying readings are left out and the rest is estimated again."""

@@ -106,3 +106,16 @@ class SurfaceParametrization:
     def about(self, body: Body, points: Array) -> SurfaceParametrization:
         """The parametrization linearized at other points (n, 3), m."""
         return replace(self, charts=chart.charts_at(body, points, self.rotations()))
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """A value of all unknowns of an estimate whose contacts have errors of their own."""
+
+    parametrization: SurfaceParametrization
+    nuisance: Array
+    """(n, q), ln gain, offset, and drift where it is estimated."""
+    errors: Array
+    """(m, 3) of the contacts."""
+    s: Array
+    """(ks,)."""

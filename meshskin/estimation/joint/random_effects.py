@@ -15,7 +15,7 @@ Biometrika 58 (1971).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from .electronics import Electronics
 from .lagged_system import LaggedSystem
 from .likelihood import BLOCK, Likelihood, Readings
 from .noise import clear_of_limits
-from .parametrization import SurfaceParametrization
+from .parametrization import Unknowns
 from .posterior import Posterior, Probes
 from .pressure import OBSERVED, costs
 from .reading_sums import CONTACT_SIZE, Parts
@@ -65,19 +65,6 @@ NOISE_TOLERANCE = 0.03
 """Change of the logarithm of the noise at which it has converged."""
 
 
-@dataclass(frozen=True)
-class Unknowns:
-    """A value of all unknowns."""
-
-    parametrization: SurfaceParametrization
-    nuisance: Array
-    """(n, q), ln gain, offset, and drift where it is estimated."""
-    errors: Array
-    """(m, 3) of the contacts."""
-    s: Array
-    """(ks,)."""
-
-
 class RandomEffects:
     """An estimate with random effects in progress."""
 
@@ -97,7 +84,10 @@ class RandomEffects:
         self.size = 2 + unknowns.nuisance.shape[1]
         """Unknowns of a taxel: two coordinates in its chart, ln gain, offset, and drift if any."""
         self.probes = Probes(readings, len(data.points), self.size)
-        shown, points = set(ELECTRONICS) & set(data.parameters.names), unknowns.parametrization.points()
+        shown, points = (
+            set(ELECTRONICS) & set(data.parameters.names),
+            unknowns.parametrization.points(),
+        )
         self.electronics = Electronics(data, readings, points) if shown else None
         self.linearized = LinearizedContacts(data, unknowns.s)
         self.deviations, self.restraint, self.last_decrease = deviations, 0, np.inf
