@@ -15,11 +15,12 @@ import numpy as np
 
 from ..contact import ContactModel
 from ..core.arrays import Array, sums_by_group
-from .data.global_parameters import MOTION, MOVES
+from .data.global_parameters import MOTION, MOVES, PRIORS, SIZES
 from .data.measurements import Measurements
 from .data.pairs import near_pairs
 from .joint.contacts import Contacts, LinearizedContacts
 from .joint.deviations import Deviations
+from .joint.known_past import KnownPast
 from .joint.learned import with_learned_response
 from .joint.likelihood import Likelihood, Readings
 from .joint.pressure import CENSORED, OBSERVED, SATURATED, costs
@@ -30,6 +31,10 @@ if TYPE_CHECKING:
 LEAST = 3
 """Readings of a contact that is localised: of two, one is left to choose between the two places
 that mirror each other across the line between both taxels."""
+AT_REST = 5.0
+"""Standard deviations above what a taxel reads at rest, from which it is pressed."""
+AWAY = 10.0
+"""Distance, in reaches, at which a taxel is not pressed."""
 START = 0.5
 """Distance of the other four starts from the centroid of the taxels that read, in contact radii."""
 STEP = 0.5
@@ -62,6 +67,8 @@ class CalibratedSkin:
     """Of the noise, of contact points and of forces."""
     covariances: Array
     """Of the positions (n, 3, 3), body frame, m^2."""
+    past: KnownPast | None = None
+    """What the taxels were pressed with before; None without hysteresis."""
 
     @classmethod
     def of(cls, calibration: Calibration, data: Measurements) -> CalibratedSkin:
@@ -78,6 +85,10 @@ class CalibratedSkin:
         deviations = Deviations(noise, position=0.0, force=0.0)
         if response is not None:
             scale = data.unit / response.unit
+            if response.hysteresis[0] and "hysteresis" not in data.parameters.names:
+                p, more = data.parameters, np.full(SIZES["hysteresis"], PRIORS["hysteresis"])
+                p = replace(p, names=(*p.names, "hysteresis"), sigma=np.append(p.sigma, more))
+                data = replace(data, parameters=p)
             data = with_learned_response(replace(data, learned=True), calibration.positions)
             data = replace(
                 data,
@@ -98,6 +109,13 @@ class CalibratedSkin:
         if calibration.taxel_unknowns:
             peak = float(np.median(data.peaks))
             data = replace(data, parameters=data.parameters.with_nuisance(peak))
+            if "drift" in calibration.taxel_unknowns:
+                p = data.parameters
+                names = tuple(dict.fromkeys((*p.nuisance_names, "drift")))
+                sigma = (*p.nuisance_sigma, PRIORS["drift"] * peak)[: len(names)]
+                data = replace(
+                    data, parameters=replace(p, nuisance_names=names, nuisance_sigma=sigma)
+                )
         unit = data.sigma * data.unit
         units = {"gain": 1.0, "offset": unit, "drift": unit}
         none = np.zeros((len(data.ids), 2))
@@ -111,13 +129,15 @@ class CalibratedSkin:
         live = np.flatnonzero(np.isfinite(calibration.poses).all(axis=(1, 2)))
         covariances = np.zeros((len(data.ids), 3, 3))
         covariances[live] = rotation[live] @ local[live] @ np.swapaxes(rotation[live], 1, 2)
+        nuisance = np.stack(columns, axis=1) if columns else none[:, :0]
         return cls(
+            past=KnownPast.of(data, live, calibration.positions, rotation[:, :, 2], nuisance, s),
             data=data,
             s=s,
             live=live,
             points=calibration.positions,
             normals=rotation[:, :, 2],
-            nuisance=np.stack(columns, axis=1) if columns else none[:, :0],
+            nuisance=nuisance,
             deviations=deviations,
             covariances=covariances,
         )
@@ -133,7 +153,24 @@ class CalibratedSkin:
     def centroids(self, contacts: np.ndarray) -> Array:
         """Means (m, 3), m, of the positions of the taxels that read in `contacts`, weighted by
         their readings, on the surface; NaN for other contacts and those without readings."""
-        rows, m = self.read(contacts), len(self.data.points)
+        return self._means(self.read(contacts))
+
+    def _pressed(self, contacts: np.ndarray) -> np.ndarray:
+        """Rows of the readings of `contacts` that are not those of taxels at rest, by hysteresis
+        and drift."""
+        data, rows = self.data, self.read(contacts)
+        if self.past is None and "drift" not in data.parameters.nuisance_names:
+            return rows
+        contact, taxel = data.contact[rows], data.taxel[rows]
+        where = LinearizedContacts(data, self.s).at(self.s)
+        away = data.points[contact] + AWAY * data.reach()[contact, None] * where.directions[contact]
+        mu = self._predict(data, contact, taxel, where, away)[0]
+        limit = mu + AT_REST * self.deviations.noise_of(mu)
+        return rows[data.pressure[rows] / data.sigma > limit]
+
+    def _means(self, rows: np.ndarray) -> Array:
+        """`centroids` of the readings `rows`, sorted by contact."""
+        m = len(self.data.points)
         contact, weight = self.data.contact[rows], self.data.pressure[rows]
         total = np.bincount(contact, weight, m)
         mean = sums_by_group(weight[:, None] * self.points[self.data.taxel[rows]], contact, m)
@@ -145,9 +182,10 @@ class CalibratedSkin:
         """Places (m, 3), m, of `contacts` (rows); NaN for others, and for those that fewer than
         LEAST taxels read."""
         data = self.data
-        count = np.bincount(data.contact[self.read(contacts)], minlength=len(data.points))
+        pressed = self._pressed(contacts)
+        count = np.bincount(data.contact[pressed], minlength=len(data.points))
         contacts = contacts[count[contacts] >= LEAST]
-        middle = self.centroids(contacts)[contacts]
+        middle = self._means(self._pressed(contacts))[contacts]
         best, least = middle, np.full(len(contacts), np.inf)
         if not len(contacts):
             return np.full(data.points.shape, np.nan)
@@ -248,10 +286,13 @@ class CalibratedSkin:
         )
 
     def _predict(
-        self, at: Measurements, contact: np.ndarray, taxel: np.ndarray, contacts: Contacts
-    ) -> tuple[Array, Array]:
+        self, at: Measurements, contact: np.ndarray, taxel: np.ndarray, contacts: Contacts,
+        points: Array | None = None,
+    ) -> tuple[Array, Array]:  # fmt: skip
+        points = self.points[taxel] if points is None else points
         likelihood = Likelihood(at, Readings.none())
-        return likelihood.predict(contact, self.points[taxel], self.nuisance[taxel], contacts)
+        before = None if self.past is None else self.past.before(contact, taxel)
+        return likelihood.predict(contact, points, self.nuisance[taxel], contacts, before)
 
     def log_likelihoods(self, contacts: np.ndarray) -> tuple[Array, np.ndarray]:
         """Logarithms (m,) of the joint densities of the readings of `contacts` at their recorded
@@ -272,7 +313,8 @@ class CalibratedSkin:
         off = data.pressure[rows] / data.sigma - mu
         own = np.einsum("ik,kij,jk->k", jacobian[:3], self.covariances[taxel], jacobian[:3])
         variance = d.noise_of(mu) ** 2 + own
-        shared = jacobian[-3:].T * [d.position, d.position, d.force]
+        last = 3 + self.nuisance.shape[1] + len(self.s)
+        shared = jacobian[last : last + 3].T * [d.position, d.position, d.force]
         out = np.zeros(len(data.points))
         ends = np.cumsum(count)
         for k in np.flatnonzero(count):

@@ -45,8 +45,9 @@ def bell(r, force):
     return force / (2 * np.pi * width**2) * np.exp(-(r**2) / (2 * width**2))
 
 
-def record(profile=hertz, contacts=400, unit=1.0):
-    """Contacts along a spiral of ten turns; readings are means over discs, in Pa / `unit`."""
+def record(profile=hertz, contacts=400, unit=1.0, lag=0.0):
+    """Contacts along a spiral of ten turns; readings are means over discs, in Pa / `unit`, of which
+    the part `lag` follows the pressure at a distance of 0.2 peaks."""
     rng = np.random.default_rng(0)
     turn = 20 * np.pi * np.sqrt((np.arange(contacts) + 0.5) / contacts)
     points = spiral(contacts, 1.4 * SHARE, turn)
@@ -57,12 +58,17 @@ def record(profile=hertz, contacts=400, unit=1.0):
     offset = TRUTH - points[:, None]
     x = np.einsum("mni,mi->mn", offset, first)
     y = np.einsum("mni,mi->mn", offset, np.cross(normals, first))
-    pressure = NOISE * PEAK * rng.standard_normal(x.shape)
+    noise, pressure = NOISE * PEAK * rng.standard_normal(x.shape), np.zeros(x.shape)
     node, weight = np.polynomial.legendre.leggauss(8)
     for r, w in zip((node + 1) / 2, weight * (node + 1) / 2, strict=True):
         for t in np.pi * (np.arange(12) + 0.5) / 6:
             distance = np.hypot(x + DISC * r * np.cos(t), y + DISC * r * np.sin(t))
             pressure += w / 12 * profile(distance, force[:, None])
+    state, width = np.zeros(TAXELS), 0.2 * PEAK
+    for k, now in enumerate(pressure.copy()):
+        state = np.clip(state, now - width, now + width)
+        pressure[k] += lag * (state - now)
+    pressure += noise
     contact, taxel = np.nonzero(pressure > 0.03 * PEAK)
     time = 0.01 * np.arange(contacts)
     return Recording(
@@ -201,3 +207,21 @@ def test_what_cannot_be_cross_validated(physical, tmp_path):
         calibration.cross_validate(recording, folds=200)
     again = loaded.cross_validate(recording, belief=known(contact="hertz"))
     assert np.allclose(again.errors, found.errors, equal_nan=True)
+
+
+@pytest.mark.slow
+def test_hysteresis_is_in_the_localization():
+    recording = record(lag=0.5)
+    calibration = calibrate(recording, known(contact="learned"))
+    assert calibration.response.hysteresis[0] == pytest.approx(0.5, abs=0.1)
+    found = calibration.cross_validate(recording, folds=3, belief=known(contact="learned"))
+    strong = recording.pressure > 0.25 * PEAK  # what lags is 0.1 of it, in taxels at rest
+    pressed = np.bincount(recording.reading_contact[strong], minlength=400) >= 3
+    assert np.isfinite(found.errors)[pressed].mean() > 0.9
+    assert rms(found.errors[pressed]) < 0.5e-3
+    skin = CalibratedSkin.of(calibration, gather(recording, known(contact="learned")))
+    normal = -np.log(NOISE * PEAK) - (1 + np.log(2 * np.pi)) / 2
+    total, count = skin.log_likelihoods(np.arange(400))
+    assert total.sum() / count.sum() == pytest.approx(normal, abs=0.3)
+    total, count = replace(skin, past=None).log_likelihoods(np.arange(400))
+    assert total.sum() / count.sum() < normal - 2.0

@@ -10,7 +10,8 @@ import numpy as np
 
 from ... import contact
 from ...core.arrays import Array
-from ...core.errors import ContactError
+from ...core.errors import CalibrationError, ContactError
+from .global_parameters import LEARNED_ONLY
 
 if TYPE_CHECKING:
     from ...recording.recording import Recording
@@ -30,7 +31,15 @@ def resolve_belief(belief: Belief, recording: Recording) -> Belief:
     A missing reference force is the median force of the recording; contact "auto" becomes the first
     model that holds in the recording's contacts. Raises ContactError, of the most general model,
     where none does; with "learned", too, where the widest model then serves as its mean.
+    CalibrationError if parameters of a learned response are declared unknown with another model.
     """
+    own = [name for name in belief.unknown if name in LEARNED_ONLY]
+    if own and belief.contact != contact.LEARNED:
+        raise CalibrationError(
+            f"{', '.join(own)} cannot be unknown with this contact model",
+            value=f'contact="{belief.contact}"',
+            remedy='believe contact="learned", which estimates what the readings show of them',
+        )
     pressed = recording.force > 0
     if belief.force_reference is None:
         force = recording.force[pressed]

@@ -44,6 +44,8 @@ class Electronics:
         self.source = np.arange(len(readings.taxel))
         """The reading (k,) on which each one's play operator rested when last applied; its own
         where it moved, or rested on none."""
+        self.lagging = np.zeros(len(readings.taxel))
+        """What the play operator followed the pressures (k,) with when last applied."""
 
     def apply(
         self,
@@ -83,7 +85,7 @@ class Electronics:
             rests = ~own & (source >= 0)
             if len(jacobian) > last + CONTACT_SIZE:
                 jacobian[last + CONTACT_SIZE :] = np.where(rests, h * contact[:, source], 0.0)
-            self.source = np.where(rests, source, np.arange(len(mu)))
+            self.source, self.lagging = np.where(rests, source, np.arange(len(mu))), lagging
             jacobian[row] += h * slope * side * width
             jacobian[first + at], jacobian[first + at + 1] = lagging - mu, h * side * width
             mu = mu + h * (lagging - mu)

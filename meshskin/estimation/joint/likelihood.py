@@ -23,6 +23,7 @@ from .pressure import CENSORED, OBSERVED, SATURATED, costs, disc_means
 
 if TYPE_CHECKING:
     from .electronics import Electronics
+    from .known_past import History
 
 MISFIT_SIGMAS = 5.0
 """Pressure, relative to the noise, above which a reading out of reach is kept: noise does not
@@ -249,7 +250,7 @@ class Likelihood:
         points: Array,
         nuisance: Array,
         contacts: Contacts,
-        electronics: Electronics | None = None,
+        electronics: Electronics | History | None = None,
     ) -> tuple[Array, Array]:
         """mu (k,) in units of the noise, and its derivatives (C, k) in all unknowns; where contacts
         have errors of their own, in these (3), too, and with hysteresis in those (3) of the contact

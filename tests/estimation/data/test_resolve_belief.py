@@ -120,3 +120,10 @@ def test_one_weak_contact_is_not_a_wrong_unit(world):
     one = Recording(recording.contacts.slice(weak, 1), recording.readings.filter(rows), {})
     with pytest.raises(CalibrationError, match="fewer than three readings"):
         ms.calibrate(one, world.belief())
+
+
+@pytest.mark.parametrize("name", ["profile", "hysteresis", "drift"])
+def test_what_only_a_learned_response_has_cannot_be_unknown_with_a_contact_model(world, name):
+    asked = world.belief(contact="hertz", unknown=("modulus", name))
+    with pytest.raises(CalibrationError, match=rf'{name} cannot be unknown.*contact="learned"'):
+        resolve_belief(asked, world.record())

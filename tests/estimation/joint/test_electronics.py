@@ -7,6 +7,7 @@ import pytest
 
 from meshskin.estimation.data.global_parameters import declared_parameters
 from meshskin.estimation.joint.electronics import Electronics
+from meshskin.estimation.joint.known_past import KnownPast
 from meshskin.estimation.joint.likelihood import Readings
 
 PEAK, SIGMA = 2e5, 2e3
@@ -122,3 +123,28 @@ def test_derivatives():
             expected = own * e[at[0]] + earlier * e[at[0][made.source]]
             np.testing.assert_allclose((up - down) / 2e-6, expected, atol=1e-5)
             assert 0.1 < np.mean(made.source != np.arange(len(own))) < 0.9
+
+
+def test_a_known_past_gives_the_same_readings():
+    """The state before each contact, from the readings of the others, also after releases."""
+    rng = np.random.default_rng(5)
+    made, pressure = every(rng)
+    keep = rng.random(pressure.shape) < 0.7
+    row, column = np.nonzero(keep)
+    made = electronics(row, column, made.points, names=("hysteresis",))
+    made.data.points = np.zeros((*pressure.shape[:1], 3))
+    at, m = (made.readings.contact, made.readings.taxel), len(pressure)
+    s, scale = np.array([0.4, 0.3]), np.linspace(0.8, 1.2, pressure.shape[1])[at[1]]
+    jacobian = np.zeros((7, len(scale)))
+    jacobian[0] = 1.0
+    read = made.apply(pressure[at], jacobian, s, scale, (1, 1.0), 2)
+    key = at[1] * m + at[0]
+    order = np.argsort(key)
+    past = KnownPast(made.data, key[order], made.lagging[order])
+    some = rng.permutation(len(scale))[:100]
+    history, slopes = past.before(at[0][some], at[1][some]), np.ones((8, 100))
+    again = history.apply(pressure[at][some], slopes, s, scale[some], (1, 1.0), 2)
+    np.testing.assert_allclose(again, read[some], atol=1e-9)
+    moved = made.source[some] == some
+    assert set(np.round(slopes[0], 9)) == {0.6, 1.0}
+    np.testing.assert_allclose(slopes[0][~moved], 0.6)
