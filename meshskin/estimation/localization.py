@@ -113,9 +113,8 @@ class CalibratedSkin:
                 p = data.parameters
                 names = tuple(dict.fromkeys((*p.nuisance_names, "drift")))
                 sigma = (*p.nuisance_sigma, PRIORS["drift"] * peak)[: len(names)]
-                data = replace(
-                    data, parameters=replace(p, nuisance_names=names, nuisance_sigma=sigma)
-                )
+                p = replace(p, nuisance_names=names, nuisance_sigma=sigma)
+                data = replace(data, parameters=p)
         unit = data.sigma * data.unit
         units = {"gain": 1.0, "offset": unit, "drift": unit}
         none = np.zeros((len(data.ids), 2))
