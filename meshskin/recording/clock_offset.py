@@ -155,9 +155,12 @@ class _Path:
     def at(self, times: Array) -> Array:
         """States (..., k) at the times (...)."""
         late, early = times + 0.5 * self.width, times - 0.5 * self.width
+        first, last = np.searchsorted(self.times, [early.min(), late.max()])
+        part = slice(max(first - 1, 0), last + 1)  # np.interp works on all of what it is given
+        known = self.times[part]
         out = np.empty((*times.shape, self.integral.shape[1]))
-        for k, column in enumerate(self.integral.T):
-            out[..., k] = np.interp(late, self.times, column) - np.interp(early, self.times, column)
+        for k, column in enumerate(self.integral[part].T):
+            out[..., k] = np.interp(late, known, column) - np.interp(early, known, column)
         return out / self.width
 
 

@@ -13,7 +13,7 @@ from .clock_offset import ClockOffset, clock_offset
 from .log_map import LogMap, StreamMap
 from .skin_log import SkinLog
 from .stream import JOINTS, TAXELS, WRENCH, Log, Stream, overlap
-from .tare import BLOCK, MIN_REST, Tared, tare
+from .tare import BLOCK, COLUMNS, MIN_REST, Tared, tare
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,12 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
         )
     kept = _kept(times - offset, pairs, offset)
     frames = times[kept] - offset
-    readings = [_readings(frames, s, m, tared[s.name], offset) for s, m in skins]
+    readings = np.empty((len(frames), len(ids)), dtype=np.float32)
+    column = 0
+    for s, m in skins:
+        part = readings[:, column : column + len(s.fields)]
+        _interpolate(part, frames, s, m, tared[s.name], offset)
+        column += len(s.fields)
     pressed = [
         tared[s.name].in_contact[_nearest(_skin_times(s, m, offset), frames)] for s, m in skins
     ]
@@ -66,7 +71,7 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
     names, angles = _joints(frames, pairs)
     noise = np.concatenate([tared[s.name].noise * m.factor for s, m in skins])
     skin_log = SkinLog(
-        frames, names, angles, ids, np.concatenate(readings, axis=1), noise, in_contact,
+        frames, names, angles, ids, readings, noise, in_contact,
         _force(frames, in_contact, pairs), offset if offsets else skins[0][1].delay or 0.0,
         offsets[0].sigma if offsets and offsets[0].usable else None,
     )  # fmt: skip
@@ -137,20 +142,30 @@ def _kept(times: Array, pairs: Pairs, offset: float) -> NDArray[np.bool_]:
     return kept
 
 
-def _readings(
-    frames: Array, stream: Stream, given: StreamMap, tared: Tared, offset: float
-) -> NDArray[np.floating]:
-    """Readings (n, t) of one skin at the frames, interpolated; NaN in its gaps."""
+def _interpolate(
+    out: NDArray[np.floating],
+    frames: Array,
+    stream: Stream,
+    given: StreamMap,
+    tared: Tared,
+    offset: float,
+) -> None:
+    """Write the readings of one skin at the frames to `out` (n, t); NaN in its gaps.
+
+    A few taxels at a time, so that memory stays near that of the readings.
+    """
     times = _skin_times(stream, given, offset)
     rows = np.clip(np.searchsorted(times, frames), 1, len(times) - 1)
     step = times[rows] - times[rows - 1]
     share = np.divide(frames - times[rows - 1], step, where=step > 0, out=np.zeros_like(frames))
-    share = np.clip(share, 0.0, 1.0)[:, None].astype(tared.readings.dtype)
-    out = (1 - share) * tared.readings[rows - 1] + share * tared.readings[rows]
+    share = np.clip(share, 0.0, 1.0)[:, None]
+    for k in range(0, out.shape[1], COLUMNS):
+        part = tared.readings[:, k : k + COLUMNS]
+        between = (1 - share) * part[rows - 1] + share * part[rows]
+        out[:, k : k + COLUMNS] = given.factor * between
     late = stream.times[0] - times[0]
     for gap in stream.gaps:
         out[(frames > gap.start - late) & (frames < gap.end - late)] = np.nan
-    return np.asarray(out * given.factor)
 
 
 def _nearest(times: Array, frames: Array) -> NDArray[np.intp]:

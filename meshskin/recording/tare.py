@@ -237,14 +237,17 @@ def _refined(
 
 
 def _interpolated(times: Array, edges: NDArray[np.intp], levels: Array) -> Array:
-    """Levels (n, t) at the times, linear between the middles of the blocks."""
+    """Levels (n, t) at the times, linear between the middles of the blocks and beyond them."""
     middles = np.array([times[a:b].mean() for a, b in pairwise(edges)])
     if len(middles) == 1:
         return np.broadcast_to(levels, (len(times), levels.shape[1]))
-    after = np.clip(np.searchsorted(middles, times), 1, len(middles) - 1)
-    step = middles[after] - middles[after - 1]
-    share = ((times - middles[after - 1]) / step)[:, None]  # beyond the middles it extrapolates
-    return np.asarray((1 - share) * levels[after - 1] + share * levels[after])
+    cuts = [0, *np.searchsorted(times, middles[1:-1]), len(times)]
+    slopes = np.diff(levels, axis=0) / np.diff(middles)[:, None]
+    out = np.empty((len(times), levels.shape[1]))
+    for k, (first, last) in enumerate(pairwise(cuts)):
+        np.multiply((times[first:last] - middles[k])[:, None], slopes[k], out=out[first:last])
+        out[first:last] += levels[k]
+    return out
 
 
 def _check_polarity(up: float, down: float, name: str) -> None:
