@@ -12,7 +12,7 @@ from ..core.errors import ConfigError, RecordingError
 from .clock_offset import ClockOffset, clock_offset
 from .log_map import LogMap, StreamMap
 from .skin_log import SkinLog
-from .stream import JOINTS, TAXELS, WRENCH, Log, Stream, overlap
+from .stream import CONTACTS, JOINTS, TAXELS, WRENCH, Log, Stream, overlap
 from .tare import BLOCK, COLUMNS, MIN_REST, Tared, tare
 
 
@@ -41,7 +41,7 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
         raise ConfigError("the map names no taxels", remedy='add a stream of kind = "taxels"')
     for stream, _ in pairs:
         stream.check_times()
-    overlap(log.streams)
+    overlap([stream for stream, _ in pairs if stream.kind != CONTACTS])
     ids = _ids(skins)
     tared = {s.name: tare(s.times, s.values, m.polarity, s.name) for s, m in skins}
     times = skins[0][0].times - (skins[0][1].delay or 0.0)
@@ -51,7 +51,7 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
     offset = 0.0
     if offsets and offsets[0].usable:
         offset = offsets[0].offset
-    elif skins[0][1].delay is None:
+    elif skins[0][1].delay is None and any(m.kind not in (TAXELS, CONTACTS) for _, m in pairs):
         notes.append(
             "the clock offset of the skin cannot be told from this log and is taken as 0: press "
             "and retract along one path at five places, record a force, or give delay_ms"

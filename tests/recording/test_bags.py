@@ -329,3 +329,21 @@ def test_a_message_without_values_is_refused(tmp_path):
     robot_log.write_mcap(path, {"/skin": ([1.0], [[]])})
     with pytest.raises(RecordingError, match="message 0 of /skin holds no values"):
         read_log(path, LogMap((StreamMap("/skin", "taxels"),)))
+
+
+@pytest.mark.parametrize("name", ["ros1.bag", "ros2_sqlite/ros2_sqlite.db3", "lz4.mcap"])
+def test_a_damaged_file_is_a_log_or_one_line(bags, tmp_path, name):
+    content = (bags / name).read_bytes()
+    rng = np.random.default_rng(6)
+    path = tmp_path / f"damaged{(bags / name).suffix}"
+    for _ in range(6):
+        damaged = bytearray(content)
+        at = rng.integers(0, len(content) - 3000)
+        damaged[at : at + 3000] = bytes(3000)
+        path.write_bytes(damaged)
+        try:
+            log = read_log(path, MAP)
+        except MeshskinError as error:
+            assert "\n" not in str(error)
+        else:
+            assert [stream.name for stream in log.streams] == [one.topic for one in MAP.streams]

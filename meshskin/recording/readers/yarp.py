@@ -135,11 +135,11 @@ def _streams(port: Port, notes: list[str], progress: bool) -> list[Stream]:
 
     hidden = None if progress else True  # None: hidden where stderr is no terminal
     lines = tqdm(_lines(port, notes), port.name, leave=False, unit=" lines", disable=hidden)
-    times, vectors, contacts = list[float](), list[np.ndarray](), list[tuple[float, list[Any]]]()
+    times, vectors, contacts = list[float](), list[np.ndarray](), list[tuple[int, list[Any]]]()
     for number, (time, content) in enumerate(lines):
         try:
             if content.startswith("("):
-                contacts += [(time, _contact(one)) for one in _parsed(content)]
+                contacts += [(len(times), _contact(one)) for one in _parsed(content)]
             elif content:
                 vectors.append(np.array(content.split(), dtype=float))
                 if len(vectors[-1]) != len(vectors[0]):
@@ -219,21 +219,23 @@ def _parsed(text: str) -> list[Any]:
 
 def _contact(entry: Any) -> list[Any]:
     """A contact, checked. Raises ValueError."""
-    lengths = tuple(len(part) for part in entry[:6]) if isinstance(entry, list) else ()
-    if len(entry) != 8 or lengths != CONTACT_PARTS or not isinstance(entry[6], list):
+    parts = entry if isinstance(entry, list) else []
+    lengths = tuple(len(part) if isinstance(part, list) else 1 for part in parts[:6])
+    if len(parts) != 8 or lengths != CONTACT_PARTS or not isinstance(parts[6], list):
         raise ValueError("it is no skin contact")
-    return list(entry)
+    return parts
 
 
 def _contact_streams(
-    port: str, frames: np.ndarray, contacts: list[tuple[float, list[Any]]]
+    port: str, frames: np.ndarray, contacts: list[tuple[int, list[Any]]]
 ) -> list[Stream]:
-    """Contacts and active taxels of each skin part."""
+    """Contacts and active taxels of each skin part; contacts are given with the rows of their
+    frames."""
     streams = []
     for part in sorted({int(contact[0][3]) for _, contact in contacts}):
-        own = [(time, contact) for time, contact in contacts if int(contact[0][3]) == part]
+        own = [(row, contact) for row, contact in contacts if int(contact[0][3]) == part]
         name = f"{port}/{SKIN_PARTS.get(part, f'part_{part}')}"
-        times = np.array([time for time, _ in own])
+        times = frames[[row for row, _ in own]]
         rows = [[*c[1], *c[5], float(np.linalg.norm(c[2])), c[7]] for _, c in own]
         streams.append(
             Stream(name, SKIN_CONTACTS, times, np.array(rows), CONTACT_FIELDS, CONTACTS, "m")
@@ -241,7 +243,7 @@ def _contact_streams(
         ids = sorted({int(taxel) for _, contact in own for taxel in contact[6]})
         column = {taxel: k for k, taxel in enumerate(ids)}
         pressure = np.zeros((len(frames), len(ids)), dtype=np.float32)
-        for row, (_, contact) in zip(np.searchsorted(frames, times), own, strict=True):
+        for row, contact in own:
             columns = [column[int(taxel)] for taxel in contact[6]]
             pressure[row, columns] = np.maximum(pressure[row, columns], contact[7])
         fields = tuple(map(str, ids))

@@ -68,6 +68,8 @@ class IndexedBag:
         self.counts: dict[str, int] = {}
         self.types: dict[str, str] = {}
         for one in self._reader.connections:
+            if not (isinstance(one.topic, str) and isinstance(one.msgtype, str)):
+                raise Torn("a topic has no name")
             self.counts[one.topic] = self.counts.get(one.topic, 0) + one.msgcount
             self.types[one.topic] = one.msgtype
         self._by_topic = {
@@ -89,6 +91,8 @@ class IndexedBag:
                 return
             except Exception as error:  # which errors damaged files raise is not documented
                 raise _torn(error) from error
+            if data is None:
+                raise Torn("a message has no data")
             yield connection.topic, time, data
 
     def decoder(self, topic: str) -> Callable[[bytes], Any]:

@@ -29,10 +29,14 @@ def records(path: Path) -> Iterator[Connection | Record]:
             for key, topic, kind, encoding in database.execute(
                 "SELECT id, name, type, serialization_format FROM topics"
             ):
+                if None in (topic, kind, encoding):
+                    raise sqlite3.DatabaseError("a topic has no name")
                 yield Connection(key, topic, kind, encoding, *definitions.get(kind, ()))
             for key, time, data in database.execute(
                 "SELECT topic_id, timestamp, data FROM messages NOT INDEXED"
             ):
+                if None in (key, time, data):
+                    raise sqlite3.DatabaseError("a message has no data")
                 yield Record(key, time, data)
                 count += 1
         except sqlite3.DatabaseError as error:
