@@ -109,9 +109,12 @@ def add(parser: argparse.ArgumentParser) -> None:
         "localise them by the skin calibrated on the others: one more calibration per fold",
     )  # fmt: skip
     parser.add_argument(
-        "--export", type=Path, metavar="FILE", help="write the skin map to FILE; its suffix gives "
-        "the format: .txt (iCub position file), .csv, .urdf, .ply or .glb",
+        "--export", type=Path, metavar="FILE", help="write the skin map to FILE, by suffix: .txt "
+        "(iCub), .csv, .urdf, .xml (MuJoCo), .npz, .yaml (ROS), .ply or .glb",
     )  # fmt: skip
+    parser.add_argument(
+        "--export-format", metavar="FORMAT", help="whatever the suffix: urdf_tactile"
+    )
 
 
 def command(options: argparse.Namespace) -> int:
@@ -125,7 +128,7 @@ def command(options: argparse.Namespace) -> int:
     from ..skin.files import check_format
 
     if options.export is not None:
-        check_format(options.export.suffix.lstrip("."))
+        check_format(options.export_format or options.export.suffix.lstrip("."))
     clock = perf_counter()
     recording = Recording.load(options.recording)
     belief = belief_of(options, recording)
@@ -137,7 +140,7 @@ def command(options: argparse.Namespace) -> int:
     remove_results(options.out)
     found.save(options.out / "calibration")
     if options.export is not None:
-        export(found, belief, options.export)
+        export(found, belief, options.export, options.export_format)
     metrics = assess(found, recording)
     validation = None
     if options.cross_validate is not None:
@@ -253,14 +256,14 @@ def _by_options(options: argparse.Namespace) -> Belief:
     )
 
 
-def export(found: Calibration, belief: Belief, path: Path) -> None:
-    """Write the skin map of the determined taxels. Raises SkinError, OutputError."""
+def export(found: Calibration, belief: Belief, path: Path, kind: str | None) -> None:
+    """Write the skin map of the determined taxels as `kind` (None: by suffix). Raises SkinError."""
     from ..skin.skin import Skin
 
     good = np.isfinite(found.poses).all(axis=(1, 2))
     if not good.any():
         raise CalibrationError("no taxel is determined, so there is no skin map to export")
-    Skin(found.poses[good], found.ids[good], belief.disc_radius).save(path)
+    Skin(found.poses[good], found.ids[good], belief.disc_radius).save(path, kind)
 
 
 def assess(found: Calibration, recording: Recording) -> dict[str, Any]:

@@ -130,8 +130,9 @@ class Skin:
     def load(cls, path: str | Path, part: str | None = None, units: str = "m") -> Skin:
         """A skin from a file, whose format is recognized by its content.
 
-        Formats: CSV, iCub position files and layouts, iDynTree transforms, URDF, and PLY and GLB as
-        `save` writes them. `part` chooses one of the skins of a URDF. `units` are those of the
+        Formats: CSV, iCub position files and layouts, iDynTree transforms, URDF (frames, or sensors
+        of urdf_tactile), and MJCF, NPZ, YAML, PLY and GLB as `save` writes them. `part` chooses one
+        of the skins of a URDF or MJCF. `units` are those of the
         positions in the file: "m", "cm", "mm" or "in". Rows that the file declares not to be taxels
         are skipped. The rotation of a taxel whose normal is not in the file is NaN; `onto` sets it.
         Raises SkinError.
@@ -146,7 +147,10 @@ class Skin:
     def save(self, path: str | Path, format: str | None = None) -> None:
         """Write the skin atomically, in the format of the suffix of `path`, or in `format`.
 
-        Formats: "csv", "txt" or "icub" (position file), "urdf", and for viewers "ply" and "glb".
+        Formats: "csv", "txt" or "icub" (position file), "urdf" (a link and a fixed joint a taxel),
+        "urdf_tactile" (sensor with taxels), "xml" or "mjcf" (MuJoCo sites with touch sensors),
+        "npz" (poses (n, 3, 4)), "yaml" (static transforms of ROS), and for viewers "ply" and "glb".
+        Frames are named after the file's stem: `<stem>_skin_<id>` on the link or body `<stem>`.
         Raises SkinError, OutputError.
         """
         kind = (format or Path(path).suffix.lstrip(".")).lower()

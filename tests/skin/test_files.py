@@ -16,7 +16,7 @@ from meshskin.skin.skin import Skin
 from ..real_data import DATA, needs_skin
 
 ICUB = sorted(DATA.glob("icub_skin/*/*"))
-FORMATS = ("csv", "txt", "urdf", "ply", "glb")
+FORMATS = ("csv", "txt", "urdf", "ply", "glb", "urdf_tactile", "xml", "npz", "yaml")
 HANDS = {"left_hand_R1.ini", "left_hand_V2.ini", "left_hand_V2_1.ini", "left_hand_V2_2.ini"}
 
 
@@ -40,7 +40,9 @@ def assert_same(a, b, atol=1e-13):
     np.testing.assert_allclose(a.normals, b.normals, rtol=0, atol=atol)
 
 
-@pytest.mark.parametrize("kind", ["csv", "urdf", "ply", "glb"])
+@pytest.mark.parametrize(
+    "kind", ["csv", "urdf", "ply", "glb", "urdf_tactile", "mjcf", "npz", "yaml"]
+)
 def test_frames_are_read_back_whatever_the_suffix(skin, tmp_path, kind):
     skin.save(tmp_path / "skin.dat", format=kind)
     loaded = Skin.load(tmp_path / "skin.dat")

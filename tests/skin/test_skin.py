@@ -200,7 +200,7 @@ def test_files_that_are_not_skins_are_refused(ball, tmp_path):
             Skin.load(tmp_path / name)
     skin = Skin.cover(ball, spacing=5e-3, count=7, region=BOTTOM)
     with pytest.raises(SkinError, match="format of a skin file"):
-        skin.save(tmp_path / "skin.yaml")
+        skin.save(tmp_path / "skin.docx")
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError):
         skin.save(tmp_path / "file" / "skin.csv")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import ModuleType
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,19 @@ from numpy.typing import NDArray
 from ...core.arrays import Array
 from ...core.atomic_io import atomic
 from ...core.errors import SkinError
-from . import csv, glb, icub, icub_layout, idyntree, ply, urdf
+from . import (
+    csv,
+    glb,
+    icub,
+    icub_layout,
+    idyntree,
+    mjcf,
+    npz,
+    ply,
+    ros_transforms,
+    urdf,
+    urdf_tactile,
+)
 from .table import SkinTable
 
 FORMATS: dict[str, ModuleType] = {
@@ -19,6 +32,11 @@ FORMATS: dict[str, ModuleType] = {
     "txt": icub,
     "icub": icub,
     "urdf": urdf,
+    "urdf_tactile": urdf_tactile,
+    "xml": mjcf,
+    "mjcf": mjcf,
+    "npz": npz,
+    "yaml": ros_transforms,
     "ply": ply,
     "glb": glb,
 }
@@ -36,13 +54,17 @@ def read(path: Path, part: str | None = None) -> SkinTable:
         data = path.read_bytes()
         if data.startswith(b"glTF"):
             return glb.read(data, path.name)
+        if data.startswith(b"PK"):
+            return npz.read(data, path.name)
         text = data.decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise SkinError(f"{path.name} is not a skin file", value=str(error)) from error
     if text.startswith("ply"):
         return ply.read(text, path.name)
     if text.lstrip().startswith("<"):
-        return urdf.read(text, path.name, part)
+        return _read_xml(text, path.name, part)
+    if ros_transforms.HEAD in text.splitlines():
+        return ros_transforms.read(text, path.name)
     if idyntree.MARK in text:
         return idyntree.read(text, path.name)
     if "[SENSORS]" in text:
@@ -50,6 +72,17 @@ def read(path: Path, part: str | None = None) -> SkinTable:
     if "[calibration]" in text or "taxel2Repr" in text or _starts_with_six_numbers(text):
         return icub.read(text, path.name)
     return csv.read(text, path.name)
+
+
+def _read_xml(text: str, name: str, part: str | None) -> SkinTable:
+    """The rows of a URDF or MJCF. Raises SkinError."""
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise SkinError(f"{name} is not XML", value=str(error)) from error
+    if root.tag == "mujoco":
+        return mjcf.read(root, name, part)
+    return (urdf_tactile if urdf_tactile.sensors(root) else urdf).read(root, name, part)
 
 
 def check_format(kind: str) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -135,6 +137,39 @@ def parse_numbers(fields: list[str], count: int, where: str, limit: str | None =
     if len(values) != count:
         raise SkinError(where, value=f"{len(values)} numbers", limit=limit or f"{count} numbers")
     return values
+
+
+def number_text(values: Array) -> str:
+    """Numbers as text that is read back exactly."""
+    return " ".join(repr(value) for value in np.asarray(values, dtype=float).tolist())
+
+
+def pose_of(element: ET.Element | None, where: str) -> Array:
+    """The pose (4, 4) of an element of a URDF with xyz and rpy. Raises SkinError."""
+    given = {} if element is None else element.attrib
+    xyz, rpy = (parse_numbers(given.get(k, "0 0 0").split(), 3, where) for k in ("xyz", "rpy"))
+    return se3.transform(se3.from_rpy(rpy), xyz)
+
+
+def chosen_part(part: str | None, parts: Mapping[str, object], name: str) -> str:
+    """`part`, or the only one of the parts of a file. Raises SkinError."""
+    if part is None and len(parts) == 1:
+        return next(iter(parts))
+    if part is None or part not in parts:
+        raise SkinError(
+            f"part of {name}",
+            value=part,
+            limit=", ".join(parts),
+            remedy="choose one with part= (--part)",
+        )
+    return part
+
+
+def normals_of(quaternions: Array) -> Array:
+    """The z axes (n, 3) of frames with quaternions (n, 4), xyzw."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_quat(quaternions).as_matrix()[:, :, 2])
 
 
 def frame_mesh(disc_radius: float) -> tuple[Array, Index, NDArray[np.uint8]]:

@@ -16,7 +16,7 @@ from ...core import se3
 from ...core.arrays import Array
 from ...core.errors import SkinError
 from ..slots import Ids
-from .table import DISC_RADIUS, SkinTable, parse_numbers
+from .table import DISC_RADIUS, SkinTable, chosen_part, number_text, parse_numbers, pose_of
 
 _NAME = re.compile(r"(.+)_skin_(\d+)(?:_fixed_joint|_joint)?")
 THICKNESS = 1e-3
@@ -33,19 +33,17 @@ def write(poses: Array, ids: Ids, disc_radius: float, part: str) -> str:
         shape = ET.SubElement(ET.SubElement(link, "visual"), "geometry")
         ET.SubElement(shape, "cylinder", radius=repr(float(disc_radius)), length=repr(THICKNESS))
         joint = ET.SubElement(robot, "joint", name=f"{frame}_fixed_joint", type="fixed")
-        ET.SubElement(joint, "origin", xyz=_text(pose[:3, 3]), rpy=_text(_angles(pose[:3, :3])))
+        ET.SubElement(
+            joint, "origin", xyz=number_text(pose[:3, 3]), rpy=number_text(se3.to_rpy(pose[:3, :3]))
+        )
         ET.SubElement(joint, "parent", link=part)
         ET.SubElement(joint, "child", link=frame)
     ET.indent(robot)
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
 
 
-def read(text: str, name: str, part: str | None = None) -> SkinTable:
+def read(robot: ET.Element, name: str, part: str | None = None) -> SkinTable:
     """The frames of one part (None: the only one) in the frame of its link. Raises SkinError."""
-    try:
-        robot = ET.fromstring(text)
-    except ET.ParseError as error:
-        raise SkinError(f"{name} is not XML", value=str(error)) from error
     frames: dict[str, list[tuple[int, ET.Element]]] = {}
     for joint in robot.findall("joint"):
         match = _NAME.fullmatch(joint.get("name", ""))
@@ -53,16 +51,13 @@ def read(text: str, name: str, part: str | None = None) -> SkinTable:
             frames.setdefault(match[1], []).append((int(match[2]), joint))
     if not frames:
         raise SkinError(f"{name} has no skin", limit="fixed joints <part>_skin_<id>")
-    if part is None and len(frames) == 1:
-        part = next(iter(frames))
-    if part not in frames:
-        raise SkinError(
-            f"part of {name}",
-            value=part,
-            limit=", ".join(frames),
-            remedy="choose one with part= (--part)",
-        )
-    poses = np.array([_pose(joint, name) for _, joint in frames[part]])
+    part = chosen_part(part, frames, name)
+    poses = np.array(
+        [
+            pose_of(joint.find("origin"), f"{name}: joint {joint.get('name')!r}")
+            for _, joint in frames[part]
+        ]
+    )
     radius = robot.find(f"link[@name='{part}_skin_{frames[part][0][0]}']/visual/geometry/cylinder")
     return SkinTable(
         "urdf",
@@ -74,26 +69,3 @@ def read(text: str, name: str, part: str | None = None) -> SkinTable:
         if radius is None
         else float(parse_numbers([radius.get("radius", "")], 1, name)[0]),
     )
-
-
-def _pose(joint: ET.Element, name: str) -> Array:
-    """The pose (4, 4) of a joint in its parent link. Raises SkinError."""
-    where = f"{name}: joint {joint.get('name')!r}"
-    origin = joint.find("origin")
-    given = {} if origin is None else origin.attrib
-    xyz, rpy = (parse_numbers(given.get(k, "0 0 0").split(), 3, where) for k in ("xyz", "rpy"))
-    return se3.transform(se3.from_rpy(rpy), xyz)
-
-
-def _angles(r: Array) -> Array:
-    """Roll, pitch, yaw (3,) in rad of a rotation (3, 3); yaw is 0 where they are not unique."""
-    cosine = np.hypot(r[0, 0], r[1, 0])
-    pitch = np.arctan2(-r[2, 0], cosine)
-    if cosine < 1e-9:
-        return np.array([np.arctan2(-r[1, 2], r[1, 1]), pitch, 0.0])
-    return np.array([np.arctan2(r[2, 1], r[2, 2]), pitch, np.arctan2(r[1, 0], r[0, 0])])
-
-
-def _text(values: Array) -> str:
-    """Numbers as text that is read back exactly."""
-    return " ".join(repr(value) for value in values.tolist())

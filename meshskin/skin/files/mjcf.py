@@ -1,0 +1,78 @@
+"""Skins in MJCF, the format of MuJoCo: one site with a touch sensor a taxel, on one body.
+
+The file is a model of its own, and a part of a larger one by `<include>` or `MjSpec.attach`. A site
+is a flat cylinder on the taxel's disc, its z axis the outward normal. MuJoCo adds up the normal
+forces of the contacts of the body's geoms that lie within the site; the file has no geoms.
+
+Source: mujoco.readthedocs.io, XML reference, body/site and sensor/touch.
+"""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+
+import numpy as np
+
+from ...core import se3
+from ...core.arrays import Array
+from ...core.errors import SkinError
+from ..slots import Ids
+from .table import DISC_RADIUS, SkinTable, chosen_part, normals_of, number_text, parse_numbers
+
+HALF_HEIGHT = 1e-3
+"""Half the height of a site, m: contact points lie up to the indentation, tenths of a millimetre
+here, below the surface."""
+_NAME = re.compile(r"(.+)_skin_(\d+)")
+
+
+def write(poses: Array, ids: Ids, disc_radius: float, part: str) -> str:
+    """Text with the sites on the body `part`; exact to rounding."""
+    model = ET.Element("mujoco", model=f"{part}_skin")
+    body = ET.SubElement(ET.SubElement(model, "worldbody"), "body", name=part)
+    sensor = ET.SubElement(model, "sensor")
+    for taxel, pose in zip(ids.tolist(), poses, strict=True):
+        site = f"{part}_skin_{taxel}"
+        ET.SubElement(
+            body, "site", name=site, type="cylinder",
+            size=number_text(np.array([disc_radius, HALF_HEIGHT])), pos=number_text(pose[:3, 3]),
+            quat=number_text(np.roll(se3.quaternion(pose[:3, :3]), 1)),
+        )  # fmt: skip
+        ET.SubElement(sensor, "touch", name=site, site=site)
+    ET.indent(model)
+    return ET.tostring(model, encoding="unicode") + "\n"
+
+
+def read(model: ET.Element, name: str, part: str | None = None) -> SkinTable:
+    """The sites `<part>_skin_<id>` of one body (None: the only one), in its frame.
+
+    Raises SkinError, also for sites that are not placed by `pos` and `quat`.
+    """
+    found: dict[str, list[tuple[int, ET.Element]]] = {}
+    for site in model.iter("site"):
+        match = _NAME.fullmatch(site.get("name", ""))
+        if match:
+            found.setdefault(match[1], []).append((int(match[2]), site))
+    if not found:
+        raise SkinError(f"{name} has no skin", limit="sites <part>_skin_<id>")
+    part = chosen_part(part, found, name)
+    places, radius = [], DISC_RADIUS
+    for number, site in found[part]:
+        where = f"{name}: site of taxel {number}"
+        other = {"euler", "axisangle", "xyaxes", "zaxis", "fromto"} & set(site.attrib)
+        if other:
+            raise SkinError(where, value=", ".join(sorted(other)), limit="pos and quat")
+        pos = parse_numbers(site.get("pos", "0 0 0").split(), 3, where)
+        quat = parse_numbers(site.get("quat", "1 0 0 0").split(), 4, where)
+        places.append(np.concatenate([pos, np.roll(quat / np.linalg.norm(quat), -1)]))
+        size = site.get("size", repr(DISC_RADIUS)).split()
+        radius = float(parse_numbers(size[:1], 1, where)[0])
+    table = np.array(places)
+    return SkinTable(
+        "mjcf",
+        np.array([number for number, _ in found[part]], dtype=np.int64),
+        table[:, :3],
+        normals_of(table[:, 3:]),
+        table[:, 3:],
+        radius,
+    )

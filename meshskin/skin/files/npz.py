@@ -1,0 +1,60 @@
+"""Skins as NumPy archives: `poses` (n, 3, 4), whose third column is the outward normal, and
+`taxel2pixel` (n, 2), row and column of each taxel in a tactile image; beside them `ids` (n,),
+`disc_radius_m` and `frame`, the name of the link or body.
+
+Tactile patterns of simulators have this form (CustomPatternCfg of Isaac Lab extensions). The image
+is that of the ids row by row, as square as these allow.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import zipfile
+
+import numpy as np
+
+from ...core import se3
+from ...core.arrays import Array
+from ...core.errors import SkinError
+from ..slots import Ids
+from .table import DISC_RADIUS, SkinTable
+
+
+def write(poses: Array, ids: Ids, disc_radius: float, part: str) -> bytes:
+    """Bytes of the archive; exact."""
+    width = math.isqrt(int(ids.max(initial=0))) + 1
+    buffer = io.BytesIO()
+    np.savez(
+        buffer,
+        poses=poses[:, :3, :],
+        taxel2pixel=np.column_stack([ids // width, ids % width]),
+        ids=ids,
+        disc_radius_m=float(disc_radius),
+        frame=part,
+    )
+    return buffer.getvalue()
+
+
+def read(data: bytes, name: str) -> SkinTable:
+    """The taxels of an archive; without `ids` they are numbered from 0. Raises SkinError."""
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            found = {key: archive[key] for key in archive.files}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise SkinError(f"{name} is not a NumPy archive", value=str(error)) from error
+    poses = found.get("poses")
+    if poses is None or poses.ndim != 3 or poses.shape[1:] != (3, 4):
+        value = "none" if poses is None else f"shape {poses.shape}"
+        raise SkinError(f"{name}: poses", value=value, limit="(n, 3, 4)")
+    ids = found.get("ids", np.arange(len(poses)))
+    if ids.shape != (len(poses),) or not np.issubdtype(ids.dtype, np.integer):
+        raise SkinError(f"{name}: ids", value=f"shape {ids.shape}", limit=f"({len(poses)},) whole")
+    return SkinTable(
+        "npz",
+        ids.astype(np.int64),
+        np.asarray(poses[:, :, 3], dtype=float),
+        np.asarray(poses[:, :, 2], dtype=float),
+        se3.quaternion(poses[:, :, :3]),
+        float(found.get("disc_radius_m", DISC_RADIUS)),
+    )

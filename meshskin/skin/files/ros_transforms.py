@@ -1,0 +1,70 @@
+"""Taxel frames as static transforms of ROS, in YAML: a tf2_msgs/TFMessage, one transform a line.
+
+    ros2 topic pub --once --qos-durability transient_local /tf_static tf2_msgs/msg/TFMessage \\
+      "$(cat skin.yaml)"
+
+publishes them. The child frames are `<part>_skin_<id>`; z is the outward normal. Each line is JSON,
+which is YAML, too, so that no YAML library is needed to read it back.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+
+from ...core import se3
+from ...core.arrays import Array
+from ...core.errors import SkinError
+from ..slots import Ids
+from .table import DISC_RADIUS, SkinTable, normals_of
+
+HEAD = "transforms:"
+_RADIUS = "# disc_radius_m: "
+_NAME = re.compile(r"(.+)_skin_(\d+)")
+
+
+def write(poses: Array, ids: Ids, disc_radius: float, part: str) -> str:
+    """Text with one transform a taxel, from the frame `part`; exact to rounding."""
+    lines = [_RADIUS + repr(float(disc_radius)), HEAD]
+    for taxel, pose in zip(ids.tolist(), poses, strict=True):
+        x, y, z = pose[:3, 3].tolist()
+        i, j, k, w = se3.quaternion(pose[:3, :3]).tolist()
+        message = {
+            "header": {"frame_id": part},
+            "child_frame_id": f"{part}_skin_{taxel}",
+            "transform": {
+                "translation": {"x": x, "y": y, "z": z},
+                "rotation": {"x": i, "y": j, "z": k, "w": w},
+            },
+        }
+        lines.append("- " + json.dumps(message))
+    return "\n".join(lines) + "\n"
+
+
+def read(text: str, name: str) -> SkinTable:
+    """The frames of a file as `write` gives it. Raises SkinError."""
+    ids, places, radius = [], [], DISC_RADIUS
+    for number, line in enumerate(text.splitlines(), start=1):
+        where = f"{name}, line {number}"
+        if line.startswith(_RADIUS):
+            radius = float(line.removeprefix(_RADIUS))
+        if not line.startswith("- "):
+            continue
+        try:
+            message = json.loads(line[2:])
+            match = _NAME.fullmatch(message["child_frame_id"])
+            at, turn = (message["transform"][key] for key in ("translation", "rotation"))
+            places.append([*(float(at[k]) for k in "xyz"), *(float(turn[k]) for k in "xyzw")])
+        except (ValueError, KeyError, TypeError) as error:
+            limit = "a transform in JSON: header, child_frame_id, transform"
+            raise SkinError(where, value=f"{type(error).__name__}: {error}", limit=limit) from error
+        if match is None:
+            raise SkinError(where, value=message["child_frame_id"], limit="<part>_skin_<id>")
+        ids.append(int(match[2]))
+    if not ids:
+        raise SkinError(f"{name} holds no transforms", limit="lines `- {...}`")
+    table, numbers = np.array(places), np.array(ids, dtype=np.int64)
+    normals = normals_of(table[:, 3:])
+    return SkinTable("ros", numbers, table[:, :3], normals, table[:, 3:], radius)
