@@ -100,7 +100,8 @@ def listing(log: Log, could: dict[str, list[StreamMap]]) -> Iterator[str]:
     spans = np.array([stream.span for stream in log.streams if len(stream)]).reshape(-1, 2)
     start = float(spans[:, 0].min()) if len(spans) else 0.0
     wide = max([6, *(len(stream.name) for stream in log.streams)])
-    yield f"{log.path.name}: {len(log.streams)} streams, times from {start:.6f} s"
+    count = f"{len(log.streams)} stream{'s' * (len(log.streams) != 1)}"
+    yield f"{log.path.name}: {count}, times from {start:.6f} s"
     for note in log.notes:
         yield f"  note: {note}"
     header = f"{'samples':>8} {'rate Hz':>8} {'from s':>9} {'to s':>9} {'gaps':>5}"

@@ -128,6 +128,12 @@ def test_what_is_no_bag_is_refused(tmp_path):
     path.write_bytes(b"\x89MCAP0\r\n")
     with pytest.raises(RecordingError, match="no readable message"):
         read_log(path)
+    path.unlink()
+    with pytest.raises(RecordingError, match=r"holds no log: no bag, no data.log"):
+        read_log(tmp_path)
+    (tmp_path / "binary.bag").write_bytes(bytes(range(256)))
+    with pytest.raises(RecordingError, match=r"binary.bag is no log: neither a bag nor a table"):
+        read_log(tmp_path / "binary.bag")
     with pytest.raises(RecordingError, match="no log at"):
         read_log(tmp_path / "missing.bag")
 

@@ -92,7 +92,9 @@ def _columns(file: Path) -> list[str]:
             return list(pq.read_schema(file).names)
         with file.open(encoding="utf-8-sig") as stream:
             names = [name.strip().strip('"') for name in stream.readline().split(",")]
-    except (pa.ArrowInvalid, OSError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError:
+        names = []
+    except (pa.ArrowInvalid, OSError) as error:
         raise RecordingError(
             f"{file.name} cannot be read: {str(error).splitlines()[0]}",
             remedy="a torn Parquet file has lost its columns; record it again",

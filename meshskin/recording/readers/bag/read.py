@@ -61,7 +61,8 @@ def read(
     parts = [path] if path.is_file() else _storage(path)
     if not parts:
         raise RecordingError(
-            f"{path.name} cannot be read: {reason}", remedy="copy or record it again"
+            f"{path.name} holds no log: no bag, no data.log of YARP, no CSV or Parquet file",
+            remedy="check the path",
         )
     scanned = ScannedBag(parts, SCANS[format_of(parts[0])], files)
     if not scanned.counts:
