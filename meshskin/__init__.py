@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from .estimation.layout.layout import Layout as Layout
     from .estimation.layout.layout import layout as layout
     from .estimation.posegraph import PoseGraph as PoseGraph
+    from .estimation.self_touch.calibrate import SelfTouch as SelfTouch
+    from .estimation.self_touch.calibrate import self_touch as self_touch
+    from .estimation.self_touch.side import TouchSide as TouchSide
     from .exploration.plan import explore as explore
     from .exploration.reach import reach as reach
     from .geometry.body import Body as Body
@@ -66,8 +69,10 @@ _HOMES = {
     "RecordingWriter": "recording.recording",
     "Robot": "robot.robot",
     "Scene": "scene.scene",
+    "SelfTouch": "estimation.self_touch.calibrate",
     "Skin": "skin.skin",
     "Study": "study.sweep.study",
+    "TouchSide": "estimation.self_touch.side",
     "adapt": "estimation.adaptive",
     "budget": "study.sensitivity.budget",
     "calibrate": "estimation.calibrate",
@@ -82,6 +87,7 @@ _HOMES = {
     "press": "simulation.static_contacts",
     "reach": "exploration.reach",
     "read_log": "recording.readers",
+    "self_touch": "estimation.self_touch.calibrate",
     "simulate": "simulation.simulate",
     "tune": "tuning.tune",
 }

@@ -10,7 +10,8 @@ from meshskin.core.errors import CalibrationError, ConfigError
 from meshskin.estimation.layout import coactivity, placement, stress, tiles
 from meshskin.estimation.layout.alignment import aligned, root_mean_square
 from meshskin.skin import slots
-from tests.real_data import DATA, needs_torso
+
+from ...real_data import DATA, needs_torso
 
 PITCH = 6.5e-3
 
