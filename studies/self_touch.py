@@ -40,8 +40,11 @@ JOINTS = {
     "leftArm": ("LShoulderPitch", "LShoulderRoll", "LElbowYaw", "LElbowRoll", "LWristYaw"),
     "head": ("HeadYaw", "HeadPitch"),
 }
-SKIN_AXES = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""Axes of the skin's coordinates in the arm's last frame."""
+SKIN_AXES = {
+    "leftArm": np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]),
+    "head": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+}
+"""Axes of the skins' coordinates, which are the robot's, in the last frames of the chains."""
 SECOND_PATCH = {
     "leftArm": (19, 22, 23, 25, 26, 20, 21, 31),
     "torso": (16, 17, 18, 24, 25, 26, 27, 28, 29, 30, 31),
@@ -64,9 +67,10 @@ Sides = tuple[ms.TouchSide, ms.TouchSide]
 
 def chain_of(name: str) -> Chain | None:
     """The chain of a skin; None for the torso."""
-    if name == "leftArm":
-        return Chain.from_dh(ARM, fixed=(0,)).with_tip(transform(SKIN_AXES, np.zeros(3)))
-    return Chain.from_dh(HEAD, fixed=(0,)) if name == "head" else None
+    if name not in JOINTS:
+        return None
+    chain = Chain.from_dh(ARM if name == "leftArm" else HEAD, fixed=(0,))
+    return chain.with_tip(transform(SKIN_AXES[name], np.zeros(3)))
 
 
 def load(folder: Path, pair: str, contact: str) -> Sides:

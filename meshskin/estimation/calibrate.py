@@ -187,6 +187,12 @@ class Estimation:
         """The weighted mean of the contact points of each taxel: the baseline."""
         return centroid.estimate(self.data)
 
+    def coactivation(self) -> EstimatorResult:
+        """The layout by which taxels answer together, placed by the contact points."""
+        from .layout import estimate
+
+        return estimate.estimate(self.data)
+
     def _scaled(self, fit: EstimatorResult) -> EstimatorResult:
         trilaterate.require_any(fit)
         scale = 1.0 if self.data.noise is not None else float(np.nanmedian(fit.chi2))
@@ -266,6 +272,7 @@ METHODS: dict[str, Callable[[Estimation], EstimatorResult]] = {
     "three_circles": Estimation.three_circles,
     "eq15": Estimation.eq15,
     "centroid": Estimation.centroid,
+    "coactivation": Estimation.coactivation,
 }
 """The estimators by name."""
 
@@ -285,7 +292,9 @@ def calibrate(
     "trilateration", least squares over all circles of a taxel; "three_circles", three steep,
     well-separated ones; "eq15", the paper's trilateration as printed: three readings at random,
     taken as those of points;
-    "centroid", the mean of a taxel's contact points weighted by its readings: the baseline.
+    "centroid", the mean of a taxel's contact points weighted by its readings: the baseline;
+    "coactivation", the layout by which taxels answer together, for contact points that are wrong in
+    themselves: they only place the whole, and the contact model only scales it.
     tolerance: the Newton decrement at which the joint estimate has converged (a move of
     sqrt(2 tolerance) standard deviations).
     iterations: the most iterations of IPOPT over the shared unknowns, in each linearization. Other

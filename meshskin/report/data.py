@@ -31,6 +31,7 @@ METHOD_NAMES = {
     "posegraph_isotropic": "pose graph, isotropic",
     "posegraph_paper": "pose graph, three chosen circles",
     "centroid": "centroid of contact points",
+    "coactivation": "layout by co-activation",
 }
 """Names of methods for people; others keep their own, with spaces for underscores."""
 BASELINE = "centroid"
@@ -44,6 +45,7 @@ METHOD_DESCRIPTIONS = {
     "posegraph_isotropic": "these displacements with equal weights in all directions",
     "posegraph_paper": "displacements from three chosen circles, with equal weights",
     "centroid": "mean of a taxel's contact points, weighted by its readings: the baseline",
+    "coactivation": "which taxels answer together; the contact points place the whole",
 }
 """How each method uses the readings."""
 PAPER_REFERENCE = (
