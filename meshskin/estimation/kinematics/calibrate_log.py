@@ -35,6 +35,9 @@ LINEAR = 2e-6
 tenth of the best calibrations' standard deviations."""
 NOMINAL_FORCE = 1.0
 """Force, N, where neither log nor belief has one: the learned response scales with it."""
+SURPRISE = 3.5
+"""Standard deviations before any measurement beyond which an unknown contradicts what was believed:
+one of 20 sound ones is with a probability of 1 %."""
 HEIGHT_FITS = 2
 """Fits of the heights, each with depths at the contacts of the last one: depths change little."""
 
@@ -70,6 +73,18 @@ class LogCalibration:
         names = self.kinematics.chain.joint_names
         labels = {name: f"joint_offset {name}" for name in names}
         return {n: self.unknowns[label] for n, label in labels.items() if label in self.unknowns}
+
+    @property
+    def surprises(self) -> tuple[str, ...]:
+        """Unknowns that are farther from zero than was believed of them, in words: a wrong standard
+        deviation, or an error that is not declared and that they stand in for."""
+        sigma = dict(zip(self.kinematics.labels, self.kinematics.sigma, strict=True))
+        return tuple(
+            f"{label} is {value:.3g}, {abs(value) / sigma[label]:.2g} times its believed standard "
+            f"deviation of {sigma[label]:.3g}"
+            for label, (value, _) in self.unknowns.items()
+            if abs(value) > SURPRISE * sigma[label]
+        )
 
 
 def calibrate_log(log: SkinLog, kinematics: ContactKinematics, belief: Belief) -> LogCalibration:

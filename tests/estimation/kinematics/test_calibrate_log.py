@@ -60,6 +60,11 @@ def test_a_small_exploration(small):
     assert np.median(found.calibration.position_sigma) < 1e-4
     assert np.median(np.abs(found.heights)) < 5e-5
     assert np.median(np.abs(found.heights_before)) > 1e-3
+    assert found.surprises == ()
+    tight = replace(found, kinematics=small.kinematics(**KNOWN | {"clock_offset": 5e-3}))
+    assert [words.split(" of ")[0] for words in tight.surprises] == [
+        "clock_offset is 0.037, 7.4 times its believed standard deviation"
+    ]
     values = found.calibration.parameter_values
     assert values["joint_offset joint4"][2] == "rad"
     assert values["clock_offset"][1:] == (found.unknowns["clock_offset"][1], "s")
@@ -145,6 +150,9 @@ def test_bad_logs_are_refused_in_one_line(small):
     pulled = replace(log, force=np.full(len(log.time), -3.0))
     with pytest.raises(RecordingError, match="sign of the forces"):
         calibrate_log(pulled, model, belief(small))
+    degrees = replace(log, joint_angles=np.degrees(log.joint_angles))
+    with pytest.raises(CalibrationError, match=r"not on the body, got .* mm off it, limit: 3 mm"):
+        calibrate_log(degrees, model, belief(small))
     with pytest.raises(CalibrationError, match="pressures without forces"):
         calibrate_log(log, model, belief(small, readings="pressure"))
     with pytest.raises(ConfigError, match="what is calibrated must be a SkinLog"):
