@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from . import sphere
@@ -57,6 +59,7 @@ def solved(name: str) -> World:
     return World(Radial(yielding(YIELD * peak)))
 
 
+@cache
 def catalogue() -> dict[str, World]:
     """Worlds in closed form, by name."""
     hertz, foam, cover = Radial(Hertz()), Radial(Winkler()), Radial(blurred(Winkler(), COVER))

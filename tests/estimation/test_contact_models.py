@@ -35,8 +35,13 @@ def rms(found, world):
     return np.sqrt(np.mean(position_errors(found, world.skin) ** 2))
 
 
-@pytest.mark.parametrize("seeds", [6, pytest.param(20, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize(
+    ("name", "seeds"),
+    [
+        ("layered", 6),
+        *(pytest.param(name, 20, marks=pytest.mark.slow) for name in MODELS),
+    ],
+)
 def test_reaches_the_bound_with_consistent_covariance(worlds, name, seeds):
     world = worlds[name]
     belief, square, normalised, moduli = world.belief(0.01, 0.05), [], [], []

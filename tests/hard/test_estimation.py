@@ -137,7 +137,14 @@ def test_all_readings_saturated(world, noisy):
     assert errors.mean() < 0.12e-3  # where a taxel begins and ends to answer is what is left
     assert nees(found, world.skin).mean() < 4.0
     assert found.fit.good is None
-    blind = calibrate(full, world.belief(0.01, 0.05))  # the end of the range is found
+
+
+@pytest.mark.slow
+def test_the_end_of_the_range_of_all_taxels_is_found(world, noisy):
+    level = 0.06 * world.peak_reference
+    full = small.changed(noisy[0], pressure=np.minimum(noisy[0].pressure, level))
+    found = calibrate(full, world.belief(0.01, 0.05, saturation=level))
+    blind = calibrate(full, world.belief(0.01, 0.05))
     np.testing.assert_allclose(blind.positions, found.positions, atol=1e-7)
 
 

@@ -128,6 +128,7 @@ def test_workers_die_with_a_killed_parent_and_a_second_run_resumes(tmp_path):
 
 
 @LINUX
+@pytest.mark.slow
 def test_hanging_workers_die_with_a_killed_parent(tmp_path):
     code = (
         "import meshskin as ms, study_runs\n"

@@ -98,6 +98,7 @@ def test_settling_is_halved_at_equal_overshoot(small):
     assert {"overshoot", "settled"} <= set(tuned.binding)
 
 
+@pytest.mark.slow
 def test_older_readings_settle_later(small):
     """The delay is in the problem: twice as old, and the least settling time is longer."""
     found = []
@@ -195,6 +196,7 @@ def test_the_multiplier_of_time_is_right_for_the_least_force_error(small, tuned)
         assert gained == pytest.approx((part - 1.0) * found.multipliers["time"], rel=0.15)
 
 
+@pytest.mark.slow
 def test_every_scenario_keeps_the_demands(small):
     over = scenarios(modulus=(0.8, 1.25))
     tuned = ms.tune(small, demands=DEMANDS, over=over, distance=DISTANCE, bounds=CALM)

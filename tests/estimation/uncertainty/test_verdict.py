@@ -111,15 +111,15 @@ def error_and_sigma(scene, found):
     return 1e3 * np.sqrt(np.nanmean(error**2)), 1e3 * np.nanmedian(found.position_sigma)
 
 
-LONG = ("pressures times 3", "1 frame late")
-"""Logs for which an unknown noise takes some seconds."""
+QUICK = ("constant force", "6 mm out", "indenter 1 mm off", "a quarter frame late")
+"""Logs that are also tried with an unknown noise without -m slow."""
 
 
 @pytest.mark.parametrize(
     ("name", "noise"),
     [(name, "known") for name in LOGS]
     + [
-        pytest.param(name, "unknown", marks=pytest.mark.slow if name in LONG else ())
+        pytest.param(name, "unknown", marks=() if name in QUICK else pytest.mark.slow)
         for name in LOGS
     ],
 )
