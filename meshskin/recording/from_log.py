@@ -13,7 +13,7 @@ from ..core.errors import ConfigError, RecordingError
 from .log_map import BODY, CONTACT, LogMap, StreamMap
 from .recording import CONTACTS as CONTACT_SCHEMA
 from .recording import QUATERNION, Recording
-from .resample import LogFrames, Pairs
+from .resample import LogFrames, Pairs, paired
 from .stream import CONTACTS, POSE, TAXELS, Log, Stream
 from .tare import thresholds
 
@@ -30,7 +30,7 @@ def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recordin
     taxels in every contact. Raises ConfigError for a map without contact points or forces,
     RecordingError for a log without a frame in contact that has both.
     """
-    pairs: Pairs = list(zip(log.streams, log_map.streams, strict=True))
+    pairs = paired(log, log_map)
     given = frames.skin_log
     points, normals, force, rotation = _contact_points(pairs, given.time)
     force = given.force if given.force is not None else force

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.arguments import check_integer, check_name
+from ..core.arguments import check_integer, check_name, check_type
 from ..core.config import check_fields, check_table, from_table, quantity, read_toml
 from ..core.errors import ConfigError, UnknownNameError
 from . import field_path
@@ -152,6 +152,8 @@ class LogMap:
     def __post_init__(self) -> None:
         if not self.streams:
             raise ConfigError("the map names no stream", remedy="add a table [[stream]]")
+        for stream in self.streams:
+            check_type(StreamMap, stream, "each stream of a map")
 
     @classmethod
     def load(cls, path: str | Path) -> LogMap:

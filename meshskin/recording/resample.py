@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arguments import check_type
 from ..core.arrays import Array
 from ..core.errors import ConfigError, RecordingError
 from .clock_offset import ClockOffset, clock_offset
@@ -32,10 +33,10 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
     """The streams of a log that was read with `log_map`, at the frames of its first skin.
 
     Raises ConfigError for a map without taxels and for taxels or joints that occur twice,
-    RecordingError for times that run backwards, streams that do not overlap in time, and a skin
-    that never answers.
+    RecordingError for a log that was not read with the map, times that run backwards, streams that
+    do not overlap in time, and a skin that never answers.
     """
-    pairs = list(zip(log.streams, log_map.streams, strict=True))
+    pairs = paired(log, log_map)
     skins = [pair for pair in pairs if pair[1].kind == TAXELS]
     if not skins:
         raise ConfigError("the map names no taxels", remedy='add a stream of kind = "taxels"')
@@ -79,6 +80,17 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
 
 
 Pairs = list[tuple[Stream, StreamMap]]
+
+
+def paired(log: Log, log_map: LogMap) -> Pairs:
+    """The streams of a log with their maps. Raises RecordingError for a log without this map."""
+    check_type(Log, log, "log")
+    check_type(LogMap, log_map, "log_map")
+    if [s.kind for s in log.streams] != [m.kind for m in log_map.streams]:
+        raise RecordingError(
+            "the log was not read with this map", remedy="give the map to read_log, too"
+        )
+    return list(zip(log.streams, log_map.streams, strict=True))
 
 
 def _ids(skins: Pairs) -> NDArray[np.intp]:

@@ -87,12 +87,14 @@ class ContactKinematics(NamedFields):
     def __post_init__(self) -> None:
         check_type(Chain, self.chain, "chain of contact kinematics")
         centre = check_vector("centre of the indenter", self.indenter, error=ArmError)
+        if not np.isfinite(centre).all():
+            raise ArmError("centre of the indenter must be finite", value=centre)
         if not is_rigid(self.mount):
             raise ArmError("mount of the body must be a rigid transform (4, 4)", value=self.mount)
         check_type(Mapping, self.unknown, "unknowns of contact kinematics")
         for name, sigma in self.unknown.items():
             if name not in SIGMAS:
-                raise UnknownNameError("unknown of contact kinematics", name, SIGMAS)
+                raise UnknownNameError("parameter of contact kinematics", name, SIGMAS)
             check_real(f"standard deviation of {name}", sigma, above=0.0)
         object.__setattr__(self, "indenter", centre)
         object.__setattr__(self, "mount", np.asarray(self.mount, dtype=float))

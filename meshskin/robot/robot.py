@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.arguments import check_name, check_real, check_type
+from ..core.arguments import check_array, check_name, check_real, check_type
 from ..core.arrays import Array
 from ..core.atomic_io import write_text
 from ..core.errors import ArmError
@@ -129,8 +129,9 @@ class Robot:
         as `LogCalibration.joint_offsets` has it: at the same readings, the links of the result are
         where those of this robot are at the readings with the offsets. They go into the origins of
         the joints, and of those that mimic them; limits are kept, as those of the readings. Raises
-        UnknownNameError, ArmError.
+        UnknownNameError, ArmError, ConfigError for offsets without names.
         """
+        check_type(Mapping, offsets, "offsets of joints")
         for name, value in offsets.items():
             check_name("joint", name, self.joint_names)
             check_real(f"offset of joint {name}", value, error=ArmError)
@@ -157,7 +158,9 @@ class Robot:
 
         angles (n, k): of the joints of `chain(base, link)`. Raises UnknownNameError, ArmError.
         """
-        check_name("link with a skin", link, tuple(self.skins))
+        check_name("link", link, self.links)
+        if link not in self.skins:
+            raise ArmError(f"link {link!r} has no skin", remedy="give it one by with_skin")
         poses = self.chain(base, link).poses(angles)
         return np.asarray(poses[:, None] @ self.skins[link].poses)
 
@@ -184,5 +187,6 @@ class Robot:
         UnknownNameError, ArmError.
         """
         chain = self.chain(link, self.root if carrier is None else carrier)
-        pose = np.eye(4) if mount is None else np.asarray(mount, dtype=float)
-        return ContactKinematics(chain, np.asarray(indenter, dtype=float), pose, unknown)
+        centre = check_array("centre of the indenter", indenter, error=ArmError)
+        pose = np.eye(4) if mount is None else check_array("mount", mount, error=ArmError)
+        return ContactKinematics(chain, centre, pose, unknown)

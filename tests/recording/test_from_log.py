@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from meshskin.core.errors import ConfigError, MeshskinError, RecordingError
 from meshskin.recording.from_log import recording_from_log
 from meshskin.recording.log_map import LogMap, StreamMap
+from meshskin.recording.readers import read_log
 from meshskin.recording.recording import Recording
 from meshskin.recording.resample import log_frames
 from meshskin.recording.stream import Log, Stream
@@ -114,6 +115,18 @@ def test_bad_streams_are_refused(streams, change, words):
     bad = {name: change.get(name, lambda t, v: (t, v))(*pair) for name, pair in streams.items()}
     with pytest.raises(RecordingError, match=words):
         log_frames(log_of(bad), MAP)
+
+
+def test_a_log_needs_the_map_that_it_was_read_with(streams):
+    log = log_of(streams)
+    with pytest.raises(RecordingError, match="was not read with this map; give the map to"):
+        log_frames(log, LogMap(MAP.streams[1:]))
+    with pytest.raises(ConfigError, match=r"must be a LogMap, got 'm.toml'; give LogMap.load"):
+        log_frames(log, "m.toml")
+    with pytest.raises(ConfigError, match=r"must be a LogMap, got 'm.toml'; give LogMap.load"):
+        read_log(__file__, "m.toml")
+    with pytest.raises(ConfigError, match="each stream of a map must be a StreamMap"):
+        LogMap("m.toml")
 
 
 def test_bad_maps_are_refused(streams):

@@ -174,7 +174,7 @@ def test_taxels_of_a_link_in_the_frame_of_another(tmp_path):
     found = robot.taxel_poses("d", "a", q)
     assert found.shape == (2, len(skin), 4, 4)
     np.testing.assert_allclose(found[1, 3], chain.poses(q)[1] @ skin.poses[3], atol=1e-14)
-    with pytest.raises(UnknownNameError, match="unknown link with a skin 'c'"):
+    with pytest.raises(ArmError, match="link 'c' has no skin"):
         robot.taxel_poses("c", "a", q)
     with pytest.raises(UnknownNameError, match="unknown link 'hand'"):
         robot.with_skin("hand", skin)

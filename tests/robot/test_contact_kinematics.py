@@ -92,5 +92,11 @@ def test_a_centre_or_mount_of_another_shape():
     robot = ms.Robot.from_urdf(PUMA)
     with pytest.raises(ArmError, match="centre of the indenter must be 3 numbers"):
         robot.contact_kinematics("tool0", [0.1, 0.2])
+    with pytest.raises(ArmError, match="centre of the indenter must be numbers, got 'tip'"):
+        robot.contact_kinematics("tool0", "tip")
+    with pytest.raises(ArmError, match="centre of the indenter must be finite"):
+        robot.contact_kinematics("tool0", [0.1, 0.2, np.nan])
+    with pytest.raises(ArmError, match="mount must be numbers"):
+        robot.contact_kinematics("tool0", CENTRE, mount="flange")
     with pytest.raises(ArmError, match="rigid transform"):
         robot.contact_kinematics("tool0", CENTRE, mount=2 * np.eye(4))

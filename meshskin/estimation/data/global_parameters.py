@@ -202,7 +202,7 @@ def declared_parameters(
     """
     for name in (*unknown, *priors):
         if name not in PRIORS and (name != MOTION or motion is None):
-            raise UnknownNameError("unknown of a belief", name, PRIORS)
+            raise UnknownNameError("parameter of a belief", name, PRIORS)
     unit = {"force_offset": force, "offset": peak, "drift": peak}
     prior = {name: priors.get(name, PRIORS[name]) * unit.get(name, 1.0) for name in PRIORS}
     names = tuple(name for name in SIZES if name in unknown)

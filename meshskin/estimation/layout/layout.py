@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.arguments import check_array, check_real, check_vector
+from ...core.arguments import check_array, check_real, check_type, check_vector
 from ...core.arrays import Array, Index
 from ...core.errors import CalibrationError
 from ...core.provenance import random_stream
 from . import on_body, stress, tiles
 from .alignment import aligned
 from .coactivity import distinct_levels, largest_part, path_lengths, strokes
-from .placement import Modules, OnBody, fitted_modules, settled
+from .placement import Modules, fitted_modules, settled
 
 if TYPE_CHECKING:
     from ...geometry.body import Body
@@ -111,8 +111,7 @@ def layout(
 
     frames (m, n): readings of n taxels in m frames, binary or graded, 0 where a taxel is silent;
     each frame one touch, of any size. ids (n,): by default 0 to n - 1.
-    The scale comes from one of: spacing, the median distance of a taxel from its
-    three nearest, m;
+    The scale comes from one of: spacing, the median distance of a taxel from its three nearest, m;
     touch_radius, the distance from a touch's centre up to which taxels answer, m; module_slots
     (slots, 2 or 3), the positions of the taxels of a rigid module, m, with ids slots * module +
     slot, as `skin.slots.OFFSETS` of iCub. Without any, the unit is the spacing.
@@ -122,7 +121,8 @@ def layout(
     most bodies is but one of many.
     seed: of the draws for the standard deviations.
 
-    Raises CalibrationError for frames, ids or knowledge that cannot be used.
+    Raises CalibrationError for frames, ids or knowledge that cannot be used, ConfigError for a body
+    or a seed that is none.
     """
     levels = distinct_levels(frames)
     n = levels.shape[1]
@@ -135,26 +135,26 @@ def layout(
             "a layout on a body needs a scale, and no modules",
             remedy="give spacing or touch_radius, without module_slots",
         )
+    middles = _middles(body, centre)
     lengths = path_lengths(levels)
     part = largest_part(lengths) & levels.any(axis=0)
     reasons = np.where(part, "", np.where(levels.any(axis=0), APART, SILENT)).astype(object)
     rows = np.flatnonzero(part)
     inner = lengths[np.ix_(rows, rows)]
     points, unit, modules = known.plane(rows, inner)
-    departure = _departures(points, inner, unit)
+    departure = _departures(stress.distances(points), inner, unit)
     scaled = bool(spacing or touch_radius) or modules is not None
     gauge, factors = _said(known, scaled)
-    error = _relative(points, inner, unit)
+    error = stress.misfit(stress.distances(points), inner, unit)
     drawn = _drawn(levels, rows, known, points, scaled, seed)
     if tiled and modules is not None:
         modules, wrong = tiles.tiled(modules)
         points, departure = modules.positions, np.hypot(departure, wrong[modules.module])
         factors += ("modules edge to edge",)
     if body is not None:
-        middles = on_body.places_on(body) if centre is None else _checked_centre(centre)
         placed, spread, alike = on_body.placed(body, points, inner, unit, middles)
-        points, error = placed.positions, on_body.misfit(placed, inner, unit)
-        departure = np.hypot(_departures(placed, inner, unit), spread)
+        points, error = placed.positions, stress.misfit(placed.along, inner, unit)
+        departure = np.hypot(_departures(placed.along, inner, unit), spread)
         gauge = _on_body_gauge(len(middles), alike)
         factors += ("surface of the body",)
     seldom = ~np.isfinite(drawn)
@@ -205,27 +205,14 @@ def _known(
         raise CalibrationError(
             "module_slots must be positions", value=f"shape {slots.shape}", limit="(slots, 2 or 3)"
         )
+    if not np.isfinite(slots).all() or len(np.unique(slots[:, :2], axis=0)) < len(slots):
+        raise CalibrationError("module_slots must be finite, and at different places in the plane")
     return _Known(None, None, ids // len(slots), slots[ids % len(slots), :2])
 
 
-def _along(placement: Array | OnBody) -> Array:
-    """Distances (n, n) along the skin."""
-    if isinstance(placement, OnBody):
-        return placement.bulge * stress.distances(placement.positions)
-    return stress.distances(placement)
-
-
-def _departures(placement: Array | OnBody, lengths: Array, unit: float) -> Array:
-    """Root mean square error (n,) of each taxel's distances from all others."""
-    off = _along(placement) - unit * lengths
-    return np.asarray(np.sqrt(np.mean(off**2, axis=1)))
-
-
-def _relative(placement: Array | OnBody, lengths: Array, unit: float) -> float:
-    """Root mean square relative error of the distances."""
-    weight = stress.weights(lengths)
-    square = np.sum(weight * (_along(placement) / unit - lengths) ** 2)
-    return float(np.sqrt(square / np.count_nonzero(weight)))
+def _departures(along: Array, lengths: Array, unit: float) -> Array:
+    """Root mean square error (n,) of each taxel's distances `along` (n, n) from all others."""
+    return np.asarray(np.sqrt(np.mean((along - unit * lengths) ** 2, axis=1)))
 
 
 def _drawn(
@@ -270,7 +257,17 @@ def _said(known: _Known, scaled: bool) -> tuple[str, tuple[str, ...]]:
     return f"middle at the origin; not determined: {', '.join(free)}", tuple(factors)
 
 
-def _checked_centre(centre: ArrayLike) -> Array:
+def _middles(body: Body | None, centre: ArrayLike | None) -> Array:
+    """Places (p, 3), m, on the body where the middle of the layout may be; none without a body."""
+    if body is None:
+        if centre is not None:
+            raise CalibrationError("centre of a layout needs a body", remedy="give body, too")
+        return np.empty((0, 3))
+    from ...geometry.body import Body
+
+    check_type(Body, body, "body of a layout")
+    if centre is None:
+        return on_body.places_on(body)
     middle = check_vector("centre of a layout on a body", centre, error=CalibrationError)
     if not np.isfinite(middle).all():
         raise CalibrationError("centre of a layout on a body must be finite")

@@ -14,7 +14,7 @@ from ...core.arrays import Array, far_apart
 from ...core.se3 import orthonormal_basis
 from .alignment import aligned
 from .placement import OnBody, settled
-from .stress import distances, weights
+from .stress import misfit
 
 if TYPE_CHECKING:
     from ...geometry.body import Body
@@ -53,24 +53,17 @@ def placed(
     trials = [
         (start, k) for k, middle in enumerate(middles) for start in _starts(body, plane, middle)
     ]
-    cost = np.array([misfit(start, lengths, unit) for start, _ in trials])
+    cost = np.array([misfit(start.along, lengths, unit) for start, _ in trials])
     good = np.flatnonzero(cost <= ALIKE * cost.min())
     tried = good[np.unique(np.linspace(0, len(good) - 1, KEPT).astype(int))]
     ends = [settled(trials[k][0], lengths, unit, free=False)[0] for k in tried]
-    ends.sort(key=lambda end: misfit(end, lengths, unit))
-    least = misfit(ends[0], lengths, unit)
-    equal = [e.positions for e in ends if misfit(e, lengths, unit) <= EQUAL * least]
+    ends.sort(key=lambda end: misfit(end.along, lengths, unit))
+    least = misfit(ends[0].along, lengths, unit)
+    equal = [e.positions for e in ends if misfit(e.along, lengths, unit) <= EQUAL * least]
     square = np.array([[np.sum((aligned(b, a) - a) ** 2, axis=1) for b in equal] for a in equal])
     chosen = int(np.argmin(np.median(square.mean(axis=2), axis=1)))
     spread = np.sqrt(square[chosen].mean(axis=0))
     return ends[chosen], spread, len({trials[k][1] for k in good})
-
-
-def misfit(placement: OnBody, lengths: Array, unit: float) -> float:
-    """Root mean square relative error of the placement's distances."""
-    along = placement.bulge * distances(placement.positions)
-    weight = weights(lengths)
-    return float(np.sqrt(np.sum(weight * (along / unit - lengths) ** 2) / np.count_nonzero(weight)))
 
 
 def _starts(body: Body, plane: Array, middle: Array) -> list[OnBody]:

@@ -70,6 +70,11 @@ class OnBody:
         half = 0.5 * np.arccos(np.clip(normals @ normals.T, -1.0, 1.0))
         return np.asarray(1.0 / np.sinc(half / np.pi))
 
+    @property
+    def along(self) -> Array:
+        """Distances (n, n) along the skin, m."""
+        return self.bulge * stress.distances(self.positions)
+
     def jacobian(self) -> Any:
         """(3 n, 2 n): the tangents."""
         from scipy.sparse import csr_array
@@ -174,7 +179,6 @@ def settled(start: T, lengths: Array, unit: float, free: bool) -> tuple[T, float
     free: the unit is estimated, too, from the value given.
     """
     weight = stress.weights(lengths)
-    np.fill_diagonal(weight, 0.0)
     placement, cost, damping = start, _stress(start, lengths, weight, unit), 1e-3
     for _ in range(ITERATIONS):
         matrix, gradient = _normal_equations(placement, lengths, weight, unit)

@@ -33,10 +33,10 @@ def weights(lengths: Array) -> Array:
     return weight
 
 
-def in_plane(lengths: Array, start: Array | None = None) -> Array:
+def in_plane(lengths: Array) -> Array:
     """Plane positions (n, 2) of least stress for finite `lengths` (n, n), in their unit.
 
-    start (n, 2): by default classical scaling. Raises CalibrationError for fewer than 4 taxels.
+    The start is classical scaling. Raises CalibrationError for fewer than 4 taxels.
     """
     n = len(lengths)
     if n < 4:
@@ -46,7 +46,7 @@ def in_plane(lengths: Array, start: Array | None = None) -> Array:
             limit="at least 4",
             remedy="record touches that cover several taxels",
         )
-    points = _classical(lengths) if start is None else start
+    points = _classical(lengths)
     weight = weights(lengths)
     laplacian = np.diag(weight.sum(axis=1)) - weight
     # the null space is the common translation: adding ones makes it regular
@@ -61,6 +61,12 @@ def in_plane(lengths: Array, start: Array | None = None) -> Array:
         if step < TOLERANCE:
             break
     return points
+
+
+def misfit(along: Array, lengths: Array, unit: float) -> float:
+    """Root mean square relative error of distances `along` (n, n), m, for `lengths` in a unit."""
+    weight = weights(lengths)
+    return float(np.sqrt(np.sum(weight * (along / unit - lengths) ** 2) / np.count_nonzero(weight)))
 
 
 def distances(points: Array) -> Array:

@@ -6,6 +6,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ...core.arguments import check_type
 from ...core.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ def read_log(
     path: str | Path,
     log_map: LogMap | None = None,
     *,
-    messages: Collection[Path] = (),
+    messages: Collection[str | Path] = (),
     progress: bool = False,
     scan: bool = False,
 ) -> Log:
@@ -37,14 +38,17 @@ def read_and_suggest(
     path: str | Path,
     log_map: LogMap | None = None,
     *,
-    messages: Collection[Path] = (),
+    messages: Collection[str | Path] = (),
     progress: bool = False,
     scan: bool = False,
 ) -> tuple[Log, dict[str, list[StreamMap]]]:
     """The log at `path` and, without a map, what its streams could be, the likeliest first."""
+    from ..log_map import LogMap
     from . import table, yarp
     from .bag import read as bag
 
+    if log_map is not None:
+        check_type(LogMap, log_map, "log_map")
     path = Path(path)
     if not path.exists():
         raise RecordingError(f"no log at {path}", remedy="check the path")
@@ -60,7 +64,7 @@ def read_and_suggest(
             if path.name in ("data.log", "info.log"):
                 return yarp.read(path, log_map, progress=progress)
             return table.read(path, log_map, progress=progress)
-        files = (*messages, *(log_map.messages if log_map is not None else ()))
+        files = (*map(Path, messages), *(log_map.messages if log_map is not None else ()))
         return bag.read(path, log_map, files, progress=progress, scan=scan)
     except OSError as error:
         raise RecordingError(f"cannot read {path}", value=error.strerror) from error

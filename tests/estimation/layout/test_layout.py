@@ -216,12 +216,22 @@ def test_a_layout_on_a_sphere_is_that_of_the_taxels():
         (np.ones((5, 4)), {"spacing": 1.0, "touch_radius": 1.0}, "one scale"),
         (np.ones((5, 4)), {"tiled": True}, "need module_slots"),
         (np.ones((5, 4)), {"module_slots": [1.0]}, "must be positions"),
+        (np.ones((5, 4)), {"module_slots": [[0.0, 0.0], [np.nan, 0.0]]}, "must be finite"),
+        (np.ones((5, 4)), {"module_slots": [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]}, "different places"),
         (np.ones((5, 4)), {"body": ms.Body.sphere(0.1)}, "needs a scale"),
+        (np.ones((5, 4)), {"centre": [0.0, 0.0, 0.1]}, "needs a body"),
     ],
 )
 def test_bad_input(frames, knowledge, message):
     with pytest.raises(CalibrationError, match=message):
         ms.layout(frames, **knowledge)
+
+
+def test_a_path_is_no_body():
+    with pytest.raises(
+        ConfigError, match=r"must be a Body, got 'a.stl'; give Body.load\('a.stl'\)"
+    ):
+        ms.layout(np.ones((5, 4)), spacing=5e-3, body="a.stl")
 
 
 def test_an_alignment_needs_three_points():
