@@ -94,7 +94,7 @@ def paired(log: Log, log_map: LogMap) -> Pairs:
 
 
 def _ids(skins: Pairs) -> NDArray[np.intp]:
-    """Ids of the taxels of all skins. Raises ConfigError for one that occurs twice."""
+    """Ids of the taxels of all skins. Raises ConfigError for a topic or an id that occurs twice."""
     ids, count = np.unique(
         [int(name) for stream, _ in skins for name in stream.fields], return_counts=True
     )
@@ -103,6 +103,13 @@ def _ids(skins: Pairs) -> NDArray[np.intp]:
             "a taxel of the map occurs twice",
             value=f"{ids[np.argmax(count > 1)]} in {', '.join(stream.name for stream, _ in skins)}",
             remedy="give first_id or ids in the map, or leave a stream out",
+        )
+    names = [stream.name for stream, _ in skins]
+    if len(set(names)) < len(names):
+        raise ConfigError(
+            "the map names two streams of taxels of one topic",
+            value=", ".join(names),
+            remedy="give all their field paths in values of one stream",
         )
     return np.array([int(name) for stream, _ in skins for name in stream.fields])
 

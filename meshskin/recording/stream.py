@@ -107,7 +107,7 @@ class Stream:
 
 @dataclass(frozen=True)
 class Log:
-    """The streams of one log, in the order of their names."""
+    """The streams of one log: those of a map in its order, or all of them."""
 
     path: Path
     """The file or folder."""

@@ -70,6 +70,20 @@ def test_values_are_those_that_were_written(bags, name):
     assert log["/skin"].rate == pytest.approx(50, rel=1e-3)
 
 
+def test_streams_keep_the_order_of_the_map(bags):
+    """Two streams of one topic are not brought together: each stays with its entry of the map."""
+    log_map = LogMap(
+        (
+            StreamMap("/wrench", "wrench"),
+            StreamMap("/skin", "taxels"),
+            StreamMap("/wrench", "wrench", tuple(f"wrench.torque.{axis}" for axis in "xyz")),
+        )
+    )
+    log = read_log(bags / "zstd.mcap", log_map)
+    assert [stream.name for stream in log.streams] == ["/wrench", "/skin", "/wrench"]
+    assert [stream.values.shape[1] for stream in log.streams] == [6, 25, 3]
+
+
 @pytest.mark.parametrize("name", FORMATS)
 def test_without_a_map_all_topics_are_listed_with_what_they_could_be(bags, name):
     log, could = read_and_suggest(bags / name)

@@ -139,6 +139,12 @@ def test_bad_maps_are_refused(streams):
     log_map = LogMap((*MAP.streams, MAP.streams[2]))
     with pytest.raises(MeshskinError, match=r"a taxel of the map occurs twice, got 0 .*first_id"):
         log_frames(log_of(streams, log_map), log_map)
+    ids = tuple(range(100, 125))
+    log_map = LogMap((*MAP.streams, replace(MAP.streams[2], ids=ids)))
+    log = log_of(streams, log_map)
+    again = replace(log.streams[3], fields=tuple(map(str, ids)))
+    with pytest.raises(ConfigError, match="two streams of taxels of one topic, got /skin, /skin"):
+        log_frames(replace(log, streams=(*log.streams[:3], again)), log_map)
     with pytest.raises(ConfigError, match="must name one stream of contact points"):
         recording_from_log(log_of(streams), MAP, log_frames(log_of(streams), MAP))
 

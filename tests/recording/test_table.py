@@ -32,6 +32,20 @@ def parquet(path, columns=COLUMNS):
     return path
 
 
+def test_two_streams_of_one_topic(tmp_path):
+    log_map = LogMap(
+        (
+            StreamMap("robot", "joints", ("q_*",)),
+            StreamMap("robot", "wrench", ("fx", "fy", "fz")),
+            StreamMap("robot", "taxels", ("skin_*",)),
+        )
+    )
+    log = read_log(csv(tmp_path / "log.csv"), log_map)
+    assert [(s.kind, s.values.shape[1]) for s in log.streams] == [
+        ("joints", 3), ("wrench", 3), ("taxels", 8),
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize(("write", "name"), [(csv, "log.csv"), (parquet, "log.parquet")])
 def test_columns_by_group_and_by_pattern(tmp_path, write, name):
     path = write(tmp_path / name)

@@ -49,12 +49,14 @@ def read(
     for file in files:
         for group, columns in _groups(_columns(file)).items():
             groups[f"{file.stem}/{group}" if folder else group] = file, columns
-    chosen = (
-        dict.fromkeys(groups) if log_map is None else {one.topic: one for one in log_map.streams}
+    chosen: list[tuple[str, StreamMap | None]] = (
+        [(group, None) for group in groups]
+        if log_map is None
+        else [(one.topic, one) for one in log_map.streams]
     )
     streams, notes, could = list[Stream](), list[str](), dict[str, list[StreamMap]]()
     hidden = None if progress else True  # None: hidden where stderr is no terminal
-    for topic, given in tqdm(chosen.items(), path.name, leave=False, disable=hidden):
+    for topic, given in tqdm(chosen, path.name, leave=False, disable=hidden):
         file, columns = _choose(topic, given, groups, path)
         stream = _stream(topic, file, columns, given, notes)
         streams.append(stream)

@@ -94,18 +94,16 @@ def _collect(path: Path, bag: Bag, log_map: LogMap | None, progress: bool) -> tu
     for stream in log_map.streams:
         if stream.topic not in bag.types:
             raise UnknownNameError("topic", stream.topic, bag.types, f" in {path.name}")
+    every = [Samples(one, bag.types[one.topic], bag.counts[one.topic]) for one in log_map.streams]
     samples: dict[str, list[Samples]] = {}
-    for stream in log_map.streams:
-        topic = stream.topic
-        one = Samples(stream, bag.types[topic], bag.counts[topic])
-        samples.setdefault(topic, []).append(one)
+    for one in every:
+        samples.setdefault(one.map.topic, []).append(one)
     decoders = {topic: bag.decoder(topic) for topic in samples}
     for topic, time, data in _shown(bag, samples, path, progress):
         message = decoders[topic](data)
         for one in samples[topic]:
             one.add(message, time)
-    streams = tuple(one.stream() for group in samples.values() for one in group)
-    return Log(path, streams, tuple(bag.notes)), {}
+    return Log(path, tuple(one.stream() for one in every), tuple(bag.notes)), {}
 
 
 def _times(path: Path, bag: Bag, progress: bool) -> tuple[Log, Could]:
