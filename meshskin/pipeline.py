@@ -48,7 +48,9 @@ METHODS = (
     "centroid",
 )
 """Methods that calibrate the same recording for comparison with the joint estimate."""
-RESULTS = ("calibration.parquet", "calibration.csv", "metrics.json", "report.html")
+RESULTS = (
+    "calibration.parquet", "calibration.csv", "metrics.json", "report.html", "corrected.urdf",
+)  # fmt: skip
 """Files that a calibration writes; those of an earlier recording are removed."""
 MIN_ALIGNED = 3
 """Least number of taxels that determine the rigid motion between a pose graph and the truth."""

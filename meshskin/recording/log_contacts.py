@@ -49,6 +49,10 @@ def contact_frames(log: SkinLog) -> np.ndarray:
     return np.flatnonzero(used)
 
 
+NOMINAL = "nominal"
+"""Metadata of a recording without measured forces: each contact has the reference force."""
+
+
 def recording_of(
     log: SkinLog,
     frames: np.ndarray,
@@ -70,4 +74,6 @@ def recording_of(
     schema = READINGS.set(1, pa.field("taxel", pa.from_numpy_dtype(ids.dtype)))
     table = pa.table([time[contact], ids[column], values[contact, column]], schema=schema)
     metadata = {"taxel_ids": ids.tolist(), "readings": readings, "source": "joint angles"}
+    if log.force is None:
+        metadata["force"] = NOMINAL
     return Recording(contacts, table, metadata)

@@ -9,7 +9,7 @@ import pytest
 
 import meshskin as ms
 from meshskin import cli
-from meshskin.cli import calibrate
+from meshskin.cli import belief_options, calibrate
 from meshskin.core.errors import ConfigError, MeshError
 from meshskin.scene.schema import body_table
 
@@ -153,7 +153,7 @@ def body_of(log, *options):
     calibrate.add(parser)
     rest = ["--indenter-radius-mm", "10", "--young-kpa", "150", "--out", "out"]
     asked = [str(log), "--body", *map(str, options), *rest]
-    return calibrate.belief_of(parser.parse_args(asked), ms.Recording.load(log)).body
+    return belief_options.belief_of(parser.parse_args(asked), [1]).body
 
 
 def test_every_option_of_a_body_is_one_of_calibrate_and_check(log, tmp_path, capsys, scene):

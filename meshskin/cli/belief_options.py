@@ -1,0 +1,176 @@
+"""Options of `meshskin calibrate` that state what is known of the robot."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..core.errors import ConfigError
+from . import body_options
+
+if TYPE_CHECKING:
+    from ..scene.belief import Belief
+
+SCENE_OPTIONS = (
+    "body", *body_options.NAMES, "indenter_radius_mm", "young_kpa", "poisson", "thickness_mm",
+)  # fmt: skip
+"""Options whose values come from the scene when --scene is given."""
+PRESSURE_OPTIONS = ("noise_kpa", "threshold_kpa", "saturation_kpa")
+"""Options that state pressures."""
+NOMINAL_YOUNG_KPA = 200.0
+"""Young's modulus at which the estimate from raw readings starts where none is given: that of soft
+silicone rubber. It sets the first size of the patch, which is estimated."""
+NUMBERS = {
+    "--indenter-radius-mm": "radius of the indenter",
+    "--young-kpa": "approximate Young's modulus of the skin",
+    "--poisson": "Poisson's ratio of the skin (default 0.49)",
+    "--thickness-mm": "thickness of the soft layer on a rigid core",
+    "--disc-radius-mm": "radius of a taxel (default 2)",
+    "--noise-kpa": "standard deviation of the noise of a reading",
+    "--threshold-kpa": "pressures up to this value are not recorded",
+    "--saturation-kpa": "upper end of the sensor's range",
+}
+"""Options that are numbers."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.add_argument(
+        "--scene", help="name or file of a scene that gives body, indenter and material"
+    )
+    known = parser.add_argument_group("known properties of the robot")
+    known.add_argument(
+        "--body",
+        "--urdf",
+        type=Path,
+        metavar="MESH",
+        help=f"mesh of the body that the skin covers: {body_options.HELP}",
+    )
+    body_options.add(known)
+    for name, words in NUMBERS.items():
+        unit = name.rpartition("-")[2].upper()
+        known.add_argument(name, type=float, metavar=unit, help=words)
+    known.add_argument(
+        "--raw",
+        action="store_true",
+        help="readings are counts or volts of any scale and sign; the response is learned, and "
+        f"--young-kpa only sets its start (default {NOMINAL_YOUNG_KPA:g})",
+    )
+    known.add_argument(
+        "--contact",
+        help="contact model: hertz, elliptic, layered, learned or auto (default: the first that is "
+        "valid, or learned where the readings contradict it)",
+    )
+    known.add_argument(
+        "--taxels", type=Path, metavar="FILE", help="skin file that lists the ids of all taxels"
+    )
+    known.add_argument(
+        "--modules",
+        action="store_true",
+        help="taxels lie on rigid triangular modules, id = 12 module + slot",
+    )
+    known.add_argument(
+        "--unknown", nargs="*", metavar="NAME", help="parameters estimated with the taxels: "
+        "modulus (default), gain, offset, force_scale, force_offset, indenter_offset, body_offset",
+    )  # fmt: skip
+
+
+def belief_of(options: argparse.Namespace, taxel_ids: ArrayLike) -> Belief:
+    """The belief that the options describe; taxel_ids (n,): of the log, used where neither a scene
+    nor a skin file has them. Raises ConfigError where options are missing.
+    """
+    from ..scene.belief import RAW
+    from ..skin import slots
+
+    if options.raw:
+        _check_raw(options)
+    belief = _by_scene(options) if options.scene else _by_options(options)
+    kilo = {
+        "noise_sigma": options.noise_kpa,
+        "threshold": options.threshold_kpa,
+        "saturation": options.saturation_kpa,
+    }
+    changes: dict[str, Any] = {k: 1e3 * v for k, v in kilo.items() if v is not None}
+    if options.raw:  # a scene's noise, threshold and saturation are pressures
+        changes = {"readings": RAW, "noise_sigma": None, "threshold": 0.0, "saturation": None}
+    if options.disc_radius_mm is not None:
+        changes["disc_radius"] = 1e-3 * options.disc_radius_mm
+    if options.contact is not None:
+        changes["contact"] = options.contact
+    if options.unknown is not None:
+        changes["unknown"] = tuple(options.unknown)
+    if options.modules:
+        changes["module_slots"] = slots.OFFSETS
+    if options.taxels is not None:
+        from ..skin.skin import Skin
+
+        changes["taxel_ids"] = np.array(Skin.load(options.taxels).ids)
+    elif not options.scene:
+        changes["taxel_ids"] = np.array(taxel_ids, dtype=int)
+    return replace(belief, **changes)
+
+
+def _check_raw(options: argparse.Namespace) -> None:
+    """Refuse options that mean nothing for raw readings."""
+    from ..contact import AUTO, LEARNED
+
+    given = [name for name in PRESSURE_OPTIONS if getattr(options, name) is not None]
+    given += ["contact"] if options.contact not in (None, AUTO, LEARNED) else []
+    given += ["modules"] if options.modules else []
+    if given:
+        names = ", ".join(f"--{name.replace('_', '-')}" for name in given)
+        raise ConfigError(
+            "raw readings have no unit, and their response is learned for independent taxels",
+            value=f"{names} together with --raw",
+            remedy="remove it: noise, threshold and saturation follow from the readings",
+        )
+
+
+def _by_scene(options: argparse.Namespace) -> Belief:
+    """The belief of the scene named by --scene."""
+    from ..scene.scene import Scene
+
+    given = [name for name in SCENE_OPTIONS if getattr(options, name) is not None]
+    if given:
+        names = ", ".join(f"--{name.replace('_', '-')}" for name in given)
+        raise ConfigError(
+            "--scene gives body, indenter and material", value=f"{names} together with --scene",
+            remedy="remove either --scene or the other options",
+        )  # fmt: skip
+    return Scene.load(options.scene).belief()
+
+
+def _by_options(options: argparse.Namespace) -> Belief:
+    """The belief built from --body, --indenter-radius-mm, --young-kpa and so on."""
+    from ..contact import AUTO
+    from ..contact.indenter import Indenter
+    from ..contact.material import Material
+    from ..scene.belief import Belief
+
+    young = NOMINAL_YOUNG_KPA if options.raw and options.young_kpa is None else options.young_kpa
+    needed = {
+        "--body": options.body,
+        "--indenter-radius-mm": options.indenter_radius_mm,
+        "--young-kpa": young,
+    }
+    missing = [name for name, value in needed.items() if value is None]
+    if missing:
+        raise ConfigError(
+            f"required options are missing: {', '.join(missing)}",
+            remedy="give --scene, or all of --body, --indenter-radius-mm and --young-kpa (which "
+            "--raw does not need)",
+        )
+    poisson = 0.49 if options.poisson is None else options.poisson
+    thickness = None if options.thickness_mm is None else 1e-3 * options.thickness_mm
+    return Belief(
+        body=body_options.load(options.body, options),
+        indenter=Indenter.sphere(1e-3 * options.indenter_radius_mm),
+        material=Material(1e3 * young, poisson, thickness),
+        taxel_ids=np.empty(0, dtype=int),
+        contact=AUTO,
+    )

@@ -1,0 +1,138 @@
+"""Options of `meshskin calibrate` for a robot's own log: the map of its streams, and the indenter
+that the robot touched, where contacts follow from joint angles.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..core.arguments import check_name
+from ..core.errors import ConfigError
+from .belief_options import belief_of
+
+if TYPE_CHECKING:
+    from ..estimation.calibration import Calibration
+    from ..estimation.kinematics.calibrate_log import LogCalibration
+    from ..recording.recording import Recording
+    from ..recording.skin_log import SkinLog
+    from ..robot.robot import Robot
+    from ..scene.belief import Belief
+
+JOINT_OPTIONS = ("carrier", "robot_unknown")
+"""Options that only joint angles need."""
+CORRECTED = "corrected.urdf"
+"""File of the robot with the estimated offsets of its joints."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    log = parser.add_argument_group(
+        "a robot's log, as RECORDING: a bag, MCAP file, dumper folder, CSV or Parquet"
+    )
+    log.add_argument(
+        "--map", type=Path, metavar="MAP", help="which stream of the log is what "
+        "(`meshskin log FILE --write-map MAP`)",
+    )  # fmt: skip
+    log.add_argument(
+        "--indenter-mm", type=float, nargs=3, metavar=("X", "Y", "Z"), help="centre of the "
+        "indenter; contacts then follow from the joint angles of the robot of --urdf and --link",
+    )  # fmt: skip
+    log.add_argument(
+        "--carrier", metavar="LINK", help="link in whose frame the indenter is at rest (default: "
+        "the root of the URDF)",
+    )  # fmt: skip
+    log.add_argument(
+        "--robot-unknown", nargs="*", metavar="NAME", help="what is estimated of the robot: "
+        "joint_offset, indenter_position, mount, clock_offset, indenter_radius, mesh_scale "
+        "(default: all)",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class FromLog:
+    """What a robot's log gives."""
+
+    recording: Recording
+    belief: Belief
+    lines: list[str]
+    """What the log shows, for the summary."""
+    found: Calibration | None = None
+    """The calibration, where contacts follow from joint angles."""
+    robot: Robot | None = None
+    """The robot with the estimated offsets of its joints, likewise."""
+
+
+def from_log(options: argparse.Namespace) -> FromLog:
+    """The log of --map on one clock, with its contacts; where these follow from joint angles, they
+    are calibrated with the taxels. Raises RecordingError, ConfigError, CalibrationError.
+    """
+    from ..recording.from_log import recording_from_log
+    from ..recording.log_map import LogMap
+    from ..recording.readers import read_log
+    from ..recording.resample import log_frames
+    from .log import summary
+
+    _check(options)
+    log_map = LogMap.load(options.map)
+    log = read_log(options.recording, log_map, progress=True)
+    frames = log_frames(log, log_map)
+    belief, lines = belief_of(options, frames.skin_log.taxel_ids), list(summary(frames, log))
+    if options.indenter_mm is None:
+        return FromLog(recording_from_log(log, log_map, frames), belief, lines)
+    found, robot = _calibrate_joints(options, frames.skin_log, belief)
+    return FromLog(found.recording, belief, lines + _lines(found), found.calibration, robot)
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Raise ConfigError for options that miss others."""
+    given = [name for name in JOINT_OPTIONS if getattr(options, name) is not None]
+    if given and options.indenter_mm is None:
+        raise ConfigError(
+            "contacts from joint angles need the indenter",
+            value=", ".join(f"--{name.replace('_', '-')}" for name in given),
+            remedy="give --indenter-mm, or leave these options out",
+        )
+    if options.indenter_mm is not None and (options.body is None or options.link is None):
+        raise ConfigError(
+            "contacts from joint angles need a robot", remedy="give --urdf FILE and --link LINK"
+        )
+    if options.indenter_mm is not None and options.method != "joint":
+        raise ConfigError(
+            "contacts from joint angles need the joint estimate",
+            value=f"--method {options.method}",
+            remedy="leave --method out",
+        )
+
+
+def _calibrate_joints(
+    options: argparse.Namespace, log: SkinLog, belief: Belief
+) -> tuple[LogCalibration, Robot]:
+    """The calibration by joint angles, and the robot with the estimated offsets of its joints."""
+    from ..estimation.kinematics.calibrate_log import calibrate_log
+    from ..robot.contact_kinematics import SIGMAS
+    from ..robot.robot import Robot
+
+    for name in options.robot_unknown or ():
+        check_name("unknown of a robot", name, tuple(SIGMAS))
+    unknown = {name: SIGMAS[name] for name in options.robot_unknown or SIGMAS}
+    robot = Robot.from_urdf(options.body, options.folder)
+    centre = 1e-3 * np.array(options.indenter_mm)
+    kinematics = robot.contact_kinematics(options.link, centre, options.carrier, unknown=unknown)
+    found = calibrate_log(log, kinematics, belief)
+    offsets = {name: value for name, (value, _) in found.joint_offsets.items()}
+    return found, robot.with_joint_offsets(offsets)
+
+
+def _lines(found: LogCalibration) -> list[str]:
+    """Lines about the robot: the heights of the contacts, and unknowns beyond expectation."""
+    heights = (found.heights_before, found.heights)
+    before, after = (1e3 * float(np.median(np.abs(h))) for h in heights)
+    return [
+        f"  contacts lie {before:.3g} mm off the body before the estimate, {after:.2g} mm after it",
+        *(f"  unexpected: {words}" for words in found.surprises),
+    ]
