@@ -48,8 +48,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     log.add_argument(
         "--robot-unknown", nargs="*", metavar="NAME", help="what is estimated of the robot: "
-        "joint_offset, indenter_position, mount, clock_offset, indenter_radius, mesh_scale "
-        "(default: all)",
+        "joint_offset, indenter_position, clock_offset (default: these three), mount, "
+        "indenter_radius, mesh_scale",
     )  # fmt: skip
 
 
@@ -114,12 +114,12 @@ def _calibrate_joints(
 ) -> tuple[LogCalibration, Robot]:
     """The calibration by joint angles, and the robot with the estimated offsets of its joints."""
     from ..estimation.kinematics.calibrate_log import calibrate_log
-    from ..robot.contact_kinematics import SIGMAS
+    from ..robot.contact_kinematics import SIGMAS, USUAL
     from ..robot.robot import Robot
 
     for name in options.robot_unknown or ():
         check_name("unknown of a robot", name, tuple(SIGMAS))
-    unknown = {name: SIGMAS[name] for name in options.robot_unknown or SIGMAS}
+    unknown = {name: SIGMAS[name] for name in options.robot_unknown or USUAL}
     robot = Robot.from_urdf(options.body, options.folder)
     centre = 1e-3 * np.array(options.indenter_mm)
     kinematics = robot.contact_kinematics(options.link, centre, options.carrier, unknown=unknown)

@@ -44,6 +44,10 @@ SIGMAS = MappingProxyType(
 )
 """Default standard deviations: rad, m, m, s, m, and of the logarithm. Chosen: a joint's zero set by
 a mark, a place measured with a ruler, a few frames, a turned ball, and a mesh in the right unit."""
+USUAL = MappingProxyType(
+    {name: SIGMAS[name] for name in ("joint_offset", "indenter_position", "clock_offset")}
+)
+"""What is not known of most robots. Mount and size of the body are hard to tell from these."""
 MOUNT_ROTATION = 10.0
 """Standard deviation of the mount's rotation, rad, per m of that of its translation: the rotation
 that moves a point 0.1 m from the origin as far as the translation does."""
@@ -81,7 +85,7 @@ class ContactKinematics(NamedFields):
     """The indenter's centre (3,) in the frame of the link that carries it, m."""
     mount: Array = field(default_factory=lambda: np.eye(4))
     """T_link_body (4, 4)."""
-    unknown: Mapping[str, float] = field(default_factory=lambda: SIGMAS)
+    unknown: Mapping[str, float] = field(default_factory=lambda: USUAL)
     """Standard deviations of what is not known exactly, by name: any of SIGMAS."""
 
     def __post_init__(self) -> None:

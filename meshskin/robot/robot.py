@@ -18,7 +18,7 @@ from ..core.se3 import inverse, transform
 from ..geometry.body import Body
 from ..skin.skin import Skin
 from .chain import Chain, ChainJoint
-from .contact_kinematics import SIGMAS, ContactKinematics
+from .contact_kinematics import USUAL, ContactKinematics
 from .urdf import Joint, UrdfTree, rotation, with_moved_zeros
 
 TURNING, SLIDING = ("revolute", "continuous"), ("prismatic",)
@@ -177,7 +177,7 @@ class Robot:
         indenter: ArrayLike,
         carrier: str | None = None,
         mount: ArrayLike | None = None,
-        unknown: Mapping[str, float] = SIGMAS,
+        unknown: Mapping[str, float] = USUAL,
     ) -> ContactKinematics:
         """A body on `link` that touches an indenter, whose contacts follow from joint angles.
 

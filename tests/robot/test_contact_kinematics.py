@@ -40,7 +40,7 @@ def test_centres_agree_with_the_arm(path):
 
 
 def test_slopes_are_derivatives_away_from_zero(path):
-    model = kinematics()
+    model = kinematics(unknown=SIGMAS)
     s = np.random.default_rng(1).normal(size=len(model.labels)) * model.sigma
     time = np.array([0.31, 0.9, 1.2])
     slopes = model.centres(path, time, s)[1]

@@ -8,6 +8,7 @@ import numpy as np
 
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
+from .. import centroid
 from ..result import EstimatorResult
 from ..trilateration import trilaterate
 from .alignment import aligned
@@ -31,12 +32,13 @@ FACTORS = (
 def estimate(data: Measurements) -> EstimatorResult:
     """The layout of the taxels on the believed body.
 
-    Raises CalibrationError where too few taxels answer together, or have a weighted mean.
+    Raises CalibrationError where too few taxels answer together, or have a weighted mean of contact
+    points that are not on a line.
     """
     frames = np.zeros((len(data.points), len(data.ids)))
     frames[data.contact, data.taxel] = np.maximum(data.pressure, 0.0)
     plane = layout(frames, data.ids, touch_radius=touch_radius(data))
-    means = trilaterate.centroids(data)
+    means = centroid.estimate(data).points
     rows = np.flatnonzero((plane.reasons == "") & np.isfinite(means).all(axis=1))
     if len(rows) < 3:
         raise CalibrationError(
