@@ -113,7 +113,8 @@ class Heights:
     def fit(self, start: Array | None = None) -> Array:
         """x (K + 1,) that meets the heights, from a start, by default zero.
 
-        Raises CalibrationError for heights that no x within its priors meets.
+        Raises CalibrationError for heights that no x within its priors meets, and for indentations
+        deeper than the indenter's radius.
         """
         prior = self.precision
         x = np.zeros(len(prior)) if start is None else start
@@ -141,6 +142,13 @@ class Heights:
                 value=f"{1e3 * scatter:.3g} mm off it",
                 limit=f"{1e3 * MAX_SCATTER:g} mm",
                 remedy="check the body's link and mount, the indenter's place, units and clocks",
+            )
+        if (sunk := float(np.median(np.exp(x[-1]) * self.depth))) > self.radius:
+            raise CalibrationError(
+                "the contacts that follow from the joint angles are deeper than the indenter",
+                value=f"{1e3 * sunk:.3g} mm",
+                limit=f"its radius, {1e3 * self.radius:g} mm",
+                remedy="check the indenter's place and radius, and the body's mount and scale",
             )
         return x
 

@@ -53,6 +53,13 @@ def check(exploration, found, ratio, already=0.0):
     assert np.mean(nees(found.calibration, exploration.scene.skin)) < 3.0
 
 
+def test_an_indenter_deeper_than_its_radius_is_refused(small):
+    kinematics = small.kinematics(**KNOWN)
+    raised = replace(kinematics, indenter=kinematics.indenter + np.array([0, 0, 0.01]))
+    with pytest.raises(CalibrationError, match=r"deeper than the indenter, got 1.* mm, limit: its"):
+        calibrate_log(small.log, raised, belief(small))
+
+
 def test_a_small_exploration(small):
     found = calibrate_log(small.log, small.kinematics(**KNOWN), belief(small))
     check(small, found, 1.2)
