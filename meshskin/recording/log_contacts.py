@@ -14,7 +14,7 @@ import pyarrow as pa
 from ..core.arrays import Array
 from ..core.errors import RecordingError, UnknownNameError
 from ..robot.contact_kinematics import JointPath
-from .recording import CONTACTS, READINGS, Recording
+from .recording import CONTACTS, NOMINAL, READINGS, Recording
 from .skin_log import SkinLog
 
 
@@ -47,10 +47,6 @@ def contact_frames(log: SkinLog) -> np.ndarray:
             remedy="check the taxels' streams, and the sign of the forces",
         )
     return np.flatnonzero(used)
-
-
-NOMINAL = "nominal"
-"""Metadata of a recording without measured forces: each contact has the reference force."""
 
 
 def recording_of(

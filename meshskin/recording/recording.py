@@ -41,6 +41,9 @@ READINGS = pa.schema([("time", pa.float64()), ("taxel", pa.int32()), ("pressure"
 MAX_TIME_LAG = 0.49
 """Largest distance in time of a reading from its contact, in frames: at half a frame two contacts
 are equally near."""
+NOMINAL = "nominal"
+"""Value of "force" in the metadata of a recording without measured forces: the column `force` then
+holds a reference force."""
 _KEY = b"meshskin"
 _PARTS = ("contacts", "readings", "motion")
 
@@ -94,6 +97,11 @@ class Recording:
             f"<Recording: {len(self.time)} contacts over {span}, {len(self.readings)} readings of "
             f"{taxels} taxels, {'without' if self.motion is None else 'with'} the arm's motion>"
         )
+
+    @property
+    def force_measured(self) -> bool:
+        """Whether the forces were measured; else all are a reference force."""
+        return bool(self.metadata.get("force") != NOMINAL)
 
     @cached_property
     def time(self) -> Array:

@@ -54,7 +54,9 @@ def force(folder: Path, data: ReportData) -> SavedFigure | None:
         column = {k: recording.motion.column(k).to_numpy() for k in ("time", "force", "reference")}
         time, values, goal = column["time"], column["force"], column["reference"]
     else:
-        time, values = recording.time, recording.force
+        if not recording.force_measured:
+            return None
+        time, values = recording.time - recording.time[0], recording.force
         reference = data.metrics.get("force", {}).get("reference_n")
         reference = recording.metadata.get("force_reference_n", reference)
         goal = None if reference is None else float(reference)

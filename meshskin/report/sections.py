@@ -320,6 +320,8 @@ def _force(data: ReportData) -> list[str]:
     force = data.metrics.get("force") or {}
     if not force and data.recording is not None and len(data.recording.force):
         f = data.recording.force
+        if not data.recording.force_measured:
+            return [tile("Contact force", "not recorded", "", "estimated relative to its median")]
         note = f"standard deviation {significant(float(f.std()), 2)} N"
         return [tile("Mean contact force", f"{f.mean():.3f}", "N", note)]
     if not force:

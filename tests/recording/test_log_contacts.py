@@ -57,3 +57,12 @@ def test_a_recording_has_the_contacts_and_their_readings(log, tmp_path):
     assert recording.metadata["readings"] == "raw"
     recording.save(tmp_path / "log")
     assert type(recording).load(tmp_path / "log").pressure.tolist() == [3.0, 5.0, 7.0]
+
+
+def test_a_recording_without_forces_says_so(log):
+    frames = contact_frames(log)
+    points, normals = np.zeros((len(frames), 3)), np.tile([0.0, 0.0, 1.0], (len(frames), 1))
+    force = np.ones(len(frames))
+    assert not recording_of(log, frames, points, normals, force).force_measured
+    measured = replace(log, force=np.ones(len(log.time)))
+    assert recording_of(measured, frames, points, normals, force).force_measured

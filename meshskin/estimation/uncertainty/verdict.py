@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...core.arrays import Array
-from ...recording.log_contacts import NOMINAL
 from ...scene.belief import RAW
 from ..data.sensor_range import unanswered_contacts
 
@@ -58,7 +57,7 @@ def forces(recording: Recording, calibration: Calibration) -> list[Finding]:
         return []
     fits = calibration.fit is not None and calibration.fit.good is True
     applied = "presses" in (recording.metadata.get("provenance") or {})  # by ms.press: known
-    estimated = recording.metadata.get("force") == NOMINAL and calibration.response is not None
+    estimated = not recording.force_measured and calibration.response is not None
     if np.ptp(force) == 0 and not (fits and (applied or estimated)):
         words = (
             f"the force is constant, {force[0]:.3g} N in all {len(force)} contacts: record the "
