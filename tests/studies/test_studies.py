@@ -27,6 +27,7 @@ def test_initial_errors_are_drawn_with_the_claims_of_the_paper(script):
     assert any("20 seeds" in label for label in labels)
 
 
+@pytest.mark.slow
 def test_paper_figures(script, tmp_path, capsys):
     study = script("paper_figures")
     study.LEVELS, study.POSE_NOISE = study.LEVELS[::3], study.POSE_NOISE[:5]

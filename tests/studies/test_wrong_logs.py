@@ -25,6 +25,7 @@ def test_the_table(script, tmp_path, capsys):
     assert "FAIL: the model does not fit" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_learned_response_mends_a_scale(script, tmp_path):
     study = script("wrong_logs")
     (row,) = study.main(["--out", str(tmp_path), "--logs", "pressures 2 times too large"])

@@ -87,6 +87,7 @@ def rows(table):
 
 
 @POSIX
+@pytest.mark.slow
 def test_cases_of_a_killed_worker_are_run_again(tmp_path):
     marks = tmp_path / "marks"
     study = slow_study(marks)

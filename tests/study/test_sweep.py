@@ -48,6 +48,7 @@ def test_scenes_give_the_same_numbers_in_any_process(out):
     assert row["crlb_mm.mean"] / 2 < errors[0] < 2 * row["crlb_mm.mean"]
 
 
+@pytest.mark.slow
 def test_a_scene_made_in_python_gives_the_numbers_of_its_file(tmp_path):
     file = tmp_path / "few.toml"
     file.write_text('extends = "sphere_noisy"\n[skin]\ncount = 12\n')

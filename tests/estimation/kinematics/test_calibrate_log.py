@@ -122,6 +122,7 @@ def test_heights_alone_find_the_joints(small):
     np.testing.assert_allclose(fit.root @ fit.root.T, fit.covariance, atol=1e-18)
 
 
+@pytest.mark.slow
 def test_what_a_log_cannot_tell_apart_is_named():
     """The mount turned about the axis of the last joint, and that joint's offset."""
     small = explore(headings=(0, 90, 210), taxels=19, frame=0.04)
