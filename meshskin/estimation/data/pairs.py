@@ -66,10 +66,17 @@ def silent_pairs(
         level = np.zeros_like(level)
     a = scale * data.longest
     # A circle of the longer semi-axis under Hertz's profile has at least the patch's pressure.
-    radius = a * invert_disc_mean(level, data.disc / a, tolerance=1e-3) + REACH_MARGIN
-    contact, taxel = near_pairs(data, points, normals, radius)
+    contact, taxel = near_pairs(data, points, normals, data.reach(scale) + REACH_MARGIN)
+    met, row = np.unique(contact, return_inverse=True)
+    radius = a[met] * invert_disc_mean(level[met], data.disc / a[met], tolerance=1e-3)
+    offset = points[taxel] - data.points[contact]
+    height = np.einsum("ki,ki->k", offset, data.normals[contact])
+    across = np.einsum("ki,ki->k", offset, offset) - height**2
+    within = across < (radius[row] + REACH_MARGIN) ** 2
+    contact, taxel = contact[within], taxel[within]
     number = live[taxel] * len(data.points) + contact
-    known = data.taxel * len(data.points) + data.contact
+    mine = np.isin(np.arange(len(data.ids)), live)[data.taxel]
+    known = data.taxel[mine] * len(data.points) + data.contact[mine]
     left_out = data.corrupt[:, 1] * len(data.points) + data.corrupt[:, 0]
     read = np.sort(np.concatenate([known, left_out]))
     if len(read):
