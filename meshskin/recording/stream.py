@@ -125,10 +125,6 @@ class Log:
                 return stream
         raise UnknownNameError("stream", name, [stream.name for stream in self.streams])
 
-    def of_kind(self, kind: str) -> tuple[Stream, ...]:
-        """The streams of a kind."""
-        return tuple(stream for stream in self.streams if stream.kind == kind)
-
     @property
     def gaps(self) -> dict[str, tuple[Gap, ...]]:
         """Gaps by the name of the stream."""

@@ -38,6 +38,10 @@ NOMINAL_FORCE = 1.0
 SURPRISE = 3.5
 """Standard deviations before any measurement beyond which an unknown contradicts what was believed:
 one of 20 sound ones is with a probability of 1 %."""
+MAX_DEPTH_FACTOR = 2.2
+"""Depth of the indentations, relative to that under the believed material and force, or its
+inverse, from which the indenter's height is in doubt: beyond 3^(2/3) = 2.08, the depth under an E*
+or a force that is wrong by a factor of 3, from which the verdict doubts E*."""
 HEIGHT_FITS = 2
 """Fits of the heights, each with depths at the contacts of the last one: depths change little."""
 
@@ -58,6 +62,8 @@ class LogCalibration:
     """The same (m,), m, with all unknowns zero."""
     rounds: int
     """Number of times that the contacts were computed."""
+    depth_factor: float = 1.0
+    """Depth of the indentations, relative to that under the believed material and force."""
 
     @property
     def unknowns(self) -> Mapping[str, tuple[float, float]]:
@@ -79,12 +85,19 @@ class LogCalibration:
         """Unknowns that are farther from zero than was believed of them, in words: a wrong standard
         deviation, or an error that is not declared and that they stand in for."""
         sigma = dict(zip(self.kinematics.labels, self.kinematics.sigma, strict=True))
-        return tuple(
+        found = [
             f"{label} is {value:.3g}, {abs(value) / sigma[label]:.2g} times its believed standard "
             f"deviation of {sigma[label]:.3g}"
             for label, (value, _) in self.unknowns.items()
             if abs(value) > SURPRISE * sigma[label]
-        )
+        ]
+        if not 1 / MAX_DEPTH_FACTOR < self.depth_factor < MAX_DEPTH_FACTOR:
+            found.append(
+                f"indentations are {self.depth_factor:.2g} times as deep as believed (limit: a "
+                f"factor of {MAX_DEPTH_FACTOR:g}): an error of the indenter's height or radius "
+                "would look like this; check both, the force and Young's modulus"
+            )
+        return tuple(found)
 
 
 def calibrate_log(log: SkinLog, kinematics: ContactKinematics, belief: Belief) -> LogCalibration:
@@ -126,7 +139,10 @@ def calibrate_log(log: SkinLog, kinematics: ContactKinematics, belief: Belief) -
         values = np.array([found.unknowns[label][0] for label in kinematics.labels])
         moved = kinematics.centres(path, time, values)[0] - centres - slopes @ (values - s)
         x = heights.with_depth(values)
-    return LogCalibration(found, recording, kinematics, heights.residuals(x)[0], before, rounds)
+    after, factor = heights.residuals(x)[0], float(np.exp(x[-1]))
+    result = LogCalibration(found, recording, kinematics, after, before, rounds, factor)
+    verdict = None if found.verdict is None else found.verdict.with_doubts(result.surprises)
+    return replace(result, calibration=replace(found, verdict=verdict))
 
 
 def _heights(

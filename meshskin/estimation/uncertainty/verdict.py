@@ -42,6 +42,11 @@ class Verdict:
     reasons: tuple[str, ...] = ()
     """What was found, one sentence each with value, limit and next step; the gravest first."""
 
+    def with_doubts(self, reasons: tuple[str, ...]) -> Verdict:
+        """This verdict with further reasons for doubt."""
+        level = DOUBT if reasons and self.level == PASS else self.level
+        return Verdict(level, (*self.reasons, *reasons))
+
     def __str__(self) -> str:
         return "\n".join([f"verdict: {self.level}", *(f"  - {words}" for words in self.reasons)])
 

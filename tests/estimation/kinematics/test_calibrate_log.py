@@ -68,6 +68,7 @@ def test_a_small_exploration(small):
     assert np.median(np.abs(found.heights)) < 5e-5
     assert np.median(np.abs(found.heights_before)) > 1e-3
     assert found.surprises == ()
+    assert found.calibration.verdict.level == "PASS"
     tight = replace(found, kinematics=small.kinematics(**KNOWN | {"clock_offset": 5e-3}))
     assert [words.split(" of ")[0] for words in tight.surprises] == [
         "clock_offset is 0.037, 7.4 times its believed standard deviation"
@@ -165,3 +166,14 @@ def test_bad_logs_are_refused_in_one_line(small):
         calibrate_log(log, model, belief(small, readings="pressure"))
     with pytest.raises(ConfigError, match="what is calibrated must be a SkinLog"):
         calibrate_log(small.recording, model, belief(small))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("height", [-3e-3, 3e-3])
+def test_an_indenter_at_another_height_is_a_doubt(small, height):
+    known = small.kinematics(**KNOWN)
+    moved = replace(known, indenter=np.add(known.indenter, [0.0, 0.0, height]))
+    found = calibrate_log(small.log, moved, belief(small))
+    assert any("indenter's height" in words for words in found.surprises)
+    assert found.calibration.verdict.level != "PASS"
+    assert set(found.surprises) <= set(found.calibration.verdict.reasons)
