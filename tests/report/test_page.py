@@ -151,6 +151,13 @@ def test_the_page_contains_the_numbers(full: Written) -> None:
         assert part in text, part
 
 
+def test_the_total_time_is_no_stage(case: SimpleNamespace, tmp_path: Path) -> None:
+    seconds = {"gather": 1.0, "joint": 2.5, "total": 4.0}
+    page = write_text(case, tmp_path, seconds=seconds)
+    assert "longest stage: joint" in page.text
+    assert "Time 4.00 s" in " ".join(page.text.split())
+
+
 def test_a_prediction_is_compared_with_the_result(case: SimpleNamespace, tmp_path: Path) -> None:
     promise = {"asked": "0.05 mm", "setting": "25 frames/s", "error_mm": 0.02, "seconds": 4.5}
     shown = write_text(case, tmp_path, metrics=case.METRICS | {"promise": promise})
