@@ -100,7 +100,12 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'meshskin' has no attribute {name!r}")
     home = import_module(f".{_HOMES[name]}", __name__)
-    return home if name == _HOMES[name] else getattr(home, name)
+    if name == _HOMES[name]:
+        return home
+    from .core.field_docs import document_fields
+
+    found = getattr(home, name)
+    return document_fields(found) if isinstance(found, type) else found
 
 
 def __dir__() -> list[str]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from ..core import config
 from ..core.errors import ConfigError, UnknownNameError
+from ..core.field_docs import document_fields
 from .base import Effect, check_effect
 
 if TYPE_CHECKING:
@@ -29,14 +30,14 @@ ENTRY_POINT_GROUP = "meshskin.effects"
 
 
 def find(name: str) -> type[Effect]:
-    """The effect class called `name`; its module is imported here.
+    """The effect class called `name`; its module is imported here, its docstring lists its fields.
 
     Raises UnknownNameError for an unknown name, and ConfigError where the entry point of another
     package cannot be loaded.
     """
     if name in NAMES:
         module = import_module(f".{name}", __package__)
-        return cast(type[Effect], getattr(module, name.title().replace("_", "")))
+        return cast(type[Effect], document_fields(getattr(module, name.title().replace("_", ""))))
     entry_points = _entry_points()
     if name not in entry_points:
         raise UnknownNameError("effect", name, {*NAMES, *entry_points})

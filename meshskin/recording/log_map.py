@@ -146,6 +146,7 @@ class LogMap:
     """The streams of a log that are used, and the message definitions that it lacks."""
 
     streams: tuple[StreamMap, ...]
+    """The streams, at least one; `kind`, `topic` and the other keys of [[stream]]."""
     messages: tuple[Path, ...] = ()
     """.msg files."""
 

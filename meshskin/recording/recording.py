@@ -67,9 +67,13 @@ class Recording:
     """
 
     contacts: pa.Table
+    """time, s; px, py, pz, m, nx, ny, nz, body frame; force, N; qw, qx, qy, qz where known."""
     readings: pa.Table
+    """time, s; taxel, its id; pressure, Pa: those above the threshold, in time order."""
     metadata: dict[str, Any]
+    """Facts of the recording by name; they are saved as JSON."""
     motion: pa.Table | None = None
+    """From simulations only: joint angles and forces, one row per step; None: not kept."""
 
     def __post_init__(self) -> None:
         for name, table, schema in (

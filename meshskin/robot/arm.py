@@ -66,7 +66,9 @@ class Arm:
     """
 
     name: str
+    """Name of the robot in the URDF file."""
     joint_names: tuple[str, ...]
+    """Names of the n joints, from the root to the tip."""
     lower: Array
     """Lowest joint angles (n,), rad; -inf where continuous."""
     upper: Array

@@ -29,6 +29,7 @@ class Robot:
     """The links and joints of a URDF file."""
 
     name: str
+    """Name of the robot in the file."""
     path: Path
     """The URDF file."""
     text: str

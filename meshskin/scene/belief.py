@@ -36,7 +36,9 @@ class Belief(NamedFields):
     """
 
     body: Body
+    """The body, as the owner knows it."""
     indenter: Indenter
+    """The indenter, as the owner knows it."""
     material: Material
     """Nominal material; the joint estimator estimates E* with the taxels."""
     taxel_ids: np.ndarray

@@ -72,17 +72,27 @@ class Scene(NamedFields):
     """
 
     body: Body
+    """The body under the skin."""
     skin: Skin
+    """Its taxels, at their true places."""
     indenter: Indenter = field(default_factory=Indenter)
+    """What the body is pressed on."""
     arm: Arm = field(
         default_factory=lambda: Arm.from_urdf(shipped_scenes.folder() / "puma560.urdf")
     )
+    """The arm that carries the body, or the indenter; by default a Puma 560."""
     material: Material = field(default_factory=Material)
+    """The skin's material."""
     law: Law = field(default_factory=Law)
+    """Gains of the compliance law."""
     exploration: Exploration = field(default_factory=Exploration)
+    """How the contact point covers the skin."""
     readout: Readout = field(default_factory=Readout)
+    """How the skin is read."""
     loop: Loop = field(default_factory=Loop)
+    """How the closed loop is integrated."""
     effects: tuple[Effect, ...] = ()
+    """Effects that are on, in the order of the signal."""
     candidates: tuple[Effect, ...] | None = None
     """Effects that an error budget may add to `effects`; None: every registered effect."""
     budget: float | None = None
@@ -98,7 +108,9 @@ class Scene(NamedFields):
     an indenter carried by the arm, the pose of the indenter's sphere in the tip's frame, z from the
     support to the sphere; None: the support stands on the tip, along its z axis."""
     name: str = "scene"
+    """Name in reports and metrics."""
     description: str = ""
+    """One line about the scene."""
 
     def __post_init__(self) -> None:
         if self.arm is None:

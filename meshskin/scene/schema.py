@@ -21,7 +21,9 @@ from ..skin.skin import Skin
 @dataclass(frozen=True, kw_only=True)
 class _Primitive:
     shape: str
+    """Kind of body."""
     faces: int | None = quantity("", None, above=0)
+    """About how many triangles the mesh has; None: 5,120."""
 
     def make(self, folder: Path) -> Body:
         body: Body = getattr(Body, self.shape)(**given(vars(self), without=("shape",)))
@@ -31,22 +33,27 @@ class _Primitive:
 @dataclass(frozen=True, kw_only=True)
 class _Sphere(_Primitive):
     radius: float = quantity("m", above=0.0)
+    """Radius of the sphere, or of the capsule's ends."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Ellipsoid(_Primitive):
     radii: tuple[float, float, float] = quantity("m", above=0.0)
+    """Semi-axes along x, y and z."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Capsule(_Sphere):
     length: float = quantity("m", above=0.0)
+    """Length between the centres of the ends, along z."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Torus(_Primitive):
     major: float = quantity("m", above=0.0)
+    """Radius of the ring, about z."""
     minor: float = quantity("m", above=0.0)
+    """Radius of the tube."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +61,17 @@ class _Mesh:
     """A mesh file; with `link`, the meshes of that link of a URDF file, sought in `folders`."""
 
     mesh: str
+    """A mesh file, or a URDF file with `link`."""
     units: str | None = None
+    """Unit of the mesh, "m", "cm", "mm" or "in"; glTF and Collada files have their own."""
     open: bool = False
+    """Whether a mesh with borders is accepted."""
     link: str | None = None
+    """Link of the URDF file whose meshes are the body."""
     folders: tuple[str, ...] = ()
+    """Folders that are searched for the link's meshes, too."""
     link_mesh: str = "visual"
+    """"visual" or "collision"."""
 
     def make(self, folder: Path) -> Body:
         if self.link is not None:
@@ -88,14 +101,21 @@ class SkinTable:
     """[skin]: a file, or taxels on a lattice."""
 
     file: str | None = None
+    """A skin file; the other keys are then not used."""
     count: int | None = quantity("", None, above=0)
+    """Number of taxels, nearest to the region's centre; None: as many as the region holds."""
     spacing: float | None = quantity("m", None, above=0.0)
+    """Distance of neighbouring taxels; None: it follows from `count`."""
     disc_radius: float = quantity("m", 2e-3, above=0.0)
+    """Radius of the disc over which a taxel reads the mean pressure."""
     direction: tuple[float, ...] | None = quantity("", None)
+    """Middle of the skin, seen from the body's centre; need not be a unit vector."""
     angle: float | None = quantity("rad", None, above=0.0, most=np.pi)
+    """Largest angle from `direction`; None: no limit."""
     region: Any = None
     """A table, such as {patch = "palm"}; takes precedence over `direction` and `angle`."""
     seed: int = quantity("", 0)
+    """Seed of the lattice."""
 
     def part(self) -> Region | None:
         """The part of the body that the skin covers; None: all. Raises ConfigError."""
@@ -142,13 +162,21 @@ class ArmTable:
     """[arm]: the URDF file, the payload and the mount, and the pose of the base."""
 
     urdf: str = "puma560.urdf"
+    """The robot, a file beside the scene or among the shipped ones."""
     tip: str = "tool0"
+    """Link that carries the body, or the indenter."""
     folders: tuple[str, ...] = ()
+    """Folders that are searched for the links' meshes, too."""
     payload: float = quantity("kg", 1.0, least=0.0, most=1e3)
+    """Mass of the body, spread evenly over its volume."""
     mount: tuple[float, float, float] | None = quantity("m", None)
+    """Position of the body in the tip's frame; None: the skin faces along the tip's z axis."""
     mount_angles: tuple[float, float, float] = quantity("rad", (0.0, 0.0, 0.0))
+    """Rotation vector of the body in the tip's frame; used with `mount`."""
     base: tuple[float, float, float] = quantity("m", (0.0, 0.0, 0.0), least=-10, most=10)
+    """Position of the arm's root link in the world."""
     base_angles: tuple[float, float, float] = quantity("rad", (0.0, 0.0, 0.0))
+    """Rotation vector of the arm's root link in the world."""
 
     def mount_pose(self) -> Array | None:
         """T_tip_body (4, 4) from a position and a rotation vector; None: the scene's default."""
@@ -166,9 +194,14 @@ class SceneTable:
     """The top-level keys with one value: text, and the error budget."""
 
     name: str | None = None
+    """Name in reports and metrics; None: that of the file."""
     description: str | None = None
+    """One line about the scene."""
     contact: str | None = None
+    """Contact model: "hertz", "elliptic", "layered", or "auto" (the default), the first of them
+    that holds at every taxel at which any of them does."""
     budget: float | None = quantity("m", None, above=0.0)
+    """Taxel error that omitted effects may cause; it decides which effects are on."""
 
 
 def given(options: Mapping[str, Any], without: tuple[str, ...] = ()) -> dict[str, Any]:

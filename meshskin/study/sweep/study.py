@@ -70,6 +70,7 @@ class Study:
     """
 
     name: str
+    """Name of the study, in messages and tables."""
     base: str | Path | Scene | None = None
     """Name of a scene, its TOML file, or a Scene made in Python (its body, skin and arm cannot be
     changed); None: no scene, all parameters belong to the run function."""
