@@ -31,7 +31,7 @@ import numpy as np
 import meshskin as ms
 from meshskin import effects
 from meshskin.estimation import chart
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.joint import fault_detection
 from meshskin.estimation.joint.joint_estimator import JointEstimator
 from meshskin.estimation.joint.parametrization import SurfaceParametrization

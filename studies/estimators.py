@@ -34,7 +34,8 @@ from meshskin.core.errors import MeshskinError
 from meshskin.effects.gaussian_noise import GaussianNoise
 from meshskin.estimation import chart
 from meshskin.estimation.calibrate import METHODS
-from meshskin.estimation.data.measurements import Measurements, gather
+from meshskin.estimation.data.gather import gather
+from meshskin.estimation.data.measurements import Measurements
 from meshskin.estimation.joint import maximum_likelihood
 from meshskin.estimation.joint.joint_estimator import JointEstimator
 from meshskin.estimation.joint.parametrization import SurfaceParametrization

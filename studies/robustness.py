@@ -32,7 +32,7 @@ import pyarrow as pa
 
 import meshskin as ms
 from meshskin.estimation import chart
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.joint.joint_estimator import JointEstimator
 from meshskin.estimation.joint.parametrization import SurfaceParametrization
 from meshskin.estimation.joint.reduced_nlp import MAX_ITERATIONS

@@ -11,8 +11,8 @@ Source: Eilers and Marx, "Flexible smoothing with B-splines and penalties", Stat
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -23,6 +23,26 @@ PROFILE_SIZE = 14
 finer than any profile that the mean over a taxel's disc leaves."""
 
 
+@functools.cache
+def whitening() -> Array:
+    """Spline coefficients (PROFILE_SIZE, PROFILE_SIZE) of each whitened coefficient."""
+    n = PROFILE_SIZE
+    second = -2 * np.eye(n + 2, n) + np.eye(n + 2, n, -1) + np.eye(n + 2, n, 1)
+    second[0, 1] += 1.0  # even about u = 0
+    second = second[: n + 1]
+    lower = np.linalg.cholesky(second.T @ second)
+    found = np.linalg.solve(lower.T, np.eye(n))
+    return np.asarray(found / np.sqrt(np.mean(np.sum(found**2, axis=1))))
+
+
+@functools.cache
+def _coefficients() -> Array:
+    """Those of the splines about the knots -1 to PROFILE_SIZE + 3 (PROFILE_SIZE + 5,
+    PROFILE_SIZE): mirrored at zero, and zero from `extent` on."""
+    even = whitening()[1:2]
+    return np.concatenate([even, whitening(), np.zeros((4, PROFILE_SIZE))])
+
+
 @dataclass(frozen=True)
 class ProfileCorrection:
     """Smooth corrections of a pressure profile relative to its peak."""
@@ -30,34 +50,19 @@ class ProfileCorrection:
     extent: float
     """Distance, in semi-axes, from which the correction is zero."""
 
-    @cached_property
-    def whitening(self) -> Array:
-        """Spline coefficients (PROFILE_SIZE, PROFILE_SIZE) of each whitened coefficient."""
-        n = PROFILE_SIZE
-        second = -2 * np.eye(n + 2, n) + np.eye(n + 2, n, -1) + np.eye(n + 2, n, 1)
-        second[0, 1] += 1.0  # even about u = 0
-        second = second[: n + 1]
-        lower = np.linalg.cholesky(second.T @ second)
-        found = np.linalg.solve(lower.T, np.eye(n))
-        return np.asarray(found / np.sqrt(np.mean(np.sum(found**2, axis=1))))
-
-    @cached_property
-    def _coefficients(self) -> Array:
-        """Those of the splines about the knots -1 to PROFILE_SIZE + 3 (PROFILE_SIZE + 5,
-        PROFILE_SIZE): mirrored at zero, and zero from `extent` on."""
-        even = self.whitening[1:2]
-        return np.concatenate([even, self.whitening, np.zeros((4, PROFILE_SIZE))])
-
-    def __call__(self, u: Array) -> tuple[Array, Array]:
-        """Values and slopes (k, PROFILE_SIZE) in u (k,) >= 0 of the whitened basis functions."""
+    def __call__(self, u: Array, whitened: Array) -> tuple[Array, Array, Array]:
+        """The basis functions (k, PROFILE_SIZE) of the whitened coefficients at u (k,) >= 0, the
+        correction (k,) at the coefficients `whitened` (PROFILE_SIZE,), and its slope (k,) in u."""
         step = self.extent / (PROFILE_SIZE + 1)
         t = np.minimum(u / step, PROFILE_SIZE + 1.0)
         below = t.astype(int)
         rows, part = np.arange(len(u)), t - below
-        value, slope = np.zeros((2, len(u), len(self._coefficients)))
+        splines, coefficients = _coefficients(), _coefficients() @ whitened
+        value, slope = np.zeros((len(u), len(splines))), np.zeros(len(u))
         for k, (b, db) in enumerate(_cubic(part)):  # four splines are not zero there
-            value[rows, below + k], slope[rows, below + k] = b, db
-        return value @ self._coefficients, slope @ self._coefficients / step
+            value[rows, below + k] = b
+            slope += db * coefficients[below + k]
+        return (basis := value @ splines), basis @ whitened, slope / step
 
 
 def _cubic(part: Array) -> list[tuple[Array, Array]]:

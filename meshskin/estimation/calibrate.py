@@ -19,7 +19,7 @@ from ..recording.recording import Recording
 from ..scene.belief import RAW
 from . import centroid, chart
 from .calibration import Calibration
-from .data.measurements import gather
+from .data.gather import gather
 from .joint import learned, maximum_likelihood
 from .joint.departures import MIN_SCORE
 from .joint.reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE

@@ -22,7 +22,8 @@ from ..core.errors import CalibrationError
 from ..recording.recording import Recording
 from ..scene.belief import RAW
 from .calibrate import calibrate
-from .data.measurements import Measurements, gather
+from .data.gather import gather
+from .data.measurements import Measurements
 from .data.resolve_belief import valid_contacts
 from .localization import CalibratedSkin
 

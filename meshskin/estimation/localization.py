@@ -107,7 +107,7 @@ class CalibratedSkin:
                 response.force_scatter,
             )
         if calibration.taxel_unknowns:
-            peak = float(np.median(data.peaks))
+            peak = data.nominal_peak
             data = replace(data, parameters=data.parameters.with_nuisance(peak))
             if "drift" in calibration.taxel_unknowns:
                 p = data.parameters

@@ -112,7 +112,7 @@ def measure(taxels: int, contact: str = "hertz", learned: bool = False) -> dict[
     """Numbers of one size, in this process; learned: with a learned response."""
     import resource
 
-    from meshskin.estimation.data.measurements import gather
+    from meshskin.estimation.data.gather import gather
     from meshskin.estimation.joint import learned as learned_estimate
     from meshskin.estimation.joint import maximum_likelihood
     from meshskin.estimation.trilateration import trilaterate

@@ -13,7 +13,7 @@ from meshskin.contact.material import Material
 from meshskin.core import se3
 from meshskin.core.errors import ContactError
 from meshskin.estimation.calibrate import calibrate
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.data.pairs import silent_pairs
 from meshskin.estimation.uncertainty.metrics import cramer_rao, nees, nees_band, position_errors
 from meshskin.geometry.primitives import Ellipsoid

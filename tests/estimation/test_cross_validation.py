@@ -13,7 +13,7 @@ from meshskin.estimation import cross_validation
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.cross_validation import blocks
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.localization import CalibratedSkin
 from meshskin.geometry.body import Body
 from meshskin.recording.recording import CONTACTS, READINGS, Recording

@@ -5,7 +5,7 @@ import pytest
 
 from meshskin.core import se3
 from meshskin.estimation import paper_pipeline
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.demonstration import aligned
 
 

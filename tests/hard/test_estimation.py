@@ -12,7 +12,7 @@ import pytest
 from meshskin.contact.indenter import Indenter
 from meshskin.core.errors import CalibrationError, ContactError, RecordingError
 from meshskin.estimation.calibrate import METHODS, calibrate
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.joint import joint_estimator, maximum_likelihood
 from meshskin.estimation.uncertainty.metrics import nees, position_errors
 from meshskin.geometry.body import Body

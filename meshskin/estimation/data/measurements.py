@@ -11,18 +11,13 @@ import numpy as np
 from ... import contact
 from ...contact.disc import disc_slope, invert_disc_mean
 from ...core.arrays import Array
-from ...core.errors import CalibrationError
-from ...scene.belief import RAW
-from . import unit_checks
-from .global_parameters import MODULUS, GlobalParameters, declared_parameters
-from .raw_readings import check_pressures, nominal_pressure, pressures_above_rest
-from .resolve_belief import resolve_belief, valid_contacts
-from .sensor_range import check_answered, common_end, constant_taxels, ends_of_range
+from .global_parameters import MODULUS, GlobalParameters
 
 if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
     from ...geometry.body import Body
     from ...geometry.surface.closest_point import Closest
-    from ...recording.recording import Recording
     from ...scene.belief import Belief
 
 NOMINAL_NOISE = 0.01
@@ -119,7 +114,7 @@ class Measurements:
     @property
     def sigma(self) -> float:
         """Standard deviation, Pa, that weights the readings."""
-        return self.noise or NOMINAL_NOISE * float(np.median(self.peaks))
+        return self.noise or NOMINAL_NOISE * self.nominal_peak
 
     @cached_property
     def radii(self) -> Array:
@@ -135,6 +130,18 @@ class Measurements:
     def peaks(self) -> Array:
         """Peak pressures p_0 (m,), Pa, at the nominal E*."""
         return np.asarray(self.patches.peak)
+
+    @cached_property
+    def nominal_peak(self) -> float:
+        """Median of the peak pressures, Pa, at the nominal E*."""
+        return float(np.median(self.peaks))
+
+    @cached_property
+    def contact_tree(self) -> cKDTree:
+        """The contact points, for queries by distance."""
+        from scipy.spatial import cKDTree
+
+        return cKDTree(self.points)
 
     def reach(self, scale: float = 1.0) -> Array:
         """Distance (m,), m, across the contact at which a taxel's disc leaves the patch.
@@ -161,7 +168,7 @@ class Measurements:
             normals=hit.normal,
             directions=hit.direction,
             curvature=hit.curvature,
-            patches=_nominal_patches(self.model, self.belief, self.force, hit.curvature),
+            patches=nominal_patches(self.model, self.belief, self.force, hit.curvature),
         )
 
     @cached_property
@@ -201,97 +208,7 @@ class Measurements:
         return np.abs(slope) * self.peaks[self.contact] / a
 
 
-def gather(recording: Recording, belief: Belief) -> Measurements:
-    """The measurements of a recording under a belief.
-
-    Contacts without force (approach) have no patch and are left out, with their readings; so are a
-    few corrupt readings (`unit_checks.corrupt_readings`). Raises RecordingError for contacts that
-    are not finite and for many such readings, taxels read twice in a contact;
-    CalibrationError for no readings, wrong units, unknown taxel ids and headings of another shape;
-    ContactError where the contact model leaves its range.
-    """
-    unit_checks.check_finite(recording)
-    unit_checks.check_readings(recording.metadata.get("readings"), belief.readings)
-    index = _taxel_index(recording.reading_taxel, np.asarray(belief.taxel_ids))
-    unit_checks.check_unique(recording, index, len(belief.taxel_ids))
-    headings = _headings(recording, belief)
-    hit = belief.body.closest(recording.points)
-    unit_checks.check_points(belief.body, recording.points, hit.distance)
-    learned = belief.readings == RAW or belief.contact == contact.LEARNED
-    if learned:
-        belief = replace(belief, contact=contact.LEARNED)
-    belief = resolve_belief(belief, recording)
-    used = recording.force > 0
-    pressure, unit, falling = recording.pressure, 1.0, False
-    if belief.readings == RAW:
-        pressure, belief, unit, falling = nominal_pressure(
-            recording, belief, index, hit.curvature, used
-        )
-    read = used[recording.reading_contact] & (pressure > 0)
-    corrupt = unit_checks.corrupt_readings(pressure, index)
-    read &= ~corrupt
-    _require_readings(read, recording, used)
-    if belief.readings != RAW:
-        contacts = recording.reading_contact[read]
-        check_pressures(pressure[read], contacts, index[read], recording.points)
-    reference, material = belief.force_reference or 1.0, belief.material
-    unit_checks.check_force(recording.force[used], reference)
-    valid = np.ones(int(used.sum()), dtype=bool)
-    if not learned:  # a learned response needs no valid model
-        valid = valid_contacts(recording.force[used], hit.curvature[used], belief)
-    used[used] = valid
-    read &= used[recording.reading_contact]
-    if belief.readings != RAW:  # raw readings fluctuate about their level at rest
-        corrupt |= pressure < 0
-    corrupt &= used[recording.reading_contact]
-    hit, force, row = hit.take(used), recording.force[used], np.cumsum(used) - 1
-    model = contact.ContactModel(belief.contact, material.poisson, material.thickness)
-    patches = _nominal_patches(model, belief, force, hit.curvature)
-    if not learned:
-        unit_checks.check_pressure(pressure[read], index[read], patches.peak)
-    if learned and belief.readings != RAW:
-        level, threshold = pressures_above_rest(
-            pressure[read], index[read], int(used.sum()), belief.threshold
-        )
-        pressure, belief = pressure.copy(), replace(belief, threshold=threshold)
-        pressure[read] = level
-    read &= pressure > belief.threshold
-    _require_readings(read, recording, used)
-    peak, n = float(np.median(patches.peak)), len(belief.taxel_ids)
-    motion = belief.contact_motion and belief.contact_motion.take(used)
-    ends = ends_of_range(pressure[read], index[read], n)
-    saturation = belief.saturation or common_end(ends, np.bincount(index[read], minlength=n))
-    data = Measurements(
-        belief=belief,
-        points=recording.points[used],
-        normals=hit.normal,
-        directions=hit.direction,
-        curvature=hit.curvature,
-        force=force,
-        patches=patches,
-        model=model,
-        contact=row[recording.reading_contact][read],
-        taxel=index[read],
-        pressure=pressure[read],
-        noise=belief.noise_sigma,
-        threshold=max(belief.threshold, float(pressure[read].min())),
-        saturation=saturation,
-        ends=np.minimum(ends, saturation),
-        constant=constant_taxels(recording.pressure, index, n),
-        falling=falling,
-        parameters=declared_parameters(belief.unknown, belief.priors, reference, peak, motion),
-        learned=learned,
-        unit=unit,
-        headings=None if headings is None else headings[used],
-        time=recording.time[used],
-        left_out=int(np.sum(~valid)),
-        corrupt=np.column_stack([row[recording.reading_contact], index])[corrupt],
-    )
-    check_answered(data)
-    return data
-
-
-def _nominal_patches(
+def nominal_patches(
     model: contact.ContactModel, belief: Belief, force: Array, curvature: Array
 ) -> contact.Patches:
     """Patches of forces (m,), N, at curvatures (m, 2), 1/m, and the nominal E*."""
@@ -301,50 +218,3 @@ def _nominal_patches(
         indenter_radius=belief.indenter.radius,
         effective_modulus=belief.material.effective_modulus,
     )
-
-
-def _headings(recording: Recording, belief: Belief) -> Array | None:
-    """Rotations (m, 3, 3), world from body, of the belief, else of the recording."""
-    if belief.headings is None:
-        return recording.headings
-    headings, shape = np.asarray(belief.headings), (len(recording.time), 3, 3)
-    if headings.shape != shape:
-        raise CalibrationError(
-            "belief.headings must have one rotation for each contact of the recording",
-            value=f"shape {headings.shape}",
-            limit=f"shape {shape}",
-        )
-    return headings
-
-
-def _require_readings(read: np.ndarray, recording: Recording, pressed: np.ndarray) -> None:
-    if not np.any(pressed) and len(recording.force):
-        raise CalibrationError(
-            "no contact is pressed",
-            value=f"{len(recording.force)} forces of at most {recording.force.max():.4g} N",
-            limit="above 0 N",
-            remedy="a force is positive where it presses: check its sign",
-        )
-    if not np.any(read):
-        raise CalibrationError(
-            "the recording has no readings of a pressed contact",
-            value=f"{len(recording.pressure)} readings of at most "
-            f"{recording.pressure.max(initial=0.0):.4g} Pa, {np.sum(pressed)} pressed contacts",
-            remedy="check the threshold and the skin's wiring",
-        )
-
-
-def _taxel_index(taxels: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """Row in `ids` of each taxel id. Raises CalibrationError for ids that are not there."""
-    order = np.argsort(ids, kind="stable")
-    row = np.minimum(np.searchsorted(ids[order], taxels), len(ids) - 1)
-    index = order[row]
-    unknown = np.unique(taxels[ids[index] != taxels])
-    if len(unknown):
-        raise CalibrationError(
-            "the recording has taxels that the belief does not know",
-            value=f"ids {', '.join(map(str, unknown[:5]))}{' ...' if len(unknown) > 5 else ''}",
-            limit=f"{len(ids)} ids from {ids.min()} to {ids.max()}",
-            remedy="use the skin that was recorded",
-        )
-    return index

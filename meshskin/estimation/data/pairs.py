@@ -37,11 +37,10 @@ def near_pairs(
     from scipy.spatial import cKDTree
 
     furthest = MAX_SLANT * float(radius.max())
-    tree = cKDTree(data.points)
     found: list[tuple[np.ndarray, np.ndarray]] = []
     for begin in range(0, len(points), CHUNK):
         part = cKDTree(points[begin : begin + CHUNK])
-        pairs = part.sparse_distance_matrix(tree, furthest, output_type="ndarray")
+        pairs = part.sparse_distance_matrix(data.contact_tree, furthest, output_type="ndarray")
         taxel, contact = pairs["i"] + begin, pairs["j"]
         offset = points[taxel] - data.points[contact]
         height = np.einsum("ki,ki->k", offset, data.normals[contact])

@@ -40,7 +40,7 @@ class Electronics:
         """points (n, 3), m: of the taxels, about."""
         self.data, self.readings, self.points = data, readings, points
         self.columns = data.parameters.columns
-        self.peak = float(np.median(data.peaks)) / data.sigma
+        self.peak = data.nominal_peak / data.sigma
         self.source = np.arange(len(readings.taxel))
         """The reading (k,) on which each one's play operator rested when last applied; its own
         where it moved, or rested on none."""

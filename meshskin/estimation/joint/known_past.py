@@ -72,7 +72,7 @@ class History:
     def __init__(self, data: Measurements, state: Array, released: np.ndarray) -> None:
         """state (k,): in units of the noise; released (k,) bool: since it was taken."""
         self.at = data.parameters.columns["hysteresis"].start
-        self.peak = float(np.median(data.peaks)) / data.sigma
+        self.peak = data.nominal_peak / data.sigma
         self.state, self.released = state, released
         self.source = np.arange(len(state))
 

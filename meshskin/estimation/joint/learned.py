@@ -177,7 +177,7 @@ def _extended(
             replace(u, s=np.append(u.s, start)),
         )
     else:
-        peak = float(np.median(effects.data.peaks))
+        peak = effects.data.nominal_peak
         nuisance = (*p.nuisance_sigma, sigma * peak)
         p = replace(p, nuisance_names=(*p.nuisance_names, name), nuisance_sigma=nuisance)
         u = replace(u, nuisance=np.column_stack([u.nuisance, np.zeros(len(u.nuisance))]))
@@ -188,7 +188,7 @@ def _extended(
 def with_learned_response(data: Measurements, points: Array) -> Measurements:
     """The measurements with the parameters of a learned response; points (n, 3), m: of the taxels,
     about."""
-    peak, sigma = float(np.median(data.peaks)), data.sigma
+    peak, sigma = data.nominal_peak, data.sigma
     names = (*LEARNED, *(name for name in data.parameters.names if name not in LEARNED))
     priors = {**LEARNED_PRIORS, **data.belief.priors}
     parameters = declared_parameters(

@@ -188,16 +188,16 @@ def learned_response(effects: RandomEffects, covariance: Array) -> LearnedRespon
     u = np.linspace(0.0, data.profile_extent, SAMPLES)
     offset = (u * radius)[:, None] * contacts.directions[rows]
     model = disc_means(data.model.name, offset, rows, contacts, data.disc)[0]
-    basis = ProfileCorrection(data.profile_extent)(u)[0]
+    basis, correction, _ = ProfileCorrection(data.profile_extent)(u, s[columns["profile"]])
     peak = float(contacts.peaks[middle]) * data.unit
     at = columns["profile"]
     band = np.sqrt(np.einsum("ki,ij,kj->k", basis, covariance[at, at], basis))
     level = np.linspace(0.0, peak, SAMPLES)
     c = columns["compression"].start
-    nominal = float(np.median(data.peaks)) * data.unit
+    nominal = data.nominal_peak * data.unit
     return LearnedResponse(
         distance=u * radius,
-        profile=peak * (model + basis @ s[at]),
+        profile=peak * (model + correction),
         profile_sigma=peak * band,
         model=peak * model,
         level=level,

@@ -333,8 +333,8 @@ class Likelihood:
         a, b = contacts.patches.first[contact], contacts.patches.second[contact]
         x, y = np.einsum("ki,ki->k", offset, along) / a, np.einsum("ki,ki->k", offset, across) / b
         u = np.sqrt(x**2 + y**2 + 1e-12)
-        basis, slopes = ProfileCorrection(self.data.profile_extent)(u)
-        value, slope = basis @ contacts.profile, (slopes @ contacts.profile) / u
+        basis, value, slope = ProfileCorrection(self.data.profile_extent)(u, contacts.profile)
+        slope /= u
         by_point = slope[:, None] * ((x / a)[:, None] * along + (y / b)[:, None] * across)
         if len(contacts.shape) == 1:  # one semi-axis
             return basis, value, by_point, (-slope * (x**2 + y**2),)
@@ -343,7 +343,7 @@ class Likelihood:
     def _compressed(self, mu: Array, jacobian: Array, compression: float, first: int) -> Array:
         """Compressed readings y / (1 + c y / p), p being the nominal peak; rescales `jacobian`."""
         row = first + self.data.parameters.columns["compression"].start
-        relative = mu * (self.data.sigma / float(np.median(self.data.peaks)))
+        relative = mu * (self.data.sigma / self.data.nominal_peak)
         scale = 1 / np.maximum(1 + compression * relative, MIN_DENOMINATOR)
         jacobian *= scale**2
         jacobian[row] -= mu * relative * scale**2

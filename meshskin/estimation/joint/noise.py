@@ -53,7 +53,7 @@ class Noise:
 def least_scale(data: Measurements) -> float:
     """The least noise that is believed, in units of `data.sigma`: below it, errors of the contact
     model decide."""
-    return MIN_SCALE * NOMINAL_NOISE * float(np.median(data.peaks)) / data.sigma
+    return MIN_SCALE * NOMINAL_NOISE * data.nominal_peak / data.sigma
 
 
 def predictions(readings: Readings, residuals: Array, data: Measurements) -> Array:

@@ -86,7 +86,7 @@ def try_gain_offset(estimator: JointEstimator, suspects: np.ndarray) -> JointEst
     than noise is left, gains would absorb errors of the model. The taxels are optimized first, the
     global parameters only if that succeeds.
     """
-    parameters = estimator.data.parameters.with_nuisance(float(np.median(estimator.data.peaks)))
+    parameters = estimator.data.parameters.with_nuisance(estimator.data.nominal_peak)
     if parameters.nuisance_names == estimator.data.parameters.nuisance_names:
         return estimator
     trial = estimator.trial()

@@ -173,7 +173,7 @@ class RandomEffects:
         A compression that made gains smaller at the same readings would be preferred for that
         alone: the estimate is the mode, in which a change of scale of its effects counts.
         """
-        level = self.mu * self.data.sigma / float(np.median(self.data.peaks))
+        level = self.mu * self.data.sigma / self.data.nominal_peak
         found = []
         for row, owner in ((2, self.readings.taxel), (-1, self.readings.contact)):
             weight = self.jacobian[:, row] ** 2

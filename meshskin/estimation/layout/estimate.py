@@ -71,5 +71,5 @@ def touch_radius(data: Measurements) -> float:
     from ...contact.disc import invert_disc_mean
 
     radius = float(np.median(data.radii))
-    level = data.threshold / float(np.median(data.peaks))
+    level = data.threshold / data.nominal_peak
     return radius * float(invert_disc_mean([level], [data.disc / radius])[0])

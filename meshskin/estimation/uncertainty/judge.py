@@ -187,7 +187,7 @@ def _priors(data: Measurements, calibration: Calibration) -> list[Finding]:
     """Global parameters, other than those of a learned response, against their priors."""
     learned = {*LEARNED, *ELECTRONICS}  # free by design; errors of the forces bend the exponents
     names = tuple({label.split()[0] for label in calibration.unknowns} & (set(SIZES) - learned))
-    force, peak = data.belief.force_reference or 1.0, float(np.median(data.peaks))
+    force, peak = data.belief.force_reference or 1.0, data.nominal_peak
     declared = declared_parameters(names, data.belief.priors, force, peak)
     found = []
     for label, sigma in zip(declared.labels, declared.sigma, strict=True):

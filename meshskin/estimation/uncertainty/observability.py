@@ -14,8 +14,9 @@ import numpy as np
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
 from .. import chart
+from ..data.gather import gather
 from ..data.global_parameters import GlobalParameters
-from ..data.measurements import Measurements, gather
+from ..data.measurements import Measurements
 from ..data.pairs import REACH_MARGIN, near_pairs
 from ..joint.contacts import LinearizedContacts
 from ..joint.likelihood import Likelihood, Readings

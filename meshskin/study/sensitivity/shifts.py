@@ -22,7 +22,7 @@ from ...core.errors import ContactError, ReachError, SimulationError
 from ...effects import Effect
 from ...estimation import chart
 from ...estimation.calibrate import calibrate
-from ...estimation.data.measurements import gather
+from ...estimation.data.gather import gather
 from ...estimation.joint import fault_detection
 from ...estimation.joint.joint_estimator import JointEstimator
 from ...estimation.joint.parametrization import SurfaceParametrization

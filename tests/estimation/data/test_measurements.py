@@ -8,7 +8,7 @@ import pytest
 
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation.data import unit_checks
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.recording.recording import Recording
 
 

@@ -9,7 +9,7 @@ import pytest
 import meshskin as ms
 from meshskin.contact import ContactModel
 from meshskin.core.errors import CalibrationError, ConfigError, ContactError, RecordingError
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.data.resolve_belief import resolve_belief, valid_contacts
 from meshskin.recording.recording import Recording
 

@@ -8,7 +8,7 @@ from scipy.stats import chi2, norm
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.calibration import Calibration
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.joint import fault_detection, outlier_rejection
 from meshskin.estimation.joint.likelihood import Readings
 from meshskin.estimation.joint.pressure import CENSORED, OBSERVED

@@ -9,7 +9,7 @@ import pytest
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation import chart
 from meshskin.estimation.calibrate import calibrate
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.joint import maximum_likelihood
 from meshskin.estimation.trilateration import trilaterate
 from meshskin.estimation.uncertainty.metrics import cramer_rao, nees, nees_band, position_errors

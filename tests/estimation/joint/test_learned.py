@@ -15,7 +15,7 @@ from meshskin.contact.material import Material
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.calibration import Calibration
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.joint.contacts import LinearizedContacts
 from meshskin.estimation.joint.learned import with_learned_response
 from meshskin.estimation.joint.likelihood import Likelihood, select

@@ -7,8 +7,8 @@ from scipy.special import log_ndtr
 from meshskin.contact import Patches
 from meshskin.contact.disc import disc_mean
 from meshskin.core.errors import CalibrationError, UnknownNameError
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.data.global_parameters import PRIORS, SIZES, declared_parameters
-from meshskin.estimation.data.measurements import gather
 from meshskin.estimation.data.pairs import near_pairs
 from meshskin.estimation.joint.contacts import Contacts, LinearizedContacts
 from meshskin.estimation.joint.likelihood import Likelihood, Readings

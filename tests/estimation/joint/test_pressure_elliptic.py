@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from meshskin.contact import ContactModel, Patches
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.data.pairs import near_pairs
 from meshskin.estimation.joint.contacts import Contacts, LinearizedContacts
 from meshskin.estimation.joint.likelihood import Likelihood, Readings

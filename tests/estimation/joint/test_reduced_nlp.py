@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from meshskin.estimation import chart
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.joint.contacts import LinearizedContacts
 from meshskin.estimation.joint.likelihood import Likelihood, select
 from meshskin.estimation.joint.parametrization import SurfaceParametrization

@@ -5,8 +5,8 @@ import pytest
 
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation.calibrate import calibrate
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.data.global_parameters import PRIORS, declared_parameters
-from meshskin.estimation.data.measurements import gather
 from meshskin.estimation.joint.joint_estimator import JointEstimator
 from meshskin.estimation.uncertainty.metrics import nees, position_errors
 

@@ -8,7 +8,7 @@ from meshskin.core import se3
 from meshskin.core.errors import UnknownNameError
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.calibration import Calibration
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.uncertainty.metrics import cramer_rao, nees, nees_band, position_errors
 from meshskin.geometry.primitives import Ellipsoid
 from meshskin.recording.recording import CONTACTS, READINGS, Recording

@@ -7,7 +7,7 @@ import pytest
 
 import meshskin as ms
 from meshskin.core.errors import CalibrationError
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.layout.alignment import aligned, root_mean_square
 from meshskin.estimation.layout.estimate import touch_radius
 from meshskin.recording.recording import Recording

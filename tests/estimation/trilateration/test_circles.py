@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from meshskin.contact import ContactModel
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.trilateration import trilaterate
 from meshskin.estimation.trilateration.circles import Circles, Ellipses, circles
 from meshskin.estimation.uncertainty.metrics import nees_band

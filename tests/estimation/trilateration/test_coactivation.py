@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.joint import maximum_likelihood
 from meshskin.estimation.trilateration import coactivation, trilaterate
 

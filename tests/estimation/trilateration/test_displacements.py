@@ -7,7 +7,7 @@ from meshskin.core import se3
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation import chart
 from meshskin.estimation.calibrate import calibrate
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.trilateration import trilaterate
 from meshskin.estimation.trilateration.displacements import (
     SharedContacts,

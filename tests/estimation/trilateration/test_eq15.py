@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from meshskin.estimation.calibrate import calibrate
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.trilateration import eq15, trilaterate
 from meshskin.estimation.uncertainty.metrics import nees
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.trilateration import trilaterate
 from meshskin.estimation.uncertainty.metrics import nees_band
 from meshskin.geometry.body import Body

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from meshskin.estimation.calibrate import calibrate
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.trilateration import coactivation
 from meshskin.estimation.uncertainty.metrics import position_errors
 from meshskin.recording.recording import Recording

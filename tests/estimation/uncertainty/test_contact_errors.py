@@ -8,7 +8,7 @@ import pytest
 
 import meshskin as ms
 from meshskin.estimation.calibrate import METHODS
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.uncertainty import contact_errors
 from meshskin.recording.recording import Recording
 

@@ -6,7 +6,7 @@ from scipy.stats import chi2
 
 from meshskin.estimation import chart
 from meshskin.estimation.calibrate import calibrate
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.joint import module_parametrization
 from meshskin.estimation.joint.contacts import LinearizedContacts
 from meshskin.estimation.joint.likelihood import Likelihood, select

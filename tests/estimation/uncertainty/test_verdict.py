@@ -11,7 +11,7 @@ from meshskin.cli.calibrate import assess, summary
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation.calibrate import METHODS, calibrate
 from meshskin.estimation.calibration import Calibration
-from meshskin.estimation.data.measurements import gather
+from meshskin.estimation.data.gather import gather
 from meshskin.estimation.uncertainty.judge import surrounded
 from meshskin.recording.recording import Recording
 
