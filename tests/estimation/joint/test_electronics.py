@@ -24,7 +24,7 @@ def electronics(contact, taxel, points, time=None, names=("hysteresis", "crossta
     data = SimpleNamespace(
         time=0.01 * np.arange(contact.max() + 1) if time is None else time,
         parameters=declared_parameters(names, {}, 3.0, PEAK),
-        peaks=np.full(3, PEAK),
+        nominal_peak=PEAK,
         sigma=SIGMA,
     )
     return Electronics(data, readings, points)
