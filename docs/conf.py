@@ -1,11 +1,15 @@
 """Configuration of the documentation: `python -m sphinx -W docs docs/_build`."""
 
 import hashlib
+import os
 import sys
 from pathlib import Path
 
 DOCS = Path(__file__).parent
 sys.path[:0] = [str(DOCS.parent), str(DOCS / "_ext")]
+# notebooks run in processes of their own: with this package and its command
+os.environ["PYTHONPATH"] = os.pathsep.join([str(DOCS.parent), os.environ.get("PYTHONPATH", "")])
+os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 
 import meshskin  # noqa: E402
 
@@ -14,10 +18,11 @@ author = "the authors of meshskin"
 release = version = meshskin.__version__
 
 extensions = [
+    "mathml",
     "myst_nb",
+    "notebook_streams",
     "sphinx.ext.autodoc",
     "sphinx.ext.doctest",
-    "sphinx.ext.mathjax",
     "sphinx_copybutton",
     "sphinx_design",
 ]
@@ -25,6 +30,9 @@ exclude_patterns = ["_build", "_ext"]
 html_theme = "furo"
 html_title = f"meshskin {version}"
 html_show_copyright = False
+html_math_renderer = "mathml"
+html_static_path = ["_static"]
+html_css_files = ["custom.css"]
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "fieldlist"]
 myst_heading_anchors = 3
