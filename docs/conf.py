@@ -4,6 +4,7 @@ import hashlib
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 DOCS = Path(__file__).parent
 sys.path[:0] = [str(DOCS.parent), str(DOCS / "_ext")]
@@ -12,6 +13,7 @@ os.environ["PYTHONPATH"] = os.pathsep.join([str(DOCS.parent), os.environ.get("PY
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 
 import meshskin  # noqa: E402
+import reference  # noqa: E402
 
 project = "meshskin"
 author = "the authors of meshskin"
@@ -58,3 +60,14 @@ nb_execution_in_temp = True
 nb_execution_raise_on_error = True
 nb_execution_timeout = 120
 nb_merge_streams = True
+
+
+def setup(app: Any) -> None:
+    """Write the generated pages before Sphinx reads the sources; docstrings as they are written."""
+    app.connect("builder-inited", write_pages)
+    app.connect("autodoc-process-docstring", reference.document)
+    app.connect("autodoc-process-signature", reference.sign)
+
+
+def write_pages(app: Any) -> None:
+    reference.write(DOCS / "reference" / "generated", DOCS / "_build" / ".effects" / package_hash())

@@ -19,8 +19,6 @@ from typing import Any, TypeVar
 from .arguments import repr_short
 
 T = TypeVar("T")
-DIGITS = 6
-"""Significant digits of limits that are printed: more than any limit that is written has."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,7 @@ def limits(field: dataclasses.Field[Any]) -> str:
     """The bounds of a field made by `quantity`, in words and SI units."""
     words = {"above": "above", "least": "at least", "most": "at most"}
     bounds = {word: field.metadata.get(key) for key, word in words.items()}
-    return ", ".join(f"{w} {b:.{DIGITS}g}" for w, b in bounds.items() if b is not None)
+    return ", ".join(f"{w} {b:g}" for w, b in bounds.items() if b is not None)
 
 
 def document_fields(cls: type[T]) -> type[T]:
