@@ -6,7 +6,6 @@ belief, compared with the other methods, assessed against the true skin, and rep
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -20,9 +19,11 @@ import numpy as np
 from .core.arguments import check_integer
 from .core.atomic_io import check_folder, write_json
 from .core.errors import CalibrationError, GraphError, ReachError
+from .core.progress import Progress, Stage
 from .core.provenance import StageTimer, provenance
 from .estimation.calibrate import Estimation
 from .estimation.calibration import Calibration
+from .estimation.comparison import METHODS, Comparison, compare_methods
 from .estimation.demonstration import Demonstration, demonstrate
 from .estimation.joint.reduced_nlp import NEWTON_TOLERANCE
 from .estimation.uncertainty import metrics as truth
@@ -30,7 +31,7 @@ from .recording.recording import Recording
 from .scene.belief import Belief
 from .scene.scene import Scene
 from .simulation.response import ForceResponse, describe_departure, force_response
-from .simulation.simulate import Progress, counter, simulate
+from .simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from .exploration.path import Path as ExplorationPath
@@ -38,22 +39,10 @@ if TYPE_CHECKING:
     from .study.sensitivity.budget import BudgetReport
     from .study.sensitivity.request import Request
 
-METHODS = (
-    "trilateration",
-    "three_circles",
-    "eq15",
-    "posegraph",
-    "posegraph_isotropic",
-    "posegraph_paper",
-    "centroid",
-)
-"""Methods that calibrate the same recording for comparison with the joint estimate."""
 RESULTS = (
     "calibration.parquet", "calibration.csv", "metrics.json", "report.html", "corrected.urdf",
 )  # fmt: skip
 """Files that a calibration writes; those of an earlier recording are removed."""
-MIN_ALIGNED = 3
-"""Least number of taxels that determine the rigid motion between a pose graph and the truth."""
 MAPS = 16
 """Processor time of a report in units of the time of one map of the estimates (measured on the
 shipped scenes; it predicts the time of a request)."""
@@ -101,6 +90,7 @@ def run(
     check_integer("seed", seed, least=0)
     folder, timer = Path(folder), StageTimer()
     with timer.stage("load"):
+        Stage(progress, "plan")  # goes on, and ends, in `simulate`
         scene = Scene.load(name)
         if budget is not None:
             scene = scene.with_(budget=budget)
@@ -113,9 +103,9 @@ def run(
     path, prediction, tolerance = None, None, NEWTON_TOLERANCE
     if request is not None:
         with timer.stage("pilot"):
-            done = counter(progress, "pilot", 1)
+            pilots = Stage(progress, "pilot", 1)
             scene, path, tolerance, prediction = _settings_for(scene, request, seed, timer)
-            done()
+            pilots.end()
     with timer.stage("simulate"):
         if scene.indenter.carried_by is not None:
             plan = plan_exploration(scene)
@@ -127,17 +117,17 @@ def run(
         belief = scene.belief() if decided is None else decided.belief
         tolerance = tolerance if decided is None else decided.tolerance
         estimation = Estimation(recording, belief)
-        calibration = estimation.calibrate(tolerance=tolerance)
+        calibration = estimation.calibrate(tolerance=tolerance, progress=progress)
         calibration.save(folder / "calibration")
     with timer.stage("compare"):
-        comparisons, missing = _compare(estimation)
+        comparison = compare_methods(estimation, progress)
         demonstration = None
         with suppress(CalibrationError, GraphError):  # where taxels share too few contacts
             demonstration = demonstrate(scene.skin.poses, scene.skin.ids, recording, seed)
     with timer.stage("metrics"):
         force = _force(recording, scene)
         metrics = _assess(scene, belief, recording, calibration, force, demonstration)
-        metrics |= _errors(comparisons, scene.skin) | missing
+        metrics |= _errors(comparison, scene.skin)
         metrics["worse_than_centroid"] = _worse_than_centroid(metrics)
         if decided is not None:
             mean = metrics["position_error_mm"]["mean"]
@@ -145,10 +135,10 @@ def run(
         if prediction is not None:
             metrics["promise"] = prediction
     result = Result(
-        scene, recording, calibration, comparisons, demonstration, force, metrics, decided
+        scene, recording, calibration, comparison.found, demonstration, force, metrics, decided
     )
     with timer.stage("report"):
-        _write_report(result, folder, seed, timer.seconds)
+        _write_report(result, folder, seed, timer.seconds, progress)
     if prediction is not None:
         prediction["came_to"] = {
             "error_mm": metrics["position_error_mm"]["mean"],
@@ -190,34 +180,6 @@ def _settings_for(
         return chosen, path, prediction.setting.tolerance, record
     assert reason is not None
     raise reason
-
-
-def _compare(
-    estimation: Estimation,
-) -> tuple[dict[str, Calibration], dict[str, dict[str, Any]]]:
-    """Calibrations by the other methods, and metrics with the reason of those that fail."""
-    found: dict[str, Calibration] = {}
-    missing: dict[str, dict[str, Any]] = {}
-    for method in METHODS:
-        try:
-            other = estimation.calibrate(method)
-            _check_placed(other, MIN_ALIGNED if method.startswith("posegraph") else 1)
-        except (CalibrationError, GraphError) as error:
-            missing[method] = {"mean": None, "rms": None, "max": None, "why": str(error)}
-        else:
-            found[method] = other
-    return found, missing
-
-
-def _check_placed(found: Calibration, fewest: int) -> None:
-    """Raise CalibrationError if too few taxels have a position to be compared with the truth."""
-    placed = np.isfinite(found.positions).all(axis=1)
-    if placed.sum() < fewest:
-        reasons = Counter(map(str, np.asarray(found.reasons)[~placed])).most_common(1)
-        why = reasons[0][0] if reasons else "there are no more taxels"
-        raise CalibrationError(
-            f"too few taxels to compare: {why}", value=f"{placed.sum()} placed", limit=fewest
-        )
 
 
 def _report_time(scene: Scene) -> Callable[[Calibration], float]:
@@ -287,10 +249,13 @@ def _nees_band(calibration: Calibration) -> list[float] | None:
     return list(truth.nees_band(int(calibration.observed[:, :2].all(axis=1).sum())))
 
 
-def _errors(comparisons: dict[str, Calibration], skin: Skin) -> dict[str, dict[str, Any]]:
-    """Position errors, mm, of the other methods."""
-    errors = {}
-    for method, other in comparisons.items():
+def _errors(comparison: Comparison, skin: Skin) -> dict[str, dict[str, Any]]:
+    """Position errors, mm, of the other methods, or why there are none."""
+    errors: dict[str, dict[str, Any]] = {
+        method: {"mean": None, "rms": None, "max": None, "why": why}
+        for method, why in comparison.missing.items()
+    }
+    for method, other in comparison.found.items():
         # displacements say nothing about the pose of the whole
         gauge = method.startswith("posegraph")
         errors[method] = truth.summary_mm(truth.position_errors(other, skin, gauge=gauge))
@@ -319,7 +284,13 @@ def _force_metrics(force: ForceResponse, departure: str) -> dict[str, Any]:
     }
 
 
-def _write_report(result: Result, folder: Path, seed: int, seconds: dict[str, float]) -> None:
+def _write_report(
+    result: Result,
+    folder: Path,
+    seed: int,
+    seconds: dict[str, float],
+    progress: Progress | None,
+) -> None:
     """Write the report page and the figures."""
     from .report.page import report
 
@@ -335,4 +306,5 @@ def _write_report(result: Result, folder: Path, seed: int, seconds: dict[str, fl
         seconds=seconds,
         budget=result.budget,
         provenance=provenance(scene=result.scene.name, seed=seed),
+        progress=progress,
     )

@@ -27,8 +27,10 @@ from ..core.errors import CalibrationError
 from . import belief_options, log_options
 from .belief_options import belief_of
 from .log_options import CORRECTED, FromLog, from_log
+from .progress_bar import bar
 
 if TYPE_CHECKING:
+    from ..core.progress import Progress
     from ..estimation.calibration import Calibration
     from ..recording.recording import Recording
     from ..scene.belief import Belief
@@ -64,27 +66,40 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--export-format", metavar="FORMAT", help="whatever the suffix: urdf_tactile"
     )
+    parser.add_argument("--quiet", action="store_true", help="print no progress bar and no summary")
 
 
 def command(options: argparse.Namespace) -> int:
     """Calibrate, write the results, and print the summary."""
+    from ..estimation.uncertainty.verdict import FAIL
+
+    with bar(options.quiet) as progress:
+        found, words = _calibrated(options, progress)
+    if not options.quiet:
+        print(words)
+    return FAILED if found.verdict is not None and found.verdict.level == FAIL else 0
+
+
+def _calibrated(options: argparse.Namespace, progress: Progress | None) -> tuple[Calibration, str]:
+    """The calibration, whose results are written, and the summary."""
     from ..core.atomic_io import check_folder, check_writable, write_json
     from ..core.provenance import provenance
     from ..estimation.calibrate import calibrate
-    from ..estimation.uncertainty.verdict import FAIL
     from ..pipeline import remove_results
     from ..skin.files import check_format
 
     if options.export is not None:
         check_format(options.export_format or options.export.suffix.lstrip("."))
     clock = perf_counter()
-    given = _recorded(options) if options.map is None else from_log(options)
+    given = _recorded(options) if options.map is None else from_log(options, progress)
     recording, belief = given.recording, given.belief
     check_folder(options.out)
     if options.export is not None:
         check_writable(options.export)
     limit = {} if options.iterations is None else {"iterations": options.iterations}
-    found = given.found or calibrate(recording, belief, method=options.method, **limit)
+    found = given.found or calibrate(
+        recording, belief, method=options.method, progress=progress, **limit
+    )
     remove_results(options.out)
     found.save(options.out / "calibration")
     if given.robot is not None:
@@ -94,7 +109,7 @@ def command(options: argparse.Namespace) -> int:
     metrics = assess(found, recording)
     validation = None
     if options.cross_validate is not None:
-        validation = found.cross_validate(recording, options.cross_validate, belief)
+        validation = found.cross_validate(recording, options.cross_validate, belief, progress)
         metrics["cross_validation"] = validation.metrics()
     found.report(
         options.out / "report.html",
@@ -104,11 +119,11 @@ def command(options: argparse.Namespace) -> int:
         seconds=found.seconds,
         provenance=provenance(recording=str(options.recording)),
         validation=validation,
+        progress=progress,
     )
     metrics["seconds"] = {**found.seconds, "all": perf_counter() - clock}
     write_json(options.out / "metrics.json", metrics)
-    print("\n".join([summary(found, metrics, options.out), *given.lines]))
-    return FAILED if found.verdict is not None and found.verdict.level == FAIL else 0
+    return found, "\n".join([summary(found, metrics, options.out), *given.lines])
 
 
 def _recorded(options: argparse.Namespace) -> FromLog:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .run import bar
+from .progress_bar import bar
 
 if TYPE_CHECKING:
     from ..study.sensitivity.cost import Costs

@@ -16,6 +16,7 @@ from ..core.errors import ConfigError
 from .belief_options import belief_of
 
 if TYPE_CHECKING:
+    from ..core.progress import Progress
     from ..estimation.calibration import Calibration
     from ..estimation.kinematics.calibrate_log import LogCalibration
     from ..recording.recording import Recording
@@ -67,9 +68,10 @@ class FromLog:
     """The robot with the estimated offsets of its joints, likewise."""
 
 
-def from_log(options: argparse.Namespace) -> FromLog:
+def from_log(options: argparse.Namespace, progress: Progress | None = None) -> FromLog:
     """The log of --map on one clock, with its contacts; where these follow from joint angles, they
-    are calibrated with the taxels. Raises RecordingError, ConfigError, CalibrationError.
+    are calibrated with the taxels. progress: as of `calibrate`. Raises RecordingError,
+    ConfigError, CalibrationError.
     """
     from ..recording.from_log import recording_from_log
     from ..recording.log_map import LogMap
@@ -84,7 +86,7 @@ def from_log(options: argparse.Namespace) -> FromLog:
     belief, lines = belief_of(options, frames.skin_log.taxel_ids), list(summary(frames, log))
     if options.indenter_mm is None:
         return FromLog(recording_from_log(log, log_map, frames), belief, lines)
-    found, robot = _calibrate_joints(options, frames.skin_log, belief)
+    found, robot = _calibrate_joints(options, frames.skin_log, belief, progress)
     return FromLog(found.recording, belief, lines + _lines(found), found.calibration, robot)
 
 
@@ -110,7 +112,7 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _calibrate_joints(
-    options: argparse.Namespace, log: SkinLog, belief: Belief
+    options: argparse.Namespace, log: SkinLog, belief: Belief, progress: Progress | None
 ) -> tuple[LogCalibration, Robot]:
     """The calibration by joint angles, and the robot with the estimated offsets of its joints."""
     from ..estimation.kinematics.calibrate_log import calibrate_log
@@ -123,7 +125,7 @@ def _calibrate_joints(
     robot = Robot.from_urdf(options.body, options.folder)
     centre = 1e-3 * np.array(options.indenter_mm)
     kinematics = robot.contact_kinematics(options.link, centre, options.carrier, unknown=unknown)
-    found = calibrate_log(log, kinematics, belief)
+    found = calibrate_log(log, kinematics, belief, progress)
     offsets = {name: value for name, (value, _) in found.joint_offsets.items()}
     return found, robot.with_joint_offsets(offsets)
 

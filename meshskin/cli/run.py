@@ -5,12 +5,11 @@ from __future__ import annotations
 import argparse
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .calibrate import certainty, response_lines
+from .progress_bar import bar
 
 if TYPE_CHECKING:
     from ..pipeline import Result
@@ -59,35 +58,6 @@ def command(options: argparse.Namespace) -> int:
             print(result.budget)
         print(summary(result, options.out))
     return 0
-
-
-@contextmanager
-def bar(quiet: bool) -> Iterator[Callable[..., None]]:
-    """A callback that shows the progress of one stage after the other on stderr.
-
-    The remaining time does not count what a stage had done when it began.
-    """
-    from tqdm import tqdm
-
-    bars: dict[str, tqdm] = {}
-
-    def progress(stage: str, done: int, total: int, note: str = "") -> None:
-        if stage not in bars:
-            for bar in bars.values():
-                bar.close()
-            bars[stage] = tqdm(
-                total=total, initial=done, desc=f"{stage:10}", unit="", disable=quiet
-            )
-        bars[stage].set_postfix_str(note, refresh=False)
-        bars[stage].update(done - bars[stage].n)
-        if done >= total:
-            bars[stage].close()
-
-    try:
-        yield progress
-    finally:
-        for bar in bars.values():
-            bar.close()
 
 
 def summary(result: Result, folder: Path) -> str:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .run import bar
+from .progress_bar import bar
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -40,7 +40,9 @@ def command(options: argparse.Namespace) -> int:
     with bar(options.quiet) as show:
 
         def progress(state: Progress) -> None:
-            show("cases", state.done, state.total, f"{state.failed} failed" * bool(state.failed))
+            if show is not None:
+                failed = f", {state.failed} failed" * bool(state.failed)
+                show("cases", state.done, state.total, failed)
 
         table = study.sweep(
             options.out,

@@ -14,6 +14,7 @@ import numpy as np
 from ..core.arguments import check_integer, check_real, check_type, check_vectors
 from ..core.arrays import Array
 from ..core.errors import ConfigError, ReachError
+from ..core.progress import Progress, Stage
 from ..exploration.lane_plan import NOT_COVERED
 from ..exploration.plan import plan_exploration
 from ..recording.recording import Recording
@@ -86,14 +87,16 @@ def adapt(
     most: int = 2000,
     touch: ContactSamplerFactory = static_sampler,
     points: Array | None = None,
+    progress: Progress | None = None,
 ) -> Adaptive:
     """Explore until the stated uncertainty of every taxel is at most `target`, m, or cannot be.
 
     The uncertainty is `Calibration.position_sigma`. most: contacts in all. touch: static contacts
     by default; `closed_loop_sampler` simulates the arm. points (k, 3), m: contacts of the first
-    pass; by default sparse ones on geodesic lanes. Raises ConfigError for a target outside (0,
-    sensing radius) and for fewer contacts than the first pass has; ReachError if no contact can be
-    made.
+    pass; by default sparse ones on geodesic lanes. progress(stage, done, total): called after each
+    round of the stage "adapt"; done are the taxels that no more contacts are made for.
+    Raises ConfigError for a target outside (0, sensing radius) and for fewer contacts than the
+    first pass has; ReachError if no contact can be made.
     """
     check_type(Scene, scene, "what is explored")
     check_real("target of an adaptive exploration", target)
@@ -108,7 +111,8 @@ def adapt(
     if points is None:
         points, unreachable = lane_contacts(scene, FIRST_SPACING)
     points = _checked(points, most)
-    belief, progress = scene.belief(), _Progress(target, dict(unreachable))
+    belief, rounds = scene.belief(), _Rounds(target, dict(unreachable))
+    stage = Stage(progress, "adapt", len(scene.skin.ids))
     sample = touch(scene, seed)
     recording, _ = sample(points)
     if not calibrate(recording, belief).touched.all():
@@ -116,24 +120,26 @@ def adapt(
         recording = concatenate(recording, sample(gaps)[0]) if len(gaps) else recording
     while True:
         calibration = calibrate(recording, belief)
-        remaining = progress.update(calibration, len(recording.time), most)
+        remaining = rounds.update(calibration, len(recording.time), most)
         if remaining <= 0:
-            return Adaptive(recording, calibration, tuple(progress.rounds), progress.unmet)
+            stage.end()
+            return Adaptive(recording, calibration, tuple(rounds.rounds), rounds.unmet)
+        stage.at(stage.total - rounds.pending)
         batch = min(max(MIN_BATCH, int(BATCH * len(recording.time))), remaining)
-        planned = _without(calibration, progress.unmet).next_contacts(batch)
+        planned = _without(calibration, rounds.unmet).next_contacts(batch)
         reached = planned.worst <= target
         count = int(np.argmax(reached)) + 1 if reached[-1] else batch
         taxels = planned.taxel[:count]
         try:
             more, reasons = sample(planned.points[:count])
         except ReachError:
-            progress.give_up(taxels, NO_CONTACT)
+            rounds.give_up(taxels, NO_CONTACT)
             continue
         recording = concatenate(recording, more)
         for taxel in np.unique(taxels):
             failed = reasons[taxels == taxel]
             if (failed != "").all():
-                progress.give_up(np.array([taxel]), str(failed[0]))
+                rounds.give_up(np.array([taxel]), str(failed[0]))
 
 
 def _checked(points: Array, most: int) -> Array:
@@ -152,7 +158,7 @@ def _checked(points: Array, most: int) -> Array:
 
 
 @dataclass
-class _Progress:
+class _Rounds:
     """The rounds, and the taxels that are given up."""
 
     target: float
@@ -162,6 +168,8 @@ class _Progress:
     """Fewest undetermined taxels, and smallest largest uncertainty, m, so far."""
     stagnant: int = 0
     """Rounds without improvement."""
+    pending: int = 0
+    """Taxels above the target that are not given up."""
 
     def give_up(self, taxels: Array, reason: str) -> None:
         """Plan no more contacts for these taxels (ids)."""
@@ -195,7 +203,8 @@ class _Progress:
             self.give_up(calibration.ids[hopeless], NO_IMPROVEMENT)
             pending &= ~hopeless
             self.best, self.stagnant = (np.inf, np.inf), 0
-        return most - contacts if pending.any() else 0
+        self.pending = int(pending.sum())
+        return most - contacts if self.pending else 0
 
 
 def lane_contacts(scene: Scene, spacing: float) -> tuple[Array, Mapping[int, str]]:

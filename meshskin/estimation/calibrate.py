@@ -14,6 +14,7 @@ from ..contact import AUTO, LEARNED
 from ..core.arguments import check_integer, check_name, check_real, check_type
 from ..core.blas import single_threaded
 from ..core.errors import CalibrationError
+from ..core.progress import Progress, Stage
 from ..core.provenance import digest, provenance
 from ..recording.recording import Recording
 from ..scene.belief import RAW
@@ -68,6 +69,7 @@ class Estimation:
         method: str = "joint",
         tolerance: float = NEWTON_TOLERANCE,
         iterations: int = MAX_ITERATIONS,
+        progress: Progress | None = None,
     ) -> Calibration:
         """The calibration by a method; arguments and errors as `calibrate`."""
         check_name("method", method, tuple(METHODS))
@@ -80,7 +82,11 @@ class Estimation:
                 remedy=f"use one of {', '.join(UNITLESS)}",
             )
         begin, data = time.perf_counter(), self.data
-        result = self.joint(tolerance, iterations) if method == "joint" else METHODS[method](self)
+        stage = Stage(progress, "calibrate", maximum_likelihood.USUAL_STEPS)
+        if method == "joint":
+            result = self.joint(stage, tolerance, iterations)
+        else:
+            result = METHODS[method](self, stage)
         shape = observability.shape_operators(data.body, result.points, result.rotations)
         covariance = result.pose_covariances
         if covariance is None:
@@ -129,10 +135,15 @@ class Estimation:
                 source=recording.metadata.get("provenance", {}),
             ),
         )
-        return replace(calibration, verdict=judge(recording, near, calibration, result.departures))
+        verdict = judge(recording, near, calibration, result.departures)
+        stage.end()
+        return replace(calibration, verdict=verdict)
 
     def joint(
-        self, tolerance: float = NEWTON_TOLERANCE, iterations: int = MAX_ITERATIONS
+        self,
+        stage: Stage,
+        tolerance: float = NEWTON_TOLERANCE,
+        iterations: int = MAX_ITERATIONS,
     ) -> EstimatorResult:
         """Maximum likelihood over all readings; arguments as `calibrate`.
 
@@ -140,14 +151,15 @@ class Estimation:
         the readings contradict it.
         """
         if self.data.learned:
-            return learned.estimate(self.data)
+            return learned.estimate(self.data, stage)
         result = maximum_likelihood.estimate(
             self.data,
             iterations=iterations,
             tolerance=tolerance,
             trilaterated=self.least_squares,
+            stage=stage,
         )
-        return self._learned(result) if self._contradicted(result) else result
+        return self._learned(result, stage) if self._contradicted(result) else result
 
     def _contradicted(self, found: EstimatorResult) -> bool:
         """Whether the contact model was chosen by "auto", and the readings contradict it."""
@@ -156,11 +168,12 @@ class Estimation:
         misfits = found.fit is not None and found.fit.good is False
         return misfits or max(found.departures.values(), default=0.0) > MIN_SCORE
 
-    def _learned(self, found: EstimatorResult) -> EstimatorResult:
+    def _learned(self, found: EstimatorResult, stage: Stage) -> EstimatorResult:
         """The estimate with a learned response; `found`, that of the contact model, where it does
         not converge."""
         try:
-            return learned.estimate(gather(self.recording, replace(self.belief, contact=LEARNED)))
+            data = gather(self.recording, replace(self.belief, contact=LEARNED))
+            return learned.estimate(data, stage)
         except CalibrationError:
             return found
 
@@ -169,29 +182,29 @@ class Estimation:
         """Trilateration by least squares over all circles of each taxel."""
         return trilaterate.least_squares(self.data)
 
-    def trilateration(self) -> EstimatorResult:
+    def trilateration(self, stage: Stage) -> EstimatorResult:
         """`least_squares`, with covariances scaled by the residuals where the noise is unknown."""
         return self._scaled(self.least_squares)
 
-    def three_circles(self) -> EstimatorResult:
+    def three_circles(self, stage: Stage) -> EstimatorResult:
         """Trilateration by three chosen circles, scaled as `trilateration`."""
         return self._scaled(trilaterate.three_circles(self.data))
 
-    def eq15(self) -> EstimatorResult:
+    def eq15(self, stage: Stage) -> EstimatorResult:
         """The paper's trilateration as printed."""
         fit = eq15.estimate(self.data)
         trilaterate.require_any(fit)
         return fit
 
-    def centroid(self) -> EstimatorResult:
+    def centroid(self, stage: Stage) -> EstimatorResult:
         """The weighted mean of the contact points of each taxel: the baseline."""
         return centroid.estimate(self.data)
 
-    def coactivation(self) -> EstimatorResult:
+    def coactivation(self, stage: Stage) -> EstimatorResult:
         """The layout by which taxels answer together, placed by the contact points."""
         from .layout import estimate
 
-        return estimate.estimate(self.data)
+        return estimate.estimate(self.data, stage)
 
     def _scaled(self, fit: EstimatorResult) -> EstimatorResult:
         trilaterate.require_any(fit)
@@ -203,16 +216,19 @@ class Estimation:
         trilaterate.require_any(self.least_squares)
         return SharedContacts(self.data, self.least_squares)
 
-    def _measured(self, trilateration: Trilateration) -> Displacements:
+    def _measured(self, stage: Stage, trilateration: Trilateration) -> Displacements:
         """The displacements by a trilateration of both taxels of each pair."""
         if trilateration not in self._displacements:
             shared = self._shared_contacts
             draws = -(-MIN_DRAWN // int(self.least_squares.found.sum()))
-            self._displacements[trilateration] = shared.displacements(trilateration, draws)
+            self._displacements[trilateration] = shared.displacements(trilateration, draws, stage)
         return self._displacements[trilateration]
 
     def posegraph(
-        self, isotropic: bool = False, trilateration: Trilateration = trilaterate.solve
+        self,
+        stage: Stage,
+        isotropic: bool = False,
+        trilateration: Trilateration = trilaterate.solve,
     ) -> EstimatorResult:
         """The pose graph of the displacements between co-active taxels; arguments as
         `Displacements.graph` and `SharedContacts.displacements`.
@@ -220,9 +236,11 @@ class Estimation:
         from .uncertainty import gauge
 
         begin = time.perf_counter()
-        measured, fit = self._measured(trilateration), self.least_squares
+        measured, fit = self._measured(stage, trilateration), self.least_squares
         graph = measured.graph(fit, self.data.ids, isotropic)
+        stage.step()
         solution = graph.solve(keep_iterates=True)
+        stage.step()
         assert solution.iterates is not None
         placed, linked = gauge.aligned(graph, solution.poses)
         row = np.flatnonzero(fit.found)
@@ -261,7 +279,7 @@ class Estimation:
         )
 
 
-METHODS: dict[str, Callable[[Estimation], EstimatorResult]] = {
+METHODS: dict[str, Callable[[Estimation, Stage], EstimatorResult]] = {
     "joint": Estimation.joint,
     "posegraph": Estimation.posegraph,
     "posegraph_isotropic": partial(Estimation.posegraph, isotropic=True),
@@ -283,6 +301,7 @@ def calibrate(
     method: str = "joint",
     tolerance: float = NEWTON_TOLERANCE,
     iterations: int = MAX_ITERATIONS,
+    progress: Progress | None = None,
 ) -> Calibration:
     """Estimate the pose of every taxel of `belief.taxel_ids` from the readings of `recording`.
 
@@ -299,6 +318,7 @@ def calibrate(
     sqrt(2 tolerance) standard deviations).
     iterations: the most iterations of IPOPT over the shared unknowns, in each linearization. Other
     methods use neither.
+    progress(stage, done, total): called between the steps of the stage "calibrate".
     Raises UnknownNameError for another method, ConfigError for a tolerance that is not positive or
     a limit of iterations that is not a positive integer,
     RecordingError for values that are not finite, CalibrationError for a scene in place of a
@@ -306,4 +326,4 @@ def calibrate(
     determined, ContactError where the believed contact model leaves its range.
     """
     check_name("method", method, tuple(METHODS))
-    return Estimation(recording, belief).calibrate(method, tolerance, iterations)
+    return Estimation(recording, belief).calibrate(method, tolerance, iterations, progress)

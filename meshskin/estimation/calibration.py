@@ -23,6 +23,7 @@ from .uncertainty.goodness_of_fit import GoodnessOfFit
 from .uncertainty.verdict import Verdict
 
 if TYPE_CHECKING:
+    from ..core.progress import Progress
     from ..recording.recording import Recording
     from ..scene.belief import Belief
     from .cross_validation import CrossValidation
@@ -160,18 +161,23 @@ class Calibration:
         return next_contacts(self, belief, k)
 
     def cross_validate(
-        self, recording: Recording, folds: int = 5, belief: Belief | None = None
+        self,
+        recording: Recording,
+        folds: int = 5,
+        belief: Belief | None = None,
+        progress: Progress | None = None,
     ) -> CrossValidation:
         """Errors of contacts that are localised by a skin calibrated without them, and by the
         centroid of the taxels that read (cross_validation.py); no truth is needed.
 
         recording: what was calibrated. belief: as in `calibrate`; only a calibration that was
-        loaded from a file needs it. Raises CalibrationError without one, and for fewer blocks of
+        loaded from a file needs it. progress(stage, done, total): called after each fold. Raises
+        CalibrationError without one, and for fewer blocks of
         contacts than folds; as `calibrate`.
         """
         from .cross_validation import cross_validate
 
-        return cross_validate(self, recording, folds, belief)
+        return cross_validate(self, recording, folds, belief, progress)
 
     @property
     def parameter_values(self) -> dict[str, tuple[float, float, str]]:

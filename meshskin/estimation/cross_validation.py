@@ -19,6 +19,7 @@ from ..contact import LEARNED
 from ..core.arguments import check_integer
 from ..core.arrays import Array
 from ..core.errors import CalibrationError
+from ..core.progress import Progress, Stage
 from ..recording.recording import Recording
 from ..scene.belief import RAW
 from .calibrate import calibrate
@@ -98,7 +99,11 @@ def _summary(errors: Array) -> dict[str, float | None]:
 
 
 def cross_validate(
-    calibration: Calibration, recording: Recording, folds: int = 5, belief: Belief | None = None
+    calibration: Calibration,
+    recording: Recording,
+    folds: int = 5,
+    belief: Belief | None = None,
+    progress: Progress | None = None,
 ) -> CrossValidation:
     """The cross-validation of the method and contact model of a calibration; arguments and errors
     as `Calibration.cross_validate`."""
@@ -120,6 +125,7 @@ def cross_validate(
     localized, centroids = np.full(data.points.shape, np.nan), np.full(data.points.shape, np.nan)
     points, likelihood = data.points.copy(), np.zeros(len(data.points))
     count = np.zeros(len(data.points), dtype=int)
+    stage = Stage(progress, "cross-validate", folds)
     for k in range(folds):
         held = np.flatnonzero(fold == k)
         others = np.ones(len(recording.time), dtype=bool)
@@ -132,6 +138,7 @@ def cross_validate(
         found, number = skin.log_likelihoods(held)
         likelihood += found
         count += number
+        stage.step()
     return CrossValidation(
         points, localized, centroids, fold, likelihood, count, _pitch(calibration.positions)
     )

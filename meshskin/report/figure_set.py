@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.progress import Stage
 from . import curves, learned_response, maps, precision, theme
 from .data import ReportData, method_name
 from .markup import SavedFigure
@@ -21,10 +22,13 @@ ACCURACY_TIME = "accuracy_time"
 """Name of the figure that has a section of its own."""
 
 
-def draw_figures(folder: Path, data: ReportData) -> list[SavedFigure]:
+def draw_figures(folder: Path, data: ReportData, stage: Stage) -> list[SavedFigure]:
     """Draw and save every figure that the data allow, in the order of the page."""
-    drawn = (force, response, estimates, errors, uncertainty, coverage, iterations, accuracy_time)
-    return [p for draw in drawn for p in [draw(folder, data)] if p is not None]
+    pictures = []
+    for draw in DRAWN:
+        pictures.append(draw(folder, data))
+        stage.step()
+    return [picture for picture in pictures if picture is not None]
 
 
 def _save(
@@ -207,3 +211,7 @@ def iterations(folder: Path, data: ReportData) -> SavedFigure | None:
         "Maps of the estimates at the first, middle and last iteration",
     )
     return replace(picture, also=also)
+
+
+DRAWN = (force, response, estimates, errors, uncertainty, coverage, iterations, accuracy_time)
+"""The figures, in the order of the page."""

@@ -12,6 +12,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from ..core.atomic_io import write_text
+from ..core.progress import Progress, Stage
 from . import markup
 from .markup import Content
 
@@ -72,6 +73,7 @@ def report(
     provenance: Mapping[str, Any] | None = None,
     budget: BudgetReport | None = None,
     validation: CrossValidation | None = None,
+    progress: Progress | None = None,
 ) -> list[Path]:
     """Write the page `path` and, in the folder figures/ beside it, every figure as PNG and SVG.
 
@@ -79,12 +81,13 @@ def report(
     place of errors. comparisons: calibrations of the same recording by other methods.
     demonstration: the pose graph from the origin; without it, the first pose graph that kept its
     iterates is shown. metrics: as in metrics.json. seconds: of each stage. budget: the decisions
-    of an error budget. validation: what `calibration.cross_validate` gave.
+    of an error budget. validation: what `calibration.cross_validate` gave. progress(stage, done,
+    total): called after each figure of the stage "report".
 
     Returns the paths written, the page first. Raises OutputError if a file cannot be written.
     """
     from .data import ReportData
-    from .figure_set import draw_figures
+    from .figure_set import DRAWN, draw_figures
     from .sections import content
 
     started = perf_counter()
@@ -102,7 +105,9 @@ def report(
         validation,
     )
     path = Path(path)
-    pictures = draw_figures(path.parent / "figures", data)
+    stage = Stage(progress, "report", len(DRAWN) + 1)
+    pictures = draw_figures(path.parent / "figures", data, stage)
     data = replace(data, seconds={**data.seconds, "figures": perf_counter() - started})
     write(path, content(data, pictures))
+    stage.end()
     return [path, *(file for picture in pictures for file in picture.files)]

@@ -6,9 +6,8 @@ loop), readout.contact_frames (Frames of contacts) and readout.sensor_tables (th
 
 from __future__ import annotations
 
-import itertools
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -21,6 +20,7 @@ from .. import effects
 from ..core.arguments import check_type
 from ..core.arrays import Array
 from ..core.errors import ConfigError, SkinError
+from ..core.progress import Progress, Stage
 from ..core.provenance import provenance
 from ..core.se3 import inverse
 from ..exploration.path import Path as ExplorationPath
@@ -43,21 +43,6 @@ BODY_COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 MAX_BATCH = 8192
 """Most steps of the closed loop whose tables are made at once: enough to spread the overhead of the
 tables, and some MB of memory."""
-
-Progress = Callable[[str, int, int], None]
-"""progress(stage, done, total)"""
-
-
-def counter(progress: Progress | None, stage: str, total: int) -> Callable[[], None]:
-    """A function that reports one more step of a stage; the report of 0 steps is made at once."""
-    counted = itertools.count()
-
-    def step() -> None:
-        if progress is not None:
-            progress(stage, next(counted), total)
-
-    step()
-    return step
 
 
 def simulate(
@@ -89,7 +74,9 @@ def simulate(
         )
     if scene.indenter.carried_by is not None:
         return _pressed(scene, seed, path or plan_exploration(scene).path, out, chain)
+    planning = Stage(progress, "plan", 1)
     simulator, path = prepare(scene, path=path)
+    planning.end()
     steps = run(scene, simulator, path, progress)
     batches = _tables(scene, chain or effect_pipeline(scene, seed), simulator.loop, steps)
     metadata = recording_metadata(scene) | {

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
+from ...core.progress import Stage
 from ..data.measurements import Measurements
 from ..data.pairs import REACH_MARGIN
 from . import fault_detection
@@ -63,10 +64,12 @@ class JointEstimator:
         tolerance: float = NEWTON_TOLERANCE,
         shared: Array | None = None,
         nuisance: Array | None = None,
+        stage: Stage | None = None,
     ) -> None:
         """live: rows of the taxels that are estimated; weight (k,): of the readings; iterations,
         tolerance: as of `maximum_likelihood.estimate`; shared (ks,): values at which the global
-        parameters stay, by default they are estimated; nuisance (n, .): start of the taxels'.
+        parameters stay, by default they are estimated; nuisance (n, .): start of the taxels';
+        stage: its steps are the linearizations.
         """
         self.data, self.live, self.iterations = data, live, iterations
         moving = data.parameters.move_contacts
@@ -78,7 +81,7 @@ class JointEstimator:
         self.iterates = [parametrization.points()]
         self.faults = np.full(len(data.ids), "", dtype=object)
         self.broken = np.zeros(len(live), dtype=bool)
-        self.frozen = shared is not None
+        self.frozen, self.stage = shared is not None, stage or Stage()
         s = data.parameters.start() if shared is None else shared
         z = None
         if nuisance is not None:
@@ -165,6 +168,7 @@ class JointEstimator:
             if iteration and not moving:
                 break
             problem.solve_inner(self.state)
+            self.stage.step()
             self.record(self.state)
             if not self.frozen:
                 status = self._solve_shared(status)

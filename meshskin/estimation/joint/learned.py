@@ -19,6 +19,7 @@ import numpy as np
 
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
+from ...core.progress import Stage
 from .. import chart
 from ..data.global_parameters import LEARNED, LEARNED_PRIORS, PRIORS, declared_parameters
 from ..data.measurements import Measurements
@@ -56,18 +57,20 @@ LEAST_GAIN = 0.5
 --worlds hysteresis crosstalk; `sphere_noisy` with hysteresis, an indenter offset or scan_order)."""
 MAX_ROUNDS = 3
 """Largest number of times that outlying readings are left out and the rest is estimated again."""
+USUAL_STEPS = 40
+"""Usual steps of Gauss and Newton, of variances, and of searches for second optima."""
 MOVED = 0.02
 """Move of a taxel, in contact radii, from which it is at another optimum."""
 
 
-def estimate(data: Measurements) -> EstimatorResult:
+def estimate(data: Measurements, stage: Stage | None = None) -> EstimatorResult:
     """The estimate with a learned response, from trilateration, or co-activation where it fails.
 
-    Raises CalibrationError if no taxel is determined, the estimate does not converge, or modules
-    are rigid.
+    stage: whose steps are counted. Raises CalibrationError if no taxel is determined, the estimate
+    does not converge, or modules are rigid.
     """
     try:
-        return _estimate(data)
+        return _estimate(data, stage or Stage())
     except SingularMatrixError as error:
         raise CalibrationError(
             "the estimate with a learned response did not converge",
@@ -76,7 +79,7 @@ def estimate(data: Measurements) -> EstimatorResult:
         ) from error
 
 
-def _estimate(data: Measurements) -> EstimatorResult:
+def _estimate(data: Measurements, stage: Stage) -> EstimatorResult:
     """As `estimate`; SingularMatrixError where normal equations are singular."""
     clock = time.perf_counter()
     if data.belief.module_slots is not None:
@@ -90,7 +93,8 @@ def _estimate(data: Measurements) -> EstimatorResult:
     data = coactivation.without_distant_readings(data)
     start = coactivation.initial_estimate(data, trilaterate.least_squares(data))
     live, reasons = coactivation.live_taxels(data, start, stuck.rows)
-    effects = _begin(with_learned_response(data, start.points), live, start)
+    stage.expect(USUAL_STEPS)
+    effects = _begin(with_learned_response(data, start.points), live, start, stage)
     weight = np.ones(len(data.pressure))
     effects, departures = _converged(effects)
     for _ in range(MAX_ROUNDS):
@@ -182,7 +186,7 @@ def _extended(
         p = replace(p, nuisance_names=(*p.nuisance_names, name), nuisance_sigma=nuisance)
         u = replace(u, nuisance=np.column_stack([u.nuisance, np.zeros(len(u.nuisance))]))
     data = replace(effects.data, parameters=p)
-    return RandomEffects(data, effects.readings, u, deviations, effects.pattern)
+    return RandomEffects(data, effects.readings, u, deviations, effects.pattern, effects.stage)
 
 
 def with_learned_response(data: Measurements, points: Array) -> Measurements:
@@ -209,7 +213,9 @@ def with_learned_response(data: Measurements, points: Array) -> Measurements:
     return replace(data, belief=belief, parameters=parameters, noise=sigma, profile_extent=extent)
 
 
-def _begin(data: Measurements, live: np.ndarray, start: EstimatorResult) -> RandomEffects:
+def _begin(
+    data: Measurements, live: np.ndarray, start: EstimatorResult, stage: Stage
+) -> RandomEffects:
     """The estimate at its start."""
     charts = chart.charts_at(data.body, start.points[live], start.rotations[live])
     s, nuisance = data.parameters.start(), np.zeros((len(live), 2))
@@ -228,7 +234,7 @@ def _begin(data: Measurements, live: np.ndarray, start: EstimatorResult) -> Rand
     data, deviations = replace(data, response_levels=effects.response_levels()), effects.deviations
     pattern = effects.pattern
     del effects  # two would need twice the memory
-    return RandomEffects(data, readings, unknowns, deviations, pattern)
+    return RandomEffects(data, readings, unknowns, deviations, pattern, stage)
 
 
 def _first_noise(start: EstimatorResult, data: Measurements) -> float:
@@ -254,8 +260,9 @@ def _frozen(effects: RandomEffects, live: np.ndarray, weight: Array) -> JointEst
     )
     nuisance = u.nuisance * np.where(units == 1.0, 1.0, data.sigma / noise)
     estimator = JointEstimator(
-        frozen, live, u.parametrization, weight.copy(), 1, shared=u.s, nuisance=nuisance
-    )
+        frozen, live, u.parametrization, weight.copy(), 1, shared=u.s, nuisance=nuisance,
+        stage=effects.stage,
+    )  # fmt: skip
     estimator.converge()
     return estimator
 
@@ -287,5 +294,6 @@ def _restarted(effects: RandomEffects, estimator: JointEstimator) -> RandomEffec
     weight = np.where(estimator.weight < 0.5, 0.0, 1.0)
     readings = select(data, estimator.live, points, normals, 0.0, weight, estimator.silent_weight)
     return RandomEffects(
-        data, readings, replace(u, parametrization=parametrization), effects.deviations
-    )
+        data, readings, replace(u, parametrization=parametrization), effects.deviations,
+        stage=effects.stage,
+    )  # fmt: skip

@@ -20,6 +20,7 @@ import numpy as np
 from ...core.arrays import Array
 from ...core.blas import single_threaded
 from ...core.errors import CalibrationError
+from ...core.progress import Stage
 from .. import chart
 from ..data.measurements import Measurements
 from ..result import CENSORING, MOSTLY_OUTLIERS, RIVAL, SURFACE, EstimatorResult
@@ -48,6 +49,9 @@ WIDENED = (
 ESTIMATED_NOISE = "noise of {:.3g} Pa, estimated from {} pairs of neighbouring contacts"
 MISFITTING = "without {} contacts whose readings fit no others: bumps, jumps of the curvature"
 """Factor of an estimate that some contacts were left out of."""
+USUAL_STEPS = 12
+"""Usual steps of an estimate: the start, two linearizations, and eight searches for second optima,
+of which a skin without open edges needs none."""
 RADIUS_TOLERANCE = 0.03
 """Relative standard deviation of the indenter's radius, which readings cannot tell from E*. Chosen:
 0.3 mm of 10 mm, as a worn or printed indenter has it."""
@@ -64,6 +68,7 @@ def estimate(
     iterations: int = MAX_ITERATIONS,
     tolerance: float = NEWTON_TOLERANCE,
     trilaterated: EstimatorResult | None = None,
+    stage: Stage | None = None,
 ) -> EstimatorResult:
     """The most likely unknowns, from trilateration as a start, or co-activation where it fails.
 
@@ -71,13 +76,17 @@ def estimate(
 
     iterations: limit of IPOPT's; tolerance: the Newton decrement at which taxels and global
     parameters are at the optimum, in units of the cost; trilaterated: the least-squares
-    trilateration of `data`, if it is known. Raises CalibrationError if no taxel is determined or
-    the optimizer does not converge, ContactError where the estimate leaves the contact model.
+    trilateration of `data`, if it is known; stage: whose steps are counted. Raises
+    CalibrationError if no taxel is determined or the optimizer does not converge, ContactError
+    where the estimate leaves the contact model.
     """
-    clock = time.perf_counter()
-    estimator, reasons, restarted = _converged(data, start, iterations, tolerance, trilaterated)
+    clock, stage = time.perf_counter(), stage or Stage()
+    estimator, reasons, restarted = _converged(
+        data, start, iterations, tolerance, trilaterated, stage
+    )
     if (noisy := with_estimated_noise(data, estimator)) is not data:
-        return estimate(noisy, start, iterations, tolerance, trilaterated)
+        stage.expect(USUAL_STEPS)
+        return estimate(noisy, start, iterations, tolerance, trilaterated, stage)
     stuck, live, rivals = stuck_taxels(data), estimator.live, resolve_rivals(estimator)
     distances = np.linalg.norm(rivals.points - estimator.problem.points(estimator.state), axis=1)
     for k in np.flatnonzero(np.isfinite(distances)):
@@ -116,7 +125,8 @@ def _without_misfitting_contacts(
         return result
     fewer = replace(fewer, parameters=data.parameters)  # with gains only where they are needed
     try:
-        again = estimate(fewer, start, iterations, tolerance)
+        estimator.stage.expect(USUAL_STEPS)
+        again = estimate(fewer, start, iterations, tolerance, stage=estimator.stage)
     except CalibrationError:
         return result
     return again if again.fit is not None and again.fit.good else result
@@ -128,6 +138,7 @@ def _converged(
     iterations: int,
     tolerance: float,
     trilaterated: EstimatorResult | None,
+    stage: Stage,
 ) -> tuple[JointEstimator, np.ndarray, np.ndarray]:
     """The converged estimate without outlying readings, the reasons (n,) of the taxels that are not
     determined, and the rows of those that were started again; arguments as `estimate`.
@@ -147,7 +158,10 @@ def _converged(
         placed = np.isin(np.arange(len(data.ids)), live)
         parametrization, live = align_modules(data, start.points, placed, step)
     weight = np.where(np.isin(data.taxel, stuck.rows), 0.0, 1.0)
-    estimator = JointEstimator(data, live, parametrization, weight, iterations, tolerance)
+    stage.step()
+    estimator = JointEstimator(
+        data, live, parametrization, weight, iterations, tolerance, stage=stage
+    )
     estimator.converge()
     restarted = estimator.restart(trilaterate.centroids(near)[live])
     return reject_outliers(estimator), reasons, restarted

@@ -20,6 +20,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...core.arrays import Array
+from ...core.progress import Stage
 from ..data.global_parameters import ELECTRONICS
 from ..data.measurements import Measurements
 from ..posegraph.symmetric_blocks import SingularMatrixError
@@ -75,10 +76,11 @@ class RandomEffects:
         unknowns: Unknowns,
         deviations: Deviations,
         pattern: CouplingPattern | None = None,
+        stage: Stage | None = None,
     ) -> None:
         """data: with a learned profile, gains and offsets among its parameters; pattern: of the
-        readings, if it is known."""
-        self.data, self.readings = data, readings
+        readings, if it is known; stage: its steps are those of Gauss and Newton."""
+        self.data, self.readings, self.stage = data, readings, stage or Stage()
         self.likelihood = Likelihood(data, readings)
         self.pattern = pattern or CouplingPattern(readings, len(data.points))
         self.size = 2 + unknowns.nuisance.shape[1]
@@ -284,6 +286,7 @@ class RandomEffects:
         """Move unknowns and variances until they no longer change; False at the limit of steps."""
         settled = SETTLED * int((self.readings.kind == OBSERVED).sum())
         for iteration in range(MAX_ITERATIONS):
+            self.stage.step()
             (move, posterior), gain = self.step(settled), np.inf
             if posterior is not None:
                 gain = self.update_variances(posterior)

@@ -95,7 +95,10 @@ def find_rivals(estimator: JointEstimator) -> RivalOptima:
         return best
     limit = MAX_LOG_ODDS * max(variance, 1.0)
     estimate = points[rows], estimator.state.z[rows]
-    for start in _starts(estimator, rows, points[rows], reach):
+    starts = _starts(estimator, rows, points[rows], reach)
+    estimator.stage.expect(len(starts) + 1)
+    for start in starts:
+        estimator.stage.step()
         found = _optimum(estimator, rows, start)
         valid = np.linalg.norm(found[0] - points[rows], axis=1) > MIN_DISTANCE * reach
         valid &= _part_on_sheet(estimator, rows, found[0]) >= MIN_ON_SHEET

@@ -17,6 +17,7 @@ from ...contact import BATCHED, ContactModel
 from ...core.arguments import check_type
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
+from ...core.progress import Progress
 from ...geometry.body import Body
 from ...recording.log_contacts import contact_frames, joint_path, recording_of
 from ...recording.recording import Recording
@@ -100,12 +101,18 @@ class LogCalibration:
         return tuple(found)
 
 
-def calibrate_log(log: SkinLog, kinematics: ContactKinematics, belief: Belief) -> LogCalibration:
+def calibrate_log(
+    log: SkinLog,
+    kinematics: ContactKinematics,
+    belief: Belief,
+    progress: Progress | None = None,
+) -> LogCalibration:
     """Calibrate the skin of a log, and the unknowns of the robot that its contacts follow from.
 
     belief: the body in its frame, the indenter's radius and the materials; its readings="raw" where
     the log has counts. Forces are the log's, else the reference force at every contact, whose
-    errors the learned response estimates. Raises UnknownNameError for a joint that the log lacks,
+    errors the learned response estimates. progress: as of `calibrate`, in each round.
+    Raises UnknownNameError for a joint that the log lacks,
     RecordingError for a log without contacts, CalibrationError where the heights do not converge,
     and as `calibrate`.
     """
@@ -135,7 +142,8 @@ def calibrate_log(log: SkinLog, kinematics: ContactKinematics, belief: Belief) -
         _, points, normals = surface_heights(kinematics, belief.body, centres, s)
         off = points + told.residuals[:, None] * normals
         recording = recording_of(log, frames, off, normals, force, belief.readings)
-        found = calibrate(recording, _corrected(belief, kinematics, s, motion))
+        corrected = _corrected(belief, kinematics, s, motion)
+        found = calibrate(recording, corrected, progress=progress)
         values = np.array([found.unknowns[label][0] for label in kinematics.labels])
         moved = kinematics.centres(path, time, values)[0] - centres - slopes @ (values - s)
         x = heights.with_depth(values)

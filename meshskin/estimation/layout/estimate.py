@@ -8,6 +8,7 @@ import numpy as np
 
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
+from ...core.progress import Stage
 from .. import centroid
 from ..result import EstimatorResult
 from ..trilateration import trilaterate
@@ -29,15 +30,17 @@ FACTORS = (
 )
 
 
-def estimate(data: Measurements) -> EstimatorResult:
-    """The layout of the taxels on the believed body.
+def estimate(data: Measurements, stage: Stage | None = None) -> EstimatorResult:
+    """The layout of the taxels on the believed body; stage: whose steps are counted.
 
     Raises CalibrationError where too few taxels answer together, or have a weighted mean of contact
     points that are not on a line.
     """
-    frames = np.zeros((len(data.points), len(data.ids)))
+    frames, stage = np.zeros((len(data.points), len(data.ids))), stage or Stage()
     frames[data.contact, data.taxel] = np.maximum(data.pressure, 0.0)
-    plane = layout(frames, data.ids, touch_radius=touch_radius(data))
+    plane = layout(frames, data.ids, touch_radius=touch_radius(data), progress=stage.progress)
+    stage.expect(3)
+    stage.step()
     means = centroid.estimate(data).points
     rows = np.flatnonzero((plane.reasons == "") & np.isfinite(means).all(axis=1))
     if len(rows) < 3:
@@ -46,6 +49,7 @@ def estimate(data: Measurements) -> EstimatorResult:
         )
     lengths = path_lengths(distinct_levels(frames))[np.ix_(rows, rows)]
     start = OnBody.at(data.body, aligned(plane.positions[rows], means[rows]))
+    stage.step()
     shape, _ = settled(start, lengths, touch_radius(data), free=False)
     placed = OnBody.at(data.body, aligned(shape.positions, means[rows], mirror=False))
     n = len(data.ids)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from ...core.arguments import check_array, check_real, check_type, check_vector
 from ...core.arrays import Array, Index
 from ...core.errors import CalibrationError
+from ...core.progress import Progress, Stage
 from ...core.provenance import random_stream
 from . import on_body, stress, tiles
 from .alignment import aligned
@@ -106,6 +107,7 @@ def layout(
     body: Body | None = None,
     centre: ArrayLike | None = None,
     seed: int = 0,
+    progress: Progress | None = None,
 ) -> Layout:
     """Where the taxels of a skin are, from which of them answer together. No pose is needed.
 
@@ -119,7 +121,8 @@ def layout(
     body: the taxels lie on its surface; it needs a scale, and excludes modules. centre (3,): where
     on it the middle of the skin is, m; by default the place whose curvature agrees best, which on
     most bodies is but one of many.
-    seed: of the draws for the standard deviations.
+    seed: of the draws for the standard deviations. progress(stage, done, total): called between the
+    steps of the stage "layout".
 
     Raises CalibrationError for frames, ids or knowledge that cannot be used, ConfigError for a body
     or a seed that is none.
@@ -141,12 +144,14 @@ def layout(
     reasons = np.where(part, "", np.where(levels.any(axis=0), APART, SILENT)).astype(object)
     rows = np.flatnonzero(part)
     inner = lengths[np.ix_(rows, rows)]
+    stage = Stage(progress, "layout", DRAWS + 2)
     points, unit, modules = known.plane(rows, inner)
+    stage.step()
     departure = _departures(stress.distances(points), inner, unit)
     scaled = bool(spacing or touch_radius) or modules is not None
     gauge, factors = _said(known, scaled)
     error = stress.misfit(stress.distances(points), inner, unit)
-    drawn = _drawn(levels, rows, known, points, scaled, seed)
+    drawn = _drawn(levels, rows, known, points, scaled, seed, stage)
     if tiled and modules is not None:
         modules, wrong = tiles.tiled(modules)
         points, departure = modules.positions, np.hypot(departure, wrong[modules.module])
@@ -164,6 +169,7 @@ def layout(
     positions[keep] = points[~seldom]
     sigma[keep] = np.hypot(drawn, departure)[~seldom]
     named = "m" if scaled else "spacings"
+    stage.end()
     return Layout(numbers, positions, sigma, reasons, named, gauge, factors, error)
 
 
@@ -216,8 +222,9 @@ def _departures(along: Array, lengths: Array, unit: float) -> Array:
 
 
 def _drawn(
-    levels: np.ndarray, rows: Index, known: _Known, points: Array, scaled: bool, seed: int
-) -> Array:
+    levels: np.ndarray, rows: Index, known: _Known, points: Array, scaled: bool, seed: int,
+    stage: Stage,
+) -> Array:  # fmt: skip
     """Root mean square displacement (r,) of the taxels `rows` at `points` (r, 2) in layouts from
     randomly weighted strokes; NaN for taxels that are apart in too many of them.
 
@@ -227,6 +234,7 @@ def _drawn(
     random = random_stream(seed, "layout draws")
     square, count = np.zeros(len(rows)), np.zeros(len(rows))
     for _ in range(DRAWS):
+        stage.step()
         weight = random.gamma(VARIATION**-2, VARIATION**2, stroke[-1] + 1)
         lengths = path_lengths(levels[:, rows], weight[stroke])
         part = largest_part(lengths)

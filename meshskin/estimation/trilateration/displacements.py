@@ -20,6 +20,7 @@ import numpy as np
 from ...core import se3
 from ...core.arrays import Array, ranges
 from ...core.errors import CalibrationError
+from ...core.progress import Stage
 from .. import chart
 from ..chart import Charts
 from ..data.measurements import Measurements
@@ -130,14 +131,19 @@ class SharedContacts:
         return self._perturbed[draw, level]
 
     def displacements(
-        self, trilateration: Trilateration = trilaterate.solve, draws: int = 0
+        self,
+        trilateration: Trilateration = trilaterate.solve,
+        draws: int = 0,
+        stage: Stage | None = None,
     ) -> Displacements:
         """The displacements, each taxel of a pair by `trilateration` from their shared contacts.
 
         trilateration: `trilaterate.solve` uses all circles, `trilaterate.intersect` three chosen
-        ones. draws: number of random errors. Raises CalibrationError if none can be trilaterated.
+        ones. draws: number of random errors; stage: its steps are the draws. Raises
+        CalibrationError if none can be trilaterated.
         """
-        data, charts = self.data, self.charts
+        data, charts, stage = self.data, self.charts, stage or Stage()
+        stage.expect(draws + 3)
         y, information, chi2 = trilateration(self.circles, charts)
         valid = np.asarray(trilaterate.width(self.circles, charts) > trilaterate.MIN_WIDTH)
         valid &= np.linalg.norm(y, axis=1) < data.disc
@@ -163,6 +169,7 @@ class SharedContacts:
         )
         errors = np.empty((len(measured), 6, draws))
         for k in range(draws):
+            stage.step()
             moved_y = trilateration(self.perturbed(k, level), charts)[0][both]
             moved = _measured(data, used, moved_y)
             turned = np.swapaxes(measured[:, :3, :3], 1, 2) @ moved[:, :3, :3]

@@ -22,10 +22,10 @@ import numpy as np
 from ...core.arguments import check_type
 from ...core.arrays import Array
 from ...core.errors import ConfigError
+from ...core.progress import Progress, Stage
 from ...effects import Effect
 from ...exploration.plan import plan_exploration
 from ...scene.scene import Scene
-from ...simulation.simulate import Progress, counter
 from .budget_report import BudgetReport, Check, Entry
 from .knobs import Knob, mesh_bodies, scene_knobs, time_steps
 from .replay import Holdout, Replay
@@ -124,9 +124,9 @@ class BudgetTrial:
             scene.with_(effects=effects), self._bodies, replay.steps_in_all, self.frames
         )
         total = sum(len(knob.levels) for knob in knobs) + len(effects) + 1
-        done = counter(progress, "budget", total)
+        stage = Stage(progress, "budget", total)
         self.knobs = tuple(
-            measured_knob(knob, replay, self._changed, self.path, self.halves, self.belief, done)
+            measured_knob(knob, replay, self._changed, self.path, self.halves, self.belief, stage)
             for knob in knobs
         )
         finest = {k: v for knob in self.knobs for k, v in knob.levels[-1].changes.items()}
@@ -134,7 +134,7 @@ class BudgetTrial:
         """The scene with all effects, at the finest levels."""
         self.shifts = EffectShifts(replay, self.halves, self.belief, effects, seeds)
         self.tolerance = tolerance_knob(self.shifts, self.frames)
-        done()
+        stage.step()
         self.changed: dict[str, int] = {}
         """Taxels that are determined only with an effect, or only without it, by its name."""
         cells = self.frames * len(scene.skin.ids)
@@ -145,7 +145,7 @@ class BudgetTrial:
         for effect in effects:
             if effect.name not in self.screened:
                 items.append(self._effect_item(effect))
-            done()
+            stage.step()
         for knob in (*self.knobs, self.tolerance):
             items += _knob_items(knob, len(seeds))
         self.items = tuple(items)

@@ -23,8 +23,8 @@ import numpy as np
 
 from ...core.arguments import check_integer, check_real, check_type
 from ...core.errors import StudyError, UnknownNameError
+from ...core.progress import Progress, Stage
 from ...scene.scene import Scene
-from ...simulation.simulate import Progress, counter
 from .knobs import FINER, Level, single_changes, worthwhile
 from .numerical_error import NumericalReference, Route, routes
 from .request import Pilot, Request
@@ -145,7 +145,7 @@ def cost(
     asked = [
         (k, s) for k, s in single_changes(base, scene) if k == "scene" or (k in knobs and s != base)
     ]
-    done = counter(progress, "cost", len(asked) + len(targets))
+    stage = Stage(progress, "cost", len(asked) + len(targets))
     confirmed = routes(reference)
     # the first run of a process takes longer: no row includes it
     TrialRunner(scene, seeds, reference).run("scene", base)
@@ -153,11 +153,12 @@ def cost(
     rows: list[Row] = []
     for knob, setting in asked:
         rows.append(runner.measure(knob, setting))
-        done()
+        stage.step()
     measured = pilot_of(rows)
     for target in targets:
         _combine(runner, measured, rows, target)
-        done()
+        stage.step()
+    stage.end()
     return Costs(scene.name, base, finest, tuple(rows), confirmed, seeds)
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from ...core.arrays import Array
 from ...core.errors import ContactError, ReachError, SimulationError
+from ...core.progress import Stage
 from ...effects import Effect
 from ...estimation import chart
 from ...estimation.calibrate import calibrate
@@ -184,11 +185,11 @@ def measured_knob(
     path: Path,
     halves: Halves,
     belief: Belief,
-    done: Callable[[], None],
+    stage: Stage,
 ) -> Knob:
     """A knob with the shifts of its levels, measured along a path without effects.
 
-    replay: of the scene's own level; scene_with: the scene with the changes of a level; done:
+    replay: of the scene's own level; scene_with: the scene with the changes of a level; stage:
     called after each level. Levels that cannot be run (a time step may be too long for the touch),
     or under which the contact model does not hold, are left out.
     """
@@ -201,7 +202,7 @@ def measured_knob(
         except (SimulationError, ReachError, ContactError):
             continue
         finally:
-            done()
+            stage.step()
         recording = run.recording((), 0, halves)
         try:
             move, _ = solution.step(recording, replace(belief, body=scene.body))

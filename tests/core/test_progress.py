@@ -1,0 +1,102 @@
+"""The hook of long work: what it is told, and that what it raises ends the work cleanly."""
+
+import pytest
+
+import meshskin as ms
+from meshskin.cli.progress_bar import bar, pace
+from meshskin.core.progress import Stage
+
+
+class Heard(list):
+    """A hook that keeps what it is told, and raises when a stage has done `most` steps."""
+
+    def __init__(self, most=None):
+        self.most = most
+
+    def __call__(self, stage, done, total):
+        self.append((stage, done, total))
+        if done == self.most:
+            raise KeyboardInterrupt
+
+
+def test_a_stage_counts_to_its_end_whatever_was_usual():
+    heard = Heard()
+    stage = Stage(heard, "work", 2)
+    for _ in range(3):
+        stage.step()
+    stage.expect(4)
+    stage.step()
+    stage.end()
+    assert heard == [("work", *at) for at in ((0, 2), (1, 2), (2, 2), (3, 3), (4, 7), (4, 4))]
+    Stage().step()  # without a hook
+
+
+@pytest.mark.parametrize("method", ["joint", "posegraph"])
+def test_a_calibration_tells_its_steps_and_can_be_interrupted_in_each(
+    noisy_recording, noisy, method
+):
+    heard, belief = Heard(), noisy.belief()
+    found = ms.calibrate(noisy_recording, belief, method, progress=heard)
+    steps = [done for _, done, _ in heard]
+    assert steps == sorted(steps)
+    assert len(set(steps)) > 2
+    assert heard[-1][1] == heard[-1][2]
+    silent = ms.calibrate(noisy_recording, belief, method)
+    assert (found.positions == silent.positions).all()
+    for most in (0, max(steps) - 1):
+        with pytest.raises(KeyboardInterrupt):
+            ms.calibrate(noisy_recording, belief, method, progress=Heard(most))
+
+
+def test_an_interrupted_simulation_leaves_no_file(sphere, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        ms.simulate(sphere, out=tmp_path / "recording", progress=Heard(1))
+    hook = Heard()
+
+    def late(stage, done, total):
+        hook(stage, done, total)
+        if stage == "simulate" and done > total // 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        ms.simulate(sphere, out=tmp_path / "recording", progress=late)
+    assert hook[-1][0] == "simulate"
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_interrupted_report_leaves_the_page_before_it(noisy_recording, noisy, tmp_path):
+    found = ms.calibrate(noisy_recording, noisy.belief(), "centroid")
+    page = tmp_path / "report.html"
+    page.write_text("before")
+    with pytest.raises(KeyboardInterrupt):
+        found.report(page, progress=Heard(3))
+    assert page.read_text() == "before"
+    assert not [
+        file for file in tmp_path.rglob("*") if file.suffix not in (".html", ".png", ".svg", "")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("rate", "name", "words"),
+    [
+        (1 / 2.1, "case", ", 2.1 s/case"),
+        (3.21, "case", ", 3.2 cases/s"),
+        (29_000.0, "path point", ", 29,000 path points/s"),
+        (5.0, "", ""),
+        (None, "case", ""),
+    ],
+)
+def test_a_pace_reads_well(rate, name, words):
+    assert pace(rate, name) == words
+
+
+def test_without_a_terminal_each_stage_that_ended_is_one_line(capsys):
+    with bar(quiet=False) as progress:
+        for stage, total in (("load", 1), ("simulate", 3), ("calibrate", 2)):
+            for done in range(total + (stage != "calibrate")):
+                progress(stage, done, total)
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split()[0] for line in lines] == ["load", "simulate"]
+    assert all(line.endswith(" s") for line in lines)
+    with bar(quiet=True) as progress:
+        assert progress is None
