@@ -1,4 +1,4 @@
-"""Configuration of the documentation: `python -m sphinx -W docs docs/_build`."""
+"""Configuration of the documentation: `python -m sphinx -W docs docs/_build/html`."""
 
 import hashlib
 import os
@@ -12,8 +12,9 @@ sys.path[:0] = [str(DOCS.parent), str(DOCS / "_ext")]
 os.environ["PYTHONPATH"] = os.pathsep.join([str(DOCS.parent), os.environ.get("PYTHONPATH", "")])
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 
-import meshskin  # noqa: E402
 import reference  # noqa: E402
+
+import meshskin  # noqa: E402
 
 project = "meshskin"
 author = "the authors of meshskin"
@@ -28,8 +29,9 @@ extensions = [
     "sphinx_copybutton",
     "sphinx_design",
 ]
-exclude_patterns = ["_build", "_ext"]
+exclude_patterns = ["_build", "_ext", "jupyter_execute"]
 html_theme = "furo"
+smartquotes = False  # "--out" is an option, not a dash
 html_title = f"meshskin {version}"
 html_show_copyright = False
 html_math_renderer = "mathml"
@@ -41,7 +43,7 @@ myst_heading_anchors = 3
 default_role = "code"  # docstrings write code between single backticks
 autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
-autodoc_preserve_defaults = True
+autodoc_type_aliases = {"Array": "Array", "ArrayLike": "ArrayLike"}
 
 
 def package_hash() -> str:

@@ -1,7 +1,8 @@
-"""Pictures of the effects: the readings of one taxel along a crossing, with an effect off and on."""
+"""Pictures of the effects: readings of one taxel along a crossing, with an effect off and on."""
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -25,9 +26,10 @@ CAPTION = (
     "The pictures are made by the build. The scene is `ellipsoid` without noise, with semi-axes of "
     '112, 100 and 90 mm and circular patches (`contact = "hertz"`), simulated once. Each effect '
     "changes the same contacts, with its defaults, or `layer` of 6 mm, `disc_averaging` of 3 mm "
-    "(the taxels have 2) and `joint_friction` of 0.02 N m. Drawn are the readings of one taxel, over the distance of the *recorded* contact "
-    "point from it, in the crossing in which the effect changes them most among those through the "
-    "middle of a taxel, and the recorded force where the effect changes it."
+    "(the taxels have 2) and `joint_friction` of 0.02 N m. Drawn are the readings of one taxel, "
+    "over the distance of the *recorded* contact point from it, in the crossing in which the "
+    "effect changes them most among those through the middle of a taxel, and the recorded force "
+    "where the effect changes it."
 )
 SPAN = 9e-3
 """Distance on both sides of a taxel that is drawn, m: twice the radius of the contact patch."""
@@ -58,11 +60,19 @@ def draw(folder: Path) -> dict[str, Path]:
     return paths
 
 
+def width(picture: Path) -> int:
+    """Width of a picture on a page, pixels, at which its text is as large as the page's."""
+    from PIL import Image
+
+    with Image.open(picture) as image:
+        return round(image.width * 110 / theme.DPI)
+
+
 @theme.styled
 def _draw(file, scene, frames, plain, recorded, readings) -> None:  # type: ignore[no-untyped-def]
     taxel, rows = _crossing(scene, frames, plain, recorded, readings)
     moved = bool(np.abs(recorded.force - frames.force).max() > 1e-6)
-    figure = theme.new_figure(7.2 if moved else 4.2, 2.6)
+    figure = theme.new_figure(7.2 if moved else 4.3, 2.6)
     axes = theme.add_axes(figure, 0.6, 0.45, 3.4, 1.9)
     at, force_axes = scene.skin.positions[taxel], None
     if moved:
@@ -96,7 +106,7 @@ def _crossing(scene, frames, plain, recorded, readings):  # type: ignore[no-unty
     for taxel, at in enumerate(scene.skin.positions):
         near = np.linalg.norm(frames.points - at, axis=1) < SPAN
         edges = np.flatnonzero(np.diff(near.astype(int)))
-        for first, last in zip(edges[:-1], edges[1:], strict=True):
+        for first, last in pairwise(edges):
             rows = np.arange(first + 1, last + 1)
             if not near[rows].all() or plain[rows, taxel].max() < CENTRAL * plain.max():
                 continue

@@ -21,8 +21,6 @@ from meshskin.contact.indenter import Indenter
 from meshskin.contact.material import Material
 from meshskin.core.config import UNITS
 from meshskin.core.field_docs import FieldDoc, field_docs
-from meshskin.geometry import region
-from meshskin.recording.log_map import StreamMap
 from meshskin.scene import schema
 from meshskin.scene.settings import Exploration, Law, Loop, Readout
 
@@ -70,11 +68,10 @@ def python_pages() -> dict[str, str]:
         if not names:
             continue
         doc = inspect.getdoc(import_module(f"meshskin.{wing}")) or ""
-        lines += [f"## {wing.capitalize()}", "", _first(doc) if doc else "", ""]
-        lines += ["| name | |", "|---|---|"]
+        title = _first(doc).removeprefix(f"{wing.capitalize()}: ")
+        lines += [f"## {wing.capitalize()}", "", title[:1].upper() + title[1:], ""]
         for name in sorted(names, key=str.lower):
-            lines.append(f"| [`ms.{name}`](python/{name}.md) | {_cell(_first(_doc(name)))} |")
-        lines.append("")
+            lines += [f"[`ms.{name}`](python/{name}.md)", f": {_first(_doc(name))}", ""]
     lines += ["## Their values", "", "[Types of results, fields and properties](python/values.md)."]
     listed = "\n".join(f"python/{name}" for name in sorted(ms.__all__, key=str.lower))
     lines += ["", "```{toctree}", ":hidden:", "", listed, "python/values", "```"]
@@ -100,13 +97,15 @@ def _first(doc: str) -> str:
 def _python_page(name: str) -> str:
     found = getattr(ms, name)
     if inspect.ismodule(found):
-        body = f".. automodule:: meshskin.{name}\n   :members:\n   :imported-members:\n"
-        exclude = ", ".join(n for n in found.__all__ if n.isupper())
-        body += f"   :exclude-members: {exclude}\n" if exclude else ""
+        body = f".. automodule:: meshskin.{name}\n\n"
+        for member in (n for n in found.__all__ if not n.isupper()):
+            obj, path = getattr(found, member), f"meshskin.{name}.{member}"
+            body += _autoclass(path, obj) if inspect.isclass(obj) else _autofunction(path)
+            body += "\n"
     elif inspect.isclass(found):
         body = _autoclass(f"meshskin.{name}", found)
     else:
-        body = f".. autofunction:: meshskin.{name}\n"
+        body = _autofunction(f"meshskin.{name}")
     return f"# ms.{name}\n\n```{{eval-rst}}\n{body}```\n"
 
 
@@ -114,6 +113,10 @@ def _autoclass(path: str, cls: type) -> str:
     fields = [f.name for f in dataclasses.fields(cls)] if dataclasses.is_dataclass(cls) else []
     exclude = f"   :exclude-members: {', '.join(fields)}\n" if fields else ""
     return f".. autoclass:: {path}\n   :members:\n{exclude}"
+
+
+def _autofunction(path: str) -> str:
+    return f".. autofunction:: {path}\n"
 
 
 def _values_page() -> str:
@@ -159,12 +162,39 @@ def document(app: Any, what: str, name: str, obj: Any, options: Any, lines: list
     """Docstrings as reStructuredText; the fields of dataclasses as a list of definitions."""
     text, _, _ = "\n".join(lines).partition(FIELDS)
     made = rst(text)
+    if inspect.isroutine(obj):
+        made = "\n\n".join(_arguments(block, _parameters(obj)) for block in made.split("\n\n"))
     if inspect.isclass(obj) and dataclasses.is_dataclass(obj):
         if text.startswith(f"{obj.__name__}("):  # the signature, of a class without a docstring
             made = ""
         fields = [_definition(field) for field in field_docs(obj)]
         made += "\n\n.. rubric:: Fields\n\n" + "\n".join(fields) if fields else ""
     lines[:] = made.splitlines()
+
+
+def _parameters(function: Any) -> list[str]:
+    try:
+        return [name for name in inspect.signature(function).parameters if name != "self"]
+    except (TypeError, ValueError):
+        return []
+
+
+def _arguments(block: str, names: list[str]) -> str:
+    """A paragraph that describes arguments ("seed: of all streams. out: ..."), one a definition.
+
+    The errors that the paragraph ends with are a paragraph of their own.
+    """
+    text, raised, errors = " ".join(block.split()).partition(" Raises ")
+    either = "|".join(map(re.escape, names))
+    parts = re.split(rf"(?:^|(?<=[.;] ))({either})( \([^)]*\))?(, [\w/ ]+)?: ", text)
+    if not names or len(parts) < 5 or block.startswith("..") or "    " in block:
+        return block
+    made = [parts[0].strip()] if parts[0].strip() else []
+    for k in range(1, len(parts), 4):
+        name, shape, unit, words = (part or "" for part in parts[k : k + 4])
+        words = words.strip().removesuffix(";")
+        made.append(f"`{name}`{shape}{unit}\n    {words[:1].upper()}{words[1:]}")
+    return "\n\n".join([*made, *([f"Raises {errors}"] if raised else [])])
 
 
 def _definition(field: FieldDoc) -> str:
@@ -272,7 +302,7 @@ def _cell(text: str) -> str:
 def effect_pages(folder: Path, pictures: Path) -> dict[str, str]:
     """A page for each registered effect, and their table in the order of the signal."""
     drawn = effect_pictures.draw(pictures)
-    pages, rows = {}, ["| effect | stage | |", "|---|---|---|"]
+    pages, rows = {}, ["| effect | stage | what it does |", "|---|---|---|"]
     for name in effects.NAMES:
         cls = effects.find(name)
         summary = _first((inspect.getdoc(cls) or "").split(FIELDS)[0])
@@ -280,7 +310,6 @@ def effect_pages(folder: Path, pictures: Path) -> dict[str, str]:
         pages[f"effects/{name}"] = _effect_page(name, cls, drawn[name], folder)
     listed = "\n".join(f"effects/{name}" for name in effects.NAMES)
     intro = (effects.__doc__ or "").strip().partition("\n\n")[2]
-    stages = (inspect.getdoc(import_module("meshskin.effects.base")) or "").strip()
     pages["effects"] = "\n".join(
         ["# Effects", "", intro, "", effect_pictures.CAPTION, "", *rows, "",
          "```{toctree}", ":hidden:", "", listed, "```", ""]
@@ -303,7 +332,8 @@ def _effect_page(name: str, cls: Any, picture: Path | None, folder: Path) -> str
         inside.parent.mkdir(parents=True, exist_ok=True)
         if not inside.is_file() or inside.read_bytes() != picture.read_bytes():
             inside.write_bytes(picture.read_bytes())
-        parts.append(f"![{name} off and on]({picture.name})")
+        width = f":width: {effect_pictures.width(picture)}px"
+        parts.append(f"```{{image}} {picture.name}\n:alt: {name}, off and on\n{width}\n```")
     if not required:
         parts.append(f"```toml\n{example}\n```")
     if field_docs(cls):
@@ -322,7 +352,8 @@ def command_line_page() -> str:
     parser = cli._parser()
     (commands,) = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
     helps = {action.dest: action.help for action in commands._choices_actions}
-    parts = ["# Command line\n", (inspect.getdoc(cli.main) or "").partition("\n\n")[2] + "\n"]
+    codes = (inspect.getdoc(cli.main) or "").partition("\n\n")[2]
+    parts = [f"# Command line\n\nExit codes: {codes}\n"]
     for name, command in commands.choices.items():
         title = (helps[name] or "").strip()
         parts.append(f"## meshskin {name}\n\n{title[:1].upper()}{title[1:]}.\n")

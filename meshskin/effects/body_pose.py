@@ -1,7 +1,9 @@
 """Error of the body's pose on the tip: contacts are recorded in a displaced body frame.
 
-The indenter's centre is recorded at exp(w) x + t instead of x; the recorded contact is the point of
-the body closest to it.
+    x_e <- exp(w) x_e + t,
+
+where x_e is the indenter's centre in the body frame; the recorded contact is the point of the body
+closest to it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Broken taxels: dead ones always read zero, stuck ones always read the same pressure."""
+"""Broken taxels: dead ones always read zero, stuck ones always read the same pressure.
+
+p_i <- 0 where dead,   p_i <- l p_0 where stuck
+"""
 
 from __future__ import annotations
 

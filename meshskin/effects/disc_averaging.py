@@ -1,4 +1,7 @@
-"""Taxels that average the pressure over discs of another radius than the skin's `disc_radius`."""
+"""Taxels that average the pressure over discs of another radius than the skin's `disc_radius`.
+
+p_i = 1 / (pi r^2) integral of p(x_i + u) du over |u| < r in the tangent plane
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,8 @@
 """Elliptic contact patches in a scene whose contact model assumes circles of the mean curvature.
 
-The pressures are those of the contact model `elliptic` under the same force and E*. The effect
+    p(x, y) = p_0 sqrt(1 - x^2 / a^2 - y^2 / b^2),   p_0 = 3 F / (2 pi a b),
+
+with the semi-axes a and b of the contact model `elliptic` under the same force and E*. The effect
 changes nothing in a scene whose contact model already has elliptic patches.
 """
 

@@ -1,7 +1,9 @@
 """Joint encoders: a constant offset of each joint angle, and noise in every frame.
 
-The recorded pose of the body, and the contact from it, are computed from the angles
-q + offset + noise. The closed loop itself uses the true angles.
+    q <- q + b + n,   b ~ N(0, sigma_b^2) once,   n ~ N(0, sigma_n^2) in every frame
+
+The recorded pose of the body, and the contact from it, are computed from these angles. The closed
+loop itself uses the true angles.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Noise and bias of the recorded force: F <- F + b + N(0, sigma^2).
+"""Noise and bias of the recorded force.
+
+    F <- F + b + N(0, sigma^2)
 
 The compliance law of the closed loop uses the true force.
 """

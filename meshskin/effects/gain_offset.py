@@ -1,4 +1,7 @@
-"""Gains and offsets that differ between taxels: p <- g_i p + o_i, g_i log-normal, o_i normal."""
+"""Gains and offsets that differ between taxels.
+
+p_i <- g_i p_i + o_i,   ln g_i ~ N(0, sigma_g^2),   o_i ~ N(0, (sigma_o p_0)^2)
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Gaussian noise of the transducers: p <- p + N(0, sigma^2), independent per taxel and frame.
+"""Gaussian noise of the transducers, independent per taxel and frame.
+
+    p <- p + N(0, sigma^2)
 
 sigma is relative to the peak contact pressure at the reference force: a property of the sensor's
 range that does not vary with the contact.

@@ -1,8 +1,10 @@
 """Error of the gravity compensation of a force sensor between the tip and the body.
 
+    F <- F + dm g n_z
+
 The sensor measures the contact force -F n and the weight of the body, and the compensation
-subtracts the weight of a wrong mass. The recorded force is F + dm g n_z: it is too small where the
-skin faces downwards.
+subtracts the weight of a wrong mass. The recorded force is too small where the skin faces
+downwards (n_z < 0).
 """
 
 from __future__ import annotations

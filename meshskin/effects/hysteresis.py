@@ -1,6 +1,7 @@
 """Rate-independent hysteresis: the Prandtl-Ishlinskii model.
 
-    y = (1 - sum w_k) p + sum w_k P_k[p],   P_k <- max(p - r_k, min(p + r_k, P_k)), initially 0,
+    y = (1 - sum w_k) p + sum w_k P_k[p],
+    P_k <- max(p - r_k, min(p + r_k, P_k)), initially 0,
 
 a weighted sum of play operators of half-widths r_k. Readings are low on loading and high on
 unloading. A cycle between 0 and p, for p > 2 r_k, has the area sum w_k 2 r_k (p - 2 r_k). Source:

@@ -1,7 +1,8 @@
 """Indenter offset: the recorded position of the indenter is wrong by a constant in the world frame.
 
-Its centre in the body frame is recorded at x + R^T d instead of x, where R is the rotation of the
-body.
+    x_e <- x_e + R^T d,
+
+where x_e is the indenter's centre in the body frame, and R the rotation of the body.
 """
 
 from __future__ import annotations

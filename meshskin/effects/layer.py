@@ -1,8 +1,10 @@
 """A soft layer on a rigid core in a scene whose contact model assumes a half-space.
 
-Under the same force the patch on a layer is smaller and its peak pressure higher. The pressures are
-those of the contact model `layered` with the scene's force, curvature and E*. The closed loop,
-which controls the force, uses the contact model of the scene.
+    a = f_a a_H,   p_0 = f_p p_H,   p(r) = p_0 (1 - r^2 / a^2)^m,   m = pi a^2 p_0 / F - 1,
+
+where a_H and p_H are Hertz's, and the factors f_a < 1 and f_p > 1 of the contact model `layered`
+depend on a_H / thickness and Poisson's ratio. Force, curvature and E* are those of the scene. The
+closed loop, which controls the force, uses the contact model of the scene.
 """
 
 from __future__ import annotations

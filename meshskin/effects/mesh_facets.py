@@ -1,7 +1,8 @@
 """Contacts computed on the flat facets of the mesh instead of the smooth surface.
 
-The software of the robot takes the point of the triangle mesh closest to the indenter. On a flat
-face it lags behind the contact, and it jumps at the edges.
+    x_c <- the point of the triangles with the least |x_c - x_e|, x_e: centre of the indenter
+
+On a flat face this point lags behind the contact, and it jumps at the edges.
 """
 
 from __future__ import annotations

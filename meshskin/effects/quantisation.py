@@ -1,4 +1,7 @@
-"""Quantisation: readings are integer multiples of a step, from 0 to the end of the scale."""
+"""Quantisation: readings are integer multiples of a step, from 0 to the end of the scale.
+
+p <- s min(max(round(p / s), 0), 2^bits - 1),   s = scale p_0 / (2^bits - 1)
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """Different sampling rates: the recorded pose and force are older than the readings of the skin.
 
-A frame is recorded with the last sample of the robot before it. The robot samples at integer
-multiples of its period, and its samples arrive late.
+    x(t) <- x(T floor((t - d) / T)),
+
+with the robot's sampling period T and the delay d of its samples, for pose, contact and force.
 """
 
 from __future__ import annotations

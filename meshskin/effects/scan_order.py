@@ -1,7 +1,10 @@
 """Scan order: the taxels of a module are read one after another, but a frame has one time stamp.
 
-The taxel in slot s of S is read (S - 1 - s)/S of the scan time before the time of the frame. Its
-slot is its id modulo S (ids are S * module + slot). All modules are scanned at the same time.
+    t_s = t - l - c T (S - 1 - s) / S
+
+is the time at which the taxel in slot s of S is read, with the time t of the frame, the latency l
+and the duration c T of a scan, relative to the time T between frames. Its slot is its id modulo S
+(ids are S * module + slot). All modules are scanned at the same time.
 """
 
 from __future__ import annotations

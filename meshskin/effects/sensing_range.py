@@ -1,4 +1,7 @@
-"""The range of the sensor: readings below a threshold are zero, readings above saturation clip."""
+"""The range of the sensor: readings below a threshold are zero, readings above saturation clip.
+
+p <- 0 where p < p_low, else min(p, p_high)
+"""
 
 from __future__ import annotations
 

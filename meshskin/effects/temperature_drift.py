@@ -1,4 +1,7 @@
-"""Drift while the skin warms up: p <- (1 + g w) p + o w p_0, with w = 1 - exp(-t / tau)."""
+"""Drift while the skin warms up.
+
+p <- (1 + g w) p + o w p_0,   w = 1 - exp(-t / tau)
+"""
 
 from __future__ import annotations
 
