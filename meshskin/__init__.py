@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from .estimation.kinematics.calibrate_log import calibrate_log as calibrate_log
     from .estimation.layout.layout import Layout as Layout
     from .estimation.layout.layout import layout as layout
+    from .estimation.online.frames import ContactFrames as ContactFrames
+    from .estimation.online.online_calibration import OnlineCalibration as OnlineCalibration
     from .estimation.posegraph import PoseGraph as PoseGraph
     from .estimation.self_touch.calibrate import SelfTouch as SelfTouch
     from .estimation.self_touch.calibrate import self_touch as self_touch
@@ -56,6 +58,7 @@ _HOMES = {
     "Belief": "scene.belief",
     "Body": "geometry.body",
     "Calibration": "estimation.calibration",
+    "ContactFrames": "estimation.online.frames",
     "Exploration": "scene.settings",
     "Indenter": "contact.indenter",
     "Law": "scene.settings",
@@ -63,6 +66,7 @@ _HOMES = {
     "LogCalibration": "estimation.kinematics.calibrate_log",
     "LogMap": "recording.log_map",
     "Material": "contact.material",
+    "OnlineCalibration": "estimation.online.online_calibration",
     "PoseGraph": "estimation.posegraph",
     "Readout": "scene.settings",
     "Recording": "recording.recording",

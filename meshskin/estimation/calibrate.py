@@ -12,6 +12,7 @@ import numpy as np
 
 from ..contact import AUTO, LEARNED
 from ..core.arguments import check_integer, check_name, check_real, check_type
+from ..core.arrays import Array
 from ..core.blas import single_threaded
 from ..core.errors import CalibrationError
 from ..core.progress import Progress, Stage
@@ -48,8 +49,9 @@ square that scales the covariance is then known to about 2 / sqrt(2 * 240) = 9 %
 class Estimation:
     """The estimators on one recording under one belief; what they share is computed once."""
 
-    def __init__(self, recording: Recording, belief: Belief) -> None:
-        """Raises as `calibrate`."""
+    def __init__(self, recording: Recording, belief: Belief, start: Array | None = None) -> None:
+        """start: positions (n, 3), m, at which the joint estimate begins, NaN where not known.
+        Raises as `calibrate`."""
         begin = time.perf_counter()
         check_type(Recording, recording, "what is calibrated")
         if not hasattr(belief, "taxel_ids"):
@@ -59,7 +61,7 @@ class Estimation:
                 remedy="give what the robot's owner knows: scene.belief()",
             )
         self.data = gather(recording, belief)
-        self.recording, self.belief = recording, belief
+        self.recording, self.belief, self.start = recording, belief, start
         self._displacements: dict[Trilateration, Displacements] = {}
         self._seconds = time.perf_counter() - begin
 
@@ -156,10 +158,26 @@ class Estimation:
             self.data,
             iterations=iterations,
             tolerance=tolerance,
+            start=self._initial,
             trilaterated=self.least_squares,
             stage=stage,
         )
         return self._learned(result, stage) if self._contradicted(result) else result
+
+    @property
+    def _initial(self) -> EstimatorResult | None:
+        """The positions at which the joint estimate begins; None: it finds them."""
+        if self.start is None:
+            return None
+        near = coactivation.without_distant_readings(self.data)
+        fit = self.least_squares if near is self.data else trilaterate.least_squares(near)
+        found = coactivation.initial_estimate(near, fit)
+        known = np.asarray(np.isfinite(self.start).all(axis=1))
+        return replace(
+            found,
+            points=np.where(known[:, None], self.start, found.points),
+            reasons=np.where(known, "", found.reasons),
+        )
 
     def _contradicted(self, found: EstimatorResult) -> bool:
         """Whether the contact model was chosen by "auto", and the readings contradict it."""

@@ -72,7 +72,7 @@ def next_contacts(calibration: Calibration, belief: Belief, k: int = 1) -> NextC
     points, covariance, ids = points[near], covariance[near], calibration.ids[near]
     charts = chart.charts_at(belief.body, points)
     covariance = _in_charts(calibration, near, charts, covariance)
-    candidates = _candidates(charts, np.trace(covariance, axis1=1, axis2=2), radius)
+    candidates = candidates_about(charts, np.trace(covariance, axis1=1, axis2=2), radius)
     hit = belief.body.closest(candidates)
     contact, taxel, slope = expected_slopes(charts, hit, belief, modulus)
     chosen, served, worst = [], [], []
@@ -144,9 +144,11 @@ def _in_charts(
     return np.asarray(turn @ covariance @ np.swapaxes(turn, 1, 2))
 
 
-def _candidates(charts: chart.Charts, variance: Array, radius: float) -> Array:
-    """Candidate points (c, 3), m, about the taxels with the largest `variance` (n,)."""
-    worst = np.argsort(-variance, kind="stable")[:MAX_TARGETS]
+def candidates_about(
+    charts: chart.Charts, variance: Array, radius: float, targets: int = MAX_TARGETS
+) -> Array:
+    """Candidate points (c, 3), m, about the `targets` taxels with the largest `variance` (n,)."""
+    worst = np.argsort(-variance, kind="stable")[:targets]
     angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     offsets = radius * np.concatenate([[[0.0, 0.0]], *(ring * circle for ring in RINGS)])

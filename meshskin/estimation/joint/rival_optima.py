@@ -95,14 +95,14 @@ def find_rivals(estimator: JointEstimator) -> RivalOptima:
         return best
     limit = MAX_LOG_ODDS * max(variance, 1.0)
     estimate = points[rows], estimator.state.z[rows]
-    starts = _starts(estimator, rows, points[rows], reach)
+    starts = starting_points(estimator, rows, points[rows], reach)
     estimator.stage.expect(len(starts) + 1)
     for start in starts:
         estimator.stage.step()
-        found = _optimum(estimator, rows, start)
+        found = optimum_from(estimator, rows, start)
         valid = np.linalg.norm(found[0] - points[rows], axis=1) > MIN_DISTANCE * reach
-        valid &= _part_on_sheet(estimator, rows, found[0]) >= MIN_ON_SHEET
-        odds = np.where(valid, _log_odds(estimator, rows, estimate, found), np.inf)
+        valid &= part_on_sheet(estimator, rows, found[0]) >= MIN_ON_SHEET
+        odds = np.where(valid, log_odds_between(estimator, rows, estimate, found), np.inf)
         better = (odds < best.log_odds[rows]) & (odds < limit)
         best.points[rows[better]] = found[0][better]
         best.log_odds[rows[better]] = odds[better]
@@ -134,7 +134,7 @@ def widened(estimator: JointEstimator, covariance: Array, scale: float) -> Array
     for width in (sign * width for width in WIDTHS for sign in (-1.0, 1.0)):
         step = np.clip(width * sigma, -limit, limit)
         there = estimator.data.body.closest(points[rows] + step[:, None] * way).point
-        odds = _log_odds(estimator, rows, estimate, (there, estimate[1]))
+        odds = log_odds_between(estimator, rows, estimate, (there, estimate[1]))
         widest = np.maximum(widest, np.abs(step) / np.sqrt(np.maximum(2 * odds / scale, 1.0)))
     out[rows] += (widest**2 - value[:, 1])[:, None, None] * axis[:, :, None] * axis[:, None, :]
     return out
@@ -169,7 +169,7 @@ def _responses(estimator: JointEstimator) -> tuple[np.ndarray, np.ndarray, Array
     return read.taxel[used], read.contact[used], read.level[used]
 
 
-def _part_on_sheet(estimator: JointEstimator, rows: np.ndarray, points: Array) -> Array:
+def part_on_sheet(estimator: JointEstimator, rows: np.ndarray, points: Array) -> Array:
     """Part (r,) of the responding contacts that press the sheet of skin at `points` (r, 3)."""
     taxel, contact, _ = _responses(estimator)
     place = np.full(len(estimator.live), -1)
@@ -185,7 +185,7 @@ def _part_on_sheet(estimator: JointEstimator, rows: np.ndarray, points: Array) -
     )
 
 
-def _starts(
+def starting_points(
     estimator: JointEstimator, rows: np.ndarray, points: Array, reach: float
 ) -> list[Array]:
     """Starting points (r, 3): the mirror image in the line of the contacts, the ring about them."""
@@ -227,7 +227,7 @@ def _readings(estimator: JointEstimator, rows: np.ndarray, points: Array) -> Rea
     )  # fmt: skip
 
 
-def _optimum(estimator: JointEstimator, rows: np.ndarray, start: Array) -> tuple[Array, Array]:
+def optimum_from(estimator: JointEstimator, rows: np.ndarray, start: Array) -> tuple[Array, Array]:
     """Points (r, 3) and unknowns (r, D) of the optima reached from `start` (r, 3), with the global
     parameters fixed."""
     points, z = start, estimator.state.z[rows].copy()
@@ -241,7 +241,7 @@ def _optimum(estimator: JointEstimator, rows: np.ndarray, start: Array) -> tuple
     return points, z
 
 
-def _log_odds(
+def log_odds_between(
     estimator: JointEstimator,
     rows: np.ndarray,
     first: tuple[Array, Array],

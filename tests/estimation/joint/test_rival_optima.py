@@ -157,7 +157,7 @@ def test_a_flat_optimum_is_as_wide_as_its_likelihood(monkeypatch):
         y = (second[0] - first[0])[:, :2] @ axis
         return np.array([k * ((a + y[0]) ** 2 - a**2) ** 2, y[1] ** 2 / (2 * sigma**2)])[rows]
 
-    monkeypatch.setattr(rival_optima, "_log_odds", odds)
+    monkeypatch.setattr(rival_optima, "log_odds_between", odds)
     monkeypatch.setattr(rival_optima, "open_sectors", lambda *_: np.full(2, np.pi))
     frames = np.tile(np.eye(3), (2, 1, 1))
     estimator = SimpleNamespace(

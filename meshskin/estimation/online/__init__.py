@@ -1,0 +1,1 @@
+"""Calibration while contacts come in."""

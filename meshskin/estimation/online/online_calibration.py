@@ -1,0 +1,350 @@
+"""Calibration while contacts come in: `OnlineCalibration`."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import ArrayLike
+
+from ...core.arguments import check_array, check_real, check_type
+from ...core.arrays import Array
+from ...core.errors import CalibrationError, RecordingError
+from ...recording.recording import CONTACTS, QUATERNION, READINGS, Recording
+from .. import chart
+from ..calibration import Calibration
+from ..joint.null_space import undetermined
+from ..uncertainty.observability import pose_covariance
+from .frames import ContactFrames, sparse
+from .intake import checked_belief, contacts_of, without_contacts
+from .judge import Judge
+from .next_touch import NextTouch, next_touch
+from .running_estimate import RunningEstimate
+from .status import KEEP_GOING, OnlineStatus
+
+if TYPE_CHECKING:
+    from ...scene.belief import Belief
+
+PERIOD = 0.02
+"""Time from frame to frame, s, where none is given: 50 frames a second."""
+FRAMES = 10
+"""Frames that are added at once: within them estimates are linearized where they were before."""
+ANEW = 4
+"""Taxels that are estimated anew for each frame: 7 ms (studies/speed/online.py)."""
+NEXT_TOUCH_EVERY = 10
+"""Frames after which the next touch is computed again: five times a second at 50 frames."""
+
+
+class OnlineCalibration:
+    """Positions of n taxels while contacts come in: each update takes new frames and tells how far
+    the calibration is.
+
+        online = ms.OnlineCalibration(belief, target_sigma=0.1e-3)
+        while online.update(contacts, readings).verdict == "keep going":
+            contacts, readings = ...  # the next frames; touch at online.status.next_touch.point
+
+    It has the joint estimator's model, unknowns and priors. Each taxel keeps the information of its
+    readings, linearized at its estimate; taxels that moved are estimated anew from all their
+    readings, a few in every frame. Then estimates are those of `calibrate` on the same contacts, to
+    1 % of a standard deviation; `settle` does so at once for all that wait. Silent readings are
+    censored at the threshold; outlying readings are left out and counted.
+
+    Verdicts, and the probability of a false alarm at any time of an exploration:
+    - "model misfit": a chi-square test of the residuals (1e-3 in all, over all looks), or more than
+      5 % of the contacts rejected, or more than 20 % of the taxels misfitting. Covariances are
+      multiplied by the variance of the residuals then.
+    - "moved since the last calibration": a taxel is elsewhere than in `previous`, by more than both
+      uncertainties allow (1e-3 in all, over all looks and taxels).
+    - "done": every taxel but the `unreachable` is determined, to `target_sigma`.
+    - "keep going": none of these.
+    """
+
+    def __init__(
+        self,
+        belief: Belief,
+        previous: Calibration | None = None,
+        *,
+        target_sigma: float = 1e-4,
+        unreachable: Collection[int] = (),
+    ) -> None:
+        """previous: an earlier calibration of the skin: which taxels moved is tested against it,
+        and its noise serves where the belief has none; its positions are not used. target_sigma:
+        standard deviation, m, of a position (root of the trace) that is asked for. unreachable: ids
+        of taxels that cannot be touched.
+
+        Raises CalibrationError for beliefs that only `calibrate` can use: learned or raw readings,
+        rigid modules, a contact motion; and where the noise is not known.
+        """
+        self.belief = checked_belief(belief, previous)
+        self.previous, self.target = previous, check_real("target_sigma", target_sigma, above=0.0)
+        self.ids = np.asarray(belief.taxel_ids)
+        """Taxel ids (n,), in the belief's order."""
+        unknown = set(unreachable) - set(self.ids.tolist())
+        if unknown:
+            raise CalibrationError("unreachable: no ids of the skin", value=sorted(unknown)[:5])
+        reachable = ~np.isin(self.ids, list(unreachable))
+        self.frames = 0
+        self.status: OnlineStatus | None = None
+        """What the last update told; None before the first."""
+        self._rejected = 0
+        self._estimate: RunningEstimate | None = None
+        self._judge = Judge(self.ids, previous, reachable, self.target)
+        self._next: NextTouch | None = None
+        self._next_at = 0
+
+    def __repr__(self) -> str:
+        return f"<OnlineCalibration of {len(self.ids)} taxels: {self.status or 'no contacts yet'}>"
+
+    def update(self, contacts: ContactFrames, readings: ArrayLike) -> OnlineStatus:
+        """Add B frames; readings (B, n), or (n,) of one frame: of the taxels in the belief's order,
+        in Pa. A reading up to the threshold says that the taxel is silent, NaN that it is lost.
+
+        Frames without force are no contacts; with no frames, taxels that wait are estimated anew.
+        Raises RecordingError for readings of another shape, CalibrationError for the first contacts
+        far from the body, and headings that lack.
+        """
+        check_type(ContactFrames, contacts, "contacts of an update")
+        values = check_array("readings of an update", readings, error=RecordingError)
+        values = values.reshape(-1, values.shape[-1] if values.ndim else 1)
+        if values.shape != (len(contacts), len(self.ids)) and (values.size or len(contacts)):
+            raise RecordingError(
+                "an update needs a reading of every taxel in every frame",
+                value=f"shape {values.shape}",
+                limit=f"({len(contacts)}, {len(self.ids)})",
+            )
+        return self._update(contacts, sparse(values, self.belief.threshold))
+
+    def update_recording(self, recording: Recording) -> OnlineStatus:
+        """Add the contacts of a recording, or of a part of one, with their readings."""
+        check_type(Recording, recording, "recording of an update")
+        row = {int(k): j for j, k in enumerate(self.ids)}
+        unknown = set(np.unique(recording.reading_taxel).tolist()) - set(row)
+        if unknown:
+            raise CalibrationError(
+                "the recording has taxels that the belief does not know",
+                value=f"ids {sorted(unknown)[:5]}", remedy="use the skin that was recorded",
+            )  # fmt: skip
+        pressure = recording.pressure
+        lost = ~(pressure >= 0)
+        kept = lost | (pressure > self.belief.threshold)
+        order = np.flatnonzero(kept)[np.argsort(recording.reading_contact[kept], kind="stable")]
+        taxel = np.array([row[int(k)] for k in recording.reading_taxel[order]], dtype=int)
+        frames = ContactFrames(
+            recording.points, recording.force, recording.headings, recording.time
+        )
+        values = np.where(lost, np.nan, pressure)[order]
+        return self._update(frames, (recording.reading_contact[order], taxel, values))
+
+    def settle(self) -> OnlineStatus:
+        """Estimate anew all taxels that wait for it, in a time that is not bounded."""
+        self._started.settle()
+        return self._tell()
+
+    @property
+    def positions(self) -> Array:
+        """Positions (n, 3), body frame, m; NaN where not determined."""
+        return self._only_determined(self.provisional)
+
+    @property
+    def provisional(self) -> Array:
+        """Positions (n, 3), m, of weak taxels, too: the present estimate, or the mean contact point
+        weighted by pressure squared; NaN where unseen. For pictures, not for use."""
+        if self._estimate is None:
+            return np.full((len(self.ids), 3), np.nan)
+        info = self._estimate.information
+        points = info.points(np.arange(len(self.ids)))
+        near = info.placed & (self._estimate.moved < 0.5)
+        return np.where(near[:, None], points, self._estimate.means)
+
+    @property
+    def poses(self) -> Array:
+        """T_body_taxel (n, 4, 4), as `Calibration.poses`; NaN where not determined."""
+        if self._estimate is None:
+            return np.full((len(self.ids), 4, 4), np.nan)
+        return chart.poses(self.positions, self._estimate.information.charts.rotations)
+
+    @property
+    def covariances(self) -> Array:
+        """(n, 6, 6) in the taxels' frames, translation first, as `Calibration.covariances`, without
+        what the contact points show of errors of the body; inf where not determined."""
+        flat = np.tile(np.diag([np.inf, np.inf]), (len(self.ids), 1, 1))
+        shape = np.zeros_like(flat)
+        if self._estimate is not None:
+            known = self._estimate.determined[:, None, None]
+            flat = np.where(known, self._widening * self._estimate.covariances, flat)
+            shape = self._estimate.information.charts.shape
+        return pose_covariance(flat, shape)
+
+    @property
+    def position_sigma(self) -> Array:
+        """Standard deviation (n,), m, of the position (root of the trace); inf where not
+        determined."""
+        if self._estimate is None:
+            return np.full(len(self.ids), np.inf)
+        trace = self._widening * np.trace(self._estimate.covariances, axis1=1, axis2=2)
+        return np.where(self._estimate.determined, np.sqrt(np.maximum(trace, 0.0)), np.inf)
+
+    def recording(self) -> Recording:
+        """The contacts used so far, with their readings: `save` keeps them, and
+        `update_recording` of another `OnlineCalibration` goes on from there."""
+        store = self._started.store
+        columns = {name: rows.values for name, rows in store.columns.items()}
+        time = columns["time"]
+        table = pa.table(
+            [time, *columns["points"].T, *columns["normals"].T, columns["force"]], schema=CONTACTS
+        )
+        if "headings" in columns:
+            from scipy.spatial.transform import Rotation
+
+            quaternions = Rotation.from_matrix(columns["headings"]).as_quat()[:, [3, 0, 1, 2]]
+            for name, values in zip(QUATERNION, quaternions.T, strict=True):
+                table = table.append_column(name, pa.array(values))
+        readings = pa.table(
+            [
+                time[store.contact.values],
+                self.ids[store.taxel.values].astype(np.int32),
+                store.pressure.values,
+            ],
+            schema=READINGS,
+        )
+        metadata = {"taxel_ids": self.ids.tolist(), "disc_radius_m": self.belief.disc_radius}
+        return Recording(table, readings, metadata)
+
+    def calibration(self) -> Calibration:
+        """The calibration of all contacts so far by `calibrate`, started from these estimates.
+
+        Raises as `calibrate`.
+        """
+        from ..calibrate import Estimation
+
+        estimation = Estimation(self.recording(), self.belief, start=self.positions)
+        return estimation.calibrate()
+
+    def _update(
+        self, frames: ContactFrames, readings: tuple[np.ndarray, np.ndarray, Array]
+    ) -> OnlineStatus:
+        frame, taxel, pressure = readings
+        for begin in range(0, len(frames), FRAMES):
+            end = min(begin + FRAMES, len(frames))
+            mine = slice(*np.searchsorted(frame, [begin, end]))
+            self._add(
+                frames.take(slice(begin, end)), frame[mine] - begin, taxel[mine], pressure[mine]
+            )
+            self._advance(end - begin)
+        if not len(frames):
+            self._advance(1)
+        return self._tell()
+
+    def _add(
+        self, frames: ContactFrames, frame: np.ndarray, taxel: np.ndarray, pressure: Array
+    ) -> None:
+        """Add the frames that are valid contacts, with readings of frame, taxel, pressure (k,)."""
+        if frames.time is None:
+            times = np.arange(self.frames, self.frames + len(frames), dtype=float)
+            frames = replace(frames, time=PERIOD * times)
+        self.frames += len(frames)
+        pressed = frames.force != 0
+        finite = np.isfinite(frames.points).all(axis=1) & (frames.force > 0)
+        if self._estimate is None and finite.any():
+            self._estimate = RunningEstimate(without_contacts(self.belief, frames.take(finite)))
+        if self._estimate is None:
+            self._rejected += int(np.sum(pressed))
+            return
+        block, valid = contacts_of(self._estimate.store.template, frames, finite)
+        self._rejected += int(np.sum(pressed & ~valid))
+        if valid.any():
+            row, read = np.cumsum(valid) - 1, valid[frame]
+            self._estimate.add(block, (row[frame[read]], taxel[read], pressure[read]))
+
+    def _advance(self, frames: int) -> None:
+        """The bounded work of so many frames: estimate anew, examine, test, plan."""
+        if self._estimate is None:
+            return
+        estimate = self._estimate
+        estimate.solve()
+        unexamined = estimate.unexamined()
+        if len(unexamined) and (frames > 1 or self.frames % 2):
+            estimate.examine(unexamined[: max(frames // 4, 1)])
+        if frames > 1 or not (len(unexamined) and self.frames % 2):
+            estimate.estimate_anew(estimate.waiting()[: ANEW * frames])
+        self._judge.look(estimate, self._rejected)
+        if self.frames >= self._next_at:
+            self._next_at = self.frames + NEXT_TOUCH_EVERY
+            self._next = self._best_touch()
+
+    @property
+    def _started(self) -> RunningEstimate:
+        if self._estimate is None:
+            raise CalibrationError("no contact so far", remedy="update with contacts first")
+        return self._estimate
+
+    @property
+    def _widening(self) -> float:
+        """What covariances are multiplied by where the model misfits."""
+        return self._started.scale**2 if self._judge.misfit else 1.0
+
+    def _only_determined(self, values: Array) -> Array:
+        if self._estimate is None:
+            return values
+        return np.where(self._estimate.determined[:, None], values, np.nan)
+
+    @property
+    def _modulus(self) -> float:
+        estimate = self._started
+        change = estimate.parameters.value("modulus", estimate.information.s)
+        return estimate.store.template.modulus * float(np.exp(change))
+
+    def _best_touch(self) -> NextTouch | None:
+        estimate, belief = self._started, self._started.store.template.belief
+        seen = self._judge.reachable & (estimate.store.counts > 0)
+        sigma = self.position_sigma
+        seen[seen] = np.isfinite(self.provisional[seen, 0])
+        if not (sigma[seen] > self.target).any():
+            return None
+        rows = np.flatnonzero(seen)
+        tangents, known = estimate.information.charts.tangents, np.isfinite(sigma)
+        reach = (estimate.radius + belief.disc_radius) ** 2 / 2
+        spatial = np.tile(reach * np.eye(3), (len(self.ids), 1, 1))
+        spatial[known] = (
+            tangents[known] @ estimate.covariances[known] @ np.swapaxes(tangents[known], 1, 2)
+        )
+        return next_touch(
+            self.ids[rows], self.provisional[rows], spatial[rows], belief, self._modulus,
+            estimate.radius,
+        )  # fmt: skip
+
+    def _tell(self) -> OnlineStatus:
+        n = len(self.ids)
+        if self._estimate is None:
+            self.status = OnlineStatus(
+                0, self._rejected, 0, 0, 0, n, np.nan, np.nan, {}, (), None, KEEP_GOING,
+                "no contact so far",
+            )  # fmt: skip
+            return self.status
+        estimate, info = self._estimate, self._estimate.information
+        determined, sigma = estimate.determined, self.position_sigma
+        seen = estimate.store.counts > 0
+        information, gains = info.of_shared
+        contradicting = int(estimate.store.misfitting.values.sum())
+        verdict, why = self._judge.verdict(sigma, seen)
+        self.status = OnlineStatus(
+            used=estimate.store.count - contradicting,
+            rejected=self._rejected + contradicting,
+            outlying=int(estimate.outlying.sum()),
+            determined=int(determined.sum()),
+            weak=int(np.sum(seen & ~determined)),
+            unseen=int(np.sum(~seen)),
+            median_sigma=float(np.median(sigma[determined])) if determined.any() else np.nan,
+            worst_sigma=float(sigma[determined].max(initial=0.0)) if determined.any() else np.nan,
+            unknowns=estimate.parameters.named(info.s, self._widening * info.s_covariance),
+            undetermined=undetermined(estimate.parameters, information, gains),
+            next_touch=self._next,
+            verdict=verdict,
+            why=why,
+            moved=tuple(self.ids[self._judge.moved].tolist()),
+            waiting=len(estimate.waiting()) + len(estimate.unexamined()),
+        )
+        return self.status

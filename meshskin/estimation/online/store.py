@@ -1,0 +1,161 @@
+"""All contacts and readings so far, in arrays that grow, and the measurements of a few taxels."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ...contact import Patches
+from ...core.arrays import Array
+from ..data.measurements import Measurements
+
+TREE_STEP = 1000
+"""Contacts after which the search tree is built again: 1 ms at 10,000, and the rest is searched
+one by one, in 0.1 ms."""
+
+
+class GrowingRows:
+    """Rows of an array that are appended to in amortized constant time."""
+
+    def __init__(self, shape: tuple[int, ...], kind: type = float) -> None:
+        """shape: of a row."""
+        self._data: np.ndarray = np.empty((256, *shape), dtype=kind)
+        self.count = 0
+
+    def append(self, values: Any) -> None:
+        """Append rows."""
+        end = self.count + len(values)
+        if end > len(self._data):
+            grown = np.empty(
+                (max(end, 2 * len(self._data)), *self._data.shape[1:]), self._data.dtype
+            )
+            grown[: self.count] = self.values
+            self._data = grown
+        self._data[self.count : end] = values
+        self.count = end
+
+    @property
+    def values(self) -> Any:
+        """All rows, a view."""
+        return self._data[: self.count]
+
+
+class ContactStore:
+    """m contacts and their readings; a reading of NaN is lost, one that is not there is silence."""
+
+    def __init__(self, first: Measurements) -> None:
+        """first: measurements without contacts, which have all else."""
+        self.template = first
+        shapes: dict[str, tuple[int, ...]] = {
+            "points": (3,), "normals": (3,), "directions": (3,), "curvature": (2,), "force": (),
+            "time": (),
+        }  # fmt: skip
+        if first.headings is not None:
+            shapes["headings"] = (3, 3)
+        self.columns = {name: GrowingRows(shape) for name, shape in shapes.items()}
+        self.patches = {name: GrowingRows(()) for name in Patches._fields}
+        self.contact, self.taxel = GrowingRows((), int), GrowingRows((), int)
+        self.pressure = GrowingRows(())
+        self.misfitting = GrowingRows((), bool)
+        """Contacts (m,) most of whose readings contradict all others: they have no readings."""
+        self.rows: list[list[int]] = [[] for _ in first.ids]
+        """Rows of the readings of each taxel."""
+        self.counts = np.zeros(len(first.ids), dtype=int)
+        """Readings (n,) of each taxel."""
+        self.lowest = np.inf
+        """The smallest reading, Pa."""
+        self._tree: Any = None
+        self._in_tree = 0
+
+    @property
+    def count(self) -> int:
+        """Number m of contacts."""
+        return self.columns["force"].count
+
+    @property
+    def threshold(self) -> float:
+        """Pressure, Pa, up to which taxels are silent: as believed, or the smallest reading."""
+        lowest = self.lowest if np.isfinite(self.lowest) else 0.0
+        return max(self.template.belief.threshold, lowest)
+
+    def append(
+        self, block: Measurements, readings: tuple[np.ndarray, np.ndarray, Array]
+    ) -> tuple[int, int]:
+        """Append the contacts of `block`, and contact, taxel and pressure (k,) of readings, NaN
+        where they are lost. Returns the row of the first contact and of
+        the first reading."""
+        first, first_reading = self.count, self.pressure.count
+        for name, rows in self.columns.items():
+            rows.append(getattr(block, name))
+        for name, rows in self.patches.items():
+            rows.append(np.broadcast_to(getattr(block.patches, name), len(block.force)))
+        self.misfitting.append(np.zeros(len(block.force), dtype=bool))
+        contact, taxel, pressure = readings
+        for row, k in enumerate(taxel.tolist(), first_reading):
+            self.rows[k].append(row)
+        self.contact.append(contact + first)
+        self.taxel.append(taxel)
+        self.pressure.append(pressure)
+        sound = np.isfinite(pressure)
+        np.add.at(self.counts, taxel[sound], 1)
+        self.lowest = min(self.lowest, float(pressure[sound].min(initial=np.inf)))
+        return first, first_reading
+
+    def near(self, points: Array, radius: float) -> np.ndarray:
+        """Contacts, rising, within `radius`, m, of any of the points (p, 3)."""
+        from scipy.spatial import cKDTree
+
+        where = self.columns["points"].values
+        if len(where) >= self._in_tree + TREE_STEP:
+            self._tree, self._in_tree = cKDTree(where.copy()), len(where)
+        found = np.flatnonzero(
+            cKDTree(points).query(where[self._in_tree :], distance_upper_bound=radius)[0] < np.inf
+        )
+        found = found + self._in_tree
+        if self._tree is not None:
+            inside = self._tree.query_ball_point(points, radius)
+            old = np.unique(np.concatenate([np.asarray(part, dtype=int) for part in inside]))
+            found = np.concatenate([old, found])
+        return found
+
+    def part(self, taxels: np.ndarray, contacts: np.ndarray, since: int = 0) -> Measurements:
+        """Measurements of the taxels (t,), which may repeat, in the `contacts`, rising, with their
+        readings from row `since` on, and the contacts of these. Their ids are 0 to t - 1."""
+        all_rows = [self.rows[k] for k in taxels.tolist()]
+        own = [np.array(rows[bisect_left(rows, since) :], dtype=int) for rows in all_rows]
+        rows = np.concatenate([np.empty(0, dtype=int), *own])
+        taxel = np.repeat(np.arange(len(taxels)), [len(part) for part in own])
+        kept = ~self.misfitting.values[self.contact.values[rows]]
+        rows, taxel = rows[kept], taxel[kept]
+        contact, pressure = self.contact.values[rows], self.pressure.values[rows]
+        contacts = np.union1d(contacts, contact)
+        contact, sound = np.searchsorted(contacts, contact), np.isfinite(pressure)
+        saturation = self.template.saturation
+        data = replace(
+            self.template,
+            **{name: rows.values[contacts] for name, rows in self.columns.items()},
+            patches=Patches(**{name: rows.values[contacts] for name, rows in self.patches.items()}),
+            contact=contact[sound],
+            taxel=taxel[sound],
+            pressure=pressure[sound],
+            threshold=self.threshold,
+            ends=np.full(len(taxels), saturation),
+            constant=np.zeros(len(taxels), dtype=bool),
+            corrupt=np.column_stack([contact, taxel])[~sound],
+            misfitting=np.flatnonzero(self.misfitting.values[contacts]),
+        )
+        data.__dict__["ids"] = np.arange(len(taxels))
+        data.__dict__["rest"] = self._rest(taxels)
+        return data
+
+    def _rest(self, taxels: np.ndarray) -> Array:
+        """What the taxels (t,) read in most contacts, as `Measurements.rest`."""
+        level, middle = np.full(len(taxels), self.threshold), self.count // 2
+        if "offset" in self.template.parameters.nuisance_names:
+            for k in np.flatnonzero(self.counts[taxels] > middle):
+                values = self.pressure.values[self.rows[taxels[k]]]
+                level[k] = -np.sort(-values[np.isfinite(values)])[middle]
+        return level
