@@ -326,8 +326,7 @@ class OnlineCalibration:
             return self.status
         estimate, info = self._estimate, self._estimate.information
         determined, sigma = estimate.determined, self.position_sigma
-        seen = estimate.store.counts > 0
-        information, gains = info.of_shared
+        seen, (information, gains) = estimate.store.counts > 0, info.of_shared
         contradicting = int(estimate.store.misfitting.values.sum())
         verdict, why = self._judge.verdict(sigma, seen)
         self.status = OnlineStatus(
@@ -344,6 +343,7 @@ class OnlineCalibration:
             next_touch=self._next,
             verdict=verdict,
             why=why,
+            residual=estimate.residual,
             moved=tuple(self.ids[self._judge.moved].tolist()),
             waiting=len(estimate.waiting()) + len(estimate.unexamined()),
         )

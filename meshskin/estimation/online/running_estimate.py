@@ -64,6 +64,9 @@ class RunningEstimate:
         """Readings (n,) of each taxel when it was examined last."""
         self.unique = np.zeros(n, dtype=bool)
         self.spread, self.sector = np.zeros((n, 2, 2)), np.full(n, 2 * np.pi)
+        self.residual = np.nan
+        """Root mean square of the residuals of the last readings of placed taxels, in standard
+        deviations of noise and estimate together."""
         self.square, self.freedom = np.zeros(n), np.zeros(n)
         """Squared residuals of each taxel (n,), in units of the noise, and their expectation."""
         self.outlying = np.zeros(n, dtype=int)
@@ -124,6 +127,8 @@ class RunningEstimate:
             part, info.charts[rows], info.step[rows, :2], info.nuisances(rows), info.s,
             info.joint_covariance(rows),
         )  # fmt: skip
+        if new.clear.any():
+            self.residual = float(np.sqrt(np.mean(new.residual[new.clear] ** 2)))
         beyond, m = np.abs(new.residual) > MAX_RESIDUAL * self.scale, len(block.force)
         count = np.bincount(new.contact, minlength=m)
         contradicting = np.bincount(new.contact, beyond, m)

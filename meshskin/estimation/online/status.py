@@ -98,6 +98,9 @@ class OnlineStatus:
     """One of VERDICTS."""
     why: str
     """The reason of the verdict, in words."""
+    residual: float = np.nan
+    """Root mean square of the residuals of the last readings, in standard deviations of noise and
+    estimate together; NaN before the first reading of a placed taxel."""
     moved: tuple[int, ...] = ()
     """Ids of the taxels that moved since the last calibration."""
     waiting: int = 0
