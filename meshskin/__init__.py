@@ -13,8 +13,11 @@ __version__ = "0.2.0"
 
 if TYPE_CHECKING:
     from . import contact as contact
+    from . import effects as effects
     from .contact.indenter import Indenter as Indenter
     from .contact.material import Material as Material
+    from .core.errors import LeftOutWarning as LeftOutWarning
+    from .core.errors import MeshskinError as MeshskinError
     from .estimation.adaptive import adapt as adapt
     from .estimation.calibrate import calibrate as calibrate
     from .estimation.calibration import Calibration as Calibration
@@ -31,10 +34,16 @@ if TYPE_CHECKING:
     from .exploration.plan import explore as explore
     from .exploration.reach import reach as reach
     from .geometry.body import Body as Body
+    from .geometry.region import Cap as Cap
+    from .geometry.region import Disc as Disc
+    from .geometry.region import Faces as Faces
+    from .geometry.region import HalfSpace as HalfSpace
+    from .geometry.region import Patch as Patch
+    from .geometry.region import Whole as Whole
     from .recording.log_map import LogMap as LogMap
     from .recording.readers import read_log as read_log
     from .recording.recording import Recording as Recording
-    from .recording.recording import RecordingWriter as RecordingWriter
+    from .recording.recording_files import RecordingWriter as RecordingWriter
     from .recording.resample import log_frames as log_frames
     from .robot.arm import Arm as Arm
     from .robot.robot import Robot as Robot
@@ -58,25 +67,33 @@ _HOMES = {
     "Belief": "scene.belief",
     "Body": "geometry.body",
     "Calibration": "estimation.calibration",
+    "Cap": "geometry.region",
     "ContactFrames": "estimation.online.frames",
+    "Disc": "geometry.region",
     "Exploration": "scene.settings",
+    "Faces": "geometry.region",
+    "HalfSpace": "geometry.region",
     "Indenter": "contact.indenter",
     "Law": "scene.settings",
     "Layout": "estimation.layout.layout",
+    "LeftOutWarning": "core.errors",
     "LogCalibration": "estimation.kinematics.calibrate_log",
     "LogMap": "recording.log_map",
     "Material": "contact.material",
+    "MeshskinError": "core.errors",
     "OnlineCalibration": "estimation.online.online_calibration",
+    "Patch": "geometry.region",
     "PoseGraph": "estimation.posegraph",
     "Readout": "scene.settings",
     "Recording": "recording.recording",
-    "RecordingWriter": "recording.recording",
+    "RecordingWriter": "recording.recording_files",
     "Robot": "robot.robot",
     "Scene": "scene.scene",
     "SelfTouch": "estimation.self_touch.calibrate",
     "Skin": "skin.skin",
     "Study": "study.sweep.study",
     "TouchSide": "estimation.self_touch.side",
+    "Whole": "geometry.region",
     "adapt": "estimation.adaptive",
     "budget": "study.sensitivity.budget",
     "calibrate": "estimation.calibrate",
@@ -84,6 +101,7 @@ _HOMES = {
     "compare": "skin.compare",
     "contact": "contact",
     "cost": "study.sensitivity.cost",
+    "effects": "effects",
     "explore": "exploration.plan",
     "layout": "estimation.layout.layout",
     "lint": "skin.lint",
@@ -95,7 +113,7 @@ _HOMES = {
     "simulate": "simulation.simulate",
     "tune": "tuning.tune",
 }
-"""The module that defines each public name; of "contact", the module itself."""
+"""The module that defines each public name; of "contact" and "effects", the module itself."""
 
 __all__ = list(_HOMES)
 

@@ -7,6 +7,9 @@ message and exits with code 2.
 from __future__ import annotations
 
 import difflib
+import sys
+import warnings
+from collections import Counter
 from collections.abc import Iterable
 
 
@@ -99,3 +102,22 @@ class StudyError(MeshskinError):
 
 class OutputError(MeshskinError):
     """A file or folder that cannot be written."""
+
+
+class LeftOutWarning(UserWarning):
+    """Taxels that a result leaves out; the message counts them by reason."""
+
+
+def warn_left_out(what: str, reasons: Iterable[str], count: int) -> None:
+    """Warn the caller of a public function of the taxels that its result leaves out.
+
+    what: what was not done to them; reasons: why, one text a taxel; count: number of all taxels.
+    Functions of meshskin that call a public function decide themselves what they say.
+    """
+    found = Counter(reasons).most_common()
+    caller = sys._getframe(2).f_globals.get("__name__", "")
+    if found and not caller.startswith("meshskin."):
+        lost = sum(number for _, number in found)
+        words = "; ".join(f"{number}: {why}" for why, number in found)
+        text = _printable(f"{lost} of {count} taxels are not {what} ({words})")
+        warnings.warn(text, LeftOutWarning, stacklevel=3)

@@ -14,7 +14,7 @@ from ..contact import AUTO, LEARNED
 from ..core.arguments import check_integer, check_name, check_real, check_type
 from ..core.arrays import Array
 from ..core.blas import single_threaded
-from ..core.errors import CalibrationError
+from ..core.errors import CalibrationError, warn_left_out
 from ..core.progress import Progress, Stage
 from ..core.provenance import digest, provenance
 from ..recording.recording import Recording
@@ -136,6 +136,8 @@ class Estimation:
                 recording=digest(recording.points, recording.force, recording.pressure),
                 source=recording.metadata.get("provenance", {}),
             ),
+            disc_radius=data.belief.disc_radius,
+            frame=data.belief.body.name,
         )
         verdict = judge(recording, near, calibration, result.departures)
         stage.end()
@@ -337,6 +339,7 @@ def calibrate(
     iterations: the most iterations of IPOPT over the shared unknowns, in each linearization. Other
     methods use neither.
     progress(stage, done, total): called between the steps of the stage "calibrate".
+    Warns (LeftOutWarning) where taxels are not determined.
     Raises UnknownNameError for another method, ConfigError for a tolerance that is not positive or
     a limit of iterations that is not a positive integer,
     RecordingError for values that are not finite, CalibrationError for a scene in place of a
@@ -344,4 +347,6 @@ def calibrate(
     determined, ContactError where the believed contact model leaves its range.
     """
     check_name("method", method, tuple(METHODS))
-    return Estimation(recording, belief).calibrate(method, tolerance, iterations, progress)
+    found = Estimation(recording, belief).calibrate(method, tolerance, iterations, progress)
+    warn_left_out("calibrated", found.reasons_left_out, len(found.ids))
+    return found

@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 import inspect
-import json
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ..core.arguments import check_name, check_type
 from ..core.arrays import Array
-from ..core.atomic_io import atomic, write_text
 from ..core.errors import CalibrationError, ConfigError
+from ..core.notebook import Card, Tabular
+from ..core.value import Value
+from ..skin.files.table import DISC_RADIUS
+from ..skin.skin import Skin
+from . import calibration_file
 from .data.global_parameters import LOGARITHMS
 from .result import LearnedResponse
 from .uncertainty.goodness_of_fit import GoodnessOfFit
 from .uncertainty.verdict import Verdict
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
     from ..core.progress import Progress
     from ..recording.recording import Recording
     from ..scene.belief import Belief
@@ -33,35 +39,10 @@ UNITS = {"force_offset": "N", "joint_offset": "rad", "clock_offset": "s"} | dict
     ("exponents", "compression", "force_scatter", "hysteresis", "crosstalk"), ""
 )
 """Units of global parameters that are neither lengths nor angles nor logarithms."""
-_KEY = b"meshskin-calibration"
-_COLUMNS = {
-    "ids": "ids",
-    "poses": "poses",
-    "covariances": "covariances",
-    "observed": "observed",
-    "touched": "touched",
-    "readings": "readings",
-    "chi2": "chi2",
-    "reasons": "why",
-}
-"""Columns of a file by field."""
-_NUISANCE = "taxel_"
-"""Prefix of the columns of nuisance parameters."""
-_HEADER = (
-    "method",
-    "anchor",
-    "factors",
-    "modulus",
-    "modulus_sigma",
-    "unknowns",
-    "undetermined",
-    "seconds",
-    "provenance",
-)
 
 
-@dataclass(frozen=True)
-class Calibration:
+@dataclass(frozen=True, eq=False)
+class Calibration(Value, Card, Tabular):
     """Poses of n taxels in the body frame, with their covariances. SI units.
 
     A taxel that the data did not determine has a pose of NaN, an infinite covariance and an entry
@@ -124,6 +105,10 @@ class Calibration:
     """Seconds of the stages."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
     """Inputs, versions, time."""
+    disc_radius: float = DISC_RADIUS
+    """Radius of the taxels' discs, m, as it was believed."""
+    frame: str | None = None
+    """Name of the body frame: that of the believed body, a link of a robot or a mesh."""
 
     def __repr__(self) -> str:
         found = np.isfinite(self.poses).all(axis=(1, 2))
@@ -144,6 +129,69 @@ class Calibration:
         """Standard deviation (n,), m, of the position in space (root of the trace)."""
         variance = np.diagonal(self.covariances, axis1=1, axis2=2)
         return np.asarray(np.sqrt(variance[:, :3].sum(axis=1)))
+
+    @property
+    def skin(self) -> Skin:
+        """The taxels that are determined, with their sigmas, ready to be saved.
+
+        Raises CalibrationError where none is.
+        """
+        good = np.isfinite(self.poses).all(axis=(1, 2))
+        if not good.any():
+            raise CalibrationError("no taxel is determined, so there is no skin")
+        sigmas = self.position_sigma[good]
+        return Skin(self.poses[good], self.ids[good], self.disc_radius, sigmas, self.frame)
+
+    @property
+    def reasons_left_out(self) -> list[str]:
+        """Why each taxel without an estimate has none."""
+        return list(map(str, self.reasons[~np.isfinite(self.positions).all(axis=1)]))
+
+    def facts(self) -> dict[str, str]:
+        """Verdict, taxels, sigmas and what was estimated beside them, for a notebook."""
+        found = np.isfinite(self.poses).all(axis=(1, 2))
+        facts = (
+            {} if self.verdict is None else {"verdict": str(self.verdict).removeprefix("verdict: ")}
+        )
+        facts |= {"method": self.method, "taxels": f"{found.sum()} of {len(self.ids)} determined"}
+        sigma = 1e3 * self.position_sigma[found]
+        if len(sigma):
+            facts["sigma"] = f"median {np.median(sigma):.3g} mm, largest {sigma.max():.3g} mm"
+        facts["readings"] = f"{self.readings.sum():,}"
+        for name, (value, spread, unit) in self.parameter_values.items():
+            facts[name] = f"{value:.4g} \u00b1 {spread:.2g} {unit}".rstrip()
+        if self.fit is not None:
+            facts["test of fit"] = self.fit.words
+        lost = Counter(self.reasons_left_out).most_common()
+        words = "; ".join(f"{count}: {why}" for why, count in lost)
+        return facts | ({"left out": words} if words else {})
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the estimates, coloured by their sigmas, on the believed body where it is known.
+
+        ax: matplotlib axes; None: those of a new figure. Raises CalibrationError where no taxel is
+        determined.
+        """
+        return self.skin.plot(ax, None if self.belief is None else self.belief.body)
+
+    def to_arrow(self) -> pa.Table:
+        """One row a taxel: taxel, x, y, z (m), nx, ny, nz, sigma (m), sigma_x, sigma_y, sigma_z (m,
+        taxel's frame), readings, touched, chi2, reason and fault.
+
+        Numbers are NaN or inf where the data did not determine them.
+        """
+        import pyarrow as pa
+
+        deviations = np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2)[:, :3])
+        numbers = np.column_stack(
+            [self.positions, self.poses[:, :3, 2], self.position_sigma, deviations]
+        )
+        names = ("x", "y", "z", "nx", "ny", "nz", "sigma", "sigma_x", "sigma_y", "sigma_z")
+        faults = np.full(len(self.ids), "") if self.faults is None else self.faults
+        table = {"taxel": self.ids, **dict(zip(names, numbers.T, strict=True))}
+        table |= {"readings": self.readings, "touched": self.touched, "chi2": self.chi2}
+        texts = {"reason": self.reasons, "fault": faults}
+        return pa.table(table | {k: pa.array(list(v), pa.string()) for k, v in texts.items()})
 
     def next_contacts(self, k: int = 1, belief: Belief | None = None) -> NextContacts:
         """The k contacts, ranked, that reduce the largest uncertainties most (next_contact.py).
@@ -200,88 +248,16 @@ class Calibration:
 
     def save(self, path: str | Path) -> None:
         """Write path.parquet, which `load` reads, and path.csv, a table for people (mm)."""
-        path = Path(path)
-        columns = {column: _column(getattr(self, name)) for name, column in _COLUMNS.items()}
-        steps = 0 if self.iterates is None else len(self.iterates)
-        if self.iterates is not None:
-            columns["iterates"] = _column(np.swapaxes(self.iterates, 0, 1))
-        if self.faults is not None:
-            columns["faults"] = _column(self.faults)
-        if self.contact_centroids is not None:
-            columns["middles"] = _column(self.contact_centroids)
-        if self.rivals is not None and np.isfinite(self.rivals).any():
-            columns["rivals"] = _column(self.rivals)
-        columns |= {
-            _NUISANCE + name: _column(values) for name, values in self.taxel_unknowns.items()
-        }
-        header = {name: getattr(self, name) for name in _HEADER} | {"steps": steps}
-        header["fit"] = None if self.fit is None else asdict(self.fit)
-        header["verdict"] = None if self.verdict is None else asdict(self.verdict)
-        header["response"] = None if self.response is None else self.response.values()
-        table = pa.table(columns).replace_schema_metadata({_KEY: json.dumps(header).encode()})
-        with atomic(_part(path, "parquet")) as temporary:
-            pq.write_table(table, temporary)
-        write_text(_part(path, "csv"), self.csv())
+        calibration_file.write(self, path)
 
     @classmethod
     def load(cls, path: str | Path) -> Calibration:
         """Read what `save` wrote at `path`. Raises CalibrationError for other files."""
-        file = _part(Path(path), "parquet")
-        if not file.exists():
-            raise CalibrationError(f"no calibration at {path}", remedy="check the path")
-        try:
-            table = pq.read_table(file)
-        except (pa.ArrowInvalid, OSError) as error:
-            raise CalibrationError(
-                f"{file} cannot be read", value=str(error).splitlines()[0], remedy="calibrate again"
-            ) from error
-        metadata = table.schema.metadata or {}
-        missing = set(_COLUMNS.values()) - set(table.column_names)
-        if _KEY not in metadata or missing:
-            raise CalibrationError(f"{file} holds no calibration", remedy="check the path")
-        header = json.loads(metadata[_KEY])
-        n, steps = table.num_rows, header.pop("steps")
-        shapes = {"poses": (n, 4, 4), "covariances": (n, 6, 6), "observed": (n, 6)}
-        values: dict[str, Any] = {
-            name: _array(table, column).reshape(shapes.get(name, (n,)))
-            for name, column in _COLUMNS.items()
-        }
-        if steps:
-            values["iterates"] = np.swapaxes(_array(table, "iterates").reshape(n, steps, 3), 0, 1)
-        if "faults" in table.column_names:
-            values["faults"] = _array(table, "faults")
-        if "middles" in table.column_names:
-            values["contact_centroids"] = _array(table, "middles").reshape(n, 3)
-        if "rivals" in table.column_names:
-            values["rivals"] = _array(table, "rivals").reshape(n, 3)
-        values["taxel_unknowns"] = {
-            name.removeprefix(_NUISANCE): _array(table, name).reshape(n, 2)
-            for name in table.column_names
-            if name.startswith(_NUISANCE)
-        }
-        fit = header.pop("fit", None)
-        header["fit"] = None if fit is None else GoodnessOfFit(**fit)
-        if (verdict := header.pop("verdict", None)) is not None:
-            header["verdict"] = Verdict(verdict["level"], tuple(verdict["reasons"]))
-        if (response := header.pop("response", None)) is not None:
-            header["response"] = LearnedResponse.from_values(response)
-        header["unknowns"] = {k: tuple(v) for k, v in header.get("unknowns", {}).items()}
-        for name in ("factors", "undetermined"):
-            header[name] = tuple(header.get(name, ()))
-        return cls(**values, **header)
+        return cls(**calibration_file.read(path))
 
     def csv(self) -> str:
         """A table in CSV: one row a taxel, lengths in mm, empty where not determined."""
-        rows = ["taxel,x_mm,y_mm,z_mm,nx,ny,nz,sigma_mm,readings,note"]
-        numbers = np.column_stack(
-            [1e3 * self.positions, self.poses[:, :3, 2], 1e3 * self.position_sigma]
-        )
-        faults = np.full(len(self.ids), "") if self.faults is None else self.faults
-        for k, values in enumerate(numbers):
-            text = [f"{x:.6f}" if np.isfinite(x) else "" for x in values]
-            note = "; ".join(filter(None, [self.reasons[k], faults[k].replace(",", ";")]))
-            rows.append(",".join([str(self.ids[k]), *text, str(self.readings[k]), note]))
-        return "\n".join(rows) + "\n"
+        return calibration_file.csv(self)
 
     def report(self, path: str | Path, **options: Any) -> list[Path]:
         """Write the report page, `path`.html; options (truth=skin, recording=, ...) as
@@ -292,7 +268,6 @@ class Calibration:
         that is not a Skin, UnknownNameError for an unknown option.
         """
         from ..report.page import report
-        from ..skin.skin import Skin
 
         known = list(inspect.signature(report).parameters)
         for name in options:
@@ -305,27 +280,3 @@ class Calibration:
             check_type(Skin, options["truth"], "the truth of a report")
         body = None if self.belief is None else self.belief.body
         return report(path, **{"body": body, "calibration": self, **options})
-
-
-def _part(path: Path, suffix: str) -> Path:
-    return path.with_name(f"{path.name.removesuffix('.parquet')}.{suffix}")
-
-
-def _column(values: np.ndarray) -> pa.Array:
-    """An Arrow column of the rows of `values` (n, ...), each row flat."""
-    values = np.asarray(values)
-    if values.ndim == 1:
-        return pa.array(values.tolist() if values.dtype == object else values)
-    flat = np.ascontiguousarray(values).reshape(len(values), -1)
-    return pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel()), flat.shape[1])
-
-
-def _array(table: pa.Table, name: str) -> np.ndarray:
-    column = table.column(name).combine_chunks()
-    if isinstance(column, pa.ChunkedArray):
-        column = column.chunk(0)
-    if isinstance(column, pa.FixedSizeListArray):
-        column = column.flatten()
-    if pa.types.is_string(column.type):
-        return np.array(column.to_pylist(), dtype=object)
-    return np.array(column.to_numpy(zero_copy_only=False))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..core.arrays import Array
+from ..core.value import Value
 from .uncertainty.goodness_of_fit import GoodnessOfFit
 
 MOSTLY_OUTLIERS = "most of its readings are outlying"
@@ -23,8 +24,8 @@ SURFACE = "body surface: position along the normal and tilt"
 """The factor of an estimate whose taxels lie on the believed surface."""
 
 
-@dataclass(frozen=True)
-class LearnedResponse:
+@dataclass(frozen=True, eq=False)
+class LearnedResponse(Value):
     """The learned response of the taxels, at the median force, in the unit of the readings."""
 
     distance: Array

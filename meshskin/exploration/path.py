@@ -6,11 +6,12 @@ segments the body is lifted off. Each segment of an arm starts from a stated pos
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path as FilePath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -19,16 +20,22 @@ from numpy.typing import NDArray
 from ..core.arrays import Array
 from ..core.atomic_io import atomic
 from ..core.errors import ConfigError
+from ..core.notebook import Card, Tabular
 from ..core.se3 import log_so3
+from ..core.value import Value
 from ..geometry.body import Body
 from ..scene.scene import Scene
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 ROWS = ("points", "normals", "poses", "twists", "faces")
 """Fields of a path with one row per sample."""
 
 
-@dataclass(frozen=True)
-class Path:
+@dataclass(frozen=True, eq=False)
+class Path(Value):
     """A path of the body over the indenter, sampled every `dt`."""
 
     dt: float
@@ -115,8 +122,8 @@ class Path:
         return np.concatenate([self.poses[:, :3, 3], r, self.twists], axis=1)
 
 
-@dataclass(frozen=True)
-class Plan:
+@dataclass(frozen=True, eq=False)
+class Plan(Value, Card, Tabular):
     """An exploration: its path, and what was assumed. `simulate(scene, path=plan.path)` runs it."""
 
     path: Path
@@ -141,6 +148,48 @@ class Plan:
             f"sliding, lanes {1e3 * self.spacing:.4g} mm apart, {len(path.unreachable)} taxels "
             "left out>"
         )
+
+    def facts(self) -> dict[str, str]:
+        """Segments or contacts, time, what is left out and why, for a notebook."""
+        path, apart = self.path, f"{1e3 * self.spacing:.4g} mm apart"
+        if self.contacts is not None:
+            facts = {"contacts": f"{len(path.points)} to press, {apart}"}
+        else:
+            facts = {"segments": str(len(path.breaks) + 1), "lanes": apart}
+            facts["sliding"] = f"{path.dt * len(path.points):.4g} s"
+        lost = "; ".join(
+            f"{count}: {why}" for why, count in Counter(path.unreachable.values()).most_common()
+        )
+        facts["taxels left out"] = lost or "none"
+        return facts | ({"notes": "; ".join(self.notes)} if self.notes else {})
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the contact points, coloured by their order in time, or as a list.
+
+        ax: matplotlib axes; None: those of a new figure.
+        """
+        from ..core import drawing
+
+        rows = np.arange(float(len(self.path.points)))
+        return drawing.solid(
+            ax,
+            toward=drawing.front(self.path.normals),
+            points=self.path.points,
+            normals=self.path.normals,
+            values=rows * self.path.dt if self.contacts is None else rows,
+            label="time on the path (s)" if self.contacts is None else "contact",
+            title=repr(self).strip("<>"),
+        )
+
+    def to_arrow(self) -> pa.Table:
+        """The contacts to press, or the path: segment, px, py, pz (m), nx, ny, nz a sample."""
+        if self.contacts is not None:
+            return self.contacts
+        rows = np.arange(len(self.path.points))
+        numbers = np.column_stack([self.path.points, self.path.normals])
+        names = ("px", "py", "pz", "nx", "ny", "nz")
+        segment = np.searchsorted(self.path.breaks, rows, side="right")
+        return pa.table({"segment": segment, **dict(zip(names, numbers.T, strict=True))})
 
     def save_contacts(self, path: str | FilePath) -> None:
         """Write the contacts as CSV. Raises ConfigError where the plan moves the body."""

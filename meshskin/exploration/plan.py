@@ -14,7 +14,7 @@ from ..contact.indenter import Indenter
 from ..contact.material import Material
 from ..core.arguments import check_real, check_type
 from ..core.arrays import Array
-from ..core.errors import ContactError, ReachError
+from ..core.errors import ContactError, ReachError, warn_left_out
 from ..geometry.body import Body
 from ..geometry.region import Region
 from ..robot.arm import Arm
@@ -86,7 +86,8 @@ def explore(
     arm, mount (T_tip_body, (4, 4)), indenter, material: by default those of `Scene(body, skin)`.
     force, N: contact force, which with the material gives the contact patch, hence the depth and,
     with `exploration.contacts`, the spacing of the lanes. dt, s: period of the path; frame, s: of
-    the readings. mode: "arm", or "quasi_static" for a body that moves without an arm. Raises
+    the readings. mode: "arm", or "quasi_static" for a body that moves without an arm. Warns where
+    taxels are not reached (LeftOutWarning). Raises
     ReachError where nothing can be explored, SkinError for a region too small, ContactError where
     no contact model holds, ConfigError for a value out of range.
     """
@@ -110,8 +111,9 @@ def explore(
         rig = scene.rig
     except ContactError:  # a wide contact: beyond the models that a scene is simulated with
         rig = scene.rig_of(scene.indentation.patch("field", _typical_curvature(scene)))
-    plan = lane_plan if scene.indenter.carried_by is None else contact_plan
-    return plan(scene, rig)
+    plan = (lane_plan if scene.indenter.carried_by is None else contact_plan)(scene, rig)
+    warn_left_out("reached", plan.unreachable.values(), len(skin))
+    return plan
 
 
 def _typical_curvature(scene: Scene) -> Array:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..core.arguments import check_integer, check_real, check_vector, check_vectors, repr_short
 from ..core.arrays import Array
 from ..core.errors import MeshError
+from ..core.notebook import Card
+from ..core.value import Value
 from . import primitives, tessellate
 from .mesh import link_mesh, mesh_file
 from .mesh.check import check_mesh
@@ -24,6 +26,10 @@ from .surface import closing
 from .surface.closest_point import Closest
 from .surface.heights import DEGREE
 from .surface.surface import Surface
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 MAX_EXTENT, MIN_EXTENT = 5.0, 5e-3
 """largest and least extent of a body, m: others are most likely in another unit"""
@@ -47,7 +53,7 @@ class Exact(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class Body(Value, Card):
     """A closed surface in the body frame, in m."""
 
     name: str
@@ -75,6 +81,20 @@ class Body:
     def __repr__(self) -> str:
         size = " x ".join(f"{1e3 * x:.4g}" for x in self.mesh.extents)
         return f"<Body {self.name!r}: {len(self.mesh.faces)} faces, {size} mm>"
+
+    def facts(self) -> dict[str, str]:
+        """Name, faces, size, area, and what was repaired, for a notebook."""
+        size = " x ".join(f"{1e3 * x:.4g}" for x in self.mesh.extents)
+        facts = {"name": self.name, "size": f"{size} mm", "faces": f"{len(self.mesh.faces):,}"}
+        facts["area"] = f"{1e4 * self.mesh.area:.4g} cm2"
+        lists = {"patches": sorted(self.patches), "repairs": self.repairs}
+        return facts | {name: "; ".join(texts) for name, texts in lists.items() if texts}
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the body; ax: matplotlib axes (None: those of a new figure). Returns the figure."""
+        from ..core import drawing
+
+        return drawing.solid(ax, mesh=self.mesh, title=self.name)
 
     @property
     def facets(self) -> Any:

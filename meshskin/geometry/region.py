@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..core.arrays import Array
 from ..core.config import quantity
 from ..core.errors import SkinError
+from ..core.value import Value
 from .body import Body
 from .mesh.triangles import subdivision_centroids
 from .surface.closest_point import Closest
@@ -108,7 +109,7 @@ class HalfSpace:
 
 
 @dataclass(frozen=True, eq=False)
-class Faces:
+class Faces(Value):
     """Faces of a mesh: by their rows in `body.mesh.faces`, or by a mask over all of them."""
 
     faces: Sequence[int] | NDArray[np.intp] | NDArray[np.bool_]

@@ -11,26 +11,27 @@ A robot's own log may be two CSV files with the same columns (csv_log.py).
 
 from __future__ import annotations
 
-import json
 import os
-import secrets
-from collections.abc import Mapping
-from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from ..core.arguments import repr_short
+from ..core.arguments import check_name, repr_short
 from ..core.arrays import Array
-from ..core.atomic_io import atomic
 from ..core.errors import RecordingError
+from ..core.notebook import Card, data_frame
+from ..core.value import Value
 from . import csv_log
+from .recording_files import RecordingWriter, part_path, read_table
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 CONTACTS = pa.schema(
     [(name, pa.float64()) for name in ("time", "px", "py", "pz", "nx", "ny", "nz", "force")]
@@ -44,7 +45,6 @@ are equally near."""
 NOMINAL = "nominal"
 """Value of "force" in the metadata of a recording without measured forces: the column `force` then
 holds a reference force."""
-_KEY = b"meshskin"
 _PARTS = ("contacts", "readings", "motion")
 
 
@@ -52,14 +52,8 @@ def _column(table: pa.Table, name: str) -> np.ndarray:
     return np.asarray(table.column(name).to_numpy())
 
 
-def part_path(path: str | Path, part: str) -> Path:
-    """The file that holds one table of the recording at `path`: path.PART.parquet."""
-    path = Path(path)
-    return path.with_name(f"{path.name}.{part}.parquet")
-
-
-@dataclass(frozen=True)
-class Recording:
+@dataclass(frozen=True, eq=False)
+class Recording(Value, Card):
     """Contacts and readings of one exploration, with metadata.
 
     The metadata of a simulation hold at least taxel_ids (all taxels, read or not), disc_radius_m
@@ -101,6 +95,48 @@ class Recording:
             f"<Recording: {len(self.time)} contacts over {span}, {len(self.readings)} readings of "
             f"{taxels} taxels, {'without' if self.motion is None else 'with'} the arm's motion>"
         )
+
+    def facts(self) -> dict[str, str]:
+        """Contacts, forces, readings and what else is recorded, for a notebook."""
+        known, count = len(self.metadata.get("taxel_ids", ())), len(self.time)
+        facts = {"contacts": f"{count:,}", "readings": f"{len(self.readings):,}"}
+        facts["taxels"] = f"{len(np.unique(self.reading_taxel))} read" + f" of {known}" * bool(
+            known
+        )
+        if count:
+            low, high = self.force.min(), self.force.max()
+            facts["duration"] = f"{self.time[-1] - self.time[0]:.4g} s"
+            facts["force"] = f"median {np.median(self.force):.4g} N, {low:.4g} to {high:.4g} N"
+            facts["force"] += "" if self.force_measured else ", not measured: a reference force"
+        facts["arm's motion"] = "none" if self.motion is None else f"{len(self.motion):,} steps"
+        lost = self.metadata.get("unreachable") or {}
+        return facts | ({"taxels not reached": str(len(lost))} if lost else {})
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the contact points, coloured by the force; ax: matplotlib axes (None: a figure)."""
+        from ..core import drawing
+
+        return drawing.solid(
+            ax,
+            toward=drawing.front(self.normals),
+            points=self.points,
+            normals=self.normals if np.isfinite(self.normals).all() else None,
+            values=self.force,
+            label="force (N)",
+            title=f"{len(self.time)} contacts",
+        )
+
+    def to_pandas(self, part: str = "contacts") -> pd.DataFrame:
+        """One of the tables contacts, readings and motion, which are Arrow tables, as a DataFrame.
+
+        Raises UnknownNameError for another name, RecordingError without motion, ConfigError without
+        pandas.
+        """
+        check_name("table of a recording", part, _PARTS)
+        table = getattr(self, part)
+        if table is None:
+            raise RecordingError(f"the recording has no table {part}")
+        return data_frame(table)
 
     @property
     def force_measured(self) -> bool:
@@ -234,7 +270,7 @@ class Recording:
         for part in _PARTS:
             file = part_path(path, part)
             if file.exists():
-                tables[part], headers[part] = _read_table(file)
+                tables[part], headers[part] = read_table(file)
             elif part != "motion":
                 raise RecordingError(
                     f"no recording at {path}: {file.name} is missing",
@@ -248,77 +284,3 @@ class Recording:
         header = headers["contacts"]
         header.pop("recording_id", None)
         return cls(tables["contacts"], tables["readings"], header, tables.get("motion"))
-
-
-def _read_table(file: Path) -> tuple[pa.Table, dict[str, Any]]:
-    """A table of a recording, memory-mapped, and its metadata. Raises RecordingError."""
-    try:
-        table = pq.read_table(file, memory_map=True)
-        return table, json.loads((pq.read_metadata(file).metadata or {})[_KEY])
-    except (pa.ArrowInvalid, OSError) as error:
-        raise RecordingError(
-            f"{file} cannot be read: {str(error).splitlines()[0]}",
-            remedy="record it again",
-        ) from error
-    except (KeyError, ValueError) as error:
-        raise RecordingError(
-            f"{file} has no meshskin metadata",
-            remedy="write it with Recording.save or RecordingWriter",
-        ) from error
-
-
-class RecordingWriter:
-    """Streams tables to the files of a recording, which appear only when all are written.
-
-    Use as a context manager; an exception inside leaves nothing behind. `metadata` is written last,
-    so that it may be completed while the tables stream.
-    """
-
-    def __init__(self, path: str | Path, metadata: Mapping[str, Any]) -> None:
-        self.path = Path(path)
-        self.metadata = dict(metadata)
-        self._stack = ExitStack()
-        self._writers: dict[str, pq.ParquetWriter] = {}
-
-    def __enter__(self) -> Self:
-        return self
-
-    def _writer(self, part: str, schema: pa.Schema) -> pq.ParquetWriter:
-        if part not in self._writers:
-            temporary = self._stack.enter_context(atomic(part_path(self.path, part)))
-            self._writers[part] = self._stack.enter_context(pq.ParquetWriter(temporary, schema))
-        return self._writers[part]
-
-    def write(
-        self, *, contacts: pa.Table, readings: pa.Table, motion: pa.Table | None = None
-    ) -> None:
-        """Append rows to the tables."""
-        for part, table in (("contacts", contacts), ("readings", readings), ("motion", motion)):
-            if table is not None:
-                self._writer(part, table.schema).write_table(table)
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if kind is not None:
-            self._stack.__exit__(kind, error, trace)
-            return
-        with self._stack:
-            header = self._header()
-            for writer in self._writers.values():
-                writer.add_key_value_metadata({_KEY: header})
-            if "motion" not in self._writers:
-                part_path(self.path, "motion").unlink(missing_ok=True)
-
-    def _header(self) -> str:
-        """The metadata as JSON. Raises RecordingError."""
-        try:
-            return json.dumps({**self.metadata, "recording_id": secrets.token_hex(8)})
-        except (TypeError, ValueError) as error:
-            raise RecordingError(
-                f"metadata of a recording must be JSON values: {error}",
-                remedy="give numbers, texts, lists and dicts",
-            ) from error

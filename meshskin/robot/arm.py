@@ -12,10 +12,9 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -25,6 +24,7 @@ from ..core.arrays import Array
 from ..core.content_cache import cached_by_content
 from ..core.errors import ArmError
 from ..core.se3 import inverse
+from ..core.value import Value
 from . import inverse_kinematics as ik
 from .dynamics import Dynamics
 from .urdf import Joint, UrdfTree, numbers
@@ -58,7 +58,7 @@ class DrivenJoint:
 
 
 @dataclass(frozen=True, eq=False)
-class Arm:
+class Arm(Value):
     """A serial arm: the moving joints from the root link to the tip of a URDF file, in order.
 
     Joints that mimic others are not counted. For prismatic joints, angles and torques (rad, N m)
@@ -155,9 +155,6 @@ class Arm:
             damping=np.array([j.dynamics.get("damping", 0.0) for j in moving]),
             friction=np.array([j.dynamics.get("friction", 0.0) for j in moving]),
         )
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {f.name: getattr(self, f.name) for f in fields(self)}  # without cached expressions
 
     def with_payload(self, mass: float, com: ArrayLike, inertia: ArrayLike) -> Arm:
         """This arm with a rigid body mounted on its tip.

@@ -15,6 +15,7 @@ from ..core.arrays import Array
 from ..core.atomic_io import write_text
 from ..core.errors import ArmError
 from ..core.se3 import inverse, transform
+from ..core.value import Value
 from ..geometry.body import Body
 from ..skin.skin import Skin
 from .chain import Chain, ChainJoint
@@ -25,7 +26,7 @@ TURNING, SLIDING = ("revolute", "continuous"), ("prismatic",)
 
 
 @dataclass(frozen=True, eq=False)
-class Robot:
+class Robot(Value):
     """The links and joints of a URDF file."""
 
     name: str
@@ -34,7 +35,7 @@ class Robot:
     """The URDF file."""
     text: str
     """Its text; of a corrected robot, that with the corrections."""
-    tree: UrdfTree
+    tree: UrdfTree = field(compare=False)
     """Its links and joints."""
     folders: tuple[Path, ...] = ()
     """Folders that are searched for the links' meshes, besides the file's and its parents."""

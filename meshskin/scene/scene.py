@@ -31,25 +31,26 @@ from ..core.arguments import (
     repr_short,
 )
 from ..core.arrays import Array
-from ..core.errors import ConfigError, SkinError
+from ..core.errors import ConfigError
+from ..core.notebook import Card
 from ..core.se3 import is_rigid, orthonormal_basis, perpendicular, poses_of_states, transform
+from ..core.value import Value
 from ..effects import Context, NoiseEffect, check_effect
 from ..geometry.body import Body
 from ..robot.arm import Arm
 from ..robot.contact_rig import ContactRig
-from ..skin import slots
-from ..skin.skin import Modules, Skin
+from ..skin.skin import Skin
 from . import shipped_scenes
-from .belief import Belief
+from .belief import Belief, module_slots
 from .file import read_tables, scene_fields
 from .settings import Exploration, Law, Loop, Readout
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
     from ..effects import Effect
 
-MODULE_TOLERANCE = 1e-5
-"""Largest deviation of a taxel from its slot in a rigid module, m: below the position error of an
-estimate (0.08 mm with 5 % noise), above the rounding of skin files (0.001 mm)."""
 ADAPTER = 0.02
 """Length of the adapter between flange and body where no mount is given, m. Chosen."""
 MIN_MEAN_NORMAL = 0.05
@@ -64,8 +65,8 @@ PARTS: dict[str, type] = {
 """Types of the parts that every scene has."""
 
 
-@dataclass(frozen=True)
-class Scene(NamedFields):
+@dataclass(frozen=True, eq=False)
+class Scene(Value, NamedFields, Card):
     """A skinned body on an arm over a fixed indenter.
 
     Raises ConfigError for an unknown field or a value out of range.
@@ -152,6 +153,18 @@ class Scene(NamedFields):
         on = ", ".join(type(effect).__name__ for effect in self.effects) or "no effects"
         return f"<Scene {self.name!r}: {self.body!r}, {self.skin!r}, {self.arm!r}, {on}>"
 
+    def facts(self) -> dict[str, str]:
+        """Name, parts and effects, for a notebook."""
+        parts = {name: repr(getattr(self, name)).strip("<>") for name in ("body", "skin", "arm")}
+        radius, young = 1e3 * self.indenter.radius, self.material.young / 1e3
+        press = f"{radius:.4g} mm radius, {self.law.force_reference:.4g} N on {young:.4g} kPa"
+        on = ", ".join(map(repr, self.effects)) or "none"
+        return {"name": self.name, **parts, "indenter": press, "effects": on}
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the skin on the body; ax: matplotlib axes (None: those of a new figure)."""
+        return self.skin.plot(ax, self.body)
+
     @classmethod
     def load(cls, name: str | Path) -> Scene:
         """A shipped scene by name, or a scene from a TOML file. Raises ConfigError."""
@@ -159,10 +172,7 @@ class Scene(NamedFields):
 
     @classmethod
     def from_tables(cls, data: Mapping[str, Any], folder: Path) -> Scene:
-        """The scene of merged TOML tables; relative paths start from `folder`.
-
-        Raises ConfigError.
-        """
+        """The scene of merged TOML tables; paths start from `folder`. Raises ConfigError."""
         return cls(**scene_fields(data, folder))
 
     def with_(self, **changes: Any) -> Scene:
@@ -335,14 +345,6 @@ class Scene(NamedFields):
             force_reference=self.law.force_reference,
             noise_sigma=noise if noise > 0 else None,
             threshold=self.threshold,
-            module_slots=self._module_slots(),
+            module_slots=module_slots(self.skin),
         )
         return replace_fields(known, changes)
-
-    def _module_slots(self) -> Array | None:
-        """The slots of the data sheet where the skin consists of rigid modules; not their poses."""
-        try:
-            Modules.of(self.skin, MODULE_TOLERANCE)
-        except SkinError:
-            return None
-        return slots.OFFSETS

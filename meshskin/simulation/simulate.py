@@ -19,14 +19,15 @@ import pyarrow as pa
 from .. import effects
 from ..core.arguments import check_type
 from ..core.arrays import Array
-from ..core.errors import ConfigError, SkinError
+from ..core.errors import ConfigError, SkinError, warn_left_out
 from ..core.progress import Progress, Stage
 from ..core.provenance import provenance
 from ..core.se3 import inverse
 from ..exploration.path import Path as ExplorationPath
 from ..exploration.path import start_configuration
 from ..exploration.plan import plan_exploration
-from ..recording.recording import Recording, RecordingWriter
+from ..recording.recording import Recording
+from ..recording.recording_files import RecordingWriter
 from ..scene.scene import Scene
 from . import stability
 from .closed_loop_model import ClosedLoopModel, state_of_pose
@@ -61,9 +62,9 @@ def simulate(
     instead of holding it in memory. progress(stage, done, total) is called during the run. chain:
     the effects of an earlier run, to continue instead of new ones of the seed. A carried indenter
     is pressed once at each contact of the plan, at rest at the reference force. Warns where the
-    contact force leaves its reference after settling (`response.describe_departure`). Raises
-    ReachError if the arm cannot follow the path, SimulationError if the loop fails, ConfigError for
-    a scene whose budget has not been resolved.
+    contact force leaves its reference after settling (`response.describe_departure`), and where
+    taxels are not reached (LeftOutWarning). Raises ReachError if the arm cannot follow the path,
+    SimulationError if the loop fails, ConfigError for a scene whose budget has not been resolved.
     """
     check_type(Scene, scene, "what is simulated")
     if scene.budget is not None:
@@ -73,7 +74,9 @@ def simulate(
             remedy="simulate ms.budget(scene).scene, or scene.with_(budget=None)",
         )
     if scene.indenter.carried_by is not None:
-        return _pressed(scene, seed, path or plan_exploration(scene).path, out, chain)
+        recording = _pressed(scene, seed, path or plan_exploration(scene).path, out, chain)
+        warn_left_out("reached", recording.metadata["unreachable"].values(), len(scene.skin))
+        return recording
     planning = Stage(progress, "plan", 1)
     simulator, path = prepare(scene, path=path)
     planning.end()
@@ -98,6 +101,7 @@ def simulate(
     assert recording.motion is not None
     if words := describe_departure(recording.motion):
         warnings.warn(words, stacklevel=2)
+    warn_left_out("reached", recording.metadata["unreachable"].values(), len(scene.skin))
     return recording
 
 

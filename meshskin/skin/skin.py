@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,11 +14,18 @@ from ..core import se3
 from ..core.arguments import check_integer, check_real, check_type
 from ..core.arrays import Array
 from ..core.errors import SkinError
+from ..core.notebook import Card, Tabular
+from ..core.value import Value
 from ..geometry import region as regions
 from ..geometry.body import Body
 from ..geometry.mesh.mesh_file import UNITS
 from . import files, module_layout, module_pose, slots, taxel_layout
-from .files.table import DISC_RADIUS
+from .files.table import DISC_RADIUS, SkinRows
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 MAX_DISTANCE = 0.05
 """Default limit on the distance from a taxel to the surface that `Skin.onto` moves it to, m: half
@@ -30,7 +38,7 @@ MAX_TAXELS = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Skin:
+class Skin(Value, Card, Tabular):
     """n taxels in the body frame, SI units. Raises SkinError for inconsistent or repeated ids."""
 
     poses: Array
@@ -39,6 +47,11 @@ class Skin:
     """(n,) distinct integer ids of the taxels"""
     disc_radius: float = DISC_RADIUS
     """radius of the disc over which a taxel averages pressure, m"""
+    sigmas: Array | None = None
+    """(n,) standard deviations of the positions in space, m, of a skin that was calibrated; NaN or
+    inf where not determined; None: not known"""
+    frame: str | None = None
+    """name of the frame that the poses are in: the link of a robot, or a mesh; None: not known"""
 
     def __post_init__(self) -> None:
         check_real("disc radius of a taxel", self.disc_radius, "m", above=0.0, error=SkinError)
@@ -56,6 +69,12 @@ class Skin:
             raise SkinError(
                 "ids of a skin must be distinct", value=f"{values[counts > 1][0]} twice"
             )
+        if self.sigmas is not None and np.shape(self.sigmas) != ids.shape:
+            raise SkinError(
+                "sigmas of a skin must be one for each taxel",
+                value=f"shape {np.shape(self.sigmas)}",
+                limit=f"{ids.shape}",
+            )
 
     @property
     def positions(self) -> Array:
@@ -72,6 +91,64 @@ class Skin:
 
     def __repr__(self) -> str:
         return f"<Skin: {len(self)} taxels, discs of {1e3 * self.disc_radius:.4g} mm radius>"
+
+    def facts(self) -> dict[str, str]:
+        """Taxels, their distances and discs, and what is known of them, for a notebook."""
+        facts = {"taxels": f"{len(self):,}"}
+        if len(self) > 1:
+            facts["nearest neighbours"] = f"{1e3 * self.spacing:.4g} mm apart (median)"
+        facts["discs"] = f"{1e3 * self.disc_radius:.4g} mm radius"
+        if self.frame is not None:
+            facts["frame"] = self.frame
+        if self.sigmas is not None and np.isfinite(self.sigmas).any():
+            sigma = 1e3 * self.sigmas[np.isfinite(self.sigmas)]
+            facts["sigma"] = f"median {np.median(sigma):.3g} mm, largest {sigma.max():.3g} mm"
+        return facts
+
+    @property
+    def spacing(self) -> float:
+        """Median distance of a taxel from its nearest neighbour, m; NaN for fewer than two."""
+        from scipy.spatial import cKDTree
+
+        points = self.positions[np.isfinite(self.positions).all(axis=1)]
+        if len(points) < 2:
+            return float("nan")
+        return float(np.median(cKDTree(points).query(points, k=2)[0][:, 1]))
+
+    def plot(self, ax: Axes | None = None, body: Body | None = None) -> Figure:
+        """Draw the taxels, on a body if one is given, coloured by their sigmas where known.
+
+        ax: matplotlib axes; None: those of a new figure. Returns the figure.
+        """
+        from ..core import drawing
+
+        return drawing.solid(
+            ax,
+            toward=drawing.front(self.normals),
+            mesh=None if body is None else body.mesh,
+            points=self.positions,
+            normals=self.normals if np.isfinite(self.normals).all() else None,
+            values=None if self.sigmas is None else 1e3 * self.sigmas,
+            label="sigma (mm)",
+            radius=self.disc_radius,
+            title=f"{len(self)} taxels",
+        )
+
+    def to_arrow(self) -> pa.Table:
+        """One row a taxel: taxel, x, y, z (m), nx, ny, nz, qx, qy, qz, qw, and sigma (m) if known.
+
+        A taxel without a normal has NaN there.
+        """
+        import pyarrow as pa
+
+        rotation = self.poses[:, :3, :3]
+        quaternions = np.full((len(self), 4), np.nan)
+        whole = np.isfinite(rotation).all(axis=(1, 2))
+        quaternions[whole] = se3.quaternion(rotation[whole])
+        numbers = np.column_stack([self.positions, self.normals, quaternions])
+        names = ("x", "y", "z", "nx", "ny", "nz", "qx", "qy", "qz", "qw")
+        table = {"taxel": self.ids, **dict(zip(names, numbers.T, strict=True))}
+        return pa.table(table | ({} if self.sigmas is None else {"sigma": self.sigmas}))
 
     @classmethod
     def cover(
@@ -142,22 +219,36 @@ class Skin:
         table = files.read(Path(path), part)
         table = table.take(table.is_taxel())
         table = replace(table, positions=UNITS[units] * table.positions)
-        return cls(table.poses(Path(path).name), table.ids, table.disc_radius)
+        poses = table.poses(Path(path).name)
+        return cls(poses, table.ids, table.disc_radius, table.sigmas, table.frame)
 
-    def save(self, path: str | Path, format: str | None = None) -> None:
+    def save(
+        self,
+        path: str | Path,
+        format: str | None = None,
+        *,
+        link: str | None = None,
+        parent: str | None = None,
+    ) -> None:
         """Write the skin atomically, in the format of the suffix of `path`, or in `format`.
 
         Formats: "csv", "txt" or "icub" (position file), "urdf" (a link and a fixed joint a taxel),
         "urdf_tactile" (sensor with taxels), "xml" or "mjcf" (MuJoCo sites with touch sensors),
         "npz" (poses (n, 3, 4)), "yaml" (static transforms of ROS), and for viewers "ply" and "glb".
-        Frames are named after the file's stem: `<stem>_skin_<id>` on the link or body `<stem>`.
+        Every file names the frame of its poses: `link`, by default that of the skin, or else the
+        file's stem; frames of taxels are `<link>_skin_<id>`. Sigmas are written where known.
+        `parent`: of the two URDF formats, a link to which `link` is fixed, at its origin.
         Raises SkinError, OutputError.
         """
         kind = (format or Path(path).suffix.lstrip(".")).lower()
-        files.write(Path(path), kind, self.poses, self.ids, self.disc_radius)
+        frame = link or self.frame or Path(path).stem
+        rows = SkinRows(self.poses, self.ids, self.disc_radius, frame, self.sigmas, parent)
+        files.write(Path(path), kind, rows)
 
-    def moved(self, T_b_a: ArrayLike) -> Skin:
+    def moved(self, T_b_a: ArrayLike, frame: str | None = None) -> Skin:
         """The same taxels in another frame b; the skin is given in a, `T_b_a` (4, 4) is a's pose.
+
+        `frame`: name of b.
 
         Skin files are in the frame of the robot's link, mesh files mostly in one of their own. The
         origin of the link's visual in the URDF is T_link_mesh, the pose of the mesh in the link:
@@ -170,7 +261,7 @@ class Skin:
                 value=f"shape {np.shape(T_b_a)}" if np.shape(T_b_a) != (4, 4) else None,
                 limit="(4, 4), orthonormal rotation without reflection, last row 0 0 0 1",
             )
-        return replace(self, poses=np.asarray(T_b_a, dtype=float) @ self.poses)
+        return replace(self, poses=np.asarray(T_b_a, dtype=float) @ self.poses, frame=frame)
 
     def onto(self, body: Body, within: float = MAX_DISTANCE) -> Skin:
         """The skin moved onto a body: to the closest points of its surface, with its normals.
@@ -200,7 +291,7 @@ class Skin:
 
 
 @dataclass(frozen=True, eq=False)
-class Modules:
+class Modules(Value):
     """m rigid triangular modules of ten taxels in the body frame."""
 
     poses: Array

@@ -5,7 +5,8 @@ import pyarrow as pa
 import pytest
 
 from meshskin.core.errors import OutputError, RecordingError
-from meshskin.recording.recording import CONTACTS, READINGS, Recording, RecordingWriter, part_path
+from meshskin.recording.recording import CONTACTS, READINGS, Recording
+from meshskin.recording.recording_files import RecordingWriter, part_path
 
 READINGS_CSV = "time,taxel,pressure\n0,1,2\n"
 

@@ -10,14 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...contact import BATCHED, ContactModel
 from ...core.arguments import check_type
 from ...core.arrays import Array
-from ...core.errors import CalibrationError
+from ...core.errors import CalibrationError, warn_left_out
+from ...core.notebook import Card
 from ...core.progress import Progress
+from ...core.value import Value
 from ...geometry.body import Body
 from ...recording.log_contacts import contact_frames, joint_path, recording_of
 from ...recording.recording import Recording
@@ -28,6 +31,10 @@ from ...scene.contact_motion import ContactMotion
 from ..calibrate import calibrate
 from ..calibration import Calibration
 from .heights import Heights, surface_heights
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 MAX_ROUNDS = 5
 """Largest number of times that contacts are computed anew; two or three are usual."""
@@ -48,7 +55,7 @@ HEIGHT_FITS = 2
 
 
 @dataclass(frozen=True, eq=False)
-class LogCalibration:
+class LogCalibration(Value, Card):
     """A calibrated skin, and what the log told of the robot."""
 
     calibration: Calibration
@@ -65,6 +72,19 @@ class LogCalibration:
     """Number of times that the contacts were computed."""
     depth_factor: float = 1.0
     """Depth of the indentations, relative to that under the believed material and force."""
+
+    def facts(self) -> dict[str, str]:
+        """The facts of the calibration, and what the log told of the robot, for a notebook."""
+        before, after = (
+            1e3 * float(np.median(np.abs(h))) for h in (self.heights_before, self.heights)
+        )
+        heights = f"{before:.3g} mm off the body before the estimate, {after:.2g} mm after it"
+        surprises = {"surprises": "; ".join(self.surprises)} if self.surprises else {}
+        return {**self.calibration.facts(), "contacts": heights, **surprises}
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the calibrated skin: `Calibration.plot`."""
+        return self.calibration.plot(ax)
 
     @property
     def unknowns(self) -> Mapping[str, tuple[float, float]]:
@@ -150,6 +170,7 @@ def calibrate_log(
     after, factor = heights.residuals(x)[0], float(np.exp(x[-1]))
     result = LogCalibration(found, recording, kinematics, after, before, rounds, factor)
     verdict = None if found.verdict is None else found.verdict.with_doubts(result.surprises)
+    warn_left_out("calibrated", found.reasons_left_out, len(found.ids))
     return replace(result, calibration=replace(found, verdict=verdict))
 
 

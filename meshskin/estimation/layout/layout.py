@@ -13,6 +13,7 @@ from ...core.arrays import Array, Index
 from ...core.errors import CalibrationError
 from ...core.progress import Progress, Stage
 from ...core.provenance import random_stream
+from ...core.value import Value
 from . import on_body, stress, tiles
 from .alignment import aligned
 from .coactivity import distinct_levels, largest_part, path_lengths, strokes
@@ -33,8 +34,8 @@ PRESENT = 0.5
 """Share of the draws that must join a taxel to the others."""
 
 
-@dataclass(frozen=True)
-class Layout:
+@dataclass(frozen=True, eq=False)
+class Layout(Value):
     """Positions of n taxels up to what readings alone do not tell, with their uncertainty."""
 
     ids: np.ndarray

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.arrays import Array
 from ...core.errors import GraphError
+from ...core.value import Value
 from ...geometry.mesh.topology import connected_components
 from . import validation
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class PoseGraph:
+class PoseGraph(Value):
     """Poses and measured displacements T_i_j between them.
 
     Residual of an edge: e = (R_i^T (t_j - t_i) - delta_t, Log(delta_R^T R_i^T R_j)), translation

@@ -9,6 +9,7 @@ import numpy as np
 from ...core.arguments import check_type
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
+from ...core.value import Value
 from .side import SideState, TouchSide, contacts, positions
 
 START_SCATTER = 10e-3
@@ -25,8 +26,8 @@ UNDETERMINED = 0.9
 counts as not determined: it rests on the prior."""
 
 
-@dataclass(frozen=True)
-class SelfTouch:
+@dataclass(frozen=True, eq=False)
+class SelfTouch(Value):
     """Two skins calibrated against each other."""
 
     states: tuple[SideState, SideState]

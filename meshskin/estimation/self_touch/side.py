@@ -21,11 +21,12 @@ from ...core.arrays import Array, sums_by_group
 from ...core.config import check_fields, quantity
 from ...core.errors import CalibrationError
 from ...core.se3 import exp_so3, hat
+from ...core.value import Value
 from ...robot.chain import Chain
 
 
 @dataclass(frozen=True, eq=False)
-class TouchSide(NamedFields):
+class TouchSide(Value, NamedFields):
     """A skin in m touches. A sigma of 0 means known. Raises CalibrationError and ConfigError."""
 
     chain: Chain | None

@@ -7,9 +7,7 @@ from types import ModuleType
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ...core.arrays import Array
 from ...core.atomic_io import atomic
 from ...core.errors import SkinError
 from . import (
@@ -25,7 +23,7 @@ from . import (
     urdf,
     urdf_tactile,
 )
-from .table import SkinTable
+from .table import SkinRows, SkinTable
 
 FORMATS: dict[str, ModuleType] = {
     "csv": csv,
@@ -77,7 +75,8 @@ def read(path: Path, part: str | None = None) -> SkinTable:
 def _read_xml(text: str, name: str, part: str | None) -> SkinTable:
     """The rows of a URDF or MJCF. Raises SkinError."""
     try:
-        root = ElementTree.fromstring(text)
+        keep = ElementTree.TreeBuilder(insert_comments=True)  # they hold the sigmas
+        root = ElementTree.fromstring(text, ElementTree.XMLParser(target=keep))
     except ElementTree.ParseError as error:
         raise SkinError(f"{name} is not XML", value=str(error)) from error
     if root.tag == "mujoco":
@@ -93,11 +92,17 @@ def check_format(kind: str) -> None:
         )
 
 
-def write(path: Path, kind: str, poses: Array, ids: NDArray[np.int64], disc_radius: float) -> None:
+def write(path: Path, kind: str, rows: SkinRows) -> None:
     """Write a skin atomically, as `kind`: one of FORMATS. Raises SkinError, OutputError."""
     check_format(kind)
     module = FORMATS[kind]
-    bare = int(np.isnan(poses).any(axis=(1, 2)).sum())
+    if rows.parent is not None and module not in (urdf, urdf_tactile):
+        raise SkinError(
+            f"a {kind} file has no parent link", value=rows.parent, remedy="write urdf, or none"
+        )
+    if rows.parent == rows.link:
+        raise SkinError("a link cannot be its own parent", value=rows.link)
+    bare = int(np.isnan(rows.poses).any(axis=(1, 2)).sum())
     if bare and module is not icub:
         raise SkinError(
             f"taxels without a normal cannot be written to a {kind} file",
@@ -105,7 +110,7 @@ def write(path: Path, kind: str, poses: Array, ids: NDArray[np.int64], disc_radi
             limit="0",
             remedy="a position file (.txt), or take the normals from the body: skin.onto(body)",
         )
-    content = module.write(poses, ids, disc_radius, path.stem)
+    content = module.write(rows)
     with atomic(path) as temporary:
         temporary.write_bytes(content.encode() if isinstance(content, str) else content)
 

@@ -1,27 +1,30 @@
-"""Skin files in CSV: id, position (m), outward normal and quaternion (xyzw) in the body frame."""
+"""Skin files in CSV: id, position (m), outward normal, quaternion (xyzw) in the frame that the
+first line names, and the standard deviation of the position (m) where known."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ...core import se3
-from ...core.arrays import Array
 from ...core.errors import SkinError
-from ..slots import Ids
-from .table import DISC_RADIUS, SkinTable, parse_numbers
+from .table import DISC_RADIUS, SkinRows, SkinTable, parse_numbers, parse_sigmas
 
 COLUMNS = ("id", "x", "y", "z", "nx", "ny", "nz", "qx", "qy", "qz", "qw")
 HEADER = "# meshskin skin"
-_RADIUS = "disc_radius_m="
+_RADIUS, _FRAME, _SIGMA = "disc_radius_m=", "frame=", "sigma"
 
 
-def write(poses: Array, ids: Ids, disc_radius: float, name: str) -> str:
-    """Text of poses (n, 4, 4) and ids (n,), exact to the last bit of positions and normals."""
-    rotation = poses[:, :3, :3]
-    table = np.column_stack([poses[:, :3, 3], rotation[:, :, 2], se3.quaternion(rotation)])
-    lines = [f"{HEADER}, {_RADIUS}{float(disc_radius)!r}", ",".join(COLUMNS)]
-    for taxel, row in zip(ids.tolist(), table.tolist(), strict=True):
-        lines.append(",".join([str(taxel), *map(repr, row)]))
+def write(rows: SkinRows) -> str:
+    """Text of the rows, exact to the last bit of positions and normals."""
+    rotation = rows.poses[:, :3, :3]
+    table = np.column_stack([rows.poses[:, :3, 3], rotation[:, :, 2], se3.quaternion(rotation)])
+    known = rows.sigmas is not None
+    head = f"{HEADER}, {_RADIUS}{float(rows.disc_radius)!r}, {_FRAME}{rows.link}"
+    lines = [head, ",".join([*COLUMNS, *([_SIGMA] if known else [])])]
+    for taxel, row, sigma in zip(
+        rows.ids.tolist(), table.tolist(), rows.sigma_texts(), strict=True
+    ):
+        lines.append(",".join([str(taxel), *map(repr, row), *([sigma] if known else [])]))
     return "\n".join(lines) + "\n"
 
 
@@ -30,7 +33,8 @@ def read(text: str, name: str) -> SkinTable:
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     comments = [line for line in lines if line.startswith("#")]
     body = [line for line in lines if not line.startswith("#")]
-    if not body or tuple(field.strip() for field in body[0].split(",")) != COLUMNS:
+    columns = tuple(field.strip() for field in body[0].split(",")) if body else ()
+    if columns not in (COLUMNS, (*COLUMNS, _SIGMA)):
         raise SkinError(
             f"{name} is not a skin file",
             value=repr(body[0][:60]) if body else "no lines",
@@ -38,17 +42,27 @@ def read(text: str, name: str) -> SkinTable:
         )
     if len(body) < 2:
         raise SkinError(f"{name} holds no taxels")
-    ids, rows = [], []
+    ids, rows, sigmas = [], [], []
     for number, line in enumerate(body[1:], start=1):
         taxel, *fields = line.split(",")
         where = f"{name}, taxel line {number}"
+        sigmas.append(fields.pop() if len(columns) == len(fields) + 1 > len(COLUMNS) else "")
         rows.append(parse_numbers(fields, len(COLUMNS) - 1, where, f"{len(COLUMNS)} columns"))
         try:
             ids.append(np.int64(int(taxel)))
         except (ValueError, OverflowError) as error:
             raise SkinError(where, value=str(error)) from error
     table = np.array(rows)
-    columns = (table[:, :3], table[:, 3:6], table[:, 6:])
-    radii = [line.partition(_RADIUS)[2] for line in comments if _RADIUS in line]
+    head = [line.partition(_RADIUS)[2].partition(", " + _FRAME) for line in comments]
+    radii = [radius for radius, _, _ in head if radius]
     radius = parse_numbers(radii[:1], 1, f"{name}: disc radius")[0] if radii else DISC_RADIUS
-    return SkinTable("csv", np.array(ids), *columns, float(radius))
+    return SkinTable(
+        "csv",
+        np.array(ids),
+        table[:, :3],
+        table[:, 3:6],
+        table[:, 6:],
+        float(radius),
+        sigmas=parse_sigmas(sigmas, name),
+        frame=next((frame for _, _, frame in head if frame), None),
+    )

@@ -12,26 +12,28 @@ import struct
 import numpy as np
 
 from ...core import se3
-from ...core.arrays import Array
 from ...core.errors import SkinError
-from ..slots import Ids
-from .table import DISC_RADIUS, SkinTable, frame_mesh
+from .table import DISC_RADIUS, SkinRows, SkinTable, frame_mesh
 
 _NODE = re.compile(r"taxel_(-?\d+)")
-_RADIUS = "disc_radius_m"
+_RADIUS, _FRAME, _SIGMA = "disc_radius_m", "frame", "sigma_m"
 _READ_ERRORS = (ValueError, KeyError, IndexError, TypeError, NotImplementedError, struct.error)
 """Exceptions of trimesh for a file that is not GLB, or truncated."""
 
 
-def write(poses: Array, ids: Ids, disc_radius: float, name: str) -> bytes:
-    """Content of a file of poses (n, 4, 4) and ids (n,)."""
+def write(rows: SkinRows) -> bytes:
+    """Content of a file of the rows; radius, frame and sigmas are extras of the scene."""
     import trimesh
 
-    vertices, faces, colours = frame_mesh(disc_radius)
+    vertices, faces, colours = frame_mesh(rows.disc_radius)
     mesh = trimesh.Trimesh(vertices, faces, vertex_colors=colours, process=False)
-    scene = trimesh.Scene({"frame": mesh}, metadata={_RADIUS: float(disc_radius)})
+    extras = {_RADIUS: float(rows.disc_radius), _FRAME: rows.link}
+    if rows.sigmas is not None:
+        texts = zip(rows.ids.tolist(), rows.sigma_texts(), strict=True)
+        extras[_SIGMA] = {str(taxel): float(text) for taxel, text in texts if text}
+    scene = trimesh.Scene({"frame": mesh}, metadata=extras)
     scene.graph.clear()
-    for taxel, pose in zip(ids.tolist(), poses, strict=True):
+    for taxel, pose in zip(rows.ids.tolist(), rows.poses, strict=True):
         scene.graph.update(frame_to=f"taxel_{taxel}", matrix=pose, geometry="frame")
     return bytes(scene.export(file_type="glb"))
 
@@ -49,11 +51,15 @@ def read(data: bytes, name: str) -> SkinTable:
     if not nodes:
         raise SkinError(f"{name} has no skin", limit="nodes taxel_<id>")
     poses = np.array([scene.graph.get(node)[0] for _, node in nodes], dtype=float)
+    extras = scene.metadata
+    sigma = extras.get(_SIGMA)
     return SkinTable(
         "glb",
         np.array([taxel for taxel, _ in nodes], dtype=np.int64),
         poses[:, :3, 3],
         poses[:, :3, 2],
         se3.quaternion(poses[:, :3, :3]),
-        float(scene.metadata.get(_RADIUS, DISC_RADIUS)),
+        float(extras.get(_RADIUS, DISC_RADIUS)),
+        sigmas=sigma and np.array([float(sigma.get(str(taxel), "nan")) for taxel, _ in nodes]),
+        frame=extras.get(_FRAME),
     )

@@ -13,8 +13,8 @@ import numpy as np
 
 from ...core.arrays import Array
 from ...core.errors import SkinError
-from ..slots import CENTRE, OFFSETS, PER_MODULE, TAXELS, THERMAL, Ids, is_modular
-from .table import SkinTable, parse_numbers
+from ..slots import CENTRE, OFFSETS, PER_MODULE, TAXELS, THERMAL, is_modular
+from .table import SkinRows, SkinTable, parse_numbers
 
 SHAPE_TOLERANCE = 0.2e-3
 """Largest difference, m, between distances of taxels in a file without header and in a module, for
@@ -46,6 +46,11 @@ def read(text: str, name: str) -> SkinTable:
     if not header and _is_packed(rows):
         ids = np.add.outer(PER_MODULE * np.arange(len(rows) // len(TAXELS)), TAXELS).ravel()
     representative = re.findall(r"-?\d+", header.get("taxel2Repr", ""))
+    sigmas = None
+    if "sigma_m" in header:
+        listed_sigmas = header["sigma_m"].strip("() ").split()
+        sigmas = parse_numbers(listed_sigmas, len(rows), f"{name}: sigma_m")[filled]
+        sigmas[sigmas == 0.0] = np.nan
     return SkinTable(
         "icub",
         ids,
@@ -53,15 +58,18 @@ def read(text: str, name: str) -> SkinTable:
         rows[filled, 3:],
         slots=len(rows) if header else None,
         representative=np.array(representative, np.int64) if "taxel2Repr" in header else None,
+        sigmas=sigmas,
     )
 
 
-def write(poses: Array, ids: Ids, disc_radius: float, name: str) -> str:
-    """Text of poses (n, 4, 4) and ids (n,): positions to 1 nm, normals to 1e-9.
+def write(skin: SkinRows) -> str:
+    """Text of the rows: positions to 1 nm, normals to 1e-9.
 
-    The rotation about the normal and the disc's radius are not part of the format. Raises SkinError
+    The name is that of the frame; sigmas are an entry of the header, which readers of the format
+    skip. The rotation about the normal and the disc's radius are not part of it. Raises SkinError
     for an id that cannot be the number of a row.
     """
+    ids, poses = skin.ids, skin.poses
     for worst in (int(ids.min()), int(ids.max())):
         if not 0 <= worst < MAX_SLOTS:
             limit = f"0 to {MAX_SLOTS - 1}"
@@ -77,13 +85,22 @@ def write(poses: Array, ids: Ids, disc_radius: float, name: str) -> str:
         for pad in THERMAL:
             representative[centre + pad] = NO_TAXEL
     lines = [
-        f"name\t{name}",
+        f"name\t{skin.link}",
         "spatial_sampling\ttaxel",
         f"taxel2Repr ( {' '.join(map(str, representative.tolist()))} )",
+        *([] if skin.sigmas is None else [_sigma_line(skin, count)]),
         "[calibration]",
     ]
     lines += [" ".join(f"{value:.9f}" for value in row) for row in rows.tolist()]
     return "\n".join(lines) + "\n"
+
+
+def _sigma_line(skin: SkinRows, count: int) -> str:
+    """The entry of the sigmas, m, one for each of `count` slots; 0 where unknown."""
+    texts = ["0"] * count
+    for taxel, text in zip(skin.ids.tolist(), skin.sigma_texts(), strict=True):
+        texts[taxel] = text or "0"
+    return f"sigma_m ( {' '.join(texts)} )"
 
 
 def _is_packed(rows: Array) -> bool:

@@ -2,7 +2,8 @@
 
 The file is a model of its own, and a part of a larger one by `<include>` or `MjSpec.attach`. A site
 is a flat cylinder on the taxel's disc, its z axis the outward normal. MuJoCo adds up the normal
-forces of the contacts of the body's geoms that lie within the site; the file has no geoms.
+forces of the contacts of the body's geoms that lie within the site; the file has no geoms. The
+sigma of a position, m, is the site's `user` value.
 
 Source: mujoco.readthedocs.io, XML reference, body/site and sensor/touch.
 """
@@ -15,10 +16,17 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from ...core import se3
-from ...core.arrays import Array
 from ...core.errors import SkinError
-from ..slots import Ids
-from .table import DISC_RADIUS, SkinTable, chosen_part, normals_of, number_text, parse_numbers
+from .table import (
+    DISC_RADIUS,
+    SkinRows,
+    SkinTable,
+    chosen_part,
+    normals_of,
+    number_text,
+    parse_numbers,
+    parse_sigmas,
+)
 
 HALF_HEIGHT = 1e-3
 """Half the height of a site, m: contact points lie up to the indentation, tenths of a millimetre
@@ -26,18 +34,22 @@ here, below the surface."""
 _NAME = re.compile(r"(.+)_skin_(\d+)")
 
 
-def write(poses: Array, ids: Ids, disc_radius: float, part: str) -> str:
-    """Text with the sites on the body `part`; exact to rounding."""
+def write(rows: SkinRows) -> str:
+    """Text with the sites on the body `rows.link`; exact to rounding."""
+    part, size = rows.link, np.array([rows.disc_radius, HALF_HEIGHT])
     model = ET.Element("mujoco", model=f"{part}_skin")
     body = ET.SubElement(ET.SubElement(model, "worldbody"), "body", name=part)
     sensor = ET.SubElement(model, "sensor")
-    for taxel, pose in zip(ids.tolist(), poses, strict=True):
+    each = zip(rows.ids.tolist(), rows.poses, rows.sigma_texts(), strict=True)
+    for taxel, pose, sigma in each:
         site = f"{part}_skin_{taxel}"
         ET.SubElement(
             body, "site", name=site, type="cylinder",
-            size=number_text(np.array([disc_radius, HALF_HEIGHT])), pos=number_text(pose[:3, 3]),
+            size=number_text(size), pos=number_text(pose[:3, 3]),
             quat=number_text(np.roll(se3.quaternion(pose[:3, :3]), 1)),
         )  # fmt: skip
+        if sigma:
+            body[-1].set("user", sigma)
         ET.SubElement(sensor, "touch", name=site, site=site)
     ET.indent(model)
     return ET.tostring(model, encoding="unicode") + "\n"
@@ -75,4 +87,6 @@ def read(model: ET.Element, name: str, part: str | None = None) -> SkinTable:
         normals_of(table[:, 3:]),
         table[:, 3:],
         radius,
+        sigmas=parse_sigmas([site.get("user") for _, site in found[part]], name),
+        frame=part,
     )

@@ -1,6 +1,6 @@
 """Skins as NumPy archives: `poses` (n, 3, 4), whose third column is the outward normal, and
 `taxel2pixel` (n, 2), row and column of each taxel in a tactile image; beside them `ids` (n,),
-`disc_radius_m` and `frame`, the name of the link or body.
+`disc_radius_m`, `frame`, the name of the link or body, and `sigma_m` (n,) where known.
 
 Tactile patterns of simulators have this form (CustomPatternCfg of Isaac Lab extensions). The image
 is that of the ids row by row, as square as these allow.
@@ -11,27 +11,30 @@ from __future__ import annotations
 import io
 import math
 import zipfile
+from typing import Any
 
 import numpy as np
 
 from ...core import se3
-from ...core.arrays import Array
 from ...core.errors import SkinError
-from ..slots import Ids
-from .table import DISC_RADIUS, SkinTable
+from .table import DISC_RADIUS, SkinRows, SkinTable
 
 
-def write(poses: Array, ids: Ids, disc_radius: float, part: str) -> bytes:
+def write(rows: SkinRows) -> bytes:
     """Bytes of the archive; exact."""
-    width = math.isqrt(int(ids.max(initial=0))) + 1
+    ids, width = rows.ids, math.isqrt(int(rows.ids.max(initial=0))) + 1
+    known: dict[str, Any] = {}
+    if rows.sigmas is not None:
+        known["sigma_m"] = np.asarray(rows.sigmas, dtype=float)
     buffer = io.BytesIO()
     np.savez(
         buffer,
-        poses=poses[:, :3, :],
+        poses=rows.poses[:, :3, :],
         taxel2pixel=np.column_stack([ids // width, ids % width]),
         ids=ids,
-        disc_radius_m=float(disc_radius),
-        frame=part,
+        disc_radius_m=float(rows.disc_radius),
+        frame=rows.link,
+        **known,
     )
     return buffer.getvalue()
 
@@ -50,6 +53,9 @@ def read(data: bytes, name: str) -> SkinTable:
     ids = found.get("ids", np.arange(len(poses)))
     if ids.shape != (len(poses),) or not np.issubdtype(ids.dtype, np.integer):
         raise SkinError(f"{name}: ids", value=f"shape {ids.shape}", limit=f"({len(poses)},) whole")
+    sigmas = found.get("sigma_m")
+    if sigmas is not None and sigmas.shape != (len(poses),):
+        raise SkinError(f"{name}: sigma_m", value=f"shape {sigmas.shape}", limit=f"({len(poses)},)")
     return SkinTable(
         "npz",
         ids.astype(np.int64),
@@ -57,4 +63,6 @@ def read(data: bytes, name: str) -> SkinTable:
         np.asarray(poses[:, :, 2], dtype=float),
         se3.quaternion(poses[:, :, :3]),
         float(found.get("disc_radius_m", DISC_RADIUS)),
+        sigmas=sigmas,
+        frame=str(found["frame"]) if "frame" in found else None,
     )

@@ -1,7 +1,7 @@
 """Skins in PLY for viewers: the frame of each taxel as coloured spikes and as numbers.
 
-The numbers are an element of their own, `taxel`: id, position (m), quaternion (xyzw). Viewers
-ignore it; `read` uses it alone.
+The numbers are an element of their own, `taxel`: id, position (m), quaternion (xyzw), and sigma (m,
+NaN where unknown) of a calibrated skin. Viewers ignore it; `read` uses it alone.
 """
 
 from __future__ import annotations
@@ -9,21 +9,20 @@ from __future__ import annotations
 import numpy as np
 
 from ...core import se3
-from ...core.arrays import Array
 from ...core.errors import SkinError
-from ..slots import Ids
-from .table import DISC_RADIUS, SkinTable, frame_mesh
+from .table import DISC_RADIUS, SkinRows, SkinTable, frame_mesh
 
 NUMBERS = ("x", "y", "z", "qx", "qy", "qz", "qw")
-_COMMENT = "comment disc_radius_m "
+SIGMA = "sigma"
+_COMMENT, _FRAME = "comment disc_radius_m ", "comment frame "
 
 
-def write(poses: Array, ids: Ids, disc_radius: float, name: str) -> str:
-    """Text of poses (n, 4, 4) and ids (n,), exact to the last bit of positions."""
+def write(skin: SkinRows) -> str:
+    """Text of the rows, exact to the last bit of positions."""
     import trimesh
 
-    vertices, faces, colours = frame_mesh(disc_radius)
-    n = len(ids)
+    vertices, faces, colours = frame_mesh(skin.disc_radius)
+    n, poses = len(skin.ids), skin.poses
     placed = vertices @ np.swapaxes(poses[:, :3, :3], 1, 2) + poses[:, None, :3, 3]
     mesh = trimesh.Trimesh(
         placed.reshape(-1, 3),
@@ -35,11 +34,14 @@ def write(poses: Array, ids: Ids, disc_radius: float, name: str) -> str:
     text = exported.decode() if isinstance(exported, bytes) else exported
     head, _, body = text.partition("end_header\n")
     first, _, rest = head.partition("\n")
-    properties = "".join(f"property double {column}\n" for column in NUMBERS)
+    columns = NUMBERS if skin.sigmas is None else (*NUMBERS, SIGMA)
+    properties = "".join(f"property double {column}\n" for column in columns)
     element = f"element taxel {n}\nproperty int id\n{properties}"
-    values = np.column_stack([poses[:, :3, 3], se3.quaternion(poses[:, :3, :3])]).tolist()
-    rows = [" ".join(map(repr, [taxel, *v])) for taxel, v in zip(ids.tolist(), values, strict=True)]
-    comment = f"{_COMMENT}{float(disc_radius)!r}\n"
+    numbers = [poses[:, :3, 3], se3.quaternion(poses[:, :3, :3])]
+    numbers += [] if skin.sigmas is None else [np.asarray(skin.sigmas, dtype=float)[:, None]]
+    each = zip(skin.ids.tolist(), np.concatenate(numbers, axis=1).tolist(), strict=True)
+    rows = [" ".join(map(repr, [taxel, *values])) for taxel, values in each]
+    comment = f"{_COMMENT}{float(skin.disc_radius)!r}\n{_FRAME}{skin.link}\n"
     form, _, elements = rest.partition("\n")
     lines = [first, form, comment + elements + element + "end_header"]
     return "\n".join(lines) + "\n" + body.rstrip("\n") + "\n" + "\n".join(rows) + "\n"
@@ -56,17 +58,23 @@ def read(text: str, name: str) -> SkinTable:
     try:
         count = [int(line.split()[2]) for line in lines if line.startswith("element taxel ")]
         radius = [float(line[len(_COMMENT) :]) for line in lines if line.startswith(_COMMENT)]
+        frame = [line[len(_FRAME) :] for line in lines if line.startswith(_FRAME)]
         listed = [[float(v) for v in r.split()] for r in body.splitlines()[-count[0] :]]
         if len({len(row) for row in listed}) > 1:
             raise ValueError("rows of different lengths: the file is truncated")
         rows = np.array(listed)
     except (ValueError, IndexError) as error:
         raise SkinError(f"{name}: rows of taxels", value=str(error)) from error
-    if rows.shape != (count[0], 1 + len(NUMBERS)):
-        raise SkinError(f"{name}: rows of taxels", value=rows.shape, limit=(count[0], 8))
-    quaternions = rows[:, 4:]
+    known = f"property double {SIGMA}" in lines
+    width = 1 + len(NUMBERS) + known
+    if rows.shape != (count[0], width):
+        raise SkinError(f"{name}: rows of taxels", value=rows.shape, limit=(count[0], width))
+    quaternions = rows[:, 4:8]
     normals = np.zeros((len(rows), 3))
     valid = np.linalg.norm(quaternions, axis=1) > 0.0  # False for NaN
     normals[valid] = Rotation.from_quat(quaternions[valid]).as_matrix()[:, :, 2]
     ids = rows[:, 0].astype(np.int64)
-    return SkinTable("ply", ids, rows[:, 1:4], normals, quaternions, (radius or [DISC_RADIUS])[0])
+    return SkinTable(
+        "ply", ids, rows[:, 1:4], normals, quaternions, (radius or [DISC_RADIUS])[0],
+        sigmas=rows[:, 8] if known else None, frame=next(iter(frame), None),
+    )  # fmt: skip

@@ -4,7 +4,8 @@
       "$(cat skin.yaml)"
 
 publishes them. The child frames are `<part>_skin_<id>`; z is the outward normal. Each line is JSON,
-which is YAML, too, so that no YAML library is needed to read it back.
+which is YAML, too, so that no YAML library is needed to read it back; the sigma of a position, m,
+is a comment at its end.
 """
 
 from __future__ import annotations
@@ -15,37 +16,36 @@ import re
 import numpy as np
 
 from ...core import se3
-from ...core.arrays import Array
 from ...core.errors import SkinError
-from ..slots import Ids
-from .table import DISC_RADIUS, SkinTable, normals_of
+from .table import DISC_RADIUS, SkinRows, SkinTable, normals_of, parse_sigmas
 
 HEAD = "transforms:"
-_RADIUS = "# disc_radius_m: "
+_RADIUS, _SIGMA = "# disc_radius_m: ", " # sigma_m: "
 _NAME = re.compile(r"(.+)_skin_(\d+)")
 
 
-def write(poses: Array, ids: Ids, disc_radius: float, part: str) -> str:
-    """Text with one transform a taxel, from the frame `part`; exact to rounding."""
-    lines = [_RADIUS + repr(float(disc_radius)), HEAD]
-    for taxel, pose in zip(ids.tolist(), poses, strict=True):
+def write(rows: SkinRows) -> str:
+    """Text with one transform a taxel, from the frame `rows.link`; exact to rounding."""
+    lines = [_RADIUS + repr(float(rows.disc_radius)), HEAD]
+    each = zip(rows.ids.tolist(), rows.poses, rows.sigma_texts(), strict=True)
+    for taxel, pose, sigma in each:
         x, y, z = pose[:3, 3].tolist()
         i, j, k, w = se3.quaternion(pose[:3, :3]).tolist()
         message = {
-            "header": {"frame_id": part},
-            "child_frame_id": f"{part}_skin_{taxel}",
+            "header": {"frame_id": rows.link},
+            "child_frame_id": f"{rows.link}_skin_{taxel}",
             "transform": {
                 "translation": {"x": x, "y": y, "z": z},
                 "rotation": {"x": i, "y": j, "z": k, "w": w},
             },
         }
-        lines.append("- " + json.dumps(message))
+        lines.append("- " + json.dumps(message) + (_SIGMA + sigma if sigma else ""))
     return "\n".join(lines) + "\n"
 
 
 def read(text: str, name: str) -> SkinTable:
     """The frames of a file as `write` gives it. Raises SkinError."""
-    ids, places, radius = [], [], DISC_RADIUS
+    ids, places, sigmas, radius, frame = [], [], [], DISC_RADIUS, None
     for number, line in enumerate(text.splitlines(), start=1):
         where = f"{name}, line {number}"
         if line.startswith(_RADIUS):
@@ -53,7 +53,8 @@ def read(text: str, name: str) -> SkinTable:
         if not line.startswith("- "):
             continue
         try:
-            message = json.loads(line[2:])
+            text, _, sigma = line[2:].partition(_SIGMA)
+            message = json.loads(text)
             match = _NAME.fullmatch(message["child_frame_id"])
             at, turn = (message["transform"][key] for key in ("translation", "rotation"))
             places.append([*(float(at[k]) for k in "xyz"), *(float(turn[k]) for k in "xyzw")])
@@ -63,8 +64,13 @@ def read(text: str, name: str) -> SkinTable:
         if match is None:
             raise SkinError(where, value=message["child_frame_id"], limit="<part>_skin_<id>")
         ids.append(int(match[2]))
+        sigmas.append(sigma)
+        frame = message.get("header", {}).get("frame_id", frame)
     if not ids:
         raise SkinError(f"{name} holds no transforms", limit="lines `- {...}`")
     table, numbers = np.array(places), np.array(ids, dtype=np.int64)
     normals = normals_of(table[:, 3:])
-    return SkinTable("ros", numbers, table[:, :3], normals, table[:, 3:], radius)
+    return SkinTable(
+        "ros", numbers, table[:, :3], normals, table[:, 3:], radius,
+        sigmas=parse_sigmas(sigmas, name), frame=frame,
+    )  # fmt: skip

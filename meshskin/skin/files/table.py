@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +47,10 @@ class SkinTable:
     """number of rows of a file with one row for each slot, empty ones included"""
     representative: Ids | None = None
     """(k,) taxel2Repr: for each slot the taxel that represents its module; negative: no taxel"""
+    sigmas: Array | None = None
+    """(n,) standard deviations of the positions, m, NaN where the file has none; None: no such"""
+    frame: str | None = None
+    """name of the frame of the positions, where the file names it"""
 
     def is_thermal(self) -> NDArray[np.bool_]:
         """Which rows (n,) are thermal pads: slots 6 and 10 of a triangular module."""
@@ -82,7 +86,10 @@ class SkinTable:
         """Some rows, without the information on slots."""
         quaternions = None if self.quaternions is None else self.quaternions[rows]
         columns = (self.ids[rows], self.positions[rows], self.normals[rows])
-        return SkinTable(self.format, *columns, quaternions, self.disc_radius)
+        sigmas = None if self.sigmas is None else self.sigmas[rows]
+        return SkinTable(
+            self.format, *columns, quaternions, self.disc_radius, sigmas=sigmas, frame=self.frame
+        )
 
     def poses(self, name: str) -> Array:
         """Poses (n, 4, 4) in the body frame; rotations are NaN where the file has no normal.
@@ -126,6 +133,37 @@ class SkinTable:
             what = f"{name}, taxel line {row + 1}: normal and quaternion disagree"
             raise SkinError(what, value=f"{off[row]:.3g}", limit=f"{FRAME_TOLERANCE:g}")
         return np.asarray(rotation)
+
+
+@dataclass(frozen=True, eq=False)
+class SkinRows:
+    """What a skin file is written from."""
+
+    poses: Array
+    """(n, 4, 4) in the frame `link`; NaN rotations where there is no normal"""
+    ids: Ids
+    """(n,)"""
+    disc_radius: float
+    """m"""
+    link: str
+    """name of the frame, of which those of taxels are `<link>_skin_<id>`"""
+    sigmas: Array | None = None
+    """(n,) standard deviations of the positions, m, not finite where unknown; None: unknown"""
+    parent: str | None = None
+    """URDF formats: link to which `link` is fixed; None: none"""
+
+    def sigma_texts(self) -> list[str]:
+        """The sigma of each taxel, m, as text that is read back exactly; "" where unknown."""
+        if self.sigmas is None:
+            return [""] * len(self.ids)
+        return [repr(x) if np.isfinite(x) else "" for x in np.asarray(self.sigmas, float).tolist()]
+
+
+def parse_sigmas(texts: Sequence[str | None], where: str) -> Array | None:
+    """Sigmas (n,), m, of texts, NaN for empty ones; None where all are. Raises SkinError."""
+    if not any(texts):
+        return None
+    return np.array([parse_numbers([t], 1, f"{where}: sigma")[0] if t else np.nan for t in texts])
 
 
 def parse_numbers(fields: list[str], count: int, where: str, limit: str | None = None) -> Array:

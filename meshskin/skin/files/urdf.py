@@ -2,7 +2,8 @@
 
 In the URDF of iCub (icub-models) they are frames of modules: the number is the module's, the origin
 its centre, z the outward normal; the rotation about z is not the module's. A file written by
-meshskin holds one frame a taxel, with the taxel's disc for viewers.
+meshskin holds one frame a taxel, with the taxel's disc for viewers, and the sigma of its position,
+m, as a comment in its joint.
 """
 
 from __future__ import annotations
@@ -13,31 +14,67 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from ...core import se3
-from ...core.arrays import Array
 from ...core.errors import SkinError
-from ..slots import Ids
-from .table import DISC_RADIUS, SkinTable, chosen_part, number_text, parse_numbers, pose_of
+from .table import (
+    DISC_RADIUS,
+    SkinRows,
+    SkinTable,
+    chosen_part,
+    number_text,
+    parse_numbers,
+    parse_sigmas,
+    pose_of,
+)
 
 _NAME = re.compile(r"(.+)_skin_(\d+)(?:_fixed_joint|_joint)?")
+_SIGMA = " sigma_m: "
 THICKNESS = 1e-3
 """Thickness of a disc for viewers, m."""
 
 
-def write(poses: Array, ids: Ids, disc_radius: float, part: str) -> str:
-    """Text with one link and one fixed joint a taxel on the link `part`; exact to rounding."""
-    robot = ET.Element("robot", name=f"{part}_skin")
-    ET.SubElement(robot, "link", name=part)
-    for taxel, pose in zip(ids.tolist(), poses, strict=True):
+def base(rows: SkinRows) -> ET.Element:
+    """A robot with the link `rows.link`, fixed to its parent if it has one."""
+    robot = ET.Element("robot", name=f"{rows.link}_skin")
+    ET.SubElement(robot, "link", name=rows.link)
+    if rows.parent is not None:
+        ET.SubElement(robot, "link", name=rows.parent)
+        joint = ET.SubElement(robot, "joint", name=f"{rows.link}_fixed_joint", type="fixed")
+        ET.SubElement(joint, "origin", xyz="0 0 0", rpy="0 0 0")
+        ET.SubElement(joint, "parent", link=rows.parent)
+        ET.SubElement(joint, "child", link=rows.link)
+    return robot
+
+
+def add_sigma(element: ET.Element, sigma: str) -> None:
+    """Add the sigma, m, of a taxel as a comment, which every reader of URDF skips."""
+    if sigma:
+        element.append(ET.Comment(f"{_SIGMA}{sigma} "))
+
+
+def sigma_of(element: ET.Element) -> str:
+    """The text of `add_sigma`; "" without one."""
+    texts = [child.text or "" for child in element if child.tag is ET.Comment]
+    return next((t.removeprefix(_SIGMA).strip() for t in texts if t.startswith(_SIGMA)), "")
+
+
+def write(rows: SkinRows) -> str:
+    """Text with one link and one fixed joint a taxel on `rows.link`; exact to rounding."""
+    robot, part = base(rows), rows.link
+    each = zip(rows.ids.tolist(), rows.poses, rows.sigma_texts(), strict=True)
+    for taxel, pose, sigma in each:
         frame = f"{part}_skin_{taxel}"
         link = ET.SubElement(robot, "link", name=frame)
         shape = ET.SubElement(ET.SubElement(link, "visual"), "geometry")
-        ET.SubElement(shape, "cylinder", radius=repr(float(disc_radius)), length=repr(THICKNESS))
+        ET.SubElement(
+            shape, "cylinder", radius=repr(float(rows.disc_radius)), length=repr(THICKNESS)
+        )
         joint = ET.SubElement(robot, "joint", name=f"{frame}_fixed_joint", type="fixed")
         ET.SubElement(
             joint, "origin", xyz=number_text(pose[:3, 3]), rpy=number_text(se3.to_rpy(pose[:3, :3]))
         )
         ET.SubElement(joint, "parent", link=part)
         ET.SubElement(joint, "child", link=frame)
+        add_sigma(joint, sigma)
     ET.indent(robot)
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
 
@@ -68,4 +105,12 @@ def read(robot: ET.Element, name: str, part: str | None = None) -> SkinTable:
         DISC_RADIUS
         if radius is None
         else float(parse_numbers([radius.get("radius", "")], 1, name)[0]),
+        sigmas=parse_sigmas([sigma_of(joint) for _, joint in frames[part]], name),
+        frame=_parent(frames[part][0][1]),
     )
+
+
+def _parent(joint: ET.Element) -> str | None:
+    """The link that a joint starts from."""
+    link = joint.find("parent")
+    return None if link is None else link.get("link")

@@ -1,7 +1,8 @@
 """Tactile sensors in URDF, as the ROS package urdf_tactile reads them: a list of taxels on a link.
 
 `idx` of a taxel is its id, the index of its reading in the channel of a tactile_msgs/TactileState;
-z is the outward normal; the disc is its shape for viewers. Arrays of taxels are not read.
+z is the outward normal; the disc is its shape for viewers; the sigma of its position, m, is a
+comment. Arrays of taxels are not read.
 
 Source: github.com/ubi-agni/tactile_toolbox, urdf_tactile.
 """
@@ -13,30 +14,40 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from ...core import se3
-from ...core.arrays import Array
 from ...core.errors import SkinError
-from ..slots import Ids
-from .table import DISC_RADIUS, SkinTable, chosen_part, number_text, parse_numbers, pose_of
-from .urdf import THICKNESS
+from .table import (
+    DISC_RADIUS,
+    SkinRows,
+    SkinTable,
+    chosen_part,
+    number_text,
+    parse_numbers,
+    parse_sigmas,
+    pose_of,
+)
+from .urdf import THICKNESS, add_sigma, base, sigma_of
 
 UPDATE_RATE = 100
 """Readings per second, which the format asks for and meshskin does not know: the one of the
 examples of urdf_tactile."""
 
 
-def write(poses: Array, ids: Ids, disc_radius: float, part: str) -> str:
-    """Text with one sensor on the link `part`, its channel named alike; exact to rounding."""
-    robot = ET.Element("robot", name=f"{part}_skin")
-    ET.SubElement(robot, "link", name=part)
+def write(rows: SkinRows) -> str:
+    """Text with one sensor on `rows.link`, its channel named alike; exact to rounding."""
+    robot, part = base(rows), rows.link
     sensor = ET.SubElement(robot, "sensor", name=f"{part}_skin", update_rate=str(UPDATE_RATE))
     ET.SubElement(sensor, "parent", link=part)
     ET.SubElement(sensor, "origin", xyz="0 0 0", rpy="0 0 0")
     tactile = ET.SubElement(sensor, "tactile", channel=part)
-    for taxel, pose in zip(ids.tolist(), poses, strict=True):
+    each = zip(rows.ids.tolist(), rows.poses, rows.sigma_texts(), strict=True)
+    for taxel, pose, sigma in each:
         place = {"xyz": number_text(pose[:3, 3]), "rpy": number_text(se3.to_rpy(pose[:3, :3]))}
         element = ET.SubElement(tactile, "taxel", {"idx": str(taxel), **place})
         shape = ET.SubElement(element, "geometry")
-        ET.SubElement(shape, "cylinder", radius=repr(float(disc_radius)), length=repr(THICKNESS))
+        ET.SubElement(
+            shape, "cylinder", radius=repr(float(rows.disc_radius)), length=repr(THICKNESS)
+        )
+        add_sigma(element, sigma)
     ET.indent(robot)
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
 
@@ -54,15 +65,17 @@ def sensors(robot: ET.Element) -> dict[str, ET.Element]:
 def read(robot: ET.Element, name: str, part: str | None = None) -> SkinTable:
     """The taxels of one link (None: the only one) in its frame. Raises SkinError."""
     found = sensors(robot)
-    sensor = found[chosen_part(part, found, name)]
+    part = chosen_part(part, found, name)
+    sensor = found[part]
     mount = pose_of(sensor.find("origin"), f"{name}: sensor {sensor.get('name')!r}")
-    ids, poses, radius = [], [], DISC_RADIUS
+    ids, poses, sigmas, radius = [], [], [], DISC_RADIUS
     for taxel in sensor.findall("tactile/taxel"):
         where = f"{name}: taxel {taxel.get('idx')!r}"
         index = parse_numbers([taxel.get("idx", "")], 1, where)[0]
         if index != int(index) or index < 0:
             raise SkinError(where, value=index, limit="a whole number from 0 on")
         ids.append(int(index))
+        sigmas.append(sigma_of(taxel))
         poses.append(mount @ pose_of(taxel, where))
         disc = taxel.find("geometry/cylinder")
         if disc is not None:
@@ -75,4 +88,6 @@ def read(robot: ET.Element, name: str, part: str | None = None) -> SkinTable:
         placed[:, :3, 2],
         se3.quaternion(placed[:, :3, :3]),
         radius,
+        sigmas=parse_sigmas(sigmas, name),
+        frame=part,
     )

@@ -6,7 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from ...core.notebook import Card, Tabular
+
 if TYPE_CHECKING:
+    import pyarrow as pa
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
     from ...scene.belief import Belief
     from ...scene.scene import Scene
 
@@ -60,7 +66,7 @@ class Check:
 
 
 @dataclass(frozen=True)
-class BudgetReport:
+class BudgetReport(Card, Tabular):
     """The result of `budget`."""
 
     budget: float
@@ -147,6 +153,51 @@ class BudgetReport:
     def table(self) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
         """Header and rows as text."""
         return HEADER, tuple(entry.row() for entry in self.entries)
+
+    def facts(self) -> dict[str, str]:
+        """Budget, estimate, check and what is on, for a notebook."""
+        on = [entry.name.replace("_", " ") for entry in self.entries if entry.on]
+        within = "within the budget" if self.fits else self.exceeded
+        return {
+            "budget": f"{1e3 * self.budget:.4g} mm",
+            "estimated": f"{1e3 * self.estimate:.4g} mm by what is off",
+            "checked": f"{1e3 * self.check.shift:.4g} mm, {within}",
+            "speed": f"{self.check.faster:.3g} times that of everything on",
+            "on": ", ".join(on) or "nothing",
+        }
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the shift of the taxels without each effect or knob; what is off is grey.
+
+        ax: matplotlib axes; None: those of a new figure.
+        """
+        from ...core import drawing
+
+        rows = [entry for entry in self.entries if entry.shift > 0]
+        return drawing.bars(
+            ax,
+            [entry.name.replace("_", " ") for entry in rows],
+            [1e3 * entry.shift for entry in rows],
+            "shift of the taxels without it (mm)",
+            [entry.on for entry in rows],
+        )
+
+    def to_arrow(self) -> pa.Table:
+        """One row an effect or knob: name, setting, on, shift_mm, seconds, why."""
+        import pyarrow as pa
+
+        rows = [
+            {
+                "name": entry.name,
+                "setting": entry.setting,
+                "on": entry.on,
+                "shift_mm": 1e3 * entry.shift,
+                "seconds": entry.seconds,
+                "why": entry.why,
+            }
+            for entry in self.entries
+        ]
+        return pa.Table.from_pylist(rows)
 
     def __str__(self) -> str:
         """The table with the summary below it."""

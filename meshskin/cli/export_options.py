@@ -1,0 +1,115 @@
+"""Options of `meshskin calibrate` for the exported skin map: format, frame and parent link."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..core.errors import ConfigError
+from ..core.se3 import from_rpy, transform
+from . import body_options
+
+if TYPE_CHECKING:
+    from ..estimation.calibration import Calibration
+
+URDF_FORMATS = ("urdf", "urdf_tactile")
+"""Formats that can name a parent link."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    export = parser.add_argument_group("the exported skin map")
+    export.add_argument(
+        "--export", type=Path, metavar="FILE", help="write the skin map to FILE, by suffix: .txt "
+        "(iCub), .csv, .urdf, .xml (MuJoCo), .npz, .yaml (ROS), .ply or .glb; it is in the frame "
+        "of the body: that of --link of a URDF, or else of the mesh",
+    )  # fmt: skip
+    export.add_argument(
+        "--export-format", metavar="FORMAT", help="whatever the suffix: urdf_tactile"
+    )
+    export.add_argument(
+        "--transform", type=float, nargs=6, metavar=("X", "Y", "Z", "ROLL", "PITCH", "YAW"),
+        help="pose (m, rad) of the mesh in the frame of --link, as the origin of a visual in a "
+        "URDF: the map is written in that frame",
+    )  # fmt: skip
+    export.add_argument(
+        "--parent", metavar="LINK", help="URDF: a link to which the link of the map is fixed"
+    )
+
+
+@dataclass(frozen=True)
+class Export:
+    """Where a skin map is written, and in which frame."""
+
+    path: Path
+    kind: str
+    """format"""
+    frame: str | None
+    """name of the frame; None: that of the calibration's body"""
+    pose: tuple[float, ...] | None
+    """of the body in that frame: x, y, z (m), roll, pitch, yaw (rad); None: they are the same"""
+    parent: str | None
+    whose: str
+    """what the frame is, in words"""
+
+    @classmethod
+    def of(cls, options: argparse.Namespace) -> Export | None:
+        """The export that the options ask for; None: none. Raises ConfigError, SkinError."""
+        from ..core.atomic_io import check_writable
+        from ..skin.files import check_format
+
+        if options.export is None:
+            for name in ("transform", "parent", "export_format"):
+                if getattr(options, name) is not None:
+                    raise ConfigError(
+                        f"--{name.replace('_', '-')} is for an exported map", remedy="give --export"
+                    )
+            return None
+        kind = (options.export_format or options.export.suffix.lstrip(".")).lower()
+        check_format(kind)
+        if options.parent is not None and kind not in URDF_FORMATS:
+            raise ConfigError(
+                "--parent needs a URDF", value=kind, limit=" or ".join(URDF_FORMATS),
+                remedy="export a .urdf file, or leave --parent out",
+            )  # fmt: skip
+        of_urdf = options.body is not None and not body_options.is_mesh(options.body)
+        if options.transform is not None and (options.link is None or of_urdf):
+            raise ConfigError(
+                "--transform places a mesh in the frame of a link",
+                value="a link of a URDF, whose meshes have their place" if of_urdf else "no --link",
+                remedy="leave --transform out" if of_urdf else "name the link: --link NAME",
+            )
+        check_writable(options.export)
+        return cls(
+            options.export, kind, options.link, options.transform, options.parent,
+            _whose(options, of_urdf),
+        )  # fmt: skip
+
+    def write(self, found: Calibration) -> str:
+        """Write the determined taxels; returns what was written where, for the summary.
+
+        Raises CalibrationError where none is determined, SkinError, OutputError.
+        """
+        skin = found.skin
+        if self.pose is not None:
+            skin = skin.moved(transform(from_rpy(np.array(self.pose[3:])), self.pose[:3]))
+        frame = self.frame or found.frame
+        skin.save(self.path, self.kind, link=frame, parent=self.parent)
+        return f"  export           {self.path}: {len(skin)} taxels in the frame {frame}, {self.whose}"
+
+
+def _whose(options: argparse.Namespace, of_urdf: bool) -> str:
+    """What the frame of the map is, in words."""
+    if of_urdf:
+        return f"the link of {options.body.name}"
+    mesh = f"the scene {options.scene}" if options.body is None else options.body.name
+    if options.link is None:
+        return f"that of the body of {mesh} (--link and --transform name another)"
+    if options.transform is None:
+        return f"taken as that of {mesh} (--transform gives its pose in the link)"
+    pose = " ".join(f"{value:g}" for value in options.transform)
+    return f"in which {mesh} is at {pose}"

@@ -1,0 +1,310 @@
+"""Small pictures of bodies, skins, contacts and tables, drawn by matplotlib.
+
+Everything is drawn in orthographic projection into two-dimensional axes: the body as shaded
+polygons, taxels and contacts as dots, dimmed where the body hides them. A picture of a large mesh
+is one of a coarser mesh, so that every picture takes a fraction of a second. This module imports
+matplotlib: import it where a picture is drawn.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from .arrays import Array
+
+MM = 1e3
+"""Millimetres per metre."""
+CELLS = 56
+"""Cells along the longest side of a mesh whose vertices become one in a picture: 5 pixels each."""
+MOST_FACES = 12_000
+"""Faces above which a mesh is drawn coarser: 0.1 s of drawing."""
+MOST_DOTS = 4000
+"""Dots of one kind that are drawn, evenly chosen: a picture has room for no more."""
+SIZE, SMALL = (6.4, 4.8), (3.0, 2.3)
+"""Sizes, inches, of a picture and of that on a card."""
+SMALL_POINTS = 100
+"""Pixels of the page per inch of a picture on a card."""
+DPI = 200
+"""Pixels per inch of an image file: two for each pixel of the page."""
+INK, MUTED, ACCENT, WARNING = "#1f2328", "#6b7280", "#0072b2", "#d55e00"
+"""Text, paths, dots, and what is wrong: colours of the report (Okabe and Ito)."""
+SEQUENTIAL = "cividis"
+BODY = np.array([0.80, 0.82, 0.85])
+"""Colour of a body that faces the light."""
+LIGHT = np.array([0.35, 0.55, 0.76])
+"""Direction to the light along the picture's right, up and towards the viewer (unit)."""
+AMBIENT = 0.45
+"""Brightness of a face along the light; one that faces it has 1."""
+LEAST_RANGE = 0.02
+"""Least range of a colour bar, relative to its end: smaller differences are not told apart."""
+OUTLYING = 3.0
+"""Range of the values, relative to that of 98 % of them, from which a colour bar leaves out the
+outermost 2 %, with arrows at its ends: a few values would take all colours."""
+LEAST_DISC = 0.006
+"""Least radius of a dot, relative to the extent of the picture: a pixel of a card."""
+HIDDEN = 0.12
+"""Opacity of a dot on the far side of the body."""
+OBLIQUE = (0.45, -0.75, 0.48)
+"""Direction to the viewer of a body without a front."""
+
+
+class Picture(Figure):
+    """A matplotlib figure that a notebook shows without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        return png(self)
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as the content of a PNG file."""
+    buffer = io.BytesIO()
+    FigureCanvasAgg(figure).print_png(buffer)
+    return buffer.getvalue()
+
+
+def small_axes() -> Axes:
+    """Axes of a picture on a card."""
+    return _axes(SMALL)
+
+
+def _axes(size: tuple[float, float]) -> Axes:
+    return Picture(figsize=size, dpi=DPI, layout="constrained").add_subplot()
+
+
+def _is_small(ax: Axes | None) -> bool:
+    return ax is not None and _figure(ax).get_figwidth() <= SMALL[0]
+
+
+def _figure(ax: Axes) -> Figure:
+    """The figure that axes are in."""
+    found = ax.get_figure(root=True)
+    assert found is not None
+    return found
+
+
+def _fonts(ax: Axes | None) -> Any:
+    """The context with the size of the text, points."""
+    return matplotlib.rc_context({"font.size": 7 if _is_small(ax) else 9})
+
+
+@dataclass(frozen=True)
+class View:
+    """An orthographic view: rows right, up and towards the viewer (3, 3), body frame."""
+
+    axes: Array
+
+    @classmethod
+    def along(cls, toward: Array | Sequence[float]) -> View:
+        """The view from a direction (3,); up is nearest to z, or to y where z is the direction."""
+        t = np.asarray(toward, dtype=float)
+        t = t / np.linalg.norm(t)
+        up = np.array([0.0, 0.0, 1.0] if abs(t[2]) < 0.95 else [0.0, 1.0, 0.0])
+        up = up - (up @ t) * t
+        up /= np.linalg.norm(up)
+        return cls(np.stack([np.cross(up, t), up, t]))
+
+    def flat(self, points: Array) -> Array:
+        """Coordinates (..., 2), mm, of points (..., 3), m."""
+        return np.asarray(points @ self.axes[:2].T * MM)
+
+
+def front(normals: Array) -> Array:
+    """The direction (3,) from which most of a skin is seen; oblique where it is all round."""
+    finite = normals[np.isfinite(normals).all(axis=1)]
+    mean = finite.mean(axis=0) if len(finite) else np.zeros(3)
+    if np.linalg.norm(mean) < 0.1:
+        return np.array(OBLIQUE)
+    # tilted, so that the shape of the body shows
+    return np.asarray(mean / np.linalg.norm(mean) + 0.35 * np.array(OBLIQUE))
+
+
+def coarser(vertices: Array, faces: NDArray[np.intp]) -> tuple[Array, NDArray[np.intp]]:
+    """A mesh of at most some thousand faces for a picture: vertices in one cell become their mean.
+
+    Vertices (v, 3), faces (k, 3); small meshes are returned as they are.
+    """
+    if len(faces) <= MOST_FACES:
+        return vertices, faces
+    low, extent = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
+    cell = ((vertices - low) * (CELLS / extent)).astype(np.int64)
+    key = (cell[:, 0] * (CELLS + 1) + cell[:, 1]) * (CELLS + 1) + cell[:, 2]
+    _, group = np.unique(key, return_inverse=True)
+    count = np.bincount(group)
+    mean = np.stack([np.bincount(group, vertices[:, k]) / count for k in range(3)], axis=1)
+    corners = group[faces]
+    a, b, c = corners.T
+    return mean, corners[(a != b) & (b != c) & (c != a)]
+
+
+def _draw_body(ax: Axes, view: View, vertices: Array, faces: NDArray[np.intp]) -> None:
+    """The faces from the farthest to the nearest, shaded on both sides."""
+    at, triangles = coarser(np.asarray(vertices), np.asarray(faces))
+    corners = at[triangles] @ view.axes.T
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normal, axis=1)
+    corners, normal = corners[length > 0], normal[length > 0] / length[length > 0, None]
+    normal *= np.where(normal[:, 2:] < 0, -1.0, 1.0)
+    shade = AMBIENT + (1 - AMBIENT) * np.clip(normal @ LIGHT, 0.0, 1.0)
+    order = np.argsort(corners[:, :, 2].mean(axis=1))
+    polygons = PolyCollection(
+        corners[order, :, :2] * MM, facecolors=shade[order, None] * BODY, edgecolors="none",
+        antialiaseds=False, rasterized=True, zorder=1,
+    )  # fmt: skip
+    ax.add_collection(polygons, autolim=False)
+
+
+def _evenly(count: int) -> Any:
+    """A slice of at most MOST_DOTS rows of `count`."""
+    return slice(None, None, max(1, -(-count // MOST_DOTS)))
+
+
+def _draw_dots(
+    ax: Axes,
+    view: View,
+    points: Array,
+    normals: Array | None,
+    values: Array | None,
+    label: str,
+    radius: float,
+) -> None:
+    """Discs of a radius, m, at points (n, 3), m, the hidden ones dimmed, coloured by values (n,)
+    with a colour bar."""
+    good = np.isfinite(points).all(axis=1)
+    if values is not None:
+        good &= np.isfinite(values)
+    rows = np.flatnonzero(good)[_evenly(int(good.sum()))]
+    xy = view.flat(points[rows])
+    shown = np.ones(len(rows)) if normals is None else normals[rows] @ view.axes[2]
+    alpha = np.where(shown >= -1e-9, 1.0, HIDDEN)
+    wide = np.full(len(rows), 2.0 * MM * radius)
+    style: dict[str, Any] = {"linewidths": 0, "zorder": 3, "facecolors": ACCENT}
+    dots = EllipseCollection(
+        wide, wide, np.zeros(len(rows)), units="xy", offsets=xy, offset_transform=ax.transData,
+        cmap=SEQUENTIAL, **style,
+    )  # fmt: skip
+    dots.set_alpha(alpha.tolist())
+    ax.add_collection(dots, autolim=False)
+    if values is None or not len(rows):
+        return
+    chosen = values[rows]
+    low, high = float(chosen.min()), float(chosen.max())
+    bulk = np.percentile(chosen, (1, 99))
+    if high - low > OUTLYING * np.ptp(bulk):
+        low, high = bulk
+    low = min(low, (1 - LEAST_RANGE) * high) if high > 0 else low
+    dots.set_array(chosen)
+    dots.set_clim(low, high)
+    beyond = {(0, 0): "neither", (1, 0): "min", (0, 1): "max", (1, 1): "both"}
+    extend = beyond[int(chosen.min() < low), int(chosen.max() > high)]
+    bar = _figure(ax).colorbar(
+        ScalarMappable(dots.norm, SEQUENTIAL), ax=ax, label=label, shrink=0.8, extend=extend
+    )
+    bar.formatter.set_useOffset(False)  # type: ignore[attr-defined]
+
+
+def _scale_bar(ax: Axes, low: Array, high: Array) -> None:
+    """A bar of a round length, and its length in mm."""
+    span = float(high[0] - low[0])
+    decade = 10.0 ** np.floor(np.log10(max(span / 3.0, 1e-9)))
+    length = max(decade * k for k in (1, 2, 5) if decade * k <= span / 3.0 * (1 + 1e-9))
+    x, y = low[0], low[1] - 0.07 * (high[1] - low[1] or 1.0)
+    ax.plot([x, x + length], [y, y], color=INK, lw=1.5, solid_capstyle="butt", clip_on=False)
+    ax.annotate(f"{length:g} mm", (x + length, y), (4, 0), textcoords="offset points", va="center")
+
+
+def solid(
+    ax: Axes | None,
+    *,
+    toward: Array | Sequence[float] = OBLIQUE,
+    mesh: Any = None,
+    points: Array | None = None,
+    normals: Array | None = None,
+    values: Array | None = None,
+    label: str = "",
+    radius: float = 0.0,
+    lines: Iterable[Array] = (),
+    circles: Iterable[tuple[Array, float]] = (),
+    title: str = "",
+) -> Figure:
+    """Draw a mesh (.vertices, .faces), dots, lines and circles seen from `toward`; the figure.
+
+    ax: matplotlib axes; None: those of a new figure. points, normals (n, 3), m; values (n,), by
+    which the dots are coloured, `label` what they are; radius of the dots, m; lines (k, 3), m;
+    circles: centres (3,) and radii, m.
+    """
+    with _fonts(ax):
+        ax = _axes(SIZE) if ax is None else ax
+        view, seen = View.along(toward), [np.zeros((0, 2))]
+        if mesh is not None:
+            _draw_body(ax, view, mesh.vertices, mesh.faces)
+            seen.append(view.flat(np.asarray(mesh.vertices)))
+        paths = [view.flat(line[_evenly(len(line))]) for line in lines]
+        ax.add_collection(LineCollection(paths, colors=MUTED, linewidths=0.6, zorder=2))
+        if points is not None:
+            at = view.flat(points[np.isfinite(points).all(axis=1)])
+            every = np.concatenate([*seen, at])
+            extent = float(np.ptp(every, axis=0).max()) / MM if len(every) else 0.0
+            disc = max(radius, LEAST_DISC * extent)
+            _draw_dots(ax, view, points, normals, values, label, disc)
+            seen += [at - MM * disc, at + MM * disc]
+        for centre, radius in circles:
+            x, y = view.flat(np.asarray(centre))
+            ax.add_patch(matplotlib.patches.Circle((x, y), radius * MM, fc="none", ec=WARNING))
+            seen.append(np.array([[x, y]]) + MM * radius * np.array([[-1, -1], [1, 1]]))
+        every = np.concatenate([*seen, *paths])
+        ax.set_aspect("equal")
+        ax.set_axis_off()
+        if len(every):
+            low, high = every.min(axis=0), every.max(axis=0)
+            margin = 0.04 * float((high - low).max() or 1.0)
+            ax.set(xlim=(low[0] - margin, high[0] + margin))
+            ax.set(ylim=(low[1] - 4 * margin, high[1] + margin))
+            _scale_bar(ax, low, high)
+        if title and not _is_small(ax):
+            ax.set_title(title, loc="left")
+        return _figure(ax)
+
+
+def bars(
+    ax: Axes | None, names: Sequence[str], values: Sequence[float], label: str, on: Sequence[bool]
+) -> Figure:
+    """Draw horizontal bars on a logarithmic axis, the first on top; those not `on` are grey."""
+    with _fonts(ax):
+        ax = _axes(SIZE) if ax is None else ax
+        rows = np.arange(len(names))
+        ax.barh(rows, values, color=[ACCENT if one else "#b6bcc4" for one in on])
+        ax.set_yticks(rows, names)
+        ax.invert_yaxis()
+        if any(value > 0 for value in values):
+            ax.set_xscale("log")
+        ax.set_xlabel(label)
+        ax.spines[["top", "right"]].set_visible(False)
+        return _figure(ax)
+
+
+def curves(
+    ax: Axes | None, rows: Iterable[tuple[str, Sequence[Any], Sequence[float]]], x: str, y: str
+) -> Figure:
+    """Draw one line with marks a row (label, x values, y values); texts of x become categories."""
+    with _fonts(ax):
+        ax = _axes(SIZE) if ax is None else ax
+        for label, across, up in rows:
+            ax.plot(across, up, "o-", ms=3, lw=1, label=label)
+        ax.set(xlabel=x, ylabel=y)
+        ax.spines[["top", "right"]].set_visible(False)
+        handles, labels = ax.get_legend_handles_labels()
+        if any(labels):
+            ax.legend(handles, labels, frameon=False)
+        return _figure(ax)

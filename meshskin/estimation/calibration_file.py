@@ -1,0 +1,158 @@
+"""Files of a calibration: PATH.parquet, which is read back, and PATH.csv, a table for people."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ..core.atomic_io import atomic, write_text
+from ..core.errors import CalibrationError
+from .result import LearnedResponse
+from .uncertainty.goodness_of_fit import GoodnessOfFit
+from .uncertainty.verdict import Verdict
+
+if TYPE_CHECKING:
+    from .calibration import Calibration
+
+_KEY = b"meshskin-calibration"
+_COLUMNS = {
+    "ids": "ids",
+    "poses": "poses",
+    "covariances": "covariances",
+    "observed": "observed",
+    "touched": "touched",
+    "readings": "readings",
+    "chi2": "chi2",
+    "reasons": "why",
+}
+"""Columns of a file by field."""
+_NUISANCE = "taxel_"
+"""Prefix of the columns of nuisance parameters."""
+_HEADER = (
+    "method",
+    "anchor",
+    "factors",
+    "modulus",
+    "modulus_sigma",
+    "unknowns",
+    "undetermined",
+    "seconds",
+    "provenance",
+    "disc_radius",
+    "frame",
+)
+
+
+def write(found: Calibration, path: str | Path) -> None:
+    """Write path.parquet and path.csv. Raises OutputError."""
+    path = Path(path)
+    columns = {column: _column(getattr(found, name)) for name, column in _COLUMNS.items()}
+    steps = 0 if found.iterates is None else len(found.iterates)
+    if found.iterates is not None:
+        columns["iterates"] = _column(np.swapaxes(found.iterates, 0, 1))
+    if found.faults is not None:
+        columns["faults"] = _column(found.faults)
+    if found.contact_centroids is not None:
+        columns["middles"] = _column(found.contact_centroids)
+    if found.rivals is not None and np.isfinite(found.rivals).any():
+        columns["rivals"] = _column(found.rivals)
+    columns |= {_NUISANCE + name: _column(values) for name, values in found.taxel_unknowns.items()}
+    header = {name: getattr(found, name) for name in _HEADER} | {"steps": steps}
+    header["fit"] = None if found.fit is None else asdict(found.fit)
+    header["verdict"] = None if found.verdict is None else asdict(found.verdict)
+    header["response"] = None if found.response is None else found.response.values()
+    table = pa.table(columns).replace_schema_metadata({_KEY: json.dumps(header).encode()})
+    with atomic(_part(path, "parquet")) as temporary:
+        pq.write_table(table, temporary)
+    write_text(_part(path, "csv"), csv(found))
+
+
+def read(path: str | Path) -> dict[str, Any]:
+    """The fields of the calibration that `write` wrote. Raises CalibrationError for other files."""
+    file = _part(Path(path), "parquet")
+    if not file.exists():
+        raise CalibrationError(f"no calibration at {path}", remedy="check the path")
+    try:
+        table = pq.read_table(file)
+    except (pa.ArrowInvalid, OSError) as error:
+        raise CalibrationError(
+            f"{file} cannot be read", value=str(error).splitlines()[0], remedy="calibrate again"
+        ) from error
+    metadata = table.schema.metadata or {}
+    missing = set(_COLUMNS.values()) - set(table.column_names)
+    if _KEY not in metadata or missing:
+        raise CalibrationError(f"{file} holds no calibration", remedy="check the path")
+    header = json.loads(metadata[_KEY])
+    n, steps = table.num_rows, header.pop("steps")
+    shapes = {"poses": (n, 4, 4), "covariances": (n, 6, 6), "observed": (n, 6)}
+    values: dict[str, Any] = {
+        name: _array(table, column).reshape(shapes.get(name, (n,)))
+        for name, column in _COLUMNS.items()
+    }
+    if steps:
+        values["iterates"] = np.swapaxes(_array(table, "iterates").reshape(n, steps, 3), 0, 1)
+    if "faults" in table.column_names:
+        values["faults"] = _array(table, "faults")
+    if "middles" in table.column_names:
+        values["contact_centroids"] = _array(table, "middles").reshape(n, 3)
+    if "rivals" in table.column_names:
+        values["rivals"] = _array(table, "rivals").reshape(n, 3)
+    values["taxel_unknowns"] = {
+        name.removeprefix(_NUISANCE): _array(table, name).reshape(n, 2)
+        for name in table.column_names
+        if name.startswith(_NUISANCE)
+    }
+    fit = header.pop("fit", None)
+    header["fit"] = None if fit is None else GoodnessOfFit(**fit)
+    if (verdict := header.pop("verdict", None)) is not None:
+        header["verdict"] = Verdict(verdict["level"], tuple(verdict["reasons"]))
+    if (response := header.pop("response", None)) is not None:
+        header["response"] = LearnedResponse.from_values(response)
+    header["unknowns"] = {k: tuple(v) for k, v in header.get("unknowns", {}).items()}
+    for name in ("factors", "undetermined"):
+        header[name] = tuple(header.get(name, ()))
+    return {**values, **header}
+
+
+def csv(found: Calibration) -> str:
+    """A table in CSV: one row a taxel, lengths in mm, empty where not determined."""
+    rows = ["taxel,x_mm,y_mm,z_mm,nx,ny,nz,sigma_mm,readings,note"]
+    numbers = np.column_stack(
+        [1e3 * found.positions, found.poses[:, :3, 2], 1e3 * found.position_sigma]
+    )
+    faults = np.full(len(found.ids), "") if found.faults is None else found.faults
+    for k, values in enumerate(numbers):
+        text = [f"{x:.6f}" if np.isfinite(x) else "" for x in values]
+        note = "; ".join(filter(None, [found.reasons[k], faults[k].replace(",", ";")]))
+        rows.append(",".join([str(found.ids[k]), *text, str(found.readings[k]), note]))
+    return "\n".join(rows) + "\n"
+
+
+def _part(path: Path, suffix: str) -> Path:
+    return path.with_name(f"{path.name.removesuffix('.parquet')}.{suffix}")
+
+
+def _column(values: np.ndarray) -> pa.Array:
+    """An Arrow column of the rows of `values` (n, ...), each row flat."""
+    values = np.asarray(values)
+    if values.ndim == 1:
+        return pa.array(values.tolist() if values.dtype == object else values)
+    flat = np.ascontiguousarray(values).reshape(len(values), -1)
+    return pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel()), flat.shape[1])
+
+
+def _array(table: pa.Table, name: str) -> np.ndarray:
+    column = table.column(name).combine_chunks()
+    if isinstance(column, pa.ChunkedArray):
+        column = column.chunk(0)
+    if isinstance(column, pa.FixedSizeListArray):
+        column = column.flatten()
+    if pa.types.is_string(column.type):
+        return np.array(column.to_pylist(), dtype=object)
+    return np.array(column.to_numpy(zero_copy_only=False))

@@ -1,0 +1,107 @@
+"""Objects that a user holds: copies, pickles, cloudpickle, equality."""
+
+import copy
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin.core.value import Value, same_content
+
+
+@pytest.fixture(scope="module")
+def objects(sphere, recording):
+    """One object of every public class that is data, used before, so that its caches are filled."""
+    belief = sphere.belief()
+    calibration = ms.calibrate(recording, belief, "centroid")
+    _ = sphere.arm.newton, sphere.arm.holds_any_pose
+    plan = ms.explore(sphere.body, sphere.skin, mode="quasi_static")
+    sphere.body.project([[0, 0, 1.0]], [[0, 0, -1.0]])
+    identity = np.eye(6)[None]
+    graph = ms.PoseGraph(np.stack([np.eye(4)] * 2), [[0, 1]], np.eye(4)[None], identity)
+    graph.solve()
+    still = {"chain": None, "angles": np.zeros((1, 0)), "positions": np.zeros((1, 3))}
+    return {
+        "Arm": sphere.arm,
+        "Belief": belief,
+        "Body": sphere.body,
+        "Calibration": calibration,
+        "Exploration": sphere.exploration,
+        "Indenter": sphere.indenter,
+        "Law": sphere.law,
+        "Material": sphere.material,
+        "Plan": plan,
+        "PoseGraph": graph,
+        "Readout": sphere.readout,
+        "Recording": recording,
+        "Scene": sphere,
+        "Skin": calibration.skin,
+        "Study": ms.Study("noise", base="sphere", seeds=2),
+        "TouchSide": ms.TouchSide(readings=np.ones((1, 1)), **still),
+    }
+
+
+NAMES = (
+    "Arm", "Belief", "Body", "Calibration", "Exploration", "Indenter", "Law", "Material", "Plan",
+    "PoseGraph", "Readout", "Recording", "Scene", "Skin", "Study", "TouchSide",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("way", ["copy", "pickle", "cloudpickle"])
+@pytest.mark.parametrize("name", NAMES)
+def test_an_object_comes_back_equal(objects, name, way):
+    one = objects[name]
+    if way == "copy":
+        other = copy.deepcopy(one)
+    else:
+        package = pytest.importorskip(way)
+        other = pickle.loads(package.dumps(one))
+    assert other is not one
+    assert type(other) is type(one)
+    assert other == one
+    assert one != 3
+    if name != "Study":
+        assert hash(other) == hash(one)
+
+
+def test_a_copy_works_as_the_original_does(objects, recording):
+    scene = copy.deepcopy(objects["Scene"])
+    found = ms.calibrate(recording, scene.belief(), "centroid")
+    again = pickle.loads(pickle.dumps(found))
+    assert again == found
+    assert again.skin == found.skin
+
+
+def test_what_differs_is_unequal(objects, sphere):
+    c = objects["Calibration"]
+    moved = c.poses.copy()
+    moved[0, 0, 3] += 1e-12
+    assert replace(c, poses=moved) != c
+    assert sphere.with_(payload=2.0) != sphere
+    assert ms.Body.sphere(0.1) == ms.Body.sphere(0.1)
+    assert ms.Body.sphere(0.1) != ms.Body.sphere(0.11)
+    assert ms.Skin(np.eye(4)[None], np.array([1])) != ms.Skin(np.eye(4)[None], np.array([2]))
+    assert sphere.body != sphere.skin
+
+
+def test_content_is_compared_by_entries():
+    assert same_content({"a": [1.0, np.nan]}, {"a": [1.0, float("nan")]})
+    assert same_content(np.array([np.nan, 1]), np.array([np.nan, 1]))
+    assert not same_content(np.array([1, 2]), np.array([1, 2, 3]))
+    assert not same_content((1, 2), (1, 3))
+    assert not same_content({"a": 1}, {"b": 1})
+    assert not same_content(1, "1")
+
+
+def test_no_dataclass_replaces_the_comparison_of_its_content():
+    def below(kind):
+        return {kind}.union(*map(below, kind.__subclasses__()))
+
+    for name in ms.__all__:
+        getattr(ms, name)
+    kinds = below(Value) - {Value}
+    assert len(kinds) > 10
+    for kind in kinds:
+        assert kind.__eq__ is Value.__eq__, f"{kind.__name__} must be declared with eq=False"
