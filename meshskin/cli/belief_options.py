@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 SCENE_OPTIONS = (
     "body", *body_options.NAMES, "indenter_radius_mm", "young_kpa", "poisson", "thickness_mm",
+    "skin_mm",
 )  # fmt: skip
 """Options whose values come from the scene when --scene is given."""
 PRESSURE_OPTIONS = ("noise_kpa", "threshold_kpa", "saturation_kpa")
@@ -30,6 +31,8 @@ NUMBERS = {
     "--young-kpa": "approximate Young's modulus of the skin",
     "--poisson": "Poisson's ratio of the skin (default 0.49)",
     "--thickness-mm": "thickness of the soft layer on a rigid core",
+    "--skin-mm": "the body is the surface of a skin of this thickness on the mesh, which bridges "
+    "features smaller than 1.5 indenter radii",
     "--disc-radius-mm": "radius of a taxel (default 2)",
     "--noise-kpa": "standard deviation of the noise of a reading",
     "--threshold-kpa": "pressures up to this value are not recorded",
@@ -136,6 +139,8 @@ def _by_scene(options: argparse.Namespace) -> Belief:
     from ..scene.scene import Scene
 
     given = [name for name in SCENE_OPTIONS if getattr(options, name) is not None]
+    if options.export is not None and "link" in given:
+        given.remove("link")  # it names the frame of the map
     if given:
         names = ", ".join(f"--{name.replace('_', '-')}" for name in given)
         raise ConfigError(
@@ -165,11 +170,14 @@ def _by_options(options: argparse.Namespace) -> Belief:
             remedy="give --scene, or all of --body, --indenter-radius-mm and --young-kpa (which "
             "--raw does not need)",
         )
+    body, indenter = body_options.load(options.body, options), 1e-3 * options.indenter_radius_mm
+    if options.skin_mm is not None:
+        body = body.skinned(1e-3 * options.skin_mm, 1.5 * indenter)
     poisson = 0.49 if options.poisson is None else options.poisson
     thickness = None if options.thickness_mm is None else 1e-3 * options.thickness_mm
     return Belief(
-        body=body_options.load(options.body, options),
-        indenter=Indenter.sphere(1e-3 * options.indenter_radius_mm),
+        body=body,
+        indenter=Indenter.sphere(indenter),
         material=Material(1e3 * young, poisson, thickness),
         taxel_ids=np.empty(0, dtype=int),
         contact=AUTO,

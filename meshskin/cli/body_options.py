@@ -23,7 +23,11 @@ def add(parser: Any) -> None:
     parser.add_argument(
         "--open", action="store_true", default=None, help="accept an open mesh, with borders"
     )
-    parser.add_argument("--link", help="link whose mesh is taken from the URDF file")
+    parser.add_argument(
+        "--link",
+        help="link whose mesh is taken from the URDF file; of calibrate with a mesh, the link in "
+        "whose frame the map is exported",
+    )
     parser.add_argument(
         "--folder",
         type=Path,
@@ -41,7 +45,7 @@ def triangles(path: Path, options: argparse.Namespace) -> Triangles:
     from ..geometry.mesh import link_mesh, mesh_file
 
     _check(path, options)
-    if options.link is None:
+    if is_mesh(path) or options.link is None:
         return mesh_file.read(path, mesh_file.unit(path, options.units))
     return link_mesh.read(path, options.link, options.folder or (), options.link_mesh or "visual")
 
@@ -52,15 +56,29 @@ def load(path: Path, options: argparse.Namespace) -> Body:
 
     _check(path, options)
     open_ = bool(options.open)
-    if options.link is None:
+    if is_mesh(path) or options.link is None:
         return Body.load(path, units=options.units, open=open_)
     folders, kind = options.folder or (), options.link_mesh or "visual"
     return Body.from_urdf(path, options.link, folders, kind, open=open_)
 
 
+def is_mesh(path: Path) -> bool:
+    """Whether a file is a mesh by its suffix; any other one is read as a URDF file."""
+    from ..geometry.mesh.mesh_file import FORMATS
+
+    return path.suffix.lower().lstrip(".") in FORMATS
+
+
 def _check(path: Path, options: argparse.Namespace) -> None:
     """Raise ConfigError for options that do not go together."""
-    if options.link is None:
+    mesh = is_mesh(path)
+    if mesh and options.link is not None and getattr(options, "export", None) is None:
+        raise ConfigError(
+            "--link names a link of a URDF file, or the frame of an exported map",
+            value=f"--link {options.link} with {path.name}",
+            remedy="give the URDF file, or leave --link out",
+        )
+    if mesh or options.link is None:
         for name in ("folder", "link_mesh"):
             if getattr(options, name) is not None:
                 raise ConfigError(

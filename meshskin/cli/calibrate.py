@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.errors import CalibrationError
-from . import belief_options, log_options
+from . import belief_options, export_options, log_options
 from .belief_options import belief_of
+from .export_options import Export
 from .log_options import CORRECTED, FromLog, from_log
 from .progress_bar import bar
 
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from ..core.progress import Progress
     from ..estimation.calibration import Calibration
     from ..recording.recording import Recording
-    from ..scene.belief import Belief
 
 FAILED = 1
 """Exit code where the verdict is FAIL."""
@@ -59,13 +58,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--cross-validate", type=int, metavar="FOLDS", help="hold out contacts in FOLDS folds and "
         "localise them by the skin calibrated on the others: one more calibration per fold",
     )  # fmt: skip
-    parser.add_argument(
-        "--export", type=Path, metavar="FILE", help="write the skin map to FILE, by suffix: .txt "
-        "(iCub), .csv, .urdf, .xml (MuJoCo), .npz, .yaml (ROS), .ply or .glb",
-    )  # fmt: skip
-    parser.add_argument(
-        "--export-format", metavar="FORMAT", help="whatever the suffix: urdf_tactile"
-    )
+    export_options.add(parser)
     parser.add_argument("--quiet", action="store_true", help="print no progress bar and no summary")
 
 
@@ -82,20 +75,16 @@ def command(options: argparse.Namespace) -> int:
 
 def _calibrated(options: argparse.Namespace, progress: Progress | None) -> tuple[Calibration, str]:
     """The calibration, whose results are written, and the summary."""
-    from ..core.atomic_io import check_folder, check_writable, write_json
+    from ..core.atomic_io import check_folder, write_json
     from ..core.provenance import provenance
     from ..estimation.calibrate import calibrate
     from ..pipeline import remove_results
-    from ..skin.files import check_format
 
-    if options.export is not None:
-        check_format(options.export_format or options.export.suffix.lstrip("."))
+    export = Export.of(options)
     clock = perf_counter()
     given = _recorded(options) if options.map is None else from_log(options, progress)
     recording, belief = given.recording, given.belief
     check_folder(options.out)
-    if options.export is not None:
-        check_writable(options.export)
     limit = {} if options.iterations is None else {"iterations": options.iterations}
     found = given.found or calibrate(
         recording, belief, method=options.method, progress=progress, **limit
@@ -104,8 +93,7 @@ def _calibrated(options: argparse.Namespace, progress: Progress | None) -> tuple
     found.save(options.out / "calibration")
     if given.robot is not None:
         given.robot.save(options.out / CORRECTED)
-    if options.export is not None:
-        export(found, belief, options.export, options.export_format)
+    exported = [] if export is None else [export.write(found)]
     metrics = assess(found, recording)
     validation = None
     if options.cross_validate is not None:
@@ -123,7 +111,7 @@ def _calibrated(options: argparse.Namespace, progress: Progress | None) -> tuple
     )
     metrics["seconds"] = {**found.seconds, "all": perf_counter() - clock}
     write_json(options.out / "metrics.json", metrics)
-    return found, "\n".join([summary(found, metrics, options.out), *given.lines])
+    return found, "\n".join([summary(found, metrics, options.out), *exported, *given.lines])
 
 
 def _recorded(options: argparse.Namespace) -> FromLog:
@@ -133,16 +121,6 @@ def _recorded(options: argparse.Namespace) -> FromLog:
     recording = Recording.load(options.recording)
     every = recording.metadata.get("taxel_ids") or np.unique(recording.reading_taxel)
     return FromLog(recording, belief_of(options, every), [])
-
-
-def export(found: Calibration, belief: Belief, path: Path, kind: str | None) -> None:
-    """Write the skin map of the determined taxels as `kind` (None: by suffix). Raises SkinError."""
-    from ..skin.skin import Skin
-
-    good = np.isfinite(found.poses).all(axis=(1, 2))
-    if not good.any():
-        raise CalibrationError("no taxel is determined, so there is no skin map to export")
-    Skin(found.poses[good], found.ids[good], belief.disc_radius).save(path, kind)
 
 
 def assess(found: Calibration, recording: Recording) -> dict[str, Any]:

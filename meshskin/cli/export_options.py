@@ -99,7 +99,8 @@ class Export:
             skin = skin.moved(transform(from_rpy(np.array(self.pose[3:])), self.pose[:3]))
         frame = self.frame or found.frame
         skin.save(self.path, self.kind, link=frame, parent=self.parent)
-        return f"  export           {self.path}: {len(skin)} taxels in the frame {frame}, {self.whose}"
+        place = f"{len(skin)} taxels in the frame {frame}, {self.whose}"
+        return f"  export           {self.path}: {place}"
 
 
 def _whose(options: argparse.Namespace, of_urdf: bool) -> str:

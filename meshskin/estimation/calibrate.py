@@ -137,7 +137,7 @@ class Estimation:
                 source=recording.metadata.get("provenance", {}),
             ),
             disc_radius=data.belief.disc_radius,
-            frame=data.belief.body.name,
+            frame=getattr(data.belief.body, "frame", None),  # an exact surface has none
         )
         verdict = judge(recording, near, calibration, result.departures)
         stage.end()

@@ -97,6 +97,11 @@ class Body(Value, Card):
         return drawing.solid(ax, mesh=self.mesh, title=self.name)
 
     @property
+    def frame(self) -> str:
+        """Name of the body frame: the link, or the mesh file without its suffix."""
+        return self.name.removesuffix(", skinned")
+
+    @property
     def facets(self) -> Any:
         """The flat mesh, trimesh.Trimesh in m, that the software of a robot has of the body."""
         return self.mesh if self.robot_mesh is None else self.robot_mesh
