@@ -330,21 +330,19 @@ def calibrate(
     "posegraph_paper", with displacements from three chosen circles, too;
     "trilateration", least squares over all circles of a taxel; "three_circles", three steep,
     well-separated ones; "eq15", the paper's trilateration as printed: three readings at random,
-    taken as those of points;
-    "centroid", the mean of a taxel's contact points weighted by its readings: the baseline;
-    "coactivation", the layout by which taxels answer together, for contact points that are wrong in
-    themselves: they only place the whole, and the contact model only scales it.
+    taken as those of points; "centroid", the baseline: the mean of its contact points, weighted
+    by its readings; "coactivation", the layout by which taxels answer together, for contact points
+    that are wrong in themselves: they only place the whole, and the contact model only scales it.
     tolerance: the Newton decrement at which the joint estimate has converged (a move of
     sqrt(2 tolerance) standard deviations).
     iterations: the most iterations of IPOPT over the shared unknowns, in each linearization. Other
     methods use neither.
     progress(stage, done, total): called between the steps of the stage "calibrate".
-    Warns (LeftOutWarning) where taxels are not determined.
-    Raises UnknownNameError for another method, ConfigError for a tolerance that is not positive or
-    a limit of iterations that is not a positive integer,
-    RecordingError for values that are not finite, CalibrationError for a scene in place of a
-    belief, a method that needs pressures on raw readings, no readings, unknown taxels or nothing
-    determined, ContactError where the believed contact model leaves its range.
+    Warns (LeftOutWarning) where taxels are not determined. Raises UnknownNameError for another
+    method, ConfigError for a tolerance or limit of iterations that is not positive, RecordingError
+    for values that are not finite, CalibrationError for a scene in place of a belief, a method that
+    needs pressures on raw readings, no readings, unknown taxels or nothing determined, ContactError
+    where the believed contact model leaves its range.
     """
     check_name("method", method, tuple(METHODS))
     found = Estimation(recording, belief).calibrate(method, tolerance, iterations, progress)
