@@ -246,16 +246,16 @@ def draw(found: dict[str, dict[str, dict[str, float]]]) -> Figure:
             x = [r["error_mm"] for r in rows.values()]
             curves = {"joint": "joint estimate", "plain": "its steps alone"}
             curves["posegraph"] = "pose graph"
-            for colour, (key, words) in zip(theme.METHODS, curves.items(), strict=False):
+            for key, words in curves.items():
                 y = [100 * r[key] for r in rows.values()]
-                axes.plot(x, y, "o-", ms=3, color=colour, label=words)
+                axes.plot(x, y, "o-", ms=3, color=theme.method_colour(key), label=words)
             axes.set(xlabel="initial error (mm)", ylabel="at the optimum (%)")
             axes.set_title("From how far the optimum is found")
         else:
             x = [100 * float(key) if sweep == "noise" else float(key) for key in rows]
-            for colour, (key, words) in zip(theme.METHODS, WORDS.items(), strict=True):
+            for key, words in WORDS.items():
                 y = [r[key] / r["bound"] for r in rows.values()]
-                axes.plot(x, y, "o-", ms=3, color=colour, label=words)
+                axes.plot(x, y, "o-", ms=3, color=theme.method_colour(key), label=words)
             axes.axhline(1.0, color=theme.MUTED, lw=0.8)
             axes.set(xscale="log", yscale="log", ylabel="mean error over the bound")
             axes.set_ylim(top=15 * axes.get_ylim()[1])  # room for the legend

@@ -53,6 +53,8 @@ METHODS = {
     "learned": "joint, learned",
 }
 """Columns in the order of the table, in words."""
+VARIANTS = {"hertz": "#56b4e9", "hertz_gain": "#7b4fa3", "learned": theme.WARNING}
+"""Colors of the joint estimate's variants, beside those of the methods."""
 BASELINE = "centroid"
 
 
@@ -215,7 +217,8 @@ def draw(found: Mapping[str, Mapping[str, float]]) -> Figure:
     figure = theme.new_figure(11.0, 0.32 * len(found) + 1.6)
     errors, ratios = figure.subplots(1, 2, sharey=True)
     y = np.arange(len(found))
-    for colour, (method, words) in zip(theme.METHODS, METHODS.items(), strict=False):
+    for method, words in METHODS.items():
+        colour = VARIANTS.get(method, theme.method_colour(method))
         error = np.array([row.get(f"{method}_mm", np.nan) for row in found.values()])
         sigma = np.array([row.get(f"{method}_sigma_mm", np.nan) for row in found.values()])
         errors.plot(error, y, "o", ms=5, color=colour, label=words)

@@ -135,7 +135,7 @@ def after_iterations(axes: Axes, noisy: paper_pipeline.NoisyPoses) -> None:
     limit = 1.04 * float(start.max())
     axes.plot([0, limit], [0, limit], color=theme.MUTED, lw=0.9, ls=":", label="no improvement")
     draw_claims(axes, PAPER_CLAIMS, limit)
-    for colour, count, y in zip(theme.METHODS, paper_pipeline.ITERATIONS, mean.T, strict=False):
+    for colour, count, y in zip(theme.PALETTE, paper_pipeline.ITERATIONS, mean.T, strict=False):
         words = f"after {count} iteration{'s' if count > 1 else ''}"
         axes.plot(start, y, "o-", color=colour, ms=4, lw=1.4, label=words)
     axes.set(xlim=(0, limit), ylim=(0, 1.3 * limit))

@@ -156,8 +156,9 @@ def draw_curves(rows: dict[str, list[dict[str, float]]]) -> Any:
         x = [row[name] for row in found]
         for key, label, style in (
             ("joint_mm", "joint maximum likelihood", {"marker": "o", "color": theme.ESTIMATE}),
-            ("posegraph_mm", "pose graph", {"marker": "s", "color": theme.METHODS[1]}),
-            ("centroid_mm", "centroid", {"marker": "v", "color": theme.METHODS[6]}),
+            ("posegraph_mm", "pose graph",
+             {"marker": "s", "color": theme.method_colour("posegraph")}),
+            ("centroid_mm", "centroid", {"marker": "v", "color": theme.method_colour("centroid")}),
             ("thick_mm", "joint, believing the layer thick",
              {"marker": "^", "color": theme.WARNING}),
             ("bound_mm", "Cramér-Rao expectation", {"ls": "--", "color": theme.INK, "lw": 1.0}),
@@ -174,7 +175,7 @@ def draw_curves(rows: dict[str, list[dict[str, float]]]) -> Any:
                     ha="center",
                     va="top",
                     fontsize=8,
-                    color=theme.METHODS[1],
+                    color=theme.method_colour("posegraph"),
                 )
         if left < 1:
             axes.set_ylabel("mean error (mm)")

@@ -293,7 +293,7 @@ def draw_corners(scene: ms.Scene, seen: list[Confirmation], tuned: TuningResult,
     axes = theme.add_axes(figure, 0.6, 0.6, 4.1, 2.4)
     target, part = scene.law.force_reference, ROUGH.force
     axes.axhspan((1 - part) * target, (1 + part) * target, color=theme.FAINT, linewidth=0)
-    shades = [theme.INK, *theme.METHODS[:4]]
+    shades = [theme.INK, *theme.PALETTE[:4]]
     for k, one in enumerate(seen):
         plain = replace(one.scenario, friction=0.0)
         names = list(dict.fromkeys(replace(s.scenario, friction=0.0).name for s in seen))

@@ -104,7 +104,6 @@ class Estimation:
         weak = np.asarray(~observed.any(axis=1))
         reasons[weak & (reasons == "")] = WEAK
         points = np.where(weak[:, None], np.nan, result.points)
-        seconds = {"gather": self._seconds, **result.seconds}
         recording = self.recording
         calibration = Calibration(
             ids=data.ids,
@@ -130,7 +129,6 @@ class Estimation:
             contact_centroids=trilaterate.centroids(near),
             belief=data.belief,
             iterates=result.iterates,
-            seconds=seconds | {"total": self._seconds + time.perf_counter() - begin},
             provenance=provenance(
                 method=method,
                 recording=digest(recording.points, recording.force, recording.pressure),
@@ -141,7 +139,10 @@ class Estimation:
         )
         verdict = judge(recording, near, calibration, result.departures)
         stage.end()
-        return replace(calibration, verdict=verdict)
+        seconds = {"gather": self._seconds, **result.seconds}
+        total = self._seconds + time.perf_counter() - begin
+        seconds |= {"other": total - sum(seconds.values()), "total": total}
+        return replace(calibration, verdict=verdict, seconds=seconds)
 
     def joint(
         self,
@@ -258,6 +259,7 @@ class Estimation:
         begin = time.perf_counter()
         measured, fit = self._measured(stage, trilateration), self.least_squares
         graph = measured.graph(fit, self.data.ids, isotropic)
+        prepared = time.perf_counter() - begin
         stage.step()
         solution = graph.solve(keep_iterates=True)
         stage.step()
@@ -292,7 +294,7 @@ class Estimation:
                 "rotation of each frame about its normal: a convention",
             ),
             seconds={
-                "graph": time.perf_counter() - begin,
+                "graph": prepared,
                 "build": solution.build_time,
                 "solve": solution.solve_time,
             },

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from textwrap import fill
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,12 +12,17 @@ from numpy.typing import ArrayLike
 from ..core.arrays import Array
 from ..simulation.response import SETTLING_BAND
 from . import theme
-from .plane import MM
+from .data import method_name
+from .plane import MM, PAUSE
 from .theme import compact, significant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+
+HIGHEST = 2.0
+"""Force, in the reference, up to which the axis goes: peaks would hide the rest."""
 
 
 def settling_time(time: ArrayLike, force: ArrayLike, reference: float, touch: float) -> float:
@@ -30,6 +35,27 @@ def settling_time(time: ArrayLike, force: ArrayLike, reference: float, touch: fl
     breaks = np.concatenate([[touch], t[outside], [t[-1]]])
     quiet = np.flatnonzero(np.diff(breaks) >= min(0.2, t[-1] - touch))
     return float(breaks[quiet[0]] - touch) if len(quiet) else float("nan")
+
+
+def without_pauses(time: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
+    """Times (m,) and values (m,) for a line, with NaN where time is missing between two of them."""
+    t, v = np.asarray(time, dtype=float), np.asarray(values, dtype=float)
+    wait = np.diff(t)
+    at = np.flatnonzero(wait > PAUSE * np.median(wait)) + 1 if len(wait) else []
+    return np.insert(t, at, np.nan), np.insert(v, at, np.nan)
+
+
+def draw_line(axes: Axes, time: Array, values: Array, **style: Any) -> None:
+    """The line through (time, values), each (m,), interrupted where either is not finite."""
+    good = np.isfinite(time) & np.isfinite(values)
+    parts = np.split(np.arange(len(time)), np.flatnonzero(np.diff(good.astype(int))) + 1)
+    lines = [envelope(time[k], values[k]) for k in parts if len(k) and good[k[0]]]
+    gap = [np.nan]
+    x, y = (
+        np.concatenate([part for line in lines for part in (line[i], gap)] or [gap])
+        for i in range(2)
+    )
+    axes.plot(x, y, **style)
 
 
 def envelope(time: Array, values: Array, bins: int = 700) -> tuple[Array, Array]:
@@ -47,11 +73,13 @@ def force(
     force: ArrayLike,
     reference: float | ArrayLike | None = None,
     settling: float | None = None,
+    steady: ArrayLike | None = None,
 ) -> Figure:
     """Fig. 4: contact force and its reference: whole run, touch and settling, steady force.
 
-    time (m,), s; force (m,), N; reference: one value or (m,), N; settling: settling time after
-    the first contact, s (by default it follows from the force).
+    time (m,), s; force (m,), N, NaN where it is not controlled; reference: one value or (m,), N;
+    settling: settling time after the first contact, s (by default it follows from the force);
+    steady (m,): where the force is steady (by default from then on).
     """
     t, f = np.asarray(time, dtype=float), np.asarray(force, dtype=float)
     ref = None if reference is None else np.broadcast_to(np.asarray(reference, float), t.shape)
@@ -62,19 +90,25 @@ def force(
     window = max(4 * settling, 0.05) if np.isfinite(settling) else 0.5
     near = (t >= touch - 0.15 * window) & (t <= touch + window)
     held = t >= touch + (window if np.isfinite(settling) else 0.0)
+    held &= np.isfinite(f) if steady is None else np.asarray(steady, dtype=bool)
     figure = theme.new_figure(9.0, 3.2)
     whole, zoom, close = (theme.add_axes(figure, x, 0.55, 2.4, 2.1) for x in (0.6, 3.5, 6.45))
     every = np.ones(len(t), dtype=bool)
     for axes, x, chosen in ((whole, t, every), (zoom, (t - touch) * MM, near), (close, t, held)):
-        axes.plot(*envelope(x[chosen], f[chosen]), color=theme.ESTIMATE, lw=1.0)
+        draw_line(axes, *without_pauses(x[chosen], f[chosen]), color=theme.ESTIMATE, lw=1.0)
         if ref is not None and np.any(chosen):
-            axes.plot(*envelope(x[chosen], ref[chosen]), color=theme.WARNING, lw=0.9, ls="--")
+            ends = np.flatnonzero(chosen)[[0, -1]]
+            axes.plot(x[ends], ref[ends], color=theme.WARNING, lw=0.9, ls="--")
     for axes in (whole, zoom):
         axes.axhspan(
             goal * (1 - SETTLING_BAND), goal * (1 + SETTLING_BAND), color=theme.FAINT, lw=0
         )
-        axes.set_ylim(0, 1.12 * max(np.max(f, initial=1e-9), np.nan_to_num(goal)))
-    whole.set(xlabel="time (s)", ylabel="normal force (N)", title="Whole run")
+    peak = float(np.nanmax(f, initial=1e-9))
+    top = 1.12 * max(min(peak, HIGHEST * goal) if np.isfinite(goal) else peak, np.nan_to_num(goal))
+    whole.set_ylim(0, top)
+    zoom.set_ylim(0, 1.12 * max(float(np.nanmax(f[near], initial=1e-9)), np.nan_to_num(goal)))
+    title = "Whole run" if peak <= top else f"Whole run, up to {compact(peak, 2)} N"
+    whole.set(xlabel="time (s)", ylabel="normal force (N)", title=title)
     zoom.set(xlabel="time after touch (ms)", title="Touch and settling")
     zoom.set_xlim(-0.15 * window * MM, window * MM)
     _mark_settling(zoom, settling)
@@ -102,8 +136,8 @@ def _scale_to_reference(axes: Axes, force: Array, goal: float) -> None:
     axes.ticklabel_format(axis="y", useOffset=False)
     if np.isfinite(goal):
         off = float(np.max(np.abs(force - goal), initial=0.0))
-        half = 1.3 * off or SETTLING_BAND * goal
-        axes.set_ylim(goal - half, goal + half)
+        half = 1.3 * min(off, goal) or SETTLING_BAND * goal
+        axes.set_ylim(max(goal - half, 0.0), goal + half)
         axes.set_title(f"Steady force, within {significant(off, 2)} N")
 
 
@@ -136,13 +170,12 @@ def errors(distances: Mapping[str, ArrayLike], bound: float | None = None) -> Fi
     top = 0.0
     for k, (name, values) in enumerate(rows.items()):
         axes = theme.add_axes(figure, 2.6, 0.55 + 1.1 * (len(rows) - 1 - k), 6.2, 0.95)
-        colour = theme.METHODS[k % len(theme.METHODS)]
         counts, _ = np.histogram(np.clip(values, low, high), bins)
-        axes.stairs(counts, bins, fill=True, color=colour)
+        axes.stairs(counts, bins, fill=True, color=theme.method_colour(name))
         top = max(top, float(np.max(counts, initial=0)))
         _decade_axis(axes, low, high, ticks=k == len(rows) - 1)
         axes.yaxis.set_major_locator(MaxNLocator(2, integer=True))  # ticks take most of the time
-        _name_row(axes, name, values)
+        _name_row(axes, method_name(name), values)
         if k == len(rows) // 2:
             axes.set_ylabel("taxels")
         if k == len(rows) - 1:

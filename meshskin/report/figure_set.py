@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.progress import Stage
+from ..simulation.response import CONTROLLED_PHASES, force_response
 from . import curves, learned_response, maps, precision, theme
-from .data import ReportData, method_name
+from .data import ReportData
 from .markup import SavedFigure
 from .plane import MM, finite_rows
 
@@ -56,23 +57,29 @@ def force(folder: Path, data: ReportData) -> SavedFigure | None:
         return None
     if recording.motion is not None and recording.motion.num_rows:
         column = {k: recording.motion.column(k).to_numpy() for k in ("time", "force", "reference")}
-        time, values, goal = column["time"], column["force"], column["reference"]
+        time, goal = column["time"], column["reference"]
+        values, phase, steady = column["force"], None, None
+        if "phase" in recording.motion.column_names:
+            phase = recording.motion.column("phase").to_pylist()
+            values = np.where(np.isin(phase, CONTROLLED_PHASES), values, np.nan)
+            steady = np.equal(phase, "slide") if "slide" in phase else None
+        settling = force_response(time, column["force"], float(goal[0]), phase).settling
     else:
         if not recording.force_measured:
             return None
         time, values = recording.time - recording.time[0], recording.force
         reference = data.metrics.get("force", {}).get("reference_n")
         reference = recording.metadata.get("force_reference_n", reference)
-        goal = None if reference is None else float(reference)
-    settling = data.metrics.get("force", {}).get("settling_s")
+        goal, settling, steady = None if reference is None else float(reference), None, None
     return _save(
         folder,
         "fig4_force",
-        curves.force(time, values, goal, settling=settling),
+        curves.force(time, values, goal, settling, steady),
         "Contact force and its reference over time (the paper's fig. 4)",
-        "Left: the whole run. Middle: first touch and settling. Right: the force while sliding, "
-        "enlarged. Good: the force settles in less than 0.1 s, does not overshoot the band, and "
-        "never falls to zero afterwards.",
+        "Left: the whole run; the line is interrupted where the force is not controlled. Middle: "
+        "first touch and settling. Right: the force while the contact slides, enlarged. Good: the "
+        "force settles in less than 0.1 s, does not overshoot the band, and never falls to zero "
+        "while the contact slides.",
         "Contact force and its reference over time",
     )
 
@@ -118,7 +125,7 @@ def errors(folder: Path, data: ReportData) -> SavedFigure | None:
     return _save(
         folder,
         "errors",
-        curves.errors({method_name(k): v for k, v in data.errors.items()}, bound),
+        curves.errors(data.errors, bound),
         "Position errors of every method",
         "Number of taxels over their error, on a logarithmic axis. Good: the errors of the joint "
         "estimate are near the Cramér-Rao bound (dashed), the lowest mean error of an unbiased "
@@ -156,9 +163,10 @@ def coverage(folder: Path, data: ReportData) -> SavedFigure | None:
         "coverage",
         maps.coverage(data),
         "Coverage of the exploration",
-        "Number of readings of each taxel (colors on a logarithmic scale), and the path of the "
-        "contact over the skin. Good: no crosses, passes on both sides of every taxel, and no "
-        "taxel much darker than its neighbors."
+        "Number of readings of each taxel (colors on a logarithmic scale)"
+        + ("" if data.recording is None else ", and the path of the contact over the skin")
+        + ". Good: no crosses, passes on both sides of every taxel, and no taxel much darker than "
+        "its neighbors."
         + (lost if missing and data.truth is None else "")
         + _projection_note(data),
         "Map of readings per taxel with the contact path",
@@ -168,7 +176,7 @@ def coverage(folder: Path, data: ReportData) -> SavedFigure | None:
 def accuracy_time(folder: Path, data: ReportData) -> SavedFigure | None:
     """Errors and seconds of the estimators, and seconds of the stages."""
     points = {
-        method_name(name): (seconds, float(np.nanmean(data.errors[name])) * MM)
+        name: (seconds, float(np.nanmean(data.errors[name])) * MM)
         for name, seconds in data.method_seconds.items()
         if name in data.errors and np.isfinite(data.errors[name]).any()
     }
@@ -180,8 +188,8 @@ def accuracy_time(folder: Path, data: ReportData) -> SavedFigure | None:
         precision.accuracy_time(points, data.seconds, data.bound_mm or None),
         "Accuracy and time of this run",
         "Left: mean error and time of each estimator on the same recording; further left and lower "
-        "is better, and the dashed line is the Cramér-Rao bound. Right: time of each stage of the "
-        "run.",
+        "is better, and the dashed line is the Cramér-Rao bound. Right: time of each stage until "
+        "the figures were drawn.",
         "Mean error over seconds of each estimator, and seconds of each stage",
     )
 

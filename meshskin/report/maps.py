@@ -10,13 +10,18 @@ from numpy.typing import ArrayLike
 from ..core.arrays import Array
 from . import theme
 from .data import Iterations, ReportData
-from .plane import MAX_PATH_POINTS, MM, Plane, enlargement, finite_rows, spacing
+from .plane import MM, Plane, enlargement, finite_rows, path_with_breaks, shortened, spacing
 from .theme import compact, grouped, significant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+LONGEST = 1.5
+"""Longest error line or semi-axis that is drawn, in distances between taxels: longer ones would
+cover their neighbours, and leave the map."""
+SATURATION = 3.0
+"""Standard deviation, in the median one, from which all have one color."""
 RASTERIZE_ABOVE = 500
 """Marks above which a figure's marks are rasterized: each takes 1 kB of SVG."""
 
@@ -102,9 +107,12 @@ def estimates(data: ReportData) -> Figure:
     a, b = plane.project(t), plane.project(data.calibration.positions)
     seen = np.isfinite(b).all(axis=1)
     lengths = np.linalg.norm(b - a, axis=1)
-    factor = enlargement(lengths[seen], 0.4 * spacing(t) * MM)
+    pitch = spacing(t) * MM
+    factor = enlargement(lengths[seen], 0.4 * pitch)
+    short = shortened(factor * lengths, LONGEST * pitch or np.inf)
+    ends = a + (factor * short)[:, None] * (b - a)
     figure = theme.new_figure(6.0, 6.1)
-    axes = _map_axes(figure, a, 0.65, 0.6, 5.0)
+    axes = _map_axes(figure, np.concatenate([a, ends]), 0.65, 0.6, 5.0)
     _ellipses(
         axes,
         a,
@@ -113,7 +121,9 @@ def estimates(data: ReportData) -> Figure:
         edgecolors=theme.TRUTH,
         linewidths=0.8,
     )
-    _segments(axes, a[seen], a[seen] + factor * (b - a)[seen], color=theme.WARNING, lw=1.3)
+    cut = seen & (short < 1.0)
+    _segments(axes, a[seen & ~cut], ends[seen & ~cut], color=theme.WARNING, lw=1.3)
+    _segments(axes, a[cut], ends[cut], color=theme.WARNING, lw=1.3, ls=":")
     axes.plot(*b[seen].T, "o", ms=2.6, color=theme.ESTIMATE, rasterized=len(b) > RASTERIZE_ABOVE)
     axes.plot(*a[~seen].T, "x", ms=7, color=theme.WARNING)
     handles = [
@@ -121,6 +131,8 @@ def estimates(data: ReportData) -> Figure:
         _handle("estimate", **DOT, color=theme.ESTIMATE, ms=3),
         _handle(f"error × {grouped(factor)}", color=theme.WARNING),
     ]
+    if cut.any():
+        handles.append(_handle(f"{cut.sum()} cut short", color=theme.WARNING, ls=":"))
     if not seen.all():
         handles.append(_handle("no estimate", **CROSS))
     _legend(axes, handles)
@@ -218,8 +230,10 @@ def coverage(data: ReportData) -> Figure:
     axes = _map_axes(figure, view, 0.65, 0.6, 5.0)
     handles = []
     if len(route):
-        line = route[:: max(len(route) // MAX_PATH_POINTS, 1)]
-        axes.plot(*line.T, color=theme.MUTED, lw=0.5, alpha=0.7, zorder=3)
+        assert data.recording is not None
+        line, _ = path_with_breaks(data.recording.points, data.recording.time)
+        mark = {"marker": ".", "ms": 1.0, "lw": 0.5, "alpha": 0.7}
+        axes.plot(*plane.project(line).T, color=theme.MUTED, zorder=3, **mark)
         handles.append(_handle("path of the contact", color=theme.MUTED, lw=0.8))
     discs = _ellipses(axes, xy[touched], diameter, cmap=theme.SEQUENTIAL, linewidths=0)
     discs.set_array(counts[touched])
@@ -256,15 +270,29 @@ def uncertainty(data: ReportData) -> Figure:
     sigma, heading = ellipse_axes(plane.project_covariance(data.covariances))
     good = np.isfinite(xy).all(axis=1) & np.isfinite(sigma).all(axis=1)
     xy, sigma, heading = xy[good], sigma[good], heading[good]
-    factor = enlargement(sigma[:, 0], 0.35 * spacing(p) * MM)
+    pitch = spacing(p) * MM
+    factor = enlargement(sigma[:, 0], 0.35 * pitch)
+    short = shortened(factor * sigma[:, 0], LONGEST * pitch or np.inf)
+    reach = (factor * short * sigma[:, 0])[:, None]
     figure = theme.new_figure(6.6, 6.1)
-    axes = _map_axes(figure, xy, 0.65, 0.6, 5.0)
-    style: dict[str, Any] = {"cmap": theme.SEQUENTIAL, "linewidths": 0}
-    ellipses = _ellipses(axes, xy, 2 * factor * sigma, heading, **style)
+    axes = _map_axes(figure, np.concatenate([xy - reach, xy + reach]), 0.65, 0.6, 5.0)
+    edges = np.where(short < 1.0, theme.WARNING, "none")
+    style: dict[str, Any] = {
+        "cmap": theme.SEQUENTIAL,
+        "linewidths": 1.2,
+        "edgecolors": edges.tolist(),
+    }
+    ellipses = _ellipses(axes, xy, 2 * (factor * short)[:, None] * sigma, heading, **style)
     ellipses.set_array(sigma[:, 0])
-    ellipses.set_clim(0, float(np.max(sigma, initial=1e-12)))
-    bar = theme.color_bar(figure, ellipses, axes, "largest 1-sigma along the skin (mm)")
+    # a few large ones would make all others look alike
+    largest, median = float(np.max(sigma, initial=1e-12)), float(np.median([*sigma[:, 0], 1e-12]))
+    ellipses.set_clim(0, min(largest, max(SATURATION * median, 1e-12)))
+    beyond = "" if largest <= SATURATION * median else f"; up to {significant(largest)}"
+    bar = theme.color_bar(figure, ellipses, axes, f"largest 1-sigma along the skin (mm){beyond}")
     bar.formatter.set_powerlimits((-3, 4))
     label = f"1 sigma along the skin × {grouped(factor)}"
-    _legend(axes, [_handle(label, **DOT, color=theme.MUTED, ms=7)])
+    handles = [_handle(label, **DOT, color=theme.MUTED, ms=7)]
+    if cut := int(np.sum(short < 1.0)):
+        handles.append(_handle(f"{cut} drawn smaller", **DOT, mfc="none", mec=theme.WARNING, ms=7))
+    _legend(axes, handles)
     return figure

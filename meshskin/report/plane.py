@@ -11,6 +11,10 @@ from ..core.arrays import Array
 
 MM = 1e3
 """Millimetres per metre."""
+PAUSE = 3.0
+"""Time between two contacts, in the median one, from which the line between them is interrupted."""
+JUMP = 5.0
+"""Distance between two contacts, in the median one, from which it is interrupted."""
 MAX_PATH_POINTS = 4000
 """Most points of a drawn contact path: a path of 20 widths of a map has one every 4 pixels."""
 
@@ -34,6 +38,20 @@ class Plane:
         c = np.asarray(covariances, dtype=float)
         c = np.where(np.isfinite(c).all(axis=(-2, -1), keepdims=True), c, np.nan)
         return np.asarray(self.axes @ c @ self.axes.T * MM**2)
+
+
+def path_with_breaks(points: ArrayLike, time: ArrayLike) -> tuple[Array, Array]:
+    """Contact points (m, 3) at times (m,) for a line: at most about MAX_PATH_POINTS of them, with a
+    row of NaN at each pause or jump, and their times."""
+    p, t = np.asarray(points, dtype=float), np.asarray(time, dtype=float)
+    every = max(len(p) // MAX_PATH_POINTS, 1)
+    p, t = p[::every], t[::every]
+    if len(p) < 2:
+        return p, t
+    step, wait = np.linalg.norm(np.diff(p, axis=0), axis=1), np.diff(t)
+    apart = (step > JUMP * np.median(step)) | (wait > PAUSE * np.median(wait))
+    at = np.flatnonzero(apart) + 1
+    return np.insert(p, at, np.nan, axis=0), np.insert(t, at, np.nan)
 
 
 def finite_rows(values: ArrayLike) -> Array:
@@ -71,6 +89,11 @@ def spacing(points: ArrayLike) -> float:
     if len(p) < 2:
         return 0.0
     return float(np.median(cKDTree(p).query(p, k=2)[0][:, 1]))
+
+
+def shortened(lengths: Array, longest: float) -> Array:
+    """Factors (n,) by which lengths (n,) are multiplied so that none is above `longest`."""
+    return np.asarray(np.minimum(1.0, longest / np.maximum(lengths, 1e-300)))
 
 
 def enlargement(lengths: ArrayLike, wanted: float) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import markup, theme
+from .data import method_name
 from .markup import Content, SavedFigure, paragraphs, tile
 from .theme import compact, significant
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from ..study.sensitivity.trial import Row
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
-COLOURS = (*theme.METHODS, theme.WARNING, theme.TRUTH)
+COLOURS = (*theme.PALETTE, theme.WARNING, theme.TRUTH)
 KNOB_NAMES = {
     "faces": "faces of the mesh",
     "degree": "degree of the surface",
@@ -144,13 +145,13 @@ def accuracy_time(
 ) -> Figure:
     """Accuracy and time of one run: seconds and errors of estimators, and seconds of stages.
 
-    points: estimator -> (seconds, mean error in mm); stages: name -> seconds; bound: Cramér-Rao
+    points: method -> (seconds, mean error in mm); stages: name -> seconds; bound: Cramér-Rao
     bound on the mean error, mm.
     """
     figure = theme.new_figure(9.0, 3.4)
     left, right = (theme.add_axes(figure, x, 0.6, w, 2.4) for x, w in ((0.95, 4.4), (6.7, 2.0)))
-    for k, (x, y) in enumerate(points.values()):
-        left.plot(x, y, "o", color=COLOURS[k % len(COLOURS)], ms=8 if k == 0 else 5)
+    for k, (method, (x, y)) in enumerate(points.items()):
+        left.plot(x, y, "o", color=theme.method_colour(method), ms=8 if k == 0 else 5)
     if bound is not None and np.isfinite(bound):
         left.axhline(bound, color=theme.INK, lw=1.0, ls="--")
         # in the middle: the fastest and the slowest estimator are often near the line
@@ -161,7 +162,7 @@ def accuracy_time(
     left.set(ylabel="mean error of the taxels (mm)", title="Estimators on this recording")
     left.margins(x=0.25, y=0.2)
     decimal_ticks(left)
-    label_points(left, list(points.values()), list(points), 8.0)
+    label_points(left, list(points.values()), list(map(method_name, points)), 8.0)
     names = list(stages)[::-1]
     right.barh(names, [stages[name] for name in names], color=theme.ESTIMATE, height=0.6)
     right.tick_params(axis="y", length=0)

@@ -1,7 +1,6 @@
 """The 3D view: a plotly figure as plain JSON, without plotly's (slow) Python objects.
 
-Arrays are base64 of single precision numbers in mm, which plotly.js decodes. The mesh of the body
-is decimated for the picture: fine near the skin, coarse away from it, without cracks.
+Arrays are base64 of single precision numbers in mm, which plotly.js decodes.
 """
 
 from __future__ import annotations
@@ -10,17 +9,32 @@ import base64
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..core.arrays import Array, sums_by_group
+from ..core.arrays import Array
 from ..geometry.surface.fans import vertex_normals
 from . import theme
-from .plane import MAX_PATH_POINTS, MM, enlargement, finite_rows, spacing, tangent_plane
+from .decimation import decimate
+from .plane import (
+    MM,
+    enlargement,
+    finite_rows,
+    path_with_breaks,
+    shortened,
+    spacing,
+    tangent_plane,
+)
 from .theme import compact, grouped, significant
 
 MAX_FACES = 5000
 """Most faces of the body in the page: 0.1 MB."""
 
+LONGEST = 4.0
+"""Largest semi-axis of a drawn ellipsoid, in that of the median one."""
+FIELD_OF_VIEW = 0.36
+"""Tangent of half the angle of plotly's camera that the height of the view spans; measured."""
+WIDTH = 1.6
+"""Width of the view in its height, at least."""
 FRAME_LENGTH = 0.4
 """Length of the axes of drawn frames, relative to the distance between taxels."""
 _AXES = (("x", "#d62728"), ("y", "#2ca02c"), ("z", "#1f77b4"))
@@ -104,11 +118,14 @@ def ellipsoids(positions: Array, covariances: Array, wanted: float) -> dict[str,
     every = -(-int(good.sum()) // _MAX_FRAMES)
     sphere = uv_sphere(count=(6, 12) if good.sum() <= 150 else (4, 8))
     ball, faces = np.asarray(sphere.vertices), np.asarray(sphere.faces)
-    axes = (factor * sigma[:, None, :] * vectors)[::every]
+    short = shortened(factor * sigma[:, 2], LONGEST * wanted)
+    axes = ((factor * short)[:, None, None] * sigma[:, None, :] * vectors)[::every]
+    cut = int(np.sum(short < 1.0))
     points = positions[good][::every, None] + np.einsum("nij,vj->nvi", axes, ball)
     shifted = faces[None] + len(ball) * np.arange(len(points))[:, None, None]
     return _mesh(points.reshape(-1, 3), shifted.reshape(-1, 3)) | {
-        "name": f"1 sigma along the skin × {grouped(factor)}",
+        "name": f"1 sigma along the skin × {grouped(factor)}"
+        + (f" ({cut} drawn smaller)" if cut else ""),
         "color": theme.ESTIMATE,
         "opacity": 0.35,
         "flatshading": False,
@@ -125,14 +142,14 @@ def view_3d(
     covariances: ArrayLike,
     mesh: tuple[ArrayLike, ArrayLike] | None = None,
     truth: ArrayLike | None = None,
-    path: ArrayLike | None = None,
+    path: tuple[ArrayLike, ArrayLike] | None = None,
     heading_observed: bool = False,
 ) -> dict[str, Any]:
     """The figure {"data", "layout"} for plotly.js.
 
     ids (n,); poses (n, 4, 4) of the estimates, NaN where there is none; covariances (n, 3, 3) of
-    the positions, m^2; mesh: vertices and faces of the body; truth (n, 4, 4): true poses; path
-    (m, 3): contact points; all in the body frame, m.
+    the positions, m^2; mesh: vertices and faces of the body; truth (n, 4, 4): true poses; path:
+    contact points (m, 3) and their times (m,), s; all in the body frame, m.
     """
     names, estimate = np.asarray(ids), np.asarray(poses, dtype=float)
     cov = np.asarray(covariances, dtype=float)
@@ -142,8 +159,8 @@ def view_3d(
     data: list[dict[str, Any]] = []
     if mesh is not None:
         data.append(body(*mesh, focus=skin, inward=0.06 * pitch))
-    if path is not None and len(route := np.asarray(path, dtype=float)):
-        data.append(_route(route))
+    if path is not None and len(route := np.asarray(path[0], dtype=float)):
+        data.append(_route(route, np.asarray(path[1], dtype=float)))
     if true is not None:
         data += _true_taxels(names, true, pitch)
     data.append(_estimated_taxels(names, estimate, cov, true))
@@ -160,10 +177,13 @@ def view_3d(
     return {"data": data, "layout": layout}
 
 
-def _route(points: Array) -> dict[str, Any]:
-    few = points[:: max(len(points) // MAX_PATH_POINTS, 1)]
+def _route(points: Array, time: Array) -> dict[str, Any]:
     line = {"color": theme.MUTED, "width": 2}
-    return _scatter("path of the contact", few, "lines", line=line, hoverinfo="skip")
+    path, _ = path_with_breaks(points, time)
+    dots = {"color": theme.MUTED, "size": 1}
+    return _scatter(
+        "path of the contact", path, "lines+markers", line=line, marker=dots, hoverinfo="skip"
+    )
 
 
 def _true_taxels(ids: Array, poses: Array, pitch: float) -> list[dict[str, Any]]:
@@ -201,12 +221,11 @@ def _layout(skin: Array, normals: Array, extent: Array) -> dict[str, Any]:
     plane = tangent_plane(skin, normals)
     good = finite_rows(skin)
     radius = float(np.max(np.linalg.norm(good - plane.origin, axis=1), initial=0.05 * size))
+    middle = (low + high) / 2
     outward = np.cross(*plane.axes)
     across, up = plane.axes
     direction = outward * 0.88 - up * 0.42 + across * 0.2
     direction /= np.linalg.norm(direction)
-    centre = (plane.origin - (low + high) / 2) / size
-    eye = centre + direction * 3.3 * radius / size
     axes = {
         f"{axis}axis": {
             "title": {"text": f"{axis} (mm)"},
@@ -223,81 +242,52 @@ def _layout(skin: Array, normals: Array, extent: Array) -> dict[str, Any]:
     def vector(v: Array) -> dict[str, float]:
         return dict(zip("xyz", np.round(v, 6).tolist(), strict=True))
 
+    def camera(focus: Array, points: Array) -> dict[str, Any]:
+        """From the front of the skin, so far that all points are seen; in sizes of the whole."""
+        far = _distance(points - focus, direction, up) / size
+        centre = (focus - middle) / size
+        eye = centre + direction * far
+        return {"center": vector(centre), "eye": vector(eye), "up": vector(up)}
+
+    around = plane.origin + radius * np.concatenate([np.eye(3), -np.eye(3)])
+    cameras = {"whole body": camera(middle, extent), "skin": camera(plane.origin, around)}
     return {
         "scene": {
             **axes,
             "aspectmode": "manual",
             "aspectratio": vector((high - low) / size),
-            "camera": {"center": vector(centre), "eye": vector(eye), "up": vector(up)},
+            "camera": cameras["whole body"],
         },
-        "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
-        "legend": {"x": 0.01, "y": 0.99, "bgcolor": "rgba(255,255,255,0)"},
+        "margin": {"l": 0, "r": 0, "t": 36, "b": 0},
+        "legend": {"orientation": "h", "x": 0.0, "y": 0.0, "yanchor": "top"},
+        "updatemenus": [
+            {
+                "type": "buttons",
+                "direction": "left",
+                "x": 0.0,
+                "y": 1.0,
+                "xanchor": "left",
+                "yanchor": "bottom",
+                "showactive": False,
+                "pad": {"b": 4},
+                "buttons": [
+                    {"label": name, "method": "relayout", "args": [{"scene.camera": camera}]}
+                    for name, camera in cameras.items()
+                ],
+            }
+        ],
         "font": {"family": "system-ui, sans-serif", "size": 12, "color": theme.INK},
         "paper_bgcolor": "#ffffff",
         "meta": {"light": vector((plane.origin + 8 * size * (direction + 0.5 * up)) * MM)},
     }
 
 
-Faces = NDArray[np.int64]
-
-
-def decimate(
-    vertices: ArrayLike, faces: ArrayLike, focus: ArrayLike, limit: int = 5000
-) -> tuple[Array, Faces]:
-    """A mesh of at most about `limit` faces that keeps its shape near the points `focus`.
-
-    vertices (v, 3), faces (f, 3), focus (n, 3) in one unit. Far vertices are merged by cells of a
-    grid (Rossignac and Borrel's vertex clustering), which grows until the faces are few enough;
-    near ones are unchanged, unless the skin covers too much of the body. The result is for
-    pictures only, not for measuring distances.
-    """
-    v, f = np.asarray(vertices, dtype=float), np.asarray(faces, dtype=np.int64)
-    if len(f) <= limit:
-        return v, f
-    near = _near(v, f, np.asarray(focus, dtype=float).reshape(-1, 3), limit // 2)
-    extent = float(np.max(np.ptp(v, axis=0)))
-    for cells in (48, 40, 32, 26, 20, 16, 12, 8, 6, 4):
-        merged = _cluster(v, f, near, extent / cells)
-        if len(merged[1]) <= limit:
-            break
-    return merged
-
-
-def _near(v: Array, f: Faces, focus: Array, faces: int) -> NDArray[np.bool_]:
-    """The vertices (v,) nearest to the focus, with about `faces` faces between them.
-
-    None if so many faces would only cover separate patches around the points of the focus.
-    """
-    from scipy.spatial import cKDTree
-
-    focus = finite_rows(focus)
-    if not len(focus):
-        return np.zeros(len(v), dtype=bool)
-    distance = cKDTree(focus).query(v)[0]
-    radius = np.sort(distance[f].max(axis=1))[faces]
-    if radius < 2 * spacing(focus):
-        return np.zeros(len(v), dtype=bool)
-    return np.asarray(distance <= radius)
-
-
-def _cluster(v: Array, f: Faces, near: NDArray[np.bool_], cell: float) -> tuple[Array, Faces]:
-    """Merge the vertices of each cell, except near ones; return vertices and remaining faces."""
-    grid = np.floor((v - v.min(axis=0)) / cell).astype(np.int64)
-    key = (grid[:, 0] << 40) + (grid[:, 1] << 20) + grid[:, 2]
-    key[near] = -1 - np.flatnonzero(near)  # a cell of its own
-    _, label = np.unique(key, return_inverse=True)
-    count = np.bincount(label)
-
-    def mean(values: Array) -> Array:
-        return sums_by_group(values, label) / count[:, None]
-
-    centre, normal = mean(v), mean(vertex_normals(v, f))
-    g = label[f]
-    g = g[(g[:, 0] != g[:, 1]) & (g[:, 1] != g[:, 2]) & (g[:, 2] != g[:, 0])]
-    # two faces on the same vertices are a fold; both are removed, so that the surface stays closed
-    _, first, times = np.unique(np.sort(g, axis=1), axis=0, return_index=True, return_counts=True)
-    g = g[first[times % 2 == 1]]
-    a, b, c = (centre[g[:, k]] for k in range(3))
-    inside_out = np.einsum("fi,fi->f", np.cross(b - a, c - a), normal[g].sum(axis=1)) < 0
-    g[inside_out] = g[inside_out][:, ::-1]
-    return centre, g
+def _distance(points: Array, direction: Array, up: Array) -> float:
+    """Distance, m, along `direction` from the origin from which the camera sees points (n, 3)."""
+    if not len(points):
+        return 1.0
+    right = np.cross(up, direction)
+    right /= np.linalg.norm(right)
+    across, high = np.abs(points @ right), np.abs(points @ np.cross(direction, right))
+    half = np.maximum(high, across / WIDTH) / FIELD_OF_VIEW
+    return float(np.max(half + points @ direction))

@@ -109,7 +109,7 @@ def _view(data: ReportData) -> str:
         covariances=data.covariances,
         mesh=None if body is None else (body.facets.vertices, body.facets.faces),
         truth=data.true_poses,
-        path=None if data.recording is None else data.recording.points,
+        path=None if data.recording is None else (data.recording.points, data.recording.time),
         heading_observed=bool(np.any(np.asarray(c.observed)[:, 5])),
     )
     caption = (

@@ -27,7 +27,19 @@ TRUTH = "#5f6b7a"
 ESTIMATE = "#0072b2"
 WARNING = "#d55e00"
 BOUND = "#cc79a7"
-METHODS = ("#0072b2", "#009e73", "#e69f00", "#56b4e9", "#cc79a7", "#7b4fa3", "#b59f00", "#8c4a2f")
+PALETTE = ("#0072b2", "#009e73", "#e69f00", "#56b4e9", "#cc79a7", "#7b4fa3", "#b59f00", "#8c4a2f")
+METHOD_COLOURS = {
+    "joint": "#0072b2",
+    "trilateration": "#009e73",
+    "three_circles": "#e69f00",
+    "eq15": "#56b4e9",
+    "posegraph": "#cc79a7",
+    "posegraph_isotropic": "#7b4fa3",
+    "posegraph_paper": "#b59f00",
+    "centroid": "#8c4a2f",
+    "coactivation": "#e34a9b",
+}
+"""The color of each method, in every figure."""
 SEQUENTIAL = "cividis"
 
 STYLE: dict[str, Any] = {
@@ -74,6 +86,11 @@ def styled(function: Callable[P, R]) -> Callable[P, R]:
             return function(*args, **kwargs)
 
     return inner
+
+
+def method_colour(method: str) -> str:
+    """The color of a method; that of what is less important for others."""
+    return METHOD_COLOURS.get(method, MUTED)
 
 
 def new_figure(width: float, height: float) -> Figure:

@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from meshskin.core.errors import OutputError
-from meshskin.report import curves, maps, precision, theme
+from meshskin.report import curves, maps, precision, scene3d, theme
 from meshskin.report.curves import envelope, settling_time
-from meshskin.report.data import Iterations, ReportData
+from meshskin.report.data import Iterations, ReportData, method_name
 from meshskin.report.maps import ellipse_axes, representative_iterations
+from meshskin.report.plane import path_with_breaks
 from meshskin.report.theme import compact, significant
 
 
@@ -209,8 +210,86 @@ def test_names_of_estimators_do_not_cover_each_other() -> None:
     figure = precision.accuracy_time(points, {"simulate": 1.0}, 0.0095)
     figure.draw_without_rendering()
     left = figure.axes[0]
-    boxes = [text.get_window_extent() for text in left.texts if text.get_text() in points]
+    names = set(map(method_name, points))
+    boxes = [text.get_window_extent() for text in left.texts if text.get_text() in names]
     assert len(boxes) == len(points)
     for k, box in enumerate(boxes):
         assert box.x1 <= left.bbox.x1 + 1.0
         assert not any(box.overlaps(other) for other in boxes[:k])
+
+
+def test_a_force_that_is_lost_or_peaks_keeps_an_axis_from_zero() -> None:
+    t = np.arange(0.0, 2.0, 1e-3)
+    f = 3.0 * (1 - np.exp(-t / 0.02))
+    f[1000:1010], f[1500] = 0.0, 125.0
+    figure = curves.force(t, f, 3.0)
+    assert all(axes.get_ylim()[0] >= 0.0 for axes in figure.axes)
+    assert figure.axes[0].get_ylim()[1] < 10.0
+    assert "Whole run, up to 125 N" in texts(figure)
+
+
+def test_no_line_is_drawn_across_a_pause() -> None:
+    t = np.concatenate([np.arange(0.0, 1.0, 0.01), np.arange(5.0, 6.0, 0.01)])
+    figure = curves.force(t, np.full(200, 3.0), 3.0)
+    x, y = figure.axes[0].lines[0].get_data()
+    across = np.flatnonzero(np.diff(np.asarray(x)) > 1.0)
+    assert not len(across)
+    assert np.isnan(y).any()
+    line, times = path_with_breaks(np.stack([t, t, t], axis=1), t)
+    assert len(line) == len(times) == 201
+    assert np.isnan(line[100]).all()
+    there = np.concatenate([np.arange(100.0), 500 + np.arange(100.0)])[:, None] * np.ones(3)
+    assert np.isnan(path_with_breaks(there, np.arange(200.0))[0][100]).all()
+
+
+def test_long_errors_and_large_ellipses_are_cut_and_counted(case: SimpleNamespace) -> None:
+    truth = case.skin()
+    found = case.calibration()
+    poses, covariances = found.poses.copy(), found.covariances.copy()
+    poses[7, :3, 3] += poses[7, :3, :2] @ [0.05, 0.0]
+    covariances[10, 0, 0] = 0.05**2
+    data = ReportData(replace(found, poses=poses, covariances=covariances), truth=truth)
+    for figure, words in (
+        (maps.estimates(data), "1 cut short"),
+        (maps.uncertainty(data), "1 drawn smaller"),
+    ):
+        assert words in texts(figure)
+        figure.draw_without_rendering()
+        axes = figure.axes[0]
+        for drawn in axes.collections:
+            if hasattr(drawn, "get_segments"):
+                for segment in drawn.get_segments():
+                    assert axes.viewLim.padded(1e-6).count_contains(segment) == 2
+    plain = ReportData(found, truth=truth)
+    assert "cut short" not in texts(maps.estimates(plain))
+    assert "drawn smaller" not in texts(maps.uncertainty(plain))
+
+
+def test_the_view_shows_the_whole_body() -> None:
+    """Every corner of the body is within the camera's angle, and some are near its edge."""
+    rng = np.random.default_rng(2)
+    corners = np.array([[x, y, z] for x in (0, 0.3) for y in (0, 0.05) for z in (0, 0.08)])
+    skin = np.tile(np.eye(4), (20, 1, 1))
+    skin[:, :3, 3] = [0.05, 0.02, 0.08] + 0.01 * rng.random((20, 3)) * [1, 1, 0]
+    layout = scene3d.view_3d(
+        ids=np.arange(20),
+        poses=skin,
+        covariances=np.tile(1e-10 * np.eye(3), (20, 1, 1)),
+        mesh=(corners, [[0, 1, 2], [1, 2, 3]]),
+    )["layout"]
+    camera = {k: np.array(list(v.values())) for k, v in layout["scene"]["camera"].items()}
+    low, high = (
+        np.array([layout["scene"][f"{axis}axis"]["range"][k] for axis in "xyz"]) for k in (0, 1)
+    )
+    points = (1e3 * corners - (low + high) / 2) / np.max(high - low) - camera["eye"]
+    ahead = camera["center"] - camera["eye"]
+    ahead /= np.linalg.norm(ahead)
+    up = camera["up"] - (camera["up"] @ ahead) * ahead
+    up /= np.linalg.norm(up)
+    depth = points @ ahead
+    off = np.hypot(points @ up, points @ np.cross(ahead, up) / scene3d.WIDTH) / depth
+    assert (depth > 0).all()
+    assert 0.5 * scene3d.FIELD_OF_VIEW < off.max() < 1.5 * scene3d.FIELD_OF_VIEW
+    assert (np.abs(points @ up) / depth < 1.001 * scene3d.FIELD_OF_VIEW).all()
+    buttons = layout["updatemenus"][0]["buttons"]
+    assert [b["label"] for b in buttons] == ["whole body", "skin"]

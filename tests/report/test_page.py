@@ -282,7 +282,7 @@ def test_every_method_has_its_own_color() -> None:
     from meshskin.pipeline import METHODS
     from meshskin.report import theme
 
-    assert len(set(theme.METHODS)) >= len(METHODS) + 1  # and the joint estimate's
+    assert len({theme.METHOD_COLOURS[m] for m in ("joint", *METHODS)}) == len(METHODS) + 1
 
 
 def test_a_skin_that_was_never_touched_has_a_page(

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from meshskin.geometry.body import Body
+from meshskin.report.decimation import decimate
 from meshskin.report.plane import enlargement, spacing, tangent_plane
-from meshskin.report.scene3d import decimate
 
 
 def test_the_plane_keeps_lengths_in_it_and_is_seen_from_outside(case: SimpleNamespace) -> None:

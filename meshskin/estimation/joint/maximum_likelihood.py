@@ -12,7 +12,6 @@ contacts.
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -80,7 +79,7 @@ def estimate(
     CalibrationError if no taxel is determined or the optimizer does not converge, ContactError
     where the estimate leaves the contact model.
     """
-    clock, stage = time.perf_counter(), stage or Stage()
+    stage = stage or Stage()
     estimator, reasons, restarted = _converged(
         data, start, iterations, tolerance, trilaterated, stage
     )
@@ -103,7 +102,7 @@ def estimate(
             value=f"{len(live)} taxels still move after {MAX_RELINEARIZATIONS} linearizations",
             remedy="check the contact model and the units of force and pressure",
         )
-    result = _result(estimator, data, reasons, restarted, rivals, clock)
+    result = _result(estimator, data, reasons, restarted, rivals)
     return _without_misfitting_contacts(estimator, data, result, start, iterations, tolerance)
 
 
@@ -173,7 +172,6 @@ def _result(
     reasons: np.ndarray,
     restarted: np.ndarray,
     rivals: RivalOptima,
-    clock: float,
 ) -> EstimatorResult:
     """The result for all taxels; `declared`: the data with the belief's own parameters."""
     data, problem, state = estimator.data, estimator.problem, estimator.state
@@ -268,7 +266,7 @@ def _result(
         departures=departure_scores(estimator),
         iterates=np.stack([spread(points, np.nan) for points in estimator.iterates]),
         restarted=estimator.live[restarted],
-        seconds=estimator.seconds | {"joint": time.perf_counter() - clock},
+        seconds=estimator.seconds,
     )
 
 
