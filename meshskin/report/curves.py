@@ -41,7 +41,9 @@ def without_pauses(time: ArrayLike, values: ArrayLike) -> tuple[Array, Array]:
     """Times (m,) and values (m,) for a line, with NaN where time is missing between two of them."""
     t, v = np.asarray(time, dtype=float), np.asarray(values, dtype=float)
     wait = np.diff(t)
-    at = np.flatnonzero(wait > PAUSE * np.median(wait)) + 1 if len(wait) else []
+    if not len(wait):
+        return t, v
+    at = np.flatnonzero(wait > PAUSE * np.median(wait)) + 1
     return np.insert(t, at, np.nan), np.insert(v, at, np.nan)
 
 

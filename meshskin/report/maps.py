@@ -232,7 +232,7 @@ def coverage(data: ReportData) -> Figure:
     if len(route):
         assert data.recording is not None
         line, _ = path_with_breaks(data.recording.points, data.recording.time)
-        mark = {"marker": ".", "ms": 1.0, "lw": 0.5, "alpha": 0.7}
+        mark: dict[str, Any] = {"marker": ".", "ms": 1.0, "lw": 0.5, "alpha": 0.7}
         axes.plot(*plane.project(line).T, color=theme.MUTED, zorder=3, **mark)
         handles.append(_handle("path of the contact", color=theme.MUTED, lw=0.8))
     discs = _ellipses(axes, xy[touched], diameter, cmap=theme.SEQUENTIAL, linewidths=0)
