@@ -85,10 +85,8 @@ class Estimation:
             )
         begin, data = time.perf_counter(), self.data
         stage = Stage(progress, "calibrate", maximum_likelihood.USUAL_STEPS)
-        if method == "joint":
-            result = self.joint(stage, tolerance, iterations)
-        else:
-            result = METHODS[method](self, stage)
+        limits = {"tolerance": tolerance, "iterations": iterations} if method == "joint" else {}
+        result = METHODS[method](self, stage, **limits)
         shape = observability.shape_operators(data.body, result.points, result.rotations)
         covariance = result.pose_covariances
         if covariance is None:
@@ -301,7 +299,7 @@ class Estimation:
         )
 
 
-METHODS: dict[str, Callable[[Estimation, Stage], EstimatorResult]] = {
+METHODS: dict[str, Callable[..., EstimatorResult]] = {
     "joint": Estimation.joint,
     "posegraph": Estimation.posegraph,
     "posegraph_isotropic": partial(Estimation.posegraph, isotropic=True),
