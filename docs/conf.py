@@ -60,7 +60,7 @@ nb_execution_mode = "cache"
 nb_execution_cache_path = str(DOCS / "_build" / ".notebooks" / package_hash())
 nb_execution_in_temp = True
 nb_execution_raise_on_error = True
-nb_execution_timeout = 120
+nb_execution_timeout = 600
 nb_merge_streams = True
 
 

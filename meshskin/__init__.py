@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from .scene.scene import Scene as Scene
     from .scene.settings import Exploration as Exploration
     from .scene.settings import Law as Law
+    from .scene.settings import Loop as Loop
     from .scene.settings import Readout as Readout
     from .simulation.simulate import simulate as simulate
     from .simulation.static_contacts import press as press
@@ -79,6 +80,7 @@ _HOMES = {
     "LeftOutWarning": "core.errors",
     "LogCalibration": "estimation.kinematics.calibrate_log",
     "LogMap": "recording.log_map",
+    "Loop": "scene.settings",
     "Material": "contact.material",
     "MeshskinError": "core.errors",
     "OnlineCalibration": "estimation.online.online_calibration",

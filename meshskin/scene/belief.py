@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from ..core.arguments import (
     check_name,
     check_real,
     check_type,
+    replace_fields,
     repr_short,
 )
 from ..core.arrays import Array
@@ -111,6 +113,10 @@ class Belief(Value, NamedFields):
                     value=f"shape {headings.shape}",
                     limit="(m, 3, 3), orthonormal within 1e-6",
                 )
+
+    def with_(self, **changes: Any) -> Belief:
+        """This belief with other values of some fields. Raises ConfigError."""
+        return replace_fields(self, changes)
 
 
 def _checked_ids(taxel_ids: object) -> np.ndarray:

@@ -49,6 +49,14 @@ def test_a_field_out_of_range_is_refused(sphere, wrong, message):
         belief(sphere, **wrong)
 
 
+def test_with_changes_fields_and_refuses_unknown_ones(sphere):
+    belief = sphere.belief()
+    assert belief.with_(contact="learned").contact == "learned"
+    assert belief.contact == "hertz"
+    with pytest.raises(ConfigError, match="contact"):
+        belief.with_(contakt="learned")
+
+
 def test_an_unknown_field_or_model_names_the_known_ones(sphere):
     with pytest.raises(UnknownNameError, match="unknown field 'noise' of a Belief; did you mean"):
         belief(sphere, noise=3.0)

@@ -23,7 +23,7 @@ MAX_INFORMATION = 1e100
 
 def transforms(name: str, values: ArrayLike, count: int | None = None) -> Array:
     """A copy of rigid transforms (count, 4, 4)."""
-    array = np.array(values, dtype=float)
+    array = np.array(values, dtype=float, order="C")  # compiled code reads rows
     if array.size == 0 and name == "measurements":
         array = array.reshape(0, 4, 4)
     shape = (len(array) if count is None else count, 4, 4)
@@ -48,7 +48,7 @@ def transforms(name: str, values: ArrayLike, count: int | None = None) -> Array:
 
 def edge_indices(values: ArrayLike, poses: int) -> NDArray[np.int64]:
     """A copy of pairs (m, 2) of different pose numbers below `poses`."""
-    given = np.array(values)
+    given = np.array(values, order="C")
     if given.size == 0:
         return np.empty((0, 2), dtype=np.int64)
     if given.ndim != 2 or given.shape[1] != 2:
@@ -77,7 +77,7 @@ def edge_indices(values: ArrayLike, poses: int) -> NDArray[np.int64]:
 
 def information_matrices(values: ArrayLike, count: int) -> Array:
     """A copy of symmetric matrices (count, 6, 6); one (6, 6) serves all."""
-    array = np.array(values, dtype=float)
+    array = np.array(values, dtype=float, order="C")
     if array.shape == (6, 6):
         array = np.tile(array, (count, 1, 1))
     if array.size == 0 and count == 0:

@@ -63,6 +63,15 @@ def test_arrays_are_copied_and_locked(skin_graph):
         graph.poses[0, 0, 3] = 1.0
 
 
+def test_the_memory_order_of_the_arrays_does_not_matter(skin_graph):
+    graph, _ = skin_graph(12)
+    arrays = (graph.poses, graph.edges, graph.measurements, graph.information)
+    columns = PoseGraph(*map(np.asfortranarray, arrays))
+    rows = graph.solve(objective="chordal")
+    assert columns.solve(objective="chordal").cost == rows.cost
+    np.testing.assert_array_equal(columns.solve().poses, graph.solve().poses)
+
+
 def with_information(graph, information):
     return PoseGraph(graph.poses, graph.edges, graph.measurements, information)
 
