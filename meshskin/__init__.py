@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from .estimation.online.frames import ContactFrames as ContactFrames
     from .estimation.online.online_calibration import OnlineCalibration as OnlineCalibration
     from .estimation.posegraph import PoseGraph as PoseGraph
+    from .estimation.recalibrate.recalibrate import recalibrate as recalibrate
+    from .estimation.recalibrate.result import Recalibration as Recalibration
+    from .estimation.recalibrate.touch_design import next_touches as next_touches
     from .estimation.self_touch.calibrate import SelfTouch as SelfTouch
     from .estimation.self_touch.calibrate import self_touch as self_touch
     from .estimation.self_touch.side import TouchSide as TouchSide
@@ -87,6 +90,7 @@ _HOMES = {
     "Patch": "geometry.region",
     "PoseGraph": "estimation.posegraph",
     "Readout": "scene.settings",
+    "Recalibration": "estimation.recalibrate.result",
     "Recording": "recording.recording",
     "RecordingWriter": "recording.recording_files",
     "Robot": "robot.robot",
@@ -108,9 +112,11 @@ _HOMES = {
     "layout": "estimation.layout.layout",
     "lint": "skin.lint",
     "log_frames": "recording.resample",
+    "next_touches": "estimation.recalibrate.touch_design",
     "press": "simulation.static_contacts",
     "reach": "exploration.reach",
     "read_log": "recording.readers",
+    "recalibrate": "estimation.recalibrate.recalibrate",
     "self_touch": "estimation.self_touch.calibrate",
     "simulate": "simulation.simulate",
     "tune": "tuning.tune",

@@ -17,9 +17,9 @@ from types import FrameType
 from typing import TextIO
 
 from ..core.errors import MeshskinError
-from . import calibrate, check, cost, diff, lint, log, run, scenes, study
+from . import calibrate, check, cost, diff, lint, log, recalibrate, run, scenes, study
 
-COMMANDS = (run, calibrate, log, scenes, cost, study, check, lint, diff)
+COMMANDS = (run, calibrate, recalibrate, log, scenes, cost, study, check, lint, diff)
 BAD_INPUT = 2
 """Exit code for input that meshskin refuses."""
 INTERRUPTED = 130

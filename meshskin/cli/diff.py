@@ -1,7 +1,8 @@
-"""`meshskin diff A B`: compare two skin files.
+"""`meshskin diff A B`: compare two skin files or calibrations.
 
-Compare two skin files. Exit code 0: the same taxels within 1 um; 1: they differ; 2: a file cannot
-be read.
+Compare two skin files, or saved calibrations (their folders, or calibration.parquet). What a new
+recording says of a map is shown by `meshskin recalibrate`, what it changed by this command. Exit
+code 0: the same taxels within 1 um; 1: they differ; 2: a file cannot be read.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..skin.compare import Difference
+    from ..skin.skin import Skin
 
 SHOWN = 20
 """Lines about exchanged ids that are printed without --all."""
@@ -26,8 +28,8 @@ SAME = 1e-6
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("a", type=Path, metavar="A", help="first skin file")
-    parser.add_argument("b", type=Path, metavar="B", help="second skin file")
+    parser.add_argument("a", type=Path, metavar="A", help="first skin file or calibration")
+    parser.add_argument("b", type=Path, metavar="B", help="second one")
     parser.add_argument("--part", help="skin to read from URDFs with several")
     parser.add_argument("--all", action="store_true", help="print long lists in full")
     parser.add_argument(
@@ -42,9 +44,8 @@ def add(parser: argparse.ArgumentParser) -> None:
 def command(options: argparse.Namespace) -> int:
     """Print the comparison."""
     from ..skin.compare import compare
-    from ..skin.skin import Skin
 
-    a, b = (Skin.load(path, options.part) for path in (options.a, options.b))
+    a, b = (_skin(path, options.part) for path in (options.a, options.b))
     difference = compare(a, b)
     for name, path, skin in (("A", options.a, a), ("B", options.b, b)):
         kind = "module frames" if name == difference.frames else "taxels"
@@ -54,6 +55,26 @@ def command(options: argparse.Namespace) -> int:
     for line in lines(difference, options.worst, None if options.all else SHOWN):
         print(line)
     return 0 if same(difference) else 1
+
+
+def _skin(path: Path, part: str | None) -> Skin:
+    """The skin of a file, or the determined taxels of a calibration. Raises SkinError."""
+    from ..estimation.calibration import Calibration
+    from ..skin.skin import Skin
+
+    if (file := saved_calibration(path)) is None:
+        return Skin.load(path, part)
+    found = Calibration.load(file)
+    good = np.isfinite(found.positions).all(axis=1)
+    return Skin(found.poses[good], found.ids[good])
+
+
+def saved_calibration(path: Path) -> Path | None:
+    """The file of the calibration saved at `path` or in that folder; None: there is none."""
+    for file in (path, path.with_name(path.name + ".parquet"), path / "calibration.parquet"):
+        if file.suffix == ".parquet" and file.is_file():
+            return file
+    return None
 
 
 def same(difference: Difference) -> bool:

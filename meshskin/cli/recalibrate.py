@@ -1,0 +1,105 @@
+"""`meshskin recalibrate PREVIOUS [RECORDING] --out DIR`: test an earlier map by a few touches.
+
+PREVIOUS is the earlier map: a saved calibration (its folder, or the file calibration.parquet) or a
+skin file. With RECORDING, as `meshskin calibrate` reads it, every module (every taxel where there
+are no modules) is tested for having been moved, turned, exchanged, for being dead and for another
+gain; the updated map is written to DIR/calibration, the states to DIR/recalibration.json, and the
+touches that test best what is still open to DIR/touches.csv. Without RECORDING, the touches that
+test the whole map best are planned.
+
+Exit code 0: no change was found; 1: there are changes; 2: bad input.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from . import belief_options
+from .diff import saved_calibration
+
+if TYPE_CHECKING:
+    from ..estimation.calibration import Calibration
+    from ..estimation.recalibrate.touch_design import TouchDesign
+    from ..skin.skin import Skin
+
+CHANGED = 1
+"""Exit code where a change was found."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument("previous", type=Path, metavar="PREVIOUS", help="earlier map")
+    parser.add_argument(
+        "recording", type=Path, nargs="?", metavar="RECORDING", help="recorded log of the touches"
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder for the results"
+    )
+    parser.add_argument(
+        "--touches", type=int, default=20, metavar="K", help="touches to plan (default 20)"
+    )
+    parser.add_argument(
+        "--false-alarm", type=float, metavar="P", help="probability, at most, that any change is "
+        "found where there is none (default 0.01)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--map-sigma-mm", type=float, metavar="MM", help="standard deviation of the taxels' places "
+        "in a map that states none (default 0.3)",
+    )  # fmt: skip
+    parser.add_argument("--all", action="store_true", help="print long lists in full")
+    belief_options.add(parser)
+
+
+def command(options: argparse.Namespace) -> int:
+    """Test the map, or plan the touches, write the results and print them."""
+    from ..core.atomic_io import check_folder, write_json
+    from ..estimation.recalibrate.recalibrate import recalibrate
+    from ..estimation.recalibrate.touch_design import next_touches
+    from ..recording.recording import Recording
+
+    previous = earlier_map(options.previous)
+    belief = belief_options.belief_of(options, previous.ids)
+    check_folder(options.out)
+    if options.recording is None:
+        design = next_touches(previous, belief, options.touches)
+        save(design, options.out / "touches.csv")
+        print(f"{options.touches} touches to test the map: {options.out / 'touches.csv'}")
+        return 0
+    changes = {
+        "false_alarm": options.false_alarm,
+        "sigma": None if options.map_sigma_mm is None else 1e-3 * options.map_sigma_mm,
+    }
+    found = recalibrate(
+        previous,
+        Recording.load(options.recording),
+        belief,
+        **{name: value for name, value in changes.items() if value is not None},
+    )
+    found.calibration.save(options.out / "calibration")
+    write_json(options.out / "recalibration.json", found.metrics())
+    if belief.force_reference is not None:
+        save(found.next_contacts(options.touches, belief), options.out / "touches.csv")
+    print("\n".join(found.lines(None) if options.all else found.lines()))
+    return CHANGED if found.findings else 0
+
+
+def earlier_map(path: Path) -> Calibration | Skin:
+    """The calibration saved at `path` or in that folder, or the skin of a file."""
+    from ..estimation.calibration import Calibration
+    from ..skin.skin import Skin
+
+    file = saved_calibration(path)
+    return Skin.load(path) if file is None else Calibration.load(file)
+
+
+def save(design: TouchDesign, path: Path) -> None:
+    """Write the touches as CSV: points in mm, normals, and the module or taxel that each tests."""
+    from ..core.atomic_io import write_text
+
+    rows = ["x_mm,y_mm,z_mm,nx,ny,nz,tests"]
+    for point, normal, unit in zip(design.points, design.normals, design.unit, strict=True):
+        numbers = [f"{1e3 * x:.4f}" for x in point] + [f"{x:.6f}" for x in normal]
+        rows.append(",".join([*numbers, str(unit)]))
+    write_text(path, "\n".join(rows) + "\n")

@@ -1,0 +1,1 @@
+"""Keeping a map: what a few touches say of an earlier calibration."""

@@ -1,0 +1,193 @@
+"""What may have become of a unit: hypotheses, and what each leaves open.
+
+A move and a change of gain are continuous: each is a mixture of normal components that cover its
+range, so that no component has to hit the value.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...core.arrays import Array
+from ...geometry.body import Body
+from .skin_map import SkinMap, turns
+
+if TYPE_CHECKING:
+    from .touches import Touches
+
+CONFIRMED, MOVED, TURNED, EXCHANGED, DEAD, GAIN, NOT_TOUCHED, UNDECIDED = STATES = (
+    "confirmed", "moved", "turned", "exchanged", "dead", "gain changed", "not touched", "undecided",
+)  # fmt: skip
+"""States of a unit or taxel. "undecided": touched, but the readings fit a change, too."""
+MAX_SHIFT = 6e-3
+"""Longest move of a unit, m, that is a hypothesis: about the pitch of the taxels of iCub; further
+ones look like an exchange."""
+SHIFT_PITCH = 0.8e-3
+"""Distance of the components of a move, m."""
+SHIFT_SIGMA = 0.5e-3
+"""Standard deviation of a component of a move, m, along each tangent: neighbouring components
+overlap, and a patch of 4 mm is nearly straight over it."""
+MOVE = 2e-3
+"""Move, m, that the text says of each unit whether it is excluded, and that touches are planned to
+show: a quarter of a usual pitch, below which the map still tells which taxel is pressed."""
+GAIN_PITCH, GAIN_SIGMA, MAX_GAIN = 0.25, 0.15, 1.5
+"""The same of ln gain, and its largest change: a factor of 4.5."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """The places and gains of a unit's k taxels, if it is in a state."""
+
+    state: str
+    points: Array
+    """(k, 3), m."""
+    normals: Array
+    """(k, 3)."""
+    log_gain: Array
+    """(k,); -inf: dead."""
+    taxel: int = -1
+    """The taxel, counted in the unit, that changed alone; -1: all of them."""
+    weight: float = 1.0
+    """Prior probability, if the unit changed."""
+    value: float = 0.0
+    """The angle of a turn, rad, or the number of the unit whose place it has."""
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """The move, m."""
+    change: float = 0.0
+    """The change of ln gain."""
+    shift_sigma: float = 0.0
+    """Standard deviation of what is left open of a move, m."""
+    gain_sigma: float = 0.0
+    """Standard deviation of what is left open of ln gain."""
+
+    def open_slopes(self, taxel: np.ndarray, slope: Array, mean: Array) -> Array | None:
+        """Derivatives (q, d) of the readings in what is left open, whitened; None: nothing is."""
+        mine = (taxel == self.taxel) | (self.taxel < 0)
+        if self.shift_sigma:
+            return np.asarray(self.shift_sigma * slope * mine[:, None])
+        if self.gain_sigma:
+            return np.asarray(self.gain_sigma * (mean * mine)[:, None])
+        return None
+
+
+def unchanged(known: SkinMap, unit: int) -> Hypothesis:
+    """The hypothesis that a unit is as the map says."""
+    rows = known.units[unit]
+    return Hypothesis(CONFIRMED, known.points[rows], known.poses[rows, :3, 2], known.log_gain[rows])
+
+
+def discrete(known: SkinMap, unit: int, base: Hypothesis, touches: Touches) -> list[Hypothesis]:
+    """Turns, exchanges, and taxels that are dead, of a unit that is as `base` says."""
+    rows, found = known.units[unit], [replace(base, state=DEAD, log_gain=base.log_gain - np.inf)]
+    if known.slots is not None:
+        found += [_alone(base, DEAD, k, -np.inf) for k in range(len(rows))]
+    if base.state == CONFIRMED:
+        found += turned(known, unit, base) + _exchanged(known, unit, base, touches)
+    return found
+
+
+def _alone(base: Hypothesis, state: str, k: int, change: float, sigma: float = 0.0) -> Hypothesis:
+    log_gain = base.log_gain.copy()
+    log_gain[k] += change
+    return replace(base, state=state, log_gain=log_gain, taxel=k, change=change, gain_sigma=sigma)
+
+
+def turned(known: SkinMap, unit: int, base: Hypothesis) -> list[Hypothesis]:
+    """A module at the turns of its layout's own symmetry."""
+    if known.slots is None:
+        return []
+    rows = known.units[unit]
+    slot = known.slot(rows)
+    place = np.full(len(known.slots), -1)
+    place[slot] = np.arange(len(rows))
+    return [
+        replace(
+            base, state=TURNED, value=angle, points=base.points[place[image[slot]]],
+            normals=base.normals[place[image[slot]]],
+        )
+        for angle, image in turns(known.slots, np.sort(slot)).items()
+    ]  # fmt: skip
+
+
+def _exchanged(known: SkinMap, unit: int, base: Hypothesis, touches: Touches) -> list[Hypothesis]:
+    """The unit at the places of the others of the same slots, as far as they were touched where
+    this unit answered: elsewhere it has no readings to explain."""
+    rows, found = known.units[unit], []
+    contacts = np.flatnonzero(np.isfinite(touches.level[:, rows]).any(axis=1))
+    if not len(contacts):
+        return []
+    reach = float(touches.data.reach().max()) + MAX_SHIFT / 2
+    gap = np.linalg.norm(known.points[:, None] - touches.data.points[contacts], axis=2)
+    close = gap.min(axis=1) < reach
+    for other, places in enumerate(known.units):
+        same = np.array_equal(known.slot(places), known.slot(rows))
+        if other != unit and same and close[places].any():
+            found.append(
+                replace(
+                    base, state=EXCHANGED, value=float(known.numbers[other]),
+                    points=known.points[places], normals=known.poses[places, :3, 2],
+                )
+            )  # fmt: skip
+    return found
+
+
+def grid() -> Array:
+    """Moves (g, 2), m, that cover the disc of the longest one."""
+    most = np.ceil(MAX_SHIFT / SHIFT_PITCH)
+    steps = SHIFT_PITCH * np.arange(-most, most + 1)
+    flat = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    return np.asarray(flat[np.linalg.norm(flat, axis=1) <= MAX_SHIFT])
+
+
+def ring() -> Array:
+    """Moves (8, 2) by MOVE, m, in eight directions."""
+    angle = np.pi / 4 * np.arange(8)
+    return MOVE * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def moved(base: Hypothesis, body: Body, flat: Array) -> list[Hypothesis]:
+    """A unit moved over the body by `flat` (g, 2), m, along two tangents."""
+    up = base.normals.mean(axis=0)
+    up /= np.linalg.norm(up)
+    first = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+    first /= np.linalg.norm(first)
+    shifts = flat @ np.stack([first, np.cross(up, first)])
+    hit = body.closest((base.points + shifts[:, None]).reshape(-1, 3))
+    points = hit.point.reshape(len(shifts), -1, 3)
+    normals = hit.normal.reshape(points.shape)
+    return [
+        replace(
+            base, state=MOVED, points=p, normals=n, shift=tuple(s), shift_sigma=SHIFT_SIGMA
+        )
+        for p, n, s in zip(points, normals, shifts, strict=True)
+    ]  # fmt: skip
+
+
+def regained(base: Hypothesis, single: bool) -> list[Hypothesis]:
+    """Changes of the gain of a whole unit, and of each of its taxels unless it is `single`."""
+    steps = np.arange(-MAX_GAIN, MAX_GAIN + 1e-9, GAIN_PITCH)
+    found = [
+        replace(base, state=GAIN, log_gain=base.log_gain + x, change=x, gain_sigma=GAIN_SIGMA)
+        for x in steps
+    ]
+    if not single:
+        found += [
+            _alone(base, GAIN, k, x, GAIN_SIGMA) for k in range(len(base.points)) for x in steps
+        ]
+    return found
+
+
+def weighted(hypotheses: list[Hypothesis], units: int) -> list[Hypothesis]:
+    """The hypotheses with prior probabilities: equal for each kind of change, and within a kind;
+    those of an exchange are shared with the units that were not tried."""
+    kinds = [(h.state, h.taxel >= 0) for h in hypotheses]
+    count = {kind: kinds.count(kind) for kind in kinds}
+    if (EXCHANGED, False) in count:
+        count[EXCHANGED, False] = max(units - 1, 1)
+    return [
+        replace(h, weight=1.0 / (len(count) * count[kind]))
+        for h, kind in zip(hypotheses, kinds, strict=True)
+    ]

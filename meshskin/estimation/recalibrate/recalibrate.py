@@ -1,0 +1,259 @@
+"""An earlier map tested by a few touches: what was moved, turned, exchanged, died or changed gain.
+
+Every module (or every single taxel where there are no modules) is a unit. Its readings are
+predicted from the earlier map with its uncertainty, and their likelihood is compared with that
+under every change (evidence.py). The errors of readings and touches, E* and the scale of the
+readings are estimated from the same touches, with the units in the states found so far, until these
+no longer change. This starts from large errors without changes, and from ordinary errors with the
+changes that these take; the more probable result counts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...core.arguments import check_real, check_type
+from ...core.arrays import Array
+from ...core.blas import single_threaded
+from ...core.errors import CalibrationError
+from ...recording.recording import Recording
+from ...scene.belief import RAW
+from ..calibration import Calibration
+from ..data.gather import gather
+from ..data.measurements import Measurements
+from . import errors as error_model
+from .errors import Errors
+from .evidence import Change, Evidence, is_placed, judge
+from .hypotheses import (
+    CONFIRMED,
+    DEAD,
+    EXCHANGED,
+    GAIN,
+    NOT_TOUCHED,
+    TURNED,
+    UNDECIDED,
+    Hypothesis,
+    unchanged,
+)
+from .result import Finding, Recalibration
+from .skin_map import SIGMA, SkinMap, skin_map
+from .touches import Touches
+from .updated_map import updated
+
+if TYPE_CHECKING:
+    from ...scene.belief import Belief
+    from ...skin.skin import Skin
+
+FALSE_ALARM = 0.01
+"""Default bound on the probability that anything is found where nothing changed."""
+MAX_PASSES = 6
+"""Most passes over all units, each with the errors by the states of the last."""
+MIN_READINGS = 8
+"""Least number of readings: four errors are estimated from them."""
+CONTACTS_PER_TAXEL = 5
+"""Contacts per taxel that are used at most, evenly chosen: neighbouring frames of a sweep share
+their errors and say little more."""
+
+
+@single_threaded()
+def recalibrate(
+    previous: Calibration | Skin,
+    recording: Recording,
+    belief: Belief | None = None,
+    *,
+    false_alarm: float = FALSE_ALARM,
+    sigma: float = SIGMA,
+) -> Recalibration:
+    """Test an earlier map by the touches of a recording, and update it by what has changed.
+
+    previous: the earlier map. belief: as in `calibrate`; by default that of `previous`, which a
+    loaded calibration and a skin do not have; rigid modules are those of `module_slots`, or those
+    of iCub where the ids are theirs. false_alarm: the probability, at most, of finding any change
+    where there is none. sigma: standard deviation, m, of places along each tangent in a map that
+    states none. Raises CalibrationError without a belief, for taxels that the map does not have,
+    for raw readings and for fewer than 8 readings; RecordingError as `calibrate`.
+    """
+    check_type(Recording, recording, "what an earlier map is tested by")
+    check_real("false_alarm", false_alarm, above=0.0, most=0.5, error=CalibrationError)
+    if belief is None:
+        belief = getattr(previous, "belief", None)
+    if belief is None:
+        raise CalibrationError(
+            "a skin or a loaded calibration does not know the scene",
+            remedy="give recalibrate a belief",
+        )
+    known = skin_map(previous, belief, sigma)
+    touches = Touches(_measurements(recording, belief, known, previous))
+    limit = float(np.log(len(known.units) / false_alarm))
+    fits = [_settled(touches, known, limit, wide) for wide in (True, False)]
+    errors, found = max(fits, key=lambda fit: _score(fit[0], fit[1], touches, limit))
+    findings = _findings(known, found)
+    return Recalibration(
+        calibration=updated(previous, belief, known, found, findings, len(touches.data.points)),
+        findings=findings,
+        units=known.numbers,
+        unit=known.noun,
+        unit_states=_unit_states(found),
+        unit_evidence=np.array([_first(e) for e in found]) / np.log(10),
+        placed=np.array(
+            [
+                bool(e.touched.any()) and is_placed(touches, known, u, errors, e.state)
+                for u, e in enumerate(found)
+            ]
+        ),
+        ids=known.ids,
+        states=_taxel_states(known, found),
+        false_alarm=false_alarm,
+        errors=errors,
+        peak=touches.unit,
+        contacts=len(touches.data.points),
+    )
+
+
+def _settled(
+    touches: Touches, known: SkinMap, limit: float, wide: bool
+) -> tuple[Errors, list[Evidence]]:
+    """Errors and states that agree. They start from all units unchanged, with the errors that this
+    takes (`wide`), or from ordinary errors, with the changes that this takes."""
+    states: list[Hypothesis] = [unchanged(known, u) for u in range(len(known.units))]
+    errors, seen = error_model.start(touches), []
+    for k in range(MAX_PASSES):
+        if wide or k:
+            errors = error_model.fit(touches, known, states, errors)
+        found = [judge(touches, known, u, errors, limit) for u in range(len(known.units))]
+        states = [evidence.state for evidence in found]
+        signature = [(h.state, h.taxel, h.value) for h in states]
+        if signature in seen and (wide or k):
+            break
+        seen.append(signature)
+    return errors, found
+
+
+def _score(errors: Errors, found: list[Evidence], touches: Touches, limit: float) -> float:
+    """ln of the probability of all readings, each change being as improbable as its evidence had to
+    be large."""
+    total = error_model.log_prior(errors, touches) + error_model.far_silence(errors, touches)
+    for evidence in found:
+        total += evidence.null + sum(c.log_evidence - limit for c in evidence.changes)
+    return total
+
+
+def _measurements(
+    recording: Recording, belief: Belief, known: SkinMap, previous: Calibration | Skin
+) -> Measurements:
+    """The readings under the map's E*, thinned. Raises CalibrationError."""
+    if belief.readings == RAW:
+        raise CalibrationError(
+            "an earlier map is tested by pressures", value='readings="raw"',
+            remedy="calibrate again, and compare the maps with `meshskin diff`",
+        )  # fmt: skip
+    modulus = getattr(previous, "modulus", None)
+    if modulus is not None:
+        ratio = modulus / belief.material.effective_modulus
+        belief = replace(
+            belief, material=replace(belief.material, young=belief.material.young * ratio)
+        )
+    data = gather(recording, replace(belief, taxel_ids=known.ids))
+    if len(data.pressure) < MIN_READINGS:
+        raise CalibrationError(
+            "too few readings to tell a change from noise", value=len(data.pressure),
+            limit=f"at least {MIN_READINGS}", remedy="touch the skin at more places",
+        )  # fmt: skip
+    most = CONTACTS_PER_TAXEL * len(known.ids)
+    step = -(-len(data.points) // most)
+    return data if step == 1 else _thinned(data, step)
+
+
+def _thinned(data: Measurements, step: int) -> Measurements:
+    """Every step-th contact, with its readings."""
+    kept = np.arange(0, len(data.points), step)
+    row = np.full(len(data.points), -1)
+    row[kept] = np.arange(len(kept))
+    read = row[data.contact] >= 0
+    corrupt = data.corrupt[row[data.corrupt[:, 0]] >= 0].copy()
+    corrupt[:, 0] = row[corrupt[:, 0]]
+    return replace(
+        data,
+        points=data.points[kept],
+        normals=data.normals[kept],
+        directions=data.directions[kept],
+        curvature=data.curvature[kept],
+        force=data.force[kept],
+        patches=data.patches.take(kept),
+        time=data.time[kept],
+        contact=row[data.contact[read]],
+        taxel=data.taxel[read],
+        pressure=data.pressure[read],
+        corrupt=corrupt,
+    )
+
+
+def _first(evidence: Evidence) -> float:
+    return evidence.changes[0].log_evidence if evidence.changes else evidence.log_evidence
+
+
+def _unit_states(found: list[Evidence]) -> np.ndarray:
+    states = []
+    for e in found:
+        whole = [c.hypothesis.state for c in e.changes if c.hypothesis.taxel < 0]
+        if whole:
+            states.append(whole[0])
+        elif not e.touched.any():
+            states.append(NOT_TOUCHED)
+        else:
+            states.append(CONFIRMED if e.confirmed else UNDECIDED)
+    return np.array(states, dtype=object)
+
+
+def _taxel_states(known: SkinMap, found: list[Evidence]) -> np.ndarray:
+    """State (n,) of each taxel: that of its unit's change, or of its own."""
+    states = np.full(len(known.ids), NOT_TOUCHED, dtype=object)
+    for rows, e in zip(known.units, found, strict=True):
+        sound = CONFIRMED if e.confirmed else UNDECIDED
+        states[rows[e.touched]] = UNDECIDED
+        states[rows[e.alive]] = sound
+        for change in e.changes:
+            h = change.hypothesis
+            states[rows if h.taxel < 0 else rows[h.taxel]] = h.state
+    return states
+
+
+def _findings(known: SkinMap, found: list[Evidence]) -> tuple[Finding, ...]:
+    out = []
+    for number, rows, e in zip(known.numbers, known.units, found, strict=True):
+        for change in e.changes:
+            h = change.hypothesis
+            alone = h.taxel >= 0
+            out.append(
+                Finding(
+                    "taxel" if alone else known.noun,
+                    int(known.ids[rows[h.taxel]] if alone else number),
+                    h.state,
+                    _words(known, change),
+                    change.log_evidence / np.log(10),
+                    float(min(1.0, len(found) * np.exp(-min(change.log_evidence, 700.0)))),
+                )
+            )
+    return tuple(sorted(out, key=lambda finding: -finding.evidence))
+
+
+def _words(known: SkinMap, change: Change) -> str:
+    h = change.hypothesis
+    if h.state == TURNED:
+        return f"turned by {np.degrees(h.value):.0f} degrees about its normal"
+    if h.state == EXCHANGED:
+        return f"reads at the place of {known.noun} {h.value:.0f}"
+    if h.state == DEAD:
+        return "dead: silent where it was pressed"
+    if h.state == GAIN:
+        factor, spread = np.exp(change.log_gain), change.log_gain_sigma
+        return f"gain times {factor:.2f} (+- {factor * spread:.2g})"
+    size = float(np.linalg.norm(change.shift))
+    return f"moved by {1e3 * size:.2f} mm (+- {1e3 * _spread(change.shift_covariance):.2g})"
+
+
+def _spread(covariance: Array) -> float:
+    return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))

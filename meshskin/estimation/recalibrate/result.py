@@ -1,0 +1,144 @@
+"""The result of a recalibration: the state of every module and taxel, and the updated map."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...core.arrays import Array
+from ..calibration import Calibration
+from .errors import Errors
+from .hypotheses import CONFIRMED, NOT_TOUCHED, STATES, UNDECIDED
+
+if TYPE_CHECKING:
+    from ...scene.belief import Belief
+    from .touch_design import TouchDesign
+
+SHOWN = 20
+"""Ids of one state that the text lists."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One change of a module or of a taxel."""
+
+    unit: str
+    """"module" or "taxel"."""
+    number: int
+    """Its number or id."""
+    state: str
+    """What became of it, one of `hypotheses.STATES`."""
+    words: str
+    """The same with its values."""
+    evidence: float
+    """log10 of the mean likelihood ratio of the changes to no change."""
+    false_alarm: float
+    """Bound on the probability of an alarm so strong, in any unit, if none changed."""
+
+    def __str__(self) -> str:
+        return (
+            f"{self.unit} {self.number}: {self.words} (evidence 10^{self.evidence:.0f}, false "
+            f"alarm below {self.false_alarm:.1g})"
+        )
+
+
+@dataclass(frozen=True)
+class Recalibration:
+    """What the touches of a recording say of an earlier map."""
+
+    calibration: Calibration
+    """The map with the changes that were found; the other taxels keep their places."""
+    findings: tuple[Finding, ...]
+    """The changes that were found."""
+    units: np.ndarray
+    """Numbers (u,) of the modules, or ids of the taxels where there are no modules."""
+    unit: str
+    """What a unit is: "module" or "taxel"."""
+    unit_states: np.ndarray
+    """State (u,) of each unit, one of `hypotheses.STATES`."""
+    unit_evidence: Array
+    """log10 (u,) of the evidence of a change: of the first one found, or of the strongest."""
+    placed: np.ndarray
+    """(u,) bool: whether a move of the unit by 2 mm, in any direction, is excluded."""
+    ids: np.ndarray
+    """Taxel ids (n,), ascending."""
+    states: np.ndarray
+    """State (n,) of each taxel; "not touched" where the touches do not show it."""
+    false_alarm: float
+    """Probability, at most, that any change is found where nothing changed."""
+    errors: Errors
+    """Errors of the readings, estimated from the touches."""
+    peak: float
+    """Typical peak pressure, Pa, to which the errors are relative."""
+    contacts: int
+    """Number of touches used."""
+
+    def __repr__(self) -> str:
+        count = Counter(self.unit_states.tolist())
+        parts = ", ".join(f"{count[s]} {s}" for s in STATES if count[s])
+        return f"<Recalibration by {self.contacts} touches: {self.unit}s {parts}>"
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
+
+    def lines(self, shown: int | None = SHOWN) -> list[str]:
+        """The result in words, a line each; lists of at most `shown` ids (None: all)."""
+        e, count = self.errors, len(self.units)
+        out = [
+            f"{self.contacts} touches of {count} {self.unit}s; false alarms: at most "
+            f"{self.false_alarm:.2g} for the whole map",
+            f"errors of the readings: {e.sigma:.2%} of the peak and {e.rho:.2%} of the reading, "
+            f"touches {1e3 * e.tau:.2g} mm; E* {np.exp(e.log_modulus):.3g} and scale "
+            f"{np.exp(e.log_scale):.3g} times those of the map",
+        ]
+        out += [str(finding) for finding in self.findings]
+        for state in (CONFIRMED, UNDECIDED, NOT_TOUCHED):
+            numbers = self.units[self.unit_states == state]
+            if len(numbers):
+                out.append(f"{state}: {_listed(self.unit, numbers, shown)}")
+        sure = self.unit_states == CONFIRMED
+        if sure.any():
+            open_ = self.units[sure & ~self.placed]
+            words = f"confirmed {self.unit}s are not turned, exchanged or dead, nor moved by 2 mm"
+            out.append(
+                words + (f", but for {_listed(self.unit, open_, shown)}" if len(open_) else "")
+            )
+        if self.unit == "module":
+            count_of = Counter(self.states.tolist())
+            parts = ", ".join(f"{count_of[s]} {s}" for s in STATES if count_of[s])
+            out.append(f"taxels: {parts}")
+        return out
+
+    def metrics(self) -> dict[str, Any]:
+        """The result as JSON values."""
+        return {
+            "contacts": self.contacts,
+            "false_alarm": self.false_alarm,
+            "findings": [vars(finding) for finding in self.findings],
+            self.unit + "s": {
+                str(number): state
+                for number, state in zip(self.units, self.unit_states, strict=True)
+            },
+            "taxels": {
+                str(number): state for number, state in zip(self.ids, self.states, strict=True)
+            },
+        }
+
+    def next_contacts(self, k: int = 10, belief: Belief | None = None) -> TouchDesign:
+        """The k touches that test best what these left open, or the whole map where they left
+        nothing (touch_design.py); errors as `next_touches`."""
+        from .touch_design import next_touches
+
+        settled = ~np.isin(self.unit_states, (UNDECIDED, NOT_TOUCHED)) & self.placed
+        open_ = self.units[~settled]
+        return next_touches(self.calibration, belief, k, units=open_ if len(open_) else None)
+
+
+def _listed(unit: str, numbers: np.ndarray, shown: int | None) -> str:
+    plural = "s" if len(numbers) > 1 else ""
+    names = ", ".join(map(str, numbers[:shown]))
+    more = "" if shown is None or len(numbers) <= shown else f" and {len(numbers) - shown} more"
+    return f"{len(numbers)} {unit}{plural} ({names}{more})"

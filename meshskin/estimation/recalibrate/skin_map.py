@@ -1,0 +1,138 @@
+"""The earlier map: places of the taxels with their uncertainty, the units that may change as one,
+and the turns by which a rigid module looks the same."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...core import se3
+from ...core.arguments import check_real
+from ...core.arrays import Array
+from ...core.errors import CalibrationError
+from ...skin import slots
+from ...skin.skin import Skin
+from ..calibration import Calibration
+
+if TYPE_CHECKING:
+    from ...scene.belief import Belief
+
+SIGMA = 0.3e-3
+"""Standard deviation, m, of a taxel's place along each tangent in a map that states none. Chosen:
+how well a module is glued by hand onto its marks."""
+MAX_TURNS = 6
+"""Highest order of rotational symmetry that a layout is tested for: hexagons."""
+SAME_SLOT = 1e-3
+"""Largest distance, m, of a turned slot from the one at its place: a fraction of any spacing."""
+
+
+@dataclass(frozen=True)
+class SkinMap:
+    """n taxels of an earlier map, in units that change as one: rigid modules, or single taxels."""
+
+    ids: np.ndarray
+    """Taxel ids (n,), ascending."""
+    poses: Array
+    """T_body_taxel (n, 4, 4); NaN where the map has no place."""
+    covariance: Array
+    """Covariance (n, 3, 3) of the positions, body frame, m^2."""
+    log_gain: Array
+    """ln gain (n,) of each taxel; 0 where the map has none."""
+    units: tuple[np.ndarray, ...]
+    """Rows of the taxels of each unit."""
+    numbers: np.ndarray
+    """Number (u,) of each unit: of the module, or the id of the taxel."""
+    slots: Array | None
+    """Places (s, 3) of a module's taxels in its frame, m; None: units are single taxels."""
+
+    @property
+    def noun(self) -> str:
+        """What a unit is: "module" or "taxel"."""
+        return "taxel" if self.slots is None else "module"
+
+    @property
+    def points(self) -> Array:
+        """Positions (n, 3), m."""
+        return np.asarray(self.poses[:, :3, 3])
+
+    @property
+    def known(self) -> np.ndarray:
+        """Whether the map has a place (n,) bool."""
+        return np.isfinite(self.points[:, 0])
+
+    def slot(self, rows: np.ndarray) -> np.ndarray:
+        """Slots of the taxels `rows` in their modules."""
+        return np.asarray(self.ids[rows] % (1 if self.slots is None else len(self.slots)))
+
+
+def skin_map(previous: Calibration | Skin, belief: Belief, sigma: float = SIGMA) -> SkinMap:
+    """The map of an earlier calibration, or of a skin with standard deviation `sigma`, m.
+
+    Taxels are grouped by the belief's modules, or by those of iCub where the ids are theirs. A
+    taxel of a module without a place gets that of its slot. Raises CalibrationError for another
+    type and for a map of less than one taxel.
+    """
+    if not isinstance(previous, Calibration | Skin):
+        raise CalibrationError(
+            "the earlier map must be a Calibration or a Skin", value=type(previous).__name__
+        )
+    check_real("sigma of the earlier map", sigma, "m", above=0.0, error=CalibrationError)
+    order = np.argsort(previous.ids, kind="stable")
+    ids, poses = np.asarray(previous.ids)[order], np.array(previous.poses, dtype=float)[order]
+    covariance, log_gain = np.tile(np.eye(3) * sigma**2, (len(ids), 1, 1)), np.zeros(len(ids))
+    if isinstance(previous, Calibration):
+        own = np.nan_to_num(previous.covariances[order, :3, :3], posinf=sigma**2)
+        covariance = poses[:, :3, :3] @ own @ np.swapaxes(poses[:, :3, :3], 1, 2)
+        if "gain" in previous.taxel_unknowns:
+            log_gain = np.nan_to_num(previous.taxel_unknowns["gain"][order, 0])
+    known = np.isfinite(poses[:, 0, 3])
+    if not known.any():
+        raise CalibrationError("the earlier map has no taxel with a place")
+    layout = belief.module_slots
+    if layout is None and slots.is_modular(ids):
+        layout = slots.OFFSETS
+    if layout is None:
+        units = tuple(np.arange(len(ids))[:, None])
+        return SkinMap(ids, poses, covariance, log_gain, units, ids, None)
+    numbers, group = np.unique(ids // len(layout), return_inverse=True)
+    units = tuple(np.flatnonzero(group == k) for k in range(len(numbers)))
+    for rows in units:
+        _fill(poses, covariance, rows, layout[ids[rows] % len(layout)], known[rows], sigma)
+    return SkinMap(ids, poses, covariance, log_gain, units, numbers, np.asarray(layout))
+
+
+def _fill(
+    poses: Array,
+    covariance: Array,
+    rows: np.ndarray,
+    offsets: Array,
+    known: np.ndarray,
+    sigma: float,
+) -> None:
+    """Give the taxels of a module that have no place that of their slot, where three others do."""
+    if known.all() or known.sum() < 3:
+        return
+    pose = se3.align(offsets[known], poses[rows[known], :3, 3])
+    lost = rows[~known]
+    poses[lost] = pose @ se3.transform(np.eye(3), offsets[~known])
+    covariance[lost] = np.eye(3) * sigma**2
+
+
+def turns(layout: Array, used: np.ndarray) -> dict[float, np.ndarray]:
+    """Turns about the normal, rad, that put the slots `used` of a layout (s, 3), m, onto each
+    other, and the slot (s,) at whose place each one then is.
+    """
+    centre, found = layout[used].mean(axis=0), {}
+    for order in range(2, MAX_TURNS + 1):
+        for k in range(1, order):
+            angle = 2 * np.pi * k / order
+            turned = (layout[used] - centre) @ se3.exp_so3([0.0, 0.0, angle]).T + centre
+            gap = np.linalg.norm(turned[:, None] - layout[used], axis=2)
+            partner = gap.argmin(axis=1)
+            if gap.min(axis=1).max() < SAME_SLOT and len(np.unique(partner)) == len(used):
+                image = np.arange(len(layout))
+                image[used] = used[partner]
+                found[round(angle, 9)] = image
+    return found

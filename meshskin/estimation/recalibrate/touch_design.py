@@ -1,0 +1,176 @@
+"""The touches that test a map best: those that tell every unit from itself turned, dead or moved.
+
+A change whose expected readings are d standard deviations from those of no change is confused with
+it with a probability of at most exp(-d^2 / 8) / 2 (Bhattacharyya). Touches are chosen greedily to
+reduce the sum of these bounds over all units and changes.
+
+Source: Kailath, "The Divergence and Bhattacharyya Distance Measures in Signal Selection", IEEE
+Transactions on Communication Technology 15 (1967).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...contact import AUTO, ContactModel, Patches
+from ...core.arguments import check_integer
+from ...core.arrays import Array
+from ...core.errors import CalibrationError
+from .. import chart
+from ..data.measurements import Measurements
+from ..data.resolve_belief import with_valid_model
+from . import errors as error_model
+from .hypotheses import DEAD, moved, ring, turned, unchanged
+from .skin_map import SkinMap, skin_map
+from .touches import Touches
+
+if TYPE_CHECKING:
+    from ...scene.belief import Belief
+    from ...skin.skin import Skin
+    from ..calibration import Calibration
+
+MIN_SQUARE = 0.2
+"""Squared difference of expected readings, in variances, below which a touch tells nothing."""
+RINGS = (0.5, 0.85, 1.15)
+"""Radii of the candidates about a taxel, in contact radii, beside its centre: readings inform most
+where the profile is steep, near the edge of the patch."""
+DIRECTIONS = 8
+"""Candidates on a ring."""
+
+
+@dataclass(frozen=True)
+class TouchDesign:
+    """k touches that test a map, the most useful first."""
+
+    points: Array
+    """(k, 3) on the body's surface, body frame, m."""
+    normals: Array
+    """Outward normals (k, 3)."""
+    unit: np.ndarray
+    """Number (k,) of the module, or id of the taxel, that each tests most."""
+    units: np.ndarray
+    """Numbers (u,) of all units."""
+    confusion: Array
+    """(u,) bound on the probability that the change of each unit that is tested least is confused
+    with none: 0.5 where nothing tests it."""
+
+
+def next_touches(
+    previous: Calibration | Skin,
+    belief: Belief | None = None,
+    k: int = 20,
+    units: np.ndarray | None = None,
+) -> TouchDesign:
+    """The k touches under the reference force that test an earlier map best, for `recalibrate`.
+
+    belief: as in `recalibrate`. units: numbers of the modules, or ids of the taxels, to test; by
+    default all. Raises CalibrationError without a belief or its reference force, or for k < 1.
+    """
+    k = check_integer("number of touches", k, least=1, error=CalibrationError)
+    belief = belief or getattr(previous, "belief", None)
+    if belief is None or belief.force_reference is None:
+        raise CalibrationError(
+            "touches are planned for a scene and a reference force",
+            remedy="give a belief with force_reference",
+        )
+    known = skin_map(previous, belief)
+    tested = np.arange(len(known.units)) if units is None else np.flatnonzero(
+        np.isin(known.numbers, units)
+    )  # fmt: skip
+    touches = _candidates(known, belief, tested)
+    touch, pair, factor, owner = _factors(touches, known, tested)
+    bound, chosen, served = np.full(len(owner), 0.5), [], []
+    for _ in range(k):
+        part = bound[pair] * (1 - factor)
+        best = int(np.argmax(np.bincount(touch, part, len(touches.data.points))))
+        mine = np.flatnonzero(touch == best)
+        served.append(owner[pair[mine[np.argmax(part[mine])]]])
+        bound[pair[mine]] *= factor[mine]
+        chosen.append(best)
+    worst = np.zeros(len(known.units))
+    np.maximum.at(worst, owner, bound)
+    return TouchDesign(
+        points=touches.data.points[chosen],
+        normals=touches.data.normals[chosen],
+        unit=known.numbers[served],
+        units=known.numbers[tested],
+        confusion=worst[tested],
+    )
+
+
+def _candidates(known: SkinMap, belief: Belief, tested: np.ndarray) -> Touches:
+    """Touches at the reference force about the taxels of the units `tested`, without readings."""
+    rows = np.concatenate([known.units[u] for u in tested])
+    rows = rows[known.known[rows]]
+    if not len(rows):
+        raise CalibrationError("the earlier map has no place for the units to be tested")
+    if belief.contact == AUTO:
+        curvature = belief.body.closest(known.points[rows]).curvature
+        belief = with_valid_model(belief, np.full(len(rows), belief.force_reference), curvature)
+    material = belief.material
+    model = ContactModel(belief.contact, material.poisson, material.thickness)
+
+    def patches(curvature: Array) -> Patches:
+        return model.patches(
+            force=np.full(len(curvature), belief.force_reference),
+            curvature=curvature,
+            indenter_radius=belief.indenter.radius,
+            effective_modulus=material.effective_modulus,
+        )
+
+    radius = float(patches(np.zeros((1, 2))).first[0])
+    angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    offsets = radius * np.concatenate([[[0.0, 0.0]], *(ring * circle for ring in RINGS)])
+    charts = chart.charts_at(belief.body, known.points[rows])
+    owner = np.repeat(np.arange(len(rows)), len(offsets))
+    hit = belief.body.closest(charts[owner].at(np.tile(offsets, (len(rows), 1))))
+    none = np.zeros(0, dtype=int)
+    return Touches(
+        Measurements(
+            belief=replace(belief, taxel_ids=known.ids),
+            points=hit.point, normals=hit.normal, directions=hit.direction,
+            curvature=hit.curvature, force=np.full(len(hit.point), belief.force_reference),
+            patches=patches(hit.curvature), model=model, contact=none, taxel=none,
+            pressure=np.zeros(0), noise=belief.noise_sigma, threshold=belief.threshold,
+        )
+    )  # fmt: skip
+
+
+def _factors(
+    touches: Touches, known: SkinMap, tested: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, Array, np.ndarray]:
+    """Touches (g,) and changes (g,) that they tell from none, the factors (g,) by which they reduce
+    the bound on their confusion, and the unit of each change."""
+    errors = replace(error_model.start(touches), common=((0.0, 0.0), (0.0, 0.0)))
+    parts: list[tuple[np.ndarray, np.ndarray, Array]] = []
+    owner: list[int] = []
+    m = len(touches.data.points)
+    for unit in tested:
+        rows, state = known.units[unit], unchanged(known, unit)
+        changes = [
+            state,
+            replace(state, state=DEAD, log_gain=state.log_gain - np.inf),
+            *turned(known, unit, state),
+            *moved(state, touches.data.body, ring()[::2]),
+        ]
+        blocks = touches.blocks(rows, known.covariance[rows], changes, errors)
+        count = m * len(rows)
+        mean = np.full((len(blocks), count), touches.threshold)
+        variance = np.full((len(blocks), count), errors.sigma**2)
+        for k, block in enumerate(blocks):
+            cell = block.contact * len(rows) + block.taxel
+            mean[k, cell] = np.maximum(block.mean, touches.threshold)
+            places = known.covariance[rows][block.taxel] + errors.tau**2 * np.eye(3)
+            variance[k, cell] += (errors.rho * block.mean) ** 2 + block.bend
+            variance[k, cell] += np.einsum("qi,qij,qj->q", block.slope, places, block.slope)
+        square = (mean[1:] - mean[0]) ** 2 / np.maximum(variance[1:], variance[0])
+        square = square.reshape(len(changes) - 1, m, len(rows)).sum(axis=2)
+        change, touch = np.nonzero(square > MIN_SQUARE)
+        parts.append((touch, change + len(owner), np.exp(-square[change, touch] / 8)))
+        owner += [int(unit)] * (len(changes) - 1)
+    touch, pair, factor = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return touch, pair, factor, np.array(owner)

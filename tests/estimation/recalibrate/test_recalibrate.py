@@ -1,0 +1,208 @@
+"""An earlier map tested by a few touches."""
+
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from scipy.stats import multivariate_normal, norm
+
+import meshskin as ms
+from meshskin.core.errors import CalibrationError
+from meshskin.estimation.recalibrate import touches as touches_module
+from meshskin.estimation.recalibrate.hypotheses import grid, moved, unchanged
+from meshskin.estimation.recalibrate.skin_map import skin_map, turns
+from meshskin.estimation.recalibrate.touches import Errors, Touches
+from meshskin.skin import slots
+
+
+@pytest.fixture(scope="module")
+def setting():
+    """A scene of seven modules, and touches planned on its map."""
+    scene = ms.Scene.load("sphere_noisy")
+    modules = ms.Skin.modules(scene.body, count=7, seed=1)
+    scene = scene.with_(skin=modules.skin)
+    return scene, ms.next_touches(modules.skin, scene.belief(), 8).points
+
+
+def turned(skin, module):
+    """A module turned by 120 degrees: its slots at the places of others."""
+    rows = np.flatnonzero(skin.ids // 12 == module)
+    (angle, image), *_ = turns(slots.OFFSETS, np.array(slots.TAXELS)).items()
+    assert np.isclose(np.degrees(angle), 120)
+    place = dict(zip(skin.ids[rows] % 12, rows, strict=True))
+    poses = skin.poses.copy()
+    poses[rows] = skin.poses[[place[image[s]] for s in skin.ids[rows] % 12]]
+    return replace(skin, poses=poses)
+
+
+def test_a_turned_module_is_found_and_the_others_are_confirmed(setting):
+    scene, points = setting
+    now = turned(scene.skin, 4)
+    found = ms.recalibrate(scene.skin, ms.press(scene.with_(skin=now), points), scene.belief())
+    (finding,) = found.findings
+    assert (finding.unit, finding.number, finding.state) == ("module", 4, "turned")
+    assert "120 degrees" in finding.words
+    assert finding.false_alarm < 1e-6
+    assert (found.unit_states == "confirmed").sum() == 6
+    assert np.allclose(found.calibration.positions, now.positions[np.argsort(now.ids)], atol=1e-12)
+    compared = ms.compare(scene.skin, ms.Skin(found.calibration.poses, found.calibration.ids))
+    assert set(compared.permutation) == {12 * 4 + s for s in slots.TAXELS if s != slots.CENTRE}
+
+
+def test_untouched_modules_and_taxels_are_not_confirmed(setting):
+    scene, points = setting
+    recording = ms.press(scene, points[:4])
+    found = ms.recalibrate(scene.skin, recording, scene.belief())
+    gap = np.linalg.norm(scene.skin.positions[:, None] - points[:4], axis=2).min(axis=1)
+    far = scene.skin.ids[gap > 8e-3]
+    assert set(found.states[np.isin(found.ids, far)]) == {"not touched"}
+    modules = set(range(7)) - set((scene.skin.ids[gap <= 8e-3] // 12).tolist())
+    assert modules
+    assert all(found.unit_states[m] == "not touched" for m in modules)
+    assert set(found.next_contacts(4, scene.belief()).unit) <= set(
+        found.units[(found.unit_states != "confirmed") | ~found.placed]
+    )
+
+
+@pytest.mark.parametrize(("factor", "state"), [(0.0, "dead"), (2.0, "gain changed")])
+def test_a_single_taxel_that_changed(setting, factor, state):
+    scene, points = setting
+    best = 13
+    own = scene.skin.poses[scene.skin.ids == best][0]
+    around = own[:3, 3] + 3e-3 * np.stack([own[:3, 0], -own[:3, 0], own[:3, 1]])
+    recording = ms.press(scene, np.concatenate([points, around]))
+    pressure = np.where(recording.reading_taxel == best, factor, 1.0) * recording.pressure
+    readings = recording.readings.set_column(2, "pressure", pa.array(pressure))
+    changed = replace(recording, readings=readings.filter(pa.array(pressure > 0)))
+    found = ms.recalibrate(scene.skin, changed, scene.belief())
+    assert [(f.number, f.state) for f in found.findings] == [(best, state)]
+    row = np.flatnonzero(found.ids == best)[0]
+    assert found.states[row] == state
+    assert state.split()[0] in found.calibration.faults[row]
+    if factor:
+        assert found.calibration.taxel_unknowns["gain"][row, 0] == pytest.approx(np.log(2), abs=0.3)
+
+
+def test_the_likelihood_is_that_of_a_normal_distribution(setting):
+    """Against scipy, with one silent reading given the others."""
+    block = touches_module.Block(
+        np.array([0, 0, 1]), np.array([0, 1, 1]), np.array([0.5, 0.2, np.nan]),
+        np.array([0.45, 0.22, 0.08]), 100 * np.random.default_rng(0).normal(size=(3, 3)),
+        np.full(3, 1e-4), np.array([-0.3, 0.1, 0.1]),
+    )  # fmt: skip
+    errors = Errors(0.01, 2e-4, 0.03, common=((0.01, 0.0), (0.0, 0.002)))
+    c = touches_module.covariance_of(block, errors, np.tile(1e-8 * np.eye(3), (2, 1, 1)))
+    mean, threshold = block.mean, 0.05
+    joint = multivariate_normal(mean[:2], c[:2, :2]).logpdf(block.level[:2])
+    gain = c[2, :2] @ np.linalg.inv(c[:2, :2])
+    at, sd = mean[2] + gain @ (block.level - mean)[:2], np.sqrt(c[2, 2] - gain @ c[:2, 2])
+    far = norm.logcdf(threshold / errors.sigma)
+    expected = joint + norm.logcdf((threshold - at) / sd) - 3 * far
+    assert touches_module.log_likelihood(block, c, errors, threshold) == pytest.approx(expected)
+
+
+def test_predictions_average_over_the_errors_of_places(setting):
+    """Mean and variance against random displacements of the contacts."""
+    scene, points = setting
+    data = _data(scene, points)
+    touches, known = Touches(data), skin_map(scene.skin, scene.belief())
+    rows, tau = known.units[0], 0.4e-3
+    errors = Errors(1e-6, tau, 1e-9)
+    state = unchanged(known, 0)
+    none = np.zeros((len(rows), 3, 3))
+    block = touches.blocks(rows, none, [state], errors)[0]
+    variance = np.diag(touches_module.covariance_of(block, errors, none))
+    rng, draws = np.random.default_rng(0), []
+    for _ in range(400):
+        step = tau * rng.standard_normal((2, len(data.points), 1))
+        at = data.points + step[0] * data.directions + step[1] * touches.across
+        offset = state.points[block.taxel] - at[block.contact]
+        draws.append(touches._means(offset, block.contact, 0.0))
+    strong = block.mean > 0.1
+    assert strong.sum() > 2
+    assert np.allclose(np.mean(draws, axis=0)[strong], block.mean[strong], atol=0.01)
+    assert np.allclose(np.std(draws, axis=0)[strong], np.sqrt(variance[strong]), rtol=0.15)
+
+
+def _data(scene, points):
+    from meshskin.estimation.data.gather import gather
+
+    return gather(ms.press(scene, points), scene.belief())
+
+
+def test_turns_follow_from_the_symmetry_of_a_layout():
+    square = 1e-3 * np.array([[0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0]], dtype=float)
+    every = np.arange(4)
+    assert np.allclose(np.degrees(sorted(turns(square, every))), [90, 180, 270])
+    assert list(turns(square, every)[round(np.pi / 2, 9)]) == [1, 2, 3, 0]
+    assert turns(square * [1, 1.3, 1], every).keys() == {round(np.pi, 9)}
+    assert not turns(np.vstack([square, [[2e-3, 5e-3, 0]]]), np.arange(5))
+
+
+def test_moves_cover_their_disc():
+    flat = grid()
+    rng = np.random.default_rng(0)
+    inside = rng.uniform(-5e-3, 5e-3, (200, 2))
+    inside = inside[np.linalg.norm(inside, axis=1) < 5e-3]
+    assert np.linalg.norm(inside[:, None] - flat, axis=2).min(axis=1).max() < 0.6e-3
+
+
+def test_moved_units_stay_on_the_body(setting):
+    scene, _ = setting
+    state = unchanged(skin_map(scene.skin, scene.belief()), 0)
+    for h in moved(state, scene.body, grid()[:5]):
+        assert np.abs(scene.body.closest(h.points).distance).max() < 1e-9
+
+
+def test_what_cannot_be_tested_is_refused(setting):
+    scene, points = setting
+    recording = ms.press(scene, points)
+    with pytest.raises(CalibrationError, match="does not know the scene"):
+        ms.recalibrate(scene.skin, recording)
+    with pytest.raises(CalibrationError, match="too few readings"):
+        ms.recalibrate(scene.skin, ms.press(scene, points[:1]), scene.belief())
+    with pytest.raises(CalibrationError, match="false_alarm"):
+        ms.recalibrate(scene.skin, recording, scene.belief(), false_alarm=0.0)
+    with pytest.raises(CalibrationError, match="tested by pressures"):
+        ms.recalibrate(scene.skin, recording, scene.belief(readings="raw"))
+    with pytest.raises(CalibrationError, match="must be a Calibration or a Skin"):
+        ms.recalibrate("map.txt", recording, scene.belief())
+    with pytest.raises(CalibrationError, match="number of touches"):
+        ms.next_touches(scene.skin, scene.belief(), 0)
+
+
+def test_single_taxels_and_a_calibration_as_the_map(noisy, noisy_recording):
+    """Two exchanged taxels of the paper's sphere, found in 16 touches."""
+    map_ = ms.calibrate(noisy_recording, noisy.belief())
+    order = np.argsort(np.linalg.norm(noisy.skin.positions - noisy.skin.positions[0], axis=1))
+    a, b = 0, order[3]
+    poses = noisy.skin.poses.copy()
+    poses[[a, b]] = poses[[b, a]]
+    recording = ms.press(
+        noisy.with_(skin=replace(noisy.skin, poses=poses)), noisy.skin.positions[order[:16]]
+    )
+    found = ms.recalibrate(map_, recording)
+    assert found.unit == "taxel"
+    assert {(f.number, f.state) for f in found.findings} == {(a, "exchanged"), (b, "exchanged")}
+    assert np.allclose(found.calibration.positions[a], map_.positions[b])
+    assert (found.states == "confirmed").sum() > 12
+
+
+@pytest.mark.slow
+def test_false_alarms_are_rarer_than_stated(setting):
+    """200 recordings of an unchanged skin, noise unknown, at a stated rate of 10 %: a binomial
+    number above 32 would have a chance of 1 %."""
+    scene, points = setting
+    belief = scene.belief(noise_sigma=None)
+    alarms = 0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        poses = scene.skin.poses.copy()
+        poses[:, :3, 3] += 0.3e-3 * np.einsum(
+            "nij,nj->ni", poses[:, :3, :2], rng.standard_normal((len(poses), 2))
+        )
+        skin = replace(scene.skin, poses=poses).onto(scene.body)
+        recording = ms.press(scene.with_(skin=skin), points, seed=seed)
+        alarms += bool(ms.recalibrate(scene.skin, recording, belief, false_alarm=0.1).findings)
+    assert alarms <= 32
