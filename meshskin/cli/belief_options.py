@@ -139,7 +139,7 @@ def _by_scene(options: argparse.Namespace) -> Belief:
     from ..scene.scene import Scene
 
     given = [name for name in SCENE_OPTIONS if getattr(options, name) is not None]
-    if options.export is not None and "link" in given:
+    if getattr(options, "export", None) is not None and "link" in given:
         given.remove("link")  # it names the frame of the map
     if given:
         names = ", ".join(f"--{name.replace('_', '-')}" for name in given)

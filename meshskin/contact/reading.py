@@ -34,6 +34,9 @@ SHEET_SLOPE = 0.5
 """Largest slope of the chord from a contact to a taxel that it presses, against the plane whose
 normal is the mean of both normals. It is 0 on a surface of constant curvature; 0.5 admits a step of
 half the distance."""
+SHEET_STEP = 1e-3
+"""Distance from that plane, m, that is admitted however near the taxel is: the taxels of a rigid
+module lie above and below a curved surface, on one of 32 mm radius by a millimetre."""
 
 
 @dataclass(frozen=True)
@@ -127,13 +130,14 @@ def same_sheet(offset: Array, contact_normals: Array, taxel_normals: Array) -> n
     offset (k, 3), m: from the contact to the taxel; outward unit normals (k, 3) of both. The
     normals must face the same side, and the chord must run along the surface: between two points of
     a surface of constant curvature it is perpendicular to the sum of their normals. So a taxel on
-    the far side of a plate, or on another sheet above or below, is not pressed.
+    the far side of a plate, or on another sheet above or below, is not pressed; one that is up to a
+    millimetre above or below the contact is.
     """
     total = contact_normals + taxel_normals
     across = np.einsum("ki,ki->k", offset, total)
     facing = np.einsum("ki,ki->k", contact_normals, taxel_normals) > SHEET_FACING
-    bound = SHEET_SLOPE**2 * np.sum(total**2, axis=1) * np.sum(offset**2, axis=1)
-    return np.asarray(facing & (across**2 <= bound))
+    step = np.maximum(SHEET_SLOPE**2 * np.sum(offset**2, axis=1), SHEET_STEP**2)
+    return np.asarray(facing & (across**2 <= step * np.sum(total**2, axis=1)))
 
 
 def _pairs_in_reach(

@@ -5,7 +5,7 @@ import pytest
 
 from meshskin import Body, contact
 from meshskin.contact import ContactModel
-from meshskin.contact.reading import ReadingModel
+from meshskin.contact.reading import ReadingModel, same_sheet
 
 E_STAR, DISC, INDENTER = 4e5, 2e-3, 0.01
 
@@ -93,3 +93,11 @@ def test_taxels_are_projected_onto_the_tangent_plane(model):
     near = np.linalg.norm(xy, axis=1) < 4e-3
     flat = readings(hit, taxels[near], model)
     np.testing.assert_allclose(readings(hit, lifted[near], model), flat, atol=1e-9 * flat.max())
+
+
+def test_a_taxel_a_little_off_the_surface_is_pressed_at_its_centre():
+    """Those of a rigid module lie above and below a curved surface; not so another sheet."""
+    up = np.array([[0.0, 0.0, 1.0]])
+    offset = 1e-3 * np.array([[0, 0, 0.3], [0.2, 0, -0.4], [0, 0, 2.0], [0.5, 0, 3.0]])
+    got = same_sheet(offset, np.tile(up, (4, 1)), np.tile(up, (4, 1)))
+    assert got.tolist() == [True, True, False, False]

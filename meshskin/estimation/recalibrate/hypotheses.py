@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...core import se3
 from ...core.arrays import Array
 from ...geometry.body import Body
 from .skin_map import SkinMap, turns
@@ -99,17 +100,18 @@ def turned(known: SkinMap, unit: int, base: Hypothesis) -> list[Hypothesis]:
     """A module at the turns of its layout's own symmetry."""
     if known.slots is None:
         return []
-    rows = known.units[unit]
-    slot = known.slot(rows)
-    place = np.full(len(known.slots), -1)
-    place[slot] = np.arange(len(rows))
+    slot = known.slot(known.units[unit])
+    if len(slot) < 3:
+        return []
+    pose = se3.align(known.slots[slot], base.points)
+    points = se3.transform_points(pose, known.slots)  # of slots that the map does not have
+    normals = np.tile(pose[:3, 2], (len(points), 1))
+    points[slot], normals[slot] = base.points, base.normals
+    used = np.unique(known.slot(np.concatenate(known.units)))
     return [
-        replace(
-            base, state=TURNED, value=angle, points=base.points[place[image[slot]]],
-            normals=base.normals[place[image[slot]]],
-        )
-        for angle, image in turns(known.slots, np.sort(slot)).items()
-    ]  # fmt: skip
+        replace(base, state=TURNED, value=angle, points=points[i[slot]], normals=normals[i[slot]])
+        for angle, i in turns(known.slots, used).items()
+    ]
 
 
 def _exchanged(known: SkinMap, unit: int, base: Hypothesis, touches: Touches) -> list[Hypothesis]:

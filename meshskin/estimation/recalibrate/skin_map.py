@@ -41,7 +41,7 @@ class SkinMap:
     log_gain: Array
     """ln gain (n,) of each taxel; 0 where the map has none."""
     units: tuple[np.ndarray, ...]
-    """Rows of the taxels of each unit."""
+    """Rows of the taxels of each unit, those without a place left out."""
     numbers: np.ndarray
     """Number (u,) of each unit: of the module, or the id of the taxel."""
     slots: Array | None
@@ -81,7 +81,12 @@ def skin_map(previous: Calibration | Skin, belief: Belief, sigma: float = SIGMA)
     check_real("sigma of the earlier map", sigma, "m", above=0.0, error=CalibrationError)
     order = np.argsort(previous.ids, kind="stable")
     ids, poses = np.asarray(previous.ids)[order], np.array(previous.poses, dtype=float)[order]
-    covariance, log_gain = np.tile(np.eye(3) * sigma**2, (len(ids), 1, 1)), np.zeros(len(ids))
+    log_gain = np.zeros(len(ids))
+    spread = np.full(len(ids), sigma)
+    if isinstance(previous, Skin) and previous.sigmas is not None:
+        own = np.asarray(previous.sigmas)[order] / np.sqrt(2.0)  # of two tangents together
+        spread = np.where(np.isfinite(own), own, sigma)
+    covariance = np.eye(3) * spread[:, None, None] ** 2
     if isinstance(previous, Calibration):
         own = np.nan_to_num(previous.covariances[order, :3, :3], posinf=sigma**2)
         covariance = poses[:, :3, :3] @ own @ np.swapaxes(poses[:, :3, :3], 1, 2)
@@ -94,13 +99,19 @@ def skin_map(previous: Calibration | Skin, belief: Belief, sigma: float = SIGMA)
     if layout is None and slots.is_modular(ids):
         layout = slots.OFFSETS
     if layout is None:
-        units = tuple(np.arange(len(ids))[:, None])
-        return SkinMap(ids, poses, covariance, log_gain, units, ids, None)
+        rows = np.flatnonzero(known)
+        return SkinMap(ids, poses, covariance, log_gain, tuple(rows[:, None]), ids[rows], None)
     numbers, group = np.unique(ids // len(layout), return_inverse=True)
-    units = tuple(np.flatnonzero(group == k) for k in range(len(numbers)))
-    for rows in units:
+    for k in range(len(numbers)):
+        rows = np.flatnonzero(group == k)
         _fill(poses, covariance, rows, layout[ids[rows] % len(layout)], known[rows], sigma)
-    return SkinMap(ids, poses, covariance, log_gain, units, numbers, np.asarray(layout))
+    placed = np.isfinite(poses[:, 0, 3])
+    units = tuple(np.flatnonzero(placed & (group == k)) for k in range(len(numbers)))
+    full = [k for k, rows in enumerate(units) if len(rows)]
+    return SkinMap(
+        ids, poses, covariance, log_gain, tuple(units[k] for k in full), numbers[full],
+        np.asarray(layout),
+    )  # fmt: skip
 
 
 def _fill(

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ...core import se3
 from ...core.arrays import Array
@@ -44,8 +45,9 @@ def updated(
                 rotation = align_normals(known.poses[rows, :3, :3], h.normals)
                 poses[rows] = se3.transform(rotation, evidence.state.points)
             if h.state in (TURNED, EXCHANGED):  # the places are those of other taxels of the map
-                gap = np.linalg.norm(h.points[:, None] - known.points, axis=2)
-                covariance[rows] = known.covariance[np.nanargmin(gap, axis=1)]
+                placed = np.flatnonzero(known.known)
+                nearest = cKDTree(known.points[placed]).query(h.points)[1]
+                covariance[rows] = known.covariance[placed[nearest]]
             if h.state == MOVED:
                 covariance[rows] += change.shift_covariance
             if h.state == GAIN:

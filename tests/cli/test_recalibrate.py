@@ -1,0 +1,54 @@
+"""`meshskin recalibrate` as a user meets it, and `meshskin diff` of what it wrote."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin import cli
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A map of three modules as a skin file, and a recording after two were exchanged."""
+    folder = tmp_path_factory.mktemp("recalibrate")
+    scene = ms.Scene.load("sphere_noisy")
+    skin = ms.Skin.modules(scene.body, count=3, seed=1).skin
+    skin.save(folder / "map.csv")
+    poses = skin.poses.copy()
+    poses[:10], poses[10:20] = skin.poses[10:20], skin.poses[:10]
+    now = scene.with_(skin=replace(skin, poses=poses))
+    ms.press(now, skin.positions[::3]).save(folder / "touches")
+    return folder
+
+
+def test_an_exchange_is_named_and_diff_shows_it(files, capsys):
+    out = files / "out"
+    given = [files / "map.csv", files / "touches", "--scene", "sphere_noisy", "--out", out]
+    assert cli.main(["recalibrate", *map(str, given), "--taxels", str(files / "map.csv")]) == 1
+    text = capsys.readouterr().out
+    assert "module 0: reads at the place of module 1" in text
+    assert "module 1: reads at the place of module 0" in text
+    written = json.loads((out / "recalibration.json").read_text())
+    assert written["modules"] == {"0": "exchanged", "1": "exchanged", "2": "confirmed"}
+    assert (out / "touches.csv").read_text().startswith("x_mm,y_mm,z_mm,nx,ny,nz,tests\n")
+    assert cli.main(["diff", str(files / "map.csv"), str(out)]) == 1
+    assert "modules 0 and 1 exchanged" in capsys.readouterr().out
+
+
+def test_touches_are_planned_without_a_recording(files, capsys):
+    out = files / "plan"
+    given = [files / "map.csv", "--scene", "sphere_noisy", "--out", out, "--touches", "3"]
+    assert cli.main(["recalibrate", *map(str, given)]) == 0
+    rows = np.genfromtxt(out / "touches.csv", delimiter=",", skip_header=1)
+    assert rows.shape == (3, 7)
+    assert np.allclose(np.linalg.norm(rows[:, :3], axis=1), 100, atol=0.05)
+    assert "3 touches" in capsys.readouterr().out
+
+
+def test_a_map_that_is_not_there(files, capsys):
+    given = [files / "nothing.csv", "--scene", "sphere_noisy", "--out", files / "out"]
+    assert cli.main(["recalibrate", *map(str, given)]) == 2
+    assert "nothing.csv" in capsys.readouterr().err
