@@ -134,6 +134,8 @@ def run(
             metrics["budget"] = decided.metrics() | {"above": decided.explain(1e-3 * mean)}
         if prediction is not None:
             metrics["promise"] = prediction
+        own = Path(name).suffix == ".toml"
+        metrics["inputs"] = {"scene": str(Path(name).resolve() if own else name), "seed": seed}
     result = Result(
         scene, recording, calibration, comparison.found, demonstration, force, metrics, decided
     )

@@ -17,9 +17,25 @@ from types import FrameType
 from typing import TextIO
 
 from ..core.errors import MeshskinError
-from . import calibrate, check, cost, diff, lint, log, recalibrate, run, scenes, study
+from . import (
+    calibrate,
+    check,
+    cost,
+    diff,
+    effects,
+    init,
+    lint,
+    log,
+    recalibrate,
+    report,
+    run,
+    scenes,
+    study,
+)
 
-COMMANDS = (run, calibrate, recalibrate, log, scenes, cost, study, check, lint, diff)
+COMMANDS = (
+    run, calibrate, recalibrate, report, init, log, scenes, effects, cost, study, check, lint, diff
+)  # fmt: skip
 BAD_INPUT = 2
 """Exit code for input that meshskin refuses."""
 INTERRUPTED = 130

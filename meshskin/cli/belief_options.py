@@ -182,3 +182,16 @@ def _by_options(options: argparse.Namespace) -> Belief:
         taxel_ids=np.empty(0, dtype=int),
         contact=AUTO,
     )
+
+
+def inputs(options: argparse.Namespace) -> dict[str, Any]:
+    """Where recording, scene and body are, for metrics.json, from which the page is made again."""
+    paths = {"recording": options.recording, "body": options.body}
+    scene = options.scene
+    if scene is not None and Path(scene).suffix == ".toml":
+        paths["scene"], scene = Path(scene), None
+    given = {name: str(path.resolve()) for name, path in paths.items() if path is not None}
+    given |= {} if scene is None else {"scene": scene}
+    own = {name: getattr(options, name) for name in body_options.NAMES}
+    own["folder"] = [str(folder.resolve()) for folder in options.folder or ()] or None
+    return given | {name: value for name, value in own.items() if value is not None}

@@ -94,7 +94,9 @@ def _calibrated(options: argparse.Namespace, progress: Progress | None) -> tuple
     if given.robot is not None:
         given.robot.save(options.out / CORRECTED)
     exported = [] if export is None else [export.write(found)]
-    metrics = assess(found, recording)
+    metrics = assess(found, recording) | {"inputs": belief_options.inputs(options)}
+    if options.map is not None:
+        recording.save(options.out / "recording")
     validation = None
     if options.cross_validate is not None:
         validation = found.cross_validate(recording, options.cross_validate, belief, progress)

@@ -1,4 +1,8 @@
-"""`meshskin study FILE --out DIR`: run a parameter study; a repeated call resumes it."""
+"""`meshskin study FILE --out DIR`: run a parameter study; a repeated call resumes it.
+
+DIR/table.parquet and table.csv hold one row per case: parameters, status, results. figure.png shows
+the mean position error, or the first result, over the first parameter with several values.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +16,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from ..study.sweep.study import Progress
+    from ..study.sweep.study_table import StudyTable
 
 SHOWN = 5
 """Failed cases that the summary lists."""
@@ -51,9 +56,28 @@ def command(options: argparse.Namespace) -> int:
             retry=options.retry,
             progress=progress,
         )
+    figure = draw(study.results(options.out), options.out)
     if not options.quiet:
         print(summary(study.name, table, options.out))
+        print(f"  figure {figure}")
     return int("failed" in table.column("status").to_pylist())
+
+
+def draw(table: StudyTable, folder: Path) -> Path | str:
+    """Draw the table; returns the file, or why there is none."""
+    from ..core import drawing
+    from ..core.atomic_io import atomic
+    from ..core.errors import StudyError
+
+    path = folder / "figure.png"
+    try:
+        content = drawing.png(table.plot())
+    except StudyError as error:
+        path.unlink(missing_ok=True)
+        return f"none: {error}"
+    with atomic(path) as temporary:
+        temporary.write_bytes(content)
+    return path
 
 
 def summary(name: str, table: pa.Table, folder: Path) -> str:
@@ -71,5 +95,5 @@ def summary(name: str, table: pa.Table, folder: Path) -> str:
         lines.append(f"  and {len(rows) - SHOWN} more")
     if rows:
         lines.append("  use --retry to run the failed cases again")
-    lines.append(f"  table  {folder / 'table.parquet'}")
+    lines.append(f"  table  {folder / 'table.parquet'}, table.csv")
     return "\n".join(lines)

@@ -10,13 +10,16 @@ from __future__ import annotations
 import ast
 import dataclasses
 import inspect
+import json
 import textwrap
+from collections.abc import Iterator
 from dataclasses import MISSING, dataclass
 from functools import cache
 from itertools import pairwise
 from typing import Any, TypeVar
 
 from .arguments import repr_short
+from .config import UNITS
 
 T = TypeVar("T")
 
@@ -68,6 +71,34 @@ def limits(field: dataclasses.Field[Any]) -> str:
     words = {"above": "above", "least": "at least", "most": "at most"}
     bounds = {word: field.metadata.get(key) for key, word in words.items()}
     return ", ".join(f"{w} {b:g}" for w, b in bounds.items() if b is not None)
+
+
+def toml_lines(cls: type) -> Iterator[str]:
+    """The keys of a dataclass in TOML with their defaults, in the unit that writes them shortest.
+
+    Keys without a default are to be filled in; those whose default is nothing are left out.
+    """
+    for field in dataclasses.fields(cls):
+        suffixes = UNITS[field.metadata.get("unit", "")]
+        required = field.default is MISSING
+        if not required and field.default is not None:
+            shown = {suffix: _toml(field.default, suffixes[suffix]) for suffix in suffixes}
+        elif required:
+            shown = dict.fromkeys(suffixes, "...  # required")
+        else:
+            continue
+        suffix = min(shown, key=lambda one: len(shown[one]))
+        key = f"{field.name}_{suffix}" if suffix else field.name
+        yield f"{key} = {shown[suffix]}"
+
+
+def _toml(value: Any, factor: float) -> str:
+    """A default in TOML, in the unit with this factor to SI."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(_toml(one, factor) for one in value)}]"
+    if isinstance(value, bool | str):
+        return json.dumps(value)
+    return f"{value / factor:.12g}"
 
 
 def document_fields(cls: type[T]) -> type[T]:

@@ -20,7 +20,7 @@ from .base import (
 )
 from .frames import EffectClock, Frames, PressureField
 from .pipeline import EffectPipeline, build, ordered
-from .registry import NAMES, find, from_table, registered
+from .registry import NAMES, every_name, find, from_table, registered
 
 __all__ = [
     "NAMES",
@@ -37,6 +37,7 @@ __all__ = [
     "PressureTransform",
     "build",
     "check_effect",
+    "every_name",
     "find",
     "from_table",
     "ordered",

@@ -57,6 +57,11 @@ def find(name: str) -> type[Effect]:
     return cast(type[Effect], found)
 
 
+def every_name() -> tuple[str, ...]:
+    """The names of all effects, those of other packages last."""
+    return (*NAMES, *sorted(set(_entry_points()) - set(NAMES)))
+
+
 def registered() -> tuple[Effect, ...]:
     """All effects that have defaults, with those defaults, those of other packages last.
 
@@ -64,7 +69,7 @@ def registered() -> tuple[Effect, ...]:
     """
     kinds = [find(name) for name in NAMES]
     found = [kind() for kind in kinds if _has_defaults(kind)]
-    for name in sorted(set(_entry_points()) - set(NAMES)):
+    for name in every_name()[len(NAMES) :]:
         try:
             found += _external(name)
         except ConfigError as error:

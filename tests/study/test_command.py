@@ -24,8 +24,10 @@ def test_a_study_is_run_and_run_again(study, tmp_path, capsys):
         assert cli.main(["study", file, "--out", str(tmp_path / "out"), "--workers", "1"]) == 0
         printed = capsys.readouterr()
         assert "mine: 6 cases, 0 failed" in printed.out
+        assert (tmp_path / "out" / "figure.png").stat().st_size > 1000
         assert printed.err.startswith("cases "), "one line for the stage"
     assert pq.read_table(tmp_path / "out" / "table.parquet").num_rows == 6
+    assert len((tmp_path / "out" / "table.csv").read_text().splitlines()) == 7
 
 
 def test_failed_cases_are_listed_and_the_exit_code_says_so(study, tmp_path, capsys):

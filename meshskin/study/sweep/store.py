@@ -3,6 +3,7 @@
     OUT/study.json               definition of the study
     OUT/results/3f/3fa0....json  one case: a line with a checksum, a line of JSON
     OUT/table.parquet            the cases in order: parameters, status, results
+    OUT/table.csv                the same table for people and spreadsheets
     OUT/times.parquet            seconds of each case, which differ from run to run
 
 Every file is written under a temporary name and moved into place. A file that is incomplete
@@ -198,3 +199,11 @@ def write_table(table: pa.Table, path: Path) -> None:
 
     with atomic(path) as temporary:
         pq.write_table(table, temporary)
+
+
+def write_csv(table: pa.Table, path: Path) -> None:
+    """Write a table as CSV, atomically. Raises OutputError."""
+    from pyarrow import csv
+
+    with atomic(path) as temporary:
+        csv.write_csv(table, temporary)

@@ -29,7 +29,8 @@ from .case import (
     runner_identity,
 )
 from .function_reference import SCRIPT, WORKER_MAIN, FunctionReference
-from .store import Store, tables, write_table
+from .store import Store, tables, write_csv, write_table
+from .study_table import StudyTable
 from .worker import WorkerSetup
 
 if TYPE_CHECKING:
@@ -153,6 +154,11 @@ class Study:
         store = Store(out)
         return tables((case, store.read(case.key)) for case in self.cases())[0]
 
+    def results(self, out: str | Path) -> StudyTable:
+        """The table of the folder `out`, for a notebook: with a card, a figure and `to_pandas`."""
+        varied = dict.fromkeys(key for grid in plain_grids(self.grid) for key in grid)
+        return StudyTable(self.table(out), tuple(varied), self.name)
+
     def sweep(
         self,
         out: str | Path,
@@ -164,7 +170,8 @@ class Study:
     ) -> pa.Table:
         """Run the cases that have no outcome in the folder `out`, and write the tables there.
 
-        Returns the table of results: one row per case, with its parameters, status and results.
+        Returns the table of results: one row per case, with its parameters, status and results;
+        `results` shows it in a notebook. table.csv holds it, too.
         workers: number of processes on this machine (default: one per core); results do not depend
         on it. scheduler: address of a Dask cluster that runs the cases instead. retry: run failed
         cases again. progress: called after each case.
@@ -200,6 +207,7 @@ class Study:
             table, times = tables((case, store.read(case.key)) for case in cases)
             write_table(table, store.folder / "table.parquet")
             write_table(times, store.folder / "times.parquet")
+            write_csv(table, store.folder / "table.csv")
         return table
 
     def _open(self, cases: list[Case], store: Store, retry: bool) -> tuple[list[Case], int]:

@@ -1,0 +1,210 @@
+"""`meshskin init FILE`: write a commented scene for a mesh, or a map for a robot's log.
+
+For a mesh, or a link of a URDF file, a scene file: unit, borders, patches, size of the skin and an
+indenter that reaches most of the surface are found out and stated with their reasons. For a log,
+the map of its streams, with what else each could be. Both are starting points, to be edited.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..core.errors import ConfigError, MeshError
+from . import body_options
+
+if TYPE_CHECKING:
+    from ..exploration.reach import Reach
+    from ..geometry.body import Body
+
+LIKELY = (0.02, 2.0)
+"""Usual extents of bodies that carry skin, m: a fingertip to a torso. The unit is the first of m,
+mm and cm in which the mesh has one, as exporters of meshes use them in this order."""
+SPACING = 5e-3
+"""Distance of the taxels that are proposed, m: that of the paper's skin."""
+TAXELS = 80
+"""Most taxels that are proposed, as many as the paper has: a first run then takes seconds."""
+RADII = (10e-3, 5e-3, 2.5e-3)
+"""Radii, m, of the indenters that are compared: the paper's, and finer ones."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument("file", type=Path, metavar="FILE", help="mesh, URDF file or log")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="file to write (default: NAME.toml, named after "
+        "the mesh or log, in this folder); an existing one is not replaced",
+    )  # fmt: skip
+    body_options.add(parser)
+
+
+def command(options: argparse.Namespace) -> int:
+    """Write the scene or the map."""
+    from ..core.atomic_io import write_text
+
+    file = options.file
+    if not file.exists():
+        raise ConfigError("no such file", value=str(file))
+    stem = options.link or (file.stem if file.is_file() else file.resolve().name)
+    is_body = file.is_file() and (body_options.is_mesh(file) or file.suffix.lower() == ".urdf")
+    out = options.out or Path(f"{stem}.toml" if is_body else f"{stem}_map.toml")
+    if out.exists():
+        raise ConfigError(f"{out} exists already", remedy="give another --out, or remove it")
+    text, run = scene(options, out) if is_body else log_map(file, out)
+    write_text(out, text)
+    print(f"{out}: {'scene' if is_body else 'map'} written; edit it, then\n  {run}")
+    return 0
+
+
+def scene(options: argparse.Namespace, out: Path) -> tuple[str, str]:
+    """The text of a scene for the mesh or link of the options, and the command that runs it."""
+    from ..exploration.reach import reach, recommended
+
+    units, why = _units(options)
+    options.units = units
+    body = _body(options)
+    whole = int(body.mesh.area / (math.sqrt(0.75) * SPACING**2))
+    found = reach(body, RADII)
+    best = recommended(found)
+    where = os.path.relpath(options.file.resolve(), out.resolve().parent)
+    lines = [
+        f"# A scene for {options.file.name}, proposed by `meshskin init`. Keys name their unit.",
+        "# `meshskin scenes --show sphere` shows a whole scene, `meshskin effects` what to add.",
+        "",
+        "[body]",
+        f"mesh = {json.dumps(Path(where).as_posix())}",
+        *([f"units = {json.dumps(units)}  # {why}"] if units else []),
+        *(
+            ["open = true  # the mesh has borders: meshskin check lists them"]
+            if options.open
+            else []
+        ),
+        *_urdf(options),
+        "",
+        "[skin]",
+        f"spacing_mm = {1e3 * SPACING:g}",
+        f"count = {min(whole, TAXELS)}  # without it: all of the body or region, about {whole}",
+        "disc_radius_mm = 2",
+        *_patches(body),
+        "",
+        "[material]",
+        "young_kpa = 200  # of the soft layer; 200 is that of soft silicone rubber",
+        "poisson = 0.49",
+        "# thickness_mm = 3  # of the soft layer, where it is thin",
+        "",
+        "[indenter]",
+        *(f"# {one}" for one in found),
+        f"radius_mm = {1e3 * best.radius:g}",
+        "",
+        "[law]",
+        f"force_reference_n = {_force(best):g}",
+        "",
+        "[loop]",
+        'mode = "quasi_static"  # the body moves exactly; "arm": by the arm of [arm] urdf, tip',
+        "",
+        "[[effects]]",
+        'kind = "gaussian_noise"',
+        "sigma_relative = 0.01  # of the peak pressure",
+    ]
+    return "\n".join(lines) + "\n", f"meshskin run {out} --out out/"
+
+
+def _units(options: argparse.Namespace) -> tuple[str | None, str]:
+    """The unit of a mesh, as asked or by its extent, and why; None where the file says it."""
+    from ..geometry.mesh import mesh_file
+
+    file = options.file
+    if options.units is not None:
+        return options.units, "as asked"
+    says = file.suffix.lower().lstrip(".") in (*mesh_file.METRES, "dae")
+    if says or not body_options.is_mesh(file):
+        return None, ""
+    raw = mesh_file.read(file, 1.0)
+    extent = float(np.max(np.ptp(raw.vertices[np.isfinite(raw.vertices).all(axis=1)], axis=0)))
+    for unit in ("m", "mm", "cm"):
+        if LIKELY[0] <= extent * mesh_file.UNITS[unit] <= LIKELY[1]:
+            size = 1e3 * extent * mesh_file.UNITS[unit]
+            return unit, f"by its size: the largest extent is {size:.4g} mm then"
+    raise MeshError(
+        "the unit cannot be told from the size", value=f"largest extent {extent:.4g}",
+        remedy="give --units",
+    )  # fmt: skip
+
+
+def _body(options: argparse.Namespace) -> Body:
+    """The body, opened where it has borders only. Raises MeshError."""
+    try:
+        return body_options.load(options.file, options)
+    except MeshError:
+        if options.open:
+            raise
+        options.open = True
+        return body_options.load(options.file, options)
+
+
+def _force(best: Reach) -> float:
+    """The contact force, N, rounded down to two digits."""
+    scale = 10.0 ** (math.floor(math.log10(best.force)) - 1)
+    return math.floor(best.force / scale + 1e-9) * scale
+
+
+def _urdf(options: argparse.Namespace) -> list[str]:
+    """The keys of a link of a URDF file."""
+    if options.link is None or body_options.is_mesh(options.file):
+        return []
+    lines = [f"link = {json.dumps(options.link)}"]
+    if options.folder:
+        lines.append(
+            f"folders = {json.dumps([str(folder.resolve()) for folder in options.folder])}"
+        )
+    if options.link_mesh:
+        lines.append(f"link_mesh = {json.dumps(options.link_mesh)}")
+    return lines
+
+
+def _patches(body: Body) -> list[str]:
+    """Comments on the region that the skin covers."""
+    lines = [
+        "# The taxels are those nearest to the centre of a region, by default the top; others:"
+    ]
+    names = sorted(body.patches)
+    lines += [f"# region = {{patch = {json.dumps(name)}}}" for name in names[:SHOWN]]
+    if len(names) > SHOWN:
+        lines.append(f"# and {len(names) - SHOWN} more patches: meshskin check")
+    return [*lines, "# region = {direction = [1, 0, 0], angle_deg = 40}"]
+
+
+SHOWN = 8
+"""Patches that a scene lists."""
+
+
+def log_map(file: Path, out: Path) -> tuple[str, str]:
+    """The text of a map of a log, and the command that reads the log by it. Raises ConfigError."""
+    from ..recording.log_map import LogMap
+    from ..recording.readers import read_and_suggest
+    from .log import first_map
+
+    log, could = read_and_suggest(file, progress=True)
+    first = first_map(could, [])
+    lines = [
+        f"# The map of {file.name}, proposed by `meshskin init`: what each of its streams is.",
+        "# Remove what is not used, and correct kind, unit and values.",
+        "",
+    ]
+    for stream in first.streams:
+        found = log[stream.topic]
+        others = [one.kind for one in could[stream.topic] if one.kind != stream.kind]
+        lines.append(
+            f"# {len(found)} samples at {found.rate:.4g} Hz, of type {found.type or 'unknown'}"
+        )
+        if others:
+            lines.append(f"# could also be: {', '.join(dict.fromkeys(others))}")
+        _, _, table = LogMap((stream,)).to_toml().partition("\n\n")
+        lines.append(table)
+    return "\n".join(lines), f"meshskin log {file} --map {out}"

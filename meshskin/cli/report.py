@@ -1,0 +1,130 @@
+"""`meshskin report FOLDER`: write the report page of a run or a calibration again.
+
+FOLDER is the one that `meshskin run` or `meshskin calibrate` wrote. Its calibration and metrics are
+read, nothing is estimated anew but, of a run, the other methods that the page compares. What the
+page needs besides is found by metrics.json, or by the options where it has moved.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..core.errors import CalibrationError, ConfigError, GraphError, MeshskinError
+from . import body_options
+from .progress_bar import bar
+
+if TYPE_CHECKING:
+    from ..core.progress import Progress
+    from ..recording.recording import Recording
+    from ..scene.scene import Scene
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder with the results")
+    parser.add_argument("--scene", help="name or file of the scene that was run")
+    parser.add_argument("--recording", type=Path, help="recorded log that was calibrated")
+    parser.add_argument("--body", type=Path, metavar="MESH", help="mesh of the body")
+    body_options.add(parser)
+    parser.add_argument("--quiet", action="store_true", help="print no progress bar and no summary")
+
+
+def command(options: argparse.Namespace) -> int:
+    """Write the page and say what of it could not be made again."""
+    from ..estimation.calibration import Calibration
+
+    folder = options.folder
+    found = Calibration.load(folder / "calibration")
+    metrics = _metrics(folder)
+    inputs: dict[str, Any] = metrics.get("inputs", {})
+    missing: list[str] = []
+
+    def attempt(what: str, make: Any) -> Any:
+        try:
+            return make()
+        except MeshskinError as error:
+            missing.append(f"{what}: {error}")
+            return None
+
+    scene = attempt("scene", lambda: _scene(options, inputs))
+    recording = attempt("recording", lambda: _recording(options, inputs))
+    body = scene.body if scene is not None else attempt("body", lambda: _body(options, inputs))
+    with bar(options.quiet) as progress:
+        truth: dict[str, Any] = {}
+        if scene is not None and "crlb_mm" in metrics:  # a run, whose true skin is the scene's
+            truth = {"truth": scene.skin}
+            if recording is not None:
+                truth |= _compared(scene, recording, int(inputs.get("seed", 0)), progress)
+        found.report(
+            folder / "report.html", body=body, recording=recording, metrics=metrics,
+            seconds=metrics.get("seconds"), progress=progress, **truth,
+        )  # fmt: skip
+    if not options.quiet:
+        for key, what in (("cross_validation", "held-out contacts"), ("budget", "error budget")):
+            if key in metrics:
+                missing.append(f"{what}: only in metrics.json")
+        print(f"{folder / 'report.html'}: written again")
+        for line in missing:
+            print(f"  left out         {line}")
+    return 0
+
+
+def _metrics(folder: Path) -> dict[str, Any]:
+    """The content of metrics.json. Raises ConfigError."""
+    file = folder / "metrics.json"
+    try:
+        return dict(json.loads(file.read_text(encoding="utf-8")))
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{file} cannot be read", value=str(error)) from error
+
+
+def _scene(options: argparse.Namespace, inputs: dict[str, Any]) -> Scene | None:
+    """The scene of the options, or else of the inputs; None: there was none."""
+    from ..scene.scene import Scene
+
+    name = options.scene or inputs.get("scene")
+    return None if name is None else Scene.load(name)
+
+
+def _recording(options: argparse.Namespace, inputs: dict[str, Any]) -> Recording:
+    """The recording of the options, of the folder, or of the inputs."""
+    from ..recording.recording import Recording
+    from ..recording.recording_files import part_path
+
+    own = options.folder / "recording"
+    if options.recording is None and part_path(own, "contacts").exists():
+        return Recording.load(own)
+    path = options.recording or inputs.get("recording")
+    if path is None:
+        raise ConfigError("it is not known which one was calibrated", remedy="give --recording")
+    return Recording.load(path)
+
+
+def _body(options: argparse.Namespace, inputs: dict[str, Any]) -> Any:
+    """The body of the options, or of the inputs."""
+    given = options
+    if options.body is None:
+        given = argparse.Namespace(**{name: inputs.get(name) for name in body_options.NAMES})
+        given.body, given.folder = inputs.get("body"), [Path(f) for f in inputs.get("folder") or ()]
+        if given.body is None:
+            raise ConfigError("it is not known which one it was", remedy="give --body or --scene")
+    return body_options.load(Path(given.body), given)
+
+
+def _compared(
+    scene: Scene, recording: Recording, seed: int, progress: Progress | None
+) -> dict[str, Any]:
+    """The calibrations of a run by the other methods, and its demonstration, made again."""
+    from ..estimation.calibrate import Estimation
+    from ..estimation.comparison import compare_methods
+    from ..estimation.demonstration import demonstrate
+
+    found = compare_methods(Estimation(recording, scene.belief()), progress).found
+    made: dict[str, Any] = {"comparisons": found}
+    with suppress(CalibrationError, GraphError):  # where taxels share too few contacts
+        made["demonstration"] = demonstrate(scene.skin.poses, scene.skin.ids, recording, seed)
+    return made

@@ -1,0 +1,126 @@
+"""`meshskin effects`, `init`, `report` and `scenes --show`, as a user meets them."""
+
+import json
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin import cli, effects
+from meshskin.cli import effects as command
+from meshskin.core.errors import ConfigError
+
+
+def test_every_effect_is_listed_and_can_be_switched_on_as_it_is_shown(capsys):
+    assert cli.main(["effects"]) == 0
+    listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert listed[: len(effects.NAMES)] == list(effects.NAMES)
+    defaults = {effect.name: effect for effect in effects.registered()}
+    for name in effects.NAMES:
+        lines = "\n".join(command.details(effects.find(name)))
+        table = lines[lines.index("[[effects]]") :].replace("...  # required", "0.01")
+        (given,) = tomllib.loads(table)["effects"]
+        made = effects.from_table(given)
+        if name in defaults:
+            assert made == defaults[name]
+        assert isinstance(made, effects.find(name))
+
+
+def test_an_effect_is_described(capsys):
+    assert cli.main(["effects", "encoder"]) == 0
+    printed = capsys.readouterr().out
+    for text in ("q <- q + b + n", "offset_spread : float, rad", "stage     robot"):
+        assert text in printed
+    assert cli.main(["effects", "encoders"]) == 2
+    assert "did you mean encoder" in capsys.readouterr().err
+
+
+def test_a_scene_file_is_shown(capsys):
+    assert cli.main(["scenes", "--show", "sphere_noisy"]) == 0
+    assert tomllib.loads(capsys.readouterr().out)["extends"] == "sphere"
+
+
+@pytest.fixture
+def mesh(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    handle = ms.Body.capsule(0.03, 0.1, faces=1500).mesh.copy()
+    handle.apply_scale(1e3)
+    handle.export("handle.stl")
+    return handle
+
+
+def test_init_writes_a_scene_that_loads(mesh, tmp_path, capsys):
+    assert cli.main(["init", "handle.stl"]) == 0
+    assert "meshskin run handle.toml" in capsys.readouterr().out
+    scene = ms.Scene.load("handle.toml")
+    np.testing.assert_allclose(scene.body.mesh.extents, [0.06, 0.06, 0.16], rtol=0.02)
+    assert len(scene.skin) == 80
+    text = (tmp_path / "handle.toml").read_text()
+    assert 'units = "mm"  # by its size' in text
+    assert "10 mm reaches" in text
+    assert cli.main(["init", "handle.stl"]) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_init_opens_a_mesh_with_borders_and_refuses_a_strange_size(mesh, capsys):
+    opened = mesh.copy()
+    opened.update_faces(np.arange(len(mesh.faces)) > 3)
+    opened.export("open.stl")
+    assert cli.main(["init", "open.stl", "--out", "here.toml"]) == 0
+    assert ms.Scene.load("here.toml").body.name == "open"
+    opened.apply_scale(1e5)
+    opened.export("vast.stl")
+    assert cli.main(["init", "vast.stl"]) == 2
+    assert "give --units" in capsys.readouterr().err
+    assert cli.main(["init", "no.stl"]) == 2
+
+
+def test_init_writes_the_map_of_a_log(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    time = 0.01 * np.arange(300)
+    columns = {"time": time, "joint_1": np.sin(time), "skin_0": 200 + np.cos(9 * time)}
+    table = np.column_stack(list(columns.values()))
+    np.savetxt("run.csv", table, "%.6f", ",", header=",".join(columns), comments="")
+    assert cli.main(["init", "run.csv"]) == 0
+    text = (tmp_path / "run_map.toml").read_text()
+    assert "300 samples at 100 Hz" in text
+    assert ms.LogMap.load("run_map.toml").streams
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, sphere, recording):
+    """What `meshskin run sphere` leaves that the page is made from."""
+    out = tmp_path_factory.mktemp("run")
+    recording.save(out / "recording")
+    ms.calibrate(recording, sphere.belief(), "centroid").save(out / "calibration")
+    metrics = {"scene": "sphere", "inputs": {"scene": "sphere", "seed": 1}, "taxels": 80}
+    (out / "metrics.json").write_text(json.dumps(metrics))
+    return out
+
+
+def test_a_report_is_written_again(folder, capsys, monkeypatch):
+    assert cli.main(["report", str(folder), "--quiet"]) == 0
+    page = (folder / "report.html").read_text()
+    assert "3D view" in page
+    assert capsys.readouterr().out == ""
+    given = {}
+    monkeypatch.setattr(ms.Calibration, "report", lambda self, path, **rest: given.update(rest))
+    metrics = json.loads((folder / "metrics.json").read_text())
+    (folder / "metrics.json").write_text(json.dumps(metrics | {"inputs": {"scene": "gone.toml"}}))
+    assert cli.main(["report", str(folder)]) == 0
+    assert "left out         scene: no such scene file" in capsys.readouterr().out
+    assert given["body"] is None
+    assert given["recording"] is not None
+    assert cli.main(["report", str(folder / "figures")]) == 2
+
+
+def test_left_out_taxels_are_a_warning_in_python(sphere, recording):
+    belief = sphere.belief(taxel_ids=[*sphere.skin.ids, 500, 501])
+    with pytest.warns(ms.LeftOutWarning, match=r"2 of 82 taxels are not calibrated \(2: never"):
+        found = ms.calibrate(recording, belief, "centroid")
+    assert found.reasons_left_out == ["never touched"] * 2
+    with pytest.raises(ms.MeshskinError) as refused:
+        replace(found, poses=np.full_like(found.poses, np.nan)).skin  # noqa: B018
+    assert not isinstance(refused.value, ConfigError)
