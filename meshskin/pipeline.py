@@ -76,13 +76,15 @@ def run(
     progress: Progress | None = None,
     request: Request | None = None,
     budget: float | None = None,
+    watch: Callable[[Scene, Recording, Calibration], None] | None = None,
 ) -> Result:
     """Simulate, calibrate and report a scene; write all files into `folder`.
 
     name: shipped scene or TOML file; request: an accuracy or a time, for which a pilot run chooses
     the settings (the metrics hold its prediction); budget: taxel error, m, that may be neglected,
-    in place of the scene's own: `ms.budget` then chooses the effects. Raises a MeshskinError that
-    names the value, the limit and the remedy.
+    in place of the scene's own: `ms.budget` then chooses the effects; watch: called once the
+    recording is calibrated; its time counts for no stage. Raises a MeshskinError that names the
+    value, the limit and the remedy.
     """
     from .exploration.plan import plan_exploration
     from .study.sensitivity.budget import budget as apply_budget
@@ -119,6 +121,10 @@ def run(
         estimation = Estimation(recording, belief)
         calibration = estimation.calibrate(tolerance=tolerance, progress=progress)
         calibration.save(folder / "calibration")
+    if watch is not None:
+        watched = Stage(progress, "live")
+        watch(scene, recording, calibration)
+        watched.end()
     with timer.stage("compare"):
         comparison = compare_methods(estimation, progress)
         demonstration = None

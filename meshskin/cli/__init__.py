@@ -25,6 +25,7 @@ from . import (
     effects,
     init,
     lint,
+    live,
     log,
     recalibrate,
     report,
@@ -34,7 +35,8 @@ from . import (
 )
 
 COMMANDS = (
-    run, calibrate, recalibrate, report, init, log, scenes, effects, cost, study, check, lint, diff
+    run, calibrate, recalibrate, live, report, init, log, scenes, effects, cost, study, check, lint,
+    diff,
 )  # fmt: skip
 BAD_INPUT = 2
 """Exit code for input that meshskin refuses."""

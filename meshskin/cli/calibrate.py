@@ -82,7 +82,7 @@ def _calibrated(options: argparse.Namespace, progress: Progress | None) -> tuple
 
     export = Export.of(options)
     clock = perf_counter()
-    given = _recorded(options) if options.map is None else from_log(options, progress)
+    given = recorded(options) if options.map is None else from_log(options, progress)
     recording, belief = given.recording, given.belief
     check_folder(options.out)
     limit = {} if options.iterations is None else {"iterations": options.iterations}
@@ -116,7 +116,7 @@ def _calibrated(options: argparse.Namespace, progress: Progress | None) -> tuple
     return found, "\n".join([summary(found, metrics, options.out), *exported, *given.lines])
 
 
-def _recorded(options: argparse.Namespace) -> FromLog:
+def recorded(options: argparse.Namespace) -> FromLog:
     """The recording in two tables, and the belief about it."""
     from ..recording.recording import Recording
 

@@ -66,6 +66,8 @@ class FromLog:
     """The calibration, where contacts follow from joint angles."""
     robot: Robot | None = None
     """The robot with the estimated offsets of its joints, likewise."""
+    log: SkinLog | None = None
+    """The log on one clock, of --map."""
 
 
 def from_log(options: argparse.Namespace, progress: Progress | None = None) -> FromLog:
@@ -85,9 +87,11 @@ def from_log(options: argparse.Namespace, progress: Progress | None = None) -> F
     frames = log_frames(log, log_map)
     belief, lines = belief_of(options, frames.skin_log.taxel_ids), list(summary(frames, log))
     if options.indenter_mm is None:
-        return FromLog(recording_from_log(log, log_map, frames), belief, lines)
+        recording = recording_from_log(log, log_map, frames)
+        return FromLog(recording, belief, lines, log=frames.skin_log)
     found, robot = _calibrate_joints(options, frames.skin_log, belief, progress)
-    return FromLog(found.recording, belief, lines + _lines(found), found.calibration, robot)
+    lines += _lines(found)
+    return FromLog(found.recording, belief, lines, found.calibration, robot, frames.skin_log)
 
 
 def _check(options: argparse.Namespace) -> None:

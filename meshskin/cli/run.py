@@ -8,11 +8,20 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..core.errors import ConfigError
+from . import live
 from .calibrate import certainty, response_lines
 from .progress_bar import bar
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from ..estimation.calibration import Calibration
     from ..pipeline import Result
+    from ..recording.recording import Recording
+    from ..scene.scene import Scene
+
+    Watch = Callable[[Scene, Recording, Calibration], None]
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -34,10 +43,31 @@ def add(parser: argparse.ArgumentParser) -> None:
     ):
         request.add_argument(name, type=float, metavar=metavar, help=words)
     parser.add_argument("--quiet", action="store_true", help="print no progress bar and no summary")
+    page = parser.add_argument_group("a page in the browser")
+    page.add_argument(
+        "--live", action="store_true", help="show the exploration as it is calibrated online; the "
+        "results follow when the replay is over",
+    )  # fmt: skip
+    live.add_page(page)
 
 
 def command(options: argparse.Namespace) -> int:
     """Run the scene and print the summary."""
+    if not options.live:
+        return _run(options)
+    if options.seconds is not None:
+        raise ConfigError(
+            "the replay of a live view has its own time", value="--live together with --seconds",
+            remedy="leave one of them out",
+        )  # fmt: skip
+    with live.LiveView(options) as view:
+        code = _run(options, view.watch)
+        view.finish(f"the results are in {options.out / 'report.html'}")
+    return code
+
+
+def _run(options: argparse.Namespace, watch: Watch | None = None) -> int:
+    """Run the scene and print the summary; watch: as of `pipeline.run`."""
     from ..pipeline import run
     from ..study.sensitivity.request import Request
 
@@ -52,6 +82,7 @@ def command(options: argparse.Namespace) -> int:
             progress=progress,
             budget=None if options.budget_mm is None else 1e-3 * options.budget_mm,
             request=request,
+            watch=watch,
         )
     if not options.quiet:
         if result.budget is not None:

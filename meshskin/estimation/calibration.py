@@ -19,7 +19,7 @@ from ..core.value import Value
 from ..skin.files.table import DISC_RADIUS
 from ..skin.skin import Skin
 from . import calibration_file
-from .data.global_parameters import LOGARITHMS
+from .data.global_parameters import natural_units
 from .result import LearnedResponse
 from .uncertainty.goodness_of_fit import GoodnessOfFit
 from .uncertainty.verdict import Verdict
@@ -34,11 +34,6 @@ if TYPE_CHECKING:
     from ..scene.belief import Belief
     from .cross_validation import CrossValidation
     from .next_contact import NextContacts
-
-UNITS = {"force_offset": "N", "joint_offset": "rad", "clock_offset": "s"} | dict.fromkeys(
-    ("exponents", "compression", "force_scatter", "hysteresis", "crosstalk"), ""
-)
-"""Units of global parameters that are neither lengths nor angles nor logarithms."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,18 +228,7 @@ class Calibration(Value, Card, Tabular):
 
         The modulus is E* in Pa; a force scale is the factor of the true to the measured force.
         """
-        out = {}
-        for label, (value, sigma) in self.unknowns.items():
-            name = label.split()[0]
-            if label == "modulus" and self.modulus is not None:
-                total = self.modulus_sigma or self.modulus * sigma
-                out[label] = self.modulus, total, "Pa"
-            elif name in LOGARITHMS or label == "hysteresis width":
-                out[label] = float(np.exp(value)), float(np.exp(value)) * sigma, ""
-            else:
-                unit = UNITS.get(name, "rad" if "rotation" in label else "m")
-                out[label] = value, sigma, unit
-        return out
+        return natural_units(self.unknowns, self.modulus, self.modulus_sigma)
 
     def save(self, path: str | Path) -> None:
         """Write path.parquet, which `load` reads, and path.csv, a table for people (mm)."""

@@ -72,6 +72,10 @@ LEARNED_ONLY = (*LEARNED[1:], *ELECTRONICS, "drift")
 """Parameters that a learned response estimates of itself, and a contact model does not have."""
 LOGARITHMS = ("modulus", "force_scale", "scale", "gain", "mesh_scale")
 """Parameters, also of a contact motion, that are natural logarithms of a factor."""
+UNITS = {"force_offset": "N", "joint_offset": "rad", "clock_offset": "s"} | dict.fromkeys(
+    ("exponents", "compression", "force_scatter", "hysteresis", "crosstalk"), ""
+)
+"""Units of global parameters that are neither lengths nor angles nor logarithms."""
 
 
 @dataclass(frozen=True)
@@ -223,3 +227,26 @@ def declared_parameters(
 
 MODULUS = GlobalParameters(("modulus",), np.ones(1))
 """The default: E* is the only global parameter."""
+
+
+def natural_units(
+    unknowns: Mapping[str, tuple[float, float]],
+    modulus: float | None,
+    modulus_sigma: float | None = None,
+) -> dict[str, tuple[float, float, str]]:
+    """Value, standard deviation and unit of each of `Calibration.unknowns` in natural units.
+
+    modulus: the estimated E*, Pa; modulus_sigma: its standard deviation, where it is wider than by
+    the readings.
+    """
+    out = {}
+    for label, (value, sigma) in unknowns.items():
+        name = label.split()[0]
+        if label == "modulus" and modulus is not None:
+            out[label] = modulus, modulus_sigma or modulus * sigma, "Pa"
+        elif name in LOGARITHMS or label == "hysteresis width":
+            out[label] = float(np.exp(value)), float(np.exp(value)) * sigma, ""
+        else:
+            unit = UNITS.get(name, "rad" if "rotation" in label else "m")
+            out[label] = value, sigma, unit
+    return out

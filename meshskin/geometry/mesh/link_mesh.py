@@ -38,7 +38,7 @@ def read(
     where = f" of link {link!r} in {urdf.name}"
     every = [*folders, *urdf.resolve().parents[:-1]]
     shapes = links[link].findall(kind)
-    found = [_placed(s, every, where) for s in shapes if s.find("geometry/mesh") is not None]
+    found = [placed(s, every, where) for s in shapes if s.find("geometry/mesh") is not None]
     if not found:
         kinds = [e.tag for shape in shapes for e in shape.findall("geometry/*")]
         raise MeshError(
@@ -49,8 +49,11 @@ def read(
     return Triangles.joined(found)
 
 
-def _placed(shape: ET.Element, folders: Iterable[str | Path], where: str) -> Triangles:
-    """The triangles, m, link frame, of a shape that is a mesh. Raises MeshError."""
+def placed(shape: ET.Element, folders: Iterable[str | Path], where: str) -> Triangles:
+    """The triangles, m, link frame, of a shape that is a mesh. Raises MeshError.
+
+    where: appended to messages.
+    """
     mesh, origin = shape.find("geometry/mesh"), shape.find("origin")
     assert mesh is not None
     scale = _numbers(mesh, "scale", "1 1 1", where)

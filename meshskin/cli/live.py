@@ -1,0 +1,222 @@
+"""`meshskin live LOG`: show a recording in the browser while it is calibrated online.
+
+LOG and what is known of the robot are given as to `meshskin calibrate`; nothing is written. The
+replay begins when a browser shows the page, and the command ends when the replay is over and the
+page is closed. Where the noise of the readings is not known (--noise-kpa, or that of --scene), the
+recording is calibrated as a whole first.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+import webbrowser
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from ..core.arguments import check_real
+from ..core.errors import CalibrationError, ConfigError
+from . import belief_options, log_options
+from .calibrate import recorded
+
+if TYPE_CHECKING:
+    from ..estimation.calibration import Calibration
+    from ..estimation.online.online_calibration import OnlineCalibration
+    from ..recording.recording import Recording
+    from ..report.live.page import LivePage
+    from ..report.live.stage import Stage
+    from ..scene.belief import Belief
+    from ..scene.scene import Scene
+
+HOST, PORT = "127.0.0.1", 8080
+"""Where the page is served by default: to this machine alone, as it asks for no password; the port
+is viser's own default."""
+AWAY = 5.0
+"""Time without a browser, s, after which the page counts as closed; a reload takes less."""
+LOOK = 0.2
+"""Time between two looks for a browser, s."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument("recording", type=Path, metavar="LOG", help="recorded log, see above")
+    add_page(parser.add_argument_group("the page"))
+    belief_options.add(parser)
+    log_options.add(parser)
+    parser.set_defaults(method="joint", export=None)  # which the options above look at
+
+
+def add_page(group: argparse._ArgumentGroup) -> None:
+    """Add the options of the page."""
+    group.add_argument(
+        "--speed", type=float, default=1.0, metavar="X", help="times real time (default 1)"
+    )
+    group.add_argument(
+        "--target-mm", type=float, default=0.1, metavar="MM", help="standard deviation of a "
+        'taxel\'s position at which the verdict is "done" (default 0.1)',
+    )  # fmt: skip
+    group.add_argument(
+        "--host", default=HOST, help=f"address that the page is served at (default {HOST}: to this "
+        "machine only; there is no password)",
+    )  # fmt: skip
+    group.add_argument(
+        "--port", type=int, default=PORT, help=f"port (default {PORT}; 0: any free one)"
+    )
+    group.add_argument("--no-browser", action="store_true", help="open no browser")
+
+
+def command(options: argparse.Namespace) -> int:
+    """Show the recording."""
+    if options.raw:
+        raise ConfigError(
+            "raw readings cannot be calibrated online", value="--raw", remedy="meshskin calibrate"
+        )
+    with LiveView(options) as view:
+        stage, found = _recorded(options) if options.map is None else _of_log(options)
+        view.play(stage, found)
+        view.finish("the replay is over; nothing was written")
+    return 0
+
+
+def _recorded(options: argparse.Namespace) -> tuple[Stage, Calibration | None]:
+    """A recording in two tables, with the robot of --scene."""
+    from ..report.live.stage import Stage
+    from ..scene.scene import Scene
+
+    given = recorded(options)
+    if options.scene is None:
+        return Stage.of_recording(given.recording, given.belief), None
+    return Stage.of_scene(given.recording, Scene.load(options.scene), given.belief), None
+
+
+def _of_log(options: argparse.Namespace) -> tuple[Stage, Calibration | None]:
+    """A robot's own log; with its robot where contacts follow from joint angles, which are then
+    those of a calibration of the whole log.
+    """
+    from ..report.live.stage import Stage
+
+    given = log_options.from_log(options)
+    print("\n".join(given.lines))
+    if given.found is None or given.robot is None or given.log is None:
+        return Stage.of_recording(given.recording, given.belief), None
+    belief = given.found.belief or given.belief
+    stage = Stage.of_log(given.recording, belief, given.robot, options.link, given.log)
+    return stage, given.found
+
+
+class LiveView:
+    """The page of a command, from when there is something to show until it is closed."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        """Raises ConfigError without viser, for a port that is not free or a bad speed."""
+        from ..report.live.page import check_port, import_viser
+        from ..report.live.panel import SPEEDS
+
+        import_viser()
+        check_port(options.host, options.port)
+        check_real("--speed", options.speed, least=SPEEDS[0], most=SPEEDS[1])
+        check_real("--target-mm", options.target_mm, "mm", above=0.0)
+        self.options = options
+        self.page: LivePage | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self.page is not None:
+            self.page.close()
+
+    def play(self, stage: Stage, found: Calibration | None) -> None:
+        """Open the page, and show the recording while it is calibrated online.
+
+        found: a calibration of the whole recording, if there is one; only its estimate of the noise
+        is used.
+        """
+        from ..report.live.page import LivePage
+        from ..report.live.replay import replay
+
+        online = self._online(stage, found)
+        self.page = page = LivePage(stage, self.options.host, self.options.port, self.options.speed)
+        print(f"live page: {page.address} (the replay begins when a browser shows it)", flush=True)
+        self._open(page.address)
+        while not page.viewers:
+            time.sleep(LOOK)
+        for snapshot in replay(stage.recording, online, page.panel):
+            page.show(snapshot)
+        print(f"live page: {online.status}", flush=True)
+
+    def watch(self, scene: Scene, recording: Recording, found: Calibration) -> None:
+        """Show the recording of a scene, as `pipeline.run` calls it."""
+        from ..report.live.stage import Stage
+
+        belief = scene.belief() if found.belief is None else found.belief
+        self.play(Stage.of_scene(recording, scene, belief), found)
+
+    def finish(self, words: str) -> None:
+        """Say how it ended, and wait until the page is closed."""
+        if self.page is None:
+            return
+        self.page.panel.finish(words)
+        print("live page: close it to end", flush=True)
+        away = 0.0
+        while away < AWAY:
+            time.sleep(LOOK)
+            away = 0.0 if self.page.viewers else away + LOOK
+
+    def _online(self, stage: Stage, found: Calibration | None) -> OnlineCalibration:
+        """The online calibration of a stage. Raises CalibrationError."""
+        from ..estimation.online.online_calibration import OnlineCalibration
+
+        belief, recording = _estimable(stage.belief), stage.recording
+        if belief.noise_sigma is None:
+            noise = _noise(recording, belief, found)
+            print(f"live page: noise of a reading {noise:.3g} Pa, by the whole recording")
+            belief = replace(belief, noise_sigma=noise)
+        left_out = [int(k) for k in recording.metadata.get("unreachable", ())]
+        return OnlineCalibration(
+            belief, target_sigma=1e-3 * self.options.target_mm, unreachable=left_out
+        )
+
+    def _open(self, address: str) -> None:
+        """Open a browser, unless there is none or none is wanted."""
+        if self.options.no_browser:
+            return
+        if not _has_display() or not webbrowser.open(address):
+            print("meshskin: no browser could be opened; open the page yourself", file=sys.stderr)
+
+
+def _estimable(belief: Belief) -> Belief:
+    """The belief without what an online calibration does not estimate; says so."""
+    if belief.module_slots is not None:
+        print("live page: rigid modules are not estimated online: their taxels are, one by one")
+    if belief.contact_motion is not None:
+        print("live page: unknowns of the robot are not estimated online: they are as calibrated")
+    return replace(belief, module_slots=None, contact_motion=None)
+
+
+def _noise(recording: Recording, belief: Belief, found: Calibration | None) -> float:
+    """The noise of a reading, Pa, by a calibration of the whole recording."""
+    from ..estimation.calibrate import calibrate
+
+    found = found or calibrate(recording, belief)
+    if found.fit is None or not found.fit.noise > 0:
+        raise CalibrationError(
+            "the recording does not show the noise of its readings", remedy="give --noise-kpa"
+        )
+    return found.fit.noise
+
+
+def _has_display() -> bool:
+    """Whether a browser would have a window; without one a text browser would take the terminal."""
+    return sys.platform in ("win32", "darwin") or bool(
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    )

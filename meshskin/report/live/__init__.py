@@ -1,0 +1,1 @@
+"""The live page: an exploration in the browser while it is calibrated online."""

@@ -1,0 +1,137 @@
+"""A recording as it would come in: contacts in their time are calibrated online and shown."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from ...core.arrays import Array
+from ...core.errors import RecordingError
+from ...estimation.online.frames import ContactFrames
+
+if TYPE_CHECKING:
+    from ...estimation.online.online_calibration import OnlineCalibration
+    from ...estimation.online.status import OnlineStatus
+    from ...recording.recording import Recording
+
+REFRESH = 1.0 / 15.0
+"""Time between two pictures, s: motion looks continuous, and a core has time to calibrate."""
+MOST_FRAMES = 32
+"""Most frames of an update: where the calibration cannot keep up, the replay slows down, and the
+page goes on moving."""
+LONGEST_PAUSE = 0.5
+"""Longest time without contact that is replayed, s; longer ones are cut."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The state of an online calibration after the contacts up to `row`."""
+
+    row: int
+    """Row of the last contact in the recording."""
+    time: float
+    """Its time after the first contact, s."""
+    positions: Array
+    """Estimates (n, 3), body frame, m, not determined ones, too; NaN where there is none."""
+    covariances: Array
+    """(n, 3, 3), body frame, m^2; NaN where a taxel is not determined."""
+    status: OnlineStatus
+    """What the online calibration says of itself."""
+
+    @classmethod
+    def of(cls, online: OnlineCalibration, status: OnlineStatus, row: int, time: float) -> Snapshot:
+        """The present estimates of an online calibration."""
+        turn, local = online.poses[:, :3, :3], online.covariances[:, :3, :3]
+        known = np.isfinite(turn).all(axis=(1, 2)) & np.isfinite(local).all(axis=(1, 2))
+        covariances = np.full_like(local, np.nan)
+        covariances[known] = turn[known] @ local[known] @ np.swapaxes(turn[known], 1, 2)
+        return cls(row, time, online.provisional, covariances, status)
+
+    @property
+    def next_point(self) -> Array | None:
+        """Where to touch next (3,), body frame, m; None where it is not known."""
+        touch = self.status.next_touch
+        return None if touch is None else np.asarray(touch.point)
+
+
+class Controls(Protocol):
+    """What the viewer chooses while it runs."""
+
+    @property
+    def speed(self) -> float:
+        """Seconds of the recording per second."""
+
+    @property
+    def paused(self) -> bool:
+        """Whether the replay is held."""
+
+
+class Frames:
+    """The contacts of a recording, with dense readings a few at a time."""
+
+    def __init__(self, recording: Recording, ids: np.ndarray) -> None:
+        """ids (n,): of the taxels. Raises RecordingError if one that was read is not among them."""
+        unknown = np.setdiff1d(recording.reading_taxel, ids)
+        if len(unknown):
+            raise RecordingError(
+                "the recording has taxels that the belief does not know",
+                value=f"ids {unknown[:5].tolist()}",
+                remedy="use the skin that was recorded",
+            )
+        order, by_id = np.argsort(recording.reading_contact, kind="stable"), np.argsort(ids)
+        self._contact = recording.reading_contact[order]
+        self._taxel = by_id[np.searchsorted(ids, recording.reading_taxel[order], sorter=by_id)]
+        self._pressure = recording.pressure[order]
+        self._count = len(ids)
+        self._recording = recording
+
+    def part(self, begin: int, end: int) -> tuple[ContactFrames, Array]:
+        """Contacts `begin` to `end`, and their readings (end - begin, n), Pa, 0 where silent."""
+        first, last = np.searchsorted(self._contact, (begin, end))
+        readings = np.zeros((end - begin, self._count))
+        rows = slice(first, last)
+        readings[self._contact[rows] - begin, self._taxel[rows]] = self._pressure[rows]
+        given, mine = self._recording, slice(begin, end)
+        headings = None if given.headings is None else given.headings[mine]
+        contacts = ContactFrames(given.points[mine], given.force[mine], headings, given.time[mine])
+        return contacts, readings
+
+
+def replay_times(recording: Recording) -> Array:
+    """Times (m,), s, at which the contacts are shown at speed 1: without long pauses, from 0."""
+    steps = np.diff(recording.time, prepend=recording.time[:1])
+    return np.cumsum(np.minimum(steps, LONGEST_PAUSE))
+
+
+def replay(
+    recording: Recording,
+    online: OnlineCalibration,
+    controls: Controls,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+) -> Iterator[Snapshot]:
+    """Feed the contacts to `online` at the controls' speed; yield a snapshot after each update.
+
+    Every REFRESH the contacts that are due, at most MOST_FRAMES, go in as one update. After
+    the last one, what waits for being estimated anew is.
+    """
+    frames = Frames(recording, online.ids)
+    due, done, now = replay_times(recording), 0, 0.0
+    before = clock()
+    while done < len(due):
+        sleep(max(REFRESH - (clock() - before), 0.0))
+        now += 0.0 if controls.paused else controls.speed * (clock() - before)
+        before = clock()
+        end = min(int(np.searchsorted(due, now, side="right")), done + MOST_FRAMES)
+        if end > done:
+            now = min(now, due[end - 1] + REFRESH * controls.speed)
+            status = online.update(*frames.part(done, end))
+            done = end
+            yield Snapshot.of(online, status, end - 1, recording.time[end - 1] - recording.time[0])
+    if done:
+        elapsed = recording.time[-1] - recording.time[0]
+        yield Snapshot.of(online, online.settle(), done - 1, elapsed)

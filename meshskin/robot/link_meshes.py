@@ -1,0 +1,122 @@
+"""Meshes of a robot's links for pictures, and where the links are at given joint angles.
+
+A link is drawn by its visual shapes, or by its collision shapes where no visual one can be read; a
+link without either is a rod from its frame to each joint that it carries.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..core.arrays import Array
+from ..core.errors import MeshError
+from ..core.se3 import shortest_rotation, transform, transform_points
+from ..geometry.mesh import link_mesh
+from ..geometry.mesh.triangles import Triangles
+from .urdf import UrdfTree, rotation, vector
+
+if TYPE_CHECKING:
+    from .robot import Robot
+
+ROD_RADIUS = 0.02
+"""Radius of the rods of a link without shapes, m: slimmer than most links, so that it is not taken
+for a measured shape. Chosen."""
+JOINT_RADIUS = 1.5 * ROD_RADIUS
+"""Radius of the balls at the ends of rods, m. Chosen."""
+MIN_ROD = 1e-3
+"""Length up to which a rod is not drawn, m: joints of a wrist share one point. Chosen."""
+
+
+def link_meshes(tree: UrdfTree, folders: Iterable[str | Path] = ()) -> dict[str, Triangles]:
+    """The triangles, m, of each link in its own frame; a link with nothing to draw is left out.
+
+    folders: searched for the files of the meshes.
+    """
+    where = list(folders)
+    found = {name: _shapes(link, where) or _rods(tree, name) for name, link in tree.links.items()}
+    return {name: Triangles.joined(parts) for name, parts in found.items() if parts}
+
+
+def link_poses(robot: Robot, angles: Mapping[str, Array]) -> dict[str, Array]:
+    """Poses (n, 4, 4), m, of each link in the frame of the root link.
+
+    angles: positions (n,), rad or m, by the name of the joint; the others are at zero.
+    """
+    count = max((len(a) for a in angles.values()), default=1)
+    poses = {}
+    for link in robot.links:
+        chain = robot.chain(robot.root, link)
+        columns = [angles.get(name, np.zeros(count)) for name in chain.joint_names]
+        poses[link] = chain.poses(np.stack(columns, axis=1) if columns else np.zeros((count, 0)))
+    return poses
+
+
+def _shapes(link: ET.Element, folders: list[str | Path]) -> list[Triangles]:
+    """The triangles of a link's visual shapes; of its collision shapes if none can be read."""
+    for kind in link_mesh.KINDS:
+        found = []
+        for shape in link.findall(kind):
+            try:
+                found += _placed(shape, folders)
+            except MeshError:  # a picture does without a mesh that is missing
+                continue
+        if found:
+            return found
+    return []
+
+
+def _placed(shape: ET.Element, folders: list[str | Path]) -> list[Triangles]:
+    """The triangles of one shape, in the frame of its link. Raises MeshError."""
+    from trimesh import creation
+
+    if shape.find("geometry/mesh") is not None:
+        return [link_mesh.placed(shape, folders, " of a link")]
+    origin = shape.find("origin")
+    pose = transform(rotation(_numbers(origin, "rpy")), _numbers(origin, "xyz"))
+    box, cylinder, sphere = (shape.find(f"geometry/{k}") for k in ("box", "cylinder", "sphere"))
+    if box is not None:
+        made = creation.box(extents=_numbers(box, "size"))
+    elif cylinder is not None:
+        radius, length = (_numbers(cylinder, k, "0")[0] for k in ("radius", "length"))
+        made = creation.cylinder(radius=radius, height=length, sections=32)
+    elif sphere is not None:
+        made = creation.icosphere(subdivisions=2, radius=_numbers(sphere, "radius", "0")[0])
+    else:
+        return []
+    return [Triangles(transform_points(pose, made.vertices), np.asarray(made.faces))]
+
+
+def _numbers(element: ET.Element | None, key: str, default: str = "0 0 0") -> Array:
+    """The numbers of an attribute of a shape. Raises ArmError."""
+    return vector(element, key, default, len(default.split()), " of a link's shape")
+
+
+def rod(end: Array) -> Triangles:
+    """A rod from the origin to `end` (3,), m."""
+    from trimesh import creation
+
+    length = float(np.linalg.norm(end))
+    made = creation.cylinder(radius=ROD_RADIUS, height=length, sections=24)
+    turn = shortest_rotation([0.0, 0.0, 1.0], end / length)
+    return Triangles(
+        transform_points(transform(turn, end / 2), made.vertices), np.asarray(made.faces)
+    )
+
+
+def _rods(tree: UrdfTree, name: str) -> list[Triangles]:
+    """A ball and a rod from the link's frame to each joint that it carries."""
+    from trimesh import creation
+
+    parts = []
+    for joint in tree.joints:
+        if joint.parent == name:
+            ball = creation.icosphere(subdivisions=2, radius=JOINT_RADIUS)
+            parts.append(Triangles(ball.vertices + joint.xyz, np.asarray(ball.faces)))
+            if np.linalg.norm(joint.xyz) > MIN_ROD:
+                parts.append(rod(joint.xyz))
+    return parts

@@ -1,0 +1,168 @@
+"""Nodes of the live page's 3D view, its panel, and how it starts; without a browser."""
+
+import socket
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from meshskin.core.errors import ConfigError
+from meshskin.report.live import drawing as module
+from meshskin.report.live import marks
+from meshskin.report.live.page import LivePage, check_port, import_viser
+from meshskin.report.live.panel import rows_of
+from meshskin.report.live.stage import Stage
+
+from .conftest import status
+
+pytest.importorskip("viser", reason='no viser: pip install "meshskin[live]"')
+
+
+@pytest.fixture(scope="module")
+def page(stage):
+    with LivePage(stage, "127.0.0.1", 0, 2.0) as page:
+        yield page
+
+
+def pose(node) -> np.ndarray:
+    """Pose (4, 4) of a node."""
+    from scipy.spatial.transform import Rotation
+
+    out = np.eye(4)
+    out[:3, :3] = Rotation.from_quat(np.roll(node.wxyz, -1)).as_matrix()
+    out[:3, 3] = node.position
+    return out
+
+
+def test_everything_has_a_node(page, stage):
+    marks = ("mesh", "taxels", "sigma", "truth", "indenter", "indenter/support", "patch", "next")
+    assert {f"/body/{name}" for name in marks} <= set(page.drawing.nodes)
+    assert {f"/world/robot/{link}" for link in stage.carrier.links} <= set(page.drawing.nodes)
+
+
+def test_a_stage_without_robot_and_truth_has_none_of_theirs(noisy, touched):
+    bare = Stage.of_recording(replace(touched, motion=None), noisy.belief())
+    with LivePage(bare, "127.0.0.1", 0, 1.0) as page:
+        names = set(page.drawing.nodes)
+        assert not page.panel.view.visible
+    assert "/body/truth" not in names
+    assert "/body/indenter/support" not in names
+    assert not any(name.startswith("/world/robot") for name in names)
+
+
+def test_taxels_have_the_place_the_size_and_the_color_of_their_estimate(page, noisy, snapshot):
+    page.show(snapshot)
+    taxels = page.drawing.nodes["/body/taxels"]
+    moved = np.linalg.norm(taxels.batched_positions[2:] - snapshot.positions[2:], axis=1)
+    np.testing.assert_allclose(moved, module.LIFT, atol=1e-7)
+    np.testing.assert_allclose(taxels.batched_scales[2:], noisy.skin.disc_radius, rtol=1e-6)
+    sigma = np.sqrt(2) * 2e-5
+    expected = marks.linear(marks.sigma_colors(np.full(78, sigma)))
+    np.testing.assert_array_equal(taxels.batched_colors[2:], expected)
+
+
+def test_a_weak_taxel_is_gray_and_an_unseen_one_is_hidden(page, noisy, snapshot):
+    page.show(snapshot)
+    taxels, sigma = (page.drawing.nodes[f"/body/{name}"] for name in ("taxels", "sigma"))
+    assert taxels.batched_colors[0].tolist() == marks.linear(marks.UNSEEN).tolist()
+    assert taxels.batched_scales[0, 0] == pytest.approx(noisy.skin.disc_radius)
+    assert taxels.batched_scales[1].tolist() == pytest.approx([module.HIDDEN] * 3)
+    assert sigma.batched_scales[:2].max() == pytest.approx(module.HIDDEN)
+
+
+def test_ellipsoids_shrink_with_sigma(page, snapshot):
+    sizes = []
+    for factor in (1.0, 0.25):
+        page.show(replace(snapshot, covariances=factor * snapshot.covariances))
+        sizes.append(np.array(page.drawing.nodes["/body/sigma"].batched_scales[2:, 2]))
+    np.testing.assert_allclose(sizes[0], marks.MAGNIFIED * 2e-5, rtol=1e-4)
+    np.testing.assert_allclose(sizes[1], np.maximum(sizes[0] / 2, marks.MIN_AXIS), rtol=1e-4)
+
+
+def test_the_next_touch_is_marked_while_there_is_one(page, snapshot):
+    page.show(snapshot)
+    arrow = page.drawing.nodes["/body/next"]
+    np.testing.assert_allclose(arrow.batched_positions[0], [0, 0, -0.1], atol=2 * module.LIFT)
+    assert arrow.batched_scales.max() == 1.0
+    page.show(replace(snapshot, status=status(next_touch=None)))
+    assert arrow.batched_scales.max() == pytest.approx(module.HIDDEN)
+
+
+def test_both_views_show_the_robot_in_the_same_place_of_the_body(page, stage, snapshot):
+    page.show(snapshot)
+    nodes, seen = page.drawing.nodes, []
+    for view in module.VIEWS:
+        page.panel.view.value = view
+        page._turn()
+        seen.append(np.linalg.inv(pose(nodes["/body"])) @ pose(nodes["/world"]))
+    np.testing.assert_allclose(seen[0], seen[1], atol=1e-6)
+    np.testing.assert_allclose(seen[0], stage.world_in_body(snapshot.row), atol=1e-6)
+    np.testing.assert_allclose(pose(nodes["/world"]), np.eye(4), atol=1e-9)
+
+
+def test_the_camera_looks_at_the_skin_from_outside(page, stage):
+    page.drawing.view = module.SKIN
+    position, target, _ = page.drawing.camera(0)
+    assert np.linalg.norm(target - stage.recording.points.mean(axis=0)) < 5e-3
+    assert stage.belief.body.closest(position[None]).distance[0] > 0.02
+
+
+def test_curves_grow_with_the_snapshots(stage, snapshot):
+    with LivePage(stage, "127.0.0.1", 0, 1.0) as page:
+        for row in (2, 5, 9):
+            page.show(replace(snapshot, row=row))
+        time, force = page.panel.force.data
+        contacts, median, worst = page.panel.sigma.data
+        assert page.panel.residual.data[1].tolist() == [1.1] * 3
+    assert time[-1] - time[0] <= 10.0
+    np.testing.assert_allclose(force, 3.0)
+    assert contacts.tolist() == [3, 6, 10]
+    np.testing.assert_allclose([median[0], worst[0]], [0.02, 0.3])
+
+
+def test_the_panel_says_verdict_and_end_in_words(page, snapshot):
+    page.show(replace(snapshot, status=status(verdict="model misfit", why="x < y")))
+    assert "model misfit" in page.panel.verdict.content
+    assert "x &lt; y" in page.panel.verdict.content
+    page.panel.finish("it is over")
+    assert "model misfit" in page.panel.verdict.content
+    assert "it is over" in page.panel.verdict.content
+
+
+def test_numbers_have_units(snapshot):
+    rows = dict(rows_of(snapshot, 2e5))
+    assert rows["taxels"] == "78 determined, 1 weak, 1 unseen"
+    assert rows["sigma"] == "median 0.0200 mm, worst 0.300 mm"
+    assert rows["next touch"] == "at (0.0, 0.0, −100.0) mm, for taxel 7"
+    assert rows["E*"] == "400 ± 4 kPa"
+
+
+def test_what_only_priors_determine_and_what_moved_is_named(snapshot):
+    nothing = {"median_sigma": np.nan, "worst_sigma": np.nan, "next_touch": None}
+    words = {"undetermined": ("force_scale",), "moved": tuple(range(11))}
+    rows = dict(rows_of(replace(snapshot, status=status(**nothing, **words)), 2e5))
+    assert rows["sigma"] == "median –, worst –"
+    assert rows["next touch"] == "none"
+    assert rows["by priors only"] == "force_scale"
+    assert rows["moved"] == "0, 1, 2, 3, 4, 5, 6, 7 and 3 more"
+
+
+def test_a_port_in_use_is_one_line():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(ConfigError, match=r"cannot be served, got 127.0.0.1:\d+ .*--port"):
+            check_port("127.0.0.1", taken.getsockname()[1])
+
+
+@pytest.mark.parametrize(("host", "port"), [("no.such.host.invalid", 0), ("127.0.0.1", 70000)])
+def test_a_host_or_port_that_does_not_exist_is_refused(host, port):
+    with pytest.raises(ConfigError, match="cannot be served"):
+        check_port(host, port)
+
+
+def test_without_viser_the_pip_command_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(ConfigError, match=r'pip install "meshskin\[live\]"'):
+        import_viser()

@@ -1,0 +1,61 @@
+"""Where body, indenter, patch and links are on the live page."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin.core.se3 import inverse
+from meshskin.report.live.stage import Stage
+
+
+def test_body_and_links_are_where_the_arm_holds_them(noisy, touched, stage):
+    motion = touched.motion
+    q = np.stack([motion.column(f"q{k + 1}").to_numpy() for k in range(6)], axis=1)
+    tip = noisy.arm.pose(q)  # by CasADi; the links' poses are by the numeric chain
+    np.testing.assert_allclose(stage.carrier.body, tip @ noisy.mount_pose, atol=1e-12)
+    for row in (0, 7):
+        mount = stage.carrier.link_pose("mount", row)
+        np.testing.assert_allclose(mount, tip[row], atol=1e-12)
+        np.testing.assert_allclose(
+            stage.world_in_body(row) @ stage.carrier.body[row], np.eye(4), atol=1e-12
+        )
+
+
+def test_the_mount_reaches_from_the_tip_to_the_body(noisy, stage):
+    rod = stage.carrier.links["mount"].vertices
+    in_body = rod @ inverse(noisy.mount_pose)[:3, :3].T + inverse(noisy.mount_pose)[:3, 3]
+    assert np.abs(noisy.body.closest(in_body).distance).min() < 1e-3
+    assert np.linalg.norm(rod, axis=1).min() < 0.021
+
+
+def test_the_indenter_is_pressed_in_by_the_depth(noisy, stage):
+    contact = stage.contact(4)
+    gap = noisy.body.closest(contact.indenter[None, :3, 3]).distance[0]
+    patch = ms.contact.solve(
+        force=3.0, curvature=10.0, indenter_radius=0.01, modulus=2e5, poisson=0.49
+    )
+    assert gap == pytest.approx(0.01 - patch.depth, rel=0.02)
+    np.testing.assert_allclose(contact.semi_axes, patch.semi_axes, rtol=0.02)
+
+
+def test_the_patch_lies_on_the_surface(noisy, touched, stage):
+    contact = stage.contact(4)
+    np.testing.assert_allclose(contact.patch[:3, 3], touched.points[4], atol=1e-5)
+    normal = noisy.body.closest(touched.points[4:5]).normal[0]
+    np.testing.assert_allclose(contact.patch[:3, 2], normal, atol=1e-9)
+
+
+def test_without_a_robot_the_indenter_comes_along_the_normal(noisy, touched):
+    stage = Stage.of_recording(replace(touched, motion=None), noisy.belief())
+    assert stage.carrier is None
+    contact = stage.contact(2)
+    np.testing.assert_allclose(contact.indenter[:3, 2], -contact.patch[:3, 2], atol=1e-9)
+    np.testing.assert_array_equal(stage.world_in_body(2), np.eye(4))
+
+
+def test_a_contact_outside_the_range_of_every_model_has_no_patch(noisy, touched):
+    belief = noisy.belief(contact="layered", material=ms.Material(2e5, 0.49, 1e-5))
+    stage = Stage(touched, belief)
+    assert np.isnan(stage.contact(0).semi_axes).all()
