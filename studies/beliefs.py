@@ -1,6 +1,6 @@
 """Wrong beliefs: whether the test of fit rejects them, and the error with the unknown declared.
 
-    python studies/beliefs.py [--seeds 5] [--json FILE]
+    python studies/beliefs.py [--seeds 5] [--json FILE] [--out DIR]
 
 The paper's sphere with 1 % noise, with four differences between world and belief: a skin 20 %
 softer than believed; an indenter displaced by 1 mm; layers of 4 and 1.5 mm on a rigid base that are
@@ -8,7 +8,7 @@ believed to be half-spaces of the same E*. Each is calibrated with the wrong bel
 unknown declared: E*; the indenter's offset; E* (a half-space of another E* represents a layer that
 is not thin); the layer itself. The study prints the mean error over the Cramér-Rao bound at the
 truth, also of the centroid of contact points, which rests on no belief, and the share of runs in
-which the test of fit rejects the model.
+which the test of fit rejects the model. With --out, it draws these errors.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ import meshskin as ms
 from meshskin.core.errors import MeshskinError
 from meshskin.effects.indenter_offset import IndenterOffset
 from meshskin.estimation.uncertainty import metrics
+from meshskin.report import theme
+from meshskin.report.dots import dots
 
 CONTACTS = 2000
 
@@ -113,6 +115,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--json", type=Path, default=None)
+    parser.add_argument("--out", type=Path, default=None, help="folder of the figure")
     options = parser.parse_args(arguments)
     rows = {name: study(case, options.seeds) for name, case in cases().items()}
     print(f"mean error over the bound, and runs whose model is refused; {options.seeds} seeds")
@@ -122,6 +125,11 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
         print(f"  {name:32}" + "".join(cells) + f"{r['centroid']:10.2f}{r['bound_mm']:14.4f}")
     if options.json:
         options.json.write_text(json.dumps(rows, indent=2))
+    if options.out:
+        kinds = {"as believed": "wrong", "with the unknown declared": "declared"}
+        kinds["centroid"] = "centroid"
+        shown = {name: {k: r[key] for k, key in kinds.items()} for name, r in rows.items()}
+        theme.save(dots(shown, "mean error / bound", limits={"bound": 1.0}), options.out, "beliefs")
     return rows
 
 

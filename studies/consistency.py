@@ -1,7 +1,7 @@
 """Consistency of the joint estimate: normalised squared errors over many seeds.
 
     python studies/consistency.py [--scenes ideal modulus ...] [--seeds 40] [--first 0] [--full]
-                                  [--json FILE]
+                                  [--json FILE] [--out DIR]
 
 Scenes on the paper's sphere with 1 % noise, 40 taxels and 800 contacts of 2 to 4 N: the ideal
 model; E* unknown and 20 % off; gains 5 % apart; gains and offsets; a force sensor with a bias, and
@@ -16,7 +16,7 @@ from the scatter between seeds (the design effect).
 Of forty such quantities, two are outside their bands by chance. The verdict is therefore on all of
 them together, by Holm's method with a level of 5 %. It and the RMS errors, which may be 1.05 times
 the Cramér-Rao bound, determine the exit code. The test of fit has a level of 0.1 %. --full: 200
-seeds; --first: the first seed.
+seeds; --first: the first seed; --out: folder of a figure of all quantities in their bands.
 """
 
 from __future__ import annotations
@@ -46,6 +46,8 @@ from meshskin.estimation.joint.module_parametrization import SURFACE_SIGMA
 from meshskin.estimation.uncertainty import metrics
 from meshskin.estimation.uncertainty.observability import TILT_SIGMA
 from meshskin.geometry.region import Cap
+from meshskin.report import theme
+from meshskin.report.dots import dots
 from meshskin.skin import slots
 
 NOISE, TAXELS, CONTACTS = 0.01, 40, 800
@@ -372,6 +374,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, dict[str, fl
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--full", action="store_true", help="200 seeds")
     parser.add_argument("--json", type=Path, default=None)
+    parser.add_argument("--out", type=Path, default=None, help="folder of the figure")
     options = parser.parse_args(arguments)
     seeds = range(options.first, options.first + (options.seeds or (200 if options.full else 40)))
     chosen = {name: case for name, case in cases().items() if name in (options.scenes or cases())}
@@ -396,7 +399,26 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, dict[str, fl
     print(f"beyond chance{':' if out else ': none'}", *out, sep="\n  ")
     if options.json:
         options.json.write_text(json.dumps(found, indent=2))
+    if options.out:
+        draw(found, options.out)
     return found
+
+
+def draw(found: dict[str, dict[str, dict[str, float]]], folder: Path) -> None:
+    """Draw the normalised squared errors in their bands."""
+    rows = {
+        f"{name}: {quantity}": row
+        for name, quantities in found.items()
+        for quantity, row in quantities.items()
+        if quantity != "fit"
+    }
+    figure = dots(
+        {name: {"mean squared error / variance": row["nees"]} for name, row in rows.items()},
+        "normalised squared error (grey: 95 % band)",
+        limits={"consistent": 1.0},
+        bands={name: (row["low"], row["high"]) for name, row in rows.items()},
+    )
+    theme.save(figure, folder, "consistency")
 
 
 if __name__ == "__main__":

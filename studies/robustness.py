@@ -1,6 +1,6 @@
 """The joint estimate with outlying readings and faulty taxels: errors, and which are identified.
 
-    python studies/robustness.py [--seeds 5] [--full] [--json FILE]
+    python studies/robustness.py [--seeds 5] [--full] [--json FILE] [--out DIR]
 
 The paper's sphere with 1 % noise, 80 taxels and 2,000 contacts.
 
@@ -16,7 +16,8 @@ Faulty taxels: one, or a fifth of all, are dead, die half-way, are stuck, exchan
 half-way, or drift by a fifth of the peak. The study prints the error of the other taxels over their
 clean one, the share of faulty taxels that is identified, and the number of others that are accused.
 
-Exits with 1 if an error exceeds its limit or a faulty taxel is not identified. --full: 20 seeds.
+With --out, the study draws the errors. It exits with 1 if an error exceeds its limit or a faulty
+taxel is not identified. --full: 20 seeds.
 """
 
 from __future__ import annotations
@@ -39,6 +40,8 @@ from meshskin.estimation.joint.reduced_nlp import MAX_ITERATIONS
 from meshskin.estimation.trilateration import trilaterate
 from meshskin.estimation.uncertainty import metrics
 from meshskin.recording.recording import READINGS
+from meshskin.report import theme
+from meshskin.report.dots import dots
 
 CONTACTS, NOISE, THRESHOLD = 2000, 0.01, 0.05
 SHARES, PART = (0.05, 0.1, 0.15, 0.2), 0.2
@@ -241,6 +244,7 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
     parser.add_argument("--seeds", type=int, default=None)
     parser.add_argument("--full", action="store_true", help="20 seeds")
     parser.add_argument("--json", type=Path, default=None)
+    parser.add_argument("--out", type=Path, default=None, help="folder of the figure")
     options = parser.parse_args(arguments)
     seeds = range(options.seeds or (20 if options.full else 5))
     world, rows = World(), {}
@@ -265,7 +269,22 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, float]]:
     print(*shortfalls(rows), sep="\n")
     if options.json:
         options.json.write_text(json.dumps(rows, indent=2))
+    if options.out:
+        draw(rows, options.out)
     return rows
+
+
+def draw(rows: dict[str, dict[str, float]], folder: Path) -> None:
+    """Draw the errors over that of the clean recording."""
+    kinds = {"all taxels, or those concerned": "error", "outlying readings removed": "without"}
+    kinds |= {"Fisher information": "limit", "the other taxels": "others"}
+    shown = {
+        name: {kind: row[key] for kind, key in kinds.items() if key in row}
+        for name, row in rows.items()
+        if "share" not in row
+    }
+    figure = dots(shown, "error / that of the clean recording", limits={"limit": MOST})
+    theme.save(figure, folder, "robustness")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ one mistake. It is calibrated by default, that is, with a learned response where
 contradict the contact model, or with --contact hertz; with --unknown-noise the belief has no noise.
 Printed, and written to wrong_logs.csv, are the rms error over the taxels that got a place, the
 median of the stated standard deviations in space, mm, whether the response was learned, the
-verdict and its first reason, and processor seconds.
+verdict and its first reason, and processor seconds. Errors and deviations are drawn.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ import pyarrow as pa
 
 import meshskin as ms
 from meshskin.core.errors import MeshskinError
+from meshskin.report import theme
+from meshskin.report.dots import dots
 
 CONTACTS, FORCES = 800, (2.5, 3.5)
 Log = Callable[[ms.Recording], ms.Recording]
@@ -155,6 +157,12 @@ def main(arguments: list[str] | None = None) -> list[dict[str, Any]]:
         table = csv.DictWriter(file, names)
         table.writeheader()
         table.writerows(rows)
+    kinds = {"error (rms)": "error_mm", "stated sigma (median)": "sigma_mm"}
+    shown = {
+        f"{r['log']}: {r['verdict']}": {kind: r.get(key) for kind, key in kinds.items()}
+        for r in rows
+    }
+    theme.save(dots(shown, "mm"), options.out, "wrong_logs")
     return rows
 
 

@@ -4,7 +4,10 @@ import json
 
 
 def test_beliefs(script, tmp_path, capsys):
-    found = script("beliefs").main(["--seeds", "1", "--json", str(tmp_path / "x.json")])
+    found = script("beliefs").main(
+        ["--seeds", "1", "--json", str(tmp_path / "x.json"), "--out", str(tmp_path)]
+    )
+    assert (tmp_path / "beliefs.svg").stat().st_size > 1000
     assert json.loads((tmp_path / "x.json").read_text()) == found
     assert len(found) == 4
     for row in found.values():
