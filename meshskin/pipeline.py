@@ -6,6 +6,7 @@ belief, compared with the other methods, assessed against the true skin, and rep
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -18,7 +19,8 @@ import numpy as np
 
 from .core.arguments import check_integer
 from .core.atomic_io import check_folder, write_json
-from .core.errors import CalibrationError, GraphError, ReachError
+from .core.deadline import Deadline, check_run_seconds
+from .core.errors import CalibrationError, GraphError, OutOfTime
 from .core.progress import Progress, Stage
 from .core.provenance import StageTimer, provenance
 from .estimation.calibrate import Estimation
@@ -34,9 +36,9 @@ from .simulation.response import ForceResponse, describe_departure, force_respon
 from .simulation.simulate import simulate
 
 if TYPE_CHECKING:
-    from .exploration.path import Path as ExplorationPath
     from .skin.skin import Skin
     from .study.sensitivity.budget import BudgetReport
+    from .study.sensitivity.choice import Choice
     from .study.sensitivity.request import Request
 
 RESULTS = (
@@ -77,69 +79,78 @@ def run(
     request: Request | None = None,
     budget: float | None = None,
     watch: Callable[[Scene, Recording, Calibration], None] | None = None,
+    timer: StageTimer | None = None,
 ) -> Result:
     """Simulate, calibrate and report a scene; write all files into `folder`.
 
     name: shipped scene or TOML file; request: an accuracy or a time, for which a pilot run chooses
-    the settings (the metrics hold its prediction); budget: taxel error, m, that may be neglected,
-    in place of the scene's own: `ms.budget` then chooses the effects; watch: called once the
-    recording is calibrated; its time counts for no stage. Raises a MeshskinError that names the
-    value, the limit and the remedy.
+    the settings (the metrics hold its prediction). A time is a deadline: methods of comparison that
+    do not fit are left out and named, and where the chosen run does not fit, the pilot's is the
+    result. budget: taxel error, m, that may be neglected, in place of the scene's own: `ms.budget`
+    then chooses the effects. watch: called once the recording is calibrated; its time counts for no
+    stage. timer: started before, so that its time counts, too. Raises StudyError for a time that
+    even the pilot run does not fit in, and other MeshskinErrors that name the value, the limit and
+    the remedy.
     """
-    from .exploration.plan import plan_exploration
     from .study.sensitivity.budget import budget as apply_budget
+    from .study.sensitivity.choice import choose
 
     check_integer("seed", seed, least=0)
-    folder, timer = Path(folder), StageTimer()
+    folder, timer = Path(folder), timer or StageTimer()
+    asked = math.inf if request is None or request.seconds is None else request.seconds
+    deadline = Deadline(asked, timer.start)
+    check_run_seconds(asked)
     with timer.stage("load"):
         Stage(progress, "plan")  # goes on, and ends, in `simulate`
         scene = Scene.load(name)
         if budget is not None:
             scene = scene.with_(budget=budget)
         check_folder(folder)
+        check_run_seconds(asked, deadline.spent[0] + deadline.spent[1])
     decided = None
     if scene.budget is not None:
         with timer.stage("budget"):
-            decided = apply_budget(scene, seed=seed, progress=progress)
+            decided = apply_budget(scene, seed=seed, progress=deadline.hook(progress))
             scene = decided.scene
-    path, prediction, tolerance = None, None, NEWTON_TOLERANCE
+    choice = None
     if request is not None:
         with timer.stage("pilot"):
-            pilots = Stage(progress, "pilot", 1)
-            scene, path, tolerance, prediction = _settings_for(scene, request, seed, timer)
-            pilots.end()
-    with timer.stage("simulate"):
-        if scene.indenter.carried_by is not None:
-            plan = plan_exploration(scene)
-            plan.save_contacts(folder / "contacts.csv")
-            path = plan.path
-        recording = simulate(scene, seed, path=path, out=folder / "recording", progress=progress)
-    remove_results(folder)
-    with timer.stage("calibrate"):
-        belief = scene.belief() if decided is None else decided.belief
-        tolerance = tolerance if decided is None else decided.tolerance
-        estimation = Estimation(recording, belief)
-        calibration = estimation.calibrate(tolerance=tolerance, progress=progress)
-        calibration.save(folder / "calibration")
+            drawing = _report_time(scene)
+            choice = choose(scene, request, METHODS, drawing, seed, deadline, progress)
+    done = None
+    if choice is None or choice.measured is not None:
+        with suppress(OutOfTime):
+            done = _simulated(scene, choice, decided, folder, seed, deadline, progress, timer)
+    if done is None:
+        assert choice is not None  # without a request there is no deadline
+        choice = choice.without_finer("the chosen run did not fit")
+        done = _first(choice, folder)
+    scene, recording, calibration = done.scene, done.recording, done.calibration
+    calibration.save(folder / "calibration")
+    reserve = 0.0 if choice is None else choice.first.report_seconds
     if watch is not None:
         watched = Stage(progress, "live")
         watch(scene, recording, calibration)
         watched.end()
     with timer.stage("compare"):
-        comparison = compare_methods(estimation, progress)
+        seconds = (lambda _: 0.0) if choice is None else choice.seconds
+        comparison = compare_methods(done.estimation, progress, deadline, reserve, seconds)
         demonstration = None
-        with suppress(CalibrationError, GraphError):  # where taxels share too few contacts
+        # where taxels share too few contacts, or the time is used up
+        with suppress(CalibrationError, GraphError, OutOfTime):
+            deadline.check(reserve)
             demonstration = demonstrate(scene.skin.poses, scene.skin.ids, recording, seed)
     with timer.stage("metrics"):
         force = _force(recording, scene)
-        metrics = _assess(scene, belief, recording, calibration, force, demonstration)
+        metrics = _assess(scene, done.belief, recording, calibration, force, demonstration)
         metrics |= _errors(comparison, scene.skin)
         metrics["worse_than_centroid"] = _worse_than_centroid(metrics)
         if decided is not None:
             mean = metrics["position_error_mm"]["mean"]
             metrics["budget"] = decided.metrics() | {"above": decided.explain(1e-3 * mean)}
-        if prediction is not None:
-            metrics["promise"] = prediction
+        metrics["left_out"] = list(comparison.left_out)
+        if choice is not None:
+            metrics["promise"] = choice.record
         own = Path(name).suffix == ".toml"
         metrics["inputs"] = {"scene": str(Path(name).resolve() if own else name), "seed": seed}
     result = Result(
@@ -147,10 +158,10 @@ def run(
     )
     with timer.stage("report"):
         _write_report(result, folder, seed, timer.seconds, progress)
-    if prediction is not None:
-        prediction["came_to"] = {
+    if choice is not None:
+        choice.record["came_to"] = {
             "error_mm": metrics["position_error_mm"]["mean"],
-            "seconds": sum(timer.seconds.values()),
+            "seconds": deadline.spent[0],
             "processor_seconds": timer.processor,
         }
     metrics["seconds"] = {k: round(v, 4) for k, v in timer.seconds.items()}
@@ -158,36 +169,63 @@ def run(
     return result
 
 
-def _settings_for(
-    scene: Scene, request: Request, seed: int, timer: StageTimer
-) -> tuple[Scene, ExplorationPath, float, dict[str, Any]]:
-    """The scene with the settings that meet a request best, its path, tolerance and prediction.
+@dataclass(frozen=True)
+class _Calibrated:
+    """A scene that was simulated and calibrated."""
 
-    Raises StudyError if no settings meet it, ReachError if the arm cannot follow their paths.
+    scene: Scene
+    belief: Belief
+    recording: Recording
+    estimation: Estimation
+    calibration: Calibration
+
+
+def _simulated(
+    scene: Scene,
+    choice: Choice | None,
+    decided: BudgetReport | None,
+    folder: Path,
+    seed: int,
+    deadline: Deadline,
+    progress: Progress | None,
+    timer: StageTimer,
+) -> _Calibrated:
+    """The scene, or the one that was chosen, simulated into `folder` and calibrated.
+
+    Raises OutOfTime where no time would be left for the report.
     """
     from .exploration.plan import plan_exploration
-    from .study.sensitivity.pilot import pilot
 
-    tried = pilot(scene, request, METHODS, _report_time(scene), seed, timer.start)
-    reason: ReachError | None = None
-    for prediction in tried.choose(request):
-        chosen = prediction.setting.scene(scene, prediction.setting.body(scene.body))
-        try:
-            path = plan_exploration(chosen).path
-        except ReachError as error:
-            reason = error
-            continue
-        record = {
-            "asked": request.words,
-            "setting": prediction.setting.words(tried.base),
-            "error_mm": prediction.error_mm,
-            "numerical_mm": prediction.numerical_mm,
-            "seconds": prediction.seconds,
-            "processor_seconds": prediction.processor_seconds,
-        }
-        return chosen, path, prediction.setting.tolerance, record
-    assert reason is not None
-    raise reason
+    path, tolerance, reserve, later = None, NEWTON_TOLERANCE, 0.0, 0.0
+    if choice is not None:
+        scene, path, tolerance = choice.scene, choice.path, choice.tolerance
+        reserve = choice.first.report_seconds
+        later = reserve + choice.seconds("joint")
+    with timer.stage("simulate"):
+        if scene.indenter.carried_by is not None:
+            plan = plan_exploration(scene)
+            plan.save_contacts(folder / "contacts.csv")
+            path = plan.path
+        hook = deadline.hook(progress, later)
+        recording = simulate(scene, seed, path=path, out=folder / "recording", progress=hook)
+    remove_results(folder)
+    with timer.stage("calibrate"):
+        belief = scene.belief() if decided is None else decided.belief
+        tolerance = tolerance if decided is None else decided.tolerance
+        estimation = Estimation(recording, belief)
+        calibration = estimation.calibrate(
+            tolerance=tolerance, progress=deadline.hook(progress, reserve)
+        )
+    return _Calibrated(scene, belief, recording, estimation, calibration)
+
+
+def _first(choice: Choice, folder: Path) -> _Calibrated:
+    """The first run of a request as the result."""
+    first, belief = choice.first, choice.first.scene.belief()
+    first.recording.save(folder / "recording")
+    remove_results(folder)
+    estimation = Estimation(first.recording, belief)
+    return _Calibrated(first.scene, belief, first.recording, estimation, first.calibration)
 
 
 def _report_time(scene: Scene) -> Callable[[Calibration], float]:

@@ -68,6 +68,12 @@ def command(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace, watch: Watch | None = None) -> int:
     """Run the scene and print the summary; watch: as of `pipeline.run`."""
+    from ..core.deadline import check_run_seconds
+    from ..core.provenance import StageTimer
+
+    if options.seconds is not None:
+        check_run_seconds(options.seconds)
+    timer = StageTimer()  # imports count
     from ..pipeline import run
     from ..study.sensitivity.request import Request
 
@@ -83,6 +89,7 @@ def _run(options: argparse.Namespace, watch: Watch | None = None) -> int:
             budget=None if options.budget_mm is None else 1e-3 * options.budget_mm,
             request=request,
             watch=watch,
+            timer=timer,
         )
     if not options.quiet:
         if result.budget is not None:
@@ -131,11 +138,15 @@ def summary(result: Result, folder: Path) -> str:
     if "promise" in m:
         p = m["promise"]
         came = p["came_to"]
+        said = "nothing"
+        if p["error_mm"] is not None:
+            said = f"{p['error_mm']:.3g} mm in {p['seconds']:.3g} s"
         lines.append(
-            f"  promised           {p['error_mm']:.3g} mm in {p['seconds']:.3g} s for "
-            f"{p['asked']} ({p['setting']}); came to {came['error_mm']:.3g} mm in "
-            f"{came['seconds']:.3g} s"
+            f"  promised           {said} for {p['asked']} ({p['setting']}); came to "
+            f"{came['error_mm']:.3g} mm in {came['seconds']:.3g} s"
         )
+    if m["left_out"]:
+        lines.append(f"  not compared       no time for {', '.join(m['left_out'])}")
     left_out = Counter(result.recording.metadata.get("unreachable", {}).values())
     lines += [f"  not reached        {n} taxels: {why}" for why, n in left_out.most_common()]
     lines += [

@@ -100,6 +100,10 @@ class StudyError(MeshskinError):
     """A study that cannot be run, or that was stopped."""
 
 
+class OutOfTime(MeshskinError):
+    """Work that was ended by its deadline."""
+
+
 class OutputError(MeshskinError):
     """A file or folder that cannot be written."""
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..core.errors import CalibrationError, GraphError
+from ..core.deadline import Deadline
+from ..core.errors import CalibrationError, GraphError, OutOfTime
 from ..core.progress import Progress, Stage
 from .calibrate import Estimation
 from .calibration import Calibration
@@ -34,17 +36,34 @@ class Comparison:
     """The calibration by each method that gave one."""
     missing: dict[str, str] = field(default_factory=dict)
     """Why each other method gave none."""
+    left_out: tuple[str, ...] = ()
+    """Those of them that there was no time for."""
 
 
-def compare_methods(estimation: Estimation, progress: Progress | None = None) -> Comparison:
-    """Calibrate by each of METHODS. progress: called after each."""
+def compare_methods(
+    estimation: Estimation,
+    progress: Progress | None = None,
+    deadline: Deadline | None = None,
+    reserve: float = 0.0,
+    seconds: Callable[[str], float] = lambda _: 0.0,
+) -> Comparison:
+    """Calibrate by each of METHODS; those that do not fit before the deadline are left out.
+
+    progress: called after each. reserve: processor seconds that are left to other work; seconds:
+    gives those expected of a method.
+    """
     comparison, stage = Comparison(), Stage(progress, "compare", len(METHODS))
+    deadline = deadline or Deadline()
     for method in METHODS:
         try:
-            other = estimation.calibrate(method)
+            deadline.check(reserve + seconds(method))
+            other = estimation.calibrate(method, progress=deadline.hook(None, reserve))
             _check_placed(other, MIN_ALIGNED if method.startswith("posegraph") else 1)
         except (CalibrationError, GraphError) as error:
             comparison.missing[method] = str(error)
+        except OutOfTime:
+            comparison.missing[method] = f"left out: no time within {deadline.seconds:g} s"
+            comparison.left_out += (method,)
         else:
             comparison.found[method] = other
         stage.step()

@@ -26,6 +26,7 @@ SHOWN_ELSEWHERE = (
     "promise",
     "scene",
     "budget",
+    "left_out",
     "undetermined",
     "modulus_pa",
     "modulus_sigma_pa",
@@ -188,13 +189,16 @@ def _accuracy_time(data: ReportData, pictures: Sequence[SavedFigure]) -> list[st
     blocks = [saved_figure(p) for p in pictures if p.png.stem == ACCURACY_TIME]
     promise = data.metrics.get("promise")
     if promise:
-        text = (
-            f"Requested: {promise['asked']}. The pilot run chose {promise['setting']} and predicted"
-            f" {significant(promise['error_mm'])} mm in {significant(promise['seconds'])} s"
-        )
+        text = f"Requested: {promise['asked']}. The pilot run chose {promise['setting']}"
+        if promise["error_mm"] is not None:
+            error, seconds = promise["error_mm"], promise["seconds"]
+            text += f" and predicted {significant(error)} mm in {significant(seconds)} s"
         if data.truth is not None:
             text += f"; the mean error is {significant(data.main_errors['mean'])} mm"
         blocks.append(paragraphs(f"{text}."))
+    if left_out := data.metrics.get("left_out"):
+        words = ", ".join(map(method_name, left_out))
+        blocks.append(paragraphs(f"Not compared, because there was no time: {words}."))
     bound = data.bound_mm or None
     rows = []
     for name, seconds in data.method_seconds.items():

@@ -7,7 +7,7 @@ loop), readout.contact_frames (Frames of contacts) and readout.sensor_tables (th
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -81,28 +81,46 @@ def simulate(
     simulator, path = prepare(scene, path=path)
     planning.end()
     steps = run(scene, simulator, path, progress)
+    if out is not None:
+        batches = _tables(scene, chain or effect_pipeline(scene, seed), simulator.loop, steps)
+        with RecordingWriter(out, _metadata(scene, path, seed)) as writer:
+            for contacts, readings, motion in batches:
+                writer.write(contacts=contacts, readings=readings, motion=motion)
+            writer.metadata |= _performance(simulator)
+        recording = Recording.load(out)
+    else:
+        recording = record_steps(scene, simulator, path, steps, seed, chain)
+    assert recording.motion is not None
+    if words := describe_departure(recording.motion):
+        warnings.warn(words, stacklevel=2)
+    warn_left_out("reached", recording.metadata["unreachable"].values(), len(scene.skin))
+    return recording
+
+
+def record_steps(
+    scene: Scene,
+    simulator: Simulator,
+    path: ExplorationPath,
+    steps: Iterable[Steps],
+    seed: int,
+    chain: effects.EffectPipeline | None = None,
+) -> Recording:
+    """The recording of the steps of a simulator along a path; seed and chain as of `simulate`."""
     batches = _tables(scene, chain or effect_pipeline(scene, seed), simulator.loop, steps)
-    metadata = recording_metadata(scene) | {
+    contacts, readings, motion = (pa.concat_tables(part) for part in zip(*batches, strict=True))
+    metadata = _metadata(scene, path, seed) | _performance(simulator)
+    return Recording(contacts, readings, metadata, motion)
+
+
+def _metadata(scene: Scene, path: ExplorationPath, seed: int) -> dict[str, Any]:
+    """What a recording says of its scene."""
+    return recording_metadata(scene) | {
         "dt_s": scene.loop.dt,
         "provenance": provenance(
             seed=seed, scene=scene.name, effects=[repr(effect) for effect in scene.effects]
         ),
         "unreachable": _unreachable(path),
     }
-    if out is not None:
-        with RecordingWriter(out, metadata) as writer:
-            for contacts, readings, motion in batches:
-                writer.write(contacts=contacts, readings=readings, motion=motion)
-            writer.metadata |= _performance(simulator)
-        recording = Recording.load(out)
-    else:
-        tables = [pa.concat_tables(part) for part in zip(*batches, strict=True)]
-        recording = Recording(tables[0], tables[1], metadata | _performance(simulator), tables[2])
-    assert recording.motion is not None
-    if words := describe_departure(recording.motion):
-        warnings.warn(words, stacklevel=2)
-    warn_left_out("reached", recording.metadata["unreachable"].values(), len(scene.skin))
-    return recording
 
 
 def _pressed(
@@ -214,7 +232,7 @@ def _performance(simulator: Simulator) -> dict[str, Any]:
 
 
 def _tables(
-    scene: Scene, pipeline: effects.EffectPipeline, loop: ClosedLoopModel, steps: Iterator[Steps]
+    scene: Scene, pipeline: effects.EffectPipeline, loop: ClosedLoopModel, steps: Iterable[Steps]
 ) -> Iterator[tuple[pa.Table, pa.Table, pa.Table]]:
     """Tables of contacts, readings and motion, in batches, from the steps."""
     frames = FRAME_CELLS / max(len(scene.skin.ids), 1)
@@ -228,7 +246,7 @@ def _tables(
         before += sum(len(s.time) for s in batch)
 
 
-def _batches(steps: Iterator[Steps], size: int) -> Iterator[Sequence[Steps]]:
+def _batches(steps: Iterable[Steps], size: int) -> Iterator[Sequence[Steps]]:
     """Steps gathered to about `size` steps."""
     batch: list[Steps] = []
     for part in steps:

@@ -9,10 +9,10 @@ import meshskin as ms
 from meshskin import cli, pipeline
 from meshskin.core.errors import ConfigError, StudyError
 from meshskin.geometry.region import Cap
+from meshskin.study.sensitivity.first_run import LANES
 from meshskin.study.sensitivity.knobs import RATES, Level, worthwhile
 from meshskin.study.sensitivity.numerical_error import NumericalReference
 from meshskin.study.sensitivity.pilot import (
-    LANES,
     contact_levels,
     loop_levels,
     surface_levels,

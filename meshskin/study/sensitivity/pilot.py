@@ -21,6 +21,7 @@ import pyarrow as pa
 
 from ...contact import BATCHED
 from ...core.arrays import Array
+from ...core.deadline import Deadline
 from ...core.errors import (
     CalibrationError,
     ConfigError,
@@ -30,13 +31,14 @@ from ...core.errors import (
     SimulationError,
     StudyError,
 )
+from ...core.progress import Progress, Stage
 from ...effects import NoiseEffect
 from ...estimation.calibrate import Estimation, calibrate
 from ...estimation.uncertainty import metrics
 from ...recording.recording import Recording
 from ...simulation.contact_samplers import concatenate
-from ...simulation.readout import contact_frames, effect_pipeline, record
-from ...simulation.simulate import prepare, run, simulate
+from ...simulation.simulate import simulate
+from .first_run import FIRST_STEPS, LANES, MEASURED_STEPS, FirstRun
 from .knobs import COARSER, FINER, RATES, TOLERANCES, Level, contact_models, integrators, worthwhile
 from .numerical_error import NumericalReference, geometry, mean_mm
 from .request import Pilot, Request
@@ -50,12 +52,6 @@ if TYPE_CHECKING:
     from ...scene.scene import Scene
 
 
-LANES = tuple(2.0 ** (k / 2) for k in range(-6, 2))
-"""Spacings of lanes that may be chosen, relative to the scene's own, from 1/8 to 1.4: each changes
-the expected error by 19 %."""
-WIDEST = 0.8
-"""Largest spacing of lanes relative to the distance at which a taxel responds to a contact: every
-taxel must respond."""
 THIN = 4
 """Every THIN-th contact is calibrated again, to separate fixed seconds from those of a reading."""
 LEVELS_SHARE = 0.2
@@ -69,65 +65,56 @@ is proportional to the length of the path."""
 
 def pilot(
     scene: Scene,
+    first: FirstRun,
     request: Request,
     methods: Sequence[str],
-    drawing: Callable[[Calibration], float],
     seed: int,
-    began: tuple[float, float],
+    deadline: Deadline,
+    progress: Progress | None = None,
 ) -> Pilot:
-    """Run a scene on wide lanes and measure its parts.
+    """Measure the parts of a first run. methods: run beside the joint estimate.
 
-    methods: run beside the joint estimate. drawing: returns the processor seconds of a report.
-    began: perf_counter and process_time at the beginning of the run. Raises as `simulate` and
-    `calibrate`.
+    Raises OutOfTime, and as `simulate` and `calibrate`.
     """
-    base = Setting.of(scene)
-    coarse = _widest_lanes(base, scene.rig.sensing_radius)
-    small = coarse.scene(scene, scene.body)
-    (machine, path), preparing = timed(lambda: prepare(small))
-    steps, looping = timed(lambda: list(run(small, machine, path)))
-
-    def read() -> Recording:
-        frames = contact_frames(small, machine.loop, steps)
-        return record(small, frames, effect_pipeline(small, seed))
-
-    recording, _ = timed(read)  # the first time takes longer
-    _, reading = timed(read)
-    belief = small.belief()
-    found = calibrate(recording, belief)  # the first time takes longer
+    base, coarse, small = Setting.of(scene), first.setting, first.scene
+    (preparing, looping), recording, found = first.seconds, first.recording, first.calibration
+    hook, belief = deadline.hook(progress, first.report_seconds), small.belief()
+    stage = Stage(None, "pilot", FIRST_STEPS + MEASURED_STEPS)
+    stage.progress, stage.done = hook, FIRST_STEPS
+    _, reading = timed(lambda: first.read(seed))  # the first time takes longer
+    stage.step()
     few = _thinned(recording)
-    cost, less = (_estimates(data, belief, methods) for data in (recording, few))
+    parts = [_estimates(data, belief, methods, stage) for data in (recording, few)]
+    cost, less = (sum(part.values()) for part in parts)
     each = max(cost - less, 0.0) / max(len(recording.pressure) - len(few.pressure), 1)
     bound = metrics.bound_mm(recording, belief, small.skin)["mean"]
     systematic = _systematic(small, found, seed)
-    count = sum(len(part.time) for part in steps)
+    count = sum(len(part.time) for part in first.steps)
     building = BUILD_SHARE * preparing
     measured = Pilot(
         base, coarse, count, len(recording.time), len(recording.pressure), bound, systematic,
         _lane_spacings(base, coarse.lane_spacing), tuple(base.rate * r for r in RATES),
         (worthwhile(tolerance_levels(recording, belief)),),
-        fixed=building + drawing(found),
+        fixed=building + first.report_seconds,
         each_step=(preparing - building + looping) / count,
         each_contact=reading / max(len(recording.time), 1),
         estimating=(max(cost - each * len(recording.pressure), 0.0), each),
-        spent=_since(began),
+        spent=deadline.spent,
+        shares={method: part / cost for method, part in parts[0].items()},
     )  # fmt: skip
+    stage.step()
     if request.seconds is None or measured.spent[0] < LEVELS_SHARE * request.seconds:
         measured = _with_levels(measured, small, request)
+    stage.step()
     measured = with_long_recording(
         measured,
         recording,
         request,
-        lambda data: _estimates(data, belief, methods),
+        lambda data: sum(_estimates(data, belief, methods, stage).values()),
         lambda data, rest: timed(lambda: calibrate(data, belief, tolerance=rest))[1],
     )
-    return replace(measured, spent=_since(began))
-
-
-def _widest_lanes(base: Setting, radius: float) -> Setting:
-    """The setting with the widest lanes on which taxels respond to contacts within `radius`, m."""
-    own = base.lane_spacing
-    return replace(base, lane_spacing=max(min(LANES[-1] * own, WIDEST * radius), own))
+    stage.end()
+    return replace(measured, spent=deadline.spent)
 
 
 def _lane_spacings(base: Setting, widest: float) -> tuple[float, ...]:
@@ -135,10 +122,6 @@ def _lane_spacings(base: Setting, widest: float) -> tuple[float, ...]:
     spacings = [base.lane_spacing * factor for factor in LANES]
     kept = [x for x in spacings if x < widest * (1 + 1e-9)]
     return tuple(dict.fromkeys((*kept, widest)))
-
-
-def _since(began: tuple[float, float]) -> tuple[float, float]:
-    return time.perf_counter() - began[0], time.process_time() - began[1]
 
 
 def _with_levels(measured: Pilot, scene: Scene, request: Request) -> Pilot:
@@ -216,15 +199,19 @@ def with_long_recording(
     )
 
 
-def _estimates(recording: Recording, belief: Belief, methods: Sequence[str]) -> float:
+def _estimates(
+    recording: Recording, belief: Belief, methods: Sequence[str], stage: Stage
+) -> dict[str, float]:
     """Processor seconds of the joint estimate and of all methods, including those that fail."""
-    begin = time.process_time()
+    seconds, begin = {}, time.process_time()
     estimation = Estimation(recording, belief)
-    estimation.calibrate()
-    for method in methods:
-        with suppress(CalibrationError, GraphError):
+    for method in ("joint", *methods):
+        with suppress(*(() if method == "joint" else (CalibrationError, GraphError))):
             estimation.calibrate(method)
-    return time.process_time() - begin
+        now = time.process_time()
+        seconds[method], begin = now - begin, now
+        stage.step()
+    return seconds
 
 
 def _thinned(recording: Recording) -> Recording:

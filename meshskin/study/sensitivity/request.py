@@ -8,8 +8,8 @@ machines.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -100,6 +100,13 @@ class Pilot:
     """Fixed seconds, and seconds per reading, of the estimate and all methods run beside it."""
     spent: tuple[float, float]
     """Wall and processor seconds from the beginning of the run to the end of the pilot."""
+    shares: Mapping[str, float] = field(default_factory=dict)
+    """Part of `estimating` that each method takes."""
+
+    def estimate_seconds(self, method: str, readings: int) -> float:
+        """Processor seconds of one method on so many readings."""
+        once, each = self.estimating
+        return self.shares.get(method, 1.0) * (once + each * readings)
 
     @property
     def slowdown(self) -> float:

@@ -1,0 +1,69 @@
+"""The time by which work has to end: checked between its steps, by the hook of its progress."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from time import perf_counter, process_time
+
+from .errors import OutOfTime, StudyError
+from .progress import Progress
+
+LEAST_SECONDS = 2.0
+"""Least time, s, of a run: packages, the smallest body and the report alone take as long."""
+REPORT_SECONDS = 2.0
+"""Usual processor time, s, of a report (docs, speed), where it is not measured yet."""
+
+
+def check_run_seconds(seconds: float, least: float = LEAST_SECONDS) -> None:
+    """Raise StudyError where a run cannot end within `seconds`."""
+    if 0 < seconds < least:
+        raise StudyError(
+            "the time is too short",
+            value=f"{seconds:g} s",
+            limit=f"a run takes {least:.2g} s at least",
+            remedy="give more seconds",
+        )
+
+
+@dataclass(frozen=True)
+class Deadline:
+    """The wall time that work may take."""
+
+    seconds: float = math.inf
+    """From `began` to the end, s."""
+    began: tuple[float, float] = field(default_factory=lambda: (perf_counter(), process_time()))
+    """Wall and processor time at the beginning, s."""
+
+    @property
+    def spent(self) -> tuple[float, float]:
+        """Wall and processor time since the beginning, s."""
+        return perf_counter() - self.began[0], process_time() - self.began[1]
+
+    @property
+    def left(self) -> float:
+        """Seconds of wall time that are left."""
+        return self.seconds - self.spent[0]
+
+    @property
+    def slowdown(self) -> float:
+        """Wall time over processor time since the beginning, at least 1: other work on the machine
+        takes the rest."""
+        wall, processor = self.spent
+        return max(wall / max(processor, 1e-9), 1.0)
+
+    def check(self, processor: float = 0.0) -> None:
+        """Raise OutOfTime unless there is time for work of `processor` seconds."""
+        if self.left < processor * self.slowdown:
+            raise OutOfTime("the time is used up", value=f"{self.seconds:g} s")
+
+    def hook(self, progress: Progress | None = None, reserve: float = 0.0) -> Progress:
+        """A hook that checks that `reserve` processor seconds are left, and then calls `progress`,
+        if there is one."""
+
+        def hook(stage: str, done: int, total: int) -> None:
+            self.check(reserve)
+            if progress is not None:
+                progress(stage, done, total)
+
+        return hook

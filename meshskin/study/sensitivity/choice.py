@@ -1,0 +1,139 @@
+"""The settings that a request leads to: those of the best prediction that the arm can follow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from ...core.deadline import Deadline
+from ...core.errors import OutOfTime, ReachError, StudyError
+from ...core.progress import Progress
+from ...estimation.joint.reduced_nlp import NEWTON_TOLERANCE
+from ...exploration.plan import plan_exploration
+from ...scene.scene import Scene
+from .first_run import FirstRun, first_run
+from .pilot import pilot
+from .request import Pilot, Prediction, Request
+
+if TYPE_CHECKING:
+    from ...estimation.calibration import Calibration
+    from ...exploration.path import Path as ExplorationPath
+
+PUNCTUAL = 0.85
+"""Part of the seconds asked for that a prediction may use: other work on the machine comes and
+goes."""
+WORTHWHILE = 4.0
+"""Seconds that must be left after the first run, in those that it took, so that its parts are
+measured and another run is made: measuring takes about twice as long as the first run."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The settings of a run, and what it is expected to take."""
+
+    scene: Scene
+    path: ExplorationPath
+    tolerance: float
+    first: FirstRun
+    record: dict[str, Any]
+    """The prediction, for the metrics."""
+    measured: Pilot | None = None
+    """None: the first run is the run."""
+
+    def without_finer(self, why: str) -> Choice:
+        """The first run in place of this one."""
+        return self if self.measured is None else least(self.first, self.record["asked"], why)
+
+    def seconds(self, method: str, readings: int | None = None) -> float:
+        """Processor seconds expected of a method; of all readings of the run by default."""
+        if self.measured is None:
+            return 0.0
+        return self.measured.estimate_seconds(method, readings or self.record["readings"])
+
+
+def choose(
+    scene: Scene,
+    request: Request,
+    methods: Sequence[str],
+    drawing: Callable[[Calibration], float],
+    seed: int,
+    deadline: Deadline,
+    progress: Progress | None = None,
+) -> Choice:
+    """The settings that meet a request best. methods: run beside the joint estimate; drawing: gives
+    the processor seconds of a report.
+
+    Raises StudyError if no settings reach the accuracy, or if the first run takes all the time;
+    ReachError if the arm cannot follow any path.
+    """
+    began = deadline.spent[0]
+    try:
+        first = first_run(scene, drawing, seed, deadline, progress)
+    except OutOfTime as error:
+        raise StudyError(
+            "the time is too short",
+            value=request.words,
+            limit="a first run on wide lanes takes longer",
+            remedy="give more seconds",
+        ) from error
+    report = first.report_seconds * deadline.slowdown
+    if deadline.left - report < WORTHWHILE * (deadline.spent[0] - began):
+        return least(first, request.words, "no time is left for finer settings")
+    try:
+        measured = pilot(scene, first, request, methods, seed, deadline, progress)
+        return _best(scene, measured, first, request)
+    except OutOfTime:
+        return least(first, request.words, "no time is left for finer settings")
+    except StudyError:
+        if request.seconds is None:
+            raise
+        return least(first, request.words, "finer settings would take longer")
+
+
+def least(first: FirstRun, asked: str, why: str) -> Choice:
+    """The first run as the run, which nothing was predicted for."""
+    record = {
+        "asked": asked,
+        "setting": f"{first.words}, because {why}",
+        "error_mm": None,
+        "numerical_mm": None,
+        "seconds": None,
+        "processor_seconds": None,
+        "readings": len(first.recording.pressure),
+    }
+    return Choice(first.scene, first.path, NEWTON_TOLERANCE, first, record)
+
+
+def _best(scene: Scene, measured: Pilot, first: FirstRun, request: Request) -> Choice:
+    """The best prediction whose path the arm can follow."""
+    reason: ReachError | None = None
+    if request.seconds is not None:
+        request_then = replace(request, seconds=PUNCTUAL * request.seconds)
+    else:
+        request_then = request
+    for prediction in measured.choose(request_then):
+        chosen = prediction.setting.scene(scene, prediction.setting.body(scene.body))
+        try:
+            path = plan_exploration(chosen).path
+        except ReachError as error:
+            reason = error
+            continue
+        record = _record(measured, prediction, request)
+        return Choice(chosen, path, prediction.setting.tolerance, first, record, measured)
+    assert reason is not None
+    raise reason
+
+
+def _record(measured: Pilot, prediction: Prediction, request: Request) -> dict[str, Any]:
+    lanes = measured.setting.lane_spacing / prediction.setting.lane_spacing
+    many = lanes * prediction.setting.rate / measured.setting.rate
+    return {
+        "asked": request.words,
+        "setting": prediction.setting.words(measured.base),
+        "error_mm": prediction.error_mm,
+        "numerical_mm": prediction.numerical_mm,
+        "seconds": prediction.seconds,
+        "processor_seconds": prediction.processor_seconds,
+        "readings": round(measured.readings * many),
+    }

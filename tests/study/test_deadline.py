@@ -1,0 +1,119 @@
+"""A time that is asked for is a deadline: what does not fit is left out, named, or refused."""
+
+from time import perf_counter, process_time
+
+import numpy as np
+import pytest
+
+from meshskin import cli, pipeline
+from meshskin.core.deadline import Deadline, check_run_seconds
+from meshskin.core.errors import OutOfTime, StudyError
+from meshskin.estimation.calibrate import Estimation
+from meshskin.estimation.comparison import METHODS, compare_methods
+from meshskin.study.sensitivity import choice
+from meshskin.study.sensitivity.request import Request
+
+
+def ends_in(seconds, slowdown=1.0):
+    """A deadline `seconds` from now, on a machine that has been slow for 100 s of wall time."""
+    return Deadline(100.0 + seconds, (perf_counter() - 100.0, process_time() - 100.0 / slowdown))
+
+
+def test_a_deadline_counts_wall_time_and_reserves_processor_time():
+    calm, busy = ends_in(10.0), ends_in(10.0, slowdown=4.0)
+    assert calm.left == pytest.approx(10.0, abs=0.1)
+    assert calm.slowdown == pytest.approx(1.0, abs=0.01)
+    assert busy.slowdown == pytest.approx(4.0, abs=0.1)
+    calm.check(5.0)
+    heard = []
+    busy.hook(lambda *at: heard.append(at), 2.0)("work", 1, 2)
+    assert heard == [("work", 1, 2)]
+    with pytest.raises(OutOfTime, match="the time is used up, got 110 s"):
+        busy.hook(None, 5.0)("work", 1, 2)
+    Deadline().check(1e9)
+
+
+def test_methods_that_do_not_fit_are_left_out_and_named(noisy_recording, noisy):
+    estimation = Estimation(noisy_recording, noisy.belief())
+    seconds = {"centroid": 1.0}
+    found = compare_methods(
+        estimation, None, ends_in(20.0), 1.0, lambda method: seconds.get(method, 50.0)
+    )
+    assert list(found.found) == ["centroid"]
+    assert found.left_out == tuple(method for method in METHODS if method != "centroid")
+    assert all("no time within 120 s" in found.missing[method] for method in found.left_out)
+    # without a prediction, the hook ends a method that takes too long
+    late = compare_methods(estimation, None, ends_in(-1.0))
+    assert late.left_out == METHODS
+
+
+def test_a_calibration_ends_at_its_deadline(noisy_recording, noisy):
+    with pytest.raises(OutOfTime):
+        Estimation(noisy_recording, noisy.belief()).calibrate(progress=ends_in(1.0).hook(None, 2.0))
+
+
+def test_a_time_in_which_no_run_can_end_is_refused_at_once(tmp_path, capsys):
+    began = process_time()
+    out = ["--out", str(tmp_path / "out")]
+    assert cli.main(["run", "sphere", "--seconds", "0.001", *out]) == 2
+    assert process_time() - began < 1.0
+    line = capsys.readouterr().err
+    assert "the time is too short, got 0.001 s, limit: a run takes 2 s at least" in line
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(StudyError, match=r"a run takes 7\.1 s at least"):
+        check_run_seconds(7.0, 7.1)
+
+
+def test_a_first_run_that_takes_all_the_time_is_refused(noisy):
+    request = Request(seconds=100.0)
+    with pytest.raises(
+        StudyError, match="got 100 s, limit: a first run on wide lanes takes longer"
+    ):
+        choice.choose(noisy, request, METHODS, lambda _: 0.0, 0, ends_in(-1.0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("late", ["pilot", "simulate", "calibrate"])
+def test_a_run_that_falls_behind_reports_its_first_run(tmp_path, monkeypatch, late):
+    """The time runs out in a stage: the scene on wide lanes is the result, and the page says so."""
+    ends = []
+
+    def late_hook(self, progress=None, reserve=0.0):
+        def hook(stage, done, total):
+            if stage == late and (late != "pilot" or done == 5):
+                ends.append(stage)
+                raise OutOfTime("the time is used up")
+
+        return hook
+
+    calibrate = Estimation.calibrate
+    monkeypatch.setattr(Deadline, "hook", late_hook)
+    if late == "calibrate":  # that of the first run succeeds
+        seen = []
+
+        def first_only(self, *args, **kwargs):
+            seen.append(self.recording)
+            kept = dict(kwargs) if self.recording is not seen[0] else {}
+            return calibrate(self, *args[: 4 if kept else 3], **kept)
+
+        monkeypatch.setattr(Estimation, "calibrate", first_only)
+    if late == "simulate":
+        monkeypatch.setattr(
+            "meshskin.study.sensitivity.first_run.run", lambda s, m, p, _: pipeline_run(s, m, p)
+        )
+    result = pipeline.run("sphere_noisy", tmp_path, seed=1, request=Request(accuracy_mm=0.05))
+    assert ends
+    promise = result.metrics["promise"]
+    assert promise["error_mm"] is None
+    assert "because" in promise["setting"]
+    assert len(result.recording.time) < 2000
+    assert result.recording.motion is not None
+    assert np.isfinite(result.metrics["position_error_mm"]["mean"])
+    assert "because" in (tmp_path / "report.html").read_text()
+
+
+def pipeline_run(scene, machine, path):
+    """The closed loop without a hook."""
+    from meshskin.simulation.simulate import run
+
+    return run(scene, machine, path)
