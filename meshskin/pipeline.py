@@ -25,7 +25,7 @@ from .core.progress import Progress, Stage
 from .core.provenance import StageTimer, provenance
 from .estimation.calibrate import Estimation
 from .estimation.calibration import Calibration
-from .estimation.comparison import METHODS, Comparison, compare_methods
+from .estimation.comparison import METHODS, compare_methods, worse_than_centroid
 from .estimation.demonstration import Demonstration, demonstrate
 from .estimation.joint.reduced_nlp import NEWTON_TOLERANCE
 from .estimation.uncertainty import metrics as truth
@@ -36,7 +36,6 @@ from .simulation.response import ForceResponse, describe_departure, force_respon
 from .simulation.simulate import simulate
 
 if TYPE_CHECKING:
-    from .skin.skin import Skin
     from .study.sensitivity.budget import BudgetReport
     from .study.sensitivity.choice import Choice
     from .study.sensitivity.request import Request
@@ -143,8 +142,8 @@ def run(
     with timer.stage("metrics"):
         force = _force(recording, scene)
         metrics = _assess(scene, done.belief, recording, calibration, force, demonstration)
-        metrics |= _errors(comparison, scene.skin)
-        metrics["worse_than_centroid"] = _worse_than_centroid(metrics)
+        metrics |= comparison.errors(scene.skin)
+        metrics["worse_than_centroid"] = worse_than_centroid(metrics)
         if decided is not None:
             mean = metrics["position_error_mm"]["mean"]
             metrics["budget"] = decided.metrics() | {"above": decided.explain(1e-3 * mean)}
@@ -293,28 +292,6 @@ def _nees_band(calibration: Calibration) -> list[float] | None:
     if truth.is_ideal(calibration):
         return None
     return list(truth.nees_band(int(calibration.observed[:, :2].all(axis=1).sum())))
-
-
-def _errors(comparison: Comparison, skin: Skin) -> dict[str, dict[str, Any]]:
-    """Position errors, mm, of the other methods, or why there are none."""
-    errors: dict[str, dict[str, Any]] = {
-        method: {"mean": None, "rms": None, "max": None, "why": why}
-        for method, why in comparison.missing.items()
-    }
-    for method, other in comparison.found.items():
-        # displacements say nothing about the pose of the whole
-        gauge = method.startswith("posegraph")
-        errors[method] = truth.summary_mm(truth.position_errors(other, skin, gauge=gauge))
-    return errors
-
-
-def _worse_than_centroid(metrics: dict[str, Any]) -> list[str]:
-    """Methods whose mean error is above that of the baseline, the centroid of contact points."""
-    baseline = metrics["centroid"]["mean"]
-    errors = {"joint": metrics["position_error_mm"]["mean"]}
-    errors |= {method: metrics[method]["mean"] for method in METHODS}
-    known = {name: error for name, error in errors.items() if error is not None}
-    return [name for name, error in known.items() if baseline is not None and error > baseline]
 
 
 def _force_metrics(force: ForceResponse, departure: str) -> dict[str, Any]:

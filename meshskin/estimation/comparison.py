@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,6 +14,10 @@ from ..core.errors import CalibrationError, GraphError, OutOfTime
 from ..core.progress import Progress, Stage
 from .calibrate import Estimation
 from .calibration import Calibration
+from .uncertainty import metrics as truth
+
+if TYPE_CHECKING:
+    from ..skin.skin import Skin
 
 METHODS = (
     "trilateration",
@@ -38,6 +43,27 @@ class Comparison:
     """Why each other method gave none."""
     left_out: tuple[str, ...] = ()
     """Those of them that there was no time for."""
+
+    def errors(self, skin: Skin) -> dict[str, dict[str, Any]]:
+        """Position errors, mm, of each method against the true skin, or why there are none."""
+        errors: dict[str, dict[str, Any]] = {
+            method: {"mean": None, "rms": None, "max": None, "why": why}
+            for method, why in self.missing.items()
+        }
+        for method, other in self.found.items():
+            # displacements say nothing about the pose of the whole
+            gauge = method.startswith("posegraph")
+            errors[method] = truth.summary_mm(truth.position_errors(other, skin, gauge=gauge))
+        return errors
+
+
+def worse_than_centroid(metrics: dict[str, Any]) -> list[str]:
+    """Methods whose mean error is above that of the baseline, the centroid of contact points."""
+    baseline = metrics["centroid"]["mean"]
+    errors = {"joint": metrics["position_error_mm"]["mean"]}
+    errors |= {method: metrics[method]["mean"] for method in METHODS}
+    known = {name: error for name, error in errors.items() if error is not None}
+    return [name for name, error in known.items() if baseline is not None and error > baseline]
 
 
 def compare_methods(
