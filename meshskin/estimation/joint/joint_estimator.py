@@ -21,7 +21,7 @@ from .likelihood import Likelihood, select
 from .parametrization import Parametrization, SurfaceParametrization
 from .pressure import OBSERVED
 from .reduced_nlp import NEWTON_TOLERANCE, minimize
-from .variable_projection import ReducedProblem, SchurComplement, State
+from .variable_projection import MAX_STEPS, ReducedProblem, SchurComplement, State
 
 MAX_RELINEARIZATIONS = 8
 """Largest number of linearizations; two are usual."""
@@ -151,14 +151,15 @@ class JointEstimator:
         moved = parametrization.about(self.data.body, points)
         self.relinearize(moved, self.state.s, z, select_anew)
 
-    def converge(self) -> None:
+    def converge(self, most: int = MAX_RELINEARIZATIONS, steps: int = MAX_STEPS) -> None:
         """Optimize and linearize until nothing moves; taxels that do not converge are marked in
         `unconverged`.
 
-        Raises CalibrationError if the global parameters do not converge.
+        most: linearizations; steps: Gauss-Newton steps of a taxel in each. Raises CalibrationError
+        if the global parameters do not converge.
         """
         status, clock = "", time.perf_counter()
-        for iteration in range(MAX_RELINEARIZATIONS):
+        for iteration in range(most):
             problem = self.problem
             decrement = problem.blocks(self.state).decrement
             self.unconverged = (decrement > self.tolerance)[problem.parametrization.group]
@@ -167,7 +168,7 @@ class JointEstimator:
                 moving = problem.reduce(self.state).decrement > self.tolerance
             if iteration and not moving:
                 break
-            problem.solve_inner(self.state)
+            problem.solve_inner(self.state, most=steps)
             self.stage.step()
             self.record(self.state)
             if not self.frozen:

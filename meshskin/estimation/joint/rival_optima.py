@@ -207,7 +207,7 @@ def starting_points(
     return [center + 2 * kept - offset, *(center + RING * reach * way for way in ring)]
 
 
-def _problem(
+def problem_of(
     estimator: JointEstimator, rows: np.ndarray, points: Array, readings: Readings
 ) -> ReducedProblem:
     """The problem of the taxels `rows` alone, linearized at `points` (r, 3)."""
@@ -218,7 +218,7 @@ def _problem(
     return ReducedProblem(likelihood, own, estimator.problem.contacts, estimator.inner_tolerance)
 
 
-def _readings(estimator: JointEstimator, rows: np.ndarray, points: Array) -> Readings:
+def readings_of(estimator: JointEstimator, rows: np.ndarray, points: Array) -> Readings:
     """The readings that inform about the taxels `rows` at `points` (r, 3)."""
     return select(
         estimator.problem.contacts.data, estimator.live[rows], points,
@@ -233,7 +233,7 @@ def optimum_from(estimator: JointEstimator, rows: np.ndarray, start: Array) -> t
     points, z = start, estimator.state.z[rows].copy()
     for _ in range(ITERATIONS):
         z[:, :2] = 0.0
-        problem = _problem(estimator, rows, points, _readings(estimator, rows, points))
+        problem = problem_of(estimator, rows, points, readings_of(estimator, rows, points))
         state = problem.start(estimator.state.s, z)
         problem.solve_inner(state)
         z = state.z.copy()
@@ -249,10 +249,10 @@ def log_odds_between(
 ) -> Array:
     """Log-likelihood (r,) of taxels at the points and unknowns `first` minus that at `second`, of
     all readings that inform about either."""
-    readings = union(*(_readings(estimator, rows, points) for points, _ in (first, second)))
+    readings = union(*(readings_of(estimator, rows, points) for points, _ in (first, second)))
     costs = []
     for points, z in (first, second):
-        problem = _problem(estimator, rows, points, readings)
+        problem = problem_of(estimator, rows, points, readings)
         nuisance = z.copy()
         nuisance[:, :2] = 0.0
         state = problem.start(estimator.state.s, nuisance)

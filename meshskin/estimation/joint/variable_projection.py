@@ -115,11 +115,14 @@ class ReducedProblem:
         state.moments.put(rows, self._moments(z, s, groups))
         return state
 
-    def solve_inner(self, state: State, groups: np.ndarray | None = None) -> None:
-        """Bring the groups (all by default) to their optimum at the state's s, in place."""
+    def solve_inner(
+        self, state: State, groups: np.ndarray | None = None, most: int = MAX_STEPS
+    ) -> None:
+        """Bring the groups (all by default) to their optimum at the state's s, in place, in `most`
+        steps or fewer."""
         groups = np.arange(self.parametrization.count) if groups is None else groups
         damping = np.zeros(len(groups))
-        for _ in range(MAX_STEPS):
+        for _ in range(most):
             blocks = self.blocks(state, groups)
             step = blocks.steps(damping)
             state.decrement[groups] = blocks.decrement

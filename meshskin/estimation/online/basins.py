@@ -7,6 +7,7 @@ with the global parameters as they are. All starts are one problem, each with a 
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,19 +20,26 @@ from ..joint.parametrization import SurfaceParametrization
 from ..joint.reduced_nlp import MAX_ITERATIONS
 from ..joint.rival_optima import (
     DIRECTIONS,
+    ITERATIONS,
     MAX_LOG_ODDS,
     MIN_DISTANCE,
     MIN_ON_SHEET,
     RING,
     WIDTHS,
     log_odds_between,
-    optimum_from,
     part_on_sheet,
+    problem_of,
+    readings_of,
     starting_points,
 )
+from ..joint.variable_projection import MAX_STEPS
 
 COPIES = DIRECTIONS + 1
 """Starts of a taxel: the mirror image and a ring; no fewer than the distances of `WIDTHS`."""
+
+
+STEPS = 2
+"""Gauss-Newton steps of one part of the work: 2 ms a taxel (studies/speed/online.py)."""
 
 
 @dataclass(frozen=True)
@@ -48,41 +56,68 @@ class Basins:
 
 
 def examine(
-    data: Measurements, charts: Charts, nuisance: Array, s: Array, covariance: Array
-) -> Basins:
+    data: Measurements,
+    weight: Array,
+    charts: Charts,
+    nuisance: Array,
+    s: Array,
+    covariance: Array,
+) -> Generator[None, None, Basins]:
     """Look for other positions of t taxels at converged estimates, the origins of `charts`.
 
-    data: of COPIES copies of each taxel, one after the other; nuisance (t, q), s (ks,): the
-    estimates; covariance (t, 2, 2), m^2: along the charts' tangents.
+    The work is done in parts, between which the generator yields; it returns what was found. data:
+    of COPIES copies of each taxel, one after the other; weight (k,): of the readings; nuisance
+    (t, q), s (ks,): the estimates; covariance (t, 2, 2), m^2: along the charts' tangents.
     """
     t = len(charts.points)
     rows = np.arange(t * COPIES)
     own = rows // COPIES
     step = float(np.median(data.radii)) / 2
     estimator = JointEstimator(
-        data, rows, SurfaceParametrization(charts[own], step), np.ones(len(data.taxel)),
+        data, rows, SurfaceParametrization(charts[own], step), weight,
         MAX_ITERATIONS, shared=s, nuisance=nuisance[own],
     )  # fmt: skip
     points, z = charts.points[own], estimator.state.z
     reach = float(np.median(data.reach()))
-    candidates = starting_points(estimator, rows, points, reach)
-    start = np.stack(candidates)[rows % COPIES, rows]
-    found = optimum_from(estimator, rows, start)
+    start = np.stack(starting_points(estimator, rows, points, reach))[rows % COPIES, rows]
+    yield
+    found = yield from _optimum(estimator, rows, start)
     valid = np.linalg.norm(found[0] - points, axis=1) > MIN_DISTANCE * reach
     valid &= part_on_sheet(estimator, rows, found[0]) >= MIN_ON_SHEET
     odds = np.where(valid, log_odds_between(estimator, rows, (points, z), found), np.inf)
     odds, places = odds.reshape(t, COPIES), found[0].reshape(t, COPIES, 3)
     best = odds.argmin(axis=1)
     odds, places = odds[np.arange(t), best], places[np.arange(t), best]
+    yield
     spread = _excess_width(estimator, charts, covariance, z)
     rival = odds < MAX_LOG_ODDS
-    apart = np.einsum("tij,ti->tj", charts.tangents, np.where(rival[:, None], places, 0.0))
-    apart -= np.einsum("tij,ti->tj", charts.tangents, np.where(rival[:, None], charts.points, 0.0))
+    apart = np.where(rival[:, None], places - charts.points, 0.0)
+    apart = np.einsum("tij,ti->tj", charts.tangents, apart)
     return Basins(
         better=np.where((odds < 0)[:, None], places, np.nan),
         spread=spread + apart[:, :, None] * apart[:, None, :],
         unique=~rival,
     )
+
+
+def _optimum(
+    estimator: JointEstimator, rows: np.ndarray, start: Array
+) -> Generator[None, None, tuple[Array, Array]]:
+    """Points and unknowns of the optima from `start` (r, 3), as `rival_optima.optimum_from`."""
+    points, z = start, estimator.state.z[rows].copy()
+    for _ in range(ITERATIONS):
+        z[:, :2] = 0.0
+        readings = readings_of(estimator, rows, points)
+        problem = problem_of(estimator, rows, points, readings)
+        state = problem.start(estimator.state.s, z)
+        for _ in range(MAX_STEPS // STEPS):
+            yield
+            problem.solve_inner(state, most=STEPS)
+            if (state.decrement <= problem.inner_tolerance).all():
+                break
+        z = state.z.copy()
+        points = estimator.data.body.closest(problem.points(state)).point
+    return points, z
 
 
 def _excess_width(estimator: JointEstimator, charts: Charts, covariance: Array, z: Array) -> Array:

@@ -80,6 +80,7 @@ class Judge:
             self.misfit = f"{rejected} of {contacts} contacts are rejected"
         elif placed.sum() >= MIN_COUNT and unfit > MAX_FAULTY * placed.sum():
             self.misfit = f"the readings of {unfit} of {placed.sum()} taxels do not fit"
+        estimate.misfit = bool(self.misfit)
 
     def _look_for_moves(self, estimate: RunningEstimate) -> None:
         if self._before is None or not (level := self._move_test.look(estimate.store.count)):
@@ -93,5 +94,5 @@ class Judge:
         offset[rows] = np.einsum("nij,ni->nj", tangents[rows], info.points(rows) - points[rows])
         both = np.full((len(compared), 2, 2), np.inf)
         both[rows] = np.swapaxes(tangents[rows], 1, 2) @ covariance[rows] @ tangents[rows]
-        both[rows] += estimate.covariances[rows] * (estimate.scale**2 if self.misfit else 1.0)
+        both[rows] += estimate.covariances[rows]
         self.moved = moved_taxels(offset, both, level)

@@ -4,7 +4,7 @@ estimated anew from all their readings, with the global parameters as they are.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,14 @@ from ..joint.reduced_nlp import MAX_ITERATIONS
 from ..joint.variable_projection import SchurComplement
 from ..trilateration import trilaterate
 
+LINEARIZATIONS, STEPS = 2, 4
+"""Linearizations, and Gauss-Newton steps of a taxel in each, of a bounded estimate: from where a
+taxel was, two of two steps are usual."""
+NEWTON_TOLERANCE = 1e-6
+"""Newton decrement at which a taxel is at its optimum: within 1.4e-3 standard deviations."""
+MAX_DECREMENT = 1e-3
+"""Newton decrement from which a taxel waits for more steps: 0.045 standard deviations, a step that
+the linearization bears."""
 KNOWN = 1e18
 """Information that stands for a known global parameter: 1e-9 of any unit."""
 
@@ -91,48 +99,76 @@ class LocalEstimate:
     """Outlying readings (t,)."""
     fits: np.ndarray
     """Whether (t,) the estimate converged and its readings, without outlying ones, fit."""
+    converged: np.ndarray
+    """Whether (t,) it converged."""
 
 
 def local_estimator(
-    data: Measurements, points: Array, rotations: Array | None, nuisance: Array, s: Array
+    data: Measurements,
+    weight: Array,
+    points: Array,
+    rotations: Array,
+    nuisance: Array,
+    s: Array,
 ) -> JointEstimator:
-    """The converged estimate of the taxels of `data` from `points` (t, 3), m, with s (ks,) known.
+    """An estimate of the taxels of `data` from `points` (t, 3), m, with s (ks,) known.
 
-    rotations (t, 3, 3): frames nearby that the charts continue; nuisance (t, q): their start.
+    weight (k,): of the readings; rotations (t, 3, 3): frames nearby that the charts continue;
+    nuisance (t, q): their start.
     """
     charts = chart.charts_at(data.body, points, rotations)
-    estimator = JointEstimator(
-        data,
-        np.arange(len(points)),
-        SurfaceParametrization(charts, float(np.median(data.radii)) / 2),
-        np.ones(len(data.taxel)),
-        MAX_ITERATIONS,
-        shared=s,
-        nuisance=nuisance,
-    )
+    step = float(np.median(data.radii)) / 2
+    return JointEstimator(
+        data, np.arange(len(points)), SurfaceParametrization(charts, step), weight, MAX_ITERATIONS,
+        NEWTON_TOLERANCE, shared=s, nuisance=nuisance,
+    )  # fmt: skip
+
+
+def advance(estimator: JointEstimator, scale: float) -> np.ndarray:
+    """A bounded number of steps towards the optimum, and one towards the weights of the readings of
+    misfitting taxels. Returns the taxels (t,) bool that misfit all the same.
+
+    scale: standard deviation of most residuals, at least 1. Weights are the probabilities that a
+    reading is sound, as the batch estimate has them in the end; where a taxel fits with all its
+    readings, all count.
+    """
+    estimator.converge(LINEARIZATIONS, STEPS)
+    readings, r = estimator.likelihood.readings, estimator.residuals()
+    unweighted = replace(readings, weight=np.ones_like(readings.weight))
+    suspects = faults.misfitting_taxels(unweighted, r, scale)
+    suspected = np.isin(readings.taxel, suspects)
+    weight = np.ones_like(readings.weight)
+    own = suspected & (readings.kind == OBSERVED)
+    cutoff = faults.equal_odds_cutoff(r[own], scale)
+    weight[suspected] = faults.robust_weights(r[suspected], scale, 0.0, cutoff)
+    if np.abs(weight - readings.weight).max(initial=0.0) >= faults.WEIGHT_TOLERANCE:
+        estimator.reweight(weight)
+        unanswered = faults.unanswered_presses(estimator.likelihood.readings)
+        if unanswered.any():
+            estimator.silent_weight[np.unique(readings.taxel[unanswered])] = 0.0
+            estimator.reweight(np.where(unanswered, 0.0, weight))
+        estimator.converge(LINEARIZATIONS, STEPS)
+    return _misfits(estimator, scale)
+
+
+def search(estimator: JointEstimator, scale: float) -> tuple[JointEstimator, np.ndarray]:
+    """The converged estimate without outlying readings, as the batch estimate finds it; and the
+    taxels (t,) bool that misfit all the same. scale: as `advance`."""
     estimator.converge()
-    return estimator
-
-
-def without_outliers(estimator: JointEstimator, scale: float) -> tuple[JointEstimator, np.ndarray]:
-    """The estimate with outlying readings of misfitting taxels weighted down, and the taxels (t,)
-    bool that misfit all the same. scale: standard deviation of most residuals, at least 1."""
-    misfits = np.zeros(len(estimator.live), dtype=bool)
-    suspects = _suspects(estimator, scale)
+    suspects = np.flatnonzero(_misfits(estimator, scale))
     if len(suspects):
         estimator.restart(trilaterate.centroids(estimator.data))
-        suspects = _suspects(estimator, scale)
-    if not len(suspects):
-        return estimator, misfits
+        suspects = np.flatnonzero(_misfits(estimator, scale))
     trial = estimator.trial()
-    if np.isfinite(irls(trial, suspects, scale, True)):
+    if len(suspects) and np.isfinite(irls(trial, suspects, scale, True)):
         estimator = trial
-    misfits[_suspects(estimator, scale)] = True
-    return estimator, misfits
+    return estimator, _misfits(estimator, scale)
 
 
-def _suspects(estimator: JointEstimator, scale: float) -> np.ndarray:
-    return faults.misfitting_taxels(estimator.likelihood.readings, estimator.residuals(), scale)
+def _misfits(estimator: JointEstimator, scale: float) -> np.ndarray:
+    readings, out = estimator.likelihood.readings, np.zeros(len(estimator.live), dtype=bool)
+    out[faults.misfitting_taxels(readings, estimator.residuals(), scale)] = True
+    return out
 
 
 def summary(estimator: JointEstimator, misfits: np.ndarray) -> LocalEstimate:
@@ -157,7 +193,8 @@ def summary(estimator: JointEstimator, misfits: np.ndarray) -> LocalEstimate:
     weight, owner = readings.weight[clear], readings.taxel[clear]
     outlying = np.bincount(readings.taxel, faults.outliers(readings), n).astype(int)
     read = np.bincount(readings.taxel, readings.kind == OBSERVED, n)
-    fits = ~(misfits | estimator.unconverged) & (outlying <= faults.MAX_TAXEL_OUTLIERS * read)
+    converged = blocks.decrement < MAX_DECREMENT
+    fits = ~misfits & converged & (outlying <= faults.MAX_TAXEL_OUTLIERS * read)
     return LocalEstimate(
         charts=parametrization.charts,
         nuisance=state.z[:, parametrization.size :].copy(),
@@ -167,4 +204,5 @@ def summary(estimator: JointEstimator, misfits: np.ndarray) -> LocalEstimate:
         freedom=np.bincount(owner, kept[clear], n).astype(float),
         outlying=outlying,
         fits=fits,
+        converged=converged,
     )

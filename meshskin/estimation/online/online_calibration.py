@@ -32,8 +32,10 @@ PERIOD = 0.02
 """Time from frame to frame, s, where none is given: 50 frames a second."""
 FRAMES = 10
 """Frames that are added at once: within them estimates are linearized where they were before."""
-ANEW = 4
+ANEW = 3
 """Taxels that are estimated anew for each frame: 7 ms (studies/speed/online.py)."""
+PARTS = 1
+"""Parts of looking for other places of taxels with an open sector, in a frame: 4 ms."""
 NEXT_TOUCH_EVERY = 10
 """Frames after which the next touch is computed again: five times a second at 50 frames."""
 
@@ -93,7 +95,7 @@ class OnlineCalibration:
         self._estimate: RunningEstimate | None = None
         self._judge = Judge(self.ids, previous, reachable, self.target)
         self._next: NextTouch | None = None
-        self._next_at = 0
+        self._turn = 0
 
     def __repr__(self) -> str:
         return f"<OnlineCalibration of {len(self.ids)} taxels: {self.status or 'no contacts yet'}>"
@@ -174,7 +176,7 @@ class OnlineCalibration:
         shape = np.zeros_like(flat)
         if self._estimate is not None:
             known = self._estimate.determined[:, None, None]
-            flat = np.where(known, self._widening * self._estimate.covariances, flat)
+            flat = np.where(known, self._estimate.covariances, flat)
             shape = self._estimate.information.charts.shape
         return pose_covariance(flat, shape)
 
@@ -184,7 +186,7 @@ class OnlineCalibration:
         determined."""
         if self._estimate is None:
             return np.full(len(self.ids), np.inf)
-        trace = self._widening * np.trace(self._estimate.covariances, axis1=1, axis2=2)
+        trace = np.trace(self._estimate.covariances, axis1=1, axis2=2)
         return np.where(self._estimate.determined, np.sqrt(np.maximum(trace, 0.0)), np.inf)
 
     def recording(self) -> Recording:
@@ -260,31 +262,27 @@ class OnlineCalibration:
             self._estimate.add(block, (row[frame[read]], taxel[read], pressure[read]))
 
     def _advance(self, frames: int) -> None:
-        """The bounded work of so many frames: estimate anew, examine, test, plan."""
+        """The bounded work of so many frames: of one frame, one of what there is to do."""
         if self._estimate is None:
             return
-        estimate = self._estimate
+        estimate, before = self._estimate, self._turn
+        self._turn += frames
         estimate.solve()
-        unexamined = estimate.unexamined()
-        if len(unexamined) and (frames > 1 or self.frames % 2):
-            estimate.examine(unexamined[: max(frames // 4, 1)])
-        if frames > 1 or not (len(unexamined) and self.frames % 2):
+        touch = self._turn // NEXT_TOUCH_EVERY > before // NEXT_TOUCH_EVERY
+        examine = bool(self._turn % 2) and estimate.examining
+        if frames > 1 or examine:
+            estimate.examine(max(PARTS, frames))
+        if frames > 1 or not (touch or examine):
             estimate.estimate_anew(estimate.waiting()[: ANEW * frames])
-        self._judge.look(estimate, self._rejected)
-        if self.frames >= self._next_at:
-            self._next_at = self.frames + NEXT_TOUCH_EVERY
+        if touch:
             self._next = self._best_touch()
+        self._judge.look(estimate, self._rejected)
 
     @property
     def _started(self) -> RunningEstimate:
         if self._estimate is None:
             raise CalibrationError("no contact so far", remedy="update with contacts first")
         return self._estimate
-
-    @property
-    def _widening(self) -> float:
-        """What covariances are multiplied by where the model misfits."""
-        return self._started.scale**2 if self._judge.misfit else 1.0
 
     def _only_determined(self, values: Array) -> Array:
         if self._estimate is None:
@@ -327,6 +325,7 @@ class OnlineCalibration:
         estimate, info = self._estimate, self._estimate.information
         determined, sigma = estimate.determined, self.position_sigma
         seen, (information, gains) = estimate.store.counts > 0, info.of_shared
+        variance = estimate.scale**2 if estimate.misfit else 1.0
         contradicting = int(estimate.store.misfitting.values.sum())
         verdict, why = self._judge.verdict(sigma, seen)
         self.status = OnlineStatus(
@@ -338,7 +337,7 @@ class OnlineCalibration:
             unseen=int(np.sum(~seen)),
             median_sigma=float(np.median(sigma[determined])) if determined.any() else np.nan,
             worst_sigma=float(sigma[determined].max(initial=0.0)) if determined.any() else np.nan,
-            unknowns=estimate.parameters.named(info.s, self._widening * info.s_covariance),
+            unknowns=estimate.parameters.named(info.s, variance * info.s_covariance),
             undetermined=undetermined(estimate.parameters, information, gains),
             next_touch=self._next,
             verdict=verdict,

@@ -8,6 +8,9 @@ global parameters as they are.
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from typing import Any
+
 import numpy as np
 
 from ...core.arrays import Array
@@ -16,16 +19,19 @@ from ..data.measurements import Measurements
 from ..data.pairs import MAX_SLANT, REACH_MARGIN
 from ..joint import fault_detection as faults
 from ..joint.contacts import LinearizedContacts
+from ..joint.joint_estimator import JointEstimator
 from ..joint.rival_optima import OPEN_SECTOR, open_sectors
 from . import basins
 from .information import TaxelInformation
-from .linearization import local_estimator, new_readings, summary, without_outliers
-from .store import ContactStore
+from .linearization import advance, local_estimator, new_readings, search, summary
+from .store import ContactStore, Part
 
 TOLERANCE = 0.003
 """Move of a taxel, in contact radii, of ln gain, or of the global parameters in prior standard
 deviations, from which it is estimated anew. The slopes of its readings change by about as much, and
 the estimate by that part of its standard deviation."""
+SETTLED = TOLERANCE / 10
+"""TOLERANCE of `settle`: it is not pressed for time."""
 MAX_MOVE = 0.5
 """Move up to which a linear estimate is believed until then; `SurfaceParametrization.step`."""
 THRESHOLD_STEP = 0.05
@@ -41,8 +47,8 @@ MIN_CONTRADICTIONS = 3
 """Outlying readings of a contact, and more than half of its readings, from which it is rejected."""
 CHUNK = 256
 """Taxels estimated anew at once, at most: bounds the memory."""
-EXAMINED = 16
-"""Taxels examined at once, at most."""
+EXAMINED = 2
+"""Taxels examined at once: some 25 parts of 4 ms (studies/speed/online.py)."""
 MAX_ROUNDS = 8
 """Rounds of `settle`; three are usual."""
 
@@ -58,8 +64,14 @@ class RunningEstimate:
         self.parameters, self.sigma = first.parameters, first.sigma
         self.radius = self.reach = 0.0
         """Median radius of the contacts, and the furthest that a taxel may be to respond, m."""
+        self.misfit = False
+        """Whether the model misfits: set by who tests it."""
         self.fits = np.zeros(n, dtype=bool)
-        self.moved, self.tried = np.zeros(n), np.zeros(n, dtype=int)
+        self.continued = np.zeros(n, dtype=bool)
+        """Taxels (n,) that need more steps from where they are."""
+        self.moved = np.zeros(n)
+        self.tried, self.searched = np.zeros(n, dtype=int), np.zeros(n, dtype=int)
+        """Readings (n,) of each taxel when it was estimated anew, and searched for, last."""
         self.examined = np.zeros(n, dtype=int)
         """Readings (n,) of each taxel when it was examined last."""
         self.unique = np.zeros(n, dtype=bool)
@@ -71,6 +83,9 @@ class RunningEstimate:
         """Squared residuals of each taxel (n,), in units of the noise, and their expectation."""
         self.outlying = np.zeros(n, dtype=int)
         self.linearized_threshold = np.full(n, np.inf)
+        self.last_read = np.zeros(n, dtype=int)
+        """Contact (n,) that each taxel was read in last."""
+        self._examination: Generator[None, None, None] | None = None
         self._mass, self._moment = np.zeros(n), np.zeros((n, 3))
 
     @property
@@ -86,11 +101,17 @@ class RunningEstimate:
 
     @property
     def covariances(self) -> Array:
-        """Covariances (n, 2, 2), m^2, along the charts' tangents; inf where not placed."""
-        wide = np.where(self.open[:, None, None], self.spread, 0.0)
-        found = self.information.covariance[:, :2, :2] + wide
-        infinite = np.diag([np.inf, np.inf])
-        return np.where(self.information.placed[:, None, None], found, infinite)
+        """Covariances (n, 2, 2), m^2, along the charts' tangents; inf where not placed. Where the
+        model misfits they are as wide as the batch estimate's: by the variance of the residuals,
+        and the distance from the pressure-weighted mean of the contact points."""
+        info = self.information
+        found = info.covariance[:, :2, :2] + np.where(self.open[:, None, None], self.spread, 0.0)
+        if self.misfit:
+            found = self.scale**2 * found
+            apart = np.nan_to_num(self.means - info.points(np.arange(len(found))))
+            apart = np.einsum("nij,ni->nj", info.charts.tangents, apart)
+            found += (1 - self.scale**-2) * apart[:, :, None] * apart[:, None, :]
+        return np.where(info.placed[:, None, None], found, np.diag([np.inf, np.inf]))
 
     @property
     def determined(self) -> np.ndarray:
@@ -114,6 +135,7 @@ class RunningEstimate:
         """Add the contacts of `block` and contact, taxel and pressure (k,) of their readings."""
         first, first_reading = self.store.append(block, readings)
         contact, taxel, pressure = readings
+        self.last_read[taxel] = self.store.count
         weight = np.nan_to_num(pressure) ** 2
         np.add.at(self._mass, taxel, weight)
         np.add.at(self._moment, taxel, weight[:, None] * block.points[contact])
@@ -124,7 +146,7 @@ class RunningEstimate:
         info = self.information
         part = self.store.part(rows, np.arange(first, self.store.count), first_reading)
         new = new_readings(
-            part, info.charts[rows], info.step[rows, :2], info.nuisances(rows), info.s,
+            part.data, info.charts[rows], info.step[rows, :2], info.nuisances(rows), info.s,
             info.joint_covariance(rows),
         )  # fmt: skip
         if new.clear.any():
@@ -137,6 +159,8 @@ class RunningEstimate:
         used = ~rejected[new.contact]
         owner = rows[new.taxel]
         np.add.at(self.outlying, owner[used & beyond], 1)
+        suspects = owner[used & beyond]
+        self.moved[suspects] = np.maximum(self.moved[suspects], 2 * TOLERANCE)
         used &= ~beyond
         info.add(owner[used], new.jacobian[used], new.rate[used], new.curvature[used])
         np.add.at(self.square, owner[used & new.clear], new.residual[used & new.clear] ** 2)
@@ -153,32 +177,56 @@ class RunningEstimate:
         move = np.maximum(move, shared.max(axis=1, initial=0.0))
         self.moved = np.where(info.placed, np.maximum(self.moved, move), 0.0)
 
-    def waiting(self) -> np.ndarray:
-        """Taxels that are to be placed or estimated anew, the most urgent first."""
+    def waiting(self, tolerance: float = TOLERANCE) -> np.ndarray:
+        """Taxels that are to be placed or estimated anew, the most urgent first.
+
+        tolerance: of moves."""
         info, counts = self.information, self.store.counts
         stale = (self.linearized_threshold - self.store.threshold) / (THRESHOLD_STEP * self.sigma)
-        score = np.maximum(self.moved / TOLERANCE, np.where(info.placed, stale, 0.0))
+        score = np.maximum(self.moved / tolerance, np.where(info.placed, stale, 0.0))
         unsettled = (counts >= MIN_READINGS) & ~(info.placed & self.fits)
-        score[unsettled] = np.where(counts >= GROWTH * self.tried, 1 / TOLERANCE, 0.0)[unsettled]
+        due = self.continued | (counts >= GROWTH * self.tried)
+        score[unsettled] = np.where(due, 1 / tolerance, 0.0)[unsettled]
         rows = np.flatnonzero(score > 1)
         return rows[np.argsort(-score[rows], kind="stable")]
 
     def estimate_anew(self, rows: np.ndarray) -> None:
-        """Estimate the taxels `rows` from all their readings, with s as it is."""
-        if not len(rows):
-            return
-        info, placed = self.information, self.information.placed[rows]
-        start = np.where(placed[:, None], info.points(rows), self.means[rows])
+        """Estimate the taxels `rows` from all their readings, with s as it is, in a bounded number
+        of steps; those that need more wait for them."""
+        if len(rows):
+            estimator, part = self._estimator(rows)
+            misfits = advance(estimator, self.scale)
+            self._take(rows, estimator, misfits, part)
+
+    def search(self, rows: np.ndarray) -> None:
+        """Estimate the taxels `rows` as the batch estimate does, outlying readings and all."""
+        if len(rows):
+            estimator, part = self._estimator(rows)
+            estimator, misfits = search(estimator, self.scale)
+            self._take(rows, estimator, misfits, part)
+
+    def _estimator(self, rows: np.ndarray) -> tuple[JointEstimator, Part]:
+        info, known = self.information, self.fits[rows]
+        start = np.where(known[:, None], info.points(rows), info.charts.points[rows])
+        fresh = ~known & ~self.continued[rows]
+        start[fresh] = self.means[rows[fresh]]
         hit = self.store.template.body.closest(start)
-        rotations = np.where(
-            placed[:, None, None], info.charts[rows].rotations, chart.frames(hit.normal)
-        )
+        placed = info.placed[rows][:, None, None]
+        rotations = np.where(placed, info.charts[rows].rotations, chart.frames(hit.normal))
         part = self.store.part(rows, self.store.near(hit.point, self.reach))
-        estimator = local_estimator(part, hit.point, rotations, info.nuisances(rows), info.s)
-        estimator, misfits = without_outliers(estimator, self.scale)
-        found = summary(estimator, misfits)
+        weight, nuisance = self.store.weight.values[part.rows], info.nuisances(rows)
+        found = local_estimator(part.data, weight, hit.point, rotations, nuisance, info.s)
+        return found, part
+
+    def _take(
+        self, rows: np.ndarray, estimator: JointEstimator, misfits: np.ndarray, part: Part
+    ) -> None:
+        """Keep the estimate of the taxels `rows`."""
+        info, found = self.information, summary(estimator, misfits)
+        self.store.weight.values[part.rows] = estimator.weight
         info.put(rows, found.charts, found.nuisance, found.gradient, found.hessian)
         info.counted[rows] = self.fits[rows] = found.fits
+        self.continued[rows] = ~found.converged
         self.sector[rows] = open_sectors(estimator, found.charts.points)
         self.square[rows], self.freedom[rows] = found.square, found.freedom
         self.outlying[rows] = found.outlying
@@ -186,38 +234,63 @@ class RunningEstimate:
         self.linearized_threshold[rows] = self.store.threshold
         self.solve()
 
-    def unexamined(self) -> np.ndarray:
-        """Taxels with an open sector that were not examined since they had fewer readings, those
-        with the most new readings first."""
+    def unexamined(self, growth: float = GROWTH) -> np.ndarray:
+        """Taxels with an open sector whose readings grew by `growth` since they were examined.
+        Those not touched for longest come first: the contacts of the others still close in."""
         counts = self.store.counts
-        due = self.open & self.fits & (counts > GROWTH * self.examined) & (self.moved < MAX_MOVE)
+        due = self.open & self.fits & (counts > growth * self.examined) & (self.moved < MAX_MOVE)
         rows = np.flatnonzero(due)
-        return rows[np.argsort(self.examined[rows] / counts[rows], kind="stable")]
+        return rows[np.argsort(self.last_read[rows], kind="stable")]
 
-    def examine(self, rows: np.ndarray) -> None:
-        """Look for other places of the taxels `rows`; a better one becomes their start."""
-        if not len(rows):
-            return
-        self.estimate_anew(rows)
+    @property
+    def examining(self) -> bool:
+        """Whether there is something to examine."""
+        return self._examination is not None or len(self.unexamined()) > 0
+
+    def examine(self, parts: int) -> None:
+        """So many parts of the work of looking for other places of taxels with an open sector; a
+        better place becomes their start."""
+        for _ in range(parts):
+            if self._examination is None:
+                rows = self.unexamined()[:EXAMINED]
+                self._examination = self._look_elsewhere(rows) if len(rows) else None
+            elif next(self._examination, self) is self:
+                self._examination = None
+
+    def _look_elsewhere(self, rows: np.ndarray) -> Generator[None, None, None]:
+        self.estimate_anew(rows)  # sectors are those of then, and the estimate is to be the optimum
         rows = rows[self.open[rows] & self.fits[rows]]
         if not len(rows):
             return
-        info = self.information
+        yield
+        info, counts = self.information, self.store.counts[rows]
         near = self.store.near(info.charts.points[rows], 2 * self.reach)
         part = self.store.part(np.repeat(rows, basins.COPIES), near)
         covariance = info.covariance[rows, :2, :2]
-        found = basins.examine(part, info.charts[rows], info.nuisance[rows], info.s, covariance)
-        self.examined[rows] = self.store.counts[rows]
-        self.unique[rows], self.spread[rows] = found.unique, found.spread
+        yield
+        found = yield from basins.examine(
+            part.data,
+            self.store.weight.values[part.rows],
+            info.charts[rows],
+            info.nuisance[rows],
+            info.s,
+            covariance,
+        )
+        self.examined[rows], self.unique[rows], self.spread[rows] = (
+            counts,
+            found.unique,
+            found.spread,
+        )
         better = np.isfinite(found.better[:, 0])
         if better.any():
-            # the next examination is from there
+            yield
             self._restart(rows[better], found.better[better])
 
     def _restart(self, rows: np.ndarray, points: Array) -> None:
-        """Estimate taxels from other points (r, 3), m."""
+        """Estimate taxels from other points (r, 3), m; they are examined again from there."""
         info = self.information
         moved = points - info.charts.points[rows]
+        self.fits[rows] = True
         info.step[rows, :2] = np.einsum("rij,ri->rj", info.charts.tangents[rows], moved)
         self.estimate_anew(rows)
         self.examined[rows] = 0
@@ -225,14 +298,26 @@ class RunningEstimate:
     def settle(self) -> None:
         """Estimate anew all that waits, and examine what was not, until nothing moves."""
         for _ in range(MAX_ROUNDS):
-            rows = self.waiting()
+            lost = (
+                (self.store.counts >= MIN_READINGS)
+                & ~self.fits
+                & (self.searched < self.store.counts)
+            )
+            rows = np.union1d(self.waiting(SETTLED), np.flatnonzero(lost))
+            self.searched[rows] = self.store.counts[rows]
             for begin in range(0, len(rows), CHUNK):
-                self.estimate_anew(rows[begin : begin + CHUNK])
-            open_ = self.unexamined()
-            for begin in range(0, len(open_), EXAMINED):
-                self.examine(open_[begin : begin + EXAMINED])
+                self.search(rows[begin : begin + CHUNK])
+            self._examination = None
+            open_ = self.unexamined(growth=1.0)
+            for begin in range(0, len(open_), CHUNK // basins.COPIES):
+                for _ in self._look_elsewhere(open_[begin : begin + CHUNK // basins.COPIES]):
+                    pass
             if not len(rows) and not len(open_):
                 return
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the examination in progress, which starts again."""
+        return vars(self) | {"_examination": None}
 
     def _near(self, points: Array, read: np.ndarray) -> np.ndarray:
         """Placed taxels, rising, within reach of contact points (B, 3), m, or among `read`."""

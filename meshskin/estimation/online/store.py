@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,6 +43,14 @@ class GrowingRows:
         return self._data[: self.count]
 
 
+class Part(NamedTuple):
+    """Measurements of some taxels in some contacts."""
+
+    data: Measurements
+    rows: np.ndarray
+    """Rows (k,) of the readings in the store."""
+
+
 class ContactStore:
     """m contacts and their readings; a reading of NaN is lost, one that is not there is silence."""
 
@@ -58,7 +66,7 @@ class ContactStore:
         self.columns = {name: GrowingRows(shape) for name, shape in shapes.items()}
         self.patches = {name: GrowingRows(()) for name in Patches._fields}
         self.contact, self.taxel = GrowingRows((), int), GrowingRows((), int)
-        self.pressure = GrowingRows(())
+        self.pressure, self.weight = GrowingRows(()), GrowingRows(())
         self.misfitting = GrowingRows((), bool)
         """Contacts (m,) most of whose readings contradict all others: they have no readings."""
         self.rows: list[list[int]] = [[] for _ in first.ids]
@@ -99,6 +107,7 @@ class ContactStore:
         self.contact.append(contact + first)
         self.taxel.append(taxel)
         self.pressure.append(pressure)
+        self.weight.append(np.ones(len(pressure)))
         sound = np.isfinite(pressure)
         np.add.at(self.counts, taxel[sound], 1)
         self.lowest = min(self.lowest, float(pressure[sound].min(initial=np.inf)))
@@ -121,7 +130,7 @@ class ContactStore:
             found = np.concatenate([old, found])
         return found
 
-    def part(self, taxels: np.ndarray, contacts: np.ndarray, since: int = 0) -> Measurements:
+    def part(self, taxels: np.ndarray, contacts: np.ndarray, since: int = 0) -> Part:
         """Measurements of the taxels (t,), which may repeat, in the `contacts`, rising, with their
         readings from row `since` on, and the contacts of these. Their ids are 0 to t - 1."""
         all_rows = [self.rows[k] for k in taxels.tolist()]
@@ -149,7 +158,7 @@ class ContactStore:
         )
         data.__dict__["ids"] = np.arange(len(taxels))
         data.__dict__["rest"] = self._rest(taxels)
-        return data
+        return Part(data, rows[sound])
 
     def _rest(self, taxels: np.ndarray) -> Array:
         """What the taxels (t,) read in most contacts, as `Measurements.rest`."""

@@ -1,0 +1,176 @@
+"""The online calibration against the batch estimate of the same contacts."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin.core.errors import CalibrationError, RecordingError
+from meshskin.estimation.online.judge import Judge
+
+NOISE, THRESHOLD = 0.01, 0.05
+
+
+@pytest.fixture(scope="module")
+def frames(world):
+    """Every fifth contact of the world, in random order: frames, readings (B, n), their rows."""
+    rows = np.random.default_rng(0).permutation(len(world.points))[: len(world.points) // 5]
+    readings = recorded(world, 1)[rows]
+    return ms.ContactFrames(world.points[rows], world.force[rows]), readings
+
+
+def recorded(world, seed):
+    """Noisy readings (m, n) of all contacts of the world."""
+    exact = world.pressures()
+    noise = np.random.default_rng(seed).normal(size=exact.shape)
+    return np.maximum(exact + NOISE * world.peak_reference * noise, 0.0)
+
+
+def run(world, frames, readings, block=10, previous=None):
+    """An online calibration of the frames, in blocks."""
+    online = ms.OnlineCalibration(world.belief(NOISE, THRESHOLD), previous)
+    for begin in range(0, len(frames), block):
+        rows = slice(begin, begin + block)
+        online.update(frames.take(rows), readings[rows])
+    return online
+
+
+@pytest.fixture(scope="module")
+def online(world, frames):
+    """All frames in blocks, settled."""
+    online = run(world, *frames)
+    online.settle()
+    return online
+
+
+@pytest.fixture(scope="module")
+def batch(online):
+    """What `ms.calibrate` makes of the same contacts."""
+    return ms.calibrate(online.recording(), online.belief)
+
+
+def sigmas_apart(online, calibration):
+    """Distances (n,) of online positions from those of a calibration, in standard deviations."""
+    gap = np.linalg.norm(online.positions - calibration.positions, axis=1)
+    return gap / calibration.position_sigma
+
+
+def test_the_running_estimate_is_the_batch_estimate(online, batch):
+    found = np.isfinite(batch.positions[:, 0])
+    assert np.array_equal(np.isfinite(online.positions[:, 0]), found)
+    assert found.sum() > 0.8 * len(found)
+    assert sigmas_apart(online, batch)[found].max() < 0.01
+    assert np.allclose(online.position_sigma[found], batch.position_sigma[found], rtol=0.02)
+    ours, theirs = online.status.unknowns["modulus"], batch.unknowns["modulus"]
+    assert abs(ours[0] - theirs[0]) < 0.01 * theirs[1]
+    assert ours[1] == pytest.approx(theirs[1], rel=0.01)
+    status = online.status
+    assert (status.used, status.rejected) == (len(online.recording().time), 0)
+    assert status.determined + status.weak + status.unseen == len(online.ids)
+    assert status.waiting == 0
+    assert status.median_sigma == pytest.approx(np.median(online.position_sigma[found]))
+
+
+def test_one_by_one_in_another_order_gives_the_same(world, frames, batch):
+    contacts, readings = frames
+    contacts, readings = contacts.take(slice(None, None, -1)), readings[::-1]
+    other = run(world, contacts.take(slice(0, 50)), readings[:50], block=1)
+    for begin in (50, 100, 150):
+        rows = slice(begin, begin + 50 if begin < 150 else None)
+        other.update(contacts.take(rows), readings[rows])
+    other.settle()
+    found = np.isfinite(batch.positions[:, 0])
+    assert sigmas_apart(other, batch)[found].max() < 0.01
+
+
+def test_the_final_calibration_is_that_of_the_batch_estimator(online, batch):
+    final = online.calibration()
+    found = np.isfinite(batch.positions[:, 0])
+    gap = np.linalg.norm(final.positions - batch.positions, axis=1)[found]
+    assert (gap < 0.01 * batch.position_sigma[found]).all()
+
+
+def test_outliers_and_dead_taxels_are_left_out_and_counted(world, frames, batch):
+    contacts, readings = frames
+    rng, readings = np.random.default_rng(3), readings.copy()
+    hit = np.argwhere(readings > THRESHOLD * world.peak_reference)
+    bad = hit[rng.random(len(hit)) < 0.02]
+    readings[tuple(bad.T)] = world.peak_reference * rng.uniform(0.2, 1.0, len(bad))
+    readings[:, 3] = 0.0
+    online = run(world, contacts, readings)
+    status = online.settle()
+    assert status.unseen == 1
+    assert status.outlying + status.rejected > 0.5 * len(bad)
+    assert not np.isfinite(online.positions[3]).any()
+    found = np.isfinite(online.positions[:, 0])
+    assert found.sum() > 0.8 * np.isfinite(batch.positions[:, 0]).sum()
+    error = np.linalg.norm(online.positions - world.truth, axis=1)[found]
+    assert (error < 5 * online.position_sigma[found]).all()
+
+
+def test_taxels_that_moved_are_named(online, batch):
+    shifted = batch.poses.copy()
+    shifted[:4, :3, 3] += 0.5e-3 * shifted[:4, :3, 0]
+    everywhere = np.ones(len(online.ids), dtype=bool)
+    for previous, moved in ((batch, 0), (replace(batch, poses=shifted), 4)):
+        judge = Judge(online.ids, previous, everywhere, 1e-4)
+        judge.look(online._estimate, 0)
+        known = np.isfinite(batch.positions[:4, 0]).sum() if moved else 0
+        assert judge.moved.sum() == judge.moved[:4].sum() == known
+        verdict = judge.verdict(online.position_sigma, everywhere)[0]
+        assert (verdict == "moved since the last calibration") == bool(moved)
+
+
+def test_a_wrong_noise_is_a_misfit_and_widens_the_covariances(world, frames):
+    contacts, readings = frames
+    online = ms.OnlineCalibration(world.belief(NOISE / 3, THRESHOLD))
+    rows = slice(0, 100)
+    status = online.update(contacts.take(rows), readings[rows])
+    assert status.verdict == "model misfit"
+    assert "times the noise" in status.why
+    found = np.isfinite(online.positions[:, 0])
+    error = np.linalg.norm(online.positions - world.truth, axis=1)[found]
+    assert (error < 4 * online.position_sigma[found]).all()
+
+
+def test_it_goes_on_after_pickling(world, frames):
+    contacts, readings = frames
+    first = run(world, contacts.take(slice(0, 30)), readings[:30])
+    again = pickle.loads(pickle.dumps(first))
+    rows = slice(30, 40)
+    for online in (first, again):
+        online.update(contacts.take(rows), readings[rows])
+        online.settle()
+    assert np.allclose(first.provisional, again.provisional, rtol=0, atol=1e-8, equal_nan=True)
+    assert str(first.status) == str(again.status)
+
+
+def test_readings_and_beliefs_that_only_a_batch_can_use_are_refused(world):
+    online = ms.OnlineCalibration(world.belief(NOISE, THRESHOLD))
+    with pytest.raises(RecordingError, match="a reading of every taxel"):
+        online.update(ms.ContactFrames([0.0, 0.0, -0.1], 3.0), np.zeros(7))
+    with pytest.raises(CalibrationError, match="first"):
+        online.calibration()
+    for change in ({"readings": "raw"}, {"contact": "learned"}, {"module_slots": np.zeros((4, 3))}):
+        with pytest.raises(CalibrationError, match=r"ms\.calibrate"):
+            ms.OnlineCalibration(world.belief(NOISE, THRESHOLD, **change))
+    with pytest.raises(CalibrationError, match="give noise_sigma"):
+        ms.OnlineCalibration(world.belief())
+    far = ms.ContactFrames([0.0, 0.0, -100.0], 3.0)
+    with pytest.raises(CalibrationError, match="not on the believed body"):
+        online.update(far, np.zeros(len(world.ids)))
+
+
+@pytest.mark.slow
+def test_no_false_alarm_over_seeds(world):
+    rows = np.random.default_rng(0).permutation(len(world.points))[:200]
+    contacts = ms.ContactFrames(world.points[rows], world.force[rows])
+    previous, alarms = None, []
+    for seed in range(40):
+        online = run(world, contacts, recorded(world, seed)[rows], previous=previous)
+        alarms += [online.status.verdict] * (online.status.verdict not in ("keep going", "done"))
+        online.settle()
+        previous = online.calibration()
+    assert not alarms  # 80 tests of 1e-3: one alarm with a probability of 8 %
