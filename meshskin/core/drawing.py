@@ -34,6 +34,8 @@ MOST_DOTS = 4000
 """Dots of one kind that are drawn, evenly chosen: a picture has room for no more."""
 SIZE, SMALL = (6.4, 4.8), (3.0, 2.3)
 """Sizes, inches, of a picture and of that on a card."""
+FONT, SMALL_FONT = 9.0, 6.5
+"""Sizes of their texts, points."""
 SMALL_POINTS = 100
 """Pixels of the page per inch of a picture on a card."""
 DPI = 200
@@ -52,6 +54,10 @@ LEAST_RANGE = 0.02
 OUTLYING = 3.0
 """Range of the values, relative to that of 98 % of them, from which a colour bar leaves out the
 outermost 2 %, with arrows at its ends: a few values would take all colours."""
+EDGED = 1000
+"""Dots that have a white edge; more of them are a path, or too small."""
+SURROUNDINGS = 0.4
+"""Part of the mesh that a close view shows around the dots, relative to their extent."""
 LEAST_DISC = 0.006
 """Least radius of a dot, relative to the extent of the picture: a pixel of a card."""
 HIDDEN = 0.12
@@ -80,7 +86,8 @@ def small_axes() -> Axes:
 
 
 def _axes(size: tuple[float, float]) -> Axes:
-    return Picture(figsize=size, dpi=DPI, layout="constrained").add_subplot()
+    with matplotlib.rc_context({"font.size": FONT if size == SIZE else SMALL_FONT}):
+        return Picture(figsize=size, dpi=DPI, layout="constrained").add_subplot()
 
 
 def _is_small(ax: Axes | None) -> bool:
@@ -96,7 +103,7 @@ def _figure(ax: Axes) -> Figure:
 
 def _fonts(ax: Axes | None) -> Any:
     """The context with the size of the text, points."""
-    return matplotlib.rc_context({"font.size": 7 if _is_small(ax) else 9})
+    return matplotlib.rc_context({"font.size": SMALL_FONT if _is_small(ax) else FONT})
 
 
 @dataclass(frozen=True)
@@ -189,7 +196,9 @@ def _draw_dots(
     shown = np.ones(len(rows)) if normals is None else normals[rows] @ view.axes[2]
     alpha = np.where(shown >= -1e-9, 1.0, HIDDEN)
     wide = np.full(len(rows), 2.0 * MM * radius)
-    style: dict[str, Any] = {"linewidths": 0, "zorder": 3, "facecolors": ACCENT}
+    style: dict[str, Any] = {"linewidths": 0.0, "zorder": 3, "facecolors": ACCENT}
+    if values is not None and len(rows) <= EDGED:  # on a body, grey values would not stand out
+        style |= {"linewidths": 0.4, "edgecolors": "white"}
     dots = EllipseCollection(
         wide, wide, np.zeros(len(rows)), units="xy", offsets=xy, offset_transform=ax.transData,
         cmap=SEQUENTIAL, **style,
@@ -235,14 +244,14 @@ def solid(
     label: str = "",
     radius: float = 0.0,
     lines: Iterable[Array] = (),
-    circles: Iterable[tuple[Array, float]] = (),
+    close: bool = False,
     title: str = "",
 ) -> Figure:
     """Draw a mesh (.vertices, .faces), dots, lines and circles seen from `toward`; the figure.
 
     ax: matplotlib axes; None: those of a new figure. points, normals (n, 3), m; values (n,), by
     which the dots are coloured, `label` what they are; radius of the dots, m; lines (k, 3), m;
-    circles: centres (3,) and radii, m.
+    close: show what is near the dots, and not the whole mesh.
     """
     with _fonts(ax):
         ax = _axes(SIZE) if ax is None else ax
@@ -259,15 +268,16 @@ def solid(
             disc = max(radius, LEAST_DISC * extent)
             _draw_dots(ax, view, points, normals, values, label, disc)
             seen += [at - MM * disc, at + MM * disc]
-        for centre, radius in circles:
-            x, y = view.flat(np.asarray(centre))
-            ax.add_patch(matplotlib.patches.Circle((x, y), radius * MM, fc="none", ec=WARNING))
-            seen.append(np.array([[x, y]]) + MM * radius * np.array([[-1, -1], [1, 1]]))
         every = np.concatenate([*seen, *paths])
         ax.set_aspect("equal")
         ax.set_axis_off()
         if len(every):
             low, high = every.min(axis=0), every.max(axis=0)
+            if close and points is not None and len(points):
+                near = np.concatenate(seen[-2:])
+                around = SURROUNDINGS * float(np.ptp(near, axis=0).max())
+                low = np.maximum(low, near.min(axis=0) - around)
+                high = np.minimum(high, near.max(axis=0) + around)
             margin = 0.04 * float((high - low).max() or 1.0)
             ax.set(xlim=(low[0] - margin, high[0] + margin))
             ax.set(ylim=(low[1] - 4 * margin, high[1] + margin))

@@ -167,7 +167,8 @@ class Calibration(Value, Card, Tabular):
         ax: matplotlib axes; None: those of a new figure. Raises CalibrationError where no taxel is
         determined.
         """
-        return self.skin.plot(ax, None if self.belief is None else self.belief.body)
+        body = None if self.belief is None else self.belief.body
+        return self.skin.plot(ax, body, close=True)
 
     def to_arrow(self) -> pa.Table:
         """One row a taxel: taxel, x, y, z (m), nx, ny, nz, sigma (m), sigma_x, sigma_y, sigma_z (m,

@@ -115,15 +115,17 @@ class Skin(Value, Card, Tabular):
             return float("nan")
         return float(np.median(cKDTree(points).query(points, k=2)[0][:, 1]))
 
-    def plot(self, ax: Axes | None = None, body: Body | None = None) -> Figure:
+    def plot(self, ax: Axes | None = None, body: Body | None = None, close: bool = False) -> Figure:
         """Draw the taxels, on a body if one is given, coloured by their sigmas where known.
 
-        ax: matplotlib axes; None: those of a new figure. Returns the figure.
+        ax: matplotlib axes; None: those of a new figure. close: show the skin and not the whole
+        body. Returns the figure.
         """
         from ..core import drawing
 
         return drawing.solid(
             ax,
+            close=close,
             toward=drawing.front(self.normals),
             mesh=None if body is None else body.mesh,
             points=self.positions,

@@ -178,7 +178,7 @@ class BudgetReport(Card, Tabular):
             ax,
             [entry.name.replace("_", " ") for entry in rows],
             [1e3 * entry.shift for entry in rows],
-            "shift of the taxels without it (mm)",
+            "shift without it (mm)",
             [entry.on for entry in rows],
         )
 

@@ -96,7 +96,7 @@ class StudyTable(Card, Tabular):
             own = [(at, value) for label, at, value in rows if label == line and value is not None]
             across = _distinct(at for at, _ in own)
             means = [float(np.mean([v for a, v in own if a == at])) for at in across]
-            lines.append(("" if by is None else f"{by} = {line}", across, means))
+            lines.append(("" if by is None else f"{by.rpartition('.')[2]} = {line}", across, means))
         return drawing.curves(ax, lines, x, y)
 
     def _column(self, name: str | None) -> list[Any]:
