@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,11 @@ sys.path[:0] = [str(DOCS.parent), str(DOCS / "_ext")]
 os.environ["PYTHONPATH"] = os.pathsep.join([str(DOCS.parent), os.environ.get("PYTHONPATH", "")])
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 
+import gallery  # noqa: E402
 import reference  # noqa: E402
 
 import meshskin  # noqa: E402
+from meshskin.core.provenance import versions  # noqa: E402
 
 project = "meshskin"
 author = "the authors of meshskin"
@@ -41,23 +44,28 @@ html_css_files = ["custom.css"]
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "fieldlist"]
 myst_heading_anchors = 3
 default_role = "code"  # docstrings write code between single backticks
+doctest_global_setup = "import meshskin as ms\nimport numpy as np"
+toc_object_entries_show_parents = "hide"
 autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
 autodoc_type_aliases = {"Array": "Array", "ArrayLike": "ArrayLike"}
 
 
-def package_hash() -> str:
-    """Hash of the sources that the outputs of notebooks depend on."""
-    files = sorted(p for d in ("meshskin", "bodies") for p in (DOCS.parent / d).rglob("*"))
-    digest = hashlib.sha256()
-    for file in files:
+def content_hash(*folders: str) -> str:
+    """Hash of sources that outputs depend on, and of the versions of what computes them."""
+    digest = hashlib.sha256(repr(versions()).encode())
+    for file in sorted(p for folder in folders for p in (DOCS.parent / folder).rglob("*")):
         if file.is_file() and file.suffix != ".pyc":
             digest.update(file.name.encode() + file.read_bytes())
     return digest.hexdigest()[:16]
 
 
+PACKAGE = content_hash("meshskin", "bodies")
+KEPT = DOCS / "_build" / ".kept"
+"""Outputs that a second build takes as they are, by the hash of what they depend on."""
+
 nb_execution_mode = "cache"
-nb_execution_cache_path = str(DOCS / "_build" / ".notebooks" / package_hash())
+nb_execution_cache_path = str(KEPT / "notebooks" / PACKAGE)
 nb_execution_in_temp = True
 nb_execution_raise_on_error = True
 nb_execution_timeout = 600
@@ -72,4 +80,10 @@ def setup(app: Any) -> None:
 
 
 def write_pages(app: Any) -> None:
-    reference.write(DOCS / "reference" / "generated", DOCS / "_build" / ".effects" / package_hash())
+    """Write the pages; outputs of other sources than the present ones are removed."""
+    reference.write(DOCS / "reference" / "generated", KEPT / "effects" / PACKAGE)
+    studied = content_hash("meshskin", "bodies", "studies")
+    for old in KEPT.glob("*/*"):
+        if old.name not in (PACKAGE, studied):
+            shutil.rmtree(old)
+    gallery.write(DOCS / "gallery" / "generated", KEPT / "gallery" / studied)

@@ -1,11 +1,20 @@
-"""The documentation: it builds without warnings, its examples run, its internal links lead."""
+"""The documentation: it builds without warnings, its examples run, its internal links lead.
+
+`python -m sphinx -b linkcheck docs docs/_build/linkcheck` checks the links to other sites, too.
+"""
 
 import os
 import subprocess
 import sys
+from html.parser import HTMLParser
 from pathlib import Path
+from urllib.parse import unquote, urlsplit
 
 import pytest
+
+import meshskin as ms
+from meshskin import cli, effects
+from meshskin.scene import shipped_scenes
 
 ROOT = Path(__file__).parents[1]
 
@@ -25,7 +34,62 @@ def sphinx(builder: str, out: Path) -> subprocess.CompletedProcess:
     )
 
 
-@pytest.mark.parametrize("builder", ["html", "doctest"])
-def test_the_documentation_builds_and_its_examples_run(builder, tmp_path):
-    done = sphinx(builder, tmp_path)
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The folder of the built site."""
+    out = tmp_path_factory.mktemp("site")
+    done = sphinx("html", out)
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
+    return out / "html"
+
+
+class Page(HTMLParser):
+    """The targets on a page, and where its links and pictures lead."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.targets, self.links = {""}, set()
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        for key, value in attrs:
+            if key == "id":
+                self.targets.add(value)
+            elif key in ("href", "src") and value:
+                self.links.add(value)
+
+
+def test_every_internal_link_leads_to_a_page_and_a_place_on_it(site):
+    pages = {p: Page(p.read_text(encoding="utf-8")) for p in site.rglob("*.html")}
+    pages = {p: page for p, page in pages.items() if "_downloads" not in p.parts}
+    lost = []
+    for path, page in pages.items():
+        for link in page.links:
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc:
+                continue
+            target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            known = pages[target].targets if target in pages else {unquote(parts.fragment)}
+            if not target.is_file() or unquote(parts.fragment) not in known:
+                lost.append(f"{path.relative_to(site)}: {link}")
+    assert len(pages) > len(ms.__all__)
+    assert not lost
+
+
+def test_the_reference_has_every_public_name_effect_and_command(site):
+    from sphinx.util.inventory import InventoryFile
+
+    found = InventoryFile.load((site / "objects.inv").open("rb"), "", lambda base, name: name)
+    described = {name for kind, names in found.items() if kind.startswith("py:") for name in names}
+    assert {f"meshskin.{name}" for name in ms.__all__} <= described
+    pages = set(found["std:doc"])
+    assert {f"reference/generated/effects/{name}" for name in effects.NAMES} <= pages
+    assert {f"gallery/generated/{name}" for name in shipped_scenes.scenes()} <= pages
+    commands = (site / "reference/generated/command_line.html").read_text(encoding="utf-8")
+    for module in cli.COMMANDS:
+        assert f"meshskin {module.__name__.rpartition('.')[2]}<" in commands
+
+
+def test_the_examples_of_the_documentation_run(tmp_path):
+    done = sphinx("doctest", tmp_path)
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]

@@ -27,6 +27,8 @@ def _blocks(text: str) -> Iterator[str]:
 
 
 def _block(block: str) -> str:
+    if block.startswith(">>> "):
+        return ".. doctest::\n\n" + "\n".join(f"    {line}" for line in block.splitlines())
     if block.startswith("    ") and not _ITEM.match(block):
         return f".. code-block:: {_language(dedent(block))}\n\n{block}"
     lines = block.splitlines()

@@ -187,7 +187,8 @@ def _arguments(block: str, names: list[str]) -> str:
     text, raised, errors = " ".join(block.split()).partition(" Raises ")
     either = "|".join(map(re.escape, names))
     parts = re.split(rf"(?:^|(?<=[.;] ))({either})( \([^)]*\))?(, [\w/ ]+)?: ", text)
-    if not names or len(parts) < 5 or block.startswith("..") or "    " in block:
+    listed = len(parts) > 1 and (not parts[0].strip() or parts[0].rstrip().endswith("."))
+    if not names or not listed or block.startswith("..") or "    " in block:
         return block
     made = [parts[0].strip()] if parts[0].strip() else []
     for k in range(1, len(parts), 4):
@@ -200,7 +201,7 @@ def _arguments(block: str, names: list[str]) -> str:
 def _definition(field: FieldDoc) -> str:
     default = "required" if field.default is None else f"default `{field.default}`"
     facts = ", ".join(filter(None, (f"`{field.kind}`", field.unit, rst(field.limits), default)))
-    return f"`{field.name}` : {facts}\n    {rst(field.text) or '(no text)'}\n"
+    return f"`{field.name}` : {facts}\n" + (f"    {rst(field.text)}\n" if field.text else "")
 
 
 def sign(
@@ -208,7 +209,8 @@ def sign(
 ) -> tuple[str, Any] | None:
     """Signatures of dataclasses name the required fields alone; the list of fields has the rest."""
     if not (inspect.isclass(obj) and dataclasses.is_dataclass(obj)):
-        return None
+        alias = r"TypeAliasForwardRef\('(\w+)'\)"  # how Sphinx writes an alias within a union
+        return tuple(re.sub(alias, r"\1", part or "") or None for part in (signature, returns))
     required = [field.name for field in field_docs(obj) if field.default is None]
     optional = [field for field in field_docs(obj) if field.default is not None]
     return f"({', '.join([*required, *(['...'] if optional else [])])})", None

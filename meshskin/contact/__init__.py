@@ -67,6 +67,12 @@ def solve(
 
     Raises UnknownNameError for an unknown model, ContactError for a contact out of range of the
     model (with `upgrade`, of all models from it on).
+
+    >>> patch = ms.contact.solve(
+    ...     force=3.0, curvature=10.0, indenter_radius=0.01, modulus=0.2e6, poisson=0.49
+    ... )
+    >>> patch.semi_axes.round(5), round(patch.peak), round(patch.depth, 5)
+    (array([0.00427, 0.00427]), 78654, 0.002)
     """
     check_name("contact model", model, MODELS)
     problem = ContactProblem(force, curvature, indenter_radius, modulus, poisson, thickness)

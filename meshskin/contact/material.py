@@ -15,7 +15,11 @@ from .problem import effective_modulus
 
 @dataclass(frozen=True)
 class Material:
-    """A homogeneous, isotropic, linearly elastic material, pressed by a rigid indenter."""
+    """A homogeneous, isotropic, linearly elastic material, pressed by a rigid indenter.
+
+    >>> round(ms.Material(young=0.2e6, poisson=0.49).effective_modulus)  # E / (1 - nu^2), Pa
+    263193
+    """
 
     young: float = quantity("Pa", 0.2e6, above=0.0, most=1e12)
     """Young's modulus."""

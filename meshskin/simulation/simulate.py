@@ -65,6 +65,13 @@ def simulate(
     contact force leaves its reference after settling (`response.describe_departure`), and where
     taxels are not reached (LeftOutWarning). Raises ReachError if the arm cannot follow the path,
     SimulationError if the loop fails, ConfigError for a scene whose budget has not been resolved.
+
+    >>> scene = ms.Scene.load("sphere_noisy")
+    >>> recording = ms.simulate(scene, seed=1)
+    >>> calibration = ms.calibrate(recording, belief=scene.belief())
+    >>> error = np.linalg.norm(calibration.positions - scene.skin.positions, axis=1)
+    >>> bool(1e3 * error.mean() < 0.02), calibration.verdict.level  # mm
+    (True, 'PASS')
     """
     check_type(Scene, scene, "what is simulated")
     if scene.budget is not None:

@@ -55,6 +55,10 @@ def press(
     earlier presses, of the scene as `without_arm` returns it, to continue instead of new ones of
     the seed. Raises RecordingError without points, for points far from the body, or for forces that
     are not positive.
+
+    >>> scene = ms.Scene.load("sphere")
+    >>> len(ms.press(scene, scene.skin.positions[:3], force=[2.0, 3.0, 4.0]).time)
+    3
     """
     check_type(Scene, scene, "what is pressed")
     scene = without_arm(scene)

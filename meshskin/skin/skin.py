@@ -170,6 +170,9 @@ class Skin(Value, Card, Tabular):
         or a region of geometry/region.py, by default the whole surface. `seed` sets the rotation
         and the offset of the lattice. Raises SkinError where discs would overlap or too few sites
         fit the region.
+
+        >>> ms.Skin.cover(ms.Body.sphere(radius=0.1), spacing=5e-3, count=60).positions.shape
+        (60, 3)
         """
         check_type(Body, body, "the body of a skin")
         if spacing is None and count is None:
