@@ -21,6 +21,7 @@ from meshskin.contact.indenter import Indenter
 from meshskin.contact.material import Material
 from meshskin.core.config import UNITS
 from meshskin.core.field_docs import FieldDoc, field_docs
+from meshskin.recording.log_map import StreamMap
 from meshskin.scene import schema
 from meshskin.scene.settings import Exploration, Law, Loop, Readout
 
@@ -37,10 +38,11 @@ def write(folder: Path, pictures: Path) -> None:
         **python_pages(),
         "scene": scene_page(),
         "command_line": command_line_page(),
+        "log_map.txt": key_table(StreamMap) + "\n",
         **effect_pages(folder, pictures),
     }
     for name, text in pages.items():
-        write_changed(folder / f"{name}.md", text)
+        write_changed(folder / (name if name.endswith(".txt") else f"{name}.md"), text)
     for stale in set(folder.rglob("*.md")) - {folder / f"{name}.md" for name in pages}:
         stale.unlink()
 
