@@ -225,7 +225,7 @@ def print_table(rows: dict[str, dict[str, float]], title: str) -> None:
 def draw_shifts(rows: dict[str, dict[str, float]]) -> Figure:
     """Bars of the mean shift, with the largest and the bound, on a logarithmic scale."""
     names = sorted((n for n in rows if n != "(none)"), key=lambda name: rows[name]["shift_mm"])
-    figure = theme.new_figure(6.4, 1.2 + 0.24 * len(names))
+    figure = theme.new_figure(6.4, 1.3 + 0.24 * len(names))
     axes = figure.add_subplot()
     place = np.arange(len(names))
 
@@ -240,8 +240,9 @@ def draw_shifts(rows: dict[str, dict[str, float]]) -> Figure:
     axes.set(xscale="log", xlabel="shift of the taxels (mm)")
     axes.set_title("Effects that the estimator does not know of")
     axes.set_yticks(place, [name.replace("_", " ") for name in names])
-    axes.legend(loc="upper center", bbox_to_anchor=(0.4, -0.5 / figure.get_figheight()), ncols=4)
-    figure.tight_layout()
+    figure.legend(loc="lower center", ncols=4)
+    legend = 0.3 / figure.get_figheight()  # 0.3 inches
+    figure.tight_layout(rect=(0.0, legend, 1.0, 1.0))
     return figure
 
 

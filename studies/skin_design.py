@@ -149,9 +149,10 @@ def print_rows(name: str, rows: list[dict[str, float]], seeds: range) -> None:
 @theme.styled
 def draw_curves(rows: dict[str, list[dict[str, float]]]) -> Any:
     """A panel a property: error against its value."""
-    figure = theme.new_figure(9.0, 5.8)
-    places = [(0.8, 3.55), (5.2, 3.55), (0.8, 0.95), (5.2, 0.95)]
-    for (name, found), (left, bottom) in zip(rows.items(), places, strict=False):
+    lines = (len(rows) + 1) // 2
+    figure = theme.new_figure(9.0, 0.6 + 2.6 * lines)
+    for k, (name, found) in enumerate(rows.items()):
+        left, bottom = (0.8, 5.2)[k % 2], 0.95 + 2.6 * (lines - 1 - k // 2)
         axes = theme.add_axes(figure, left, bottom, 3.6, 2.05)
         x = [row[name] for row in found]
         for key, label, style in (

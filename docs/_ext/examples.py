@@ -111,11 +111,11 @@ _STUDIES: tuple[tuple[str, str, str, str, tuple[str, ...], str], ...] = (
         "--out figures/ --full", ("foreign_worlds.png",), "",
     ),
     (
-        "real_bodies", "Bodies of real robots", 'DATA --only "UR3e forearm"',
-        "DATA --out figures/ --full", ("real_bodies.png",), "ur3e_meshes",
+        "real_bodies", "Bodies of real robots", "DATA",
+        "DATA --out figures/ --full", ("real_bodies.png",), "icub_body",
     ),
     (
-        "coactivation", "Layout from co-activation", "--data DATA", "--data DATA --out figures/",
+        "coactivation", "Layout from co-activation", "--data DATA", "",
         ("coactivation_torso.png",), "icub_torso_touches",
     ),
     (

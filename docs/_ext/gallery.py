@@ -63,6 +63,9 @@ def run(example: Example, cache: Path) -> Path:
         tail = (work / "stderr.txt").read_text()[-2000:] + (work / "stdout.txt").read_text()[-2000:]
         raise RuntimeError(f"{example.command}: exit code {process.returncode}\n{tail}")
     (work / "run.json").write_text(json.dumps({"command": example.command}))
+    printed = (work / "stdout.txt").read_text().strip("\n")
+    printed = printed.replace(str(work), "out").replace(str(DATA), "$MESHSKIN_DATA")
+    (work / "stdout.txt").write_text(printed)
     shutil.rmtree(kept, ignore_errors=True)
     work.rename(kept)
     return kept
@@ -93,7 +96,7 @@ def page(example: Example, result: Path | None, pictures: list[Path]) -> str:
         parts.append(f"This page has reduced arguments; the whole study is `{full}`.")
     if result is not None and example.report:
         parts.append(f"{{download}}`The report of this run <{example.name}/report.html>`.")
-    if result is not None and (text := _printed(result)):
+    if result is not None and (text := (result / "stdout.txt").read_text()):
         parts.append(f"## Output\n\n```text\n{text}\n```")
     rest = _details(example)
     parts += [f"## About the study\n\n{rest}"] if rest else []
@@ -130,16 +133,9 @@ def _block(part: str) -> str:
     return f"```text\n{dedent(part)}\n```" if hanging else part
 
 
-def _printed(result: Path) -> str:
-    """What the command printed, without the places of this machine."""
-    text = (result / "stdout.txt").read_text().strip("\n")
-    running = result.with_name(f"{result.name}.running")
-    return text.replace(str(running), "out").replace(str(DATA), "$MESHSKIN_DATA")
-
-
 def cards(shown: list[Example], folder: Path) -> str:
-    """The cards of all examples, for the index of the gallery."""
-    out = ["::::{grid} 1 2 2 3", ":gutter: 2", ""]
+    """The cards of all examples, and their table of contents, for the index of the gallery."""
+    out = ["::::{grid} 1 1 2 2", ":gutter: 2", ""]
     for example in shown:
         out += [f":::{{grid-item-card}} {example.title}", f":link: generated/{example.name}"]
         out += [":link-type: doc"]
@@ -148,4 +144,5 @@ def cards(shown: list[Example], folder: Path) -> str:
             out.append(f":img-bottom: generated/{example.name}/{picture}")
         words = f"Not built here: needs {example.missing}." if example.missing else ""
         out += ["", words or _summary(example), ":::", ""]
-    return "\n".join([*out, "::::", ""])
+    pages = [f"generated/{example.name}" for example in shown]
+    return "\n".join([*out, "::::", "", "```{toctree}", ":hidden:", "", *pages, "```", ""])
