@@ -212,7 +212,7 @@ def draw_bodies(maps: dict[str, tuple[Any, ...]], out: Path) -> None:
         good = np.isfinite(error)
         axes.scatter(*x[~good].T, marker="x", s=12, color="0.4")
         dots = axes.scatter(*x[good].T, c=error[good], s=14, vmin=0.0, vmax=0.05, cmap="viridis")
-        axes.set_title(name)
+        axes.set_title(name, y=1.08)
         axes.set_axis_off()
         axes.set_box_aspect(np.ptp(corners, axis=0), zoom=1.4)
         axes.view_init(elev=12.0, azim=-90.0)

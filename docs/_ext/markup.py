@@ -36,7 +36,8 @@ def _block(block: str) -> str:
     if hanging or ("  " in lines[0].strip() and len(lines) > 1):  # a table set by spaces
         body = "\n".join(f"    {line}" for line in lines)
         return f".. code-block:: text\n\n{body}"
-    return "\n".join(_inline(line) for line in lines)
+    text = "\n".join(_inline(line) for line in lines)
+    return re.sub(r"(?m)^((?!- )\S.*\n)(?=- )", r"\1\n", text)  # a list begins after an empty line
 
 
 def _language(code: str) -> str:
