@@ -50,7 +50,7 @@ class GridSolution:
     """Iterations of the conjugate gradients."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GridPatch(Patch):
     """A patch with its pressure on a grid; the semi-axes are computed from second moments."""
 

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.arrays import Array
+from ..core.value import Value
 from .ellipse import NODES, ellipse_mean
 
 
-@dataclass(frozen=True)
-class Patch:
+@dataclass(frozen=True, eq=False)
+class Patch(Value):
     """An elliptic contact patch with the pressure p = peak (1 - x^2/a^2 - y^2/b^2)^exponent.
 
     The x axis of its frame is the principal direction of smaller curvature of the body.

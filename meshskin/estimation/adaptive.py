@@ -15,6 +15,7 @@ from ..core.arguments import check_integer, check_real, check_type, check_vector
 from ..core.arrays import Array
 from ..core.errors import ConfigError, ReachError
 from ..core.progress import Progress, Stage
+from ..core.value import Value
 from ..exploration.lane_plan import NOT_COVERED
 from ..exploration.plan import plan_exploration
 from ..recording.recording import Recording
@@ -44,8 +45,8 @@ BUDGET_USED = "the contacts allowed are used up"
 NO_CONTACT = "no contact that would reduce its uncertainty can be made"
 
 
-@dataclass(frozen=True)
-class Round:
+@dataclass(frozen=True, eq=False)
+class Round(Value):
     """The state of an adaptive exploration after a round."""
 
     contacts: int

@@ -20,6 +20,7 @@ from ..core.arguments import check_integer
 from ..core.arrays import Array
 from ..core.errors import CalibrationError
 from ..core.progress import Progress, Stage
+from ..core.value import Value
 from ..recording.recording import Recording
 from ..scene.belief import RAW
 from .calibrate import calibrate
@@ -39,8 +40,8 @@ WAYPOINTS = 8
 """Waypoints of a block: it is measured in chords of an eighth."""
 
 
-@dataclass(frozen=True)
-class CrossValidation:
+@dataclass(frozen=True, eq=False)
+class CrossValidation(Value):
     """m pressed contacts, each localised without it; NaN where fewer than three taxels read."""
 
     points: Array

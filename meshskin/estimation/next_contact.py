@@ -16,6 +16,7 @@ from ..contact import AUTO, ContactModel, Patches
 from ..core.arguments import check_integer
 from ..core.arrays import Array
 from ..core.errors import CalibrationError
+from ..core.value import Value
 from . import chart
 from .data.measurements import NOMINAL_NOISE
 from .data.pairs import MAX_SLANT
@@ -41,8 +42,8 @@ POWER = 3
 would not count contacts that serve all taxels but the worst."""
 
 
-@dataclass(frozen=True)
-class NextContacts:
+@dataclass(frozen=True, eq=False)
+class NextContacts(Value):
     """k contacts, the most useful first."""
 
     points: Array

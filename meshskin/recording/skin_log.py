@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from ..core.arrays import Array, runs
 from ..core.errors import RecordingError
+from ..core.value import Value
 
 
-@dataclass(frozen=True)
-class SkinLog:
+@dataclass(frozen=True, eq=False)
+class SkinLog(Value):
     """Joint angles, taxel readings and forces of n frames, all at the same times.
 
     Frames lie on the skin's frames, shifted to the robot's clock; the other streams are

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..core.arrays import Array
 from ..core.errors import RecordingError, UnknownNameError
+from ..core.value import Value
 
 JOINTS, TAXELS, WRENCH, POSE, CONTACTS = KINDS = ("joints", "taxels", "wrench", "pose", "contacts")
 """What a stream can be."""
@@ -28,8 +29,8 @@ class Gap(NamedTuple):
     end: float
 
 
-@dataclass(frozen=True)
-class Stream:
+@dataclass(frozen=True, eq=False)
+class Stream(Value):
     """Samples of one topic, port or group of columns.
 
     A stream that no map names holds the times alone: values (n, 0).

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ..core.arrays import Array, runs
 from ..core.errors import RecordingError
+from ..core.value import Value
 from .log_map import AUTO, FALLING
 
 BLOCK = 10.0
@@ -46,8 +47,8 @@ _MAD = 1.4826
 """Standard deviation of a normal variable per median absolute deviation."""
 
 
-@dataclass(frozen=True)
-class Tared:
+@dataclass(frozen=True, eq=False)
+class Tared(Value):
     """Readings that rise from zero under pressure."""
 
     readings: NDArray[np.floating]

@@ -16,6 +16,7 @@ from scipy.spatial import KDTree
 
 from ..core import se3
 from ..core.arrays import Array, Index
+from ..core.value import Value
 from .slots import Ids
 
 MAX_ITERATIONS = 20
@@ -29,8 +30,8 @@ SAME_PLACE = 0.35
 below half of it, where it would be as near to that neighbour."""
 
 
-@dataclass(frozen=True)
-class Pairing:
+@dataclass(frozen=True, eq=False)
+class Pairing(Value):
     """Which taxels of skin B are at the positions of those of skin A."""
 
     pose: Array

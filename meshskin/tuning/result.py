@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from ..core.arrays import Array
+from ..core.value import Value
 from ..scene.scene import Scene
 from ..scene.settings import Exploration, Law
 from ..simulation.response import ForceResponse, force_response
@@ -34,8 +35,8 @@ RATE_UNITS = {"inertia": "1/s", "identity": "N m s/rad"}
 """Unit of the velocity gain by the law's shape."""
 
 
-@dataclass(frozen=True)
-class Confirmation:
+@dataclass(frozen=True, eq=False)
+class Confirmation(Value):
     """A predicted manoeuvre beside the simulated one."""
 
     scenario: Scenario

@@ -9,6 +9,8 @@ import pytest
 
 import meshskin as ms
 from meshskin.core.value import Value, same_content
+from meshskin.recording.log_map import LogMap, StreamMap
+from meshskin.scene import shipped_scenes
 
 
 @pytest.fixture(scope="module")
@@ -28,6 +30,14 @@ def objects(sphere, recording):
         "Belief": belief,
         "Body": sphere.body,
         "Calibration": calibration,
+        "Cap": ms.Cap((0.0, 0.0, 1.0), 0.5),
+        "Closest": sphere.body.closest(sphere.skin.positions),
+        "Faces": ms.Faces(np.arange(3)),
+        "LogMap": LogMap((StreamMap("/skin", "taxels"),)),
+        "Modules": ms.Skin.modules(ms.Body.sphere(0.1, faces=1280), count=1),
+        "NextContacts": calibration.next_contacts(2),
+        "Patch": sphere.patch,
+        "Robot": ms.Robot.from_urdf(shipped_scenes.folder() / "puma560.urdf"),
         "Exploration": sphere.exploration,
         "Indenter": sphere.indenter,
         "Law": sphere.law,
@@ -44,8 +54,9 @@ def objects(sphere, recording):
 
 
 NAMES = (
-    "Arm", "Belief", "Body", "Calibration", "Exploration", "Indenter", "Law", "Material", "Plan",
-    "PoseGraph", "Readout", "Recording", "Scene", "Skin", "Study", "TouchSide",
+    "Arm", "Belief", "Body", "Calibration", "Cap", "Closest", "Exploration", "Faces", "Indenter",
+    "Law", "LogMap", "Material", "Modules", "NextContacts", "Patch", "Plan", "PoseGraph", "Readout",
+    "Recording", "Robot", "Scene", "Skin", "Study", "TouchSide",
 )  # fmt: skip
 
 

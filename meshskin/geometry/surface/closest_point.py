@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ...core.arrays import Array, Index
+from ...core.value import Value
 from ..mesh.triangles import closest_on_triangles
 from . import newton, patch
 
@@ -29,8 +30,8 @@ CHUNK = 256
 """queries looked up in the R-tree at once: bounds the memory where each has many faces near"""
 
 
-@dataclass(frozen=True)
-class Closest:
+@dataclass(frozen=True, eq=False)
+class Closest(Value):
     """Points of a surface answering n queries, in the body frame, SI units."""
 
     point: Array
