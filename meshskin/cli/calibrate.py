@@ -38,6 +38,8 @@ FAILED = 1
 """Exit code where the verdict is FAIL."""
 SHOWN = 8
 """Taxels with faults that the summary lists; metrics.json has all."""
+TOUCHES = 3
+"""Touches that are advised where a calibration is not complete: the next ones follow from these."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -97,6 +99,8 @@ def _calibrated(options: argparse.Namespace, progress: Progress | None) -> tuple
     metrics = assess(found, recording) | {"inputs": belief_options.inputs(options)}
     if options.map is not None:
         recording.save(options.out / "recording")
+    if given.kinematics is not None:
+        metrics["kinematics"] = given.kinematics
     validation = None
     if options.cross_validate is not None:
         validation = found.cross_validate(recording, options.cross_validate, belief, progress)
@@ -148,7 +152,30 @@ def assess(found: Calibration, recording: Recording) -> dict[str, Any]:
         "rests_on_priors": list(found.undetermined),
         "fit": None if found.fit is None else {"p": found.fit.p, "words": found.fit.words},
         "faults": faults(found),
+        "next_touches": next_touches(found),
     }
+
+
+def next_touches(found: Calibration) -> list[str]:
+    """The touches that reduce the largest uncertainties most, in words; none where the verdict is
+    PASS and every taxel is determined, or where no contact can be aimed at a taxel."""
+    from ..core.errors import MeshskinError
+    from ..estimation.uncertainty.verdict import PASS
+
+    done = found.verdict is not None and found.verdict.level == PASS
+    if found.belief is None or (done and found.observed[:, :2].all()):
+        return []
+    try:
+        planned = found.next_contacts(TOUCHES)
+    except MeshskinError:
+        return []
+    lines = [
+        f"({', '.join(f'{1e3 * x:.1f}' for x in point)}) mm, for taxel {taxel}"
+        for point, taxel in zip(planned.points, planned.taxel, strict=True)
+    ]
+    if len(planned.unreached):
+        lines.append(f"sweep for the {len(planned.unreached)} taxels without any reading")
+    return lines
 
 
 def faults(found: Calibration) -> dict[str, str]:
@@ -179,6 +206,7 @@ def summary(found: Calibration, metrics: dict[str, Any], folder: Path) -> str:
 
     lines = [
         *([str(found.verdict)] if found.verdict is not None else []),
+        *(f"  touch next: {words}" for words in metrics.get("next_touches", ())),
         f"{metrics['determined']} of {metrics['taxels']} taxels determined from "
         f"{metrics['readings']} readings in {metrics['contacts']} contacts",
     ]

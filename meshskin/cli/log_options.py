@@ -7,7 +7,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -68,6 +68,8 @@ class FromLog:
     """The robot with the estimated offsets of its joints, likewise."""
     log: SkinLog | None = None
     """The log on one clock, of --map."""
+    kinematics: dict[str, Any] | None = None
+    """Heights of the contacts and residuals by joint for metrics.json, likewise."""
 
 
 def from_log(options: argparse.Namespace, progress: Progress | None = None) -> FromLog:
@@ -91,7 +93,15 @@ def from_log(options: argparse.Namespace, progress: Progress | None = None) -> F
         return FromLog(recording, belief, lines, log=frames.skin_log)
     found, robot = _calibrate_joints(options, frames.skin_log, belief, progress)
     lines += _lines(found)
-    return FromLog(found.recording, belief, lines, found.calibration, robot, frames.skin_log)
+    return FromLog(
+        found.recording,
+        belief,
+        lines,
+        found.calibration,
+        robot,
+        frames.skin_log,
+        found.metrics(),
+    )
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -135,9 +145,10 @@ def _calibrate_joints(
 
 
 def _lines(found: LogCalibration) -> list[str]:
-    """Lines about the heights of the contacts."""
+    """Lines about the heights of the contacts, and what errors of the joints explain of them."""
     heights = (found.heights_before, found.heights)
     before, after = (1e3 * float(np.median(np.abs(h))) for h in heights)
     return [
-        f"  contacts lie {before:.3g} mm off the body before the estimate, {after:.2g} mm after it"
+        f"  contacts lie {before:.3g} mm off the body before the estimate, {after:.2g} mm after it",
+        *(f"    {residual.words}" for residual in found.joint_residuals),
     ]

@@ -98,7 +98,8 @@ def _observability_note(freedom: int, count: int, touched: int) -> str:
 
 def next_steps(data: ReportData) -> Sequence[str]:
     """Advice that follows from the numbers, most urgent first."""
-    steps = [*_contacts(data), *_model_errors(data), *_noise(data)]
+    touches = [f"Touch next: {words}." for words in data.metrics.get("next_touches", ())]
+    steps = [*touches, *_contacts(data), *_model_errors(data), *_noise(data)]
     if not np.asarray(data.calibration.observed, dtype=bool)[:, 5].any():
         steps.append(
             "If headings are needed, take them from the known layout of the skin's modules: "

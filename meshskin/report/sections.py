@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from . import advice, learned_response, scene3d, validation
+from . import advice, kinematics, learned_response, scene3d, validation
 from .data import METHOD_DESCRIPTIONS, PAPER_REFERENCE, ReportData, method_name
 from .figure_set import ACCURACY_TIME
 from .markup import Content, SavedFigure, bullets, paragraphs, saved_figure, table, tile, view_3d
@@ -33,6 +33,8 @@ SHOWN_ELSEWHERE = (
     "worse_than_centroid",
     "response",
     "cross_validation",
+    "kinematics",
+    "next_touches",
 )
 """Metrics that other parts of the page show."""
 COST_HINT = (
@@ -84,6 +86,7 @@ def content(data: ReportData, pictures: Sequence[SavedFigure]) -> Content:
             **learned_response.section(data.calibration.response, pictures),
             "Figures": [saved_figure(p) for p in pictures if p.png.stem not in OWN_SECTIONS],
             "Numbers": _numbers(data),
+            **kinematics.sections(data),
             **validation.sections(data),
             **budget(data),
             "Accuracy and time": _accuracy_time(data, pictures),

@@ -68,6 +68,11 @@ def test_one_command(folder, capsys):
     assert "verdict: " in printed
     assert "off the body before the estimate" in printed
     metrics = json.loads((folder / "out" / "metrics.json").read_text())
+    joints = metrics["kinematics"]["joints"]
+    assert joints.keys() == set(exploration.log.joint_names)
+    assert all(0 <= joint["explained"] < 1 for joint in joints.values())
+    assert f"    {exploration.log.joint_names[2]}: an error of " in printed
+    assert "Kinematics" in (folder / "out" / "report.html").read_text()
     late = metrics["unknowns"]["clock_offset"][0]
     offsets = [metrics["unknowns"][f"joint_offset {j}"][0] for j in exploration.log.joint_names]
     np.testing.assert_allclose(offsets[1:5], OFFSETS[1:5], atol=np.radians(0.1))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from ...scene.contact_motion import ContactMotion
 from ..calibrate import calibrate
 from ..calibration import Calibration
 from .heights import Heights, surface_heights
+from .joint_residuals import JointResidual, joint_residuals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -72,6 +73,8 @@ class LogCalibration(Value, Card):
     """Number of times that the contacts were computed."""
     depth_factor: float = 1.0
     """Depth of the indentations, relative to that under the believed material and force."""
+    joint_residuals: tuple[JointResidual, ...] = ()
+    """What an error of each joint that varies with its angle would explain of `heights`."""
 
     def facts(self) -> dict[str, str]:
         """The facts of the calibration, and what the log told of the robot, for a notebook."""
@@ -100,6 +103,23 @@ class LogCalibration(Value, Card):
         names = self.kinematics.chain.joint_names
         labels = {name: f"joint_offset {name}" for name in names}
         return {n: self.unknowns[label] for n, label in labels.items() if label in self.unknowns}
+
+    def metrics(self) -> dict[str, Any]:
+        """Heights of the contacts and residuals by joint as JSON values."""
+        before, after = (
+            1e3 * float(np.median(np.abs(h))) for h in (self.heights_before, self.heights)
+        )
+        offsets = self.joint_offsets
+        joints = {
+            found.joint: {
+                "offset_rad": list(offsets[found.joint]) if found.joint in offsets else None,
+                "error_rad": found.error,
+                "explained": found.explained,
+                "chance": found.chance,
+            }
+            for found in self.joint_residuals
+        }
+        return {"height_before_mm": before, "height_mm": after, "joints": joints}
 
     @property
     def surprises(self) -> tuple[str, ...]:
@@ -168,7 +188,8 @@ def calibrate_log(
         moved = kinematics.centres(path, time, values)[0] - centres - slopes @ (values - s)
         x = heights.with_depth(values)
     after, factor = heights.residuals(x)[0], float(np.exp(x[-1]))
-    result = LogCalibration(found, recording, kinematics, after, before, rounds, factor)
+    by_joint = joint_residuals(kinematics, path, time, belief.body, after, x[:-1])
+    result = LogCalibration(found, recording, kinematics, after, before, rounds, factor, by_joint)
     verdict = None if found.verdict is None else found.verdict.with_doubts(result.surprises)
     warn_left_out("calibrated", found.reasons_left_out, len(found.ids))
     return replace(result, calibration=replace(found, verdict=verdict))

@@ -1,0 +1,46 @@
+"""What an error of each joint that varies with its angle explains of the contacts' heights."""
+
+import numpy as np
+import pytest
+
+from meshskin import Body, Robot
+from meshskin.estimation.kinematics.joint_residuals import SIGNIFICANCE, joint_residuals
+from meshskin.robot.contact_kinematics import JOINTS, JointPath
+from meshskin.scene import shipped_scenes
+
+
+@pytest.fixture(scope="module")
+def setting():
+    """The Puma with a sphere on its flange, a path, and d height / d joint (m, 6)."""
+    robot = Robot.from_urdf(shipped_scenes.folder() / "puma560.urdf")
+    kinematics = robot.contact_kinematics("tool0", (0.4, -0.4, 0.7), unknown={JOINTS: 0.02})
+    rng, time = np.random.default_rng(1), np.linspace(0, 40, 800)
+    knots = rng.uniform(-0.6, 0.6, (9, 6))
+    angles = np.stack([np.interp(time, np.linspace(0, 40, 9), k) for k in knots.T], axis=1)
+    path, body = JointPath(time, angles), Body.sphere(0.1)
+    centres, slopes = kinematics.centres(path, time, np.zeros(6))
+    return kinematics, path, time, body, np.einsum(
+        "mi,mij->mj", body.closest(centres).normal, slopes
+    )  # fmt: skip
+
+
+def test_an_eccentric_encoder_is_named(setting):
+    kinematics, path, time, body, by_joint = setting
+    k = int(np.argmax(np.std(by_joint, axis=0)))
+    error = np.radians(0.5) * np.sin(path.angles[:, k])
+    r = by_joint[:, k] * error + 2e-5 * np.random.default_rng(0).standard_normal(len(time))
+    found = joint_residuals(kinematics, path, time, body, r, np.zeros(6))
+    best = max(found, key=lambda f: f.explained)
+    assert best.joint == kinematics.chain.joint_names[k]
+    assert best.explained > 0.98
+    assert best.error == pytest.approx(np.sqrt(np.mean(error**2)), rel=0.05)
+    assert best.chance < SIGNIFICANCE
+    assert "check its encoder" in best.words
+
+
+def test_noise_names_no_joint(setting):
+    kinematics, path, time, body, _ = setting
+    r = 1e-4 * np.random.default_rng(0).standard_normal(len(time))
+    for found in joint_residuals(kinematics, path, time, body, r, np.zeros(6)):
+        assert found.chance > SIGNIFICANCE
+        assert "check" not in found.words
