@@ -197,8 +197,8 @@ def _change(
     best = max(total, key=lambda kind: float(total[kind]))
     if best[0] in (DEAD, GAIN) and best[1] < 0:  # one taxel alone explains as much: no more is said
         alone = {k: v for k, v in total.items() if k[0] == best[0] and k[1] >= 0}
-        first = max(alone, key=lambda kind: float(alone[kind]), default=best)
-        best = first if total[first] > total[best] - MIN_ODDS else best
+        single = max(alone, key=lambda kind: float(alone[kind]), default=best)
+        best = single if total[single] > total[best] - MIN_ODDS else best
     mine = [k for k, kind in enumerate(kinds) if kind == best]
     first = max(mine, key=lambda k: posterior[k])
     share = np.exp(posterior[mine] - logsumexp(posterior[mine]))
