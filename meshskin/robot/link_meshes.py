@@ -21,6 +21,7 @@ from ..geometry.mesh.triangles import Triangles
 from .urdf import UrdfTree, rotation, vector
 
 if TYPE_CHECKING:
+    from .chain import Chain
     from .robot import Robot
 
 ROD_RADIUS = 0.02
@@ -42,18 +43,29 @@ def link_meshes(tree: UrdfTree, folders: Iterable[str | Path] = ()) -> dict[str,
     return {name: Triangles.joined(parts) for name, parts in found.items() if parts}
 
 
-def link_poses(robot: Robot, angles: Mapping[str, Array]) -> dict[str, Array]:
-    """Poses (n, 4, 4), m, of each link in the frame of the root link.
+class LinkPoses:
+    """Where some links of a robot are, one posture at a time."""
 
-    angles: positions (n,), rad or m, by the name of the joint; the others are at zero.
-    """
-    count = max((len(a) for a in angles.values()), default=1)
-    poses = {}
-    for link in robot.links:
-        chain = robot.chain(robot.root, link)
-        columns = [angles.get(name, np.zeros(count)) for name in chain.joint_names]
-        poses[link] = chain.poses(np.stack(columns, axis=1) if columns else np.zeros((count, 0)))
-    return poses
+    def __init__(self, robot: Robot, links: Iterable[str]) -> None:
+        """Raises UnknownNameError for a link that the robot does not have."""
+        self.root, self.links = robot.root, tuple(links)
+        self._steps: dict[str, tuple[str, Chain]] = {}
+        for link in self.links:
+            for joint in robot.tree.chain(link):
+                if joint.child not in self._steps:
+                    step = robot.chain(joint.parent, joint.child)
+                    self._steps[joint.child] = joint.parent, step
+
+    def at(self, angles: Mapping[str, float]) -> dict[str, Array]:
+        """Poses (4, 4), m, of the links in the frame of the root link.
+
+        angles: positions, rad or m, by the name of the joint; other joints are at zero.
+        """
+        poses = {self.root: np.eye(4)}
+        for link, (parent, step) in self._steps.items():
+            own = np.array([[angles.get(name, 0.0) for name in step.joint_names]])
+            poses[link] = poses[parent] @ step.poses(own)[0]
+        return {link: poses[link] for link in self.links}
 
 
 def _shapes(link: ET.Element, folders: list[str | Path]) -> list[Triangles]:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from meshskin.robot.link_meshes import ROD_RADIUS, link_meshes, link_poses, rod
+from meshskin.robot.link_meshes import ROD_RADIUS, LinkPoses, link_meshes, rod
 from meshskin.robot.robot import Robot
 from meshskin.robot.urdf import UrdfTree
 
@@ -50,17 +50,17 @@ def test_a_rod_goes_from_the_origin_to_its_end():
 
 
 def test_poses_of_links_are_those_of_the_arm(arm):
-    q = np.random.default_rng(0).uniform(-1, 1, (5, 6))
     robot = Robot(arm.name, Path(), arm.urdf, arm.tree)
-    poses = link_poses(robot, dict(zip(arm.joint_names, q.T, strict=True)))
-    np.testing.assert_allclose(poses[arm.tip], arm.pose(q), atol=1e-12)
-    np.testing.assert_allclose(poses["base"], np.tile(np.eye(4), (5, 1, 1)), atol=1e-12)
+    for q in np.random.default_rng(0).uniform(-1, 1, (5, 6)):
+        poses = LinkPoses(robot, [arm.tip, "base"]).at(dict(zip(arm.joint_names, q, strict=True)))
+        np.testing.assert_allclose(poses[arm.tip], arm.pose(q), atol=1e-12)
+        np.testing.assert_allclose(poses["base"], np.eye(4), atol=1e-12)
 
 
 def test_joints_that_are_not_given_are_at_zero(arm):
     robot = Robot(arm.name, Path(), arm.urdf, arm.tree)
-    poses = link_poses(robot, {arm.joint_names[0]: np.array([0.3])})
-    np.testing.assert_allclose(poses[arm.tip], arm.pose([[0.3, 0, 0, 0, 0, 0]]), atol=1e-12)
+    poses = LinkPoses(robot, [arm.tip]).at({arm.joint_names[0]: 0.3})
+    np.testing.assert_allclose(poses[arm.tip], arm.pose([0.3, 0, 0, 0, 0, 0]), atol=1e-12)
 
 
 @needs_icub

@@ -177,8 +177,8 @@ class Drawing:
         carrier = self.stage.carrier
         if carrier is None:
             return
-        for name in carrier.links:
-            _move(self.nodes[f"/world/robot/{name}"], carrier.link_pose(name, row))
+        for name, pose in carrier.link_poses(row).items():
+            _move(self.nodes[f"/world/robot/{name}"], pose)
         body = carrier.body[row]
         still = self.view == SKIN
         _move(self.nodes["/body"], np.eye(4) if still else body)
@@ -203,7 +203,7 @@ class Drawing:
     def _camera_on_robot(self, carrier: Carrier, row: int) -> tuple[Array, Array, Array]:
         """A view of the whole robot from the side on which its body is."""
         body = transform_points(carrier.body[row], self.stage.belief.body.mesh.bounds)
-        origins = [carrier.link_pose(link, row)[:3, 3] for link in carrier.links]
+        origins = [pose[:3, 3] for pose in carrier.link_poses(row).values()]
         every = np.concatenate([body, np.reshape(origins, (-1, 3))])
         low, high = every.min(axis=0), every.max(axis=0)
         centre, up = (low + high) / 2, np.array([0.0, 0.0, 1.0])

@@ -26,7 +26,7 @@ FORCE_WINDOW = 10.0
 """Time that the curve of the force shows, s: single pushes remain to be seen."""
 MAX_POINTS = 600
 """Most points of a curve: twice the panel's width in pixels."""
-CHART_HEIGHT = 115
+CHART_HEIGHT = 100
 """Height of a curve, pixels."""
 LOGARITHMIC = 3
 """uPlot's number of a logarithmic scale."""
@@ -176,7 +176,7 @@ def _chart(gui: Any, title: str, x: str, names: tuple[str, ...], **scale: Any) -
         title=title,
         scales={"x": {"time": False}, "y": scale},
         axes=(
-            {"label": x, "size": 34, "labelSize": 16, "ticks": bare},
+            {"label": x, "size": 24, "labelSize": 14, "gap": 0, "ticks": bare},
             {"size": 44, "ticks": bare, "grid": {"show": "distr" not in scale}},
         ),
         legend={"show": len(names) > 1},

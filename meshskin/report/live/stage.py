@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,7 +16,7 @@ from ...core.arrays import Array
 from ...core.errors import ContactError
 from ...core.se3 import inverse, orthonormal_basis, shortest_rotation, transform, transform_points
 from ...estimation.data.resolve_belief import resolve_belief
-from ...robot.link_meshes import MIN_ROD, link_meshes, link_poses, rod
+from ...robot.link_meshes import MIN_ROD, LinkPoses, link_meshes, rod
 from ...robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -25,10 +25,6 @@ if TYPE_CHECKING:
     from ...recording.skin_log import SkinLog
     from ...scene.belief import Belief
     from ...scene.scene import Scene
-
-MAX_POSES = 20_000
-"""Contacts of which the poses of the links are kept, 16 numbers a link: 60 MB for 24 links. Of a
-longer recording every k-th contact has them."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +35,8 @@ class Carrier:
     """T_w_body (m, 4, 4) at each contact, m."""
     links: Mapping[str, Triangles] = field(default_factory=dict)
     """Triangles of each link that is drawn, link frame, m."""
-    poses: Mapping[str, Array] = field(default_factory=dict)
-    """T_w_link (k, 4, 4), m, of every `step`-th contact."""
-    step: int = 1
-
-    def link_pose(self, link: str, row: int) -> Array:
-        """T_w_link (4, 4) at contact `row`."""
-        return np.asarray(self.poses[link][row // self.step])
+    link_poses: Callable[[int], Mapping[str, Array]] = field(default=lambda row: {})
+    """T_w_link (4, 4), m, of these links at contact `row`."""
 
 
 @dataclass(frozen=True)
@@ -96,8 +87,8 @@ class Stage:
         if moving:
             arm = scene.arm
             robot = Robot(arm.name, Path(), arm.urdf, arm.tree, tuple(map(Path, arm.folders)))
-            carrier = _carrier(robot, dict(zip(arm.joint_names, q.T, strict=True)), arm.base)
-            carrier = _mounted(replace(carrier, body=scene.body_pose(q)), scene)
+            posed = _carrier(robot, carrier.body, arm.joint_names, q, arm.base)
+            carrier = _mounted(posed, scene)
         column = (scene.indenter.column_radius, scene.indenter.support_height)
         return replace(stage, carrier=carrier, column=column, axis=scene.indenter.axis)
 
@@ -106,13 +97,12 @@ class Stage:
         cls, recording: Recording, belief: Belief, robot: Robot, link: str, log: SkinLog
     ) -> Stage:
         """A robot's log with joint angles: the robot, its body on `link`."""
-        rows = _nearest(log.time, recording.time)
-        angles = dict(zip(log.joint_names, log.joint_angles[rows].T, strict=True))
-        carrier = _carrier(robot, angles, np.eye(4), without=link)
-        body = robot.chain(robot.root, link)
-        moved = np.stack([angles[name] for name in body.joint_names], axis=1)
-        stage = cls.of_recording(recording, belief)
-        return replace(stage, carrier=replace(carrier, body=body.poses(moved)))
+        angles = log.joint_angles[_nearest(log.time, recording.time)]
+        column = {name: k for k, name in enumerate(log.joint_names)}
+        chain = robot.chain(robot.root, link)
+        body = chain.poses(angles[:, [column[name] for name in chain.joint_names]])
+        carrier = _carrier(robot, body, log.joint_names, angles, np.eye(4), without=link)
+        return replace(cls.of_recording(recording, belief), carrier=carrier)
 
     def contact(self, row: int) -> Contact:
         """The contact in row `row` of the recording, under the believed material."""
@@ -155,28 +145,34 @@ def _drawable(belief: Belief, recording: Recording) -> Belief:
         return resolve_belief(replace(belief, contact="elliptic"), recording)
 
 
-def _carrier(robot: Robot, angles: Mapping[str, Array], base: Array, without: str = "") -> Carrier:
-    """The links of a robot, apart from the link `without`, at joint angles (m,) by joint name."""
-    count = len(next(iter(angles.values())))
-    step = -(-count // MAX_POSES)
+def _carrier(
+    robot: Robot, body: Array, names: Sequence[str], angles: Array, base: Array, without: str = ""
+) -> Carrier:
+    """The links of a robot, apart from the link `without`, which is drawn as the body.
+
+    angles (m, k): of the joints `names` at each contact; base: T_w_root (4, 4).
+    """
     meshes = link_meshes(robot.tree, [*robot.folders, *robot.path.resolve().parents[:-1]])
-    meshes.pop(without, None)  # the body is drawn in its place
-    moved = link_poses(robot, {name: a[::step] for name, a in angles.items()})
-    poses = {name: np.asarray(base @ moved[name]) for name in meshes}
-    return Carrier(np.broadcast_to(np.eye(4), (count, 4, 4)), meshes, poses, step)
+    meshes.pop(without, None)
+    posed = LinkPoses(robot, meshes)
+
+    def poses(row: int) -> dict[str, Array]:
+        found = posed.at(dict(zip(names, angles[row].tolist(), strict=True)))
+        return {name: base @ pose for name, pose in found.items()}
+
+    return Carrier(body, meshes, poses)
 
 
 def _mounted(carrier: Carrier, scene: Scene) -> Carrier:
     """The carrier with a rod from the arm's tip to the nearest point of the body."""
-    tip = inverse(scene.mount_pose)[:3, 3]
-    end = transform_points(scene.mount_pose, scene.body.closest(tip[None]).point[0])
+    tip = inverse(scene.mount_pose)
+    end = transform_points(scene.mount_pose, scene.body.closest(tip[None, :3, 3]).point[0])
     if np.linalg.norm(end) < MIN_ROD:
         return carrier
-    poses = carrier.body[:: carrier.step] @ inverse(scene.mount_pose)
-    return replace(
-        carrier,
-        links={**carrier.links, "mount": rod(end)},
-        poses={**carrier.poses, "mount": poses},
+    return Carrier(
+        carrier.body,
+        {**carrier.links, "mount": rod(end)},
+        lambda row: {**carrier.link_poses(row), "mount": carrier.body[row] @ tip},
     )
 
 

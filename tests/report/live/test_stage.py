@@ -1,12 +1,14 @@
 """Where body, indenter, patch and links are on the live page."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import meshskin as ms
 from meshskin.core.se3 import inverse
+from meshskin.recording.skin_log import SkinLog
 from meshskin.report.live.stage import Stage
 
 
@@ -16,7 +18,7 @@ def test_body_and_links_are_where_the_arm_holds_them(noisy, touched, stage):
     tip = noisy.arm.pose(q)  # by CasADi; the links' poses are by the numeric chain
     np.testing.assert_allclose(stage.carrier.body, tip @ noisy.mount_pose, atol=1e-12)
     for row in (0, 7):
-        mount = stage.carrier.link_pose("mount", row)
+        mount = stage.carrier.link_poses(row)["mount"]
         np.testing.assert_allclose(mount, tip[row], atol=1e-12)
         np.testing.assert_allclose(
             stage.world_in_body(row) @ stage.carrier.body[row], np.eye(4), atol=1e-12
@@ -59,3 +61,21 @@ def test_a_contact_outside_the_range_of_every_model_has_no_patch(noisy, touched)
     belief = noisy.belief(contact="layered", material=ms.Material(2e5, 0.49, 1e-5))
     stage = Stage(touched, belief)
     assert np.isnan(stage.contact(0).semi_axes).all()
+
+
+def test_a_log_with_joint_angles_shows_its_robot(arm, noisy, touched):
+    rng = np.random.default_rng(5)
+    time = np.sort(np.concatenate([touched.time, touched.time + 1e-3, touched.time - 1e-3]))
+    angles, ids = rng.uniform(-1, 1, (30, 6)), np.arange(80)
+    log = SkinLog(
+        time, arm.joint_names[::-1], angles[:, ::-1], ids, np.zeros((30, 80)), np.ones(80),
+        np.ones(30, dtype=bool),
+    )  # fmt: skip
+    robot = ms.Robot(arm.name, Path("puma560.urdf"), arm.urdf, arm.tree)
+    stage = Stage.of_log(touched, noisy.belief(), robot, "link4", log)
+    row = 6
+    q = angles[np.argmin(np.abs(time - touched.time[row]))]
+    poses = stage.carrier.link_poses(row)
+    assert "link4" not in poses  # it is the body
+    down = robot.chain("link4", arm.tip).poses([q[4:]])[0]
+    np.testing.assert_allclose(stage.carrier.body[row] @ down, arm.pose(q), atol=1e-12)
