@@ -178,7 +178,7 @@ class Plan(Value, Card, Tabular):
             normals=self.path.normals,
             values=rows * self.path.dt if self.contacts is None else rows,
             label="time on the path (s)" if self.contacts is None else "contact",
-            title=repr(self).strip("<>"),
+            title=f"{len(self.unreachable)} taxels left out",
         )
 
     def to_arrow(self) -> pa.Table:
