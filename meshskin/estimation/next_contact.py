@@ -15,7 +15,7 @@ import numpy as np
 from ..contact import AUTO, ContactModel, Patches
 from ..core.arguments import check_integer
 from ..core.arrays import Array
-from ..core.errors import CalibrationError
+from ..core.errors import CalibrationError, ContactError
 from ..core.value import Value
 from . import chart
 from .data.measurements import NOMINAL_NOISE
@@ -74,7 +74,12 @@ def next_contacts(calibration: Calibration, belief: Belief, k: int = 1) -> NextC
     charts = chart.charts_at(belief.body, points)
     covariance = _in_charts(calibration, near, charts, covariance)
     candidates = candidates_about(charts, np.trace(covariance, axis1=1, axis2=2), radius)
-    hit = belief.body.closest(candidates)
+    hit = valid_contacts(candidates, belief, modulus)
+    if not len(hit.point):
+        raise ContactError(
+            "the contact model does not hold about the most uncertain taxels",
+            remedy="use a smaller indenter or a smaller force",
+        )
     contact, taxel, slope = expected_slopes(charts, hit, belief, modulus)
     chosen, served, worst = [], [], []
     for _ in range(k):
@@ -83,7 +88,7 @@ def next_contacts(calibration: Calibration, belief: Belief, k: int = 1) -> NextC
         before = np.trace(covariance, axis1=1, axis2=2)
         scale = before.max()
         change = ((before[taxel] - gain) / scale) ** POWER - (before[taxel] / scale) ** POWER
-        best = int(np.argmin(np.bincount(contact, change, len(candidates))))
+        best = int(np.argmin(np.bincount(contact, change, len(hit.point))))
         mine = np.flatnonzero(contact == best)
         served.append(taxel[mine[np.argmin(change[mine])]])
         for p in mine:
@@ -157,6 +162,18 @@ def candidates_about(
     return charts[owner].at(np.tile(offsets, (len(worst), 1)))
 
 
+def valid_contacts(points: Array, belief: Belief, modulus: float) -> Closest:
+    """The points of the body nearest to `points` (m, 3), m, where its contact model holds."""
+    hit = belief.body.closest(points)
+    valid = _model(belief).is_valid(
+        force=belief.force_reference or 0.0,
+        curvature=hit.curvature,
+        indenter_radius=belief.indenter.radius,
+        effective_modulus=modulus,
+    )
+    return hit.take(valid)
+
+
 def expected_slopes(
     charts: chart.Charts, hit: Closest, belief: Belief, modulus: float
 ) -> tuple[np.ndarray, np.ndarray, Array]:
@@ -186,10 +203,14 @@ def expected_slopes(
     return contact, taxel, (np.sqrt(weight) * scale)[:, None] * along
 
 
+def _model(belief: Belief) -> ContactModel:
+    """The belief's contact model."""
+    return ContactModel(belief.contact, belief.material.poisson, belief.material.thickness)
+
+
 def _patches(curvature: Array, belief: Belief, modulus: float) -> Patches:
     """Patches under the reference force at curvatures (m, 2), 1/m, and E*, Pa."""
-    material = belief.material
-    return ContactModel(belief.contact, material.poisson, material.thickness).patches(
+    return _model(belief).patches(
         force=np.full(len(curvature), belief.force_reference),
         curvature=curvature,
         indenter_radius=belief.indenter.radius,

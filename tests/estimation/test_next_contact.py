@@ -9,6 +9,8 @@ import meshskin as ms
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.calibration import Calibration
+from meshskin.estimation.next_contact import valid_contacts
+from meshskin.estimation.online.next_touch import next_touch
 from meshskin.simulation.contact_samplers import concatenate
 
 
@@ -104,3 +106,22 @@ def test_the_contact_model_of_the_command_line(world, tmp_path):
     assert np.allclose(found.points, named.points)
     with pytest.raises(CalibrationError, match="need a reference force"):
         loaded.next_contacts(2, replace(auto, force_reference=None))
+
+
+def test_touches_are_planned_only_where_the_contact_model_holds():
+    body = ms.Body.torus(0.1, 0.04)
+    inside, outside = np.array([0.06, 0.0, 0.0]), np.array([0.14, 0.0, 0.0])
+    belief = ms.Belief(
+        body, ms.Indenter.sphere(0.07), ms.Material(2e5), np.arange(1), contact="elliptic",
+        force_reference=1.0,
+    )  # fmt: skip
+    modulus = belief.material.effective_modulus
+    hit = valid_contacts(np.stack([inside, outside]), belief, modulus)
+    np.testing.assert_allclose(hit.point, [outside], atol=1e-4)
+    spread = 1e-6 * np.eye(3)[None]
+    told = [
+        next_touch(np.arange(1), place[None], spread, belief, modulus, radius=3e-3)
+        for place in (inside, outside)
+    ]
+    assert told[0] is None
+    assert np.linalg.norm(told[1].point - outside) < 0.02

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...core.arrays import Array
 from .. import chart
-from ..next_contact import POWER, candidates_about, expected_slopes
+from ..next_contact import POWER, candidates_about, expected_slopes, valid_contacts
 
 if TYPE_CHECKING:
     from ...scene.belief import Belief
@@ -36,10 +36,11 @@ class NextTouch:
 
 def next_touch(
     ids: np.ndarray, points: Array, covariance: Array, belief: Belief, modulus: float, radius: float
-) -> NextTouch:
+) -> NextTouch | None:
     """The best touch for n taxels at points (n, 3), m, with covariances (n, 3, 3), m^2, in space.
 
-    modulus: E*, Pa; radius: of a contact, m.
+    None where the contact model holds nowhere about the most uncertain taxels. modulus: E*, Pa;
+    radius: of a contact, m.
     """
     variance = np.trace(covariance, axis1=1, axis2=2)
     worst = np.argsort(-variance, kind="stable")[:TARGETS]
@@ -49,8 +50,12 @@ def next_touch(
     charts = chart.charts_at(belief.body, points[near])
     flat = np.swapaxes(charts.tangents, 1, 2) @ covariance[near] @ charts.tangents
     before = np.trace(flat, axis1=1, axis2=2)
-    hit = belief.body.closest(candidates_about(charts, before, radius, TARGETS))
+    hit = valid_contacts(candidates_about(charts, before, radius, TARGETS), belief, modulus)
+    if not len(hit.point):
+        return None
     contact, taxel, slope = expected_slopes(charts, hit, belief, modulus)
+    if not len(contact):
+        return None
     along = np.einsum("pij,pj->pi", flat[taxel], slope)
     gain = np.einsum("pi,pi->p", along, along) / (1 + np.einsum("pi,pi->p", slope, along))
     scale = before.max()
