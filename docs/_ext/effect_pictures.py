@@ -108,10 +108,18 @@ def _crossing(scene, frames, plain, recorded, readings):  # type: ignore[no-unty
         edges = np.flatnonzero(np.diff(near.astype(int)))
         for first, last in pairwise(edges):
             rows = np.arange(first + 1, last + 1)
-            if not near[rows].all() or plain[rows, taxel].max() < CENTRAL * plain.max():
+            central = plain[rows, taxel].max() >= CENTRAL * plain.max()
+            if not (central and near[rows].all() and _is_straight(frames.points[rows])):
                 continue
             score = change[rows, taxel].mean()
             if best is None or score > best[0]:
                 best = score, taxel, rows
     assert best is not None, "no lane crosses the middle of a taxel"
     return best[1:]
+
+
+def _is_straight(points) -> bool:  # type: ignore[no-untyped-def]
+    """Whether a crossing runs one way, from one side of the taxel to the other."""
+    along = (points - points[0]) @ (points[-1] - points[0])
+    far = np.linalg.norm(points[-1] - points[0]) > SPAN
+    return bool(far and np.all(np.diff(along) > 0))

@@ -196,7 +196,11 @@ def _arguments(block: str, names: list[str]) -> str:
     for k in range(1, len(parts), 4):
         name, shape, unit, words = (part or "" for part in parts[k : k + 4])
         words = words.strip().removesuffix(";")
+        rest = ""
+        if k + 4 >= len(parts):  # what follows the last argument is about all
+            words, _, rest = words.partition(". ")
         made.append(f"`{name}`{shape}{unit}\n    {words[:1].upper()}{words[1:]}")
+        made += [rest] if rest else []
     return "\n\n".join([*made, *([f"Raises {errors}"] if raised else [])])
 
 
@@ -342,9 +346,8 @@ def _effect_page(name: str, cls: Any, picture: Path | None, folder: Path) -> str
         parts.append(f"```toml\n{example}\n```")
     if field_docs(cls):
         parts.append(key_table(cls))
-    parts.append(
-        f"Bound of the error when it is left out: {_first(inspect.getdoc(cls.bound) or '')}"
-    )
+    bound = _first(inspect.getdoc(cls.bound) or "")
+    parts.append(f"Bound on the taxel error, m, where the estimate ignores it: {bound}")
     return "\n\n".join(parts) + "\n"
 
 
