@@ -23,3 +23,6 @@ needs_torso = pytest.mark.skipif(
 needs_nao = pytest.mark.skipif(
     not (DATA / "nao_selftouch").is_dir(), reason="no nao_selftouch in DATA"
 )
+needs_icub_log = pytest.mark.skipif(
+    not (DATA / "icub_recording").is_dir(), reason="no icub_recording in DATA"
+)

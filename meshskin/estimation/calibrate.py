@@ -28,6 +28,7 @@ from .joint.reduced_nlp import MAX_ITERATIONS, NEWTON_TOLERANCE
 from .result import EstimatorResult
 from .trilateration import coactivation, eq15, trilaterate
 from .trilateration.displacements import Displacements, SharedContacts, Trilateration
+from .uncalibrated import uncalibrated
 from .uncertainty import observability
 from .uncertainty.contact_errors import systematic_covariance
 from .uncertainty.judge import judge
@@ -333,18 +334,17 @@ def calibrate(
     taken as those of points; "centroid", the baseline: the mean of its contact points, weighted
     by its readings; "coactivation", the layout by which taxels answer together, for contact points
     that are wrong in themselves: they only place the whole, and the contact model only scales it.
-    tolerance: the Newton decrement at which the joint estimate has converged (a move of
-    sqrt(2 tolerance) standard deviations).
-    iterations: the most iterations of IPOPT over the shared unknowns, in each linearization. Other
-    methods use neither.
-    progress(stage, done, total): called between the steps of the stage "calibrate".
-    Warns (LeftOutWarning) where taxels are not determined. Raises UnknownNameError for another
+    tolerance: Newton decrement at which the joint estimate has converged; iterations: the most of
+    IPOPT in each linearization. progress(stage, done, total): called between the steps.
+    Contact points that the robot computed from its own taxels calibrate nothing: FAIL. Warns (LeftOutWarning) where taxels are not determined. Raises UnknownNameError for another
     method, ConfigError for a tolerance or limit of iterations that is not positive, RecordingError
     for values that are not finite, CalibrationError for a scene in place of a belief, a method that
     needs pressures on raw readings, no readings, unknown taxels or nothing determined, ContactError
     where the believed contact model leaves its range.
     """
     check_name("method", method, tuple(METHODS))
+    if isinstance(recording, Recording) and recording.points_from_taxels:
+        return uncalibrated(recording, belief)
     found = Estimation(recording, belief).calibrate(method, tolerance, iterations, progress)
     warn_left_out("calibrated", found.reasons_left_out, len(found.ids))
     return found

@@ -12,7 +12,8 @@ from ..core.arrays import Array
 from ..core.errors import ConfigError, RecordingError
 from .log_map import BODY, CONTACT, LogMap, StreamMap
 from .recording import CONTACTS as CONTACT_SCHEMA
-from .recording import QUATERNION, Recording
+from .readers.yarp import SKIN_CONTACTS
+from .recording import FROM_TAXELS, QUATERNION, Recording
 from .resample import LogFrames, Pairs, paired
 from .stream import CONTACTS, POSE, TAXELS, Log, Stream
 from .tare import thresholds
@@ -63,6 +64,8 @@ def recording_from_log(log: Log, log_map: LogMap, frames: LogFrames) -> Recordin
         "clock_offset_s": given.clock_offset,
         "clock_sigma_s": given.clock_sigma,
     }
+    if any(s.kind == CONTACTS and s.type == SKIN_CONTACTS for s, _ in pairs):
+        metadata["contact_points"] = FROM_TAXELS
     return Recording(pa.table(table), readings, metadata | ({"readings": "raw"} if raw else {}))
 
 

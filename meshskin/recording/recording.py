@@ -45,6 +45,8 @@ are equally near."""
 NOMINAL = "nominal"
 """Value of "force" in the metadata of a recording without measured forces: the column `force` then
 holds a reference force."""
+FROM_TAXELS = "taxels"
+"""Value of "contact_points" in the metadata where the robot computed them from its own taxels."""
 _PARTS = ("contacts", "readings", "motion")
 
 
@@ -142,6 +144,11 @@ class Recording(Value, Card):
     def force_measured(self) -> bool:
         """Whether the forces were measured; else all are a reference force."""
         return bool(self.metadata.get("force") != NOMINAL)
+
+    @property
+    def points_from_taxels(self) -> bool:
+        """Whether the robot computed the contact points from the taxels that answered."""
+        return bool(self.metadata.get("contact_points") == FROM_TAXELS)
 
     @cached_property
     def time(self) -> Array:

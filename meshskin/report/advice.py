@@ -114,8 +114,10 @@ def next_steps(data: ReportData) -> Sequence[str]:
 
 
 def _contacts(data: ReportData) -> list[str]:
-    """Where contacts are missing."""
+    """Where contacts are missing; nothing where none would do (estimation/uncalibrated.py)."""
     c = data.calibration
+    if c.method == "none":
+        return []
     ids, steps = np.asarray(c.ids), []
     if not data.touched.all():
         steps.append(

@@ -1,0 +1,72 @@
+"""Recordings that cannot calibrate a skin, however many contacts they have: the failure as a result.
+
+A robot that reports skin contacts (skinContactList of YARP) computes each contact point from the
+taxels that answer and its own map of them. A calibration by these points would only return that
+map. What such a recording does show is which taxels answer, and how often.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..core.provenance import digest, provenance
+from ..recording.recording import Recording
+from .calibration import Calibration
+from .uncertainty.verdict import FAIL, Verdict
+
+if TYPE_CHECKING:
+    from ..scene.belief import Belief
+
+CIRCULAR = "its contact points were computed from the map that is sought"
+"""Reason of every taxel."""
+UNTOUCHED = "it never answered"
+"""Reason of a taxel without readings."""
+
+
+def uncalibrated(recording: Recording, belief: Belief) -> Calibration:
+    """The calibration of no taxel, with the readings of each and a verdict of FAIL."""
+    ids = np.asarray(belief.taxel_ids)
+    ids = ids if len(ids) else np.unique(recording.reading_taxel)
+    answered = recording.pressure > 0
+    order = np.argsort(ids)
+    row = order[np.minimum(np.searchsorted(ids[order], recording.reading_taxel), len(ids) - 1)]
+    known = answered & (ids[row] == recording.reading_taxel)
+    readings, n = np.bincount(row[known], minlength=len(ids)), len(ids)
+    touched = readings > 0
+    return Calibration(
+        ids=ids,
+        poses=np.full((n, 4, 4), np.nan),
+        covariances=np.tile(np.diag([np.inf] * 6), (n, 1, 1)),
+        observed=np.zeros((n, 6), dtype=bool),
+        touched=touched,
+        readings=readings,
+        method="none",
+        anchor="none: the contact points are the robot's own map",
+        factors=(),
+        chi2=np.full(n, np.nan),
+        reasons=np.where(touched, CIRCULAR, UNTOUCHED).astype(object),
+        verdict=Verdict(FAIL, _reasons(recording, readings)),
+        provenance=provenance(
+            method="none",
+            recording=digest(recording.points, recording.force, recording.pressure),
+            source=recording.metadata.get("provenance", {}),
+        ),
+    )
+
+
+def _reasons(recording: Recording, readings: np.ndarray) -> tuple[str, ...]:
+    """What cannot be calibrated, what to record instead, and what the recording shows."""
+    touched = readings[readings > 0]
+    span = f"{touched.min()} to {touched.max()}" if len(touched) else "no"
+    return (
+        "places and orientations cannot be calibrated: the contact points were computed by the "
+        "robot from the taxels that answered and its own map of them, so that a calibration would "
+        "return that map; touch the skin with an indenter whose place is known (joint angles and "
+        "--indenter-mm, or a stream of poses of the contact)",
+        "gains and the response cannot be calibrated: the taxels of a contact all have its mean "
+        "reading; record the raw port of the skin, too",
+        f"what the recording shows: {len(touched)} of {len(readings)} taxels answer, in {span} of the "
+        f"{len(recording.time)} frames with a single contact",
+    )
