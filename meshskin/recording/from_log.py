@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from ..core.arrays import Array
 from ..core.errors import ConfigError, RecordingError
 from .log_map import BODY, CONTACT, LogMap, StreamMap
-from .recording import CONTACTS as CONTACT_SCHEMA
 from .readers.yarp import SKIN_CONTACTS
+from .recording import CONTACTS as CONTACT_SCHEMA
 from .recording import FROM_TAXELS, QUATERNION, Recording
 from .resample import LogFrames, Pairs, paired
 from .stream import CONTACTS, POSE, TAXELS, Log, Stream
