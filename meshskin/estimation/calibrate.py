@@ -334,13 +334,13 @@ def calibrate(
     taken as those of points; "centroid", the baseline: the mean of its contact points, weighted
     by its readings; "coactivation", the layout by which taxels answer together, for contact points
     that are wrong in themselves: they only place the whole, and the contact model only scales it.
-    tolerance: Newton decrement at which the joint estimate has converged; iterations: the most of
-    IPOPT in each linearization. progress(stage, done, total): called between the steps.
-    Contact points that the robot computed from its own taxels calibrate nothing: FAIL. Warns (LeftOutWarning) where taxels are not determined. Raises UnknownNameError for another
-    method, ConfigError for a tolerance or limit of iterations that is not positive, RecordingError
-    for values that are not finite, CalibrationError for a scene in place of a belief, a method that
-    needs pressures on raw readings, no readings, unknown taxels or nothing determined, ContactError
-    where the believed contact model leaves its range.
+    tolerance: Newton decrement at convergence of the joint estimate; iterations: the most of IPOPT
+    in each linearization. progress(stage, done, total): called between the steps. Contact points
+    that the robot computed from its own taxels give the verdict FAIL, and no estimate.
+    Warns (LeftOutWarning) where taxels are not determined. Raises UnknownNameError for another
+    method, ConfigError for tolerance or iterations that are not positive, RecordingError for values
+    that are not finite, CalibrationError for a scene in place of a belief, a method that needs
+    pressures, no readings, unknown taxels, ContactError where the contact model leaves its range.
     """
     check_name("method", method, tuple(METHODS))
     if isinstance(recording, Recording) and recording.points_from_taxels:

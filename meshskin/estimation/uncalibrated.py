@@ -1,4 +1,4 @@
-"""Recordings that cannot calibrate a skin, however many contacts they have: the failure as a result.
+"""Recordings that cannot calibrate a skin, whatever their size: the failure as a result.
 
 A robot that reports skin contacts (skinContactList of YARP) computes each contact point from the
 taxels that answer and its own map of them. A calibration by these points would only return that
