@@ -28,8 +28,8 @@ CAPTION = (
     "changes the same contacts, with its defaults, or `layer` of 6 mm, `disc_averaging` of 3 mm "
     "(the taxels have 2) and `joint_friction` of 0.02 N m. Drawn are the readings of one taxel, "
     "over the distance of the *recorded* contact point from it, in the crossing in which the "
-    "effect changes them most among those through the middle of a taxel, and the recorded force "
-    "where the effect changes it."
+    "effect changes them most among those through the middle of a taxel; on the right is what "
+    "changes: the readings, the recorded contact point, or the recorded force."
 )
 SPAN = 9e-3
 """Distance on both sides of a taxel that is drawn, m: twice the radius of the contact patch."""
@@ -71,25 +71,27 @@ def width(picture: Path) -> int:
 @theme.styled
 def _draw(file, scene, frames, plain, recorded, readings) -> None:  # type: ignore[no-untyped-def]
     taxel, rows = _crossing(scene, frames, plain, recorded, readings)
-    moved = bool(np.abs(recorded.force - frames.force).max() > 1e-6)
-    figure = theme.new_figure(7.2 if moved else 4.3, 2.6)
+    figure = theme.new_figure(7.2, 2.6)
     axes = theme.add_axes(figure, 0.6, 0.45, 3.4, 1.9)
-    at, force_axes = scene.skin.positions[taxel], None
-    if moved:
-        force_axes = theme.add_axes(figure, 4.7, 0.45, 2.3, 1.9)
-        force_axes.set(xlabel="contact point to taxel, mm", title="recorded force, N")
-    along = frames.points[rows[-1]] - frames.points[rows[0]]
+    change = theme.add_axes(figure, 4.8, 0.45, 2.2, 1.9)
+    at, along = scene.skin.positions[taxel], frames.points[rows[-1]] - frames.points[rows[0]]
     along /= np.linalg.norm(along)
-    for source, values, colour, label in (
-        (frames, plain, theme.TRUTH, "off"),
-        (recorded, readings, theme.WARNING, "on"),
-    ):
-        x = 1e3 * (source.points[rows] - at) @ along
-        axes.plot(x, values[rows, taxel] / 1e3, ".-", color=colour, label=label, lw=1.1, ms=3.5)
-        if force_axes is not None:
-            force_axes.plot(x, source.force[rows], ".-", color=colour, lw=1.1, ms=3.5)
+    x = 1e3 * (frames.points[rows] - at) @ along
+    moved = 1e3 * (recorded.points[rows] - at) @ along
+    style = {"marker": ".", "lw": 1.1, "ms": 3.5}
+    axes.plot(x, plain[rows, taxel] / 1e3, color=theme.TRUTH, label="off", **style)
+    axes.plot(moved, readings[rows, taxel] / 1e3, color=theme.WARNING, label="on", **style)
     axes.set(xlabel="contact point to taxel, mm", title="reading of one taxel, kPa")
     axes.legend(loc="upper right")
+    shift = np.linalg.norm(recorded.points - frames.points, axis=1)[rows]
+    title, values = "on minus off, kPa", (readings - plain)[rows, taxel] / 1e3
+    if not values.any():
+        title, values = "shift of the recorded point, mm", 1e3 * shift
+    if not values.any():
+        title, values = "recorded force, on minus off, N", (recorded.force - frames.force)[rows]
+    change.plot(x, values, color=theme.WARNING, **style)
+    change.axhline(0.0, color=theme.FAINT, lw=0.8, zorder=0)
+    change.set(xlabel="contact point to taxel, mm", title=title)
     theme.save(figure, file.parent, file.stem)
 
 
