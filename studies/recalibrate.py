@@ -5,7 +5,7 @@ should be. Touches are planned on the map (`ms.next_touches`) and pressed on the
 change is then to be found by `ms.recalibrate` at a false-alarm rate of 1 % for the whole map. The
 rows are the changes, the columns what the owner believes wrongly.
 
-    python studies/recalibrate.py [--seeds 20] [--touches 20] [--out FILE]
+    python studies/recalibrate.py [--seeds 20] [--touches 20] [--out DIR]
 """
 
 from __future__ import annotations
@@ -13,12 +13,15 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 import meshskin as ms
 from meshskin.core import se3
 from meshskin.estimation.recalibrate.skin_map import turns
+from meshskin.report import theme
+from meshskin.report.dots import dots
 from meshskin.skin import slots
 from meshskin.skin.skin import Modules
 
@@ -159,8 +162,9 @@ def main() -> None:
     parser.add_argument("--beliefs", nargs="*", default=BELIEFS)
     parser.add_argument("--changes", nargs="*", default=[*CHANGES, *GAINS])
     parser.add_argument("--verbose", action="store_true")
+    parser.add_argument("--out", type=Path, default=None, help="folder of the figure")
     options = parser.parse_args()
-    setting = world(options.touches)
+    setting, rows = world(options.touches), dict[str, dict[str, float]]()
     print(
         f"{'change':12} {'belief':20} {'found':>8} {'in part':>8} {'alarms':>8} confirmed undecided"
         " not touched"
@@ -178,6 +182,8 @@ def main() -> None:
                 if options.verbose and named != truth:
                     print(seed, "truth", truth)
                     print("   ", "\n    ".join(map(str, result.findings)), result.lines()[1])
+            counts = {"found": found, "found in part": part, "false alarms": alarms}
+            rows[f"{change}, {belief}"] = {k: n / options.seeds for k, n in counts.items()}
             share = [states[s] / options.seeds for s in ("confirmed", "undecided", "not touched")]
             print(
                 f"{change:12} {belief:20} "
@@ -185,6 +191,8 @@ def main() -> None:
                 + " ".join(f"{x:9.1f}" for x in share),
                 flush=True,
             )
+    if options.out:
+        theme.save(dots(rows, "share of the seeds"), options.out, "recalibrate")
 
 
 if __name__ == "__main__":

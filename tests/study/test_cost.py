@@ -99,6 +99,13 @@ def test_records_are_plain(costs):
     assert sum(r["front"] for r in records) == len(costs.front)
 
 
+def test_a_notebook_shows_the_front(costs):
+    assert costs.facts()["its own"].startswith(f"{costs.own.total_mm:.3g} mm in ")
+    assert "data:image/png" in costs._repr_html_()
+    errors = [row.error_mm for row in costs.rows]
+    np.testing.assert_array_equal(costs.to_pandas()["error_mm"], errors)
+
+
 def test_predictions_reproduce_the_measurements(costs):
     single = [row for row in costs.rows if row.knob in ("scene", "dt", "rate")]
     measured = pilot_of(single)

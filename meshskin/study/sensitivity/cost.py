@@ -17,12 +17,13 @@ import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...core.arguments import check_integer, check_real, check_type
 from ...core.errors import StudyError, UnknownNameError
+from ...core.notebook import Card, Tabular
 from ...core.progress import Progress, Stage
 from ...scene.scene import Scene
 from .knobs import FINER, Level, single_changes, worthwhile
@@ -30,6 +31,11 @@ from .numerical_error import NumericalReference, Route, routes
 from .request import Pilot, Request
 from .setting import Setting
 from .trial import Row, TrialRunner
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 __all__ = ["KNOBS", "TARGETS", "Costs", "Route", "Row", "Setting", "cost", "front"]
 
@@ -47,7 +53,7 @@ KNOBS = ("faces", "degree", "contact", "dt", "integrator", "lanes", "rate", "met
 
 
 @dataclass(frozen=True)
-class Costs:
+class Costs(Card, Tabular):
     """All measurements of one scene."""
 
     scene: str
@@ -82,6 +88,28 @@ class Costs:
         """The quickest measured row within `target_mm`, mm; None if there is none."""
         within = [row for row in self.whole if row.total_mm <= target_mm]
         return min(within, key=lambda row: row.time, default=None)
+
+    def facts(self) -> dict[str, str]:
+        """The scene, its own error and time, and those of the front, for a notebook."""
+        facts = {"scene": self.scene, "settings": f"{len(self.rows)}, {self.seeds} seeds each"}
+        facts["its own"] = f"{self.own.total_mm:.3g} mm in {self.own.time:.3g} s"
+        for row in self.front:
+            words = f"{row.total_mm:.3g} mm: {row.setting.words(self.base)}"
+            facts[f"front, {row.time:.3g} s"] = words
+        return facts
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the errors of the front over its seconds; ax: matplotlib axes (None: a figure)."""
+        from ...core import drawing
+
+        line = ([row.time for row in self.front], [row.total_mm for row in self.front])
+        return drawing.curves(ax, [("", *line)], "processor seconds", "error (mm)")
+
+    def to_arrow(self) -> pa.Table:
+        """One row a setting: `records`."""
+        import pyarrow as pa
+
+        return pa.Table.from_pylist(self.records())
 
     def records(self) -> list[dict[str, Any]]:
         """The rows as plain values, for tables."""
