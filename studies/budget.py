@@ -35,7 +35,7 @@ from meshskin.estimation.joint.reduced_nlp import NEWTON_TOLERANCE
 from meshskin.exploration.path import Path as Way
 from meshskin.exploration.plan import plan_exploration
 from meshskin.geometry.region import Cap
-from meshskin.report import theme
+from meshskin.report import precision, theme
 from meshskin.scene import shipped_scenes
 from meshskin.simulation.readout import effect_pipeline
 from meshskin.simulation.simulate import prepare
@@ -262,6 +262,7 @@ def draw_errors(rows: dict[str, dict[str, float]], budget_mm: float) -> Figure:
     axes.plot(true, estimate, "o", color=theme.ESTIMATE, ms=4, label="scenes")
     axes.set(xlim=ends, ylim=ends, xlabel="true error of what was left out (mm)",
              ylabel="estimate (mm)", title="What the budget promised")  # fmt: skip
+    precision.decimal_ticks(axes)
     axes.legend(loc="upper left")
     figure.tight_layout()
     return figure

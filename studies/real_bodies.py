@@ -50,6 +50,10 @@ MESHES = {
 URDF = "icub_body/iCubGazeboV2_5.urdf"
 BOUND = 1.2
 """Largest RMS error over the Cramer-Rao bound."""
+WIDTH, HEIGHT, ZOOM = 2.6, 4.0, 1.1
+"""Size of a body's picture, inches, and how much of it the body fills."""
+LARGEST = 0.05
+"""Error, mm, from which taxels have one colour: the largest is some tenths of a millimetre."""
 SKINS = 3
 """Skins of every link mesh."""
 
@@ -200,28 +204,38 @@ def row_text(row: dict[str, Any]) -> str:
 @theme.styled
 def draw_bodies(maps: dict[str, tuple[Any, ...]], out: Path) -> None:
     """The bodies, their taxels coloured by the error; crosses where none was reached or found."""
-    figure = theme.new_figure(4.0 * len(maps), 4.2)
+    figure = theme.new_figure(WIDTH * len(maps) + 1.0, HEIGHT)
     for k, (name, (body, positions, error)) in enumerate(maps.items()):
-        axes = figure.add_subplot(1, len(maps), k + 1, projection="3d")
-        side = _facing(positions, body.closest(positions).normal.mean(axis=0))
+        # 3D axes are square, whatever is drawn in them: they overlap
+        wide = figure.get_figwidth()
+        place = ((k + 0.5) * WIDTH - HEIGHT / 2) / wide, 0.0, HEIGHT / wide, 0.95
+        axes: Any = figure.add_axes(place, projection="3d")
+        axes.patch.set_alpha(0.0)
+        side = _facing(body.mesh.vertices, body.closest(positions).normal.mean(axis=0))
         corners = body.mesh.vertices @ side.T
         axes.plot_trisurf(
-            *corners.T, triangles=body.mesh.faces, color="0.85", alpha=0.25, linewidth=0.0
+            *corners.T, triangles=body.mesh.faces, color="0.85", alpha=0.3, linewidth=0.0
         )
         x = positions @ side.T
         good = np.isfinite(error)
-        axes.scatter(*x[~good].T, marker="x", s=12, color="0.4")
-        dots = axes.scatter(*x[good].T, c=error[good], s=14, vmin=0.0, vmax=0.05, cmap="viridis")
-        axes.set_title(name, y=1.08)
+        axes.scatter(*x[~good].T, marker="x", s=9, lw=0.8, color="0.4")
+        dots = axes.scatter(
+            *x[good].T, c=error[good], s=9, lw=0, alpha=1.0, vmin=0.0, vmax=LARGEST,
+            cmap=theme.SEQUENTIAL,
+        )  # fmt: skip
         axes.set_axis_off()
-        axes.set_box_aspect(np.ptp(corners, axis=0), zoom=1.4)
+        axes.set_proj_type("ortho")
+        extent = np.ptp(corners, axis=0)
+        axes.set_box_aspect(extent, zoom=ZOOM * np.linalg.norm(extent) / extent[2])
         axes.view_init(elev=12.0, azim=-90.0)
-    figure.colorbar(dots, ax=figure.axes, shrink=0.6, label="position error, mm")
+        figure.text((k + 0.5) * WIDTH / wide, 0.95, name, ha="center", fontsize=10)
+    bar = figure.add_axes((1.0 - 0.85 / figure.get_figwidth(), 0.2, 0.012, 0.6))
+    figure.colorbar(dots, cax=bar, extend="max", label="position error (mm)")
     theme.save(figure, out, "real_bodies")
 
 
 def _facing(positions: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Axes (3, 3), rows: the taxels' longest extent upright, their mean normal to the viewer."""
+    """Axes (3, 3), rows: the longest extent of points (n, 3) upright, the normal to the viewer."""
     toward = normal / np.linalg.norm(normal)
     centred = positions - positions.mean(axis=0)
     up = np.linalg.svd(centred - np.outer(centred @ toward, toward), full_matrices=False)[2][0]

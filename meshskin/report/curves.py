@@ -119,6 +119,21 @@ def force(
     return figure
 
 
+@theme.styled
+def recorded_force(time: ArrayLike, force: ArrayLike, reference: float | None = None) -> Figure:
+    """The contact force (m,), N, at the times (m,), s, of a log, and its reference, if any, N."""
+    t, f = np.asarray(time, dtype=float), np.asarray(force, dtype=float)
+    figure = theme.new_figure(9.0, 2.9)
+    axes = theme.add_axes(figure, 0.6, 0.55, 8.2, 1.9)
+    draw_line(axes, *without_pauses(t, f), color=theme.ESTIMATE, lw=1.0, marker=".", ms=1.5)
+    if reference is not None:
+        axes.axhline(reference, color=theme.WARNING, lw=0.9, ls="--")
+    axes.set_ylim(0, 1.12 * max(float(np.nanmax(f, initial=1e-9)), reference or 0.0))
+    axes.set(xlabel="time (s)", ylabel="normal force (N)")
+    _force_legend(figure, with_reference=reference is not None, band=False)
+    return figure
+
+
 def _mark_settling(axes: Axes, settling: float) -> None:
     if not np.isfinite(settling):
         return
@@ -143,13 +158,14 @@ def _scale_to_reference(axes: Axes, force: Array, goal: float) -> None:
         axes.set_title(f"Steady force, within {significant(off, 2)} N")
 
 
-def _force_legend(figure: Figure, with_reference: bool) -> None:
+def _force_legend(figure: Figure, with_reference: bool, band: bool = True) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     handles: list[object] = [Line2D([], [], color=theme.ESTIMATE, label="contact force")]
     if with_reference:
         handles.append(Line2D([], [], color=theme.WARNING, ls="--", label="reference"))
+    if with_reference and band:
         handles.append(Patch(color=theme.FAINT, label=f"± {100 * SETTLING_BAND:g} %"))
     where = (0.5 / figure.get_size_inches()[0], 1.0)
     figure.legend(handles=handles, loc="upper left", bbox_to_anchor=where, ncols=len(handles))

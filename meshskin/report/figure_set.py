@@ -18,6 +18,8 @@ from .plane import MM, finite_rows
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from ..recording.recording import Recording
+
 
 ACCURACY_TIME = "accuracy_time"
 """Name of the figure that has a section of its own."""
@@ -51,26 +53,20 @@ def _projection_note(data: ReportData) -> str:
 
 
 def force(folder: Path, data: ReportData) -> SavedFigure | None:
-    """Fig. 4: contact force and its reference."""
+    """Fig. 4: contact force and its reference; of a log, its contact force."""
     recording = data.recording
     if recording is None or not len(recording.time):
         return None
-    if recording.motion is not None and recording.motion.num_rows:
-        column = {k: recording.motion.column(k).to_numpy() for k in ("time", "force", "reference")}
-        time, goal = column["time"], column["reference"]
-        values, phase, steady = column["force"], None, None
-        if "phase" in recording.motion.column_names:
-            phase = recording.motion.column("phase").to_pylist()
-            values = np.where(np.isin(phase, CONTROLLED_PHASES), values, np.nan)
-            steady = np.equal(phase, "slide") if "slide" in phase else None
-        settling = force_response(time, column["force"], float(goal[0]), phase).settling
-    else:
-        if not recording.force_measured:
-            return None
-        time, values = recording.time - recording.time[0], recording.force
-        reference = data.metrics.get("force", {}).get("reference_n")
-        reference = recording.metadata.get("force_reference_n", reference)
-        goal, settling, steady = None if reference is None else float(reference), None, None
+    if recording.motion is None or not recording.motion.num_rows:
+        return _recorded_force(folder, recording, data) if recording.force_measured else None
+    column = {k: recording.motion.column(k).to_numpy() for k in ("time", "force", "reference")}
+    time, values, goal = column["time"], column["force"], column["reference"]
+    phase, steady = None, None
+    if "phase" in recording.motion.column_names:
+        phase = recording.motion.column("phase").to_pylist()
+        values = np.where(np.isin(phase, CONTROLLED_PHASES), values, np.nan)
+        steady = np.equal(phase, "slide") if "slide" in phase else None
+    settling = force_response(time, column["force"], float(goal[0]), phase).settling
     return _save(
         folder,
         "fig4_force",
@@ -81,6 +77,22 @@ def force(folder: Path, data: ReportData) -> SavedFigure | None:
         "force settles in less than 0.1 s, does not overshoot the band, and never falls to zero "
         "while the contact slides.",
         "Contact force and its reference over time",
+    )
+
+
+def _recorded_force(folder: Path, recording: Recording, data: ReportData) -> SavedFigure:
+    """The contact force of contacts without the motion between them."""
+    reference = data.metrics.get("force", {}).get("reference_n")
+    reference = recording.metadata.get("force_reference_n", reference)
+    time = recording.time - recording.time[0]
+    return _save(
+        folder,
+        "fig4_force",
+        curves.recorded_force(time, recording.force, reference),
+        "Contact force over time",
+        "The line is interrupted where the log has no contact. Good: forces of one size, or, for a "
+        "learned response, of several.",
+        "Contact force over time",
     )
 
 

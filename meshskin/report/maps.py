@@ -10,16 +10,13 @@ from numpy.typing import ArrayLike
 from ..core.arrays import Array
 from . import theme
 from .data import Iterations, ReportData
-from .plane import MM, Plane, enlargement, finite_rows, path_with_breaks, shortened, spacing
+from .plane import MM, Plane, drawn_scale, finite_rows, path_with_breaks, pitch
 from .theme import compact, grouped, significant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LONGEST = 1.5
-"""Longest error line or semi-axis that is drawn, in distances between taxels: longer ones would
-cover their neighbours, and leave the map."""
 SATURATION = 3.0
 """Standard deviation, in the median one, from which all have one color."""
 RASTERIZE_ABOVE = 500
@@ -107,9 +104,7 @@ def estimates(data: ReportData) -> Figure:
     a, b = plane.project(t), plane.project(data.calibration.positions)
     seen = np.isfinite(b).all(axis=1)
     lengths = np.linalg.norm(b - a, axis=1)
-    pitch = spacing(t) * MM
-    factor = enlargement(lengths[seen], 0.4 * pitch)
-    short = shortened(factor * lengths, LONGEST * pitch or np.inf)
+    factor, short = drawn_scale(lengths, 0.4 * pitch(t) * MM)
     ends = a + (factor * short)[:, None] * (b - a)
     figure = theme.new_figure(6.0, 6.1)
     axes = _map_axes(figure, np.concatenate([a, ends]), 0.65, 0.6, 5.0)
@@ -270,9 +265,7 @@ def uncertainty(data: ReportData) -> Figure:
     sigma, heading = ellipse_axes(plane.project_covariance(data.covariances))
     good = np.isfinite(xy).all(axis=1) & np.isfinite(sigma).all(axis=1)
     xy, sigma, heading = xy[good], sigma[good], heading[good]
-    pitch = spacing(p) * MM
-    factor = enlargement(sigma[:, 0], 0.35 * pitch)
-    short = shortened(factor * sigma[:, 0], LONGEST * pitch or np.inf)
+    factor, short = drawn_scale(sigma[:, 0], 0.35 * pitch(p) * MM)
     reach = (factor * short * sigma[:, 0])[:, None]
     figure = theme.new_figure(6.6, 6.1)
     axes = _map_axes(figure, np.concatenate([xy - reach, xy + reach]), 0.65, 0.6, 5.0)

@@ -15,6 +15,11 @@ PAUSE = 3.0
 """Time between two contacts, in the median one, from which the line between them is interrupted."""
 JUMP = 5.0
 """Distance between two contacts, in the median one, from which it is interrupted."""
+LEAST_PITCH = 1e-3
+"""Least distance between taxels, m, that drawings go by."""
+LONGEST = 4.0
+"""Longest error line or semi-axis that is drawn, in that of a usual taxel: longer ones would cover
+their neighbours, and leave the map."""
 MAX_PATH_POINTS = 4000
 """Most points of a drawn contact path: a path of 20 widths of a map has one every 4 pixels."""
 
@@ -91,9 +96,20 @@ def spacing(points: ArrayLike) -> float:
     return float(np.median(cKDTree(p).query(p, k=2)[0][:, 1]))
 
 
-def shortened(lengths: Array, longest: float) -> Array:
-    """Factors (n,) by which lengths (n,) are multiplied so that none is above `longest`."""
-    return np.asarray(np.minimum(1.0, longest / np.maximum(lengths, 1e-300)))
+def pitch(points: ArrayLike) -> float:
+    """Distance (m) between taxels at points (n, 3) that drawings go by: `spacing`, but not less
+    than LEAST_PITCH, where estimates coincide."""
+    return max(spacing(points), LEAST_PITCH)
+
+
+def drawn_scale(lengths: Array, wanted: float) -> tuple[float, Array]:
+    """The factor by which lengths (n,) are enlarged (`enlargement`), and that (n,) by which long
+    ones are then shortened: to LONGEST times what is wanted or usual."""
+    factor = enlargement(lengths, wanted)
+    known = lengths[np.isfinite(lengths)]
+    usual = factor * float(np.median(known)) if len(known) else 0.0
+    longest = LONGEST * max(wanted, usual)
+    return factor, np.asarray(np.minimum(1.0, longest / np.maximum(factor * lengths, 1e-300)))
 
 
 def enlargement(lengths: ArrayLike, wanted: float) -> float:

@@ -15,24 +15,15 @@ from ..core.arrays import Array
 from ..geometry.surface.fans import vertex_normals
 from . import theme
 from .decimation import decimate
-from .plane import (
-    MM,
-    enlargement,
-    finite_rows,
-    path_with_breaks,
-    shortened,
-    spacing,
-    tangent_plane,
-)
+from .plane import MM, drawn_scale, finite_rows, path_with_breaks, pitch, tangent_plane
 from .theme import compact, grouped, significant
 
 MAX_FACES = 5000
 """Most faces of the body in the page: 0.1 MB."""
 
-LONGEST = 4.0
-"""Largest semi-axis of a drawn ellipsoid, in that of the median one."""
-FIELD_OF_VIEW = 0.36
-"""Tangent of half the angle of plotly's camera that the height of the view spans; measured."""
+FIELD_OF_VIEW = 0.31
+"""Tangent of half the angle that the body takes of the height of the view: three quarters of what
+plotly's camera sees, so that the numbers at the axes are in view."""
 WIDTH = 1.6
 """Width of the view in its height, at least."""
 FRAME_LENGTH = 0.4
@@ -71,13 +62,16 @@ def _markers(name: str, points: Array, texts: list[str], **marker: Any) -> dict[
     return _scatter(name, points, "markers", marker=marker, text=texts, hoverinfo="text")
 
 
-def body(vertices: ArrayLike, faces: ArrayLike, focus: ArrayLike, inward: float) -> dict[str, Any]:
+def body(
+    vertices: ArrayLike, faces: ArrayLike, focus: ArrayLike, inward: float, transparent: bool
+) -> dict[str, Any]:
     """The body, moved `inward` (m) along its normals so that points on it are visible."""
     v, f = decimate(vertices, faces, focus, MAX_FACES)
     return _mesh(v - inward * vertex_normals(v, f), f) | {
         "name": f"body (drawn {compact(inward * MM, 2)} mm inward)",
         "color": "#d9dce1",
         "lighting": {"ambient": 0.62, "diffuse": 0.5, "specular": 0.04, "roughness": 0.9},
+        "opacity": 0.4 if transparent else 1.0,
         "hoverinfo": "skip",
         "showlegend": True,
     }
@@ -114,11 +108,10 @@ def ellipsoids(positions: Array, covariances: Array, wanted: float) -> dict[str,
         return None
     values, vectors = np.linalg.eigh(covariances[good])
     sigma = np.sqrt(np.maximum(values, 0.0))
-    factor = enlargement(sigma[:, 2], wanted)
+    factor, short = drawn_scale(sigma[:, 2], wanted)
     every = -(-int(good.sum()) // _MAX_FRAMES)
     sphere = uv_sphere(count=(6, 12) if good.sum() <= 150 else (4, 8))
     ball, faces = np.asarray(sphere.vertices), np.asarray(sphere.faces)
-    short = shortened(factor * sigma[:, 2], LONGEST * wanted)
     axes = ((factor * short)[:, None, None] * sigma[:, None, :] * vectors)[::every]
     cut = int(np.sum(short < 1.0))
     points = positions[good][::every, None] + np.einsum("nij,vj->nvi", axes, ball)
@@ -144,29 +137,31 @@ def view_3d(
     truth: ArrayLike | None = None,
     path: tuple[ArrayLike, ArrayLike] | None = None,
     heading_observed: bool = False,
+    transparent: bool = False,
 ) -> dict[str, Any]:
     """The figure {"data", "layout"} for plotly.js.
 
     ids (n,); poses (n, 4, 4) of the estimates, NaN where there is none; covariances (n, 3, 3) of
     the positions, m^2; mesh: vertices and faces of the body; truth (n, 4, 4): true poses; path:
-    contact points (m, 3) and their times (m,), s; all in the body frame, m.
+    contact points (m, 3) and their times (m,), s; all in the body frame, m; transparent: the body,
+    where contacts are below its surface.
     """
     names, estimate = np.asarray(ids), np.asarray(poses, dtype=float)
     cov = np.asarray(covariances, dtype=float)
     true = None if truth is None else np.asarray(truth, dtype=float)
     skin = (estimate if true is None else true)[:, :3, 3]
-    pitch = spacing(skin) or 5e-3
+    between = pitch(skin)
     data: list[dict[str, Any]] = []
     if mesh is not None:
-        data.append(body(*mesh, focus=skin, inward=0.06 * pitch))
+        data.append(body(*mesh, skin, 0.06 * between, transparent))
     if path is not None and len(route := np.asarray(path[0], dtype=float)):
         data.append(_route(route, np.asarray(path[1], dtype=float)))
     if true is not None:
-        data += _true_taxels(names, true, pitch)
+        data += _true_taxels(names, true, between)
     data.append(_estimated_taxels(names, estimate, cov, true))
     label = "estimated frames" + ("" if heading_observed else " (heading: by convention)")
-    data += frames(estimate, FRAME_LENGTH * pitch, label)
-    if (balls := ellipsoids(estimate[:, :3, 3], cov, 0.3 * pitch)) is not None:
+    data += frames(estimate, FRAME_LENGTH * between, label)
+    if (balls := ellipsoids(estimate[:, :3, 3], cov, 0.3 * between)) is not None:
         data.append(balls)
     extent = skin if mesh is None else np.concatenate([skin, np.asarray(mesh[0], dtype=float)])
     normals = estimate[:, :3, 2] if true is None else true[:, :3, 2]

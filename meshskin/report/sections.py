@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from . import advice, kinematics, learned_response, scene3d, validation
+from . import advice, body_view, kinematics, learned_response, validation
 from .data import METHOD_DESCRIPTIONS, PAPER_REFERENCE, ReportData, method_name
 from .figure_set import ACCURACY_TIME
-from .markup import Content, SavedFigure, bullets, paragraphs, saved_figure, table, tile, view_3d
+from .markup import Content, SavedFigure, bullets, paragraphs, saved_figure, table, tile
 from .plane import MM
 from .theme import compact, grouped, significant
 
@@ -82,7 +82,7 @@ def content(data: ReportData, pictures: Sequence[SavedFigure]) -> Content:
             **reasons,
             "Observability": advice.observability(data),
             "Recommendations": [bullets("", advice.next_steps(data))],
-            "3D view": [_view(data)],
+            "3D view": [body_view.section(data)],
             **learned_response.section(data.calibration.response, pictures),
             "Figures": [saved_figure(p) for p in pictures if p.png.stem not in OWN_SECTIONS],
             "Numbers": _numbers(data),
@@ -103,27 +103,6 @@ def _format_time(created: str) -> str:
 
 def _metadata(data: ReportData) -> Mapping[str, Any]:
     return {} if data.recording is None else data.recording.metadata
-
-
-def _view(data: ReportData) -> str:
-    c, body = data.calibration, data.body
-    figure = scene3d.view_3d(
-        ids=c.ids,
-        poses=c.poses,
-        covariances=data.covariances,
-        mesh=None if body is None else (body.facets.vertices, body.facets.faces),
-        truth=data.true_poses,
-        path=None if data.recording is None else (data.recording.points, data.recording.time),
-        heading_observed=bool(np.any(np.asarray(c.observed)[:, 5])),
-    )
-    caption = (
-        "Drag to rotate, scroll to zoom, click a legend entry to hide or show it; point at a taxel "
-        "to see its numbers. Frames: x red, y green, z (outward) blue. Ellipsoids: stated 1 sigma "
-        "along the skin, enlarged by the factor in the legend."
-    )
-    if body is not None and len(body.facets.faces) > scene3d.MAX_FACES:
-        caption += " The mesh of the body is simplified away from the skin."
-    return view_3d(figure, caption)
 
 
 def _numbers(data: ReportData) -> list[str]:
@@ -282,6 +261,8 @@ def _result(data: ReportData) -> str:
     """One sentence about the result."""
     located = int(data.located.sum())
     found = f"All {located}" if located == data.count else f"{located} of {data.count}"
+    if not located:
+        return f"None of the {data.count} taxels was located."
     if data.truth is None:
         typical = np.nanmedian(data.sigma) * MM if np.isfinite(data.sigma).any() else np.nan
         return (

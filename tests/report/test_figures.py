@@ -17,7 +17,7 @@ from meshskin.report import curves, maps, precision, scene3d, theme
 from meshskin.report.curves import envelope, settling_time
 from meshskin.report.data import Iterations, ReportData, method_name
 from meshskin.report.maps import ellipse_axes, representative_iterations
-from meshskin.report.plane import path_with_breaks
+from meshskin.report.plane import drawn_scale, path_with_breaks, pitch
 from meshskin.report.theme import compact, significant
 
 
@@ -293,3 +293,19 @@ def test_the_view_shows_the_whole_body() -> None:
     assert (np.abs(points @ up) / depth < 1.001 * scene3d.FIELD_OF_VIEW).all()
     buttons = layout["updatemenus"][0]["buttons"]
     assert [b["label"] for b in buttons] == ["whole body", "skin"]
+
+
+def test_a_log_without_motion_has_its_force_alone() -> None:
+    t = np.concatenate([np.arange(0.0, 1.0, 0.02), np.arange(9.0, 10.0, 0.02)])
+    shown = curves.recorded_force(t, 3.0 + np.sin(t))
+    assert len(shown.axes) == 1
+    assert shown.axes[0].get_ylim()[0] == 0.0
+    assert "within 2 %" not in texts(shown)
+    assert "reference" in texts(curves.recorded_force(t, 3.0 + np.sin(t), 3.0))
+
+
+def test_estimates_that_coincide_are_drawn_in_millimetres() -> None:
+    factor, short = drawn_scale(np.array([4e-3, 5e-3, 6e-3, 0.5]), 0.3 * pitch(np.zeros((4, 3))))
+    assert factor == 1.0
+    assert (short[:3] == 1.0).all()
+    assert short[3] * 0.5 == pytest.approx(4 * 5.5e-3)
