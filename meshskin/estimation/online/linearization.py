@@ -24,9 +24,9 @@ from ..joint.reduced_nlp import MAX_ITERATIONS
 from ..joint.variable_projection import SchurComplement
 from ..trilateration import trilaterate
 
-LINEARIZATIONS, STEPS = 2, 4
-"""Linearizations, and Gauss-Newton steps of a taxel in each, of a bounded estimate: from where a
-taxel was, two of two steps are usual."""
+STEPS = 4
+"""Gauss-Newton steps of a bounded estimate, before its charts are linearized again: from where a
+taxel was, two are usual; one that needs more goes on in the next frame."""
 NEWTON_TOLERANCE = 1e-6
 """Newton decrement at which a taxel is at its optimum: within 1.4e-3 standard deviations."""
 MAX_DECREMENT = 1e-3
@@ -132,7 +132,7 @@ def advance(estimator: JointEstimator, scale: float) -> np.ndarray:
     reading is sound, as the batch estimate has them in the end; where a taxel fits with all its
     readings, all count.
     """
-    estimator.converge(LINEARIZATIONS, STEPS)
+    estimator.converge(1, STEPS)
     readings, r = estimator.likelihood.readings, estimator.residuals()
     unweighted = replace(readings, weight=np.ones_like(readings.weight))
     suspects = faults.misfitting_taxels(unweighted, r, scale)
@@ -147,7 +147,6 @@ def advance(estimator: JointEstimator, scale: float) -> np.ndarray:
         if unanswered.any():
             estimator.silent_weight[np.unique(readings.taxel[unanswered])] = 0.0
             estimator.reweight(np.where(unanswered, 0.0, weight))
-        estimator.converge(LINEARIZATIONS, STEPS)
     return _misfits(estimator, scale)
 
 

@@ -148,7 +148,8 @@ class OnlineCalibration:
     @property
     def positions(self) -> Array:
         """Positions (n, 3), body frame, m; NaN where not determined."""
-        return self._only_determined(self.provisional)
+        determined = np.isfinite(self.position_sigma)
+        return np.where(determined[:, None], self.provisional, np.nan)
 
     @property
     def provisional(self) -> Array:
@@ -191,10 +192,13 @@ class OnlineCalibration:
 
     def recording(self) -> Recording:
         """The contacts used so far, with their readings: `save` keeps them, and
-        `update_recording` of another `OnlineCalibration` goes on from there."""
+        `update_recording` of another `OnlineCalibration` goes on from there. Times that do not
+        rise, of several recordings, are replaced by those of 50 frames a second."""
         store = self._started.store
         columns = {name: rows.values for name, rows in store.columns.items()}
         time = columns["time"]
+        if not (np.diff(time) > 0).all():  # of several recordings
+            time = PERIOD * np.arange(store.count)
         table = pa.table(
             [time, *columns["points"].T, *columns["normals"].T, columns["force"]], schema=CONTACTS
         )
@@ -283,11 +287,6 @@ class OnlineCalibration:
         if self._estimate is None:
             raise CalibrationError("no contact so far", remedy="update with contacts first")
         return self._estimate
-
-    def _only_determined(self, values: Array) -> Array:
-        if self._estimate is None:
-            return values
-        return np.where(self._estimate.determined[:, None], values, np.nan)
 
     @property
     def _modulus(self) -> float:

@@ -45,6 +45,8 @@ MAX_RESIDUAL = faults.CUTOFF
 """Residual, in standard deviations of noise and estimate, from which a new reading is left out."""
 MIN_CONTRADICTIONS = 3
 """Outlying readings of a contact, and more than half of its readings, from which it is rejected."""
+MEASURED = 20
+"""Contacts after which their sizes are measured again: the global parameters change slowly."""
 CHUNK = 256
 """Taxels estimated anew at once, at most: bounds the memory."""
 EXAMINED = 2
@@ -62,6 +64,7 @@ class RunningEstimate:
         self.store = ContactStore(first)
         self.information = TaxelInformation(n, first.parameters, first.sigma)
         self.parameters, self.sigma = first.parameters, first.sigma
+        self._measure_at, self._shift, self._growth = 0, 0.0, 1.0
         self.radius = self.reach = 0.0
         """Median radius of the contacts, and the furthest that a taxel may be to respond, m."""
         self.misfit = False
@@ -210,12 +213,13 @@ class RunningEstimate:
         start = np.where(known[:, None], info.points(rows), info.charts.points[rows])
         fresh = ~known & ~self.continued[rows]
         start[fresh] = self.means[rows[fresh]]
-        hit = self.store.template.body.closest(start)
-        placed = info.placed[rows][:, None, None]
-        rotations = np.where(placed, info.charts[rows].rotations, chart.frames(hit.normal))
-        part = self.store.part(rows, self.store.near(hit.point, self.reach))
+        rotations, new = info.charts[rows].rotations, ~info.placed[rows]
+        if new.any():
+            hit = self.store.template.body.closest(start[new])
+            start[new], rotations[new] = hit.point, chart.frames(hit.normal)
+        part = self.store.part(rows, self.store.near(start, self.reach))
         weight, nuisance = self.store.weight.values[part.rows], info.nuisances(rows)
-        found = local_estimator(part.data, weight, hit.point, rotations, nuisance, info.s)
+        found = local_estimator(part.data, weight, start, rotations, nuisance, info.s)
         return found, part
 
     def _take(
@@ -329,11 +333,14 @@ class RunningEstimate:
         return placed[close | np.isin(placed, read)]
 
     def _measure(self, block: Measurements) -> None:
-        """The sizes of the contacts, and how far the global parameters move them."""
-        moved = LinearizedContacts(block, self.information.s)
-        contacts = moved.at(self.information.s)
-        shift = float(np.linalg.norm(contacts.points - block.points, axis=1).max())
-        scale = float(np.median(contacts.radii / block.radii))
-        rest = REACH_MARGIN + block.disc + 1.5 * shift
-        self.radius = self.radius or float(np.median(block.radii))
-        self.reach = max(self.reach, MAX_SLANT * (scale * float(block.longest.max()) + rest))
+        """How far a taxel may be from a contact to respond; the contacts' sizes under the present
+        global parameters, and how far these move contacts, are looked at every MEASURED contacts.
+        """
+        if self.store.count >= self._measure_at:
+            self._measure_at = self.store.count + MEASURED
+            contacts = LinearizedContacts(block, self.information.s).at(self.information.s)
+            self._shift = float(np.linalg.norm(contacts.points - block.points, axis=1).max())
+            self._growth = float(np.median(contacts.radii / block.radii))
+            self.radius = self.radius or float(np.median(block.radii))
+        rest = REACH_MARGIN + block.disc + 1.5 * self._shift
+        self.reach = max(self.reach, MAX_SLANT * (self._growth * float(block.longest.max()) + rest))
