@@ -12,6 +12,7 @@ from ...core.arrays import Array
 from ...core.errors import CalibrationError
 from ...scene.belief import RAW
 from . import unit_checks
+from .delay import without_delay
 from .global_parameters import declared_parameters
 from .measurements import Measurements, nominal_patches
 from .raw_readings import check_pressures, nominal_pressure, pressures_above_rest
@@ -110,7 +111,8 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         corrupt=np.column_stack([row[recording.reading_contact], index])[corrupt],
     )
     check_answered(data)
-    return data
+    clock_unknown = motion is not None and "clock_offset" in motion.labels
+    return data if clock_unknown else without_delay(data)
 
 
 def _headings(recording: Recording, belief: Belief) -> Array | None:

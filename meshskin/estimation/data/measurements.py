@@ -90,6 +90,11 @@ class Measurements:
     `points` and of `ids`. They are not silences."""
     misfitting: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
     """Contacts, rows of `points`, left out because their readings misfit; they have no silences."""
+    delay: int = 0
+    """Frames by which the readings were recorded too late; they have been moved."""
+    unread: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
+    """Contacts, rows of `points`, whose readings came before the recording or after it, by their
+    delay; they have no silences."""
 
     @cached_property
     def ids(self) -> np.ndarray:

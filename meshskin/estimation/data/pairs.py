@@ -80,6 +80,6 @@ def silent_pairs(
     read = np.sort(np.concatenate([known, left_out]))
     if len(read):
         silent = read[np.minimum(np.searchsorted(read, number), len(read) - 1)] != number
-        silent &= ~np.isin(contact, data.misfitting)
+        silent &= ~np.isin(contact, np.union1d(data.misfitting, data.unread))
         contact, taxel = contact[silent], taxel[silent]
     return contact, taxel

@@ -25,6 +25,10 @@ MIN_FREEDOM = 0.05
 """Least mean degrees of freedom of a residual: with fewer the noise is not known."""
 NOISE_ITERATIONS = 20
 """Largest number of weighted fits of the noise's two parts; three are usual."""
+SMALL_GAIN = 0.05
+"""Expected increase of the restricted likelihood below which a variance stays: it is within a third
+of its standard error, and where it moved on, the unknowns that follow it would never come to rest.
+"""
 MIN_DETERMINED = 1e-6
 """Share of the effects that the readings determine, below which their variance has no score."""
 MIN_INFORMATION = 1e-12
@@ -87,6 +91,8 @@ class Deviations:
         for name, effect in effects.items():
             sigma = getattr(self, name)
             step, gain = log_step(effect)
+            if 0.0 < gain < SMALL_GAIN:
+                step = 0.0
             found[name] = float(max(sigma * np.exp(step / 2), FLOOR[name]))
             largest = max(largest, gain if found[name] > FLOOR[name] else 0.0)
         return replace(self, **found), largest

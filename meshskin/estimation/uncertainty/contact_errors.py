@@ -2,8 +2,8 @@
 
 Estimates rest on the believed surface and on the recorded contact points. No reading shows a body
 that is too large, a dent, or contact points that are all displaced: the distances of the contact
-points from the believed surface do. Nor does the spread of the residuals show how far readings that
-come too late displace a taxel: the path of the contact points does.
+points from the believed surface do. Nor does the spread of the residuals show how far a delay of
+the readings displaces a taxel: the path of the contact points does.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 
 from ...core import se3
 from ...core.arrays import Array, sums_by_group
+from ..data import delay
 from ..trilateration.displacements import surface_motion
 
 if TYPE_CHECKING:
@@ -28,12 +29,6 @@ changes the distances: 2 degrees."""
 MAX_LEFT = 0.1
 """Mean square of the taxels' mean distances that a displacement of the contact points may leave, in
 relation to that without it, beyond scatter: more is dents of the body."""
-LATE_FRAMES = 5
-"""Delays of the readings, in frames, that are all looked at; larger ones while they fit better.
-Contacts of a taxel that are farther apart belong to different passes over it."""
-LATE_GAIN = 0.9
-"""Spread of the taxels' contacts with the readings moved to other frames, relative to the present
-one, below which they are late."""
 
 
 def systematic_covariance(
@@ -130,58 +125,25 @@ def _offsets(data: Measurements, unknowns: Mapping[str, tuple[float, float]]) ->
     return out
 
 
-def late_frames(data: Measurements) -> int:
-    """Number of frames by which the readings come too late; negative: too early, 0: neither.
-
-    The contacts that a taxel responds to, weighted by pressure squared, spread least at the true
-    delay.
-    """
-    weight, n = data.pressure**2, len(data.ids)
-
-    def spread(frames: int) -> float:
-        row = data.contact - frames
-        inside = (row >= 0) & (row < len(data.points))
-        points, w, own = data.points[row[inside]], weight[inside], data.taxel[inside]
-        total = np.bincount(own, w, n)
-        mean = sums_by_group(w[:, None] * points, own, n) / np.maximum(total, 1e-300)[:, None]
-        square = np.bincount(own, w * np.sum((points - mean[own]) ** 2, axis=1), n)
-        return float(np.median(square[total > 0] / total[total > 0])) if len(own) else np.inf
-
-    at = {k: spread(k) for k in range(-LATE_FRAMES, LATE_FRAMES + 1)}
-    best = min(at, key=lambda k: at[k])
-    step, least = int(np.sign(best)), at[best]
-    while abs(best) >= LATE_FRAMES and (beyond := spread(best + step)) < least:
-        best, least = best + step, beyond
-    return best if least < LATE_GAIN * at[0] else 0
-
-
-def late_displacements(data: Measurements, frames: int) -> tuple[Array, np.ndarray]:
-    """How far (q, 3), m, the contact point moves between a reading's true frame and its recorded
-    one, `frames` later; and the readings (q,), rows, that have both.
-    """
-    row = data.contact - frames
-    inside = np.flatnonzero((row >= 0) & (row < len(data.points)))
-    return data.points[data.contact[inside]] - data.points[row[inside]], inside
-
-
 def _late_squares(data: Measurements) -> Array:
-    """Mean squares (n, 3, 3), m^2, of the taxels' displacements by readings that come too late.
+    """Mean squares (n, 3, 3), m^2, of the taxels' displacements by what is left of the delay of
+    readings that came too late: a part of a frame, of uniform distribution.
 
     A taxel is displaced by the mean of its contacts' displacements, which are alike in one pass
     over it and differ between passes: where these have two directions, it is found between them.
     """
-    frames, n = late_frames(data), len(data.ids)
-    if not frames:
+    n = len(data.ids)
+    if not data.delay:
         return np.zeros((n, 3, 3))
-    moved, rows = late_displacements(data, frames)
+    moved, rows = delay.displacements(data, 1)
     order = np.lexsort((data.contact[rows], data.taxel[rows]))
     moved, rows = moved[order], rows[order]
     weight, own, at = data.pressure[rows] ** 2, data.taxel[rows], data.contact[rows]
-    begins = (np.diff(own, prepend=-1) != 0) | (np.diff(at, prepend=0) > LATE_FRAMES)
+    begins = (np.diff(own, prepend=-1) != 0) | (np.diff(at, prepend=0) > delay.LATE_FRAMES)
     number = np.cumsum(begins) - 1
     share = weight / np.bincount(own, weight, n)[own]
     mean = sums_by_group(share[:, None] * moved, own, n)
     apart = sums_by_group(share[:, None] * (moved - mean[own]), number)
-    return mean[:, :, None] * mean[:, None, :] + sums_by_group(
-        apart[:, :, None] * apart[:, None, :], own[begins], n
-    )
+    total = mean[:, :, None] * mean[:, None, :]
+    total += sums_by_group(apart[:, :, None] * apart[:, None, :], own[begins], n)
+    return np.asarray(total / 12)

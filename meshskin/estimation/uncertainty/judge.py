@@ -14,11 +14,12 @@ import numpy as np
 
 from ...core.arrays import Array
 from .. import chart
+from ..data import delay
 from ..data.global_parameters import ELECTRONICS, LEARNED, SIZES, declared_parameters
 from ..data.pairs import near_pairs
 from ..joint.departures import MIN_SCORE
 from . import verdict
-from .contact_errors import displacement, late_displacements, late_frames
+from .contact_errors import displacement
 from .verdict import DOUBT, FAIL, LEVELS, PASS, Finding, Verdict
 
 if TYPE_CHECKING:
@@ -55,9 +56,6 @@ from which it is a doubt, and a failure: recorded points lie between the undefor
 indenter's deepest point. The doubt is a tenth of the depth, 0.2 mm for the paper's skin."""
 MAX_FAULTY = 0.2
 """Fraction of faulty taxels from which the log is in doubt, not the taxels."""
-MAX_LATE_PATH = 0.5
-"""Path of the contact during the delay of the readings, in contact radii, from which late readings
-are a failure: contacts at which a taxel reads most are then recorded where it reads little."""
 MAX_CORRELATION = 0.4
 """Correlation of the displacements of neighbouring contacts, as estimated with a learned response,
 above which they are no scatter: independent ones have -0.1 to 0.15, by the taxels that they share.
@@ -152,20 +150,18 @@ def _noise(data: Measurements, calibration: Calibration) -> list[Finding]:
 
 def _late(data: Measurements) -> list[Finding]:
     """Readings that fit the contacts some frames earlier or later better."""
-    frames = late_frames(data)
-    if not frames:
+    if not data.delay:
         return []
-    moved, _ = late_displacements(data, frames)
+    moved, _ = delay.displacements(data, data.delay)
     path = float(np.median(np.linalg.norm(moved, axis=1)))
-    limit = MAX_LATE_PATH * float(np.median(data.radii))
-    count = "1 frame" if abs(frames) == 1 else f"{abs(frames)} frames"
+    count = "1 frame" if abs(data.delay) == 1 else f"{abs(data.delay)} frames"
     words = (
-        f"the readings are {count} too {'late' if frames > 0 else 'early'}: moved by that, the "
-        "contacts that each taxel responds to lie closer together; in that time the contact moves "
-        f"{1e3 * path:.2g} mm (limit {1e3 * limit:.2g} mm, half the contact radius); correct the "
-        "times of the readings"
+        f"the readings are {count} too {'late' if data.delay > 0 else 'early'}, in which the "
+        f"contact moves {1e3 * path:.2g} mm: moved back by that, the contacts that each taxel "
+        "responds to lie closer together, and so they were used; parts of a frame are counted in "
+        "the standard deviations; correct the times of the readings"
     )
-    return [(FAIL if path > limit else DOUBT, words)]
+    return [(DOUBT, words)]
 
 
 def _modulus(data: Measurements, calibration: Calibration) -> list[Finding]:
