@@ -17,7 +17,7 @@ from .global_parameters import declared_parameters
 from .measurements import Measurements, nominal_patches
 from .raw_readings import check_pressures, nominal_pressure, pressures_above_rest
 from .resolve_belief import resolve_belief, valid_contacts
-from .sensor_range import check_answered, common_end, constant_taxels, ends_of_range
+from .sensor_range import check_answered, check_disc, common_end, constant_taxels, ends_of_range
 
 if TYPE_CHECKING:
     from ...recording.recording import Recording
@@ -111,6 +111,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         corrupt=np.column_stack([row[recording.reading_contact], index])[corrupt],
     )
     check_answered(data)
+    check_disc(data)
     clock_unknown = motion is not None and "clock_offset" in motion.labels
     return data if clock_unknown else without_delay(data)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...core.arrays import Array
+from ...core.arrays import Array, sums_by_group
 from ...core.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -30,6 +30,12 @@ SAME_SHEET = 0.5
 MAX_UNANSWERED = 0.2
 """Fraction of unanswered contacts beside answered ones from which the log is refused: scatter of
 the contact points of a quarter of their radius leaves it below 0.02."""
+
+LARGE_DISC = 1.5
+"""Radius of a taxel's disc, in contact radii, from which `check_disc` looks at it."""
+MIN_RESPONSE = 0.5
+"""Least fraction of the contacts within the disc of a taxel that it responds to: half of the patch,
+at least, presses it there."""
 
 
 def constant_taxels(values: Array, taxel: np.ndarray, n: int) -> np.ndarray:
@@ -104,4 +110,35 @@ def check_answered(data: Measurements) -> None:
             f"within {BESIDE:g} contact radii is answered strongly",
             limit=f"{MAX_UNANSWERED:.0%}",
             remedy="record the measured force, 0 between contacts, or leave these frames out",
+        )
+
+
+def check_disc(data: Measurements) -> None:
+    """Refuse a disc radius at which taxels are silent in most contacts that lie within their discs.
+    Raises CalibrationError."""
+    from scipy.spatial import cKDTree
+
+    if data.disc < LARGE_DISC * float(np.median(data.radii)):
+        return
+    weight, n = data.pressure**2, len(data.ids)
+    own = np.flatnonzero(data.counts)
+    total = np.bincount(data.taxel, weight, n)[own, None]
+    center, normal = (
+        sums_by_group(weight[:, None] * values[data.contact], data.taxel, n)[own] / total
+        for values in (data.points, data.normals)
+    )
+    pairs = cKDTree(center).sparse_distance_matrix(
+        data.contact_tree, data.disc, output_type="ndarray"
+    )
+    same = np.einsum("ki,ki->k", normal[pairs["i"]], data.normals[pairs["j"]]) > SAME_SHEET
+    number = own[pairs["i"][same]] * len(data.points) + pairs["j"][same]
+    responds = np.isin(number, data.taxel * len(data.points) + data.contact)
+    if len(number) and np.mean(responds) < MIN_RESPONSE:
+        raise CalibrationError(
+            "the disc radius does not agree with the readings",
+            value=f"{1e3 * data.disc:.3g} mm, but taxels respond to {np.mean(responds):.0%} of the "
+            "contacts within it",
+            limit=f"{MIN_RESPONSE:.0%}",
+            remedy="give the radius of the area in which a taxel senses (belief.disc_radius, "
+            "--disc-radius-mm)",
         )

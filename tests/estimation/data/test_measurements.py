@@ -56,3 +56,37 @@ def test_forces_in_another_unit_are_refused_and_weak_ones_are_not(world):
     for factor in (150.0, 1 / 150.0):
         with pytest.raises(CalibrationError, match="the forces cannot be in N"):
             unit_checks.check_force(np.full(5, 3.0 * factor), 3.0)
+
+
+def test_a_disc_far_larger_than_the_response_is_refused(world):
+    recording = world.record()
+    for radius in (1e-3, 4e-3):
+        gather(recording, world.belief(disc_radius=radius))
+    with pytest.raises(CalibrationError, match=r"disc radius .* got 40 mm"):
+        gather(recording, world.belief(disc_radius=40e-3))
+
+
+@pytest.mark.parametrize("frames", [-1, 2])
+def test_late_readings_are_moved_to_their_contacts(world, frames):
+    """Lanes in one direction do not show a delay: the contacts are taken in random order."""
+    whole = world.record()
+    order = np.random.default_rng(0).permutation(len(whole.time))
+    contacts = whole.contacts.take(pa.array(order)).set_column(0, "time", pa.array(whole.time))
+    right = np.argsort(order)[whole.reading_contact]
+
+    def recording(row):
+        kept = (row >= 0) & (row < len(whole.time))
+        readings = whole.readings.filter(pa.array(kept))
+        time = pa.array(whole.time[row[kept]])
+        return Recording(contacts, readings.set_column(0, "time", time), {})
+
+    truth = gather(recording(right), world.belief())
+    found = gather(recording(right + frames), world.belief())
+    assert (truth.delay, found.delay) == (0, frames)
+    pairs = [
+        set(zip(d.contact.tolist(), d.taxel.tolist(), d.pressure.tolist(), strict=True))
+        for d in (found, truth)
+    ]
+    assert pairs[0] == {p for p in pairs[1] if 0 <= p[0] + frames < len(whole.time)}
+    assert {p[0] for p in pairs[1] - pairs[0]} <= set(found.unread.tolist())
+    assert len(found.unread) == abs(frames)
