@@ -110,10 +110,11 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         left_out=int(np.sum(~valid)),
         corrupt=np.column_stack([row[recording.reading_contact], index])[corrupt],
     )
+    if motion is None or "clock_offset" not in motion.labels:
+        data = without_delay(data)
     check_answered(data)
     check_disc(data)
-    clock_unknown = motion is not None and "clock_offset" in motion.labels
-    return data if clock_unknown else without_delay(data)
+    return data
 
 
 def _headings(recording: Recording, belief: Belief) -> Array | None:
