@@ -201,6 +201,9 @@ def _without_overlap(lane: list[Closest], earlier: PointCloud, distance: float) 
 
 def _offset(body: Body, lane: list[Closest], shift: float, step: float) -> list[Closest]:
     """The chains of a lane shifted to their left by `shift`, m, without folds, resampled evenly."""
+    lane = [chain for chain in lane if len(chain.point) > 1]  # one point has no direction
+    if not lane:
+        return []
     along = [np.gradient(chain.point, axis=0) for chain in lane]
     whole = Closest.concatenate(lane)
     left = np.cross(whole.normal, np.concatenate(along))

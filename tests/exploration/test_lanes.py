@@ -8,7 +8,14 @@ from scipy.spatial import cKDTree
 
 from meshskin.exploration.coverage import PointCloud
 from meshskin.exploration.lane_plan import region_radius
-from meshskin.exploration.lanes import MAX_SPACING, _traces, both_ways, cover, spacing_for
+from meshskin.exploration.lanes import (
+    MAX_SPACING,
+    _offset,
+    _traces,
+    both_ways,
+    cover,
+    spacing_for,
+)
 from meshskin.geometry.body import Body
 from meshskin.geometry.region import Cap
 from meshskin.skin.skin import Skin
@@ -126,3 +133,15 @@ def test_the_lanes_of_sparse_taxels_skip_what_is_between_them():
     assert cKDTree(sites).query(points)[0].max() < 7e-3 + SPACING
     length = sum(np.linalg.norm(np.diff(p.point, axis=0), axis=1).sum() for p in pieces)
     assert length * SPACING < 0.5 * body.mesh.area
+
+
+def test_a_lane_that_ended_where_it_began_has_none_beside_it():
+    """A geodesic may end at its first point, between two creases: it has no direction."""
+    body = Body.sphere(0.1)
+    line = 0.1 * np.stack([[np.sin(t), 0.0, -np.cos(t)] for t in np.linspace(0.0, 0.4, 21)])
+    whole, point = body.surface.nearest(line), body.surface.nearest(line[:1])
+    assert _offset(body, [point], SPACING, STEP) == []
+    (beside,) = _offset(body, [point, whole], SPACING, STEP)
+    np.testing.assert_allclose(
+        body.surface.nearest(beside.point).point[:, 1], -SPACING, rtol=0.02, atol=0
+    )
