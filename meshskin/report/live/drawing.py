@@ -25,7 +25,7 @@ SKIN, ROBOT = VIEWS = ("skin", "robot")
 """What is at rest in the picture."""
 BODY_FACES, LINK_FACES = 20_000, 3_000
 """Most faces of the body and of a link: 0.5 and 0.07 MB, which a browser draws at full rate."""
-BODY_COLOR, LINK_COLOR, INDENTER_COLOR = (205, 210, 217), (150, 158, 168), (86, 96, 110)
+BODY_COLOR, LINK_COLOR, INDENTER_COLOR = (184, 190, 199), (150, 158, 168), (86, 96, 110)
 LIFT = 2e-4
 """Height of discs above the surface, m: flat marks would flicker where the mesh is coarse."""
 AMBIENT, LAMP = 2.0, 1.4
@@ -33,7 +33,7 @@ AMBIENT, LAMP = 2.0, 1.4
 have the colors of the legend, others are darker."""
 LAMP_DISTANCE = 100.0
 """Distance of the lamp, m: far from everything, so that it shines in one direction."""
-SKIN_DISTANCE, ROBOT_DISTANCE = 2.4, 1.6
+SKIN_DISTANCE, ROBOT_DISTANCE = 2.1, 1.5
 """Distance of the camera in units of the radius of the skin, and of the robot, which is slim.
 Chosen by looking."""
 HIDDEN = 1e-6

@@ -12,8 +12,8 @@ from ..plane import MM
 SIGMA_MM = (0.01, 10.0)
 """Ends of the color scale, mm: below what printed skins are made to, and about the size of a
 module. One scale for every recording, so that pages can be compared."""
-UNSEEN = (176, 182, 190)
-"""Color of a taxel of which nothing is known."""
+UNSEEN = (255, 255, 255)
+"""Color of a taxel that is not determined: the middle of the scale is gray."""
 PATCH, NEXT, TRUTH = (213, 94, 0), (204, 51, 120), (95, 107, 122)
 """Colors of the contact patch, of the next touch and of true taxels."""
 MAGNIFIED = 20.0
@@ -114,8 +114,9 @@ def legend(truth: bool) -> str:
     marks = [("&#9679;", UNSEEN, "not determined"), ("&#9679;", PATCH, "contact patch"),
              ("&#9660;", NEXT, "next touch")]  # fmt: skip
     marks += [("&#9675;", TRUTH, "true taxel")] if truth else []
+    outline = f"-webkit-text-stroke:0.5px {theme.MUTED}"
     names = "".join(
-        f'<span><span style="color:rgb{color}">{sign}</span> {name}</span>'
+        f'<span><span style="color:rgb{color};{outline}">{sign}</span> {name}</span>'
         for sign, color, name in marks
     )
     return (

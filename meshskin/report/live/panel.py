@@ -176,7 +176,7 @@ def _chart(gui: Any, title: str, x: str, names: tuple[str, ...], **scale: Any) -
         title=title,
         scales={"x": {"time": False}, "y": scale},
         axes=(
-            {"label": x, "size": 24, "labelSize": 14, "gap": 0, "ticks": bare},
+            {"label": x, "size": 26, "labelSize": 14, "gap": 3, "ticks": bare},
             {"size": 44, "ticks": bare, "grid": {"show": "distr" not in scale}},
         ),
         legend={"show": len(names) > 1},

@@ -62,7 +62,7 @@ def test_taxels_have_the_place_the_size_and_the_color_of_their_estimate(page, no
     np.testing.assert_array_equal(taxels.batched_colors[2:], expected)
 
 
-def test_a_weak_taxel_is_gray_and_an_unseen_one_is_hidden(page, noisy, snapshot):
+def test_a_weak_taxel_is_white_and_an_unseen_one_is_hidden(page, noisy, snapshot):
     page.show(snapshot)
     taxels, sigma = (page.drawing.nodes[f"/body/{name}"] for name in ("taxels", "sigma"))
     assert taxels.batched_colors[0].tolist() == marks.linear(marks.UNSEEN).tolist()
