@@ -10,6 +10,7 @@ import pytest
 import meshskin as ms
 from meshskin import cli, effects
 from meshskin.cli import effects as command
+from meshskin.cli import init
 from meshskin.core.errors import ConfigError
 
 
@@ -45,7 +46,7 @@ def test_a_scene_file_is_shown(capsys):
 @pytest.fixture
 def mesh(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    handle = ms.Body.capsule(0.03, 0.1, faces=1500).mesh.copy()
+    handle = ms.Body.capsule(0.03, 0.1, faces=800).mesh.copy()
     handle.apply_scale(1e3)
     handle.export("handle.stl")
     return handle
@@ -64,7 +65,8 @@ def test_init_writes_a_scene_that_loads(mesh, tmp_path, capsys):
     assert "exists already" in capsys.readouterr().err
 
 
-def test_init_opens_a_mesh_with_borders_and_refuses_a_strange_size(mesh, capsys):
+def test_init_opens_a_mesh_with_borders_and_refuses_a_strange_size(mesh, capsys, monkeypatch):
+    monkeypatch.setattr(init, "RADII", (5e-3,))
     opened = mesh.copy()
     opened.update_faces(np.arange(len(mesh.faces)) > 3)
     opened.export("open.stl")
@@ -100,13 +102,20 @@ def folder(tmp_path_factory, sphere, recording):
     return out
 
 
-def test_a_report_is_written_again(folder, capsys, monkeypatch):
+@pytest.mark.slow
+def test_the_page_is_written_again(folder, capsys):
     assert cli.main(["report", str(folder), "--quiet"]) == 0
     page = (folder / "report.html").read_text()
     assert "3D view" in page
     assert capsys.readouterr().out == ""
+
+
+def test_the_page_gets_what_the_folder_and_its_inputs_hold(folder, capsys, monkeypatch):
     given = {}
     monkeypatch.setattr(ms.Calibration, "report", lambda self, path, **rest: given.update(rest))
+    assert cli.main(["report", str(folder)]) == 0
+    assert given["body"].name == "sphere"
+    assert "written again" in capsys.readouterr().out
     metrics = json.loads((folder / "metrics.json").read_text())
     (folder / "metrics.json").write_text(json.dumps(metrics | {"inputs": {"scene": "gone.toml"}}))
     assert cli.main(["report", str(folder)]) == 0
