@@ -7,6 +7,7 @@ import math
 import numbers
 import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -41,6 +42,13 @@ def check_type(kind: type, value: object, what: str) -> None:
     raise ConfigError(
         f"{what} must be {article} {kind.__name__}", value=repr_short(value), remedy=remedy
     )
+
+
+def check_path(what: str, value: object, *, error: type[MeshskinError] = ConfigError) -> Path:
+    """The value as a path. Raises `error` for what is none, as None."""
+    if not isinstance(value, str | os.PathLike):
+        raise error(f"{what} must be a path", value=repr_short(value), remedy="give a file name")
+    return Path(value)
 
 
 def check_real(

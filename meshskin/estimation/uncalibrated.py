@@ -67,6 +67,6 @@ def _reasons(recording: Recording, readings: np.ndarray) -> tuple[str, ...]:
         "--indenter-mm, or a stream of poses of the contact)",
         "gains and the response cannot be calibrated: the taxels of a contact all have its mean "
         "reading; record the raw port of the skin, too",
-        f"what the recording shows: {len(touched)} of {len(readings)} taxels answer, in {span} of the "
-        f"{len(recording.time)} frames with a single contact",
+        f"what the recording shows: {len(touched)} of {len(readings)} taxels answer, in {span} of "
+        f"the {len(recording.time)} frames with a single contact",
     )

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.arguments import check_integer, check_name, check_type
+from ..core.arguments import check_integer, check_name, check_path, check_type
 from ..core.config import check_fields, check_table, from_table, quantity, read_toml
 from ..core.errors import ConfigError, UnknownNameError
 from . import field_path
@@ -159,7 +159,7 @@ class LogMap:
     @classmethod
     def load(cls, path: str | Path) -> LogMap:
         """Read a map file. Raises ConfigError, UnknownNameError for keys that do not exist."""
-        path = Path(path)
+        path = check_path("a map file", path)
         table = read_toml(path)
         for key in table:
             if key not in ("messages", "stream"):

@@ -17,9 +17,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ..core.arguments import NamedFields, check_real, check_type, check_vector
+from ..core.arguments import NamedFields, check_real, check_type, check_vector, repr_short
 from ..core.arrays import Array
-from ..core.errors import ArmError, UnknownNameError
+from ..core.errors import ArmError, ConfigError, UnknownNameError
 from ..core.se3 import exp_so3, hat, is_rigid, left_jacobian, transform
 from .chain import Chain
 
@@ -95,7 +95,12 @@ class ContactKinematics(NamedFields):
             raise ArmError("centre of the indenter must be finite", value=centre)
         if not is_rigid(self.mount):
             raise ArmError("mount of the body must be a rigid transform (4, 4)", value=self.mount)
-        check_type(Mapping, self.unknown, "unknowns of contact kinematics")
+        if not isinstance(self.unknown, Mapping):
+            raise ConfigError(
+                "unknowns of contact kinematics must be a Mapping",
+                value=repr_short(self.unknown),
+                remedy=f'give standard deviations by name: unknown={{"{JOINTS}": 0.017}}',
+            )
         for name, sigma in self.unknown.items():
             if name not in SIGMAS:
                 raise UnknownNameError("parameter of contact kinematics", name, SIGMAS)

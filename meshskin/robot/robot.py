@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.arguments import check_array, check_name, check_real, check_type
+from ..core.arguments import check_array, check_name, check_path, check_real, check_type
 from ..core.arrays import Array
 from ..core.atomic_io import write_text
 from ..core.errors import ArmError
@@ -54,7 +54,7 @@ class Robot(Value):
         meshes: one or several folders that are searched for the links' meshes (`package://...`),
         besides the file's folder and its parents. Raises ArmError (no file, not a URDF).
         """
-        path = Path(path)
+        path = check_path("the URDF of a robot", path, error=ArmError)
         try:
             text = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:

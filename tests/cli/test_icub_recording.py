@@ -1,4 +1,4 @@
-"""A real recording of the iCub, whose contacts its own taxels tell, from the dumper to the report."""
+"""A real recording of the iCub, whose contacts its own taxels tell, to the report."""
 
 import json
 

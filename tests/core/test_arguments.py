@@ -127,3 +127,17 @@ def test_remedies_name_contact_models_that_a_scene_takes(scene):
 def test_messages_are_one_line_without_control_characters():
     error = MeshskinError("a bad row", value="1\x00\n2\t\x1b[31m", remedy="write it\nanew")
     assert str(error) == "a bad row, got 1? 2 ?[31m; write it anew"
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: ms.read_log(None), "a log must be a path, got None"),
+        (lambda: ms.LogMap.load(None), "a map file must be a path, got None"),
+        (lambda: ms.Robot.from_urdf(None), "the URDF of a robot must be a path, got None"),
+        (lambda: ms.layout(np.eye(4), spacing=5), r"got 5 m, limit: at most 0.1 m; give it in met"),
+    ],
+)
+def test_paths_that_are_none_and_millimetres(call, words):
+    with pytest.raises(MeshskinError, match=words):
+        call()

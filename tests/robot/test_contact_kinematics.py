@@ -100,3 +100,8 @@ def test_a_centre_or_mount_of_another_shape():
         robot.contact_kinematics("tool0", CENTRE, mount="flange")
     with pytest.raises(ArmError, match="rigid transform"):
         robot.contact_kinematics("tool0", CENTRE, mount=2 * np.eye(4))
+
+
+def test_names_without_deviations_are_refused_with_a_remedy():
+    with pytest.raises(ConfigError, match=r'unknown=\{"joint_offset": 0.017\}'):
+        kinematics(unknown=("joint_offset",))

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 SILENT = "answers in no frame"
 APART = "answers together with no taxel of the largest part"
 SELDOM = "answers together with others too seldom"
+MAX_SCALE = 0.1
+"""Largest spacing and touch radius, m: larger ones are given in millimetres."""
 DRAWS = 16
 """Draws of the strokes' weights: standard deviations are known to 1 / sqrt(2 * 15) = 18 %."""
 VARIATION = 0.3
@@ -204,7 +206,10 @@ def _known(
         )
     for what, value in (("spacing", spacing), ("touch_radius", touch_radius)):
         if value is not None:
-            check_real(what, value, "m", above=0.0, error=CalibrationError)
+            metres = "give it in metres: 0.005 for 5 mm"
+            check_real(
+                what, value, "m", above=0.0, most=MAX_SCALE, error=CalibrationError, remedy=metres
+            )
     if module_slots is None:
         return _Known(spacing, touch_radius, None, None)
     slots = check_array("module_slots", module_slots, error=CalibrationError)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ...core.arguments import check_type
+from ...core.arguments import check_path, check_type
 from ...core.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ def read_log(
     path: str | Path,
     log_map: LogMap | None = None,
     *,
-    messages: Collection[str | Path] = (),
+    messages: Collection[str | Path] | str | Path = (),
     progress: bool = False,
     scan: bool = False,
 ) -> Log:
@@ -26,8 +27,8 @@ def read_log(
     YARP data dumper, or CSV or Parquet files.
 
     With a map the streams that it names, with their values; without one the times of all streams.
-    `messages`: definitions (.msg) of message types that a bag lacks. `scan`: read a ROS 1 bag that
-    was never closed. Raises RecordingError for what is not a log or is not what the map says,
+    `messages`: definitions (.msg) of message types that a bag lacks, or one of them. `scan`: read a
+    ROS 1 bag that was never closed. Raises RecordingError for what is not a log or is not what the map says,
     UnknownNameError for a stream that is not there. A torn file is read up to the tear, and the
     notes of the log say so.
     """
@@ -38,7 +39,7 @@ def read_and_suggest(
     path: str | Path,
     log_map: LogMap | None = None,
     *,
-    messages: Collection[str | Path] = (),
+    messages: Collection[str | Path] | str | Path = (),
     progress: bool = False,
     scan: bool = False,
 ) -> tuple[Log, dict[str, list[StreamMap]]]:
@@ -49,7 +50,8 @@ def read_and_suggest(
 
     if log_map is not None:
         check_type(LogMap, log_map, "log_map")
-    path = Path(path)
+    path = check_path("a log", path, error=RecordingError)
+    messages = (messages,) if isinstance(messages, str | os.PathLike) else messages
     if not path.exists():
         raise RecordingError(f"no log at {path}", remedy="check the path")
     try:
