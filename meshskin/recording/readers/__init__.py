@@ -28,9 +28,9 @@ def read_log(
 
     With a map the streams that it names, with their values; without one the times of all streams.
     `messages`: definitions (.msg) of message types that a bag lacks, or one of them. `scan`: read a
-    ROS 1 bag that was never closed. Raises RecordingError for what is not a log or is not what the map says,
-    UnknownNameError for a stream that is not there. A torn file is read up to the tear, and the
-    notes of the log say so.
+    ROS 1 bag that was never closed. Raises RecordingError for what is not a log or is not what the
+    map says, UnknownNameError for a stream that is not there. A torn file is read up to the tear,
+    and the notes of the log say so.
     """
     return read_and_suggest(path, log_map, messages=messages, progress=progress, scan=scan)[0]
 
