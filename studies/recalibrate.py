@@ -154,6 +154,11 @@ def displaced(recording: ms.Recording, body: ms.Body, rng: np.random.Generator) 
     return replace(recording, contacts=table)
 
 
+def _module(change: Named) -> int:
+    """The module that a change is in."""
+    return change[1] if change[0] == "module" else change[1] // slots.PER_MODULE
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -166,18 +171,20 @@ def main() -> None:
     options = parser.parse_args()
     setting, rows = world(options.touches), dict[str, dict[str, float]]()
     print(
-        f"{'change':12} {'belief':20} {'found':>8} {'in part':>8} {'alarms':>8} confirmed undecided"
+        f"{'change':12} {'belief':20} {'found':>8} {'in part':>8} {'misnamed':>8} {'alarms':>8} confirmed undecided"
         " not touched"
     )
     for change in options.changes:
         for belief in options.beliefs:
-            found = part = alarms = 0
+            found = part = other = alarms = 0
             states: Counter = Counter()
             for seed in range(options.seeds):
                 truth, named, result = trial(setting, change, belief, seed)
                 found += truth <= named
                 part += bool(truth & named) and not truth <= named
-                alarms += bool(named - truth)
+                changed = {_module(one) for one in truth}
+                alarms += any(_module(one) not in changed for one in named)
+                other += bool(named - truth) and not truth & named
                 states.update(result.unit_states.tolist())
                 if options.verbose and named != truth:
                     print(seed, "truth", truth)
@@ -187,7 +194,7 @@ def main() -> None:
             share = [states[s] / options.seeds for s in ("confirmed", "undecided", "not touched")]
             print(
                 f"{change:12} {belief:20} "
-                + " ".join(f"{x:>3}/{options.seeds:<4}" for x in (found, part, alarms))
+                + " ".join(f"{x:>3}/{options.seeds:<4}" for x in (found, part, other, alarms))
                 + " ".join(f"{x:9.1f}" for x in share),
                 flush=True,
             )
