@@ -124,16 +124,15 @@ class Drawing:
             rod = cylinder(radius=wide, height=height, sections=32)
             below = np.asarray(rod.vertices) - [0.0, 0.0, radius + 0.5 * height]
             self._mesh("/body/indenter/support", below, rod.faces, INDENTER_COLOR, opacity=0.4)
-        self._batch("/body/patch", marks.disc(48), 1, marks.PATCH, opacity=0.8)
-        self._batch("/body/next", marks.arrow(1.5 * radius), 1, marks.NEXT)
+        self._mesh("/body/patch", *marks.disc(48), marks.PATCH, opacity=0.8, visible=False)
+        self._mesh("/body/next", *marks.arrow(1.5 * radius), marks.NEXT, visible=False)
 
     def show(self, snapshot: Snapshot) -> None:
         """Move everything to a snapshot."""
         self._show_estimate(snapshot)
         self._show_contact(snapshot.row)
         self.place(snapshot.row)
-        point = snapshot.next_point
-        self._place_on_body("/body/next", np.zeros((0, 3)) if point is None else point[None], 1.0)
+        self._show_next(snapshot.next_point)
 
     def _show_estimate(self, snapshot: Snapshot) -> None:
         sigma = marks.position_sigma(snapshot.covariances)
@@ -167,10 +166,18 @@ class Drawing:
         _move(self.nodes["/body/indenter"], contact.indenter)
         lifted = contact.patch @ transform(np.eye(3), [0.0, 0.0, 2 * LIFT])
         node = self.nodes["/body/patch"]
-        node.batched_positions = lifted[None, :3, 3]
-        node.batched_wxyzs = _wxyz(lifted[None, :3, :3])
-        flat = np.append(contact.semi_axes, LIFT)
-        node.batched_scales = np.where(np.isfinite(flat).all(), flat, HIDDEN)[None]
+        _move(node, lifted)
+        node.visible = bool(np.isfinite(contact.semi_axes).all())
+        if node.visible:
+            node.scale = (*contact.semi_axes.tolist(), LIFT)
+
+    def _show_next(self, point: Array | None) -> None:
+        """Put the tip of the arrow at a point (3,), m, of the body; None: hide it."""
+        node = self.nodes["/body/next"]
+        node.visible = point is not None
+        if point is not None:
+            hit = self.stage.belief.body.closest(point[None])
+            _move(node, transform(orthonormal_basis(hit.normal)[0], hit.point[0]))
 
     def place(self, row: int) -> None:
         """Put body, world and links where they are at contact `row`, by the present view."""

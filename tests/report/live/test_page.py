@@ -83,10 +83,20 @@ def test_ellipsoids_shrink_with_sigma(page, snapshot):
 def test_the_next_touch_is_marked_while_there_is_one(page, snapshot):
     page.show(snapshot)
     arrow = page.drawing.nodes["/body/next"]
-    np.testing.assert_allclose(arrow.batched_positions[0], [0, 0, -0.1], atol=2 * module.LIFT)
-    assert arrow.batched_scales.max() == 1.0
+    np.testing.assert_allclose(arrow.position, [0, 0, -0.1], atol=1e-6)
+    np.testing.assert_allclose(pose(arrow)[:3, 2], [0, 0, -1], atol=1e-6)
+    assert arrow.visible
     page.show(replace(snapshot, status=status(next_touch=None)))
-    assert arrow.batched_scales.max() == pytest.approx(module.HIDDEN)
+    assert not arrow.visible
+
+
+def test_the_patch_has_the_size_and_the_place_of_the_contact(page, stage, snapshot):
+    page.show(snapshot)
+    patch, contact = page.drawing.nodes["/body/patch"], stage.contact(snapshot.row)
+    np.testing.assert_allclose(patch.scale[:2], contact.semi_axes, rtol=1e-6)
+    lift = np.linalg.norm(pose(patch)[:3, 3] - stage.recording.points[snapshot.row])
+    assert lift == pytest.approx(2 * module.LIFT, abs=2e-5)
+    assert patch.visible
 
 
 def test_both_views_show_the_robot_in_the_same_place_of_the_body(page, stage, snapshot):
