@@ -155,8 +155,9 @@ class RunningEstimate:
         if new.clear.any():
             self.residual = float(np.sqrt(np.mean(new.residual[new.clear] ** 2)))
         beyond, m = np.abs(new.residual) > MAX_RESIDUAL * self.scale, len(block.force)
-        count = np.bincount(new.contact, minlength=m)
-        contradicting = np.bincount(new.contact, beyond, m)
+        sure = self.fits[rows[new.taxel]]  # taxels on their way contradict whatever comes
+        count = np.bincount(new.contact, sure, m)
+        contradicting = np.bincount(new.contact, beyond & sure, m)
         rejected = (contradicting >= MIN_CONTRADICTIONS) & (2 * contradicting > count)
         self.store.misfitting.values[first:] = rejected
         used = ~rejected[new.contact]
