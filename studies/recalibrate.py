@@ -171,8 +171,8 @@ def main() -> None:
     options = parser.parse_args()
     setting, rows = world(options.touches), dict[str, dict[str, float]]()
     print(
-        f"{'change':12} {'belief':20} {'found':>8} {'in part':>8} {'misnamed':>8} {'alarms':>8} confirmed undecided"
-        " not touched"
+        f"{'change':12} {'belief':20} {'found':>8} {'in part':>8} {'misnamed':>8} {'alarms':>8}"
+        " confirmed undecided not touched"
     )
     for change in options.changes:
         for belief in options.beliefs:
