@@ -16,6 +16,8 @@ from .measurements import Measurements
 LATE_FRAMES = 5
 """Delays of the readings, in frames, that are all looked at; larger ones while they fit better.
 Contacts of a taxel that are farther apart belong to different passes over it."""
+MIN_READINGS = 10
+"""Readings that most taxels must have: fewer may spread less at a wrong delay by chance."""
 LATE_GAIN = 0.9
 """Mean square distance of a taxel's contacts with the readings moved to other frames, relative to
 the present one, below which they are late."""
@@ -25,8 +27,11 @@ def late_frames(data: Measurements) -> int:
     """Number of frames by which the readings come too late; negative: too early, 0: neither.
 
     The contacts that a taxel responds to, weighted by the square of its pressure above that at
-    rest, spread least at the true delay.
+    rest, spread least at the true delay. A few touches do not show it:
+    the two or three readings of a taxel may spread less at others by chance.
     """
+    if not data.counts.any() or np.median(data.counts[data.counts > 0]) < MIN_READINGS:
+        return 0
     weight, n = np.maximum(data.pressure - data.rest[data.taxel], 0.0) ** 2, len(data.ids)
 
     def spread(frames: int) -> float:
