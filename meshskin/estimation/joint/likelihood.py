@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...contact.learned import ProfileCorrection
+from ...contact.reading import same_sheet
 from ...core.arrays import Array, ranges
 from ..data.measurements import Measurements
 from ..data.pairs import REACH_MARGIN, silent_pairs
@@ -79,7 +80,7 @@ def select(
     points (n, 3), m, and outward normals (n, 3): of these taxels, as estimated.
 
     With known noise, silent readings in reach are censored, and readings out of reach that noise
-    explains are left out. log_radius: logarithm of the patches' radii over the nominal ones;
+    explains are left out; those of contacts on another sheet always. log_radius: logarithm of the patches' radii over the nominal ones;
     weight (k,): of the measurements; silent_weight (n,): of each taxel's silent readings.
     """
     place = np.full(len(data.ids), -1)
@@ -87,24 +88,24 @@ def select(
     mine = np.flatnonzero(place[data.taxel] >= 0)
     silent_contact = silent_taxel = np.empty(0, dtype=int)
     scale = float(np.exp(log_radius))
+    contact, taxel = data.contact[mine], place[data.taxel[mine]]
+    offset = points[taxel] - data.points[contact]
+    inside = same_sheet(offset, data.normals[contact], normals[taxel])
     if data.noise is not None:
-        contact, taxel = data.contact[mine], place[data.taxel[mine]]
-        offset = points[taxel] - data.points[contact]
         height = np.einsum("ki,ki->k", offset, data.normals[contact])
         across2 = np.einsum("ki,ki->k", offset, offset) - height**2
-        inside = across2 < (data.reach(scale)[contact] + REACH_MARGIN) ** 2
-        rest = data.rest if "offset" in data.parameters.nuisance_names else np.zeros(len(data.ids))
-        inside |= data.pressure[mine] > rest[data.taxel[mine]] + MISFIT_SIGMAS * data.noise
-        mine = mine[inside]
+        inside &= across2 < (data.reach(scale)[contact] + REACH_MARGIN) ** 2
+    rest = data.rest if "offset" in data.parameters.nuisance_names else np.zeros(len(data.ids))
+    inside |= data.pressure[mine] > rest[data.taxel[mine]] + MISFIT_SIGMAS * data.sigma
+    mine = mine[inside]
+    if data.noise is not None:
         silent_contact, silent_taxel = silent_pairs(data, live, points, normals, scale)
     none = np.full(len(silent_contact), -1)
     contact = np.concatenate([data.contact[mine], silent_contact])
     taxel = np.concatenate([place[data.taxel[mine]], silent_taxel])
     end = data.ends[data.taxel[mine]]
     kind = np.where(data.pressure[mine] < end, OBSERVED, SATURATED)
-    level = np.concatenate(
-        [np.minimum(data.pressure[mine], end), np.full(len(none), data.threshold)]
-    )
+    level = np.append(np.minimum(data.pressure[mine], end), np.full(len(none), data.threshold))
     order = np.argsort(taxel, kind="stable")
     return Readings(
         contact=contact[order],
@@ -180,11 +181,8 @@ class Likelihood:
     def nuisance_sigma(self) -> tuple[float, ...]:
         """Prior standard deviations of ln gain, and of offset and drift in units of the noise."""
         unit = {"gain": 1.0, "offset": self.data.sigma, "drift": self.data.sigma}
-        names = self.data.parameters.nuisance_names
-        return tuple(
-            s / unit[name]
-            for name, s in zip(names, self.data.parameters.nuisance_sigma, strict=True)
-        )
+        p = self.data.parameters
+        return tuple(s / unit[n] for n, s in zip(p.nuisance_names, p.nuisance_sigma, strict=True))
 
     def means(self, points: Array, nuisance: Array, contacts: Contacts) -> Array:
         """mu (k,), in units of the noise, of all readings; points (n, 3), nuisance (n, .)."""

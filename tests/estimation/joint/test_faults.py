@@ -1,10 +1,13 @@
 """Outlying readings and faulty taxels: detected, named, without effect on the others."""
 
+from dataclasses import replace
+
 import numpy as np
 import pyarrow as pa
 import pytest
 from scipy.stats import chi2, norm
 
+import meshskin as ms
 from meshskin.core.errors import CalibrationError
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.calibration import Calibration
@@ -293,3 +296,25 @@ def test_a_taxel_that_ignores_several_presses_is_faulty(presses, fault):
     kind = np.full(10, CENSORED)
     readings = Readings(taxel, taxel, one, kind, taxel, weight, np.array([0, 10]))
     assert fault_detection.unanswered_presses(readings).all() == fault
+
+
+@pytest.mark.parametrize("noise", ["known", "unknown"])
+def test_noise_in_contacts_on_the_far_side_is_no_fault(noise):
+    """Without a threshold half of the readings are noise, also in contacts under the normal of
+    which the taxel lies on the far side of the body."""
+    body = ms.Body.sphere(0.02)
+    scene = ms.Scene(
+        body=body,
+        skin=ms.Skin.cover(body, spacing=8e-3, seed=1),
+        indenter=ms.Indenter.sphere(5e-3),
+        effects=[ms.effects.find("gaussian_noise")(sigma_relative=0.01)],
+        law=ms.Law(force_reference=0.5),
+        loop=ms.Loop(mode="quasi_static"),
+        readout=ms.Readout(rate=30.0),
+    )
+    belief = scene.belief() if noise == "known" else replace(scene.belief(), noise_sigma=None)
+    found = ms.calibrate(ms.simulate(scene, seed=1), belief)
+    assert not any(found.faults)
+    assert found.verdict.level == "PASS"
+    error = np.linalg.norm(found.positions - scene.skin.positions, axis=1)
+    assert np.max(error / found.position_sigma) < 4.5
