@@ -80,8 +80,9 @@ def select(
     points (n, 3), m, and outward normals (n, 3): of these taxels, as estimated.
 
     With known noise, silent readings in reach are censored, and readings out of reach that noise
-    explains are left out; those of contacts on another sheet always. log_radius: logarithm of the patches' radii over the nominal ones;
-    weight (k,): of the measurements; silent_weight (n,): of each taxel's silent readings.
+    explains are left out; such readings of contacts on another sheet always. log_radius: logarithm
+    of the patches' radii over the nominal ones; weight (k,): of the measurements; silent_weight
+    (n,): of each taxel's silent readings.
     """
     place = np.full(len(data.ids), -1)
     place[live] = np.arange(len(live))
