@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .core import arrow
 from .core.arguments import check_integer
 from .core.atomic_io import check_folder, write_json
 from .core.deadline import Deadline, check_run_seconds
@@ -248,8 +249,8 @@ def _force(recording: Recording, scene: Scene) -> ForceResponse:
     if motion is None:  # contacts that are pressed one by one
         return force_response(recording.time, recording.force, scene.law.force_reference)
     return force_response(
-        np.asarray(motion.column("time")),
-        np.asarray(motion.column("force")),
+        arrow.values(motion.column("time")),
+        arrow.values(motion.column("force")),
         scene.law.force_reference,
         motion.column("phase").to_pylist(),
     )

@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from ..core import arrow
 from ..core.atomic_io import atomic, write_text
 from ..core.errors import CalibrationError
 from .result import LearnedResponse
@@ -67,7 +68,7 @@ def write(found: Calibration, path: str | Path) -> None:
     header["fit"] = None if found.fit is None else asdict(found.fit)
     header["verdict"] = None if found.verdict is None else asdict(found.verdict)
     header["response"] = None if found.response is None else found.response.values()
-    table = pa.table(columns).replace_schema_metadata({_KEY: json.dumps(header).encode()})
+    table = arrow.table(columns).replace_schema_metadata({_KEY: json.dumps(header).encode()})
     with atomic(_part(path, "parquet")) as temporary:
         pq.write_table(table, temporary)
     write_text(_part(path, "csv"), csv(found))
@@ -79,7 +80,7 @@ def read(path: str | Path) -> dict[str, Any]:
     if not file.exists():
         raise CalibrationError(f"no calibration at {path}", remedy="check the path")
     try:
-        table = pq.read_table(file)
+        table = pq.ParquetFile(file).read()
     except (pa.ArrowInvalid, OSError) as error:
         raise CalibrationError(
             f"{file} cannot be read", value=str(error).splitlines()[0], remedy="calibrate again"
@@ -142,9 +143,9 @@ def _column(values: np.ndarray) -> pa.Array:
     """An Arrow column of the rows of `values` (n, ...), each row flat."""
     values = np.asarray(values)
     if values.ndim == 1:
-        return pa.array(values.tolist() if values.dtype == object else values)
+        return arrow.texts(values.tolist()) if values.dtype.kind in "OU" else arrow.column(values)
     flat = np.ascontiguousarray(values).reshape(len(values), -1)
-    return pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel()), flat.shape[1])
+    return pa.FixedSizeListArray.from_arrays(arrow.column(flat.ravel()), flat.shape[1])
 
 
 def _array(table: pa.Table, name: str) -> np.ndarray:

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
 
 from ..contact import LEARNED
+from ..core import arrow
 from ..core.arguments import check_integer
 from ..core.arrays import Array
 from ..core.errors import CalibrationError
@@ -163,8 +163,8 @@ def blocks(points: Array, length: float) -> np.ndarray:
 def subset(recording: Recording, belief: Belief, keep: np.ndarray) -> tuple[Recording, Belief]:
     """The contacts `keep` (bool) of a recording with their readings, and the belief for these."""
     part = Recording(
-        recording.contacts.filter(pa.array(keep)),
-        recording.readings.filter(pa.array(keep[recording.reading_contact])),
+        recording.contacts.filter(arrow.column(keep)),
+        recording.readings.filter(arrow.column(keep[recording.reading_contact])),
         recording.metadata,
     )
     if belief.headings is not None:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from ..core import arrow
 from ..core.config import UNITS
 from ..core.errors import RecordingError
 
@@ -88,7 +89,7 @@ def read(file: Path, part: str) -> pa.Table:
                     f"{name} of {file.name} is out of range",
                     value=value, limit=limit, remedy=remedy,
                 )  # fmt: skip
-        columns[name] = pa.array(numbers if name == "taxel" else numbers * factor)
+        columns[name] = arrow.column(numbers if name == "taxel" else numbers * factor)
     raw = [name for name in RAW_COLUMNS if name in columns and "pressure" not in columns]
     if raw:
         columns["pressure"] = columns.pop(raw[0])
@@ -100,7 +101,7 @@ def read(file: Path, part: str) -> pa.Table:
             remedy=f"it needs {', '.join(REQUIRED[part])}, in SI units or as px_mm, pressure_kpa; "
             "raw readings are a column reading or count",
         )
-    return pa.table(columns).replace_schema_metadata({"readings": "raw"} if raw else None)
+    return arrow.table(columns).replace_schema_metadata({"readings": "raw"} if raw else None)
 
 
 def _read_columns(file: Path) -> dict[str, np.ndarray]:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
+from ..core import arrow
 from ..core.arguments import check_name, repr_short
 from ..core.arrays import Array
 from ..core.errors import RecordingError
@@ -51,7 +52,7 @@ _PARTS = ("contacts", "readings", "motion")
 
 
 def _column(table: pa.Table, name: str) -> np.ndarray:
-    return np.asarray(table.column(name).to_numpy())
+    return arrow.values(table.column(name))
 
 
 @dataclass(frozen=True, eq=False)

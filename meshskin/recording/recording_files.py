@@ -28,7 +28,7 @@ def part_path(path: str | Path, part: str) -> Path:
 def read_table(file: Path) -> tuple[pa.Table, dict[str, Any]]:
     """A table of a recording, memory-mapped, and its metadata. Raises RecordingError."""
     try:
-        table = pq.read_table(file, memory_map=True)
+        table = pq.ParquetFile(file, memory_map=True).read()
         return table, json.loads((pq.read_metadata(file).metadata or {})[_KEY])
     except (pa.ArrowInvalid, OSError) as error:
         raise RecordingError(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core import arrow
 from ..core.progress import Stage
 from ..simulation.response import CONTROLLED_PHASES, force_response
 from . import curves, learned_response, maps, precision, theme
@@ -59,7 +60,7 @@ def force(folder: Path, data: ReportData) -> SavedFigure | None:
         return None
     if recording.motion is None or not recording.motion.num_rows:
         return _recorded_force(folder, recording, data) if recording.force_measured else None
-    column = {k: recording.motion.column(k).to_numpy() for k in ("time", "force", "reference")}
+    column = {k: arrow.values(recording.motion.column(k)) for k in ("time", "force", "reference")}
     time, values, goal = column["time"], column["force"], column["reference"]
     phase, steady = None, None
     if "phase" in recording.motion.column_names:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 import pyarrow as pa
 
+from ..core import arrow
 from ..core.arrays import Array
 from ..core.errors import CalibrationError, ReachError
 from ..exploration.path import Path
@@ -86,14 +87,14 @@ def settled_contacts(recording: Recording) -> Recording:
     motion = recording.motion
     slide = np.asarray(motion.column("phase").to_pylist()) == PHASES[SLIDE]
     edges = np.diff(slide.astype(int), prepend=0, append=0)
-    time = motion.column("time").to_numpy()
+    time = arrow.values(motion.column("time"))
     first, last = time[edges[:-1] > 0], time[edges[1:] < 0]
     rows = np.searchsorted(recording.time, last, side="right") - 1
     rows = rows[(rows >= 0) & (recording.time[rows] >= first)]
-    kept = np.isin(recording.readings.column("time").to_numpy(), recording.time[rows])
+    kept = np.isin(arrow.values(recording.readings.column("time")), recording.time[rows])
     return Recording(
-        recording.contacts.take(pa.array(rows)),
-        recording.readings.filter(pa.array(kept)),
+        recording.contacts.take(arrow.column(rows)),
+        recording.readings.filter(arrow.column(kept)),
         recording.metadata,
     )
 
@@ -103,7 +104,7 @@ def concatenate(first: Recording, second: Recording) -> Recording:
     shift = float(first.time[-1] - second.time[0]) + PRESS_INTERVAL
 
     def later(table: pa.Table) -> pa.Table:
-        times = pa.array(table.column("time").to_numpy() + shift)
+        times = arrow.column(arrow.values(table.column("time")) + shift)
         return table.set_column(0, table.schema.field(0), times)
 
     return Recording(

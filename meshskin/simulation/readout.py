@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from .. import effects
+from ..core import arrow
 from ..core.arrays import Array
 from ..core.se3 import quaternion
 from ..effects.frames import Frames
@@ -84,20 +85,20 @@ def sensor_tables(
     """The tables of contacts and readings as they are recorded."""
     recorded = pipeline.record(frames)
     columns = (recorded.time, *recorded.points.T, *recorded.normals.T, recorded.force)
-    contacts = pa.Table.from_arrays([pa.array(c) for c in columns], schema=CONTACTS)
+    contacts = pa.Table.from_arrays([arrow.column(c) for c in columns], schema=CONTACTS)
     headings = np.zeros((0, 4))
     if len(frames):
         headings = quaternion(scene.body_pose(frames.q)[:, :3, :3])[:, [3, 0, 1, 2]]
     for name, column in zip(QUATERNION, headings.T, strict=True):
-        contacts = contacts.append_column(name, pa.array(column))
+        contacts = contacts.append_column(name, arrow.column(column))
     schema = _readings_schema(scene.skin.ids)
     if not len(frames):
         return contacts, schema.empty_table()
     pressures = pipeline.read(frames, scene.skin.poses)
     row, col = np.nonzero(pressures > scene.threshold)
-    taxels = pa.array(np.asarray(scene.skin.ids)[col], type=schema.field("taxel").type)
+    taxels = arrow.column(np.asarray(scene.skin.ids)[col], schema.field("taxel").type)
     readings = pa.Table.from_arrays(
-        [pa.array(frames.time[row]), taxels, pa.array(pressures[row, col])], schema=schema
+        [arrow.column(frames.time[row]), taxels, arrow.column(pressures[row, col])], schema=schema
     )
     return contacts, readings
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
+from ..core import arrow
 from ..core.arrays import Array
 from ..core.errors import SimulationError
 
@@ -49,9 +49,9 @@ def describe_departure(motion: pa.Table) -> str:
     contact point slides, and what to change; "" where it stayed within MAX_DEPARTURE.
     """
     time, force, references = (
-        np.asarray(motion.column(name)) for name in ("time", "force", "reference")
+        arrow.values(motion.column(name)) for name in ("time", "force", "reference")
     )
-    after = np.asarray(pc.equal(motion.column("phase").cast(pa.string()), "slide"))
+    after = arrow.equals(motion.column("phase"), "slide")
     off = np.abs(force / references - 1.0)
     left = after & (off > MAX_DEPARTURE)
     if not left.any():

@@ -17,6 +17,7 @@ import numpy as np
 import pyarrow as pa
 
 from .. import effects
+from ..core import arrow
 from ..core.arguments import check_type
 from ..core.arrays import Array
 from ..core.errors import ConfigError, SkinError, warn_left_out
@@ -273,7 +274,7 @@ def _motion_table(scene: Scene, loop: ClosedLoopModel, batch: Sequence[Steps]) -
     phase = np.repeat([s.phase for s in batch], [len(s.time) for s in batch]).astype(np.int8)
     columns = {
         "time": time,
-        "phase": pa.DictionaryArray.from_arrays(phase, list(PHASES)),
+        "phase": pa.DictionaryArray.from_arrays(arrow.column(phase), arrow.texts(PHASES)),
         "force": outputs[:, rows["force"].start],
         "reference": np.full(len(time), scene.law.force_reference),
         "depth": outputs[:, rows["depth"].start],
@@ -281,4 +282,4 @@ def _motion_table(scene: Scene, loop: ClosedLoopModel, batch: Sequence[Steps]) -
     names = [f"q{k + 1}" for k in range(loop.joints)] or BODY_COLUMNS
     columns |= dict(zip(names, q.T, strict=True))
     columns |= {f"tau{k + 1}": c for k, c in enumerate(outputs[:, rows["torque"]].T)}
-    return pa.table(columns)
+    return arrow.table(columns)

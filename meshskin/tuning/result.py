@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from ..core import arrow
 from ..core.arrays import Array
 from ..core.value import Value
 from ..scene.scene import Scene
@@ -154,4 +155,4 @@ def simulate_manoeuvre(scene: Scene, manoeuvre: Manoeuvre) -> tuple[Array, Array
     path = manoeuvre.path(scene.body, scene.exploration, scene.loop.dt)
     motion = simulate(scene.with_(effects=()), path=path).motion
     assert motion is not None  # a simulation always has one
-    return motion.column("time").to_numpy(), motion.column("force").to_numpy()
+    return arrow.values(motion.column("time")), arrow.values(motion.column("force"))

@@ -17,9 +17,9 @@ from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pyarrow as pa
 
 from ...contact import BATCHED
+from ...core import arrow
 from ...core.arrays import Array
 from ...core.deadline import Deadline
 from ...core.errors import (
@@ -218,8 +218,8 @@ def _thinned(recording: Recording) -> Recording:
     """Every THIN-th contact of a recording."""
     keep = np.arange(len(recording.time)) % THIN == 0
     return Recording(
-        recording.contacts.filter(pa.array(keep)),
-        recording.readings.filter(pa.array(keep[recording.reading_contact])),
+        recording.contacts.filter(arrow.column(keep)),
+        recording.readings.filter(arrow.column(keep[recording.reading_contact])),
         recording.metadata,
     )
 

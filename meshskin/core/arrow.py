@@ -1,0 +1,56 @@
+"""Arrow columns of NumPy arrays.
+
+`pyarrow.array`, `pyarrow.table`, `pyarrow.dataset` and `to_numpy` import pandas where it is
+installed, which takes half a second of a run that needs no pandas. So columns on the way of every
+run are made of the memory of NumPy arrays, and read as such.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pyarrow as pa
+
+
+def column(values: np.ndarray, type: pa.DataType | None = None) -> pa.Array:
+    """The Arrow column of numbers or bool `values` (n,); type: another one to cast it to."""
+    values = np.ascontiguousarray(values)
+    if values.dtype == bool:
+        own, memory = pa.bool_(), np.packbits(values, bitorder="little")
+    else:
+        own, memory = pa.from_numpy_dtype(values.dtype), values
+    found = pa.Array.from_buffers(own, len(values), [None, pa.py_buffer(memory)])
+    return found if type is None or type == own else found.cast(type)
+
+
+def texts(values: Sequence[str]) -> pa.Array:
+    """The Arrow column of strings."""
+    coded = [value.encode() for value in values]
+    ends = np.cumsum([0, *map(len, coded)]).astype(np.int32)
+    buffers = [None, pa.py_buffer(ends), pa.py_buffer(b"".join(coded))]
+    return pa.Array.from_buffers(pa.string(), len(coded), buffers)
+
+
+def table(columns: Mapping[str, np.ndarray | pa.Array]) -> pa.Table:
+    """The Arrow table of columns by name."""
+    arrays = [c if isinstance(c, pa.Array) else column(c) for c in columns.values()]
+    return pa.Table.from_arrays(arrays, names=list(columns))
+
+
+def values(column: pa.ChunkedArray) -> np.ndarray:
+    """The values (n,) of a column, without a copy where it is one chunk of numbers."""
+    numbers = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
+    if not numbers or column.null_count or column.num_chunks != 1:
+        return np.asarray(column.to_numpy())
+    return np.from_dlpack(column.chunk(0))
+
+
+def equals(column: pa.ChunkedArray, text: str) -> np.ndarray:
+    """Where a column of dictionary type is `text` (n,) bool."""
+    found = [np.zeros(0, dtype=bool)]
+    for chunk in column.chunks:
+        words = chunk.dictionary.to_pylist()
+        code = words.index(text) if text in words else -1
+        found.append(np.from_dlpack(chunk.indices) == code)
+    return np.concatenate(found)
