@@ -47,7 +47,9 @@ def values(column: pa.ChunkedArray) -> np.ndarray:
 
 
 def equals(column: pa.ChunkedArray, text: str) -> np.ndarray:
-    """Where a column of dictionary type is `text` (n,) bool."""
+    """Where a column of texts, or of texts by dictionary, is `text` (n,) bool."""
+    if not pa.types.is_dictionary(column.type):
+        return np.array([value == text for value in column.to_pylist()], dtype=bool)
     found = [np.zeros(0, dtype=bool)]
     for chunk in column.chunks:
         words = chunk.dictionary.to_pylist()

@@ -48,3 +48,5 @@ def test_a_table_and_where_a_text_stands():
     assert arrow.equals(both, "slide").tolist() == [True, False, True] * 2
     assert not arrow.equals(both, "touch").any()
     assert arrow.equals(table.slice(1).column("phase"), "lift").tolist() == [True, False]
+    texts = pa.chunked_array([["slide", None], ["lift"]])
+    assert arrow.equals(texts, "slide").tolist() == [True, False, False]
