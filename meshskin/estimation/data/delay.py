@@ -22,56 +22,82 @@ LATE_GAIN = 0.9
 """Mean square distance of a taxel's contacts with the readings moved to other frames, relative to
 the present one, below which they are late."""
 
+MIN_USED = 0.5
+"""Least part of the readings that have a contact in time at a delay: fewer do not tell of it."""
+PAUSE = 3.0
+"""Time between contacts, in typical frames times their difference, from which there is a pause."""
+
 
 def late_frames(data: Measurements) -> int:
     """Number of frames by which the readings come too late; negative: too early, 0: neither.
 
     The contacts that a taxel responds to, weighted by the square of its pressure above that at
-    rest, spread least at the true delay. A few touches do not show it:
-    the two or three readings of a taxel may spread less at others by chance.
+    rest, spread least at the true delay. A few touches do not show it: the two or three readings of
+    a taxel may spread less at others by chance.
     """
     if not data.counts.any() or np.median(data.counts[data.counts > 0]) < MIN_READINGS:
         return 0
     weight, n = np.maximum(data.pressure - data.rest[data.taxel], 0.0) ** 2, len(data.ids)
 
-    def spread(frames: int) -> float:
-        row = data.contact - frames
-        inside = (row >= 0) & (row < len(data.points))
-        points, w, own = data.points[row[inside]], weight[inside], data.taxel[inside]
+    def spread(row: np.ndarray, used: np.ndarray) -> float:
+        points, w, own = data.points[row[used]], weight[used], data.taxel[used]
         total = np.bincount(own, w, n)
         mean = sums_by_group(w[:, None] * points, own, n) / np.maximum(total, 1e-300)[:, None]
         square = np.bincount(own, w * np.sum((points - mean[own]) ** 2, axis=1), n)
-        return float(np.median(square[total > 0] / total[total > 0])) if len(own) else np.inf
+        return float(np.median(square[total > 0] / total[total > 0])) if total.any() else 0.0
 
-    at = {k: spread(k) for k in range(-LATE_FRAMES, LATE_FRAMES + 1)}
+    def ratio(frames: int) -> float:
+        """Of the same readings, moved and as they are."""
+        row, used = _moved(data, -frames)
+        present = spread(data.contact, used)
+        if present == 0.0 or np.mean(used) < MIN_USED:
+            return np.inf
+        return spread(row, used) / present
+
+    at = {k: ratio(k) for k in range(-LATE_FRAMES, LATE_FRAMES + 1)}
     best = min(at, key=lambda k: at[k])
     step, least = int(np.sign(best)), at[best]
-    while abs(best) >= LATE_FRAMES and (beyond := spread(best + step)) < least:
+    while abs(best) >= LATE_FRAMES and (beyond := ratio(best + step)) < least:
         best, least = best + step, beyond
-    return best if least < LATE_GAIN * at[0] else 0
+    return best if least < LATE_GAIN else 0
 
 
 def without_delay(data: Measurements) -> Measurements:
     """The measurements with late readings at the contacts that they belong to; `delay` says by how
     many frames they were moved.
 
-    The contacts whose readings came after the last contact, or before the first, have none.
+    Readings that a pause separates from their contacts are left out. Contacts whose readings are
+    left out, or came before the first contact or after the last, have none.
     """
-    frames, m = late_frames(data), len(data.points)
+    frames = late_frames(data)
     if not frames:
         return data
-    inside = (data.contact >= frames) & (data.contact < m + frames)
+    row, inside = _moved(data, -frames)
     part = data.select(inside)
-    corrupt = data.corrupt - [frames, 0]
-    corrupt = corrupt[(corrupt[:, 0] >= 0) & (corrupt[:, 0] < m)]
-    unread = np.arange(m)[-frames:] if frames > 0 else np.arange(-frames)
-    part = replace(part, contact=part.contact - frames, corrupt=corrupt)
-    return replace(part, delay=frames, unread=unread)
+    contacts = np.arange(len(data.points))
+    unread = contacts[~_in_time(data, contacts, contacts + frames)]
+    at = data.corrupt[:, 0]
+    corrupt = (data.corrupt - [frames, 0])[_in_time(data, at, at - frames)]
+    return replace(part, contact=row[inside], corrupt=corrupt, delay=frames, unread=unread)
+
+
+def _moved(data: Measurements, frames: int) -> tuple[np.ndarray, np.ndarray]:
+    """Contact (k,) of each reading `frames` later, and whether there is one in time (k,) bool."""
+    row = data.contact + frames
+    return row, _in_time(data, data.contact, row)
+
+
+def _in_time(data: Measurements, row: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Whether contacts `other` (k,) exist, with no pause between them and the contacts `row`."""
+    there = (other >= 0) & (other < len(data.points))
+    time, frame = data.time, float(np.median(np.diff(data.time))) if len(data.time) > 1 else 0.0
+    gap = np.abs(time[np.where(there, other, row)] - time[row])
+    return np.asarray(there & (gap <= PAUSE * frame * np.maximum(np.abs(other - row), 1)))
 
 
 def displacements(data: Measurements, frames: int) -> tuple[Array, np.ndarray]:
     """How far (q, 3), m, the contact point moves in `frames` frames after that of each reading; and
     the readings (q,), rows, that have both contacts."""
-    row = data.contact + frames
-    inside = np.flatnonzero((row >= 0) & (row < len(data.points)))
-    return data.points[row[inside]] - data.points[data.contact[inside]], inside
+    row, inside = _moved(data, frames)
+    rows = np.flatnonzero(inside)
+    return data.points[row[rows]] - data.points[data.contact[rows]], rows

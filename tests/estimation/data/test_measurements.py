@@ -1,5 +1,6 @@
 """Measurements refuse recordings and beliefs that do not belong together."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -7,7 +8,7 @@ import pyarrow as pa
 import pytest
 
 from meshskin.core.errors import CalibrationError
-from meshskin.estimation.data import unit_checks
+from meshskin.estimation.data import delay, unit_checks
 from meshskin.estimation.data.gather import gather
 from meshskin.recording.recording import Recording
 
@@ -90,3 +91,27 @@ def test_late_readings_are_moved_to_their_contacts(world, frames):
     assert pairs[0] == {p for p in pairs[1] if 0 <= p[0] + frames < len(whole.time)}
     assert {p[0] for p in pairs[1] - pairs[0]} <= set(found.unread.tolist())
     assert len(found.unread) == abs(frames)
+
+
+def test_pauses_show_no_delay_and_are_not_crossed(world):
+    """Contacts one by one, at irregular times: no other contact is in time."""
+    whole = world.record()
+    time = np.cumsum(10.0 ** np.random.default_rng(0).uniform(0, 4, len(whole.time)))
+    recording = Recording(
+        whole.contacts.set_column(0, "time", pa.array(time)),
+        whole.readings.set_column(0, "time", pa.array(time[whole.reading_contact])),
+        {},
+    )
+    assert gather(recording, world.belief()).delay == 0
+
+
+def test_a_reading_beyond_a_pause_is_left_out(world):
+    data = gather(world.record(), world.belief())
+    middle = len(data.points) // 2
+    time = data.time + 100.0 * (np.arange(len(data.points)) >= middle)
+    frames = 2
+    with_pause = dataclasses.replace(data, time=time)
+    row, inside = delay._moved(with_pause, -frames)
+    crosses = (data.contact >= middle) & (row < middle)
+    assert crosses.any()
+    np.testing.assert_array_equal(inside, (row >= 0) & ~crosses)
