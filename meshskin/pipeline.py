@@ -328,7 +328,6 @@ def _write_report(
         demonstration=result.demonstration,
         metrics=result.metrics,
         seconds=seconds,
-        budget=result.budget,
         provenance=provenance(scene=result.scene.name, seed=seed),
         progress=progress,
     )

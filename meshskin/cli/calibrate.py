@@ -101,7 +101,6 @@ def _calibrated(options: argparse.Namespace, progress: Progress | None) -> tuple
         recording.save(options.out / "recording")
     if given.kinematics is not None:
         metrics["kinematics"] = given.kinematics
-    validation = None
     if options.cross_validate is not None:
         validation = found.cross_validate(recording, options.cross_validate, belief, progress)
         metrics["cross_validation"] = validation.metrics()
@@ -112,7 +111,6 @@ def _calibrated(options: argparse.Namespace, progress: Progress | None) -> tuple
         metrics=metrics,
         seconds=found.seconds,
         provenance=provenance(recording=str(options.recording)),
-        validation=validation,
         progress=progress,
     )
     metrics["seconds"] = {**found.seconds, "all": perf_counter() - clock}

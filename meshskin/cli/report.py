@@ -64,9 +64,6 @@ def command(options: argparse.Namespace) -> int:
             seconds=metrics.get("seconds"), progress=progress, **truth,
         )  # fmt: skip
     if not options.quiet:
-        for key, what in (("cross_validation", "held-out contacts"), ("budget", "error budget")):
-            if key in metrics:
-                missing.append(f"{what}: only in metrics.json")
         print(f"{folder / 'report.html'}: written again")
         for line in missing:
             print(f"  left out         {line}")
@@ -109,7 +106,8 @@ def _body(options: argparse.Namespace, inputs: dict[str, Any]) -> Any:
     given = options
     if options.body is None:
         given = argparse.Namespace(**{name: inputs.get(name) for name in body_options.NAMES})
-        given.body, given.folder = inputs.get("body"), [Path(f) for f in inputs.get("folder") or ()]
+        given.body, given.export = inputs.get("body"), ""  # a mesh's link is the frame of the map
+        given.folder = [Path(f) for f in inputs.get("folder") or ()] or None
         if given.body is None:
             raise ConfigError("it is not known which one it was", remedy="give --body or --scene")
     return body_options.load(Path(given.body), given)

@@ -15,12 +15,10 @@ from .plane import MM, Plane, tangent_plane
 
 if TYPE_CHECKING:
     from ..estimation.calibration import Calibration
-    from ..estimation.cross_validation import CrossValidation
     from ..estimation.demonstration import Demonstration
     from ..geometry.body import Body
     from ..recording.recording import Recording
     from ..skin.skin import Skin
-    from ..study.sensitivity.budget import BudgetReport
 
 METHOD_NAMES = {
     "joint": "joint maximum likelihood",
@@ -108,11 +106,7 @@ class ReportData:
     seconds: Mapping[str, float] = field(default_factory=dict)
     """Seconds of each stage of the run."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    budget: BudgetReport | None = None
-    """The decisions of an error budget, if there was one."""
     body: Body | None = None
-    validation: CrossValidation | None = None
-    """Contacts that were held out and localised, if they were."""
 
     @cached_property
     def methods(self) -> Mapping[str, Calibration]:

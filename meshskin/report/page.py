@@ -91,18 +91,17 @@ def report(
     from .sections import content
 
     started = perf_counter()
+    parts = {"budget": budget, "cross_validation": validation}
     data = ReportData(
         calibration,
         recording,
         truth,
         comparisons or {},
         demonstration,
-        metrics or {},
+        {key: part.metrics() for key, part in parts.items() if part} | dict(metrics or {}),
         seconds or {k: v for k, v in calibration.seconds.items() if k != "total"},
         provenance or calibration.provenance,
-        budget,
         body,
-        validation,
     )
     path = Path(path)
     stage = Stage(progress, "report", len(DRAWN) + 1)

@@ -195,10 +195,11 @@ def _accuracy_time(data: ReportData, pictures: Sequence[SavedFigure]) -> list[st
 
 def budget(data: ReportData) -> dict[str, list[str]]:
     """The section about the decisions of an error budget, if there was one."""
-    if data.budget is None:
+    found = data.metrics.get("budget", {})
+    if "table" not in found:
         return {}
-    header, rows = data.budget.table()
-    blocks = [paragraphs(*data.budget.summary()), table(header, rows, numeric=(2, 3))]
+    header, rows = found["table"]
+    blocks = [paragraphs(*found["summary"]), table(header, rows, numeric=(2, 3))]
     return {"Error budget: simulated and neglected effects": blocks}
 
 

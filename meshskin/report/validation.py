@@ -14,9 +14,9 @@ TITLE = "Held-out contacts"
 
 def sections(data: ReportData) -> dict[str, list[str]]:
     """The section about contacts that were held out, if there was a cross-validation."""
-    if data.validation is None:
+    m = data.metrics.get("cross_validation")
+    if m is None:
         return {}
-    m = data.validation.metrics()
     if not m["localized"]:
         return {TITLE: [paragraphs("No held-out contact was read by three taxels.")]}
     rows = [

@@ -244,7 +244,8 @@ def test_held_out_contacts_have_a_section(case: SimpleNamespace, tmp_path: Path)
         readings=np.array([4, 4, 0]),
         pitch=4.2e-3,
     )
-    text = " ".join(write_text(case, tmp_path, truth=None, validation=validation).text.split())
+    metrics = {"cross_validation": validation.metrics()}
+    text = " ".join(write_text(case, tmp_path, truth=None, metrics=metrics).text.split())
     assert "maximum likelihood 0.500 0.500" in text
     assert "centroid of the taxels that read 1.73 1.73" in text
     assert "2 of 3 contacts" in text

@@ -103,10 +103,11 @@ def test_the_report_prints_as_a_table(report):
 
 
 def test_the_budget_is_a_section_of_the_report_of_a_run(report):
-    ((text, table),) = sections.budget(SimpleNamespace(budget=report)).values()
+    data = SimpleNamespace(metrics={"budget": report.metrics()})
+    ((text, table),) = sections.budget(data).values()
     assert text == paragraphs(*report.summary())
     assert table.count("<tr>") == 1 + len(report.entries)
-    assert sections.budget(SimpleNamespace(budget=None)) == {}
+    assert sections.budget(SimpleNamespace(metrics={})) == {}
 
 
 @pytest.mark.slow

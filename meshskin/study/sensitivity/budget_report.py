@@ -148,6 +148,8 @@ class BudgetReport(Card, Tabular):
             "times_faster": self.check.faster,
             "on": {e.name: e.setting for e in self.entries if e.on},
             "off_mm": {e.name: 1e3 * e.shift for e in self.entries if not e.on},
+            "summary": list(self.summary()),
+            "table": [list(part) for part in self.table()],
         }
 
     def table(self) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
