@@ -95,7 +95,7 @@ def _calibrated(options: argparse.Namespace, progress: Progress | None) -> tuple
     found.save(options.out / "calibration")
     if given.robot is not None:
         given.robot.save(options.out / CORRECTED)
-    exported = [] if export is None else [export.write(found)]
+    exported = [] if export is None else [export.write(found, given.mount)]
     metrics = assess(found, recording) | {"inputs": belief_options.inputs(options)}
     if options.map is not None:
         recording.save(options.out / "recording")

@@ -14,6 +14,7 @@ from ..core.se3 import from_rpy, transform
 from . import body_options
 
 if TYPE_CHECKING:
+    from ..core.arrays import Array
     from ..estimation.calibration import Calibration
 
 URDF_FORMATS = ("urdf", "urdf_tactile")
@@ -89,12 +90,13 @@ class Export:
             _whose(options, of_urdf),
         )  # fmt: skip
 
-    def write(self, found: Calibration) -> str:
+    def write(self, found: Calibration, mount: Array | None = None) -> str:
         """Write the determined taxels; returns what was written where, for the summary.
 
+        mount: pose (4, 4), m, of the body in the frame of its link, where it was estimated.
         Raises CalibrationError where none is determined, SkinError, OutputError.
         """
-        skin = found.skin
+        skin = found.skin if mount is None else found.skin.moved(mount)
         if self.pose is not None:
             skin = skin.moved(transform(from_rpy(np.array(self.pose[3:])), self.pose[:3]))
         frame = self.frame or found.frame

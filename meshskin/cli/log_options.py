@@ -16,6 +16,7 @@ from ..core.errors import ConfigError
 from .belief_options import belief_of
 
 if TYPE_CHECKING:
+    from ..core.arrays import Array
     from ..core.progress import Progress
     from ..estimation.calibration import Calibration
     from ..estimation.kinematics.calibrate_log import LogCalibration
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 JOINT_OPTIONS = ("carrier", "robot_unknown")
 """Options that only joint angles need."""
 CORRECTED = "corrected.urdf"
-"""File of the robot with the estimated offsets of its joints."""
+"""File of the robot with what was estimated of it."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -65,7 +66,9 @@ class FromLog:
     found: Calibration | None = None
     """The calibration, where contacts follow from joint angles."""
     robot: Robot | None = None
-    """The robot with the estimated offsets of its joints, likewise."""
+    """The robot with what was estimated of it, likewise."""
+    mount: Array | None = None
+    """Pose (4, 4), m, of the calibration's body in the frame of its link, likewise."""
     log: SkinLog | None = None
     """The log on one clock, of --map."""
     kinematics: dict[str, Any] | None = None
@@ -99,6 +102,7 @@ def from_log(options: argparse.Namespace, progress: Progress | None = None) -> F
         lines,
         found.calibration,
         robot,
+        found.mount,
         frames.skin_log,
         found.metrics(),
     )
@@ -128,7 +132,7 @@ def _check(options: argparse.Namespace) -> None:
 def _calibrate_joints(
     options: argparse.Namespace, log: SkinLog, belief: Belief, progress: Progress | None
 ) -> tuple[LogCalibration, Robot]:
-    """The calibration by joint angles, and the robot with the estimated offsets of its joints."""
+    """The calibration by joint angles, and the robot with what was estimated of it."""
     from ..estimation.kinematics.calibrate_log import calibrate_log
     from ..robot.contact_kinematics import SIGMAS, USUAL
     from ..robot.robot import Robot
@@ -140,8 +144,7 @@ def _calibrate_joints(
     centre = 1e-3 * np.array(options.indenter_mm)
     kinematics = robot.contact_kinematics(options.link, centre, options.carrier, unknown=unknown)
     found = calibrate_log(log, kinematics, belief, progress)
-    offsets = {name: value for name, (value, _) in found.joint_offsets.items()}
-    return found, robot.with_joint_offsets(offsets)
+    return found, found.corrected(robot, options.link)
 
 
 def _lines(found: LogCalibration) -> list[str]:

@@ -144,6 +144,13 @@ class ContactKinematics(NamedFields):
         """The entry of a scalar unknown in s (K,); 0 if it is not declared."""
         return float(s[self.columns[name]][0]) if name in self.columns else 0.0
 
+    def mount_at(self, s: Array) -> Array:
+        """T_link_body (4, 4) with the unknowns s (K,)."""
+        if "mount" not in self.columns:
+            return self.mount
+        shift, turn = np.split(s[self.columns["mount"]], 2)
+        return np.asarray(self.mount @ transform(exp_so3(turn), shift))
+
     def centres(self, path: JointPath, time: Array, s: Array) -> tuple[Array, Array]:
         """The indenter's centres (m, 3), body frame, m, at times (m,), s, with the unknowns s (K,),
         and their derivatives (m, 3, K).
@@ -156,10 +163,7 @@ class ContactKinematics(NamedFields):
         held = self.chain.with_tip(transform(np.eye(3), point))
         poses = held.poses(angles + joints)
         by_joint = held.jacobian(angles + joints)[:, :3]
-        mount = self.mount
-        if "mount" in self.columns:
-            shift, turn = np.split(s[self.columns["mount"]], 2)
-            mount = mount @ transform(exp_so3(turn), shift)
+        mount = self.mount_at(s)
         back = mount[:3, :3].T
         centre = (poses[:, :3, 3] - mount[:3, 3]) @ back.T
         slopes = np.zeros((len(centre), 3, len(s)))
@@ -171,7 +175,9 @@ class ContactKinematics(NamedFields):
         if "clock_offset" in self.columns:
             slopes[:, :, self.columns["clock_offset"]] = -by_joint @ rates[:, :, None]
         if "mount" in self.columns:
-            slopes[:, :, self.columns["mount"]] = self._by_mount(centre, turn)
+            slopes[:, :, self.columns["mount"]] = self._by_mount(
+                centre, s[self.columns["mount"]][3:]
+            )
         return centre, slopes
 
     def _by_mount(self, centre: Array, turn: Array) -> Array:

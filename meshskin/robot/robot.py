@@ -14,13 +14,14 @@ from ..core.arguments import check_array, check_name, check_path, check_real, ch
 from ..core.arrays import Array
 from ..core.atomic_io import write_text
 from ..core.errors import ArmError
-from ..core.se3 import inverse, transform
+from ..core.se3 import inverse, is_rigid, transform
 from ..core.value import Value
 from ..geometry.body import Body
 from ..skin.skin import Skin
 from .chain import Chain, ChainJoint
 from .contact_kinematics import USUAL, ContactKinematics
-from .urdf import Joint, UrdfTree, rotation, with_moved_zeros
+from .urdf import Joint, UrdfTree, rotation
+from .urdf_edit import with_moved_shapes, with_moved_zeros
 
 TURNING, SLIDING = ("revolute", "continuous"), ("prismatic",)
 
@@ -142,7 +143,22 @@ class Robot(Value):
             by = self.tree.resolve_mimic(joint)
             if joint.kind in TURNING + SLIDING and by.joint in offsets:
                 moved[joint.name] = joint, by.multiplier * float(offsets[by.joint])
-        text = with_moved_zeros(self.text, moved)
+        return self._with_text(with_moved_zeros(self.text, moved))
+
+    def with_moved_shapes(self, link: str, pose: ArrayLike, scale: float = 1.0) -> Robot:
+        """This robot with a link's visual and collision shapes elsewhere; its frame stays.
+
+        The shapes are scaled about the origin of the link's frame, then moved by `pose` (4, 4), m.
+        Raises UnknownNameError, ArmError.
+        """
+        check_name("link", link, self.links)
+        check_real("scale of shapes", scale, above=0.0, error=ArmError)
+        if not is_rigid(pose):
+            raise ArmError("pose of shapes must be a rigid transform (4, 4)", value=pose)
+        moved = with_moved_shapes(self.text, link, np.asarray(pose), scale, self.tree.where)
+        return self._with_text(moved)
+
+    def _with_text(self, text: str) -> Robot:
         return replace(self, text=text, tree=UrdfTree(text, self.tree.where))
 
     def save(self, path: str | Path) -> None:

@@ -10,9 +10,8 @@ from __future__ import annotations
 import copy
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
-from xml.parsers import expat
 
 import casadi as ca
 import numpy as np
@@ -20,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from ..core.arrays import Array
 from ..core.errors import ArmError, UnknownNameError
-from ..core.se3 import exp_so3, from_rpy, to_rpy
+from ..core.se3 import from_rpy
 
 
 @dataclass(frozen=True)
@@ -190,49 +189,6 @@ class UrdfTree:
             ET.SubElement(joint, "axis", xyz=numbers(j.axis))
             ET.SubElement(joint, "limit", lower="0", upper="0", effort="0", velocity="0")
         return ET.tostring(robot, encoding="unicode")
-
-
-def with_moved_zeros(urdf: str, joints: Mapping[str, tuple[Joint, float]]) -> str:
-    """URDF text in which joints are, at zero, where they were at other positions, rad or m.
-
-    joints: each of them by name, with that position. Only the tags of their origins are changed.
-    """
-    source = urdf.encode()
-    for at, name, is_origin in reversed(_origin_tags(source)):
-        if name not in joints:
-            continue
-        joint, position = joints[name]
-        turn, xyz = rotation(joint.rpy), joint.xyz
-        if joint.kind == "prismatic":
-            xyz = xyz + turn @ (position * joint.axis)
-        else:
-            turn = turn @ exp_so3(position * joint.axis)
-        end = source.index(b">", at) + 1
-        tag = f'<origin xyz="{numbers(xyz)}" rpy="{numbers(to_rpy(turn))}"'.encode()
-        if is_origin:
-            closed = source[at:end].endswith(b"/>")
-            source = source[:at] + tag + (b"/>" if closed else b">") + source[end:]
-        else:
-            source = source[:end] + tag + b"/>" + source[end:]
-    return source.decode()
-
-
-def _origin_tags(source: bytes) -> list[tuple[int, str, bool]]:
-    """Where the tag of each joint's origin begins, or that of the joint where it has none; the
-    joint's name; and whether it has one."""
-    parser, path, found = expat.ParserCreate("utf-8"), list[str](), list[tuple[int, str, bool]]()
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        path.append(tag)
-        if path == ["robot", "joint"]:
-            found.append((parser.CurrentByteIndex, attributes.get("name", ""), False))
-        elif path == ["robot", "joint", "origin"]:
-            found[-1] = parser.CurrentByteIndex, found[-1][1], True
-
-    parser.StartElementHandler = start
-    parser.EndElementHandler = lambda _: path.pop()
-    parser.Parse(source, True)
-    return found
 
 
 def vector(element: ET.Element | None, key: str, default: str, size: int, where: str) -> Array:

@@ -20,6 +20,7 @@ from ...core.arrays import Array
 from ...core.errors import CalibrationError, warn_left_out
 from ...core.notebook import Card
 from ...core.progress import Progress
+from ...core.se3 import inverse
 from ...core.value import Value
 from ...geometry.body import Body
 from ...recording.log_contacts import contact_frames, joint_path, recording_of
@@ -36,6 +37,8 @@ from .joint_residuals import JointResidual, joint_residuals
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from ...robot.robot import Robot
 
 MAX_ROUNDS = 5
 """Largest number of times that contacts are computed anew; two or three are usual."""
@@ -103,6 +106,28 @@ class LogCalibration(Value, Card):
         names = self.kinematics.chain.joint_names
         labels = {name: f"joint_offset {name}" for name in names}
         return {n: self.unknowns[label] for n, label in labels.items() if label in self.unknowns}
+
+    @property
+    def mount(self) -> Array:
+        """Estimated T_link_body (4, 4)."""
+        return self.kinematics.mount_at(self._values)
+
+    @property
+    def _values(self) -> Array:
+        return np.array([value for value, _ in self.unknowns.values()])
+
+    def corrected(self, robot: Robot, link: str) -> Robot:
+        """The robot with its joints' offsets, and with the shapes of the `link` that carries the
+        body at the estimated mount and size. Raises UnknownNameError, ArmError."""
+        offsets = {name: value for name, (value, _) in self.joint_offsets.items()}
+        robot = robot.with_joint_offsets(offsets)
+        if not {"mount", "mesh_scale"} & self.kinematics.columns.keys():
+            return robot
+        scale = float(np.exp(self.kinematics.value("mesh_scale", self._values)))
+        pose = self.mount @ inverse(self.kinematics.mount)
+        # the body is scaled about the origin of its own frame, the shapes about that of the link's
+        pose[:3, 3] = self.mount[:3, 3] - scale * pose[:3, :3] @ self.kinematics.mount[:3, 3]
+        return robot.with_moved_shapes(link, pose, scale)
 
     def metrics(self) -> dict[str, Any]:
         """Heights of the contacts and residuals by joint as JSON values."""
