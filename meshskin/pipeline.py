@@ -11,8 +11,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from time import process_time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +18,14 @@ import numpy as np
 from .core import arrow
 from .core.arguments import check_integer
 from .core.atomic_io import check_folder, write_json
-from .core.deadline import Deadline, check_run_seconds
+from .core.deadline import (
+    FIGURE_SECONDS,
+    IMPORT_SECONDS,
+    LEAST_SECONDS,
+    REPORT_SECONDS,
+    Deadline,
+    check_run_seconds,
+)
 from .core.errors import CalibrationError, GraphError, OutOfTime
 from .core.progress import Progress, Stage
 from .core.provenance import StageTimer, provenance
@@ -45,9 +50,6 @@ RESULTS = (
     "calibration.parquet", "calibration.csv", "metrics.json", "report.html", "corrected.urdf",
 )  # fmt: skip
 """Files that a calibration writes; those of an earlier recording are removed."""
-MAPS = 16
-"""Processor time of a report in units of the time of one map of the estimates (measured on the
-shipped scenes; it predicts the time of a request)."""
 
 
 @dataclass(frozen=True)
@@ -84,29 +86,31 @@ def run(
     """Simulate, calibrate and report a scene; write all files into `folder`.
 
     name: shipped scene or TOML file; request: an accuracy or a time, for which a pilot run chooses
-    the settings (the metrics hold its prediction). A time is a deadline: methods of comparison that
-    do not fit are left out and named, and where the chosen run does not fit, the pilot's is the
-    result. budget: taxel error, m, that may be neglected, in place of the scene's own: `ms.budget`
-    then chooses the effects. watch: called once the recording is calibrated; its time counts for no
-    stage. timer: started before, so that its time counts, too. Raises StudyError for a time that
-    even the pilot run does not fit in, and other MeshskinErrors that name the value, the limit and
-    the remedy.
+    the settings (the metrics hold its prediction). A time is a deadline: methods of comparison and
+    figures that do not fit are left out and named, and where the chosen run does not fit, the
+    pilot's is the result. budget: taxel error, m, that may be neglected, in place of the scene's
+    own: `ms.budget` then chooses the effects. watch: called once the recording is calibrated; its
+    time counts for no stage. timer: started before, so that its time counts, too. Raises StudyError
+    for a time that even the pilot run does not fit in, where it can before that run, and other
+    MeshskinErrors that name the value, the limit and the remedy.
     """
     from .study.sensitivity.budget import budget as apply_budget
     from .study.sensitivity.choice import choose
+    from .study.sensitivity.first_run import least_seconds
 
     check_integer("seed", seed, least=0)
     folder, timer = Path(folder), timer or StageTimer()
     asked = math.inf if request is None or request.seconds is None else request.seconds
     deadline = Deadline(asked, timer.start)
-    check_run_seconds(asked)
+    check_run_seconds(asked, deadline.least(LEAST_SECONDS - IMPORT_SECONDS))
     with timer.stage("load"):
         Stage(progress, "plan")  # goes on, and ends, in `simulate`
         scene = Scene.load(name)
         if budget is not None:
             scene = scene.with_(budget=budget)
         check_folder(folder)
-        check_run_seconds(asked, deadline.spent[0] + deadline.spent[1])
+        if math.isfinite(asked) and scene.indenter.carried_by is None:
+            check_run_seconds(asked, deadline.least(least_seconds(scene)))
     decided = None
     if scene.budget is not None:
         with timer.stage("budget"):
@@ -115,8 +119,7 @@ def run(
     choice = None
     if request is not None:
         with timer.stage("pilot"):
-            drawing = _report_time(scene)
-            choice = choose(scene, request, METHODS, drawing, seed, deadline, progress)
+            choice = choose(scene, request, METHODS, seed, deadline, progress)
     done = None
     if choice is None or choice.measured is not None:
         with suppress(OutOfTime):
@@ -127,18 +130,17 @@ def run(
         done = _first(choice, folder)
     scene, recording, calibration = done.scene, done.recording, done.calibration
     calibration.save(folder / "calibration")
-    reserve = 0.0 if choice is None else choice.first.report_seconds
     if watch is not None:
         watched = Stage(progress, "live")
         watch(scene, recording, calibration)
         watched.end()
     with timer.stage("compare"):
         seconds = (lambda _: 0.0) if choice is None else choice.seconds
-        comparison = compare_methods(done.estimation, progress, deadline, reserve, seconds)
+        comparison = compare_methods(done.estimation, progress, deadline, REPORT_SECONDS, seconds)
         demonstration = None
         # where taxels share too few contacts, or the time is used up
         with suppress(CalibrationError, GraphError, OutOfTime):
-            deadline.check(reserve)
+            deadline.check(REPORT_SECONDS)
             demonstration = demonstrate(scene.skin.poses, scene.skin.ids, recording, seed)
     with timer.stage("metrics"):
         force = _force(recording, scene)
@@ -157,7 +159,10 @@ def run(
         scene, recording, calibration, comparison.found, demonstration, force, metrics, decided
     )
     with timer.stage("report"):
-        _write_report(result, folder, seed, timer.seconds, progress)
+        left_out = _write_report(
+            result, folder, seed, timer.seconds, deadline.hook(progress, FIGURE_SECONDS)
+        )
+        metrics["figures_left_out"] = left_out
     if choice is not None:
         choice.record["came_to"] = {
             "error_mm": metrics["position_error_mm"]["mean"],
@@ -196,11 +201,10 @@ def _simulated(
     """
     from .exploration.plan import plan_exploration
 
-    path, tolerance, reserve, later = None, NEWTON_TOLERANCE, 0.0, 0.0
+    path, tolerance, later = None, NEWTON_TOLERANCE, REPORT_SECONDS
     if choice is not None:
         scene, path, tolerance = choice.scene, choice.path, choice.tolerance
-        reserve = choice.first.report_seconds
-        later = reserve + choice.seconds("joint")
+        later += choice.seconds("joint")
     with timer.stage("simulate"):
         if scene.indenter.carried_by is not None:
             plan = plan_exploration(scene)
@@ -214,7 +218,7 @@ def _simulated(
         tolerance = tolerance if decided is None else decided.tolerance
         estimation = Estimation(recording, belief)
         calibration = estimation.calibrate(
-            tolerance=tolerance, progress=deadline.hook(progress, reserve)
+            tolerance=tolerance, progress=deadline.hook(progress, REPORT_SECONDS)
         )
     return _Calibrated(scene, belief, recording, estimation, calibration)
 
@@ -226,21 +230,6 @@ def _first(choice: Choice, folder: Path) -> _Calibrated:
     remove_results(folder)
     estimation = Estimation(first.recording, belief)
     return _Calibrated(first.scene, belief, first.recording, estimation, first.calibration)
-
-
-def _report_time(scene: Scene) -> Callable[[Calibration], float]:
-    """A function that predicts the processor seconds of a report from those of one map."""
-    from .report import maps, theme
-    from .report.data import ReportData
-
-    def drawing(found: Calibration) -> float:
-        for _ in range(2):  # the first one loads matplotlib
-            begin = process_time()
-            with TemporaryDirectory() as place:
-                theme.save(maps.estimates(ReportData(found, truth=scene.skin)), place, "map")
-        return MAPS * (process_time() - begin)
-
-    return drawing
 
 
 def _force(recording: Recording, scene: Scene) -> ForceResponse:
@@ -313,21 +302,21 @@ def _write_report(
     folder: Path,
     seed: int,
     seconds: dict[str, float],
-    progress: Progress | None,
-) -> None:
-    """Write the report page and the figures."""
-    from .report.page import report
+    progress: Progress,
+) -> list[str]:
+    """Write the report page and the figures; returns the names of those left out."""
+    from .report.data import ReportData
+    from .report.page import draw
 
-    report(
-        folder / "report.html",
-        body=result.scene.body,
-        calibration=result.calibration,
-        recording=result.recording,
-        truth=result.scene.skin,
-        comparisons=result.comparisons,
-        demonstration=result.demonstration,
-        metrics=result.metrics,
-        seconds=seconds,
-        provenance=provenance(scene=result.scene.name, seed=seed),
-        progress=progress,
+    data = ReportData(
+        result.calibration,
+        result.recording,
+        result.scene.skin,
+        result.comparisons,
+        result.demonstration,
+        result.metrics,
+        seconds,
+        provenance(scene=result.scene.name, seed=seed),
+        result.scene.body,
     )
+    return draw(folder / "report.html", data, progress)[1]

@@ -147,7 +147,11 @@ def summary(result: Result, folder: Path) -> str:
         )
     if m["left_out"]:
         lines.append(f"  not compared       no time for {', '.join(m['left_out'])}")
+    if m["figures_left_out"]:
+        lines.append(f"  not drawn          no time for {', '.join(m['figures_left_out'])}")
     left_out = Counter(result.recording.metadata.get("unreachable", {}).values())
+    if m["left_out"] or m["figures_left_out"]:
+        lines.append(f"  to add them        meshskin report {folder}")
     lines += [f"  not reached        {n} taxels: {why}" for why, n in left_out.most_common()]
     lines += [
         "  not determined     " + m["undetermined"],

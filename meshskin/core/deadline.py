@@ -11,8 +11,11 @@ from .progress import Progress
 
 LEAST_SECONDS = 2.0
 """Least time, s, of a run: packages, the smallest body and the report alone take as long."""
-REPORT_SECONDS = 2.0
-"""Usual processor time, s, of a report (docs, speed), where it is not measured yet."""
+IMPORT_SECONDS = 0.9
+"""The part of it, s, that the packages take."""
+REPORT_SECONDS, PAGE_SECONDS, FIGURE_SECONDS = 2.0, 0.3, 0.8
+"""Usual processor time, s, of a report with all figures (docs, speed), of metrics and a page
+without figures, and of a page with the first one, for which the drawing library is loaded."""
 
 
 def check_run_seconds(seconds: float, least: float = LEAST_SECONDS) -> None:
@@ -51,6 +54,10 @@ class Deadline:
         takes the rest."""
         wall, processor = self.spent
         return max(wall / max(processor, 1e-9), 1.0)
+
+    def least(self, processor: float) -> float:
+        """Wall time, s, from the beginning to the end of work that needs `processor` seconds."""
+        return self.spent[0] + processor * self.slowdown
 
     def check(self, processor: float = 0.0) -> None:
         """Raise OutOfTime unless there is time for work of `processor` seconds."""

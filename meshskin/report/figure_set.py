@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core import arrow
-from ..core.progress import Stage
+from ..core.errors import OutOfTime
+from ..core.progress import Progress, Stage
 from ..simulation.response import CONTROLLED_PHASES, force_response
 from . import curves, learned_response, maps, precision, theme
 from .data import ReportData
@@ -26,13 +28,22 @@ ACCURACY_TIME = "accuracy_time"
 """Name of the figure that has a section of its own."""
 
 
-def draw_figures(folder: Path, data: ReportData, stage: Stage) -> list[SavedFigure]:
-    """Draw and save every figure that the data allow, in the order of the page."""
-    pictures = []
-    for draw in DRAWN:
-        pictures.append(draw(folder, data))
-        stage.step()
-    return [picture for picture in pictures if picture is not None]
+def draw_figures(
+    folder: Path, data: ReportData, progress: Progress | None
+) -> tuple[list[SavedFigure], list[str]]:
+    """Draw and save every figure that the data allow, in the order of the page.
+
+    Those after which `progress` raises OutOfTime are the last ones: the names of the others come
+    second.
+    """
+    pictures: list[SavedFigure | None] = []
+    with suppress(OutOfTime):
+        stage = Stage(progress, "report", len(DRAWN))
+        for draw in DRAWN:
+            pictures.append(draw(folder, data))
+            stage.step()
+    left_out = [draw.__name__.replace("_", " ") for draw in DRAWN[len(pictures) :]]
+    return [picture for picture in pictures if picture is not None], left_out
 
 
 def _save(

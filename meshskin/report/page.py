@@ -12,7 +12,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from ..core.atomic_io import write_text
-from ..core.progress import Progress, Stage
+from ..core.progress import Progress
 from . import markup
 from .markup import Content
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from ..recording.recording import Recording
     from ..skin.skin import Skin
     from ..study.sensitivity.budget import BudgetReport
+    from .data import ReportData
 
 
 def write(path: str | Path, content: Content) -> Path:
@@ -87,10 +88,7 @@ def report(
     Returns the paths written, the page first. Raises OutputError if a file cannot be written.
     """
     from .data import ReportData
-    from .figure_set import DRAWN, draw_figures
-    from .sections import content
 
-    started = perf_counter()
     parts = {"budget": budget, "cross_validation": validation}
     data = ReportData(
         calibration,
@@ -103,10 +101,25 @@ def report(
         provenance or calibration.provenance,
         body,
     )
-    path = Path(path)
-    stage = Stage(progress, "report", len(DRAWN) + 1)
-    pictures = draw_figures(path.parent / "figures", data, stage)
-    data = replace(data, seconds={**data.seconds, "figures": perf_counter() - started})
+    return draw(Path(path), data, progress)[0]
+
+
+def draw(
+    path: Path, data: ReportData, progress: Progress | None = None
+) -> tuple[list[Path], list[str]]:
+    """Write the page and its figures; the figures left out where `progress` raises OutOfTime.
+
+    Returns the paths written, and the names of the figures left out.
+    """
+    from .figure_set import draw_figures
+    from .sections import content
+
+    started = perf_counter()
+    pictures, left_out = draw_figures(path.parent / "figures", data, progress)
+    data = replace(
+        data,
+        seconds={**data.seconds, "figures": perf_counter() - started},
+        metrics={**data.metrics, "figures_left_out": left_out},
+    )
     write(path, content(data, pictures))
-    stage.end()
-    return [path, *(file for picture in pictures for file in picture.files)]
+    return [path, *(file for picture in pictures for file in picture.files)], left_out

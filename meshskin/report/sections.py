@@ -27,6 +27,7 @@ SHOWN_ELSEWHERE = (
     "scene",
     "budget",
     "left_out",
+    "figures_left_out",
     "undetermined",
     "modulus_pa",
     "modulus_sigma_pa",
@@ -181,6 +182,9 @@ def _accuracy_time(data: ReportData, pictures: Sequence[SavedFigure]) -> list[st
     if left_out := data.metrics.get("left_out"):
         words = ", ".join(map(method_name, left_out))
         blocks.append(paragraphs(f"Not compared, because there was no time: {words}."))
+    if left_out := data.metrics.get("figures_left_out"):
+        words = ", ".join(left_out)
+        blocks.append(paragraphs(f"Not drawn, because there was no time: {words}."))
     bound = data.bound_mm or None
     rows = []
     for name, seconds in data.method_seconds.items():

@@ -10,7 +10,9 @@ from meshskin.core.deadline import Deadline, check_run_seconds
 from meshskin.core.errors import OutOfTime, StudyError
 from meshskin.estimation.calibrate import Estimation
 from meshskin.estimation.comparison import METHODS, compare_methods
-from meshskin.study.sensitivity import choice
+from meshskin.report import page
+from meshskin.report.data import ReportData
+from meshskin.study.sensitivity import choice, first_run
 from meshskin.study.sensitivity.request import Request
 
 
@@ -69,7 +71,50 @@ def test_a_first_run_that_takes_all_the_time_is_refused(noisy):
     with pytest.raises(
         StudyError, match="got 100 s, limit: a first run on wide lanes takes longer"
     ):
-        choice.choose(noisy, request, METHODS, lambda _: 0.0, 0, ends_in(-1.0))
+        choice.choose(noisy, request, METHODS, 0, ends_in(-1.0))
+
+
+def test_the_time_of_a_first_run_is_bounded_by_the_size_of_the_skin(noisy):
+    """Measured on this scene: 1.3 s of processor time; on twelve times the taxels at least 20 s."""
+    assert 0.5 < first_run.least_seconds(noisy) < 1.3
+    skin = noisy.skin.cover(noisy.body, spacing=5e-3, count=1000)
+    assert 10.0 < first_run.least_seconds(noisy.with_(skin=skin)) < 20.0
+    calm = ends_in(10.0)
+    assert calm.least(5.0) == pytest.approx(105.0, abs=0.2)
+    assert ends_in(10.0, slowdown=4.0).least(5.0) == pytest.approx(120.0, abs=2.0)
+
+
+def test_a_first_run_ends_as_soon_as_its_pace_is_known(noisy, monkeypatch):
+    """A loop of 100 s, of which a tenth has passed: not after half of it, when the time is over."""
+    seen = []
+
+    def slow(scene, machine, path, progress):
+        for done in range(1, 101):
+            seen.append(done)
+            clock[0] += 1.0
+            progress("simulate", done, 100)
+            yield
+
+    clock = [0.0]
+    monkeypatch.setattr(Deadline, "spent", property(lambda self: (clock[0], clock[0])))
+    monkeypatch.setattr(first_run, "run", slow)
+    with pytest.raises(OutOfTime):
+        first_run.first_run(noisy, 0, Deadline(50.0))
+    assert seen[-1] == 11
+
+
+def test_figures_that_do_not_fit_are_left_out_and_named(noisy_recording, noisy, tmp_path):
+    def late(stage, done, total):
+        if done == 3:
+            raise OutOfTime("the time is used up")
+
+    found = Estimation(noisy_recording, noisy.belief()).calibrate("centroid")
+    data = ReportData(found, truth=noisy.skin)
+    written, left_out = page.draw(tmp_path / "report.html", data, late)
+    drawn = {file.stem for file in written}
+    assert drawn == {"report", "fig5_estimates"}
+    assert left_out == ["errors", "uncertainty", "coverage", "iterations", "accuracy time"]
+    assert "Not drawn, because there was no time: errors, unc" in written[0].read_text()
 
 
 @pytest.mark.slow

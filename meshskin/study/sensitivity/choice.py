@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from ...core.deadline import Deadline
+from ...core.deadline import REPORT_SECONDS, Deadline
 from ...core.errors import OutOfTime, ReachError, StudyError
 from ...core.progress import Progress
 from ...estimation.joint.reduced_nlp import NEWTON_TOLERANCE
@@ -17,7 +17,6 @@ from .pilot import pilot
 from .request import Pilot, Prediction, Request
 
 if TYPE_CHECKING:
-    from ...estimation.calibration import Calibration
     from ...exploration.path import Path as ExplorationPath
 
 PUNCTUAL = 0.85
@@ -56,20 +55,18 @@ def choose(
     scene: Scene,
     request: Request,
     methods: Sequence[str],
-    drawing: Callable[[Calibration], float],
     seed: int,
     deadline: Deadline,
     progress: Progress | None = None,
 ) -> Choice:
-    """The settings that meet a request best. methods: run beside the joint estimate; drawing: gives
-    the processor seconds of a report.
+    """The settings that meet a request best. methods: run beside the joint estimate.
 
     Raises StudyError if no settings reach the accuracy, or if the first run takes all the time;
     ReachError if the arm cannot follow any path.
     """
     began = deadline.spent[0]
     try:
-        first = first_run(scene, drawing, seed, deadline, progress)
+        first = first_run(scene, seed, deadline, progress)
     except OutOfTime as error:
         raise StudyError(
             "the time is too short",
@@ -77,7 +74,7 @@ def choose(
             limit="a first run on wide lanes takes longer",
             remedy="give more seconds",
         ) from error
-    report = first.report_seconds * deadline.slowdown
+    report = REPORT_SECONDS * deadline.slowdown
     if deadline.left - report < WORTHWHILE * (deadline.spent[0] - began):
         return least(first, request.words, "no time is left for finer settings")
     try:

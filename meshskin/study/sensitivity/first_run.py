@@ -5,18 +5,21 @@ It is also the result of a request for a time that is too short for another run.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from ...core.deadline import REPORT_SECONDS, Deadline
-from ...core.progress import Progress, Stage
+import numpy as np
+from scipy.spatial import KDTree
+
+from ...core.deadline import PAGE_SECONDS, Deadline
+from ...core.progress import Stage
 from ...estimation.calibrate import calibrate
 from ...simulation.simulate import prepare, record_steps, run
 from .setting import Setting
 from .trial import timed
 
 if TYPE_CHECKING:
+    from ...core.progress import Progress
     from ...estimation.calibration import Calibration
     from ...exploration.path import Path as ExplorationPath
     from ...recording.recording import Recording
@@ -32,6 +35,14 @@ the expected error by 19 %."""
 WIDEST = 0.8
 """Largest spacing of lanes relative to the distance at which a taxel responds to a contact: every
 taxel must respond."""
+PER_CONTACT = 1.1e-3
+"""Least processor seconds of a first run for each contact that `least_seconds` counts: 1.1 ms
+(sphere_noisy) to 2 ms (a shank of the iCub) were measured."""
+PACED = 0.1
+"""Part of the loop from which its pace is known: the approach and the first touch are over."""
+AFTER_LOOP = 1.3
+"""Least processor time of recording and calibrating, in units of that of the loop (measured: 1.4 on
+the paper's sphere with noise, 1.5 without, 3 to 8 on other bodies)."""
 
 
 @dataclass(frozen=True)
@@ -49,40 +60,53 @@ class FirstRun:
     calibration: Calibration
     seconds: tuple[float, float]
     """Processor seconds of planning, and of running the loop."""
-    report_seconds: float
-    """Processor seconds of its report, as predicted."""
 
     def read(self, seed: int) -> Recording:
         """The recording of the steps."""
         return record_steps(self.scene, self.machine, self.path, self.steps, seed)
 
 
-def first_run(
-    scene: Scene,
-    drawing: Callable[[Calibration], float],
-    seed: int,
-    deadline: Deadline,
-    progress: Progress | None = None,
-) -> FirstRun:
-    """Run a scene on wide lanes. drawing: returns the processor seconds of a report.
-
-    Raises OutOfTime, and as `simulate` and `calibrate`.
+def least_seconds(scene: Scene) -> float:
+    """A lower bound of the processor seconds of a first run, from the size of the
+    skin: contacts on wide lanes cover a disc of its area, and a rim in which taxels still respond.
     """
+    setting, radius = Setting.of(scene), scene.rig.sensing_radius
+    lane = _widest_lanes(setting, radius).lane_spacing
+    positions = scene.skin.positions
+    nearest = KDTree(positions).query(positions, 2)[0][:, 1]
+    area = len(positions) * np.sqrt(3) / 2 * np.median(nearest) ** 2  # of a hexagonal lattice
+    disc = np.pi * (np.sqrt(area / np.pi) + radius) ** 2
+    contacts = disc / (lane * scene.exploration.speed / setting.rate)
+    return PER_CONTACT * float(contacts)
+
+
+def first_run(
+    scene: Scene, seed: int, deadline: Deadline, progress: Progress | None = None
+) -> FirstRun:
+    """Run a scene on wide lanes. Raises OutOfTime, and as `simulate` and `calibrate`."""
     base = Setting.of(scene)
     coarse = _widest_lanes(base, scene.rig.sensing_radius)
-    small, hook = coarse.scene(scene, scene.body), deadline.hook(progress, REPORT_SECONDS)
-    quiet = deadline.hook(None, REPORT_SECONDS)
+    small, hook = coarse.scene(scene, scene.body), deadline.hook(progress, PAGE_SECONDS)
+    quiet = deadline.hook(None, PAGE_SECONDS)
     stage = Stage(hook, "pilot", FIRST_STEPS + MEASURED_STEPS)
     (machine, path), preparing = timed(lambda: prepare(small))
     stage.step()
-    steps, looping = timed(lambda: list(run(small, machine, path, quiet)))
+    began = deadline.spent[1]
+
+    def looped(_: str, done: int, total: int) -> None:
+        """Raise OutOfTime as soon as the pace of the loop shows that the rest does not fit."""
+        spent, rest = deadline.spent[1] - began, 0.0
+        if done > PACED * total:
+            rest = spent * ((1 + AFTER_LOOP) * total / done - 1)
+        deadline.check(PAGE_SECONDS + rest)
+
+    steps, looping = timed(lambda: list(run(small, machine, path, looped)))
     stage.step()
     recording = record_steps(small, machine, path, steps, seed)
     found = calibrate(recording, small.belief(), progress=quiet)
     stage.step()
-    seconds = preparing, looping
-    words, report = coarse.words(base), drawing(found)
-    return FirstRun(small, coarse, words, path, machine, steps, recording, found, seconds, report)
+    words, seconds = coarse.words(base), (preparing, looping)
+    return FirstRun(small, coarse, words, path, machine, steps, recording, found, seconds)
 
 
 def _widest_lanes(base: Setting, radius: float) -> Setting:

@@ -21,7 +21,7 @@ import numpy as np
 from ...contact import BATCHED
 from ...core import arrow
 from ...core.arrays import Array
-from ...core.deadline import Deadline
+from ...core.deadline import REPORT_SECONDS, Deadline
 from ...core.errors import (
     CalibrationError,
     ConfigError,
@@ -78,7 +78,7 @@ def pilot(
     """
     base, coarse, small = Setting.of(scene), first.setting, first.scene
     (preparing, looping), recording, found = first.seconds, first.recording, first.calibration
-    hook, belief = deadline.hook(progress, first.report_seconds), small.belief()
+    hook, belief = deadline.hook(progress, REPORT_SECONDS), small.belief()
     stage = Stage(None, "pilot", FIRST_STEPS + MEASURED_STEPS)
     stage.progress, stage.done = hook, FIRST_STEPS
     _, reading = timed(lambda: first.read(seed))  # the first time takes longer
@@ -95,7 +95,7 @@ def pilot(
         base, coarse, count, len(recording.time), len(recording.pressure), bound, systematic,
         _lane_spacings(base, coarse.lane_spacing), tuple(base.rate * r for r in RATES),
         (worthwhile(tolerance_levels(recording, belief)),),
-        fixed=building + first.report_seconds,
+        fixed=building + REPORT_SECONDS,
         each_step=(preparing - building + looping) / count,
         each_contact=reading / max(len(recording.time), 1),
         estimating=(max(cost - each * len(recording.pressure), 0.0), each),
