@@ -11,7 +11,8 @@ dense samples, independent of the planner). It counts as calibrated if the taxel
 its side is; on a skin only where the skin bridges it by at most --bridge-mm.
 
 The table lists the shares: visible points that fit; fitting points that are calibrated; visible
-points that are calibrated; and the largest error of a calibrated taxel, mm.
+points that are calibrated; and the largest error of a calibrated taxel, mm. A figure beside --out
+(skinned.png) has the shares of the visible points.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ from scipy.spatial import cKDTree
 
 import meshskin as ms
 from meshskin.core.errors import MeshError, MeshskinError
+from meshskin.report import theme
+from meshskin.report.dots import dots
 
 POINTS = 1500
 """Points of a mesh."""
@@ -69,6 +72,11 @@ def main() -> int:
             fit = np.median([row["fit_calibrated"] for row in mine])
             seen = np.median([row["visible_calibrated"] for row in mine])
             print(f"median {kind}: {fit:.0%} of what fits, {seen:.0%} of what is visible")
+    shown: dict[str, dict[str, float | None]] = {}
+    for row in rows:
+        shown.setdefault(row["mesh"], {})[row["kind"]] = row.get("visible_calibrated")
+    figure = dots(shown, "share of the visible points that are calibrated")
+    theme.save(figure, options.out.parent, options.out.stem)
     return 0
 
 

@@ -1,6 +1,6 @@
 """Steps per second of the closed loop with 80 taxels read at every step, compared with MuJoCo.
 
-    OMP_NUM_THREADS=1 python studies/speed/closed_loop.py [--repeats 7] [--json FILE]
+    OMP_NUM_THREADS=1 python studies/speed/closed_loop.py [--repeats 7] [--out DIR]
 
 Explores the paper's sphere (5,120 faces) and two fine bodies (over 200,000 faces) with and without
 the arm, interpreted and compiled, and a batch of 1,000 episodes. MuJoCo (`pip install mujoco`) gets
@@ -13,14 +13,13 @@ gives the ratios of reached to required rates; the exit code is 1 if one is belo
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from time import process_time
 
 import numpy as np
+import results
 
 import meshskin as ms
 from meshskin.geometry.region import Cap
@@ -103,14 +102,18 @@ def main() -> int:
     """Measure, print, compare with what is demanded."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--repeats", type=int, default=7)
-    parser.add_argument("--json", type=Path, default=None)
+    results.add_out(parser)
     options = parser.parse_args()
     rates = measure(options.repeats)
     for name, value in rates.items():
         print(f"{name:45s} {value:12,.0f} steps/s")
     table = ratios(rates)
-    if options.json:
-        options.json.write_text(json.dumps({"rates": rates, "ratios": table}, indent=2) + "\n")
+    rows: dict[str, dict[str, float]] = {}
+    for name, value in rates.items():
+        case, _, body = name.rpartition(", ")
+        rows.setdefault(case, {})[body] = value
+    numbers = {"rates": rates, "ratios": table}
+    results.write(options.out, "closed_loop", numbers, rows, "steps per second")
     print(" | ".join(f"{name} {value:.2f}" for name, value in table.items()))
     return 0 if min(table.values()) >= 1.0 else 1
 

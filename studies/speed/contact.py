@@ -1,6 +1,6 @@
 """Errors of the contact models against reference solutions, and time per contact.
 
-    OMP_NUM_THREADS=1 python studies/speed/contact.py
+    OMP_NUM_THREADS=1 python studies/speed/contact.py [--out DIR]
 
 hertz, elliptic, layered: batches of 10,000 contacts. elliptic: compared with root finding on the
 exact equations, and with tamaas on a grid. layered: compared with the boundary elements from which
@@ -11,6 +11,7 @@ contacts per query on a torus of 20,000 faces. discs: the mean over the taxel.
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
@@ -18,6 +19,7 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
+import results
 
 from meshskin import Body, contact
 from meshskin.contact import boundary_elements, disc, ellipse, elliptic, layered, multi_contact
@@ -29,10 +31,15 @@ E_STAR = 1e6 / (1 - 0.45**2)
 
 def main() -> dict[str, float]:
     """Print the figures, one a line, and give them."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    results.add_out(parser)
+    options = parser.parse_args()
     rng = np.random.default_rng(0)
     found = batches(rng) | accuracy(rng) | fields() | discs(rng) | queries()
     for name, value in found.items():
         print(f"{name:44s} {value:10.3g}")
+    rows = {name: {"time": value} for name, value in found.items() if " us" in name}
+    results.write(options.out, "contact", found, rows, "time (us)")
     return found
 
 

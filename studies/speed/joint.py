@@ -1,7 +1,7 @@
 """The joint estimate as a function of the size of the skin: seconds and peak memory.
 
     python studies/speed/joint.py [--sizes 80 1000 10000] [--large] [--contact MODEL] [--learned]
-        [--json FILE]
+        [--out DIR]
 
 Taxels lie at random distances of about 5 mm on a sphere that grows with their number, so that the
 contact is the same at every size; 50 readings per taxel at 80 taxels, 40 above. Every size runs in
@@ -21,11 +21,11 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import results
 
 from meshskin.contact.problem import effective_modulus
 
@@ -153,7 +153,7 @@ def main() -> int:
     parser.add_argument("--one", type=int, default=None, help=argparse.SUPPRESS)
     parser.add_argument("--contact", choices=["hertz", "elliptic", "layered"], default="hertz")
     parser.add_argument("--learned", action="store_true", help="a learned response, too")
-    parser.add_argument("--json", type=Path, default=None)
+    results.add_out(parser)
     options = parser.parse_args()
     if options.one:
         print(json.dumps(measure(options.one, options.contact, options.learned)))
@@ -174,8 +174,10 @@ def main() -> int:
                   f"{ratios[1]:.2f} times the memory", flush=True)  # fmt: skip
             if any(np.array(ratios) > LEARNED_LIMITS):
                 short.append(f"{size:,} taxels, learned: limits are {LEARNED_LIMITS} times")
-    if options.json:
-        options.json.write_text(json.dumps(rows, indent=2))
+    shown = {f"{row['taxels']:,} taxels": {"contact model": row["cpu_s"]} for row in rows}
+    for row in (row for row in rows if "learned" in row):
+        shown[f"{row['taxels']:,} taxels"]["learned response"] = row["learned"]["cpu_s"]
+    results.write(options.out, "joint", rows, shown, "processor time (s)")
     print(*short, sep="\n")
     return 1 if short else 0
 

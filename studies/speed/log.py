@@ -1,6 +1,6 @@
 """Reading a large bag: processor time and peak memory of each format, and of what follows.
 
-    OMP_NUM_THREADS=1 python studies/speed/log.py [--small] [--json results.json]
+    OMP_NUM_THREADS=1 python studies/speed/log.py [--small] [--out DIR]
 
 A log is made in a temporary folder: joint states (7 joints) at 200 Hz, 1,000 taxels (float32) at
 100 Hz, wrenches at 500 Hz, and images at 1 Hz, which no map names: 20 minutes for 1 GB (--small:
@@ -16,7 +16,6 @@ their arrays in memory.
 from __future__ import annotations
 
 import argparse
-import json
 import multiprocessing
 import sys
 from collections.abc import Callable, Iterator
@@ -26,6 +25,7 @@ from time import process_time
 from typing import Any
 
 import numpy as np
+import results
 
 JOINTS, TAXELS, IMAGE = 7, 1_000, 480 * 640
 RATES = {"/joint_states": 200, "/skin": 100, "/wrench": 500, "/camera": 1}
@@ -128,7 +128,7 @@ def peak() -> float:
     return 1.024e-3 * float(status.partition("VmHWM:")[2].split()[0])
 
 
-def measure(path: str, what: str, results: Any) -> None:
+def measure(path: str, what: str, queue: Any) -> None:
     """Processor time (s), memory (MB) and size of the arrays (MB) of one step."""
     from meshskin.recording.log_map import LogMap, StreamMap
     from meshskin.recording.readers import read_log
@@ -150,16 +150,16 @@ def measure(path: str, what: str, results: Any) -> None:
         log_frames(log, log_map)
     seconds = process_time() - clock
     arrays = sum(stream.values.nbytes + stream.times.nbytes for stream in log.streams) / 1e6
-    results.put({"seconds": seconds, "memory_mb": peak() - before, "arrays_mb": arrays})
+    queue.put({"seconds": seconds, "memory_mb": peak() - before, "arrays_mb": arrays})
 
 
 def alone(path: Path, what: str) -> dict[str, Any]:
     """`measure` in a process that does nothing else."""
     context = multiprocessing.get_context("spawn")
-    results = context.Queue()
-    process = context.Process(target=measure, args=(str(path), what, results))
+    queue = context.Queue()
+    process = context.Process(target=measure, args=(str(path), what, queue))
     process.start()
-    found: dict[str, Any] = results.get()
+    found: dict[str, Any] = queue.get()
     process.join()
     return found
 
@@ -168,7 +168,7 @@ def main() -> int:
     """Print one row for each format and step."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("--small", action="store_true", help="bags of 50 MB")
-    parser.add_argument("--json", type=Path)
+    results.add_out(parser)
     options = parser.parse_args()
     size = SMALL if options.small else SIZE
     rows, missed = [], []
@@ -193,8 +193,10 @@ def main() -> int:
                 slow = what == "read" and row["seconds"] > LIMIT_S * megabytes / 1000
                 if slow or row["memory_mb"] > LIMIT_MEMORY * max(row["arrays_mb"], 100):
                     missed.append(f"{name} {what}")
-    if options.json is not None:
-        options.json.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+    shown: dict[str, dict[str, float]] = {}
+    for row in rows:
+        shown.setdefault(row["step"], {})[row["format"]] = row["seconds"]
+    results.write(options.out, "log", rows, shown, "processor time (s)")
     print(f"missed: {', '.join(missed)}" if missed else "all targets met")
     return 1 if missed else 0
 

@@ -1,6 +1,6 @@
 """An online calibration frame by frame, beside calibrating all contacts so far again.
 
-    python studies/speed/online.py [--taxels N] [--contacts M] [--json FILE]
+    python studies/speed/online.py [--taxels N] [--contacts M] [--out DIR]
 
 Contacts come one by one, lane after lane over the skin of studies/speed/joint.py, 11 for each
 taxel, or the first M of them. The time of a frame is that of `update` with all it tells, in
@@ -13,13 +13,12 @@ of a standard deviation from the batch estimate.
 from __future__ import annotations
 
 import argparse
-import json
 import resource
 import sys
-from pathlib import Path
 from time import process_time
 
 import numpy as np
+import results
 from joint import SPACING, world
 
 import meshskin as ms
@@ -104,14 +103,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--taxels", type=int, default=1000)
     parser.add_argument("--contacts", type=int, help="the first so many; by default all")
-    parser.add_argument("--json", type=Path, help="file for the numbers")
+    results.add_out(parser)
     options = parser.parse_args()
     numbers, status = measure(options.taxels, options.contacts)
     print(status)
     for name, value in numbers.items():
         print(f"{name:20s} {value:.4g}")
-    if options.json:
-        options.json.write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
+    kinds = {"mean": "mean", "p99": "99 of 100", "largest": "largest", "last_tenth": "last tenth"}
+    rows = {words: {"frame": numbers[f"frame_ms_{kind}"]} for kind, words in kinds.items()}
+    limits = {"50 frames a second": 1e3 * FRAME_LIMIT}
+    results.write(options.out, "online", numbers, rows, "processor time (ms)", limits)
     slow = numbers["frame_ms_p99"] > 1e3 * FRAME_LIMIT
     far = max(numbers["distance"], numbers["distance_settled"]) > DISTANCE_LIMIT
     if slow or far:

@@ -1,6 +1,6 @@
 """Seconds of the whole job on the paper's sphere, and the rate of the closed loop.
 
-    python studies/speed/sphere.py [--runs 5] [--json FILE]
+    python studies/speed/sphere.py [--runs 5] [--out DIR]
 
 Runs `meshskin run sphere` and `import meshskin` several times in new processes, and prints the
 median and the best, and the steps per second of the closed loop with the dynamics of the arm. Exits
@@ -18,6 +18,8 @@ import tempfile
 from pathlib import Path
 from time import perf_counter
 
+import results
+
 LIMITS = {"run_s": 10.0, "import_s": 0.6, "steps_per_second": 30_000.0}
 
 
@@ -33,7 +35,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--scene", default="sphere")
-    parser.add_argument("--json", type=Path, default=None)
+    results.add_out(parser)
     options = parser.parse_args()
     runs, rates, stages = [], [], []
     with tempfile.TemporaryDirectory() as folder:
@@ -54,8 +56,8 @@ def main() -> int:
         print(f"  {stage:10} {statistics.median(s[stage] for s in stages):6.2f} s")
     print(f"import meshskin: median {found['import_s']:.3f} s")
     print(f"closed loop with arm: {found['steps_per_second']:,.0f} steps/s, best {max(rates):,.0f}")
-    if options.json:
-        options.json.write_text(json.dumps(found, indent=2))
+    rows = {stage: {"median": statistics.median(s[stage] for s in stages)} for stage in stages[0]}
+    results.write(options.out, "sphere", found, rows, f"seconds of meshskin run {options.scene}")
     short = [
         name
         for name, limit in LIMITS.items()

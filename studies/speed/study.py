@@ -1,6 +1,6 @@
 """Overhead of a study: per case, use of the cores, expansion of the grid, and resuming.
 
-    python studies/speed/study.py [--cases 100000] [--out DIR] [--json FILE]
+    python studies/speed/study.py [--cases 100000] [--out DIR]
 
 Overhead: the time of trivial cases, times the number of workers. Use: the part of the workers' time
 inside cases of half a second, including the start of the workers. Resume: a sweep whose cases are
@@ -19,6 +19,8 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import results
 
 import meshskin as ms
 from meshskin.study.sweep.case import Case, Outcome
@@ -99,7 +101,7 @@ def expand_and_resume(folder: Path, cases: int) -> dict[str, float]:
     for step in ("expand", "resume"):
         command = [sys.executable, __file__, "--step", step, "--cases", str(cases)]
         run = subprocess.run(
-            [*command, "--out", str(out)], check=True, capture_output=True, text=True
+            [*command, "--folder", str(out)], check=True, capture_output=True, text=True
         )
         numbers |= json.loads(run.stdout)
     return numbers
@@ -122,18 +124,24 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
     """Run the study; return its numbers."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cases", type=int, default=100_000)
-    parser.add_argument("--out", type=Path, default=None, help="folder (default: a temporary one)")
-    parser.add_argument("--json", type=Path, default=None)
+    results.add_out(parser)
     parser.add_argument("--step", choices=("expand", "resume"), help=argparse.SUPPRESS)
+    parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.step:
-        numbers: Mapping[str, float] = step(options.step, options.cases, options.out)
+        numbers: Mapping[str, float] = step(options.step, options.cases, options.folder)
         print(json.dumps(numbers))
         return dict(numbers)
-    with tempfile.TemporaryDirectory(dir=options.out) as folder:
+    with tempfile.TemporaryDirectory() as folder:
         found = measure(Path(folder), options.cases)
-    if options.json:
-        options.json.write_text(json.dumps(found, indent=2))
+    rows = {
+        name.removesuffix("_ms").replace("_", ", workers: "): {"measured": value}
+        for name, value in found.items()
+        if name.endswith("_ms")
+    }
+    for name in ("write", "expand", "resume"):
+        rows[name] = {"measured": 1e3 * found[f"{name}_s"] / options.cases}
+    results.write(options.out, "study", found, rows, "ms per case")
     return found
 
 

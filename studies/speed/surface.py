@@ -1,6 +1,6 @@
 """Closest points on meshes: errors against exact surfaces and time per query, with other tools.
 
-    OMP_NUM_THREADS=1 python studies/speed/surface.py [--points 10000] [--json results.json]
+    OMP_NUM_THREADS=1 python studies/speed/surface.py [--points 10000] [--out DIR]
 
 For each primitive and mesh size, points within 20 mm of the surface (less where its radius of
 curvature is smaller): flat faces, and the smooth surface on cubic and on quartic vertex jets, from
@@ -15,15 +15,14 @@ every body of 200,000 faces: at most 1.5 times the time at 20,000.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from pathlib import Path
 from time import process_time
 
 import numpy as np
+import results
 import trimesh
 
 from meshskin import Body
@@ -88,7 +87,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--points", type=int, default=10_000)
     parser.add_argument("--sizes", type=int, nargs="+", default=SIZES, help="numbers of faces")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows as JSON")
+    results.add_out(parser)
     options = parser.parse_args()
     print("body          faces  method    point um   dist um  normal deg  curvature %  us/query  "
           "prepare s")  # fmt: skip
@@ -100,9 +99,11 @@ def main() -> int:
                 rows.append(row)
                 print(line(row), flush=True)
     missed = list(shortfalls(rows))
-    if options.json:
-        content = {"rows": [asdict(row) for row in rows], "missed": missed}
-        options.json.write_text(json.dumps(content, indent=1) + "\n")
+    shown: dict[str, dict[str, float]] = {}
+    for row in rows:
+        shown.setdefault(f"{row.body}, {row.faces:,} faces", {})[row.method] = row.query_us
+    content = {"rows": [asdict(row) for row in rows], "missed": missed}
+    results.write(options.out, "surface", content, shown, "processor time of a query (us)")
     for row, ratio in growth(rows):
         print(f"{row.body:10s} {row.faces:8d}  {ratio:.2f} times the time at 20 k")
     for words in missed:

@@ -28,6 +28,7 @@ def test_meshes_are_calibrated_or_refused(study, monkeypatch, tmp_path, capsys):
     assert study.main() == 0
     assert "PASS: 1 skins, 12 taxels, 0 wrong" in capsys.readouterr().out
     assert len(out.read_text().splitlines()) == 2
+    assert out.with_suffix(".png").is_file()
 
 
 def test_a_crash_is_told_and_counted(study, monkeypatch, tmp_path):

@@ -1,9 +1,14 @@
 """Every study runs at a small size and is pinned to the numbers that it is for."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from meshskin.estimation.paper_pipeline import NoisyPoses
+
+STUDIES = Path(__file__).parents[2] / "studies"
 
 
 def test_initial_errors_are_drawn_with_the_claims_of_the_paper(script):
@@ -25,6 +30,15 @@ def test_initial_errors_are_drawn_with_the_claims_of_the_paper(script):
     assert np.allclose(lines["paper: up to 50 %"], [[3, 1.5], [6, 3.0]])
     labels = [text.get_text() for text in right.get_legend().get_texts()]
     assert any("20 seeds" in label for label in labels)
+
+
+def test_every_study_writes_a_figure_where_it_is_asked_to():
+    for file in STUDIES.rglob("*.py"):
+        source = file.read_text(encoding="utf-8")
+        if "ArgumentParser" not in source or file.stem == "layer_table":  # it writes package data
+            continue
+        assert '"--out"' in source or "results.add_out(" in source, file
+        assert re.search(r"\bsave(fig)?\(|save_figure|results\.write\(", source), file
 
 
 @pytest.mark.slow
