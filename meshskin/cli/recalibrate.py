@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 from . import belief_options
 from .diff import saved_calibration
+from .progress_bar import bar
 
 if TYPE_CHECKING:
     from ..estimation.calibration import Calibration
@@ -71,12 +72,14 @@ def command(options: argparse.Namespace) -> int:
         "false_alarm": options.false_alarm,
         "sigma": None if options.map_sigma_mm is None else 1e-3 * options.map_sigma_mm,
     }
-    found = recalibrate(
-        previous,
-        Recording.load(options.recording),
-        belief,
-        **{name: value for name, value in changes.items() if value is not None},
-    )
+    with bar(quiet=False) as progress:
+        found = recalibrate(
+            previous,
+            Recording.load(options.recording),
+            belief,
+            progress=progress,
+            **{name: value for name, value in changes.items() if value is not None},
+        )
     found.calibration.save(options.out / "calibration")
     write_json(options.out / "recalibration.json", found.metrics())
     if belief.force_reference is not None:

@@ -112,14 +112,15 @@ class BufferedFunction:
 class IterationCallback(ca.Callback):
     """Called after each iteration of IPOPT on `size` unknowns and `rows` constraints.
 
-    `iterate(x, g)` gets the unknowns and the constraints, and may return True to stop.
+    `iterate(x, g)` gets the unknowns and the constraints, and may return True to stop. What it
+    raises stops IPOPT, too, and is raised again by `check`: CasADi would drop it.
     """
 
     def __init__(
         self, size: int, rows: int, iterate: Callable[[Array, Array], bool | None]
     ) -> None:
         ca.Callback.__init__(self)
-        self._iterate = iterate
+        self._iterate, self._raised = iterate, list[BaseException]()
         self._sizes = {"x": size, "lam_x": size, "g": rows, "lam_g": rows, "f": 1}
         self.construct("iteration", {})
 
@@ -138,4 +139,13 @@ class IterationCallback(ca.Callback):
 
     def eval(self, arg: Sequence[ca.DM]) -> list[int]:
         values = {ca.nlpsol_out(k): value.full().ravel() for k, value in enumerate(arg)}
-        return [int(bool(self._iterate(values["x"], values["g"])))]
+        try:
+            return [int(bool(self._iterate(values["x"], values["g"])))]
+        except BaseException as error:
+            self._raised.append(error)
+            return [1]
+
+    def check(self) -> None:
+        """Raise what `iterate` raised in the run that has ended."""
+        if self._raised:
+            raise self._raised.pop()

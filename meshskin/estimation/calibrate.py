@@ -260,7 +260,7 @@ class Estimation:
         graph = measured.graph(fit, self.data.ids, isotropic)
         prepared = time.perf_counter() - begin
         stage.step()
-        solution = graph.solve(keep_iterates=True)
+        solution = graph.solve(keep_iterates=True, progress=lambda *_: stage.step())
         stage.step()
         assert solution.iterates is not None
         placed, linked = gauge.aligned(graph, solution.poses)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..contact.reading import same_sheet
 from ..core.arrays import Array, runs
 from ..core.errors import ReachError
+from ..core.progress import Progress, Stage
 from ..core.se3 import inverse
 from ..geometry.geodesics import transport_along
 from ..geometry.surface.closest_point import Closest
@@ -52,11 +53,13 @@ Blocked = tuple[Array, Array]
 """Points (k, 3), body frame, and the reason (k,) why each cannot be touched, "" where it can."""
 
 
-def lane_plan(scene: Scene, rig: ContactRig) -> Plan:
+def lane_plan(scene: Scene, rig: ContactRig, progress: Progress | None = None) -> Plan:
     """The exploration of a scene's taxels by geodesic lanes, with its contact rig.
 
-    Raises ReachError where nothing can be explored.
+    progress("explore", done, total): called between the steps of the planning. Raises
+    ReachError where nothing can be explored.
     """
+    stage = Stage(progress, "explore", 4)
     exploration, dt = scene.exploration, scene.loop.dt
     sites, spacing = scene.skin.positions, exploration.lane_spacing
     if exploration.contacts is not None:
@@ -65,13 +68,17 @@ def lane_plan(scene: Scene, rig: ContactRig) -> Plan:
     step = min(STEP, 0.8 * spacing)
     radius = region_radius(sites, exploration.margin, rig.sensing_radius)
     lanes = cover(rig.body, sites, spacing, radius, step)
+    stage.step()
     pieces, blocked = _feasible(rig, lanes)
+    stage.step()
     paths = contact_paths(rig, pieces, spacing, step)
+    stage.step()
     if rig.arm is None:
         segments = [free_path(rig, path, exploration, dt) for path in paths]
     else:
         segments, unreached = _arm_segments(rig, paths, exploration, dt)
         blocked += unreached
+    stage.step()
     left_out = taxels_left_out(scene.skin, rig.sensing_radius, segments, blocked)
     other = other_radius(scene, left_out)
     if not segments:

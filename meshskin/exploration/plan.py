@@ -15,6 +15,7 @@ from ..contact.material import Material
 from ..core.arguments import check_real, check_type
 from ..core.arrays import Array
 from ..core.errors import ContactError, ReachError, warn_left_out
+from ..core.progress import Progress
 from ..geometry.body import Body
 from ..geometry.region import Region
 from ..robot.arm import Arm
@@ -75,6 +76,7 @@ def explore(
     dt: float = 1e-3,
     frame: float = 0.01,
     mode: str = "arm",
+    progress: Progress | None = None,
 ) -> Plan:
     """Plan how the contact point passes over a skin, or over a region of a body.
 
@@ -86,10 +88,11 @@ def explore(
     arm, mount (T_tip_body, (4, 4)), indenter, material: by default those of `Scene(body, skin)`.
     force, N: contact force, which with the material gives the contact patch, hence the depth and,
     with `exploration.contacts`, the spacing of the lanes. dt, s: period of the path; frame, s: of
-    the readings. mode: "arm", or "quasi_static" for a body that moves without an arm. Warns where
-    taxels are not reached (LeftOutWarning). Raises
-    ReachError where nothing can be explored, SkinError for a region too small, ContactError where
-    no contact model holds, ConfigError for a value out of range.
+    the readings. mode: "arm", or "quasi_static" for a body that moves without an arm.
+    progress("explore", done, total): called between the steps of planning lanes. Warns where taxels
+    are not reached (LeftOutWarning). Raises ReachError where nothing can be explored, SkinError for
+    a region too small, ContactError where no contact model holds, ConfigError for a value out of
+    range.
     """
     for name, value, unit in (("force", force, "N"), ("dt", dt, "s"), ("frame", frame, "s")):
         check_real(f"{name} of an exploration", value, unit, above=0.0)
@@ -111,7 +114,10 @@ def explore(
         rig = scene.rig
     except ContactError:  # a wide contact: beyond the models that a scene is simulated with
         rig = scene.rig_of(scene.indentation.patch("field", _typical_curvature(scene)))
-    plan = (lane_plan if scene.indenter.carried_by is None else contact_plan)(scene, rig)
+    if scene.indenter.carried_by is None:
+        plan = lane_plan(scene, rig, progress)
+    else:
+        plan = contact_plan(scene, rig)
     warn_left_out("reached", plan.unreachable.values(), len(skin))
     return plan
 

@@ -19,6 +19,7 @@ from ..contact.problem import MAX_WIDTH
 from ..core.arguments import check_real, check_type
 from ..core.arrays import Array
 from ..core.errors import ConfigError, ContactError, MeshError
+from ..core.progress import Progress, Stage
 from ..core.se3 import orthonormal_basis, transform
 from ..geometry.body import Body
 from ..geometry.mesh.self_intersection import ray_scene
@@ -81,13 +82,15 @@ def reach(
     force: float = 3.0,
     material: Material | None = None,
     skin: float | None = None,
+    progress: Progress | None = None,
 ) -> tuple[Reach, ...]:
     """What indenters with `radii`, m, reach of the visible surface of a body, in their order.
 
     A point of the surface is visible if a straight line leads away from it. force, N, is reduced
     for an indenter whose contact patch would be too wide on a plane. material: by default that of a
     scene. skin: thickness, m, of a skin whose surface is pressed in place of the body's,
-    `body.skinned(skin, 1.5 * radius)`; places that it bridges are not reached. Raises ConfigError
+    `body.skinned(skin, 1.5 * radius)`; places that it bridges are not reached.
+    progress("reach", done, total): called after each radius. Raises ConfigError
     for a value out of range, MeshError for a skin that cannot be made.
     """
     check_type(Body, body, "what an indenter reaches")
@@ -98,6 +101,7 @@ def reach(
     if not seen.any():
         raise MeshError("no point of the surface is visible", remedy="check the mesh")
     points, found = points[seen], []
+    stage = Stage(progress, "reach", len(radii))
     for radius in radii:
         surface = body if skin is None else body.skinned(skin, 1.5 * radius)
         hit = surface.closest(points)
@@ -113,6 +117,7 @@ def reach(
         if skin is not None:
             reasons[np.abs(hit.distance) > skin + BRIDGED] = UNDER_SKIN
         found.append(Reach.of(radius, used, reasons))
+        stage.step()
     return tuple(found)
 
 

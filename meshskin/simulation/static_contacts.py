@@ -9,7 +9,7 @@ that effects with a memory (shear, delayed readings) find that the contact was l
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -18,19 +18,22 @@ from numpy.typing import ArrayLike
 from ..core.arguments import check_array, check_type, check_vectors
 from ..core.arrays import Array
 from ..core.errors import RecordingError
+from ..core.progress import Progress, Stage
 from ..core.provenance import provenance
 from ..core.se3 import exp_so3, shortest_rotation, transform
 from ..exploration.path import Path
 from ..recording.recording import Recording
 from ..scene.scene import Scene
 from .closed_loop_model import state_of_pose
-from .readout import FRAME_CELLS, effect_pipeline, make_frames, recording_metadata, sensor_tables
+from .readout import effect_pipeline, make_frames, recording_metadata, sensor_tables
 
 if TYPE_CHECKING:
     from ..effects import EffectPipeline
     from ..effects.frames import Frames
     from ..geometry.surface.closest_point import Closest
 
+BATCH_CELLS = 2e5
+"""Largest number of pressures (presses times taxels) computed at once: below a second."""
 PRESS_INTERVAL = 1.0
 """Time from one static contact to the next, s: about what an arm takes. Effects with a memory need
 more than a few frame periods."""
@@ -46,6 +49,7 @@ def press(
     spin: ArrayLike = 0.0,
     seed: int = 0,
     chain: EffectPipeline | None = None,
+    progress: Progress | None = None,
 ) -> Recording:
     """The recording of the indenter pressed on the body at `points` (m, 3), body frame, m.
 
@@ -53,7 +57,8 @@ def press(
     indenter's direction; its skin faces the indenter. All effects of the scene act, as in
     `simulate`, except those of an arm's joints, which raise ConfigError. chain: the effects of
     earlier presses, of the scene as `without_arm` returns it, to continue instead of new ones of
-    the seed. Raises RecordingError without points, for points far from the body, or for forces that
+    the seed. progress("press", done, total): called between batches of presses. Raises
+    RecordingError without points, for points far from the body, or for forces that
     are not positive.
 
     >>> scene = ms.Scene.load("sphere")
@@ -71,7 +76,7 @@ def press(
     turn = exp_so3(np.broadcast_to(spin, count)[:, None] * [0.0, 0.0, 1.0])
     down = shortest_rotation(hit.normal, [0.0, 0.0, -1.0])
     frames = _static_frames(scene, hit, forces, scene.indenter.rotation @ (turn @ down))
-    return _record(scene, frames, chain or effect_pipeline(scene, seed), {"seed": seed})
+    return _record(scene, frames, chain or effect_pipeline(scene, seed), seed, progress)
 
 
 def press_path(scene: Scene, path: Path, seed: int, chain: EffectPipeline | None) -> Recording:
@@ -81,19 +86,24 @@ def press_path(scene: Scene, path: Path, seed: int, chain: EffectPipeline | None
     """
     forces = np.full(len(path.points), scene.law.force_reference)
     frames = _static_frames(scene, scene.body.closest(path.points), forces, path.poses[:, :3, :3])
-    return _record(scene, frames, chain or effect_pipeline(scene, seed), {"seed": seed})
+    return _record(scene, frames, chain or effect_pipeline(scene, seed), seed)
 
 
 def _record(
-    scene: Scene, frames: Frames, chain: EffectPipeline, origin: dict[str, Any]
+    scene: Scene,
+    frames: Frames,
+    chain: EffectPipeline,
+    seed: int,
+    progress: Progress | None = None,
 ) -> Recording:
     """The recording of static contacts."""
-    count, size = len(frames), max(int(FRAME_CELLS / len(scene.skin)), 1)
-    batches = [
-        sensor_tables(scene, frames.rows(slice(k, k + size)), chain) for k in range(0, count, size)
-    ]
+    count, size = len(frames), max(int(BATCH_CELLS / len(scene.skin)), 1)
+    stage, batches = Stage(progress, "press", -(-count // size)), []
+    for k in range(0, count, size):
+        batches.append(sensor_tables(scene, frames.rows(slice(k, k + size)), chain))
+        stage.step()
     contacts, readings = (pa.concat_tables(part) for part in zip(*batches, strict=True))
-    made = provenance(scene=scene.name, **origin, presses=count)
+    made = provenance(scene=scene.name, seed=seed, presses=count)
     return Recording(contacts, readings, recording_metadata(scene) | {"provenance": made})
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..core.arrays import Array
 from ..core.ipopt import IterationCallback
+from ..core.progress import Stage
 
 PATIENCE, INFEASIBLE_PATIENCE = 25, 50
 """Iterations without progress after which the search ends, from a point that meets the limits and
@@ -31,6 +32,8 @@ class ConvergenceMonitor(IterationCallback):
 
     def __init__(self, size: int, rows: int) -> None:
         super().__init__(size, rows, self._monitor)
+        self.stage = Stage()
+        """Whose steps are the iterations."""
         self.reset(lambda x, g: 0.0)
 
     def reset(self, merit: Callable[[Array, Array], float]) -> None:
@@ -45,6 +48,7 @@ class ConvergenceMonitor(IterationCallback):
         if self.best is None or merit < self.least:
             self.best, self.least = x, merit
         self.count += 1
+        self.stage.step()
         progress = merit < (1.0 - MIN_GAIN) * self.mark
         self.mark = merit if progress else self.mark
         self.idle = 0 if progress else self.idle + 1

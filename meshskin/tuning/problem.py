@@ -155,6 +155,7 @@ class TuningProblem:
             lbg=-np.inf,
             ubg=0.0,
         )
+        self.monitor.check()
         stats, best = self.solver.stats(), self.monitor.best
         assert best is not None  # the start is an iterate
         feasible = self.monitor.least < INFEASIBLE or elastic
@@ -176,6 +177,7 @@ class TuningProblem:
 
     def _model(self, x: Array) -> QuadraticModel:
         """Objective and limits about (log gains, worst) x (9,)."""
+        self.monitor.stage.step()
         gradient, limits, jacobian = (np.array(part) for part in self._derivatives(x))
         hessian = DAMPING * np.eye(len(x))
         hessian[: len(NAMES), : len(NAMES)] += np.array(self._curvature(x))

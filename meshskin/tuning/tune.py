@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from ..core.arguments import check_real, check_type, repr_short
 from ..core.arrays import Array
 from ..core.errors import ConfigError, TuningError, UnknownNameError
+from ..core.progress import Progress, Stage
 from ..scene.scene import Scene
 from ..simulation.response import force_response
 from .convergence import SOLVED
@@ -35,6 +36,8 @@ __all__ = ["Demands", "Scenario", "TuningResult", "scenarios", "tune"]
 
 NOMINAL = Scenario()
 """The scenario that the scene itself describes."""
+USUAL_ITERATIONS = 100
+"""Iterations that all searches of a scene usually take together: 103 on sphere_noisy."""
 HORIZON_MARGIN = 1.2
 """Length of the shooting over the duration of the first manoeuvre, so that a search may become
 slower on its way."""
@@ -61,6 +64,7 @@ def tune(
     direction: ArrayLike | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     start: Gains | None = None,
+    progress: Progress | None = None,
 ) -> TuningResult:
     """Choose gamma, L, f_ref and the speeds of a scene's closed loop over a manoeuvre.
 
@@ -75,9 +79,10 @@ def tune(
     integrator and mode are those of `scene.loop`: a long step of low order damps, and gains may
     rely on it; "rk4" does not.
 
-    Raises TuningError where no gains meet the demands, with the limit to relax and by how much;
-    UnknownNameError, ConfigError for invalid arguments, ReachError where the arm cannot make the
-    manoeuvre.
+    progress("tune", done, total): called after each iteration of a search, whose number is not
+    known before. Raises TuningError where no gains meet the demands, with the limit to relax and by
+    how much; UnknownNameError, ConfigError for invalid arguments, ReachError where the arm cannot
+    make the manoeuvre.
     """
     if objective not in OBJECTIVES:
         raise UnknownNameError("objective", objective, OBJECTIVES)
@@ -88,6 +93,7 @@ def tune(
     check_type(Demands, demands, "demands")
     if start is not None:
         check_type(Gains, start, "start")
+    stage = Stage(progress, "tune", USUAL_ITERATIONS)
     point, ahead = slide_start(scene, place, direction)
     shootings = _shootings(scene, over, point, ahead, distance)
     force = scene.law.force_reference
@@ -101,7 +107,9 @@ def tune(
     steps = int(np.ceil(horizon / scene.loop.dt)) + 2
 
     def pose(demands: Demands, objective: str) -> TuningProblem:
-        return TuningProblem(shootings, demands, objective, first, ranges, steps, force)
+        made = TuningProblem(shootings, demands, objective, first, ranges, steps, force)
+        made.monitor.stage = stage
+        return made
 
     problem = pose(demands, objective)
     solution = problem.solve()
@@ -111,6 +119,7 @@ def tune(
         solution = _from_nearest(problem)
     else:
         solution = _from_quickest(problem, pose(replace(demands, time=None), "time"), demands.time)
+    stage.end()
     dt, gains = scene.loop.dt, solution.gains
     gains = replace(gains, settle=float(dt * np.ceil(gains.settle / dt - 1e-6)))
     heading = shootings[0].manoeuvre.heading

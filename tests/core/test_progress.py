@@ -1,10 +1,13 @@
 """The hook of long work: what it is told, and that what it raises ends the work cleanly."""
 
+import numpy as np
 import pytest
 
 import meshskin as ms
 from meshskin.cli.progress_bar import bar, pace
+from meshskin.core import se3
 from meshskin.core.progress import Stage
+from meshskin.simulation import static_contacts
 
 
 class Heard(list):
@@ -62,6 +65,33 @@ def test_an_interrupted_simulation_leaves_no_file(sphere, tmp_path):
         ms.simulate(sphere, out=tmp_path / "recording", progress=late)
     assert hook[-1][0] == "simulate"
     assert not list(tmp_path.iterdir())
+
+
+def test_a_pose_graph_tells_its_iterations_and_can_be_interrupted_in_each():
+    """Also from inside IPOPT, which calls the hook."""
+    poses = se3.transform(se3.exp_so3(np.linspace(0, 1, 24).reshape(8, 3)), np.eye(8, 3))
+    edges = np.array([(i, j) for i in range(8) for j in range(i)])
+    measured = se3.inverse(poses[edges[:, 0]]) @ poses[edges[:, 1]]
+    measured[:, :3, 3] += 0.01 * np.sin(np.arange(84.0)).reshape(28, 3)
+    graph = ms.PoseGraph(poses, edges, measured, np.tile(np.eye(6), (28, 1, 1)))
+    heard = Heard()
+    found = graph.solve(start="tree", progress=heard)
+    assert heard[0][1] == 0
+    assert heard[-1] == ("solve", found.iterations, found.iterations)
+    with pytest.raises(KeyboardInterrupt):
+        graph.solve(start="tree", progress=Heard(1))
+    again = graph.solve(start="tree", keep_iterates=True)
+    assert (again.poses == found.poses).all()
+    assert len(again.iterates) == found.iterations + 1
+
+
+def test_presses_tell_their_batches(sphere, monkeypatch):
+    monkeypatch.setattr(static_contacts, "BATCH_CELLS", 10 * len(sphere.skin))
+    heard, points = Heard(), sphere.skin.positions[:25]
+    found = ms.press(sphere, points, progress=heard)
+    assert heard == [("press", k, 3) for k in range(4)]
+    monkeypatch.undo()
+    assert found == ms.press(sphere, points)
 
 
 def test_an_interrupted_report_leaves_the_page_before_it(noisy_recording, noisy, tmp_path):

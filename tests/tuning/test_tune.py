@@ -31,7 +31,17 @@ def small(sphere):
 
 @pytest.fixture(scope="module")
 def tuned(small):
-    return ms.tune(small, demands=DEMANDS, distance=DISTANCE, bounds=CALM)
+    heard = []
+    found = ms.tune(
+        small,
+        demands=DEMANDS,
+        distance=DISTANCE,
+        bounds=CALM,
+        progress=lambda *at: heard.append(at),
+    )
+    assert heard[0][:2] == ("tune", 0)
+    assert heard[-1][1] == heard[-1][2] >= found.iterations
+    return found
 
 
 def gains_of(tuned):

@@ -18,6 +18,7 @@ from ...geometry.mesh.topology import connected_components
 from . import validation
 
 if TYPE_CHECKING:
+    from ...core.progress import Progress
     from .problem import PoseGraphProblem, Topology
     from .solve import PoseGraphSolution
 
@@ -147,6 +148,7 @@ class PoseGraph(Value):
         keep_iterates: bool = False,
         certify: bool = False,
         limit: int | None = None,
+        progress: Progress | None = None,
     ) -> PoseGraphSolution:
         """The poses that minimize the objective.
 
@@ -161,10 +163,11 @@ class PoseGraph(Value):
         certify: where the result of another start is not certified to be optimal, solve again from
         the chordal start and return the result of lower cost; see its `certificate`.
         limit: most iterations of IPOPT; the `status` says where they are too few.
+        progress: progress("solve", done, total), called after each iteration.
 
         Raises UnknownNameError; GraphError where no displacement has information (for the
         chordal objective: where the blocks of all information matrices are singular).
         """
         from .solve import solve
 
-        return solve(self, objective, start, robust, keep_iterates, certify, limit)
+        return solve(self, objective, start, robust, keep_iterates, certify, limit, progress)

@@ -12,7 +12,7 @@ on (iteratively reweighted least squares).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +21,7 @@ from scipy.special import gammaincinv
 from ...core import se3
 from ...core.arrays import Array
 from ...core.errors import GraphError
+from ...core.progress import Stage
 from .edge_assembly import displacements
 from .kernel import DISPLACEMENT, EDGE, SQRT_INFORMATION, UPPER, weighted_errors
 from .problem import PoseGraphProblem, pack_parameters
@@ -70,7 +71,10 @@ class Estimate:
     cost: float = 0.0
     iterations: int = 0
     solver_status: str = "not run"
-    iterates: list[Array] = field(default_factory=list)
+    iterates: list[Array] | None = None
+    """Poses along the iterations, the start first; None: they are not kept."""
+    stage: Stage | None = None
+    """Whose steps are the iterations; None: they are not counted."""
 
     @property
     def status(self) -> str:
@@ -84,6 +88,23 @@ class Estimate:
             f"{self.decrement:.1e} of it; allow more iterations, or start from 'chordal'"
         )
 
+    def watch(self, free: IntArray, scale: Array) -> Callable[[Array], None] | None:
+        """What is called with the increments of each iteration of a run from the current poses;
+        None: nothing."""
+        if self.iterates is None and self.stage is None:
+            return None
+        start, begun = self.poses, False
+
+        def watch(x: Array) -> None:
+            nonlocal begun
+            if begun and self.iterates is not None:
+                self.iterates.append(retract(start, free, x, scale))
+            if begun and self.stage is not None:
+                self.stage.step()
+            begun = True  # the first is the start
+
+        return watch
+
 
 def minimize(
     problem: PoseGraphProblem,
@@ -91,7 +112,6 @@ def minimize(
     sqrt_information: Array,
     estimate: Estimate,
     stages: tuple[tuple[float, int], ...] = STAGES,
-    keep_iterates: bool = False,
     tolerance: float = OPTIMALITY_TOLERANCE,
     limit: int | None = None,
 ) -> None:
@@ -118,11 +138,10 @@ def minimize(
                 value=f"{cost:.3g}",
                 remedy="scale the information matrices: the cost must stay below 1e300",
             )
-        run = problem.solve(parameters, gradient_tolerance, most, keep_iterates)
+        watch = estimate.watch(problem.free, scale)
+        run = problem.solve(parameters, gradient_tolerance, most, watch)
         estimate.iterations += run.iterations
         estimate.solver_status = run.status
-        for x in run.path[1:]:
-            estimate.iterates.append(retract(estimate.poses, problem.free, x, scale))
         estimate.poses = retract(estimate.poses, problem.free, run.x, scale)
         estimate.cost = run.cost * cost
         estimate.decrement = run.decrease / max(run.cost, floor / cost / tolerance)
@@ -213,7 +232,6 @@ def minimize_reweighted(
     sqrt_information: Array,
     estimate: Estimate,
     robust: str,
-    keep_iterates: bool,
     limit: int | None = None,
 ) -> Array:
     """Bring `estimate` to the minimum of the robust cost; return the weights (m,).
@@ -228,7 +246,7 @@ def minimize_reweighted(
 
     def chi_squares(weight: Array) -> Array:
         root = sqrt_information * np.sqrt(weight)[:, None, None]
-        minimize(problem, graph, root, estimate, keep_iterates=keep_iterates, limit=limit)
+        minimize(problem, graph, root, estimate, limit=limit)
         edges = edge_parameters(graph, estimate.poses, sqrt_information)
         return np.asarray(np.sum(weighted_errors(edges, problem.residual) ** 2, axis=0))
 

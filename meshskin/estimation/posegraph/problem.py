@@ -60,8 +60,6 @@ class IpoptResult:
     iterations: int
     status: str
     """IPOPT's return status."""
-    path: tuple[Array, ...]
-    """x after each iteration, including the start; empty if not recorded."""
 
 
 class PoseGraphProblem:
@@ -88,23 +86,34 @@ class PoseGraphProblem:
         self._linear_solver = IpoptLinearSolver(cholesky, self.free, anchors)
 
     def solve(
-        self, parameters: Array, tolerance: float, limit: int, record: bool = False
+        self,
+        parameters: Array,
+        tolerance: float,
+        limit: int,
+        watch: Callable[[Array], None] | None = None,
     ) -> IpoptResult:
         """Minimize from x = 0 until the gradient is below `tolerance`, at most `limit` iterations.
 
-        `tolerance` is in units of the parameters. With `record`, the path is kept.
+        `tolerance` is in units of the parameters. `watch` gets x at the start and after each
+        iteration, and may raise.
         """
         gauss_newton = bool(parameters[-1] == 0.0)
         # one thread at a time: graphs of a topology share the problem
         with self._linear_solver.activate(similar=gauss_newton):
-            return self._run(parameters, tolerance, limit, record)
+            return self._run(parameters, tolerance, limit, watch)
 
-    def _run(self, parameters: Array, tolerance: float, limit: int, record: bool) -> IpoptResult:
-        size, path = 6 * len(self.free), list[Array]()
+    def _run(
+        self,
+        parameters: Array,
+        tolerance: float,
+        limit: int,
+        watch: Callable[[Array], None] | None,
+    ) -> IpoptResult:
+        size, callback = 6 * len(self.free), None
         options: dict[str, object] = {"max_iter": limit, "tol": tolerance}
         key = tuple(options.items())
-        if record:
-            callback = IterationCallback(size, 0, lambda x, g: path.append(x))
+        if watch is not None:
+            callback = IterationCallback(size, 0, lambda x, g: watch(x))
             run = BufferedFunction(self._solver(options, callback))
         elif key in self._solvers:
             run = self._solvers[key]
@@ -113,15 +122,15 @@ class PoseGraphProblem:
         unbounded = np.full(size, np.inf)
         self._last = None  # the parameters change
         x = run(np.zeros(size), parameters, -unbounded, unbounded)[0]
+        if callback is not None:
+            callback.check()
         stats = run.stats()
         cost, gradient = self._gradient(x, parameters)
         values = np.empty(self._assembly.size)
         self._hessian(x, parameters, values)
         product = functools.partial(self._assembly.multiply, values)
         decrease = 0.5 * inverse_quadratic_form(product, self._assembly.diagonal(values), gradient)
-        return IpoptResult(
-            x, cost, decrease, stats["iter_count"], stats["return_status"], tuple(path)
-        )
+        return IpoptResult(x, cost, decrease, stats["iter_count"], stats["return_status"])
 
     def cost(self, parameters: Array) -> float:
         """Cost at x = 0."""

@@ -19,6 +19,7 @@ from ...core.arguments import check_real, check_type
 from ...core.arrays import Array
 from ...core.blas import single_threaded
 from ...core.errors import CalibrationError
+from ...core.progress import Progress, Stage
 from ...recording.recording import Recording
 from ...scene.belief import RAW
 from ..calibration import Calibration
@@ -49,8 +50,9 @@ if TYPE_CHECKING:
 
 FALSE_ALARM = 0.01
 """Default bound on the probability that anything is found where nothing changed."""
-MAX_PASSES = 6
-"""Most passes over all units, each with the errors by the states of the last."""
+MAX_PASSES, USUAL_PASSES = 6, 5
+"""Most passes over all units from each of two starts, each with the errors by the states of the
+last, and what is usual of both starts together."""
 MIN_READINGS = 8
 """Least number of readings: four errors are estimated from them."""
 CONTACTS_PER_TAXEL = 5
@@ -66,6 +68,7 @@ def recalibrate(
     *,
     false_alarm: float = FALSE_ALARM,
     sigma: float = SIGMA,
+    progress: Progress | None = None,
 ) -> Recalibration:
     """Test an earlier map by the touches of a recording, and update it by what has changed.
 
@@ -73,8 +76,9 @@ def recalibrate(
     loaded calibration and a skin do not have; rigid modules are those of `module_slots`, or those
     of iCub where the ids are theirs. false_alarm: the probability, at most, of finding any change
     where there is none. sigma: standard deviation, m, of places along each tangent in a map that
-    states none. Raises CalibrationError without a belief, for taxels that the map does not have,
-    for raw readings and for fewer than 8 readings; RecordingError as `calibrate`.
+    states none. progress("recalibrate", done, total): called after each unit of each pass, whose
+    number is not known before. Raises CalibrationError without a belief, for taxels that the map
+    does not have, for raw readings and for fewer than 8 readings; RecordingError as `calibrate`.
     """
     check_type(Recording, recording, "what an earlier map is tested by")
     check_real("false_alarm", false_alarm, above=0.0, most=0.5, error=CalibrationError)
@@ -88,7 +92,9 @@ def recalibrate(
     known = skin_map(previous, belief, sigma)
     touches = Touches(_measurements(recording, belief, known, previous))
     limit = float(np.log(len(known.units) / false_alarm))
-    fits = [_settled(touches, known, limit, wide) for wide in (True, False)]
+    stage = Stage(progress, "recalibrate", USUAL_PASSES * len(known.units))
+    fits = [_settled(touches, known, limit, wide, stage) for wide in (True, False)]
+    stage.end()
     errors, found = max(fits, key=lambda fit: _score(fit[0], fit[1], touches, limit))
     findings = _findings(known, found)
     return Recalibration(
@@ -114,7 +120,7 @@ def recalibrate(
 
 
 def _settled(
-    touches: Touches, known: SkinMap, limit: float, wide: bool
+    touches: Touches, known: SkinMap, limit: float, wide: bool, stage: Stage
 ) -> tuple[Errors, list[Evidence]]:
     """Errors and states that agree. They start from all units unchanged, with the errors that this
     takes (`wide`), or from ordinary errors, with the changes that this takes."""
@@ -123,7 +129,10 @@ def _settled(
     for k in range(MAX_PASSES):
         if wide or k:
             errors = error_model.fit(touches, known, states, errors)
-        found = [judge(touches, known, u, errors, limit) for u in range(len(known.units))]
+        found = []
+        for u in range(len(known.units)):
+            found.append(judge(touches, known, u, errors, limit))
+            stage.step()
         states = [evidence.state for evidence in found]
         signature = [(h.state, h.taxel, h.value) for h in states]
         if signature in seen and (wide or k):

@@ -9,14 +9,15 @@ import numpy as np
 from ...core.arguments import check_type
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
+from ...core.progress import Progress, Stage
 from ...core.value import Value
 from .side import SideState, TouchSide, contacts, positions
 
 START_SCATTER = 10e-3
 """Standard deviation of the contacts' distance along each axis at the start, m: that of
 neighbouring modules."""
-ITERATIONS = 50
-"""Most Gauss-Newton steps: from mounts that are 30 mm off, ten converge."""
+ITERATIONS, USUAL_STEPS = 50, 10
+"""Most Gauss-Newton steps, and what is usual: from mounts that are 30 mm off, ten converge."""
 CONVERGED = 1e-5
 """Largest step, m or rad, at which the estimate has converged: 10 um."""
 CONTRADICTED = 3.0
@@ -56,13 +57,16 @@ class SelfTouch(Value):
         return np.asarray(np.linalg.norm(here - there, axis=1))
 
 
-def self_touch(first: TouchSide, second: TouchSide) -> SelfTouch:
+def self_touch(
+    first: TouchSide, second: TouchSide, *, progress: Progress | None = None
+) -> SelfTouch:
     """Calibrate two skins of one robot from touches of one against the other.
 
     In each touch the weighted means of the active taxels of both skins meet, up to a normal scatter
     whose variance is estimated (by expectation maximization); everything unknown has a normal prior
-    with the sigmas of its side. Damped Gauss-Newton. Raises CalibrationError for sides of different
-    touches, with nothing unknown, or where the steps do not converge.
+    with the sigmas of its side. Damped Gauss-Newton. progress("self-touch", done, total): called
+    after each step. Raises CalibrationError for sides of different touches, with nothing unknown,
+    or where the steps do not converge.
     """
     for side in (first, second):
         check_type(TouchSide, side, "a skin that touches")
@@ -80,6 +84,7 @@ def self_touch(first: TouchSide, second: TouchSide) -> SelfTouch:
     value, scatter = np.zeros(len(prior)), START_SCATTER
     residual, slope = _gap(first, second, states)
     weight, damping = prior[free] ** -2.0, 0.0
+    stage = Stage(progress, "self-touch", USUAL_STEPS)
     for _ in range(ITERATIONS):
         matrix, gradient = _normal_equations(residual, slope[:, free], scatter)
         matrix[np.diag_indices(len(matrix))] += weight
@@ -105,8 +110,10 @@ def self_touch(first: TouchSide, second: TouchSide) -> SelfTouch:
         # the touches' information without the prior, in the covariance after it
         explained = len(covariance) - float(np.sum(weight * np.diag(covariance)))
         scatter = _scatter(residual, explained)
+        stage.step()
         if np.abs(step).max() < CONVERGED:
             break
+    stage.end()
     sigma = np.zeros(len(prior))
     sigma[free] = np.sqrt(np.diag(covariance))
     labels = first.labels, second.labels

@@ -39,7 +39,12 @@ def turned(skin, module):
 def test_a_turned_module_is_found_and_the_others_are_confirmed(setting):
     scene, points = setting
     now = turned(scene.skin, 4)
-    found = ms.recalibrate(scene.skin, ms.press(scene.with_(skin=now), points), scene.belief())
+    heard, recording = [], ms.press(scene.with_(skin=now), points)
+    found = ms.recalibrate(
+        scene.skin, recording, scene.belief(), progress=lambda *at: heard.append(at)
+    )
+    assert heard[0] == ("recalibrate", 0, 35)
+    assert heard[-1][1] == heard[-1][2] >= 14  # 7 modules from two starts
     (finding,) = found.findings
     assert (finding.unit, finding.number, finding.state) == ("module", 4, "turned")
     assert "120 degrees" in finding.words

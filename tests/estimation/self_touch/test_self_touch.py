@@ -84,7 +84,10 @@ def test_the_contact_is_the_mean_of_active_taxels(world):
 
 def test_a_mount_is_found_within_its_stated_sigma(world):
     arm, base, true = world
-    found = ms.self_touch(arm, base)
+    heard = []
+    found = ms.self_touch(arm, base, progress=lambda *at: heard.append(at))
+    assert heard[0] == ("self-touch", 0, 10)
+    assert heard[-1][1] == heard[-1][2] > 2
     error = found.states[0].mount[0] - true.mount[0]
     assert np.all(np.abs(error) < 4 * found.sigmas[0][:3])
     assert found.sigmas[0][:3].max() < 0.5e-3
