@@ -125,7 +125,7 @@ class Estimation:
             rivals=result.rivals,
             fit=result.fit,
             response=result.response,
-            contact_centroids=trilaterate.centroids(near),
+            contact_centroids=trilaterate.centroids(coactivation.without_distant_readings(data)),
             belief=data.belief,
             iterates=result.iterates,
             provenance=provenance(

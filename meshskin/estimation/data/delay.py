@@ -21,7 +21,9 @@ MIN_READINGS = 10
 LATE_GAIN = 0.9
 """Mean square distance of a taxel's contacts with the readings moved to other frames, relative to
 the present one, below which they are late."""
-
+CHANCE = 1e-3
+"""Probability by chance, below which so many taxels' contacts lie closer together with the readings
+moved that they are late: 10 of 10 taxels, 55 of 80."""
 MIN_USED = 0.5
 """Least part of the readings that have a contact in time at a delay: fewer do not tell of it."""
 PAUSE = 3.0
@@ -32,34 +34,38 @@ def late_frames(data: Measurements) -> int:
     """Number of frames by which the readings come too late; negative: too early, 0: neither.
 
     The contacts that a taxel responds to, weighted by the square of its pressure above that at
-    rest, spread least at the true delay. A few touches do not show it: the two or three readings of
-    a taxel may spread less at others by chance.
+    rest, spread least at the true delay, those of most taxels. A few touches or taxels do not show
+    it: they may spread less at others by chance.
     """
+    from scipy.special import bdtrc
+
     if not data.counts.any() or np.median(data.counts[data.counts > 0]) < MIN_READINGS:
         return 0
     weight, n = np.maximum(data.pressure - data.rest[data.taxel], 0.0) ** 2, len(data.ids)
 
-    def spread(row: np.ndarray, used: np.ndarray) -> float:
+    def spread(row: np.ndarray, used: np.ndarray) -> Array:
         points, w, own = data.points[row[used]], weight[used], data.taxel[used]
         total = np.bincount(own, w, n)
         mean = sums_by_group(w[:, None] * points, own, n) / np.maximum(total, 1e-300)[:, None]
         square = np.bincount(own, w * np.sum((points - mean[own]) ** 2, axis=1), n)
-        return float(np.median(square[total > 0] / total[total > 0])) if total.any() else 0.0
+        return square[total > 0] / total[total > 0]
 
-    def ratio(frames: int) -> float:
-        """Of the same readings, moved and as they are."""
+    def compare(frames: int) -> tuple[float, float]:
+        """Spread of the same readings moved, relative to that as they are; probability that so many
+        taxels have a smaller one by chance."""
         row, used = _moved(data, -frames)
-        present = spread(data.contact, used)
-        if present == 0.0 or np.mean(used) < MIN_USED:
-            return np.inf
-        return spread(row, used) / present
+        moved, present = spread(row, used), spread(data.contact, used)
+        if not len(present) or np.median(present) == 0.0 or np.mean(used) < MIN_USED:
+            return np.inf, 1.0
+        better, count = int(np.sum(moved < present)), len(present)
+        return float(np.median(moved) / np.median(present)), float(bdtrc(better - 1, count, 0.5))
 
-    at = {k: ratio(k) for k in range(-LATE_FRAMES, LATE_FRAMES + 1)}
+    at = {k: compare(k)[0] for k in range(-LATE_FRAMES, LATE_FRAMES + 1)}
     best = min(at, key=lambda k: at[k])
     step, least = int(np.sign(best)), at[best]
-    while abs(best) >= LATE_FRAMES and (beyond := ratio(best + step)) < least:
+    while abs(best) >= LATE_FRAMES and (beyond := compare(best + step)[0]) < least:
         best, least = best + step, beyond
-    return best if least < LATE_GAIN else 0
+    return best if least < LATE_GAIN and compare(best)[1] < CHANCE else 0
 
 
 def without_delay(data: Measurements) -> Measurements:

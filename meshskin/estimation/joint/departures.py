@@ -151,7 +151,8 @@ def departure_scores(estimator: JointEstimator) -> dict[str, float]:
 
 
 def _fitted(estimator: JointEstimator) -> FittedReadings:
-    """The readings at the estimate of independent taxels."""
+    """The readings at the estimate of independent taxels; those of taxels that have not converged,
+    whose score is not zero without a departure, either, have no weight."""
     problem, state, readings = estimator.problem, estimator.state, estimator.likelihood.readings
     data, taxel = estimator.data, readings.taxel
     assert isinstance(problem.parametrization, SurfaceParametrization)
@@ -164,14 +165,15 @@ def _fitted(estimator: JointEstimator) -> FittedReadings:
     names = data.parameters.nuisance_names
     along = np.einsum("kia,ik->ak", problem.parametrization.charts.tangents[taxel], jacobian[:3])
     offset = nuisance[taxel, names.index("offset")] if "offset" in names else np.zeros(len(mu))
+    weight = np.where(estimator.unconverged[taxel], 0.0, readings.weight)
     return FittedReadings(
         data=data,
         readings=readings,
         points=points,
         mu=mu,
         offset=offset,
-        rate=readings.weight * rate,
-        curvature=readings.weight * curvature,
+        rate=weight * rate,
+        curvature=weight * curvature,
         own=np.concatenate([along, jacobian[3 : 3 + len(names)]]),
         tangents=problem.parametrization.charts.tangents,
         prior=np.array([0.0, 0.0, *(sigma**-2 for sigma in estimator.likelihood.nuisance_sigma)]),

@@ -283,14 +283,24 @@ def _faults(calibration: Calibration) -> list[Finding]:
     if calibration.faults is None:
         return []
     touched = np.asarray(calibration.touched, dtype=bool)
-    faulty = np.array([bool(words) for words in calibration.faults]) & touched
-    if faulty.sum() <= MAX_FAULTY * touched.sum():
-        return []
-    words = (
-        f"{faulty.sum()} of {touched.sum()} taxels have faults (limit {MAX_FAULTY:.0%}): so many "
-        "point to the log or the contact model; see the faults of the taxels"
-    )
-    return [(DOUBT, words)]
+    faulty, limit = np.array([bool(words) for words in calibration.faults]) & touched, MAX_FAULTY
+    rivals, found = np.zeros(len(touched), dtype=bool), []
+    if calibration.rivals is not None:
+        rivals = np.isfinite(calibration.rivals[:, 0])
+    if rivals.sum() > limit * touched.sum():
+        words = (
+            f"two positions fit the readings of {rivals.sum()} of {touched.sum()} taxels (limit "
+            f"{limit:.0%}): touch these taxels from more sides"
+        )
+        found.append((DOUBT, words))
+    if (faulty & ~rivals).sum() > limit * touched.sum():
+        words = (
+            f"{(faulty & ~rivals).sum()} of {touched.sum()} taxels have faults (limit "
+            f"{limit:.0%}): so many point to the log or the contact model; see the faults of the "
+            "taxels"
+        )
+        found.append((DOUBT, words))
+    return found
 
 
 def _contacts(data: Measurements, calibration: Calibration) -> list[Finding]:
