@@ -9,6 +9,7 @@ import pytest
 
 import meshskin as ms
 from meshskin.core.value import Value, same_content
+from meshskin.estimation.recalibrate.skin_map import skin_map
 from meshskin.recording.log_map import LogMap, StreamMap
 from meshskin.scene import shipped_scenes
 
@@ -24,6 +25,8 @@ def objects(sphere, recording):
     identity = np.eye(6)[None]
     graph = ms.PoseGraph(np.stack([np.eye(4)] * 2), [[0, 1]], np.eye(4)[None], identity)
     graph.solve()
+    few = sphere.with_(skin=ms.Skin(sphere.skin.poses[:12], sphere.skin.ids[:12]))
+    recalibration = ms.recalibrate(few.skin, ms.press(few, few.skin.positions), few.belief())
     still = {"chain": None, "angles": np.zeros((1, 0)), "positions": np.zeros((1, 3))}
     return {
         "Arm": sphere.arm,
@@ -38,6 +41,7 @@ def objects(sphere, recording):
         "NextContacts": calibration.next_contacts(2),
         "Patch": sphere.patch,
         "Robot": ms.Robot.from_urdf(shipped_scenes.folder() / "puma560.urdf"),
+        "ContactFrames": ms.ContactFrames(np.ones((2, 3)), 3.0),
         "Exploration": sphere.exploration,
         "Indenter": sphere.indenter,
         "Law": sphere.law,
@@ -45,18 +49,22 @@ def objects(sphere, recording):
         "Plan": plan,
         "PoseGraph": graph,
         "Readout": sphere.readout,
+        "Recalibration": recalibration,
         "Recording": recording,
         "Scene": sphere,
         "Skin": calibration.skin,
+        "SkinMap": skin_map(sphere.skin, belief),
         "Study": ms.Study("noise", base="sphere", seeds=2),
+        "TouchDesign": recalibration.next_contacts(2, few.belief()),
         "TouchSide": ms.TouchSide(readings=np.ones((1, 1)), **still),
     }
 
 
 NAMES = (
-    "Arm", "Belief", "Body", "Calibration", "Cap", "Closest", "Exploration", "Faces", "Indenter",
-    "Law", "LogMap", "Material", "Modules", "NextContacts", "Patch", "Plan", "PoseGraph", "Readout",
-    "Recording", "Robot", "Scene", "Skin", "Study", "TouchSide",
+    "Arm", "Belief", "Body", "Calibration", "Cap", "Closest", "ContactFrames", "Exploration",
+    "Faces", "Indenter", "Law", "LogMap", "Material", "Modules", "NextContacts", "Patch", "Plan",
+    "PoseGraph", "Readout", "Recalibration", "Recording", "Robot", "Scene", "Skin", "SkinMap",
+    "Study", "TouchDesign", "TouchSide",
 )  # fmt: skip
 
 

@@ -9,10 +9,11 @@ import numpy as np
 from ...core.arguments import check_array, check_vectors
 from ...core.arrays import Array
 from ...core.errors import RecordingError
+from ...core.value import Value
 
 
-@dataclass(frozen=True)
-class ContactFrames:
+@dataclass(frozen=True, eq=False)
+class ContactFrames(Value):
     """B frames of contact. Raises RecordingError for arrays of other shapes.
 
     Frames without contact have the force 0, or are left out.

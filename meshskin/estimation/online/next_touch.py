@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...core.arrays import Array
+from ...core.value import Value
 from .. import chart
 from ..next_contact import POWER, candidates_about, expected_slopes, valid_contacts
 
@@ -20,8 +21,8 @@ NEIGHBOURS = 3.0
 """Distance, in reaches of a contact, up to which taxels beside these profit from a candidate."""
 
 
-@dataclass(frozen=True)
-class NextTouch:
+@dataclass(frozen=True, eq=False)
+class NextTouch(Value):
     """The most useful next contact."""
 
     point: Array

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...core.arrays import Array
+from ...core.value import Value
 
 if TYPE_CHECKING:
     from .next_touch import NextTouch
@@ -66,8 +67,8 @@ def moved_taxels(offset: Array, covariance: Array, level: float) -> np.ndarray:
     return out
 
 
-@dataclass(frozen=True)
-class OnlineStatus:
+@dataclass(frozen=True, eq=False)
+class OnlineStatus(Value):
     """The state of an online calibration after an update. SI units."""
 
     used: int

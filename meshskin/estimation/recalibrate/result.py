@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...core.arrays import Array
+from ...core.notebook import Card
+from ...core.value import Value
 from ..calibration import Calibration
 from .errors import Errors
 from .hypotheses import CONFIRMED, NOT_TOUCHED, STATES, UNDECIDED
@@ -45,8 +47,8 @@ class Finding:
         )
 
 
-@dataclass(frozen=True)
-class Recalibration:
+@dataclass(frozen=True, eq=False)
+class Recalibration(Value, Card):
     """What the touches of a recording say of an earlier map."""
 
     calibration: Calibration
@@ -77,8 +79,7 @@ class Recalibration:
     """Number of touches used."""
 
     def __repr__(self) -> str:
-        count = Counter(self.unit_states.tolist())
-        parts = ", ".join(f"{count[s]} {s}" for s in STATES if count[s])
+        parts = _counted(self.unit_states)
         return f"<Recalibration by {self.contacts} touches: {self.unit}s {parts}>"
 
     def __str__(self) -> str:
@@ -107,10 +108,15 @@ class Recalibration:
                 words + (f", but for {_listed(self.unit, open_, shown)}" if len(open_) else "")
             )
         if self.unit == "module":
-            count_of = Counter(self.states.tolist())
-            parts = ", ".join(f"{count_of[s]} {s}" for s in STATES if count_of[s])
-            out.append(f"taxels: {parts}")
+            out.append(f"taxels: {_counted(self.states)}")
         return out
+
+    def facts(self) -> dict[str, str]:
+        """Touches, states and findings, for a notebook."""
+        facts = {"touches": f"{self.contacts:,}", f"{self.unit}s": _counted(self.unit_states)}
+        if self.unit == "module":
+            facts["taxels"] = _counted(self.states)
+        return facts | {f"{f.unit} {f.number}": f.words for f in self.findings[:SHOWN]}
 
     def metrics(self) -> dict[str, Any]:
         """The result as JSON values."""
@@ -135,6 +141,12 @@ class Recalibration:
         settled = ~np.isin(self.unit_states, (UNDECIDED, NOT_TOUCHED)) & self.placed
         open_ = self.units[~settled]
         return next_touches(self.calibration, belief, k, units=open_ if len(open_) else None)
+
+
+def _counted(states: np.ndarray) -> str:
+    """How many there are of each state, in words."""
+    count = Counter(states.tolist())
+    return ", ".join(f"{count[s]} {s}" for s in STATES if count[s])
 
 
 def _listed(unit: str, numbers: np.ndarray, shown: int | None) -> str:

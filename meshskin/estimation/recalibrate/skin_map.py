@@ -12,6 +12,7 @@ from ...core import se3
 from ...core.arguments import check_real
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
+from ...core.value import Value
 from ...skin import slots
 from ...skin.skin import Skin
 from ..calibration import Calibration
@@ -28,8 +29,8 @@ SAME_SLOT = 1e-3
 """Largest distance, m, of a turned slot from the one at its place: a fraction of any spacing."""
 
 
-@dataclass(frozen=True)
-class SkinMap:
+@dataclass(frozen=True, eq=False)
+class SkinMap(Value):
     """n taxels of an earlier map, in units that change as one: rigid modules, or single taxels."""
 
     ids: np.ndarray

@@ -19,6 +19,7 @@ from ...contact import AUTO, ContactModel, Patches
 from ...core.arguments import check_integer
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
+from ...core.value import Value
 from .. import chart
 from ..data.measurements import Measurements
 from ..data.resolve_belief import with_valid_model
@@ -41,8 +42,8 @@ DIRECTIONS = 8
 """Candidates on a ring."""
 
 
-@dataclass(frozen=True)
-class TouchDesign:
+@dataclass(frozen=True, eq=False)
+class TouchDesign(Value):
     """k touches that test a map, the most useful first."""
 
     points: Array

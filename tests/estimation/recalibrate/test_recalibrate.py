@@ -48,6 +48,7 @@ def test_a_turned_module_is_found_and_the_others_are_confirmed(setting):
     (finding,) = found.findings
     assert (finding.unit, finding.number, finding.state) == ("module", 4, "turned")
     assert "120 degrees" in finding.words
+    assert all(words in found._repr_html_() for words in ("6 confirmed", "module 4", "120 degrees"))
     assert finding.false_alarm < 1e-6
     assert (found.unit_states == "confirmed").sum() == 6
     assert np.allclose(found.calibration.positions, now.positions[np.argsort(now.ids)], atol=1e-12)
