@@ -91,10 +91,14 @@ def test_late_readings_are_moved_to_their_contacts(world, frames):
     assert pairs[0] == {p for p in pairs[1] if 0 <= p[0] + frames < len(whole.time)}
     assert {p[0] for p in pairs[1] - pairs[0]} <= set(found.unread.tolist())
     assert len(found.unread) == abs(frames)
-    late = recording(right + frames)
-    first = np.isin(late.reading_taxel, np.unique(late.reading_taxel)[:9])
-    few = Recording(contacts, late.readings.filter(pa.array(first)), {})
-    assert gather(few, world.belief()).delay == 0  # nine taxels may show it by chance
+    row = truth.contact + frames
+    inside = (row >= 0) & (row < len(truth.points))
+    first = inside & np.isin(truth.taxel, np.unique(truth.taxel)[:9])
+    seen = [
+        delay.late_frames(dataclasses.replace(truth.select(k), contact=row[k]))
+        for k in (inside, first)
+    ]
+    assert seen == [frames, 0]  # nine taxels may show it by chance
 
 
 def test_pauses_show_no_delay_and_are_not_crossed(world):
