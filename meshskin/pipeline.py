@@ -255,6 +255,7 @@ def _assess(
 ) -> dict[str, Any]:
     """The metrics of the joint estimate against the truth, and of the force."""
     motion, skin = recording.motion, scene.skin
+    located = np.isfinite(calibration.positions).all(axis=1)
     return {
         "verdict": None if calibration.verdict is None else calibration.verdict.metrics(),
         "scene": scene.name,
@@ -263,7 +264,7 @@ def _assess(
         "contacts": len(recording.time),
         "readings": len(recording.pressure),
         "position_error_mm": truth.summary_mm(truth.position_errors(calibration, skin)),
-        "crlb_mm": truth.bound_mm(recording, belief, skin),
+        "crlb_mm": truth.bound_mm(recording, belief, skin, calibration.ids[located]),
         "nees": float(np.nanmean(truth.nees(calibration, skin))),
         "nees_band": _nees_band(calibration),
         "undetermined": truth.undetermined(calibration),

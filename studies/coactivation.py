@@ -1,6 +1,6 @@
 """Layouts from co-activation alone: a real torso of iCub, and every shipped scene.
 
-    python studies/coactivation.py --out figures/ [--data DIR] [--levels]
+    python studies/coactivation.py --out figures/ [--data DIR] [--levels] [--scenes NAME ...]
 
 DIR (by default MESHSKIN_DATA) holds icub_torso_touches: 20,242 binary frames of a thumb on 440
 taxels, and their published layout in the plane, which only scores. Distances are root mean square,
@@ -17,15 +17,19 @@ import argparse
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import meshskin as ms
 from meshskin.estimation.layout import coactivity
 from meshskin.estimation.layout.alignment import aligned, root_mean_square
+from meshskin.report import theme
 from meshskin.scene.shipped_scenes import scenes
 from meshskin.skin import slots
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SPACING = 5e-3
 TURNED = 60.0
@@ -44,10 +48,10 @@ def frames_of(recording: ms.Recording) -> np.ndarray:
     return frames
 
 
-def of_scenes() -> dict[str, dict[str, float]]:
+def of_scenes(names: list[str]) -> dict[str, dict[str, float]]:
     """Distances, mm, of the layouts of every shipped scene."""
     found = {}
-    for name in scenes():
+    for name in names:
         scene = ms.Scene.load(name)
         frames, true = frames_of(ms.simulate(scene, seed=1)), scene.skin.positions
         given: dict[str, dict[str, Any]] = {
@@ -104,25 +108,24 @@ def of_torso(folder: Path, out: Path | None) -> dict[str, dict[str, float]]:
     modules = np.unique(ids[~agrees] // slots.PER_MODULE)
     print(f"turned against the published layout: modules {', '.join(map(str, modules))}")
     if out:
-        draw(fitted, true, agrees, out / "coactivation_torso.png")
+        theme.save(draw(fitted, true, agrees), out, "coactivation_torso")
     return found
 
 
-def draw(fitted: dict[str, np.ndarray], true: np.ndarray, agrees: np.ndarray, path: Path) -> None:
+@theme.styled
+def draw(fitted: dict[str, np.ndarray], true: np.ndarray, agrees: np.ndarray) -> Figure:
     """Arrows from the published positions to those of each layout."""
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(1, len(fitted), figsize=(5 * len(fitted), 6), sharey=True)
-    for axis, (kind, points) in zip(axes, fitted.items(), strict=True):
+    figure = theme.new_figure(3.0 * len(fitted) + 0.3, 4.3)
+    for k, (kind, points) in enumerate(fitted.items()):
+        axis = theme.add_axes(figure, 0.6 + 3.0 * k, 0.5, 2.5, 3.4)
         off = 1e3 * (points - true)
-        for rows, colour in ((agrees, "C0"), (~agrees, "C3")):
+        for rows, colour in ((agrees, theme.PALETTE[0]), (~agrees, theme.WARNING)):
             axis.quiver(
                 *(1e3 * true[rows].T), *off[rows].T, color=colour,
                 angles="xy", scale_units="xy", scale=1, width=3e-3,
             )  # fmt: skip
         axis.set(title=f"{kind}: {root_mean_square(off):.2f} mm", xlabel="mm", aspect="equal")
-    figure.tight_layout()
-    figure.savefig(path, dpi=120)
+    return figure
 
 
 def table(title: str, rows: dict[str, dict[str, float]]) -> None:
@@ -148,13 +151,12 @@ def main(arguments: list[str] | None = None) -> dict[str, dict[str, dict[str, fl
     parser.add_argument("--out", type=Path, help="folder of the figure")
     parser.add_argument("--data", type=Path, default=os.environ.get("MESHSKIN_DATA", "data"))
     parser.add_argument("--levels", action="store_true")
+    parser.add_argument("--scenes", nargs="+", choices=scenes(), default=list(scenes()))
     options = parser.parse_args(arguments)
-    if options.out:
-        options.out.mkdir(parents=True, exist_ok=True)
-    found = {"scenes": of_scenes()}
+    found = {"scenes": of_scenes(options.scenes)}
     table("scene (mm)", found["scenes"])
     if options.levels:
-        found["eight levels"] = with_levels(8, of_scenes)
+        found["eight levels"] = with_levels(8, lambda: of_scenes(options.scenes))
         table("eight levels (mm)", found["eight levels"])
     folder = options.data / "icub_torso_touches"
     if folder.is_dir():

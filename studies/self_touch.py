@@ -18,13 +18,18 @@ from __future__ import annotations
 import argparse
 import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import meshskin as ms
 from meshskin.core.se3 import transform
+from meshskin.report import theme
+from meshskin.report.dots import dots
 from meshskin.robot.chain import Chain
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 HALF = np.pi / 2
 ARM = [
@@ -161,21 +166,18 @@ def of_pair(folder: Path, pair: str, count: int) -> list[dict[str, Any]]:
     return found
 
 
-def draw(found: dict[str, list[dict[str, Any]]], path: Path) -> None:
-    """Test distances of every split beside the published ones."""
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(1, len(found), figsize=(6 * len(found), 4), squeeze=False)
-    for axis, (pair, rows) in zip(axes[0], found.items(), strict=True):
-        for k, row in enumerate(rows):
-            axis.plot(row["tests"], [k] * len(row["tests"]), "o", alpha=0.5)
-        axis.set_yticks(range(len(rows)), [f"{r['contact']}:\n{r['free']}" for r in rows])
-        if pair in PUBLISHED:
-            axis.axvline(PUBLISHED[pair][2], color="C3", label="published, mounts")
-            axis.legend()
-        axis.set(title=pair, xlabel="test distance (mm)")
-    figure.tight_layout()
-    figure.savefig(path, dpi=120)
+def draw(found: dict[str, list[dict[str, Any]]]) -> Figure:
+    """Test distances: mean and span of the splits, beside the published ones."""
+    rows: dict[str, dict[str, float | None]] = {}
+    spans = {}
+    for pair, table in found.items():
+        for row in table:
+            name = f"{pair.replace('_', ', ')}, {row['contact']}: {row['free']}"
+            rows[name] = {"mean of the splits": row["test"]}
+            spans[name] = min(row["tests"]), max(row["tests"])
+            if (row["contact"], row["free"]) == CASES[0][:2] and pair in PUBLISHED:
+                rows[name]["published"] = PUBLISHED[pair][2]
+    return dots(rows, "test distance (mm)", bands=spans)
 
 
 def main(arguments: list[str] | None = None) -> dict[str, list[dict[str, Any]]]:
@@ -199,8 +201,7 @@ def main(arguments: list[str] | None = None) -> dict[str, list[dict[str, Any]]]:
                   f"{published[2]:15.2f}")  # fmt: skip
         found[pair] = of_pair(folder, pair, options.splits)
     if options.out:
-        options.out.mkdir(parents=True, exist_ok=True)
-        draw(found, options.out / "self_touch.png")
+        theme.save(draw(found), options.out, "self_touch")
     return found
 
 

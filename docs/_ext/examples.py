@@ -115,8 +115,8 @@ _STUDIES: tuple[tuple[str, str, str, str, tuple[str, ...], str], ...] = (
         "DATA --out figures/ --full", ("real_bodies.png",), "icub_body",
     ),
     (
-        "coactivation", "Layout from co-activation", "--data DATA", "",
-        ("coactivation_torso.png",), "icub_torso_touches",
+        "coactivation", "Layout from co-activation", "--data DATA --scenes sphere",
+        "--data DATA --out figures/", ("coactivation_torso.png",), "icub_torso_touches",
     ),
     (
         "self_touch", "Skins that touch each other",

@@ -30,6 +30,11 @@ SPACING = 5e-3
 """Distance of the taxels that are proposed, m: that of the paper's skin."""
 TAXELS = 80
 """Most taxels that are proposed, as many as the paper has: a first run then takes seconds."""
+DISC = 2e-3
+"""Radius of the taxels that are proposed, m: the paper's."""
+LANES = 0.55
+"""Distance of the lanes over the reach of a contact (its radius and a taxel's): as on the paper's
+sphere, 3.5 mm over 6.3 mm. Wider lanes leave taxels that one lane touches only."""
 RADII = (10e-3, 5e-3, 2.5e-3)
 """Radii, m, of the indenters that are compared: the paper's, and finer ones."""
 
@@ -90,7 +95,7 @@ def scene(options: argparse.Namespace, out: Path) -> tuple[str, str]:
         "[skin]",
         f"spacing_mm = {1e3 * SPACING:g}",
         f"count = {min(whole, TAXELS)}  # without it: all of the body or region, about {whole}",
-        "disc_radius_mm = 2",
+        f"disc_radius_mm = {1e3 * DISC:g}",
         *_patches(body),
         "",
         "[material]",
@@ -104,6 +109,9 @@ def scene(options: argparse.Namespace, out: Path) -> tuple[str, str]:
         "",
         "[law]",
         f"force_reference_n = {_force(best):g}",
+        "",
+        "[exploration]",
+        f"lane_spacing_mm = {_lanes(best):.1f}  # half the reach of a contact on a taxel",
         "",
         "[loop]",
         'mode = "quasi_static"  # the body moves exactly; "arm": by the arm of [arm] urdf, tip',
@@ -155,6 +163,15 @@ def _force(best: Reach) -> float:
     """The contact force, N, rounded down to two digits."""
     scale = 10.0 ** (math.floor(math.log10(best.force)) - 1)
     return math.floor(best.force / scale + 1e-9) * scale
+
+
+def _lanes(best: Reach) -> float:
+    """The distance of the lanes, mm, at most the usual one, by Hertz's contact on a plane."""
+    from ..contact.material import Material
+    from ..scene.settings import Exploration
+
+    radius = (0.75 * best.force * best.radius / Material().effective_modulus) ** (1 / 3)
+    return 1e3 * min(LANES * (radius + DISC), Exploration().lane_spacing)
 
 
 def _urdf(options: argparse.Namespace) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -92,11 +93,20 @@ def nees_band(count: int, confidence: float = 0.95) -> tuple[float, float]:
     return low, high
 
 
-def bound_mm(recording: Recording, belief: Belief, skin: Skin) -> dict[str, float]:
-    """The Cramér-Rao bound at the truth `skin`: mean and rms error, mm; zero without noise."""
+def bound_mm(
+    recording: Recording, belief: Belief, skin: Skin, located: np.ndarray | None = None
+) -> dict[str, float]:
+    """The Cramér-Rao bound at the truth `skin`: mean and rms error, mm; zero without noise.
+
+    located: ids (k,) of the taxels that it is the mean of: those with an estimate, to compare it
+    with their error (a taxel that is hardly determined can have a bound of centimetres); None, or
+    none: all that have a bound.
+    """
     if belief.noise_sigma is None:
         return {"mean": 0.0, "rms": 0.0}
     limit = cramer_rao(recording, belief, skin)
+    if located is not None and len(located):
+        limit = replace(limit, covariance=limit.covariance[np.isin(belief.taxel_ids, located)])
     return {"mean": 1e3 * limit.mean, "rms": 1e3 * limit.rms}
 
 

@@ -38,7 +38,8 @@ def evaluate(case: Case) -> dict[str, Value]:
         "readings": len(recording.pressure),
     }
     out |= {f"position_error_mm.{k}": v for k, v in metrics.summary_mm(errors).items()}
-    bound = metrics.bound_mm(recording, scene.belief(), scene.skin)
+    located = found.ids[np.isfinite(errors)]
+    bound = metrics.bound_mm(recording, scene.belief(), scene.skin, located)
     out |= {f"crlb_mm.{k}": v for k, v in bound.items()}
     nees = metrics.nees(found, scene.skin)
     nees = nees[np.isfinite(nees)]

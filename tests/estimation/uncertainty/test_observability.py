@@ -12,6 +12,7 @@ from meshskin.core.errors import CalibrationError
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.uncertainty import observability
 from meshskin.estimation.uncertainty.metrics import (
+    bound_mm,
     is_ideal,
     nees_band,
     position_errors,
@@ -54,6 +55,11 @@ def test_bound_increases_with_the_noise_and_marks_unbounded_taxels(world):
     away = SimpleNamespace(ids=world.ids, positions=far)
     bound = cramer_rao(recording, world.belief(0.01, 0.05), away)
     assert np.flatnonzero(~bound.bounded).tolist() == [5]
+    belief, located = world.belief(0.01, 0.05), world.ids[:4]
+    one = 1e3 * bounds[0].expected[:4].mean()
+    assert bound_mm(recording, belief, world.skin, located)["mean"] == pytest.approx(one)
+    every = bound_mm(recording, belief, world.skin, located[:0])["mean"]
+    assert every == pytest.approx(1e3 * bounds[0].mean)
     with pytest.raises(CalibrationError, match="lacks taxels"):
         cramer_rao(
             recording,
