@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 URDF_FORMATS = ("urdf", "urdf_tactile")
 """Formats that can name a parent link."""
+SUFFIXES = {"icub": "txt", "urdf_tactile": "urdf", "mjcf": "xml"}
+"""Suffixes of the formats whose name is none."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -26,8 +28,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     export = parser.add_argument_group("the exported skin map")
     export.add_argument(
         "--export", type=Path, metavar="FILE", help="write the skin map to FILE, by suffix: .txt "
-        "(iCub), .csv, .urdf, .xml (MuJoCo), .npz, .yaml (ROS), .ply or .glb; it is in the frame "
-        "of the body: that of --link of a URDF, or else of the mesh",
+        "(iCub), .csv, .urdf, .xml (MuJoCo), .npz, .yaml (ROS), .ply or .glb; a format alone, as "
+        "urdf, writes skin.urdf in the folder of --out; the map is in the frame of the body: that "
+        "of --link of a URDF, or else of the mesh",
     )  # fmt: skip
     export.add_argument(
         "--export-format", metavar="FORMAT", help="whatever the suffix: urdf_tactile"
@@ -61,7 +64,7 @@ class Export:
     def of(cls, options: argparse.Namespace) -> Export | None:
         """The export that the options ask for; None: none. Raises ConfigError, SkinError."""
         from ..core.atomic_io import check_writable
-        from ..skin.files import check_format
+        from ..skin.files import FORMATS, check_format
 
         if options.export is None:
             for name in ("transform", "parent", "export_format"):
@@ -70,8 +73,11 @@ class Export:
                         f"--{name.replace('_', '-')} is for an exported map", remedy="give --export"
                     )
             return None
-        kind = (options.export_format or options.export.suffix.lstrip(".")).lower()
+        path, name = options.export, str(options.export).lower()
+        kind = (options.export_format or path.suffix.lstrip(".") or name).lower()
         check_format(kind)
+        if name in FORMATS:
+            path = options.out / f"skin.{SUFFIXES.get(name, name)}"
         if options.parent is not None and kind not in URDF_FORMATS:
             raise ConfigError(
                 "--parent needs a URDF", value=kind, limit=" or ".join(URDF_FORMATS),
@@ -84,9 +90,9 @@ class Export:
                 value="a link of a URDF, whose meshes have their place" if of_urdf else "no --link",
                 remedy="leave --transform out" if of_urdf else "name the link: --link NAME",
             )
-        check_writable(options.export)
+        check_writable(path)
         return cls(
-            options.export, kind, options.link, options.transform, options.parent,
+            path, kind, options.link, options.transform, options.parent,
             _whose(options, of_urdf),
         )  # fmt: skip
 

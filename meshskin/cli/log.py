@@ -37,13 +37,18 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="MSG",
         help=".msg files of message types that the bag does not define",
     )
-    parser.add_argument(
-        "--scan", action="store_true", help="read a ROS 1 bag that was never closed, and so has no "
-        "index, record by record",
-    )  # fmt: skip
+    add_scan(parser)
     parser.add_argument(
         "--out", type=Path, metavar="RECORDING", help="write contacts and readings as a recording; "
         "the map must name contact points and forces",
+    )  # fmt: skip
+
+
+def add_scan(parser: argparse._ActionsContainer) -> None:
+    """Add the option of bags without an index."""
+    parser.add_argument(
+        "--scan", action="store_true", help="read a ROS 1 bag that was never closed, and so has no "
+        "index, record by record",
     )  # fmt: skip
 
 

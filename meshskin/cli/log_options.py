@@ -14,6 +14,7 @@ import numpy as np
 from ..core.arguments import check_name
 from ..core.errors import ConfigError
 from .belief_options import belief_of
+from .log import add_scan, summary
 
 if TYPE_CHECKING:
     from ..core.arrays import Array
@@ -40,6 +41,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--map", type=Path, metavar="MAP", help="which stream of the log is what "
         "(`meshskin log FILE --write-map MAP`)",
     )  # fmt: skip
+    add_scan(log)
     log.add_argument(
         "--indenter-mm", type=float, nargs=3, metavar=("X", "Y", "Z"), help="centre of the "
         "indenter; contacts then follow from the joint angles of the robot of --urdf and --link",
@@ -84,11 +86,10 @@ def from_log(options: argparse.Namespace, progress: Progress | None = None) -> F
     from ..recording.log_map import LogMap
     from ..recording.readers import read_log
     from ..recording.resample import log_frames
-    from .log import summary
 
     _check(options)
     log_map = LogMap.load(options.map)
-    log = read_log(options.recording, log_map, progress=True)
+    log = read_log(options.recording, log_map, progress=True, scan=options.scan)
     frames = log_frames(log, log_map)
     belief, lines = belief_of(options, frames.skin_log.taxel_ids), list(summary(frames, log))
     if options.indenter_mm is None:

@@ -37,6 +37,13 @@ def test_the_frame_of_a_map_is_the_body_s_by_default(found, tmp_path):
     np.testing.assert_array_equal(read.poses[:, :3, 3], found.positions)
 
 
+def test_a_format_alone_names_a_file_in_the_folder_of_the_results(found, tmp_path):
+    for name, file in (("urdf", "skin.urdf"), ("icub", "skin.txt"), ("mjcf", "skin.xml")):
+        export = Export.of(options("--body", "arm.stl", "--out", tmp_path, "--export", name))
+        assert str(tmp_path / file) in export.write(found)
+        assert len(ms.Skin.load(tmp_path / file)) == 80
+
+
 def test_a_link_of_a_urdf_is_the_frame(found, tmp_path):
     file = tmp_path / "map.urdf"
     asked = ("--body", "robot.urdf", "--link", "palm", "--export", file)

@@ -27,11 +27,11 @@ from .hypotheses import (
     Hypothesis,
     discrete,
     grid,
+    log_prior,
     moved,
     regained,
     ring,
     unchanged,
-    weighted,
 )
 from .skin_map import SkinMap
 from .touches import Block, Errors, Touches, covariance_of, log_likelihood
@@ -94,25 +94,23 @@ def judge(touches: Touches, known: SkinMap, unit: int, errors: Errors, limit: fl
         c = covariance_of(block, errors, places, state)
         null = log_likelihood(block, c, errors, touches.threshold)
         first = null if first is None else first
-        steps = weighted(
-            _alternatives(
-                touches, known, unit, state, _misfit(block, c, errors, touches.threshold), limit
-            ),
-            len(known.units),
-        )
+        misfit = _misfit(block, c, errors, touches.threshold)
+        steps = _alternatives(touches, known, unit, state, misfit, limit)
+        expected = np.zeros(len(rows))
+        np.maximum.at(expected, block.taxel, block.mean)
         blocks = touches.blocks(rows, places, steps, errors)
         ratio = np.array([
             log_likelihood(
                 b, covariance_of(b, errors, places, h), errors, touches.threshold
             ) for b, h in zip(blocks, steps, strict=True)
         ]) - null  # fmt: skip
-        weight = np.log([h.weight for h in steps])
-        evidence = float(logsumexp(ratio + weight))
+        posterior = ratio + log_prior(steps, len(known.units), expected)
+        evidence = float(logsumexp(posterior))
         if evidence <= limit or len(changes) == MAX_CHANGES:
             break
-        change = _change(steps, blocks, ratio + weight, errors, places, evidence)
+        change = _change(steps, blocks, posterior, errors, places, evidence)
         changes.append(change)
-        state = replace(change.hypothesis, shift_sigma=0.0, gain_sigma=0.0, weight=1.0)
+        state = replace(change.hypothesis, shift_sigma=0.0, gain_sigma=0.0)
         if state.state == GAIN:
             mine = (np.arange(len(rows)) == state.taxel) | (state.taxel < 0)
             residual = change.log_gain - change.hypothesis.change
@@ -123,8 +121,8 @@ def judge(touches: Touches, known: SkinMap, unit: int, errors: Errors, limit: fl
             places = places + change.shift_covariance
     dead = np.array([r for r, h in zip(ratio, steps, strict=True) if h.state == DEAD])
     touched = np.zeros(len(rows), dtype=bool)
-    expected = block.mean > max(ANSWERED * touches.threshold, LEAST_READING)
-    touched[block.taxel[expected | block.read]] = True
+    answers = block.mean > max(ANSWERED * touches.threshold, LEAST_READING)
+    touched[block.taxel[answers | block.read]] = True
     excluded = [
         r < -MIN_ODDS for r, h in zip(ratio, steps, strict=True)
         if h.state in (TURNED, EXCHANGED)

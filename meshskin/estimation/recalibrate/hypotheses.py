@@ -32,10 +32,21 @@ SHIFT_SIGMA = 0.5e-3
 """Standard deviation of a component of a move, m, along each tangent: neighbouring components
 overlap, and a patch of 4 mm is nearly straight over it."""
 MOVE = 2e-3
-"""Move, m, that the text says of each unit whether it is excluded, and that touches are planned to
-show: a quarter of a usual pitch, below which the map still tells which taxel is pressed."""
+"""Move, m, that is usual, that the text says of each unit whether it is excluded, and that touches
+are planned to show: a quarter of a usual pitch, below which the map still tells which taxel is
+pressed."""
+KINDS = {
+    (MOVED, False): 8.0, (GAIN, True): 4.0, (DEAD, True): 4.0, (GAIN, False): 1.0,
+    (DEAD, False): 1.0, (TURNED, False): 1.0, (EXCHANGED, False): 1.0,
+}  # fmt: skip
+"""Prior odds of the kinds of change, of a unit as a whole or of one of its taxels. Chosen: the
+readings of one touch often show the first three just so; the others they show by far."""
+MIN_EXPECTED = 1e-3
+"""Added to the expected readings, relative to the peak, by which changes of single taxels are
+weighted: less than any threshold."""
 GAIN_PITCH, GAIN_SIGMA, MAX_GAIN = 0.25, 0.15, 1.5
-"""The same of ln gain, and its largest change: a factor of 4.5."""
+"""Distance and standard deviation of the components of a change of ln gain, and the largest one: a
+factor of 4.5."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +62,6 @@ class Hypothesis:
     """(k,); -inf: dead."""
     taxel: int = -1
     """The taxel, counted in the unit, that changed alone; -1: all of them."""
-    weight: float = 1.0
-    """Prior probability, if the unit changed."""
     value: float = 0.0
     """The angle of a turn, rad, or the number of the unit whose place it has."""
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -182,14 +191,22 @@ def regained(base: Hypothesis, single: bool) -> list[Hypothesis]:
     return found
 
 
-def weighted(hypotheses: list[Hypothesis], units: int) -> list[Hypothesis]:
-    """The hypotheses with prior probabilities: equal for each kind of change, and within a kind;
-    those of an exchange are shared with the units that were not tried."""
+def log_prior(hypotheses: list[Hypothesis], units: int, expected: Array) -> Array:
+    """ln of the prior probabilities (h,) of the hypotheses, which no reading enters.
+
+    Within a kind of change (KINDS), moves are normal with the standard deviation MOVE; changes of
+    one taxel are as probable as its largest `expected` reading (k,) is large, as nothing is seen of
+    those that no touch reaches; those of an exchange are shared with the units that were not tried.
+    """
     kinds = [(h.state, h.taxel >= 0) for h in hypotheses]
-    count = {kind: kinds.count(kind) for kind in kinds}
-    if (EXCHANGED, False) in count:
-        count[EXCHANGED, False] = max(units - 1, 1)
-    return [
-        replace(h, weight=1.0 / (len(count) * count[kind]))
-        for h, kind in zip(hypotheses, kinds, strict=True)
-    ]
+    every = sum(KINDS[kind] for kind in set(kinds))
+    share = np.array([
+        np.exp(-0.5 * np.sum(np.square(h.shift)) / MOVE**2) if h.state == MOVED
+        else expected[h.taxel] + MIN_EXPECTED if h.taxel >= 0 else 1.0
+        for h in hypotheses
+    ])  # fmt: skip
+    for kind in set(kinds):
+        mine = np.array([k == kind for k in kinds])
+        total = max(units - 1, 1) if kind == (EXCHANGED, False) else share[mine].sum()
+        share[mine] *= KINDS[kind] / (every * total)
+    return np.log(share)
