@@ -98,7 +98,7 @@ _STUDIES: tuple[tuple[str, str, str, str, tuple[str, ...], str], ...] = (
         "--out figures/ --full", ("skin_design.png",), "",
     ),
     (
-        "accuracy_cost", "Work and precision", "--scenes sphere_noisy --asked",
+        "accuracy_cost", "Work and precision", "--scenes sphere_noisy --asked --knobs rate method",
         "--out figures/ --full", ("accuracy_cost.png",), "",
     ),
     (
@@ -107,11 +107,12 @@ _STUDIES: tuple[tuple[str, str, str, str, tuple[str, ...], str], ...] = (
         ("fig4_tuned_sphere.png", "tuning_trade.png"), "",
     ),
     (
-        "foreign_worlds", "Learned response", "--seeds 1 --worlds hertz bell hysteresis",
+        "foreign_worlds", "Learned response", "--seeds 1 --worlds bell hysteresis",
         "--out figures/ --full", ("foreign_worlds.png",), "",
     ),
     (
-        "real_bodies", "Bodies of real robots", "DATA",
+        "real_bodies", "Bodies of real robots",
+        "DATA --only 'UR3e forearm' 'iCub left shank'",
         "DATA --out figures/ --full", ("real_bodies.png",), "icub_body",
     ),
     (

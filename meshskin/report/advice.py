@@ -36,6 +36,11 @@ def format_ids(ids: Iterable[object], most: int = 20) -> str:
     return ", ".join(names[:most]) + more
 
 
+def _named(ids: np.ndarray) -> str:
+    """One taxel or several, by their ids."""
+    return f"taxel{'s' * (len(ids) > 1)} {format_ids(ids)}"
+
+
 def bound_ratio(data: ReportData) -> float | None:
     """Mean error over the Cramér-Rao bound; None if one of them is not known."""
     bound = data.bound_mm
@@ -93,7 +98,8 @@ def _observability_note(freedom: int, count: int, touched: int) -> str:
         )
     if count == 0:
         return "not determined by these data; no number is given"
-    return f"not determined for {touched - count} taxels"
+    lost = touched - count
+    return f"not determined for {lost} taxel{'s' * (lost > 1)}"
 
 
 def next_steps(data: ReportData) -> Sequence[str]:
@@ -121,13 +127,12 @@ def _contacts(data: ReportData) -> list[str]:
     ids, steps = np.asarray(c.ids), []
     if not data.touched.all():
         steps.append(
-            f"Extend the contact path to taxels {format_ids(ids[~data.touched])}, "
-            "or mark them as defective."
+            f"Extend the contact path to {_named(ids[~data.touched])}, or mark them as defective."
         )
     weak = data.touched & ~np.asarray(c.observed, dtype=bool)[:, :2].all(axis=1)
     if weak.any():
         steps.append(
-            f"Pass taxels {format_ids(ids[weak])} on both sides: they were touched, but from too "
+            f"Pass {_named(ids[weak])} on both sides: they were touched, but from too "
             "few sides to determine their position along the skin."
         )
     few = data.touched & ~weak & (np.asarray(c.readings) < FEW_READINGS)
@@ -145,7 +150,7 @@ def _model_errors(data: ReportData) -> list[str]:
     bad = outlying_taxels(data)
     if bad.any():
         steps.append(
-            f"Check taxels {format_ids(np.asarray(data.calibration.ids)[bad])}: their residuals "
+            f"Check {_named(np.asarray(data.calibration.ids)[bad])}: their residuals "
             "are far above those of the other taxels (a wrong gain, swapped wiring, or an "
             "estimate in a local minimum)."
         )

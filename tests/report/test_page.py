@@ -355,9 +355,9 @@ def test_advice_follows_the_numbers(case: SimpleNamespace) -> None:
     f = collect(replace(case.calibration(), **changes), case.skin())
     assert np.flatnonzero(outlying_taxels(f)).tolist() == [11]
     text = " ".join(next_steps(f))
-    assert "Check taxels 11:" in text
+    assert "Check taxel 11:" in text
     assert "more often (fewer than 12 readings each): 12." in text
-    assert "Pass taxels 13 on both sides" in text
+    assert "Pass taxel 13 on both sides" in text
 
 
 def test_truth_is_matched_by_id(case: SimpleNamespace) -> None:
