@@ -2,8 +2,8 @@
 
 LOG and what is known of the robot are given as to `meshskin calibrate`; nothing is written. The
 replay begins when a browser shows the page, and the command ends when the replay is over and the
-page is closed. Where the noise of the readings is not known (--noise-kpa, or that of --scene), the
-recording is calibrated as a whole first.
+page is closed. Where the noise of the readings is not known (--noise-kpa, or that of --scene), it
+is estimated on the way.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ import os
 import sys
 import time
 import webbrowser
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 from ..core.arguments import check_real
-from ..core.errors import CalibrationError, ConfigError
+from ..core.errors import ConfigError
 from . import belief_options, log_options
 from .calibrate import recorded
 
@@ -76,24 +76,23 @@ def command(options: argparse.Namespace) -> int:
             "raw readings cannot be calibrated online", value="--raw", remedy="meshskin calibrate"
         )
     with LiveView(options) as view:
-        stage, found = _recorded(options) if options.map is None else _of_log(options)
-        view.play(stage, found)
+        view.play(_recorded(options) if options.map is None else _of_log(options))
         view.finish("the replay is over; nothing was written")
     return 0
 
 
-def _recorded(options: argparse.Namespace) -> tuple[Stage, Calibration | None]:
+def _recorded(options: argparse.Namespace) -> Stage:
     """A recording in two tables, with the robot of --scene."""
     from ..report.live.stage import Stage
     from ..scene.scene import Scene
 
     given = recorded(options)
     if options.scene is None:
-        return Stage.of_recording(given.recording, given.belief), None
-    return Stage.of_scene(given.recording, Scene.load(options.scene), given.belief), None
+        return Stage.of_recording(given.recording, given.belief)
+    return Stage.of_scene(given.recording, Scene.load(options.scene), given.belief)
 
 
-def _of_log(options: argparse.Namespace) -> tuple[Stage, Calibration | None]:
+def _of_log(options: argparse.Namespace) -> Stage:
     """A robot's own log; with its robot where contacts follow from joint angles, which are then
     those of a calibration of the whole log.
     """
@@ -102,13 +101,12 @@ def _of_log(options: argparse.Namespace) -> tuple[Stage, Calibration | None]:
     given = log_options.from_log(options)
     print("\n".join(given.lines))
     if given.found is None or given.robot is None or given.log is None:
-        return Stage.of_recording(given.recording, given.belief), None
+        return Stage.of_recording(given.recording, given.belief)
     belief = given.found.belief or given.belief
-    stage = Stage.of_log(given.recording, belief, given.robot, options.link, given.log)
-    return stage, given.found
+    return Stage.of_log(given.recording, belief, given.robot, options.link, given.log)
 
 
-class LiveView:
+class LiveView(AbstractContextManager["LiveView"]):
     """The page of a command, from when there is something to show until it is closed."""
 
     def __init__(self, options: argparse.Namespace) -> None:
@@ -123,28 +121,16 @@ class LiveView:
         self.options = options
         self.page: LivePage | None = None
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self.page is not None:
             self.page.close()
 
-    def play(self, stage: Stage, found: Calibration | None) -> None:
-        """Open the page, and show the recording while it is calibrated online.
-
-        found: a calibration of the whole recording, if there is one; only its estimate of the noise
-        is used.
-        """
+    def play(self, stage: Stage) -> None:
+        """Open the page, and show the recording while it is calibrated online."""
         from ..report.live.page import LivePage
         from ..report.live.replay import replay
 
-        online = self._online(stage, found)
+        online = self._online(stage)
         self.page = page = LivePage(stage, self.options.host, self.options.port, self.options.speed)
         print(f"live page: {page.address} (the replay begins when a browser shows it)", flush=True)
         self._open(page.address)
@@ -159,7 +145,7 @@ class LiveView:
         from ..report.live.stage import Stage
 
         belief = scene.belief() if found.belief is None else found.belief
-        self.play(Stage.of_scene(recording, scene, belief), found)
+        self.play(Stage.of_scene(recording, scene, belief))
 
     def finish(self, words: str) -> None:
         """Say how it ended, and wait until the page is closed."""
@@ -172,18 +158,15 @@ class LiveView:
             time.sleep(LOOK)
             away = 0.0 if self.page.viewers else away + LOOK
 
-    def _online(self, stage: Stage, found: Calibration | None) -> OnlineCalibration:
+    def _online(self, stage: Stage) -> OnlineCalibration:
         """The online calibration of a stage. Raises CalibrationError."""
         from ..estimation.online.online_calibration import OnlineCalibration
 
-        belief, recording = _estimable(stage.belief), stage.recording
-        if belief.noise_sigma is None:
-            noise = _noise(recording, belief, found)
-            print(f"live page: noise of a reading {noise:.3g} Pa, by the whole recording")
-            belief = replace(belief, noise_sigma=noise)
-        left_out = [int(k) for k in recording.metadata.get("unreachable", ())]
+        left_out = [int(k) for k in stage.recording.metadata.get("unreachable", ())]
         return OnlineCalibration(
-            belief, target_sigma=1e-3 * self.options.target_mm, unreachable=left_out
+            _estimable(stage.belief),
+            target_sigma=1e-3 * self.options.target_mm,
+            unreachable=left_out,
         )
 
     def _open(self, address: str) -> None:
@@ -201,18 +184,6 @@ def _estimable(belief: Belief) -> Belief:
     if belief.contact_motion is not None:
         print("live page: unknowns of the robot are not estimated online: they are as calibrated")
     return replace(belief, module_slots=None, contact_motion=None)
-
-
-def _noise(recording: Recording, belief: Belief, found: Calibration | None) -> float:
-    """The noise of a reading, Pa, by a calibration of the whole recording."""
-    from ..estimation.calibrate import calibrate
-
-    found = found or calibrate(recording, belief)
-    if found.fit is None or not found.fit.noise > 0:
-        raise CalibrationError(
-            "the recording does not show the noise of its readings", remedy="give --noise-kpa"
-        )
-    return found.fit.noise
 
 
 def _has_display() -> bool:

@@ -90,6 +90,26 @@ class TaxelInformation:
         )
         self._eliminate(rows)
 
+    def rescale(self, ratio: float) -> None:
+        """Take a standard deviation of the readings that is 1 / `ratio` times the one before.
+
+        Exact for normal readings; where they are censored, until they are linearized again."""
+        d, own = self.size, np.arange(self.size)
+        unit = np.array([1.0 if k in (0, 1, self._gain) else ratio for k in own])  # of an offset
+        self.hessian[:, own, own] -= self.prior
+        self.gradient[:, 2:d] -= self.prior[2:] * self.nuisance
+        self.hessian *= ratio**2
+        self.gradient *= ratio**2
+        self.hessian[:, :d] /= unit[:, None]
+        self.hessian[:, :, :d] /= unit
+        self.gradient[:, :d] /= unit
+        self.prior, self.nuisance = self.prior / unit**2, self.nuisance * unit[2:]
+        self.step *= unit
+        self.hessian[:, own, own] += self.prior
+        self.gradient[:, 2:d] += self.prior[2:] * self.nuisance
+        self._eliminate(np.flatnonzero(self.placed))
+        self.solve()
+
     def _eliminate(self, rows: np.ndarray) -> None:
         d, h = self.size, self.hessian[rows]
         own = h[:, :d, :d]

@@ -12,7 +12,7 @@ from ...core.arrays import Array
 from ...core.errors import CalibrationError
 from ..data import unit_checks
 from ..data.global_parameters import declared_parameters
-from ..data.measurements import Measurements, nominal_patches
+from ..data.measurements import NOMINAL_NOISE, Measurements, nominal_patches
 from ..data.resolve_belief import resolve_belief
 from .frames import ContactFrames
 
@@ -43,20 +43,15 @@ def checked_belief(belief: Belief, previous: Calibration | None) -> Belief:
     if not len(belief.taxel_ids):
         raise CalibrationError("an online calibration needs the ids of the taxels",
                                remedy="give belief.taxel_ids")  # fmt: skip
-    if belief.noise_sigma is not None:
+    fit = None if previous is None else previous.fit
+    if belief.noise_sigma is not None or fit is None or not fit.noise > 0:
         return belief
-    if previous is None or previous.fit is None or not np.isfinite(previous.fit.noise):
-        raise CalibrationError(
-            "an online calibration needs the noise of the readings",
-            value="belief.noise_sigma = None",
-            remedy="give noise_sigma, or the previous calibration, which estimated it",
-        )
-    return replace(belief, noise_sigma=previous.fit.noise)
+    return replace(belief, noise_sigma=fit.noise)
 
 
 def without_contacts(belief: Belief, frames: ContactFrames) -> Measurements:
-    """Measurements without contacts, with the reference force and the contact model that the first
-    `frames` show where the belief leaves them open.
+    """Measurements without contacts, with the reference force, the contact model and the nominal
+    noise that the first `frames` show where the belief leaves them open.
 
     Raises CalibrationError for frames far from the body, ContactError where no model holds.
     """
@@ -81,7 +76,7 @@ def without_contacts(belief: Belief, frames: ContactFrames) -> Measurements:
         contact=empty,
         taxel=empty,
         pressure=np.empty(0),
-        noise=belief.noise_sigma,
+        noise=belief.noise_sigma or NOMINAL_NOISE * peak,
         threshold=belief.threshold,
         saturation=saturation,
         ends=np.full(len(belief.taxel_ids), saturation),

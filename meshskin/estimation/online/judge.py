@@ -74,7 +74,8 @@ class Judge:
         contacts = rejected + estimate.store.count
         rejected += int(estimate.store.misfitting.values.sum())
         self.misfit = ""
-        if misfits(square, freedom, level):
+        pairs = estimate.store.template.noise_pairs
+        if not estimate.store.noise_is_nominal and misfits(square, freedom, level, pairs):
             self.misfit = f"residuals are {np.sqrt(square / freedom):.3g} times the noise"
         elif contacts >= MIN_COUNT and rejected > MAX_INVALID * contacts:
             self.misfit = f"{rejected} of {contacts} contacts are rejected"

@@ -7,22 +7,23 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import ArrayLike
 
 from ...core.arguments import check_array, check_real, check_type
 from ...core.arrays import Array
 from ...core.errors import CalibrationError, RecordingError
-from ...recording.recording import CONTACTS, QUATERNION, READINGS, Recording
+from ...recording.recording import Recording
 from .. import chart
 from ..calibration import Calibration
 from ..joint.null_space import undetermined
+from ..recalibrate.result import Recalibration
 from ..uncertainty.observability import pose_covariance
 from .frames import ContactFrames, sparse
 from .intake import checked_belief, contacts_of, without_contacts
 from .judge import Judge
 from .next_touch import NextTouch, next_touch
 from .running_estimate import RunningEstimate
+from .running_noise import RunningNoise
 from .status import KEEP_GOING, OnlineStatus
 
 if TYPE_CHECKING:
@@ -67,19 +68,24 @@ class OnlineCalibration:
     def __init__(
         self,
         belief: Belief,
-        previous: Calibration | None = None,
+        previous: Calibration | Recalibration | None = None,
         *,
         target_sigma: float = 1e-4,
         unreachable: Collection[int] = (),
     ) -> None:
         """previous: an earlier calibration of the skin: which taxels moved is tested against it,
-        and its noise serves where the belief has none; its positions are not used. target_sigma:
+        and its noise serves where the belief has none; its positions are not used. Where neither
+        has a noise, it is estimated, from the first hundreds of contacts on. target_sigma:
         standard deviation, m, of a position (root of the trace) that is asked for. unreachable: ids
         of taxels that cannot be touched.
 
         Raises CalibrationError for beliefs that only `calibrate` can use: learned or raw readings,
-        rigid modules, a contact motion; and where the noise is not known.
+        rigid modules, a contact motion; and for a `previous` of another type.
         """
+        if isinstance(previous, Recalibration):
+            previous = previous.calibration
+        if previous is not None:
+            check_type(Calibration, previous, "the previous calibration")
         self.belief = checked_belief(belief, previous)
         self.previous, self.target = previous, check_real("target_sigma", target_sigma, above=0.0)
         self.ids = np.asarray(belief.taxel_ids)
@@ -94,6 +100,7 @@ class OnlineCalibration:
         self._rejected = 0
         self._estimate: RunningEstimate | None = None
         self._judge = Judge(self.ids, previous, reachable, self.target)
+        self._noise = RunningNoise(self.belief.noise_sigma is not None)
         self._next: NextTouch | None = None
         self._turn = 0
 
@@ -143,6 +150,7 @@ class OnlineCalibration:
     def settle(self) -> OnlineStatus:
         """Estimate anew all taxels that wait for it, in a time that is not bounded."""
         self._started.settle()
+        self._noise.settle(self._started)
         return self._tell()
 
     @property
@@ -194,28 +202,7 @@ class OnlineCalibration:
         """The contacts used so far, with their readings: `save` keeps them, and
         `update_recording` of another `OnlineCalibration` goes on from there. Times that do not
         rise, of several recordings, are replaced by those of 50 frames a second."""
-        store = self._started.store
-        columns = {name: rows.values for name, rows in store.columns.items()}
-        time = columns["time"]
-        if not (np.diff(time) > 0).all():  # of several recordings
-            time = PERIOD * np.arange(store.count)
-        table = pa.table(
-            [time, *columns["points"].T, *columns["normals"].T, columns["force"]], schema=CONTACTS
-        )
-        if "headings" in columns:
-            from scipy.spatial.transform import Rotation
-
-            quaternions = Rotation.from_matrix(columns["headings"]).as_quat()[:, [3, 0, 1, 2]]
-            for name, values in zip(QUATERNION, quaternions.T, strict=True):
-                table = table.append_column(name, pa.array(values))
-        readings = pa.table(
-            [
-                time[store.contact.values],
-                self.ids[store.taxel.values].astype(np.int32),
-                store.pressure.values,
-            ],
-            schema=READINGS,
-        )
+        table, readings = self._started.store.tables(self.ids, PERIOD)
         metadata = {"taxel_ids": self.ids.tolist(), "disc_radius_m": self.belief.disc_radius}
         return Recording(table, readings, metadata)
 
@@ -280,6 +267,7 @@ class OnlineCalibration:
             estimate.estimate_anew(estimate.waiting()[: ANEW * frames])
         if touch:
             self._next = self._best_touch()
+        self._noise.look(estimate)
         self._judge.look(estimate, self._rejected)
 
     @property

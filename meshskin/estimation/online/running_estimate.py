@@ -105,11 +105,12 @@ class RunningEstimate:
     @property
     def covariances(self) -> Array:
         """Covariances (n, 2, 2), m^2, along the charts' tangents; inf where not placed. Where the
-        model misfits they are as wide as the batch estimate's: by the variance of the residuals,
-        and the distance from the pressure-weighted mean of the contact points."""
+        model misfits, or the noise is nominal, they are as wide as the batch estimate's: by the
+        variance of the residuals, and the distance from the pressure-weighted mean of the contact
+        points."""
         info = self.information
         found = info.covariance[:, :2, :2] + np.where(self.open[:, None, None], self.spread, 0.0)
-        if self.misfit:
+        if self.misfit or self.store.noise_is_nominal:
             found = self.scale**2 * found
             apart = np.nan_to_num(self.means - info.points(np.arange(len(found))))
             apart = np.einsum("nij,ni->nj", info.charts.tangents, apart)
@@ -198,18 +199,19 @@ class RunningEstimate:
         """Estimate the taxels `rows` from all their readings, with s as it is, in a bounded number
         of steps; those that need more wait for them."""
         if len(rows):
-            estimator, part = self._estimator(rows)
+            estimator, part = self.estimator(rows)
             misfits = advance(estimator, self.scale)
             self._take(rows, estimator, misfits, part)
 
     def search(self, rows: np.ndarray) -> None:
         """Estimate the taxels `rows` as the batch estimate does, outlying readings and all."""
         if len(rows):
-            estimator, part = self._estimator(rows)
+            estimator, part = self.estimator(rows)
             estimator, misfits = search(estimator, self.scale)
             self._take(rows, estimator, misfits, part)
 
-    def _estimator(self, rows: np.ndarray) -> tuple[JointEstimator, Part]:
+    def estimator(self, rows: np.ndarray) -> tuple[JointEstimator, Part]:
+        """The estimator of the taxels `rows` from where they are, and their measurements."""
         info, known = self.information, self.fits[rows]
         start = np.where(known[:, None], info.points(rows), info.charts.points[rows])
         fresh = ~known & ~self.continued[rows]

@@ -44,10 +44,14 @@ class SequentialTest:
         return FALSE_ALARM / (self.looks * (self.looks + 1))
 
 
-def misfits(square: float, freedom: float, level: float) -> bool:
-    """Whether the sum of squared residuals with `freedom` degrees is above chance at `level`."""
-    from scipy.special import chdtrc
+def misfits(square: float, freedom: float, level: float, pairs: int = 0) -> bool:
+    """Whether the sum of squared residuals with `freedom` degrees is above chance at `level`.
 
+    pairs: of readings that their unit, the noise, was estimated from; 0: it is known."""
+    from scipy.special import chdtrc, fdtrc
+
+    if pairs:
+        return bool(fdtrc(freedom, pairs, square / freedom) < level)
     return bool(chdtrc(freedom, square) < level)
 
 

@@ -7,9 +7,11 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
 
 from ...contact import Patches
 from ...core.arrays import Array
+from ...recording.recording import CONTACTS, QUATERNION, READINGS
 from ..data.measurements import Measurements
 
 TREE_STEP = 1000
@@ -84,6 +86,11 @@ class ContactStore:
         return self.columns["force"].count
 
     @property
+    def noise_is_nominal(self) -> bool:
+        """Whether the noise is neither known nor estimated yet (running_noise.py)."""
+        return self.template.belief.noise_sigma is None and not self.template.noise_pairs
+
+    @property
     def threshold(self) -> float:
         """Pressure, Pa, up to which taxels are silent: as believed, or the smallest reading."""
         lowest = self.lowest if np.isfinite(self.lowest) else 0.0
@@ -112,6 +119,26 @@ class ContactStore:
         np.add.at(self.counts, taxel[sound], 1)
         self.lowest = min(self.lowest, float(pressure[sound].min(initial=np.inf)))
         return first, first_reading
+
+    def tables(self, ids: np.ndarray, period: float) -> tuple[pa.Table, pa.Table]:
+        """Contacts and readings as a recording has them, of taxels with `ids` (n,). Times that do
+        not rise are replaced by those of a frame each `period`, s."""
+        columns = {name: rows.values for name, rows in self.columns.items()}
+        time = columns["time"]
+        if not (np.diff(time) > 0).all():  # of several recordings
+            time = period * np.arange(self.count)
+        table = pa.table(
+            [time, *columns["points"].T, *columns["normals"].T, columns["force"]], schema=CONTACTS
+        )
+        if "headings" in columns:
+            from scipy.spatial.transform import Rotation
+
+            quaternions = Rotation.from_matrix(columns["headings"]).as_quat()[:, [3, 0, 1, 2]]
+            for name, values in zip(QUATERNION, quaternions.T, strict=True):
+                table = table.append_column(name, pa.array(values))
+        taxel = ids[self.taxel.values].astype(np.int32)
+        readings = [time[self.contact.values], taxel, self.pressure.values]
+        return table, pa.table(readings, schema=READINGS)
 
     def near(self, points: Array, radius: float) -> np.ndarray:
         """Contacts, rising, within `radius`, m, of any of the points (p, 3)."""

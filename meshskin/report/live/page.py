@@ -6,8 +6,7 @@ import contextlib
 import io
 import socket
 from threading import Lock
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from ...core.errors import ConfigError
 from .drawing import Drawing
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from .stage import Stage
 
 
-class LivePage:
+class LivePage(contextlib.AbstractContextManager["LivePage"]):
     """A page in the browser that shows snapshots of one stage."""
 
     def __init__(self, stage: Stage, host: str, port: int, speed: float) -> None:
@@ -43,15 +42,7 @@ class LivePage:
         self._last: Snapshot | None = None
         self._set_camera(self.server.initial_camera)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property

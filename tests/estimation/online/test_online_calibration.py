@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import meshskin as ms
-from meshskin.core.errors import CalibrationError, RecordingError
+from meshskin.core.errors import CalibrationError, ConfigError, RecordingError
 from meshskin.estimation.online.judge import Judge
 
 NOISE, THRESHOLD = 0.01, 0.05
@@ -110,6 +110,47 @@ def test_outliers_and_dead_taxels_are_left_out_and_counted(world, frames, batch)
     assert (error < 5 * online.position_sigma[found]).all()
 
 
+def test_an_unknown_noise_is_estimated_on_the_way(world, frames):
+    contacts, readings = frames
+    online = ms.OnlineCalibration(world.belief(None, THRESHOLD))
+    for begin in range(0, len(contacts), 50):
+        rows = slice(begin, begin + 50)
+        status = online.update(contacts.take(rows), readings[rows])
+    assert status.verdict != "model misfit"
+    online.settle()
+    batch = ms.calibrate(online.recording(), online.belief)
+    found = np.isfinite(batch.positions[:, 0])
+    assert np.array_equal(np.isfinite(online.positions[:, 0]), found)
+    assert sigmas_apart(online, batch)[found].max() < 0.01
+    assert np.allclose(online.position_sigma[found], batch.position_sigma[found], rtol=0.05)
+    noise = online._estimate.store.template.noise
+    assert noise == pytest.approx(batch.fit.noise, rel=0.02)
+    assert noise == pytest.approx(NOISE * world.peak_reference, rel=0.15)
+
+
+def test_normal_equations_are_those_of_another_unit(world, frames):
+    """Rescaled there and back."""
+    belief = world.belief(NOISE, THRESHOLD, unknown=("modulus", "gain", "offset"))
+    online = ms.OnlineCalibration(belief)
+    online.update(frames[0].take(slice(0, 60)), frames[1][:60])
+    info = online._estimate.information
+    rows = np.flatnonzero(info.placed)
+    points, before = info.points(rows), pickle.loads(pickle.dumps(info))
+    info.rescale(0.5)
+    assert np.allclose(info.prior, before.prior * [1, 1, 1, 4])
+    assert np.allclose(info.nuisance[:, 1], before.nuisance[:, 1] / 2)
+    assert info.covariance[rows, 0, 0].min() > before.covariance[rows, 0, 0].min()
+    info.rescale(2.0)
+    assert np.allclose(info.points(rows), points, atol=1e-9)
+    assert np.allclose(info.covariance[rows], before.covariance[rows], rtol=1e-6)
+
+
+def test_a_recalibration_serves_as_the_previous_calibration(sphere):
+    few = sphere.with_(skin=ms.Skin(sphere.skin.poses[:12], sphere.skin.ids[:12]))
+    found = ms.recalibrate(few.skin, ms.press(few, few.skin.positions), few.belief())
+    assert ms.OnlineCalibration(few.belief(), found).previous is found.calibration
+
+
 def test_taxels_that_moved_are_named(online, batch):
     shifted = batch.poses.copy()
     shifted[:4, :3, 3] += 0.5e-3 * shifted[:4, :3, 0]
@@ -156,8 +197,8 @@ def test_readings_and_beliefs_that_only_a_batch_can_use_are_refused(world):
     for change in ({"readings": "raw"}, {"contact": "learned"}, {"module_slots": np.zeros((4, 3))}):
         with pytest.raises(CalibrationError, match=r"ms\.calibrate"):
             ms.OnlineCalibration(world.belief(NOISE, THRESHOLD, **change))
-    with pytest.raises(CalibrationError, match="give noise_sigma"):
-        ms.OnlineCalibration(world.belief())
+    with pytest.raises(ConfigError, match="the previous calibration must be"):
+        ms.OnlineCalibration(world.belief(NOISE, THRESHOLD), previous=world.truth)
     far = ms.ContactFrames([0.0, 0.0, -100.0], 3.0)
     with pytest.raises(CalibrationError, match="not on the believed body"):
         online.update(far, np.zeros(len(world.ids)))
