@@ -388,3 +388,29 @@ def test_a_skin_that_yields_holds_the_force_under_its_limit():
         assert np.trapezoid(2 * np.pi * r * p, r) == pytest.approx(force, rel=5e-3)
         assert p.max() == pytest.approx(0.7 * peak, rel=1e-2)
         assert p[r < 2e-3].min() == pytest.approx(p.max(), rel=1e-2)
+
+
+@pytest.mark.slow
+def test_the_optimum_is_reached_along_a_valley_of_compression_and_profile(script):
+    from meshskin.core.progress import Stage
+    from meshskin.estimation.data.gather import gather
+    from meshskin.estimation.joint.learned import _begin, with_learned_response
+    from meshskin.estimation.trilateration import trilaterate
+
+    log, believed, _ = script("speed/joint").world(300)
+    data = gather(log, replace(believed, contact="learned"))
+    start, live = trilaterate.least_squares(data), np.arange(300)
+
+    def optimum(s):
+        effects = _begin(with_learned_response(data, start.points), live, start, Stage())
+        effects.move(replace(effects.unknowns, s=np.asarray(s)))
+        assert effects.converge()
+        return effects
+
+    # a point of the valley at a compression of 0.24, on 10,000 taxels
+    far = optimum([0.029, 0.155, -0.015, 0.072, 0.24, 0.017, 0.008, 0.004, 0.067, 0.03, 0.089,
+                   0.051, -0.005, -0.032, -0.069, -0.141, -0.03, -0.034, 0.007])  # fmt: skip
+    near = optimum(np.zeros(19))
+    sigma = np.sqrt(np.diag(near.system().shared_covariance))
+    assert (np.abs(far.unknowns.s - near.unknowns.s)[:5] < 0.3 * sigma[:5]).all()
+    assert far.cost() < near.cost() + 1

@@ -12,6 +12,7 @@ and curvatures change discontinuously from face to face.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -29,6 +30,8 @@ the optimizer overflows; far beyond any estimate."""
 HEIGHT_ITERATIONS = 2
 """Iterations that bring the moved centre to its height over the body: each reduces the error by the
 squared rotation of the normal, which is small."""
+MIN_KEPT = 0.05
+"""Least part of a reading at the typical level that compression leaves: no sensor has less."""
 FOOT_ITERATIONS = 6
 """Iterations that find the closest point on the paraboloid: each reduces the error by the squared
 rotation of the normal."""
@@ -64,6 +67,11 @@ class Contacts:
     """Compression of strong readings, relative to the nominal peak."""
     load_errors: Array = field(default_factory=lambda: np.empty(0))
     """Errors (m,) of ln F, where contacts have errors of their own; else empty."""
+
+    @cached_property
+    def across(self) -> Array:
+        """Unit tangents (m, 3) along the patches' second semi-axes."""
+        return np.cross(self.normals, self.directions)
 
     @property
     def radii(self) -> Array:
@@ -120,8 +128,8 @@ class LinearizedContacts:
         return self._displaced(self.at(s), s, errors)
 
     def _displaced(self, contacts: Contacts, s: Array, errors: Array) -> Contacts:
-        across = np.cross(contacts.normals, contacts.directions)
-        moved = contacts.points + errors[:, :1] * contacts.directions + errors[:, 1:2] * across
+        moved = contacts.points + errors[:, :1] * contacts.directions
+        moved += errors[:, 1:2] * contacts.across
         load = errors[:, 2]
         # with compression, too, the errors are those of a reading at the typical level
         amplified = 1 + self.recorded.response_levels[1] * contacts.compression
@@ -178,12 +186,18 @@ class LinearizedContacts:
         if "scale" in at:
             log_peak[:, at["scale"]] = 1.0
             patches = patches._replace(peak=patches.peak * np.exp(s[at["scale"]][0]))
+        compression = self.parameters.value("compression", s)
+        if "compression" in at:  # readings at the typical level stay
+            level = data.response_levels[0]
+            kept = max(1 - level * compression, MIN_KEPT)
+            log_peak[:, at["compression"]] = level / kept
+            patches = patches._replace(peak=patches.peak / kept)
         if "exponents" in at:
             patches = self._rescaled(patches, shape, log_peak, s[at["exponents"]])
         return Contacts(
             data.points, data.normals, data.directions, patches, shape, log_peak, None, s,
             profile=s[at["profile"]] if "profile" in at else np.empty(0),
-            compression=self.parameters.value("compression", s),
+            compression=compression,
         )  # fmt: skip
 
     def _rescaled(

@@ -19,6 +19,9 @@ from ..posegraph.symmetric_blocks import SymmetricBlocks
 from .likelihood import Readings
 from .reading_sums import Parts, ReadingSums
 
+COLUMNS = 5
+"""Columns that are eliminated together: all at once need the memory of the contacts' again."""
+
 
 class CouplingPattern(ReadingSums):
     """Which taxels read in the same contacts; made once for a selection of readings."""
@@ -125,9 +128,12 @@ class CoupledSystem:
     def _coupling(self) -> tuple[Array, Array]:
         """Coupling of taxels and global parameters (n, D, ks), and matrix (ks, ks) of these, with
         the contacts eliminated."""
-        by_contact = self._inverse_contacts @ self.contact_shared
-        shared = self.shared - inner(self.contact_shared, by_contact)
-        return self.taxel_shared - self._to_taxels(by_contact), shared
+        shared, coupling = self.shared.copy(), self.taxel_shared.copy()
+        for part in np.array_split(np.arange(len(shared)), -(-len(shared) // COLUMNS)):
+            by_contact = self._inverse_contacts @ self.contact_shared[:, :, part]
+            shared[:, part] -= inner(self.contact_shared, by_contact)
+            coupling[:, :, part] -= self._to_taxels(by_contact)
+        return coupling, shared
 
     @cached_property
     def _by_taxel(self) -> Array:

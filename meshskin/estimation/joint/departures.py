@@ -70,10 +70,7 @@ class FittedReadings:
         largest first, but last the drift, for which each of the others can stand in."""
         pressure = np.maximum(self.mu - self.offset, 0.0)
         electronics = Electronics(self.data, self.readings, self.points)
-        half = np.multiply.outer(WIDTHS, np.full(len(pressure), WIDTH * electronics.peak))
-        lags = electronics.play(pressure, half)[0] - pressure
-        widths = ((self._shared(lag), width) for lag, width in zip(lags, WIDTHS, strict=True))
-        best = max((0.0, WIDTHS[0]), *widths)
+        best = max((0.0, WIDTHS[0]), *((self._lag(electronics, pressure, w), w) for w in WIDTHS))
         drift = self._each(self.data.phase[self.readings.contact])
         n = max(int(np.sum(drift != 0)), 1)
         found: dict[str, tuple[float, Array]] = {
@@ -83,6 +80,11 @@ class FittedReadings:
         }
         largest_first = dict(sorted(found.items(), key=lambda item: -item[1][0]))
         return largest_first | {"drift": (float((drift @ drift - n) / np.sqrt(2 * n)), np.zeros(0))}
+
+    def _lag(self, electronics: Electronics, pressure: Array, width: float) -> float:
+        """The score of hysteresis with the relative half-width `width` at pressures (k,)."""
+        half = np.full(len(pressure), width * WIDTH * electronics.peak)
+        return self._shared(electronics.play(pressure, half)[0] - pressure)
 
     def _indenter_score(self) -> float:
         """The largest absolute score of an offset of the indenter along the world's axes; 0 without
@@ -133,9 +135,12 @@ class FittedReadings:
     def _own_information(self) -> tuple[Array, Array]:
         """Scales (n, D) of each taxel's own unknowns, and their information (n, D, D) in these."""
         taxel, n, size = self.readings.taxel, len(self.points), len(self.own)
-        weighted, own = (self.own * self.curvature).T, self.own.T
-        products = (weighted[:, :, None] * own[:, None, :]).reshape(-1, size**2)
-        matrix = sums_by_group(products, taxel, n).reshape(-1, size, size) + np.diag(self.prior)
+        if self.system is not None:
+            matrix = self.system.taxels
+        else:
+            weighted, own = (self.own * self.curvature).T, self.own.T
+            products = (weighted[:, :, None] * own[:, None, :]).reshape(-1, size**2)
+            matrix = sums_by_group(products, taxel, n).reshape(-1, size, size) + np.diag(self.prior)
         scale = np.sqrt(np.diagonal(matrix, axis1=1, axis2=2)) + 1e-12
         unit = matrix / (scale[:, :, None] * scale[:, None, :]) + 1e-9 * np.eye(size)
         return scale, unit

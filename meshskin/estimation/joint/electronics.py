@@ -19,10 +19,10 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from ...core.arrays import Array, ranges
+from ...core.arrays import Array
 from ..data.measurements import Measurements
 from .likelihood import Readings
-from .reading_sums import CONTACT_SIZE
+from .reading_sums import CONTACT_SIZE, pairs_of_contacts
 
 WIDTH = 0.1
 """Half-width of the play operator, relative to the nominal peak, at a logarithm of 0."""
@@ -92,25 +92,25 @@ class Electronics:
         return mu
 
     def play(self, mu: Array, width: Array) -> tuple[Array, np.ndarray, Array]:
-        """The play operator (..., k) of half-widths (..., k) on the pressures mu (k,) of each taxel
-        in time; the reading (..., k) that last moved it, -1 where a release did, or none; and the
+        """The play operator (k,) of half-widths (k,) on the pressures mu (k,) of each taxel
+        in time; the reading (k,) that last moved it, -1 where a release did, or none; and the
         side -1, 0 or 1 on which it follows: mu[source] + side width."""
         lagging, source = np.zeros(width.shape), np.zeros(width.shape, dtype=np.intp)
-        side, taxels = np.zeros(width.shape), (*width.shape[:-1], len(self.readings.starts) - 1)
+        side, taxels = np.zeros(width.shape), len(self.readings.starts) - 1
         level, last, sign = np.zeros(taxels), np.full(taxels, -1), np.zeros(taxels)
         for rows, released in self.steps:
-            own, half = self.readings.taxel[rows], width[..., rows]
-            now = level[..., own]
+            own, half = self.readings.taxel[rows], width[rows]
+            now = level[own]
             free = released & (half < now)
             now = np.where(free, half, now)
             low, high = mu[rows] - half, mu[rows] + half
             below, above = now < low, now > high
-            moved = np.where(free, -1, last[..., own])
-            turned = np.where(free, 1.0, sign[..., own])
-            level[..., own] = lagging[..., rows] = np.clip(now, low, high)
-            last[..., own] = source[..., rows] = np.where(below | above, rows, moved)
+            moved = np.where(free, -1, last[own])
+            turned = np.where(free, 1.0, sign[own])
+            level[own] = lagging[rows] = np.clip(now, low, high)
+            last[own] = source[rows] = np.where(below | above, rows, moved)
             turned = np.where(below, -1.0, np.where(above, 1.0, turned))
-            sign[..., own] = side[..., rows] = turned
+            sign[own] = side[rows] = turned
         return lagging, source, side
 
     @cached_property
@@ -135,19 +135,14 @@ class Electronics:
         contact."""
         from scipy.spatial import cKDTree
 
-        readings, n = self.readings, len(self.points)
-        shape = len(readings.taxel), len(readings.taxel)
-        if n < 2:
-            return sparse.csr_array(shape)
-        tree = cKDTree(self.points)
-        nearest = tree.query(self.points, k=2)[0][:, 1]
-        pairs = tree.sparse_distance_matrix(tree, NEXT * nearest.max(), output_type="ndarray")
-        pairs = pairs[(pairs["v"] > 0) & (pairs["v"] < NEXT * nearest[pairs["i"]])]
-        count = np.diff(readings.starts)[pairs["i"]]
-        rows = ranges(readings.starts[pairs["i"]], count)
-        key = readings.contact * n + readings.taxel
-        order = np.argsort(key)
-        wanted = readings.contact[rows] * n + np.repeat(pairs["j"], count)
-        found = order[np.minimum(np.searchsorted(key[order], wanted), len(key) - 1)]
-        hit = key[found] == wanted
-        return sparse.csr_array((np.ones(hit.sum()), (rows[hit], found[hit])), shape=shape)
+        readings, k = self.readings, len(self.readings.taxel)
+        if len(self.points) < 2:
+            return sparse.csr_array((k, k))
+        nearest = cKDTree(self.points).query(self.points, k=2)[0][:, 1]
+        first, second = pairs_of_contacts(readings.contact)
+        own, other = readings.taxel[first], readings.taxel[second]
+        apart = np.linalg.norm(self.points[own] - self.points[other], axis=1)
+        there, back = (apart < NEXT * nearest[taxel] for taxel in (own, other))
+        rows = np.concatenate([first[there], second[back]])
+        columns = np.concatenate([second[there], first[back]])
+        return sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(k, k))

@@ -27,11 +27,12 @@ from ..posegraph.symmetric_blocks import SingularMatrixError
 from ..result import EstimatorResult
 from ..trilateration import coactivation, trilaterate
 from . import fault_detection
+from .contacts import LinearizedContacts
 from .departures import MIN_SCORE
 from .deviations import Deviations
 from .joint_estimator import JointEstimator
 from .learned_result import learned_result
-from .likelihood import select
+from .likelihood import Likelihood, Readings, select
 from .outlier_rejection import reject_outliers
 from .parametrization import SurfaceParametrization, Unknowns
 from .pressure import CENSORED, OBSERVED
@@ -59,6 +60,9 @@ MAX_ROUNDS = 3
 """Largest number of times that outlying readings are left out and the rest is estimated again."""
 USUAL_STEPS = 40
 """Usual steps of Gauss and Newton, of variances, and of searches for second optima."""
+LEVEL_SAMPLE = 1000
+"""Taxels and contacts, about, whose mean level the compression refers to: more change it by less
+than a hundredth."""
 MOVED = 0.02
 """Move of a taxel, in contact radii, from which it is at another optimum."""
 
@@ -230,11 +234,31 @@ def _begin(
     weight = np.ones(len(data.pressure))
     readings = select(data, live, charts.points, charts.normals, 0.0, weight, np.ones(len(live)))
     noise = 1.0 if data.belief.noise_sigma is not None else _first_noise(start, data)
-    effects = RandomEffects(data, readings, unknowns, Deviations(noise=noise))
-    data, deviations = replace(data, response_levels=effects.response_levels()), effects.deviations
-    pattern = effects.pattern
-    del effects  # two would need twice the memory
-    return RandomEffects(data, readings, unknowns, deviations, pattern, stage)
+    data = replace(data, response_levels=_response_levels(data, readings, unknowns))
+    return RandomEffects(data, readings, unknowns, Deviations(noise=noise), stage=stage)
+
+
+def _response_levels(data: Measurements, readings: Readings, u: Unknowns) -> tuple[float, float]:
+    """Levels of the readings, relative to the nominal peak, that determine gains and errors of
+    ln F: means over taxels and contacts, LEVEL_SAMPLE of each if there are more, weighted by the
+    information of each reading.
+
+    A compression that made gains smaller at the same readings would be preferred for that alone:
+    the estimate is the mode, in which a change of scale of its effects counts.
+    """
+    contacts = LinearizedContacts(data, u.s).with_errors(u.s, u.errors)
+    points, found = u.parametrization.points(), []
+    for row, owner in ((3, readings.taxel), (-1, readings.contact)):
+        few = np.flatnonzero(owner % max(owner.max(initial=0) // LEVEL_SAMPLE, 1) == 0)
+        contact, taxel = readings.contact[few], readings.taxel[few]
+        mu, jacobian = Likelihood(data, readings).predict(
+            contact, points[taxel], u.nuisance[taxel], contacts
+        )
+        weight, level = jacobian[row] ** 2, mu * data.sigma / data.nominal_peak
+        total = np.bincount(owner[few], weight)
+        mean = np.bincount(owner[few], weight * level) / np.maximum(total, 1e-300)
+        found.append(float(np.mean(mean[total > 0])))
+    return found[0], found[1]
 
 
 def _first_noise(start: EstimatorResult, data: Measurements) -> float:

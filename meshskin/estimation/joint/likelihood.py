@@ -158,8 +158,7 @@ class Likelihood:
         self, rows: np.ndarray, points: Array, nuisance: Array, contacts: Contacts
     ) -> Moments:
         """Of the taxels `rows`, at points (r, 3), m, and nuisance parameters (r, .)."""
-        size = 3 + nuisance.shape[1] + len(self.data.parameters.sigma)
-        out = Moments.zeros(len(rows), size)
+        out = Moments.zeros(len(rows), 3 + nuisance.shape[1] + self.shared)
         count = self.readings.starts[rows + 1] - self.readings.starts[rows]
         ends = np.cumsum(count)
         begin = 0
@@ -169,14 +168,18 @@ class Likelihood:
             part = np.arange(begin, end)
             read = part[count[part] > 0]
             if len(read):
-                found = self._block(rows[read], points[read], nuisance[read], contacts)
-                out.put(read, found)
+                out.put(read, self._block(rows[read], points[read], nuisance[read], contacts))
             begin = end
         for k, sigma in enumerate(self.nuisance_sigma):
             out.cost += (nuisance[:, k] / sigma) ** 2 / 2
             out.gradient[:, 3 + k] += nuisance[:, k] / sigma**2
             out.hessian[:, 3 + k, 3 + k] += sigma**-2
         return out
+
+    @property
+    def shared(self) -> int:
+        """Global parameters that moments hold: none where contacts are given with their errors."""
+        return len(self.data.parameters.sigma) if self.data.contact_errors is None else 0
 
     @property
     def nuisance_sigma(self) -> tuple[float, ...]:
@@ -227,6 +230,7 @@ class Likelihood:
         k, count = read.of(rows), read.starts[rows + 1] - read.starts[rows]
         owner, starts = np.repeat(np.arange(len(rows)), count), np.cumsum(count) - count
         mu, jacobian = self.predict(read.contact[k], points[owner], nuisance[owner], contacts)
+        jacobian = jacobian[: 3 + nuisance.shape[1] + self.shared]
         level, weight = read.level[k] / self.data.sigma, read.weight[k]
         cost, rate, curvature = costs(mu, level, read.kind[k])
         square = np.where(read.kind[k] == OBSERVED, (mu - level) ** 2, 0.0)
@@ -284,20 +288,18 @@ class Likelihood:
         if contacts.moves is not None:  # a motion of the contact's frame is the taxel's, reversed
             wrench = np.concatenate([by_point, np.cross(offset, by_point)], 1) * peak[:, None]
         at = columns.get("profile", slice(0, 0))
-        for row in np.setdiff1d(np.arange(last - first), np.arange(at.start, at.stop)):
+        for row in np.setdiff1d(np.arange(self.shared), np.arange(at.start, at.stop)):
             jacobian[first + row] = mu * contacts.log_peak[contact, row]
             for by, slope in zip(by_shape, contacts.shape, strict=True):
                 jacobian[first + row] += by * slope[contact, row]
             if contacts.moves is not None:
-                jacobian[first + row] -= np.einsum(
-                    "ki,ki->k", wrench, contacts.moves[contact, :, row]
-                )
-        if features is not None:
+                moved = contacts.moves[contact, :, row]
+                jacobian[first + row] -= np.einsum("ki,ki->k", wrench, moved)
+        if features is not None and self.shared:
             jacobian[first + at.start : first + at.stop] = peak * features.T
         if contacts.by_load:
-            along, normals = contacts.directions[contact], contacts.normals[contact]
-            jacobian[last] = -np.einsum("ik,ki->k", jacobian[:3], along)
-            jacobian[last + 1] = -np.einsum("ik,ki->k", jacobian[:3], np.cross(normals, along))
+            for row, side in enumerate((contacts.directions, contacts.across), last):
+                jacobian[row] = -np.einsum("ik,ki->k", jacobian[:3], side[contact])
             *slopes, by_peak = (slope[contact] for slope in contacts.by_load)
             jacobian[last + 2] = mu * by_peak
             for by, slope in zip(by_shape, slopes, strict=True):
@@ -327,8 +329,7 @@ class Likelihood:
     ) -> tuple[Array, Array, Array, tuple[Array, ...]]:
         """The profile's basis functions (k, PROFILE_SIZE) at taxels `offset` (k, 3), m, from their
         contacts, and the correction (k,) with its derivatives, as `disc_means`."""
-        along = contacts.directions[contact]
-        across = np.cross(contacts.normals[contact], along)
+        along, across = contacts.directions[contact], contacts.across[contact]
         a, b = contacts.patches.first[contact], contacts.patches.second[contact]
         x, y = np.einsum("ki,ki->k", offset, along) / a, np.einsum("ki,ki->k", offset, across) / b
         u = np.sqrt(x**2 + y**2 + 1e-12)

@@ -44,11 +44,19 @@ MAX_ITERATIONS = 60
 SETTLED = 0.01
 """Expected decrease of the cost per reading from which on variances move: before, residuals and
 effects are not those of the optimum."""
+MAX_RISE = 10.0
+"""Largest rise of the cost, relative to it, in a step that leaves a curved valley: beyond, the step
+is none of a linear cost's."""
+LEAST_FALL = 0.1
+"""Largest part of that rise which a step back leaves: Gauss and Newton's leave about its square."""
 TRIALS = (
     *((weight, 1.0) for weight in (0.0, 10.0, 1e3)),
     *((1e3, part) for part in (0.4, 0.16, 0.064, 0.0256)),
 )
 """Trials of a step: weight of the global parameters' priors on their step, and part of the step."""
+RESTRAINED = 2
+"""The trial that the first step begins with: far from the optimum, global parameters would go along
+the valley by what places and effects still lack."""
 DAMPINGS = (0.0, 1e-3, 1e-2, 0.1, 1.0)
 """Damping of singular normal equations, relative to their diagonal, in the order of trials."""
 HUBER = 4.0
@@ -92,7 +100,9 @@ class RandomEffects:
         )
         self.electronics = Electronics(data, readings, points) if shown else None
         self.linearized = LinearizedContacts(data, unknowns.s)
-        self.deviations, self.restraint, self.last_decrease = deviations, 0, np.inf
+        self.deviations, self.restraint, self.last_decrease = deviations, RESTRAINED, np.inf
+        self.crossed: tuple[Unknowns, float, float] | None = None
+        """Where steps left a curved valley, the cost there, and its rise; None if none did."""
         self.noise_known = data.belief.noise_sigma is not None
         self.leverages = np.zeros(len(readings.taxel))
         self.iterates = [points]
@@ -168,22 +178,6 @@ class RandomEffects:
             jacobian=self.jacobian,
         )
 
-    def response_levels(self) -> tuple[float, float]:
-        """Levels of the readings, relative to the nominal peak, that determine gains and errors of
-        ln F: means over taxels and contacts, weighted by the information of each reading.
-
-        A compression that made gains smaller at the same readings would be preferred for that
-        alone: the estimate is the mode, in which a change of scale of its effects counts.
-        """
-        level = self.mu * self.data.sigma / self.data.nominal_peak
-        found = []
-        for row, owner in ((2, self.readings.taxel), (-1, self.readings.contact)):
-            weight = self.jacobian[:, row] ** 2
-            total = np.bincount(owner, weight)
-            mean = np.bincount(owner, weight * level) / np.maximum(total, 1e-300)
-            found.append(float(np.mean(mean[total > 0])))
-        return found[0], found[1]
-
     def residuals(self) -> Array:
         """Residuals (k,) in standard deviations of each reading's noise."""
         scaled = fault_detection.residuals(self.readings, self.mu, self.data.sigma)
@@ -233,31 +227,42 @@ class RandomEffects:
         """One Gauss-Newton step, restrained until the cost decreases.
 
         Global parameters that trade against each other, as compression and profile do, have a
-        curved valley of nearly equal cost. Their step is restrained by their priors, in whose units
-        the valley is not long, and the other unknowns follow.
+        curved valley of nearly equal cost. Near the optimum a step may leave it, where the next one
+        leads back to a lower cost (a watchdog). Else the step of the global parameters is
+        restrained by their priors, in whose units the valley is not long, and the other unknowns
+        follow. Source: Chamberlain, Powell, Lemarechal, Pedersen, "The watchdog technique for
+        forcing convergence", Mathematical Programming Study 16 (1982).
 
         Returns the rms move of the taxels in their standard deviations at fixed contacts, and the
         posterior before the step where its expected decrease, or that of the last step, is below
-        `settled`.
+        `settled`; an infinite move and none after a step that leaves the valley.
         """
-        before, cost = self.unknowns, self.cost()
-        system, x = self._solution(self.system())
+        crossed, self.crossed = self.crossed, None
+        before, cost, rise = crossed or (self.unknowns, self.cost(), np.inf)
+        here, (system, x) = self.unknowns, self._solution(self.system())
         decrease = sum(float(np.vdot(a, g)) for a, g in zip(x, system.gradient, strict=True)) / 2
-        settles = min(decrease, self.last_decrease) < settled
+        settles = crossed is None and min(decrease, self.last_decrease) < settled
         posterior = self.posterior(system) if settles else None
         for weight, part in TRIALS[self.restraint :]:
             change = system.restrained(x[2], weight * self.prior[2]) - x[2]
             follow = system.following(change)
             step = [-part * (a + b) for a, b in zip(x, follow, strict=True)]
-            self._move_by(before, *step)
+            self._move_by(here, *step)
             self.last_decrease = cost - self.cost()
             if self.last_decrease >= -1e-9 * abs(cost):
-                self.restraint = max(self.restraint - 2, 0)
+                self.restraint = max(self.restraint - 1, 0)
                 moves = np.einsum("ni,nij,nj->n", step[0], system.taxels, step[0])
                 return float(np.sqrt(np.mean(moves))), posterior
+            lowered, rise = -self.last_decrease < LEAST_FALL * rise, -self.last_decrease
+            near = decrease < SETTLED * len(self.mu) and rise < MAX_RISE * cost
+            if (not self.restraint and near) if crossed is None else lowered:
+                self.crossed = before, cost, rise
+                return np.inf, None
             self.restraint = min(self.restraint + 1, len(TRIALS) - 1)
+            if crossed is not None:
+                break
         self.move(before)
-        return 0.0, posterior
+        return (0.0 if crossed is None else np.inf), posterior
 
     def _move_by(self, before: Unknowns, taxels: Array, errors: Array, s: Array) -> None:
         """Move by a step (n, 4), (m, 3), (ks,) from the unknowns `before`."""
@@ -291,9 +296,10 @@ class RandomEffects:
             if posterior is not None:
                 gain = self.update_variances(posterior)
                 settled = np.inf  # from here on a decrease follows from the change of variances
-            elif iteration < 2:
+            elif iteration < 2 and self.crossed is None:
                 self.deviations = self._with_noise(self.deviations, 1)
-            self.spread = self.deviations.noise_of(self.mu)
+            if self.crossed is None:
+                self.spread = self.deviations.noise_of(self.mu)
             self.iterates.append(self.unknowns.parametrization.points())
             if move < MOVE_TOLERANCE and gain < TOLERANCE:
                 return True

@@ -35,18 +35,12 @@ class ReadingSums:
         self.each = np.arange(len(taxel))
         self.order = np.argsort(self.contact, kind="stable")
         self.starts = np.searchsorted(self.contact[self.order], np.arange(contacts + 1))
-        first, second = self._pairs()
+        first, second = pairs_of_contacts(self.contact)
         pair = self.taxel[second] * taxels + self.taxel[first]
         unique, self.block = np.unique(pair, return_inverse=True)
         self.rows, self.columns = np.divmod(unique, max(taxels, 1))
         """Taxels of the blocks (b,) of pairs of taxels that read in one contact."""
         self.library = library()
-
-    def _pairs(self) -> tuple[np.ndarray, np.ndarray]:
-        """All pairs of readings of one contact, contact by contact."""
-        partners = self.starts[self.contact[self.order] + 1] - self.each - 1
-        first = np.repeat(self.order, partners)
-        return first, self.order[ranges(self.each + 1, partners)]
 
     def normal_equations(
         self, jacobian: Array, rate: Array, curvature: Array, size: int
@@ -97,7 +91,7 @@ class ReadingSums:
             self.library.eliminate_contacts(self.contacts, size, *_addresses(*inputs, own, off))
             return own, off
         weighted, transposed = coupling @ inverse[self.contact], np.swapaxes(coupling, 1, 2)
-        first, second = self._pairs()
+        first, second = pairs_of_contacts(self.contact)
         pairs = weighted[second] @ transposed[first]
         own = -_sums(self.taxel, self.taxels, weighted @ transposed)
         return own, -_sums(self.block, len(self.rows), pairs)
@@ -144,6 +138,15 @@ class ReadingSums:
             *_addresses(owner, source, values, out),
         )  # fmt: skip
         return out
+
+
+def pairs_of_contacts(contact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """All pairs of readings of one contact, contact by contact: rows of each one's first and second
+    reading; contact (k,): of each reading."""
+    order, each = np.argsort(contact, kind="stable"), np.arange(len(contact))
+    ends = np.searchsorted(contact[order], contact[order], side="right")
+    partners = ends - each - 1
+    return np.repeat(order, partners), order[ranges(each + 1, partners)]
 
 
 @functools.cache

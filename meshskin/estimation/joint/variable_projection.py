@@ -108,7 +108,7 @@ class ReducedProblem:
         """The state at z (G, D), zero by default, without optimization."""
         count, n = self.parametrization.count, len(self.parametrization.group)
         z = np.zeros((count, self.width)) if z is None else z.copy()
-        size = 3 + self.per_taxel + len(s)
+        size = 3 + self.per_taxel + self.likelihood.shared
         state = State(z, s, Moments.zeros(n, size), np.full(count, np.inf))
         groups = np.arange(count)
         rows, _ = self._taxels(groups)
