@@ -67,6 +67,10 @@ class JointPath:
         path = self._spline
         return np.asarray(path(time)), np.asarray(path(time, 1))
 
+    def covers(self, time: Array) -> np.ndarray:
+        """Whether the path has the times (m,), s: beyond its ends nothing is known of it."""
+        return np.asarray((time >= self.time[0]) & (time <= self.time[-1]))
+
     @cached_property
     def _spline(self):  # type: ignore[no-untyped-def]
         from scipy.interpolate import CubicHermiteSpline

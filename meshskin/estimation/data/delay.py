@@ -37,28 +37,18 @@ def late_frames(data: Measurements) -> int:
     rest, spread least at the true delay, those of most taxels. A few touches or taxels do not show
     it: they may spread less at others by chance.
     """
-    from scipy.special import bdtrc
-
     if not data.counts.any() or np.median(data.counts[data.counts > 0]) < MIN_READINGS:
         return 0
-    weight, n = np.maximum(data.pressure - data.rest[data.taxel], 0.0) ** 2, len(data.ids)
-
-    def spread(row: np.ndarray, used: np.ndarray) -> Array:
-        points, w, own = data.points[row[used]], weight[used], data.taxel[used]
-        total = np.bincount(own, w, n)
-        mean = sums_by_group(w[:, None] * points, own, n) / np.maximum(total, 1e-300)[:, None]
-        square = np.bincount(own, w * np.sum((points - mean[own]) ** 2, axis=1), n)
-        return square[total > 0] / total[total > 0]
+    weight = np.maximum(data.pressure - data.rest[data.taxel], 0.0) ** 2
 
     def compare(frames: int) -> tuple[float, float]:
-        """Spread of the same readings moved, relative to that as they are; probability that so many
-        taxels have a smaller one by chance."""
+        """Of the same readings moved, and as they are: `comparison` of the spreads."""
         row, used = _moved(data, -frames)
-        moved, present = spread(row, used), spread(data.contact, used)
-        if not len(present) or np.median(present) == 0.0 or np.mean(used) < MIN_USED:
-            return np.inf, 1.0
-        better, count = int(np.sum(moved < present)), len(present)
-        return float(np.median(moved) / np.median(present)), float(bdtrc(better - 1, count, 0.5))
+        moved, present = (
+            spreads(data.points[at[used]], weight[used], data.taxel[used])
+            for at in (row, data.contact)
+        )
+        return comparison(moved, present) if np.mean(used) >= MIN_USED else (np.inf, 1.0)
 
     at = {k: compare(k)[0] for k in range(-LATE_FRAMES, LATE_FRAMES + 1)}
     best = min(at, key=lambda k: at[k])
@@ -66,6 +56,27 @@ def late_frames(data: Measurements) -> int:
     while abs(best) >= LATE_FRAMES and (beyond := compare(best + step)[0]) < least:
         best, least = best + step, beyond
     return best if least < LATE_GAIN and compare(best)[1] < CHANCE else 0
+
+
+def spreads(points: Array, weight: Array, taxel: np.ndarray) -> Array:
+    """Weighted mean square distances (t,), m^2, of the contact points (k, 3) of each taxel from
+    their middle; taxel (k,): whose they are."""
+    total = np.bincount(taxel, weight)
+    mean = sums_by_group(weight[:, None] * points, taxel, len(total))
+    mean /= np.maximum(total, 1e-300)[:, None]
+    square = np.bincount(taxel, weight * np.sum((points - mean[taxel]) ** 2, axis=1))
+    return np.asarray(square[total > 0] / total[total > 0])
+
+
+def comparison(moved: Array, present: Array) -> tuple[float, float]:
+    """Median of the spreads `moved` (t,) relative to that of those at `present` (t,), and the
+    probability that so many taxels have a smaller one by chance."""
+    from scipy.special import bdtrc
+
+    if not len(present) or np.median(present) == 0.0:
+        return np.inf, 1.0
+    better, count = int(np.sum(moved < present)), len(present)
+    return float(np.median(moved) / np.median(present)), float(bdtrc(better - 1, count, 0.5))
 
 
 def without_delay(data: Measurements) -> Measurements:

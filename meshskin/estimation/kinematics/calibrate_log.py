@@ -31,6 +31,7 @@ from ...scene.belief import RAW, Belief
 from ...scene.contact_motion import ContactMotion
 from ..calibrate import calibrate
 from ..calibration import Calibration
+from .clock import first_offset
 from .heights import Heights, surface_heights
 from .joint_residuals import JointResidual, joint_residuals
 
@@ -185,6 +186,8 @@ def calibrate_log(
     check_type(ContactKinematics, kinematics, "kinematics of a log")
     check_type(Belief, belief, "the belief about a log")
     path, frames = joint_path(log, kinematics.chain.joint_names), contact_frames(log)
+    clock = first_offset(kinematics, path, log.time[frames], log.readings[frames])
+    frames = frames[path.covers(log.time[frames] - clock)]
     time = log.time[frames]
     reference = belief.force_reference or NOMINAL_FORCE
     force = np.full(len(frames), reference) if log.force is None else log.force[frames]
@@ -195,7 +198,7 @@ def calibrate_log(
             remedy='give the belief readings="raw", or a log with forces',
         )
     belief = replace(belief, force_reference=belief.force_reference or float(np.median(force)))
-    heights, x = _heights(kinematics, path, time, belief, force)
+    heights, x = _heights(kinematics, path, time, belief, force, clock)
     before = heights.residuals(np.zeros(len(x)))[0]
     rounds, moved = 0, np.full((1, 3), np.inf)
     while rounds < MAX_ROUNDS and float(np.median(np.linalg.norm(moved, axis=1))) > LINEAR:
@@ -221,17 +224,22 @@ def calibrate_log(
 
 
 def _heights(
-    kinematics: ContactKinematics, path: JointPath, time: Array, belief: Belief, force: Array
+    kinematics: ContactKinematics,
+    path: JointPath,
+    time: Array,
+    belief: Belief,
+    force: Array,
+    clock: float,
 ) -> tuple[Heights, Array]:
-    """The heights of the contacts, and x (K + 1,) that meets them."""
-    s, x = np.zeros(len(kinematics.labels)), None
+    """The heights of the contacts, and x (K + 1,) that meets them, from an offset of the clocks."""
+    x = np.zeros(len(kinematics.labels) + 1)
+    if "clock_offset" in kinematics.columns:
+        x[kinematics.columns["clock_offset"]] = clock
     for _ in range(HEIGHT_FITS):
-        centres, _ = kinematics.centres(path, time, s)
+        centres, _ = kinematics.centres(path, time, x[:-1])
         depth = _depths(belief, belief.body.closest(centres).curvature, force)
         heights = Heights(kinematics, path, time, belief.body, belief.indenter.radius, depth)
         x = heights.fit(x)
-        s = x[:-1]
-    assert x is not None
     return heights, x
 
 

@@ -118,12 +118,15 @@ class Heights:
         """
         prior = self.precision
         x = np.zeros(len(prior)) if start is None else start
+        pulls = prior.copy()
+        if "clock_offset" in self.model.columns:
+            pulls[self.model.columns["clock_offset"]] = 0.0  # heights leave the clock as it is
         (r, jacobian, _), damping = self.residuals(x), 1e-3
         for _ in range(MAX_ITERATIONS):
             scatter = _scatter(r)
             weight = _weights(r, scatter)
             hessian = jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior)
-            gradient = jacobian.T @ (weight * r) + prior * x
+            gradient = jacobian.T @ (weight * r) + pulls * x
             if gradient @ np.linalg.solve(hessian, gradient) < CONVERGED**2:
                 break
             cost = _cost(r, scatter) + float(prior @ x**2) / 2

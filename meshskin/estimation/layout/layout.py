@@ -87,13 +87,18 @@ class _Known:
     offsets: Array | None
     """Their positions (n, 2) in the modules, m."""
 
-    def plane(self, rows: Index, lengths: Array) -> tuple[Array, float, Modules | None]:
-        """Positions (r, 2) of the taxels `rows`, the unit of their `lengths`, and their modules."""
-        points = stress.in_plane(lengths)
+    def plane(
+        self, rows: Index, lengths: Array, start: Array | None = None
+    ) -> tuple[Array, float, Modules | None]:
+        """Positions (r, 2) of the taxels `rows`, the unit of their `lengths`, and their modules.
+
+        start (r, 2): positions in that unit from which they are sought.
+        """
+        points = stress.in_plane(lengths, start)
         if self.module is not None and self.offsets is not None:
             module = np.unique(self.module[rows], return_inverse=True)[1]
-            start, unit = fitted_modules(module, self.offsets[rows], points)
-            modules, unit = settled(start, lengths, unit, free=True)
+            fitted, unit = fitted_modules(module, self.offsets[rows], points)
+            modules, unit = settled(fitted, lengths, unit, free=True)
             return modules.positions, unit, modules
         unit = self.touch_radius or (self.spacing or 1.0) / stress.neighbour_spacing(points)
         return unit * points, unit, None
@@ -154,7 +159,7 @@ def layout(
     scaled = bool(spacing or touch_radius) or modules is not None
     gauge, factors = _said(known, scaled)
     error = stress.misfit(stress.distances(points), inner, unit)
-    drawn = _drawn(levels, rows, known, points, scaled, seed, stage)
+    drawn = _drawn(levels, rows, known, points, unit, scaled, seed, stage)
     if tiled and modules is not None:
         modules, wrong = tiles.tiled(modules)
         points, departure = modules.positions, np.hypot(departure, wrong[modules.module])
@@ -228,11 +233,11 @@ def _departures(along: Array, lengths: Array, unit: float) -> Array:
 
 
 def _drawn(
-    levels: np.ndarray, rows: Index, known: _Known, points: Array, scaled: bool, seed: int,
-    stage: Stage,
+    levels: np.ndarray, rows: Index, known: _Known, points: Array, unit: float, scaled: bool,
+    seed: int, stage: Stage,
 ) -> Array:  # fmt: skip
-    """Root mean square displacement (r,) of the taxels `rows` at `points` (r, 2) in layouts from
-    randomly weighted strokes; NaN for taxels that are apart in too many of them.
+    """Root mean square displacement (r,), m, of the taxels `rows` at `points` (r, 2), m, in layouts
+    from randomly weighted strokes; NaN for taxels that are apart in too many of them.
 
     Source: Rubin, "The Bayesian bootstrap", Annals of Statistics 9 (1981).
     """
@@ -246,7 +251,8 @@ def _drawn(
         part = largest_part(lengths)
         if part.sum() < 4:
             continue
-        other, _, _ = known.plane(rows[part], lengths[np.ix_(part, part)])
+        near, start = lengths[np.ix_(part, part)], points[part] / unit
+        other, _, _ = known.plane(rows[part], near, start)
         off = aligned(other, points[part], scale=not scaled) - points[part]
         square[part] += np.sum(off**2, axis=1)
         count[part] += 1

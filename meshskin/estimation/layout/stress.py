@@ -33,10 +33,10 @@ def weights(lengths: Array) -> Array:
     return weight
 
 
-def in_plane(lengths: Array) -> Array:
+def in_plane(lengths: Array, start: Array | None = None) -> Array:
     """Plane positions (n, 2) of least stress for finite `lengths` (n, n), in their unit.
 
-    The start is classical scaling. Raises CalibrationError for fewer than 4 taxels.
+    start (n, 2): by default classical scaling. Raises CalibrationError for fewer than 4 taxels.
     """
     n = len(lengths)
     if n < 4:
@@ -46,7 +46,7 @@ def in_plane(lengths: Array) -> Array:
             limit="at least 4",
             remedy="record touches that cover several taxels",
         )
-    points = _classical(lengths)
+    points = _classical(lengths) if start is None else start
     weight = weights(lengths)
     laplacian = np.diag(weight.sum(axis=1)) - weight
     # the null space is the common translation: adding ones makes it regular

@@ -8,11 +8,12 @@ import pytest
 from meshskin.core.errors import CalibrationError, ConfigError, RecordingError, UnknownNameError
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.kinematics.calibrate_log import calibrate_log
+from meshskin.estimation.kinematics.clock import first_offset
 from meshskin.estimation.kinematics.heights import Heights
 from meshskin.estimation.uncertainty.metrics import cramer_rao, nees, position_errors
 from meshskin.recording.log_contacts import contact_frames, joint_path, recording_of
 
-from .simulated_log import explore
+from .simulated_log import CLOCK, explore
 
 KNOWN = {"joint_offset": np.radians(1.0), "indenter_position": 2e-4, "clock_offset": 0.05}
 
@@ -87,6 +88,31 @@ def test_a_small_exploration(small):
     known = position_errors(calibrate(truth, belief(small)), small.scene.skin)
     errors = position_errors(found.calibration, small.scene.skin)
     assert np.sqrt(np.mean(errors**2)) < 1.3 * np.sqrt(np.mean(known**2))
+
+
+def test_clocks_far_apart_give_a_start(small):
+    """Readings moved by twelve frames, 0.48 s."""
+    log, model = small.log, small.kinematics(**KNOWN)
+    path = joint_path(log, model.chain.joint_names)
+    late = replace(
+        log, readings=np.roll(log.readings, 12, axis=0), in_contact=np.roll(log.in_contact, 12)
+    )
+    for moved, offset in ((log, 0.0), (late, CLOCK + 0.48)):
+        rows = contact_frames(moved)
+        found = first_offset(model, path, log.time[rows], moved.readings[rows])
+        assert found == pytest.approx(offset, abs=0.03)
+    known = small.kinematics(joint_offset=0.01)
+    assert first_offset(known, path, log.time[rows], late.readings[rows]) == 0.0
+
+
+@pytest.mark.slow
+def test_clocks_far_apart_are_found_and_named():
+    exploration = explore(headings=(0, 90, 210), taxels=37, frame=0.04, clock=0.5)
+    found = calibrate_log(exploration.log, exploration.kinematics(**KNOWN), belief(exploration))
+    value, sigma = found.unknowns["clock_offset"]
+    assert abs(value - 0.5) < min(4 * sigma, 2e-3)
+    assert "clock_offset is 0.5, 10 times its believed" in found.surprises[0]
+    assert found.calibration.verdict.level != "PASS"
 
 
 @pytest.mark.slow
