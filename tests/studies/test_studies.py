@@ -41,6 +41,22 @@ def test_every_study_writes_a_figure_where_it_is_asked_to():
         assert re.search(r"\bsave(fig)?\(|save_figure|results\.write\(", source), file
 
 
+def test_every_command_that_texts_name_is_there():
+    root = STUDIES.parent
+    texts = [root / "README.md", *root.glob("docs/[!_]*/*.md"), *root.rglob("meshskin/**/*.py")]
+    lost = []
+    for file in texts:
+        text = file.read_text(encoding="utf-8")
+        for path, options in re.findall(r"((?:studies|tests)/[\w/]+\.py)((?: +[\w./$-]+)*)", text):
+            source = (root / path).read_text(encoding="utf-8") if (root / path).exists() else None
+            asked = re.findall(r"--[\w-]+", options)
+            if source is None or any(f'"{o}"' not in source for o in asked if o != "--out"):
+                lost.append(f"{file.name}: {path}{options}")
+        for path in re.findall(r"(?:pytest (?:-m slow )?|`)(tests/[\w/.]+)", text):
+            lost += [] if (root / path.rstrip(".")).exists() else [f"{file.name}: {path}"]
+    assert not lost
+
+
 @pytest.mark.slow
 def test_paper_figures(script, tmp_path, capsys):
     study = script("paper_figures")
