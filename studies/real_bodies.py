@@ -50,7 +50,7 @@ MESHES = {
 URDF = "icub_body/iCubGazeboV2_5.urdf"
 BOUND = 1.2
 """Largest RMS error over the Cramer-Rao bound."""
-WIDTH, HEIGHT, ZOOM = 2.6, 4.0, 1.1
+WIDTH, HEIGHT, ZOOM = 2.6, 4.0, 1.04
 """Size of a body's picture, inches, and how much of it the body fills."""
 LARGEST = 0.05
 """Error, mm, from which taxels have one colour: the largest is some tenths of a millimetre."""
