@@ -26,6 +26,9 @@ DENSE = 0.5
 NARROWER = 0.8
 """Ratio of the spreads of the contacts in which a taxel reads little and much, below which readings
 fall with pressure; sound ones have 1.3 to 10, reversed ones the inverse."""
+CHANCE = 0.05
+"""Probability by chance, below which so many taxels' spreads have a ratio below 1 that readings
+fall: 5 of 5 taxels."""
 MIN_COMPARED = 5
 """Readings of a taxel, at least, whose spreads are compared."""
 REST_SIGMAS = 5.0
@@ -208,8 +211,11 @@ def falls_with_pressure(
     fall where a taxel is pressed: the contacts that press it lie together.
 
     Contacts are weighted by the fourth power of what a reading is above a taxel's least, and below
-    its largest one: noise at rest then counts for little. Median of the taxels.
+    its largest one: noise at rest then counts for little. Median of the taxels; a few do not show
+    it.
     """
+    from scipy.special import bdtrc
+
     n = int(taxel.max(initial=-1)) + 1
     low, high = np.full(n, np.inf), np.full(n, -np.inf)
     np.minimum.at(low, taxel, values)
@@ -227,7 +233,9 @@ def falls_with_pressure(
         centre = sums_by_group(weight[:, None] * points[contact], taxel, n) / total[:, None]
         square = weight * np.sum((points[contact] - centre[taxel]) ** 2, axis=1)
         spreads.append(np.sqrt(np.bincount(taxel, square, n) / total)[compared])
-    return bool(np.median(spreads[0] / np.maximum(spreads[1], 1e-12)) < NARROWER)
+    ratio = spreads[0] / np.maximum(spreads[1], 1e-12)
+    chance = bdtrc(int(np.sum(ratio < 1)) - 1, len(ratio), 0.5)
+    return bool(np.median(ratio) < NARROWER and chance < CHANCE)
 
 
 def _quantum(values: Array) -> float:
