@@ -152,19 +152,19 @@ class Estimation:
         """Maximum likelihood over all readings; arguments as `calibrate`.
 
         The response is learned where the belief asks for it, or leaves the contact model open and
-        the readings contradict it.
+        the readings contradict it or lead to no estimate.
         """
         if self.data.learned:
             return learned.estimate(self.data, stage)
-        result = maximum_likelihood.estimate(
-            self.data,
-            iterations=iterations,
-            tolerance=tolerance,
-            start=self._initial,
-            trilaterated=self.least_squares,
-            stage=stage,
-        )
-        return self._learned(result, stage) if self._contradicted(result) else result
+        try:
+            result = maximum_likelihood.estimate(
+                self.data, self._initial, iterations, tolerance, self.least_squares, stage
+            )
+        except CalibrationError:
+            if (found := self._learned(stage)) is None:
+                raise
+            return found
+        return (self._contradicted(result) and self._learned(stage)) or result
 
     @property
     def _initial(self) -> EstimatorResult | None:
@@ -182,20 +182,20 @@ class Estimation:
         )
 
     def _contradicted(self, found: EstimatorResult) -> bool:
-        """Whether the contact model was chosen by "auto", and the readings contradict it."""
-        if self.belief.contact != AUTO or self.belief.module_slots is not None:
-            return False
+        """Whether the readings contradict the contact model."""
         misfits = found.fit is not None and found.fit.good is False
         return misfits or max(found.departures.values(), default=0.0) > MIN_SCORE
 
-    def _learned(self, found: EstimatorResult, stage: Stage) -> EstimatorResult:
-        """The estimate with a learned response; `found`, that of the contact model, where it does
-        not converge."""
+    def _learned(self, stage: Stage) -> EstimatorResult | None:
+        """The estimate with a learned response, if the contact model was chosen by "auto"; None
+        where it was not, or where that estimate does not converge."""
+        if self.belief.contact != AUTO or self.belief.module_slots is not None:
+            return None
         try:
             data = gather(self.recording, replace(self.belief, contact=LEARNED))
             return learned.estimate(data, stage)
         except CalibrationError:
-            return found
+            return None
 
     @cached_property
     def least_squares(self) -> EstimatorResult:

@@ -186,9 +186,9 @@ def test_a_limit_of_iterations_must_be_a_positive_integer(noisy):
 def test_a_limit_of_iterations_reaches_the_optimizer(noisy, monkeypatch):
     seen, estimate = [], maximum_likelihood.estimate
 
-    def observed(*args, **options):
-        seen.append(options["iterations"])
-        return estimate(*args, **options)
+    def observed(data, start, iterations, *others):
+        seen.append(iterations)
+        return estimate(data, start, iterations, *others)
 
     monkeypatch.setattr(maximum_likelihood, "estimate", observed)
     calibrate(*noisy, iterations=7)
