@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -78,7 +79,7 @@ def _draw(file, scene, frames, plain, recorded, readings) -> None:  # type: igno
     along /= np.linalg.norm(along)
     x = 1e3 * (frames.points[rows] - at) @ along
     moved = 1e3 * (recorded.points[rows] - at) @ along
-    style = {"marker": ".", "lw": 1.1, "ms": 3.5}
+    style: dict[str, Any] = {"marker": ".", "lw": 1.1, "ms": 3.5}
     axes.plot(x, plain[rows, taxel] / 1e3, color=theme.TRUTH, label="off", **style)
     axes.plot(moved, readings[rows, taxel] / 1e3, color=theme.WARNING, label="on", **style)
     axes.set(xlabel="contact point to taxel, mm", title="reading of one taxel, kPa")

@@ -212,11 +212,12 @@ def _definition(field: FieldDoc) -> str:
 
 def sign(
     app: Any, what: str, name: str, obj: Any, options: Any, signature: str | None, returns: Any
-) -> tuple[str, Any] | None:
+) -> tuple[str | None, str | None] | None:
     """Signatures of dataclasses name the required fields alone; the list of fields has the rest."""
     if not (inspect.isclass(obj) and dataclasses.is_dataclass(obj)):
         alias = r"TypeAliasForwardRef\('(\w+)'\)"  # how Sphinx writes an alias within a union
-        return tuple(re.sub(alias, r"\1", part or "") or None for part in (signature, returns))
+        shown = [re.sub(alias, r"\1", part or "") or None for part in (signature, returns)]
+        return shown[0], shown[1]
     required = [field.name for field in field_docs(obj) if field.default is None]
     optional = [field for field in field_docs(obj) if field.default is not None]
     return f"({', '.join([*required, *(['...'] if optional else [])])})", None
