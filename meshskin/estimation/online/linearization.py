@@ -24,7 +24,7 @@ from ..joint.reduced_nlp import MAX_ITERATIONS
 from ..joint.variable_projection import SchurComplement
 from ..trilateration import trilaterate
 
-STEPS = 4
+STEPS = 3
 """Gauss-Newton steps of a bounded estimate, before its charts are linearized again: from where a
 taxel was, two are usual; one that needs more goes on in the next frame."""
 NEWTON_TOLERANCE = 1e-6

@@ -34,9 +34,10 @@ PERIOD = 0.02
 FRAMES = 10
 """Frames that are added at once: within them estimates are linearized where they were before."""
 ANEW = 3
-"""Taxels that are estimated anew for each frame: 7 ms (studies/speed/online.py)."""
-PARTS = 1
-"""Parts of looking for other places of taxels with an open sector, in a frame: 4 ms."""
+"""Taxels that are estimated anew at once, one half in each of two frames, so that none takes long
+(studies/speed/online.py)."""
+EXAMINE_EVERY = 3
+"""Frames after which one looks for other places of taxels with an open sector, for 4 ms."""
 NEXT_TOUCH_EVERY = 10
 """Frames after which the next touch is computed again: five times a second at 50 frames."""
 
@@ -102,7 +103,7 @@ class OnlineCalibration:
         self._judge = Judge(self.ids, previous, reachable, self.target)
         self._noise = RunningNoise(self.belief.noise_sigma is not None)
         self._next: NextTouch | None = None
-        self._turn = 0
+        self._turn, self._touch_at = 0, NEXT_TOUCH_EVERY
 
     def __repr__(self) -> str:
         return f"<OnlineCalibration of {len(self.ids)} taxels: {self.status or 'no contacts yet'}>"
@@ -149,6 +150,7 @@ class OnlineCalibration:
 
     def settle(self) -> OnlineStatus:
         """Estimate anew all taxels that wait for it, in a time that is not bounded."""
+        self._started.complete()
         self._started.settle()
         self._noise.settle(self._started)
         return self._tell()
@@ -168,7 +170,7 @@ class OnlineCalibration:
         info = self._estimate.information
         points = info.points(np.arange(len(self.ids)))
         near = info.placed & (self._estimate.moved < 0.5)
-        return np.where(near[:, None], points, self._estimate.means)
+        return np.where(near[:, None], points, self._estimate.store.means)
 
     @property
     def poses(self) -> Array:
@@ -221,14 +223,14 @@ class OnlineCalibration:
     ) -> OnlineStatus:
         frame, taxel, pressure = readings
         for begin in range(0, len(frames), FRAMES):
-            end = min(begin + FRAMES, len(frames))
+            end, completed = min(begin + FRAMES, len(frames)), self._complete()
             mine = slice(*np.searchsorted(frame, [begin, end]))
             self._add(
                 frames.take(slice(begin, end)), frame[mine] - begin, taxel[mine], pressure[mine]
             )
-            self._advance(end - begin)
+            self._advance(end - begin, completed)
         if not len(frames):
-            self._advance(1)
+            self._advance(1, self._complete())
         return self._tell()
 
     def _add(
@@ -252,22 +254,30 @@ class OnlineCalibration:
             row, read = np.cumsum(valid) - 1, valid[frame]
             self._estimate.add(block, (row[frame[read]], taxel[read], pressure[read]))
 
-    def _advance(self, frames: int) -> None:
-        """The bounded work of so many frames: of one frame, one of what there is to do."""
+    def _complete(self) -> bool:
+        """Complete the estimate that the last frame began; whether there was one."""
+        return self._estimate is not None and self._estimate.complete()
+
+    def _advance(self, frames: int, completed: bool) -> None:
+        """The bounded work of so many frames: of one frame, one of what there is to do, unless it
+        `completed` what the last one began."""
         if self._estimate is None:
             return
-        estimate, before = self._estimate, self._turn
+        estimate = self._estimate
         self._turn += frames
         estimate.solve()
-        touch = self._turn // NEXT_TOUCH_EVERY > before // NEXT_TOUCH_EVERY
-        examine = bool(self._turn % 2) and estimate.examining
-        if frames > 1 or examine:
-            estimate.examine(max(PARTS, frames))
-        if frames > 1 or not (touch or examine):
-            estimate.estimate_anew(estimate.waiting()[: ANEW * frames])
-        if touch:
-            self._next = self._best_touch()
         self._noise.look(estimate)
+        if frames > 1:
+            estimate.examine(frames)
+            estimate.estimate_anew(estimate.waiting()[: ANEW * frames])
+        if self._turn >= self._touch_at and not completed:
+            self._touch_at = self._turn + NEXT_TOUCH_EVERY
+            self._next = self._best_touch()
+        elif frames == 1 and not completed:
+            if self._turn % EXAMINE_EVERY == 0 and estimate.examining:
+                estimate.examine(1)
+            else:
+                estimate.begin(estimate.waiting()[:ANEW])
         self._judge.look(estimate, self._rejected)
 
     @property

@@ -89,13 +89,7 @@ class RunningEstimate:
         self.last_read = np.zeros(n, dtype=int)
         """Contact (n,) that each taxel was read in last."""
         self._examination: Generator[None, None, None] | None = None
-        self._mass, self._moment = np.zeros(n), np.zeros((n, 3))
-
-    @property
-    def means(self) -> Array:
-        """Mean contact points (n, 3), m, weighted by pressure squared; NaN without readings."""
-        with np.errstate(invalid="ignore"):
-            return np.asarray(self._moment / self._mass[:, None])
+        self._begun: tuple[np.ndarray, JointEstimator, Part] | None = None
 
     @property
     def open(self) -> np.ndarray:
@@ -112,7 +106,7 @@ class RunningEstimate:
         found = info.covariance[:, :2, :2] + np.where(self.open[:, None, None], self.spread, 0.0)
         if self.misfit or self.store.noise_is_nominal:
             found = self.scale**2 * found
-            apart = np.nan_to_num(self.means - info.points(np.arange(len(found))))
+            apart = np.nan_to_num(self.store.means - info.points(np.arange(len(found))))
             apart = np.einsum("nij,ni->nj", info.charts.tangents, apart)
             found += (1 - self.scale**-2) * apart[:, :, None] * apart[:, None, :]
         return np.where(info.placed[:, None, None], found, np.diag([np.inf, np.inf]))
@@ -138,11 +132,8 @@ class RunningEstimate:
     def add(self, block: Measurements, readings: tuple[np.ndarray, np.ndarray, Array]) -> None:
         """Add the contacts of `block` and contact, taxel and pressure (k,) of their readings."""
         first, first_reading = self.store.append(block, readings)
-        contact, taxel, pressure = readings
+        taxel = readings[1]
         self.last_read[taxel] = self.store.count
-        weight = np.nan_to_num(pressure) ** 2
-        np.add.at(self._mass, taxel, weight)
-        np.add.at(self._moment, taxel, weight[:, None] * block.points[contact])
         self._measure(block)
         rows = self._near(block.points, taxel)
         if not len(rows):
@@ -198,10 +189,21 @@ class RunningEstimate:
     def estimate_anew(self, rows: np.ndarray) -> None:
         """Estimate the taxels `rows` from all their readings, with s as it is, in a bounded number
         of steps; those that need more wait for them."""
-        if len(rows):
-            estimator, part = self.estimator(rows)
-            misfits = advance(estimator, self.scale)
-            self._take(rows, estimator, misfits, part)
+        self.begin(rows)
+        self.complete()
+
+    def begin(self, rows: np.ndarray) -> None:
+        """The first half of `estimate_anew`, after which `complete` is to be called before readings
+        are added, or s is solved for."""
+        self._begun = (rows, *self.estimator(rows)) if len(rows) else None
+
+    def complete(self) -> bool:
+        """The second half of `estimate_anew`; whether there was one to do."""
+        if self._begun is None:
+            return False
+        (rows, estimator, part), self._begun = self._begun, None
+        self._take(rows, estimator, advance(estimator, self.scale), part)
+        return True
 
     def search(self, rows: np.ndarray) -> None:
         """Estimate the taxels `rows` as the batch estimate does, outlying readings and all."""
@@ -215,7 +217,7 @@ class RunningEstimate:
         info, known = self.information, self.fits[rows]
         start = np.where(known[:, None], info.points(rows), info.charts.points[rows])
         fresh = ~known & ~self.continued[rows]
-        start[fresh] = self.means[rows[fresh]]
+        start[fresh] = self.store.means[rows[fresh]]
         rotations, new = info.charts[rows].rotations, ~info.placed[rows]
         if new.any():
             hit = self.store.template.body.closest(start[new])
@@ -265,7 +267,9 @@ class RunningEstimate:
                 self._examination = None
 
     def _look_elsewhere(self, rows: np.ndarray) -> Generator[None, None, None]:
-        self.estimate_anew(rows)  # sectors are those of then, and the estimate is to be the optimum
+        self.begin(rows)  # sectors are those of then, and the estimate is to be the optimum
+        yield
+        self.complete()
         rows = rows[self.open[rows] & self.fits[rows]]
         if not len(rows):
             return
@@ -305,13 +309,10 @@ class RunningEstimate:
     def settle(self) -> None:
         """Estimate anew all that waits, and examine what was not, until nothing moves."""
         for _ in range(MAX_ROUNDS):
-            lost = (
-                (self.store.counts >= MIN_READINGS)
-                & ~self.fits
-                & (self.searched < self.store.counts)
-            )
+            counts = self.store.counts
+            lost = (counts >= MIN_READINGS) & ~self.fits & (self.searched < counts)
             rows = np.union1d(self.waiting(SETTLED), np.flatnonzero(lost))
-            self.searched[rows] = self.store.counts[rows]
+            self.searched[rows] = counts[rows]
             for begin in range(0, len(rows), CHUNK):
                 self.search(rows[begin : begin + CHUNK])
             self._examination = None
@@ -323,8 +324,8 @@ class RunningEstimate:
                 return
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without the examination in progress, which starts again."""
-        return vars(self) | {"_examination": None}
+        """Without the work in progress, which starts again."""
+        return vars(self) | {"_examination": None, "_begun": None}
 
     def _near(self, points: Array, read: np.ndarray) -> np.ndarray:
         """Placed taxels, rising, within reach of contact points (B, 3), m, or among `read`."""

@@ -77,6 +77,7 @@ class ContactStore:
         """Readings (n,) of each taxel."""
         self.lowest = np.inf
         """The smallest reading, Pa."""
+        self._mass, self._moment = np.zeros(len(first.ids)), np.zeros((len(first.ids), 3))
         self._tree: Any = None
         self._in_tree = 0
 
@@ -84,6 +85,12 @@ class ContactStore:
     def count(self) -> int:
         """Number m of contacts."""
         return self.columns["force"].count
+
+    @property
+    def means(self) -> Array:
+        """Mean contact points (n, 3), m, weighted by pressure squared; NaN without readings."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(self._moment / self._mass[:, None])
 
     @property
     def noise_is_nominal(self) -> bool:
@@ -100,8 +107,7 @@ class ContactStore:
         self, block: Measurements, readings: tuple[np.ndarray, np.ndarray, Array]
     ) -> tuple[int, int]:
         """Append the contacts of `block`, and contact, taxel and pressure (k,) of readings, NaN
-        where they are lost. Returns the row of the first contact and of
-        the first reading."""
+        where they are lost. Returns the row of the first contact and of the first reading."""
         first, first_reading = self.count, self.pressure.count
         for name, rows in self.columns.items():
             rows.append(getattr(block, name))
@@ -115,6 +121,9 @@ class ContactStore:
         self.taxel.append(taxel)
         self.pressure.append(pressure)
         self.weight.append(np.ones(len(pressure)))
+        weight = np.nan_to_num(pressure) ** 2
+        np.add.at(self._mass, taxel, weight)
+        np.add.at(self._moment, taxel, weight[:, None] * block.points[contact])
         sound = np.isfinite(pressure)
         np.add.at(self.counts, taxel[sound], 1)
         self.lowest = min(self.lowest, float(pressure[sound].min(initial=np.inf)))
