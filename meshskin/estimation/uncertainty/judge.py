@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...core.arrays import Array
+from ...scene.belief import RAW
 from .. import chart
 from ..data import delay
 from ..data.global_parameters import ELECTRONICS, LEARNED, SIZES, declared_parameters
@@ -39,6 +40,9 @@ MODULUS_FACTORS = 3.0, 10.0
 """Factor between the estimated and the nominal E* from which it is a doubt, and a failure. Nominal
 values of elastomers by Shore hardness are within a factor of 2; pressures 2 and 4 times wrong move
 E* by factors of 2.7 and 17, since the patch, too, has to fit."""
+MAX_SCALE = 1.6
+"""Factor between the readings and the pressures of the contact model, as a learned response has it,
+from which it is a doubt. A layer of the thickness of the patch changes the peak by 1.3."""
 PRIOR_SIGMAS = 4.0
 """Distance of a global parameter from zero, in standard deviations of its prior, from which it is a
 doubt: 6e-5 by chance."""
@@ -78,6 +82,7 @@ def judge(
         lambda: _late(data),
         lambda: _noise(data, calibration),
         lambda: _modulus(data, calibration),
+        lambda: _scale(data, calibration),
         lambda: _priors(data, calibration),
         lambda: _surface(recording, data, calibration),
         lambda: _weighted_means(data, calibration),
@@ -177,6 +182,19 @@ def _modulus(data: Measurements, calibration: Calibration) -> list[Finding]:
         "scale of pressures and forces, the indenter's radius and the nominal Young's modulus"
     )
     return [(level, words)]
+
+
+def _scale(data: Measurements, calibration: Calibration) -> list[Finding]:
+    """The scale of pressures that a learned response mends."""
+    value, sigma = calibration.unknowns.get("scale", (0.0, 1.0))
+    if data.belief.readings == RAW or abs(value) < max(np.log(MAX_SCALE), PRIOR_SIGMAS * sigma):
+        return []
+    words = (
+        f"the pressures are {np.exp(value):.2g} times those of the contact model (limit: a factor "
+        f"of {MAX_SCALE:g}): the learned response allows for it; check the scale of pressures and "
+        "forces, and the layer's thickness"
+    )
+    return [(DOUBT, words)]
 
 
 def _priors(data: Measurements, calibration: Calibration) -> list[Finding]:
