@@ -68,6 +68,8 @@ ELECTRONICS = ("hysteresis", "crosstalk")
 """Further ones, estimated where the readings show them (joint/electronics.py)."""
 LEARNED_PRIORS = {"modulus": 0.5, "scale": 0.5}
 """Their priors that differ from PRIORS: readings in a unit of their own say nothing about E*."""
+MIN_KEPT = 0.05
+"""Least part of a reading at the typical level that compression leaves: no sensor has less."""
 LEARNED_ONLY = (*LEARNED[1:], *ELECTRONICS, "drift")
 """Parameters that a learned response estimates of itself, and a contact model does not have."""
 LOGARITHMS = ("modulus", "force_scale", "scale", "gain", "mesh_scale")

@@ -20,7 +20,7 @@ from ...contact import Patches
 from ...core import se3
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
-from ..data.global_parameters import MOTION
+from ..data.global_parameters import MIN_KEPT, MOTION
 from ..data.measurements import Measurements
 from .patch_derivatives import LoadDerivatives, SurfaceGradients, loaded_patches
 
@@ -30,8 +30,6 @@ the optimizer overflows; far beyond any estimate."""
 HEIGHT_ITERATIONS = 2
 """Iterations that bring the moved centre to its height over the body: each reduces the error by the
 squared rotation of the normal, which is small."""
-MIN_KEPT = 0.05
-"""Least part of a reading at the typical level that compression leaves: no sensor has less."""
 FOOT_ITERATIONS = 6
 """Iterations that find the closest point on the paraboloid: each reduces the error by the squared
 rotation of the normal."""

@@ -16,7 +16,7 @@ from ...core.arrays import Array
 from ...scene.belief import RAW
 from .. import chart
 from ..data import delay
-from ..data.global_parameters import ELECTRONICS, LEARNED, SIZES, declared_parameters
+from ..data.global_parameters import ELECTRONICS, LEARNED, MIN_KEPT, SIZES, declared_parameters
 from ..data.pairs import near_pairs
 from ..joint.departures import MIN_SCORE
 from . import verdict
@@ -187,6 +187,9 @@ def _modulus(data: Measurements, calibration: Calibration) -> list[Finding]:
 def _scale(data: Measurements, calibration: Calibration) -> list[Finding]:
     """The scale of pressures that a learned response mends."""
     value, sigma = calibration.unknowns.get("scale", (0.0, 1.0))
+    if calibration.response is not None:  # the scale is that of readings at the typical level
+        compression = calibration.unknowns.get("compression", (0.0, 0.0))[0]
+        value -= np.log(max(1 - calibration.response.levels[0] * compression, MIN_KEPT))
     if data.belief.readings == RAW or abs(value) < max(np.log(MAX_SCALE), PRIOR_SIGMAS * sigma):
         return []
     words = (
