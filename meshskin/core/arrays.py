@@ -13,6 +13,16 @@ Index = NDArray[np.intp]
 """Rows of arrays."""
 
 
+_NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
+"""Coordinates in cyclic order."""
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Cross products (..., 3) of vectors (..., 3), bit for bit those of `numpy.cross`, which takes
+    four times as long for a few vectors."""
+    return np.asarray(a[..., _NEXT] * b[..., _AFTER] - a[..., _AFTER] * b[..., _NEXT])
+
+
 def ranges(first: Index, count: Index) -> Index:
     """The integers first[k], ..., first[k] + count[k] - 1 of every k, concatenated."""
     return np.repeat(first - np.cumsum(count) + count, count) + np.arange(count.sum())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .arrays import Array
+from .arrays import Array, cross
 
 if TYPE_CHECKING:
     import casadi as ca
@@ -41,8 +41,8 @@ def left_jacobian(w: ArrayLike) -> Array:
     angle = np.sqrt(np.where(small, 1.0, angle2))
     first = np.where(small, 1 / 2 - angle2 / 24, (1 - np.cos(angle)) / angle**2)
     second = np.where(small, 1 / 6 - angle2 / 120, (angle - np.sin(angle)) / angle**3)
-    cross = hat(w)
-    return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))
+    k = hat(w)
+    return np.asarray(np.eye(3) + first * k + second * (k @ k))
 
 
 def quaternion(rotation: ArrayLike) -> Array:
@@ -102,7 +102,7 @@ def perpendicular(vectors: ArrayLike) -> Array:
     vector.
     """
     v = np.asarray(vectors, dtype=float)
-    across = np.cross(np.eye(3)[np.argmin(np.abs(v), axis=-1)], v)
+    across = cross(np.eye(3)[np.argmin(np.abs(v), axis=-1)], v)
     return np.asarray(across / np.linalg.norm(across, axis=-1, keepdims=True))
 
 
@@ -117,7 +117,7 @@ def orthonormal_basis(normals: ArrayLike, tangents: ArrayLike | None = None) -> 
     n = np.asarray(normals, dtype=float)
     if tangents is not None:
         t1 = np.asarray(tangents, dtype=float)
-        return np.stack([t1, np.cross(n, t1), n], axis=-1)
+        return np.stack([t1, cross(n, t1), n], axis=-1)
     x, y, z = np.moveaxis(n, -1, 0)
     sign = np.where(z >= 0, 1.0, -1.0)
     a = -1.0 / (sign + z)
@@ -134,17 +134,17 @@ def shortest_rotation(source: ArrayLike, target: ArrayLike) -> Array:
     coordinate axis least aligned with `source`, projected onto the plane perpendicular to it.
     """
     s, t = np.broadcast_arrays(np.asarray(source, dtype=float), np.asarray(target, dtype=float))
-    cross, cosine = np.cross(s, t), np.einsum("...i,...i->...", s, t)
-    k = hat(cross)
+    across, cosine = cross(s, t), np.einsum("...i,...i->...", s, t)
+    k = hat(across)
     near = cosine > -0.999
     rotation = np.eye(3) + k + k @ k / np.where(near, 1.0 + cosine, 1.0)[..., None, None]
     if near.all():
         return np.asarray(rotation)
     # 1 + cosine has lost its digits: the angle from the sine, the axis where the sine is not zero
     far = ~near & np.isfinite(cosine)
-    sine = np.linalg.norm(cross[far], axis=-1)
-    straight = np.cross(s[far], perpendicular(s[far]))
-    axis = np.where(sine[:, None] > 1e-12, cross[far] / np.maximum(sine, 1e-12)[:, None], straight)
+    sine = np.linalg.norm(across[far], axis=-1)
+    straight = cross(s[far], perpendicular(s[far]))
+    axis = np.where(sine[:, None] > 1e-12, across[far] / np.maximum(sine, 1e-12)[:, None], straight)
     rotation[far] = exp_so3(np.arctan2(sine, cosine[far])[:, None] * axis)
     return np.asarray(rotation)
 

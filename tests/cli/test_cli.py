@@ -189,6 +189,7 @@ def test_a_method_that_finds_nothing_is_left_out_of_the_comparison(tmp_path, cap
     assert (out / "report.html").stat().st_size > 1e5
 
 
+@pytest.mark.slow
 def test_a_method_that_places_nothing_is_left_out_of_the_comparison(tmp_path, monkeypatch):
     """It returns, without an error of its own, a calibration in which no taxel has a place."""
     whole = pipeline.Estimation.calibrate

@@ -1,8 +1,9 @@
 """Operations on groups of rows, against loops."""
 
 import numpy as np
+import pytest
 
-from meshskin.core.arrays import ranges, rows_by_key, runs, sums_by_group
+from meshskin.core.arrays import cross, ranges, rows_by_key, runs, sums_by_group
 
 
 def test_ranges_are_concatenated():
@@ -28,3 +29,9 @@ def test_sums_by_group_of_any_shape():
 def test_rows_by_key_keep_their_order():
     groups = rows_by_key(np.array([5, 1, 5, 1, 9]))
     assert [g.tolist() for g in groups] == [[1, 3], [0, 2], [4]]
+
+
+@pytest.mark.parametrize("shape", [(3,), (1, 3), (5, 4, 3)])
+def test_cross_products_are_those_of_numpy(shape):
+    a, b = np.random.default_rng(0).standard_normal((2, *shape))
+    np.testing.assert_array_equal(cross(a, b), np.cross(a, b))

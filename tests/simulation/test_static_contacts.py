@@ -62,7 +62,7 @@ def test_effects_act_and_a_heading_that_varies_shows_the_indenters_offset(sphere
 def test_batches_make_no_difference_and_nothing_is_refused(sphere, monkeypatch):
     noisy = sphere.with_(effects=(GaussianNoise(0.01),))
     whole = press(noisy, sphere.skin.positions, seed=2)
-    monkeypatch.setattr(static_contacts, "FRAME_CELLS", 7 * len(sphere.skin))
+    monkeypatch.setattr(static_contacts, "BATCH_CELLS", 7 * len(sphere.skin))
     parts = press(noisy, sphere.skin.positions, seed=2)
     assert parts.readings.equals(whole.readings)
     assert parts.contacts.equals(whole.contacts)

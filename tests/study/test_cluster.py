@@ -73,6 +73,7 @@ def slow_study(marks):
     return ms.Study("s", grid=grid, seeds=16, run=study_runs.slow)
 
 
+@pytest.mark.slow
 def test_a_cluster_gives_the_same_table(dask, tmp_path):
     _, address = scheduler(dask, tmp_path)
     for nanny in ("--nanny", "--no-nanny"):

@@ -180,7 +180,12 @@ def test_an_interrupted_run_leaves_no_worker_and_no_temporary_file(tmp_path):
         ),
         ("hang in C", {"time_limit": 0.5}, "out of time, limit: 0.5 s"),
         ("child", {"time_limit": 0.5}, "out of time, limit: 0.5 s"),
-        pytest.param("memory", {"memory_limit": 6e8}, "out of memory, limit: 600 MB", marks=LINUX),
+        pytest.param(
+            "memory",
+            {"memory_limit": 6e8},
+            "out of memory, limit: 600 MB",
+            marks=[LINUX, pytest.mark.slow],
+        ),
         pytest.param("kill", {}, "its worker died 3 times, signal 9", marks=POSIX),
         pytest.param("exit 7", {}, "its worker died 3 times, exit code 7", marks=pytest.mark.slow),
         pytest.param("exit 0", {}, "its worker died 3 times, exit code 0", marks=pytest.mark.slow),
@@ -206,6 +211,7 @@ def test_the_traceback_is_kept(out):
     assert "study_runs.py" in (out / "results" / key[:2] / f"{key}.json").read_text()
 
 
+@pytest.mark.slow
 def test_failed_cases_are_run_again_on_demand_or_with_more_time(out):
     states = []
 
@@ -279,6 +285,7 @@ def test_a_disk_that_is_really_full(tmp_path):
         subprocess.run(["umount", str(disk)], check=True)
 
 
+@pytest.mark.slow
 def test_a_second_run_on_the_same_folder_is_refused(tmp_path):
     out, marks = tmp_path / "a", tmp_path / "marks"
     first = start(out, marks, sleep=0.2)
@@ -304,6 +311,7 @@ def test_an_incomplete_result_is_run_again(tmp_path):
     assert (out / "table.parquet").read_bytes() == whole
 
 
+@pytest.mark.slow
 def test_workers_that_cannot_start_end_the_sweep(out, tmp_path, monkeypatch):
     (tmp_path / "broken_runs.py").write_text("def run(case):\n    return {}\n")
     monkeypatch.syspath_prepend(tmp_path)
@@ -319,6 +327,7 @@ def test_workers_that_cannot_start_end_the_sweep(out, tmp_path, monkeypatch):
             ms.Study("s", run=broken_runs.run).sweep(out, workers=1)
 
 
+@pytest.mark.slow
 def test_a_script_without_main_guard_is_refused(tmp_path):
     script = tmp_path / "script.py"
     text = "import meshskin as ms\ndef mine(case):\n    return {'y': case.seed}\n"

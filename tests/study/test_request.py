@@ -206,6 +206,7 @@ def test_the_seconds_of_a_reading_are_those_of_a_long_recording(recording):
     assert with_long_recording(measured, recording, unreachable, whole, joint) is measured
 
 
+@pytest.mark.slow
 def test_a_method_that_finds_nothing_does_not_end_a_pilot(tmp_path, monkeypatch):
     """Taxels too far apart for displacements: a run leaves the pose graphs out, and so must it."""
     sparse = tmp_path / "sparse.toml"

@@ -270,6 +270,8 @@ class ReducedProblem:
 
     def _taxels(self, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Taxels (r,) of the groups, and the index in `groups` of each."""
+        if self.parametrization.count == len(self.parametrization.group):  # one taxel a group
+            return groups, np.arange(len(groups))
         count = self.first[groups + 1] - self.first[groups]
         return ranges(self.first[groups], count), np.repeat(np.arange(len(groups)), count)
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.arrays import Array
+from ...core.arrays import Array, cross
 
 DEGREE = 5
 POWERS = tuple((d - j, j) for d in range(DEGREE + 1) for j in range(d + 1))
@@ -85,7 +85,7 @@ def shape(
     without area) all are zero.
     """
     (su, sv), (suu, suv, svv) = first, second
-    normal = np.cross(su, sv)
+    normal = cross(su, sv)
     e, f, g = (np.einsum("ij,ij->i", a, b) for a, b in ((su, su), (su, sv), (sv, sv)))
     area2 = np.einsum("ij,ij->i", normal, normal)  # = E G - F^2
     thin = area2 <= MIN_SINE**2 * e * g
@@ -99,7 +99,7 @@ def shape(
     e[thin] = 1.0
     turn = 2.0 * (m * e - f * ll) / (e * np.sqrt(area2))
     angle = 0.5 * np.arctan2(turn, 2.0 * (ll / e - mean))
-    along = np.cos(angle)[:, None] * su + np.sin(angle)[:, None] * np.cross(normal, su)
+    along = np.cos(angle)[:, None] * su + np.sin(angle)[:, None] * cross(normal, su)
     along *= (~thin / np.sqrt(e))[:, None]
     return normal, np.stack([mean + spread, mean - spread], axis=1), along
 

@@ -69,8 +69,9 @@ def test_taxels_are_optimized_independently(problem, world):
     assert np.allclose(state.z[others], plain.z[others], atol=1e-12)
 
 
-def test_the_speed_study_finds_every_taxel():
+def test_the_speed_study_finds_every_taxel(monkeypatch):
     file = Path(__file__).parents[3] / "studies" / "speed" / "joint.py"
+    monkeypatch.syspath_prepend(file.parent)  # where a script finds the modules beside it
     spec = importlib.util.spec_from_file_location("joint_speed", file)
     study = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(study)
