@@ -142,8 +142,11 @@ def cases() -> dict[str, Case]:
         ),
         "indenter": Case(
             ideal,
-            {"unknown": ("modulus", "indenter_offset"), "priors": {"indenter_offset": STANDS}},
-            {"modulus": 0.0},
+            {
+                "unknown": ("modulus", "indenter_offset", "drag"),
+                "priors": {"indenter_offset": STANDS},
+            },
+            {"modulus": 0.0, "drag": 0.0},
             draw=random_displacement,
         ),
         "modules": Case(

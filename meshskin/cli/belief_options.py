@@ -79,7 +79,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     known.add_argument(
         "--unknown", nargs="*", metavar="NAME", help="parameters estimated with the taxels: "
-        "modulus (default), gain, offset, force_scale, force_offset, indenter_offset, body_offset",
+        "modulus (default), gain, offset, force_scale, force_offset, indenter_offset, body_offset, "
+        "drag",
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from . import sphere
 from .electronics import Electronics
+from .outside import Drag, Oblong, Pair
 from .profiles import Bell, Hertz, Winkler, blurred
 from .world import Radial, World
 
@@ -81,4 +82,11 @@ def catalogue() -> dict[str, World]:
         "counts": World(hertz, counts, scatter=0.3e-3, nominal_force=True),
         "drift": World(hertz, Electronics(drift=0.05)),
         "crosstalk": World(hertz, Electronics(crosstalk=0.05)),
+        "drag_01": World(Drag(hertz, 0.1e-3)),
+        "drag_09": World(Drag(hertz, 0.9e-3)),
+        "pair": World(Pair(hertz)),
+        "oblong_13": World(Oblong(Hertz(), 1.3)),
+        "oblong_13_turns": World(Oblong(Hertz(), 1.3, turns=True)),
+        "oblong_20": World(Oblong(Hertz(), 2.0)),
+        "oblong_20_turns": World(Oblong(Hertz(), 2.0, turns=True)),
     }

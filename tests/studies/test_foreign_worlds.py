@@ -211,13 +211,15 @@ def test_the_bound_of_what_is_unknown_is_larger(small, worlds):
         ("hysteresis", {"hysteresis": (0.5, 0.2)}, 0.05e-3),
         ("crosstalk", {"crosstalk": 0.05}, 0.04e-3),
         ("drift", {"drift": 0.05}, 0.05e-3),
+        ("drag_01", {"drag": 0.1e-3}, 0.03e-3),
+        ("drag_09", {"drag": 0.9e-3}, 0.03e-3),
         ("force_nominal", {}, 0.05e-3),
         ("hertz", {}, 0.04e-3),
     ],
 )
 def test_what_the_electronics_add_is_named_and_estimated(study, worlds, name, truth, worst):
-    """By default, of pressures; `truth`: share and width of the hysteresis, share of crosstalk, and
-    deviation of the drift relative to the peak reading."""
+    """By default, of pressures; `truth`: share and width of the hysteresis, share of crosstalk,
+    deviation of the drift relative to the peak reading, and drag, m."""
     from worlds import sphere
     from worlds.world import record
 
@@ -235,10 +237,13 @@ def test_what_the_electronics_add_is_named_and_estimated(study, worlds, name, tr
         "hysteresis": learned.hysteresis,
         "crosstalk": learned.crosstalk,
         "drift": learned.drift / sample.sensors.peak,
+        "drag": found.unknowns.get("drag", (0.0, 0.0))[0],
     }
     for key, value in estimated.items():
         expected = truth.get(key, np.zeros(np.shape(value)))
         assert value == pytest.approx(expected, rel=0.3)
+    if "drag" in truth:
+        return
     named = [text for text in learned.describe() if text.startswith((name, f"offsets {name}"))]
     assert len(named) == len(truth)
 

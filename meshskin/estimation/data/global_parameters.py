@@ -2,6 +2,7 @@
 
 e = ln(E* / nominal); scale h and offset b of the force, F_true = exp(h) F + b; an indenter offset
 in the world frame and a body offset (translation, rotation) in the body frame (joint/contacts.py);
+drag, the distance of the patches behind the moving contacts;
 whitened entries u of the unknowns that move contacts (scene/contact_motion.py).
 Each taxel may have nuisance parameters of its own: ln gain, offset, and the offset's drift.
 """
@@ -24,6 +25,7 @@ SIZES = {
     "force_offset": 1,
     "indenter_offset": 3,
     "body_offset": 6,
+    "drag": 1,
     "scale": 1,
     "exponents": 2,
     "compression": 1,
@@ -34,7 +36,7 @@ SIZES = {
 """Number of entries of each global parameter, but for the contact motion."""
 MOTION = "contact_motion"
 """Global parameter of as many entries as the belief's contact motion has."""
-MOVES = ("indenter_offset", "body_offset", MOTION)
+MOVES = ("indenter_offset", "body_offset", "drag", MOTION)
 """Global parameters that move the recorded contacts, not the readings of a contact in its place."""
 NUISANCE = ("gain", "offset", "drift")
 """Parameters of each taxel beside its position."""
@@ -44,6 +46,7 @@ PRIORS = {
     "force_offset": 0.3,
     "indenter_offset": 5e-3,
     "body_offset": 5e-3,
+    "drag": 1e-3,
     "scale": 0.5,
     "exponents": 0.1,
     "compression": 0.3,
@@ -56,8 +59,8 @@ PRIORS = {
 }
 """Default standard deviations of the priors: of the logarithms of modulus, force scale and gain; of
 the force offset in reference forces, of the pressure offset and its drift over the recording in
-reference peak pressures, of indenter and body offset in m. Weak on purpose: `Belief.priors`
-replaces them."""
+reference peak pressures, of indenter and body offset and of drag in m. Weak on purpose:
+`Belief.priors` replaces them."""
 ROTATION = 10.0
 """Standard deviation of the body's rotation, rad, per m of that of its translation: the rotation
 that moves a point 0.1 m from the origin as far as the translation does."""
@@ -162,6 +165,7 @@ class GlobalParameters:
             "force_offset": "force offset 0 +- {:.3g} N",
             "indenter_offset": "indenter offset 0 +- {:.3g} m",
             "body_offset": "body offset 0 +- {:.3g} m",
+            "drag": "patches 0 +- {:.3g} m behind the moving contacts",
             "scale": "readings within a factor {:.3g} of the nominal pressures (1 sigma)",
             "exponents": "exponents of the patch in the load within {:.3g} of the model's",
             "compression": "compression of strong readings 0 +- {:.3g}",

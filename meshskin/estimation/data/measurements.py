@@ -127,6 +127,16 @@ class Measurements:
         return np.asarray(np.sqrt(self.patches.first * self.patches.second))
 
     @cached_property
+    def headway(self) -> Array:
+        """Unit tangents (m, 3) along which the contacts move; zeros where there is no motion."""
+        if len(self.points) < 2:
+            return np.zeros_like(self.points)
+        ahead = np.gradient(self.points, axis=0)
+        ahead -= np.sum(ahead * self.normals, axis=1, keepdims=True) * self.normals
+        length = np.linalg.norm(ahead, axis=1, keepdims=True)
+        return np.asarray(ahead / np.where(length > 0, length, 1.0))
+
+    @cached_property
     def longest(self) -> Array:
         """The longer semi-axes (m,), m, at the nominal E*."""
         return np.asarray(np.maximum(self.patches.first, self.patches.second))

@@ -302,6 +302,11 @@ class LinearizedContacts:
             back = np.swapaxes(self.recorded.headings, 1, 2)
             centre = centre + back @ s[at["indenter_offset"]]
             slope[:, :, at["indenter_offset"]] = back
+        if "drag" in at:  # of the contact, which moves less than its centre on a convex body
+            grown = 1 + height * self.recorded.curvature.mean(axis=1)
+            back = -grown[:, None, None] * self.recorded.headway[:, :, None]
+            centre = centre + back @ s[at["drag"]]
+            slope[:, :, at["drag"]] = back
         if self.parameters.motion is not None:
             motion = self.parameters.motion
             centre = centre + motion.displacements(s[at[MOTION]])

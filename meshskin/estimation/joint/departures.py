@@ -1,7 +1,7 @@
 """What the readings show beyond a contact model: errors of the contacts, an offset of the indenter,
-hysteresis, crosstalk, and drift.
+drag, hysteresis, crosstalk, and drift.
 
-Each of the last four is tested by its score, the derivative of the log-likelihood in its parameter
+Each but the first is tested by its score, the derivative of the log-likelihood in its parameter
 at zero, relative to its standard deviation there. Where contacts have errors of their own, all
 unknowns are estimated beside it; else each taxel's own ones, and the others are taken as known in
 that deviation, which makes it too large and the test careful.
@@ -73,8 +73,10 @@ class FittedReadings:
         best = max((0.0, WIDTHS[0]), *((self._lag(electronics, pressure, w), w) for w in WIDTHS))
         drift = self._each(self.data.phase[self.readings.contact])
         n = max(int(np.sum(drift != 0)), 1)
+        dragged = self._shared(self._moved(self.data.headway[:, :, None])[:, 0])
         found: dict[str, tuple[float, Array]] = {
             "indenter_offset": (self._indenter_score(), np.zeros(3)),
+            "drag": (abs(dragged), np.zeros(1)),
             "hysteresis": (best[0], np.array([SHARE, np.log(best[1])])),
             "crosstalk": (self._shared(electronics.neighbours @ pressure), np.zeros(1)),
         }
@@ -89,14 +91,20 @@ class FittedReadings:
     def _indenter_score(self) -> float:
         """The largest absolute score of an offset of the indenter along the world's axes; 0 without
         headings. An offset along a contact's normal does not move it."""
-        data, contact, taxel = self.data, self.readings.contact, self.readings.taxel
+        data = self.data
         if data.headings is None:
             return 0.0
         # the closest point of a centre at height r moves by 1 / (1 + r k) of the centre's motion
         shrunk = 1 / (1 + data.belief.indenter.radius * data.curvature.mean(axis=1))
-        along = data.headings[contact] @ self.tangents[taxel] * shrunk[contact, None, None]
-        moved = -np.einsum("kia,ak->ik", along, self.own[:2])
-        return max(abs(self._shared(column)) for column in moved)
+        moved = self._moved(np.swapaxes(data.headings, 1, 2) * shrunk[:, None, None])
+        return max(abs(self._shared(column)) for column in moved.T)
+
+    def _moved(self, directions: Array) -> Array:
+        """Derivatives (k, q) of the readings in displacements of the contacts along `directions`
+        (m, 3, q), body frame."""
+        back = np.swapaxes(directions, 1, 2)[self.readings.contact]
+        along = back @ self.tangents[self.readings.taxel]
+        return -np.einsum("kia,ak->ki", along, self.own[:2])
 
     def _each(self, column: Array) -> Array:
         """Scores (n,) of a parameter that each taxel has of its own, with the derivatives

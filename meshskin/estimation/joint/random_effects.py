@@ -239,8 +239,7 @@ class RandomEffects:
         """
         crossed, self.crossed = self.crossed, None
         before, cost, rise = crossed or (self.unknowns, self.cost(), np.inf)
-        here, (system, x) = self.unknowns, self._solution(self.system())
-        decrease = sum(float(np.vdot(a, g)) for a, g in zip(x, system.gradient, strict=True)) / 2
+        here, (system, x, decrease) = self.unknowns, self.solution()
         settles = crossed is None and min(decrease, self.last_decrease) < settled
         posterior = self.posterior(system) if settles else None
         for weight, part in TRIALS[self.restraint :]:
@@ -271,18 +270,18 @@ class RandomEffects:
         nuisance = before.nuisance + taxels[:, 2:]
         self.move(Unknowns(moved, nuisance, before.errors + errors, before.s + s))
 
-    def _solution(self, system: CoupledSystem) -> tuple[CoupledSystem, Parts]:
-        """The normal equations, damped where rounding makes them singular, as where variances
-        differ by many orders, and their solution.
-
-        Raises SingularMatrixError where damping does not help.
+    def solution(self) -> tuple[CoupledSystem, Parts, float]:
+        """The normal equations, damped where rounding makes them singular, their solution, and the
+        decrease of the cost that it promises. Raises SingularMatrixError where damping fails.
         """
-        taxels, contacts, shared = (g[..., None] for g in system.gradient)
+        system = self.system()
+        gradient = tuple(g[..., None] for g in system.gradient)
         for damping in DAMPINGS:
             damped = system.damped(damping)
             try:
-                x = damped.solve(taxels, contacts, shared)
-                return damped, (x[0][..., 0], x[1][..., 0], x[2][..., 0])
+                x = damped.solve(*gradient)
+                decrease = sum(float(np.vdot(a, g)) for a, g in zip(x, gradient, strict=True)) / 2
+                return damped, (x[0][..., 0], x[1][..., 0], x[2][..., 0]), decrease
             except SingularMatrixError as error:
                 singular = error
         raise singular

@@ -1,0 +1,87 @@
+"""Pressures that no contact model of the package describes: oblong patches, two contacts, drag."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import sphere
+from .profiles import REACH, Array, Profile
+from .sphere import Touch
+from .world import Pressures
+
+TURN = 2.4
+"""Angle, rad, from one patch that turns to the next: the golden angle, so that all occur."""
+
+
+@dataclass(frozen=True)
+class Oblong:
+    """Elliptic patches: `profile` stretched by sqrt(aspect) along one tangent, shrunk across it."""
+
+    profile: Profile
+    aspect: float
+    turns: bool = False
+    """Whether the long axis differs from contact to contact."""
+
+    def __call__(self, touch: Touch, positions: Array) -> Array:
+        """Means (m, n), Pa, of the pressure over the taxels' discs."""
+        first, second = sphere.tangents(touch.points)
+        angle = TURN * np.arange(len(touch.points))[:, None] * self.turns + 0.5
+        axis = np.cos(angle) * first + np.sin(angle) * second
+        across = np.cross(touch.normals, axis)
+        offset = positions - touch.points[:, None, :]
+        x, y = (np.einsum("mnj,mj->mn", offset, along) for along in (axis, across))
+        near = np.hypot(x, y) < REACH
+        force = np.broadcast_to(touch.force[:, None], near.shape)[near]
+        node, weight = np.polynomial.legendre.leggauss(6)
+        pressure, mean = np.zeros_like(x), np.zeros(len(force))
+        for radius, w in zip(sphere.DISC_RADIUS * np.sqrt((node + 1) / 2), weight, strict=True):
+            for turn in 2 * np.pi * np.arange(12) / 12:
+                u = (x[near] + radius * np.cos(turn)) / self.aspect**0.5
+                v = (y[near] + radius * np.sin(turn)) * self.aspect**0.5
+                mean += w / 24 * self.profile(np.hypot(u, v), force)
+        pressure[near] = mean
+        return pressure
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A second contact of the same force beside some of the contacts."""
+
+    pressures: Pressures
+    share: float = 0.1
+    """Of the contacts."""
+    distance: float = 8e-3
+    """Of the second contact, m, in any direction."""
+
+    def __call__(self, touch: Touch, positions: Array) -> Array:
+        """Sums (m, n), Pa."""
+        rng, m = np.random.default_rng(len(touch.points)), len(touch.points)
+        second = np.flatnonzero(rng.random(m) < self.share)
+        angle = rng.uniform(-np.pi, np.pi, m)[second, None]
+        first, other = (along[second] for along in sphere.tangents(touch.points))
+        along = np.cos(angle) * first + np.sin(angle) * other
+        beside = sphere.moved(touch.points[second], along, self.distance)
+        pressure = self.pressures(touch, positions)
+        pressure[second] += self.pressures(Touch(beside, touch.force[second]), positions)
+        return pressure
+
+
+@dataclass(frozen=True)
+class Drag:
+    """Sliding contacts: the skin is dragged along, and the patch lags behind the motion."""
+
+    pressures: Pressures
+    lag: float
+    """m."""
+
+    def __call__(self, touch: Touch, positions: Array) -> Array:
+        """Pressures (m, n), Pa."""
+        if len(touch.points) < 2:
+            return self.pressures(touch, positions)
+        motion = np.gradient(touch.points, axis=0)
+        motion -= np.sum(motion * touch.normals, axis=1, keepdims=True) * touch.normals
+        motion /= np.linalg.norm(motion, axis=1, keepdims=True)
+        points = sphere.moved(touch.points, motion, -self.lag)
+        return self.pressures(Touch(points, touch.force), positions)
