@@ -56,6 +56,11 @@ LEAST_GAIN = 0.5
 """Least increase of the log-likelihood by a departure, relative to what its score promises: 1.4 to
 5 where the readings have it, 0 to 0.1 where it stands in for another (studies/foreign_worlds.py
 --worlds hysteresis crosstalk; `sphere_noisy` with hysteresis, an indenter offset or scan_order)."""
+WIDE_FORCES = 0.2
+"""Deviation of ln F to start again from: that of 2 to 4 N recorded as constant."""
+MAX_DECREASE = 0.25
+"""Expected decrease of the cost per reading by a further step, from which an estimate is not at its
+optimum: noise costs 0.5, and the rests were 0 to 0.04, or 1 to 1.5 where steps had lost the way."""
 MAX_ROUNDS = 3
 """Largest number of times that outlying readings are left out and the rest is estimated again."""
 USUAL_STEPS = 40
@@ -76,11 +81,15 @@ def estimate(data: Measurements, stage: Stage | None = None) -> EstimatorResult:
     try:
         return _estimate(data, stage or Stage())
     except SingularMatrixError as error:
-        raise CalibrationError(
-            "the estimate with a learned response did not converge",
-            value=f"its normal equations are singular: {error}",
-            remedy="record more contacts with different forces, or believe a contact model",
-        ) from error
+        raise _unconverged(f"its normal equations are singular: {error}") from error
+
+
+def _unconverged(value: str) -> CalibrationError:
+    return CalibrationError(
+        "the estimate with a learned response did not converge",
+        value=value,
+        remedy="record more contacts with different forces, or believe a contact model",
+    )
 
 
 def _estimate(data: Measurements, stage: Stage) -> EstimatorResult:
@@ -109,15 +118,19 @@ def _estimate(data: Measurements, stage: Stage) -> EstimatorResult:
         weight = estimator.weight
         effects = _restarted(effects, estimator)
         effects.converge()
-    result = learned_result(effects, estimator, rivals, reasons, clock)
-    return replace(result, departures=departures)
+    if (decrease := effects.solution()[2]) > MAX_DECREASE * len(effects.mu):
+        raise _unconverged(f"steps still decrease the cost by {decrease:.3g}")
+    return replace(
+        learned_result(effects, estimator, rivals, reasons, clock), departures=departures
+    )
 
 
 def _converged(effects: RandomEffects) -> tuple[RandomEffects, dict[str, float]]:
     """The estimate at its optimum, with what the readings show beyond the response, and the scores
     of other departures, but for those that make the readings hardly more likely."""
     begin, unlikely = (effects.unknowns, effects.deviations), set[str]()
-    effects.converge()
+    if not effects.converge():
+        effects = min(effects, _from_wider_forces(effects, *begin), key=_objective)
     while True:
         found = _scores(effects)
         left = {name: score for name, (score, _) in found.items() if name not in unlikely}
@@ -141,6 +154,20 @@ def _converged(effects: RandomEffects) -> tuple[RandomEffects, dict[str, float]]
             unlikely.add(shown[0])
         if not converged:  # a response of another kind; further departures would not mend it
             return effects, {name: left[name] for name in left if name != shown[0]}
+
+
+def _from_wider_forces(
+    effects: RandomEffects, u: Unknowns, deviations: Deviations
+) -> RandomEffects:
+    """The estimate from the unknowns u with errors of the forces of WIDE_FORCES, without which
+    compression and scale go far to explain large ones; `effects` where it is singular."""
+    d = replace(deviations, force=WIDE_FORCES)
+    wider = RandomEffects(effects.data, effects.readings, u, d, effects.pattern, effects.stage)
+    try:
+        wider.converge()
+    except SingularMatrixError:
+        return effects
+    return wider
 
 
 def _plausible(extended: RandomEffects, name: str) -> bool:

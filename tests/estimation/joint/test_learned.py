@@ -16,12 +16,17 @@ from meshskin.core.errors import CalibrationError
 from meshskin.estimation.calibrate import calibrate
 from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.data.gather import gather
+from meshskin.estimation.joint import random_effects
 from meshskin.estimation.joint.contacts import LinearizedContacts
 from meshskin.estimation.joint.learned import with_learned_response
 from meshskin.estimation.joint.likelihood import Likelihood, select
 from meshskin.geometry.body import Body
+from meshskin.geometry.region import Cap
 from meshskin.recording.recording import CONTACTS, READINGS, Recording
 from meshskin.scene.belief import Belief
+from meshskin.scene.scene import Scene
+from meshskin.simulation.static_contacts import press
+from meshskin.skin.skin import Skin
 
 RADIUS, INDENTER, DISC, FORCE, TAXELS = 0.1, 0.01, 2e-3, 3.0, 37
 MODULUS = 0.2e6 / (1 - 0.49**2)
@@ -200,6 +205,33 @@ def test_force_errors_are_found():
     # what remains of ln F when the measured force is known: 5 % of variation, 10 % of error
     assert learned.unknowns["force_scatter"][0] == pytest.approx(0.05 / np.sqrt(1.25), rel=0.2)
     assert 0.75 < stated / error < 1.35
+
+
+def test_forces_recorded_as_constant_are_mended():
+    body, rng = Body.ellipsoid((0.07, 0.05, 0.04)), np.random.default_rng(4)
+    side = rng.normal(size=3)
+    cap = Cap(direction=tuple(side / np.linalg.norm(side)))
+    skin = Skin.cover(body, spacing=5e-3, count=40, seed=4, region=cap, disc_radius=2e-3)
+    scene = Scene.load("sphere_noisy").with_(
+        body=body, skin=skin, contact="auto", material=Material(0.3e6), indenter=Indenter(8e-3)
+    )
+    near = skin.positions[rng.integers(40, size=300)]
+    points = body.closest(near + rng.uniform(-6e-3, 6e-3, (300, 3))).point
+    made = press(scene, points, force=rng.uniform(2.0, 4.0, 300), seed=4)
+    column = made.contacts.column_names.index("force")
+    contacts = made.contacts.set_column(column, "force", pa.array(np.full(300, 3.0)))
+    found = calibrate(Recording(contacts, made.readings, {}), scene.belief(contact="auto"))
+    error = np.linalg.norm(found.positions - skin.positions, axis=1)
+    assert found.unknowns["force_scatter"][0] == pytest.approx(0.2, rel=0.15)
+    assert np.sqrt(np.mean(error**2)) < 0.05e-3
+    assert (error < 5 * found.position_sigma).all()
+    assert "the force is constant" in found.verdict.reasons[0]
+
+
+def test_an_estimate_that_does_not_converge_is_refused(monkeypatch):
+    monkeypatch.setattr(random_effects, "MAX_ITERATIONS", 1)
+    with pytest.raises(CalibrationError, match="did not converge, got steps still decrease"):
+        calibrate(recording(*world(bell, contacts=100)), belief(contact="learned"))
 
 
 @pytest.mark.slow
