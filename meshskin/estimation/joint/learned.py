@@ -57,7 +57,8 @@ LEAST_GAIN = 0.5
 5 where the readings have it, 0 to 0.1 where it stands in for another (studies/foreign_worlds.py
 --worlds hysteresis crosstalk; `sphere_noisy` with hysteresis, an indenter offset or scan_order)."""
 WIDE_FORCES = 0.2
-"""Deviation of ln F to start again from: that of 2 to 4 N recorded as constant."""
+"""Deviation of ln F to start again from: that of 2 to 4 N recorded as constant, which compression
+and scale would go far to explain."""
 MAX_DECREASE = 0.25
 """Expected decrease of the cost per reading by a further step, from which an estimate is not at its
 optimum: noise costs 0.5, and the rests were 0 to 0.04, or 1 to 1.5 where steps had lost the way."""
@@ -120,9 +121,8 @@ def _estimate(data: Measurements, stage: Stage) -> EstimatorResult:
         effects.converge()
     if (decrease := effects.solution()[2]) > MAX_DECREASE * len(effects.mu):
         raise _unconverged(f"steps still decrease the cost by {decrease:.3g}")
-    return replace(
-        learned_result(effects, estimator, rivals, reasons, clock), departures=departures
-    )
+    found = learned_result(effects, estimator, rivals, reasons, clock)
+    return replace(found, departures=departures)
 
 
 def _converged(effects: RandomEffects) -> tuple[RandomEffects, dict[str, float]]:
@@ -156,12 +156,9 @@ def _converged(effects: RandomEffects) -> tuple[RandomEffects, dict[str, float]]
             return effects, {name: left[name] for name in left if name != shown[0]}
 
 
-def _from_wider_forces(
-    effects: RandomEffects, u: Unknowns, deviations: Deviations
-) -> RandomEffects:
-    """The estimate from the unknowns u with errors of the forces of WIDE_FORCES, without which
-    compression and scale go far to explain large ones; `effects` where it is singular."""
-    d = replace(deviations, force=WIDE_FORCES)
+def _from_wider_forces(effects: RandomEffects, u: Unknowns, d: Deviations) -> RandomEffects:
+    """The estimate from the unknowns u with WIDE_FORCES; `effects` where that is singular."""
+    d = replace(d, force=WIDE_FORCES)
     wider = RandomEffects(effects.data, effects.readings, u, d, effects.pattern, effects.stage)
     try:
         wider.converge()
