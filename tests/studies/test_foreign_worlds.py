@@ -185,6 +185,84 @@ def test_the_joint_estimate_is_on_the_bound_where_hertz_holds(worlds):
     from worlds.world import record
 
     body, square, limit = ms.Body.sphere(0.1), [], []
+    for seed in range(2):
+        sample = record(worlds["hertz"], seed)
+        found = ms.calibrate(sample.recording, belief(sample, body))
+        square.append(np.mean(np.sum((found.positions - sample.positions) ** 2, axis=1)))
+        limit.append(bound(worlds["hertz"], sample) ** 2)
+    assert np.sqrt(np.mean(square) / np.mean(limit)) == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_bound_of_what_is_unknown_is_larger(small, worlds):
+    from worlds.bound import bound
+
+    known = bound(*small("hertz"))
+    for name in ("force_10", "scatter_03", "scatter_10"):
+        assert bound(*small(name)) > known
+    assert bound(*small("scatter_10")) > bound(*small("scatter_03"))
+    half = replace(worlds["hertz"].electronics, noise=0.005)
+    assert bound(*small("hertz", electronics=half)) == pytest.approx(known / 2, rel=0.05)
+    assert np.isnan(bound(*small("together")))
+
+
+@pytest.mark.parametrize(
+    ("name", "truth", "worst"),
+    [
+        ("hysteresis", {"hysteresis": (0.5, 0.2)}, 0.05e-3),
+        ("crosstalk", {"crosstalk": 0.05}, 0.04e-3),
+        ("drift", {"drift": 0.05}, 0.05e-3),
+        ("drag_01", {"drag": 0.1e-3}, 0.03e-3),
+        pytest.param("drag_09", {"drag": 0.9e-3}, 0.03e-3, marks=pytest.mark.slow),
+        ("force_nominal", {}, 0.05e-3),
+        ("hertz", {}, 0.04e-3),
+    ],
+)
+def test_what_the_electronics_add_is_named_and_estimated(study, worlds, name, truth, worst):
+    """By default, of pressures; `truth`: share and width of the hysteresis, share of crosstalk,
+    deviation of the drift relative to the peak reading, and drag, m."""
+    from worlds import sphere
+    from worlds.world import record
+
+    sample = record(replace(worlds[name], taxels=61, contacts=620), 0)
+    found = ms.calibrate(sample.recording, study.belief(sample, ms.Body.sphere(sphere.RADIUS)))
+    off = np.linalg.norm(found.positions - sample.positions, axis=1)
+    rms = np.sqrt(np.mean(off**2))
+    assert rms < worst
+    assert 0.7 < np.sqrt(np.mean(found.position_sigma**2)) / rms < 1.4
+    if name == "hertz":
+        assert found.response is None
+        return
+    learned = found.response
+    estimated = {
+        "hysteresis": learned.hysteresis,
+        "crosstalk": learned.crosstalk,
+        "drift": learned.drift / sample.sensors.peak,
+        "drag": found.unknowns.get("drag", (0.0, 0.0))[0],
+    }
+    for key, value in estimated.items():
+        expected = truth.get(key, np.zeros(np.shape(value)))
+        assert value == pytest.approx(expected, rel=0.3)
+    if "drag" in truth:
+        return
+    named = [text for text in learned.describe() if text.startswith((name, f"offsets {name}"))]
+    assert len(named) == len(truth)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "pair",
+        "oblong_13",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("oblong_13_turns", "oblong_20", "oblong_20_turns")
+        ),
+    ],
+)
+def test_a_world_outside_the_family_is_named_or_its_errors_stated(study, worlds, name):
+    from worlds import sphere
+    from worlds.world import record
+
     sample = record(replace(worlds[name], taxels=61, contacts=650), 1)
     found = ms.calibrate(sample.recording, study.belief(sample, ms.Body.sphere(sphere.RADIUS)))
     off = np.linalg.norm(found.positions - sample.positions, axis=1)
