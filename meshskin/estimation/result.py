@@ -18,7 +18,10 @@ RIVAL = "a second position {:.2g} mm away fits nearly as well"
 """Fault of a taxel whose readings have two optima."""
 CENSORING = "silent readings, censored at the threshold"
 """Factor of an estimate with known noise."""
-CONTACT_POINTS = "contact points in the body frame"
+CONTACT_POINTS = (
+    "contact points in the body frame, by the believed pose of the body, whose error moves all "
+    "positions alike"
+)
 """The gauge of an estimate that rests on the recorded contact points."""
 SURFACE = "body surface: position along the normal and tilt"
 """The factor of an estimate whose taxels lie on the believed surface."""
