@@ -229,6 +229,7 @@ def test_why_taxels_are_left_out_is_said(log, tmp_path, capsys):
     assert "left out         1 taxels: fewer than three readings" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_held_out_contacts(log, tmp_path, capsys):
     out = tmp_path / "out"
     asked = ["calibrate", str(log), *known(log), "--young-kpa", "200", "--out", str(out)]

@@ -123,6 +123,7 @@ def test_switching_an_effect_leaves_the_noise_of_another(name, small, quiet_and_
     np.testing.assert_allclose(alone, along, atol=1e-9 * small.patch.peak)
 
 
+@pytest.mark.slow
 def test_no_effect_depends_on_the_batches(small, monkeypatch):
     names = [
         k for k in effects.NAMES if k not in (*IDLE, "cover_fabric")

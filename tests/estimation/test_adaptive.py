@@ -71,6 +71,7 @@ def test_a_spent_budget_is_named(scene):
     assert set(short.unmet.values()) == {BUDGET_USED}
 
 
+@pytest.mark.slow
 def test_a_dead_taxel_is_named(scene):
     dead = scene.with_(effects=(*scene.effects, BrokenTaxels(dead=0.06, stuck=0.0)))
     found = adapt(dead, 2 * TARGET, seed=2)

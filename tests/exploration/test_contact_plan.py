@@ -158,6 +158,7 @@ def test_what_needs_a_moving_body_is_refused(noisy):
         ms.simulate(carried(noisy, "hand").with_(effects=(GravityError(),)))
 
 
+@pytest.mark.slow
 def test_a_scene_file_with_a_carried_indenter_is_run(tmp_path):
     file = tmp_path / "hand.toml"
     file.write_text(

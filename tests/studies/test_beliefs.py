@@ -2,7 +2,10 @@
 
 import json
 
+import pytest
 
+
+@pytest.mark.slow
 def test_beliefs(script, tmp_path, capsys):
     found = script("beliefs").main(
         ["--seeds", "1", "--json", str(tmp_path / "x.json"), "--out", str(tmp_path)]

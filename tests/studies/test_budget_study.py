@@ -26,6 +26,7 @@ def test_effects_are_drawn_between_a_third_and_three_times_their_size(study):
     assert 2 < max(sizes) <= 3
 
 
+@pytest.mark.slow
 def test_a_study_continues_from_stored_rows(study, tmp_path, capsys, monkeypatch):
     """Rows of the same budget are kept; another budget measures anew."""
     ran = []

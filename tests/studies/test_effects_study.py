@@ -5,6 +5,7 @@ import json
 import pytest
 
 
+@pytest.mark.slow
 def test_one_effect(script, tmp_path):
     asked = ["--seeds", "1", "--effects", "friction", "--json", str(tmp_path / "x.json")]
     found = script("effects").main([*asked, "--out", str(tmp_path)])

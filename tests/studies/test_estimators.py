@@ -42,6 +42,7 @@ def test_from_initial_errors(study, points):
     assert 0.5 < rows["co-activation"]["error_mm"] < 1.5
 
 
+@pytest.mark.slow
 def test_over_size_with_figure(study, tmp_path, monkeypatch):
     monkeypatch.setattr(study, "SIZES", (20, 40))
     asked = ["--only", "size", "--seeds", "1", "--out", str(tmp_path)]

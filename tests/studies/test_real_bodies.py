@@ -10,6 +10,7 @@ def study(script):
     return script("real_bodies")
 
 
+@pytest.mark.slow
 @needs_ur3e
 def test_taxels_on_the_ur3e_are_found_to_their_bound(study, monkeypatch, tmp_path):
     def few(data, full):

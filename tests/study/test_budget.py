@@ -18,7 +18,7 @@ from meshskin.study.sensitivity.selection import choose
 from meshskin.study.sweep import base_scene
 from meshskin.study.sweep.evaluate import evaluate
 
-KINDS = ("body_pose", "gain_offset", "cover_fabric", "gaussian_noise", "quantisation")
+KINDS = ("body_pose", "cover_fabric", "gaussian_noise")
 
 
 @pytest.fixture(scope="module")

@@ -34,6 +34,7 @@ def test_the_table_does_not_depend_on_the_workers_bit_for_bit(tmp_path):
     assert table.column("seed").to_pylist() == [*range(10)] * 2
 
 
+@pytest.mark.slow
 def test_scenes_give_the_same_numbers_in_any_process(out):
     grid = {"skin.count": [12], "method": ["joint", "posegraph"]}
     study = ms.Study("s", base="sphere_noisy", grid=grid)

@@ -156,6 +156,7 @@ def test_binding_limits_are_named_with_the_right_multiplier(small, tuned):
     assert gained == pytest.approx(2e-3 * tuned.multipliers["overshoot"], rel=0.15)
 
 
+@pytest.mark.slow
 def test_least_force_error_costs_time(small, tuned):
     """A tenth more time than the least: less than half its force error, and no later than asked."""
     demands = replace(DEMANDS, time=1.1 * tuned.value)

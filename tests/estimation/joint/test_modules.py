@@ -108,6 +108,7 @@ def test_a_dead_taxel_among_taxels_of_different_gain_is_named(tiled, clean, chan
     assert "gain" in found.taxel_unknowns
 
 
+@pytest.mark.slow
 def test_swapped_taxels_are_named(tiled, clean, change):
     recording = clean[0]
     taxel = recording.reading_taxel.copy()
