@@ -9,10 +9,19 @@ from scipy.stats import multivariate_normal, norm
 
 import meshskin as ms
 from meshskin.core.errors import CalibrationError
+from meshskin.estimation.recalibrate import errors as errors_module
+from meshskin.estimation.recalibrate import evidence
 from meshskin.estimation.recalibrate import touches as touches_module
-from meshskin.estimation.recalibrate.hypotheses import grid, moved, unchanged
+from meshskin.estimation.recalibrate.hypotheses import (
+    GAIN,
+    MOVED,
+    Hypothesis,
+    grid,
+    moved,
+    unchanged,
+)
 from meshskin.estimation.recalibrate.skin_map import skin_map, turns
-from meshskin.estimation.recalibrate.touches import Errors, Touches
+from meshskin.estimation.recalibrate.touches import Block, Errors, Touches, covariance_of
 from meshskin.skin import slots
 
 
@@ -135,6 +144,41 @@ def _data(scene, points):
     from meshskin.estimation.data.gather import gather
 
     return gather(ms.press(scene, points), scene.belief())
+
+
+@pytest.mark.parametrize("state", [MOVED, GAIN])
+def test_what_a_component_leaves_open_is_estimated(state):
+    """By the information of prior and readings, where the package takes their covariance."""
+    rng = np.random.default_rng(0)
+    contact, taxel, mean = np.arange(30) % 7, np.arange(30) % 5, rng.uniform(0.2, 1.0, 30)
+    slope = rng.normal(scale=200.0, size=(30, 3)) * [1.0, 1.0, 0.0]
+    level, zero = mean + rng.normal(scale=0.1, size=30), np.zeros(30)
+    level[25:] = np.nan  # silent
+    block = Block(contact, taxel, level, mean, slope, zero, 0.3 * mean)
+    errors = Errors(0.02, 1e-4, 0.03, common=((0.04, 0.001), (0.001, 0.01)))
+    places, up = np.tile(np.diag([1e-8, 1e-8, 0.0]), (5, 1, 1)), np.tile([0.0, 0.0, 1.0], (5, 1))
+    still = Hypothesis(state, np.zeros((5, 3)), up, np.zeros(5))
+    if state == MOVED:
+        sigma, by, start = 5e-4, slope[:25, :2], [1e-3, -2e-3]
+        component = replace(still, shift=(*start, 0.0), shift_sigma=sigma)
+    else:
+        sigma, by, start = 0.15, mean[:25, None], [0.5]
+        component = replace(still, change=0.5, gain_sigma=sigma)
+    found, covariance = evidence._estimate(component, block, errors, places)
+    own = np.linalg.inv(covariance_of(block, errors, places)[:25, :25])
+    expected = np.linalg.inv(by.T @ own @ by + np.eye(len(start)) / sigma**2)
+    size = len(start)
+    np.testing.assert_allclose(covariance[:size, :size], expected, rtol=1e-6)
+    change = expected @ by.T @ own @ (level - mean)[:25]
+    np.testing.assert_allclose(found[:size] - start, change, rtol=1e-6)
+
+
+def test_common_changes_that_nothing_shows_are_zero(setting):
+    scene, points = setting
+    known, touches = skin_map(scene.skin, scene.belief()), Touches(_data(scene, points))
+    errors = replace(errors_module.start(touches), log_modulus=0.2, log_scale=-0.1)
+    found = errors_module._fit_common(touches, known, [], errors, units=[])
+    assert np.allclose([found.log_modulus, found.log_scale], 0.0, atol=1e-15)
 
 
 def test_turns_follow_from_the_symmetry_of_a_layout():
