@@ -180,6 +180,8 @@ def test_a_seed_gives_the_same_recording(small, name):
 
 def test_the_joint_estimate_is_on_the_bound_where_hertz_holds(worlds):
     """Two seeds of the world that is as believed: no shift from the rules of quadrature."""
+    from foreign_worlds import belief
+    from worlds.bound import bound
     from worlds.world import record
 
     body, square, limit = ms.Body.sphere(0.1), [], []

@@ -1,4 +1,4 @@
-"""Information of readings that come one after the other, against one dense least-squares problem."""
+"""Information of readings that come one after the other, against one dense solution."""
 
 from types import SimpleNamespace
 
