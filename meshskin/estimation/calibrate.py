@@ -164,7 +164,7 @@ class Estimation:
             if (found := self._learned(stage)) is None:
                 raise
             return found
-        return (self._contradicted(result) and self._learned(stage)) or result
+        return (self._learned(stage) or result) if self._contradicted(result) else result
 
     @property
     def _initial(self) -> EstimatorResult | None:

@@ -13,7 +13,7 @@ from ..core.se3 import exp_so3, to_rpy
 from ..geometry.mesh.link_mesh import KINDS
 from .urdf import Joint, numbers, rotation, vector
 
-SIZES = {
+SHAPE_SIZES = {
     "mesh": {"scale": "1 1 1"},
     "box": {"size": "1 1 1"},
     "sphere": {"radius": "1"},
@@ -58,7 +58,7 @@ def with_moved_shapes(urdf: str, link: str, pose: Array, scale: float, where: st
         of_link = shape.path in [("robot", "link", kind) for kind in KINDS]
         if not geometry or not of_link or tags[shape.parent].attributes.get("name") != link:
             continue
-        for kind, sizes in SIZES.items():
+        for kind, sizes in SHAPE_SIZES.items():
             edits += [_scaled(t, sizes, scale, here) for t in _children(tags, geometry[0], kind)]
         origin = ET.Element("origin", *(t.attributes for t in _children(tags, shape, "origin")[:1]))
         xyz, rpy = (vector(origin, key, "0 0 0", 3, here) for key in ("xyz", "rpy"))

@@ -254,7 +254,8 @@ class RandomEffects:
                 return float(np.sqrt(np.mean(moves))), posterior
             lowered, rise = -self.last_decrease < LEAST_FALL * rise, -self.last_decrease
             near = decrease < SETTLED * len(self.mu) and rise < MAX_RISE * cost
-            if (not self.restraint and near) if crossed is None else lowered:
+            leaves = near and not self.restraint if crossed is None else lowered
+            if leaves:
                 self.crossed = before, cost, rise
                 return np.inf, None
             self.restraint = min(self.restraint + 1, len(TRIALS) - 1)
