@@ -125,6 +125,7 @@ class Estimation:
             rivals=result.rivals,
             fit=result.fit,
             response=result.response,
+            contact_errors=result.contact_errors,
             contact_centroids=trilaterate.centroids(coactivation.without_distant_readings(data)),
             belief=data.belief,
             iterates=result.iterates,
