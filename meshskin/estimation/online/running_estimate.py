@@ -62,8 +62,7 @@ class RunningEstimate:
     def __init__(self, first: Measurements, known: Array | None = None) -> None:
         """first: measurements without contacts, which have all else; known (ks,): the global
         parameters, where contacts are given with their errors."""
-        n, self._known = len(first.ids), known
-        self.widening = 1.0  # of the standard deviations, by that of what is taken as known
+        n, self._known, self.widening = len(first.ids), known, 1.0
         self.store = ContactStore(first)
         self.parameters, self.sigma = first.parameters, first.sigma
         if known is not None:
@@ -109,11 +108,9 @@ class RunningEstimate:
         """Covariances (n, 2, 2), m^2, along the charts' tangents; inf where not placed. Where the
         model misfits, or the noise is nominal, they are as wide as the batch estimate's: by the
         variance of the residuals, and the distance from the pressure-weighted mean of the contact
-        points."""
-        info = self.information
-        found = self.widening**2 * info.covariance[:, :2, :2] + np.where(
-            self.open[:, None, None], self.spread, 0.0
-        )
+        points. Where global parameters are known, times the square of `widening`."""
+        info, spread = self.information, np.where(self.open[:, None, None], self.spread, 0.0)
+        found = self.widening**2 * info.covariance[:, :2, :2] + spread
         if self.misfit or self.store.noise_is_nominal:
             found = self.scale**2 * found
             apart = np.nan_to_num(self.store.means - info.points(np.arange(len(found))))
