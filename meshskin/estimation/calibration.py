@@ -88,6 +88,10 @@ class Calibration(Value, Card, Tabular):
     """Whether the model explains the readings."""
     response: LearnedResponse | None = None
     """The learned response of the taxels; None: the contact model's."""
+    contact_errors: Array | None = None
+    """Errors (m, 3) of the m pressed contacts that were estimated with a learned response: by how
+    much a point is displaced along the first and second principal direction, m, and of ln F; None
+    without one. Not saved."""
     verdict: Verdict | None = None
     """Whether the calibration can be relied on, with reasons; None: made by hand."""
     contact_centroids: Array | None = None
