@@ -193,11 +193,14 @@ class Calibration(Value, Card, Tabular):
         texts = {"reason": self.reasons, "fault": faults}
         return pa.table(table | {k: pa.array(list(v), pa.string()) for k, v in texts.items()})
 
-    def next_contacts(self, k: int = 1, belief: Belief | None = None) -> NextContacts:
+    def next_contacts(
+        self, k: int = 1, belief: Belief | None = None, progress: Progress | None = None
+    ) -> NextContacts:
         """The k contacts, ranked, that reduce the largest uncertainties most (next_contact.py).
 
-        belief: as in `calibrate`; only a calibration that was loaded from a file needs it. Raises
-        CalibrationError without one, for k < 1, or if no taxel was read.
+        belief: as in `calibrate`; only a calibration that was loaded from a file needs it.
+        progress("next contacts", done, total): called after each. Raises CalibrationError without
+        a belief, for k < 1, or if no taxel was read.
         """
         from .next_contact import next_contacts
 
@@ -206,7 +209,7 @@ class Calibration(Value, Card, Tabular):
             raise CalibrationError(
                 "a loaded calibration does not know the scene", remedy="give next_contacts a belief"
             )
-        return next_contacts(self, belief, k)
+        return next_contacts(self, belief, k, progress)
 
     def cross_validate(
         self,

@@ -16,6 +16,7 @@ from ..contact import AUTO, ContactModel, Patches
 from ..core.arguments import check_integer
 from ..core.arrays import Array
 from ..core.errors import CalibrationError, ContactError
+from ..core.progress import Progress, Stage
 from ..core.value import Value
 from . import chart
 from .data.measurements import NOMINAL_NOISE
@@ -58,8 +59,13 @@ class NextContacts(Value):
     """Ids of taxels without any reading: where to touch for them is not known."""
 
 
-def next_contacts(calibration: Calibration, belief: Belief, k: int = 1) -> NextContacts:
+def next_contacts(
+    calibration: Calibration, belief: Belief, k: int = 1, progress: Progress | None = None
+) -> NextContacts:
     """The k most informative contacts under the reference force.
+
+    progress("next contacts", done, total): called after the candidates' information, and after
+    each contact.
 
     Raises CalibrationError if no taxel was read, the belief has no reference force, or k is not
     positive; ContactError where no contact model holds.
@@ -80,7 +86,9 @@ def next_contacts(calibration: Calibration, belief: Belief, k: int = 1) -> NextC
             "the contact model does not hold about the most uncertain taxels",
             remedy="use a smaller indenter or a smaller force",
         )
+    stage = Stage(progress, "next contacts", k + 1)
     contact, taxel, slope = expected_slopes(charts, hit, belief, modulus)
+    stage.step()
     chosen, served, worst = [], [], []
     for _ in range(k):
         along = np.einsum("pij,pj->pi", covariance[taxel], slope)
@@ -96,6 +104,7 @@ def next_contacts(calibration: Calibration, belief: Belief, k: int = 1) -> NextC
             covariance[taxel[p]] -= np.outer(g, g) / (1 + slope[p] @ g)
         chosen.append(best)
         worst.append(float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).max())))
+        stage.step()
     unreached = np.setdiff1d(calibration.ids, ids)
     return NextContacts(
         hit.point[chosen], hit.normal[chosen], ids[served], np.array(worst), unreached
