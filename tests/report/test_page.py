@@ -283,7 +283,8 @@ def test_every_method_has_its_own_color() -> None:
     from meshskin.pipeline import METHODS
     from meshskin.report import theme
 
-    assert len({theme.METHOD_COLOURS[m] for m in ("joint", *METHODS)}) == len(METHODS) + 1
+    assert {"joint", *METHODS} <= theme.METHOD_COLOURS.keys()
+    assert len({*theme.METHOD_COLOURS.values(), theme.WARNING}) == len(theme.METHOD_COLOURS) + 1
 
 
 def test_a_skin_that_was_never_touched_has_a_page(
