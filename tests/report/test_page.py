@@ -21,6 +21,7 @@ from meshskin.geometry.body import Body
 from meshskin.report import markup, page
 from meshskin.report.advice import next_steps, outlying_taxels
 from meshskin.report.data import ReportData
+from meshskin.report.markup import table
 from meshskin.report.sections import content
 from meshskin.skin.skin import Skin
 
@@ -277,6 +278,12 @@ def test_one_taxel_has_no_estimate(case: SimpleNamespace, tmp_path: Path) -> Non
     c.reasons[first] = "fewer than three readings"
     shown = write_text(case, tmp_path, calibration=c)
     assert "1 of 80 taxels has no estimate (fewer than three readings)" in shown.text
+
+
+def test_a_sentence_in_a_column_of_numbers_wraps() -> None:
+    html = table(("metric", "value"), [("a", "0.012"), ("b", "the model fits: " * 4)], numeric=(1,))
+    assert "<td class=number>0.012</td>" in html
+    assert "<td>the model fits" in html
 
 
 def test_every_method_has_its_own_color() -> None:
