@@ -16,6 +16,7 @@ from ..contact import AUTO, ContactModel, Patches
 from ..core.arguments import check_integer
 from ..core.arrays import Array
 from ..core.errors import CalibrationError, ContactError
+from ..core.notebook import AXES, Tabular
 from ..core.progress import Progress, Stage
 from ..core.value import Value
 from . import chart
@@ -27,6 +28,8 @@ from .joint.pressure import disc_means
 from .uncertainty.observability import censored_information
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from ..geometry.surface.closest_point import Closest
     from ..scene.belief import Belief
     from .calibration import Calibration
@@ -44,7 +47,7 @@ would not count contacts that serve all taxels but the worst."""
 
 
 @dataclass(frozen=True, eq=False)
-class NextContacts(Value):
+class NextContacts(Value, Tabular):
     """k contacts, the most useful first."""
 
     points: Array
@@ -57,6 +60,18 @@ class NextContacts(Value):
     """Expected standard deviation (k,), m, of the most uncertain taxel after each."""
     unreached: np.ndarray
     """Ids of taxels without any reading: where to touch for them is not known."""
+
+    def __repr__(self) -> str:
+        lost = f", {len(self.unreached)} taxels without a reading" if len(self.unreached) else ""
+        taxels = ", ".join(map(str, self.taxel))
+        return f"<NextContacts: {len(self.points)}, for taxels {taxels}{lost}>"
+
+    def to_arrow(self) -> pa.Table:
+        """One row a contact: x, y, z (m), nx, ny, nz, taxel, worst (m)."""
+        import pyarrow as pa
+
+        numbers = dict(zip(AXES, [*self.points.T, *self.normals.T], strict=True))
+        return pa.table(numbers | {"taxel": self.taxel, "worst": self.worst})
 
 
 def next_contacts(

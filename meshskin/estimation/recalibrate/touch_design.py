@@ -19,6 +19,7 @@ from ...contact import AUTO, ContactModel, Patches
 from ...core.arguments import check_integer
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
+from ...core.notebook import AXES, Tabular
 from ...core.progress import Progress, Stage
 from ...core.value import Value
 from .. import chart
@@ -30,6 +31,8 @@ from .skin_map import SkinMap, skin_map
 from .touches import Touches
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from ...scene.belief import Belief
     from ...skin.skin import Skin
     from ..calibration import Calibration
@@ -44,7 +47,7 @@ DIRECTIONS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class TouchDesign(Value):
+class TouchDesign(Value, Tabular):
     """k touches that test a map, the most useful first."""
 
     points: Array
@@ -58,6 +61,20 @@ class TouchDesign(Value):
     confusion: Array
     """(u,) bound on the probability that the change of each unit that is tested least is confused
     with none: 0.5 where nothing tests it."""
+
+    def __repr__(self) -> str:
+        weak = f"at most {self.confusion.max():.2g}" if len(self.confusion) else "none"
+        return (
+            f"<TouchDesign: {len(self.points)} touches that test {len(self.units)} units, "
+            f"confusion {weak}>"
+        )
+
+    def to_arrow(self) -> pa.Table:
+        """One row a touch: x, y, z (m), nx, ny, nz, tests (number of the module, or id)."""
+        import pyarrow as pa
+
+        numbers = dict(zip(AXES, [*self.points.T, *self.normals.T], strict=True))
+        return pa.table(numbers | {"tests": self.unit})
 
 
 def next_touches(
