@@ -125,10 +125,10 @@ def raw_readings(
         if not own.any():
             raise _never_change(values)
         level = -level if falling else level
-        threshold = threshold or max(_noise_threshold(level[own]), _quantum(values))
+        threshold = threshold or max(_noise_threshold(level[own]), quantum(values))
     else:  # few taxels that read everywhere are stuck, or noisy
         if falling:
-            level[~own] = level[~own].max() + _quantum(values) - level[~own]
+            level[~own] = level[~own].max() + quantum(values) - level[~own]
         threshold = threshold or float(level[~own].min()) * (1 - 1e-9)
     saturation = belief.saturation
     largest = level == level.max()
@@ -238,7 +238,7 @@ def falls_with_pressure(
     return bool(np.median(ratio) < NARROWER and chance < CHANCE)
 
 
-def _quantum(values: Array) -> float:
+def quantum(values: Array) -> float:
     """The least difference of two readings; for continuous readings nearly 0."""
     steps = np.diff(np.unique(values))
     return float(steps.min()) if len(steps) else 0.0
