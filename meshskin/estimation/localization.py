@@ -27,7 +27,6 @@ from .joint.pressure import CENSORED, OBSERVED, SATURATED, costs
 
 if TYPE_CHECKING:
     from .calibration import Calibration
-    from .result import LearnedResponse
 
 LEAST = 3
 """Readings of a contact that is localised: of two, one is left to choose between the two places
@@ -90,8 +89,8 @@ class CalibratedSkin:
                 p, more = data.parameters, np.full(SIZES["hysteresis"], PRIORS["hysteresis"])
                 p = replace(p, names=(*p.names, "hysteresis"), sigma=np.append(p.sigma, more))
                 data = replace(data, parameters=p)
-            data = _referred(data, response)
-            data = with_learned_response(replace(data, learned=True), calibration.positions)
+            data = replace(data.referred_to(response.references), learned=True)
+            data = with_learned_response(data, calibration.positions)
             data = replace(
                 data,
                 profile_extent=response.extent,
@@ -117,8 +116,7 @@ class CalibratedSkin:
                 sigma = (*p.nuisance_sigma, PRIORS["drift"] * peak)[: len(names)]
                 p = replace(p, nuisance_names=names, nuisance_sigma=sigma)
                 data = replace(data, parameters=p)
-        unit = data.sigma * data.unit
-        units = {"gain": 1.0, "offset": unit, "drift": unit}
+        units = {"gain": 1.0} | dict.fromkeys(("offset", "drift"), data.sigma * data.unit)
         none = np.zeros((len(data.ids), 2))
         columns = [
             np.nan_to_num(calibration.taxel_unknowns.get(name, none)[:, 0] / units[name])
@@ -295,17 +293,6 @@ class CalibratedSkin:
         before = None if self.past is None else self.past.before(contact, taxel)
         return likelihood.predict(contact, points, self.nuisance[taxel], contacts, before)
 
-    def levels(self, contact: np.ndarray, offset: Array, log_modulus: float) -> Array:
-        """Levels (q,), Pa, of taxels `offset` (q, 3), m, from their contacts (q,), before gain,
-        compression and offset, under E* times exp(log_modulus)."""
-        s = self.s.copy()
-        s[self.data.parameters.columns["modulus"]] += log_modulus
-        contacts = replace(LinearizedContacts(self.data, s).at(s), compression=0.0)
-        nuisance = np.zeros((len(contact), self.nuisance.shape[1]))
-        likelihood = Likelihood(self.data, Readings.none())
-        points = contacts.points[contact] + offset
-        return likelihood.predict(contact, points, nuisance, contacts)[0] * self.data.sigma
-
     def log_likelihoods(self, contacts: np.ndarray) -> tuple[Array, np.ndarray]:
         """Logarithms (m,) of the joint densities of the readings of `contacts` at their recorded
         places and forces, and the numbers (m,) of these readings; 0 for other contacts.
@@ -335,16 +322,6 @@ class CalibratedSkin:
             quadratic = off[part] @ np.linalg.solve(covariance, off[part])
             out[k] = -(quadratic + np.linalg.slogdet(2 * np.pi * covariance)[1]) / 2
         return out - count * np.log(data.sigma * data.unit), count
-
-
-def _referred(data: Measurements, response: LearnedResponse) -> Measurements:
-    """The measurements with the force, the curvature and the peak pressure that a response refers
-    to."""
-    if not response.references:
-        return data
-    force, curvature, peak, _ = response.references
-    belief = replace(data.belief, force_reference=force)
-    return replace(data, belief=belief, references=(curvature, peak))
 
 
 def _shared(calibration: Calibration, data: Measurements) -> Array:

@@ -74,9 +74,13 @@ class JointPath:
         """Whether the path has the times (m,), s: beyond its ends, and in gaps of more than MAX_GAP
         typical steps, nothing is known of it."""
         steps = np.diff(self.time)
-        after = np.searchsorted(self.time, time).clip(1, len(steps))
+        short = steps <= MAX_GAP * np.median(steps)
+        step, next_ = (
+            np.searchsorted(self.time, time, side).clip(1, len(steps)) - 1
+            for side in ("left", "right")
+        )  # two at a sample, which may be at the end of a gap
         inside = (time >= self.time[0]) & (time <= self.time[-1])
-        return np.asarray(inside & (steps[after - 1] <= MAX_GAP * np.median(steps)))
+        return np.asarray(inside & (short[step] | short[next_]))
 
     @cached_property
     def _spline(self):  # type: ignore[no-untyped-def]

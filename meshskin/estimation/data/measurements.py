@@ -189,6 +189,14 @@ class Measurements:
             part.__dict__["slope"] = self.slope[rows]
         return part
 
+    def referred_to(self, references: tuple[float, ...]) -> Measurements:
+        """These measurements with `LearnedResponse.references`; as they are without any."""
+        if not references:
+            return self
+        force, curvature, peak, _ = references
+        belief = replace(self.belief, force_reference=force)
+        return replace(self, belief=belief, references=(curvature, peak))
+
     def at_contacts(self, hit: Closest) -> Measurements:
         """These measurements with the contacts at the points `hit` of the body."""
         return replace(

@@ -51,6 +51,9 @@ NOMINAL_FORCE = 1.0
 SURPRISE = 3.5
 """Standard deviations before any measurement beyond which an unknown contradicts what was believed:
 one of 20 sound ones is with a probability of 1 %."""
+MIN_CHANCE = 0.01
+"""Probability of all unknowns together, under what was believed of them, from which they contradict
+it: about that of one beyond SURPRISE."""
 MAX_DEPTH_FACTOR = 2.2
 """Depth of the indentations, relative to that under the believed material and force, or its
 inverse, from which the indenter's height is in doubt: beyond 3^(2/3) = 2.08, the depth under an E*
@@ -147,6 +150,13 @@ class LogCalibration(Value, Card):
         }
         return {"height_before_mm": before, "height_mm": after, "joints": joints}
 
+    def _chance(self, sigma: Mapping[str, float]) -> float:
+        """Probability that unknowns of the standard deviations believed are farther from zero."""
+        from scipy.special import gammaincc
+
+        square = sum((value / sigma[label]) ** 2 for label, (value, _) in self.unknowns.items())
+        return float(gammaincc(len(sigma) / 2, square / 2)) if sigma else 1.0
+
     @property
     def surprises(self) -> tuple[str, ...]:
         """Unknowns that are farther from zero than was believed of them, in words: a wrong standard
@@ -158,6 +168,16 @@ class LogCalibration(Value, Card):
             for label, (value, _) in self.unknowns.items()
             if abs(value) > SURPRISE * sigma[label]
         ]
+        if not found and (chance := self._chance(sigma)) < MIN_CHANCE:
+            far = sorted(
+                self.unknowns, key=lambda label: -abs(self.unknowns[label][0]) / sigma[label]
+            )
+            found.append(
+                "the robot's unknowns together are farther from what was believed than their "
+                f"standard deviations allow, p = {chance:.1g} (limit {MIN_CHANCE:g}), most of all "
+                f"{' and '.join(far[:2])}: joints stamped at different times, or an error that is "
+                "not declared, would look like this"
+            )
         if not 1 / MAX_DEPTH_FACTOR < self.depth_factor < MAX_DEPTH_FACTOR:
             found.append(
                 f"indentations are {self.depth_factor:.2g} times as deep as believed (limit: a "

@@ -16,7 +16,7 @@ learned the response, mu is that response.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -26,8 +26,8 @@ from ...contact import Patches
 from ...contact.reading import same_sheet
 from ...core.arrays import Array
 from ..data.measurements import Measurements
-from ..joint.contacts import Contacts
-from ..joint.likelihood import MIN_DENOMINATOR
+from ..joint.contacts import Contacts, LinearizedContacts
+from ..joint.likelihood import MIN_DENOMINATOR, Likelihood, Readings
 from ..joint.pressure import disc_means
 from ..localization import CalibratedSkin
 from .hypotheses import Hypothesis
@@ -206,7 +206,9 @@ class Touches:
         """Levels (q,) of taxels `offset` (q, 3), m, from their contacts."""
         data, none = self.data, np.zeros((len(self.data.points), 0))
         if self.skin is not None:
-            return np.maximum(self.skin.levels(contact, offset, log_modulus), 0.0) / self.unit
+            return np.maximum(_learned_levels(self.skin, contact, offset, log_modulus), 0.0) / (
+                self.unit
+            )
         if log_modulus not in self._patches:
             self._patches[log_modulus] = data.model.patches(
                 force=data.force,
@@ -218,6 +220,20 @@ class Touches:
         contacts = Contacts(data.points, data.normals, data.directions, patches, (), none, None)
         mean = disc_means(data.model.name, offset, contact, contacts, data.disc)[0]
         return np.asarray(np.maximum(mean, 0.0) * patches.peak[contact] / self.unit)
+
+
+def _learned_levels(
+    skin: CalibratedSkin, contact: np.ndarray, offset: Array, log_modulus: float
+) -> Array:
+    """Levels (q,), Pa, of taxels `offset` (q, 3), m, from their contacts (q,), before gain,
+    compression and offset, under E* times exp(log_modulus)."""
+    s = skin.s.copy()
+    s[skin.data.parameters.columns["modulus"]] += log_modulus
+    contacts = replace(LinearizedContacts(skin.data, s).at(s), compression=0.0)
+    nuisance = np.zeros((len(contact), skin.nuisance.shape[1]))
+    likelihood = Likelihood(skin.data, Readings.none())
+    points = contacts.points[contact] + offset
+    return likelihood.predict(contact, points, nuisance, contacts)[0] * skin.data.sigma
 
 
 def covariance_of(
