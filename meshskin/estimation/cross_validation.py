@@ -175,7 +175,8 @@ def subset(recording: Recording, belief: Belief, keep: np.ndarray) -> tuple[Reco
 
 
 def recorded_belief(calibration: Calibration) -> Belief:
-    """The belief of a calibration, in the unit of the readings."""
+    """The belief of a calibration, in the unit of the readings. Raises CalibrationError where it
+    has none."""
     belief, response = calibration.belief, calibration.response
     if belief is None or (belief.readings == RAW and response is None):
         raise CalibrationError(

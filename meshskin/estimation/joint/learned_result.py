@@ -216,6 +216,13 @@ def learned_response(effects: RandomEffects, covariance: Array) -> LearnedRespon
         hysteresis=_hysteresis(effects),
         crosstalk=data.parameters.value("crosstalk", s),
         drift=_drift(effects),
+        contact=data.model.name,
+        references=(
+            data.belief.force_reference or 1.0,
+            data.typical_curvature,
+            data.nominal_peak,
+            data.modulus,
+        ),
     )
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...contact import AUTO, ContactModel, Patches
+from ...contact import AUTO, LEARNED, ContactModel, Patches
 from ...core.arguments import check_integer
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
@@ -27,6 +27,7 @@ from ..data.measurements import Measurements
 from ..data.resolve_belief import with_valid_model
 from . import errors as error_model
 from .hypotheses import DEAD, moved, ring, turned, unchanged
+from .readings import touches_of
 from .skin_map import SkinMap, skin_map
 from .touches import Touches
 
@@ -101,7 +102,7 @@ def next_touches(
     tested = np.arange(len(known.units)) if units is None else np.flatnonzero(
         np.isin(known.numbers, units)
     )  # fmt: skip
-    touches = _candidates(known, belief, tested)
+    touches = touches_of(_candidates(known, belief, tested), known, previous)
     stage = Stage(progress, "next touches", len(tested))
     touch, pair, factor, owner = _factors(touches, known, tested, stage)
     bound, chosen, served = np.full(len(owner), 0.5), [], []
@@ -123,13 +124,13 @@ def next_touches(
     )
 
 
-def _candidates(known: SkinMap, belief: Belief, tested: np.ndarray) -> Touches:
+def _candidates(known: SkinMap, belief: Belief, tested: np.ndarray) -> Measurements:
     """Touches at the reference force about the taxels of the units `tested`, without readings."""
     rows = np.concatenate([known.units[u] for u in tested])
     rows = rows[known.known[rows]]
     if not len(rows):
         raise CalibrationError("the earlier map has no place for the units to be tested")
-    if belief.contact == AUTO:
+    if belief.contact in (AUTO, LEARNED):
         curvature = belief.body.closest(known.points[rows]).curvature
         belief = with_valid_model(belief, np.full(len(rows), belief.force_reference), curvature)
     material = belief.material
@@ -151,14 +152,13 @@ def _candidates(known: SkinMap, belief: Belief, tested: np.ndarray) -> Touches:
     owner = np.repeat(np.arange(len(rows)), len(offsets))
     hit = belief.body.closest(charts[owner].at(np.tile(offsets, (len(rows), 1))))
     none = np.zeros(0, dtype=int)
-    return Touches(
-        Measurements(
-            belief=replace(belief, taxel_ids=known.ids),
-            points=hit.point, normals=hit.normal, directions=hit.direction,
-            curvature=hit.curvature, force=np.full(len(hit.point), belief.force_reference),
-            patches=patches(hit.curvature), model=model, contact=none, taxel=none,
-            pressure=np.zeros(0), noise=belief.noise_sigma, threshold=belief.threshold,
-        )
+    return Measurements(
+        belief=replace(belief, taxel_ids=known.ids),
+        points=hit.point, normals=hit.normal, directions=hit.direction,
+        curvature=hit.curvature, force=np.full(len(hit.point), belief.force_reference),
+        patches=patches(hit.curvature), model=model, contact=none, taxel=none,
+        pressure=np.zeros(0), noise=belief.noise_sigma, threshold=belief.threshold,
+        ends=np.full(len(known.ids), np.inf),
     )  # fmt: skip
 
 
