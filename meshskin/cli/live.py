@@ -82,7 +82,8 @@ def command(options: argparse.Namespace) -> int:
         with bar(quiet=False) as progress:
             given = recorded(options) if options.map is None else from_log(options, progress)
             known = _known_response(given, progress)
-        print("\n".join(given.lines))
+        for line in given.lines:
+            print(line)
         view.play(_stage(given, options, known), known)
         view.finish("the replay is over; nothing was written")
     return 0
