@@ -55,8 +55,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def command(options: argparse.Namespace) -> int:
     """Print the findings; draw them if --out is given."""
-    from ..geometry.body import check_extent
-    from ..geometry.mesh.check import check_mesh
+    from ..geometry.mesh.check import check_extent, check_mesh
 
     kind = None if options.out is None else options.out.suffix.lower()
     if kind not in (None, ".html", *PICTURES):

@@ -175,6 +175,9 @@ class EstimatorResult:
     """The learned response, where it was learned."""
     iterates: Array | None = None
     """Positions (k, n, 3), m, along the iterations, the start first."""
+    contact_errors: Array | None = None
+    """Estimated errors (m, 3) of the contacts, where the response was learned, as
+    `Measurements.contact_errors`."""
     restarted: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
     """Rows of taxels that were started again from the centroid of their contacts."""
     seconds: Mapping[str, float] = field(default_factory=dict)

@@ -13,6 +13,9 @@ from ..robot.contact_rig import ContactRig
 LONGEST_LINK = 8.0
 """Longest slide from lane to lane, in lane spacings. Chosen: 28 mm take 0.6 s at 50 mm/s, less than
 a lift, a transfer and a new approach."""
+SAME_SIDE = 0.5
+"""Least cosine of the angle between the normals of neighboring samples of a slide: a slide through
+a thin body comes out on its other side."""
 
 
 @dataclass(frozen=True)
@@ -65,22 +68,29 @@ def contact_paths(
 
 
 def _nearest_first(pieces: list[Closest]) -> list[Closest]:
-    """The pieces from the first on, each followed by the nearest left, turned to begin there."""
+    """The pieces from the first on, each followed by the nearest left, turned to begin there.
+
+    Those on the other side of a body come last.
+    """
     ends = np.array([[piece.point[0], piece.point[-1]] for piece in pieces])
+    normals = np.array([[piece.normal[0], piece.normal[-1]] for piece in pieces])
     left = np.ones(len(pieces), dtype=bool)
-    here, out = ends[0, 0], []
+    size = float(np.linalg.norm(np.ptp(ends.reshape(-1, 3), axis=0)))
+    here, facing, out = ends[0, 0], normals[0, 0], []
     for _ in pieces:
-        gap = np.where(left[:, None], np.linalg.norm(ends - here, axis=2), np.inf)
+        gap = np.linalg.norm(ends - here, axis=2) + np.where(normals @ facing < 0, size, 0.0)
+        gap[~left] = np.inf
         k, end = np.unravel_index(int(np.argmin(gap)), gap.shape)
         left[k] = False
         piece = pieces[int(k)]
         out.append(piece.take(slice(None, None, -1)) if end else piece)
-        here = out[-1].point[-1]
+        here, facing = out[-1].point[-1], out[-1].normal[-1]
     return out
 
 
 def _slides(rig: ContactRig, start: Array, end: Array, step: float) -> list[Closest | None]:
-    """The straight slides over the surface, or None where the indenter does not fit along one.
+    """The straight slides over the surface; None where the indenter does not fit along one, and
+    where it would be on the other side of the body.
 
     start, end (k, 3), m.
     """
@@ -94,8 +104,12 @@ def _slides(rig: ContactRig, start: Array, end: Array, step: float) -> list[Clos
     hit = rig.body.surface.nearest(np.concatenate(samples))
     blocked = rig.contact_reasons(hit.point, hit.normal) != ""
     counts = [len(points) for points in samples]
-    parts = np.split(blocked, np.cumsum(counts)[:-1])
-    return [None if part.any() else leg for leg, part in zip(hit.split(counts), parts, strict=True)]
+    legs, parts = hit.split(counts), np.split(blocked, np.cumsum(counts)[:-1])
+    turns = [np.sum(leg.normal[1:] * leg.normal[:-1], axis=1) for leg in legs]
+    return [
+        None if part.any() or np.any(turn < SAME_SIDE) else leg
+        for leg, part, turn in zip(legs, parts, turns, strict=True)
+    ]
 
 
 def _concatenated(legs: list[Closest]) -> ContactPath:

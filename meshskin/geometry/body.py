@@ -19,7 +19,7 @@ from ..core.notebook import Card
 from ..core.value import Value
 from . import primitives, tessellate
 from .mesh import link_mesh, mesh_file
-from .mesh.check import check_mesh
+from .mesh.check import check_extent, check_mesh
 from .mesh.self_intersection import ray_scene
 from .mesh.triangles import Triangles
 from .surface import closing
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MAX_EXTENT, MIN_EXTENT = 5.0, 5e-3
-"""largest and least extent of a body, m: others are most likely in another unit"""
 RAY_TOLERANCE = 1e-7
 """largest distance of a hit from its ray, relative to the extent of the body"""
 FACES = 5120
@@ -169,6 +167,17 @@ class Body(Value, Card):
         path = _path(path, "a mesh")
         raw = mesh_file.read(path, mesh_file.unit(path, units))
         return cls._from_triangles(path.stem, raw, open)
+
+    @classmethod
+    def from_mesh(cls, mesh: Any, units: str = "m", name: str = "mesh", open: bool = False) -> Body:
+        """A body from a mesh in memory: a trimesh.Trimesh, or another object with its arrays.
+
+        These are `vertices` (n, 3) in `units` ("m", "cm", "mm", "in") and `faces` (m, 3), indices
+        of vertices, counter-clockwise seen from outside. `name` is that of the body frame. The mesh
+        is checked and repaired as by `load`. Raises MeshError.
+        """
+        raw = Triangles.of_mesh(mesh, mesh_file.in_metres(units))
+        return cls._from_triangles(name, raw, open)
 
     @classmethod
     def from_urdf(
@@ -308,24 +317,6 @@ _PRIMITIVES: dict[type, Callable[..., Body]] = {
     primitives.Torus: Body.torus,
 }
 """exact surface -> function that meshes it, of the fields of the surface and a number of faces"""
-
-
-def check_extent(vertices: Array) -> None:
-    """Raise MeshError, with the likely unit, for vertices (n, 3), m, of an improbable extent."""
-    extent = float(np.max(np.ptp(vertices, axis=0)))
-    if MIN_EXTENT <= extent <= MAX_EXTENT:
-        return
-    names = {"mm": "millimetres", "cm": "centimetres", "in": "inches"}
-    likely = [u for u in names if MIN_EXTENT <= extent * mesh_file.UNITS[u] <= MAX_EXTENT]
-    if extent > MAX_EXTENT and likely:
-        unit = likely[0]
-        remedy = f"likely {names[unit]}: units='{unit}', or radius_{unit} etc. in a scene file"
-    elif extent < MIN_EXTENT and extent >= mesh_file.UNITS["mm"] * MIN_EXTENT:
-        remedy = "likely scaled to m already, or given in m twice: units='m'"
-    else:
-        remedy = "give lengths in m, or the file's units"
-    limit = f"{MIN_EXTENT * 1e3:g} mm to {MAX_EXTENT:g} m"
-    raise MeshError("largest extent", value=f"{extent:.4g} m", limit=limit, remedy=remedy)
 
 
 def _path(path: str | Path, of: str) -> Path:

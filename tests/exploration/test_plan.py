@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial import cKDTree
 
 import meshskin as ms
@@ -175,3 +176,21 @@ def test_contacts_on_the_far_face_of_a_plate_do_not_cover_a_taxel():
     poses[1, :3, :3] = np.diag([1.0, -1.0, -1.0])
     left_out = taxels_left_out(ms.Skin(poses, np.array([0, 1])), 5e-3, [path], [])
     assert left_out == {1: NOT_COVERED}
+
+
+def test_no_slide_leads_through_a_thin_plate():
+    plate = trimesh.creation.box((0.06, 0.04, 0.003))
+    body = ms.Body.from_mesh(plate)
+    base = ms.Scene.load("sphere")
+    scene = base.with_(
+        body=body,
+        skin=ms.Skin.cover(body, spacing=1e-2, disc_radius=2e-3),
+        exploration=LANES,
+        loop=replace(base.loop, mode="quasi_static"),
+    )
+    segments = plan_exploration(scene).segments
+    sides = [np.sign(segment.points[[0, -1], 2]) for segment in segments]
+    assert {-1.0, 1.0} == set(np.ravel(sides))
+    for segment in segments:
+        assert np.ptp(np.sign(segment.points[:, 2])) == 0
+    assert np.count_nonzero(np.diff(np.ravel(sides))) == 1  # one side after the other

@@ -35,7 +35,7 @@ def islands():
     )
 
 
-@pytest.mark.parametrize("indenter", [ms.Indenter(), WALL])
+@pytest.mark.parametrize("indenter", [ms.Indenter(), pytest.param(WALL, marks=pytest.mark.slow)])
 def test_the_arm_lifts_off_changes_its_posture_and_touches_again(islands, indenter):
     scene = islands.with_(indenter=indenter, loop=replace(islands.loop, compile="never"))
     machine, path = prepare(scene)

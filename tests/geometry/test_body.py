@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,9 @@ from meshskin.core.errors import MeshError
 from meshskin.geometry.body import FACES, Body
 
 from ..real_data import DATA, needs_ur3e
+
+CORNERS = np.eye(3)
+"""vertices of one triangle"""
 
 
 @pytest.fixture
@@ -35,6 +39,39 @@ def test_glb_is_in_metres(ball, tmp_path):
     ball.export(tmp_path / "ball.glb")
     body = Body.load(tmp_path / "ball.glb")
     np.testing.assert_allclose(body.surface.scale, 0.2, rtol=1e-3)
+
+
+def test_a_mesh_in_memory_is_checked_like_a_file(ball, tmp_path):
+    ball.export(tmp_path / "ball.stl")
+    loaded, made = Body.load(tmp_path / "ball.stl", units="mm"), Body.from_mesh(ball, "mm", "ball")
+    assert (made.name, len(made.mesh.faces)) == (loaded.name, len(loaded.mesh.faces))
+    outside = [[0.0, 0.02, 0.15]]
+    np.testing.assert_allclose(
+        made.closest(outside).distance, loaded.closest(outside).distance, rtol=1e-6
+    )
+    inverted = SimpleNamespace(vertices=ball.vertices, faces=np.asarray(ball.faces)[:, ::-1])
+    assert Body.from_mesh(inverted, "mm").mesh.volume > 0
+
+
+@pytest.mark.parametrize(
+    ("mesh", "message"),
+    [
+        ("ball.stl", "a mesh needs vertices and faces, got 'ball.stl'"),
+        (
+            SimpleNamespace(vertices=np.eye(3), faces=[[0, 1, 3]]),
+            "got 3, limit: integers from 0 to 2",
+        ),
+        (SimpleNamespace(vertices=np.eye(3), faces=[[0, 1, 0.5]]), "got 0.5, limit: integers"),
+        (SimpleNamespace(vertices=np.eye(3), faces=np.zeros((0, 3))), "the mesh has no faces"),
+        (
+            SimpleNamespace(vertices=np.eye(4), faces=[[0, 1, 2]]),
+            r"shape \(4, 4\), limit: \(n, 3\)",
+        ),
+    ],
+)
+def test_a_mesh_in_memory_is_refused(mesh, message):
+    with pytest.raises(MeshError, match=message):
+        Body.from_mesh(mesh)
 
 
 @pytest.mark.parametrize(("units", "scale"), [("cm", 1.0), ("in", 2.54)])

@@ -92,11 +92,11 @@ def longest(place, young, speed, integrator):
 @pytest.mark.parametrize(
     ("young", "speed"),
     [
-        *((2e5, 0.05), (2e11, 1e-3)),
+        (2e5, 0.05),
         *(
             pytest.param(young, speed, marks=pytest.mark.slow)
             for young, speed in (
-                *((1e4, 0.5), (2e5, 0.5), (1e7, 0.5), (1e7, 0.05)),
+                *((2e11, 1e-3), (1e4, 0.5), (2e5, 0.5), (1e7, 0.5), (1e7, 0.05)),
                 *((1e9, 0.5), (1e9, 0.05), (1e9, 1e-3), (2e11, 0.5), (2e11, 0.05)),
             )
         ),

@@ -26,6 +26,9 @@ NOISE, THRESHOLD = 0.01, 0.05
 RIGHT = 1.0e-4
 """Error, m, that a right answer does not exceed: three times that of the sound log."""
 
+PRESSURE_FIRST = ["pressure", pytest.param("raw", marks=pytest.mark.slow)]
+"""Kinds of readings; raw ones with -m slow, where both take a second or more."""
+
 
 def spiral(count, reach):
     """Points (count, 3) on the sphere, m, evenly over a cap of the radius `reach`, m."""
@@ -72,7 +75,7 @@ def errors(found):
     return np.linalg.norm(found.positions - TRUTH, axis=1)
 
 
-@pytest.mark.parametrize("readings", ["pressure", "raw"])
+@pytest.mark.parametrize("readings", PRESSURE_FIRST)
 def test_one_taxel_that_never_changes_is_named_and_harms_no_other(readings):
     level, force = sound()
     level[:, 5] = 0.5
@@ -114,7 +117,7 @@ def test_pressures_that_fall_are_named():
             answer(log, force, dense=dense)
 
 
-@pytest.mark.parametrize("readings", ["pressure", "raw"])
+@pytest.mark.parametrize("readings", PRESSURE_FIRST)
 def test_the_end_of_one_taxel_s_range_is_found(readings):
     level, force = sound()
     level[:, 5] = np.minimum(level[:, 5], 0.4)
@@ -139,7 +142,7 @@ def test_ends_of_ranges_by_repeated_largest_readings():
     np.testing.assert_array_equal(ends, [np.inf, 0.7, np.inf, np.inf, np.inf])
 
 
-@pytest.mark.parametrize("readings", ["pressure", "raw"])
+@pytest.mark.parametrize("readings", PRESSURE_FIRST)
 def test_frames_without_contact_are_named_where_they_have_a_force(readings):
     level, force = sound()
     level[1::2] = NOISE * np.random.default_rng(1).standard_normal(level[1::2].shape)
@@ -151,7 +154,7 @@ def test_frames_without_contact_are_named_where_they_have_a_force(readings):
     assert found.verdict.level == "PASS"
 
 
-@pytest.mark.parametrize("readings", ["pressure", "raw"])
+@pytest.mark.parametrize("readings", PRESSURE_FIRST)
 def test_equal_forces_are_answered_with_what_they_leave_open(readings):
     level = sound()[0]
     found = answer(level, np.full(COUNT, FORCE), readings=readings)

@@ -174,7 +174,11 @@ def test_the_width_of_a_link_counts(toy):
 
 
 @pytest.mark.parametrize(
-    ("name", "tip"), [("ur5_robot.urdf", "tool0"), ("panda.urdf", "panda_hand")]
+    ("name", "tip"),
+    [
+        ("ur5_robot.urdf", "tool0"),
+        pytest.param("panda.urdf", "panda_hand", marks=pytest.mark.slow),
+    ],
 )
 def test_a_real_arm_agrees_with_coal_on_what_meets_the_support(name, tip):
     """coal's exact distances of the meshes from the column, at random configurations."""

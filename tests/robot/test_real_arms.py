@@ -28,6 +28,8 @@ ROBOTS = {
     "z1.urdf": "link06",
     "g1_29dof_rev_1_0.urdf": "left_wrist_yaw_link",
 }
+FIRST = ("panda.urdf", "tiago.urdf", "pr2.urdf")
+"""Those of the default run: a plain chain, a sliding column, endless joints."""
 
 
 def urdf(name):
@@ -47,7 +49,9 @@ def agrees(arm):
             np.testing.assert_allclose(got.full(), expected, atol=1e-11)
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(k, marks=() if k in FIRST else pytest.mark.slow) for k in ROBOTS]
+)
 def test_real_arm_agrees_with_pinocchio(name):
     agrees(Arm.from_urdf(urdf(name), tip=ROBOTS[name]))
 

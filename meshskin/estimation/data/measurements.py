@@ -152,6 +152,16 @@ class Measurements:
         return float(np.median(self.peaks))
 
     @cached_property
+    def relative_curvature(self) -> Array:
+        """Mean curvature (m,), 1/m, of body and indenter together."""
+        return np.asarray(self.curvature.mean(axis=1) + 1 / self.belief.indenter.radius)
+
+    @cached_property
+    def typical_curvature(self) -> float:
+        """Median of `relative_curvature`, 1/m."""
+        return float(np.median(self.relative_curvature))
+
+    @cached_property
     def contact_tree(self) -> cKDTree:
         """The contact points, for queries by distance."""
         from scipy.spatial import cKDTree

@@ -208,8 +208,7 @@ class LinearizedContacts:
         """
         data, columns = self.data, self.parameters.columns["exponents"]
         force = np.log(data.force / (data.belief.force_reference or 1.0))
-        relative = data.curvature.mean(axis=1) + 1 / data.belief.indenter.radius
-        size = force - np.log(relative / np.median(relative))
+        size = force - np.log(data.relative_curvature / data.typical_curvature)
         for slope in shape[:2]:
             slope[:, columns.start] = size
         log_peak[:, columns] = np.column_stack([-2 * size, force])

@@ -116,6 +116,7 @@ def learned_result(
         rivals=spread(rivals.points, np.nan),
         fit=fit,
         response=response,
+        contact_errors=u.errors,
         iterates=np.stack([spread(p, np.nan) for p in effects.iterates]),
         seconds={"joint": time.perf_counter() - clock},
     )

@@ -45,7 +45,9 @@ class PoseGraph(Value):
     """(n,) ids of the poses in files; 0 to n - 1 by default."""
 
     def __repr__(self) -> str:
-        return f"<PoseGraph: {len(self.poses)} poses, {len(self.edges)} displacements>"
+        parts = len(self.anchors)  # their poses relative to each other stay as they are
+        joined = f", {parts} parts that no displacement joins" if parts > 1 else ""
+        return f"<PoseGraph: {len(self.poses)} poses, {len(self.edges)} displacements{joined}>"
 
     def __post_init__(self) -> None:
         poses = validation.transforms("poses", self.poses)

@@ -19,6 +19,8 @@ from ...contact import AUTO, ContactModel, Patches
 from ...core.arguments import check_integer
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
+from ...core.notebook import AXES, Tabular
+from ...core.progress import Progress, Stage
 from ...core.value import Value
 from .. import chart
 from ..data.measurements import Measurements
@@ -29,6 +31,8 @@ from .skin_map import SkinMap, skin_map
 from .touches import Touches
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from ...scene.belief import Belief
     from ...skin.skin import Skin
     from ..calibration import Calibration
@@ -43,7 +47,7 @@ DIRECTIONS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class TouchDesign(Value):
+class TouchDesign(Value, Tabular):
     """k touches that test a map, the most useful first."""
 
     points: Array
@@ -58,17 +62,33 @@ class TouchDesign(Value):
     """(u,) bound on the probability that the change of each unit that is tested least is confused
     with none: 0.5 where nothing tests it."""
 
+    def __repr__(self) -> str:
+        weak = f"at most {self.confusion.max():.2g}" if len(self.confusion) else "none"
+        return (
+            f"<TouchDesign: {len(self.points)} touches that test {len(self.units)} units, "
+            f"confusion {weak}>"
+        )
+
+    def to_arrow(self) -> pa.Table:
+        """One row a touch: x, y, z (m), nx, ny, nz, tests (number of the module, or id)."""
+        import pyarrow as pa
+
+        numbers = dict(zip(AXES, [*self.points.T, *self.normals.T], strict=True))
+        return pa.table(numbers | {"tests": self.unit})
+
 
 def next_touches(
     previous: Calibration | Skin,
     belief: Belief | None = None,
     k: int = 20,
     units: np.ndarray | None = None,
+    progress: Progress | None = None,
 ) -> TouchDesign:
     """The k touches under the reference force that test an earlier map best, for `recalibrate`.
 
     belief: as in `recalibrate`. units: numbers of the modules, or ids of the taxels, to test; by
-    default all. Raises CalibrationError without a belief or its reference force, or for k < 1.
+    default all. progress("next touches", done, total): called after each of these. Raises
+    CalibrationError without a belief or its reference force, or for k < 1.
     """
     k = check_integer("number of touches", k, least=1, error=CalibrationError)
     belief = belief or getattr(previous, "belief", None)
@@ -82,7 +102,8 @@ def next_touches(
         np.isin(known.numbers, units)
     )  # fmt: skip
     touches = _candidates(known, belief, tested)
-    touch, pair, factor, owner = _factors(touches, known, tested)
+    stage = Stage(progress, "next touches", len(tested))
+    touch, pair, factor, owner = _factors(touches, known, tested, stage)
     bound, chosen, served = np.full(len(owner), 0.5), [], []
     for _ in range(k):
         part = bound[pair] * (1 - factor)
@@ -142,7 +163,7 @@ def _candidates(known: SkinMap, belief: Belief, tested: np.ndarray) -> Touches:
 
 
 def _factors(
-    touches: Touches, known: SkinMap, tested: np.ndarray
+    touches: Touches, known: SkinMap, tested: np.ndarray, stage: Stage
 ) -> tuple[np.ndarray, np.ndarray, Array, np.ndarray]:
     """Touches (g,) and changes (g,) that they tell from none, the factors (g,) by which they reduce
     the bound on their confusion, and the unit of each change."""
@@ -173,5 +194,6 @@ def _factors(
         change, touch = np.nonzero(square > MIN_SQUARE)
         parts.append((touch, change + len(owner), np.exp(-square[change, touch] / 8)))
         owner += [int(unit)] * (len(changes) - 1)
+        stage.step()
     touch, pair, factor = (np.concatenate(x) for x in zip(*parts, strict=True))
     return touch, pair, factor, np.array(owner)

@@ -26,6 +26,8 @@ SHIFT_SIGMAS = 5.0
 MIN_SPREAD = 1e-3
 """Mean square of the normals' components along a direction from which a displacement along it
 changes the distances: 2 degrees."""
+GROSS = 10.0
+"""Distance of a contact point, in 95th percentiles, above which it is wrong by itself."""
 MAX_LEFT = 0.1
 """Mean square of the taxels' mean distances that a displacement of the contact points may leave, in
 relation to that without it, beyond scatter: more is dents of the body."""
@@ -79,7 +81,12 @@ def _normal_variance(data: Measurements, distance: Array) -> Array:
 def displacement(distance: Array, normals: Array) -> Array:
     """The displacement (3,), m, of contact points that explains their distances (m,), m, from a
     surface with normals (m, 3); zero where it is within SHIFT_SIGMAS of chance.
+
+    Single contacts far off the surface have no part in it.
     """
+    size = np.abs(distance)
+    near = size <= GROSS * np.quantile(size, 0.95)
+    distance, normals = distance[near], normals[near]
     value, vectors = np.linalg.eigh(normals.T @ normals)
     good = value > MIN_SPREAD * len(normals)
     basis = vectors[:, good] / np.sqrt(value[good])

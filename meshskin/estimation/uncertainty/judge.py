@@ -12,16 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...core.arrays import Array
 from ...scene.belief import RAW
-from .. import chart
 from ..data import delay
 from ..data.global_parameters import ELECTRONICS, LEARNED, MIN_KEPT, SIZES, declared_parameters
-from ..data.pairs import near_pairs
 from ..joint.departures import MIN_SCORE
-from . import verdict
+from . import verdict, weighted_means
 from .contact_errors import displacement
-from .verdict import DOUBT, FAIL, LEVELS, PASS, Finding, Verdict
+from .verdict import DOUBT, FAIL, LEVELS, PASS, Finding, Verdict, level_of
 
 if TYPE_CHECKING:
     from ...recording.recording import Recording
@@ -48,14 +45,6 @@ from which it is a doubt. A layer of the thickness of the patch changes the peak
 PRIOR_SIGMAS = 4.0
 """Distance of a global parameter from zero, in standard deviations of its prior, from which it is a
 doubt: 6e-5 by chance."""
-MEAN_SIGMAS = 4.0, 12.0
-"""Median distance of the positions from the weighted means of contact points, in standard
-deviations of both, from which it is a doubt, and a failure; 1.18 by theory."""
-SECTORS = 6
-"""Directions in which contacts must lie about a taxel whose weighted mean is compared."""
-RING = 0.7, 1.5
-"""Their distances, in reaches of a contact: a taxel reads little there, so that contacts that end
-further out do not displace its mean."""
 SURFACE_DEPTHS = 0.1, 1.5
 """Typical distance of the contact points from the believed surface, in depths of the indentation,
 from which it is a doubt, and a failure: recorded points lie between the undeformed surface and the
@@ -87,7 +76,7 @@ def judge(
         lambda: _scale(data, calibration),
         lambda: _priors(data, calibration),
         lambda: _surface(recording, data, calibration),
-        lambda: _weighted_means(data, calibration),
+        lambda: weighted_means.findings(data, calibration),
         lambda: verdict.forces(recording, calibration),
         lambda: verdict.force_offset(data, calibration),
         lambda: verdict.pressures(recording, data),
@@ -98,10 +87,6 @@ def judge(
     found = [finding for check in checks for finding in check()]
     found.sort(key=lambda finding: -LEVELS.index(finding[0]))
     return Verdict(found[0][0] if found else PASS, tuple(words for _, words in found))
-
-
-def _level(value: float, limits: tuple[float, float]) -> str:
-    return FAIL if value > limits[1] else DOUBT if value > limits[0] else PASS
 
 
 def _fit(data: Measurements, calibration: Calibration) -> list[Finding]:
@@ -182,7 +167,7 @@ def _modulus(data: Measurements, calibration: Calibration) -> list[Finding]:
     if calibration.modulus is None or calibration.modulus_sigma is None:
         return []
     ratio = calibration.modulus / data.modulus
-    level = _level(max(ratio, 1 / ratio), MODULUS_FACTORS)
+    level = level_of(max(ratio, 1 / ratio), MODULUS_FACTORS)
     if level == PASS:
         return []
     words = (
@@ -246,7 +231,7 @@ def _surface(recording: Recording, data: Measurements, calibration: Calibration)
         if label.split()[0] in ("body_offset", "indenter_offset") and "rotation" not in label
     ]
     size = max(typical, float(np.linalg.norm(shift)))
-    level = _level(max(size - 2 * max(moved, default=0.0), 0.0) / depth, SURFACE_DEPTHS)
+    level = level_of(max(size - 2 * max(moved, default=0.0), 0.0) / depth, SURFACE_DEPTHS)
     if level == PASS:
         return []
     side = "above" if median > 0 else "below"
@@ -263,50 +248,6 @@ def _surface(recording: Recording, data: Measurements, calibration: Calibration)
 
 def _radius(data: Measurements) -> float:
     return float(data.belief.indenter.radius)
-
-
-def _weighted_means(data: Measurements, calibration: Calibration) -> list[Finding]:
-    """Positions against the pressure-weighted mean of contact points, over all taxels."""
-    means = calibration.contact_centroids
-    if means is None:
-        return []
-    weight, n = data.pressure**2, len(data.ids)
-    total = np.maximum(np.bincount(data.taxel, weight, n), 1e-300)
-    off = data.points[data.contact] - means[data.taxel]
-    near = np.linalg.norm(off, axis=1) < 1.5 * data.reach()[data.contact]
-    square = np.where(near, (weight / total[data.taxel]) ** 2 * np.sum(off**2, axis=1), 0.0)
-    spread = np.bincount(data.taxel, square, n)
-    apart = np.linalg.norm(calibration.positions - means, axis=1)
-    sigma = np.sqrt((spread + calibration.position_sigma**2) / 2)
-    seen = np.isfinite(apart) & np.isfinite(sigma) & (data.counts >= 5) & (sigma > 0)
-    if seen.any():
-        seen[seen] = surrounded(data, means[seen])
-    if seen.sum() < 3:
-        return []
-    typical = float(np.median(apart[seen] / sigma[seen]))
-    level = _level(typical, MEAN_SIGMAS)
-    if level == PASS:
-        return []
-    words = (
-        f"positions are {1e3 * np.median(apart[seen]):.2g} mm from the pressure-weighted means of "
-        f"their contact points, {typical:.2g} times what both standard deviations allow (limit "
-        f"{MEAN_SIGMAS[0]:g}): check the contact model and the scale of pressures and forces"
-    )
-    return [(level, words)]
-
-
-def surrounded(data: Measurements, means: Array) -> np.ndarray:
-    """Whether contacts lie in all SECTORS directions from points `means` (n, 3) on the surface, at
-    RING reaches: where they end before, a weighted mean of contact points is no estimate."""
-    normals, reach = data.body.closest(means).normal, data.reach()
-    contact, own = near_pairs(data, means, normals, RING[1] * reach)
-    offset = np.einsum("kij,ki->kj", chart.frames(normals)[own], data.points[contact] - means[own])
-    angle = np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) + 0.5
-    sector = np.minimum((SECTORS * angle).astype(int), SECTORS - 1)
-    far = np.hypot(offset[:, 0], offset[:, 1]) > RING[0] * reach[contact]
-    met = np.zeros((len(means), SECTORS), dtype=bool)
-    met[own[far], sector[far]] = True
-    return np.asarray(met.all(axis=1))
 
 
 def _faults(calibration: Calibration) -> list[Finding]:

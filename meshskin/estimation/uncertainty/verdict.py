@@ -64,6 +64,11 @@ class Verdict:
         return {"level": self.level, "reasons": list(self.reasons)}
 
 
+def level_of(value: float, limits: tuple[float, float]) -> str:
+    """The level of a value by the limits from which it is a doubt, and a failure."""
+    return FAIL if value > limits[1] else DOUBT if value > limits[0] else PASS
+
+
 def forces(recording: Recording, calibration: Calibration) -> list[Finding]:
     """Findings on the column of forces."""
     force, found = recording.force, []

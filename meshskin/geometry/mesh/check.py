@@ -9,7 +9,7 @@ import numpy as np
 
 from ...core.arrays import Array, Index
 from ...core.errors import MeshError
-from . import non_manifold, repair, self_intersection
+from . import mesh_file, non_manifold, repair, self_intersection
 from .topology import NEXT, PREVIOUS, connected_components, edge_keys, face_components, neighbours
 
 NONE: Index = np.zeros(0, dtype=np.intp)
@@ -20,6 +20,9 @@ SHOWN = 5
 SLIVER = 1e-9
 """twice a face's area over the square of its longest side, up to which it is reported as without
 area: of a face of 10 mm, a height of 10 pm"""
+
+MAX_EXTENT, MIN_EXTENT = 5.0, 5e-3
+"""largest and least extent of a body, m: others are most likely in another unit"""
 
 
 @dataclass(frozen=True)
@@ -248,3 +251,21 @@ def _self_intersections(edit: repair.MeshEdit, across: Index, open: bool) -> lis
             crossing=True,
         )
     ]
+
+
+def check_extent(vertices: Array) -> None:
+    """Raise MeshError, with the likely unit, for vertices (n, 3), m, of an improbable extent."""
+    extent = float(np.max(np.ptp(vertices, axis=0)))
+    if MIN_EXTENT <= extent <= MAX_EXTENT:
+        return
+    names = {"mm": "millimetres", "cm": "centimetres", "in": "inches"}
+    likely = [u for u in names if MIN_EXTENT <= extent * mesh_file.UNITS[u] <= MAX_EXTENT]
+    if extent > MAX_EXTENT and likely:
+        unit = likely[0]
+        remedy = f"likely {names[unit]}: units='{unit}', or radius_{unit} etc. in a scene file"
+    elif extent < MIN_EXTENT and extent >= mesh_file.UNITS["mm"] * MIN_EXTENT:
+        remedy = "likely scaled to m already, or given in m twice: units='m'"
+    else:
+        remedy = "give lengths in m, or the file's units"
+    limit = f"{MIN_EXTENT * 1e3:g} mm to {MAX_EXTENT:g} m"
+    raise MeshError("largest extent", value=f"{extent:.4g} m", limit=limit, remedy=remedy)

@@ -37,6 +37,11 @@ def unit(path: Path, units: str | None) -> float | None:
             f"{path.name}: the file has no length unit",
             remedy=f"give units= (--units), one of {', '.join(UNITS)}",
         )
+    return in_metres(units)
+
+
+def in_metres(units: str) -> float:
+    """The length unit of that name, in m. Raises MeshError."""
     if units not in UNITS:
         raise MeshError(
             "unknown units of a mesh", value=repr(units), limit=f"one of {', '.join(UNITS)}"

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.arguments import check_vectors, repr_short
 from ...core.arrays import Array, Index
+from ...core.errors import MeshError
 
 
 @dataclass(frozen=True)
 class Triangles:
-    """The content of a mesh file, before any repair."""
+    """The content of a mesh file, or of a mesh in memory, before any repair."""
 
     vertices: Array
     """(n, 3) m"""
@@ -30,6 +33,24 @@ class Triangles:
         rows = np.arange(len(faces))
         named = dict.fromkeys(names, rows)
         return cls(np.array(vertices, dtype=float), np.array(faces, dtype=np.intp), named)
+
+    @classmethod
+    def of_mesh(cls, mesh: Any, scale: float) -> Triangles:
+        """The triangles of an object with `vertices` (n, 3), in `scale` m, and `faces` (m, 3).
+
+        Raises MeshError.
+        """
+        if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
+            raise MeshError("a mesh needs vertices and faces", value=repr_short(mesh))
+        vertices = check_vectors("vertices of a mesh", mesh.vertices, error=MeshError)
+        faces = check_vectors("faces of a mesh", mesh.faces, error=MeshError)
+        if not len(faces):
+            raise MeshError("the mesh has no faces")
+        wrong = faces[~np.isin(faces, np.arange(len(vertices)))]
+        if len(wrong):
+            limit = f"integers from 0 to {len(vertices) - 1}"
+            raise MeshError("index of a vertex in a face", value=f"{wrong[0]:g}", limit=limit)
+        return cls(scale * vertices, faces.astype(np.intp))
 
     @classmethod
     def joined(cls, parts: Sequence[Triangles]) -> Triangles:

@@ -174,3 +174,17 @@ def test_parts_of_a_frame_are_counted_in_sigma(noisy, log, frames, part):
 def errors(found, scene):
     """Rms error, m."""
     return np.sqrt(np.mean(np.sum((found.positions - scene.skin.positions) ** 2, axis=1)))
+
+
+def test_single_wrong_contacts_are_no_displacement_of_all():
+    rng = np.random.default_rng(2)
+    normals = np.array([[-0.04, 0.0, 1.0]]) * rng.choice([-1.0, 1.0], (2000, 1))
+    normals[:, 0] = -0.04
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    distance = rng.normal(0, 1e-6, 2000)
+    distance[:7] = 5e-3
+    normals[:7] = [-1.0, 0.0, 0.0]
+    np.testing.assert_array_equal(contact_errors.displacement(distance, normals), 0.0)
+    shift = np.array([2e-3, 0.0, 1e-4])
+    found = contact_errors.displacement(distance + normals @ shift, normals)
+    np.testing.assert_allclose(found[[0, 2]], shift[[0, 2]], atol=1e-5)

@@ -12,7 +12,7 @@ from meshskin.core.errors import CalibrationError
 from meshskin.estimation.calibrate import METHODS, calibrate
 from meshskin.estimation.calibration import Calibration
 from meshskin.estimation.data.gather import gather
-from meshskin.estimation.uncertainty.judge import surrounded
+from meshskin.estimation.uncertainty.weighted_means import surrounded
 from meshskin.recording.recording import Recording
 
 CONTACTS = 500

@@ -1,0 +1,94 @@
+"""Positions against the pressure-weighted means of contact points, which need no contact model."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...core.arrays import Array, sums_by_group
+from .. import chart
+from ..data.pairs import near_pairs
+from .verdict import PASS, Finding, level_of
+
+if TYPE_CHECKING:
+    from ..calibration import Calibration
+    from ..data.measurements import Measurements
+
+MEAN_SIGMAS = 4.0, 12.0
+"""Median distance of the positions from the weighted means of contact points, in standard
+deviations of both, from which it is a doubt, and a failure; 1.18 by theory."""
+SECTORS = 6
+"""Directions in which contacts must lie about a taxel whose weighted mean is compared."""
+RING = 0.7, 1.5
+"""Their distances, in reaches of a contact: a taxel reads little there, so that contacts that end
+further out do not displace its mean."""
+STEEPNESS = 1, 5
+"""Exponents k of the profile (1 - (distance / reach)^2)^k of a squared reading: 1 of a point in a
+Hertz patch, 5 of a taxel as large as the patch (by quadrature, from 0.3 to 0.7 reaches: 4.6 to
+5.4)."""
+
+
+def findings(data: Measurements, calibration: Calibration) -> list[Finding]:
+    """Positions against the pressure-weighted mean of contact points, over all taxels.
+
+    The mean is compared with that of a round profile about the position, over the contacts that
+    were made: of lanes that are far apart, it lies towards the nearest one.
+    """
+    means = calibration.contact_centroids
+    if means is None:
+        return []
+    weight, n = data.pressure**2, len(data.ids)
+    total = np.maximum(np.bincount(data.taxel, weight, n), 1e-300)
+    off = data.points[data.contact] - means[data.taxel]
+    near = np.linalg.norm(off, axis=1) < 1.5 * data.reach()[data.contact]
+    square = np.where(near, (weight / total[data.taxel]) ** 2 * np.sum(off**2, axis=1), 0.0)
+    spread = np.bincount(data.taxel, square, n)
+    sigma = np.sqrt((spread + calibration.position_sigma**2) / 2)
+    seen = np.isfinite(means + calibration.positions).all(axis=1) & np.isfinite(sigma)
+    seen &= (data.counts >= 5) & (sigma > 0)
+    if seen.any():
+        seen[seen] = surrounded(data, means[seen])
+    if seen.sum() < 3:
+        return []
+    flat, steep = (_expected_means(data, calibration.positions[seen], k) for k in STEEPNESS)
+    apart = np.linalg.norm((flat + steep) / 2 - means[seen], axis=1)
+    own = np.linalg.norm(steep - flat, axis=1) / 2  # what the shape of the profile leaves open
+    typical = float(np.median(apart / np.hypot(sigma[seen], own)))
+    level = level_of(typical, MEAN_SIGMAS)
+    if level == PASS:
+        return []
+    words = (
+        f"positions are {1e3 * np.median(apart):.2g} mm from the pressure-weighted means of "
+        f"their contact points, {typical:.2g} times what both standard deviations allow (limit "
+        f"{MEAN_SIGMAS[0]:g}): check the contact model and the scale of pressures and forces"
+    )
+    return [(level, words)]
+
+
+def _expected_means(data: Measurements, points: Array, steepness: int) -> Array:
+    """The weighted means (n, 3), m, of the contact points about taxels at `points` (n, 3), m.
+
+    The weight is a round profile that ends at the reach of a contact, whatever the contact model.
+    The mean is the point itself where no contact reaches it.
+    """
+    reach, n = data.reach(), len(points)
+    contact, own = near_pairs(data, points, data.body.closest(points).normal, reach)
+    off = data.points[contact] - points[own]
+    weight = np.maximum(1.0 - np.sum(off**2, axis=1) / reach[contact] ** 2, 0.0) ** steepness
+    total = np.maximum(np.bincount(own, weight, n), 1e-300)
+    return np.asarray(points + sums_by_group(weight[:, None] * off, own, n) / total[:, None])
+
+
+def surrounded(data: Measurements, means: Array) -> np.ndarray:
+    """Whether contacts lie in all SECTORS directions from points `means` (n, 3) on the surface, at
+    RING reaches: where they end before, a weighted mean of contact points is no estimate."""
+    normals, reach = data.body.closest(means).normal, data.reach()
+    contact, own = near_pairs(data, means, normals, RING[1] * reach)
+    offset = np.einsum("kij,ki->kj", chart.frames(normals)[own], data.points[contact] - means[own])
+    angle = np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) + 0.5
+    sector = np.minimum((SECTORS * angle).astype(int), SECTORS - 1)
+    far = np.hypot(offset[:, 0], offset[:, 1]) > RING[0] * reach[contact]
+    met = np.zeros((len(means), SECTORS), dtype=bool)
+    met[own[far], sector[far]] = True
+    return np.asarray(met.all(axis=1))
