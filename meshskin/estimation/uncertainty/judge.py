@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 MAX_MISFIT = 0.05
 """Residuals beyond the noise, relative to the strong readings, from which a model that does not fit
 is a failure: a contact's position by readings that are 5 % wrong is 0.2 mm off in 4 mm."""
+MAX_OVERSTATED = 3.0
+"""Factor between a stated noise and the residuals from which it is a doubt."""
 MAX_NOISE = 0.15
 """Estimated noise, relative to the median taxel's largest reading, from which it is none of a
 sensor: 10 % of the peak pressure is within it."""
@@ -76,6 +78,7 @@ def judge(
         lambda: _surface(recording, data, calibration),
         lambda: weighted_means.findings(data, calibration),
         lambda: verdict.forces(recording, calibration),
+        lambda: verdict.force_offset(data, calibration),
         lambda: verdict.pressures(recording, data),
         lambda: verdict.times(recording),
         lambda: _faults(calibration),
@@ -95,12 +98,18 @@ def _fit(data: Measurements, calibration: Calibration) -> list[Finding]:
             'method="joint"'
         )
         return [(DOUBT, words)]
+    if fit.good and data.noise is not None and fit.reduced < MAX_OVERSTATED**-2:
+        words = (
+            f"residuals are {fit.reduced**0.5:.2g} times the stated noise, {fit.noise:.3g} Pa "
+            f"(limit {1 / MAX_OVERSTATED:.2g}): the pressures are too small, or it is overstated; "
+            "check the scale of pressures, or leave noise_sigma out of the belief"
+        )
+        return [(DOUBT, words)]
     if fit.good is not False:
         return []
     beyond = fit.noise * max(fit.reduced - 1.0, 0.0) ** 0.5
     severe = beyond > MAX_MISFIT * float(np.quantile(data.pressure, STRONG))
-    found = [(FAIL if severe else DOUBT, fit.words)]
-    return found
+    return [(FAIL if severe else DOUBT, fit.words)]
 
 
 def _departures(
