@@ -128,7 +128,9 @@ def log_step(effects: Effects) -> tuple[float, float]:
         return -math.log(MAX_FACTOR), 0.0
     score = effects.square - effects.determined
     factor = 1 + score / max(effects.information, MIN_INFORMATION)
-    if not 1 / MAX_FACTOR < factor < MAX_FACTOR:  # far from the maximum
-        return math.copysign(math.log(MAX_FACTOR), score), math.inf
+    if not 1 / MAX_FACTOR < factor < MAX_FACTOR:  # far from the maximum, or at zero
+        gain = score**2 / max(4 * effects.information, MIN_INFORMATION)
+        step = math.copysign(math.log(MAX_FACTOR), score)
+        return step, math.inf if gain > SMALL_GAIN else gain
     step = math.log(factor)
     return step, abs(step * score) / 4
