@@ -128,9 +128,10 @@ def log_step(effects: Effects) -> tuple[float, float]:
         return -math.log(MAX_FACTOR), 0.0
     score = effects.square - effects.determined
     factor = 1 + score / max(effects.information, MIN_INFORMATION)
-    if not 1 / MAX_FACTOR < factor < MAX_FACTOR:  # far from the maximum, or at zero
+    if not 1 / MAX_FACTOR < factor < MAX_FACTOR:
         gain = score**2 / max(4 * effects.information, MIN_INFORMATION)
-        step = math.copysign(math.log(MAX_FACTOR), score)
-        return step, math.inf if gain > SMALL_GAIN else gain
+        if score > 0 and gain < SMALL_GAIN:  # near zero, by chance
+            return 0.0, gain
+        return math.copysign(math.log(MAX_FACTOR), score), math.inf  # far from the maximum
     step = math.log(factor)
     return step, abs(step * score) / 4

@@ -21,21 +21,37 @@ PAUSE = 1.5
 
 def shears(data: Measurements, limit: float) -> tuple[Array, Array]:
     """Shears (m, 3), m, of the skin under contacts that slide from |limit|, m, on, and their
-    derivatives (m, 3) in it; with a negative limit both signs of the shears are turned."""
-    steps = np.diff(data.points, axis=0, prepend=data.points[:1])
+    derivatives (m, 3) in it; with a negative limit both signs of the shears are turned.
+
+    The last step to each contact ends amid its neighbours: an error of its own point would else
+    pass for a shear.
+    """
+    points, size = data.points, abs(limit)
+    steps = np.diff(points, axis=0, prepend=points[:1])
     interval = np.diff(data.time, prepend=-np.inf)
     released = interval > PAUSE * np.median(interval)
+    last = np.append(released[1:], True)
+    amid = np.where((released | last)[:, None], steps, (steps + np.roll(steps, -1, axis=0)) / 2)
     state, found = np.zeros((2, 3)), np.empty((len(steps), 2, 3))  # the shear, its derivative
-    for k, (step, normal) in enumerate(zip(steps, data.normals, strict=True)):
-        state = np.zeros((2, 3)) if released[k] else state + np.outer([1.0, 0.0], step)
-        state = state - np.outer(state @ normal, normal)
-        size = float(np.linalg.norm(state[0]))
-        if size > abs(limit):
-            along = state[0] / size
-            turned = state[1] - along * (along @ state[1])
-            state = np.stack([abs(limit) * along, along + abs(limit) / size * turned])
-        found[k] = state
+    for k, normal in enumerate(data.normals):
+        if released[k]:
+            state, found[k] = np.zeros((2, 3)), 0.0
+            continue
+        found[k] = _moved(state, amid[k], normal, size)
+        state = _moved(state, steps[k], normal, size)
     return np.copysign(1.0, limit) * found[:, 0], found[:, 1]
+
+
+def _moved(state: Array, step: Array, normal: Array, limit: float) -> Array:
+    """A shear and its derivative in the limit (2, 3) after a step (3,) of the contact."""
+    shear, slope = state - np.outer(state @ normal, normal)
+    shear = shear + step - (step @ normal) * normal
+    size = float(np.sqrt(shear @ shear))
+    if size > limit:
+        along = shear / size
+        slope = along + limit / size * (slope - along * (along @ slope))
+        shear = limit * along
+    return np.stack([shear, slope])
 
 
 class Shears:

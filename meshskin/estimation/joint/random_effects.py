@@ -68,8 +68,7 @@ the reading: before, what the effects do not explain yet would pass for it."""
 MOVE_TOLERANCE = 0.05
 """RMS move of the taxels, in standard deviations, at which steps end."""
 TOLERANCE = 0.2
-"""Expected increase of the logarithm of the restricted likelihood at which a variance has
-converged."""
+"""Increase of the log-likelihood by a step, or expected of a variance, at which these end."""
 NOISE_TOLERANCE = 0.03
 """Change of the logarithm of the noise at which it has converged."""
 
@@ -94,10 +93,8 @@ class RandomEffects:
         self.size = 2 + unknowns.nuisance.shape[1]
         """Unknowns of a taxel: two coordinates in its chart, ln gain, offset, and drift if any."""
         self.probes = Probes(readings, len(data.points), self.size)
-        shown, points = (
-            set(ELECTRONICS) & set(data.parameters.names),
-            unknowns.parametrization.points(),
-        )
+        points = unknowns.parametrization.points()
+        shown = set(ELECTRONICS) & set(data.parameters.names)
         self.electronics = Electronics(data, readings, points) if shown else None
         self.linearized = LinearizedContacts(data, unknowns.s)
         self.deviations, self.restraint, self.last_decrease = deviations, RESTRAINED, np.inf
@@ -290,6 +287,8 @@ class RandomEffects:
     def converge(self) -> bool:
         """Move unknowns and variances until they no longer change; False at the limit of steps."""
         settled = SETTLED * int((self.readings.kind == OBSERVED).sum())
+        # along the valley of compression and profile the cost decreases, and taxels hardly move
+        rest = TOLERANCE + MOVE_TOLERANCE**2 * len(self.unknowns.nuisance)
         for iteration in range(MAX_ITERATIONS):
             self.stage.step()
             (move, posterior), gain = self.step(settled), np.inf
@@ -301,7 +300,7 @@ class RandomEffects:
             if self.crossed is None:
                 self.spread = self.deviations.noise_of(self.mu)
             self.iterates.append(self.unknowns.parametrization.points())
-            if move < MOVE_TOLERANCE and gain < TOLERANCE:
+            if move < MOVE_TOLERANCE and gain < TOLERANCE and self.last_decrease < rest:
                 return True
         return False
 
