@@ -39,8 +39,9 @@ from .pressure import OBSERVED, costs
 from .reading_sums import CONTACT_SIZE, Parts
 from .variable_projection import LOOSE_SIGMA
 
-MAX_ITERATIONS = 60
-"""Largest number of Gauss-Newton steps; 10 to 25 are usual."""
+MAX_ITERATIONS, USUAL_ITERATIONS = 60, 30
+"""Largest number of Gauss-Newton steps; 10 to 25 are usual, and after 30 variances near zero that
+grow and vanish in turn come to rest."""
 SETTLED = 0.01
 """Expected decrease of the cost per reading from which on variances move: before, residuals and
 effects are not those of the optimum."""
@@ -68,7 +69,8 @@ the reading: before, what the effects do not explain yet would pass for it."""
 MOVE_TOLERANCE = 0.05
 """RMS move of the taxels, in standard deviations, at which steps end."""
 TOLERANCE = 0.2
-"""Increase of the log-likelihood by a step, or expected of a variance, at which these end."""
+"""Expected increase of the logarithm of the restricted likelihood at which a variance has
+converged."""
 NOISE_TOLERANCE = 0.03
 """Change of the logarithm of the noise at which it has converged."""
 
@@ -287,8 +289,6 @@ class RandomEffects:
     def converge(self) -> bool:
         """Move unknowns and variances until they no longer change; False at the limit of steps."""
         settled = SETTLED * int((self.readings.kind == OBSERVED).sum())
-        # along the valley of compression and profile the cost decreases, and taxels hardly move
-        rest = TOLERANCE + MOVE_TOLERANCE**2 * len(self.unknowns.nuisance)
         for iteration in range(MAX_ITERATIONS):
             self.stage.step()
             (move, posterior), gain = self.step(settled), np.inf
@@ -300,7 +300,7 @@ class RandomEffects:
             if self.crossed is None:
                 self.spread = self.deviations.noise_of(self.mu)
             self.iterates.append(self.unknowns.parametrization.points())
-            if move < MOVE_TOLERANCE and gain < TOLERANCE and self.last_decrease < rest:
+            if move < MOVE_TOLERANCE and gain < TOLERANCE:
                 return True
         return False
 
@@ -328,7 +328,8 @@ class RandomEffects:
             {
                 name: posterior.effects(name, float(square) / getattr(d, name) ** 2, count)
                 for name, (square, count) in squares.items()
-            }
+            },
+            careful=len(self.iterates) > USUAL_ITERATIONS,
         )
         self.deviations = self._with_noise(moved, 2 if largest < PROPORTIONAL else 1)
         return np.inf if abs(np.log(self.deviations.noise / d.noise)) > NOISE_TOLERANCE else largest
