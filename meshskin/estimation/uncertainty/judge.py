@@ -16,6 +16,7 @@ from ...scene.belief import RAW
 from ..data import delay
 from ..data.global_parameters import ELECTRONICS, LEARNED, MIN_KEPT, SIZES, declared_parameters
 from ..joint.departures import MIN_SCORE
+from ..joint.learned_result import MAX_CORRELATION
 from . import verdict, weighted_means
 from .contact_errors import displacement
 from .verdict import DOUBT, FAIL, LEVELS, PASS, Finding, Verdict, level_of
@@ -51,10 +52,6 @@ from which it is a doubt, and a failure: recorded points lie between the undefor
 indenter's deepest point. The doubt is a tenth of the depth, 0.2 mm for the paper's skin."""
 MAX_FAULTY = 0.2
 """Fraction of faulty taxels from which the log is in doubt, not the taxels."""
-MAX_CORRELATION = 0.4
-"""Correlation of the displacements of neighbouring contacts, as estimated with a learned response,
-above which they are no scatter: independent ones have -0.1 to 0.15, by the taxels that they share.
-"""
 MIN_DISPLACEMENT = 0.02
 """Scatter of the contact points, in contact radii, from which their correlation is judged."""
 
@@ -286,6 +283,7 @@ def _contacts(data: Measurements, calibration: Calibration) -> list[Finding]:
         f"contact points are {1e3 * response.contact_scatter:.2g} mm off, and neighbouring ones "
         f"alike (correlation {response.contact_correlation:.2f}, limit {MAX_CORRELATION:g}): this "
         "is no scatter, but an error of the kinematic model or of the clocks; declare "
-        "indenter_offset or body_offset unknown, or correct the times"
+        "indenter_offset or body_offset unknown, or correct the times; the standard deviations are "
+        "widened by what so many contacts alike are worth"
     )
     return [(DOUBT, words)]
