@@ -248,7 +248,7 @@ def test_single_taxels_and_a_calibration_as_the_map(noisy):
 @pytest.mark.slow
 def test_false_alarms_are_rarer_than_stated(setting):
     """200 recordings of an unchanged skin, noise unknown, at a stated rate of 10 %: a binomial
-    number above 32 would have a chance of 1 %. There was none."""
+    number above 32 would have a chance of 1 %."""
     scene, points = setting
     belief = scene.belief(noise_sigma=None)
     alarms = 0
