@@ -40,6 +40,7 @@ import meshskin as ms
 from meshskin.core.errors import CalibrationError, MeshskinError
 from meshskin.estimation.centroid import centroids
 from meshskin.report import theme
+from meshskin.report.precision import decimal_ticks
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,8 +54,6 @@ METHODS = {
     "learned": "joint, learned",
 }
 """Columns in the order of the table, in words."""
-VARIANTS = {"hertz": "#56b4e9", "hertz_gain": "#7b4fa3", "learned": theme.WARNING}
-"""Colors of the joint estimate's variants, beside those of the methods."""
 BASELINE = "centroid"
 
 
@@ -218,7 +217,7 @@ def draw(found: Mapping[str, Mapping[str, float]]) -> Figure:
     errors, ratios = figure.subplots(1, 2, sharey=True)
     y = np.arange(len(found))
     for method, words in METHODS.items():
-        colour = VARIANTS.get(method, theme.method_colour(method))
+        colour = theme.method_colour(method)
         error = np.array([row.get(f"{method}_mm", np.nan) for row in found.values()])
         sigma = np.array([row.get(f"{method}_sigma_mm", np.nan) for row in found.values()])
         errors.plot(error, y, "o", ms=5, color=colour, label=words)
@@ -226,12 +225,14 @@ def draw(found: Mapping[str, Mapping[str, float]]) -> Figure:
     limit = [row["bound_mm"] for row in found.values()]
     errors.plot(limit, y, "|", ms=12, color=theme.INK, label="bound of the noise")
     errors.set(xscale="log", xlabel="rms error (mm)")
+    ratios.set(xscale="log", xlabel="stated over true error")
     errors.set_yticks(y, list(found))
     errors.invert_yaxis()
-    errors.legend(fontsize=7)
     ratios.axvspan(0.8, 1.25, color=theme.FAINT)
-    ratios.set(xscale="log", xlabel="stated over true error")
-    figure.tight_layout()
+    decimal_ticks(errors)
+    decimal_ticks(ratios)
+    figure.tight_layout(rect=(0.0, 0.0, 1.0, 1.0 - 0.3 / figure.get_figheight()))
+    figure.legend(loc="upper left", ncols=len(METHODS) + 1, fontsize=8)
     return figure
 
 

@@ -80,7 +80,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     known.add_argument(
         "--unknown", nargs="*", metavar="NAME", help="parameters estimated with the taxels: "
         "modulus (default), gain, offset, force_scale, force_offset, indenter_offset, body_offset, "
-        "drag",
+        "drag, friction",
     )  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.errors import ConfigError, MeshError
+from ..core.errors import ConfigError, MeshError, SkinError
 from . import body_options
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def scene(options: argparse.Namespace, out: Path) -> tuple[str, str]:
         "",
         "[skin]",
         f"spacing_mm = {1e3 * SPACING:g}",
-        f"count = {min(whole, TAXELS)}  # without it: all of the body or region, about {whole}",
+        f"count = {_count(body, whole)}  # without it: all of the body or region, about {whole}",
         f"disc_radius_mm = {1e3 * DISC:g}",
         *_patches(body),
         "",
@@ -157,6 +157,21 @@ def _body(options: argparse.Namespace) -> Body:
             raise
         options.open = True
         return body_options.load(options.file, options)
+
+
+def _count(body: Body, whole: int) -> int:
+    """The number of taxels: TAXELS, or fewer that fit a body for about `whole`."""
+    from ..skin.skin import Skin
+
+    count = min(whole, TAXELS)
+    while count > 1:
+        try:
+            Skin.cover(body, SPACING, count, disc_radius=DISC)
+        except SkinError:
+            count = 3 * count // 4
+        else:
+            break
+    return count
 
 
 def _force(best: Reach) -> float:

@@ -4,6 +4,10 @@ LOG and what is known of the robot are given as to `meshskin calibrate`; nothing
 replay begins when a browser shows the page, and the command ends when the replay is over and the
 page is closed. Where the noise of the readings is not known (--noise-kpa, or that of --scene), it
 is estimated on the way.
+
+Contacts that follow from joint angles, and the response of raw readings (--raw), are learned first,
+from the whole log as `meshskin calibrate` does; the replay then estimates the taxels anew, with
+these as known.
 """
 
 from __future__ import annotations
@@ -19,12 +23,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..core.arguments import check_real
-from ..core.errors import ConfigError
 from . import belief_options, log_options
 from .calibrate import recorded
+from .log_options import FromLog, from_log
+from .progress_bar import bar
 
 if TYPE_CHECKING:
+    from ..core.progress import Progress
     from ..estimation.calibration import Calibration
+    from ..estimation.online.known_response import KnownResponse
     from ..estimation.online.online_calibration import OnlineCalibration
     from ..recording.recording import Recording
     from ..report.live.page import LivePage
@@ -71,39 +78,50 @@ def add_page(group: argparse._ArgumentGroup) -> None:
 
 def command(options: argparse.Namespace) -> int:
     """Show the recording."""
-    if options.raw:
-        raise ConfigError(
-            "raw readings cannot be calibrated online", value="--raw", remedy="meshskin calibrate"
-        )
     with LiveView(options) as view:
-        view.play(_recorded(options) if options.map is None else _of_log(options))
+        with bar(quiet=False) as progress:
+            given = recorded(options) if options.map is None else from_log(options, progress)
+            known = _known_response(given, progress)
+        for line in given.lines:
+            print(line)
+        view.play(_stage(given, options, known), known)
         view.finish("the replay is over; nothing was written")
     return 0
 
 
-def _recorded(options: argparse.Namespace) -> Stage:
-    """A recording in two tables, with the robot of --scene."""
+def _known_response(given: FromLog, progress: Progress | None) -> KnownResponse | None:
+    """The response that a calibration of the whole log learns, where one is needed."""
+    from ..estimation.calibrate import calibrate
+    from ..estimation.online.known_response import KnownResponse
+    from ..scene.belief import RAW
+
+    found = given.found
+    if found is None and given.belief.readings == RAW:
+        found = calibrate(given.recording, given.belief, progress=progress)
+    if found is None or found.response is None:
+        return None
+    known = KnownResponse.of(found, given.recording)
+    print(f"live page: the response is as learned from the whole log ({found.verdict})")
+    return known
+
+
+def _stage(given: FromLog, options: argparse.Namespace, known: KnownResponse | None) -> Stage:
+    """What is shown: with the robot of --scene, or of joint angles, which are then those of a
+    calibration of the whole log.
+    """
     from ..report.live.stage import Stage
     from ..scene.scene import Scene
 
-    given = recorded(options)
-    if options.scene is None:
-        return Stage.of_recording(given.recording, given.belief)
-    return Stage.of_scene(given.recording, Scene.load(options.scene), given.belief)
-
-
-def _of_log(options: argparse.Namespace) -> Stage:
-    """A robot's own log; with its robot where contacts follow from joint angles, which are then
-    those of a calibration of the whole log.
-    """
-    from ..report.live.stage import Stage
-
-    given = log_options.from_log(options)
-    print("\n".join(given.lines))
-    if given.found is None or given.robot is None or given.log is None:
-        return Stage.of_recording(given.recording, given.belief)
-    belief = given.found.belief or given.belief
-    return Stage.of_log(given.recording, belief, given.robot, options.link, given.log)
+    recording, belief = given.recording, given.belief
+    if given.found is not None and given.found.belief is not None:
+        belief = given.found.belief
+    if known is not None:
+        recording, belief = known.recording, known.belief
+    if given.robot is not None and given.log is not None:
+        return Stage.of_log(recording, belief, given.robot, options.link, given.log)
+    if options.scene is not None:
+        return Stage.of_scene(recording, Scene.load(options.scene), belief)
+    return Stage.of_recording(recording, belief)
 
 
 class LiveView(AbstractContextManager["LiveView"]):
@@ -125,18 +143,20 @@ class LiveView(AbstractContextManager["LiveView"]):
         if self.page is not None:
             self.page.close()
 
-    def play(self, stage: Stage) -> None:
-        """Open the page, and show the recording while it is calibrated online."""
+    def play(self, stage: Stage, known: KnownResponse | None = None) -> None:
+        """Open the page, and show the recording while it is calibrated online; with a learned
+        response where it is known."""
         from ..report.live.page import LivePage
         from ..report.live.replay import replay
 
-        online = self._online(stage)
+        online = self._online(stage, known)
         self.page = page = LivePage(stage, self.options.host, self.options.port, self.options.speed)
         print(f"live page: {page.address} (the replay begins when a browser shows it)", flush=True)
         self._open(page.address)
         while not page.viewers:
             time.sleep(LOOK)
-        for snapshot in replay(stage.recording, online, page.panel):
+        errors = None if known is None else known.errors
+        for snapshot in replay(stage.recording, online, page.panel, errors=errors):
             page.show(snapshot)
         print(f"live page: {online.status}", flush=True)
 
@@ -158,16 +178,16 @@ class LiveView(AbstractContextManager["LiveView"]):
             time.sleep(LOOK)
             away = 0.0 if self.page.viewers else away + LOOK
 
-    def _online(self, stage: Stage) -> OnlineCalibration:
+    def _online(self, stage: Stage, known: KnownResponse | None) -> OnlineCalibration:
         """The online calibration of a stage. Raises CalibrationError."""
         from ..estimation.online.online_calibration import OnlineCalibration
 
+        target = 1e-3 * self.options.target_mm
         left_out = [int(k) for k in stage.recording.metadata.get("unreachable", ())]
-        return OnlineCalibration(
-            _estimable(stage.belief),
-            target_sigma=1e-3 * self.options.target_mm,
-            unreachable=left_out,
-        )
+        if known is not None:
+            return known.online(target, left_out)
+        belief = _estimable(stage.belief)
+        return OnlineCalibration(belief, target_sigma=target, unreachable=left_out)
 
     def _open(self, address: str) -> None:
         """Open a browser, unless there is none or none is wanted."""

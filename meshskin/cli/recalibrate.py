@@ -64,7 +64,8 @@ def command(options: argparse.Namespace) -> int:
     belief = belief_options.belief_of(options, previous.ids)
     check_folder(options.out)
     if options.recording is None:
-        design = next_touches(previous, belief, options.touches)
+        with bar(quiet=False) as progress:
+            design = next_touches(previous, belief, options.touches, progress=progress)
         save(design, options.out / "touches.csv")
         print(f"{options.touches} touches to test the map: {options.out / 'touches.csv'}")
         return 0
@@ -80,10 +81,11 @@ def command(options: argparse.Namespace) -> int:
             progress=progress,
             **{name: value for name, value in changes.items() if value is not None},
         )
+        if belief.force_reference is not None:
+            design = found.next_contacts(options.touches, belief, progress)
+            save(design, options.out / "touches.csv")
     found.calibration.save(options.out / "calibration")
     write_json(options.out / "recalibration.json", found.metrics())
-    if belief.force_reference is not None:
-        save(found.next_contacts(options.touches, belief), options.out / "touches.csv")
     print("\n".join(found.lines(None) if options.all else found.lines()))
     return CHANGED if found.findings else 0
 

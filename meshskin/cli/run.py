@@ -6,6 +6,7 @@ import argparse
 import math
 from collections import Counter
 from pathlib import Path
+from time import perf_counter, process_time
 from typing import TYPE_CHECKING
 
 from ..core.errors import ConfigError
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
     from ..scene.scene import Scene
 
     Watch = Callable[[Scene, Recording, Calibration], None]
+
+STARTED = 0.17
+"""Usual processor time, s, of the interpreter and of the command line until a command begins."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -73,7 +77,7 @@ def _run(options: argparse.Namespace, watch: Watch | None = None) -> int:
 
     if options.seconds is not None:
         check_run_seconds(options.seconds)
-    timer = StageTimer()  # imports count
+    timer = StageTimer(start=(perf_counter() - STARTED, process_time() - STARTED))  # imports count
     from ..pipeline import run
     from ..study.sensitivity.request import Request
 

@@ -19,7 +19,7 @@ CARRIERS = ("hand", "arm")
 class Indenter:
     """A rigid sphere, fixed in the world or carried to a body at rest."""
 
-    radius: float = quantity("m", 0.01, above=0.0, least=1e-6, most=1.0)
+    radius: float = quantity("m", 0.01, above=0.0, least=1e-4, most=1.0)
     """Radius r_e of the sphere."""
     position: tuple[float, float, float] = quantity("m", (0.424, -0.424, 0.7), least=-10, most=10)
     """Centre of the sphere, world frame; the default is well inside the workspace of a Puma 560."""

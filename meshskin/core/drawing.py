@@ -212,7 +212,8 @@ def _draw_dots(
     bulk = np.percentile(chosen, (1, 99))
     if high - low > OUTLYING * np.ptp(bulk):
         low, high = bulk
-    low = min(low, (1 - LEAST_RANGE) * high) if high > 0 else low
+    lacking = max(LEAST_RANGE * high - (high - low), 0.0) / 2
+    low, high = low - lacking, high + lacking
     dots.set_array(chosen)
     dots.set_clim(low, high)
     beyond = {(0, 0): "neither", (1, 0): "min", (0, 1): "max", (1, 1): "both"}

@@ -123,5 +123,6 @@ def warn_left_out(what: str, reasons: Iterable[str], count: int) -> None:
     if found and not caller.startswith("meshskin."):
         lost = sum(number for _, number in found)
         words = "; ".join(f"{number}: {why}" for why, number in found)
-        text = _printable(f"{lost} of {count} taxels are not {what} ({words})")
+        verb = "is" if lost == 1 else "are"
+        text = _printable(f"{lost} of {count} taxels {verb} not {what} ({words})")
         warnings.warn(text, LeftOutWarning, stacklevel=3)

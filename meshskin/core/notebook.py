@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from matplotlib.figure import Figure
 
+AXES = ("x", "y", "z", "nx", "ny", "nz")
+"""Columns of points and normals in a table."""
 REASON_LENGTH = 200
 """Largest number of characters of the reason why something is not shown: two lines of a card."""
 STYLE = {

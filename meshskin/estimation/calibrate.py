@@ -84,7 +84,7 @@ class Estimation:
                 value='readings="raw"',
                 remedy=f"use one of {', '.join(UNITLESS)}",
             )
-        begin, data = time.perf_counter(), self.data
+        begin, data, given = time.perf_counter(), self.data, self.recording
         stage = Stage(progress, "calibrate", maximum_likelihood.USUAL_STEPS)
         limits = {"tolerance": tolerance, "iterations": iterations} if method == "joint" else {}
         result = METHODS[method](self, stage, **limits)
@@ -103,7 +103,6 @@ class Estimation:
         weak = np.asarray(~observed.any(axis=1))
         reasons[weak & (reasons == "")] = WEAK
         points = np.where(weak[:, None], np.nan, result.points)
-        recording = self.recording
         calibration = Calibration(
             ids=data.ids,
             poses=chart.poses(points, result.rotations),
@@ -125,18 +124,19 @@ class Estimation:
             rivals=result.rivals,
             fit=result.fit,
             response=result.response,
+            contact_errors=result.contact_errors,
             contact_centroids=trilaterate.centroids(coactivation.without_distant_readings(data)),
             belief=data.belief,
             iterates=result.iterates,
             provenance=provenance(
                 method=method,
-                recording=digest(recording.points, recording.force, recording.pressure),
-                source=recording.metadata.get("provenance", {}),
+                recording=digest(given.points, given.force, given.pressure),
+                source=given.metadata.get("provenance", {}),
             ),
             disc_radius=data.belief.disc_radius,
             frame=getattr(data.belief.body, "frame", None),  # an exact surface has none
         )
-        verdict = judge(recording, near, calibration, result.departures)
+        verdict = judge(given, near, calibration, result.departures)
         stage.end()
         seconds = {"gather": self._seconds, **result.seconds}
         total = self._seconds + time.perf_counter() - begin

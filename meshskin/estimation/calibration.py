@@ -88,6 +88,10 @@ class Calibration(Value, Card, Tabular):
     """Whether the model explains the readings."""
     response: LearnedResponse | None = None
     """The learned response of the taxels; None: the contact model's."""
+    contact_errors: Array | None = None
+    """Errors (m, 3) of the m pressed contacts that were estimated with a learned response: by how
+    much a point is displaced along the first and second principal direction, m, and of ln F; None
+    without one. Not saved."""
     verdict: Verdict | None = None
     """Whether the calibration can be relied on, with reasons; None: made by hand."""
     contact_centroids: Array | None = None
@@ -189,11 +193,14 @@ class Calibration(Value, Card, Tabular):
         texts = {"reason": self.reasons, "fault": faults}
         return pa.table(table | {k: pa.array(list(v), pa.string()) for k, v in texts.items()})
 
-    def next_contacts(self, k: int = 1, belief: Belief | None = None) -> NextContacts:
+    def next_contacts(
+        self, k: int = 1, belief: Belief | None = None, progress: Progress | None = None
+    ) -> NextContacts:
         """The k contacts, ranked, that reduce the largest uncertainties most (next_contact.py).
 
-        belief: as in `calibrate`; only a calibration that was loaded from a file needs it. Raises
-        CalibrationError without one, for k < 1, or if no taxel was read.
+        belief: as in `calibrate`; only a calibration that was loaded from a file needs it.
+        progress("next contacts", done, total): called after each. Raises CalibrationError without
+        a belief, for k < 1, or if no taxel was read.
         """
         from .next_contact import next_contacts
 
@@ -202,7 +209,7 @@ class Calibration(Value, Card, Tabular):
             raise CalibrationError(
                 "a loaded calibration does not know the scene", remedy="give next_contacts a belief"
             )
-        return next_contacts(self, belief, k)
+        return next_contacts(self, belief, k, progress)
 
     def cross_validate(
         self,

@@ -109,7 +109,7 @@ def cross_validate(
     """The cross-validation of the method and contact model of a calibration; arguments and errors
     as `Calibration.cross_validate`."""
     folds = check_integer("number of folds", folds, least=2, error=CalibrationError)
-    belief = belief or _recorded_belief(calibration)
+    belief = belief or recorded_belief(calibration)
     if calibration.response is not None:
         belief = replace(belief, contact=LEARNED)
     data = gather(recording, belief)
@@ -174,8 +174,9 @@ def subset(recording: Recording, belief: Belief, keep: np.ndarray) -> tuple[Reco
     return part, belief
 
 
-def _recorded_belief(calibration: Calibration) -> Belief:
-    """The belief of a calibration, in the unit of the readings."""
+def recorded_belief(calibration: Calibration) -> Belief:
+    """The belief of a calibration, in the unit of the readings. Raises CalibrationError where it
+    has none."""
     belief, response = calibration.belief, calibration.response
     if belief is None or (belief.readings == RAW and response is None):
         raise CalibrationError(

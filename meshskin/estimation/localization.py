@@ -89,7 +89,8 @@ class CalibratedSkin:
                 p, more = data.parameters, np.full(SIZES["hysteresis"], PRIORS["hysteresis"])
                 p = replace(p, names=(*p.names, "hysteresis"), sigma=np.append(p.sigma, more))
                 data = replace(data, parameters=p)
-            data = with_learned_response(replace(data, learned=True), calibration.positions)
+            data = replace(data.referred_to(response.references), learned=True)
+            data = with_learned_response(data, calibration.positions)
             data = replace(
                 data,
                 profile_extent=response.extent,
@@ -115,8 +116,7 @@ class CalibratedSkin:
                 sigma = (*p.nuisance_sigma, PRIORS["drift"] * peak)[: len(names)]
                 p = replace(p, nuisance_names=names, nuisance_sigma=sigma)
                 data = replace(data, parameters=p)
-        unit = data.sigma * data.unit
-        units = {"gain": 1.0, "offset": unit, "drift": unit}
+        units = {"gain": 1.0} | dict.fromkeys(("offset", "drift"), data.sigma * data.unit)
         none = np.zeros((len(data.ids), 2))
         columns = [
             np.nan_to_num(calibration.taxel_unknowns.get(name, none)[:, 0] / units[name])

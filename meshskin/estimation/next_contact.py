@@ -16,6 +16,8 @@ from ..contact import AUTO, ContactModel, Patches
 from ..core.arguments import check_integer
 from ..core.arrays import Array
 from ..core.errors import CalibrationError, ContactError
+from ..core.notebook import AXES, Tabular
+from ..core.progress import Progress, Stage
 from ..core.value import Value
 from . import chart
 from .data.measurements import NOMINAL_NOISE
@@ -26,6 +28,8 @@ from .joint.pressure import disc_means
 from .uncertainty.observability import censored_information
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from ..geometry.surface.closest_point import Closest
     from ..scene.belief import Belief
     from .calibration import Calibration
@@ -43,7 +47,7 @@ would not count contacts that serve all taxels but the worst."""
 
 
 @dataclass(frozen=True, eq=False)
-class NextContacts(Value):
+class NextContacts(Value, Tabular):
     """k contacts, the most useful first."""
 
     points: Array
@@ -57,9 +61,26 @@ class NextContacts(Value):
     unreached: np.ndarray
     """Ids of taxels without any reading: where to touch for them is not known."""
 
+    def __repr__(self) -> str:
+        lost = f", {len(self.unreached)} taxels without a reading" if len(self.unreached) else ""
+        taxels = ", ".join(map(str, self.taxel))
+        return f"<NextContacts: {len(self.points)}, for taxels {taxels}{lost}>"
 
-def next_contacts(calibration: Calibration, belief: Belief, k: int = 1) -> NextContacts:
+    def to_arrow(self) -> pa.Table:
+        """One row a contact: x, y, z (m), nx, ny, nz, taxel, worst (m)."""
+        import pyarrow as pa
+
+        numbers = dict(zip(AXES, [*self.points.T, *self.normals.T], strict=True))
+        return pa.table(numbers | {"taxel": self.taxel, "worst": self.worst})
+
+
+def next_contacts(
+    calibration: Calibration, belief: Belief, k: int = 1, progress: Progress | None = None
+) -> NextContacts:
     """The k most informative contacts under the reference force.
+
+    progress("next contacts", done, total): called after the candidates' information, and after
+    each contact.
 
     Raises CalibrationError if no taxel was read, the belief has no reference force, or k is not
     positive; ContactError where no contact model holds.
@@ -80,7 +101,9 @@ def next_contacts(calibration: Calibration, belief: Belief, k: int = 1) -> NextC
             "the contact model does not hold about the most uncertain taxels",
             remedy="use a smaller indenter or a smaller force",
         )
+    stage = Stage(progress, "next contacts", k + 1)
     contact, taxel, slope = expected_slopes(charts, hit, belief, modulus)
+    stage.step()
     chosen, served, worst = [], [], []
     for _ in range(k):
         along = np.einsum("pij,pj->pi", covariance[taxel], slope)
@@ -96,6 +119,7 @@ def next_contacts(calibration: Calibration, belief: Belief, k: int = 1) -> NextC
             covariance[taxel[p]] -= np.outer(g, g) / (1 + slope[p] @ g)
         chosen.append(best)
         worst.append(float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).max())))
+        stage.step()
     unreached = np.setdiff1d(calibration.ids, ids)
     return NextContacts(
         hit.point[chosen], hit.normal[chosen], ids[served], np.array(worst), unreached

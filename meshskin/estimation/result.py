@@ -70,6 +70,11 @@ class LearnedResponse(Value):
     """Share of each neighbour's pressure in a reading."""
     drift: float = 0.0
     """Standard deviation over the taxels of the change of their offsets during the recording."""
+    contact: str = "hertz"
+    """Contact model that the response corrects."""
+    references: tuple[float, ...] = ()
+    """Force, N, relative curvature, 1/m, peak pressure and E*, Pa, that the response refers to;
+    empty in files that were written before it was stated."""
 
     @property
     def unit_name(self) -> str:
@@ -101,7 +106,7 @@ class LearnedResponse(Value):
         arrays: dict[str, Any] = {
             k: np.array(v) if isinstance(v, list) else v for k, v in values.items()
         }
-        for name in arrays.keys() & {"levels", "hysteresis"}:
+        for name in arrays.keys() & {"levels", "hysteresis", "references"}:
             arrays[name] = tuple(map(float, arrays[name]))
         return cls(**arrays)
 
@@ -175,6 +180,9 @@ class EstimatorResult:
     """The learned response, where it was learned."""
     iterates: Array | None = None
     """Positions (k, n, 3), m, along the iterations, the start first."""
+    contact_errors: Array | None = None
+    """Estimated errors (m, 3) of the contacts, where the response was learned, as
+    `Measurements.contact_errors`."""
     restarted: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
     """Rows of taxels that were started again from the centroid of their contacts."""
     seconds: Mapping[str, float] = field(default_factory=dict)

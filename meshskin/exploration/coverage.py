@@ -66,13 +66,18 @@ class Coverage:
         """Which points (k, 3) are in the region."""
         return self._sites.distance(points) <= self._radius
 
+    def lacks(self, points: Array) -> NDArray[np.bool_]:
+        """Which points (k, 3) are in the region and on none of the lanes so far."""
+        return self.contains(points) & (
+            self.samples.distance(points, 2.0 * self._duplicate) > self._duplicate
+        )
+
     def add(self, lane: list[Closest], step: float) -> list[NDArray[np.bool_]]:
         """Add a lane; which samples of its chains are in the region and not covered before."""
         if not lane:
             return []
         points = np.concatenate([chain.point for chain in lane])
-        new = self.contains(points)
-        new &= self.samples.distance(points, 2.0 * self._duplicate) > self._duplicate
+        new = self.lacks(points)
         # of a lane that returns to itself the earlier samples count
         pairs = PointCloud(points).pairs(self._duplicate)
         back = pairs[pairs[:, 1] - pairs[:, 0] > 3.0 * self._duplicate / step]

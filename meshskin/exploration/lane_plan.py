@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..contact.reading import same_sheet
-from ..core.arrays import Array, runs
+from ..core.arrays import Array, Index, ranges, runs
 from ..core.errors import ReachError
 from ..core.progress import Progress, Stage
 from ..core.se3 import inverse
@@ -43,6 +43,12 @@ MANY = 0.1
 plan recommends another radius."""
 REFUSED = collision.HOLLOW, collision.EDGE, collision.SUPPORT, "does not hold"
 """Reasons, or parts of them, that another indenter may not have."""
+
+NODE_STEP, NODE_TURN = 6e-3, 0.1
+"""Largest distance, m, and turn of the normal, rad, between samples at which postures are sought.
+The arm is followed over the samples between them."""
+NEIGHBOURS = 2 * NODE_STEP
+"""Distance of two samples, m, from which postures are not followed from one to the other."""
 
 OUT_OF_REACH = "out of the arm's reach"
 LIMIT = "joint limit"
@@ -149,19 +155,21 @@ def _arm_segments(
     normals = np.concatenate([p.normals for p in paths])
     tangents = np.concatenate([transport_along(p.normals) for p in paths])
     first = np.cumsum([0, *(len(p) for p in paths)])
-    nodes, usable, reason = reachable_nodes(rig, points, normals, tangents)
-    blocked: list[Blocked] = [(points, reason)]
+    at, nodes, usable, reason = _sparse_nodes(rig, points, normals, tangents, first[:-1])
+    blocked: list[Blocked] = [(points[at], reason)]
     rows = np.flatnonzero(reason == "")
     if not len(rows):
         return [], blocked
-    starts = np.isin(rows, [*first[:-1], *(run.start for run in runs(reason == ""))])
-    chain = posture.cheapest_chain(arm, nodes.take(rows), usable[rows], starts)
+    begins = [*np.searchsorted(at, first[:-1]), *(run.start for run in runs(reason == ""))]
+    chain = posture.cheapest_chain(arm, nodes.take(rows), usable[rows], np.isin(rows, begins))
     segments: list[Path] = []
     for begin, end in pairwise([*np.flatnonzero(chain.breaks), len(rows)]):
-        own = rows[begin:end]
+        known = at[rows[begin:end]]
+        own = np.arange(known[0], known[-1] + 1)
         k = int(np.searchsorted(first, own[0], side="right")) - 1
         path = paths[k].part(slice(own[0] - first[k], own[-1] + 1 - first[k]))
-        spin, q = chain.spin[begin:end], chain.q[begin:end]
+        spin = np.interp(own, known, chain.spin[begin:end])
+        q = chain.q[begin + np.searchsorted(known, own, side="right") - 1]
         parts = _split(rig, path, tangents[own], spin, q, exploration, dt)
         segments += parts
         if not parts:
@@ -189,31 +197,81 @@ def _split(
     ]
 
 
+def _sparse_nodes(
+    rig: ContactRig, points: Array, normals: Array, tangents: Array, first: Index
+) -> tuple[Index, posture.Nodes, NDArray[np.bool_], Array]:
+    """Some of the samples (m, 3) of all contact paths, in order, and what `reachable_nodes` finds
+    there: NODE_STEP apart, but all samples between one that is reached and one that is not.
+
+    first (p,): the first sample of each path.
+    """
+
+    def solved(rows: Index) -> tuple[posture.Nodes, NDArray[np.bool_], Array]:
+        gap = np.linalg.norm(np.diff(points[rows], axis=0, prepend=np.inf), axis=1)
+        starts = np.isin(rows, first) | (gap > NEIGHBOURS)
+        return reachable_nodes(rig, points[rows], normals[rows], tangents[rows], starts=starts)
+
+    rows = _sparse(points, normals, first)
+    nodes, usable, reason = solved(rows)
+    change = np.flatnonzero((reason[1:] == "") != (reason[:-1] == ""))
+    between = ranges(rows[change] + 1, rows[change + 1] - rows[change] - 1)
+    if not len(between):
+        return rows, nodes, usable, reason
+    others, more, why = solved(between)
+    width = max(usable.shape[2], more.shape[2])
+    usable = np.concatenate([posture.widened(x, width, False) for x in (usable, more)])
+    rows, reason = np.concatenate([rows, between]), np.concatenate([reason, why])
+    order = np.argsort(rows)
+    return rows[order], nodes.joined(others).take(order), usable[order], reason[order]
+
+
+def _sparse(points: Array, normals: Array, first: Index) -> Index:
+    """Rows of samples (m, 3): both ends of each path, and as few between as the limits allow.
+
+    first (p,): the first sample of each path; a path keeps samples at most NODE_STEP, m, along it
+    and NODE_TURN, rad, apart, but never fewer than every one.
+    """
+    step = np.linalg.norm(np.diff(points, axis=0), axis=1) / NODE_STEP
+    turn = np.linalg.norm(np.diff(normals, axis=0), axis=1) / NODE_TURN
+    begin, kept, gone = set(first.tolist()), [], 0.0
+    for k, way in enumerate(np.append(np.maximum(step, turn), np.inf).tolist()):
+        if k in begin or k + 1 in begin or gone + way > 1.0:
+            kept.append(k)
+            gone = 0.0
+        gone += way
+    return np.array(kept)
+
+
 def reachable_nodes(
     rig: ContactRig,
     points: Array,
     normals: Array,
     tangents: Array,
     anchor_spacing: int = posture.ANCHOR_SPACING,
+    starts: NDArray[np.bool_] | None = None,
 ) -> tuple[posture.Nodes, NDArray[np.bool_], Array]:
     """Postures over all spins at contact points (m, 3), which of them (m, s, b) are free of
     collisions, and the reason (m,) where none is ("" elsewhere).
 
-    tangents (m, 3): headings at spin 0; anchor_spacing: as in `posture.solve_nodes`.
+    tangents (m, 3): headings at spin 0; anchor_spacing, starts: as in `posture.solve_nodes`.
     """
     arm = rig.arm
     assert arm is not None
     poses = rig.spin_poses(points, normals, tangents)
-    nodes = posture.solve_nodes(arm, poses @ inverse(rig.mount), anchor_spacing)
+    nodes = posture.solve_nodes(arm, poses @ inverse(rig.mount), anchor_spacing, starts)
     collided = _collisions(rig, nodes)
     missing = np.flatnonzero(~(collided == "").any(axis=(1, 2)))
     if len(missing):  # at no spin of the grid
         at = points[missing], normals[missing], tangents[missing]
-        solved = rig.solved_spins(*at, anchor_spacing)
-        better = (_collisions(rig, solved) == "").any(axis=(1, 2))
+        apart = np.diff(missing, prepend=-1) > 1
+        alone = apart if starts is None else apart | starts[missing]
+        solved = rig.solved_spins(*at, anchor_spacing, alone)
+        met = _collisions(rig, solved)
+        better = (met == "").any(axis=(1, 2))
         better |= solved.solved.any(axis=(1, 2)) & ~nodes.solved[missing].any(axis=(1, 2))
         nodes = nodes.replaced(missing[better], solved.take(np.flatnonzero(better)))
-        collided = _collisions(rig, nodes)
+        collided, met = (posture.widened(x, nodes.q.shape[2], None) for x in (collided, met))
+        collided[missing[better]] = met[better]
     return nodes, np.asarray(collided == ""), posture_reasons(arm, nodes, collided)
 
 

@@ -89,8 +89,8 @@ def both_ways(
 ) -> Array:
     """Points (k, 3) of the geodesic through `start` in both directions.
 
-    It ends where it closes, meets a border, has been outside the region for longer than its width,
-    or is four times as long as the body.
+    It ends where it closes, meets a border, has been outside the region, or on earlier lanes, for
+    longer than the region's width, or is four times as long as the body.
     """
     return _all_both_ways(body, start, [direction], step, coverage)[0]
 
@@ -130,7 +130,7 @@ def _traces(
             closed |= going & (np.linalg.norm(point - points[0], axis=1) < 0.75 * step)
             going &= ~closed
         if coverage is not None:
-            outside = np.where(coverage.contains(point), 0, outside + 1)
+            outside = np.where(coverage.lacks(point), 0, outside + 1)
             going &= outside * step <= coverage.width
         if not going.any():
             break

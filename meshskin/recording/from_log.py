@@ -83,7 +83,8 @@ def _readings(frames: LogFrames, log_map: LogMap, used: NDArray[np.bool_]) -> tu
     kept = np.isfinite(values)
     if not raw:
         kept &= values > thresholds(1, len(given.taxel_ids))[1] * given.noise
-    row, column = np.nonzero(kept)
+    # a missing reading is kept as NaN: left out, it would be a silence
+    row, column = np.nonzero(kept | given.missing[used])
     return pa.table(
         {
             "time": given.time[used][row],

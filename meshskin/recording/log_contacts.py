@@ -17,27 +17,39 @@ from ..robot.contact_kinematics import JointPath
 from .recording import CONTACTS, NOMINAL, READINGS, Recording
 from .skin_log import SkinLog
 
+MAX_MISSING = 0.2
+"""Largest share of the taxels whose readings a frame in contact lacks: a frame with fewer is no
+contact."""
+
 
 def joint_path(log: SkinLog, joint_names: tuple[str, ...]) -> JointPath:
-    """The path of the joints `joint_names` in a log.
+    """The path of the joints `joint_names` in a log, by the frames that have them all.
 
     Raises UnknownNameError for a joint that the log lacks, RecordingError for a single frame.
     """
     for name in joint_names:
         if name not in log.joint_names:
             raise UnknownNameError("joint", name, log.joint_names, " of the log")
-    if len(log.time) < 2:
-        raise RecordingError("a log needs two frames or more", value=len(log.time))
-    columns = [log.joint_names.index(name) for name in joint_names]
-    return JointPath(log.time, log.joint_angles[:, columns])
+    angles = log.joint_angles[:, [log.joint_names.index(name) for name in joint_names]]
+    known = np.isfinite(angles).all(axis=1)
+    if known.sum() < 2:
+        fewest = joint_names[int(np.argmin(np.isfinite(angles).sum(axis=0)))] if joint_names else ""
+        raise RecordingError(
+            "a log needs two frames or more with the angles of all joints of the chain",
+            value=f"{known.sum()} of {len(log.time)} frames",
+            remedy=f"check the joint {fewest}, which has fewest" if fewest else "",
+        )
+    return JointPath(log.time[known], angles[known])
 
 
 def contact_frames(log: SkinLog) -> np.ndarray:
-    """Frames (m,) in contact, of which a taxel reads, and which press where forces are known.
+    """Frames (m,) in contact, of which a taxel reads and few readings are missing, and which press
+    where forces are known.
 
     Raises RecordingError without any.
     """
     used = log.in_contact & np.isfinite(log.readings).any(axis=1)
+    used &= log.missing.mean(axis=1) <= MAX_MISSING
     if log.force is not None:
         used &= np.isfinite(log.force) & (log.force > 0)
     if not used.any():
@@ -64,7 +76,8 @@ def recording_of(
     """
     time = log.time[frames]
     values = log.readings[frames]
-    contact, column = np.nonzero(np.isfinite(values))
+    # a missing reading is kept as NaN: left out, it would be a silence
+    contact, column = np.nonzero(np.isfinite(values) | log.missing[frames])
     contacts = pa.table([time, *points.T, *normals.T, force], schema=CONTACTS)
     ids = np.asarray(log.taxel_ids)
     schema = READINGS.set(1, pa.field("taxel", pa.from_numpy_dtype(ids.dtype)))

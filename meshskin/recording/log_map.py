@@ -46,6 +46,8 @@ WORDS = {
     CONTACTS: "contact point x y z, outward normal x y z where known, and force where known",
 }
 """What the values of a kind are, for error messages."""
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+"""Units of time by name, s."""
 POLARITIES = AUTO, RISING, FALLING = ("auto", "rising", "falling")
 """Whether readings rise or fall under pressure; "auto" finds out."""
 CONTACT, BODY = POSES = ("contact", "body")
@@ -72,6 +74,8 @@ class StreamMap:
     time: str = ""
     """Field path of the time, or column of a table; "receipt": when the recorder received it;
     empty: header.stamp where there is one."""
+    time_unit: str = "s"
+    """Unit of a field `time` that is a number: s, ms, us or ns."""
     delay: float | None = quantity("s", None, least=-60.0, most=60.0)
     """How late the times are against the clock of the robot; None: 0, and of taxels estimated."""
     first_id: int = 0
@@ -93,6 +97,7 @@ class StreamMap:
         check_name(f"unit of {self.kind}", self.unit or self.si_unit, list(UNITS[self.kind]))
         check_name("polarity", self.polarity, POLARITIES)
         check_name("pose", self.of, POSES)
+        check_name("unit of time", self.time_unit, list(TIME_UNITS))
         check_fields(self)
         if self.axis is not None and not any(self.axis):
             raise ConfigError(f"axis of {self.topic} must not be zero", value=self.axis)

@@ -54,7 +54,8 @@ def log_frames(log: Log, log_map: LogMap) -> LogFrames:
         offset = offsets[0].offset
     elif skins[0][1].delay is None and any(m.kind not in (TAXELS, CONTACTS) for _, m in pairs):
         notes.append(
-            "the clock offset of the skin cannot be told from this log and is taken as 0: press "
+            "the onsets of this log do not tell the clock offset of the skin: it is taken as 0, or "
+            "estimated with the taxels where joint angles are calibrated; for the onsets, press "
             "and retract along one path at five places, record a force, or give delay_ms"
         )
     kept = _kept(times - offset, pairs, offset)
@@ -178,9 +179,11 @@ def _interpolate(
     step = times[rows] - times[rows - 1]
     share = np.divide(frames - times[rows - 1], step, where=step > 0, out=np.zeros_like(frames))
     share = np.clip(share, 0.0, 1.0)[:, None]
+    exact = np.flatnonzero(share[:, 0] == 1.0)
     for k in range(0, out.shape[1], COLUMNS):
         part = tared.readings[:, k : k + COLUMNS]
         between = (1 - share) * part[rows - 1] + share * part[rows]
+        between[exact] = part[rows[exact]]  # NaN of the frame before does not matter
         out[:, k : k + COLUMNS] = given.factor * between
     late = stream.times[0] - times[0]
     for gap in stream.gaps:
@@ -194,8 +197,8 @@ def _nearest(times: Array, frames: Array) -> NDArray[np.intp]:
 
 
 def _joints(frames: Array, pairs: Pairs) -> tuple[tuple[str, ...], Array]:
-    """Names and angles (n, k), rad, of all joints at the frames. Raises ConfigError for a joint of
-    two streams."""
+    """Names and angles (n, k), rad, of all joints at the frames, NaN in gaps of a joint's own.
+    Raises ConfigError for a joint of two streams."""
     names: list[str] = []
     columns: list[Array] = []
     for stream, given in pairs:
@@ -209,11 +212,23 @@ def _joints(frames: Array, pairs: Pairs) -> tuple[tuple[str, ...], Array]:
                     value=stream.name,
                     remedy="give other names in the map, or leave a stream out",
                 )
-            known = np.isfinite(values)
             names.append(name)
-            columns.append(np.interp(frames, times[known], given.factor * values[known]))
+            columns.append(_joint(frames, times, given.factor * values))
     angles = np.stack(columns, axis=1) if columns else np.empty((len(frames), 0))
     return tuple(names), angles
+
+
+def _joint(frames: Array, times: Array, angles: Array) -> Array:
+    """Angles (n,), rad, of a joint at the frames; NaN beyond its finite ones and in gaps of theirs:
+    a joint may stop while others of its topic go on."""
+    known = np.isfinite(angles)
+    if known.sum() < 2:
+        return np.full(len(frames), np.nan)
+    own = Stream("", "", times[known], np.empty((int(known.sum()), 0)))
+    out = np.interp(frames, own.times, angles[known], left=np.nan, right=np.nan)
+    for gap in own.gaps:
+        out[(frames > gap.start) & (frames < gap.end)] = np.nan
+    return np.asarray(out)
 
 
 def _force(frames: Array, in_contact: NDArray[np.bool_], pairs: Pairs) -> Array | None:

@@ -16,6 +16,9 @@ from ..core.arrays import Array, runs
 from ..core.errors import RecordingError
 from ..core.value import Value
 
+MOSTLY_SILENT = 0.5
+"""Share of the frames without a reading from which a taxel is recorded only where it answers."""
+
 
 @dataclass(frozen=True, eq=False)
 class SkinLog(Value):
@@ -24,7 +27,7 @@ class SkinLog(Value):
     Frames lie on the skin's frames, shifted to the robot's clock; the other streams are
     interpolated to them. Frames in which a stream has a gap are left out, so the times increase but
     need not be evenly spaced. Raises RecordingError for arrays of different lengths, times that do
-    not increase, a name or an id that occurs twice, and joint angles that are not finite.
+    not increase, a name or an id that occurs twice, and joint angles that are infinite.
     """
 
     time: Array
@@ -32,12 +35,12 @@ class SkinLog(Value):
     joint_names: tuple[str, ...]
     """Names of the k joints, those of the log."""
     joint_angles: Array
-    """Joint angles (n, k), rad; m for prismatic joints."""
+    """Joint angles (n, k), rad; m for prismatic joints; NaN in the gaps of a joint."""
     taxel_ids: NDArray[np.integer]
     """Ids (t,) of the taxels."""
     readings: NDArray[np.floating]
-    """Readings (n, t) less the level at rest, positive under pressure; NaN where a taxel is silent.
-    In the unit of the log, usually counts."""
+    """Readings (n, t) less the level at rest, positive under pressure; NaN where a taxel is silent,
+    or `missing`. In the unit of the log, usually counts."""
     noise: Array
     """Standard deviation (t,) of a reading at rest, same unit."""
     in_contact: NDArray[np.bool_]
@@ -71,10 +74,10 @@ class SkinLog(Value):
                 "times of a log must increase",
                 value=f"{self.time[row]} s after {self.time[row - 1]} s in frame {row}",
             )
-        if not np.isfinite(self.joint_angles).all():
-            row, column = np.argwhere(~np.isfinite(self.joint_angles))[0]
+        if np.isinf(self.joint_angles).any():
+            row, column = np.argwhere(np.isinf(self.joint_angles))[0]
             value = f"{self.joint_angles[row, column]} of {self.joint_names[column]} in frame {row}"
-            raise RecordingError("joint angles of a log must be finite", value=value)
+            raise RecordingError("joint angles of a log must not be infinite", value=value)
         for what, entries in (("joint", self.joint_names), ("taxel", self.taxel_ids.tolist())):
             if len(set(entries)) < len(entries):
                 twice = next(entry for entry in entries if entries.count(entry) > 1)
@@ -87,6 +90,13 @@ class SkinLog(Value):
             f"{len(self.taxel_ids)} taxels, {len(self.contacts)} contacts, "
             f"{'without' if self.force is None else 'with'} forces>"
         )
+
+    @cached_property
+    def missing(self) -> NDArray[np.bool_]:
+        """Readings (n, t) that the log lacks, of taxels that it has in most frames: they are not
+        silences."""
+        lost = np.isnan(self.readings)
+        return np.asarray(lost & (lost.mean(axis=0) < MOSTLY_SILENT))
 
     @cached_property
     def contacts(self) -> list[slice]:

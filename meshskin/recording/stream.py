@@ -155,6 +155,7 @@ def overlap(streams: Sequence[Stream]) -> tuple[float, float]:
         raise RecordingError(
             "streams of the log do not overlap in time",
             value=f"{last_start.name} from {start:.3f} s, {first_end.name} to {end:.3f} s",
-            remedy="check the clocks: a known difference is delay_s in the map",
+            remedy="check the clocks: a known difference is delay_s in the map, the unit of a "
+            "field of time is time_unit",
         )
     return start, end

@@ -14,6 +14,8 @@ from .theme import DPI
 
 MAX_SVG_BYTES = 150_000
 """Bytes above which a figure is inlined as PNG, if that is smaller."""
+LONGEST = 30
+"""Characters of a number with its unit, at most: longer texts in a column of numbers wrap."""
 VIEW = '<div id="view" '
 """Beginning of the element of the 3D view: a page that has it needs the scripts."""
 
@@ -77,17 +79,18 @@ def table(
     numeric: Sequence[int] = (),
     collapsed: str = "",
 ) -> str:
-    """Rows of text; columns with the indices `numeric` are aligned to the right.
+    """Rows of text; columns with the indices `numeric` are aligned to the right, but for sentences
+    in them, which wrap.
 
     If `collapsed` is not empty, the table is hidden until this line is clicked.
     """
 
+    def cell(k: int, text: str, tag: str) -> str:
+        kind = " class=number" if k in numeric and len(text) <= LONGEST else ""
+        return f"<{tag}{kind}>{escape(text)}</{tag}>"
+
     def row(cells: Sequence[str], tag: str) -> str:
-        inner = "".join(
-            f"<{tag}{' class=number' if k in numeric else ''}>{escape(c)}</{tag}>"
-            for k, c in enumerate(cells)
-        )
-        return f"<tr>{inner}</tr>"
+        return f"<tr>{''.join(cell(k, text, tag) for k, text in enumerate(cells))}</tr>"
 
     body = "".join(row(r, "td") for r in rows)
     html = (

@@ -138,7 +138,7 @@ def _numbers(data: ReportData) -> list[str]:
         shown |= {"nees", "nees_band"}
     rest = flatten({k: v for k, v in data.metrics.items() if k not in shown})
     if rest:
-        rows = [(name, value, METRIC_NOTES.get(name, "")) for name, value in rest]
+        rows = [(name, value, METRIC_NOTES.get(name, "")) for name, value in rest if value]
         blocks.append(table(("metric", "value", ""), rows, numeric=(1,)))
     return blocks or [paragraphs("No metrics were given.")]
 

@@ -38,8 +38,11 @@ METHOD_COLOURS = {
     "posegraph_paper": "#b59f00",
     "centroid": "#8c4a2f",
     "coactivation": "#e34a9b",
+    "hertz": "#7fb800",
+    "hertz_gain": "#3d5a00",
+    "learned": "#c1121f",
 }
-"""The color of each method, in every figure."""
+"""The color of each method, and of the joint estimate's variants, in every figure."""
 SEQUENTIAL = "cividis"
 
 STYLE: dict[str, Any] = {

@@ -30,6 +30,8 @@ from numpy.typing import NDArray
 from ..contact.indenter import Indenter
 from ..core.arrays import Array, ranges
 from ..geometry.body import Body
+from ..geometry.surface.distance_grid import DistanceGrid
+from ..geometry.surface.surface import Surface
 from . import link_shapes
 from .arm import Arm
 
@@ -274,6 +276,11 @@ def arm_reasons(
     return reason
 
 
+@functools.lru_cache(maxsize=4)
+def _distance_grid(surface: Surface, margin: float) -> DistanceGrid:
+    return DistanceGrid(surface, margin)
+
+
 def _in_frames(poses: Array, points: Array) -> Array:
     """Points (k, p, 3), world frame, in frames at `poses` (k, 4, 4)."""
     return np.asarray((points - poses[:, None, :3, 3]) @ poses[:, :3, :3])
@@ -309,5 +316,6 @@ def _sphere_collisions(
         wrist = np.linalg.norm(at - points[k, -1], axis=-1) <= WRIST_RADIUS
         near &= ~(allowed.everywhere[sphere] | (allowed.near_tip[sphere] & wrist))
     if near.any():
-        near[near] = body.closest(at[near]).distance < radii[link[near]]
+        grid = _distance_grid(body.surface, float(radii.max()))
+        near[near] = grid.within(at[near], radii[link[near]])
     return k[near], sphere[near]

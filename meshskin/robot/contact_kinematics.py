@@ -51,6 +51,9 @@ USUAL = MappingProxyType(
 MOUNT_ROTATION = 10.0
 """Standard deviation of the mount's rotation, rad, per m of that of its translation: the rotation
 that moves a point 0.1 m from the origin as far as the translation does."""
+MAX_GAP = 5.0
+"""Longest step of a path, in typical steps, over which its angles are interpolated: a robot may
+stop, start or turn in a longer one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +71,16 @@ class JointPath:
         return np.asarray(path(time)), np.asarray(path(time, 1))
 
     def covers(self, time: Array) -> np.ndarray:
-        """Whether the path has the times (m,), s: beyond its ends nothing is known of it."""
-        return np.asarray((time >= self.time[0]) & (time <= self.time[-1]))
+        """Whether the path has the times (m,), s: beyond its ends, and in gaps of more than MAX_GAP
+        typical steps, nothing is known of it."""
+        steps = np.diff(self.time)
+        short = steps <= MAX_GAP * np.median(steps)
+        step, next_ = (
+            np.searchsorted(self.time, time, side).clip(1, len(steps)) - 1
+            for side in ("left", "right")
+        )  # two at a sample, which may be at the end of a gap
+        inside = (time >= self.time[0]) & (time <= self.time[-1])
+        return np.asarray(inside & (short[step] | short[next_]))
 
     @cached_property
     def _spline(self):  # type: ignore[no-untyped-def]

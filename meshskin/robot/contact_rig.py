@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..contact.indenter import Indenter
 from ..core.arrays import Array
@@ -164,15 +165,20 @@ class ContactRig:
         return self.contact_poses(points, normals, rotate_about(normals, tangents, spins))
 
     def solved_spins(
-        self, points: Array, normals: Array, tangents: Array, anchor_spacing: int
+        self,
+        points: Array,
+        normals: Array,
+        tangents: Array,
+        anchor_spacing: int,
+        starts: NDArray[np.bool_] | None = None,
     ) -> posture.Nodes:
         """The postures at contact points (m, 3), the spins about the normals solved with them.
 
-        tangents (m, 3): the headings at spin 0; anchor_spacing: see `posture.solve_nodes`.
+        tangents (m, 3): the headings at spin 0; anchor_spacing, starts: see `posture.solve_nodes`.
         """
         assert self.arm is not None
         tips = self.contact_poses(points, normals, tangents) @ inverse(self.mount)
-        return posture.solve_spins(self.arm, self.turned_arm, tips, anchor_spacing)
+        return posture.solve_spins(self.arm, self.turned_arm, tips, anchor_spacing, starts)
 
     def postures(self, sites: Array) -> Array:
         """Joint angles (k, n) with which the arm presses sites (m, 3), body frame, on the indenter.

@@ -78,17 +78,21 @@ class Nodes:
         """The nodes of some samples."""
         return Nodes(*(getattr(self, f.name)[rows] for f in fields(self)))
 
-    def replaced(self, rows: NDArray[np.intp], others: Nodes) -> Nodes:
-        """These nodes with those of some samples replaced by `others`."""
+    def joined(self, others: Nodes) -> Nodes:
+        """The nodes of these samples and, after them, of others."""
         width = max(self.q.shape[2], others.q.shape[2])
         blank = {"q": np.nan, "solved": False, "margin": -np.inf, "joint": 0, "offset": 0.0}
-        columns: dict[str, Any] = {}
-        for name, value in blank.items():
-            columns[name], other = (
-                _widened(getattr(x, name), width, value) for x in (self, others)
-            )
-            columns[name][rows] = other
+        columns: dict[str, Any] = {
+            name: np.concatenate([widened(getattr(x, name), width, value) for x in (self, others)])
+            for name, value in blank.items()
+        }
         return Nodes(**columns)
+
+    def replaced(self, rows: NDArray[np.intp], others: Nodes) -> Nodes:
+        """These nodes with those of some samples replaced by `others`."""
+        source = np.arange(len(self.q))
+        source[rows] = len(source) + np.arange(len(rows))
+        return self.joined(others).take(source)
 
     @classmethod
     def of(cls, arm: Arm, q: Array, offset: Array | None = None) -> Nodes:
@@ -99,32 +103,39 @@ class Nodes:
         return cls(q, np.isfinite(q[..., 0]), margin.min(axis=-1), margin.argmin(axis=-1), offset)
 
 
-def _widened(x: Array, width: int, value: float) -> Array:
-    """A copy of `x` (m, s, b, ...) with `width` entries along b, the new ones with a value."""
+def widened(x: NDArray[Any], width: int, value: Any) -> NDArray[Any]:
+    """`x` (m, s, b, ...) with `width` entries along b, the new ones with a value."""
     grown = [(0, 0), (0, 0), (0, width - x.shape[2]), *[(0, 0)] * (x.ndim - 3)]
     return np.pad(x, grown, constant_values=value)
 
 
-def solve_nodes(arm: Arm, targets: Array, anchor_spacing: int = ANCHOR_SPACING) -> Nodes:
+def solve_nodes(
+    arm: Arm,
+    targets: Array,
+    anchor_spacing: int = ANCHOR_SPACING,
+    starts: NDArray[np.bool_] | None = None,
+) -> Nodes:
     """The postures for poses T_w_tip `targets` (m, s, 4, 4).
 
-    Samples at most `anchor_spacing` apart are solved from random starts, the others from their
-    neighbours, which must be near.
+    Every `anchor_spacing` samples one is solved from random starts, the others from their
+    neighbours, which must be near. starts (m,): samples that are not near those before them.
     """
     m, s = targets.shape[:2]
     rows = pose_rows(targets).reshape(m, s, 12)
     n = len(arm.joint_names)
     q = np.full((m, s, MAX_POSTURES, n), np.nan)
-    anchors = np.unique(
-        np.linspace(0, m - 1, max(math.ceil((m - 1) / anchor_spacing), 1) + 1).round().astype(int)
-    )
+    first = np.unique([0, *np.flatnonzero(starts)] if starts is not None else [0])
+    pieces = zip(first, [*first[1:], m], strict=True)
+    anchors = np.concatenate([np.arange(one, end, anchor_spacing) for one, end in pieces])
     rng = np.random.default_rng(0)
     for k in anchors:
         q[k] = _solve_anchor(arm, rows[k], rng)
-    middles = (anchors[:-1] + anchors[1:]) // 2
-    for away in range(1, anchor_spacing + 1):  # from all anchors at once
-        on, back = anchors[:-1] + away, anchors[1:] - away
-        on, back = on[on <= middles], back[back > middles]
+    after = np.append(anchors[1:], m)
+    both = ~np.isin(after, [*first, m])  # the next anchor is near, too
+    middles = np.where(both, (anchors + after) // 2, after - 1)
+    for away in range(1, anchor_spacing):  # from all anchors at once
+        on, back = anchors + away, after - away
+        on, back = on[on <= middles], back[both & (back > middles)]
         here, there = np.concatenate([on, back]), np.concatenate([on - 1, back + 1])
         if len(here):
             moved = _follow(arm, q[there].reshape(-1, MAX_POSTURES, n), rows[here].reshape(-1, 12))
@@ -132,13 +143,20 @@ def solve_nodes(arm: Arm, targets: Array, anchor_spacing: int = ANCHOR_SPACING) 
     return Nodes.of(arm, _with_whole_turns(arm, q))
 
 
-def solve_spins(arm: Arm, turned: Arm, targets: Array, anchor_spacing: int) -> Nodes:
+def solve_spins(
+    arm: Arm,
+    turned: Arm,
+    targets: Array,
+    anchor_spacing: int,
+    starts: NDArray[np.bool_] | None = None,
+) -> Nodes:
     """The postures for poses T_w_tip `targets` (m, 4, 4) that may turn about the normal.
 
-    turned: the arm on a turntable about the indenter's axis. Where the arm has joints to spare, the
+    turned: the arm on a turntable about the indenter's axis; the others as in `solve_nodes`. Where
+    the arm has joints to spare, the
     postures are single ones of many, which random starts and the joint limits choose.
     """
-    found = solve_nodes(turned, targets[:, None], anchor_spacing).q[:, 0]
+    found = solve_nodes(turned, targets[:, None], anchor_spacing, starts).q[:, 0]
     spin = -found[..., 0]
     place = np.round(np.where(np.isnan(spin), 0.0, spin) / SPIN_STEP).astype(int)
     m, b = spin.shape
@@ -194,20 +212,12 @@ def _newton(arm: Arm, q: Array, targets: Array, iterations: int) -> Array:
 
 def _distinct(arm: Arm, q: Array) -> Array:
     """The distinct rows of `q` (k, n); of more than MAX_POSTURES those farthest from all limits."""
-    distinct = _first_distinct(q, MAX_POSTURES + 1)
+    same = np.abs(q[:, None] - q).max(axis=2) <= SAME
+    distinct = np.asarray(q[~np.tril(same, -1).any(axis=1)])
     if len(distinct) > MAX_POSTURES:
-        margin = np.minimum(q - arm.lower, arm.upper - q).min(axis=1)
-        distinct = _first_distinct(q[np.argsort(-margin, kind="stable")], MAX_POSTURES)
+        margin = np.minimum(distinct - arm.lower, arm.upper - distinct).min(axis=1)
+        distinct = distinct[np.argsort(-margin, kind="stable")[:MAX_POSTURES]]
     return distinct
-
-
-def _first_distinct(q: Array, most: int) -> Array:
-    """The first distinct rows of `q` (k, n), at most so many."""
-    kept: list[Array] = []
-    for one in q:
-        if len(kept) < most and all(np.abs(one - other).max() > SAME for other in kept):
-            kept.append(one)
-    return np.array(kept).reshape(-1, q.shape[1])
 
 
 def endless_joints(arm: Arm) -> NDArray[np.bool_]:

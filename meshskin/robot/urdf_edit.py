@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -22,6 +23,9 @@ SHAPE_SIZES = {
 }
 """Attributes of each shape, m (a mesh: factors), that are its size, with placeholders of their
 lengths; that of a mesh is the default of the URDF format."""
+
+_START_TAG = re.compile(rb"""(?:[^>"']|"[^"]*"|'[^']*')*>""")
+"""A start tag to its end; attributes may hold ">"."""
 
 
 def with_moved_zeros(urdf: str, joints: Mapping[str, tuple[Joint, float]]) -> str:
@@ -129,7 +133,10 @@ def _edited(urdf: str, edits: Iterable[_Edit]) -> str:
     """The text with its edits; all else is kept, to the byte."""
     source = urdf.encode()
     for edit in sorted(edits, key=lambda edit: -edit.tag.at):
-        at, end = edit.tag.at, source.index(b">", edit.tag.at) + 1
+        at = edit.tag.at
+        start = _START_TAG.match(source, at)
+        assert start is not None  # the parser found a tag there
+        end = start.end()
         values = " ".join(f"{key}={quoteattr(text)}" for key, text in edit.attributes.items())
         new = f"<{edit.name} {values}".encode()
         if edit.name == edit.tag.path[-1]:

@@ -58,10 +58,11 @@ def describe_departure(motion: pa.Table) -> str:
         return ""
     worst = int(np.argmax(np.where(left, off, 0.0)))
     lost = " (contact lost)" if force[worst] <= 0 else ""
+    share = 100 * left.sum() / after.sum()
     return (
         f"the contact force left its reference after settling: {force[worst]:.3g} N{lost} instead "
         f"of {references[worst]:g} N at {time[worst]:.4g} s, off by more than {MAX_DEPARTURE:.0%} "
-        f"in {left.sum() / after.sum():.2g} of the steps; lower exploration.speed, raise law.gamma,"
+        f"in {share:.2g} % of the steps; lower exploration.speed, raise law.gamma,"
         " or leave the bump or edge of the body out of the skin's region"
     )
 

@@ -17,6 +17,7 @@ from scipy.spatial import KDTree
 
 from ..core.arrays import Array, Index, far_apart, sums_by_group
 from ..core.errors import SkinError
+from ..core.progress import Stage
 from ..core.se3 import orthonormal_basis
 from ..geometry import region as regions
 from ..geometry.body import Body
@@ -37,6 +38,7 @@ ROUNDS, SETTLINGS, STEPS = 4, 4, 12
 surface in a round; steps under the same springs before a projection."""
 MAX_SITES = 1_000_000
 """Largest number of sites of one lattice: more are a wrong unit, and exhaust the memory."""
+_SILENT = Stage()
 
 
 @dataclass(frozen=True)
@@ -97,18 +99,23 @@ def first_site(
 
 
 def fill(
-    body: Body, region: regions.Region, spacing: float, first: Lattice, refinements: int = 0
+    body: Body,
+    region: regions.Region,
+    spacing: float,
+    first: Lattice,
+    refinements: int = 0,
+    stage: Stage = _SILENT,
 ) -> Lattice:
     """The lattice (spacing in m) all over a region, grown anew in each connected part.
 
     With `refinements`, it is grown at 2^refinements times the spacing, and relaxed and refined so
-    many times.
+    many times. stage: its steps are rings of the lattice, and those of `relax`.
     """
     if refinements:
-        coarse = fill(body, region, 2.0 * spacing, first, refinements - 1)
-        coarse = relax(body, region, coarse, 2.0 * spacing)
+        coarse = fill(body, region, 2.0 * spacing, first, refinements - 1, stage)
+        coarse = relax(body, region, coarse, 2.0 * spacing, stage)
         return _refine(body, region, coarse, spacing)
-    sites = grow(body, region, spacing, first)
+    sites = grow(body, region, spacing, first, stage=stage)
     faces = regions.face_points(body, np.arange(len(body.surface.faces)), 1)
     faces = faces.take(region.contains(body, faces))
     while len(faces.face):
@@ -118,7 +125,7 @@ def fill(
             break
         at = faces.take([int(np.argmax(gap))])
         island = Lattice(at, orthonormal_basis(at.normal)[:, :, 0], np.zeros(1))
-        sites = sites.joined(grow(body, region, spacing, island, occupied=sites.at.point))
+        sites = sites.joined(grow(body, region, spacing, island, None, sites.at.point, stage))
         faces = faces.take(uncovered)
     return sites
 
@@ -130,17 +137,19 @@ def grow(
     first: Lattice,
     count: int | None = None,
     occupied: Array | None = None,
+    stage: Stage = _SILENT,
 ) -> Lattice:
     """The lattice (spacing in m) around a first site, as far as the region is connected.
 
     With `count`, growth stops once the `count` sites nearest to the first are complete. New sites
-    keep their distance from the points `occupied` (k, 3).
+    keep their distance from the points `occupied` (k, 3). stage: its steps are the rings.
     """
     others = np.zeros((0, 3)) if occupied is None else occupied
     sites = front = first
     ring = 0
     while len(front):
         ring += 1
+        stage.step()
         full = np.concatenate([others, sites.at.point])
         fresh = _propose(body, front, full, spacing, MERGE * spacing)
         fresh = fresh.take(region.contains(body, fresh.at))
@@ -154,18 +163,26 @@ def grow(
     return sites
 
 
-def relax(body: Body, region: regions.Region, sites: Lattice, spacing: float) -> Lattice:
-    """Sites relaxed under springs of length `spacing` (m), with gaps filled and crowds thinned."""
+def relax(
+    body: Body, region: regions.Region, sites: Lattice, spacing: float, stage: Stage = _SILENT
+) -> Lattice:
+    """Sites relaxed under springs of length `spacing` (m), with gaps filled and crowds thinned.
+
+    stage: its steps are the projections onto the surface."""
+    stage.expect(ROUNDS * SETTLINGS)
     for k in range(ROUNDS):
         for _ in range(SETTLINGS):
             sites = _relax_springs(body, region, sites, spacing)
+            stage.step()
         if k < ROUNDS - 1:
             sites = sites.take(_separated(sites.at.point, MERGE * spacing))
             sites = _fill_gaps(body, region, sites, spacing)
     return sites
 
 
-def decimate(body: Body, region: regions.Region, sites: Lattice, count: int) -> Lattice:
+def decimate(
+    body: Body, region: regions.Region, sites: Lattice, count: int, stage: Stage = _SILENT
+) -> Lattice:
     """`count` of the sites: the most crowded are removed, far apart, and the others relaxed."""
     spacing = sites.spacing()[0] * float(np.sqrt(len(sites) / count))
     while len(sites) > count:
@@ -175,6 +192,7 @@ def decimate(body: Body, region: regions.Region, sites: Lattice, count: int) -> 
         sites = sites.take(np.delete(np.arange(len(sites)), removed))
         for _ in range(SETTLINGS):
             sites = _relax_springs(body, region, sites, spacing)
+            stage.step()
     return sites
 
 

@@ -19,7 +19,7 @@ from ..core.value import Value
 from ..geometry import region as regions
 from ..geometry.body import Body
 from ..geometry.mesh.mesh_file import UNITS
-from . import files, module_layout, module_pose, slots, taxel_layout
+from . import files, lattice, module_layout, module_pose, slots, taxel_layout
 from .files.table import DISC_RADIUS, SkinRows
 
 if TYPE_CHECKING:
@@ -27,14 +27,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from ..core.progress import Progress
+
 MAX_DISTANCE = 0.05
 """Default limit on the distance from a taxel to the surface that `Skin.onto` moves it to, m: half
 the radius of a forearm. A larger one means that the skin is in another frame or unit."""
 MIN_COSINE = -0.999
 """Cosine between old and new normal below which `Skin.onto` sets a frame anew, about 177 degrees:
 the shortest rotation between opposite normals is not determined."""
-MAX_TAXELS = 1_000_000
-"""Largest number of taxels of one layout: more are a wrong unit, and exhaust the memory."""
+MAX_TAXELS = lattice.MAX_SITES
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,6 +162,7 @@ class Skin(Value, Card, Tabular):
         region: regions.Region | str | None = None,
         seed: int = 0,
         disc_radius: float = DISC_RADIUS,
+        progress: Progress | None = None,
     ) -> Skin:
         """A hexagonal lattice of taxels on the smooth surface of a body.
 
@@ -168,8 +170,8 @@ class Skin(Value, Card, Tabular):
         With `count` alone the spacing follows from the region's area. With both, the `count` sites
         nearest to the region's centre are kept. `region` is the name of one of the body's patches
         or a region of geometry/region.py, by default the whole surface. `seed` sets the rotation
-        and the offset of the lattice. Raises SkinError where discs would overlap or too few sites
-        fit the region.
+        and the offset of the lattice. progress("cover", done, total): called after each of its
+        steps. Raises SkinError where discs would overlap or too few sites fit the region.
 
         >>> ms.Skin.cover(ms.Body.sphere(radius=0.1), spacing=5e-3, count=60).positions.shape
         (60, 3)
@@ -178,13 +180,11 @@ class Skin(Value, Card, Tabular):
         if spacing is None and count is None:
             raise SkinError("a layout without spacing and count", remedy="give one or both")
         if count is not None:
-            count = check_integer(
-                "number of taxels", count, least=1, most=MAX_TAXELS, error=SkinError
-            )
+            most = MAX_TAXELS
+            count = check_integer("number of taxels", count, least=1, most=most, error=SkinError)
         check_real("disc radius of a taxel", disc_radius, "m", above=0.0, error=SkinError)
-        sites = taxel_layout.sites(
-            body, regions.as_region(region), spacing, count, disc_radius, seed
-        )
+        region = regions.as_region(region)
+        sites = taxel_layout.sites(body, region, spacing, count, disc_radius, seed, progress)
         rotation = se3.orthonormal_basis(sites.at.normal, sites.tangent)
         return cls(se3.transform(rotation, sites.at.point), np.arange(len(sites)), disc_radius)
 

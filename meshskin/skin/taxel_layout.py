@@ -8,6 +8,7 @@ import numpy as np
 
 from ..core.arguments import check_real
 from ..core.errors import SkinError
+from ..core.progress import Progress, Stage
 from ..core.provenance import random_stream
 from ..geometry import region as regions
 from ..geometry.body import Body
@@ -26,6 +27,8 @@ is where the iteration for the spacing starts."""
 MAX_GROWN = 1500
 """Largest number of sites that are grown one by one; a lattice of more is grown coarse and refined.
 Growing queries the surface anew for each ring, refining once for all sites."""
+USUAL_STEPS = 30
+"""Usual number of rings and projections of a layout: 10 to 60."""
 RETRIES = 3
 """Times that a lattice is laid out again with a corrected spacing. Two were needed at most on
 spheres, ellipsoids, tori and capsules."""
@@ -38,15 +41,18 @@ def sites(
     count: int | None,
     disc_radius: float,
     seed: int,
+    progress: Progress | None = None,
 ) -> Lattice:
     """The lattice sites of `Skin.cover`, which see. Raises SkinError."""
+    stage = Stage(progress, "cover", USUAL_STEPS)
     if spacing is None:
         assert count is not None
-        found = _by_count(body, region, count, disc_radius, seed)
+        found = _by_count(body, region, count, disc_radius, seed, stage)
     else:
         check_real("spacing of taxels", spacing, "m", error=SkinError)
         _check_spacing(body, spacing, disc_radius)
-        found = _by_spacing(body, region, spacing, seed, count)
+        found = _by_spacing(body, region, spacing, seed, count, stage)
+    stage.end()
     if count is None:
         return found
     if len(found) < count:
@@ -76,7 +82,7 @@ def _check_spacing(body: Body, spacing: float, disc_radius: float) -> None:
 
 
 def _by_spacing(
-    body: Body, region: regions.Region, spacing: float, seed: int, count: int | None
+    body: Body, region: regions.Region, spacing: float, seed: int, count: int | None, stage: Stage
 ) -> Lattice:
     """Sites at a mean distance of `spacing` (m); with `count`, at least so many about the centre.
 
@@ -88,12 +94,12 @@ def _by_spacing(
     target = spacing / RELAXED_SPACING if refinements else spacing
     for _ in range(1 + RETRIES):
         if count is None:
-            found = lattice.fill(body, region, target, first, refinements)
+            found = lattice.fill(body, region, target, first, refinements, stage)
         else:
             margin = round(4.0 * np.sqrt(count))  # two rings, cut off by the caller
-            found = lattice.grow(body, region, target, first, count + margin)
+            found = lattice.grow(body, region, target, first, count + margin, None, stage)
         if found.spacing()[1] > SCATTER_TOLERANCE:
-            found = lattice.relax(body, region, found, target)
+            found = lattice.relax(body, region, found, target, stage)
         mean, _ = found.spacing()
         if len(found) < 3 or abs(mean / spacing - 1) < MEAN_TOLERANCE:
             break
@@ -102,7 +108,7 @@ def _by_spacing(
 
 
 def _by_count(
-    body: Body, region: regions.Region, count: int, disc_radius: float, seed: int
+    body: Body, region: regions.Region, count: int, disc_radius: float, seed: int, stage: Stage
 ) -> Lattice:
     """At least `count` sites all over a region; exactly `count` if they had to be relaxed."""
     area = regions.area(body, region)
@@ -113,11 +119,11 @@ def _by_count(
         spacing = min(spacing, body.surface.scale)
         _check_spacing(body, spacing, disc_radius)
         first = lattice.first_site(body, region, spacing, random_stream(seed, "skin layout"))
-        found = lattice.fill(body, region, spacing, first, _refinements(area, spacing))
+        found = lattice.fill(body, region, spacing, first, _refinements(area, spacing), stage)
         if found.spacing()[1] > SCATTER_TOLERANCE:
-            found = lattice.relax(body, region, found, spacing)
+            found = lattice.relax(body, region, found, spacing, stage)
             if len(found) > count > 2:
-                found = lattice.decimate(body, region, found, count)
+                found = lattice.decimate(body, region, found, count, stage)
         if len(found) >= count:
             break
         spacing *= 0.995 * float(np.sqrt(len(found) / count))

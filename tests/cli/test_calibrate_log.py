@@ -9,7 +9,9 @@ import pytest
 
 import meshskin as ms
 from meshskin import cli
+from meshskin.cli import live
 from meshskin.core import se3
+from meshskin.report.live.page import LivePage
 
 from ..estimation.kinematics.simulated_log import CLOCK, OFFSETS, PUMA, explore
 from ..recording import robot_log
@@ -51,10 +53,11 @@ def folder(tmp_path_factory):
     return replace(exploration, frames=folder)
 
 
-def command(folder, *options):
+def command(folder, *options, name="calibrate"):
     asked = [folder / "log.mcap", "--map", folder / "map.toml", "--urdf", folder / "robot.urdf"]
-    asked += ["--link", "palm", "--indenter-radius-mm", 10, "--raw", "--out", folder / "out"]
-    return cli.main(["calibrate", *map(str, [*asked, *options])])
+    asked += ["--link", "palm", "--indenter-radius-mm", 10, "--raw"]
+    asked += ["--out", folder / "out"] if name == "calibrate" else []
+    return cli.main([name, *map(str, [*asked, *options])])
 
 
 @pytest.mark.slow
@@ -84,6 +87,29 @@ def test_one_command(folder, capsys):
     angles = exploration.log.joint_angles[:3]
     true = ms.Robot.from_urdf(folder / "robot.urdf").chain("base", "palm")
     assert corrected.poses(angles) == pytest.approx(true.poses(angles + OFFSETS), abs=2e-3)
+
+
+@pytest.mark.slow
+def test_the_log_is_played_live(folder, monkeypatch, capsys):
+    pytest.importorskip("viser", reason='no viser: pip install "meshskin[live]"')
+    shown, show = [], LivePage.show
+    monkeypatch.setattr(
+        LivePage, "show", lambda page, snapshot: (shown.append(snapshot), show(page, snapshot))
+    )
+    monkeypatch.setattr(LivePage, "viewers", property(lambda page: int(not shown)))
+    monkeypatch.setattr(live, "AWAY", 0.0)
+    centre = [1e3 * x for x in folder.scene.indenter.position]
+    page = ["--port", 0, "--no-browser", "--speed", 32]
+    assert command(folder.frames, "--indenter-mm", *centre, *page, name="live") == 0
+    assert (
+        "the response is as learned from the whole log (verdict: PASS)" in capsys.readouterr().out
+    )
+    last, skin = shown[-1], folder.scene.skin
+    off = np.linalg.norm(last.positions - skin.positions, axis=1)
+    sigma = np.sqrt(np.trace(last.covariances, axis1=1, axis2=2))
+    assert last.status.determined == len(skin)
+    assert np.sqrt(np.mean((off / sigma) ** 2)) < 1.5
+    assert np.median(shown[len(shown) // 8].status.median_sigma / last.status.median_sigma) > 1.2
 
 
 @pytest.mark.parametrize(

@@ -79,6 +79,17 @@ def test_init_opens_a_mesh_with_borders_and_refuses_a_strange_size(mesh, capsys,
     assert cli.main(["init", "no.stl"]) == 2
 
 
+def test_init_asks_for_no_more_taxels_than_fit(mesh, tmp_path, monkeypatch):
+    monkeypatch.setattr(init, "RADII", (5e-3,))
+    mesh = mesh.copy()
+    mesh.apply_scale(0.25)  # an area for 86 taxels, of which fewer are laid
+    mesh.export("small.stl")
+    assert cli.main(["init", "small.stl"]) == 0
+    asked = tomllib.loads((tmp_path / "small.toml").read_text())["skin"]["count"]
+    assert 40 < asked < 80
+    assert len(ms.Scene.load("small.toml").skin) == asked
+
+
 def test_init_writes_the_map_of_a_log(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     time = 0.01 * np.arange(300)

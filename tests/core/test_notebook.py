@@ -45,6 +45,25 @@ def test_cards_have_numbers_and_a_picture(sphere, recording, calibration, plan):
         assert "not shown" not in html
 
 
+def test_planned_touches_are_tables(recording, sphere):
+    found = ms.calibrate(recording, sphere.belief(), "trilateration")
+    planned, design = found.next_contacts(3), ms.next_touches(found, k=2, units=found.ids[:3])
+    for touches, last in ((planned, planned.taxel), (design, design.unit)):
+        table = touches.to_arrow()
+        np.testing.assert_array_equal(table["y"], touches.points[:, 1])
+        np.testing.assert_array_equal(table["nz"], touches.normals[:, 2])
+        assert table[6].to_pylist() == last.tolist()
+        assert len(repr(touches)) < 150
+
+
+def test_a_scale_of_colours_has_its_values_in_its_middle():
+    points = np.eye(3)
+    shown = drawing.solid(None, points=points, normals=points, values=np.array([3.0, 3.0, 3.01]))
+    low, high = shown.axes[-1].get_ylim()
+    assert low < 3.0 < 3.01 < high
+    assert 3.0 - low == pytest.approx(high - 3.01)
+
+
 def test_a_card_of_a_bad_state_says_so(calibration):
     lost = replace(calibration, poses=np.full_like(calibration.poses, np.nan))
     html = lost._repr_html_()

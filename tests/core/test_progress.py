@@ -9,6 +9,8 @@ from meshskin.core import se3
 from meshskin.core.progress import Stage
 from meshskin.simulation import static_contacts
 
+BODY = ms.Body.ellipsoid((0.05, 0.06, 0.08))
+
 
 class Heard(list):
     """A hook that keeps what it is told, and raises when a stage has done `most` steps."""
@@ -92,6 +94,29 @@ def test_presses_tell_their_batches(sphere, monkeypatch):
     assert heard == [("press", k, 3) for k in range(4)]
     monkeypatch.undo()
     assert found == ms.press(sphere, points)
+
+
+def test_a_layout_tells_its_rings_and_projections():
+    heard = Heard()
+    found = ms.Skin.cover(BODY, spacing=20e-3, progress=heard)
+    assert {stage for stage, _, _ in heard} == {"cover"}
+    assert [done for _, done, _ in heard[:-1]] == list(range(len(heard) - 1))
+    assert heard[-1][1] == heard[-1][2] > 10
+    assert found == ms.Skin.cover(BODY, spacing=20e-3)
+    with pytest.raises(KeyboardInterrupt):
+        ms.Skin.cover(BODY, spacing=20e-3, progress=Heard(3))
+
+
+def test_planned_touches_are_told_one_by_one(noisy_recording, noisy):
+    found, heard = ms.calibrate(noisy_recording, noisy.belief(), "trilateration"), Heard()
+    planned = found.next_contacts(4, progress=heard)
+    assert heard == [("next contacts", k, 5) for k in range(6)]
+    assert planned == found.next_contacts(4)
+    heard.clear()
+    ids = noisy.skin.ids[:3]
+    design = ms.next_touches(noisy.skin, noisy.belief(), 2, ids, progress=heard)
+    assert heard == [("next touches", k, 3) for k in range(4)]
+    assert design == ms.next_touches(noisy.skin, noisy.belief(), 2, ids)
 
 
 def test_an_interrupted_report_leaves_the_page_before_it(noisy_recording, noisy, tmp_path):

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from meshskin.exploration.coverage import PointCloud
-from meshskin.exploration.lane_plan import region_radius
+from meshskin.exploration.lane_plan import _sparse, region_radius
 from meshskin.exploration.lanes import (
     MAX_SPACING,
     _offset,
@@ -145,3 +145,13 @@ def test_a_lane_that_ended_where_it_began_has_none_beside_it():
     np.testing.assert_allclose(
         body.surface.nearest(beside.point).point[:, 1], -SPACING, rtol=0.02, atol=0
     )
+
+
+def test_postures_are_sought_at_both_ends_of_a_path_and_where_the_normal_turns():
+    points = np.zeros((30, 3))
+    points[:, 0] = 1.9e-3 * np.arange(30)
+    normals = np.tile([0.0, 0.0, 1.0], (30, 1))
+    angle = 0.2 * np.arange(10)
+    normals[20:] = np.stack([np.sin(angle), np.zeros(10), np.cos(angle)], axis=1)
+    rows = _sparse(points, normals, np.array([0, 8]))
+    np.testing.assert_array_equal(rows, [0, 3, 6, 7, 8, 11, 14, 17, *range(20, 30)])

@@ -77,7 +77,7 @@ def test_an_offset_that_cannot_be_told_is_said(streams):
     log_map = LogMap((MAP.streams[0], MAP.streams[2]))
     frames = log_frames(log_of(still, log_map), log_map)
     assert (frames.skin_log.clock_offset, frames.skin_log.clock_sigma) == (0.0, None)
-    assert "cannot be told" in frames.notes[0]
+    assert "do not tell the clock offset" in frames.notes[0]
 
 
 def test_frames_in_gaps_are_left_out(streams):

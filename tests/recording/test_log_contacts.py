@@ -66,3 +66,44 @@ def test_a_recording_without_forces_says_so(log):
     assert not recording_of(log, frames, points, normals, force).force_measured
     measured = replace(log, force=np.ones(len(log.time)))
     assert recording_of(measured, frames, points, normals, force).force_measured
+
+
+def test_missing_readings_are_no_silences(log):
+    """Of taxels that nearly every frame has; another one is recorded only where it answers."""
+    frames = 12
+    readings = np.full((frames, 6), 2.0)
+    readings[:, 5] = np.nan
+    readings[[3, 8], 5] = 9.0
+    readings[3, 1] = np.nan
+    readings[7, :3] = np.nan
+    longer = replace(
+        log, time=0.1 * np.arange(frames), joint_angles=np.zeros((frames, 2)),
+        taxel_ids=np.arange(6), noise=np.ones(6), readings=readings,
+        in_contact=np.ones(frames, dtype=bool),
+    )  # fmt: skip
+    used = contact_frames(longer)
+    assert used.tolist() == [0, 1, 2, 3, 4, 5, 6, 8, 9, 10, 11]  # frame 7 lacks half of them
+    at = np.tile([0.0, 0.0, 1.0], (len(used), 1))
+    recording = recording_of(longer, used, at, at, np.ones(len(used)))
+    lost = np.isnan(recording.pressure)
+    assert recording.reading_taxel[lost].tolist() == [1]
+    assert recording.time[recording.reading_contact[lost]] == pytest.approx([0.3])
+    assert np.sum(recording.reading_taxel == 5) == 2
+
+
+def test_a_path_has_no_angles_in_gaps_of_a_joint(log):
+    time = 0.1 * np.arange(40)
+    angles = np.stack([time, 2 * time], axis=1)
+    angles[10:20, 1] = np.nan
+    longer = replace(
+        log, time=time, joint_angles=angles, readings=np.zeros((40, 2)),
+        in_contact=np.ones(40, dtype=bool),
+    )  # fmt: skip
+    path = joint_path(longer, ("elbow", "wrist"))
+    assert path.covers(np.array([-0.1, 0.05, 0.9, 1.5, 2.0, 3.9, 4.0])).tolist() == [
+        False, True, True, False, True, True, False,
+    ]  # fmt: skip
+    assert joint_path(longer, ("elbow",)).covers(np.array([1.5])).all()
+    angles[1:, 1] = np.nan
+    with pytest.raises(RecordingError, match="check the joint wrist, which has fewest"):
+        joint_path(replace(longer, joint_angles=angles), ("elbow", "wrist"))

@@ -34,7 +34,7 @@ def test_contacts_are_the_runs_of_frames_in_contact():
         ({"time": np.array([0, 1, 2, 2, 3, 4.0])}, r"got 2.0 s after 2.0 s in frame 3"),
         ({"joint_names": ("elbow", "elbow")}, "a joint of a log occurs twice, got elbow"),
         ({"taxel_ids": np.array([3, 5, 3])}, "a taxel of a log occurs twice, got 3"),
-        ({"joint_angles": np.full((6, 2), np.nan)}, "nan of shoulder in frame 0"),
+        ({"joint_angles": np.full((6, 2), np.inf)}, "inf of shoulder in frame 0"),
     ],
 )
 def test_inconsistent_logs_are_refused(changes, words):

@@ -21,6 +21,7 @@ from meshskin.geometry.body import Body
 from meshskin.report import markup, page
 from meshskin.report.advice import next_steps, outlying_taxels
 from meshskin.report.data import ReportData
+from meshskin.report.markup import table
 from meshskin.report.sections import content
 from meshskin.skin.skin import Skin
 
@@ -279,11 +280,18 @@ def test_one_taxel_has_no_estimate(case: SimpleNamespace, tmp_path: Path) -> Non
     assert "1 of 80 taxels has no estimate (fewer than three readings)" in shown.text
 
 
+def test_a_sentence_in_a_column_of_numbers_wraps() -> None:
+    html = table(("metric", "value"), [("a", "0.012"), ("b", "the model fits: " * 4)], numeric=(1,))
+    assert "<td class=number>0.012</td>" in html
+    assert "<td>the model fits" in html
+
+
 def test_every_method_has_its_own_color() -> None:
     from meshskin.pipeline import METHODS
     from meshskin.report import theme
 
-    assert len({theme.METHOD_COLOURS[m] for m in ("joint", *METHODS)}) == len(METHODS) + 1
+    assert {"joint", *METHODS} <= theme.METHOD_COLOURS.keys()
+    assert len({*theme.METHOD_COLOURS.values(), theme.WARNING}) == len(theme.METHOD_COLOURS) + 1
 
 
 def test_a_skin_that_was_never_touched_has_a_page(

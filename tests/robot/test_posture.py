@@ -52,6 +52,16 @@ def test_nodes_reach_their_poses_from_every_anchor(sphere):
     assert np.nanmin(np.where(found.solved, gap, np.nan), axis=2).max() < 1e-8
 
 
+def test_a_path_far_from_the_one_before_has_an_anchor_of_its_own(sphere):
+    q = np.tile([0.2, -0.9, 0.6, 0.1, 0.8, 0.0], (12, 1, 1))
+    q[:6, 0, 1] += np.linspace(0.0, 0.1, 6)
+    q[6:, 0, 0] += 2.0 + np.linspace(0.0, 0.1, 6)
+    targets = sphere.arm.pose(q)
+    assert not posture.solve_nodes(sphere.arm, targets).solved.any(axis=(1, 2)).all()
+    found = posture.solve_nodes(sphere.arm, targets, starts=np.arange(12) == 6)
+    assert found.solved.any(axis=(1, 2)).all()
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_the_chain_is_the_cheapest_of_all(seed):
     rng = np.random.default_rng(seed)

@@ -1,6 +1,7 @@
 """Shapes of a link written elsewhere, read back by other people's readers."""
 
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import meshskin as ms
 from meshskin.core.errors import ArmError, UnknownNameError
 from meshskin.core.se3 import exp_so3, transform, transform_points
 from meshskin.estimation.kinematics.calibrate_log import LogCalibration
+from meshskin.robot.urdf_edit import with_moved_shapes
 
 TEXT = """<?xml version="1.0"?>
 <robot name="arm"><!-- of 2019 -->
@@ -93,3 +95,18 @@ def test_a_corrected_robot_has_the_estimated_mount_and_size(robot):
     )  # fmt: skip
     turned = corrected.chain("base", "palm").poses(np.zeros((1, 1)))[0]
     np.testing.assert_allclose(turned[:2, 0], [np.cos(0.05), np.sin(0.05)], atol=1e-12)
+
+
+def test_attributes_that_hold_an_angle_bracket_are_kept():
+    text = (
+        '<robot name="r"><link name="l"><visual name="a>b"><geometry>'
+        "<mesh scale='1 1 1' filename='c>d.stl'/></geometry></visual></link></robot>"
+    )
+    pose = np.eye(4)
+    pose[:3, 3] = [0.1, 0.2, 0.3]
+    edited = with_moved_shapes(text, "l", pose, 2.0)
+    visual = ElementTree.fromstring(edited).find("link/visual")
+    assert visual.get("name") == "a>b"
+    assert visual.find("origin").get("xyz") == "0.1 0.2 0.3"
+    mesh = visual.find("geometry/mesh")
+    assert (mesh.get("filename"), mesh.get("scale")) == ("c>d.stl", "2.0 2.0 2.0")

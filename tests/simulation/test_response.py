@@ -61,7 +61,7 @@ def test_a_force_that_leaves_its_reference_after_settling_is_described(low_or_hi
     force[31] = low_or_high
     words = describe_departure(motion(force, phase))
     assert f"{low_or_high:g} N instead of 3 N at 0.031 s" in words
-    assert "0.1 of the steps" in words
+    assert "in 10 % of the steps" in words
     assert "exploration.speed" in words
     force[32] = 0.0
     assert "0 N (contact lost) instead of 3 N at 0.032 s" in describe_departure(

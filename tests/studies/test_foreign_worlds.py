@@ -34,6 +34,10 @@ def small(worlds):
     return make
 
 
+def test_every_method_has_its_color(study):
+    assert study.METHODS.keys() <= study.theme.METHOD_COLOURS.keys()
+
+
 @pytest.mark.parametrize("name", ["Hertz", "Winkler", "Bell", "blurred"])
 def test_the_pressure_of_a_profile_adds_up_to_the_force(name):
     from worlds import profiles

@@ -2,7 +2,8 @@
 
 e = ln(E* / nominal); scale h and offset b of the force, F_true = exp(h) F + b; an indenter offset
 in the world frame and a body offset (translation, rotation) in the body frame (joint/contacts.py);
-drag, the distance of the patches behind the moving contacts;
+drag, the distance of the patches behind the moving contacts; friction, the shear of the skin at
+which contacts begin to slide (joint/friction.py);
 whitened entries u of the unknowns that move contacts (scene/contact_motion.py).
 Each taxel may have nuisance parameters of its own: ln gain, offset, and the offset's drift.
 """
@@ -26,6 +27,7 @@ SIZES = {
     "indenter_offset": 3,
     "body_offset": 6,
     "drag": 1,
+    "friction": 1,
     "scale": 1,
     "exponents": 2,
     "compression": 1,
@@ -36,7 +38,7 @@ SIZES = {
 """Number of entries of each global parameter, but for the contact motion."""
 MOTION = "contact_motion"
 """Global parameter of as many entries as the belief's contact motion has."""
-MOVES = ("indenter_offset", "body_offset", "drag", MOTION)
+MOVES = ("indenter_offset", "body_offset", "drag", "friction", MOTION)
 """Global parameters that move the recorded contacts, not the readings of a contact in its place."""
 NUISANCE = ("gain", "offset", "drift")
 """Parameters of each taxel beside its position."""
@@ -47,6 +49,7 @@ PRIORS = {
     "indenter_offset": 5e-3,
     "body_offset": 5e-3,
     "drag": 1e-3,
+    "friction": 1e-3,
     "scale": 0.5,
     "exponents": 0.1,
     "compression": 0.3,
@@ -166,6 +169,7 @@ class GlobalParameters:
             "indenter_offset": "indenter offset 0 +- {:.3g} m",
             "body_offset": "body offset 0 +- {:.3g} m",
             "drag": "patches 0 +- {:.3g} m behind the moving contacts",
+            "friction": "contacts slide from a shear of the skin of 0 +- {:.3g} m on",
             "scale": "readings within a factor {:.3g} of the nominal pressures (1 sigma)",
             "exponents": "exponents of the patch in the load within {:.3g} of the model's",
             "compression": "compression of strong readings 0 +- {:.3g}",

@@ -78,6 +78,9 @@ class Measurements:
     response_levels: tuple[float, float] = (0.5, 0.5)
     """Levels of readings, relative to the nominal peak, at which a learned compression leaves the
     effects of a taxel's gain and of an error of ln F as they are: those that determine both."""
+    references: tuple[float, float] | None = None
+    """Relative curvature, 1/m, and peak pressure, Pa, that a learned response refers to; None: the
+    medians of the contacts."""
     contact_errors: Array | None = None
     """Estimated errors (m, 3) of the contacts: displacements along the patches' semi-axes, m, and
     errors of ln F; None: none."""
@@ -148,8 +151,19 @@ class Measurements:
 
     @cached_property
     def nominal_peak(self) -> float:
-        """Median of the peak pressures, Pa, at the nominal E*."""
-        return float(np.median(self.peaks))
+        """Peak pressure, Pa, that a learned response refers to: the median at the nominal E*."""
+        return float(np.median(self.peaks)) if self.references is None else self.references[1]
+
+    @cached_property
+    def relative_curvature(self) -> Array:
+        """Mean curvatures (m,) of body and indenter together, 1/m."""
+        return np.asarray(self.curvature.mean(axis=1) + 1 / self.belief.indenter.radius)
+
+    @cached_property
+    def typical_curvature(self) -> float:
+        """That, 1/m, which a learned response refers to: the median."""
+        median = np.median(self.relative_curvature)
+        return float(median) if self.references is None else self.references[0]
 
     @cached_property
     def contact_tree(self) -> cKDTree:
@@ -174,6 +188,14 @@ class Measurements:
             part.__dict__["distance"] = self.distance[rows]
             part.__dict__["slope"] = self.slope[rows]
         return part
+
+    def referred_to(self, references: tuple[float, ...]) -> Measurements:
+        """These measurements with `LearnedResponse.references`; as they are without any."""
+        if not references:
+            return self
+        force, curvature, peak, _ = references
+        belief = replace(self.belief, force_reference=force)
+        return replace(self, belief=belief, references=(curvature, peak))
 
     def at_contacts(self, hit: Closest) -> Measurements:
         """These measurements with the contacts at the points `hit` of the body."""

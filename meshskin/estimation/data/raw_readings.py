@@ -45,15 +45,17 @@ MAD = 0.6745
 def nominal_pressure(
     recording: Recording, belief: Belief, index: np.ndarray, curvature: Array, used: np.ndarray
 ) -> tuple[Array, Belief, float, bool]:
-    """Raw readings as nominal pressures (k,), Pa, with the belief in the same unit, the recorded
-    unit per Pa, and whether the recorded readings fall with pressure.
+    """Raw readings as nominal pressures (k,), Pa, NaN where they are, with the belief in the same
+    unit, the recorded unit per Pa, and whether the recorded readings fall with pressure.
 
     index (k,): rows of the taxels; curvature (m, 2), 1/m, at the contacts, of which `used` (m,) are
     pressed. Raises CalibrationError for readings that never change.
     """
+    known = np.isfinite(recording.pressure)
     raw = raw_readings(
-        recording.pressure, recording.reading_contact, index, recording.points, belief
-    )
+        recording.pressure[known], recording.reading_contact[known], index[known],
+        recording.points, belief,
+    )  # fmt: skip
     material = belief.material
     peak = (
         ContactModel(belief.contact, material.poisson, material.thickness)
@@ -65,7 +67,10 @@ def nominal_pressure(
         )
         .peak
     )
-    return *raw.scaled(belief, float(np.median(peak)), index), raw.falling
+    level, belief, unit = raw.scaled(belief, float(np.median(peak)), index[known])
+    pressure = np.full(len(known), np.nan)
+    pressure[known] = level
+    return pressure, belief, unit, raw.falling
 
 
 @dataclass(frozen=True)
@@ -125,10 +130,10 @@ def raw_readings(
         if not own.any():
             raise _never_change(values)
         level = -level if falling else level
-        threshold = threshold or max(_noise_threshold(level[own]), _quantum(values))
+        threshold = threshold or max(_noise_threshold(level[own]), quantum(values))
     else:  # few taxels that read everywhere are stuck, or noisy
         if falling:
-            level[~own] = level[~own].max() + _quantum(values) - level[~own]
+            level[~own] = level[~own].max() + quantum(values) - level[~own]
         threshold = threshold or float(level[~own].min()) * (1 - 1e-9)
     saturation = belief.saturation
     largest = level == level.max()
@@ -238,7 +243,7 @@ def falls_with_pressure(
     return bool(np.median(ratio) < NARROWER and chance < CHANCE)
 
 
-def _quantum(values: Array) -> float:
+def quantum(values: Array) -> float:
     """The least difference of two readings; for continuous readings nearly 0."""
     steps = np.diff(np.unique(values))
     return float(steps.min()) if len(steps) else 0.0

@@ -22,6 +22,7 @@ from ...core.arrays import Array
 from ...core.errors import CalibrationError
 from ..data.global_parameters import MIN_KEPT, MOTION
 from ..data.measurements import Measurements
+from .friction import Shears
 from .patch_derivatives import LoadDerivatives, SurfaceGradients, loaded_patches
 
 MAX_SIGMAS = 20.0
@@ -96,6 +97,7 @@ class LinearizedContacts:
         self.gradients: SurfaceGradients | None = None
         """How patches change from there; None where no contact moves."""
         self._last: tuple[Array, Contacts] | None = None
+        self._shears = Shears(recorded)
         if "indenter_offset" in self.parameters.names and recorded.headings is None:
             raise CalibrationError(
                 "an unknown indenter offset needs the body's orientation in every contact",
@@ -208,8 +210,7 @@ class LinearizedContacts:
         """
         data, columns = self.data, self.parameters.columns["exponents"]
         force = np.log(data.force / (data.belief.force_reference or 1.0))
-        relative = data.curvature.mean(axis=1) + 1 / data.belief.indenter.radius
-        size = force - np.log(relative / np.median(relative))
+        size = force - np.log(data.relative_curvature / data.typical_curvature)
         for slope in shape[:2]:
             slope[:, columns.start] = size
         log_peak[:, columns] = np.column_stack([-2 * size, force])
@@ -302,11 +303,14 @@ class LinearizedContacts:
             back = np.swapaxes(self.recorded.headings, 1, 2)
             centre = centre + back @ s[at["indenter_offset"]]
             slope[:, :, at["indenter_offset"]] = back
-        if "drag" in at:  # of the contact, which moves less than its centre on a convex body
-            grown = 1 + height * self.recorded.curvature.mean(axis=1)
-            back = -grown[:, None, None] * self.recorded.headway[:, :, None]
-            centre = centre + back @ s[at["drag"]]
-            slope[:, :, at["drag"]] = back
+        # a contact moves less than its centre on a convex body
+        grown = (1 + height * self.recorded.curvature.mean(axis=1))[:, None]
+        if "drag" in at:
+            slope[:, :, at["drag"].start] = back = -grown * self.recorded.headway
+            centre = centre + s[at["drag"]] * back
+        if "friction" in at:
+            shear, by_limit = self._shears(self.parameters.value("friction", s))
+            centre, slope[:, :, at["friction"].start] = centre - grown * shear, -grown * by_limit
         if self.parameters.motion is not None:
             motion = self.parameters.motion
             centre = centre + motion.displacements(s[at[MOTION]])

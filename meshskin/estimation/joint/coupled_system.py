@@ -29,11 +29,19 @@ class CouplingPattern(ReadingSums):
     def __init__(self, readings: Readings, contacts: int) -> None:
         """contacts: their number m."""
         super().__init__(readings.taxel, readings.contact, len(readings.starts) - 1, contacts)
+        self._lagged: tuple[np.ndarray, Cholesky] | None = None
 
     @cached_property
     def cholesky(self) -> Cholesky:
         """The factorization of the taxels' matrix."""
         return Cholesky(self.taxels, self.rows, self.columns)
+
+    def lagged_cholesky(self, nodes: int, pairs: np.ndarray) -> Cholesky:
+        """The factorization of a matrix of `nodes` taxels and contacts with blocks at the `pairs`
+        (b,), row times `nodes` plus column; the last one is kept."""
+        if self._lagged is None or not np.array_equal(self._lagged[0], pairs):
+            self._lagged = pairs, Cholesky(nodes, *np.divmod(pairs, nodes))
+        return self._lagged[1]
 
 
 @dataclass(frozen=True)

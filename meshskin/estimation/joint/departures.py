@@ -1,5 +1,5 @@
 """What the readings show beyond a contact model: errors of the contacts, an offset of the indenter,
-drag, hysteresis, crosstalk, and drift.
+drag, friction, hysteresis, crosstalk, and drift.
 
 Each but the first is tested by its score, the derivative of the log-likelihood in its parameter
 at zero, relative to its standard deviation there. Where contacts have errors of their own, all
@@ -21,6 +21,7 @@ from ...core.arrays import Array, sums_by_group
 from ..data.measurements import Measurements
 from .coupled_system import CoupledSystem
 from .electronics import WIDTH, Electronics
+from .friction import shears
 from .joint_estimator import JointEstimator
 from .likelihood import Readings
 from .parametrization import SurfaceParametrization
@@ -32,6 +33,8 @@ MIN_SCORE = 6.0
 """Score, in standard deviations, from which a departure is shown: 1e-9 by chance."""
 WIDTHS = (0.5, 1.0, 2.0, 4.0)
 """Half-widths of the play operator that are tried, in units of WIDTH."""
+LIMITS = (0.1e-3, 0.25e-3, 0.5e-3, 1e-3)
+"""Shears, m, from which contacts slide, that are tried."""
 SEEN = 1e-6
 """Least information on a parameter, relative to that with known taxels: rounding is below it."""
 SHARE = 0.2
@@ -74,9 +77,11 @@ class FittedReadings:
         drift = self._each(self.data.phase[self.readings.contact])
         n = max(int(np.sum(drift != 0)), 1)
         dragged = self._shared(self._moved(self.data.headway[:, :, None])[:, 0])
+        sheared = max((self._sheared(limit), limit) for limit in LIMITS)
         found: dict[str, tuple[float, Array]] = {
             "indenter_offset": (self._indenter_score(), np.zeros(3)),
             "drag": (abs(dragged), np.zeros(1)),
+            "friction": (sheared[0], np.array([sheared[1]])),
             "hysteresis": (best[0], np.array([SHARE, np.log(best[1])])),
             "crosstalk": (self._shared(electronics.neighbours @ pressure), np.zeros(1)),
         }
@@ -87,6 +92,10 @@ class FittedReadings:
         """The score of hysteresis with the relative half-width `width` at pressures (k,)."""
         half = np.full(len(pressure), width * WIDTH * electronics.peak)
         return self._shared(electronics.play(pressure, half)[0] - pressure)
+
+    def _sheared(self, limit: float) -> float:
+        """The score of friction whose contacts slide from the shear `limit`, m, on."""
+        return -self._shared(self._moved(shears(self.data, limit)[0][:, :, None])[:, 0])
 
     def _indenter_score(self) -> float:
         """The largest absolute score of an offset of the indenter along the world's axes; 0 without

@@ -84,13 +84,14 @@ class Deviations:
         `Measurements.sigma`."""
         return np.asarray(np.hypot(self.noise, self.relative * np.maximum(mu, 0.0)))
 
-    def moved(self, effects: dict[str, Effects]) -> tuple[Deviations, float]:
+    def moved(self, effects: dict[str, Effects], careful: bool = False) -> tuple[Deviations, float]:
         """The deviations after a step of Fisher scoring, and the largest expected increase of the
-        restricted likelihood by one of them; effects: by name of the deviation."""
+        restricted likelihood by one of them; effects: by name of the deviation; careful: as of
+        `log_step`."""
         found, largest = {}, 0.0
         for name, effect in effects.items():
             sigma = getattr(self, name)
-            step, gain = log_step(effect)
+            step, gain = log_step(effect, careful)
             if 0.0 < gain < SMALL_GAIN:
                 step = 0.0
             found[name] = float(max(sigma * np.exp(step / 2), FLOOR[name]))
@@ -121,14 +122,18 @@ class Deviations:
         return replace(self, **dict(zip(names, map(float, np.sqrt(variance)), strict=True)))
 
 
-def log_step(effects: Effects) -> tuple[float, float]:
+def log_step(effects: Effects, careful: bool = False) -> tuple[float, float]:
     """Change of the logarithm of a variance by Fisher scoring of the restricted likelihood, and the
-    expected increase of its logarithm."""
+    expected increase of its logarithm; careful: a variance near zero grows where its score is more
+    than chance."""
     if effects.determined <= MIN_DETERMINED * effects.count:
         return -math.log(MAX_FACTOR), 0.0
     score = effects.square - effects.determined
     factor = 1 + score / max(effects.information, MIN_INFORMATION)
-    if not 1 / MAX_FACTOR < factor < MAX_FACTOR:  # far from the maximum
-        return math.copysign(math.log(MAX_FACTOR), score), math.inf
+    if not 1 / MAX_FACTOR < factor < MAX_FACTOR:
+        gain = score**2 / max(4 * effects.information, MIN_INFORMATION)
+        if careful and score > 0 and gain < SMALL_GAIN:  # near zero, by chance
+            return 0.0, gain
+        return math.copysign(math.log(MAX_FACTOR), score), math.inf  # far from the maximum
     step = math.log(factor)
     return step, abs(step * score) / 4

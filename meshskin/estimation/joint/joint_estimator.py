@@ -32,6 +32,10 @@ MESH_TOLERANCE = 1e-4
 """Least Newton decrement asked for where contacts move: within 0.014 standard deviations. Normals
 and curvatures of a mesh change discontinuously from face to face, and the linearization with them.
 """
+SHORTENED = (1.0, 0.25, 0.06)
+"""Parts of a move of the contacts that are tried until the cost decreases."""
+CHARTS = 2
+"""Linearizations of the taxels' charts after a move of the contacts was taken back."""
 MAX_VARIANCE = 1e3, 1e4
 """Variances of the residuals up to which tolerances grow with its square, and with it. Where the
 model misfits, standard deviations are as much wider, and Gauss-Newton converges slowly: a decrement
@@ -159,6 +163,7 @@ class JointEstimator:
         if the global parameters do not converge.
         """
         status, clock = "", time.perf_counter()
+        self.problem.evaluations = 0.0
         for iteration in range(most):
             problem = self.problem
             decrement = problem.blocks(self.state).decrement
@@ -169,15 +174,55 @@ class JointEstimator:
             if iteration and not moving:
                 break
             problem.solve_inner(self.state, most=steps)
+            here = problem, self.likelihood, self.selected_at, self.state
             self.stage.step()
             self.record(self.state)
             if not self.frozen:
                 status = self._solve_shared(status)
-            z, size = self.state.z.copy(), problem.parametrization.size
-            relinearized = problem.parametrization.relinearized(self.data.body, z[:, :size])
-            z[:, :size] = 0.0
-            self.relinearize(relinearized, self.state.s, z)
+            self._relinearize_here()
+            moved = not self.frozen and self.data.parameters.move_contacts
+            if moved and not self._decreases(here, steps):
+                break
         self.seconds["solve"] += time.perf_counter() - clock
+
+    def _relinearize_here(self) -> None:
+        """Linearize at the present state."""
+        before, z, size = self.problem, self.state.z.copy(), self.problem.parametrization.size
+        relinearized = before.parametrization.relinearized(self.data.body, z[:, :size])
+        z[:, :size] = 0.0
+        self.relinearize(relinearized, self.state.s, z)
+        self.problem.evaluations = before.evaluations
+
+    def _decreases(
+        self,
+        before: tuple[ReducedProblem, Likelihood, tuple[Array, Array, float], State],
+        steps: int,
+    ) -> bool:
+        """Whether the cost where contacts have moved to is lower than `before`, after their move
+        is shortened if need be; if not, the estimate is back there.
+
+        Contacts are linearized where they were: beyond an edge of the mesh their normals are
+        others, and a step that lowers the linearized cost may raise the cost itself.
+        """
+        problem, likelihood, selected_at, state = before
+        cost, s = problem.reduce(state).cost, self.state.s
+        for part in SHORTENED:
+            if part < 1.0:
+                shorter, spent = state.s + part * (s - state.s), self.problem.evaluations
+                self.relinearize(problem.parametrization, shorter, state.z)
+                self.problem.evaluations = spent
+            self.problem.solve_inner(self.state, most=steps)
+            if self.problem.reduce(self.state).cost < cost + self.tolerance:
+                return True
+        self.problem, self.likelihood, self.selected_at = problem, likelihood, selected_at
+        self.state = state
+        for _ in range(CHARTS):
+            self._relinearize_here()
+            self.problem.solve_inner(self.state, most=steps)
+        self._relinearize_here()
+        decrement = self.problem.blocks(self.state).decrement
+        self.unconverged = (decrement > self.tolerance)[problem.parametrization.group]
+        return False
 
     def _solve_shared(self, status: str) -> str:
         """Bring the global parameters to their optimum; returns IPOPT's status, the last one where

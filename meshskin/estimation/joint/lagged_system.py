@@ -108,7 +108,7 @@ class LaggedSystem(CoupledSystem):
         diagonal[:n] = self.taxels
         diagonal[n:, :CONTACT_SIZE, :CONTACT_SIZE] = self.contacts
         matrix = SymmetricBlocks(rows, columns, sums).add_diagonal(diagonal)
-        return Cholesky(nodes, rows, columns), matrix
+        return pattern.lagged_cholesky(nodes, pairs), matrix
 
     def _joined(self, taxels: Array, contacts: Array) -> Array:
         """Values (n + m, D, c) of taxels (n, D, c) and contacts (m, 3, c)."""

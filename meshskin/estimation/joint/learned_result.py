@@ -38,6 +38,10 @@ NOT_SEPARABLE = 0.9
 """Standard deviation, relative to that of its prior, from which a parameter rests on its prior."""
 SAMPLES = 60
 """Distances at which the profile is stated, and levels of the response."""
+MAX_CORRELATION, LARGEST_CORRELATION = 0.4, 0.95
+"""Correlation of the displacements of neighbouring contacts above which they are no scatter:
+independent ones have -0.1 to 0.15, by the taxels that they share; and the largest one that tells
+how many contacts they stand for."""
 MIN_CONTACTS = 20
 """Contacts, at least, whose displacements are compared."""
 
@@ -68,7 +72,9 @@ def learned_result(
     ).any():  # rounding, of a system near singular
         raise SingularMatrixError(int(np.argmin(variances.min(axis=1))))
     fit = _fit(effects)
+    response = learned_response(effects, shared)
     scale = max(fit.reduced, 1.0) if fit.good is False else 1.0
+    scale *= _fewer_contacts(response.contact_correlation)
     points, rotations = u.parametrization.points(), u.parametrization.rotations()
     apart = np.nan_to_num(rivals.points - points)
     apart = np.einsum("kij,ki->kj", rotations[:, :, :2], apart)
@@ -86,7 +92,6 @@ def learned_result(
     for k in np.flatnonzero(np.isfinite(rivals.points[:, 0])):
         words = RIVAL.format(1e3 * float(np.linalg.norm(apart[k])))
         faults[live[k]] = ", ".join(filter(None, (faults[live[k]], words)))
-    response = learned_response(effects, shared)
     return EstimatorResult(
         points=spread(np.where(lost[:, None], np.nan, points), np.nan),
         rotations=spread(rotations, np.nan),
@@ -116,6 +121,7 @@ def learned_result(
         rivals=spread(rivals.points, np.nan),
         fit=fit,
         response=response,
+        contact_errors=u.errors,
         iterates=np.stack([spread(p, np.nan) for p in effects.iterates]),
         seconds={"joint": time.perf_counter() - clock},
     )
@@ -215,6 +221,13 @@ def learned_response(effects: RandomEffects, covariance: Array) -> LearnedRespon
         hysteresis=_hysteresis(effects),
         crosstalk=data.parameters.value("crosstalk", s),
         drift=_drift(effects),
+        contact=data.model.name,
+        references=(
+            data.belief.force_reference or 1.0,
+            data.typical_curvature,
+            data.nominal_peak,
+            data.modulus,
+        ),
     )
 
 
@@ -232,6 +245,14 @@ def _drift(effects: RandomEffects) -> float:
     if "drift" not in effects.data.parameters.nuisance_names:
         return 0.0
     return effects.deviations.drift * effects.data.sigma * effects.data.unit
+
+
+def _fewer_contacts(correlation: float) -> float:
+    """Factor of the variances where displacements of neighbouring contacts correlate, for they are
+    taken as independent: that of a mean in a first-order autoregressive sequence."""
+    if correlation <= MAX_CORRELATION:
+        return 1.0
+    return (1 + correlation) / (1 - min(correlation, LARGEST_CORRELATION))
 
 
 def _neighbour_correlation(effects: RandomEffects) -> float:

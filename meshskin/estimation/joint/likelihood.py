@@ -2,8 +2,7 @@
 
 The unknowns of a taxel are its position x (3) in the body frame, its declared nuisance parameters
 (gain and offset), and the global parameters. How x depends on coordinates in a chart or on a
-module's pose is the parametrization's (parametrization.py). Readings are sorted by taxel and
-evaluated in blocks that stay in the cache.
+module's pose is the parametrization's. Readings are sorted by taxel, and evaluated in blocks.
 """
 
 from __future__ import annotations
@@ -208,6 +207,7 @@ class Likelihood:
         read, parts = self.readings, [np.empty(0)]
         for part, mu, jacobian in self._each(points, nuisance, contacts):
             curvature = costs(mu, read.level[part] / self.data.sigma, read.kind[part])[2]
+            jacobian = jacobian[: covariance.shape[1]]
             seen = np.einsum("kij,jk->ik", covariance[read.taxel[part]], jacobian)
             parts.append(read.weight[part] * curvature * np.sum(jacobian * seen, axis=0))
         return np.concatenate(parts)

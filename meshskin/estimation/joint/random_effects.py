@@ -39,8 +39,9 @@ from .pressure import OBSERVED, costs
 from .reading_sums import CONTACT_SIZE, Parts
 from .variable_projection import LOOSE_SIGMA
 
-MAX_ITERATIONS = 60
-"""Largest number of Gauss-Newton steps; 10 to 25 are usual."""
+MAX_ITERATIONS, USUAL_ITERATIONS = 60, 30
+"""Largest number of Gauss-Newton steps; 10 to 25 are usual, and after 30 variances near zero that
+grow and vanish in turn come to rest."""
 SETTLED = 0.01
 """Expected decrease of the cost per reading from which on variances move: before, residuals and
 effects are not those of the optimum."""
@@ -94,10 +95,8 @@ class RandomEffects:
         self.size = 2 + unknowns.nuisance.shape[1]
         """Unknowns of a taxel: two coordinates in its chart, ln gain, offset, and drift if any."""
         self.probes = Probes(readings, len(data.points), self.size)
-        shown, points = (
-            set(ELECTRONICS) & set(data.parameters.names),
-            unknowns.parametrization.points(),
-        )
+        points = unknowns.parametrization.points()
+        shown = set(ELECTRONICS) & set(data.parameters.names)
         self.electronics = Electronics(data, readings, points) if shown else None
         self.linearized = LinearizedContacts(data, unknowns.s)
         self.deviations, self.restraint, self.last_decrease = deviations, RESTRAINED, np.inf
@@ -329,7 +328,8 @@ class RandomEffects:
             {
                 name: posterior.effects(name, float(square) / getattr(d, name) ** 2, count)
                 for name, (square, count) in squares.items()
-            }
+            },
+            careful=len(self.iterates) > USUAL_ITERATIONS,
         )
         self.deviations = self._with_noise(moved, 2 if largest < PROPORTIONAL else 1)
         return np.inf if abs(np.log(self.deviations.noise / d.noise)) > NOISE_TOLERANCE else largest

@@ -96,6 +96,8 @@ class ReducedProblem:
     contacts: LinearizedContacts
     inner_tolerance: float = INNER_TOLERANCE
     """Newton decrement, in units of the cost, at which a group has converged."""
+    evaluations: float = 0.0
+    """Evaluations of all groups in `solve_inner`; one of a group counts 1 / count."""
 
     def __post_init__(self) -> None:
         group = self.parametrization.group
@@ -130,6 +132,7 @@ class ReducedProblem:
             groups, step, damping = groups[active], step[active], damping[active]
             if not len(groups):
                 return
+            self.evaluations += len(groups) / self.parametrization.count
             z = state.z[groups] + self.parametrization.limit_step(step)
             moments = self._moments(z, state.s, groups)
             rows, owner = self._taxels(groups)

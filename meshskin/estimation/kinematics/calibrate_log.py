@@ -17,7 +17,7 @@ import numpy as np
 from ...contact import BATCHED, ContactModel
 from ...core.arguments import check_type
 from ...core.arrays import Array
-from ...core.errors import CalibrationError, warn_left_out
+from ...core.errors import CalibrationError, RecordingError, warn_left_out
 from ...core.notebook import Card
 from ...core.progress import Progress
 from ...core.se3 import inverse
@@ -51,6 +51,9 @@ NOMINAL_FORCE = 1.0
 SURPRISE = 3.5
 """Standard deviations before any measurement beyond which an unknown contradicts what was believed:
 one of 20 sound ones is with a probability of 1 %."""
+MIN_CHANCE = 0.01
+"""Probability of all unknowns together, under what was believed of them, from which they contradict
+it: about that of one beyond SURPRISE."""
 MAX_DEPTH_FACTOR = 2.2
 """Depth of the indentations, relative to that under the believed material and force, or its
 inverse, from which the indenter's height is in doubt: beyond 3^(2/3) = 2.08, the depth under an E*
@@ -147,6 +150,13 @@ class LogCalibration(Value, Card):
         }
         return {"height_before_mm": before, "height_mm": after, "joints": joints}
 
+    def _chance(self, sigma: Mapping[str, float]) -> float:
+        """Probability that unknowns of the standard deviations believed are farther from zero."""
+        from scipy.special import gammaincc
+
+        square = sum((value / sigma[label]) ** 2 for label, (value, _) in self.unknowns.items())
+        return float(gammaincc(len(sigma) / 2, square / 2)) if sigma else 1.0
+
     @property
     def surprises(self) -> tuple[str, ...]:
         """Unknowns that are farther from zero than was believed of them, in words: a wrong standard
@@ -158,6 +168,16 @@ class LogCalibration(Value, Card):
             for label, (value, _) in self.unknowns.items()
             if abs(value) > SURPRISE * sigma[label]
         ]
+        if not found and (chance := self._chance(sigma)) < MIN_CHANCE:
+            far = sorted(
+                self.unknowns, key=lambda label: -abs(self.unknowns[label][0]) / sigma[label]
+            )
+            found.append(
+                "the robot's unknowns together are farther from what was believed than their "
+                f"standard deviations allow, p = {chance:.1g} (limit {MIN_CHANCE:g}), most of all "
+                f"{' and '.join(far[:2])}: joints stamped at different times, or an error that is "
+                "not declared, would look like this"
+            )
         if not 1 / MAX_DEPTH_FACTOR < self.depth_factor < MAX_DEPTH_FACTOR:
             found.append(
                 f"indentations are {self.depth_factor:.2g} times as deep as believed (limit: a "
@@ -188,7 +208,13 @@ def calibrate_log(
     path, frames = joint_path(log, kinematics.chain.joint_names), contact_frames(log)
     clock = first_offset(kinematics, path, log.time[frames], log.readings[frames])
     frames = frames[path.covers(log.time[frames] - clock)]
-    time = log.time[frames]
+    if not len(frames):
+        raise RecordingError(
+            "no contact lies in a time of which all joint angles are known",
+            value=f"joint angles from {path.time[0]:.3f} to {path.time[-1]:.3f} s",
+            remedy="check the joints' streams for gaps (meshskin log), and the clocks",
+        )
+    time = log.time[frames] - clock  # the offset that is left is estimated, about zero
     reference = belief.force_reference or NOMINAL_FORCE
     force = np.full(len(frames), reference) if log.force is None else log.force[frames]
     if belief.readings != RAW and log.force is None:
@@ -198,8 +224,11 @@ def calibrate_log(
             remedy='give the belief readings="raw", or a log with forces',
         )
     belief = replace(belief, force_reference=belief.force_reference or float(np.median(force)))
-    heights, x = _heights(kinematics, path, time, belief, force, clock)
-    before = heights.residuals(np.zeros(len(x)))[0]
+    heights, x = _heights(kinematics, path, time, belief, force)
+    as_believed = np.zeros(len(x))
+    if clock:
+        as_believed[kinematics.columns["clock_offset"]] = -clock
+    before = heights.residuals(as_believed)[0]
     rounds, moved = 0, np.full((1, 3), np.inf)
     while rounds < MAX_ROUNDS and float(np.median(np.linalg.norm(moved, axis=1))) > LINEAR:
         rounds += 1
@@ -217,10 +246,19 @@ def calibrate_log(
         x = heights.with_depth(values)
     after, factor = heights.residuals(x)[0], float(np.exp(x[-1]))
     by_joint = joint_residuals(kinematics, path, time, belief.body, after, x[:-1])
+    found = _with_clock(found, clock)
     result = LogCalibration(found, recording, kinematics, after, before, rounds, factor, by_joint)
     verdict = None if found.verdict is None else found.verdict.with_doubts(result.surprises)
     warn_left_out("calibrated", found.reasons_left_out, len(found.ids))
     return replace(result, calibration=replace(found, verdict=verdict))
+
+
+def _with_clock(found: Calibration, clock: float) -> Calibration:
+    """The calibration with the offset of the clocks, s, that its contacts were moved by before."""
+    if not clock:
+        return found
+    value, sigma = found.unknowns["clock_offset"]
+    return replace(found, unknowns={**found.unknowns, "clock_offset": (value + clock, sigma)})
 
 
 def _heights(
@@ -229,12 +267,9 @@ def _heights(
     time: Array,
     belief: Belief,
     force: Array,
-    clock: float,
 ) -> tuple[Heights, Array]:
-    """The heights of the contacts, and x (K + 1,) that meets them, from an offset of the clocks."""
+    """The heights of the contacts, and x (K + 1,) that meets them."""
     x = np.zeros(len(kinematics.labels) + 1)
-    if "clock_offset" in kinematics.columns:
-        x[kinematics.columns["clock_offset"]] = clock
     for _ in range(HEIGHT_FITS):
         centres, _ = kinematics.centres(path, time, x[:-1])
         depth = _depths(belief, belief.body.closest(centres).curvature, force)

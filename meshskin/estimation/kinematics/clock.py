@@ -12,13 +12,18 @@ import numpy as np
 
 from ...core.arrays import Array
 from ...robot.contact_kinematics import ContactKinematics, JointPath
-from ..data.delay import CHANCE, LATE_GAIN, comparison, spreads
+from ..data.delay import CHANCE, LATE_GAIN, MIN_USED, comparison, spreads
 
-LARGEST = 2.0
-"""Largest offset, s, that is looked for. Chosen: more than buffers and networks delay."""
+LARGEST = 6.0
+"""Largest offset, s, that is looked for. Chosen: more than buffers and networks delay, and clocks
+that were set by hand differ."""
 STEP = 0.02
 """Distance, s, of the offsets that are tried: a contact slides by 1 mm in it at 50 mm/s, a fraction
 of a patch."""
+FAR_GAIN = 0.5
+"""Mean spread, relative to that with no offset, from which chance is no question. The mean, not the
+median, is compared: at an offset of seconds a few contacts lie on the way from one pass to the
+next, far from all others."""
 MAX_CONTACTS = 2000
 """Contacts, evenly chosen, that are compared."""
 
@@ -29,19 +34,35 @@ def first_offset(
     """By how much, s, the stamps `time` (m,) of the readings (m, n) are late; 0 where that is not
     declared unknown, or no offset makes the contacts of the taxels spread by less than now."""
     s = np.zeros(len(kinematics.labels))
-    inside = path.covers(time - LARGEST) & path.covers(time + LARGEST)
-    kept = np.flatnonzero(inside)[:: 1 + int(inside.sum()) // MAX_CONTACTS]
+    kept = np.arange(len(time))[:: 1 + len(time) // MAX_CONTACTS]
     contact, taxel = np.nonzero(np.isfinite(readings[kept]))
     if "clock_offset" not in kinematics.columns or not len(contact):
         return 0.0
     weight = readings[kept][contact, taxel] ** 2
 
-    def at(offset: float) -> Array:
+    def centres(offset: float) -> Array:
+        """Centres (m, 3), m, in the contacts that are kept; NaN where the path has none."""
         s[kinematics.columns["clock_offset"]] = offset
-        points, _ = kinematics.centres(path, time[kept], s)
-        return spreads(points[contact], weight, taxel)
+        found, known = np.full((len(kept), 3), np.nan), path.covers(time[kept] - offset)
+        found[known] = kinematics.centres(path, time[kept[known]], s)[0]
+        return found
+
+    present = centres(0.0)
+
+    def compare(offset: float) -> tuple[Array, Array]:
+        """Spreads (t,) of the taxels, m^2, with the offset, and with none, by the readings whose
+        contacts are known with either; none where these are few."""
+        moved = centres(offset)
+        both = np.isfinite(moved[contact, 0]) & np.isfinite(present[contact, 0])
+        if np.mean(both) < MIN_USED:
+            return np.array([np.inf]), np.array([np.inf])
+        row, weights, owner = contact[both], weight[both], taxel[both]
+        found, now = (spreads(points[row], weights, owner) for points in (moved, present))
+        return found, now
 
     tried = STEP * np.arange(-round(LARGEST / STEP), round(LARGEST / STEP) + 1)
-    best = min(tried, key=lambda offset: float(np.median(at(offset))))
-    ratio, chance = comparison(at(best), at(0.0))
-    return float(best) if ratio < LATE_GAIN and chance < CHANCE else 0.0
+    best = min(tried, key=lambda offset: float(np.mean(compare(offset)[0])))
+    found, now = compare(best)
+    ratio, chance = float(np.mean(found) / np.mean(now)), comparison(found, now)[1]
+    shown = ratio < FAR_GAIN or (ratio < LATE_GAIN and chance < CHANCE)
+    return float(best) if shown else 0.0

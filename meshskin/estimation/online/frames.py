@@ -27,6 +27,8 @@ class ContactFrames(Value):
     """Rotations of the body (B, 3, 3), world from body; an unknown indenter offset needs them."""
     time: Array | None = None
     """Times (B,), s, rising; None: 50 frames a second."""
+    errors: Array | None = None
+    """Known errors (B, 3) of points and forces, as `Calibration.contact_errors`; None: none."""
 
     def __post_init__(self) -> None:
         points = np.atleast_2d(check_array("contact points", self.points, error=RecordingError))
@@ -34,7 +36,11 @@ class ContactFrames(Value):
         force = np.atleast_1d(check_array("contact forces", self.force, error=RecordingError))
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "force", np.broadcast_to(force, len(points)))
-        for name, shape in (("headings", (len(points), 3, 3)), ("time", (len(points),))):
+        for name, shape in (
+            ("headings", (len(points), 3, 3)),
+            ("time", (len(points),)),
+            ("errors", (len(points), 3)),
+        ):
             if (value := getattr(self, name)) is not None:
                 value = np.asarray(value, dtype=float).reshape(-1, *shape[1:])
                 if value.shape != shape:
@@ -48,12 +54,11 @@ class ContactFrames(Value):
 
     def take(self, rows: slice | np.ndarray) -> ContactFrames:
         """The frames `rows`: a slice, a mask or indices."""
-        return ContactFrames(
-            self.points[rows],
-            self.force[rows],
-            None if self.headings is None else self.headings[rows],
-            None if self.time is None else self.time[rows],
+        others = (
+            None if values is None else values[rows]
+            for values in (self.headings, self.time, self.errors)
         )
+        return ContactFrames(self.points[rows], self.force[rows], *others)
 
 
 def sparse(readings: Array, threshold: float) -> tuple[np.ndarray, np.ndarray, Array]:

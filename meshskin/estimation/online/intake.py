@@ -93,12 +93,13 @@ def contacts_of(
     belief, model = template.belief, template.model
     hit = belief.body.closest(np.where(pressed[:, None], frames.points, 0.0))
     valid = pressed & (np.abs(hit.distance) < unit_checks.MAX_DISTANCE)
-    valid &= model.is_valid(
-        force=np.where(pressed, frames.force, 1.0),
-        curvature=hit.curvature,
-        indenter_radius=belief.indenter.radius,
-        effective_modulus=template.modulus,
-    )
+    if not template.learned:  # a learned response needs no valid model
+        valid &= model.is_valid(
+            force=np.where(pressed, frames.force, 1.0),
+            curvature=hit.curvature,
+            indenter_radius=belief.indenter.radius,
+            effective_modulus=template.modulus,
+        )
     hit, kept = hit.take(valid), frames.take(valid)
     headings = None if template.headings is None else _headings(kept)
     return replace(
@@ -111,7 +112,12 @@ def contacts_of(
         time=np.zeros(len(kept)) if kept.time is None else kept.time,
         patches=nominal_patches(model, belief, kept.force, hit.curvature),
         headings=headings,
+        contact_errors=None if template.contact_errors is None else _errors(kept),
     ), valid
+
+
+def _errors(frames: ContactFrames) -> Array:
+    return np.zeros((len(frames), 3)) if frames.errors is None else frames.errors
 
 
 def _headings(frames: ContactFrames) -> Array:

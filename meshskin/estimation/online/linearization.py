@@ -71,7 +71,9 @@ def new_readings(
         data, np.arange(t), points, charts.normals, log_radius, np.ones(len(data.taxel)), np.ones(t)
     )
     own = found.taxel
-    mu, by = Likelihood(data, found).predict(found.contact, points[own], nuisance[own], contacts)
+    likelihood = Likelihood(data, found)
+    mu, by = likelihood.predict(found.contact, points[own], nuisance[own], contacts)
+    by = by[: 3 + nuisance.shape[1] + likelihood.shared]
     along = np.einsum("kia,ik->ka", slopes[own], by[:3])
     jacobian = np.concatenate([along, by[3:].T], axis=1)
     level = found.level / data.sigma
@@ -110,16 +112,18 @@ def local_estimator(
     rotations: Array,
     nuisance: Array,
     s: Array,
+    live: np.ndarray | None = None,
 ) -> JointEstimator:
     """An estimate of the taxels of `data` from `points` (t, 3), m, with s (ks,) known.
 
     weight (k,): of the readings; rotations (t, 3, 3): frames nearby that the charts continue;
-    nuisance (t, q): their start.
+    nuisance (t, q): their start; live (t,): their rows, by default all.
     """
+    live = np.arange(len(points)) if live is None else live
     charts = chart.charts_at(data.body, points, rotations)
     step = float(np.median(data.radii)) / 2
     return JointEstimator(
-        data, np.arange(len(points)), SurfaceParametrization(charts, step), weight, MAX_ITERATIONS,
+        data, live, SurfaceParametrization(charts, step), weight, MAX_ITERATIONS,
         NEWTON_TOLERANCE, shared=s, nuisance=nuisance,
     )  # fmt: skip
 
@@ -173,18 +177,19 @@ def _misfits(estimator: JointEstimator, scale: float) -> np.ndarray:
 def summary(estimator: JointEstimator, misfits: np.ndarray) -> LocalEstimate:
     """What the readings say at a converged estimate."""
     problem, state, n = estimator.problem, estimator.state, len(estimator.live)
+    shared = estimator.likelihood.shared
     parametrization = problem.parametrization
     assert isinstance(parametrization, SurfaceParametrization)
     blocks, moments, local = problem.blocks(state), state.moments, 3 + problem.per_taxel
     size = parametrization.size + problem.per_taxel
-    hessian = np.empty((n, size + len(state.s), size + len(state.s)))
+    hessian = np.empty((n, size + shared, size + shared))
     hessian[:, :size, :size] = blocks.hessian
     hessian[:, :size, size:] = blocks.coupling
     hessian[:, size:, :size] = np.swapaxes(blocks.coupling, 1, 2)
     hessian[:, size:, size:] = moments.hessian[:, local:, local:]
     gradient = np.concatenate([blocks.gradient, moments.gradient[:, local:]], axis=1)
     readings, r = estimator.likelihood.readings, estimator.residuals()
-    known = SchurComplement(0.0, np.zeros(len(state.s)), KNOWN * np.eye(len(state.s)))
+    known = SchurComplement(0.0, np.zeros(shared), KNOWN * np.eye(shared))
     kept = readings.weight - problem.leverages(state, known)
     level = np.where(readings.kind == CENSORED, estimator.data.threshold, readings.level)
     clear = clear_of_limits(r + level / estimator.data.sigma, estimator.data)

@@ -289,7 +289,7 @@ class OnlineCalibration:
     @property
     def _modulus(self) -> float:
         estimate = self._started
-        change = estimate.parameters.value("modulus", estimate.information.s)
+        change = estimate.store.template.parameters.value("modulus", estimate.s)
         return estimate.store.template.modulus * float(np.exp(change))
 
     def _best_touch(self) -> NextTouch | None:

@@ -9,6 +9,7 @@ global parameters as they are.
 from __future__ import annotations
 
 from collections.abc import Generator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -58,12 +59,15 @@ MAX_ROUNDS = 8
 class RunningEstimate:
     """Estimates of n taxels and of the global parameters from the contacts so far."""
 
-    def __init__(self, first: Measurements) -> None:
-        """first: measurements without contacts, which have all else."""
-        n = len(first.ids)
+    def __init__(self, first: Measurements, known: Array | None = None) -> None:
+        """first: measurements without contacts, which have all else; known (ks,): the global
+        parameters, where contacts are given with their errors."""
+        n, self._known, self.widening = len(first.ids), known, 1.0
         self.store = ContactStore(first)
-        self.information = TaxelInformation(n, first.parameters, first.sigma)
         self.parameters, self.sigma = first.parameters, first.sigma
+        if known is not None:
+            self.parameters = replace(first.parameters, names=(), sigma=np.empty(0))
+        self.information = TaxelInformation(n, self.parameters, first.sigma)
         self._measure_at, self._shift, self._growth = 0, 0.0, 1.0
         self.radius = self.reach = 0.0
         """Median radius of the contacts, and the furthest that a taxel may be to respond, m."""
@@ -79,9 +83,7 @@ class RunningEstimate:
         """Readings (n,) of each taxel when it was examined last."""
         self.unique = np.zeros(n, dtype=bool)
         self.spread, self.sector = np.zeros((n, 2, 2)), np.full(n, 2 * np.pi)
-        self.residual = np.nan
-        """Root mean square of the residuals of the last readings of placed taxels, in standard
-        deviations of noise and estimate together."""
+        self.residual = np.nan  # as `OnlineStatus.residual`
         self.square, self.freedom = np.zeros(n), np.zeros(n)
         """Squared residuals of each taxel (n,), in units of the noise, and their expectation."""
         self.outlying = np.zeros(n, dtype=int)
@@ -90,6 +92,11 @@ class RunningEstimate:
         """Contact (n,) that each taxel was read in last."""
         self._examination: Generator[None, None, None] | None = None
         self._begun: tuple[np.ndarray, JointEstimator, Part] | None = None
+
+    @property
+    def s(self) -> Array:
+        """The global parameters (ks,): known, or as estimated."""
+        return self.information.s if self._known is None else self._known
 
     @property
     def open(self) -> np.ndarray:
@@ -101,9 +108,9 @@ class RunningEstimate:
         """Covariances (n, 2, 2), m^2, along the charts' tangents; inf where not placed. Where the
         model misfits, or the noise is nominal, they are as wide as the batch estimate's: by the
         variance of the residuals, and the distance from the pressure-weighted mean of the contact
-        points."""
-        info = self.information
-        found = info.covariance[:, :2, :2] + np.where(self.open[:, None, None], self.spread, 0.0)
+        points. Where global parameters are known, times the square of `widening`."""
+        info, spread = self.information, np.where(self.open[:, None, None], self.spread, 0.0)
+        found = self.widening**2 * info.covariance[:, :2, :2] + spread
         if self.misfit or self.store.noise_is_nominal:
             found = self.scale**2 * found
             apart = np.nan_to_num(self.store.means - info.points(np.arange(len(found))))
@@ -141,7 +148,7 @@ class RunningEstimate:
         info = self.information
         part = self.store.part(rows, np.arange(first, self.store.count), first_reading)
         new = new_readings(
-            part.data, info.charts[rows], info.step[rows, :2], info.nuisances(rows), info.s,
+            part.data, info.charts[rows], info.step[rows, :2], info.nuisances(rows), self.s,
             info.joint_covariance(rows),
         )  # fmt: skip
         if new.clear.any():
@@ -224,7 +231,7 @@ class RunningEstimate:
             start[new], rotations[new] = hit.point, chart.frames(hit.normal)
         part = self.store.part(rows, self.store.near(start, self.reach))
         weight, nuisance = self.store.weight.values[part.rows], info.nuisances(rows)
-        found = local_estimator(part.data, weight, start, rotations, nuisance, info.s)
+        found = local_estimator(part.data, weight, start, rotations, nuisance, self.s)
         return found, part
 
     def _take(
@@ -279,19 +286,12 @@ class RunningEstimate:
         part = self.store.part(np.repeat(rows, basins.COPIES), near)
         covariance = info.covariance[rows, :2, :2]
         yield
+        weight = self.store.weight.values[part.rows]
         found = yield from basins.examine(
-            part.data,
-            self.store.weight.values[part.rows],
-            info.charts[rows],
-            info.nuisance[rows],
-            info.s,
-            covariance,
+            part.data, weight, info.charts[rows], info.nuisance[rows], self.s, covariance
         )
-        self.examined[rows], self.unique[rows], self.spread[rows] = (
-            counts,
-            found.unique,
-            found.spread,
-        )
+        self.unique[rows], self.spread[rows] = found.unique, found.spread
+        self.examined[rows] = counts
         better = np.isfinite(found.better[:, 0])
         if better.any():
             yield
@@ -342,7 +342,7 @@ class RunningEstimate:
         """
         if self.store.count >= self._measure_at:
             self._measure_at = self.store.count + MEASURED
-            contacts = LinearizedContacts(block, self.information.s).at(self.information.s)
+            contacts = LinearizedContacts(block, self.s).at(self.s)
             self._shift = float(np.linalg.norm(contacts.points - block.points, axis=1).max())
             self._growth = float(np.median(contacts.radii / block.radii))
             self.radius = self.radius or float(np.median(block.radii))

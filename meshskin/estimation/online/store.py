@@ -17,6 +17,8 @@ from ..data.measurements import Measurements
 TREE_STEP = 1000
 """Contacts after which the search tree is built again: 1 ms at 10,000, and the rest is searched
 one by one, in 0.1 ms."""
+TYPICAL = ("nominal_peak", "typical_curvature")
+"""What a learned response refers to: medians over the contacts that it was learned from."""
 
 
 class GrowingRows:
@@ -65,12 +67,15 @@ class ContactStore:
         }  # fmt: skip
         if first.headings is not None:
             shapes["headings"] = (3, 3)
+        if first.contact_errors is not None:
+            shapes["contact_errors"] = (3,)
         self.columns = {name: GrowingRows(shape) for name, shape in shapes.items()}
         self.patches = {name: GrowingRows(()) for name in Patches._fields}
         self.contact, self.taxel = GrowingRows((), int), GrowingRows((), int)
         self.pressure, self.weight = GrowingRows(()), GrowingRows(())
         self.misfitting = GrowingRows((), bool)
         """Contacts (m,) most of whose readings contradict all others: they have no readings."""
+        self._typical = {name: getattr(first, name) for name in TYPICAL} if first.learned else {}
         self.rows: list[list[int]] = [[] for _ in first.ids]
         """Rows of the readings of each taxel."""
         self.counts = np.zeros(len(first.ids), dtype=int)
@@ -192,7 +197,7 @@ class ContactStore:
             corrupt=np.column_stack([contact, taxel])[~sound],
             misfitting=np.flatnonzero(self.misfitting.values[contacts]),
         )
-        data.__dict__["ids"] = np.arange(len(taxels))
+        data.__dict__.update(self._typical, ids=np.arange(len(taxels)))
         data.__dict__["rest"] = self._rest(taxels)
         return Part(data, rows[sound])
 

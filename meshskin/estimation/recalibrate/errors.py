@@ -31,8 +31,6 @@ KNOWN_NOISE = 0.2
 COMMON = (0.3, 0.1)
 """Prior standard deviations of ln E* and of ln of the scale of the readings, since the map was
 made: soft layers stiffen by tens of percent as they age, force sensors drift by less."""
-RAW_SCALE = 0.5
-"""The latter where readings are raw: their scale was set by other contacts."""
 ROUNDS = 2
 """Fits of the common changes, each followed by one of the errors, in every pass over the units."""
 MAX_UNITS = 60
@@ -43,9 +41,9 @@ def start(touches: Touches) -> Errors:
     """The errors before any fit: those believed, or ordinary ones."""
     known = touches.data.noise
     sigma = PRIOR["sigma"][0] if known is None else known / touches.unit
-    variance = _prior_variance(touches)
+    variance = np.square(COMMON)
     return Errors(
-        sigma, PRIOR["tau"][0], PRIOR["rho"][0],
+        sigma, PRIOR["tau"][0], PRIOR["rho"][0], touches.force_scatter,
         common=((variance[0], 0.0), (0.0, variance[1])),
     )  # fmt: skip
 
@@ -86,7 +84,7 @@ def _fit_common(
 ) -> Errors:
     """ln E* and ln scale by a Gauss-Newton step from where they are, with their covariance."""
     at = np.array([errors.log_modulus, errors.log_scale])
-    information = np.diag(1 / _prior_variance(touches))
+    information = np.diag(1 / np.square(COMMON))
     score = -information @ at
     own = replace(errors, common=((0.0, 0.0), (0.0, 0.0)))
     for block, places, state in _blocks(touches, known, states, own, units):
@@ -94,7 +92,7 @@ def _fit_common(
         if not len(read):
             continue
         c = covariance_of(block, own, places, state)[np.ix_(read, read)]
-        by = np.stack([block.by_modulus, block.mean], axis=1)[read]
+        by = np.stack([block.by_modulus, block.by_scale], axis=1)[read]
         solved = cho_solve(cho_factor(c, lower=True), by)
         information += by.T @ solved
         score += solved.T @ (block.level - block.mean)[read]
@@ -151,7 +149,7 @@ def log_prior(errors: Errors, touches: Touches) -> float:
     centre, width = _scales(touches)
     x = np.log([errors.sigma, errors.tau, errors.rho] / centre) / width
     common = np.array([errors.log_modulus, errors.log_scale])
-    return -0.5 * float(x @ x + common @ (common / _prior_variance(touches)))
+    return -0.5 * float(x @ x + common @ (common / np.square(COMMON)))
 
 
 def _scales(touches: Touches) -> tuple[Array, Array]:
@@ -160,8 +158,3 @@ def _scales(touches: Touches) -> tuple[Array, Array]:
     if touches.data.noise is not None:
         centre[0], width[0] = touches.data.noise / touches.unit, KNOWN_NOISE
     return centre, width
-
-
-def _prior_variance(touches: Touches) -> Array:
-    scale = COMMON[1] if touches.data.unit == 1.0 else RAW_SCALE
-    return np.array([COMMON[0] ** 2, scale**2])

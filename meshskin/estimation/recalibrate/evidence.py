@@ -3,7 +3,8 @@
 The evidence is the mean of the likelihood ratio over the hypotheses, weighted by their prior
 probabilities. If the unit did not change, its expected value is one, whatever the hypotheses and
 the number of readings, and so it exceeds u / alpha with a probability of at most alpha / u
-(Markov's inequality): over u units, false alarms have a probability of at most alpha.
+(Markov's inequality): over u units, false alarms have a probability of at most alpha. Where the
+evidence is nearly that large, its probability if the unit did not change is drawn (chance.py).
 
 Source: Gruenwald, de Heide, Koolen, "Safe Testing", J. R. Stat. Soc. B 86 (2024).
 """
@@ -17,6 +18,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp
 
 from ...core.arrays import Array
+from .chance import log_chance
 from .hypotheses import (
     CONFIRMED,
     DEAD,
@@ -44,6 +46,12 @@ MISFIT = 0.5
 move or gain that is found misfits by all of it."""
 MAX_CHANGES = 3
 """Most changes of one unit that are looked for, one after the other."""
+SLACK = 6.0
+"""How far the ln evidence may be below what Markov's inequality asks for the probability to be
+drawn: that inequality is too wide by 2 to 4 there, and drawing takes a second."""
+MAX_DRAWN = 4_000_000
+"""Largest number of entries of the covariances of all hypotheses, of which readings are drawn: 32
+MB; a unit with more readings than that, about 100, shows its changes without."""
 ANSWERED = 2.0
 """A taxel was touched if a reading of so many thresholds, or of 5 % of the peak, was expected."""
 LEAST_READING = 0.05
@@ -57,6 +65,8 @@ class Change:
     hypothesis: Hypothesis
     log_evidence: float
     """ln of the evidence (see above)."""
+    log_chance: float = 0.0
+    """ln of a bound on the probability of so large an evidence if there is no change."""
     shift: Array = field(default_factory=lambda: np.zeros(3))
     """Estimated move (3,), m."""
     shift_covariance: Array = field(default_factory=lambda: np.zeros((3, 3)))
@@ -85,58 +95,127 @@ class Evidence:
 
 
 def judge(touches: Touches, known: SkinMap, unit: int, errors: Errors, limit: float) -> Evidence:
-    """The changes of a unit whose ln evidence exceeds `limit`, and what else was excluded."""
+    """The changes of a unit that would be found with a probability of at most exp(-limit) if it had
+    not changed, and what else was excluded."""
     rows, state = known.units[unit], unchanged(known, unit)
     places, first = known.covariance[rows], None
     changes: list[Change] = []
     while True:
-        block = touches.blocks(rows, places, [state], errors)[0]
-        c = covariance_of(block, errors, places, state)
-        null = log_likelihood(block, c, errors, touches.threshold)
-        first = null if first is None else first
-        misfit = _misfit(block, c, errors, touches.threshold)
-        steps = _alternatives(touches, known, unit, state, misfit, limit)
-        expected = np.zeros(len(rows))
-        np.maximum.at(expected, block.taxel, block.mean)
-        blocks = touches.blocks(rows, places, steps, errors)
-        ratio = np.array([
-            log_likelihood(
-                b, covariance_of(b, errors, places, h), errors, touches.threshold
-            ) for b, h in zip(blocks, steps, strict=True)
-        ]) - null  # fmt: skip
-        posterior = ratio + log_prior(steps, len(known.units), expected)
-        evidence = float(logsumexp(posterior))
-        if evidence <= limit or len(changes) == MAX_CHANGES:
+        tried = _trial(touches, known, unit, state, places, errors, limit)
+        first = tried.null if first is None else first
+        evidence = float(logsumexp(tried.posterior))
+        log_chance = _log_chance(touches, rows, places, state, tried, errors, evidence, limit)
+        if log_chance > -limit or len(changes) == MAX_CHANGES:
             break
-        change = _change(steps, blocks, posterior, errors, places, evidence)
+        change = replace(_change(tried, errors, places, evidence), log_chance=log_chance)
         changes.append(change)
-        state = replace(change.hypothesis, shift_sigma=0.0, gain_sigma=0.0)
-        if state.state == GAIN:
-            mine = (np.arange(len(rows)) == state.taxel) | (state.taxel < 0)
-            residual = change.log_gain - change.hypothesis.change
-            state = replace(state, log_gain=state.log_gain + residual * mine)
-        if state.state == MOVED:
-            offset = change.shift - np.array(change.hypothesis.shift)
-            state = replace(state, points=state.points + offset)
-            places = places + change.shift_covariance
-    dead = np.array([r for r, h in zip(ratio, steps, strict=True) if h.state == DEAD])
-    touched = np.zeros(len(rows), dtype=bool)
-    answers = block.mean > max(ANSWERED * touches.threshold, LEAST_READING)
+        state = _changed(change, len(rows))
+        places = places + change.shift_covariance
+    touched, alive, confirmed = _excluded(tried, touches.threshold, len(rows))
+    return Evidence(first, state, tuple(changes), evidence, touched, alive, confirmed)
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """The alternatives to a state of a unit, and what the readings say of them."""
+
+    null: float
+    """ln likelihood of the state."""
+    block: Block
+    """The readings under it."""
+    steps: list[Hypothesis]
+    blocks: list[Block]
+    """The readings under each of the steps (h,)."""
+    ratio: Array
+    """ln likelihoods (h,) relative to that of the state."""
+    log_prior: Array
+    """ln prior probabilities (h,)."""
+
+    @property
+    def posterior(self) -> Array:
+        """ln (h,) of the probabilities of the steps, relative to that of the state."""
+        return self.ratio + self.log_prior
+
+
+def _trial(
+    touches: Touches,
+    known: SkinMap,
+    unit: int,
+    state: Hypothesis,
+    places: Array,
+    errors: Errors,
+    limit: float,
+) -> _Trial:
+    """The alternatives to `state`; continuous ones only where the unit misfits (which makes the
+    evidence smaller, never larger)."""
+    rows, threshold = known.units[unit], touches.threshold
+    block = touches.blocks(rows, places, [state], errors)[0]
+    c = covariance_of(block, errors, places, state)
+    null = log_likelihood(block, c, errors, threshold)
+    steps = discrete(known, unit, state, touches)
+    if _misfit(block, c, errors, threshold) >= MISFIT * limit:
+        if state.state == CONFIRMED:
+            steps += moved(state, touches.data.body, grid())
+        steps += regained(state, known.slots is None)
+    blocks = touches.blocks(rows, places, steps, errors)
+    ratio = np.array([
+        log_likelihood(b, covariance_of(b, errors, places, h), errors, threshold)
+        for b, h in zip(blocks, steps, strict=True)
+    ]) - null  # fmt: skip
+    expected = np.zeros(len(rows))
+    np.maximum.at(expected, block.taxel, block.mean)
+    return _Trial(null, block, steps, blocks, ratio, log_prior(steps, len(known.units), expected))
+
+
+def _log_chance(
+    touches: Touches,
+    rows: np.ndarray,
+    places: Array,
+    state: Hypothesis,
+    tried: _Trial,
+    errors: Errors,
+    evidence: float,
+    limit: float,
+) -> float:
+    """ln of a bound on the probability of so large an evidence if the unit is in `state`: Markov's,
+    or, where that does not suffice but might nearly, the drawn one."""
+    if not limit - SLACK < evidence <= limit:
+        return -evidence
+    steps = [state, *tried.steps]
+    blocks = touches.blocks(rows, places, steps, errors, same_pairs=True)
+    if len(steps) * len(blocks[0].mean) ** 2 > MAX_DRAWN:
+        return -evidence
+    mean = np.stack([b.mean for b in blocks])
+    c = np.stack([
+        covariance_of(b, errors, places, h) for b, h in zip(blocks, steps, strict=True)
+    ])  # fmt: skip
+    return log_chance(mean, c, tried.log_prior, evidence, errors, touches.threshold)
+
+
+def _changed(change: Change, k: int) -> Hypothesis:
+    """The unit of k taxels after a change, at the estimate of what it left open."""
+    state = replace(change.hypothesis, shift_sigma=0.0, gain_sigma=0.0)
+    if state.state == GAIN:
+        mine = (np.arange(k) == state.taxel) | (state.taxel < 0)
+        residual = change.log_gain - change.hypothesis.change
+        return replace(state, log_gain=state.log_gain + residual * mine)
+    if state.state == MOVED:
+        offset = change.shift - np.array(change.hypothesis.shift)
+        return replace(state, points=state.points + offset)
+    return state
+
+
+def _excluded(tried: _Trial, threshold: float, k: int) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Which of the k taxels (k,) were touched, which of these (k,) are not dead, and whether all
+    turns, exchanges and the death of the unit are excluded."""
+    block, out = tried.block, tried.ratio < -MIN_ODDS
+    touched = np.zeros(k, dtype=bool)
+    answers = block.mean > max(ANSWERED * threshold, LEAST_READING)
     touched[block.taxel[answers | block.read]] = True
-    excluded = [
-        r < -MIN_ODDS for r, h in zip(ratio, steps, strict=True)
-        if h.state in (TURNED, EXCHANGED)
-    ]  # fmt: skip
-    whole, alive = dead[0] < -MIN_ODDS, dead[-len(rows) :] < -MIN_ODDS
-    return Evidence(
-        first,
-        state,
-        tuple(changes),
-        evidence,
-        touched,
-        touched & alive,
-        bool(whole and all(excluded)),
-    )
+    states = np.array([h.state for h in tried.steps], dtype=object)
+    dead = out[states == DEAD]  # the whole unit, and then each of its taxels
+    confirmed = dead[0] and out[np.isin(states, (TURNED, EXCHANGED))].all()
+    return touched, touched & dead[-k:], bool(confirmed)
 
 
 def is_placed(
@@ -153,24 +232,6 @@ def is_placed(
     return max(moves) < null - MIN_ODDS
 
 
-def _alternatives(
-    touches: Touches,
-    known: SkinMap,
-    unit: int,
-    state: Hypothesis,
-    misfit: float,
-    limit: float,
-) -> list[Hypothesis]:
-    """The hypotheses about a unit; continuous ones only where it misfits (which makes the evidence
-    smaller, never larger)."""
-    found = discrete(known, unit, state, touches)
-    if misfit < MISFIT * limit:
-        return found
-    if state.state == CONFIRMED:
-        found += moved(state, touches.data.body, grid())
-    return found + regained(state, known.slots is None)
-
-
 def _misfit(block: Block, c: Array, errors: Errors, threshold: float) -> float:
     """By how much the ln likelihood is below that of readings as expected."""
     as_expected = np.where(block.read, block.mean, np.nan)
@@ -178,15 +239,9 @@ def _misfit(block: Block, c: Array, errors: Errors, threshold: float) -> float:
     return perfect - log_likelihood(block, c, errors, threshold)
 
 
-def _change(
-    steps: list[Hypothesis],
-    blocks: list[Block],
-    posterior: Array,
-    errors: Errors,
-    places: Array,
-    evidence: float,
-) -> Change:
+def _change(tried: _Trial, errors: Errors, places: Array, evidence: float) -> Change:
     """The most probable kind of change, with the estimate of what it leaves open."""
+    steps, blocks, posterior = tried.steps, tried.blocks, tried.posterior
     kinds = [(h.state, h.taxel, h.value) for h in steps]
     total = {
         kind: logsumexp([p for p, k in zip(posterior, kinds, strict=True) if k == kind])
@@ -219,16 +274,17 @@ def _estimate(h: Hypothesis, block: Block, errors: Errors, places: Array) -> tup
     """Posterior mean (d,) and covariance (d, d) of the move, m, or of the change of ln gain."""
     at = np.array(h.shift) if h.state == MOVED else np.array([h.change])
     sigma = h.shift_sigma if h.state == MOVED else h.gain_sigma
-    by = h.open_slopes(block.taxel, block.slope, block.mean)
+    by = h.open_slopes(block.taxel, block.slope, block.by_scale)
     assert by is not None
     read = np.flatnonzero(block.read)
-    prior = np.eye(len(at))
+    tangent = np.eye(len(at))  # a move has no part along the normal
     if h.state == MOVED:
         up = h.normals.mean(axis=0)
-        prior -= np.outer(up, up) / (up @ up)
+        tangent -= np.outer(up, up) / (up @ up)
     if not len(read):
-        return at, sigma**2 * prior
+        return at, sigma**2 * tangent
     c = covariance_of(block, errors, places, h)[np.ix_(read, read)]
     solved = cho_solve(cho_factor(c, lower=True), by[read])
-    mean = at + sigma * solved.T @ (block.level - block.mean)[read]
-    return mean, sigma**2 * (prior - by[read].T @ solved)
+    mean = at + sigma * tangent @ solved.T @ (block.level - block.mean)[read]
+    left = np.eye(len(at)) - by[read].T @ solved
+    return mean, sigma**2 * tangent @ left @ tangent

@@ -59,7 +59,7 @@ class Hypothesis:
     normals: Array
     """(k, 3)."""
     log_gain: Array
-    """(k,); -inf: dead."""
+    """ln (k,) of the factor of each level; -inf: dead."""
     taxel: int = -1
     """The taxel, counted in the unit, that changed alone; -1: all of them."""
     value: float = 0.0
@@ -73,13 +73,15 @@ class Hypothesis:
     gain_sigma: float = 0.0
     """Standard deviation of what is left open of ln gain."""
 
-    def open_slopes(self, taxel: np.ndarray, slope: Array, mean: Array) -> Array | None:
-        """Derivatives (q, d) of the readings in what is left open, whitened; None: nothing is."""
+    def open_slopes(self, taxel: np.ndarray, slope: Array, by_scale: Array) -> Array | None:
+        """Derivatives (q, d) of the readings in what is left open, whitened; None: nothing is.
+
+        slope (q, 3), 1/m, and by_scale (q,): their derivatives in the place and in ln gain."""
         mine = (taxel == self.taxel) | (self.taxel < 0)
         if self.shift_sigma:
             return np.asarray(self.shift_sigma * slope * mine[:, None])
         if self.gain_sigma:
-            return np.asarray(self.gain_sigma * (mean * mine)[:, None])
+            return np.asarray(self.gain_sigma * (by_scale * mine)[:, None])
         return None
 
 
@@ -130,7 +132,7 @@ def _exchanged(known: SkinMap, unit: int, base: Hypothesis, touches: Touches) ->
     contacts = np.flatnonzero(np.isfinite(touches.level[:, rows]).any(axis=1))
     if not len(contacts):
         return []
-    reach = float(touches.data.reach().max()) + MAX_SHIFT / 2
+    reach = float(touches.reach().max()) + MAX_SHIFT / 2
     gap = np.linalg.norm(known.points[:, None] - touches.data.points[contacts], axis=2)
     close = gap.min(axis=1) < reach
     for other, places in enumerate(known.units):

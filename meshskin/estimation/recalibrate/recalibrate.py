@@ -10,7 +10,6 @@ changes that these take; the more probable result counts.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,10 +20,7 @@ from ...core.blas import single_threaded
 from ...core.errors import CalibrationError
 from ...core.progress import Progress, Stage
 from ...recording.recording import Recording
-from ...scene.belief import RAW
 from ..calibration import Calibration
-from ..data.gather import gather
-from ..data.measurements import Measurements
 from . import errors as error_model
 from .errors import Errors
 from .evidence import Change, Evidence, is_placed, judge
@@ -39,6 +35,7 @@ from .hypotheses import (
     Hypothesis,
     unchanged,
 )
+from .readings import read, recorded_belief
 from .result import Finding, Recalibration
 from .skin_map import SIGMA, SkinMap, skin_map
 from .touches import Touches
@@ -53,11 +50,6 @@ FALSE_ALARM = 0.01
 MAX_PASSES, USUAL_PASSES = 6, 5
 """Most passes over all units from each of two starts, each with the errors by the states of the
 last, and what is usual of both starts together."""
-MIN_READINGS = 8
-"""Least number of readings: four errors are estimated from them."""
-CONTACTS_PER_TAXEL = 5
-"""Contacts per taxel that are used at most, evenly chosen: neighbouring frames of a sweep share
-their errors and say little more."""
 
 
 @single_threaded()
@@ -78,19 +70,20 @@ def recalibrate(
     where there is none. sigma: standard deviation, m, of places along each tangent in a map that
     states none. progress("recalibrate", done, total): called after each unit of each pass, whose
     number is not known before. Raises CalibrationError without a belief, for taxels that the map
-    does not have, for raw readings and for fewer than 8 readings; RecordingError as `calibrate`.
+    does not have, for raw readings of a map without a learned response and for fewer than 8
+    readings; RecordingError as `calibrate`.
     """
     check_type(Recording, recording, "what an earlier map is tested by")
     check_real("false_alarm", false_alarm, above=0.0, most=0.5, error=CalibrationError)
     if belief is None:
-        belief = getattr(previous, "belief", None)
+        belief = recorded_belief(previous)
     if belief is None:
         raise CalibrationError(
             "a skin or a loaded calibration does not know the scene",
             remedy="give recalibrate a belief",
         )
     known = skin_map(previous, belief, sigma)
-    touches = Touches(_measurements(recording, belief, known, previous))
+    touches = read(recording, belief, known, previous)
     limit = float(np.log(len(known.units) / false_alarm))
     stage = Stage(progress, "recalibrate", USUAL_PASSES * len(known.units))
     fits = [_settled(touches, known, limit, wide, stage) for wide in (True, False)]
@@ -146,58 +139,8 @@ def _score(errors: Errors, found: list[Evidence], touches: Touches, limit: float
     be large."""
     total = error_model.log_prior(errors, touches) + error_model.far_silence(errors, touches)
     for evidence in found:
-        total += evidence.null + sum(c.log_evidence - limit for c in evidence.changes)
+        total += evidence.null + sum(-c.log_chance - limit for c in evidence.changes)
     return total
-
-
-def _measurements(
-    recording: Recording, belief: Belief, known: SkinMap, previous: Calibration | Skin
-) -> Measurements:
-    """The readings under the map's E*, thinned. Raises CalibrationError."""
-    if belief.readings == RAW:
-        raise CalibrationError(
-            "an earlier map is tested by pressures", value='readings="raw"',
-            remedy="calibrate again, and compare the maps with `meshskin diff`",
-        )  # fmt: skip
-    modulus = getattr(previous, "modulus", None)
-    if modulus is not None:
-        ratio = modulus / belief.material.effective_modulus
-        belief = replace(
-            belief, material=replace(belief.material, young=belief.material.young * ratio)
-        )
-    data = gather(recording, replace(belief, taxel_ids=known.ids))
-    if len(data.pressure) < MIN_READINGS:
-        raise CalibrationError(
-            "too few readings to tell a change from noise", value=len(data.pressure),
-            limit=f"at least {MIN_READINGS}", remedy="touch the skin at more places",
-        )  # fmt: skip
-    most = CONTACTS_PER_TAXEL * len(known.ids)
-    step = -(-len(data.points) // most)
-    return data if step == 1 else _thinned(data, step)
-
-
-def _thinned(data: Measurements, step: int) -> Measurements:
-    """Every step-th contact, with its readings."""
-    kept = np.arange(0, len(data.points), step)
-    row = np.full(len(data.points), -1)
-    row[kept] = np.arange(len(kept))
-    read = row[data.contact] >= 0
-    corrupt = data.corrupt[row[data.corrupt[:, 0]] >= 0].copy()
-    corrupt[:, 0] = row[corrupt[:, 0]]
-    return replace(
-        data,
-        points=data.points[kept],
-        normals=data.normals[kept],
-        directions=data.directions[kept],
-        curvature=data.curvature[kept],
-        force=data.force[kept],
-        patches=data.patches.take(kept),
-        time=data.time[kept],
-        contact=row[data.contact[read]],
-        taxel=data.taxel[read],
-        pressure=data.pressure[read],
-        corrupt=corrupt,
-    )
 
 
 def _first(evidence: Evidence) -> float:
@@ -243,7 +186,7 @@ def _findings(known: SkinMap, found: list[Evidence]) -> tuple[Finding, ...]:
                     h.state,
                     _words(known, change),
                     change.log_evidence / np.log(10),
-                    float(min(1.0, len(found) * np.exp(-min(change.log_evidence, 700.0)))),
+                    float(min(1.0, len(found) * np.exp(max(change.log_chance, -700.0)))),
                 )
             )
     return tuple(sorted(out, key=lambda finding: -finding.evidence))

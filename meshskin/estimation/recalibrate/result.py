@@ -16,6 +16,7 @@ from .errors import Errors
 from .hypotheses import CONFIRMED, NOT_TOUCHED, STATES, UNDECIDED
 
 if TYPE_CHECKING:
+    from ...core.progress import Progress
     from ...scene.belief import Belief
     from .touch_design import TouchDesign
 
@@ -133,14 +134,17 @@ class Recalibration(Value, Card):
             },
         }
 
-    def next_contacts(self, k: int = 10, belief: Belief | None = None) -> TouchDesign:
+    def next_contacts(
+        self, k: int = 10, belief: Belief | None = None, progress: Progress | None = None
+    ) -> TouchDesign:
         """The k touches that test best what these left open, or the whole map where they left
         nothing (touch_design.py); errors as `next_touches`."""
         from .touch_design import next_touches
 
         settled = ~np.isin(self.unit_states, (UNDECIDED, NOT_TOUCHED)) & self.placed
         open_ = self.units[~settled]
-        return next_touches(self.calibration, belief, k, units=open_ if len(open_) else None)
+        units = open_ if len(open_) else None
+        return next_touches(self.calibration, belief, k, units, progress)
 
 
 def _counted(states: np.ndarray) -> str:

@@ -40,7 +40,13 @@ class SkinMap(Value):
     covariance: Array
     """Covariance (n, 3, 3) of the positions, body frame, m^2."""
     log_gain: Array
-    """ln gain (n,) of each taxel; 0 where the map has none."""
+    """ln (n,) of the factor of each taxel's level; 0 where the map has none."""
+    log_gain_sigma: Array
+    """Its standard deviation (n,)."""
+    offset: Array
+    """Offset (n,) of each taxel's readings, in their unit; 0 where the map has none."""
+    offset_sigma: Array
+    """Its standard deviation (n,)."""
     units: tuple[np.ndarray, ...]
     """Rows of the taxels of each unit, those without a place left out."""
     numbers: np.ndarray
@@ -82,7 +88,7 @@ def skin_map(previous: Calibration | Skin, belief: Belief, sigma: float = SIGMA)
     check_real("sigma of the earlier map", sigma, "m", above=0.0, error=CalibrationError)
     order = np.argsort(previous.ids, kind="stable")
     ids, poses = np.asarray(previous.ids)[order], np.array(previous.poses, dtype=float)[order]
-    log_gain = np.zeros(len(ids))
+    log_gain, offset = np.zeros((len(ids), 2)), np.zeros((len(ids), 2))
     spread = np.full(len(ids), sigma)
     if isinstance(previous, Skin) and previous.sigmas is not None:
         own = np.asarray(previous.sigmas)[order] / np.sqrt(2.0)  # of two tangents together
@@ -91,8 +97,14 @@ def skin_map(previous: Calibration | Skin, belief: Belief, sigma: float = SIGMA)
     if isinstance(previous, Calibration):
         own = np.nan_to_num(previous.covariances[order, :3, :3], posinf=sigma**2)
         covariance = poses[:, :3, :3] @ own @ np.swapaxes(poses[:, :3, :3], 1, 2)
-        if "gain" in previous.taxel_unknowns:
-            log_gain = np.nan_to_num(previous.taxel_unknowns["gain"][order, 0])
+        factor = amplification(previous)
+        log_gain, offset = (
+            np.nan_to_num(previous.taxel_unknowns[name][order], posinf=0.0)
+            if name in previous.taxel_unknowns else none
+            for name, none in (("gain", log_gain), ("offset", offset))
+        )  # fmt: skip
+        log_gain = factor * log_gain
+    nuisance = log_gain[:, 0], log_gain[:, 1], offset[:, 0], offset[:, 1]
     known = np.isfinite(poses[:, 0, 3])
     if not known.any():
         raise CalibrationError("the earlier map has no taxel with a place")
@@ -101,7 +113,7 @@ def skin_map(previous: Calibration | Skin, belief: Belief, sigma: float = SIGMA)
         layout = slots.OFFSETS
     if layout is None:
         rows = np.flatnonzero(known)
-        return SkinMap(ids, poses, covariance, log_gain, tuple(rows[:, None]), ids[rows], None)
+        return SkinMap(ids, poses, covariance, *nuisance, tuple(rows[:, None]), ids[rows], None)
     numbers, group = np.unique(ids // len(layout), return_inverse=True)
     for k in range(len(numbers)):
         rows = np.flatnonzero(group == k)
@@ -110,9 +122,17 @@ def skin_map(previous: Calibration | Skin, belief: Belief, sigma: float = SIGMA)
     units = tuple(np.flatnonzero(placed & (group == k)) for k in range(len(numbers)))
     full = [k for k, rows in enumerate(units) if len(rows)]
     return SkinMap(
-        ids, poses, covariance, log_gain, tuple(units[k] for k in full), numbers[full],
+        ids, poses, covariance, *nuisance, tuple(units[k] for k in full), numbers[full],
         np.asarray(layout),
     )  # fmt: skip
+
+
+def amplification(previous: Calibration) -> float:
+    """What ln gain is multiplied by in the level of a reading: a gain is that of readings of the
+    typical level, which compression makes smaller (joint/likelihood.py)."""
+    if previous.response is None:
+        return 1.0
+    return 1 + previous.response.levels[0] * previous.unknowns.get("compression", (0.0, 0.0))[0]
 
 
 def _fill(

@@ -15,20 +15,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...contact import AUTO, ContactModel, Patches
+from ...contact import AUTO, LEARNED, ContactModel, Patches
 from ...core.arguments import check_integer
 from ...core.arrays import Array
 from ...core.errors import CalibrationError
+from ...core.notebook import AXES, Tabular
+from ...core.progress import Progress, Stage
 from ...core.value import Value
 from .. import chart
 from ..data.measurements import Measurements
 from ..data.resolve_belief import with_valid_model
 from . import errors as error_model
 from .hypotheses import DEAD, moved, ring, turned, unchanged
+from .readings import touches_of
 from .skin_map import SkinMap, skin_map
 from .touches import Touches
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from ...scene.belief import Belief
     from ...skin.skin import Skin
     from ..calibration import Calibration
@@ -43,7 +48,7 @@ DIRECTIONS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class TouchDesign(Value):
+class TouchDesign(Value, Tabular):
     """k touches that test a map, the most useful first."""
 
     points: Array
@@ -58,17 +63,33 @@ class TouchDesign(Value):
     """(u,) bound on the probability that the change of each unit that is tested least is confused
     with none: 0.5 where nothing tests it."""
 
+    def __repr__(self) -> str:
+        weak = f"at most {self.confusion.max():.2g}" if len(self.confusion) else "none"
+        return (
+            f"<TouchDesign: {len(self.points)} touches that test {len(self.units)} units, "
+            f"confusion {weak}>"
+        )
+
+    def to_arrow(self) -> pa.Table:
+        """One row a touch: x, y, z (m), nx, ny, nz, tests (number of the module, or id)."""
+        import pyarrow as pa
+
+        numbers = dict(zip(AXES, [*self.points.T, *self.normals.T], strict=True))
+        return pa.table(numbers | {"tests": self.unit})
+
 
 def next_touches(
     previous: Calibration | Skin,
     belief: Belief | None = None,
     k: int = 20,
     units: np.ndarray | None = None,
+    progress: Progress | None = None,
 ) -> TouchDesign:
     """The k touches under the reference force that test an earlier map best, for `recalibrate`.
 
     belief: as in `recalibrate`. units: numbers of the modules, or ids of the taxels, to test; by
-    default all. Raises CalibrationError without a belief or its reference force, or for k < 1.
+    default all. progress("next touches", done, total): called after each of these. Raises
+    CalibrationError without a belief or its reference force, or for k < 1.
     """
     k = check_integer("number of touches", k, least=1, error=CalibrationError)
     belief = belief or getattr(previous, "belief", None)
@@ -81,8 +102,9 @@ def next_touches(
     tested = np.arange(len(known.units)) if units is None else np.flatnonzero(
         np.isin(known.numbers, units)
     )  # fmt: skip
-    touches = _candidates(known, belief, tested)
-    touch, pair, factor, owner = _factors(touches, known, tested)
+    touches = touches_of(_candidates(known, belief, tested), known, previous)
+    stage = Stage(progress, "next touches", len(tested))
+    touch, pair, factor, owner = _factors(touches, known, tested, stage)
     bound, chosen, served = np.full(len(owner), 0.5), [], []
     for _ in range(k):
         part = bound[pair] * (1 - factor)
@@ -102,13 +124,13 @@ def next_touches(
     )
 
 
-def _candidates(known: SkinMap, belief: Belief, tested: np.ndarray) -> Touches:
+def _candidates(known: SkinMap, belief: Belief, tested: np.ndarray) -> Measurements:
     """Touches at the reference force about the taxels of the units `tested`, without readings."""
     rows = np.concatenate([known.units[u] for u in tested])
     rows = rows[known.known[rows]]
     if not len(rows):
         raise CalibrationError("the earlier map has no place for the units to be tested")
-    if belief.contact == AUTO:
+    if belief.contact in (AUTO, LEARNED):
         curvature = belief.body.closest(known.points[rows]).curvature
         belief = with_valid_model(belief, np.full(len(rows), belief.force_reference), curvature)
     material = belief.material
@@ -130,19 +152,18 @@ def _candidates(known: SkinMap, belief: Belief, tested: np.ndarray) -> Touches:
     owner = np.repeat(np.arange(len(rows)), len(offsets))
     hit = belief.body.closest(charts[owner].at(np.tile(offsets, (len(rows), 1))))
     none = np.zeros(0, dtype=int)
-    return Touches(
-        Measurements(
-            belief=replace(belief, taxel_ids=known.ids),
-            points=hit.point, normals=hit.normal, directions=hit.direction,
-            curvature=hit.curvature, force=np.full(len(hit.point), belief.force_reference),
-            patches=patches(hit.curvature), model=model, contact=none, taxel=none,
-            pressure=np.zeros(0), noise=belief.noise_sigma, threshold=belief.threshold,
-        )
+    return Measurements(
+        belief=replace(belief, taxel_ids=known.ids),
+        points=hit.point, normals=hit.normal, directions=hit.direction,
+        curvature=hit.curvature, force=np.full(len(hit.point), belief.force_reference),
+        patches=patches(hit.curvature), model=model, contact=none, taxel=none,
+        pressure=np.zeros(0), noise=belief.noise_sigma, threshold=belief.threshold,
+        ends=np.full(len(known.ids), np.inf),
     )  # fmt: skip
 
 
 def _factors(
-    touches: Touches, known: SkinMap, tested: np.ndarray
+    touches: Touches, known: SkinMap, tested: np.ndarray, stage: Stage
 ) -> tuple[np.ndarray, np.ndarray, Array, np.ndarray]:
     """Touches (g,) and changes (g,) that they tell from none, the factors (g,) by which they reduce
     the bound on their confusion, and the unit of each change."""
@@ -173,5 +194,6 @@ def _factors(
         change, touch = np.nonzero(square > MIN_SQUARE)
         parts.append((touch, change + len(owner), np.exp(-square[change, touch] / 8)))
         owner += [int(unit)] * (len(changes) - 1)
+        stage.step()
     touch, pair, factor = (np.concatenate(x) for x in zip(*parts, strict=True))
     return touch, pair, factor, np.array(owner)

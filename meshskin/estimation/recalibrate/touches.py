@@ -9,12 +9,14 @@ The readings of a unit are then normal with the covariance
 
     C = sigma^2 + rho^2 mu^2 + bend + tau^2 [same contact] A A^T + A S_i A^T [same taxel] + common,
 
-A (k, 3) being the slopes of mu; silent ones are below the threshold, given the others.
+A (k, 3) being the slopes of mu; silent ones are below the threshold, given the others. Errors of
+the forces, gains and offsets that the map states enter likewise. Where the calibration of the map
+learned the response, mu is that response.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -24,9 +26,12 @@ from ...contact import Patches
 from ...contact.reading import same_sheet
 from ...core.arrays import Array
 from ..data.measurements import Measurements
-from ..joint.contacts import Contacts
+from ..joint.contacts import Contacts, LinearizedContacts
+from ..joint.likelihood import MIN_DENOMINATOR, Likelihood, Readings
 from ..joint.pressure import disc_means
+from ..localization import CalibratedSkin
 from .hypotheses import Hypothesis
+from .skin_map import SkinMap
 
 MARGIN = 2e-3
 """Distance beyond reach, m, within which a taxel may answer by the errors of places."""
@@ -47,6 +52,8 @@ class Errors:
     """Of the contact points along each tangent, m."""
     rho: float
     """Of each reading, relative to itself."""
+    force: float = 0.0
+    """Of ln force of each contact."""
     log_modulus: float = 0.0
     """ln of E* relative to the map's."""
     log_scale: float = 0.0
@@ -72,6 +79,12 @@ class Block:
     """Variance (q,) by the curvature of mu."""
     by_modulus: Array
     """d mu / d ln E* (q,)."""
+    by_scale: Array
+    """d mu / d ln of the level (q,): mu, but for compression and offset."""
+    log_gain_sigma: Array
+    """Standard deviation (q,) of the taxel's ln gain."""
+    offset_sigma: Array
+    """That (q,) of its offset."""
 
     @property
     def read(self) -> np.ndarray:
@@ -82,25 +95,42 @@ class Block:
 class Touches:
     """Measurements of the touches, relative to the median of the peaks."""
 
-    def __init__(self, data: Measurements) -> None:
-        self.data, self.unit = data, float(np.median(data.peaks))
+    def __init__(
+        self, data: Measurements, known: SkinMap, skin: CalibratedSkin | None = None
+    ) -> None:
+        """skin: the response that the map's calibration learned; None: the contact model's."""
+        self.data, self.known, self.skin = data, known, skin
+        self.unit = float(np.median(data.peaks))
+        self.force_scatter, self.compression, self.log_modulus = 0.0, 0.0, 0.0
+        if skin is not None:
+            self.force_scatter, at = skin.deviations.force, skin.data.parameters.columns
+            self.compression = float(skin.s[at["compression"]][0]) * self.unit
+            self.compression /= skin.data.nominal_peak
+            self.log_modulus = float(skin.s[at["modulus"]][0])
         self.threshold = data.threshold / self.unit
         m, n = len(data.points), len(data.ids)
         self.level = np.full((m, n), np.nan)
         self.level[data.contact, data.taxel] = data.pressure / self.unit
         self.void = np.zeros((m, n), dtype=bool)
         self.void[data.corrupt[:, 0], data.corrupt[:, 1]] = True
+        saturated = data.pressure >= data.ends[data.taxel]
+        self.void[data.contact[saturated], data.taxel[saturated]] = True
         self.across = np.cross(data.normals, data.directions)
         self._patches: dict[float, Patches] = {}
 
     def blocks(
-        self, rows: np.ndarray, covariance: Array, hypotheses: list[Hypothesis], errors: Errors
+        self,
+        rows: np.ndarray,
+        covariance: Array,
+        hypotheses: list[Hypothesis],
+        errors: Errors,
+        same_pairs: bool = False,
     ) -> list[Block]:
         """The block of each hypothesis about the taxels `rows` (k,), whose places have the
-        covariances (k, 3, 3), m^2."""
+        covariances (k, 3, 3), m^2. same_pairs: whether all have the pairs of all of them."""
         points = np.stack([h.points for h in hypotheses])
         normals = np.stack([h.normals for h in hypotheses])
-        reach = self.data.reach(float(np.exp(-errors.log_modulus / 3))) + MARGIN
+        reach = self.reach(errors.log_modulus) + MARGIN
         offset = points[:, :, None] - self.data.points
         near = np.einsum("hkmi,hkmi->hkm", offset, offset) < (1.25 * reach) ** 2
         which, taxel, contact = np.nonzero(near)
@@ -108,24 +138,49 @@ class Touches:
             offset[which, taxel, contact], self.data.normals[contact], normals[which, taxel]
         )
         read = np.isfinite(self.level[:, rows]).T
-        which, taxel, contact = np.nonzero((near | read) & ~self.void[:, rows].T)
+        own = (near | read) & ~self.void[:, rows].T
+        pairs = np.broadcast_to(own.any(axis=0), own.shape) if same_pairs else own
+        which, taxel, contact = np.nonzero(pairs)
         spread = np.trace(covariance, axis1=1, axis2=2)[taxel] / 2 + errors.tau**2
         spread += np.array([h.shift_sigma for h in hypotheses])[which] ** 2
         predicted = self._predict(
             offset[which, taxel, contact], contact, np.sqrt(spread).clip(max=MAX_STEP), errors
         )
         gain = np.exp(np.stack([h.log_gain for h in hypotheses]))[which, taxel]
-        powers = (1, 1, 2, 1)
-        scaled = [
-            x * (gain**p).reshape(-1, *[1] * (x.ndim - 1))
-            for x, p in zip(predicted, powers, strict=True)
-        ]
+        gain = np.where(own[which, taxel, contact], gain, 0.0)
+        unit, known = self.unit * self.data.unit, self.known
+        columns = (
+            *self._read(gain, *predicted),
+            known.log_gain_sigma[rows][taxel],
+            known.offset_sigma[rows][taxel] / unit,
+        )
+        columns[0][:] += known.offset[rows][taxel] / unit
         level = self.level[contact, rows[taxel]]
         ends = np.searchsorted(which, np.arange(len(hypotheses) + 1))
         return [
-            Block(contact[a:b], taxel[a:b], level[a:b], *(x[a:b] for x in scaled))
+            Block(contact[a:b], taxel[a:b], level[a:b], *(x[a:b] for x in columns))
             for a, b in pairwise(ends)
         ]
+
+    def reach(self, log_modulus: float = 0.0) -> Array:
+        """Distance (m,), m, across each contact at which a taxel's disc leaves the patch, under E*
+        times exp(log_modulus)."""
+        scale = float(np.exp(-(log_modulus + self.log_modulus) / 3))
+        extent = 1.0 if self.skin is None else max(self.skin.data.profile_extent, 1.0)
+        return np.asarray(scale * extent * self.data.longest + self.data.disc)
+
+    def _read(
+        self, gain: Array, mean: Array, slope: Array, bend: Array, by_modulus: Array
+    ) -> tuple[Array, ...]:
+        """mu (q,) with its slopes (q, 3), bend (q,), and slopes (q,) in ln E* and ln gain, of
+        levels times `gain` (q,), compressed."""
+        mean = gain * mean
+        kept = 1 / np.maximum(1 + self.compression * mean, MIN_DENOMINATOR)
+        factor = gain * kept**2
+        return (
+            mean * kept, factor[:, None] * slope, factor**2 * bend, factor * by_modulus,
+            mean * kept**2,
+        )  # fmt: skip
 
     def _predict(
         self, offset: Array, contact: np.ndarray, step: Array, errors: Errors
@@ -148,8 +203,12 @@ class Touches:
         return scale * mean, scale * slope, scale**2 * bend, scale * by_modulus
 
     def _means(self, offset: Array, contact: np.ndarray, log_modulus: float) -> Array:
-        """Readings (q,) of taxels `offset` (q, 3), m, from their contacts."""
+        """Levels (q,) of taxels `offset` (q, 3), m, from their contacts."""
         data, none = self.data, np.zeros((len(self.data.points), 0))
+        if self.skin is not None:
+            return np.maximum(_learned_levels(self.skin, contact, offset, log_modulus), 0.0) / (
+                self.unit
+            )
         if log_modulus not in self._patches:
             self._patches[log_modulus] = data.model.patches(
                 force=data.force,
@@ -163,6 +222,20 @@ class Touches:
         return np.asarray(np.maximum(mean, 0.0) * patches.peak[contact] / self.unit)
 
 
+def _learned_levels(
+    skin: CalibratedSkin, contact: np.ndarray, offset: Array, log_modulus: float
+) -> Array:
+    """Levels (q,), Pa, of taxels `offset` (q, 3), m, from their contacts (q,), before gain,
+    compression and offset, under E* times exp(log_modulus)."""
+    s = skin.s.copy()
+    s[skin.data.parameters.columns["modulus"]] += log_modulus
+    contacts = replace(LinearizedContacts(skin.data, s).at(s), compression=0.0)
+    nuisance = np.zeros((len(contact), skin.nuisance.shape[1]))
+    likelihood = Likelihood(skin.data, Readings.none())
+    points = contacts.points[contact] + offset
+    return likelihood.predict(contact, points, nuisance, contacts)[0] * skin.data.sigma
+
+
 def covariance_of(
     block: Block, errors: Errors, places: Array, hypothesis: Hypothesis | None = None
 ) -> Array:
@@ -173,11 +246,15 @@ def covariance_of(
     same_taxel = block.taxel[:, None] == block.taxel
     out = (a @ a.T) * errors.tau**2 * same_contact
     out += np.einsum("qi,qij,pj->qp", a, places[block.taxel], a) * same_taxel
-    by = np.stack([block.by_modulus, mean], axis=1)
+    by = np.stack([block.by_modulus, block.by_scale], axis=1)
     out += by @ np.array(errors.common) @ by.T
+    load = errors.force * (block.by_scale - block.by_modulus)  # the patch depends on F / E*
+    gain, offset = block.log_gain_sigma * block.by_scale, block.offset_sigma
+    out += np.outer(load, load) * same_contact
+    out += (np.outer(gain, gain) + np.outer(offset, offset)) * same_taxel
     if (
         hypothesis is not None
-        and (open_ := hypothesis.open_slopes(block.taxel, a, mean)) is not None
+        and (open_ := hypothesis.open_slopes(block.taxel, a, block.by_scale)) is not None
     ):
         out += open_ @ open_.T
     out[np.diag_indices(len(a))] += errors.sigma**2 + (errors.rho * mean) ** 2 + block.bend
@@ -185,19 +262,28 @@ def covariance_of(
 
 
 def log_likelihood(block: Block, c: Array, errors: Errors, threshold: float) -> float:
-    """ln of the likelihood of the readings, relative to that of silent taxels far away."""
-    read = block.read
+    """ln of the likelihood of the readings of a block with the covariance C (q, q), relative to
+    that of silent taxels far away."""
+    return float(log_likelihoods(block.level, block.mean[None], c[None], errors, threshold)[0])
+
+
+def log_likelihoods(level: Array, mean: Array, c: Array, errors: Errors, threshold: float) -> Array:
+    """ln (h,) of the likelihoods of readings (q,), NaN where silent, with the means (h, q) and the
+    covariances (h, q, q), relative to that of silent taxels far away."""
+    read = np.isfinite(level)
     own, silent = np.flatnonzero(read), np.flatnonzero(~read)
-    total, mean, variance = 0.0, block.mean[silent], np.diag(c)[silent]
+    far = float(log_ndtr(threshold / errors.sigma))
+    total, middle = np.zeros(len(mean)), mean[:, silent]
+    variance = np.diagonal(c, axis1=1, axis2=2)[:, silent]
     if len(own):
-        inverse = np.linalg.inv(c[np.ix_(own, own)])
-        r = block.level[own] - block.mean[own]
-        total -= 0.5 * float(r @ inverse @ r) + 0.5 * len(own) * LOG_2PI
-        total += 0.5 * float(np.linalg.slogdet(inverse)[1])
-        total -= len(own) * float(log_ndtr(threshold / errors.sigma))
+        inverse = np.linalg.inv(c[:, own[:, None], own])
+        r = level[own] - mean[:, own]
+        scaled = np.einsum("hij,hj->hi", inverse, r)
+        total += 0.5 * (np.linalg.slogdet(inverse)[1] - np.einsum("hi,hi->h", r, scaled))
+        total -= len(own) * (0.5 * LOG_2PI + far)
         if len(silent):
-            gain = c[np.ix_(silent, own)] @ inverse
-            mean = mean + gain @ r
-            variance = variance - np.einsum("so,so->s", gain, c[np.ix_(silent, own)])
-    below = (threshold - mean) / np.sqrt(np.maximum(variance, errors.sigma**2))
-    return total + float(np.sum(log_ndtr(below) - log_ndtr(threshold / errors.sigma)))
+            across = c[:, silent[:, None], own]
+            middle = middle + np.einsum("hso,ho->hs", across, scaled)
+            variance = variance - np.einsum("hso,hso->hs", across @ inverse, across)
+    below = (threshold - middle) / np.sqrt(np.maximum(variance, errors.sigma**2))
+    return total + np.sum(log_ndtr(below) - far, axis=1)

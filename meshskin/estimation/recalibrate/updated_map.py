@@ -15,7 +15,7 @@ from ..chart import align_normals
 from .evidence import Evidence
 from .hypotheses import DEAD, EXCHANGED, GAIN, MOVED, TURNED
 from .result import Finding
-from .skin_map import SkinMap
+from .skin_map import SkinMap, amplification
 
 if TYPE_CHECKING:
     from ...scene.belief import Belief
@@ -64,6 +64,7 @@ def updated(
         spread = np.zeros(len(gain)) if base is None or "gain" not in taxel_unknowns else (
             np.asarray(taxel_unknowns["gain"])[np.argsort(base.ids, kind="stable"), 1]
         )  # fmt: skip
+        gain = gain if base is None else gain / amplification(base)
         taxel_unknowns["gain"] = np.stack([gain, spread], axis=1)
     made = FACTOR.format(contacts, len(findings))
     n = len(known.ids)

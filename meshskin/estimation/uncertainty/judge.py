@@ -16,6 +16,7 @@ from ...scene.belief import RAW
 from ..data import delay
 from ..data.global_parameters import ELECTRONICS, LEARNED, MIN_KEPT, SIZES, declared_parameters
 from ..joint.departures import MIN_SCORE
+from ..joint.learned_result import MAX_CORRELATION
 from . import verdict, weighted_means
 from .contact_errors import displacement
 from .verdict import DOUBT, FAIL, LEVELS, PASS, Finding, Verdict, level_of
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 MAX_MISFIT = 0.05
 """Residuals beyond the noise, relative to the strong readings, from which a model that does not fit
 is a failure: a contact's position by readings that are 5 % wrong is 0.2 mm off in 4 mm."""
+MAX_OVERSTATED = 3.0
+"""Factor between a stated noise and the residuals from which it is a doubt."""
 MAX_NOISE = 0.15
 """Estimated noise, relative to the median taxel's largest reading, from which it is none of a
 sensor: 10 % of the peak pressure is within it."""
@@ -49,10 +52,6 @@ from which it is a doubt, and a failure: recorded points lie between the undefor
 indenter's deepest point. The doubt is a tenth of the depth, 0.2 mm for the paper's skin."""
 MAX_FAULTY = 0.2
 """Fraction of faulty taxels from which the log is in doubt, not the taxels."""
-MAX_CORRELATION = 0.4
-"""Correlation of the displacements of neighbouring contacts, as estimated with a learned response,
-above which they are no scatter: independent ones have -0.1 to 0.15, by the taxels that they share.
-"""
 MIN_DISPLACEMENT = 0.02
 """Scatter of the contact points, in contact radii, from which their correlation is judged."""
 
@@ -76,6 +75,7 @@ def judge(
         lambda: _surface(recording, data, calibration),
         lambda: weighted_means.findings(data, calibration),
         lambda: verdict.forces(recording, calibration),
+        lambda: verdict.force_offset(data, calibration),
         lambda: verdict.pressures(recording, data),
         lambda: verdict.times(recording),
         lambda: _faults(calibration),
@@ -95,12 +95,18 @@ def _fit(data: Measurements, calibration: Calibration) -> list[Finding]:
             'method="joint"'
         )
         return [(DOUBT, words)]
+    if fit.good and data.noise is not None and fit.reduced < MAX_OVERSTATED**-2:
+        words = (
+            f"residuals are {fit.reduced**0.5:.2g} times the stated noise, {fit.noise:.3g} Pa "
+            f"(limit {1 / MAX_OVERSTATED:.2g}): the pressures are too small, or it is overstated; "
+            "check the scale of pressures, or leave noise_sigma out of the belief"
+        )
+        return [(DOUBT, words)]
     if fit.good is not False:
         return []
     beyond = fit.noise * max(fit.reduced - 1.0, 0.0) ** 0.5
     severe = beyond > MAX_MISFIT * float(np.quantile(data.pressure, STRONG))
-    found = [(FAIL if severe else DOUBT, fit.words)]
-    return found
+    return [(FAIL if severe else DOUBT, fit.words)]
 
 
 def _departures(
@@ -277,6 +283,7 @@ def _contacts(data: Measurements, calibration: Calibration) -> list[Finding]:
         f"contact points are {1e3 * response.contact_scatter:.2g} mm off, and neighbouring ones "
         f"alike (correlation {response.contact_correlation:.2f}, limit {MAX_CORRELATION:g}): this "
         "is no scatter, but an error of the kinematic model or of the clocks; declare "
-        "indenter_offset or body_offset unknown, or correct the times"
+        "indenter_offset or body_offset unknown, or correct the times; the standard deviations are "
+        "widened by what so many contacts alike are worth"
     )
     return [(DOUBT, words)]

@@ -31,6 +31,15 @@ MAX_UNANSWERED = 0.02
 """Fraction of contacts beside answered ones that nothing answers, from which they are a doubt."""
 MIN_CONTACTS = 10
 """Contacts, at least, to judge their columns."""
+LAW = 1 / 3
+"""Exponent of the radius of a Hertz patch in the force."""
+OFFSET_SIGMAS = 6.0
+"""Standard deviations of both signs of an offset of the force from which it is named."""
+MIN_OFFSET = 0.05
+"""Least offset that is named, relative to the force."""
+AGREEMENT = 0.3
+"""Largest difference of the two signs, relative to their sum: layers have other exponents than
+Hertz patches, by up to a quarter."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +93,36 @@ def forces(recording: Recording, calibration: Calibration) -> list[Finding]:
         )
         found.append((DOUBT, words))
     return found
+
+
+def force_offset(data: Measurements, calibration: Calibration) -> list[Finding]:
+    """An offset of the forces, by two signs of it in the learned response.
+
+    With forces F + b recorded for F, the patch's radius and the total pressure of a contact grow
+    with the exponents LAW (1 + b / F) and 1 + b / F of the recorded force. A sensor that is not
+    linear changes the total only, a layer the radius only; scatter of the forces makes both smaller
+    by the part that it has in their variance.
+    """
+    radius, total = (calibration.unknowns.get(f"exponents of the {k}") for k in ("radius", "peak"))
+    if radius is None or total is None:
+        return []
+    signs = np.array([radius[0] / LAW, total[0]])
+    sigma = np.array([radius[1] / LAW, total[1]])
+    force, part = float(np.median(data.force)), float(signs.mean())
+    scatter = calibration.unknowns["force_scatter"][0] ** 2
+    scatter /= max(float(np.var(np.log(data.force))), 1e-12)
+    small = abs(part) < MIN_OFFSET + 2 * scatter or (abs(signs) < OFFSET_SIGMAS * sigma).any()
+    if small or abs(np.diff(signs)[0]) > AGREEMENT * abs(signs).sum():
+        return []
+    offset = force * part / (1 + part)
+    words = (
+        f"the forces seem to be {abs(offset):.2g} N too {'large' if offset > 0 else 'small'} at "
+        f"{force:.3g} N: patches and pressures grow with exponents of the force that are "
+        f"{1 + signs[0]:.3g} and {1 + signs[1]:.3g} times those of the contact model (limit "
+        f"{1 + MIN_OFFSET:g}); the learned response allows for it; check the force sensor's zero, "
+        'or declare it unknown=("modulus", "force_offset")'
+    )
+    return [(DOUBT, words)]
 
 
 def pressures(recording: Recording, data: Measurements) -> list[Finding]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...core.errors import MeshskinError, RecordingError
 from .. import field_path
-from ..log_map import RECEIPT, StreamMap
+from ..log_map import RECEIPT, TIME_UNITS, StreamMap
 from ..message_types import NAME_PATHS, default_paths, short
 from ..stream import CONTACTS, JOINTS, TAXELS, Stream, contact_fields
 
@@ -18,12 +18,13 @@ FIRST_ROWS = 1024
 NANO = 1e-9
 
 
-def seconds(stamp: Any, path: str) -> float:
-    """A ROS time stamp, or a number of seconds, as s. Raises RecordingError for anything else."""
+def seconds(stamp: Any, path: str, unit: float = 1.0) -> float:
+    """A ROS time stamp, or a number of times `unit`, s, as s. Raises RecordingError for anything
+    else."""
     if hasattr(stamp, "nanosec"):
         return float(stamp.sec + NANO * stamp.nanosec)
     try:
-        return float(stamp)
+        return float(stamp * unit)
     except (TypeError, ValueError) as error:
         raise RecordingError(f"the field {path} must be a time", value=repr(stamp)[:40]) from error
 
@@ -90,7 +91,7 @@ class Samples:
             found = self._time(message)
             if len(found) != 1:
                 raise RecordingError("the time of a message must be one", value=f"{len(found)}")
-            return seconds(found[0], self.map.time)
+            return seconds(found[0], self.map.time, TIME_UNITS[self.map.time_unit])
         if self._header and (header := getattr(message, "header", None)) is not None:
             stamp = seconds(header.stamp, "header.stamp")
             if self.messages == 0 and stamp == 0.0:

@@ -28,6 +28,8 @@ MAX_POINTS = 600
 """Most points of a curve: twice the panel's width in pixels."""
 CHART_HEIGHT = 100
 """Height of a curve, pixels."""
+CHART_PADDING = (8, 8, 0, 0)
+"""Space above, right, below and left of a curve, pixels: half a number on the axes."""
 LOGARITHMIC = 3
 """uPlot's number of a logarithmic scale."""
 SHOWN = 8
@@ -66,7 +68,9 @@ class Panel:
             )
         highest = float(np.max(stage.recording.force, initial=1e-3))
         top = (0.0, 1.15 * highest)
-        self.force = _chart(gui, "contact force (N)", "time (s)", ("force",), range=top)
+        measured = "" if stage.recording.force_measured else ", not measured"
+        title = f"contact force (N){measured}"
+        self.force = _chart(gui, title, "time (s)", ("force",), range=top)
         sigma = "sigma of the determined taxels (mm)"
         self.sigma = _chart(gui, sigma, "contacts", ("median", "worst"), distr=LOGARITHMIC)
         residual = "residuals (in standard deviations)"
@@ -181,4 +185,5 @@ def _chart(gui: Any, title: str, x: str, names: tuple[str, ...], **scale: Any) -
         ),
         legend={"show": len(names) > 1},
         height=CHART_HEIGHT,
+        padding=CHART_PADDING,
     )

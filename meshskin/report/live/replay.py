@@ -73,8 +73,10 @@ class Controls(Protocol):
 class Frames:
     """The contacts of a recording, with dense readings a few at a time."""
 
-    def __init__(self, recording: Recording, ids: np.ndarray) -> None:
-        """ids (n,): of the taxels. Raises RecordingError if one that was read is not among them."""
+    def __init__(self, recording: Recording, ids: np.ndarray, errors: Array | None = None) -> None:
+        """ids (n,): of the taxels; errors (m, 3): of the contacts, where known. Raises
+        RecordingError if a taxel that was read is not among them."""
+        self._errors = errors
         unknown = np.setdiff1d(recording.reading_taxel, ids)
         if len(unknown):
             raise RecordingError(
@@ -97,7 +99,10 @@ class Frames:
         readings[self._contact[rows] - begin, self._taxel[rows]] = self._pressure[rows]
         given, mine = self._recording, slice(begin, end)
         headings = None if given.headings is None else given.headings[mine]
-        contacts = ContactFrames(given.points[mine], given.force[mine], headings, given.time[mine])
+        errors = None if self._errors is None else self._errors[mine]
+        contacts = ContactFrames(
+            given.points[mine], given.force[mine], headings, given.time[mine], errors
+        )
         return contacts, readings
 
 
@@ -113,13 +118,15 @@ def replay(
     controls: Controls,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
+    errors: Array | None = None,
 ) -> Iterator[Snapshot]:
     """Feed the contacts to `online` at the controls' speed; yield a snapshot after each update.
 
     Every REFRESH the contacts that are due, at most MOST_FRAMES, go in as one update. After
-    the last one, what waits for being estimated anew is.
+    the last one, what waits for being estimated anew is. errors (m, 3): of the contacts, where
+    known.
     """
-    frames = Frames(recording, online.ids)
+    frames = Frames(recording, online.ids, errors)
     due, done, now = replay_times(recording), 0, 0.0
     before = clock()
     while done < len(due):

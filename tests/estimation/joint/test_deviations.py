@@ -45,6 +45,17 @@ def test_effects_that_are_not_there_vanish():
     assert sigma < 0.1
 
 
+def test_a_variance_near_zero_rests_where_its_score_is_within_chance():
+    """Its information vanishes with the square of the variance: the step is the longest one, for a
+    score that says nothing."""
+    information = 3e-5
+    by_chance, shown = (Effects(0.125 + z * (2 * information) ** 0.5, 0.125, information, 2000)
+                        for z in (0.3, 3.0))  # fmt: skip
+    assert log_step(by_chance, careful=True)[1] < 0.05
+    assert log_step(by_chance)[0] == pytest.approx(np.log(50))
+    assert log_step(shown, careful=True) == (pytest.approx(np.log(50)), np.inf)
+
+
 @pytest.mark.parametrize(("noise", "relative"), [(1.0, 0.0), (0.5, 0.02), (2.0, 0.05)])
 def test_both_parts_of_the_noise(noise, relative):
     rng = np.random.default_rng(1)

@@ -197,6 +197,21 @@ def test_scatter_of_the_contact_points_is_found():
     assert 0.75 < stated / error < 1.4
 
 
+def test_displacements_alike_in_neighbouring_contacts_widen_the_uncertainty():
+    points, *rest = world(hertz, contacts=1500)
+    rng, off = np.random.default_rng(5), np.zeros((len(points), 3))
+    for k in range(1, len(points)):
+        off[k] = 0.9 * off[k - 1] + 0.15e-3 * np.sqrt(1 - 0.9**2) * rng.standard_normal(3)
+    moved = points + off
+    moved *= RADIUS / np.linalg.norm(moved, axis=1)[:, None]
+    found = calibrate(recording(moved, *rest), belief())
+    error, stated = errors(found)
+    assert found.response.contact_correlation > 0.4
+    assert 1 / 1.5 < stated / error < 2.5
+    assert found.verdict.level == "DOUBT"
+    assert any("alike" in words for words in found.verdict.reasons)
+
+
 @pytest.mark.slow
 def test_force_errors_are_found():
     log = recording(*world(hertz, force_error=0.1))

@@ -14,7 +14,10 @@ from meshskin.estimation.joint.contacts import Contacts, LinearizedContacts
 from meshskin.estimation.joint.likelihood import Likelihood, Readings
 from meshskin.estimation.joint.pressure import censored, costs, disc_means
 
-EVERY = ("modulus", "gain", "offset", "force_scale", "force_offset", "indenter_offset", "drag")
+EVERY = (
+    *("modulus", "gain", "offset", "force_scale", "force_offset", "indenter_offset"),
+    *("drag", "friction"),
+)
 
 
 @pytest.fixture(scope="module")

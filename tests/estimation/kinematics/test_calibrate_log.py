@@ -79,6 +79,8 @@ def test_a_small_exploration(small):
     assert values["clock_offset"][1:] == (found.unknowns["clock_offset"][1], "s")
     # the same counts with the contacts as computed from the true angles' offsets and clock
     frames = contact_frames(small.log)
+    frames = frames[np.isin(small.log.time[frames], found.recording.time)]
+    assert len(frames) > 540  # but for those in the gap between two passes
     rows = np.flatnonzero(np.isin(small.frames, frames))
     happened = small.recording
     truth = recording_of(
@@ -97,7 +99,10 @@ def test_clocks_far_apart_give_a_start(small):
     late = replace(
         log, readings=np.roll(log.readings, 12, axis=0), in_contact=np.roll(log.in_contact, 12)
     )
-    for moved, offset in ((log, 0.0), (late, CLOCK + 0.48)):
+    later = replace(
+        log, readings=np.roll(log.readings, 75, axis=0), in_contact=np.roll(log.in_contact, 75)
+    )  # by 3 s of frames, and by 0.6 s of each gap between that a frame passed
+    for moved, offset in ((log, 0.0), (late, CLOCK + 0.48), (later, CLOCK + 3.0)):
         rows = contact_frames(moved)
         found = first_offset(model, path, log.time[rows], moved.readings[rows])
         assert found == pytest.approx(offset, abs=0.03)

@@ -104,7 +104,8 @@ def test_the_likelihood_is_that_of_a_normal_distribution(setting):
     block = touches_module.Block(
         np.array([0, 0, 1]), np.array([0, 1, 1]), np.array([0.5, 0.2, np.nan]),
         np.array([0.45, 0.22, 0.08]), 100 * np.random.default_rng(0).normal(size=(3, 3)),
-        np.full(3, 1e-4), np.array([-0.3, 0.1, 0.1]),
+        np.full(3, 1e-4), np.array([-0.3, 0.1, 0.1]), np.array([0.4, 0.2, 0.05]),
+        np.zeros(3), np.zeros(3),
     )  # fmt: skip
     errors = Errors(0.01, 2e-4, 0.03, common=((0.01, 0.0), (0.0, 0.002)))
     c = touches_module.covariance_of(block, errors, np.tile(1e-8 * np.eye(3), (2, 1, 1)))
@@ -121,7 +122,8 @@ def test_predictions_average_over_the_errors_of_places(setting):
     """Mean and variance against random displacements of the contacts."""
     scene, points = setting
     data = _data(scene, points)
-    touches, known = Touches(data), skin_map(scene.skin, scene.belief())
+    known = skin_map(scene.skin, scene.belief())
+    touches = Touches(data, known)
     rows, tau = known.units[0], 0.4e-3
     errors = Errors(1e-6, tau, 1e-9)
     state = unchanged(known, 0)
@@ -154,7 +156,7 @@ def test_what_a_component_leaves_open_is_estimated(state):
     slope = rng.normal(scale=200.0, size=(30, 3)) * [1.0, 1.0, 0.0]
     level, zero = mean + rng.normal(scale=0.1, size=30), np.zeros(30)
     level[25:] = np.nan  # silent
-    block = Block(contact, taxel, level, mean, slope, zero, 0.3 * mean)
+    block = Block(contact, taxel, level, mean, slope, zero, 0.3 * mean, mean, zero, zero)
     errors = Errors(0.02, 1e-4, 0.03, common=((0.04, 0.001), (0.001, 0.01)))
     places, up = np.tile(np.diag([1e-8, 1e-8, 0.0]), (5, 1, 1)), np.tile([0.0, 0.0, 1.0], (5, 1))
     still = Hypothesis(state, np.zeros((5, 3)), up, np.zeros(5))
@@ -175,7 +177,8 @@ def test_what_a_component_leaves_open_is_estimated(state):
 
 def test_common_changes_that_nothing_shows_are_zero(setting):
     scene, points = setting
-    known, touches = skin_map(scene.skin, scene.belief()), Touches(_data(scene, points))
+    known = skin_map(scene.skin, scene.belief())
+    touches = Touches(_data(scene, points), known)
     errors = replace(errors_module.start(touches), log_modulus=0.2, log_scale=-0.1)
     found = errors_module._fit_common(touches, known, [], errors, units=[])
     assert np.allclose([found.log_modulus, found.log_scale], 0.0, atol=1e-15)
@@ -214,7 +217,7 @@ def test_what_cannot_be_tested_is_refused(setting):
         ms.recalibrate(scene.skin, ms.press(scene, points[:1]), scene.belief())
     with pytest.raises(CalibrationError, match="false_alarm"):
         ms.recalibrate(scene.skin, recording, scene.belief(), false_alarm=0.0)
-    with pytest.raises(CalibrationError, match="tested by pressures"):
+    with pytest.raises(CalibrationError, match="whose calibration learned the response"):
         ms.recalibrate(scene.skin, recording, scene.belief(readings="raw"))
     with pytest.raises(CalibrationError, match="must be a Calibration or a Skin"):
         ms.recalibrate("map.txt", recording, scene.belief())
@@ -245,7 +248,7 @@ def test_single_taxels_and_a_calibration_as_the_map(noisy):
 @pytest.mark.slow
 def test_false_alarms_are_rarer_than_stated(setting):
     """200 recordings of an unchanged skin, noise unknown, at a stated rate of 10 %: a binomial
-    number above 32 would have a chance of 1 %. There was none."""
+    number above 32 would have a chance of 1 %."""
     scene, points = setting
     belief = scene.belief(noise_sigma=None)
     alarms = 0

@@ -246,3 +246,19 @@ def test_taxels_where_contacts_end_are_not_surrounded(world):
     assert not found[x < 3e-3].any()
     assert found[x > 6e-3].all()
     assert calibrate(half, belief).verdict.level == "PASS"
+
+
+@pytest.mark.parametrize(("offset", "words"), [(1.0, "1 N too large"), (-1.0, "0.98 N too small")])
+def test_an_offset_of_the_forces_is_named(noisy, recorded, offset, words):
+    wrong = changed(recorded, force=recorded.force + offset)
+    found = ms.calibrate(wrong, noisy.belief(contact="auto"))
+    assert found.verdict.level == "DOUBT"
+    assert any(f"forces seem to be {words}" in text for text in found.verdict.reasons)
+
+
+@pytest.mark.parametrize(("factor", "level"), [(1.0, "PASS"), (2.0, "PASS"), (4.0, "DOUBT")])
+def test_an_overstated_noise_is_named(noisy, recorded, factor, level):
+    belief = noisy.belief()
+    found = ms.calibrate(recorded, replace(belief, noise_sigma=factor * belief.noise_sigma))
+    assert found.verdict.level == level
+    assert any("times the stated noise" in text for text in found.verdict.reasons) == (factor > 3)

@@ -1,0 +1,156 @@
+"""The online calibration of a recording whose response a calibration of all of it has learned.
+
+Online, forces and a response of another kind cannot be learned from few contacts: they are taken as
+known, with the errors of the contacts. Positions, gains and offsets of the taxels are estimated
+anew. What is taken as known is uncertain, too: standard deviations are multiplied by one factor,
+such that in the median they end as those of the calibration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+
+from ...contact import LEARNED
+from ...core.arrays import Array
+from ...core.errors import CalibrationError
+from ...recording.recording import CONTACTS, READINGS, Recording
+from ..calibration import Calibration
+from ..cross_validation import recorded_belief
+from ..data.gather import gather
+from ..localization import CalibratedSkin
+from .linearization import local_estimator
+from .online_calibration import OnlineCalibration
+from .running_estimate import RunningEstimate
+
+if TYPE_CHECKING:
+    from ...scene.belief import Belief
+    from ..data.measurements import Measurements
+
+NUISANCE = ("gain", "offset")
+"""Unknowns of a taxel that are estimated anew."""
+
+
+@dataclass(frozen=True)
+class KnownResponse:
+    """Contacts and readings of a recording, and the response that was learned from them."""
+
+    recording: Recording
+    """Contacts in their places, and readings above the threshold in nominal Pa."""
+    belief: Belief
+    """What is believed of them."""
+    errors: Array
+    """Estimated errors (m, 3) of the contacts, as `Calibration.contact_errors`."""
+    template: Measurements
+    """Measurements with the learned response."""
+    values: Array
+    """The global parameters (ks,) of the response."""
+    widening: float
+    """Factor of the standard deviations."""
+
+    @classmethod
+    def of(cls, found: Calibration, recording: Recording) -> KnownResponse:
+        """That of the calibration `found` of a recording.
+
+        Raises CalibrationError for a calibration without learned response, and for a response with
+        hysteresis or crosstalk, whose readings depend on those before and beside them.
+        """
+        response, errors = found.response, found.contact_errors
+        if response is None or errors is None:
+            raise CalibrationError(
+                "the calibration has no learned response of this recording",
+                remedy='calibrate the recording with readings="raw" or contact="learned"',
+            )
+        if response.hysteresis[0] or response.crosstalk:
+            raise CalibrationError(
+                "a response with hysteresis or crosstalk cannot be replayed online",
+                value=f"shares {response.hysteresis[0]:.2g} and {response.crosstalk:.2g}",
+                remedy="use the calibration of the whole recording: meshskin calibrate",
+            )
+        belief = replace(recorded_belief(found), contact=LEARNED)
+        skin = CalibratedSkin.of(found, gather(recording, belief))
+        data = skin.data
+        template = _template(skin, 0 if found.fit is None else found.fit.pairs)
+        rows = np.setdiff1d(np.arange(len(data.points)), data.unread)
+        return cls(
+            recording=_recording(data, rows, recording.metadata),
+            belief=replace(data.belief, readings="pressure", contact_motion=None),
+            errors=errors[rows],
+            template=template,
+            values=skin.s,
+            widening=_widening(found, skin, replace(template, contact_errors=errors)),
+        )
+
+    def online(
+        self, target_sigma: float = 1e-4, unreachable: Collection[int] = ()
+    ) -> OnlineCalibration:
+        """An online calibration for the contacts of `recording`, which are to be given with their
+        `errors`; arguments as of `OnlineCalibration`."""
+        return _WithKnownResponse(self, target_sigma, unreachable)
+
+
+class _WithKnownResponse(OnlineCalibration):
+    """An online calibration whose global parameters are known."""
+
+    def __init__(self, known: KnownResponse, target: float, unreachable: Collection[int]) -> None:
+        template = known.template
+        belief = replace(known.belief, threshold=template.threshold, noise_sigma=template.noise)
+        super().__init__(belief, target_sigma=target, unreachable=unreachable)
+        self._estimate = RunningEstimate(template, known.values)
+        self._estimate.widening = known.widening
+
+
+def _template(skin: CalibratedSkin, pairs: int) -> Measurements:
+    """The measurements of a skin with the spread of its taxels' own unknowns as their priors, and
+    the root mean square of the noise of its readings."""
+    data, parameters = skin.data, skin.data.parameters
+    kept = [name for name in NUISANCE if name in parameters.nuisance_names]
+    spread = np.sqrt(np.mean(skin.nuisance[skin.live] ** 2, axis=0))
+    units = {"gain": 1.0, "offset": data.sigma}
+    columns = {name: spread[parameters.nuisance_names.index(name)] for name in kept}
+    least = {"gain": 1e-3, "offset": 1e-3}
+    sigma = tuple(max(float(columns[name]), least[name]) * units[name] for name in kept)
+    noise = skin.deviations.noise_of(data.pressure / data.sigma) * data.sigma
+    return replace(
+        data,
+        parameters=replace(parameters, nuisance_names=tuple(kept), nuisance_sigma=sigma),
+        noise=float(np.sqrt(np.mean(noise**2))),
+        noise_pairs=pairs,
+        unread=np.empty(0, dtype=int),
+        headings=None,  # contacts are in their places
+        contact_errors=np.zeros((len(data.points), 3)),
+    )
+
+
+def _widening(found: Calibration, skin: CalibratedSkin, data: Measurements) -> float:
+    """Median ratio of the standard deviations of a calibration to those with the response and the
+    contacts' errors, which `data` has, as known."""
+    live, weight = skin.live, np.ones(len(data.pressure))
+    rotations, nuisance = found.poses[live, :3, :3], skin.nuisance[live, : len(NUISANCE)]
+    estimator = local_estimator(
+        data, weight, skin.points[live], rotations, nuisance, skin.s, live
+    )  # fmt: skip
+    hessian = estimator.problem.blocks(estimator.state).hessian
+    own = np.linalg.inv(hessian)[:, :2, :2]
+    ratio = found.position_sigma[live] / np.sqrt(np.trace(own, axis1=1, axis2=2))
+    return max(1.0, float(np.median(ratio)))
+
+
+def _recording(data: Measurements, rows: np.ndarray, metadata: Mapping[str, Any]) -> Recording:
+    """The contacts `rows` of the measurements, and their readings; metadata: of the recording."""
+    columns = [data.time[rows], *data.points[rows].T, *data.normals[rows].T, data.force[rows]]
+    read = np.flatnonzero(np.isin(data.contact, rows))
+    read = read[np.argsort(data.contact[read], kind="stable")]
+    ids = data.ids[data.taxel[read]]
+    schema = READINGS.set(1, pa.field("taxel", pa.from_numpy_dtype(ids.dtype)))
+    readings = [data.time[data.contact[read]], ids, data.pressure[read]]
+    kept = {name: metadata[name] for name in ("force", "unreachable") if name in metadata}
+    return Recording(
+        pa.table(columns, schema=CONTACTS),
+        pa.table(readings, schema=schema),
+        {"taxel_ids": data.ids.tolist(), **kept},
+    )

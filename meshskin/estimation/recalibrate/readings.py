@@ -1,0 +1,134 @@
+"""The touches of a recording in the unit of an earlier map, under the response that it has.
+
+Raw readings are brought to the unit and the polarity of the map's calibration, whose response
+predicts them: of a few contacts alone, neither could be told.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...core import arrow
+from ...core.errors import CalibrationError
+from ...recording.recording import Recording
+from ...scene.belief import RAW
+from ..calibration import Calibration
+from ..cross_validation import recorded_belief as raw_belief
+from ..data.gather import gather
+from ..data.measurements import Measurements
+from ..data.raw_readings import quantum
+from ..joint.learned_result import FALLING
+from ..localization import CalibratedSkin
+from .skin_map import SkinMap
+from .touches import Touches
+
+if TYPE_CHECKING:
+    from ...scene.belief import Belief
+    from ...skin.skin import Skin
+
+MIN_READINGS = 8
+"""Least number of readings: four errors are estimated from them."""
+CONTACTS_PER_TAXEL = 5
+"""Contacts per taxel that are used at most, evenly chosen: neighbouring frames of a sweep share
+their errors and say little more."""
+
+
+def recorded_belief(previous: Calibration | Skin) -> Belief | None:
+    """The belief of the map in the unit of its readings; None where it has none."""
+    if not isinstance(previous, Calibration) or previous.belief is None:
+        return None
+    return raw_belief(previous)
+
+
+def read(
+    recording: Recording, belief: Belief, known: SkinMap, previous: Calibration | Skin
+) -> Touches:
+    """The readings under the map's E* or learned response, thinned. Raises CalibrationError."""
+    response = getattr(previous, "response", None)
+    if belief.readings == RAW:
+        if not isinstance(previous, Calibration) or response is None:
+            raise CalibrationError(
+                "raw readings need an earlier map whose calibration learned the response",
+                value=type(previous).__name__,
+                remedy="calibrate again, and compare the maps with `meshskin diff`",
+            )
+        if FALLING in previous.factors:
+            recording = _turned(recording)
+    data = gather(recording, replace(_as_mapped(belief, previous), taxel_ids=known.ids))
+    if len(data.pressure) < MIN_READINGS:
+        raise CalibrationError(
+            "too few readings to tell a change from noise", value=len(data.pressure),
+            limit=f"at least {MIN_READINGS}", remedy="touch the skin at more places",
+        )  # fmt: skip
+    step = -(-len(data.points) // (CONTACTS_PER_TAXEL * len(known.ids)))
+    data = data if step == 1 else _thinned(data, step)
+    return touches_of(data, known, previous)
+
+
+def touches_of(data: Measurements, known: SkinMap, previous: Calibration | Skin) -> Touches:
+    """The measurements as the map's contact model, or its learned response, predicts them."""
+    response = getattr(previous, "response", None)
+    if not isinstance(previous, Calibration) or response is None:
+        return Touches(data, known)
+    order = np.argsort(previous.ids, kind="stable")
+    unknowns = {name: values[order] for name, values in previous.taxel_unknowns.items()}
+    ordered = replace(
+        previous, belief=replace(data.belief, contact=response.contact), ids=known.ids,
+        poses=previous.poses[order], covariances=previous.covariances[order],
+        taxel_unknowns=unknowns,
+    )  # fmt: skip
+    skin = CalibratedSkin.of(ordered, data)
+    noise = (data.belief.noise_sigma or 0.0) * data.unit or response.noise
+    return Touches(replace(skin.data, noise=noise / response.unit), known, skin)
+
+
+def _as_mapped(belief: Belief, previous: Calibration | Skin) -> Belief:
+    """The belief with the E* that the map's readings were read under."""
+    response, modulus = getattr(previous, "response", None), getattr(previous, "modulus", None)
+    if response is not None:
+        if not response.references:
+            raise CalibrationError(
+                "the earlier calibration does not state what its learned response refers to",
+                remedy="calibrate its recording again: it was saved by an earlier version",
+            )
+        modulus = response.references[3]
+    if modulus is None:
+        return belief
+    ratio = modulus / belief.material.effective_modulus
+    material = replace(belief.material, young=belief.material.young * ratio)
+    return replace(belief, material=material)
+
+
+def _turned(recording: Recording) -> Recording:
+    """The recording with readings that rise with pressure, as those of a map's that fell."""
+    turned = recording.pressure.max(initial=0.0) - recording.pressure
+    at = recording.readings.column_names.index("pressure")
+    turned = arrow.column(turned + quantum(recording.pressure))
+    return replace(recording, readings=recording.readings.set_column(at, "pressure", turned))
+
+
+def _thinned(data: Measurements, step: int) -> Measurements:
+    """Every step-th contact, with its readings."""
+    kept = np.arange(0, len(data.points), step)
+    row = np.full(len(data.points), -1)
+    row[kept] = np.arange(len(kept))
+    read = row[data.contact] >= 0
+    corrupt = data.corrupt[row[data.corrupt[:, 0]] >= 0].copy()
+    corrupt[:, 0] = row[corrupt[:, 0]]
+    return replace(
+        data,
+        points=data.points[kept],
+        normals=data.normals[kept],
+        directions=data.directions[kept],
+        curvature=data.curvature[kept],
+        force=data.force[kept],
+        patches=data.patches.take(kept),
+        time=data.time[kept],
+        contact=row[data.contact[read]],
+        taxel=data.taxel[read],
+        pressure=data.pressure[read],
+        corrupt=corrupt,
+    )

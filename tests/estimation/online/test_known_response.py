@@ -1,0 +1,104 @@
+"""The online calibration of raw readings under forces that were not measured."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import meshskin as ms
+from meshskin.core.errors import CalibrationError
+from meshskin.estimation.online.known_response import KnownResponse
+from meshskin.recording.recording import NOMINAL, Recording
+from meshskin.report.live.replay import Frames
+
+COUNTS = 1e-2
+"""Counts per Pa."""
+COUNT = 60
+"""Contacts."""
+FORCE = 0.3
+"""Standard deviation of ln F, which the robot does not know."""
+
+
+@pytest.fixture(scope="module")
+def raw(noisy):
+    """Seven taxels pressed 60 times under unknown forces, the recording and the belief."""
+    rng = np.random.default_rng(3)
+    middle = noisy.skin.positions[40]
+    off = np.linalg.norm(noisy.skin.positions - middle, axis=1)
+    rows = np.sort(np.argsort(off)[:7])
+    skin = ms.Skin(noisy.skin.poses[rows], noisy.skin.ids[rows], noisy.skin.disc_radius)
+    scene = noisy.with_(skin=skin)
+    points = skin.positions.mean(axis=0) + rng.normal(scale=4e-3, size=(COUNT, 3))
+    forces = 3.0 * np.exp(FORCE * rng.normal(size=len(points)))
+    pressed = ms.press(scene, points, forces, seed=1)
+    contacts = pressed.contacts.set_column(
+        pressed.contacts.column_names.index("force"), "force", [np.ones(len(forces))]
+    )
+    at = pressed.readings.column_names.index("pressure")
+    counts = pressed.readings.set_column(at, "pressure", [COUNTS * pressed.pressure])
+    metadata = {"taxel_ids": skin.ids.tolist(), "readings": "raw", "force": NOMINAL}
+    recording = Recording(contacts, counts, metadata)
+    belief = replace(
+        scene.belief(), readings="raw", noise_sigma=None, threshold=0.0, force_reference=None
+    )
+    return ms.calibrate(recording, belief), recording, skin, forces
+
+
+@pytest.fixture(scope="module")
+def replayed(raw):
+    """What is known of the recording, and the online calibration of all its contacts."""
+    found, recording, _, _ = raw
+    known = KnownResponse.of(found, recording)
+    online = known.online()
+    frames = Frames(known.recording, online.ids, known.errors)
+    for begin in range(0, COUNT, 4):
+        online.update(*frames.part(begin, begin + 4))
+    online.settle()
+    return known, online
+
+
+def test_taxels_are_where_the_batch_estimate_puts_them(raw, replayed):
+    found, online = raw[0], replayed[1]
+    apart = np.linalg.norm(online.positions - found.positions, axis=1)
+    assert (apart < 0.3 * found.position_sigma).all()
+    assert online.status.used == COUNT
+
+
+def test_without_the_errors_of_the_forces_the_places_are_others(raw, replayed):
+    found, (known, _) = raw[0], replayed
+    online = known.online()
+    frames = Frames(known.recording, online.ids)
+    online.update(*frames.part(0, COUNT))
+    online.settle()
+    apart = np.linalg.norm(online.provisional - found.positions, axis=1)
+    assert (apart > 0.5 * found.position_sigma).any()
+
+
+def test_the_estimated_errors_are_those_of_the_forces(raw):
+    found, _, _, forces = raw
+    errors = found.contact_errors[:, 2]
+    told = np.abs(errors) > 0.02  # contacts that no taxel reads keep the prior mean
+    assert np.corrcoef(errors[told], np.log(forces)[told])[0, 1] > 0.9
+
+
+def test_sigmas_hold_what_the_places_are_off(raw, replayed):
+    skin, online = raw[2], replayed[1]
+    off = np.linalg.norm(online.positions - skin.positions, axis=1)
+    assert np.sqrt(np.mean((off / online.position_sigma) ** 2)) < 1.5
+    assert np.median(online.position_sigma / raw[0].position_sigma) == pytest.approx(1, abs=0.05)
+
+
+def test_a_calibration_without_learned_response_is_refused(noisy):
+    recording = ms.press(noisy, noisy.skin.positions[:3].repeat(3, axis=0), seed=1)
+    with pytest.warns(ms.LeftOutWarning):
+        found = ms.calibrate(recording, noisy.belief(), method="centroid")
+    with pytest.raises(CalibrationError, match="no learned response"):
+        KnownResponse.of(found, recording)
+
+
+@pytest.mark.parametrize("departure", [{"hysteresis": (0.3, 0.1)}, {"crosstalk": 0.1}])
+def test_readings_that_depend_on_others_are_refused(raw, departure):
+    found, recording, _, _ = raw
+    found = replace(found, response=replace(found.response, **departure))
+    with pytest.raises(CalibrationError, match="hysteresis or crosstalk"):
+        KnownResponse.of(found, recording)
