@@ -143,10 +143,10 @@ def cases() -> dict[str, Case]:
         "indenter": Case(
             ideal,
             {
-                "unknown": ("modulus", "indenter_offset", "drag"),
+                "unknown": ("modulus", "indenter_offset", "drag", "friction"),
                 "priors": {"indenter_offset": STANDS},
             },
-            {"modulus": 0.0, "drag": 0.0},
+            {"modulus": 0.0, "drag": 0.0, "friction": 0.0},
             draw=random_displacement,
         ),
         "modules": Case(

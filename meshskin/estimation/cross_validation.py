@@ -25,8 +25,6 @@ from ..recording.recording import Recording
 from ..scene.belief import RAW
 from .calibrate import calibrate
 from .data.gather import gather
-from .data.measurements import Measurements
-from .data.resolve_belief import valid_contacts
 from .localization import CalibratedSkin
 
 if TYPE_CHECKING:
@@ -122,7 +120,7 @@ def cross_validate(
             limit=f"{folds} folds",
             remedy="give fewer folds or a recording that covers more of the skin",
         )
-    fold, rows = fold % folds, _rows(recording, data)
+    fold, rows = fold % folds, data.recorded
     localized, centroids = np.full(data.points.shape, np.nan), np.full(data.points.shape, np.nan)
     points, likelihood = data.points.copy(), np.zeros(len(data.points))
     count = np.zeros(len(data.points), dtype=int)
@@ -191,15 +189,6 @@ def recorded_belief(calibration: Calibration) -> Belief:
         saturation=None if belief.saturation is None else belief.saturation * unit,
         noise_sigma=None if belief.noise_sigma is None else belief.noise_sigma * unit,
     )
-
-
-def _rows(recording: Recording, data: Measurements) -> np.ndarray:
-    """Rows (m,) of the recording of the contacts of its measurements."""
-    rows = np.flatnonzero(recording.force > 0)
-    if data.left_out:
-        curvature = data.body.closest(recording.points[rows]).curvature
-        rows = rows[valid_contacts(recording.force[rows], curvature, data.belief)]
-    return rows
 
 
 def _pitch(positions: Array) -> float:

@@ -104,7 +104,7 @@ def test_errors_name_the_table_of_the_file(tmp_path):
         ("effects = 3", "effects must be a list of tables, got 3"),
         ("effects = 'auto'\ncandidates = 3", "candidates must be a list of tables, got 3"),
         ("[skin]\ncount = 1000000000000000000000000000000", "at most 1e.06"),
-        ("[indenter]\nradius_mm = 1e-300", "limit: at least 1e-06 m"),
+        ("[indenter]\nradius_mm = 1e-300", "limit: at least 0.0001 m"),
         ("[loop]\nintegrator = 4", "loop.integrator must be text in quotes, got 4"),
     ],
 )

@@ -62,7 +62,10 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     valid = np.ones(int(used.sum()), dtype=bool)
     if not learned:  # a learned response needs no valid model
         valid = valid_contacts(recording.force[used], hit.curvature[used], belief)
-    used[used] = valid
+    strays = unit_checks.off_surface(
+        hit.take(used), recording.normals[used], belief.indenter.radius
+    )
+    used[used] = valid & ~strays
     read &= used[recording.reading_contact]
     if belief.readings != RAW:  # raw readings fluctuate about their level at rest
         corrupt |= pressure < 0
@@ -107,7 +110,9 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
         unit=unit,
         headings=None if headings is None else headings[used],
         time=recording.time[used],
+        recorded=np.flatnonzero(used),
         left_out=int(np.sum(~valid)),
+        strays=int(np.sum(strays)),
         corrupt=np.column_stack([row[recording.reading_contact], index])[corrupt],
     )
     if motion is None or "clock_offset" not in motion.labels:

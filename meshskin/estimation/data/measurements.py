@@ -86,6 +86,10 @@ class Measurements:
     errors of ln F; None: none."""
     time: Array = field(default_factory=lambda: np.empty(0))
     """Times (m,), s, of the contacts."""
+    recorded: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
+    """Rows (m,) of the contacts in the recording."""
+    strays: int = 0
+    """Number of contacts left out because they are single ones that are not on the surface."""
     left_out: int = 0
     """Number of contacts left out because the contact model does not hold in them."""
     corrupt: np.ndarray = field(default_factory=lambda: np.empty((0, 2), dtype=int))

@@ -11,6 +11,7 @@ import numpy as np
 from ...core.arrays import Array
 from ...core.errors import CalibrationError, RecordingError
 from ...geometry.body import Body
+from ...geometry.surface.closest_point import Closest
 from ...recording.recording import Recording
 
 MAX_DISTANCE = 0.02
@@ -23,6 +24,14 @@ CLOSE = 2e-3
 which they are not one point: a tenth of MAX_DISTANCE."""
 SAMPLES = 100
 """Points that are rescaled, about: enough for a median."""
+SINGLE = 6.0
+"""Distance or angle from the surface, in upper quartiles of all contacts, above which a contact is
+not on it: 7 standard deviations of normal errors."""
+MIN_OFF = 0.01, np.radians(2.0)
+"""Distance, in radii of the indenter, and angle up to which every contact is on the surface: a
+fifth of the indentation, and what the normals of a contact patch differ by anyway."""
+MAX_SINGLE = 0.1
+"""Fraction of contacts off the surface up to which they are single ones."""
 MAX_PRESSURE_RATIO = 30.0
 """Largest ratio of the strongest readings to the believed peak pressure, either way. The peak grows
 as E*^(2/3), so that E* may be wrong by a factor of 160; kPa for Pa is a factor of 1000."""
@@ -76,6 +85,28 @@ def check_points(body: Body, points: Array, distance: Array) -> None:
         limit=f"{MAX_DISTANCE} m",
         remedy=remedy,
     )
+
+
+def off_surface(hit: Closest, normals: Array, radius: float) -> np.ndarray:
+    """Single contacts (m,) bool that are not on the believed surface where the others are.
+
+    Their points are off it, or their recorded normals (m, 3) are not its: an indenter (radius, m)
+    that rolls over an edge of a mesh, or a wrong frame of a log. None where many contacts are off,
+    or errors of all are as large.
+    """
+    off = np.zeros(len(normals), dtype=bool)
+    limits = MIN_OFF[0] * radius, MIN_OFF[1]
+    for size, least in zip((np.abs(hit.distance), angles(hit, normals)), limits, strict=True):
+        off |= size > max(least, SINGLE * float(np.quantile(size, 0.75)) if len(size) else 0.0)
+    return off & (off.mean() <= MAX_SINGLE if len(off) else True)
+
+
+def angles(hit: Closest, normals: Array) -> Array:
+    """Angles (m,), rad, of recorded normals (m, 3) and those of the surface; 0 without a normal."""
+    length = np.linalg.norm(normals, axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cosine = np.einsum("mi,mi->m", hit.normal, normals) / length
+    return np.arccos(np.clip(np.where(length > 0, cosine, 1.0), -1.0, 1.0))
 
 
 def check_force(force: Array, reference: float) -> None:

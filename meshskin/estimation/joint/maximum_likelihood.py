@@ -219,6 +219,8 @@ def _result(
         silent += (WIDENED.format(fit.reduced**0.5),)
     if data.left_out:
         silent += (f"without {data.left_out} contacts in which the contact model does not hold",)
+    if data.strays:
+        silent += (f"without {data.strays} contacts that are not on the believed surface",)
     if len(data.misfitting):
         silent += (MISFITTING.format(len(data.misfitting)),)
     sigma = np.sqrt(scale * np.diagonal(covariance, axis1=1, axis2=2))

@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...core.arrays import Array
 from ...scene.belief import RAW
 from ..data import delay
 from ..data.global_parameters import ELECTRONICS, LEARNED, MIN_KEPT, SIZES, declared_parameters
+from ..data.unit_checks import angles
 from ..joint.departures import MIN_SCORE
 from ..joint.learned_result import MAX_CORRELATION
 from . import verdict, weighted_means
@@ -46,6 +48,15 @@ from which it is a doubt. A layer of the thickness of the patch changes the peak
 PRIOR_SIGMAS = 4.0
 """Distance of a global parameter from zero, in standard deviations of its prior, from which it is a
 doubt: 6e-5 by chance."""
+NORMAL_ANGLES = 20.0, 45.0
+"""Median angle of recorded normals and those of the believed surface, in degrees, from which it is
+a doubt, and a failure: with friction of 0.3 a force leans by 17 degrees."""
+NORMAL_TURNS = -0.5, 0.0
+"""Turn of the recorded normals over that of the surface, along the direction where it is least,
+with the opposite sign, from which it is a doubt, and a failure: 1 in a sound log, -1 along a
+mirrored axis, the cosine of the angle in a frame that is rotated about the normal."""
+MIN_TURN = 0.03
+"""Spread of the surface's normals along a direction, rad, from which turns along it count."""
 SURFACE_DEPTHS = 0.1, 1.5
 """Typical distance of the contact points from the believed surface, in depths of the indentation,
 from which it is a doubt, and a failure: recorded points lie between the undeformed surface and the
@@ -73,6 +84,7 @@ def judge(
         lambda: _scale(data, calibration),
         lambda: _priors(data, calibration),
         lambda: _surface(recording, data, calibration),
+        lambda: _normals(recording, data),
         lambda: weighted_means.findings(data, calibration),
         lambda: verdict.forces(recording, calibration),
         lambda: verdict.force_offset(data, calibration),
@@ -241,6 +253,43 @@ def _surface(recording: Recording, data: Measurements, calibration: Calibration)
         "indenter_offset unknown"
     )
     return [(level, words)]
+
+
+def _normals(recording: Recording, data: Measurements) -> list[Finding]:
+    """Recorded normals against those of the believed surface: their angle, and how both turn from
+    contact to contact, which on a small patch shows a mirrored axis better."""
+    rows = np.flatnonzero((recording.force > 0) & np.isfinite(recording.normals).all(axis=1))
+    if len(rows) < verdict.MIN_CONTACTS:
+        return []
+    hit, normals = data.body.closest(recording.points[rows]), recording.normals[rows]
+    typical = float(np.degrees(np.median(angles(hit, normals))))
+    turn, axis = _least_turn(hit.normal, normals)
+    if (level := level_of(-turn, NORMAL_TURNS)) != PASS:
+        words = (
+            f"from contact to contact, recorded normals turn {turn:.2g} times as the believed "
+            f"surface's along ({', '.join(f'{x:.2g}' for x in axis)}) (limit "
+            f"{-NORMAL_TURNS[0]:g}): check the signs and the order of the axes of contacts and body"
+        )
+    elif (level := level_of(typical, NORMAL_ANGLES)) != PASS:
+        words = (
+            f"recorded normals are {typical:.2g} degrees from those of the believed surface in the "
+            f"median (limit {NORMAL_ANGLES[0]:g}): check the frame of the body and of the contacts"
+        )
+    return [] if level == PASS else [(level, words)]
+
+
+def _least_turn(surface: Array, normals: Array) -> tuple[float, Array]:
+    """The least eigenvalue of the regression of recorded normals (m, 3) on those of the surface,
+    and its direction (3,); 1 where the surface's hardly turn."""
+    centred = surface - surface.mean(axis=0)
+    value, vectors = np.linalg.eigh(centred.T @ centred / len(centred))
+    basis = vectors[:, value > MIN_TURN**2]
+    if not basis.size:
+        return 1.0, np.zeros(3)
+    across, found = centred @ basis, (normals - normals.mean(axis=0)) @ basis
+    slope = np.linalg.lstsq(across, found, rcond=None)[0]
+    least, directions = np.linalg.eigh((slope + slope.T) / 2)
+    return float(least[0]), basis @ directions[:, 0]
 
 
 def _radius(data: Measurements) -> float:

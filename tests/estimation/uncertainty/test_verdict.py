@@ -80,6 +80,10 @@ LOGS = {
     "15 mm out": (lambda r: outward(r, 15e-3), "15 mm above the believed surface"),
     "15 mm aside": (lambda r: aside(r, 15e-3), "contact points lie"),
     "indenter 1 mm off": (lambda r: aside(r, 1e-3), "moved by (-1,"),
+    "y mirrored": (
+        lambda r: changed(r, r.points * [1.0, -1.0, 1.0]),
+        "recorded normals turn -1 times",
+    ),
     "equal pressures": (
         lambda r: changed(r, pressure=np.full(len(r.pressure), 2e4)),
         "all pressures are equal",
@@ -229,6 +233,17 @@ def test_sound_logs_pass(noisy, noise):
     levels = [ms.calibrate(log(noisy, k), beliefs(noisy)[noise]).verdict.level for k in range(20)]
     assert levels.count("PASS") >= 19
     assert "FAIL" not in levels
+
+
+@pytest.mark.parametrize("lean", [0.0, 0.2])
+def test_recorded_normals_that_scatter_or_lean_alike_accuse_nothing(noisy, recorded, lean):
+    rng = np.random.default_rng(1)
+    normals = recorded.normals + rng.normal(0, 0.1, (CONTACTS, 3)) + lean * np.array([0, 1, 0])
+    contacts = recorded.contacts
+    for name, values in zip(("nx", "ny", "nz"), normals.T, strict=True):
+        contacts = contacts.set_column(contacts.column_names.index(name), name, pa.array(values))
+    found = ms.calibrate(Recording(contacts, recorded.readings, {}), noisy.belief())
+    assert found.verdict.level == "PASS"
 
 
 def test_taxels_where_contacts_end_are_not_surrounded(world):

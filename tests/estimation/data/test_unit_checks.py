@@ -1,0 +1,74 @@
+"""Single contacts that are not on the believed surface."""
+
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+import meshskin as ms
+from meshskin.estimation.data.gather import gather
+from meshskin.estimation.data.unit_checks import angles, off_surface
+from meshskin.recording.recording import Recording
+
+RADIUS = 8e-3
+"""Of the indenter, m."""
+
+
+@pytest.fixture(scope="module")
+def contacts():
+    """Points (m, 3) on a sphere, and the normals there."""
+    direction = np.random.default_rng(0).normal(size=(1000, 3))
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    return ms.Body.sphere(0.1), 0.1 * direction, direction
+
+
+def leaning(normals, angle):
+    """Normals (m, 3) turned by `angle` (m,), rad, about a direction across."""
+    across = np.cross(normals, [0.3, -0.5, 0.8])
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    return np.cos(angle)[:, None] * normals + np.sin(angle)[:, None] * across
+
+
+def test_contacts_off_the_surface_and_leaning_normals_are_found(contacts):
+    body, points, normals = contacts
+    rows, angle = np.arange(len(points)), np.zeros(len(points))
+    wrong = (rows < 30) | (rows >= 980)
+    points = points + np.where(rows < 30, 1e-3, 1e-6)[:, None] * normals
+    angle[980:] = np.radians(10.0)
+    hit, recorded = body.closest(points), leaning(normals, angle)
+    np.testing.assert_allclose(angles(hit, recorded), angle, atol=1e-4)
+    np.testing.assert_array_equal(off_surface(hit, recorded, RADIUS), wrong)
+    np.testing.assert_array_equal(
+        off_surface(hit, np.full_like(normals, np.nan), RADIUS), rows < 30
+    )
+
+
+def test_errors_of_all_contacts_accuse_none(contacts):
+    body, points, normals = contacts
+    rng = np.random.default_rng(1)
+    scattered = body.closest(points + rng.normal(0, 1e-3, (len(points), 1)) * normals)
+    noisy = leaning(normals, rng.normal(0, 0.1, len(points)))
+    assert not off_surface(scattered, noisy, RADIUS).any()
+    many = body.closest(points + np.where(np.arange(len(points)) < 300, 1e-3, 0)[:, None] * normals)
+    assert not off_surface(many, normals, RADIUS).any()
+
+
+def test_strays_are_left_out_and_said(noisy):
+    recording = ms.press(noisy, noisy.skin.positions, seed=1)
+    points = recording.points.copy()
+    points[[3, 40]] += 1e-3 * recording.normals[[3, 40]]
+    table = recording.contacts
+    for name, values in zip(("px", "py", "pz"), points.T, strict=True):
+        table = table.set_column(table.column_names.index(name), name, pa.array(values))
+    strayed = Recording(table, recording.readings, recording.metadata)
+    data = gather(strayed, noisy.belief())
+    assert data.strays == 2
+    assert len(data.points) == len(recording.points) - 2
+    np.testing.assert_array_equal(
+        data.recorded, np.setdiff1d(np.arange(len(recording.points)), [3, 40])
+    )
+    belief = replace(noisy.belief(), noise_sigma=None)
+    assert "without 2 contacts that are not on the believed surface" in (
+        ms.calibrate(strayed, belief).factors
+    )
