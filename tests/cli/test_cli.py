@@ -174,6 +174,7 @@ def test_ctrl_c_leaves_no_half_written_file(tmp_path, wait):
     assert len(parts) in (0, 3)
 
 
+@pytest.mark.slow
 def test_a_method_that_finds_nothing_is_left_out_of_the_comparison(tmp_path, capsys):
     """One taxel alone has no displacements; its own place is found as ever."""
     text = 'extends = "sphere"\n[skin]\ncount = 1'

@@ -395,6 +395,7 @@ def test_the_energy_of_a_six_joint_arm_does_not_drift(hanging, periods, faces):
     assert np.abs(energies / energies[0] - 1.0).max() < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("integrator", FIRST)
 def test_contact_that_is_lost_is_made_again(place, integrator):
     """Thrown off the indenter at 0.3 m/s: touches again and holds, as in CVODES' solution."""

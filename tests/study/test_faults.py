@@ -108,6 +108,7 @@ def test_cases_of_a_killed_worker_are_run_again(tmp_path):
     ).read_bytes()
 
 
+@pytest.mark.slow
 @LINUX
 def test_workers_die_with_a_killed_parent_and_a_second_run_resumes(tmp_path):
     out, marks = tmp_path / "a", tmp_path / "marks"

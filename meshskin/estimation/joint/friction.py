@@ -10,6 +10,9 @@ Mechanics (1985), section 7.2.
 
 from __future__ import annotations
 
+import functools
+
+import casadi as ca
 import numpy as np
 
 from ...core.arrays import Array
@@ -17,6 +20,8 @@ from ..data.measurements import Measurements
 
 PAUSE = 1.5
 """Interval between two contacts, in median ones, from which the skin was released between."""
+TINY = 1e-300
+"""Square of a shear, m^2, that keeps its direction finite where there is none."""
 
 
 def shears(data: Measurements, limit: float) -> tuple[Array, Array]:
@@ -32,26 +37,34 @@ def shears(data: Measurements, limit: float) -> tuple[Array, Array]:
     released = interval > PAUSE * np.median(interval)
     last = np.append(released[1:], True)
     amid = np.where((released | last)[:, None], steps, (steps + np.roll(steps, -1, axis=0)) / 2)
-    state, found = np.zeros((2, 3)), np.empty((len(steps), 2, 3))  # the shear, its derivative
-    for k, normal in enumerate(data.normals):
-        if released[k]:
-            state, found[k] = np.zeros((2, 3)), 0.0
-            continue
-        found[k] = _moved(state, amid[k], normal, size)
-        state = _moved(state, steps[k], normal, size)
+    inputs = steps.T, amid.T, data.normals.T, np.full((1, len(steps)), size), ~released[None]
+    found = np.asarray(_stop(len(steps))(np.zeros((3, 2)), *inputs)[1]).T.reshape(-1, 2, 3)
     return np.copysign(1.0, limit) * found[:, 0], found[:, 1]
 
 
-def _moved(state: Array, step: Array, normal: Array, limit: float) -> Array:
-    """A shear and its derivative in the limit (2, 3) after a step (3,) of the contact."""
-    shear, slope = state - np.outer(state @ normal, normal)
-    shear = shear + step - (step @ normal) * normal
-    size = float(np.sqrt(shear @ shear))
-    if size > limit:
+@functools.lru_cache(maxsize=4)
+def _stop(count: int) -> ca.Function:
+    """Shears and their derivatives in the limit (3, 2) along a path of `count` contacts.
+
+    (start (3, 2), steps (3, count), steps that end amid the neighbors, normals, limits (1, count),
+    whether the contact is held from the one before (1, count)) -> after each step, and amid.
+    """
+    state, limit, held = ca.SX.sym("state", 3, 2), ca.SX.sym("limit"), ca.SX.sym("held")
+    step, amid, normal = (ca.SX.sym(name, 3) for name in ("step", "amid", "normal"))
+    before = state - normal @ (normal.T @ state)
+
+    def moved(step: ca.SX) -> ca.SX:
+        shear, slope = before[:, 0] + step - normal * ca.dot(step, normal), before[:, 1]
+        size = ca.sqrt(ca.dot(shear, shear) + TINY)
         along = shear / size
-        slope = along + limit / size * (slope - along * (along @ slope))
-        shear = limit * along
-    return np.stack([shear, slope])
+        sliding = along + limit / size * (slope - along * ca.dot(along, slope))
+        slides = size > limit
+        return held * ca.horzcat(
+            ca.if_else(slides, limit * along, shear), ca.if_else(slides, sliding, slope)
+        )
+
+    one = ca.Function("stop", [state, step, amid, normal, limit, held], [moved(step), moved(amid)])
+    return one.mapaccum("shears", count)
 
 
 class Shears:

@@ -117,6 +117,7 @@ def test_a_taxel_that_fails_during_the_recording(world, clean, change):
     assert others(position_errors(found, world.skin), [9], reference) < 1.05
 
 
+@pytest.mark.slow
 def test_many_taxels_with_a_loose_wire(world, clean, change):
     recording, belief, reference, _ = clean
     dying = np.arange(0, len(world.ids), 5)
@@ -135,6 +136,7 @@ def test_a_misfit_that_all_taxels_share_is_no_fault_of_any(world):
     assert not found.fit.good
 
 
+@pytest.mark.slow
 def test_drifting_taxels_with_most_readings_are_the_faulty_ones(world, clean):
     """A fifth of the taxels gives three quarters of the readings: the typical taxel is sound."""
     recording, belief, reference, _ = clean
@@ -206,6 +208,7 @@ def test_outlier_rejection_that_does_not_converge_is_dropped(world, clean, chang
     assert not found.fit.good
 
 
+@pytest.mark.slow
 def test_the_test_of_fit_is_calibrated(world):
     belief = world.belief(0.01, 0.05)
     fits = [calibrate(world.record(0.01, 0.05, seed), belief).fit for seed in range(12)]

@@ -110,6 +110,7 @@ def test_taxels_are_optimized_independently(problem, world):
     assert np.allclose(state.z[others], plain.z[others], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_speed_study_finds_every_taxel(monkeypatch):
     file = Path(__file__).parents[3] / "studies" / "speed" / "joint.py"
     monkeypatch.syspath_prepend(file.parent)  # where a script finds the modules beside it

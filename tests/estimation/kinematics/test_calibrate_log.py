@@ -92,6 +92,7 @@ def test_a_small_exploration(small):
     assert np.sqrt(np.mean(errors**2)) < 1.3 * np.sqrt(np.mean(known**2))
 
 
+@pytest.mark.slow
 def test_clocks_far_apart_give_a_start(small):
     """Readings moved by twelve frames, 0.48 s."""
     log, model = small.log, small.kinematics(**KNOWN)

@@ -87,6 +87,7 @@ def test_reasons_of_taxels_without_a_start(world, data):
     assert fit.found.sum() == len(world.truth) - 3
 
 
+@pytest.mark.slow
 def test_false_responses_all_over_the_body(world):
     sigma, threshold = 0.2, 0.2  # a third of all contacts and taxels
     belief = world.belief(sigma, threshold)

@@ -69,6 +69,7 @@ def test_a_ball_of_the_feature_size_fits_everywhere_and_sinks_into_a_pit_as_it_m
     assert "at most" in skinned.repairs[-1]
 
 
+@pytest.mark.slow
 def test_the_indenter_fits_on_the_skin_over_a_pit_and_beside_its_edges(plate):
     indenter, depth = ms.Indenter.sphere(4e-3), 0.2e-3
     skinned = plate.skinned(THICKNESS, 8e-3, resolution=0.7e-3)
