@@ -20,6 +20,8 @@ from ..data.measurements import Measurements
 
 PAUSE = 1.5
 """Interval between two contacts, in median ones, from which the skin was released between."""
+BLOCK = 500
+"""Contacts of one call of a compiled path: some are filled up, and longer ones take memory."""
 TINY = 1e-300
 """Square of a shear, m^2, that keeps its direction finite where there is none."""
 
@@ -37,20 +39,27 @@ def shears(data: Measurements, limit: float) -> tuple[Array, Array]:
     released = interval > PAUSE * np.median(interval)
     last = np.append(released[1:], True)
     amid = np.where((released | last)[:, None], steps, (steps + np.roll(steps, -1, axis=0)) / 2)
-    inputs = steps.T, amid.T, data.normals.T, np.full((1, len(steps)), size), ~released[None]
-    found = np.asarray(_stop(len(steps))(np.zeros((3, 2)), *inputs)[1]).T.reshape(-1, 2, 3)
+    columns = np.column_stack([steps, amid, data.normals, ~released])
+    state, found = np.zeros((3, 2)), np.empty((len(steps), 2, 3))
+    for begin in range(0, len(steps), BLOCK):
+        part = columns[begin : begin + BLOCK]
+        block = np.zeros((BLOCK, columns.shape[1]))
+        block[: len(part)] = part
+        states, shear = _path()(state, block.T, np.full((1, BLOCK), size))
+        state = np.asarray(states)[:, -2:]
+        found[begin : begin + BLOCK] = np.asarray(shear).T.reshape(-1, 2, 3)[: len(part)]
     return np.copysign(1.0, limit) * found[:, 0], found[:, 1]
 
 
-@functools.lru_cache(maxsize=4)
-def _stop(count: int) -> ca.Function:
-    """Shears and their derivatives in the limit (3, 2) along a path of `count` contacts.
+@functools.cache
+def _path() -> ca.Function:
+    """Shears and their derivatives in the limit (3, 2) along a path of BLOCK contacts.
 
-    (start (3, 2), steps (3, count), steps that end amid the neighbors, normals, limits (1, count),
-    whether the contact is held from the one before (1, count)) -> after each step, and amid.
+    (start (3, 2); by columns, the step (3), the step that ends amid the neighbors (3), the normal
+    (3), whether the contact is held from the one before; limits) -> after each step, and amid.
     """
-    state, limit, held = ca.SX.sym("state", 3, 2), ca.SX.sym("limit"), ca.SX.sym("held")
-    step, amid, normal = (ca.SX.sym(name, 3) for name in ("step", "amid", "normal"))
+    state, limit, column = ca.SX.sym("state", 3, 2), ca.SX.sym("limit"), ca.SX.sym("column", 10)
+    step, amid, normal, held = column[:3], column[3:6], column[6:9], column[9]
     before = state - normal @ (normal.T @ state)
 
     def moved(step: ca.SX) -> ca.SX:
@@ -63,8 +72,8 @@ def _stop(count: int) -> ca.Function:
             ca.if_else(slides, limit * along, shear), ca.if_else(slides, sliding, slope)
         )
 
-    one = ca.Function("stop", [state, step, amid, normal, limit, held], [moved(step), moved(amid)])
-    return one.mapaccum("shears", count)
+    one = ca.Function("stop", [state, column, limit], [moved(step), moved(amid)])
+    return one.mapaccum("shears", BLOCK)
 
 
 class Shears:
