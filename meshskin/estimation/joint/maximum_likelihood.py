@@ -49,7 +49,7 @@ ESTIMATED_NOISE = "noise of {:.3g} Pa, estimated from {} pairs of neighbouring c
 MISFITTING = "without {} contacts whose readings fit no others: bumps, jumps of the curvature"
 """Factor of an estimate that some contacts were left out of."""
 USUAL_STEPS = 12
-"""Usual steps of an estimate: the start, two linearizations, and eight searches for second optima,
+"""Usual steps of an estimate: the start, two linearizations, and a search for second optima,
 of which a skin without open edges needs none."""
 RADIUS_TOLERANCE = 0.03
 """Relative standard deviation of the indenter's radius, which readings cannot tell from E*. Chosen:

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...contact.reading import same_sheet
-from ...core.arrays import Array
+from ...core.arrays import Array, ranges
 from .joint_estimator import JointEstimator
 from .likelihood import Likelihood, Readings, select
 from .parametrization import SurfaceParametrization
@@ -55,6 +55,8 @@ what the covariance says: at the second and third no taxel should be confidently
 NUISANCE_STEPS = 2
 """Newton steps to the best gain and offset at a position: readings are linear in the offset and
 nearly so in the logarithm of the gain."""
+COLUMNS = ("contact", "taxel", "level", "kind", "source", "weight")
+"""Columns of `Readings`."""
 MAX_MOVES = 3
 """Largest number of times that taxels are moved to better optima."""
 
@@ -98,18 +100,20 @@ def find_rivals(estimator: JointEstimator) -> RivalOptima:
     if estimator.data.noise is not None and variance > MAX_VARIANCE:
         return best
     limit = MAX_LOG_ODDS * max(variance, 1.0)
-    estimate = points[rows], estimator.state.z[rows]
-    starts = starting_points(estimator, rows, points[rows], reach)
-    estimator.stage.expect(len(starts) + 1)
-    for start in starts:
-        estimator.stage.step()
-        found = optimum_from(estimator, rows, start)
-        valid = np.linalg.norm(found[0] - points[rows], axis=1) > MIN_DISTANCE * reach
-        valid &= part_on_sheet(estimator, rows, found[0]) >= MIN_ON_SHEET
-        odds = np.where(valid, log_odds_between(estimator, rows, estimate, found), np.inf)
-        better = (odds < best.log_odds[rows]) & (odds < limit)
-        best.points[rows[better]] = found[0][better]
-        best.log_odds[rows[better]] = odds[better]
+    starts = np.stack(starting_points(estimator, rows, points[rows], reach))
+    many = np.tile(rows, len(starts))  # all starts of all taxels at once
+    found = optima_from(estimator, many, starts.reshape(-1, 3))
+    valid = np.linalg.norm(found[0] - points[many], axis=1) > MIN_DISTANCE * reach
+    valid &= part_on_sheet(estimator, many, found[0]) >= MIN_ON_SHEET
+    odds, rows_valid = np.full(len(many), np.inf), many[valid]
+    if len(rows_valid):
+        estimate = points[rows_valid], estimator.state.z[rows_valid]
+        there = found[0][valid], found[1][valid]
+        odds[valid] = log_odds_between(estimator, rows_valid, estimate, there)
+    odds = np.where(odds < limit, odds, np.inf).reshape(len(starts), -1)
+    best.log_odds[rows] = odds.min(axis=0)
+    chosen = found[0].reshape(starts.shape)[odds.argmin(axis=0), np.arange(len(rows))]
+    best.points[rows] = np.where(np.isfinite(best.log_odds[rows])[:, None], chosen, np.nan)
     return best
 
 
@@ -176,17 +180,14 @@ def _responses(estimator: JointEstimator) -> tuple[np.ndarray, np.ndarray, Array
 def part_on_sheet(estimator: JointEstimator, rows: np.ndarray, points: Array) -> Array:
     """Part (r,) of the responding contacts that press the sheet of skin at `points` (r, 3)."""
     taxel, contact, _ = _responses(estimator)
-    place = np.full(len(estimator.live), -1)
-    place[rows] = np.arange(len(rows))
-    mine = place[taxel] >= 0
-    owner, contact = place[taxel[mine]], contact[mine]
+    starts = np.searchsorted(taxel, rows)
+    count = np.searchsorted(taxel, rows, side="right") - starts
+    owner, contact = np.repeat(np.arange(len(rows)), count), contact[ranges(starts, count)]
     contacts, normals = estimator.problem.contacts.data, estimator.data.body.closest(points).normal
     on = same_sheet(
         points[owner] - contacts.points[contact], contacts.normals[contact], normals[owner]
     )
-    return np.bincount(owner[on], minlength=len(rows)) / np.maximum(
-        np.bincount(owner, minlength=len(rows)), 1
-    )
+    return np.bincount(owner[on], minlength=len(rows)) / np.maximum(count, 1)
 
 
 def starting_points(
@@ -223,18 +224,36 @@ def problem_of(
 
 
 def readings_of(estimator: JointEstimator, rows: np.ndarray, points: Array) -> Readings:
-    """The readings that inform about the taxels `rows` at `points` (r, 3)."""
-    return select(
-        estimator.problem.contacts.data, estimator.live[rows], points,
-        estimator.data.body.closest(points).normal, estimator.selected_at[2],
-        estimator.weight, estimator.silent_weight[rows],
-    )  # fmt: skip
+    """The readings that inform about the taxels `rows` (r,), some of them repeated, at `points`
+    (r, 3)."""
+    order, normals = np.argsort(rows, kind="stable"), estimator.data.body.closest(points).normal
+    copy = np.empty(len(rows), dtype=int)  # a selection holds a taxel once
+    copy[order] = np.arange(len(rows)) - np.searchsorted(rows[order], rows[order])
+    columns: dict[str, list[np.ndarray]] = {name: [] for name in COLUMNS}
+    for k in range(copy.max(initial=0) + 1):
+        at = np.flatnonzero(copy == k)
+        part = select(
+            estimator.problem.contacts.data, estimator.live[rows[at]], points[at], normals[at],
+            estimator.selected_at[2], estimator.weight, estimator.silent_weight[rows[at]],
+        )  # fmt: skip
+        for name in COLUMNS:
+            columns[name].append(getattr(part, name))
+        columns["taxel"][-1] = at[part.taxel]
+    joined = {name: np.concatenate(parts) for name, parts in columns.items()}
+    by_taxel = np.argsort(joined["taxel"], kind="stable")
+    return _sorted({name: values[by_taxel] for name, values in joined.items()}, len(rows))
 
 
-def optimum_from(estimator: JointEstimator, rows: np.ndarray, start: Array) -> tuple[Array, Array]:
-    """Points (r, 3) and unknowns (r, D) of the optima reached from `start` (r, 3), with the global
-    parameters fixed."""
+def _sorted(columns: dict[str, np.ndarray], count: int) -> Readings:
+    """Readings of `count` taxels, with COLUMNS sorted by taxel."""
+    return Readings(**columns, starts=np.searchsorted(columns["taxel"], np.arange(count + 1)))
+
+
+def optima_from(estimator: JointEstimator, rows: np.ndarray, start: Array) -> tuple[Array, Array]:
+    """Points (r, 3) and unknowns (r, D) of the optima of the taxels `rows` (r,), some of them
+    repeated, that are reached from `start` (r, 3), with the global parameters fixed."""
     points, z = start, estimator.state.z[rows].copy()
+    estimator.stage.expect(ITERATIONS + 1)
     for _ in range(ITERATIONS):
         z[:, :2] = 0.0
         problem = problem_of(estimator, rows, points, readings_of(estimator, rows, points))
@@ -242,6 +261,7 @@ def optimum_from(estimator: JointEstimator, rows: np.ndarray, start: Array) -> t
         problem.solve_inner(state)
         z = state.z.copy()
         points = estimator.data.body.closest(problem.points(state)).point
+        estimator.stage.step()
     return points, z
 
 
@@ -270,10 +290,7 @@ def log_odds_between(
 
 def union(first: Readings, second: Readings) -> Readings:
     """The readings of the same taxels that are in either."""
-    names = ("contact", "taxel", "level", "kind", "source", "weight")
-    columns = {n: np.concatenate([getattr(first, n), getattr(second, n)]) for n in names}
+    columns = {n: np.concatenate([getattr(first, n), getattr(second, n)]) for n in COLUMNS}
     pairs = np.stack([columns["taxel"], columns["contact"]])
     kept = np.unique(pairs, axis=1, return_index=True)[1]
-    columns = {name: values[kept] for name, values in columns.items()}
-    starts = np.searchsorted(columns["taxel"], np.arange(len(first.starts)))
-    return Readings(**columns, starts=starts)
+    return _sorted({n: values[kept] for n, values in columns.items()}, len(first.starts) - 1)
