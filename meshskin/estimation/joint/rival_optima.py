@@ -110,9 +110,9 @@ def find_rivals(estimator: JointEstimator) -> RivalOptima:
         estimate = points[rows_valid], estimator.state.z[rows_valid]
         there = found[0][valid], found[1][valid]
         odds[valid] = log_odds_between(estimator, rows_valid, estimate, there)
-    odds = np.where(odds < limit, odds, np.inf).reshape(len(starts), -1)
-    best.log_odds[rows] = odds.min(axis=0)
-    chosen = found[0].reshape(starts.shape)[odds.argmin(axis=0), np.arange(len(rows))]
+    by_start = np.where(odds < limit, odds, np.inf).reshape(len(starts), -1)
+    best.log_odds[rows] = by_start.min(axis=0)
+    chosen = found[0].reshape(starts.shape)[by_start.argmin(axis=0), np.arange(len(rows))]
     best.points[rows] = np.where(np.isfinite(best.log_odds[rows])[:, None], chosen, np.nan)
     return best
 
