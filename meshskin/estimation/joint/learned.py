@@ -64,7 +64,7 @@ MAX_DECREASE = 0.25
 optimum: noise costs 0.5, and the rests were 0 to 0.04, or 1 to 1.5 where steps had lost the way."""
 MAX_ROUNDS = 3
 """Largest number of times that outlying readings are left out and the rest is estimated again."""
-USUAL_STEPS = 40
+USUAL_STEPS = 30
 """Usual steps of Gauss and Newton, of variances, and of searches for second optima."""
 LEVEL_SAMPLE = 1000
 """Taxels and contacts, about, whose mean level the compression refers to: more change it by less

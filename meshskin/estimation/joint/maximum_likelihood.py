@@ -48,9 +48,8 @@ WIDENED = (
 ESTIMATED_NOISE = "noise of {:.3g} Pa, estimated from {} pairs of neighbouring contacts"
 MISFITTING = "without {} contacts whose readings fit no others: bumps, jumps of the curvature"
 """Factor of an estimate that some contacts were left out of."""
-USUAL_STEPS = 12
-"""Usual steps of an estimate: the start, two linearizations, and eight searches for second optima,
-of which a skin without open edges needs none."""
+USUAL_STEPS = 4
+"""Usual steps of an estimate: the start, two linearizations, and a search for second optima."""
 RADIUS_TOLERANCE = 0.03
 """Relative standard deviation of the indenter's radius, which readings cannot tell from E*. Chosen:
 0.3 mm of 10 mm, as a worn or printed indenter has it."""
