@@ -154,7 +154,7 @@ def _converged(
             weighted = np.linalg.solve(module.covariance, np.column_stack([r, j]))
             gradient[g] += j.T @ weighted[:, 0]
             hessian[g] += j.T @ weighted[:, 1:]
-        inverse = np.linalg.inv(hessian)
+        inverse = np.asarray(np.linalg.inv(hessian))
         step = parametrization.limit_step(-np.einsum("gij,gj->gi", inverse, gradient))
         if np.abs(step[:, :3]).max() < SETTLED:
             left = [_consistent(m, points, slope, inverse[g]) for g, m in enumerate(modules)]
