@@ -55,8 +55,8 @@ what the covariance says: at the second and third no taxel should be confidently
 NUISANCE_STEPS = 2
 """Newton steps to the best gain and offset at a position: readings are linear in the offset and
 nearly so in the logarithm of the gain."""
-COLUMNS = ("contact", "taxel", "level", "kind", "source", "weight")
-"""Columns of `Readings`."""
+MAX_COPIES = 4096
+"""Copies of taxels, each at another place, that are optimized together: bounds the memory."""
 MAX_MOVES = 3
 """Largest number of times that taxels are moved to better optima."""
 
@@ -100,21 +100,28 @@ def find_rivals(estimator: JointEstimator) -> RivalOptima:
     if estimator.data.noise is not None and variance > MAX_VARIANCE:
         return best
     limit = MAX_LOG_ODDS * max(variance, 1.0)
-    starts = np.stack(starting_points(estimator, rows, points[rows], reach))
-    many = np.tile(rows, len(starts))  # all starts of all taxels at once
-    found = optima_from(estimator, many, starts.reshape(-1, 3))
-    valid = np.linalg.norm(found[0] - points[many], axis=1) > MIN_DISTANCE * reach
-    valid &= part_on_sheet(estimator, many, found[0]) >= MIN_ON_SHEET
-    odds, rows_valid = np.full(len(many), np.inf), many[valid]
-    if len(rows_valid):
-        estimate = points[rows_valid], estimator.state.z[rows_valid]
-        there = found[0][valid], found[1][valid]
-        odds[valid] = log_odds_between(estimator, rows_valid, estimate, there)
-    by_start = np.where(odds < limit, odds, np.inf).reshape(len(starts), -1)
-    best.log_odds[rows] = by_start.min(axis=0)
-    chosen = found[0].reshape(starts.shape)[by_start.argmin(axis=0), np.arange(len(rows))]
-    best.points[rows] = np.where(np.isfinite(best.log_odds[rows])[:, None], chosen, np.nan)
+    parts = batches(rows, DIRECTIONS + 1)
+    estimator.stage.expect(len(parts))
+    for part in parts:
+        estimator.stage.step()
+        starts = starting_points(estimator, part, points[part], reach)
+        copies = np.tile(part, len(starts))
+        estimate = points[copies], estimator.state.z[copies]
+        found = optimum_from(estimator, copies, np.concatenate(starts))
+        valid = np.linalg.norm(found[0] - points[copies], axis=1) > MIN_DISTANCE * reach
+        valid &= part_on_sheet(estimator, copies, found[0]) >= MIN_ON_SHEET
+        odds = log_odds_between(estimator, copies, estimate, found)
+        odds = np.where(valid & (odds < limit), odds, np.inf).reshape(len(starts), -1)
+        likeliest, each = odds.argmin(axis=0), np.arange(len(part))
+        best.log_odds[part] = odds[likeliest, each]
+        places = found[0].reshape(len(starts), -1, 3)[likeliest, each]
+        best.points[part] = np.where(np.isfinite(best.log_odds[part])[:, None], places, np.nan)
     return best
+
+
+def batches(rows: np.ndarray, copies: int) -> list[np.ndarray]:
+    """The taxels `rows` in parts of at most MAX_COPIES, about, with so many `copies` of each."""
+    return np.array_split(rows, -(-len(rows) * copies // MAX_COPIES))
 
 
 def widened(estimator: JointEstimator, covariance: Array, scale: float) -> Array:
@@ -134,17 +141,21 @@ def widened(estimator: JointEstimator, covariance: Array, scale: float) -> Array
     out = covariance.copy()
     if not len(rows):
         return out
-    value, vectors = np.linalg.eigh(covariance[rows])
-    sigma, axis = np.sqrt(value[:, 1]), vectors[:, :, 1]
+    widths = np.array([sign * width for width in WIDTHS for sign in (-1.0, 1.0)])[:, None]
     limit = RING * float(np.median(estimator.data.reach()))
-    way = np.einsum("kij,kj->ki", frames[rows][:, :, :2], axis)
-    estimate, widest = (points[rows], estimator.state.z[rows]), sigma.copy()
-    for width in (sign * width for width in WIDTHS for sign in (-1.0, 1.0)):
-        step = np.clip(width * sigma, -limit, limit)
-        there = estimator.data.body.closest(points[rows] + step[:, None] * way).point
-        odds = log_odds_between(estimator, rows, estimate, (there, estimate[1]))
-        widest = np.maximum(widest, np.abs(step) / np.sqrt(np.maximum(2 * odds / scale, 1.0)))
-    out[rows] += (widest**2 - value[:, 1])[:, None, None] * axis[:, :, None] * axis[:, None, :]
+    for part in batches(rows, len(widths)):
+        value, vectors = np.linalg.eigh(covariance[part])
+        sigma, axis = np.sqrt(value[:, 1]), vectors[:, :, 1]
+        way = np.einsum("kij,kj->ki", frames[part][:, :, :2], axis)
+        step = np.clip(widths * sigma, -limit, limit)
+        there = (points[part] + step[:, :, None] * way).reshape(-1, 3)
+        there = estimator.data.body.closest(there).point
+        copies = np.tile(part, len(widths))
+        z = estimator.state.z[copies]
+        odds = log_odds_between(estimator, copies, (points[copies], z), (there, z))
+        wide = np.abs(step) / np.sqrt(np.maximum(2 * odds.reshape(step.shape) / scale, 1.0))
+        excess = np.maximum(wide.max(axis=0), sigma) ** 2 - value[:, 1]
+        out[part] += excess[:, None, None] * axis[:, :, None] * axis[:, None, :]
     return out
 
 
@@ -157,13 +168,16 @@ def open_sectors(estimator: JointEstimator, points: Array) -> Array:
     x, y, _ = np.einsum("kij,ki->jk", frames, offset)
     angle = np.arctan2(y, x)
     order = np.lexsort((angle, taxel))
-    parts = np.split(angle[order], np.searchsorted(taxel[order], np.arange(1, len(points))))
-    return np.array(
-        [
-            np.diff(np.append(part, part[:1] + 2 * np.pi)).max(initial=0.0) or 2 * np.pi
-            for part in parts
-        ]
-    )
+    taxel, angle = taxel[order], angle[order]
+    found = np.full(len(points), 2 * np.pi)
+    if not len(taxel):
+        return found
+    met, begin = np.unique(taxel, return_index=True)
+    last = np.append(begin[1:], len(taxel)) - 1
+    gap = np.diff(angle, append=0.0)
+    gap[last] = angle[begin] + 2 * np.pi - angle[last]  # back to the first direction
+    found[met] = np.maximum.reduceat(gap, begin)
+    return found
 
 
 def _responses(estimator: JointEstimator) -> tuple[np.ndarray, np.ndarray, Array]:
@@ -180,14 +194,16 @@ def _responses(estimator: JointEstimator) -> tuple[np.ndarray, np.ndarray, Array
 def part_on_sheet(estimator: JointEstimator, rows: np.ndarray, points: Array) -> Array:
     """Part (r,) of the responding contacts that press the sheet of skin at `points` (r, 3)."""
     taxel, contact, _ = _responses(estimator)
-    starts = np.searchsorted(taxel, rows)
-    count = np.searchsorted(taxel, rows, side="right") - starts
-    owner, contact = np.repeat(np.arange(len(rows)), count), contact[ranges(starts, count)]
+    count = np.bincount(taxel, minlength=len(estimator.live))[rows]
+    first = np.searchsorted(taxel, rows)
+    owner, contact = np.repeat(np.arange(len(rows)), count), contact[ranges(first, count)]
     contacts, normals = estimator.problem.contacts.data, estimator.data.body.closest(points).normal
     on = same_sheet(
         points[owner] - contacts.points[contact], contacts.normals[contact], normals[owner]
     )
-    return np.bincount(owner[on], minlength=len(rows)) / np.maximum(count, 1)
+    return np.bincount(owner[on], minlength=len(rows)) / np.maximum(
+        np.bincount(owner, minlength=len(rows)), 1
+    )
 
 
 def starting_points(
@@ -199,8 +215,8 @@ def starting_points(
     taxel, contact, level = _responses(estimator)
     center, axis = points.copy(), np.zeros_like(points)
     for k, row in enumerate(rows):
-        mine = taxel == row
-        if mine.any():
+        mine = slice(*np.searchsorted(taxel, [row, row + 1]))
+        if mine.start < mine.stop:
             center[k] = level[mine] @ contacts[contact[mine]] / level[mine].sum()
             flat = (contacts[contact[mine]] - center[k]) @ frames[k, :, :2]
             axis[k] = frames[k, :, :2] @ np.linalg.svd(flat, full_matrices=False)[2][0]
@@ -215,7 +231,8 @@ def starting_points(
 def problem_of(
     estimator: JointEstimator, rows: np.ndarray, points: Array, readings: Readings
 ) -> ReducedProblem:
-    """The problem of the taxels `rows` alone, linearized at `points` (r, 3)."""
+    """The problem of the taxels `rows` alone, linearized at `points` (r, 3). A row may be there
+    several times, here and below: copies of a taxel at several points."""
     whole = estimator.problem.parametrization
     assert isinstance(whole, SurfaceParametrization)
     own = replace(whole, charts=whole.charts[rows]).about(estimator.data.body, points)
@@ -224,36 +241,18 @@ def problem_of(
 
 
 def readings_of(estimator: JointEstimator, rows: np.ndarray, points: Array) -> Readings:
-    """The readings that inform about the taxels `rows` (r,), some of them repeated, at `points`
-    (r, 3)."""
-    order, normals = np.argsort(rows, kind="stable"), estimator.data.body.closest(points).normal
-    copy = np.empty(len(rows), dtype=int)  # a selection holds a taxel once
-    copy[order] = np.arange(len(rows)) - np.searchsorted(rows[order], rows[order])
-    columns: dict[str, list[np.ndarray]] = {name: [] for name in COLUMNS}
-    for k in range(copy.max(initial=0) + 1):
-        at = np.flatnonzero(copy == k)
-        part = select(
-            estimator.problem.contacts.data, estimator.live[rows[at]], points[at], normals[at],
-            estimator.selected_at[2], estimator.weight, estimator.silent_weight[rows[at]],
-        )  # fmt: skip
-        for name in COLUMNS:
-            columns[name].append(getattr(part, name))
-        columns["taxel"][-1] = at[part.taxel]
-    joined = {name: np.concatenate(parts) for name, parts in columns.items()}
-    by_taxel = np.argsort(joined["taxel"], kind="stable")
-    return _sorted({name: values[by_taxel] for name, values in joined.items()}, len(rows))
+    """The readings that inform about the taxels `rows` at `points` (r, 3)."""
+    return select(
+        estimator.problem.contacts.data, estimator.live[rows], points,
+        estimator.data.body.closest(points).normal, estimator.selected_at[2],
+        estimator.weight, estimator.silent_weight[rows],
+    )  # fmt: skip
 
 
-def _sorted(columns: dict[str, np.ndarray], count: int) -> Readings:
-    """Readings of `count` taxels, with COLUMNS sorted by taxel."""
-    return Readings(**columns, starts=np.searchsorted(columns["taxel"], np.arange(count + 1)))
-
-
-def optima_from(estimator: JointEstimator, rows: np.ndarray, start: Array) -> tuple[Array, Array]:
-    """Points (r, 3) and unknowns (r, D) of the optima of the taxels `rows` (r,), some of them
-    repeated, that are reached from `start` (r, 3), with the global parameters fixed."""
+def optimum_from(estimator: JointEstimator, rows: np.ndarray, start: Array) -> tuple[Array, Array]:
+    """Points (r, 3) and unknowns (r, D) of the optima reached from `start` (r, 3), with the global
+    parameters fixed."""
     points, z = start, estimator.state.z[rows].copy()
-    estimator.stage.expect(ITERATIONS + 1)
     for _ in range(ITERATIONS):
         z[:, :2] = 0.0
         problem = problem_of(estimator, rows, points, readings_of(estimator, rows, points))
@@ -261,7 +260,6 @@ def optima_from(estimator: JointEstimator, rows: np.ndarray, start: Array) -> tu
         problem.solve_inner(state)
         z = state.z.copy()
         points = estimator.data.body.closest(problem.points(state)).point
-        estimator.stage.step()
     return points, z
 
 
@@ -290,7 +288,10 @@ def log_odds_between(
 
 def union(first: Readings, second: Readings) -> Readings:
     """The readings of the same taxels that are in either."""
-    columns = {n: np.concatenate([getattr(first, n), getattr(second, n)]) for n in COLUMNS}
+    names = ("contact", "taxel", "level", "kind", "source", "weight")
+    columns = {n: np.concatenate([getattr(first, n), getattr(second, n)]) for n in names}
     pairs = np.stack([columns["taxel"], columns["contact"]])
     kept = np.unique(pairs, axis=1, return_index=True)[1]
-    return _sorted({n: values[kept] for n, values in columns.items()}, len(first.starts) - 1)
+    columns = {name: values[kept] for name, values in columns.items()}
+    starts = np.searchsorted(columns["taxel"], np.arange(len(first.starts)))
+    return Readings(**columns, starts=starts)

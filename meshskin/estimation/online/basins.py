@@ -103,7 +103,7 @@ def examine(
 def _optimum(
     estimator: JointEstimator, rows: np.ndarray, start: Array
 ) -> Generator[None, None, tuple[Array, Array]]:
-    """Points and unknowns of the optima from `start` (r, 3), as `rival_optima.optima_from`."""
+    """Points and unknowns of the optima from `start` (r, 3), as `rival_optima.optimum_from`."""
     points, z = start, estimator.state.z[rows].copy()
     for _ in range(ITERATIONS):
         z[:, :2] = 0.0

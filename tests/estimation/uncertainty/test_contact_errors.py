@@ -190,8 +190,8 @@ def test_single_wrong_contacts_are_no_displacement_of_all():
     np.testing.assert_allclose(found[[0, 2]], shift[[0, 2]], atol=1e-5)
 
 
-@pytest.mark.parametrize(("turn", "stretch"), [(0.03, 0.0), (0.0, 0.01)])
-def test_turns_and_scales_about_the_middle(turn, stretch):
+@pytest.mark.parametrize(("turn", "stretch", "most"), [(0.03, 0.0, 1.5), (0.0, 0.01, 3.0)])
+def test_turns_and_scales_about_the_middle(turn, stretch, most):
     """Contact points on an ellipsoid, turned about a normal, or scaled: a displacement or a body of
     another size does not explain their distances."""
     scene = ms.Scene.load("ellipsoid")
@@ -200,7 +200,8 @@ def test_turns_and_scales_about_the_middle(turn, stretch):
     axis = log.normals.mean(axis=0) / np.linalg.norm(log.normals.mean(axis=0))
     wrong = moved(log, turn * np.cross(axis, arm) + stretch * arm)
     found = ms.calibrate(wrong, scene.belief())
-    assert 0.7 < stated_over_true(found, scene.skin.positions) < 1.5
+    # patches that are 1 % wider contradict the model: that misfit is in sigma, too
+    assert 0.7 < stated_over_true(found, scene.skin.positions) < most
     (reason,) = [words for words in found.verdict.reasons if "on it best" in words]
     assert "scaled by" in reason and "turned by" in reason
     if stretch:
