@@ -34,7 +34,7 @@ def test_the_offset_is_found_where_contacts_surround_the_body(scene):
 def test_what_slides_along_the_body_keeps_its_prior():
     belief = ms.Scene.load("sphere_noisy").belief(unknown=("body_offset",))
     at = points(ms.Scene.load("sphere_noisy"))
-    found, moved = registered(belief, at + [0.0, 0.0, 1e-3])
+    found, moved = registered(belief, at + np.array([0.0, 0.0, 1e-3]))
     np.testing.assert_allclose(found.contact_motion.mean[:3], [0.0, 0.0, -1e-3], atol=1e-5)
     root = found.contact_motion.root
     np.testing.assert_allclose(np.diag(root @ root.T)[3:], 0.05**2, rtol=0.01)
