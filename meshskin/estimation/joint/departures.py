@@ -12,7 +12,7 @@ Mathematical Proceedings of the Cambridge Philosophical Society 44 (1948).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -37,8 +37,36 @@ LIMITS = (0.1e-3, 0.25e-3, 0.5e-3, 1e-3)
 """Shears, m, from which contacts slide, that are tried."""
 SEEN = 1e-6
 """Least information on a parameter, relative to that with known taxels: rounding is below it."""
+JUMPS = 15
+"""Places in a recording, evenly spaced, where a jump of the contacts is looked for."""
+MIN_SHOWN = 0.02
+"""Information on a direction of a jump, relative to the best known one, from which it is estimated:
+that along the normals is near zero."""
 SHARE = 0.2
 """Share of hysteresis from which an estimate starts: at zero its width has no effect."""
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A displacement of all contacts from one on, as of a body that was mounted anew."""
+
+    score: float = 0.0
+    """In standard deviations."""
+    part: float = 0.0
+    """Part of the contacts before it."""
+    displacement: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,), m."""
+
+    @property
+    def shown(self) -> Array:
+        """The displacement (3,), m, where its score is above MIN_SCORE, else zero."""
+        return self.displacement if self.score > MIN_SCORE else np.zeros(3)
+
+    @property
+    def departure(self) -> dict[str, float]:
+        """Its score, by a name that says where it is."""
+        where = f"at {self.part:.0%} of the recording, as of a body mounted anew"
+        return {f"a jump of the contacts {where}": self.score}
 
 
 @dataclass(frozen=True)
@@ -87,6 +115,43 @@ class FittedReadings:
         }
         largest_first = dict(sorted(found.items(), key=lambda item: -item[1][0]))
         return largest_first | {"drift": (float((drift @ drift - n) / np.sqrt(2 * n)), np.zeros(0))}
+
+    def jump(self) -> Jump:
+        """The most significant displacement of all contacts from one on."""
+        m, axes = len(self.data.points), np.eye(3)
+        first = np.unique(np.linspace(0, m, JUMPS + 2).astype(int)[1:-1])
+        moved = self._moved(np.broadcast_to(axes, (m, 3, 3)))
+        best = Jump()
+        for begin in first:
+            later = (self.readings.contact >= begin)[:, None] * moved
+            slope, information = self._joint(later)
+            value, vectors = np.linalg.eigh(information)
+            seen = value > MIN_SHOWN * value[-1]
+            along = (vectors.T @ slope)[seen]
+            score = float(np.sqrt(np.sum(along**2 / np.maximum(value[seen], 1e-300))))
+            if score > best.score:
+                size = vectors[:, seen] @ (along / np.maximum(value[seen], 1e-300))
+                best = Jump(score, begin / m, size)
+        return best
+
+    def _joint(self, columns: Array) -> tuple[Array, Array]:
+        """Derivatives (q,) of the log-likelihood in parameters with the derivatives `columns`
+        (k, q) of the readings, and their information (q, q) where all others are estimated."""
+        weighted = self.curvature[:, None] * columns
+        if self.system is None:
+            scale, unit = self._own_information
+            n = len(self.points)
+            products = self.own.T[:, :, None] * weighted[:, None, :]
+            b = sums_by_group(products, self.readings.taxel, n) / scale[:, :, None]
+            explained = np.einsum("nap,naq->pq", b, np.linalg.solve(unit, b))
+        else:
+            parts = self.system.pattern.transposed(self.jacobian, weighted, len(self.own))
+            solved = self.system.solve(*parts)
+            explained = sum(
+                p.reshape(-1, p.shape[-1]).T @ x.reshape(-1, x.shape[-1])
+                for p, x in zip(parts, solved, strict=True)
+            )
+        return -columns.T @ self.rate, columns.T @ weighted - explained
 
     def _lag(self, electronics: Electronics, pressure: Array, width: float) -> float:
         """The score of hysteresis with the relative half-width `width` at pressures (k,)."""
@@ -172,13 +237,33 @@ def departure_scores(estimator: JointEstimator) -> dict[str, float]:
     only that of errors of the contacts."""
     found = {CONTACT_ERRORS: contact_score(estimator)}
     if isinstance(estimator.problem.parametrization, SurfaceParametrization):
-        found |= {name: score for name, (score, _) in _fitted(estimator).scores().items()}
+        found |= {
+            name: score
+            for name, (score, _) in _fitted(estimator, estimator.likelihood.readings.weight)
+            .scores()
+            .items()
+        }
     return found
 
 
-def _fitted(estimator: JointEstimator) -> FittedReadings:
-    """The readings at the estimate of independent taxels; those of taxels that have not converged,
-    whose score is not zero without a departure, either, have no weight."""
+def jump_of(estimator: JointEstimator) -> Jump:
+    """The most significant displacement of all contacts from one on; with rigid modules none.
+
+    Beside a jump the readings before or after it are outlying: its size is that by all readings.
+    """
+    if not isinstance(estimator.problem.parametrization, SurfaceParametrization):
+        return Jump()
+    weight = estimator.likelihood.readings.weight
+    found = _fitted(estimator, weight).jump()
+    if found.score <= MIN_SCORE:
+        return found
+    whole = _fitted(estimator, np.ones_like(weight)).jump()
+    return replace(found, displacement=whole.displacement)
+
+
+def _fitted(estimator: JointEstimator, weight: Array) -> FittedReadings:
+    """The readings with weights (k,) at the estimate of independent taxels; those of taxels that
+    have not converged, whose score is not zero without a departure, either, have no weight."""
     problem, state, readings = estimator.problem, estimator.state, estimator.likelihood.readings
     data, taxel = estimator.data, readings.taxel
     assert isinstance(problem.parametrization, SurfaceParametrization)
@@ -191,7 +276,7 @@ def _fitted(estimator: JointEstimator) -> FittedReadings:
     names = data.parameters.nuisance_names
     along = np.einsum("kia,ik->ak", problem.parametrization.charts.tangents[taxel], jacobian[:3])
     offset = nuisance[taxel, names.index("offset")] if "offset" in names else np.zeros(len(mu))
-    weight = np.where(estimator.unconverged[taxel], 0.0, readings.weight)
+    weight = np.where(estimator.unconverged[taxel], 0.0, weight)
     return FittedReadings(
         data=data,
         readings=readings,

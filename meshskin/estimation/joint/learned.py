@@ -119,7 +119,8 @@ def _estimate(data: Measurements, stage: Stage) -> EstimatorResult:
     found = learned_result(effects, estimator, rivals, reasons, clock)
     if data.belief.module_slots is not None:
         found = moved_to_modules(data, found, effects.system(), live)
-    return replace(found, departures=departures)
+    jump = effects.fitted().jump()
+    return replace(found, departures=departures | jump.departure, jump=jump.shown)
 
 
 def _converged(effects: RandomEffects) -> tuple[RandomEffects, dict[str, float]]:

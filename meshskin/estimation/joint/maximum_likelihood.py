@@ -25,7 +25,7 @@ from ..data.measurements import Measurements
 from ..result import CENSORING, MOSTLY_OUTLIERS, RIVAL, SURFACE, EstimatorResult
 from ..trilateration import coactivation, trilaterate
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
-from .departures import departure_scores
+from .departures import departure_scores, jump_of
 from .fault_detection import outliers, stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
 from .module_parametrization import (
@@ -178,6 +178,7 @@ def _result(
     """The result for all taxels; `declared`: the data with the belief's own parameters."""
     data, problem, state = estimator.data, estimator.problem, estimator.state
     problem.contacts.check(state.s)
+    jump = jump_of(estimator)
     parameters, parametrization = data.parameters, problem.parametrization
 
     def spread(values: Array, missing: object) -> Array:
@@ -267,7 +268,8 @@ def _result(
         faults=estimator.faults,
         rivals=spread(rivals.points, np.nan),
         fit=fit,
-        departures=departure_scores(estimator),
+        departures=departure_scores(estimator) | jump.departure,
+        jump=jump.shown,
         iterates=np.stack([spread(points, np.nan) for points in estimator.iterates]),
         restarted=estimator.live[restarted],
         seconds=estimator.seconds,
