@@ -186,6 +186,10 @@ class LinearizedContacts:
         if "scale" in at:
             log_peak[:, at["scale"]] = 1.0
             patches = patches._replace(peak=patches.peak * np.exp(s[at["scale"]][0]))
+        if "gain_drift" in at:
+            log_peak[:, at["gain_drift"]] = data.drifts
+            drifted = np.exp(data.drifts @ s[at["gain_drift"]])
+            patches = patches._replace(peak=patches.peak * drifted)
         compression = self.parameters.value("compression", s)
         if "compression" in at:  # readings at the typical level stay
             level = data.response_levels[0]

@@ -318,6 +318,11 @@ class Likelihood:
                 if electronics is not None and lagging:
                     jacobian[row] += level * load[electronics.source] * jacobian[last + 5]
             mu = self._compressed(mu, jacobian, contacts.compression, first)
+        if "offset_drift" in columns:
+            at = columns["offset_drift"]
+            drifts = data.drifts[contact] * (data.nominal_peak / data.sigma)
+            mu = mu + drifts @ contacts.s[at]
+            jacobian[first + at.start : first + at.stop] = drifts.T
         for row, name in enumerate(names):
             if name != "gain":
                 added = data.phase[contact] if name == "drift" else np.ones(len(mu))
