@@ -93,9 +93,16 @@ LOGARITHMS = ("modulus", "force_scale", "scale", "gain", "mesh_scale")
 """Parameters, also of a contact motion, that are natural logarithms of a factor."""
 UNITS = {"force_offset": "N", "joint_offset": "rad", "clock_offset": "s"} | dict.fromkeys(
     (
-        "exponents", "compression", "force_scatter", "hysteresis", "crosstalk", "creep",
-        "gain_drift", "offset_drift",
-    ), ""
+        "exponents",
+        "compression",
+        "force_scatter",
+        "hysteresis",
+        "crosstalk",
+        "creep",
+        "gain_drift",
+        "offset_drift",
+    ),
+    "",
 )
 """Units of global parameters that are neither lengths nor angles nor logarithms."""
 

@@ -221,7 +221,7 @@ class Measurements:
     @cached_property
     def drifts(self) -> Array:
         """Legendre polynomials (m, DRIFT_SIZE) of the time, from the first degree on."""
-        return np.polynomial.legendre.legvander(2 * self.phase - 1, DRIFT_SIZE)[:, 1:]
+        return np.asarray(np.polynomial.legendre.legvander(2 * self.phase - 1, DRIFT_SIZE)[:, 1:])
 
     @cached_property
     def counts(self) -> np.ndarray:

@@ -24,6 +24,20 @@ TIME = 1.0
 """Time constant, s, at a logarithm of 0: those of rubber and foam are 0.1 to 10 s."""
 
 
+def frames(time: Array) -> Array:
+    """Times (m,), s, from the frame before to each contact at the times (m,), s; no longer than
+    HELD."""
+    interval = np.diff(time)
+    frame = float(np.median(interval)) if len(interval) else 0.0
+    return np.append(frame, np.minimum(interval, HELD * frame))[: len(time)]
+
+
+def lacking(frame: Array, log_time: float, lift: float = 0.0) -> Array:
+    """What part (k,) of its own pressure Q lacks after frames (k,), s; log_time: logarithm of tau
+    in TIME; lift: in tau."""
+    return np.asarray(np.exp(lift - frame / (TIME * np.exp(log_time))))
+
+
 class Creep:
     """What follows the pressures of all readings at once."""
 
@@ -32,10 +46,7 @@ class Creep:
     ) -> None:
         """steps: as `Electronics.steps`."""
         time, taxel = data.time, readings.taxel
-        interval = np.diff(time)
-        frame = float(np.median(interval)) if len(interval) else 0.0
-        held = np.append(frame, np.minimum(interval, HELD * frame))[: len(time)]
-        self.frame, self.steps, self.taxel = held[readings.contact], steps, taxel
+        self.frame, self.steps, self.taxel = frames(time)[readings.contact], steps, taxel
         """Times (k,), s, since the frame before each reading."""
         self.since, last = np.full(len(taxel), np.inf), np.full(len(readings.starts) - 1, -np.inf)
         """Times (k,), s, since the reading of the taxel before."""
@@ -43,23 +54,19 @@ class Creep:
             self.since[rows] = time[readings.contact[rows]] - last[taxel[rows]]
             last[taxel[rows]] = time[readings.contact[rows]]
 
-    def lacking(self, log_time: float, lift: float = 0.0) -> Array:
-        """What part (k,) of its own pressure Q lacks; log_time: logarithm of tau in TIME; lift: in
-        tau."""
-        return np.asarray(np.exp(lift - self.frame / (TIME * np.exp(log_time))))
-
     def follow(self, pressure: Array, log_time: float, lift: float = 0.0) -> Array:
         """Q (..., k) of pressures (..., k); log_time and lift as `lacking`."""
-        return self._sums((1 - self.lacking(log_time, lift)) * pressure, log_time)
+        return self._sums((1 - lacking(self.frame, log_time, lift)) * pressure, log_time)
 
     def slopes(
         self, pressure: Array, following: Array, log_time: float, lift: float
     ) -> tuple[Array, Array]:
         """The derivatives (k,) of `following`, Q (k,) of pressures (k,), in log_time and lift."""
-        lacking, constant = self.lacking(log_time, lift) * pressure, TIME * np.exp(log_time)
+        lost = lacking(self.frame, log_time, lift) * pressure
         since = np.where(np.isfinite(self.since), self.since, 0.0)
-        moved = since * (following - pressure + lacking) - self.frame * lacking
-        return self._sums(moved / constant, log_time), self._sums(-lacking, log_time)
+        moved = since * (following - pressure + lost) - self.frame * lost
+        constant = TIME * np.exp(log_time)
+        return self._sums(moved / constant, log_time), self._sums(-lost, log_time)
 
     def _sums(self, added: Array, log_time: float) -> Array:
         """Sums (..., k) over the readings of each taxel before, which decay, of what is `added`."""

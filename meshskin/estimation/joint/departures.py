@@ -139,21 +139,25 @@ class FittedReadings:
     def _shared(self, columns: Array) -> tuple[Array, Array]:
         """Derivative (q,) of the log-likelihood in parameters that all taxels share, with the
         derivatives `columns` (k, q) of the readings, and their information (q, q); zero rows where
-        the readings do not determine them."""
+        the readings do not determine them. What other unknowns that have not converged would
+        explain is left out."""
         weighted = self.curvature[:, None] * columns
         information = weighted.T @ columns
-        known = np.diag(information).copy()
+        known, slope = np.diag(information).copy(), -(self.rate @ columns)
         if self.system is None:
-            b = [self._coupling(column) for column in columns.T]
-            explained = [(np.stack(b, axis=2), np.stack([self._solved(x) for x in b], axis=2))]
+            each = [self._coupling(column) for column in columns.T]
+            solved = [self._solved(b) for b in each]
+            explained = [(np.stack(each, axis=2), np.stack(solved, axis=2))]
         else:
-            parts = self.system.pattern.transposed(self.jacobian, weighted, len(self.own))
+            parts = self.system.transposed(self.jacobian, weighted)
             explained = list(zip(parts, self.system.solve(*parts), strict=True))
-        for b, x in explained:
-            information -= b.reshape(-1, len(known)).T @ x.reshape(-1, len(known))
+            for (_, x), gradient in zip(explained, self.system.gradient, strict=True):
+                slope += np.ravel(gradient) @ x.reshape(-1, len(known))
+        for part, x in explained:
+            information -= part.reshape(-1, len(known)).T @ x.reshape(-1, len(known))
         lost = np.diag(information) <= SEEN * known
         information[lost] = information[:, lost] = 0.0
-        return np.where(lost, 0.0, -(self.rate @ columns)), information
+        return np.where(lost, 0.0, slope), information
 
     def _moments(self, column: Array) -> tuple[Array, Array]:
         """Derivative (n,) of the log-likelihood of each taxel in a parameter with the derivatives
@@ -168,8 +172,9 @@ class FittedReadings:
         """Coupling (n, D) of each taxel's own unknowns, in their scales, with a parameter of the
         derivatives `column` (k,)."""
         weighted = (self.own * self.curvature * column).T
-        return sums_by_group(weighted, self.readings.taxel, len(self.points)) / (
-            self._own_information[0]
+        return (
+            sums_by_group(weighted, self.readings.taxel, len(self.points))
+            / (self._own_information[0])
         )
 
     def _solved(self, coupling: Array) -> Array:
@@ -203,9 +208,10 @@ def _score(slope: Array, information: Array) -> tuple[float, float]:
     if not count:
         return 0.0, 1.0
     scale = np.sqrt(np.diag(information))
-    unit = information / np.outer(scale, scale) + SEEN * np.eye(count)
-    estimate = np.linalg.solve(unit, slope / scale)
-    square, sign = float(estimate @ (slope / scale)), float(np.sign(estimate[0]) or 1.0)
+    value, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    along = (vectors.T @ (slope / scale)) * (value > SEEN) / np.maximum(value, SEEN) ** 0.5
+    square, estimate = float(along @ along), vectors @ (along / np.maximum(value, SEEN) ** 0.5)
+    sign = float(np.sign(estimate[0]) or 1.0)
     if count == 1:
         return square**0.5, sign
     spread = 2 / (9 * count)

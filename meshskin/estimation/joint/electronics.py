@@ -24,7 +24,7 @@ from scipy import sparse
 
 from ...core.arrays import Array
 from ..data.measurements import Measurements
-from .creep import Creep
+from .creep import Creep, lacking
 from .likelihood import Readings
 from .reading_sums import CONTACT_SIZE, pairs_of_contacts
 
@@ -50,6 +50,8 @@ class Electronics:
         where it moved, or rested on none."""
         self.lagging = np.zeros(len(readings.taxel))
         """What the play operator followed the pressures (k,) with when last applied."""
+        self.following = np.zeros(len(readings.taxel))
+        """What crept after the pressures (k,) when last applied."""
 
     def apply(
         self,
@@ -80,8 +82,8 @@ class Electronics:
         if "creep" in self.columns:
             r, *times = s[self.columns["creep"]]
             at, last = first + self.columns["creep"].start, first + len(s)
-            following = self.creep.follow(mu, *times)
-            jacobian[last : last + CONTACT_SIZE] *= 1 - r * self.creep.lacking(*times)
+            self.following = following = self.creep.follow(mu, *times)
+            jacobian[last : last + CONTACT_SIZE] *= 1 - r * lacking(self.creep.frame, *times)
             jacobian[:last] += r * (self.creep.follow(jacobian[:last], *times) - jacobian[:last])
             jacobian[at] = following - mu
             jacobian[at + 1], jacobian[at + 2] = (
