@@ -255,7 +255,7 @@ def test_what_the_electronics_add_is_named_and_estimated(study, worlds, name, tr
         assert value == pytest.approx(expected, rel=0.3)
     if "drag" in truth:
         return
-    words = name.split("_")[0], f"offsets {name}", "the gain", "the offset"
+    words = "hysteresis", "crosstalk", "offsets drift", "creep", "the gain", "the offset"
     named = [text for text in learned.describe() if text.startswith(words)]
     assert len(named) == len(truth)
 
