@@ -229,6 +229,11 @@ class Measurements:
         return np.bincount(self.taxel, minlength=len(self.ids))
 
     @cached_property
+    def by_taxel(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows (k,) of the readings, sorted by taxel, and the first (n,) of each taxel there."""
+        return np.argsort(self.taxel, kind="stable"), np.cumsum(self.counts) - self.counts
+
+    @cached_property
     def rest(self) -> Array:
         """What each taxel (n,) reads in most contacts, Pa; the threshold where it is silent."""
         order, middle = np.lexsort((-self.pressure, self.taxel)), len(self.points) // 2

@@ -126,9 +126,13 @@ class FittedReadings:
     def _moved(self, directions: Array) -> Array:
         """Derivatives (k, q) of the readings in displacements of the contacts along `directions`
         (m, 3, q), body frame."""
-        back = np.swapaxes(directions, 1, 2)[self.readings.contact]
-        along = back @ self.tangents[self.readings.taxel]
-        return -np.einsum("kia,ak->ki", along, self.own[:2])
+        moved = directions[self.readings.contact]
+        return -np.einsum("kai,ka->ki", moved, self._gradient)
+
+    @cached_property
+    def _gradient(self) -> Array:
+        """Derivatives (k, 3) of the readings in displacements of their taxels."""
+        return np.einsum("kia,ak->ki", self.tangents[self.readings.taxel], self.own[:2])
 
     def _each(self, column: Array) -> Array:
         """Scores (n,) of a parameter that each taxel has of its own, with the derivatives

@@ -31,6 +31,7 @@ from .contacts import LinearizedContacts
 from .departure_search import plausible, with_departures
 from .deviations import Deviations
 from .joint_estimator import JointEstimator
+from .learned_modules import moved_to_modules
 from .learned_result import learned_result
 from .likelihood import Likelihood, Readings, select
 from .outlier_rejection import reject_outliers
@@ -54,7 +55,7 @@ MAX_DECREASE = 0.25
 optimum: noise costs 0.5, and the rests were 0 to 0.04, or 1 to 1.5 where steps had lost the way."""
 MAX_ROUNDS = 3
 """Largest number of times that outlying readings are left out and the rest is estimated again."""
-USUAL_STEPS = 40
+USUAL_STEPS = 30
 """Usual steps of Gauss and Newton, of variances, and of searches for second optima."""
 LEVEL_SAMPLE = 1000
 """Taxels and contacts, about, whose mean level the compression refers to: more change it by less
@@ -67,7 +68,7 @@ def estimate(data: Measurements, stage: Stage | None = None) -> EstimatorResult:
     """The estimate with a learned response, from trilateration, or co-activation where it fails.
 
     stage: whose steps are counted. Raises CalibrationError if no taxel is determined, the estimate
-    does not converge, or modules are rigid.
+    does not converge, or the taxels are not arranged as in the believed modules.
     """
     try:
         return _estimate(data, stage or Stage())
@@ -86,12 +87,6 @@ def _unconverged(value: str) -> CalibrationError:
 def _estimate(data: Measurements, stage: Stage) -> EstimatorResult:
     """As `estimate`; SingularMatrixError where normal equations are singular."""
     clock = time.perf_counter()
-    if data.belief.module_slots is not None:
-        raise CalibrationError(
-            "a learned response needs single taxels",
-            value="rigid modules in belief.module_slots",
-            remedy='leave module_slots out of the belief, or give pressures and contact="hertz"',
-        )
     stuck = fault_detection.stuck_taxels(data)
     # readings far from the contacts, such as those that hysteresis leaves, do not tell the place
     data = coactivation.without_distant_readings(data)
@@ -114,6 +109,8 @@ def _estimate(data: Measurements, stage: Stage) -> EstimatorResult:
     if wild := [name for name in ELECTRONICS if not plausible(effects, name)]:
         raise _unconverged(f"implausible {', '.join(wild)}")
     found = learned_result(effects, estimator, rivals, reasons, clock)
+    if data.belief.module_slots is not None:
+        found = moved_to_modules(data, found, effects.system(), live)
     return replace(found, departures=departures)
 
 

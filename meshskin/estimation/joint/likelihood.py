@@ -74,7 +74,7 @@ def select(
     weight: Array,
     silent_weight: Array,
 ) -> Readings:
-    """The readings that inform about the taxels `live` (rows of data.ids).
+    """The readings that inform about `live`: rows of data.ids, several times for copies of a taxel.
 
     points (n, 3), m, and outward normals (n, 3): of these taxels, as estimated.
 
@@ -83,12 +83,12 @@ def select(
     of the patches' radii over the nominal ones; weight (k,): of the measurements; silent_weight
     (n,): of each taxel's silent readings.
     """
-    place = np.full(len(data.ids), -1)
-    place[live] = np.arange(len(live))
-    mine = np.flatnonzero(place[data.taxel] >= 0)
+    order, starts = data.by_taxel
+    count = data.counts[live]
+    mine, taxel = order[ranges(starts[live], count)], np.repeat(np.arange(len(live)), count)
     silent_contact = silent_taxel = np.empty(0, dtype=int)
     scale = float(np.exp(log_radius))
-    contact, taxel = data.contact[mine], place[data.taxel[mine]]
+    contact = data.contact[mine]
     offset = points[taxel] - data.points[contact]
     inside = same_sheet(offset, data.normals[contact], normals[taxel])
     if data.noise is not None:
@@ -97,12 +97,12 @@ def select(
         inside &= across2 < (data.reach(scale)[contact] + REACH_MARGIN) ** 2
     rest = data.rest if "offset" in data.parameters.nuisance_names else np.zeros(len(data.ids))
     inside |= data.pressure[mine] > rest[data.taxel[mine]] + MISFIT_SIGMAS * data.sigma
-    mine = mine[inside]
+    mine, taxel = mine[inside], taxel[inside]
     if data.noise is not None:
         silent_contact, silent_taxel = silent_pairs(data, live, points, normals, scale)
     none = np.full(len(silent_contact), -1)
     contact = np.concatenate([data.contact[mine], silent_contact])
-    taxel = np.concatenate([place[data.taxel[mine]], silent_taxel])
+    taxel = np.concatenate([taxel, silent_taxel])
     end = data.ends[data.taxel[mine]]
     kind = np.where(data.pressure[mine] < end, OBSERVED, SATURATED)
     level = np.append(np.minimum(data.pressure[mine], end), np.full(len(none), data.threshold))
