@@ -159,6 +159,13 @@ class FittedReadings:
                 slope += np.ravel(gradient) @ x.reshape(-1, len(known))
         for part, x in explained:
             information -= part.reshape(-1, len(known)).T @ x.reshape(-1, len(known))
+        if self.system is None:  # a scale that is wrong would pass for amplitudes that change
+            scale = np.maximum(self.mu - self.offset, 0.0)
+            follows = np.ravel(self._solved(self._coupling(scale)))
+            common = weighted.T @ scale - part.reshape(-1, len(known)).T @ follows
+            own = float(self._moments(scale)[1].sum())
+            slope = slope + common * float(self.rate @ scale) / own
+            information -= np.outer(common, common) / own
         lost = np.diag(information) <= SEEN * known
         information[lost] = information[:, lost] = 0.0
         return np.where(lost, 0.0, slope), information
