@@ -25,9 +25,10 @@ from ..data.measurements import Measurements
 from ..result import CENSORING, MOSTLY_OUTLIERS, RIVAL, SURFACE, EstimatorResult
 from ..trilateration import coactivation, trilaterate
 from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
-from .departures import departure_scores, jump_of
+from .departures import departure_scores
 from .fault_detection import outliers, stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
+from .jump import jump_of
 from .module_parametrization import (
     MODULE_SURFACE,
     MODULES,
