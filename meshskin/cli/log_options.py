@@ -152,8 +152,7 @@ def _lines(found: LogCalibration) -> list[str]:
     """Lines about the heights of the contacts, and what errors of the joints explain of them."""
     from ..robot.contact_kinematics import DELAYS
 
-    heights = (found.heights_before, found.heights)
-    before, after = (1e3 * float(np.median(np.abs(h))) for h in heights)
+    before, after = found.heights_mm
     model = found.kinematics
     timed = [name for name in model.chain.joint_names if name not in (model.delayed or ())]
     against = [f"  delays of joints and clock are against the stamps of {timed[0]}"]

@@ -31,6 +31,7 @@ from ...scene.belief import RAW, Belief
 from ...scene.contact_motion import ContactMotion
 from ..calibrate import calibrate
 from ..calibration import Calibration
+from ..data.unit_checks import without_hollows
 from .clock import first_offset
 from .heights import Heights, surface_heights, timed_by_the_fastest
 from .joint_residuals import JointResidual, joint_residuals
@@ -87,12 +88,16 @@ class LogCalibration(Value, Card):
 
     def facts(self) -> dict[str, str]:
         """The facts of the calibration, and what the log told of the robot, for a notebook."""
-        before, after = (
-            1e3 * float(np.median(np.abs(h))) for h in (self.heights_before, self.heights)
-        )
+        before, after = self.heights_mm
         heights = f"{before:.3g} mm off the body before the estimate, {after:.2g} mm after it"
         surprises = {"surprises": "; ".join(self.surprises)} if self.surprises else {}
         return {**self.calibration.facts(), "contacts": heights, **surprises}
+
+    @property
+    def heights_mm(self) -> tuple[float, float]:
+        """Medians of the heights without signs, mm, before the estimate and after it."""
+        before, after = np.abs(self.heights_before), np.abs(self.heights)
+        return 1e3 * float(np.median(before)), 1e3 * float(np.median(after))
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the calibrated skin: `Calibration.plot`."""
@@ -137,9 +142,7 @@ class LogCalibration(Value, Card):
 
     def metrics(self) -> dict[str, Any]:
         """Heights of the contacts and residuals by joint as JSON values."""
-        before, after = (
-            1e3 * float(np.median(np.abs(h))) for h in (self.heights_before, self.heights)
-        )
+        before, after = self.heights_mm
         offsets = self.joint_offsets
         joints = {
             found.joint: {
@@ -308,7 +311,8 @@ def _heights(
     x = np.zeros(len(kinematics.labels) + 1)
     for _ in range(HEIGHT_FITS):
         centres, _ = kinematics.centres(path, time, x[:-1])
-        depth = _depths(belief, belief.body.closest(centres).curvature, force)
+        hit = without_hollows(belief.body.closest(centres), belief.indenter.radius)
+        depth = _depths(belief, hit.curvature, force)
         heights = Heights(kinematics, path, time, belief.body, belief.indenter.radius, depth)
         x = heights.fit(x)
     return heights, x
