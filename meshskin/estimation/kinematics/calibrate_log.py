@@ -89,9 +89,9 @@ class LogCalibration(Value, Card):
     def facts(self) -> dict[str, str]:
         """The facts of the calibration, and what the log told of the robot, for a notebook."""
         before, after = self.heights_mm
-        heights = f"{before:.3g} mm off the body before the estimate, {after:.2g} mm after it"
-        surprises = {"surprises": "; ".join(self.surprises)} if self.surprises else {}
-        return {**self.calibration.facts(), "contacts": heights, **surprises}
+        heights = f"{before:.3g} mm off the body before, {after:.2g} mm after the estimate"
+        facts = {**self.calibration.facts(), "contacts": heights}
+        return facts | ({"surprises": "; ".join(self.surprises)} if self.surprises else {})
 
     @property
     def heights_mm(self) -> tuple[float, float]:
@@ -223,8 +223,7 @@ def calibrate_log(
         reference = float(np.median(pressed)) if len(pressed) else NOMINAL_FORCE
     belief = replace(belief, force_reference=reference)
     frames, clock, heights, x = _started(log, kinematics, path, belief, reference)
-    kinematics, time = heights.model, heights.time  # the offset that is left is estimated
-    force = _forces(log, frames, reference)
+    kinematics, time, force = heights.model, heights.time, _forces(log, frames, reference)
     as_believed = np.zeros(len(x))
     if clock:
         as_believed[kinematics.columns["clock_offset"]] = -clock
@@ -262,11 +261,7 @@ def _with_clock(found: Calibration, clock: float) -> Calibration:
 
 
 def _started(
-    log: SkinLog,
-    kinematics: ContactKinematics,
-    path: JointPath,
-    belief: Belief,
-    reference: float,
+    log: SkinLog, kinematics: ContactKinematics, path: JointPath, belief: Belief, reference: float
 ) -> tuple[np.ndarray, float, Heights, Array]:
     """Frames (m,) of the contacts, the first offset of the clocks, s, their heights on that clock,
     and x (K + 1,) that meets these. reference: force, N, where the log has none.
