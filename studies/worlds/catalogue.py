@@ -82,6 +82,8 @@ def catalogue() -> dict[str, World]:
         "scatter_10": World(hertz, scatter=1e-3),
         "hysteresis": World(hertz, Electronics(hysteresis=0.5)),
         "together": World(hertz, together, scatter=0.3e-3, force_error=0.1),
+        "uneven_05": World(hertz, uneven=0.05),
+        "uneven_20": World(hertz, uneven=0.2),
         "counts": World(hertz, counts, scatter=0.3e-3, nominal_force=True),
         "drift": World(hertz, Electronics(drift=0.05)),
         "crosstalk": World(hertz, Electronics(crosstalk=0.05)),

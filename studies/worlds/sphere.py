@@ -16,6 +16,8 @@ MARGIN = 5.5e-3
 """Width, m, of the band outside the outermost taxels that is touched, too."""
 FORCE, FORCE_SPREAD = 3.0, 0.05
 """Mean contact force, N, and the standard deviation of its logarithm."""
+WAVES = 200
+"""Cosines of a random field."""
 FRAME = 0.05
 """Time from one contact to the next, s."""
 
@@ -88,6 +90,16 @@ def scattered(touch: Touch, sigma: float, seed: int) -> Touch:
     first, second = tangents(touch.points)
     off = sigma * np.random.default_rng([seed, 2]).normal(size=(2, len(touch.points)))
     return replace(touch, points=moved(moved(touch.points, first, off[0]), second, off[1]))
+
+
+def stiffness(points: Array, length: float, seed: int) -> Array:
+    """A Gaussian random field (m,) of deviation 1 at the points, correlated over `length`, m.
+
+    Random Fourier features (Rahimi and Recht, 2007) of the squared exponential.
+    """
+    rng = np.random.default_rng([seed, 9])
+    waves, phases = rng.normal(size=(3, WAVES)) / length, rng.uniform(0, 2 * np.pi, WAVES)
+    return np.asarray(np.sqrt(2 / WAVES) * np.cos(points @ waves + phases).sum(axis=1))
 
 
 def distances(touch: Touch, positions: Array) -> Array:

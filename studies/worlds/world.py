@@ -17,6 +17,8 @@ from .electronics import Electronics, Sensors
 from .profiles import FORCES, REACH, Array, Profile
 from .sphere import Touch
 
+UNEVEN = 2e-3
+"""Length, m, over which the stiffness of an uneven skin is correlated: that of cells of foam."""
 Pressures = Callable[[Touch, Array], Array]
 """(contacts, positions (n, 3), m) -> pressures (m, n), Pa, that the taxels feel."""
 
@@ -29,6 +31,9 @@ class World:
     electronics: Electronics = field(default_factory=Electronics)
     scatter: float = 0.0
     """Standard deviation, m, of the recorded contact points along each tangent."""
+    uneven: float = 0.0
+    """Standard deviation of ln stiffness of the skin over the body, correlated over `UNEVEN`: a
+    contact reads as one of that much more force."""
     force_error: float = 0.0
     """Standard deviation of ln of the recorded over the true force."""
     nominal_force: bool = False
@@ -79,6 +84,8 @@ def record(world: World, seed: int) -> Sample:
     measured = sphere.scattered(touch, world.scatter, seed)
     rng = np.random.default_rng([seed, 7])
     force = touch.force * np.exp(world.force_error * rng.normal(size=world.contacts))
+    stiffness = np.exp(world.uneven * sphere.stiffness(touch.points, UNEVEN, seed))
+    touch = replace(touch, force=touch.force * stiffness)
     if world.nominal_force:
         force = np.full(world.contacts, sphere.FORCE)
     dwell = np.random.default_rng([seed, 8]).uniform(*world.dwell, world.contacts)

@@ -128,6 +128,20 @@ def force_offset(data: Measurements, calibration: Calibration) -> list[Finding]:
     return [(DOUBT, words)]
 
 
+def stiffness(calibration: Calibration) -> list[Finding]:
+    """Errors of the force that neighbouring contacts share: the skin is not even."""
+    response = calibration.response
+    if response is None or not response.force_correlation:
+        return []
+    words = (
+        "the forces of neighbouring contacts err alike (correlation "
+        f"{response.force_correlation:.2f}): stiffness or thickness of the skin varies over the "
+        "body, which displaces the estimates; their variances are widened "
+        f"{response.alike_contacts:.2g} times, which can be too little"
+    )
+    return [(DOUBT, words)]
+
+
 def pressures(recording: Recording, data: Measurements) -> list[Finding]:
     """Findings on the column of readings."""
     found, count = [], max(len(recording.pressure), 1)

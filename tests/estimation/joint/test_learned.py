@@ -58,11 +58,16 @@ def bell(r, force):
     return force / (2 * np.pi * width**2) * np.exp(-(r**2) / (2 * width**2))
 
 
-def world(profile=hertz, seed=0, contacts=500, scatter=0.0, force_error=0.0, noise=0.01, read=None):
-    """A recording, and what it was made with; `read` turns pressures (m, n) into readings."""
+def world(
+    profile=hertz, seed=0, contacts=500, scatter=0.0, force_error=0.0, noise=0.01, read=None,
+    stiffness=None,
+):  # fmt: skip
+    """A recording, and what it was made with; `read` turns pressures (m, n) into readings,
+    `stiffness` gives the factor of the force at points (m, 3) with that effect."""
     rng = np.random.default_rng(seed)
     points = spiral(contacts, 1.4 * SHARE, turns=10)
     force = FORCE * (1 + 0.05 * rng.standard_normal(contacts))
+    felt = force if stiffness is None else force * stiffness(points)
     node, weight = np.polynomial.legendre.leggauss(10)
     radius = DISC * (node + 1) / 2
     angle = 2 * np.pi * (np.arange(16) + 0.5) / 16
@@ -76,7 +81,7 @@ def world(profile=hertz, seed=0, contacts=500, scatter=0.0, force_error=0.0, noi
     for r, w in zip(radius, weight, strict=True):
         for t in angle:
             distance = np.hypot(x + r * np.cos(t), y + r * np.sin(t))
-            pressure += w * r / DISC / 16 * profile(distance, force[:, None])
+            pressure += w * r / DISC / 16 * profile(distance, felt[:, None])
     pressure[np.linalg.norm(offset, axis=2) > 0.02] = 0.0
     if read is not None:
         pressure = read(pressure, rng)
@@ -337,3 +342,19 @@ def test_contact_errors_that_vary_slowly_are_no_scatter():
     assert found.response.contact_correlation > 0.5
     assert found.verdict.level == "DOUBT"
     assert any("no scatter" in words for words in found.verdict.reasons)
+
+
+@pytest.mark.parametrize("uneven", [True, False])
+def test_a_skin_of_uneven_stiffness_is_named(uneven):
+    """Forces that scatter by as much from contact to contact are no unevenness."""
+    rng = np.random.default_rng(5)
+    waves, phases = rng.normal(size=(3, 100)) / 3e-3, rng.uniform(0, 2 * np.pi, 100)
+
+    def stiffness(points):
+        field = np.cos(points @ waves + phases).sum(axis=1)
+        return np.exp(0.015 * (field if uneven else rng.permutation(field)))
+
+    found = calibrate(recording(*world(stiffness=stiffness)), belief(contact="learned"))
+    named = [reason for reason in found.verdict.reasons if "err alike" in reason]
+    assert len(named) == uneven
+    assert (found.response.alike_contacts > 1.0) == uneven
