@@ -122,7 +122,7 @@ class Sensors:
 
 
 def modules(near: Array, count: int) -> Array:
-    """Modules (n,) of taxels at distances (n, n): each belongs to the nearest of `count` taxels that
+    """Modules (n,) of taxels at distances (n, n): each is that of the nearest of `count` taxels that
     are far from each other."""
     centres = [0]
     for _ in range(count - 1):

@@ -19,6 +19,8 @@ from .electronics import Electronics
 
 ROUNDS = 100
 """Iterations of the mixture, from which its parts no longer change."""
+CARE = 0.5
+"""Part of the logarithm of the odds that counts: places, contacts and response are not known."""
 TINY = 1e-12
 """Added to the diagonal of the normal equations: shares that no reading determines."""
 MIN_GAIN = 3.0
@@ -58,6 +60,7 @@ def leaking_pairs(fitted: FittedReadings, share: float) -> Leaks | None:
         level = float((weight * member) @ mean) / float(weight @ member)
         part = float(np.clip(member.mean(), 1e-3, 1 - 1e-3))
     odds = weight * level * (mean - level / 2)
+    member = 1 / (1 + np.exp(-np.clip(CARE * odds + np.log(part / (1 - part)), -50, 50)))
     mixture = np.logaddexp(np.log(1 - part), np.log(part) + odds).sum()
     uniform = float((weight * common) @ (mean - common / 2))
     if level <= 0 or mixture - uniform < MIN_GAIN:
@@ -75,7 +78,7 @@ def leak_covariances(fitted: FittedReadings, share: float) -> Array:
     own, by_share = pairs.matrix[:, :size, :size], pairs.matrix[:, :size, size:]
     moved = np.linalg.solve(own, by_share)[:, :2]
     variance = np.zeros((n, by_share.shape[2]))
-    variance[pairs.taxel, pairs.slot] = share**2 * weight * (1 - weight)
+    variance[pairs.taxel, pairs.slot] = share**2 * weight * (1 - weight) / CARE
     return np.asarray(np.einsum("nas,ns,nbs->nab", moved, variance, moved))
 
 
