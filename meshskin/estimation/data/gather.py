@@ -47,6 +47,7 @@ def gather(recording: Recording, belief: Belief) -> Measurements:
     learned = belief.readings == RAW or belief.contact == contact.LEARNED
     if learned:
         belief = replace(belief, contact=contact.LEARNED)
+        hit = unit_checks.without_hollows(hit, belief.indenter.radius)
     belief = resolve_belief(belief, recording)
     used = recording.force > 0
     pressure, unit, falling = recording.pressure, 1.0, False

@@ -91,18 +91,11 @@ LEARNED_ONLY = (*LEARNED[1:], *ELECTRONICS, *WARMING, "drift")
 """Parameters that a learned response estimates of itself, and a contact model does not have."""
 LOGARITHMS = ("modulus", "force_scale", "scale", "gain", "mesh_scale")
 """Parameters, also of a contact motion, that are natural logarithms of a factor."""
-UNITS = {"force_offset": "N", "joint_offset": "rad", "clock_offset": "s"} | dict.fromkeys(
-    (
-        "exponents",
-        "compression",
-        "force_scatter",
-        "hysteresis",
-        "crosstalk",
-        "creep",
-        "gain_drift",
-        "offset_drift",
-    ),
-    "",
+UNITS = (
+    {"force_offset": "N", "joint_offset": "rad"}
+    | dict.fromkeys(("joint_delay", "clock_offset"), "s")
+    | dict.fromkeys(("exponents", "compression", "force_scatter", "hysteresis", "crosstalk"), "")
+    | dict.fromkeys(("creep", "gain_drift", "offset_drift"), "")
 )
 """Units of global parameters that are neither lengths nor angles nor logarithms."""
 

@@ -12,6 +12,7 @@ from ... import contact
 from ...contact.disc import disc_slope, invert_disc_mean
 from ...core.arrays import Array
 from .global_parameters import DRIFT_SIZE, MODULUS, GlobalParameters
+from .unit_checks import without_hollows
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -206,6 +207,8 @@ class Measurements:
 
     def at_contacts(self, hit: Closest) -> Measurements:
         """These measurements with the contacts at the points `hit` of the body."""
+        if self.learned:
+            hit = without_hollows(hit, self.belief.indenter.radius)
         return replace(
             self,
             points=hit.point,
