@@ -122,8 +122,7 @@ class Sensors:
 
 
 def modules(near: Array, count: int) -> Array:
-    """Modules (n,) of taxels at distances (n, n): each is that of the nearest of `count` taxels that
-    are far from each other."""
+    """Modules (n,) of taxels at distances (n, n): around `count` taxels far from each other."""
     centres = [0]
     for _ in range(count - 1):
         centres.append(int(np.argmax(near[:, centres].min(axis=1))))
