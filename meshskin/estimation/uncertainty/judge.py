@@ -88,6 +88,7 @@ def judge(
         lambda: weighted_means.findings(data, calibration),
         lambda: verdict.forces(recording, calibration),
         lambda: verdict.force_offset(data, calibration),
+        lambda: verdict.profile(calibration),
         lambda: verdict.pressures(recording, data),
         lambda: verdict.times(recording),
         lambda: _faults(calibration),
