@@ -24,7 +24,7 @@ from ..robot.turntable import with_swivel
 from ..scene.scene import Scene
 from .lane_plan import STEP, posture_reasons, region_radius
 from .lanes import cover, spacing_for
-from .left_out import NOT_COVERED, SPARSE, other_radius, taxels_left_out
+from .left_out import NOT_COVERED, SPARSE, other_contact, taxels_left_out
 from .path import Path, Plan
 from .point_contacts import nearest_neighbour_order
 
@@ -53,7 +53,7 @@ def contact_plan(scene: Scene, rig: ContactRig) -> Plan:
     path, reason[pressed] = _path(scene, rig, hit.take(pressed))
     blocked, segments = [(hit.point, reason)], [path] if len(path.points) else []
     left_out = taxels_left_out(scene.skin, rig.sensing_radius, segments, blocked)
-    other = other_radius(scene, left_out)
+    other = other_contact(scene, left_out)
     if not segments:
         reasons = Counter(left_out.values()).most_common(1)
         raise ReachError(

@@ -21,7 +21,7 @@ from ..robot.contact_rig import ContactRig
 from ..scene.scene import Scene
 from ..scene.settings import Exploration
 from .lanes import cover, spacing_for
-from .left_out import NOT_COVERED, SPARSE, Blocked, other_radius, taxels_left_out, too_wide
+from .left_out import NOT_COVERED, SPARSE, Blocked, other_contact, taxels_left_out, too_wide
 from .path import Path, Plan
 from .timing import arm_path, free_path
 from .tour import ContactPath, contact_paths
@@ -70,7 +70,7 @@ def lane_plan(scene: Scene, rig: ContactRig, progress: Progress | None = None) -
     left_out = taxels_left_out(scene.skin, rig.sensing_radius, segments, blocked)
     wide = too_wide(spacing, rig.sensing_radius)
     left_out = {k: why + wide if why in SPARSE else why for k, why in left_out.items()}
-    other = other_radius(scene, left_out)
+    other = other_contact(scene, left_out)
     if not segments:
         why = (Counter(left_out.values()).most_common(1) or [(NOT_COVERED + wide, 0)])[0][0]
         raise ReachError(

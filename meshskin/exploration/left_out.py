@@ -23,7 +23,7 @@ covered, both relative to the sensing radius."""
 
 MANY = 0.1
 """Part of the taxels that are left out because the indenter is refused near them, from which the
-plan recommends another radius."""
+plan recommends a lighter force or another radius."""
 REFUSED = collision.HOLLOW, collision.EDGE, collision.SUPPORT, "does not hold"
 """Reasons, or parts of them, that another indenter may not have."""
 
@@ -47,15 +47,19 @@ def too_wide(spacing: float, radius: float) -> str:
     return f": lanes are {apart} apart, contacts felt within {felt}; bring lanes to {least}"
 
 
-def other_radius(scene: Scene, left_out: dict[int, str]) -> str:
-    """The indenter that is recommended where this one is refused near many taxels; "" elsewhere."""
+def other_contact(scene: Scene, left_out: dict[int, str]) -> str:
+    """The force or indenter that is recommended where this one is refused near many taxels; ""
+    elsewhere.
+    """
     refused = sum(any(why in one for why in REFUSED) for one in left_out.values())
     if refused < MANY * len(scene.skin):
         return ""
-    found = reach.other_radii(scene)
-    if reach.recommended(found) is found[0]:
+    found = reach.other_contacts(scene)
+    best = reach.recommended(found)
+    if best is found[0]:
         return ""
-    return f"use another indenter: {reach.recommendation(found)}, of the taxels, but for the arm"
+    what = "a lighter force" if best.radius == found[0].radius else "another indenter"
+    return f"use {what}: {reach.recommendation(found)}, of the taxels, but for the arm"
 
 
 def taxels_left_out(
