@@ -59,6 +59,12 @@ def command(options: argparse.Namespace) -> int:
     stem = options.link or (file.stem if file.is_file() else file.resolve().name)
     is_body = file.is_file() and (body_options.is_mesh(file) or file.suffix.lower() == ".urdf")
     out = options.out or Path(f"{stem}.toml" if is_body else f"{stem}_map.toml")
+    if out.suffix != ".toml":
+        raise ConfigError(
+            "the file to write has no .toml suffix",
+            value=f"--out {out}",
+            remedy=f"give --out {out.with_name(out.name + '.toml')}",
+        )
     if out.exists():
         raise ConfigError(f"{out} exists already", remedy="give another --out, or remove it")
     text, run = scene(options, out) if is_body else log_map(file, out)

@@ -132,8 +132,12 @@ def summary(result: Result, folder: Path) -> str:
             else []
         ),
         f"  force              {force['mean_n']:.4f} N for {force['reference_n']:g} N, settled in "
-        f"{1e3 * force['settling_s']:.0f} ms, overshoot {100 * force['overshoot']:.1f} %, "
-        f"then within {100 * force['disturbance']:.2g} %",
+        f"{1e3 * force['settling_s']:.0f} ms, overshoot {100 * force['overshoot']:.1f} %, then "
+        + (
+            "left its reference: see above"
+            if "departure" in force
+            else f"within {100 * force['disturbance']:.2g} %"
+        ),
     ]
     if calibration.modulus is not None:
         value = f"{calibration.modulus / 1e3:.3f} kPa{certainty(calibration)}"

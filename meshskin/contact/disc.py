@@ -16,7 +16,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,10 +24,15 @@ from numpy.typing import ArrayLike
 from ..core.arrays import Array
 from .array_backend import functions
 
+if TYPE_CHECKING:
+    from ..core.columns import ColumnFunction
+
 _MIN_SQUARE = 1e-12
 """Lower bound under square roots, whose derivatives stay finite: 1e-6 contact radii."""
 _MIN_RHO_SQUARE = 1e-10
 """Added to rho^2, so that rho has derivatives at 0; M changes by about 1e-10."""
+MIN_COMPILED = 1000
+"""Distances that are found together from which compiled code pays."""
 MAX_ITERATIONS = 60
 """Iterations of the bracketed root finders: bisection alone reaches 1e-18 of the bracket."""
 
@@ -54,20 +59,32 @@ def disc_mean_of_square(q: Any, s: Any, nodes: int = 8) -> Any:
 
 def disc_slope(rho: Array, s: Array, nodes: int = 8) -> Array:
     """Derivative of `disc_mean` by rho: pi s^2 M' = integral_lo^x* 2 w (x - rho) / h dx."""
-    return _mean_and_slope(rho, s, nodes)[1]
+    return np.asarray(_mean_and_slope(rho, s, nodes)[1])
 
 
-def _mean_and_slope(rho: Array, s: Array, nodes: int) -> tuple[Array, Array]:
-    """`disc_mean` and `disc_slope`, NumPy, from the same slices."""
-    rho = np.sqrt(rho * rho + _MIN_RHO_SQUARE)
-    lo, cut, hi = _limits(np, rho, s)
-    mean = np.pi / 2 * ((hi - hi**3 / 3) - (cut - cut**3 / 3))
-    slope = np.zeros_like(rho * s)
-    for weight, x, h, w in _slices(np, rho, s, lo, cut, nodes):
-        mean = mean + weight * (h * w + (1 - x * x) * np.arctan2(h, w))
+def _mean_and_slope(rho: Any, s: Any, nodes: int) -> tuple[Any, Any]:
+    """`disc_mean` and `disc_slope` from the same slices."""
+    f = functions(rho, s)
+    rho = f.sqrt(rho * rho + _MIN_RHO_SQUARE)
+    lo, cut, hi = _limits(f, rho, s)
+    mean = math.pi / 2 * ((hi - hi**3 / 3) - (cut - cut**3 / 3))
+    slope = 0.0 * (rho * s)
+    for weight, x, h, w in _slices(f, rho, s, lo, cut, nodes):
+        mean = mean + weight * (h * w + (1 - x * x) * f.atan2(h, w))
         slope = slope + weight * 2 * w * (x - rho) / h
-    area = np.pi * s * s
-    return np.asarray(mean / area), np.asarray(slope / area)
+    area = math.pi * s * s
+    return mean / area, slope / area
+
+
+@functools.cache
+def _compiled(nodes: int) -> ColumnFunction:
+    """`_mean_and_slope` of columns rho and s."""
+    import casadi as ca
+
+    from ..core.columns import ColumnFunction
+
+    x = ca.SX.sym("x", 2)
+    return ColumnFunction("disc_mean", x, ca.vertcat(*_mean_and_slope(x[0], x[1], nodes)))
 
 
 def _limits(f: Any, rho: Any, s: Any) -> tuple[Any, Any, Any]:
@@ -122,7 +139,10 @@ def _invert(m: Array, s: Array, nodes: int, tolerance: float) -> Array:
     low, high = np.fmax(s - 1.0, 0.0), 1.0 + s
     rho = (low + high) / 2
     for _ in range(MAX_ITERATIONS):
-        mean, slope = _mean_and_slope(rho, s, nodes)
+        if len(rho) < MIN_COMPILED:
+            mean, slope = _mean_and_slope(rho, s, nodes)
+        else:
+            mean, slope = _compiled(nodes)(len(rho), rho, s)
         excess = mean - m
         low, high = np.where(excess >= 0, rho, low), np.where(excess >= 0, high, rho)
         trial = rho - _newton_step(excess, m, slope)

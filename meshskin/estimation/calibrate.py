@@ -189,7 +189,7 @@ class Estimation:
     def _learned(self, stage: Stage) -> EstimatorResult | None:
         """The estimate with a learned response, if the contact model was chosen by "auto"; None
         where it was not, or where that estimate does not converge."""
-        if self.belief.contact != AUTO or self.belief.module_slots is not None:
+        if self.belief.contact != AUTO:
             return None
         try:
             data = gather(self.recording, replace(self.belief, contact=LEARNED))

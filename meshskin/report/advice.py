@@ -125,11 +125,21 @@ def _contacts(data: ReportData) -> list[str]:
     if c.method == "none":
         return []
     ids, steps = np.asarray(c.ids), []
-    if not data.touched.all():
-        steps.append(
-            f"Extend the contact path to {_named(ids[~data.touched])}, or mark them as defective."
-        )
+    untouched = ~data.touched
     weak = data.touched & ~np.asarray(c.observed, dtype=bool)[:, :2].all(axis=1)
+    reasons = {} if data.recording is None else data.recording.metadata.get("unreachable", {})
+    reason_of = np.array([reasons.get(str(k), "") for k in ids.tolist()], dtype=object)
+    left_out = (untouched | weak) & (reason_of != "")
+    for reason in dict.fromkeys(reason_of[left_out]):
+        steps.append(
+            f"The plan does not reach {_named(ids[left_out & (reason_of == reason)])} ({reason}): "
+            "try a smaller indenter, less force or another mount, or leave them out."
+        )
+    untouched, weak = untouched & ~left_out, weak & ~left_out
+    if untouched.any():
+        steps.append(
+            f"Extend the contact path to {_named(ids[untouched])}, or mark them as defective."
+        )
     if weak.any():
         steps.append(
             f"Pass {_named(ids[weak])} on both sides: they were touched, but from too "

@@ -39,7 +39,8 @@ class ForceResponse:
     """Time from the touch until the force stays within SETTLING_BAND, s; inf if the contact point
     moves before."""
     disturbance: float
-    """Largest error after settling, relative to the reference."""
+    """Largest error while the contact point slides, relative to the reference; where it never
+    slides, after settling."""
     lost: int
     """Steps without contact in which the law controls the force."""
 
@@ -88,6 +89,7 @@ def force_response(
     first = int(outside[-1]) + 1 if len(outside) else 0
     settles = first < resting
     settled = f[first:] if settles else f
+    counted = f[names == "slide"] if resting < len(f) else settled
     return ForceResponse(
         reference=reference,
         touch=float(t[0]),
@@ -95,6 +97,6 @@ def force_response(
         std=float(settled.std()),
         overshoot=max(float(f[:resting].max(initial=0.0)) / reference - 1.0, 0.0),
         settling=float(t[first] - t[0]) if settles else float("inf"),
-        disturbance=float(np.abs(settled / reference - 1.0).max()),
+        disturbance=float(np.abs(counted / reference - 1.0).max()),
         lost=int(np.count_nonzero(f == 0)),
     )

@@ -64,9 +64,9 @@ def simulate(
     the effects of an earlier run, to continue instead of new ones of the seed. A carried indenter
     is pressed once at each contact of the plan, at rest at the reference force. Warns where the
     contact force leaves its reference after settling (`response.describe_departure`), where parts
-    of the path are given up, and where taxels are not reached (LeftOutWarning). Raises ReachError if
-    the arm cannot follow the path, SimulationError if the loop fails, ConfigError for a scene whose
-    budget has not been resolved.
+    of the path are given up, and where taxels are not reached (LeftOutWarning). Raises ReachError
+    if the arm cannot follow the path, SimulationError if the loop fails, ConfigError for a scene
+    whose budget has not been resolved.
 
     >>> scene = ms.Scene.load("sphere_noisy")
     >>> recording = ms.simulate(scene, seed=1)

@@ -62,6 +62,7 @@ def test_init_writes_a_scene_that_loads(mesh, tmp_path, capsys):
     assert 'units = "mm"  # by its size' in text
     assert "10 mm reaches" in text
     assert cli.main(["init", "handle.stl"]) == 2
+    assert cli.main(["init", "handle.stl", "--out", "folder"]) == 2  # would be no scene for run
     assert "exists already" in capsys.readouterr().err
 
 

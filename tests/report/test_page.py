@@ -368,6 +368,21 @@ def test_advice_follows_the_numbers(case: SimpleNamespace) -> None:
     assert "Pass taxel 13 on both sides" in text
 
 
+def test_taxels_that_the_plan_leaves_out_are_not_to_be_passed(case: SimpleNamespace) -> None:
+    """No advice to touch what the indenter does not fit: the reason of the plan stands there."""
+    observed = np.tile([True] * 5 + [False], (case.COUNT, 1))
+    observed[[13, 14], 0] = False
+    f = collect(replace(case.calibration(), observed=observed), case.skin())
+    reasons = {"3": "concave", "13": "edge"}
+    text = " ".join(
+        next_steps(replace(f, recording=SimpleNamespace(metadata={"unreachable": reasons})))
+    )
+    assert "The plan does not reach taxel 3 (concave): try a smaller indenter" in text
+    assert "The plan does not reach taxel 13 (edge)" in text
+    assert "Pass taxel 14 on both sides" in text
+    assert "Extend the contact path to taxel 40" in text
+
+
 def test_truth_is_matched_by_id(case: SimpleNamespace) -> None:
     c = case.calibration(sigma=0.0)
     order = np.random.default_rng(0).permutation(case.COUNT)

@@ -101,7 +101,7 @@ def test_parts_that_are_given_up_are_said(prepared, sphere):
     within[:, 2, 3] -= 0.05
     parts[1] = replace(parts[1], poses=within)
     scene = sphere.with_(loop=replace(sphere.loop, mode="quasi_static"))
-    with pytest.warns(UserWarning, match="path that were given up: 1; the body meets"):
+    with pytest.warns(UserWarning, match="1 part of the path was given up: the body meets"):
         ms.simulate(scene, seed=1, path=Path.concatenate(parts))
 
 

@@ -16,6 +16,8 @@ import casadi as ca
 import numpy as np
 
 from ...core.arrays import Array
+from ...core.codegen import compile_function
+from ...core.ipopt import BufferedFunction
 from ..data.measurements import Measurements
 
 PAUSE = 1.5
@@ -40,19 +42,19 @@ def shears(data: Measurements, limit: float) -> tuple[Array, Array]:
     last = np.append(released[1:], True)
     amid = np.where((released | last)[:, None], steps, (steps + np.roll(steps, -1, axis=0)) / 2)
     columns = np.column_stack([steps, amid, data.normals, ~released])
-    state, found = np.zeros((3, 2)), np.empty((len(steps), 2, 3))
+    state, found = np.zeros((2, 3)), np.empty((len(steps), 2, 3))
     for begin in range(0, len(steps), BLOCK):
         part = columns[begin : begin + BLOCK]
         block = np.zeros((BLOCK, columns.shape[1]))
         block[: len(part)] = part
-        states, shear = _path()(state, block.T, np.full((1, BLOCK), size))
-        state = np.asarray(states)[:, -2:]
-        found[begin : begin + BLOCK] = np.asarray(shear).T.reshape(-1, 2, 3)[: len(part)]
+        states, shear = _path()(state, block, np.full(BLOCK, size))
+        state = states.reshape(-1, 2, 3)[-1]
+        found[begin : begin + BLOCK] = shear.reshape(-1, 2, 3)[: len(part)]
     return np.copysign(1.0, limit) * found[:, 0], found[:, 1]
 
 
 @functools.cache
-def _path() -> ca.Function:
+def _path() -> BufferedFunction:
     """Shears and their derivatives in the limit (3, 2) along a path of BLOCK contacts.
 
     (start (3, 2); by columns, the step (3), the step that ends amid the neighbors (3), the normal
@@ -73,7 +75,7 @@ def _path() -> ca.Function:
         )
 
     one = ca.Function("stop", [state, column, limit], [moved(step), moved(amid)])
-    return one.mapaccum("shears", BLOCK)
+    return BufferedFunction(compile_function(one).mapaccum("shears", BLOCK))
 
 
 class Shears:

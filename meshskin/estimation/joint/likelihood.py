@@ -74,7 +74,7 @@ def select(
     weight: Array,
     silent_weight: Array,
 ) -> Readings:
-    """The readings that inform about the taxels `live` (rows of data.ids).
+    """The readings that inform about `live`: rows of data.ids, several times for copies of a taxel.
 
     points (n, 3), m, and outward normals (n, 3): of these taxels, as estimated.
 
@@ -83,12 +83,12 @@ def select(
     of the patches' radii over the nominal ones; weight (k,): of the measurements; silent_weight
     (n,): of each taxel's silent readings.
     """
-    place = np.full(len(data.ids), -1)
-    place[live] = np.arange(len(live))
-    mine = np.flatnonzero(place[data.taxel] >= 0)
+    order, starts = data.by_taxel
+    count = data.counts[live]
+    mine, taxel = order[ranges(starts[live], count)], np.repeat(np.arange(len(live)), count)
     silent_contact = silent_taxel = np.empty(0, dtype=int)
     scale = float(np.exp(log_radius))
-    contact, taxel = data.contact[mine], place[data.taxel[mine]]
+    contact = data.contact[mine]
     offset = points[taxel] - data.points[contact]
     inside = same_sheet(offset, data.normals[contact], normals[taxel])
     if data.noise is not None:
@@ -97,12 +97,12 @@ def select(
         inside &= across2 < (data.reach(scale)[contact] + REACH_MARGIN) ** 2
     rest = data.rest if "offset" in data.parameters.nuisance_names else np.zeros(len(data.ids))
     inside |= data.pressure[mine] > rest[data.taxel[mine]] + MISFIT_SIGMAS * data.sigma
-    mine = mine[inside]
+    mine, taxel = mine[inside], taxel[inside]
     if data.noise is not None:
         silent_contact, silent_taxel = silent_pairs(data, live, points, normals, scale)
     none = np.full(len(silent_contact), -1)
     contact = np.concatenate([data.contact[mine], silent_contact])
-    taxel = np.concatenate([place[data.taxel[mine]], silent_taxel])
+    taxel = np.concatenate([taxel, silent_taxel])
     end = data.ends[data.taxel[mine]]
     kind = np.where(data.pressure[mine] < end, OBSERVED, SATURATED)
     level = np.append(np.minimum(data.pressure[mine], end), np.full(len(none), data.threshold))
@@ -255,12 +255,10 @@ class Likelihood:
         contacts: Contacts,
         electronics: Electronics | History | None = None,
     ) -> tuple[Array, Array]:
-        """mu (k,) in units of the noise, and its derivatives (C, k) in all unknowns; where contacts
-        have errors of their own, in these (3), too, and with hysteresis in those (3) of the contact
-        of the reading `electronics.source`.
+        """mu (k,) in units of the noise, and its derivatives (C, k) in all unknowns, errors (3) of
+        contacts that have them, and with hysteresis those of that of `electronics.source`.
 
-        electronics: hysteresis and crosstalk, where `contact` is that of all readings; by default
-        none.
+        electronics: as of all readings, where `contact` is theirs; by default none.
         """
         data, names = self.data, self.data.parameters.nuisance_names
         lagging = electronics is not None and "hysteresis" in data.parameters.columns
@@ -301,9 +299,8 @@ class Likelihood:
             for row, side in enumerate((contacts.directions, contacts.across), last):
                 jacobian[row] = -np.einsum("ik,ki->k", jacobian[:3], side[contact])
             *slopes, by_peak = (slope[contact] for slope in contacts.by_load)
-            jacobian[last + 2] = mu * by_peak
-            for by, slope in zip(by_shape, slopes, strict=True):
-                jacobian[last + 2] += by * slope
+            by_axes = sum(by * slope for by, slope in zip(by_shape, slopes, strict=True))
+            jacobian[last + 2] = mu * by_peak + by_axes
         if electronics is not None:
             row, scale = 3 + names.index("gain"), np.exp(amplified * gain)
             mu = electronics.apply(mu, jacobian, contacts.s, scale, (row, amplified), first)
@@ -318,6 +315,10 @@ class Likelihood:
                 if electronics is not None and lagging:
                     jacobian[row] += level * load[electronics.source] * jacobian[last + 5]
             mu = self._compressed(mu, jacobian, contacts.compression, first)
+        if "offset_drift" in columns:
+            at, drifts = columns["offset_drift"], data.drifts[contact] * data.nominal_peak
+            jacobian[first + at.start : first + at.stop] = drifts.T / data.sigma
+            mu = mu + drifts @ contacts.s[at] / data.sigma
         for row, name in enumerate(names):
             if name != "gain":
                 added = data.phase[contact] if name == "drift" else np.ones(len(mu))
@@ -336,9 +337,8 @@ class Likelihood:
         basis, value, slope = ProfileCorrection(self.data.profile_extent)(u, contacts.profile)
         slope /= u
         by_point = slope[:, None] * ((x / a)[:, None] * along + (y / b)[:, None] * across)
-        if len(contacts.shape) == 1:  # one semi-axis
-            return basis, value, by_point, (-slope * (x**2 + y**2),)
-        return basis, value, by_point, (-slope * x**2, -slope * y**2)
+        axes = (x**2 + y**2,) if len(contacts.shape) == 1 else (x**2, y**2)
+        return basis, value, by_point, tuple(-slope * square for square in axes)
 
     def _compressed(self, mu: Array, jacobian: Array, compression: float, first: int) -> Array:
         """Compressed readings y / (1 + c y / p), p being the nominal peak; rescales `jacobian`."""

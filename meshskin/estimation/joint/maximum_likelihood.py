@@ -28,7 +28,12 @@ from ..uncertainty.goodness_of_fit import GoodnessOfFit, goodness_of_fit
 from .departures import departure_scores
 from .fault_detection import outliers, stuck_taxels
 from .joint_estimator import MAX_RELINEARIZATIONS, JointEstimator
-from .module_parametrization import ModuleParametrization, align_modules
+from .module_parametrization import (
+    MODULE_SURFACE,
+    MODULES,
+    ModuleParametrization,
+    align_modules,
+)
 from .noise import Noise, clear_of_limits, estimate_noise, predictions, with_estimated_noise
 from .null_space import undetermined, undetermined_motion
 from .outlier_rejection import reject_outliers, without_misfitting_contacts
@@ -48,15 +53,12 @@ WIDENED = (
 ESTIMATED_NOISE = "noise of {:.3g} Pa, estimated from {} pairs of neighbouring contacts"
 MISFITTING = "without {} contacts whose readings fit no others: bumps, jumps of the curvature"
 """Factor of an estimate that some contacts were left out of."""
-USUAL_STEPS = 12
-"""Usual steps of an estimate: the start, two linearizations, and eight searches for second optima,
-of which a skin without open edges needs none."""
+USUAL_STEPS = 4
+"""Usual steps of an estimate: the start, two linearizations, and a search for second optima."""
 RADIUS_TOLERANCE = 0.03
 """Relative standard deviation of the indenter's radius, which readings cannot tell from E*. Chosen:
 0.3 mm of 10 mm, as a worn or printed indenter has it."""
 RADIUS = "indenter radius within {:.0%} (1 sigma): its share of the standard deviation of E*"
-MODULES = "rigid modules: the known places of their taxels"
-MODULE_SURFACE = "body surface: modules lie on it to 0.1 mm a taxel"
 UNDECLARED_GAINS = "gain and offset of each taxel, undeclared: without them taxels misfit"
 
 

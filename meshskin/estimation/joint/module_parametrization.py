@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from ...geometry.body import Body
     from ..data.measurements import Measurements
 
+MODULES = "rigid modules: the known places of their taxels"
+MODULE_SURFACE = "body surface: modules lie on it to 0.1 mm a taxel"
 SURFACE_SIGMA = 1e-4
 """Standard deviation of a taxel's height over the surface, m: how well a rigid triangle is glued on
 a body; a sphere of 0.1 m radius bends away by 0.3 mm over 8 mm."""

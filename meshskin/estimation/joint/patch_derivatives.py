@@ -18,8 +18,7 @@ import numpy as np
 
 from ...contact import ContactModel, Patches
 from ...core.arrays import Array
-from ...core.codegen import compile_function
-from .pressure import BATCH, evaluate
+from ...core.columns import ColumnFunction
 
 if TYPE_CHECKING:
     from ..data.measurements import Measurements
@@ -68,15 +67,15 @@ def _on_layer(
     load = np.log(data.force / (modulus * t**2)) + log_force
     kernel = _layer_kernel(data.model.poisson, data.model.thickness is None)
     radius = data.belief.indenter.radius
-    out = evaluate(kernel, len(load), load, data.curvature * t, radius / t)
-    first, second, peak, depth, exponent = out[:, :5].T
-    by_first, by_second, by_peak, _, by_exponent = out[:, 5:, None].swapaxes(0, 1)
+    out = kernel(len(load), load, data.curvature * t, radius / t)
+    first, second, peak, depth, exponent = out[:5]
+    by_first, by_second, by_peak, _, by_exponent = out[5:, :, None]
     found = Patches(first * t, second * t, peak * modulus, depth * t, exponent)
     return found, LoadDerivatives((by_first, by_second, by_exponent), by_peak)
 
 
 @functools.cache
-def _layer_kernel(poisson: float, half_space: bool) -> ca.Function:
+def _layer_kernel(poisson: float, half_space: bool) -> ColumnFunction:
     """(ln F/(E* t^2), k_1 t, k_2 t, r/t) by columns -> a/t, b/t, p_0/E*, depth/t, exponent, and
     the derivatives in ln F of the logarithms of the first four and of the exponent.
 
@@ -88,8 +87,7 @@ def _layer_kernel(poisson: float, half_space: bool) -> ca.Function:
     )
     sizes = ca.vertcat(patch.first, patch.second, patch.peak, patch.depth)
     slope = ca.jacobian(ca.vertcat(ca.log(sizes), patch.exponent), x[0])
-    out = ca.vertcat(sizes, patch.exponent, slope)
-    return compile_function(ca.Function("layer", [x], [out], {"cse": True})).map(BATCH)
+    return ColumnFunction("layer", x, ca.vertcat(sizes, patch.exponent, slope))
 
 
 @dataclass(frozen=True)

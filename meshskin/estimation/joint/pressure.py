@@ -15,16 +15,15 @@ J^T J times the cost's curvature in mu, which is positive for all kinds.
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ...contact.disc import disc_mean_of_square
 from ...contact.ellipse import ellipse_gradient
 from ...core.arrays import Array
-from ...core.codegen import compile_function
+from ...core.columns import ColumnFunction
 
 if TYPE_CHECKING:
     from .contacts import Contacts
@@ -32,8 +31,6 @@ if TYPE_CHECKING:
 OBSERVED, CENSORED, SATURATED = 0, 1, -1
 """Kinds of a reading: observed, censored at the threshold, censored at the end of the range; the
 sign is that of the censored side."""
-BATCH = 256
-"""Columns evaluated in one call of a compiled kernel: they and the results stay in the cache."""
 MAX_NEGATIVE = 25.0
 """Standard deviations at which u is clipped from below: erfcx overflows below -37, and lambda is
 under 1e-135 there."""
@@ -43,37 +40,8 @@ MeanAndDerivatives = tuple[Array, Array, tuple[Array, ...]]
 ln a, ln b and m, as far as the contact model has them."""
 
 
-def evaluate(kernel: ca.Function, count: int, *columns: ArrayLike) -> Array:
-    """The outputs (count, .) of `kernel`, a function mapped over BATCH columns.
-
-    columns: its inputs in order, arrays (count,) or (count, .), or numbers.
-    """
-    rows = -(-count // BATCH) * BATCH
-    x = np.ones((rows, kernel.size1_in(0)))
-    first = 0
-    for values in columns:
-        value = np.asarray(values)
-        width = value.shape[1] if value.ndim == 2 else 1
-        x[:count, first : first + width] = value if value.ndim != 1 else value[:, None]
-        first += width
-    out = np.empty((rows, kernel.size1_out(0)))
-    buffer: Any
-    buffer, call = kernel.buffer()
-    for begin in range(0, rows, BATCH):
-        buffer.set_arg(0, x[begin : begin + BATCH].data)
-        buffer.set_res(0, out[begin : begin + BATCH].data)
-        call()
-    return out[:count]
-
-
-def _mapped(name: str, x: ca.SX, *outputs: ca.SX) -> ca.Function:
-    return compile_function(ca.Function(name, [x], [ca.vertcat(*outputs)], {"cse": True})).map(
-        BATCH
-    )
-
-
 @functools.cache
-def circular_kernel() -> ca.Function:
+def circular_kernel() -> ColumnFunction:
     """(d (3), n (3), a, s) by columns -> M, its gradient in d (3), its derivative in ln a.
 
     s is the disc's radius.
@@ -87,25 +55,26 @@ def circular_kernel() -> ca.Function:
     outputs = (mean, ca.gradient(mean, q), ca.gradient(mean, ratio))
     m, by_q, by_ratio = ca.Function("disc", [q, ratio], outputs).call(point)
     by_log_a = -2 * point[0] * by_q - point[1] * by_ratio
-    return _mapped("pressure", x, m, 2 * by_q / a**2 * across, by_log_a)
+    y = ca.vertcat(m, 2 * by_q / a**2 * across, by_log_a)
+    return ColumnFunction("pressure", x, y)
 
 
 @functools.cache
-def elliptic_kernel() -> ca.Function:
+def elliptic_kernel() -> ColumnFunction:
     """(d (3), n (3), t (3), a, b, s) by columns, m = 1/2 -> M, its gradient in d (3), its
     derivatives in ln a and ln b.
     """
     x = ca.SX.sym("x", 12)
-    return _mapped("pressure_elliptic", x, *_elliptic_mean(x, 0.5)[:4])
+    return ColumnFunction("pressure_elliptic", x, ca.vertcat(*_elliptic_mean(x, 0.5)[:4]))
 
 
 @functools.cache
-def layered_kernel() -> ca.Function:
+def layered_kernel() -> ColumnFunction:
     """(d (3), n (3), t (3), a, b, s, m) by columns -> M, its gradient in d (3), its derivatives in
     ln a, ln b and m.
     """
     x = ca.SX.sym("x", 13)
-    return _mapped("pressure_profile", x, *_elliptic_mean(x, x[12]))
+    return ColumnFunction("pressure_profile", x, ca.vertcat(*_elliptic_mean(x, x[12])))
 
 
 def _elliptic_mean(x: ca.SX, exponent: ca.SX | float) -> tuple[ca.SX, ...]:
@@ -126,16 +95,16 @@ def disc_means(
     """
     patch, normals = contacts.patches, contacts.normals[rows]
     if model == "hertz":
-        out = evaluate(circular_kernel(), len(rows), offset, normals, patch.first[rows], disc)
+        out = circular_kernel()(len(rows), offset, normals, patch.first[rows], disc)
     else:
         columns = (
             offset, normals, contacts.directions[rows], patch.first[rows], patch.second[rows], disc
         )  # fmt: skip
         if model == "elliptic":
-            out = evaluate(elliptic_kernel(), len(rows), *columns)
+            out = elliptic_kernel()(len(rows), *columns)
         else:
-            out = evaluate(layered_kernel(), len(rows), *columns, patch.exponent[rows])
-    return out[:, 0], out[:, 1:4], tuple(out[:, 4:].T)
+            out = layered_kernel()(len(rows), *columns, patch.exponent[rows])
+    return out[0], out[1:4].T, tuple(out[4:])
 
 
 def censored(u: Array) -> tuple[Array, Array, Array]:

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...contact.reading import same_sheet
-from ...core.arrays import Array
+from ...core.arrays import Array, ranges
 from .joint_estimator import JointEstimator
 from .likelihood import Likelihood, Readings, select
 from .parametrization import SurfaceParametrization
@@ -55,6 +55,8 @@ what the covariance says: at the second and third no taxel should be confidently
 NUISANCE_STEPS = 2
 """Newton steps to the best gain and offset at a position: readings are linear in the offset and
 nearly so in the logarithm of the gain."""
+MAX_COPIES = 4096
+"""Copies of taxels, each at another place, that are optimized together: bounds the memory."""
 MAX_MOVES = 3
 """Largest number of times that taxels are moved to better optima."""
 
@@ -98,19 +100,28 @@ def find_rivals(estimator: JointEstimator) -> RivalOptima:
     if estimator.data.noise is not None and variance > MAX_VARIANCE:
         return best
     limit = MAX_LOG_ODDS * max(variance, 1.0)
-    estimate = points[rows], estimator.state.z[rows]
-    starts = starting_points(estimator, rows, points[rows], reach)
-    estimator.stage.expect(len(starts) + 1)
-    for start in starts:
+    parts = batches(rows, DIRECTIONS + 1)
+    estimator.stage.expect(len(parts))
+    for part in parts:
         estimator.stage.step()
-        found = optimum_from(estimator, rows, start)
-        valid = np.linalg.norm(found[0] - points[rows], axis=1) > MIN_DISTANCE * reach
-        valid &= part_on_sheet(estimator, rows, found[0]) >= MIN_ON_SHEET
-        odds = np.where(valid, log_odds_between(estimator, rows, estimate, found), np.inf)
-        better = (odds < best.log_odds[rows]) & (odds < limit)
-        best.points[rows[better]] = found[0][better]
-        best.log_odds[rows[better]] = odds[better]
+        starts = starting_points(estimator, part, points[part], reach)
+        copies = np.tile(part, len(starts))
+        estimate = points[copies], estimator.state.z[copies]
+        found = optimum_from(estimator, copies, np.concatenate(starts))
+        valid = np.linalg.norm(found[0] - points[copies], axis=1) > MIN_DISTANCE * reach
+        valid &= part_on_sheet(estimator, copies, found[0]) >= MIN_ON_SHEET
+        odds = log_odds_between(estimator, copies, estimate, found)
+        odds = np.where(valid & (odds < limit), odds, np.inf).reshape(len(starts), -1)
+        likeliest, each = odds.argmin(axis=0), np.arange(len(part))
+        best.log_odds[part] = odds[likeliest, each]
+        places = found[0].reshape(len(starts), -1, 3)[likeliest, each]
+        best.points[part] = np.where(np.isfinite(best.log_odds[part])[:, None], places, np.nan)
     return best
+
+
+def batches(rows: np.ndarray, copies: int) -> list[np.ndarray]:
+    """The taxels `rows` in parts of at most MAX_COPIES, about, with so many `copies` of each."""
+    return np.array_split(rows, -(-len(rows) * copies // MAX_COPIES))
 
 
 def widened(estimator: JointEstimator, covariance: Array, scale: float) -> Array:
@@ -130,17 +141,21 @@ def widened(estimator: JointEstimator, covariance: Array, scale: float) -> Array
     out = covariance.copy()
     if not len(rows):
         return out
-    value, vectors = np.linalg.eigh(covariance[rows])
-    sigma, axis = np.sqrt(value[:, 1]), vectors[:, :, 1]
+    widths = np.array([sign * width for width in WIDTHS for sign in (-1.0, 1.0)])[:, None]
     limit = RING * float(np.median(estimator.data.reach()))
-    way = np.einsum("kij,kj->ki", frames[rows][:, :, :2], axis)
-    estimate, widest = (points[rows], estimator.state.z[rows]), sigma.copy()
-    for width in (sign * width for width in WIDTHS for sign in (-1.0, 1.0)):
-        step = np.clip(width * sigma, -limit, limit)
-        there = estimator.data.body.closest(points[rows] + step[:, None] * way).point
-        odds = log_odds_between(estimator, rows, estimate, (there, estimate[1]))
-        widest = np.maximum(widest, np.abs(step) / np.sqrt(np.maximum(2 * odds / scale, 1.0)))
-    out[rows] += (widest**2 - value[:, 1])[:, None, None] * axis[:, :, None] * axis[:, None, :]
+    for part in batches(rows, len(widths)):
+        value, vectors = np.linalg.eigh(covariance[part])
+        sigma, axis = np.sqrt(value[:, 1]), vectors[:, :, 1]
+        way = np.einsum("kij,kj->ki", frames[part][:, :, :2], axis)
+        step = np.clip(widths * sigma, -limit, limit)
+        there = (points[part] + step[:, :, None] * way).reshape(-1, 3)
+        there = estimator.data.body.closest(there).point
+        copies = np.tile(part, len(widths))
+        z = estimator.state.z[copies]
+        odds = log_odds_between(estimator, copies, (points[copies], z), (there, z))
+        wide = np.abs(step) / np.sqrt(np.maximum(2 * odds.reshape(step.shape) / scale, 1.0))
+        excess = np.maximum(wide.max(axis=0), sigma) ** 2 - value[:, 1]
+        out[part] += excess[:, None, None] * axis[:, :, None] * axis[:, None, :]
     return out
 
 
@@ -153,13 +168,16 @@ def open_sectors(estimator: JointEstimator, points: Array) -> Array:
     x, y, _ = np.einsum("kij,ki->jk", frames, offset)
     angle = np.arctan2(y, x)
     order = np.lexsort((angle, taxel))
-    parts = np.split(angle[order], np.searchsorted(taxel[order], np.arange(1, len(points))))
-    return np.array(
-        [
-            np.diff(np.append(part, part[:1] + 2 * np.pi)).max(initial=0.0) or 2 * np.pi
-            for part in parts
-        ]
-    )
+    taxel, angle = taxel[order], angle[order]
+    found = np.full(len(points), 2 * np.pi)
+    if not len(taxel):
+        return found
+    met, begin = np.unique(taxel, return_index=True)
+    last = np.append(begin[1:], len(taxel)) - 1
+    gap = np.diff(angle, append=0.0)
+    gap[last] = angle[begin] + 2 * np.pi - angle[last]  # back to the first direction
+    found[met] = np.maximum.reduceat(gap, begin)
+    return found
 
 
 def _responses(estimator: JointEstimator) -> tuple[np.ndarray, np.ndarray, Array]:
@@ -176,10 +194,9 @@ def _responses(estimator: JointEstimator) -> tuple[np.ndarray, np.ndarray, Array
 def part_on_sheet(estimator: JointEstimator, rows: np.ndarray, points: Array) -> Array:
     """Part (r,) of the responding contacts that press the sheet of skin at `points` (r, 3)."""
     taxel, contact, _ = _responses(estimator)
-    place = np.full(len(estimator.live), -1)
-    place[rows] = np.arange(len(rows))
-    mine = place[taxel] >= 0
-    owner, contact = place[taxel[mine]], contact[mine]
+    count = np.bincount(taxel, minlength=len(estimator.live))[rows]
+    first = np.searchsorted(taxel, rows)
+    owner, contact = np.repeat(np.arange(len(rows)), count), contact[ranges(first, count)]
     contacts, normals = estimator.problem.contacts.data, estimator.data.body.closest(points).normal
     on = same_sheet(
         points[owner] - contacts.points[contact], contacts.normals[contact], normals[owner]
@@ -198,8 +215,8 @@ def starting_points(
     taxel, contact, level = _responses(estimator)
     center, axis = points.copy(), np.zeros_like(points)
     for k, row in enumerate(rows):
-        mine = taxel == row
-        if mine.any():
+        mine = slice(*np.searchsorted(taxel, [row, row + 1]))
+        if mine.start < mine.stop:
             center[k] = level[mine] @ contacts[contact[mine]] / level[mine].sum()
             flat = (contacts[contact[mine]] - center[k]) @ frames[k, :, :2]
             axis[k] = frames[k, :, :2] @ np.linalg.svd(flat, full_matrices=False)[2][0]
@@ -214,7 +231,8 @@ def starting_points(
 def problem_of(
     estimator: JointEstimator, rows: np.ndarray, points: Array, readings: Readings
 ) -> ReducedProblem:
-    """The problem of the taxels `rows` alone, linearized at `points` (r, 3)."""
+    """The problem of the taxels `rows` alone, linearized at `points` (r, 3). A row may be there
+    several times, here and below: copies of a taxel at several points."""
     whole = estimator.problem.parametrization
     assert isinstance(whole, SurfaceParametrization)
     own = replace(whole, charts=whole.charts[rows]).about(estimator.data.body, points)

@@ -37,6 +37,9 @@ OFFSET_SIGMAS = 6.0
 """Standard deviations of both signs of an offset of the force from which it is named."""
 MIN_OFFSET = 0.05
 """Least offset that is named, relative to the force."""
+MAX_OFFSET = 0.5
+"""Largest offset, as `MIN_OFFSET`, that is named: with forces wrong by more than half, the skin
+rather has another response."""
 AGREEMENT = 0.3
 """Largest difference of the two signs, relative to their sum: layers have other exponents than
 Hertz patches, by up to a quarter."""
@@ -112,7 +115,7 @@ def force_offset(data: Measurements, calibration: Calibration) -> list[Finding]:
     scatter = calibration.unknowns["force_scatter"][0] ** 2
     scatter /= max(float(np.var(np.log(data.force))), 1e-12)
     small = abs(part) < MIN_OFFSET + 2 * scatter or (abs(signs) < OFFSET_SIGMAS * sigma).any()
-    if small or abs(np.diff(signs)[0]) > AGREEMENT * abs(signs).sum():
+    if small or abs(part) > MAX_OFFSET or abs(np.diff(signs)[0]) > AGREEMENT * abs(signs).sum():
         return []
     offset = force * part / (1 + part)
     words = (

@@ -306,12 +306,6 @@ def test_counts_that_never_change_are_refused():
         calibrate(log, belief(readings="raw"))
 
 
-def test_rigid_modules_are_refused():
-    slots = np.array([[-2e-3, 0.0, 0.0], [2e-3, 0.0, 0.0]])
-    with pytest.raises(CalibrationError, match="rigid modules"):
-        calibrate(recording(*counts()), belief(readings="raw", module_slots=slots))
-
-
 @pytest.mark.slow
 def test_few_contacts_leave_the_model():
     """20 contacts over the skin: the default is the model's estimate, or as good."""

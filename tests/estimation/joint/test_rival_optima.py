@@ -155,7 +155,7 @@ def test_a_flat_optimum_is_as_wide_as_its_likelihood(monkeypatch):
 
     def odds(estimator, rows, first, second):
         y = (second[0] - first[0])[:, :2] @ axis
-        return np.array([k * ((a + y[0]) ** 2 - a**2) ** 2, y[1] ** 2 / (2 * sigma**2)])[rows]
+        return np.where(rows == 0, k * ((a + y) ** 2 - a**2) ** 2, y**2 / (2 * sigma**2))
 
     monkeypatch.setattr(rival_optima, "log_odds_between", odds)
     monkeypatch.setattr(rival_optima, "open_sectors", lambda *_: np.full(2, np.pi))

@@ -188,3 +188,21 @@ def test_single_wrong_contacts_are_no_displacement_of_all():
     shift = np.array([2e-3, 0.0, 1e-4])
     found = contact_errors.displacement(distance + normals @ shift, normals)
     np.testing.assert_allclose(found[[0, 2]], shift[[0, 2]], atol=1e-5)
+
+
+@pytest.mark.parametrize(("turn", "stretch", "most"), [(0.03, 0.0, 1.5), (0.0, 0.015, 3.0)])
+def test_turns_and_scales_about_the_middle(turn, stretch, most):
+    """Contact points on an ellipsoid, turned about a normal, or scaled: a displacement or a body of
+    another size does not explain their distances."""
+    scene = ms.Scene.load("ellipsoid")
+    log = press(scene)
+    arm = log.points - log.points.mean(axis=0)
+    axis = log.normals.mean(axis=0) / np.linalg.norm(log.normals.mean(axis=0))
+    wrong = moved(log, turn * np.cross(axis, arm) + stretch * arm)
+    found = ms.calibrate(wrong, scene.belief())
+    # patches that are wider contradict the model: that misfit is in sigma, too
+    assert 0.7 < stated_over_true(found, scene.skin.positions) < most
+    (reason,) = [words for words in found.verdict.reasons if "on it best" in words]
+    assert "turned by" in reason
+    if stretch:
+        assert float(reason.split("scaled by ")[1].split()[0]) == pytest.approx(0.985, abs=1e-3)
