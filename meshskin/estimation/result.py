@@ -197,6 +197,8 @@ class EstimatorResult:
     departures: Mapping[str, float] = field(default_factory=dict)
     """Score, in standard deviations, of each departure from the model that was tested
     (joint/departures.py)."""
+    jump: Array = field(default_factory=lambda: np.zeros(3))
+    """Displacement (3,), m, of the contacts from one on, where the readings show one."""
     response: LearnedResponse | None = None
     """The learned response, where it was learned."""
     iterates: Array | None = None

@@ -80,7 +80,7 @@ class FittedReadings:
         drift = self._each(self.data.phase[self.readings.contact])
         n = max(int(np.sum(drift != 0)), 1)
         candidates, found, end = self._candidates(), dict[str, tuple[float, Array]](), 0
-        slope, information = self._shared(np.column_stack([c for _, c, _ in candidates]))
+        slope, information = self.shared(np.column_stack([c for _, c, _ in candidates]))
         for name, columns, start in candidates:
             at = slice(end, end := end + columns.shape[1])
             score, sign = _score(slope[at], information[at, at])
@@ -101,12 +101,12 @@ class FittedReadings:
         drifts = data.drifts[self.readings.contact]
         found = [
             ("crosstalk", electronics.neighbours @ pressure, np.zeros(1)),
-            ("drag", self._moved(data.headway[:, :, None]), np.zeros(1)),
+            ("drag", self.moved(data.headway[:, :, None]), np.zeros(1)),
             ("gain_drift", drifts * pressure[:, None], np.zeros(DRIFT_SIZE)),
             ("offset_drift", drifts * electronics.peak, np.zeros(DRIFT_SIZE)),
         ]
         for limit in LIMITS:
-            moved = -self._moved(shears(data, limit)[0][:, :, None])
+            moved = -self.moved(shears(data, limit)[0][:, :, None])
             found.append(("friction", moved, np.array([limit])))
         for width in WIDTHS:
             half = np.full(k, width * WIDTH * electronics.peak)
@@ -119,11 +119,11 @@ class FittedReadings:
             # the closest point of a centre at height r moves by 1 / (1 + r k) of its motion; one
             # along a contact's normal does not move it
             shrunk = 1 / (1 + data.belief.indenter.radius * data.curvature.mean(axis=1))
-            moved = self._moved(np.swapaxes(data.headings, 1, 2) * shrunk[:, None, None])
+            moved = self.moved(np.swapaxes(data.headings, 1, 2) * shrunk[:, None, None])
             found += [("indenter_offset", column, np.zeros(3)) for column in moved.T]
         return [(name, columns.reshape(k, -1), start) for name, columns, start in found]
 
-    def _moved(self, directions: Array) -> Array:
+    def moved(self, directions: Array) -> Array:
         """Derivatives (k, q) of the readings in displacements of the contacts along `directions`
         (m, 3, q), body frame."""
         moved = directions[self.readings.contact]
@@ -140,7 +140,7 @@ class FittedReadings:
         slope, information = self._moments(column)
         return np.asarray(slope * (information > 1e-9) / np.sqrt(np.maximum(information, 1e-9)))
 
-    def _shared(self, columns: Array) -> tuple[Array, Array]:
+    def shared(self, columns: Array) -> tuple[Array, Array]:
         """Derivative (q,) of the log-likelihood in parameters that all taxels share, with the
         derivatives `columns` (k, q) of the readings, and their information (q, q); zero rows where
         the readings do not determine them. What other unknowns that have not converged would
@@ -234,13 +234,18 @@ def departure_scores(estimator: JointEstimator) -> dict[str, float]:
     only that of errors of the contacts."""
     found = {CONTACT_ERRORS: contact_score(estimator)}
     if isinstance(estimator.problem.parametrization, SurfaceParametrization):
-        found |= {name: score for name, (score, _) in _fitted(estimator).scores().items()}
+        found |= {
+            name: score
+            for name, (score, _) in fitted_readings(estimator, estimator.likelihood.readings.weight)
+            .scores()
+            .items()
+        }
     return found
 
 
-def _fitted(estimator: JointEstimator) -> FittedReadings:
-    """The readings at the estimate of independent taxels; those of taxels that have not converged,
-    whose score is not zero without a departure, either, have no weight."""
+def fitted_readings(estimator: JointEstimator, weight: Array) -> FittedReadings:
+    """The readings with weights (k,) at the estimate of independent taxels; those of taxels that
+    have not converged, whose score is not zero without a departure, either, have no weight."""
     problem, state, readings = estimator.problem, estimator.state, estimator.likelihood.readings
     data, taxel = estimator.data, readings.taxel
     assert isinstance(problem.parametrization, SurfaceParametrization)
@@ -253,7 +258,7 @@ def _fitted(estimator: JointEstimator) -> FittedReadings:
     names = data.parameters.nuisance_names
     along = np.einsum("kia,ik->ak", problem.parametrization.charts.tangents[taxel], jacobian[:3])
     offset = nuisance[taxel, names.index("offset")] if "offset" in names else np.zeros(len(mu))
-    weight = np.where(estimator.unconverged[taxel], 0.0, readings.weight)
+    weight = np.where(estimator.unconverged[taxel], 0.0, weight)
     return FittedReadings(
         data=data,
         readings=readings,

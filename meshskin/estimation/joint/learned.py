@@ -31,6 +31,7 @@ from .contacts import LinearizedContacts
 from .departure_search import plausible, with_departures
 from .deviations import Deviations
 from .joint_estimator import JointEstimator
+from .jump import largest_jump
 from .learned_modules import moved_to_modules
 from .learned_result import learned_result
 from .likelihood import Likelihood, Readings, select
@@ -111,7 +112,8 @@ def _estimate(data: Measurements, stage: Stage) -> EstimatorResult:
     found = learned_result(effects, estimator, rivals, reasons, clock)
     if data.belief.module_slots is not None:
         found = moved_to_modules(data, found, effects.system(), live)
-    return replace(found, departures=departures)
+    jump = largest_jump(effects.fitted())
+    return replace(found, departures=departures | jump.departure, jump=jump.shown)
 
 
 def with_learned_response(data: Measurements, points: Array) -> Measurements:

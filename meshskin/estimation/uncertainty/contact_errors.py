@@ -39,11 +39,13 @@ def systematic_covariance(
     unknowns: Mapping[str, tuple[float, float]],
     rotations: Array,
     shape: Array,
+    jump: Array | None = None,
 ) -> Array:
     """What these errors add to the covariances (n, 6, 6) of the taxels' poses, taxel frame.
 
     unknowns: estimated global parameters, whose offsets may explain the distances. rotations
-    (n, 3, 3): of the taxels; shape (n, 2, 2), 1/m: shape operators.
+    (n, 3, 3): of the taxels; shape (n, 2, 2), 1/m: shape operators; jump (3,), m: displacement of
+    the contacts in a part of the recording.
     """
     points, moved = data.points, data.points + offsets(data, unknowns)
     hit, moved_hit = data.body.closest(points), data.body.closest(moved)
@@ -54,6 +56,9 @@ def systematic_covariance(
     sideways = motion(data, points, hit.distance, hit.normal).at(_middles(data))
     along = np.einsum("nia,ni->na", tangents, sideways)
     tangential = along[:, :, None] * along[:, None, :]
+    if jump is not None:
+        apart = np.einsum("nia,i->na", tangents, jump)
+        tangential += apart[:, :, None] * apart[:, None, :]
     tangential += np.swapaxes(tangents, 1, 2) @ _late_squares(data) @ tangents
     into = surface_motion(shape)
     out: Array = into @ tangential @ np.swapaxes(into, 1, 2)

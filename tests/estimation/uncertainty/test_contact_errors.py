@@ -206,3 +206,15 @@ def test_turns_and_scales_about_the_middle(turn, stretch, most):
     assert "turned by" in reason
     if stretch:
         assert float(reason.split("scaled by ")[1].split()[0]) == pytest.approx(0.985, abs=1e-3)
+
+
+def test_a_body_mounted_anew_is_named_and_counted(noisy, log):
+    half = (np.arange(len(log.points)) >= len(log.points) // 2)[:, None]
+    along = np.cross(noisy.skin.normals.mean(axis=0), [1.0, 0.0, 0.0])
+    found = ms.calibrate(moved(log, 0.5e-3 * half * along), noisy.belief(contact="auto"))
+    assert 0.7 < stated_over_true(found, noisy.skin.positions) < 2.5
+    assert found.verdict.level == "DOUBT"
+    assert any("a jump of the contacts at 50%" in words for words in found.verdict.reasons)
+    sound = ms.calibrate(log, noisy.belief(contact="auto"))
+    assert sound.verdict.level == "PASS"
+    assert np.median(sound.position_sigma) < 0.05e-3
