@@ -146,7 +146,7 @@ def profile(calibration: Calibration) -> list[Finding]:
     words = (
         f"the learned profile rises by {risen / value.max():.2g} of its peak from {near:.2g} to "
         f"{far:.2g} mm from the contact point (limit {MIN_RISE:g} beyond {RISE_SIGMAS:g} standard "
-        "deviations): patches that are no single, round ones, or crosstalk; see the figure of the response"
+        "deviations): patches that are not round, two contacts, or crosstalk; see its figure"
     )
     return [(DOUBT, words)]
 
